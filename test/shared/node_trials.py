@@ -3,20 +3,24 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import rclpy
 from impact_rs.action import RunTrial
+from processes import until
+from rclpy.action import ActionClient
+from rclpy.action.client import ClientGoalHandle
+from rclpy.context import Context
 from rclpy.node import Node
 
 from impact_rs_ros.graph import Graph
+from impact_rs_ros.process import NodeProgram
 from impact_rs_trials.campaign import Manifest, make_manifest
 
-PATIENCE = 60.0  # s; never reached on a machine that works
+AnyProgram = TypeVar("AnyProgram", bound=NodeProgram)
 Feedback = Callable[[RunTrial.Impl.FeedbackMessage], None]
 
 
@@ -31,15 +35,6 @@ def one_trial(scenario: str = "push", seed: int = 0) -> Manifest:
     return make_manifest(scenario, ["parcel"], ["1"], [1.0], trials=1, seed=seed)
 
 
-def until(condition: Callable[[], Any], step: Callable[[], Any], what: str = "nothing comes") -> Any:
-    """What the condition returns once it is true; until then ``step`` is called."""
-    deadline = time.monotonic() + PATIENCE
-    while not (found := condition()):
-        assert time.monotonic() < deadline, what
-        step()
-    return found
-
-
 def spin_until(graph: Graph, condition: Callable[[], Any], what: str = "nothing comes") -> Any:
     """What the condition returns once it is true."""
     return until(condition, lambda: graph.spin(0.05), what)
@@ -51,6 +46,14 @@ def result_of(graph: Graph, future: Any) -> Any:
     return future.result()
 
 
+def begun(graph: Graph, client: ActionClient, request: Any) -> ClientGoalHandle:
+    """A goal that is accepted and has told how far it is."""
+    heard: list[object] = []
+    accepted = result_of(graph, client.send_goal_async(request, feedback_callback=heard.append))
+    spin_until(graph, lambda: heard, "no feedback")
+    return accepted
+
+
 def in_trial(act: Callable[[], object], after: float = 0.2) -> Feedback:
     """Feedback that acts once, when the trial time is beyond ``after`` [s]."""
     done: list[object] = []
@@ -60,6 +63,30 @@ def in_trial(act: Callable[[], object], after: float = 0.2) -> Feedback:
             done.append(act() or True)
 
     return feedback
+
+
+@contextmanager
+def participant(domain: int, name: str, namespace: str = "", **options: Any) -> Iterator[Node]:
+    """A node of another program in a ROS domain; nothing runs it."""
+    context = Context()
+    rclpy.init(context=context, domain_id=domain)
+    try:
+        node = rclpy.create_node(name, context=context, namespace=namespace, **options)
+        yield node
+        node.destroy_node()
+    finally:
+        rclpy.try_shutdown(context=context)
+
+
+@contextmanager
+def program(kind: Callable[[], AnyProgram], domain: int) -> Iterator[AnyProgram]:
+    """One of our nodes in the process of the test, which calls what a test is about."""
+    rclpy.init(domain_id=domain)
+    made = kind()
+    yield made
+    made.executor.shutdown(timeout_sec=1.0)
+    made.node.destroy_node()
+    rclpy.try_shutdown()
 
 
 @contextmanager

@@ -7,13 +7,23 @@ import os
 import re
 import signal
 import subprocess
-from collections.abc import Iterator, Mapping
+import time
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from queue import Empty, Queue
 from threading import Thread
 from typing import Any
 
 PATIENCE = 90.0  # s, for a line or the end of a process; never reached on a machine that works
+
+
+def until(condition: Callable[[], Any], step: Callable[[], Any], what: str = "nothing comes") -> Any:
+    """What the condition returns once it is true; until then ``step`` is called."""
+    deadline = time.monotonic() + PATIENCE
+    while not (found := condition()):
+        assert time.monotonic() < deadline, what
+        step()
+    return found
 
 
 class Running:
