@@ -8,9 +8,9 @@ from collections.abc import Callable, Iterator
 from itertools import count
 from types import SimpleNamespace
 
+import node_trials
 import numpy as np
 import pytest
-import rclpy
 from rclpy.serialization import serialize_message
 from robot_bench import PERIOD, RATE, START, Robot, Wires
 from std_msgs.msg import Float64MultiArray
@@ -144,13 +144,9 @@ class Program:
 
 @pytest.fixture
 def program(domain_ids: Callable[[], int]) -> Iterator[Program]:
-    rclpy.init(domain_id=domain_ids())
-    node = WatchdogNode()
-    node.close()
-    yield Program(node)
-    node.executor.shutdown(timeout_sec=1.0)
-    node.node.destroy_node()
-    rclpy.try_shutdown()
+    with node_trials.program(WatchdogNode, domain_ids()) as node:
+        node.close()
+        yield Program(node)
 
 
 def test_a_watchdog_that_did_not_run_hears_what_waited_before_it_judges(program: Program) -> None:

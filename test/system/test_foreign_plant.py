@@ -13,13 +13,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import rclpy
 from impact_rs.action import RunTrial
 from impact_rs.srv import ConfigureTrial, FinishTrial
+from node_trials import participant
 from processes import running
-from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
-from rclpy.node import Node
 from rclpy.qos import qos_profile_sensor_data
 from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
@@ -31,6 +29,7 @@ from impact_rs_trials.bags import topics
 from impact_rs_trials.bags.reader import TrialBag
 
 EXAMPLE = Path(__file__).resolve().parents[2] / "examples" / "foreign_plant.py"
+pytestmark = pytest.mark.timeout(300)  # a campaign, and nodes that come and go
 WAITING = "waiting for a plant: services /plant/configure_trial, /plant/finish_trial, /plant/run_trial; for "
 TRIAL = "cat_food__case_2__s1.000__r0"
 
@@ -41,9 +40,6 @@ def silent_plant(domain_id: int, best_effort: bool = False) -> Iterator[list[Con
 
     Hands out what it is asked to configure.
     """
-    context = Context()
-    rclpy.init(context=context, domain_id=domain_id)
-    node = Node("plant", context=context)
     asked: list[ConfigureTrial.Request] = []
 
     def agree(request: object, response: object) -> object:
@@ -52,32 +48,28 @@ def silent_plant(domain_id: int, best_effort: bool = False) -> Iterator[list[Con
         response.success = True
         return response
 
-    for kind, name in (
-        (ConfigureTrial, "configure_trial"),
-        (FinishTrial, "finish_trial"),
-        (Trigger, "run_trial"),
-    ):
-        node.create_service(kind, f"~/{name}", agree)
-    if best_effort:
-        node.create_publisher(JointState, topics.joint_states("arm"), qos_profile_sensor_data)
-    executor = SingleThreadedExecutor(context=context)
-    executor.add_node(node)
-    over = threading.Event()
+    with participant(domain_id, "plant") as node:
+        services = {"configure_trial": ConfigureTrial, "finish_trial": FinishTrial, "run_trial": Trigger}
+        for name, kind in services.items():
+            node.create_service(kind, f"~/{name}", agree)
+        if best_effort:
+            node.create_publisher(JointState, topics.joint_states("arm"), qos_profile_sensor_data)
+        executor = SingleThreadedExecutor(context=node.context)
+        executor.add_node(node)
+        over = threading.Event()
 
-    def spin() -> None:
-        while not over.is_set():
-            executor.spin_once(timeout_sec=0.05)
+        def spin() -> None:
+            while not over.is_set():
+                executor.spin_once(timeout_sec=0.05)
 
-    thread = threading.Thread(target=spin)
-    thread.start()
-    try:
-        yield asked
-    finally:
-        over.set()
-        thread.join()
-        executor.shutdown()
-        node.destroy_node()
-        rclpy.try_shutdown(context=context)
+        thread = threading.Thread(target=spin)
+        thread.start()
+        try:
+            yield asked
+        finally:
+            over.set()
+            thread.join()
+            executor.shutdown()
 
 
 def test_a_campaign_runs_with_the_example_in_the_place_of_our_plant(
@@ -111,7 +103,7 @@ def test_a_campaign_runs_with_the_example_in_the_place_of_our_plant(
     assert main(["analyze", str(runs), "-o", str(tmp_path / "report"), "--json"]) == 0
     (measured,) = json.loads(capfd.readouterr().out)["sets"]
     assert abs(measured["predictions"]["reduced"]["error_percent"]) < 3.0  # it carries B_theta and hides nothing
-    assert main(["compare", str(runs), "-o", str(tmp_path / "compare")]) != 0
+    assert main(["compare", str(runs), "-o", str(tmp_path / "compare"), "--jobs", "1"]) != 0
     assert "no /arm/motor_states, which the replay of a model starts from" in capfd.readouterr().err
 
 

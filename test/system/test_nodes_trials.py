@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 from action_msgs.msg import GoalStatus
 from impact_rs.action import RunCampaign
-from node_trials import goal, one_trial, result_of, spin_until
+from node_trials import begun, goal, one_trial, result_of, spin_until
 from rcl_interfaces.srv import SetParameters
 from rclpy.parameter import Parameter
 
@@ -98,9 +98,7 @@ def hidden_model() -> Model:
 
 
 def test_a_cancelled_trial_leaves_a_readable_bag(graph: Graph, tmp_path: Path) -> None:
-    seen: list[object] = []
-    handle = result_of(graph, graph.run_trial.send_goal_async(goal(tmp_path), feedback_callback=seen.append))
-    spin_until(graph, lambda: seen, "no feedback")
+    handle = begun(graph, graph.run_trial, goal(tmp_path))
     handle.cancel_goal_async()
     answer = result_of(graph, handle.get_result_async())
     assert answer.status == GoalStatus.STATUS_CANCELED
