@@ -16,6 +16,7 @@ from trials import plan_of
 
 from impact_rs_control.controller import ArmCommand, Controller, Mode
 from impact_rs_control.plan import TrialPlan, plan_trial
+from impact_rs_control.qp import QpStatus
 from impact_rs_control.references import SampledPath
 from impact_rs_sim.robot import Limits
 from impact_rs_sim.scenario import load_scenario
@@ -149,6 +150,8 @@ def test_every_task_error_of_its_mode_is_zero(plan: TrialPlan, stage: str) -> No
         np.testing.assert_allclose(task_acceleration(plan, command, state), expected, atol=1e-4)
         np.testing.assert_allclose(command.task_feedback, feedback, atol=1e-9)
         np.testing.assert_allclose(command.feedback, feedback[:3], atol=1e-9)
+        np.testing.assert_allclose(np.append(command.position, command.twist), np.append(place.translation, twist))
+        assert command.qp_status is QpStatus.SOLVED
 
 
 def test_a_redundant_joint_is_braked_without_moving_the_pad() -> None:
@@ -269,6 +272,18 @@ def test_no_joint_gets_more_than_its_torque_limit_in_either_direction(plan: Tria
     assert side * free > 0.0
     assert torque[joint] == pytest.approx(side * bound[joint], rel=1e-6)
     assert np.all(np.abs(torque) <= bound + 1e-6)
+
+
+def test_a_torque_within_its_limits_leaves_where_limits_contradict(plan: TrialPlan) -> None:
+    """Beyond the stops at speed no acceleration obeys all limits, and the relaxed one asks for more torque."""
+    limits = plan.scene.physics.arms[ARM].facts.limits
+    state = replace(measured(plan), velocity=np.full(STILL.size, 1.5))
+    low, bound = np.array(limits.position_min_rad), 0.3 * np.array(limits.torque_Nm)
+    beyond = limited(plan, position_min_rad=low, position_max_rad=state.position - 1e-3, torque_Nm=bound)
+    command = command_in(beyond, "ante", state)
+    assert command.qp_status is QpStatus.RELAXED
+    assert np.all(np.abs(command.torque) <= bound)
+    assert {-1.0, 1.0} <= set(command.torque / bound)
 
 
 def test_where_limits_bind_the_heavier_task_gives_way_less(plan: TrialPlan) -> None:

@@ -6,9 +6,9 @@ from dataclasses import replace
 import numpy as np
 import pinocchio as pin
 import pytest
-from trials import BRIEF, scene_of
+from trials import BRIEF, scene_of, ticks_of
 
-from impact_rs_control.closed_loop import make_plant, run_closed_loop
+from impact_rs_control.closed_loop import make_plant
 from impact_rs_control.controller import Controller
 from impact_rs_control.friction_identification import identify_arm, run_free_motion
 from impact_rs_control.plan import plan_trial
@@ -58,11 +58,7 @@ def compensated(identified):
 
 
 def final_commands(scene):
-    plan = plan_trial(scene)
-    plant = make_plant(plan, seed=5)
-    commands = [tick.commands["arm"] for tick in run_closed_loop(plan, plant)]
-    plant.close()
-    return commands
+    return [tick.commands["arm"] for tick, _ in ticks_of(plan_trial(scene), seed=5)]
 
 
 def test_without_friction_nothing_but_noise_is_identified(smooth, identified):

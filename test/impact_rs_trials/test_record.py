@@ -9,9 +9,8 @@ from pathlib import Path
 import numpy as np
 import pinocchio as pin
 import pytest
-from trials import BRIEF, plan_of, recorded
+from trials import BRIEF, plan_of, recorded, ticks_of
 
-from impact_rs_control.closed_loop import make_plant, run_closed_loop
 from impact_rs_control.plan import TrialPlan
 from impact_rs_trials.bags import topics
 from impact_rs_trials.bags.messages import Frame
@@ -39,10 +38,7 @@ def bag(plan: TrialPlan, tmp_path_factory: pytest.TempPathFactory) -> TrialBag:
 @pytest.fixture(scope="module")
 def ticks(plan: TrialPlan) -> list:
     """The same trial once more, without a bag."""
-    plant = make_plant(plan, 3)
-    found = [(tick, plant.truth()) for tick in run_closed_loop(plan, plant)]
-    plant.close()
-    return found
+    return ticks_of(plan, 3)
 
 
 def test_every_topic_has_its_rate(bag: TrialBag) -> None:

@@ -8,9 +8,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from trials import plan_of
+from trials import plan_of, ticks_of
 
-from impact_rs_control.closed_loop import make_plant, run_closed_loop
 from impact_rs_control.plan import TrialPlan
 from impact_rs_trials.bags import topics
 from impact_rs_trials.bags.messages import MessageMaker, RosbagsTypes
@@ -29,13 +28,10 @@ def plan() -> TrialPlan:
 @pytest.fixture(scope="module")
 def samples(plan: TrialPlan) -> list[tuple[int, Any, Any, Any]]:
     """Tick, measurement, truth and command of every tick."""
-    plant = make_plant(plan, 0)
-    found = [
-        (tick.number, tick.measurement.arms["arm"], plant.truth().arms["arm"], tick.commands["arm"])
-        for tick in run_closed_loop(plan, plant)
+    return [
+        (tick.number, tick.measurement.arms["arm"], truth.arms["arm"], tick.commands["arm"])
+        for tick, truth in ticks_of(plan)
     ]
-    plant.close()
-    return found
 
 
 Case = tuple[str, Callable[[StreamMaker], Stream], Callable[[MessageMaker, int, tuple], Any], int]

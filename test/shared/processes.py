@@ -14,7 +14,7 @@ from queue import Empty, Queue
 from threading import Thread
 from typing import Any
 
-PATIENCE = 90.0  # s, for a line or the end of a process; never reached on a machine that works
+PATIENCE = 100.0  # s, for a line or the end of a process; never reached on a machine that works
 
 
 def until(condition: Callable[[], Any], step: Callable[[], Any], what: str = "nothing comes") -> Any:

@@ -5,13 +5,16 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from impact_rs_control.closed_loop import Tick, make_plant, run_closed_loop
 from impact_rs_control.plan import TrialPlan, plan_trial
 from impact_rs_sim.physics import Physics
+from impact_rs_sim.plant import Truth
 from impact_rs_sim.scenario import load_scenario
 from impact_rs_sim.scene import Scene
 from impact_rs_trials.bags.outcome import Verdict
 from impact_rs_trials.bags.record import record_trial
 from impact_rs_trials.bags.trial_info import TrialInfo, TrialKey
+from impact_rs_trials.campaign import Trial, TrialReport
 
 BRIEF = {"nominal_impact": 0.2, "approach": 0.15, "window_after": 0.05, "duration": 0.25}  # s, impact included
 
@@ -30,6 +33,21 @@ def scene_of(scenario: str, object_name: str, case: str, **timing: float) -> Sce
 
 def plan_of(scenario: str, object_name: str, case: str, velocity_scale: float = 1.0, **timing: float) -> TrialPlan:
     return plan_trial(scene_of(scenario, object_name, case, **timing), velocity_scale)
+
+
+def ticks_of(plan: TrialPlan, seed: int = 0, physics: Physics | None = None) -> list[tuple[Tick, Truth]]:
+    """Every tick of a trial in this process, and what was true in it."""
+    plant = make_plant(plan, seed, physics)
+    try:
+        return [(tick, plant.truth()) for tick in run_closed_loop(plan, plant)]
+    finally:
+        plant.close()
+
+
+def made_up(directory: Path, trial: Trial) -> TrialReport:
+    """A trial that is no more than a folder of its name."""
+    (directory / trial.key.name).mkdir()
+    return TrialReport(trial.key, "OK")
 
 
 def recorded(plan: TrialPlan, path: Path, seed: int = 0) -> Verdict:
