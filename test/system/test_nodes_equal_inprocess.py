@@ -8,9 +8,10 @@ from dataclasses import fields, replace
 import numpy as np
 import pytest
 from mcap_ros2.reader import read_ros2_messages
+from node_trials import whole_trial
 from rosbags.highlevel import AnyReader
 
-from impact_rs_ros.graph import Graph, run_trial
+from impact_rs_ros.graph import Graph
 from impact_rs_trials.bags import topics
 from impact_rs_trials.bags.reader import TrialBag
 from impact_rs_trials.bags.types import typestore
@@ -36,13 +37,7 @@ def inprocess(manifest: Manifest, tmp_path_factory: pytest.TempPathFactory) -> T
 @pytest.fixture(scope="module")
 def through_nodes(graph: Graph, manifest: Manifest, tmp_path_factory: pytest.TempPathFactory) -> list[TrialBag]:
     """The same trial twice, so that the second one follows another trial in the same nodes."""
-    bags = []
-    for name in ("first", "second"):
-        folder = tmp_path_factory.mktemp(name)
-        report = run_trial(graph, folder, manifest, manifest.keys[0])
-        assert (report.outcome, report.message) == ("OK", "")
-        bags.append(TrialBag.open(folder / manifest.keys[0].name))
-    return bags
+    return [whole_trial(graph, tmp_path_factory.mktemp(name), manifest) for name in ("first", "second")]
 
 
 @pytest.mark.parametrize("which", [0, 1])

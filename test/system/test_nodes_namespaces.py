@@ -10,8 +10,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from node_trials import whole_trial
 
-from impact_rs_ros.graph import Graph, run_trial
+from impact_rs_ros.graph import Graph
 from impact_rs_trials.bags import topics
 from impact_rs_trials.bags.reader import TrialBag
 from impact_rs_trials.campaign import Manifest, make_manifest, run_one
@@ -47,10 +48,7 @@ def recorded(cells: dict[str, Graph], folder: Path) -> dict[str, TrialBag]:
     """One trial each, at the same time."""
 
     def run(cell: str) -> TrialBag:
-        manifest = manifest_of(cell)
-        report = run_trial(cells[cell], folder / cell, manifest, manifest.keys[0])
-        assert (report.outcome, report.message) == ("OK", ""), report.trace
-        return TrialBag.open(folder / cell / manifest.keys[0].name)
+        return whole_trial(cells[cell], folder / cell, manifest_of(cell))
 
     with ThreadPoolExecutor() as pool:
         return dict(zip(CELLS, pool.map(run, CELLS), strict=True))
