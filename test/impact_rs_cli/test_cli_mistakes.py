@@ -17,7 +17,7 @@ BAG = "cat_food__case_2__s1.000__r0"
 PUSH = config_directory() / "scenarios" / "push.yaml"
 CAMPAIGN = "campaign push -o {}/new/out"
 
-FRICTION = "friction identify push -o {}/a.yaml"
+FRICTION = "friction identify push -o {}/a.yaml --jobs 1"
 MISTAKES = {  # {} is a folder with one file, CUBES a table of impacts
     "map pus cat_food 2": "did you mean 'push'",
     "map push catfood 2": "parcel, cat_food, juice; did you mean 'cat_food'",
@@ -90,9 +90,9 @@ MISTAKES = {  # {} is a folder with one file, CUBES a table of impacts
     f"{FRICTION} --seed -1": "seed = -1",
     f"{FRICTION} --effects {{}}/no.yaml": "no.yaml",
     "friction identify push -o {}/push_compensated.yaml": "name of the scenario's copy",
-    "friction identify excite -o {}/a.yaml": "hits nothing",
-    "friction identify push -o {}/new/a.yaml --runs 0": "runs = 0",
-    "friction identify push -o {}/file/a.yaml": "cannot be written",
+    "friction identify excite -o {}/a.yaml --jobs 1": "hits nothing",
+    "friction identify push -o {}/new/a.yaml --runs 0 --jobs 1": "runs = 0",
+    "friction identify push -o {}/file/a.yaml --jobs 1": "cannot be written",
     "workbench {}/file --no-browser": "is a file; expected a folder for the workbench",
     "workbench {}/new --port 70000": "port 70000: expected 0 (a free one) to 65535",
 }

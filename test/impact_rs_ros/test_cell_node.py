@@ -7,7 +7,6 @@ from collections.abc import Callable, Iterator
 
 import pytest
 import rclpy
-from node_trials import program
 from processes import PATIENCE, until
 from robot_bench import PUSH
 from sensor_msgs.msg import JointState
@@ -37,11 +36,15 @@ class Arms:
 
 @pytest.fixture(scope="module")
 def cell(domain_ids: Callable[[], int]) -> Iterator[CellNode]:
-    with program(CellNode, domain_ids()) as node:
-        node.connect(["arm"])
-        yield node
-        node._held = None
-        node.close()
+    rclpy.init(domain_id=domain_ids())
+    node = CellNode()
+    node.connect(["arm"])
+    yield node
+    node._held = None
+    node.close()
+    node.executor.shutdown(timeout_sec=1.0)
+    node.node.destroy_node()
+    rclpy.try_shutdown()
 
 
 @pytest.fixture

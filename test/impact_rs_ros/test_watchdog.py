@@ -4,16 +4,15 @@
 from __future__ import annotations
 
 from array import array
-from collections.abc import Callable, Iterator
 from itertools import count
 from types import SimpleNamespace
 
-import node_trials
 import numpy as np
 import pytest
 from rclpy.serialization import serialize_message
 from robot_bench import PERIOD, RATE, START, Robot, Wires
 from std_msgs.msg import Float64MultiArray
+from std_srvs.srv import Trigger
 
 from impact_rs_ros import watchdog_node
 from impact_rs_ros.effort_arms import commands_topic
@@ -124,43 +123,58 @@ class Gathered(Wires):
         self.waiting, self.came = self.waiting + self.came, []
 
 
-class Program:
-    """The node on the clock and the wires of a test; the arm moves, and a cell sends torques."""
+class Offline(WatchdogNode):
+    """The node without a middleware, on the clock and the wires of a test; the arm moves, and a cell sends torques."""
 
-    def __init__(self, node: WatchdogNode) -> None:
-        self.bench, self.inbox, self.node = Bench(), Gathered(), node
-        node._clock, node._inbox, node._watchdog = self.bench.robot.clock, self.inbox, self.bench.watchdog  # type: ignore[assignment]
-        node._arm_of = {commands_topic("arm"): "arm"}
-        node._send = lambda arm, torque: None  # type: ignore[method-assign]
+    def __init__(self) -> None:
+        self.bench, self.wires = Bench(), Gathered()
+        self.said: list[bool] = []
+        self._clock, self._inbox, self._watchdog = self.bench.robot.clock, self.wires, self.bench.watchdog  # type: ignore[assignment]
+        self._arm_of = {commands_topic("arm"): "arm"}
+        self._braking = SimpleNamespace(publish=lambda message: self.said.append(message.data))  # type: ignore[assignment]
+        self.log = SimpleNamespace(error=lambda text: None, info=lambda text: None)  # type: ignore[assignment]
 
-    def passes(self, seconds: float, *commands: bytes) -> bool:
+    def passes(self, seconds: float, *commands: bytes, velocity: np.ndarray = MOVING) -> bool:
         """So much time of the robot passes before the node looks; whether it brakes."""
         self.bench.robot.clock.time += seconds
-        self.inbox.came = [(STATES, self.bench.robot.message(velocity=MOVING))]
-        self.inbox.came += [(commands_topic("arm"), data) for data in commands]
-        self.node._look()
+        self.wires.came = [(STATES, self.bench.robot.message(velocity=velocity))]
+        self.wires.came += [(commands_topic("arm"), data) for data in commands]
+        self._look()
         return self.bench.watchdog.braking
 
+    def reset(self) -> str:
+        """Why it is not reset; empty: it is."""
+        answer = self._on_reset(Trigger.Request(), Trigger.Response())
+        assert answer.success is not bool(answer.message)
+        return str(answer.message)
 
-@pytest.fixture
-def program(domain_ids: Callable[[], int]) -> Iterator[Program]:
-    with node_trials.program(WatchdogNode, domain_ids()) as node:
-        node.close()
-        yield Program(node)
 
-
-def test_a_watchdog_that_did_not_run_hears_what_waited_before_it_judges(program: Program) -> None:
-    alive = command(np.zeros(7))
+def test_a_watchdog_that_did_not_run_hears_what_waited_before_it_judges() -> None:
+    program, alive = Offline(), command(np.zeros(7))
     assert not program.passes(PERIOD, alive)
     assert not program.passes(10.0 * TIMEOUT, alive)  # a busy machine let it wait, and the cell was alive
     assert not program.passes(0.9 * TIMEOUT)
     assert program.passes(0.2 * TIMEOUT)
 
 
-def test_a_slow_simulator_is_no_silence_of_the_cell(program: Program, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_slow_simulator_is_no_silence_of_the_cell(monkeypatch: pytest.MonkeyPatch) -> None:
     """An hour of this machine passes between two looks, and a millisecond of the robot."""
-    hours = count(step=3600.0)
+    program, hours = Offline(), count(step=3600.0)
     monkeypatch.setattr(watchdog_node, "time", SimpleNamespace(monotonic=lambda: next(hours)))
     assert not program.passes(PERIOD, command(np.zeros(7)))
     assert not any(program.passes(PERIOD) for _ in range(round(0.9 * TIMEOUT / PERIOD)))
     assert any(program.passes(PERIOD) for _ in range(round(0.2 * TIMEOUT / PERIOD)))
+
+
+def test_it_says_that_it_brakes_until_it_is_reset_with_arms_at_rest() -> None:
+    program = Offline()
+    program.passes(PERIOD, command(np.zeros(7)))
+    assert (program.reset(), program.status()) == ("watchdog: it is not braking", ("ok", {"braking": False}))
+    assert program.passes(2.0 * TIMEOUT)
+    assert program.reset() == "watchdog: the arms are not at rest yet"
+    assert program.status()[0].startswith("braking: ") and program.status()[1] == {"braking": True}
+    for _ in range(1000):
+        program.passes(PERIOD, command(np.ones(7)), velocity=np.zeros(7))  # of its own, which it hears as well
+    assert program.said == [True]
+    assert (program.reset(), program.said) == ("", [True, False])
+    assert not program.passes(2.0 * TIMEOUT)

@@ -6,7 +6,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import rclpy
 from impact_rs.action import RunTrial
@@ -17,13 +17,11 @@ from rclpy.context import Context
 from rclpy.node import Node
 
 from impact_rs_ros.graph import Graph, run_trial
-from impact_rs_ros.process import NodeProgram
 from impact_rs_sim.model import Model
 from impact_rs_trials.bags.reader import TrialBag
 from impact_rs_trials.campaign import Manifest, make_manifest
 
 TRIES = 3
-AnyProgram = TypeVar("AnyProgram", bound=NodeProgram)
 Feedback = Callable[[RunTrial.Impl.FeedbackMessage], None]
 
 
@@ -90,17 +88,6 @@ def participant(domain: int, name: str, namespace: str = "", **options: Any) -> 
         node.destroy_node()
     finally:
         rclpy.try_shutdown(context=context)
-
-
-@contextmanager
-def program(kind: Callable[[], AnyProgram], domain: int) -> Iterator[AnyProgram]:
-    """One of our nodes in the process of the test, which calls what a test is about."""
-    rclpy.init(domain_id=domain)
-    made = kind()
-    yield made
-    made.executor.shutdown(timeout_sec=1.0)
-    made.node.destroy_node()
-    rclpy.try_shutdown()
 
 
 @contextmanager
