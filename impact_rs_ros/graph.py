@@ -34,7 +34,7 @@ from impact_rs_ros.presence import Presence
 from impact_rs_sim.model import Model, model_text
 from impact_rs_sim.scenario import load_scenario
 from impact_rs_trials.bags.trial_info import Outcome, TrialKey
-from impact_rs_trials.campaign import Manifest, TrialReport, keep_failure
+from impact_rs_trials.campaign import Manifest, TrialReport, keep_failure, report_of_bag
 from impact_rs_trials.store import open_store
 
 START_TIMEOUT = 60.0  # s, for all nodes to answer; imports take some seconds on a busy machine
@@ -345,7 +345,8 @@ def run_trial(
 ) -> TrialReport:
     """Run one trial of a campaign; a failure, and every node that was lost, is named in the report.
 
-    If a node is lost or the trial is aborted, all nodes are started again. An aborted trial is then repeated once.
+    If a node is lost or the trial is aborted, all nodes are started again. An aborted trial is then repeated once,
+    unless its bag is complete.
 
     Raises:
         GraphError: The nodes cannot be started again.
@@ -367,7 +368,12 @@ def run_trial(
         remarks = [*(remarks or [message]), "all nodes were started again"]
         graph.restart()
         if outcome == "ABORTED":
-            outcome, message = _attempt(graph, goal)
+            bag = directory / key.name
+            if bag.exists():  # the recorder had closed it, and only the answer was lost
+                kept = report_of_bag(key, bag)
+                outcome, message = kept.outcome, kept.message
+            else:
+                outcome, message = _attempt(graph, goal)
     trace = graph.nodes.outputs() if outcome == "ABORTED" else ""
     report = TrialReport(key, outcome, "; ".join(filter(None, dict.fromkeys((message, *remarks)))), trace)
     return keep_failure(open_store(directory), report)

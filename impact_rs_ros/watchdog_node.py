@@ -2,9 +2,9 @@
 """Brakes a real robot whose cell has died: a process of its own, for an effort controller keeps its last torque.
 
 A JointGroupEffortController of ros2_control holds the last command for ever. This node hears the same joint states and
-commands as the robot. Commands that have stopped for ``command_timeout`` while a joint moves make it take over: it
-brakes and holds the arms as the cell does (:meth:`impact_rs_ros.effort_arms.EffortArms.rest`) until a call of
-``~/reset``. It says so on ``~/braking`` (latched), where the cell arms nothing.
+commands as the robot. Commands that have stopped for ``command_timeout`` of the robot's clock while a joint moves make
+it take over: it brakes and holds the arms as the cell does (:meth:`impact_rs_ros.effort_arms.EffortArms.rest`) until a
+call of ``~/reset``. It says so on ``~/braking`` (latched), where the cell arms nothing.
 """
 
 from __future__ import annotations
@@ -108,22 +108,28 @@ class WatchdogNode(NodeProgram):
         self._braking.publish(Bool(data=False))
 
     def turn(self) -> None:
-        assert self._watchdog is not None
-        watchdog, until = self._watchdog, time.monotonic() + SLICE
+        until = time.monotonic() + SLICE
         while (left := until - time.monotonic()) > 0.0:
             self._inbox.wait(min(left, 0.002))
-            for topic, data in self._inbox.take():
-                if topic == STATES:
-                    watchdog.arms.states.read(data)
-                elif not watchdog.braking:  # else it hears itself
-                    watchdog.heard(self._arm_of[topic], data, time.monotonic())
-            if watchdog.look(time.monotonic()):
-                self.log.error("no torques of the cell while the arm moves: braking until ~/reset is called")
-                self._braking.publish(Bool(data=True))
-            if watchdog.braking:
-                watchdog.arms.rest()
+            self._look()
         self.serve(0.0)
         self.diagnose()
+
+    def _look(self) -> None:
+        """Hear all that has come, then judge the silence up to the moment before, and brake if it is due."""
+        assert self._watchdog is not None
+        watchdog, now = self._watchdog, self._clock.steady()
+        self._inbox.gather()  # commands that waited while this process did not run are no silence of the cell
+        for topic, data in self._inbox.take():
+            if topic == STATES:
+                watchdog.arms.states.read(data)
+            elif not watchdog.braking:  # else it hears itself
+                watchdog.heard(self._arm_of[topic], data, now)
+        if watchdog.look(now):
+            self.log.error("no torques of the cell while the arm moves: braking until ~/reset is called")
+            self._braking.publish(Bool(data=True))
+        if watchdog.braking:
+            watchdog.arms.rest()
 
     def status(self) -> tuple[str, dict[str, object]]:
         if self._watchdog is None or not self._watchdog.braking:

@@ -210,7 +210,7 @@ def run_one(directory: Path, trial: Trial) -> TrialReport:
     key = trial.key
     path = directory / key.name
     if path.exists():
-        return _report(key, path)
+        return report_of_bag(key, path)
     shutil.rmtree(partial_path(path), ignore_errors=True)
     plan = trial.spec.plan
     info = TrialInfo.of(plan, key, trial.seed, "inprocess")
@@ -218,8 +218,13 @@ def run_one(directory: Path, trial: Trial) -> TrialReport:
     return TrialReport(key, verdict.outcome, verdict.reason)
 
 
-def _report(key: TrialKey, path: Path) -> TrialReport:
-    """Report of a trial whose bag exists."""
+def report_of_bag(key: TrialKey, path: Path) -> TrialReport:
+    """Report of a trial whose bag exists.
+
+    Args:
+        key: The trial.
+        path: Its bag, which is complete: incomplete ones have another name.
+    """
     try:
         bag = TrialBag.open(path)
     except BagError as error:
@@ -349,7 +354,7 @@ def run_in(store: Store, run: TrialRunner, trial: Trial) -> TrialReport:
     try:
         if store.exists(key.name):
             with store.getting(key.name) as directory:
-                return _report(key, directory / key.name)
+                return report_of_bag(key, directory / key.name)
         with store.adding(key.name) as directory:
             return run(directory, trial)
     except InputError as error:

@@ -132,14 +132,12 @@ def graph(domain_ids: Callable[[], int], tmp_path_factory: pytest.TempPathFactor
 def mixed_trial(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Bag of a trial in which arms of different kinds clamp a parcel."""
     from mixed_grab import MIXED
+    from trials import recorded
 
-    from impact_rs_trials.bags.record import record_trial
-    from impact_rs_trials.bags.trial_info import TrialInfo, TrialKey
     from impact_rs_trials.spec import TrialSpec
 
-    plan, key = TrialSpec.of(MIXED, "parcel", "case_1").plan, TrialKey("parcel", "case_1", 1.0, 0)
-    path = tmp_path_factory.mktemp("mixed") / key.name
-    verdict, _ = record_trial(plan, TrialInfo.of(plan, key, 0, "inprocess"), path)
+    path = tmp_path_factory.mktemp("mixed") / "parcel__case_1__s1.000__r0"
+    verdict = recorded(TrialSpec.of(MIXED, "parcel", "case_1").plan, path)
     assert verdict.outcome == "OK", verdict.reason
     return path
 

@@ -16,7 +16,10 @@ from impact_rs_trials.recordings.mapping import UNITS, WIDTH, Mapping, SignalNam
 from impact_rs_trials.recordings.series import MissingSignal, Names, Series
 from impact_rs_trials.recordings.table_file import require
 
-UNSEALED = "{} has arrays without checksums: accidental changes of numbers cannot be detected (fletcher32 in h5py)"
+UNSEALED = (
+    "{} has arrays without checksums (or with blocks of zeros, whose checksum is that of a lost block): accidental "
+    "changes of numbers cannot be detected (fletcher32 in h5py)"
+)
 REAL = "iuf"  # kinds of NumPy types whose numbers are taken: no complex ones, truth values, texts or durations
 
 
@@ -24,7 +27,7 @@ class ArrayFile:
     """One NPZ or HDF5 file.
 
     Attributes:
-        unsealed: Arrays without checksums; those of an NPZ file always have some.
+        unsealed: Arrays without checksums that detect a change; those of an NPZ file always have some.
 
     Args:
         path: The file.
@@ -121,7 +124,8 @@ def _read_hdf5(path: Path) -> tuple[dict[str, Array], frozenset[str]]:
         if item.is_virtual or item.external:
             raise InputError(f"array {name!r} is made of other files, expected its numbers in this one", file=path)
         arrays[name] = np.zeros(0) if item.shape is None else np.asarray(item)
-        if not item.fletcher32:
+        # The checksum of zeros is zero: a block that a disk has lost looks like zeros that were measured.
+        if not (item.fletcher32 and all(arrays[name][chunk].any() for chunk in item.iter_chunks())):
             unsealed.add(name)
 
     try:

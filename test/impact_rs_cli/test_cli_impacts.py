@@ -40,25 +40,6 @@ def test_a_table_goes_through_the_whole_loop(
     assert "Error per model version [m/s]" in capfd.readouterr().out
 
 
-MISTAKES = {
-    "compare runs --impacts TABLE": "takes the place of RUNS; leave runs out",
-    "diagnose --impacts nowhere.csv": "nowhere.csv: cannot be read: No such file or directory",
-    "diagnose --impacts TABLE --scenario push": "no column 'q1 [rad]'",
-    "diagnose runs --scenario push": "--scenario goes with --impacts only",
-    "compare --impacts TABLE --mapping joint_state": "--mapping is for recordings",
-    "compare --impacts TABLE --mcap DIR": "--mcap is for trials; for tables of impacts use --json",
-}
-
-
-@pytest.mark.parametrize("line", MISTAKES)
-def test_a_mistake_about_a_table_is_one_line(
-    cubes: Path, tmp_path: Path, refused: Callable[..., str], line: str
-) -> None:
-    words = line.replace("TABLE", str(cubes)).replace("DIR", str(tmp_path / "mcap")).split()
-    assert MISTAKES[line] in refused(*words)
-    assert not list(tmp_path.iterdir())
-
-
 def test_an_arm_needs_its_scenario(tmp_path: Path, document: Document, refused: Callable[..., str]) -> None:
     path = write_csv(tmp_path / "pushes.csv", *arm_table({}, 1))
     line = refused("compare", "--impacts", path)

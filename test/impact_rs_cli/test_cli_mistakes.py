@@ -17,7 +17,8 @@ BAG = "cat_food__case_2__s1.000__r0"
 PUSH = config_directory() / "scenarios" / "push.yaml"
 CAMPAIGN = "campaign push -o {}/new/out"
 
-MISTAKES = {  # {} is a folder with one file
+FRICTION = "friction identify push -o {}/a.yaml --jobs 1"
+MISTAKES = {  # {} is a folder with one file, CUBES a table of impacts
     "map pus cat_food 2": "did you mean 'push'",
     "map push catfood 2": "parcel, cat_food, juice; did you mean 'cat_food'",
     "map push cat_food case_9": "case_1, case_2, case_3",
@@ -77,15 +78,32 @@ MISTAKES = {  # {} is a folder with one file
     "show {} --run run_1": "leave --run out",
     "show {} --experiment {}/file": "select one with --run NAME",
     "show {}/nothing -o {}/new/page.html --no-browser": "no such folder; expected the folder of a trial",
+    "compare runs --impacts CUBES": "takes the place of RUNS; leave runs out",
+    "diagnose --impacts nowhere.csv": "nowhere.csv: cannot be read: No such file or directory",
+    "diagnose --impacts CUBES --scenario push": "no column 'q1 [rad]'",
+    "diagnose runs --scenario push": "--scenario goes with --impacts only",
+    "compare --impacts CUBES --mapping joint_state": "--mapping is for recordings",
+    "compare --impacts CUBES --mcap {}/mcap": "--mcap is for trials; for tables of impacts use --json",
+    "friction identify pusch -o {}/a.yaml": "did you mean 'push'",
+    f"{FRICTION} --objects catfood": "cat_food",
+    f"{FRICTION} --runs 0": "runs = 0",
+    f"{FRICTION} --seed -1": "seed = -1",
+    f"{FRICTION} --effects {{}}/no.yaml": "no.yaml",
+    "friction identify push -o {}/push_compensated.yaml": "name of the scenario's copy",
+    "friction identify excite -o {}/a.yaml --jobs 1": "hits nothing",
+    "friction identify push -o {}/new/a.yaml --runs 0 --jobs 1": "runs = 0",
+    "friction identify push -o {}/file/a.yaml --jobs 1": "cannot be written",
     "workbench {}/file --no-browser": "is a file; expected a folder for the workbench",
     "workbench {}/new --port 70000": "port 70000: expected 0 (a free one) to 65535",
 }
 
 
 @pytest.mark.parametrize("line", MISTAKES)
-def test_a_mistake_is_one_line_and_leaves_nothing(refused: Callable[..., str], tmp_path: Path, line: str) -> None:
+def test_a_mistake_is_one_line_and_leaves_nothing(
+    refused: Callable[..., str], cubes: Path, tmp_path: Path, line: str
+) -> None:
     (tmp_path / "file").write_text("in the way")
-    assert MISTAKES[line] in refused(*line.replace("{}", str(tmp_path)).split())
+    assert MISTAKES[line] in refused(*line.replace("{}", str(tmp_path)).replace("CUBES", str(cubes)).split())
     written = [path.name for path in tmp_path.iterdir() if not line.startswith("workbench")]
     assert written in (["file"], [])
 

@@ -6,9 +6,9 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from trials import plan_of, scene_of
+from trials import plan_of, scene_of, ticks_of
 
-from impact_rs_control.closed_loop import make_plant, ran_away, run_closed_loop
+from impact_rs_control.closed_loop import ran_away
 from impact_rs_control.controller import Mode
 from impact_rs_control.plan import plan_trial
 from impact_rs_control.qp import QpStatus
@@ -16,17 +16,14 @@ from impact_rs_sim.errors import InputError
 from impact_rs_sim.sensors import ArmMeasurement
 
 
-def run(plan, seed=0, physics=None, object_shift=None):
+def run(plan, object_shift=None):
     if object_shift is not None:
         moved = replace(plan.scene.object, position=plan.scene.object.position + object_shift)
         plan = replace(plan, scene=replace(plan.scene, object=moved))
-    plant = make_plant(plan, seed, physics)
-    ticks = [
-        SimpleNamespace(measurement=tick.measurement, commands=tick.commands, truth=plant.truth())
-        for tick in run_closed_loop(plan, plant)
+    return [
+        SimpleNamespace(measurement=tick.measurement, commands=tick.commands, truth=truth)
+        for tick, truth in ticks_of(plan)
     ]
-    plant.close()
-    return ticks
 
 
 @pytest.fixture(scope="module")

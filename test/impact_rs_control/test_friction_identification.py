@@ -6,13 +6,12 @@ from dataclasses import replace
 import numpy as np
 import pinocchio as pin
 import pytest
-from trials import scene_of
+from trials import BRIEF, scene_of, ticks_of
 
-from impact_rs_control.closed_loop import make_plant, run_closed_loop
+from impact_rs_control.closed_loop import make_plant
 from impact_rs_control.controller import Controller
 from impact_rs_control.friction_identification import identify_arm, run_free_motion
 from impact_rs_control.plan import plan_trial
-from impact_rs_control.references import run_up_path
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.friction_compensation import FrictionCompensation
 from impact_rs_sim.model import Model, ModelEffect, ParameterValue
@@ -59,11 +58,7 @@ def compensated(identified):
 
 
 def final_commands(scene):
-    plan = plan_trial(scene)
-    plant = make_plant(plan, seed=5)
-    commands = [tick.commands["arm"] for tick in run_closed_loop(plan, plant)]
-    plant.close()
-    return commands
+    return [tick.commands["arm"] for tick, _ in ticks_of(plan_trial(scene), seed=5)]
 
 
 def test_without_friction_nothing_but_noise_is_identified(smooth, identified):
@@ -104,10 +99,8 @@ def test_a_known_torque_offset_is_identified_as_the_acceleration_it_causes(smoot
 @pytest.fixture(scope="module")
 def brief(smooth):
     """A short approach: what is asked of it does not depend on the motion."""
-    scenario = smooth.scenario
-    update = {"nominal_impact": 0.2, "approach": 0.15, "window_after": 0.05, "duration": 0.25}
-    timing = scenario.timing.model_copy(update=update)
-    return replace(smooth, scenario=scenario.model_copy(update={"timing": timing}))
+    timing = smooth.scenario.timing.model_copy(update=BRIEF)
+    return replace(smooth, scenario=smooth.scenario.model_copy(update={"timing": timing}))
 
 
 def test_the_same_seed_identifies_the_same_and_another_does_not(brief):
@@ -120,20 +113,6 @@ def test_what_changes_the_jump_changes_nothing_in_the_compensation(brief):
     """An identification that hit the object would take the error of the impact map for friction."""
     heavier = model("object_mass", {"scale": 1.3}, "-")
     assert identify_arm(brief, "arm", runs=1, seed=0, effects=heavier) == identify_arm(brief, "arm", runs=1, seed=0)
-
-
-def test_the_run_up_joins_the_post_path_from_rest_without_a_jump(smooth):
-    timing, plan = smooth.scenario.timing, plan_trial(smooth)
-    times = np.arange(timing.ticks + 1) * timing.control_period
-    post = plan.arms["arm"].post_position
-    path = run_up_path(timing, post, times)
-    impact = round(timing.nominal_impact / timing.control_period)
-    assert path.position[impact:] == pytest.approx(post.position[impact:], abs=0.0)
-    assert path.velocity[0] == pytest.approx(np.zeros(3))
-    speeds = path.velocity[impact - round(timing.window_before / timing.control_period) : impact]
-    assert speeds == pytest.approx(np.broadcast_to(post.velocity[impact], speeds.shape))
-    assert np.abs(np.diff(path.velocity, axis=0)).max() < 0.01
-    assert np.diff(path.position, axis=0) == pytest.approx(path.velocity[:-1] * timing.control_period, abs=1e-5)
 
 
 def test_compensation_is_fed_forward_and_is_no_part_of_the_net_feedback(smooth):

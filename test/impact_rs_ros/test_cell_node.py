@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator
 
 import pytest
 import rclpy
-from node_trials import PATIENCE, until
+from processes import PATIENCE, until
 from robot_bench import PUSH
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Bool, Float64MultiArray

@@ -11,9 +11,9 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-import rclpy
 from impact_rs.action import RunCampaign, RunTrial
 from impact_rs.srv import ComputeImpactMap
+from node_trials import begun, beside, result_of
 from rclpy.qos import qos_profile_sensor_data
 from sensor_msgs.msg import JointState
 
@@ -104,35 +104,21 @@ def test_the_table_of_log_lines_is_what_the_nodes_write(
 def _campaign_and_another_goal(graph: Graph, directory: Path, goal: dict[str, object]) -> None:
     request = RunCampaign.Goal(scenario="push", objects=["cat_food"], cases=["1"], velocity_scales=[1.0], trials=1)
     request.output_directory = str(directory / "campaign")
-    heard: list[object] = []
-    accepted = _result(graph, graph.run_campaign.send_goal_async(request, feedback_callback=heard.append))
-    while not heard:
-        graph.spin(0.1)
+    accepted = begun(graph, graph.run_campaign, request)
     another = RunTrial.Goal(**goal, output_directory="another")
-    assert not _result(graph, graph.run_trial.send_goal_async(another)).accepted
-    assert _result(graph, accepted.get_result_async()).result.success
+    assert not result_of(graph, graph.run_trial.send_goal_async(another)).accepted
+    assert result_of(graph, accepted.get_result_async()).result.success
 
 
 def _cancelled(graph: Graph, goal: dict[str, object]) -> None:
-    heard: list[object] = []
-    request = RunTrial.Goal(**goal, output_directory="cancelled")
-    accepted = _result(graph, graph.run_trial.send_goal_async(request, feedback_callback=heard.append))
-    while not heard:
-        graph.spin(0.1)
+    accepted = begun(graph, graph.run_trial, RunTrial.Goal(**goal, output_directory="cancelled"))
     accepted.cancel_goal_async()
-    assert _result(graph, accepted.get_result_async()).result.outcome == "ABORTED"
+    assert result_of(graph, accepted.get_result_async()).result.outcome == "ABORTED"
 
 
 def _with_bytes_that_are_no_torque(graph: Graph, goal: RunTrial.Goal) -> None:
-    other = rclpy.create_node("controller", context=graph.node.context, start_parameter_services=False)
-    publisher = other.create_publisher(JointState, topics.joint_command("arm"), STREAM)
-    result = graph.call_trial(goal, lambda _: publisher.publish(b"\0\1\0\0abc"))
-    other.destroy_node()
+    with beside(graph, "controller") as other:
+        publisher = other.create_publisher(JointState, topics.joint_command("arm"), STREAM)
+        result = graph.call_trial(goal, lambda _: publisher.publish(b"\0\1\0\0abc"))
     assert result.outcome == "OK", result.message
     assert "plant: " in result.message
-
-
-def _result(graph: Graph, future: object) -> object:
-    while not future.done():
-        graph.spin(0.1)
-    return future.result()

@@ -11,9 +11,8 @@ from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 
 import pytest
-import rclpy
-from node_trials import until
-from rclpy.context import Context
+from node_trials import participant
+from processes import until
 from rclpy.executors import SingleThreadedExecutor
 
 from impact_rs_ros.presence import Presence, SubscriptionsMatched
@@ -32,12 +31,9 @@ class Watch:
     """A presence, and processes that it may see."""
 
     def __init__(self, domain: int, stack: ExitStack) -> None:
-        context = Context()
-        rclpy.init(context=context, domain_id=domain)
-        stack.callback(rclpy.try_shutdown, context=context)
-        self.node = rclpy.create_node("watch", namespace="cell", context=context)
+        self.node = stack.enter_context(participant(domain, "watch", "cell"))
         self.presence = Presence(self.node, ["one", "other"])
-        self._executor = SingleThreadedExecutor(context=context)
+        self._executor = SingleThreadedExecutor(context=self.node.context)
         self._executor.add_node(self.node)
         stack.callback(self._executor.shutdown)
         self._stack = stack

@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator
 import numpy as np
 import pytest
 from fake_graph import FakeGraph, fake_graph
-from node_trials import until as until_true
+from processes import until as until_true
 from std_msgs.msg import String
 
 from impact_rs_ros.spectator import Spectator

@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 import rclpy
 from impact_rs.srv import ConfigureTrial, FinishTrial
-from node_trials import until
+from processes import until
 from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.context import Context
 from rclpy.executors import MultiThreadedExecutor

@@ -4,14 +4,20 @@
 from __future__ import annotations
 
 from array import array
+from itertools import count
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from rclpy.serialization import serialize_message
-from robot_bench import PERIOD, RATE, START, Robot
+from robot_bench import PERIOD, RATE, START, Robot, Wires
 from std_msgs.msg import Float64MultiArray
+from std_srvs.srv import Trigger
 
-from impact_rs_ros.watchdog_node import Watchdog
+from impact_rs_ros import watchdog_node
+from impact_rs_ros.effort_arms import commands_topic
+from impact_rs_ros.robot_states import STATES
+from impact_rs_ros.watchdog_node import Watchdog, WatchdogNode
 
 TIMEOUT = 0.05  # s
 MOVING = np.full(7, 0.5)
@@ -104,3 +110,71 @@ def test_of_two_arms_the_one_whose_commands_stop_counts() -> None:
         if taken:
             break
     assert bench.watchdog.braking
+
+
+class Gathered(Wires):
+    """An inbox in which what has come is found when all of it is gathered."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.came: list[tuple[str, bytes]] = []
+
+    def gather(self) -> None:
+        self.waiting, self.came = self.waiting + self.came, []
+
+
+class Offline(WatchdogNode):
+    """The node without a middleware, on the clock and the wires of a test; the arm moves, and a cell sends torques."""
+
+    def __init__(self) -> None:
+        self.bench, self.wires = Bench(), Gathered()
+        self.said: list[bool] = []
+        self._clock, self._inbox, self._watchdog = self.bench.robot.clock, self.wires, self.bench.watchdog  # type: ignore[assignment]
+        self._arm_of = {commands_topic("arm"): "arm"}
+        self._braking = SimpleNamespace(publish=lambda message: self.said.append(message.data))  # type: ignore[assignment]
+        self.log = SimpleNamespace(error=lambda text: None, info=lambda text: None)  # type: ignore[assignment]
+
+    def passes(self, seconds: float, *commands: bytes, velocity: np.ndarray = MOVING) -> bool:
+        """So much time of the robot passes before the node looks; whether it brakes."""
+        self.bench.robot.clock.time += seconds
+        self.wires.came = [(STATES, self.bench.robot.message(velocity=velocity))]
+        self.wires.came += [(commands_topic("arm"), data) for data in commands]
+        self._look()
+        return self.bench.watchdog.braking
+
+    def reset(self) -> str:
+        """Why it is not reset; empty: it is."""
+        answer = self._on_reset(Trigger.Request(), Trigger.Response())
+        assert answer.success is not bool(answer.message)
+        return str(answer.message)
+
+
+def test_a_watchdog_that_did_not_run_hears_what_waited_before_it_judges() -> None:
+    program, alive = Offline(), command(np.zeros(7))
+    assert not program.passes(PERIOD, alive)
+    assert not program.passes(10.0 * TIMEOUT, alive)  # a busy machine let it wait, and the cell was alive
+    assert not program.passes(0.9 * TIMEOUT)
+    assert program.passes(0.2 * TIMEOUT)
+
+
+def test_a_slow_simulator_is_no_silence_of_the_cell(monkeypatch: pytest.MonkeyPatch) -> None:
+    """An hour of this machine passes between two looks, and a millisecond of the robot."""
+    program, hours = Offline(), count(step=3600.0)
+    monkeypatch.setattr(watchdog_node, "time", SimpleNamespace(monotonic=lambda: next(hours)))
+    assert not program.passes(PERIOD, command(np.zeros(7)))
+    assert not any(program.passes(PERIOD) for _ in range(round(0.9 * TIMEOUT / PERIOD)))
+    assert any(program.passes(PERIOD) for _ in range(round(0.2 * TIMEOUT / PERIOD)))
+
+
+def test_it_says_that_it_brakes_until_it_is_reset_with_arms_at_rest() -> None:
+    program = Offline()
+    program.passes(PERIOD, command(np.zeros(7)))
+    assert (program.reset(), program.status()) == ("watchdog: it is not braking", ("ok", {"braking": False}))
+    assert program.passes(2.0 * TIMEOUT)
+    assert program.reset() == "watchdog: the arms are not at rest yet"
+    assert program.status()[0].startswith("braking: ") and program.status()[1] == {"braking": True}
+    for _ in range(1000):
+        program.passes(PERIOD, command(np.ones(7)), velocity=np.zeros(7))  # of its own, which it hears as well
+    assert program.said == [True]
+    assert (program.reset(), program.said) == ("", [True, False])
+    assert not program.passes(2.0 * TIMEOUT)

@@ -13,20 +13,11 @@ import impact_msgs_py
 from impact_rs_sim.scenario import Scenario
 from impact_rs_trials.bags import cdr, topics
 from impact_rs_trials.bags.reader import BagError, TrialBag
-from impact_rs_trials.bags.trial_info import TrialInfo, TrialKey
+from impact_rs_trials.bags.trial_info import TrialKey
 from impact_rs_trials.bags.types import typestore
 
 STORE = typestore()
 OLD_BAG = Path(__file__).parent / "data" / "bag_of_0_1_0" / "cat_food__case_2__s1.000__r0"  # two topics of it
-
-
-def joint_state(count: int, names: list[str], stamp: int = 0):
-    types = STORE.types
-    header = types["std_msgs/msg/Header"](
-        stamp=types["builtin_interfaces/msg/Time"](sec=stamp, nanosec=5), frame_id="world"
-    )
-    values = np.arange(count, dtype=float) + stamp
-    return types[topics.JOINT_STATE](header=header, name=names, position=values, velocity=np.zeros(0), effort=-values)
 
 
 def test_every_topic_of_a_trial_is_encoded_as_rosbags_does(push_bag: Path) -> None:
@@ -49,31 +40,6 @@ def test_every_column_of_a_trial_is_decoded_as_rosbags_does(push_bag: Path) -> N
     assert bag.joints(topics.motor_states("arm")).effort.size == 0
     poses = bag.poses(topics.OBJECT_POSE)
     np.testing.assert_allclose(np.linalg.norm(poses.quaternion, axis=1), 1.0)
-
-
-@pytest.mark.parametrize("names", [["a"], ["a", "bcd", ""], []])
-def test_any_alignment_makes_the_round_trip(names: list[str]) -> None:
-    messages = [joint_state(len(names), names, stamp) for stamp in range(4)]
-    rows = cdr.encode(STORE, topics.JOINT_STATE, messages)
-    assert [bytes(row) for row in rows] == [bytes(STORE.serialize_cdr(m, topics.JOINT_STATE)) for m in messages]
-    columns = cdr.decode(STORE, topics.JOINT_STATE, rows)
-    np.testing.assert_array_equal(columns["header.stamp.sec"], range(4))
-    np.testing.assert_array_equal(columns["position"], [m.position for m in messages])
-
-
-@pytest.mark.parametrize(
-    "odd", [joint_state(3, ["a", "b", "c"]), joint_state(2, ["a", "x"]), joint_state(1, ["a", "b"])]
-)
-def test_messages_of_different_layout_are_encoded_one_by_one(odd) -> None:
-    messages = [joint_state(2, ["a", "b"], stamp) for stamp in range(3)] + [odd] + [joint_state(2, ["a", "b"], 9)]
-    rows = cdr.encode(STORE, topics.JOINT_STATE, messages)
-    assert [bytes(row) for row in rows] == [bytes(STORE.serialize_cdr(m, topics.JOINT_STATE)) for m in messages]
-
-
-def test_columns_survive_strings_that_change() -> None:
-    messages = [joint_state(2, ["a", "b" * n], n) for n in (1, 2, 3, 4)]
-    rows = [bytes(STORE.serialize_cdr(m, topics.JOINT_STATE)) for m in messages]
-    np.testing.assert_array_equal(cdr.decode(STORE, topics.JOINT_STATE, rows)["effort"], [m.effort for m in messages])
 
 
 def test_somebody_elses_reader_reads_our_bag(push_bag: Path) -> None:
@@ -121,15 +87,6 @@ def test_a_bag_of_version_0_1_0_is_read_by_its_former_names() -> None:
     assert 0.89 < bag.impact_time("arm") < 0.92
 
 
-def test_a_trial_read_by_an_old_definition_is_the_same() -> None:
-    from mcap_ros2.reader import read_ros2_messages
-
-    (path,) = OLD_BAG.glob("*.mcap")
-    (message,) = (m.ros_msg for m in read_ros2_messages(str(path), topics=[topics.TRIAL_INFO]))
-    assert not hasattr(message, "scenario_json")
-    assert TrialInfo.from_message(message) == TrialBag.open(OLD_BAG).info
-
-
 def test_a_bag_with_fewer_fields_is_read_by_its_own_definitions(push_campaign: Path, tmp_path: Path) -> None:
     """As written before ``end_effector_twist`` and ``end_effector_wrench``."""
     bag = TrialBag.open(sorted(push_campaign.glob("cat_food*"))[0])
@@ -152,12 +109,6 @@ def test_a_bag_with_fewer_fields_is_read_by_its_own_definitions(push_campaign: P
         np.testing.assert_array_equal(getattr(old.controller("arm"), name), column)
     np.testing.assert_array_equal(old.messages(topic)[7].twist, bag.messages(topic)[7].twist)
     assert not hasattr(old.messages(topic)[7], "end_effector_twist")
-
-
-def test_a_trial_without_its_scenario_says_which_field_is_missing() -> None:
-    others = {name: 0 for name in TrialInfo.__annotations__ if name != "scenario_json"}
-    with pytest.raises(AttributeError, match="scenario_json"):
-        TrialInfo.from_message(type("Foreign", (), others))
 
 
 def test_a_cell_that_tells_no_truth_gives_the_same_bag_without_it(push_bag: Path, tmp_path: Path) -> None:

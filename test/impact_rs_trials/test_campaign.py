@@ -8,6 +8,7 @@ from pathlib import Path
 
 import fsspec
 import pytest
+from trials import made_up
 
 from impact_rs_sim.errors import InputError
 from impact_rs_trials.bags.reader import TrialBag
@@ -32,25 +33,20 @@ def manifest() -> Manifest:
     return make_manifest("push", ["cat_food"], ["2"], SCALES, trials=1)
 
 
-def fake(directory: Path, trial: Trial) -> TrialReport:
-    (directory / trial.key.name).mkdir()
-    return TrialReport(trial.key, "OK")
-
-
 def test_a_campaign_is_resumed_where_it_stopped(tmp_path: Path, manifest: Manifest) -> None:
-    reports = run_campaign(tmp_path, manifest, run=fake)
+    reports = run_campaign(tmp_path, manifest, run=made_up)
     next(reports)
     reports.close()
     assert len(open_campaign(tmp_path, manifest)) == 2
-    assert [report.key.scale for report in run_campaign(tmp_path, manifest, run=fake)] == [1.0, 1.2]
-    assert not list(run_campaign(tmp_path, manifest, run=fake))
+    assert [report.key.scale for report in run_campaign(tmp_path, manifest, run=made_up)] == [1.0, 1.2]
+    assert not list(run_campaign(tmp_path, manifest, run=made_up))
 
 
 def test_an_interrupt_leaves_a_campaign_that_can_be_resumed(tmp_path: Path, manifest: Manifest) -> None:
     def interrupted(directory: Path, trial: Trial) -> TrialReport:
         if trial.key.scale == 1.0:
             raise KeyboardInterrupt
-        return fake(directory, trial)
+        return made_up(directory, trial)
 
     with pytest.raises(KeyboardInterrupt):
         list(run_campaign(tmp_path, manifest, run=interrupted))
@@ -87,7 +83,7 @@ def test_one_broken_trial_does_not_end_the_campaign(tmp_path: Path, manifest: Ma
     def broken(directory: Path, trial: Trial) -> TrialReport:
         if trial.key.scale == 0.8:
             raise ZeroDivisionError("by nothing")
-        return fake(directory, trial)
+        return made_up(directory, trial)
 
     reports = list(run_campaign(tmp_path, manifest, run=broken))
     assert [report.outcome for report in reports] == ["ABORTED", "OK", "OK"]
@@ -109,7 +105,7 @@ def test_a_campaign_keeps_why_a_trial_failed_until_it_succeeds(tmp_path: Path, m
     assert "in fails" in text, "the traceback"
     assert "the disk hums" in text, "what lay behind it, which the message leaves out"
     assert len(list((tmp_path / FAILURES).iterdir())) == 3
-    list(run_campaign(tmp_path, manifest, run=fake))
+    list(run_campaign(tmp_path, manifest, run=made_up))
     assert not (tmp_path / FAILURES).exists()
 
 
@@ -133,7 +129,7 @@ def test_a_campaign_at_a_url_keeps_there_why_a_trial_failed(manifest: Manifest) 
     try:
         list(run_campaign("memory://failing", one, run=fails))
         assert b"the disk hums" in files.cat_file(failure)
-        list(run_campaign("memory://failing", one, run=fake))
+        list(run_campaign("memory://failing", one, run=made_up))
         assert not files.exists(failure)
     finally:
         files.rm("/failing", recursive=True)

@@ -7,22 +7,17 @@ import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 from xml.etree import ElementTree as Xml
 
 import numpy as np
 import pinocchio as pin
 import pybullet
 import pytest
-from rosbags.highlevel import AnyReader
+from trials import BRIEF, plan_of, recorded
 
-from impact_rs_control.plan import plan_trial
-from impact_rs_sim.scenario import load_scenario
-from impact_rs_sim.scene import Scene
 from impact_rs_trials.bags import topics
 from impact_rs_trials.bags.reader import TrialBag
-from impact_rs_trials.bags.record import record_trial
-from impact_rs_trials.bags.trial_info import TrialInfo, TrialKey
-from impact_rs_trials.bags.types import typestore
 
 TOLERANCE = 1e-6  # m, and of rotation matrices
 
@@ -30,32 +25,26 @@ TOLERANCE = 1e-6  # m, and of rotation matrices
 @pytest.fixture(scope="module", params=["push", "grab"])
 def bag(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> TrialBag:
     """A quarter of a second with one arm, and with two."""
-    scenario = load_scenario(request.param)
-    timing = scenario.timing.model_copy(
-        update={"nominal_impact": 0.2, "approach": 0.15, "window_before": 0.1, "window_after": 0.05, "duration": 0.25}
-    )
-    plan = plan_trial(Scene.resolve(scenario.model_copy(update={"timing": timing}), "cat_food", "case_2"))
     path = tmp_path_factory.mktemp("descriptions") / request.param
-    record_trial(plan, TrialInfo.of(plan, TrialKey("cat_food", "case_2", 1.0, 0), 3, "inprocess"), path)
+    recorded(plan_of(request.param, "cat_food", "case_2", **BRIEF), path, seed=3)
     return TrialBag.open(path)
 
 
-def messages(bag: TrialBag, topic: str) -> Iterator[tuple[int, object]]:
-    with AnyReader([bag.path], default_typestore=typestore()) as reader:
-        for connection, time, data in reader.messages([c for c in reader.connections if c.topic == topic]):
-            yield time, reader.deserialize(data, connection.msgtype)
-
-
 def urdf(bag: TrialBag, topic: str) -> str:
-    ((_, message),) = messages(bag, topic)
+    (message,) = bag.messages(topic)
     return message.data
+
+
+def stamp(header: Any) -> int:
+    """When [ns]."""
+    return header.stamp.sec * 10**9 + header.stamp.nanosec
 
 
 def transforms(bag: TrialBag) -> Iterator[tuple[int, dict[str, tuple[str, pin.SE3]]]]:
     """Time [ns]; parent and placement in it by frame."""
-    (static,) = (message.transforms for _, message in messages(bag, topics.TF_STATIC))
-    for time, message in messages(bag, topics.TF):
-        found = {}
+    (static,) = (message.transforms for message in bag.messages(topics.TF_STATIC))
+    for message in bag.messages(topics.TF):
+        found, time = {}, stamp(message.transforms[0].header)
         for item in (*static, *message.transforms):
             at, turn = item.transform.translation, item.transform.rotation
             rotation = pin.Quaternion(turn.w, turn.x, turn.y, turn.z).matrix()
@@ -73,13 +62,13 @@ def described(bag: TrialBag) -> dict[str, list[str]]:
 def test_its_joints_have_the_names_of_the_joint_states_in_their_order(bag: TrialBag) -> None:
     for topic, arms in described(bag).items():
         model = pin.buildModelFromXML(urdf(bag, topic))
-        names = [name for arm in arms for name in next(messages(bag, topics.joint_states(arm)))[1].name]
+        names = [name for arm in arms for name in bag.messages(topics.joint_states(arm))[0].name]
         assert list(model.names)[1:] == names
 
 
 def test_forward_kinematics_of_the_joint_states_are_the_transforms(bag: TrialBag) -> None:
     states = {
-        arm: {time: message.position for time, message in messages(bag, topics.joint_states(arm))}
+        arm: {stamp(message.header): message.position for message in bag.messages(topics.joint_states(arm))}
         for arm in bag.info.robots
     }
     for topic, arms in described(bag).items():

@@ -76,33 +76,6 @@ def test_identifying_again_starts_from_the_uncompensated_plant(brief: Path) -> N
     assert load_scenario(str(again)).friction_compensation == first
 
 
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        (["pusch", "-o", "{}/a.yaml"], "did you mean 'push'"),
-        (["push", "-o", "{}/a.yaml", "--objects", "catfood"], "cat_food"),
-        (["push", "-o", "{}/a.yaml", "--runs", "0"], "runs = 0"),
-        (["push", "-o", "{}/a.yaml", "--seed", "-1"], "seed = -1"),
-        (["push", "-o", "{}/a.yaml", "--effects", "{}/no.yaml"], "no.yaml"),
-        (["push", "-o", "{}/push_compensated.yaml"], "name of the scenario's copy"),
-        (["excite", "-o", "{}/a.yaml"], "hits nothing"),
-        (["push", "-o", "{}/new/a.yaml", "--runs", "0"], "runs = 0"),
-        (["push", "-o", "{}/file/a.yaml"], "cannot be written"),
-    ],
-)
-def test_a_mistake_is_one_line_and_leaves_nothing(
-    tmp_path: Path, capfd: pytest.CaptureFixture[str], arguments: list[str], message: str
-) -> None:
-    (tmp_path / "file").write_text("in the way")
-    told = ["friction", "identify", *(argument.format(tmp_path) for argument in arguments), "--jobs", "1"]
-    assert main(told) == 2
-    out, err = capfd.readouterr()
-    assert message in err
-    assert err.count("\n") == 1
-    assert not out
-    assert [path.name for path in tmp_path.iterdir()] == ["file"]
-
-
 def test_a_compensation_that_does_not_load_leaves_nothing(brief: Path) -> None:
     other = found_on(brief).model_copy(update={"scenario_digest": "0123"})
     with pytest.raises(InputError, match="identify it again"):

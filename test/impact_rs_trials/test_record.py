@@ -9,11 +9,9 @@ from pathlib import Path
 import numpy as np
 import pinocchio as pin
 import pytest
+from trials import BRIEF, plan_of, recorded, ticks_of
 
-from impact_rs_control.closed_loop import make_plant, run_closed_loop
-from impact_rs_control.plan import TrialPlan, plan_trial
-from impact_rs_sim.scenario import load_scenario
-from impact_rs_sim.scene import Scene
+from impact_rs_control.plan import TrialPlan
 from impact_rs_trials.bags import topics
 from impact_rs_trials.bags.messages import Frame
 from impact_rs_trials.bags.reader import TrialBag
@@ -25,19 +23,14 @@ TICKS = 250
 
 @pytest.fixture(scope="module")
 def plan() -> TrialPlan:
-    """A trial of a quarter of a second, impact included."""
-    scenario = load_scenario("push")
-    timing = scenario.timing.model_copy(
-        update={"nominal_impact": 0.2, "approach": 0.15, "window_before": 0.1, "window_after": 0.05, "duration": 0.25}
-    )
-    return plan_trial(Scene.resolve(scenario.model_copy(update={"timing": timing}), "juice", "case_1"))
+    """A trial of a quarter of a second."""
+    return plan_of("push", "juice", "case_1", **BRIEF)
 
 
 @pytest.fixture(scope="module")
 def bag(plan: TrialPlan, tmp_path_factory: pytest.TempPathFactory) -> TrialBag:
     path = tmp_path_factory.mktemp("record") / "trial"
-    key = TrialKey("juice", "case_1", 1.0, 0)
-    verdict, _ = record_trial(plan, TrialInfo.of(plan, key, 3, "inprocess"), path)
+    verdict = recorded(plan, path, seed=3)
     assert verdict.outcome == "OK", verdict.reason
     return TrialBag.open(path)
 
@@ -45,10 +38,7 @@ def bag(plan: TrialPlan, tmp_path_factory: pytest.TempPathFactory) -> TrialBag:
 @pytest.fixture(scope="module")
 def ticks(plan: TrialPlan) -> list:
     """The same trial once more, without a bag."""
-    plant = make_plant(plan, 3)
-    found = [(tick, plant.truth()) for tick in run_closed_loop(plan, plant)]
-    plant.close()
-    return found
+    return ticks_of(plan, 3)
 
 
 def test_every_topic_has_its_rate(bag: TrialBag) -> None:

@@ -5,11 +5,11 @@ from __future__ import annotations
 
 import shutil
 import signal
-import subprocess
 import sys
 from pathlib import Path
 
 import numpy as np
+import processes
 import pytest
 from rosbags.rosbag2 import Reader
 
@@ -124,14 +124,13 @@ def test_a_bag_saved_in_parts_is_sealed_and_holds_the_same(push_bag: Path, tmp_p
 
 def test_a_bag_survives_that_its_writer_is_killed(push_bag: Path, tmp_path: Path) -> None:
     program = (
-        "import sys, time; from pathlib import Path; sys.path.insert(0, sys.argv[3]); import test_recovery as t\n"
+        "import sys, time; from pathlib import Path; sys.path[:0] = sys.argv[3:]; import test_recovery as t\n"
         "writer, _ = t.write_in_parts(Path(sys.argv[1]), Path(sys.argv[2])); print('saved', flush=True); time.sleep(99)"
     )
-    arguments = [sys.executable, "-c", program, str(push_bag), str(tmp_path / "trial"), str(Path(__file__).parent)]
-    with subprocess.Popen(arguments, stdout=subprocess.PIPE, text=True) as process:
-        assert process.stdout is not None
-        assert process.stdout.readline() == "saved\n"
-        process.send_signal(signal.SIGKILL)
+    folders = [str(Path(module.__file__).parent) for module in (sys.modules[__name__], processes)]
+    arguments = [sys.executable, "-c", program, str(push_bag), str(tmp_path / "trial"), *folders]
+    with processes.running(arguments, end=signal.SIGKILL) as writer:
+        writer.line("saved")
     bag = TrialBag.open(partial_path(tmp_path / "trial"))
     assert bag.outcome == "ABORTED"
     assert bag.joints(STATES).time.size > 1000

@@ -8,7 +8,6 @@ import pytest
 
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.scenario import load_scenario
-from impact_rs_trials.bags.trial_info import TrialInfo, TrialKey
 from impact_rs_trials.spec import TrialSpec, recorded_scenario
 
 PUSH = load_scenario("push")
@@ -50,11 +49,6 @@ def test_more_motor_inertia_in_the_reference_keeps_more_of_the_velocity(spec: Tr
     ]
     assert post == sorted(post)
     assert post[0] < post[2]
-
-
-def test_a_recorded_trial_is_planned_again_as_it_was(spec: TrialSpec) -> None:
-    info = TrialInfo.of(spec.plan, TrialKey("cat_food", "case_2", 1.0, 3), 7, "inprocess")
-    assert info.spec.plan is spec.plan
 
 
 def test_text_that_is_no_scenario_is_told_with_its_file(spec: TrialSpec) -> None:

@@ -8,11 +8,9 @@ from typing import Any
 
 import numpy as np
 import pytest
+from trials import plan_of, ticks_of
 
-from impact_rs_control.closed_loop import make_plant, run_closed_loop
-from impact_rs_control.plan import TrialPlan, plan_trial
-from impact_rs_sim.scenario import load_scenario
-from impact_rs_sim.scene import Scene
+from impact_rs_control.plan import TrialPlan
 from impact_rs_trials.bags import topics
 from impact_rs_trials.bags.messages import MessageMaker, RosbagsTypes
 from impact_rs_trials.bags.streams import Stream, StreamMaker
@@ -23,23 +21,17 @@ STORE = typestore()
 
 @pytest.fixture(scope="module")
 def plan() -> TrialPlan:
-    scenario = load_scenario("push")
-    timing = scenario.timing.model_copy(
-        update={"nominal_impact": 0.02, "approach": 0.02, "window_before": 0.01, "window_after": 0.01, "duration": 0.03}
-    )
-    return plan_trial(Scene.resolve(scenario.model_copy(update={"timing": timing}), "juice", "case_1"))
+    timing = {"nominal_impact": 0.02, "approach": 0.02, "window_before": 0.01, "window_after": 0.01, "duration": 0.03}
+    return plan_of("push", "juice", "case_1", **timing)
 
 
 @pytest.fixture(scope="module")
 def samples(plan: TrialPlan) -> list[tuple[int, Any, Any, Any]]:
     """Tick, measurement, truth and command of every tick."""
-    plant = make_plant(plan, 0)
-    found = [
-        (tick.number, tick.measurement.arms["arm"], plant.truth().arms["arm"], tick.commands["arm"])
-        for tick in run_closed_loop(plan, plant)
+    return [
+        (tick.number, tick.measurement.arms["arm"], truth.arms["arm"], tick.commands["arm"])
+        for tick, truth in ticks_of(plan)
     ]
-    plant.close()
-    return found
 
 
 Case = tuple[str, Callable[[StreamMaker], Stream], Callable[[MessageMaker, int, tuple], Any], int]

@@ -39,6 +39,7 @@ def test_it_says_what_was_planned(info: TrialInfo, plan: TrialPlan) -> None:
 
 def test_the_trial_can_be_planned_again_from_it(info: TrialInfo, plan: TrialPlan) -> None:
     again = info.spec.plan
+    assert again is info.spec.plan
     assert again.scene.scenario == plan.scene.scenario
     np.testing.assert_array_equal(again.arms["arm"].post_position.position, plan.arms["arm"].post_position.position)
 

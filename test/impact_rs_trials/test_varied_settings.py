@@ -4,9 +4,10 @@
 from pathlib import Path
 
 import pytest
+from trials import made_up
 
 from impact_rs_sim.scenario import load_scenario
-from impact_rs_trials.campaign import TrialReport, make_manifest, run_campaigns
+from impact_rs_trials.campaign import make_manifest, run_campaigns
 from impact_rs_trials.store import Folder
 from impact_rs_trials.varied_settings import SETTINGS, sensitivity_manifests, varied_folders, with_sensitivity
 
@@ -59,12 +60,8 @@ def test_settings_of_the_campaign_itself_stay() -> None:
 def test_varied_campaigns_are_found_in_the_campaign_folder(tmp_path: Path) -> None:
     campaign = Folder(tmp_path)
 
-    def fake(directory: Path, trial: object) -> TrialReport:
-        (directory / trial.key.name).mkdir()  # type: ignore[attr-defined]
-        return TrialReport(trial.key, "OK")  # type: ignore[attr-defined]
-
     campaigns = with_sensitivity(campaign, GRAB)
-    places = [store for store, _ in run_campaigns(campaigns, run=fake)]
+    places = [store for store, _ in run_campaigns(campaigns, run=made_up)]
     assert {str(place): places.count(place) for place in campaigns} == {
         str(store): len(manifest.keys) for store, manifest in campaigns.items()
     }

@@ -41,9 +41,10 @@ def read(path: Path) -> list[tuple[str, int]]:
         return [(connection.topic, stamp) for connection, stamp, _ in reader.messages()]
 
 
-def outcome(path: Path) -> str | None:
+def said(path: Path, name: str) -> str | None:
+    """An entry of the metadata."""
     with Reader(path) as reader:
-        return (reader.storage.metadata.custom or {}).get("outcome")
+        return (reader.storage.metadata.custom or {}).get(name)
 
 
 def test_a_finished_bag_has_name_and_outcome_and_leaves_nothing(tmp_path: Path) -> None:
@@ -54,15 +55,10 @@ def test_a_finished_bag_has_name_and_outcome_and_leaves_nothing(tmp_path: Path) 
         for number in range(3):
             bag.write(TOPIC, 10 * number, message(number))
         bag.finish("OK")
-    assert outcome(path) == "OK"
+    assert said(path, "outcome") == "OK"
     assert read(path) == [(TOPIC, 0), (TOPIC, 10), (TOPIC, 20)]
     assert bag.messages == 3
     assert [entry.name for entry in path.parent.iterdir()] == ["trial"]
-
-
-def missing(path: Path) -> str | None:
-    with Reader(path) as reader:
-        return (reader.storage.metadata.custom or {}).get("missing")
 
 
 def test_a_bag_says_which_topics_it_could_have_and_lacks(tmp_path: Path) -> None:
@@ -77,7 +73,7 @@ def test_a_bag_says_which_topics_it_could_have_and_lacks(tmp_path: Path) -> None
             for topic in present:
                 bag.write_raw(topic, 0, b"\0\1\0\0")
             bag.finish("OK")
-    assert [missing(tmp_path / name) for name in ("whole", "robot", "careless", "without impact")] == [
+    assert [said(tmp_path / name, "missing") for name in ("whole", "robot", "careless", "without impact")] == [
         None,
         "/clock, /truth",
         "/object/pose, /truth/arm/joint_states",
@@ -113,7 +109,7 @@ def test_a_trial_that_breaks_off_is_kept_under_its_hidden_name_as_aborted(tmp_pa
         bag.write(TOPIC, 0, message(0))
         raise RuntimeError("plug pulled")
     assert not path.exists()
-    assert outcome(partial_path(path)) == "ABORTED"
+    assert said(partial_path(path), "outcome") == "ABORTED"
     assert len(read(partial_path(path))) == 1
     with BagWriter.create(path, ["arm"]) as again:  # the next attempt starts from nothing
         again.finish("OK")

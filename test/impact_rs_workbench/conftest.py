@@ -4,15 +4,13 @@
 from __future__ import annotations
 
 import contextlib
-import os
-import re
 import signal
-import subprocess
 import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
+from processes import running
 from starlette.testclient import TestClient
 
 from impact_rs_workbench.request_guard import Guard
@@ -59,20 +57,9 @@ def served() -> Iterator[Callable[[Path], str]]:
     with contextlib.ExitStack() as held:
 
         def start(folder: Path) -> str:
-            environment = os.environ | {"XDG_CACHE_HOME": str(folder.parent / "cache"), "PYTHONUNBUFFERED": "1"}
-            process = held.enter_context(
-                subprocess.Popen(
-                    [sys.executable, "-m", "impact_rs_cli.main", "workbench", str(folder), "--no-browser"],
-                    stdout=subprocess.PIPE,
-                    text=True,
-                    cwd=folder.parent,
-                    env=environment,
-                )
-            )
-            held.callback(process.send_signal, signal.SIGINT)
-            assert process.stdout is not None
-            address = re.search(r"http://\S+", process.stdout.readline())
-            assert address is not None
-            return address[0]
+            command = [sys.executable, "-m", "impact_rs_cli.main", "workbench", str(folder), "--no-browser"]
+            cache = {"XDG_CACHE_HOME": str(folder.parent / "cache")}
+            page = held.enter_context(running(command, cache, signal.SIGINT, cwd=folder.parent))
+            return page.address()
 
         yield start

@@ -7,29 +7,18 @@ import json
 import os
 import signal
 import time
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import pytest
+from processes import until
 from starlette.testclient import TestClient
 
 from impact_rs_sim.errors import InputError
 from impact_rs_workbench.jobs import LOST, Job, Jobs, Order
 from impact_rs_workbench.server import Workbench
 
-LONG = 120.0  # s, after which a condition that was waited for counts as missed
 CAMPAIGN = {"command": "campaign", "scenario": "push", "objects": ["cat_food"], "cases": ["case_2"], "scales": [1.0]}
-
-
-def until(condition: Callable[[], Any]) -> Any:
-    """What a condition gives, once it gives something."""
-    end = time.monotonic() + LONG
-    while time.monotonic() < end:
-        if found := condition():
-            return found
-        time.sleep(0.05)  # who asks all the time keeps what is waited for from running
-    raise AssertionError("this was waited for in vain")
 
 
 @pytest.fixture
@@ -67,7 +56,10 @@ def test_a_campaign_tells_how_far_it_is_stops_as_ctrl_c_does_and_goes_on(
     def first() -> dict[str, Any]:
         return client.get("/api/jobs").json()[0]  # type: ignore[no-any-return]
 
-    until(lambda: (first()["progress"] or {}).get("done"))
+    def pause() -> None:
+        time.sleep(0.05)  # who asks all the time keeps what is waited for from running
+
+    until(lambda: (first()["progress"] or {}).get("done"), pause)
     assert first()["progress"]["what"] == "trials"
     assert first()["progress"]["total"] == trials
     assert first()["progress"]["left"] > 0.0
@@ -79,7 +71,8 @@ def test_a_campaign_tells_how_far_it_is_stops_as_ctrl_c_does_and_goes_on(
     assert 1 <= len(bags) < trials
     stamps = {name: (tmp_path / "campaigns" / "push" / name / "metadata.yaml").stat().st_mtime_ns for name in bags}
     again = client.post(f"/api/jobs/{number}/again").json()
-    counted = until(lambda: first()["progress"] or {} if not first()["ended"] else {"total": trials, "done": trials})
+    whole = {"total": trials, "done": trials}
+    counted = until(lambda: first()["progress"] or {} if not first()["ended"] else whole, pause)
     assert (counted["total"], counted["done"] >= len(bags)) == (trials, True)  # those that are there count
     assert workbench.jobs.wait(again["number"]).exit_code == 0
     (campaign,) = client.get("/api/workspace").json()["campaigns"]

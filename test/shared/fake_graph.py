@@ -8,9 +8,8 @@ from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
-import rclpy
 from geometry_msgs.msg import PoseStamped, WrenchStamped
-from rclpy.context import Context
+from node_trials import participant
 from rclpy.node import Node
 from sensor_msgs.msg import JointState
 
@@ -70,11 +69,5 @@ class FakeGraph:
 @contextmanager
 def fake_graph(domain: int, namespace: str = "") -> Iterator[FakeGraph]:
     """A graph in a ROS domain; its middleware is that of the environment."""
-    context = Context()
-    rclpy.init(context=context, domain_id=domain)
-    try:
-        node = rclpy.create_node("fake", context=context, namespace=namespace)
+    with participant(domain, "fake", namespace) as node:
         yield FakeGraph(node)
-        node.destroy_node()
-    finally:
-        rclpy.try_shutdown(context=context)

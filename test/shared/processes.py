@@ -1,20 +1,100 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Processes beside a test."""
+"""Processes beside a test, whose output is read without waiting for ever."""
 
 from __future__ import annotations
 
+import os
+import re
+import signal
 import subprocess
-from collections.abc import Iterator
+import time
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
+from queue import Empty, Queue
+from threading import Thread
+from typing import Any
+
+PATIENCE = 100.0  # s, for a line or the end of a process; never reached on a machine that works
+
+
+def until(condition: Callable[[], Any], step: Callable[[], Any], what: str = "nothing comes") -> Any:
+    """What the condition returns once it is true; until then ``step`` is called."""
+    deadline = time.monotonic() + PATIENCE
+    while not (found := condition()):
+        assert time.monotonic() < deadline, what
+        step()
+    return found
+
+
+class Running:
+    """A process, and the lines that it prints.
+
+    Attributes:
+        process: The process.
+        printed: What it has printed and was read, by line.
+    """
+
+    def __init__(self, process: subprocess.Popen[str]) -> None:
+        self.process = process
+        self.printed: list[str] = []
+        self._lines: Queue[str] = Queue()
+        Thread(target=self._read, daemon=True).start()
+
+    def _read(self) -> None:
+        assert self.process.stdout is not None
+        for line in self.process.stdout:
+            self._lines.put(line)
+        self._lines.put("")
+
+    def line(self, text: str = "") -> str:
+        """The next line that holds this text, when it comes."""
+        while True:
+            try:
+                line = self._lines.get(timeout=PATIENCE)
+            except Empty:
+                raise AssertionError(f"no {text!r} within {PATIENCE:g} s after {self.printed}") from None
+            assert line, f"ended without {text!r} after {self.printed}"
+            self.printed.append(line)
+            if text in line:
+                return line
+
+    def address(self) -> str:
+        """The address of the page that it serves, once it prints one."""
+        found = re.search(r"http://\S+", self.line("http://"))
+        assert found
+        return found[0]
+
+    def end(self, signal_number: int = 0) -> tuple[int, str]:
+        """Exit code and everything that was printed, when the process has ended, by itself or by this signal."""
+        if signal_number:
+            self.process.send_signal(signal_number)
+        code = self.process.wait(PATIENCE)
+        while line := self._lines.get(timeout=PATIENCE):
+            self.printed.append(line)
+        self._lines.put("")
+        return code, "".join(self.printed)
 
 
 @contextmanager
-def running(command: list[str], environment: dict[str, str]) -> Iterator[subprocess.Popen[str]]:
-    """A process, which is terminated with the context."""
-    with subprocess.Popen(
-        command, env=environment, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
-    ) as process:
+def running(
+    command: list[str], environment: Mapping[str, str] | None = None, end: int = signal.SIGTERM, **options: Any
+) -> Iterator[Running]:
+    """A process, which this signal ends with the context.
+
+    Args:
+        command: Program and arguments.
+        environment: Variables beside those of this process.
+        end: The signal.
+        options: Others of ``subprocess.Popen``.
+    """
+    surroundings = os.environ | {"PYTHONUNBUFFERED": "1"} | dict(environment or {})
+    pipes: dict[str, Any] = {"stdout": subprocess.PIPE, "stderr": subprocess.STDOUT, "text": True}
+    with subprocess.Popen(command, env=surroundings, **pipes | options) as process:
         try:
-            yield process
+            yield Running(process)
         finally:
-            process.terminate()
+            process.send_signal(end)
+            try:
+                process.wait(PATIENCE)
+            except subprocess.TimeoutExpired:
+                process.kill()

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import json
-import os
+import signal
 import sys
 import threading
 from collections.abc import Callable, Iterator
@@ -13,13 +13,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import rclpy
 from impact_rs.action import RunTrial
 from impact_rs.srv import ConfigureTrial, FinishTrial
+from node_trials import participant
 from processes import running
-from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
-from rclpy.node import Node
 from rclpy.qos import qos_profile_sensor_data
 from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
@@ -31,6 +29,7 @@ from impact_rs_trials.bags import topics
 from impact_rs_trials.bags.reader import TrialBag
 
 EXAMPLE = Path(__file__).resolve().parents[2] / "examples" / "foreign_plant.py"
+pytestmark = pytest.mark.timeout(300)  # a campaign, and nodes that come and go
 WAITING = "waiting for a plant: services /plant/configure_trial, /plant/finish_trial, /plant/run_trial; for "
 TRIAL = "cat_food__case_2__s1.000__r0"
 
@@ -41,9 +40,6 @@ def silent_plant(domain_id: int, best_effort: bool = False) -> Iterator[list[Con
 
     Hands out what it is asked to configure.
     """
-    context = Context()
-    rclpy.init(context=context, domain_id=domain_id)
-    node = Node("plant", context=context)
     asked: list[ConfigureTrial.Request] = []
 
     def agree(request: object, response: object) -> object:
@@ -52,58 +48,47 @@ def silent_plant(domain_id: int, best_effort: bool = False) -> Iterator[list[Con
         response.success = True
         return response
 
-    for kind, name in (
-        (ConfigureTrial, "configure_trial"),
-        (FinishTrial, "finish_trial"),
-        (Trigger, "run_trial"),
-    ):
-        node.create_service(kind, f"~/{name}", agree)
-    if best_effort:
-        node.create_publisher(JointState, topics.joint_states("arm"), qos_profile_sensor_data)
-    executor = SingleThreadedExecutor(context=context)
-    executor.add_node(node)
-    over = threading.Event()
+    with participant(domain_id, "plant") as node:
+        services = {"configure_trial": ConfigureTrial, "finish_trial": FinishTrial, "run_trial": Trigger}
+        for name, kind in services.items():
+            node.create_service(kind, f"~/{name}", agree)
+        if best_effort:
+            node.create_publisher(JointState, topics.joint_states("arm"), qos_profile_sensor_data)
+        executor = SingleThreadedExecutor(context=node.context)
+        executor.add_node(node)
+        over = threading.Event()
 
-    def spin() -> None:
-        while not over.is_set():
-            executor.spin_once(timeout_sec=0.05)
+        def spin() -> None:
+            while not over.is_set():
+                executor.spin_once(timeout_sec=0.05)
 
-    thread = threading.Thread(target=spin)
-    thread.start()
-    try:
-        yield asked
-    finally:
-        over.set()
-        thread.join()
-        executor.shutdown()
-        node.destroy_node()
-        rclpy.try_shutdown(context=context)
-
-
-def environment(domain_id: int) -> dict[str, str]:
-    return os.environ | {"ROS_DOMAIN_ID": str(domain_id)}
+        thread = threading.Thread(target=spin)
+        thread.start()
+        try:
+            yield asked
+        finally:
+            over.set()
+            thread.join()
+            executor.shutdown()
 
 
 def test_a_campaign_runs_with_the_example_in_the_place_of_our_plant(
     domain_ids: Callable[[], int], tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
     """The campaign waits for it, its bags are whole without what it does not tell, and are analysed."""
-    surroundings = environment(domain_ids())
+    domain = {"ROS_DOMAIN_ID": str(domain_ids())}
     runs = tmp_path / "runs"
     scope = ["--objects", "cat_food", "--cases", "2", "--scales", "0.8", "1.0", "1.2", "--trials", "1"]
     command = [sys.executable, "-m", "impact_rs_cli.main", "campaign", "push", "-o", str(runs), *scope]
-    with running([*command, "--via", "nodes", "--without", "plant"], surroundings) as campaign:
-        assert campaign.stdout is not None
-        assert campaign.stdout.readline().startswith(WAITING)
-        with running([sys.executable, str(EXAMPLE)], surroundings) as plant:
-            told = campaign.stdout.read()
-            assert campaign.wait() == 0, told
-            plant.terminate()
-            assert plant.stdout is not None
-            said = plant.stdout.read()
-    assert "3 of 3 trials are there (3 OK)" in told
-    assert said.count("push/cat_food, case_2: OK after 1.800 s") >= 3
-    assert "Traceback" not in said
+    with running([*command, "--via", "nodes", "--without", "plant"], domain) as campaign:
+        campaign.line(WAITING)
+        with running([sys.executable, str(EXAMPLE)], domain) as plant:
+            code, printed = campaign.end()
+            _, by_plant = plant.end(signal.SIGTERM)
+    assert code == 0, printed
+    assert "3 of 3 trials are there (3 OK)" in printed
+    assert by_plant.count("push/cat_food, case_2: OK after 1.800 s") >= 3
+    assert "Traceback" not in by_plant
 
     bag = TrialBag.open(runs / TRIAL)
     assert bag.missing == ["/arm/motor_states", "/truth"]
@@ -118,7 +103,7 @@ def test_a_campaign_runs_with_the_example_in_the_place_of_our_plant(
     assert main(["analyze", str(runs), "-o", str(tmp_path / "report"), "--json"]) == 0
     (measured,) = json.loads(capfd.readouterr().out)["sets"]
     assert abs(measured["predictions"]["reduced"]["error_percent"]) < 3.0  # it carries B_theta and hides nothing
-    assert main(["compare", str(runs), "-o", str(tmp_path / "compare")]) != 0
+    assert main(["compare", str(runs), "-o", str(tmp_path / "compare"), "--jobs", "1"]) != 0
     assert "no /arm/motor_states, which the replay of a model starts from" in capfd.readouterr().err
 
 

@@ -16,7 +16,7 @@ import impact_rs_ros
 
 PREFIX = Path(impact_rs.__file__).parents[4]  # above lib/python3.x/site-packages/impact_rs
 of_pip = pytest.mark.skipif(Path(sys.prefix) != PREFIX, reason="colcon has a folder of its own for the package")
-NODES = ("cell", "controller", "experiment", "impact_map", "plant", "recorder")
+NODES = ("cell", "controller", "experiment", "impact_map", "plant", "recorder", "watchdog")
 
 
 @pytest.fixture(autouse=True)

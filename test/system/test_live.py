@@ -3,12 +3,8 @@
 
 from __future__ import annotations
 
-import contextlib
-import os
-import re
 import shutil
 import signal
-import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
@@ -17,6 +13,7 @@ import numpy as np
 import pytest
 from fake_graph import FakeGraph, fake_graph
 from playwright.sync_api import Page, expect, sync_playwright
+from processes import Running, running
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
 SOFTWARE = ("--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader")
@@ -31,40 +28,25 @@ def domain(domain_ids: Callable[[], int]) -> int:
 
 
 @pytest.fixture
-def shown(domain: int) -> Iterator[tuple[subprocess.Popen[str], str]]:
+def shown(domain: int) -> Iterator[tuple[Running, str]]:
     """``impact-rs show --live`` and its address."""
+    command = [sys.executable, "-m", "impact_rs_cli.main", "show", "--live", "--namespace", "cell_a", "--no-browser"]
     before = signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell may let its jobs ignore it
-    with contextlib.ExitStack() as held:
-        held.callback(signal.signal, signal.SIGINT, before)
-        process = held.enter_context(
-            subprocess.Popen(
-                [sys.executable, "-m", "impact_rs_cli.main", "show", "--live", "--namespace", "cell_a", "--no-browser"],
-                stdout=subprocess.PIPE,
-                text=True,
-                env=os.environ | {"ROS_DOMAIN_ID": str(domain), "PYTHONUNBUFFERED": "1"},
-            )
-        )
-        held.callback(process.kill)
-        assert process.stdout is not None
-        address = re.search(r"http://\S+", process.stdout.readline())
-        assert address is not None
-        yield process, address[0]
+    with running(command, {"ROS_DOMAIN_ID": str(domain)}, signal.SIGKILL) as process:
+        yield process, process.address()
+    signal.signal(signal.SIGINT, before)
 
 
 def test_without_a_graph_it_says_how_to_start_one_and_ctrl_c_is_no_failure(
-    shown: tuple[subprocess.Popen[str], str], domain: int
+    shown: tuple[Running, str], domain: int
 ) -> None:
-    process, _ = shown
-    assert process.stdout is not None
-    line = process.stdout.readline()
-    assert line.startswith(f"no graph runs in ROS domain {domain}, namespace /cell_a; ")
+    line = shown[0].line(f"no graph runs in ROS domain {domain}, namespace /cell_a; ")
     assert line.endswith(" up push starts one. Waiting\n")
-    process.send_signal(signal.SIGINT)
-    assert process.wait(60.0) == 0
+    assert shown[0].end(signal.SIGINT)[0] == 0
 
 
 @pytest.fixture
-def page(shown: tuple[subprocess.Popen[str], str]) -> Iterator[Page]:
+def page(shown: tuple[Running, str]) -> Iterator[Page]:
     """The page, which asks nobody else for anything and throws no error."""
     process, address = shown
     wrong: list[str] = []
@@ -78,10 +60,10 @@ def page(shown: tuple[subprocess.Popen[str], str]) -> Iterator[Page]:
         made.on("pageerror", lambda error: wrong.append(str(error)))
         made.goto(address)
         yield made
-        assert process.poll() is None
-        process.send_signal(signal.SIGINT)
+        assert process.process.poll() is None
+        process.process.send_signal(signal.SIGINT)
         expect(made.get_by_role("alert")).to_be_visible()
-        assert process.wait(60.0) == 0  # though the page still listens
+        assert process.end()[0] == 0  # though the page still listens
         browser.close()
     assert wrong == []
 

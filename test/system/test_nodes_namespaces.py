@@ -10,12 +10,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from rosbags.highlevel import AnyReader
+from node_trials import whole_trial
 
-from impact_rs_ros.graph import Graph, run_trial
+from impact_rs_ros.graph import Graph
 from impact_rs_trials.bags import topics
 from impact_rs_trials.bags.reader import TrialBag
-from impact_rs_trials.bags.types import typestore
 from impact_rs_trials.campaign import Manifest, make_manifest, run_one
 
 pytestmark = pytest.mark.timeout(300)  # ten processes start
@@ -49,10 +48,7 @@ def recorded(cells: dict[str, Graph], folder: Path) -> dict[str, TrialBag]:
     """One trial each, at the same time."""
 
     def run(cell: str) -> TrialBag:
-        manifest = manifest_of(cell)
-        report = run_trial(cells[cell], folder / cell, manifest, manifest.keys[0])
-        assert (report.outcome, report.message) == ("OK", ""), report.trace
-        return TrialBag.open(folder / cell / manifest.keys[0].name)
+        return whole_trial(cells[cell], folder / cell, manifest_of(cell))
 
     with ThreadPoolExecutor() as pool:
         return dict(zip(CELLS, pool.map(run, CELLS), strict=True))
@@ -91,16 +87,8 @@ def test_its_trial_is_the_one_that_runs_alone(
 
 @pytest.mark.parametrize("cell", CELLS)
 def test_its_bag_has_the_diagnostics_of_its_own_nodes_alone(recorded: dict[str, TrialBag], cell: str) -> None:
-    bag = recorded[cell]
-    with AnyReader([bag.path], default_typestore=typestore()) as reader:
-        connections = [c for c in reader.connections if c.topic == topics.DIAGNOSTICS]
-        told = [
-            status.name
-            for connection, _, data in reader.messages(connections)
-            for status in reader.deserialize(data, connection.msgtype).status  # type: ignore[attr-defined]
-        ]
-    assert told
-    assert {name.rpartition("/")[0] for name in told} == {f"/{cell}"}
+    found = recorded[cell].messages(topics.DIAGNOSTICS)
+    assert {status.name.rpartition("/")[0] for one in found for status in one.status} == {f"/{cell}"}
 
 
 def test_only_what_all_of_ros_agrees_on_is_outside_of_the_namespaces(cells: dict[str, Graph]) -> None:
@@ -113,10 +101,5 @@ def test_only_what_all_of_ros_agrees_on_is_outside_of_the_namespaces(cells: dict
 
 def frames(bag: TrialBag) -> set[tuple[str, str]]:
     """Every parent and child on ``/tf`` and ``/tf_static``."""
-    with AnyReader([bag.path], default_typestore=typestore()) as reader:
-        connections = [c for c in reader.connections if c.topic in (topics.TF, topics.TF_STATIC)]
-        return {
-            (transform.header.frame_id, transform.child_frame_id)
-            for connection, _, data in reader.messages(connections)
-            for transform in reader.deserialize(data, connection.msgtype).transforms  # type: ignore[attr-defined]
-        }
+    found = [one for topic in (topics.TF, topics.TF_STATIC) for one in bag.messages(topic)]
+    return {(each.header.frame_id, each.child_frame_id) for one in found for each in one.transforms}

@@ -11,11 +11,11 @@ from pathlib import Path
 import numpy as np
 from action_msgs.msg import GoalStatus
 from impact_rs.action import RunCampaign
-from node_trials import goal, one_trial, result_of, spin_until
+from node_trials import begun, goal, one_trial, result_of, spin_until, whole_trial
 from rcl_interfaces.srv import SetParameters
 from rclpy.parameter import Parameter
 
-from impact_rs_ros.graph import Graph, run_trial
+from impact_rs_ros.graph import Graph
 from impact_rs_sim.effects import library
 from impact_rs_sim.model import Model, ModelEffect, ParameterValue
 from impact_rs_sim.robot import load_facts
@@ -60,20 +60,14 @@ def test_in_real_time_the_plant_does_not_wait_and_all_is_recorded(graph: Graph, 
 def test_a_free_motion_ends_well_without_impact(graph: Graph, tmp_path: Path) -> None:
     scenario = load_scenario("excite")
     manifest = make_manifest("excite", [next(iter(scenario.objects))], [next(iter(scenario.cases))], [1.0], trials=1)
-    report = run_trial(graph, tmp_path, manifest, manifest.keys[0])
-    assert (report.outcome, report.message) == ("OK", "")
-    bag = TrialBag.open(tmp_path / manifest.keys[0].name)
+    bag = whole_trial(graph, tmp_path, manifest)
     assert bag.counts[topics.impact_event("arm")] == 0
     assert bag.counts[STATES] == scenario.timing.ticks + 1
 
 
 def test_hidden_effects_change_the_trial_and_stay_hidden(graph: Graph, tmp_path: Path) -> None:
     model = hidden_model()
-    manifest = one_trial(seed=5)
-    key = manifest.keys[0]
-    report = run_trial(graph, tmp_path / "nodes", manifest, key, plant_model=model)
-    assert (report.outcome, report.message) == ("OK", "")
-    bag = TrialBag.open(tmp_path / "nodes" / key.name)
+    bag = whole_trial(graph, tmp_path / "nodes", one_trial(seed=5), model)
     assert bag.info.model_yaml == ""
     assert bag.counts[topics.TRUTH_MODEL] == 1
     for file in bag.path.glob("*.yaml"):
@@ -98,9 +92,7 @@ def hidden_model() -> Model:
 
 
 def test_a_cancelled_trial_leaves_a_readable_bag(graph: Graph, tmp_path: Path) -> None:
-    seen: list[object] = []
-    handle = result_of(graph, graph.run_trial.send_goal_async(goal(tmp_path), feedback_callback=seen.append))
-    spin_until(graph, lambda: seen, "no feedback")
+    handle = begun(graph, graph.run_trial, goal(tmp_path))
     handle.cancel_goal_async()
     answer = result_of(graph, handle.get_result_async())
     assert answer.status == GoalStatus.STATUS_CANCELED

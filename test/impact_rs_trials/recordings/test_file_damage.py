@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import csv
 import io
 import warnings
 import zipfile
@@ -15,6 +14,8 @@ import pytest
 from damage import damaged, edited, repeatable
 from hypothesis import given
 from hypothesis import strategies as st
+from impact_table_cases import write_csv
+from signal_files import TIME, VALUES, csv_file, hdf5_file, npz_file, parquet_file
 
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.robot_import import import_urdf
@@ -25,10 +26,7 @@ from impact_rs_trials.recordings.mapping import load_mapping
 from impact_rs_trials.recordings.series import Names
 from impact_rs_trials.recordings.table_file import TableFile
 
-ROWS = 24
-MAPPING = load_mapping("joint_state")
-TIME = 0.01 * np.arange(ROWS)
-VALUES = np.outer(np.sin(1.0 + TIME), np.arange(1.0, 8.0))
+MAPPING, ROWS = load_mapping("joint_state"), TIME.size
 CELLS = (
     *(
         '"',
@@ -60,58 +58,21 @@ URDF = """<robot name="arm">
 """
 
 
-def table(header: list[str], rows: list[list[str]]) -> str:
-    text = io.StringIO()
-    csv.writer(text, lineterminator="\n").writerows([header, *rows])
-    return text.getvalue()
-
-
-def signals_table() -> str:
-    """Time, a remark that is not read, and positions."""
-    rows = [[repr(float(time)), "fine", *map(repr, row.tolist())] for time, row in zip(TIME, VALUES, strict=True)]
-    return table(["time", "remark", *(f"position_{joint}" for joint in range(1, 8))], rows)
-
-
-def impact_table() -> str:
+def impacts(path: Path) -> Path:
     """Cubes that fall."""
     body = [*(f"{axis} [m]" for axis in "xyz"), "qx", "qy", "qz", "qw", "mass [kg]", *(f"size_{i} [m]" for i in "xyz")]
     units = {"v": "m/s", "w": "rad/s"}
     twists = [f"{k}{axis}_{when} [{units[k]}]" for when in ("before", "after") for k in "vw" for axis in "xyz"]
     row = ["0", "0", "0.05", "0", "0", "0", "1", "0.3", "0.1", "0.1", "0.1", "fine"]
     moving = ["0.1", "0", "-1", "0", "0", "0", "0.05", "0", "0", "0", "0", "0"]
-    return table([*body, "remark", *twists], [[*row, *moving]] * ROWS)
+    return write_csv(path, [*body, "remark", *twists], [[*row, *moving]] * ROWS)
 
 
-def runs_table() -> str:
+def runs(path: Path) -> Path:
     rows = [[f"run_{number}", "parcel", "hit", "fine"] for number in range(ROWS)]
-    return table(["bag", "object", "kind", "remark"], rows)
-
-
-def npz() -> bytes:
-    data = io.BytesIO()
-    np.savez(data, time=TIME, position=VALUES)
-    return data.getvalue()
-
-
-def hdf5(**options: object) -> bytes:
-    """Checksums protect its numbers; those of the format since 1.8 protect their addresses as well."""
-    import h5py
-
-    data = io.BytesIO()
-    with h5py.File(data, "w", libver="latest") as file:
-        for name, values in (("time", TIME), ("position", VALUES)):
-            file.create_dataset(name, data=values, **options)
-    return data.getvalue()
-
-
-def parquet() -> bytes:
-    import pyarrow
-    import pyarrow.parquet
-
-    columns = {f"position_{joint + 1}": VALUES[:, joint] for joint in range(7)}
-    data = io.BytesIO()
-    pyarrow.parquet.write_table(pyarrow.table({"time": TIME, **columns}), data)
-    return data.getvalue()
+    for name, *_ in rows:
+        path.with_name(name).mkdir()
+    return write_csv(path, ["bag", "object", "kind", "remark"], rows)
 
 
 @st.composite
@@ -149,36 +110,34 @@ def every_run(path: Path) -> bool:
 
 
 def same_numbers(path: Path) -> bool:
-    _, time, values = positions(path)
-    return np.array_equal(time, TIME) and np.array_equal(values, VALUES)
+    """Or it is said that a change of them could not be detected."""
+    file = ArrayFile(path, MAPPING, Names())
+    found = file.series("position", MAPPING.signals["position"])
+    return bool(file.unsealed) or (np.array_equal(found.time, TIME) and np.array_equal(found.values, VALUES))
 
 
-FILES: dict[str, tuple[Callable[[], str | bytes], Callable[[Path], object]]] = {
-    "signals.csv": (signals_table, every_row),
-    "impacts.csv": (impact_table, lambda path: len(read_impact_table(path).rows) == lines_of(path)),
-    "runs.csv": (runs_table, every_run),
-    "arm.urdf": (lambda: URDF, lambda path: len(import_urdf(path).joints) == 1),
-    "signals.parquet": (parquet, positions),
-    "signals.npz": (npz, same_numbers),
-    "plain.h5": (hdf5, positions),
-    "sealed.h5": (lambda: hdf5(fletcher32=True, chunks=True), same_numbers),
+FILES: dict[str, tuple[Callable[[Path], object], Callable[[Path], object]]] = {
+    "signals.csv": (lambda path: csv_file(path, ["fine"] * ROWS), every_row),
+    "impacts.csv": (impacts, lambda path: len(read_impact_table(path).rows) == lines_of(path)),
+    "runs.csv": (runs, every_run),
+    "arm.urdf": (lambda path: path.write_text(URDF), lambda path: len(import_urdf(path).joints) == 1),
+    "signals.parquet": (parquet_file, positions),
+    "signals.npz": (npz_file, same_numbers),
+    "plain.h5": (hdf5_file, positions),
+    "sealed.h5": (lambda path: hdf5_file(path, "latest", fletcher32=True, chunks=True), same_numbers),
 }
 
 
 @pytest.mark.parametrize("name", FILES)
 def test_a_damaged_file_is_refused_or_read_right(name: str, tmp_path: Path) -> None:
-    make, read = FILES[name]
-    content = make()
-    data = content if isinstance(content, bytes) else content.encode()
+    (make, read), file = FILES[name], tmp_path / name
+    make(file)
+    data = file.read_bytes()
     changes = [damaged(data)]
-    if isinstance(content, str):
-        changes += [edited(content, CELLS, ',"')] * 3
+    if name.endswith((".csv", ".urdf")):
+        changes += [edited(data.decode(), CELLS, ',"')] * 3
     if name.endswith(".npz"):
         changes.append(with_a_second_array(data))
-    for number in range(ROWS):
-        (tmp_path / f"run_{number}").mkdir()
-    file = tmp_path / name
-    file.write_bytes(data)
     assert read(file)  # what is damaged is read as it stands
 
     @repeatable(60)

@@ -14,18 +14,15 @@ import pytest
 import yaml
 from mixed_grab import JOINTS as ARM_JOINTS
 from mixed_grab import write_experiment
+from trials import plan_of, recorded
 
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.paths import config_directory
-from impact_rs_sim.scenario import load_scenario
 from impact_rs_trials.bags import topics
 from impact_rs_trials.bags.reader import TrialBag
-from impact_rs_trials.bags.record import record_trial
-from impact_rs_trials.bags.trial_info import TrialInfo, TrialKey
 from impact_rs_trials.recordings.experiment import load_experiment
 from impact_rs_trials.recordings.laboratory import read_laboratory, read_one
 from impact_rs_trials.runs import Run
-from impact_rs_trials.spec import TrialSpec
 
 from .conftest import FREE
 
@@ -133,9 +130,8 @@ def test_a_name_in_a_topic_may_be_that_of_the_object_or_the_arm(laboratory: Labo
 
 
 def test_a_bag_of_ours_is_read_as_that_of_a_laboratory(tmp_path: Path) -> None:
-    plan, key = TrialSpec.of(load_scenario("push"), "cat_food", "case_2").plan, TrialKey("cat_food", "case_2", 1.0, 0)
-    record_trial(plan, TrialInfo.of(plan, key, 0, "inprocess"), tmp_path / key.name)
-    (tmp_path / "runs.csv").write_text(f"bag,object,kind\n{key.name},cat_food,hit\n")
+    recorded(plan_of("push", "cat_food", "case_2"), tmp_path / "trial")
+    (tmp_path / "runs.csv").write_text("bag,object,kind\ntrial,cat_food,hit\n")
     (tmp_path / "e.yaml").write_text("{scenario: push, mapping: impact_rs}\n")
     ((run,), skipped) = read_laboratory(tmp_path, load_experiment(tmp_path / "e.yaml"), map)
     assert (skipped, run.condition, run.remarks) == ([], "cat_food", ())
