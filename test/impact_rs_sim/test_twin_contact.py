@@ -13,6 +13,7 @@ import pytest
 from twin_scene import (
     AGAINST_Y,
     BOX_MASS,
+    PAD,
     PERIOD,
     RAIL_MASS,
     SIZE,
@@ -23,7 +24,7 @@ from twin_scene import (
     scene,
 )
 
-from impact_rs_sim.physics import Physics
+from impact_rs_sim.physics import ObjectPhysics, Physics
 from impact_rs_sim.robot import Array
 from impact_rs_sim.scene import BodyState
 from impact_rs_sim.twin import Result
@@ -89,6 +90,25 @@ def test_a_rigid_pad_does_not_bounce() -> None:
     shared = -SPEED * RAIL_MASS / (RAIL_MASS + BOX_MASS)
     assert result.twists[-1, 1] == pytest.approx(shared, rel=1e-4)
     assert -result.arms["rail"].velocity[-1, 0] == pytest.approx(shared, rel=1e-4)
+
+
+@pytest.mark.parametrize("off", [0.0, 0.03, -0.05])
+def test_edges_that_cross_hit_each_other_along_their_common_normal(off: float) -> None:
+    """A pad turned by 45 degrees meets the upright edge of a cube turned by 45 degrees ``off`` [m] its middle."""
+    side, ahead = 0.16, PAD[1] / 2.0 * np.sqrt(0.5)
+    cube = ObjectPhysics(BOX_MASS, np.full(3, side), np.full(3, BOX_MASS * side**2 / 6.0), np.zeros(3))
+    gap, edge = 0.02, side * np.sqrt(0.5)
+    mass = rail(np.array([0.0, edge + ahead + gap, off]), AGAINST_Y, tilt=(np.pi / 4.0, 0.0), pad_stiffness=1e7)
+    leading = mass.end_effector.pad_placement.rotation @ np.array([0.0, PAD[1] / 2.0, 0.0])
+    mass = replace(mass, base=mass.base * pin.SE3(np.eye(3), np.array([0.0, -np.sign(leading[2]) * leading[1], 0.0])))
+    start = resting(rotation=pin.rpy.rpyToMatrix(0.0, 0.0, np.pi / 4.0))
+    result = run(scene({"rail": mass}, object=cube), [SPEED], start, 0.06)
+    touched = PERIOD * int(np.argmax(np.abs(result.twists[:, 1]) > 0.0))
+    assert touched == pytest.approx(gap / SPEED, abs=2.0 * PERIOD)
+    impulse = 2.0 * SPEED / (1.0 / RAIL_MASS + 1.0 / BOX_MASS + off**2 / cube.inertia[0])
+    assert result.arms["rail"].velocity[-1, 0] == pytest.approx(SPEED - impulse / RAIL_MASS, rel=2e-3)
+    wanted = np.array([0.0, -impulse / BOX_MASS, 0.0, off * impulse / cube.inertia[0], 0.0, 0.0])
+    np.testing.assert_allclose(result.twists[-1], wanted, rtol=5e-3, atol=2e-3)  # the edge turns while it presses
 
 
 def motion(physics: Physics, result: Result) -> tuple[Array, Array]:

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
+from impact_rs_sim.bullet_mechanics import BulletMechanics
 from impact_rs_sim.drive import DriveStart
-from impact_rs_sim.mechanics import Mechanics
 from impact_rs_sim.robot import Array
 from impact_rs_sim.scenario import load_scenario
 from impact_rs_sim.scene import ArmState, Scene
@@ -58,11 +58,11 @@ class Hit:
 
     def by_plant(self, factor: int = 1) -> tuple[dict[str, Array], Array]:
         """Joint velocities and twist of the object at the end."""
-        mechanics = Mechanics.load(self.scene.physics, PERIOD / factor)
+        mechanics = BulletMechanics.load(self.scene.physics, PERIOD / factor)
         try:
             mechanics.start(self.arms, self.drives, self.scene.object)
             for _ in range(TICKS):
-                mechanics.step({name: [torque] * (SUBSTEPS * factor) for name, torque in self.torque.items()}, 0.0)
+                mechanics.step(self.torque, SUBSTEPS * factor, 0.0)
             speeds = {name: link.velocity for name, link in mechanics.links.items()}
             return speeds, mechanics.world.object_state().twist
         finally:
