@@ -389,8 +389,8 @@ TwinBoxStart = tuple[Array, Array, Array]
 TwinTask = tuple[
     Twin, Sequence[TwinArmStart], TwinBoxStart | None, Array, int, Sequence[tuple[Array, NDArray[np.int32]]]
 ]
-"""Scene; states of the arms and of the object (None: there is none); ticks [s], and periods from one to the next; by arm
-torques, and the row that acts in every period."""
+"""Scene; states of the arms and of the object (None: there is none); ticks [s], and periods from one to the next; by
+arm torques, and the row that acts in every period."""
 
 class TwinRun:
     """A simulation that goes on tick by tick.

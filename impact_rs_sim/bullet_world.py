@@ -386,7 +386,7 @@ def _load_urdf(client: BulletClient, facts: RobotFacts, end_effector: EndEffecto
 
 
 def _substeps(physics: Physics, period: float) -> int:
-    """Steps in a period, so that no pad damps less than Bullet's implicit spring does by itself (:func:`_compliance`)."""
+    """Steps in a period for which Bullet's spring alone damps no pad more than it should (:func:`_compliance`)."""
     wanted = [
         period * arm.pad_stiffness / max(arm.pad_damping, 1e-9)
         for arm in physics.arms.values()

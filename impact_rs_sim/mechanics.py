@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Contract of what moves a plant: arms with their drives, object and support, without sensors, scatter and clock.
 
-Two simulators keep it, which share the parameters (:class:`~impact_rs_sim.physics.Physics`) and nothing else: Bullet with
-drives in Python (:mod:`impact_rs_sim.bullet_mechanics`), and the compiled twin (:mod:`impact_rs_sim.twin_mechanics`).
+Two simulators keep it: Bullet, with drives of its own (:mod:`impact_rs_sim.bullet_mechanics`), and the compiled twin
+(:mod:`impact_rs_sim.twin_mechanics`). They share the parameters (:class:`~impact_rs_sim.physics.Physics`), and solve
+contacts by methods of their own.
 """
 
 from __future__ import annotations
@@ -76,5 +77,6 @@ class Mechanics(ABC):
     def pad_force(self, name: str) -> Array:
         """Force of the object on an arm's pad in the last step, in A, ``(3,)`` [N]."""
 
+    @abstractmethod
     def close(self) -> None:
         """Release resources."""

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Mechanics of a plant that is the twin itself (:mod:`impact_rs_sim.twin`), tick by tick: for studies of many trials."""
+"""Mechanics of a plant that is the twin (:mod:`impact_rs_sim.twin`), tick by tick: for studies of many trials."""
 
 from __future__ import annotations
 
@@ -71,3 +71,6 @@ class TwinMechanics(Mechanics):
     def pad_force(self, name: str) -> Array:
         """See :meth:`Mechanics.pad_force`."""
         return self._run.pad_force(self._numbers[name])
+
+    def close(self) -> None:
+        """See :meth:`Mechanics.close`; there is nothing to release."""

@@ -69,7 +69,7 @@ class Hit:
             mechanics.close()
 
 
-@pytest.mark.parametrize(("scenario", "speed", "turning"), [("push", 1e-4, 1e-3), ("grab", 1e-4, 2e-3)])
+@pytest.mark.parametrize(("scenario", "speed", "turning"), [("push", 1e-4, 1e-3), ("grab", 3e-4, 2e-3)])
 def test_a_hit_goes_on_as_in_the_plant(scenario: str, speed: float, turning: float) -> None:
     """At 64 kHz, 70 ms after the first contact."""
     hit = Hit.of(scenario)
