@@ -3,8 +3,8 @@
 
 ``./run python -m benchmarks.foreign.discrepancy -o config/discrepancy.yaml`` (needs the extra ``peers``). Every
 condition is run without noise and scatter by three simulators (Bullet, MuJoCo, and the twin with finer steps), and
-replayed by the twin as if it had been measured. With f the features of :mod:`impact_rs_analysis.evidence.features`, and rms taken over conditions
-and the time bins of a signal,
+replayed by the twin as if it had been measured. With f the features of :mod:`impact_rs_analysis.evidence.features`, and
+rms taken over conditions and the time bins of a signal,
 
     discrepancy = max over variants of rms (f_variant - f_replay).
 
