@@ -8,6 +8,7 @@ import pinocchio as pin
 import pytest
 
 from impact_rs_sim.scenario import Sensors
+from impact_rs_sim.scene import ArmMotion
 from impact_rs_sim.sensors import ArmSensors, ObjectTracker
 
 SAMPLES, JOINTS = 4000, 3
@@ -21,6 +22,7 @@ NOISY = Sensors(
 IDEAL = Sensors(**dict.fromkeys(set(Sensors.model_fields) - {"object_period"}, 0.0))
 Q, DQ, TORQUE = np.array([0.30034, -1.2, 0.5]), np.array([0.1, 0.2, -0.3]), np.array([5.0, -10.0, 1.0])
 THETA, DTHETA = Q + 0.01, DQ - 0.05
+MOTION = ArmMotion(Q, DQ, TORQUE, THETA, DTHETA)
 # Four standard deviations of a standard deviation estimated from all samples.
 SHARE = 4.0 / np.sqrt(2.0 * SAMPLES * JOINTS)
 
@@ -59,7 +61,9 @@ def test_an_encoder_gives_the_nearest_of_its_steps() -> None:
 
 def test_ideal_sensors_give_copies_of_the_truth() -> None:
     q = Q.copy()
-    measured = ArmSensors(IDEAL, JOINTS, 1, np.random.default_rng(0)).measure(0, ArmMotion(q, DQ, TORQUE, THETA, DTHETA))
+    measured = ArmSensors(IDEAL, JOINTS, 1, np.random.default_rng(0)).measure(
+        0, ArmMotion(q, DQ, TORQUE, THETA, DTHETA)
+    )
     q += 1.0
     for value, truth in (
         (measured.position, Q),
