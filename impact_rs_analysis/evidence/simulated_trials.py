@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Closed-loop simulation of a trial that was not measured, with the native controller, without noise and scatter.
+"""Closed-loop simulation of a trial that was not measured, by controller and twin, without noise and scatter.
 
 Used to propose experiments (:mod:`impact_rs_analysis.diagnosis.next_experiment`); measured trials are replayed instead.
 """
@@ -54,7 +54,8 @@ def simulated(spec: TrialSpec, physics: Physics) -> Run:
     plan = spec.plan
     scene = plan.scene
     initial = {name: arm.initial for name, arm in plan.arms.items()}
-    return observed(spec, Plant.for_trial(quiet(scene.scenario), physics, initial, scene.object, seed=0))
+    plant = Plant.for_trial(quiet(scene.scenario), physics, initial, scene.object, seed=0, simulator="twin")
+    return observed(spec, plant)
 
 
 def observed(spec: TrialSpec, plant: RobotCell) -> Run:
