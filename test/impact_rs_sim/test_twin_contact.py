@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 import pytest
+from closed_forms import restitution_of
 from twin_scene import (
     AGAINST_Y,
     BOX_MASS,
@@ -35,17 +36,6 @@ FAR = rail(np.array([0.0, 5.0, 0.0]), AGAINST_Y)
 ON_TABLE = partial(resting, position=np.array([0.0, 0.0, SIZE[2] / 2.0]))
 
 
-def restitution(ratio: float) -> float:
-    """Restitution of a mass on a spring and damper that push only (Schwager and Poeschel 2007, eq. 18)."""
-    frequency = np.sqrt(STIFFNESS / REDUCED)
-    decay = ratio * frequency
-    if ratio < 1.0:
-        damped = np.sqrt(frequency**2 - decay**2)
-        return float(np.exp(-decay / damped * np.arctan2(2.0 * decay * damped, decay**2 - damped**2)))
-    creeping = np.sqrt(decay**2 - frequency**2)
-    return float(np.exp(-decay / creeping * np.log((decay + creeping) / (decay - creeping))))
-
-
 def bounce(gap: float, period: float = PERIOD, damping: float = 0.0, **pad: Any) -> tuple[Physics, Result]:
     """The rail hits the free box after ``gap`` [m]."""
     mass = rail(np.array([0.0, SIZE[1] / 2.0 + gap, 0.0]), AGAINST_Y, pad_damping=damping, **pad)
@@ -66,7 +56,7 @@ def bounces(ratio: float, period: float = PERIOD) -> Array:
 @pytest.mark.parametrize("ratio", [0.0, 0.05, 0.2, 0.5, 0.9, 1.5, 3.0, 10.0])
 def test_a_mass_bounces_as_in_the_closed_form(ratio: float) -> None:
     """From 1 down to 0.002, at 4 kHz, to 0.002 of the speed before."""
-    np.testing.assert_allclose(bounces(ratio), restitution(ratio), atol=2e-3)
+    np.testing.assert_allclose(bounces(ratio), restitution_of(ratio), atol=2e-3)
 
 
 def test_without_a_damper_no_energy_is_lost_or_made() -> None:
@@ -74,7 +64,7 @@ def test_without_a_damper_no_energy_is_lost_or_made() -> None:
 
 
 def test_half_the_step_has_a_quarter_of_the_error() -> None:
-    errors = [abs(np.mean(bounces(0.9, PERIOD / n)) - restitution(0.9)) for n in (1, 2, 4)]
+    errors = [abs(np.mean(bounces(0.9, PERIOD / n)) - restitution_of(0.9)) for n in (1, 2, 4)]
     assert errors[0] / errors[1] == pytest.approx(4.0, rel=0.1)
     assert errors[1] / errors[2] == pytest.approx(4.0, rel=0.1)
 

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from closed_forms import restitution_of
 from trials import plan_of
 from twin_scene import AGAINST_Y, BOX_MASS, PERIOD, RAIL_MASS, SIZE, TOWARDS_Y, rail, resting, scene
 
@@ -122,13 +123,6 @@ def test_an_extension_of_bullet_is_refused() -> None:
         make_plant(plan_of("push", "cat_food", "case_2"), 0, extension=PlantExtension(), simulator="twin")
 
 
-def closed_form(ratio: float, stiffness: float, reduced: float) -> float:
-    """Restitution of a mass on a spring and damper that push only (Schwager and Poeschel 2007, eq. 18)."""
-    frequency = np.sqrt(stiffness / reduced)
-    decay, damped = ratio * frequency, frequency * np.sqrt(1.0 - ratio**2)
-    return float(np.exp(-decay / damped * np.arctan2(2.0 * decay * damped, decay**2 - damped**2)))
-
-
 def bounced(ratio: float, step: float) -> float:
     """Restitution of Bullet's plant, mean over where in a step the contact begins."""
     stiffness, reduced, speed = 2e5, RAIL_MASS * BOX_MASS / (RAIL_MASS + BOX_MASS), 0.5
@@ -149,7 +143,7 @@ def bounced(ratio: float, step: float) -> float:
 @pytest.mark.parametrize("ratio", [0.01, 0.02, 0.05, 0.0625, 0.2, 0.5, 0.9])
 def test_bullet_bounces_as_in_the_closed_form(ratio: float) -> None:
     """From 0.97 down to 0.16, at 4 kHz, to 0.012 of the speed before."""
-    assert bounced(ratio, PERIOD) == pytest.approx(closed_form(ratio, 2e5, 0.8), abs=0.012)
+    assert bounced(ratio, PERIOD) == pytest.approx(restitution_of(ratio), abs=0.012)
 
 
 def test_bullet_without_a_damper_keeps_what_its_substeps_leave() -> None:
@@ -157,7 +151,7 @@ def test_bullet_without_a_damper_keeps_what_its_substeps_leave() -> None:
 
 
 def test_bullet_nears_the_closed_form_with_its_step() -> None:
-    errors = [abs(bounced(0.9, PERIOD / n) - closed_form(0.9, 2e5, 0.8)) for n in (1, 4)]
+    errors = [abs(bounced(0.9, PERIOD / n) - restitution_of(0.9)) for n in (1, 4)]
     assert errors[1] < 0.35 * errors[0]
 
 
