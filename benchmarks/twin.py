@@ -13,21 +13,23 @@ from __future__ import annotations
 import sys
 import time
 from collections.abc import Iterator
-from dataclasses import replace
+from dataclasses import fields, replace
 
 import numpy as np
 import pinocchio as pin
 
 from impact_rs_analysis.evidence.discrepancy import measured_discrepancy
 from impact_rs_analysis.evidence.measured_runs import MeasuredRun, Setup
-from impact_rs_analysis.evidence.replay import Window, replay
+from impact_rs_analysis.evidence.replay import Window, replays
 from impact_rs_analysis.evidence.replays import kind_of
 from impact_rs_analysis.evidence.simulated_trials import observed, quiet
+from impact_rs_sim.bullet_mechanics import BulletMechanics
 from impact_rs_sim.physics import Physics
 from impact_rs_sim.plant import Plant
 from impact_rs_sim.robot import Array
 from impact_rs_sim.scenario import Scenario, load_scenario
-from impact_rs_sim.twin import Result, TwinJob, simulate
+from impact_rs_sim.scene import ArmMotion, BodyState
+from impact_rs_sim.twin import TwinJob, simulate
 from impact_rs_trials.runs import ArmSignals, Signals
 from impact_rs_trials.spec import TrialSpec
 
@@ -74,31 +76,9 @@ def measured(spec: TrialSpec) -> MeasuredRun:
     return MeasuredRun.of(observed(spec, plant))
 
 
-def job_of(window: Window, physics: Physics, period: float, joint_torque: bool = False) -> TwinJob:
-    """Job of the twin for a window."""
-    return TwinJob(
-        physics,
-        window.arms,
-        window.drives,
-        window.torque,
-        window.acting,
-        window.time,
-        period,
-        object=window.object if window.contact else None,
-        joint_torque=joint_torque,
-    )
-
-
-def signals_of(window: Window, result: Result) -> Signals:
-    """Signals of a result, as :func:`~impact_rs_analysis.evidence.replay.replay` has them."""
-    arms = {
-        name: ArmSignals(arm.position, arm.velocity, arm.torque, arm.motor_position, arm.motor_velocity)
-        for name, arm in result.arms.items()
-    }
-    if not window.contact:
-        return Signals(window.time, arms)
-    seen = np.column_stack([np.interp(window.seen, window.time, column) for column in result.poses.T])
-    return Signals(window.time, arms, window.seen, seen[:, :3], seen[:, 3:])
+def job_of(hit: Window, physics: Physics, period: float) -> TwinJob:
+    """Job of the twin for the window of a hit."""
+    return TwinJob(physics, hit.arms, hit.drives, hit.torque, hit.acting, hit.time, period, object=hit.object)
 
 
 def finer(window: Window, factor: int) -> Window:
@@ -108,15 +88,41 @@ def finer(window: Window, factor: int) -> Window:
 
 
 def by_bullet(setup: Setup, physics: Physics, factor: int = 1) -> list[Signals]:
-    windows = [finer(window, factor) for window in setup.windows]
-    return replay(windows, physics, setup.drive_period / factor, setup.drive)
+    """Signals of all windows by Bullet."""
+    period = setup.drive_period / factor
+    return [bullet_signals(finer(window, factor), physics, period) for window in setup.windows]
 
 
-def by_twin(setup: Setup, physics: Physics, factor: int = 1) -> tuple[list[Signals], list[Result]]:
+def bullet_signals(window: Window, physics: Physics, period: float) -> Signals:
+    """Signals of a window by the mechanics of the plant."""
+    mechanics = BulletMechanics.load(physics, period)
+    away = BodyState(np.array([0.0, 50.0, 50.0]), np.eye(3), np.zeros(6))
+    mechanics.start(window.arms, window.drives, window.object if window.contact else away)
+    motions: dict[str, list[ArmMotion]] = {name: [mechanics.arm(name)] for name in window.arms}
+    poses = [mechanics.world.object_pose()]
+    for tick, time_ in enumerate(window.time[:-1]):
+        for row in range(tick * window.substeps, (tick + 1) * window.substeps):
+            torque = {name: window.torque[name][acting[row]] for name, acting in window.acting.items()}
+            mechanics.step(torque, 1, time_)
+        for name, kept in motions.items():
+            kept.append(mechanics.arm(name))
+        poses.append(mechanics.world.object_pose())
+    tracked = mechanics.world.tracked(np.array(poses))
+    mechanics.close()
+    arms = {
+        name: ArmSignals(*(np.array([getattr(motion, field.name) for motion in kept]) for field in fields(ArmMotion)))
+        for name, kept in motions.items()
+    }
+    if not window.contact:
+        return Signals(window.time, arms)
+    seen = np.column_stack([np.interp(window.seen, window.time, column) for column in tracked.T])
+    return Signals(window.time, arms, window.seen, seen[:, :3], seen[:, 3:])
+
+
+def by_twin(setup: Setup, physics: Physics, factor: int = 1) -> list[Signals]:
+    """Signals of all windows by the twin."""
     windows = [finer(window, factor) for window in setup.windows]
-    jobs = [job_of(window, physics, setup.drive_period / factor, setup.drive == "joint torque") for window in windows]
-    results = simulate(jobs)
-    return [signals_of(window, result) for window, result in zip(windows, results, strict=True)], results
+    return replays([(windows, physics)], setup.drive_period / factor, setup.drive)[0]
 
 
 def seconds(run: object, *arguments: object) -> float:
@@ -144,10 +150,9 @@ def main() -> None:
             limit = np.array([feature.relevance_limit for feature in run.features])
             sigma = np.hypot(discrepancy.of(run.features, kind_of(run)), limit / 2.0)
             touching = np.array([feature.phase != "free" for feature in run.features])
-            twin, results = by_twin(setup, physics)
             features = {
-                "twin": setup.features_of(twin),
-                "twin at 16 kHz": setup.features_of(by_twin(setup, physics, 4)[0]),
+                "twin": setup.features_of(by_twin(setup, physics)),
+                "twin at 16 kHz": setup.features_of(by_twin(setup, physics, 4)),
                 "Bullet": setup.features_of(by_bullet(setup, physics)),
                 "Bullet at 16 kHz": setup.features_of(by_bullet(setup, physics, 4)),
             }
@@ -158,11 +163,11 @@ def main() -> None:
             hit = setup.windows[-1]
             taken: dict[str, list[float]] = {"Bullet": [], "twin": []}
             for _ in range(TURNS):
-                taken["Bullet"].append(seconds(replay, [hit], physics, setup.drive_period, setup.drive))
+                taken["Bullet"].append(seconds(bullet_signals, hit, physics, setup.drive_period))
                 taken["twin"].append(seconds(simulate, [job_of(hit, physics, setup.drive_period)]))
             bullet, own = (1e3 * float(np.median(values)) for values in taken.values())
             ratios.append(bullet / own)
-            result = results[-1]
+            (result,) = simulate([job_of(hit, physics, setup.drive_period)])
             print(
                 f"{name}: Bullet {bullet:.1f} ms, twin {own:.2f} ms, {bullet / own:.1f} times; {result.steps} steps, "
                 f"{result.contact_steps} with contact, {result.iterations / max(result.contact_steps, 1):.2f} "

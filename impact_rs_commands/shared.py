@@ -37,6 +37,11 @@ SETTINGS = option(
     label="scenario settings",
     help="override values of the scenario, for example control.clamp_force=90",
 )  # fmt: skip
+PLANT = option(
+    "--plant", choices=("bullet", "twin"), default="bullet", label="simulator of the plant", advanced=True,
+    help="what moves the plant: Bullet, or the compiled twin, which takes a third of the time (and which diagnose "
+    "replays with: it would look at itself)",
+)  # fmt: skip
 NO_BROWSER = option("--no-browser", kind="switch", help="only print the address")
 JOBS = (
     option(

@@ -17,6 +17,7 @@ import numpy as np
 
 from impact_rs_control.controller import ArmCommand, Controller
 from impact_rs_control.plan import TrialPlan
+from impact_rs_sim.mechanics import Simulator
 from impact_rs_sim.physics import Physics
 from impact_rs_sim.plant import Measurement, Plant, PlantExtension
 from impact_rs_sim.robot import Array
@@ -60,7 +61,11 @@ def without_garbage_collection() -> Iterator[None]:
 
 
 def make_plant(
-    plan: TrialPlan, seed: int, physics: Physics | None = None, extension: PlantExtension | None = None
+    plan: TrialPlan,
+    seed: int,
+    physics: Physics | None = None,
+    extension: PlantExtension | None = None,
+    simulator: Simulator = "bullet",
 ) -> Plant:
     """The plant of a planned trial.
 
@@ -68,7 +73,8 @@ def make_plant(
         plan: The trial, with the initial joint positions.
         seed: Seed of scatter and noise.
         physics: True physics; None: the scenario's.
-        extension: Effects of the plant beyond its physics.
+        extension: Effects of the plant beyond its physics; of Bullet only.
+        simulator: Which one moves it.
     """
     scene = plan.scene
     return Plant.for_trial(
@@ -77,7 +83,8 @@ def make_plant(
         {name: arm.initial for name, arm in plan.arms.items()},
         scene.object,
         seed,
-        extension=extension,
+        extension,
+        simulator,
     )
 
 

@@ -107,7 +107,8 @@ def run_free_motion(plan: TrialPlan, arm: str, phase: Phase, physics: Physics, s
     if phase == "post":
         interim = math.ceil(scenario.control.interim_duration / scenario.timing.control_period)
         controller.begin_interim(-interim)  # an impact so long ago that the interim mode is over
-    plant = make_plant(plan, seed, replace(physics, arms={arm: physics.arms[arm]}))
+    alone = replace(physics, arms={arm: physics.arms[arm]})
+    plant = make_plant(plan, seed, alone, simulator="twin")  # in free motion both simulators are equal
     feedback = np.empty((scenario.timing.ticks + 1, len(TASKS)))
     try:
         with without_garbage_collection():

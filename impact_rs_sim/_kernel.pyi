@@ -129,22 +129,6 @@ class Chain:
         gravity: Array,
         tip: Array,
     ) -> None: ...
-    def advance(self, position: Array, velocity: Array, torque: Array, period: float) -> tuple[Array, Array]:
-        """Steps of semi-implicit Euler, velocity first, of one arm or of k copies.
-
-        Args:
-            position: q, ``(n,)`` or ``(k, n)`` [rad].
-            velocity: dq, likewise [rad/s].
-            torque: On the links, of every step, ``(s, k, n)`` [N m].
-            period: Length of a step [s].
-
-        Returns:
-            q and dq afterwards; not a number where the arm is no set of bodies.
-
-        Raises:
-            ValueError: The shapes do not fit.
-        """
-
     def momentum(self, position: Array, velocity: Array) -> tuple[Array, Array, Array]:
         """M dq and C^T dq - g, ``(k, n)`` each, and J dq of frame E in E[A], ``(k, 6)``, at k states.
 
@@ -158,7 +142,7 @@ Friction = tuple[Array, Array, Array, Array, tuple[Array, Array, Array] | None, 
 class Motors:
     """Motors and springs of one arm; equations in :mod:`impact_rs_sim.drive`.
 
-    States are ``(n,)``, or ``(k, n)`` for several arms of a kind. Reading one gives a copy; setting one copies.
+    States are ``(n,)``. Reading one gives a copy; setting one copies.
 
     Args:
         stiffness: K, ``(n,)`` [N m/rad].
@@ -197,7 +181,7 @@ class Motors:
         """tau_fric,m of the last step [N m]."""
 
     def place(self, position: Array, velocity: Array, elastic: Array, transmission: Array) -> None:
-        """Set the whole state; its shape is that of ``position``.
+        """Set the whole state.
 
         Raises:
             ValueError: The shapes do not fit.
@@ -208,23 +192,6 @@ class Motors:
 
     def integrate(self, shaped: Array) -> None:
         """One period of the torque loop with B_rho B_theta^-1 times the desired torque [N m]."""
-
-    def coast(self, links: Chain, position: Array, velocity: Array, shaped: Array, load: Array) -> tuple[Array, Array]:
-        """Several periods of :meth:`integrate` and :meth:`sense` with links that touch nothing.
-
-        Args:
-            links: The links.
-            position: q, ``(k, n)`` [rad].
-            velocity: dq, ``(k, n)`` [rad/s].
-            shaped: B_rho B_theta^-1 times the desired torque, ``(s, k, n)`` [N m].
-            load: What else acts on the links, ``(k, n)`` [N m].
-
-        Returns:
-            q and dq afterwards; not a number where the arm is no set of bodies.
-
-        Raises:
-            ValueError: The shapes do not fit.
-        """
 
 class Observer:
     """Momentum observer of one arm; equations in :mod:`impact_rs_control.detection`.
@@ -415,10 +382,49 @@ class Twin:
         refinement: int,
     ) -> None: ...
 
-_TwinArmStart = tuple[Array, Array, Array, Array, Array, Array, Array, NDArray[np.int32]]
-TwinTask = tuple[Twin, Sequence[_TwinArmStart], tuple[Array, Array, Array] | None, Array, int]
-"""Scene; by arm q, dq, tau_J, dtau_J, times and values of earlier commands, torques and the row that acts in every
-period; position, axes and twist of the object, or None; ticks [s], and periods from one to the next."""
+TwinArmStart = tuple[Array, Array, Array, Array, Array, Array]
+"""q, dq, tau_J, dtau_J, and times [s] and values of earlier commands."""
+TwinBoxStart = tuple[Array, Array, Array]
+"""Position, axes and twist of the object."""
+TwinTask = tuple[
+    Twin, Sequence[TwinArmStart], TwinBoxStart | None, Array, int, Sequence[tuple[Array, NDArray[np.int32]]]
+]
+"""Scene; states of the arms and of the object (None: there is none); ticks [s], and periods from one to the next; by
+arm torques, and the row that acts in every period."""
+
+class TwinRun:
+    """A simulation that goes on tick by tick.
+
+    Args:
+        model: Scene.
+        arms: States of the arms.
+        box: State of the object; None: the arms are alone.
+
+    Raises:
+        ValueError: An array has the wrong size.
+    """
+
+    state: Array
+    """A row of :func:`run_twins`."""
+    residual: float
+    """Largest residual of a step so far [m/s]."""
+    failed: Sequence[float]
+    """Times of the steps that were not solved [s]."""
+
+    def __init__(self, model: Twin, arms: Sequence[TwinArmStart], box: TwinBoxStart | None) -> None: ...
+    def step(self, time: float, substeps: int, torques: Sequence[Array]) -> Array:
+        """Advance by ``substeps`` periods of the torque loop from ``time`` [s], with a desired torque by arm.
+
+        Returns:
+            The state afterwards; NaN where it is not finite.
+
+        Raises:
+            RuntimeError: A formula is not finite.
+            Exception: That of a load of a Python class.
+        """
+
+    def pad_force(self, arm: int) -> Array:
+        """Force of the object on the pad of an arm in the last step, in A, ``(3,)`` [N]."""
 
 def run_twins(
     jobs: Sequence[TwinTask], threads: int

@@ -59,6 +59,7 @@ with _quiet():
 
 FACE_CONTACT_POINTS = 4  # Bullet keeps four points of a face contact; each gets a quarter of the face's stiffness
 SUPPORT_DAMPING_RATIO = 0.5  # of the object on a compliant support
+MOST_SUBSTEPS = 8
 SLOWEST_SLIDING = 2e-3  # m/s; what slides more slowly stops within a few steps, in a direction of no consequence
 
 
@@ -73,6 +74,7 @@ class BulletWorld:
         support: Body of the support; None: there is none.
         shears: Shear of the pads that have any, by arm.
         small_steps: Whether the friction of the support is turned, one step late.
+        substeps: Steps of Bullet in one of this world.
     """
 
     def __init__(
@@ -84,6 +86,7 @@ class BulletWorld:
         support: int | None,
         shears: dict[str, PadShear],
         small_steps: bool,
+        substeps: int,
     ) -> None:
         self.physics = physics
         self.client = client
@@ -95,6 +98,8 @@ class BulletWorld:
         self.object = object_
         self.support = support
         self._shears = shears
+        self._substeps = substeps
+        self._torques: dict[str, list[float]] = {}
         self._support_friction = physics.support_friction
         self._turns = small_steps and support is not None and physics.support_friction > 0.0
         self._models = {name: physics.robot_model(name) for name in shears}
@@ -125,7 +130,7 @@ class BulletWorld:
 
         Args:
             physics: Parameters of the scene.
-            time_step: Step [s].
+            time_step: Step [s]; Bullet takes several in one where a pad damps too little for it (:func:`_substeps`).
             gravity: Whether gravity acts.
             compliant_pads: Whether contacts have what a rigid one lacks: stiffness and damping of pads and support,
                 shear of pads, resistance to rolling.
@@ -141,9 +146,11 @@ class BulletWorld:
         """
         for name, arm in physics.arms.items():
             check_body(name, arm.end_effector)
+        substeps = _substeps(physics, time_step) if compliant_pads else 1
+        step = time_step / substeps
         client = _connected()
         client.setPhysicsEngineParameter(
-            fixedTimeStep=time_step,
+            fixedTimeStep=step,
             numSubSteps=0,
             numSolverIterations=iterations,
             solverResidualThreshold=residual_threshold,
@@ -159,13 +166,13 @@ class BulletWorld:
             constraintSolverType=pybullet.CONSTRAINT_SOLVER_LCP_SI,
         )
         client.setGravity(*(physics.gravity if gravity else np.zeros(3)))
-        arms = {name: _load_arm(client, physics, name, compliant_pads) for name in physics.arms}
+        arms = {name: _load_arm(client, physics, name, compliant_pads, step) for name in physics.arms}
         object_ = _make_object(client, physics.object)
-        support = _make_support(client, physics, arms, compliant_pads)
-        shears = _shears(physics, time_step) if compliant_pads else {}
+        support = _make_support(client, physics, arms, compliant_pads, step)
+        shears = _shears(physics, step) if compliant_pads else {}
         for name in shears:
             client.changeDynamics(arms[name], physics.arms[name].facts.joint_count, lateralFriction=0.0)
-        return cls(physics, client, arms, object_, support, shears, small_steps)
+        return cls(physics, client, arms, object_, support, shears, small_steps, substeps)
 
     def close(self) -> None:
         """Release the connection."""
@@ -245,7 +252,7 @@ class BulletWorld:
 
     def apply_torque(self, name: str, torque: Array) -> None:
         """Joint torque of an arm over the next step, ``(n,)`` [N m]."""
-        self._set_torques(self.arms[name], self.joints[name], pybullet.TORQUE_CONTROL, forces=torque.tolist())
+        self._torques[name] = torque.tolist()
 
     def set_support_friction(self, coefficient: float) -> None:
         """Set the friction coefficient of the support, from the next step on; for extensions of a plant."""
@@ -254,11 +261,15 @@ class BulletWorld:
 
     def step(self) -> None:
         """Advance by one step."""
-        for name, shear in self._shears.items():
-            self._shear(name, shear)
-        if self._turns:
-            self._turn_friction()
-        self._step()
+        for _ in range(self._substeps):
+            for name, torque in self._torques.items():  # Bullet forgets them
+                self._set_torques(self.arms[name], self.joints[name], pybullet.TORQUE_CONTROL, forces=torque)
+            for name, shear in self._shears.items():
+                self._shear(name, shear)
+            if self._turns:
+                self._turn_friction()
+            self._step()
+        self._torques.clear()
 
     def _turn_friction(self) -> None:
         """Correct the direction of the support's friction on the sliding object, over the next step.
@@ -374,7 +385,26 @@ def _load_urdf(client: BulletClient, facts: RobotFacts, end_effector: EndEffecto
     return int(body)
 
 
-def _load_arm(client: BulletClient, scene: Physics, name: str, compliant: bool) -> int:
+def _substeps(physics: Physics, period: float) -> int:
+    """Steps in a period for which Bullet's spring alone damps no pad more than it should (:func:`_compliance`)."""
+    wanted = [
+        period * arm.pad_stiffness / max(arm.pad_damping, 1e-9)
+        for arm in physics.arms.values()
+        if arm.pad_stiffness is not None
+    ]
+    return min(math.ceil(max(wanted, default=1.0)), MOST_SUBSTEPS)
+
+
+def _compliance(stiffness: float, damping: float, step: float) -> dict[str, float]:
+    """Spring and damper of one of the contact points that share those of a face.
+
+    Bullet's spring is that of the depth after the step, k (d - h u): it damps by h k, which the damper is given less.
+    """
+    own = max(damping - step * stiffness, 0.0)
+    return {"contactStiffness": stiffness / FACE_CONTACT_POINTS, "contactDamping": own / FACE_CONTACT_POINTS}
+
+
+def _load_arm(client: BulletClient, scene: Physics, name: str, compliant: bool, step: float) -> int:
     physics = scene.arms[name]
     body = _load_urdf(client, physics.facts, physics.end_effector, physics.base)
     joints = list(range(len(joint_names(physics.facts))))
@@ -399,12 +429,7 @@ def _load_arm(client: BulletClient, scene: Physics, name: str, compliant: bool) 
     if compliant and scene.rolling_arm:
         client.changeDynamics(body, len(joints), rollingFriction=scene.rolling_arm)
     if compliant and physics.pad_stiffness is not None:
-        client.changeDynamics(
-            body,
-            len(joints),
-            contactStiffness=physics.pad_stiffness / FACE_CONTACT_POINTS,
-            contactDamping=physics.pad_damping / FACE_CONTACT_POINTS,
-        )
+        client.changeDynamics(body, len(joints), **_compliance(physics.pad_stiffness, physics.pad_damping, step))
     return body
 
 
@@ -439,7 +464,9 @@ def _shears(physics: Physics, period: float) -> dict[str, PadShear]:
     }
 
 
-def _make_support(client: BulletClient, physics: Physics, arms: dict[str, int], compliant: bool) -> int | None:
+def _make_support(
+    client: BulletClient, physics: Physics, arms: dict[str, int], compliant: bool, step: float
+) -> int | None:
     if physics.support_height is None:
         return None
     thickness, height = 0.1, physics.support_height
@@ -464,12 +491,7 @@ def _make_support(client: BulletClient, physics: Physics, arms: dict[str, int], 
     if yields:
         stiffness = 1.0 / physics.support_compliance
         damping = 2.0 * SUPPORT_DAMPING_RATIO * float(np.sqrt(stiffness * physics.object.mass))
-        client.changeDynamics(
-            body,
-            -1,
-            contactStiffness=stiffness / FACE_CONTACT_POINTS,
-            contactDamping=damping / FACE_CONTACT_POINTS,
-        )
+        client.changeDynamics(body, -1, **_compliance(stiffness, damping, step))
     for arm in arms.values():
         for link in range(-1, client.getNumJoints(arm)):
             client.setCollisionFilterPair(arm, body, link, -1, 0)

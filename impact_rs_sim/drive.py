@@ -12,14 +12,12 @@ inertia emerges. One step is one period of the loop; semi-implicit Euler, veloci
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from impact_rs_sim import _kernel
-from impact_rs_sim._kernel import Chain
 from impact_rs_sim.physics import ArmPhysics, JointFriction
 from impact_rs_sim.robot import Array
 from impact_rs_sim.scene import ArmState
@@ -90,26 +88,17 @@ class Drive(_kernel.Motors):
         self.start(ArmState(link_position, still), DriveStart(load, still))
 
     def start(self, link: ArmState, drive: DriveStart) -> None:
-        """Start with a spring that carries ``drive.torque``, stretched at ``drive.torque_rate``.
-
-        Arrays may be ``(k, n)``: several arms of a kind, one in every row.
-        """
+        """Start with a spring that carries ``drive.torque``, stretched at ``drive.torque_rate``."""
         self.place(
             link.position + drive.torque / self._stiffness,
             link.velocity + drive.torque_rate / self._stiffness,
             drive.torque,
             drive.torque + self._damping / self._stiffness * drive.torque_rate,
         )
-        if self._load.shape != drive.torque.shape:
-            self._load = np.zeros_like(drive.torque)
         self._desired = None
         self._clock = 0.0
         self._commands.clear()
         self._commands.extend(drive.earlier or ((-np.inf, drive.torque),))
-
-    def link_torque(self, desired: Array) -> Array:
-        """Torque on the links over the coming period, ``(n,)`` [N m]."""
-        return self.transmission_torque
 
     def load(self, torque: Array) -> None:
         """Set a further torque on the motors, ``(n,)`` [N m]; scaled by B_rho / B_theta as friction is."""
@@ -124,20 +113,6 @@ class Drive(_kernel.Motors):
             self._desired = desired
             self._shaped = self._driving(desired)
         self.integrate(self._shaped)
-
-    def step_free(self, links: Chain, link: ArmState, desired: Array, load: Array) -> ArmState:
-        """Several periods in free motion, without contact; as :meth:`step`, but without actuation delay.
-
-        Args:
-            links: The links.
-            link: State of the links, ``(k, n)``.
-            desired: Torque of every period, ``(s, k, n)`` [N m]; the actuation delays none of them.
-            load: Further torque on the links, ``(k, n)`` [N m].
-
-        Returns:
-            State of the links after the last period.
-        """
-        return ArmState(*self.coast(links, link.position, link.velocity, self._driving(desired), load))
 
     def _driving(self, desired: Array) -> Array:
         """Torque on the motor due to desired torque and load, times B_rho / B_theta [N m]."""
@@ -177,57 +152,3 @@ def _on_motors(friction: JointFriction, shaping: Array) -> Friction | None:
         None if sigmoid is None else (shaping * sigmoid.a, np.array(sigmoid.b), np.array(sigmoid.c)),
         friction.smoothing,
     )
-
-
-class LinkTorque:
-    """Measured joint torque applied to the links of one arm, without motors, gears and torque loop.
-
-    The link receives tau_J + D K^-1 dtau_J (paper eq. EOM_link), with dtau_J from one period to the next. Attributes as
-    in :class:`Drive`.
-
-    Args:
-        physics: Stiffness and damping.
-        period: Time between two torques [s].
-    """
-
-    def __init__(self, physics: ArmPhysics, period: float) -> None:
-        self.period = period
-        self._stiffness, self._damping = physics.stiffness, physics.damping
-        count = physics.stiffness.size
-        self._rate = np.zeros(count)
-        self.elastic_torque = np.zeros(count)
-        self.position = np.zeros(count)
-        self.velocity = np.zeros(count)
-
-    def start(self, link: ArmState, drive: DriveStart) -> None:
-        """See :meth:`Drive.start`."""
-        self.elastic_torque, self._rate = drive.torque, drive.torque_rate
-        self.sense(link.position, link.velocity)
-
-    def link_torque(self, desired: Array) -> Array:
-        """See :meth:`Drive.link_torque`."""
-        rate = (desired - self.elastic_torque) / self.period
-        return np.asarray(desired + self._damping / self._stiffness * rate)
-
-    def step(self, desired: Array) -> None:
-        """See :meth:`Drive.step`."""
-        self._rate = (desired - self.elastic_torque) / self.period
-        self.elastic_torque = desired
-
-    def step_free(self, links: Chain, link: ArmState, desired: Array, load: Array) -> ArmState:
-        """See :meth:`Drive.step_free`."""
-        torques = []
-        for torque in desired:
-            torques.append(self.link_torque(torque) + load)
-            self.step(torque)
-        after = ArmState(*links.advance(link.position, link.velocity, np.array(torques), self.period))
-        self.sense(after.position, after.velocity)
-        return after
-
-    def sense(self, link_position: Sequence[float] | Array, link_velocity: Sequence[float] | Array) -> None:
-        """See :meth:`Drive.sense`; the motor position follows from the spring torque."""
-        self.position = link_position + self.elastic_torque / self._stiffness
-        self.velocity = link_velocity + self._rate / self._stiffness
-
-    def load(self, torque: Array) -> None:
-        """See :meth:`Drive.load`; the measured torque already contains the torque on the motors."""

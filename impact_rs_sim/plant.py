@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The simulated plant: Bullet for links and contacts, a drive per arm, and sensors.
+"""The simulated plant: mechanics of one of two simulators, and sensors.
 
 Every control period the caller reads :meth:`Plant.measure`, decides on torques and calls :meth:`Plant.step`, which
-runs the torque loop and Bullet at the drive's period. The truth is for recording under ``/truth`` and for
+runs torque loop, links and contacts at the drive's period. The truth is for recording under ``/truth`` and for
 tests; no controller and no analyzer sees it.
 """
 
@@ -10,19 +10,24 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from typing import Final
 
 import numpy as np
 import pinocchio as pin
 
+from impact_rs_sim.bullet_mechanics import BulletMechanics
 from impact_rs_sim.bullet_world import BulletWorld
 from impact_rs_sim.drive import Drive, DriveStart
 from impact_rs_sim.errors import InputError
-from impact_rs_sim.mechanics import Mechanics
+from impact_rs_sim.mechanics import Mechanics, Simulator
 from impact_rs_sim.physics import Physics
 from impact_rs_sim.robot import Array
 from impact_rs_sim.scenario import Scatter, Scenario
-from impact_rs_sim.scene import ArmState, BodyState
+from impact_rs_sim.scene import ArmMotion, ArmState, BodyState
 from impact_rs_sim.sensors import ArmMeasurement, ArmSensors, ObjectMeasurement, ObjectTracker
+from impact_rs_sim.twin_mechanics import TwinMechanics
+
+SIMULATORS: Final[dict[Simulator, type[Mechanics]]] = {"bullet": BulletMechanics, "twin": TwinMechanics}
 
 
 @dataclass(frozen=True)
@@ -41,14 +46,13 @@ class Measurement:
 
 
 @dataclass(frozen=True)
-class ArmTruth:
-    """True state of one arm; see :class:`~impact_rs_sim.sensors.ArmMeasurement` for the entries."""
+class ArmTruth(ArmMotion):
+    """True state of one arm.
 
-    position: Array
-    velocity: Array
-    torque: Array
-    motor_position: Array
-    motor_velocity: Array
+    Attributes:
+        pad_force: Force of the object on its pad, in A, ``(3,)`` [N].
+    """
+
     pad_force: Array
 
 
@@ -68,7 +72,7 @@ class Truth:
 
 
 class PlantExtension:
-    """Behaviour of a plant outside :class:`Physics`; subclasses override what they need.
+    """Behaviour of a Bullet plant outside :class:`Physics`; subclasses override what they need.
 
     For tests of the diagnosis: what it must not find in its library has to live somewhere.
     """
@@ -123,6 +127,7 @@ class Plant:
         object_state: BodyState,
         seed: int,
         extension: PlantExtension | None = None,
+        simulator: Simulator = "bullet",
     ) -> Plant:
         """The plant of one trial, at rest where the trial starts.
 
@@ -132,24 +137,30 @@ class Plant:
             initial: Initial joint positions by arm, ``(n,)`` [rad].
             object_state: Nominal pose of the object; the scatter comes on top.
             seed: Seed of scatter and noise. Same seed, same trial, bit by bit.
-            extension: Behaviour outside the physics.
+            extension: Behaviour outside the physics; of Bullet only.
+            simulator: Which one moves it.
 
         Raises:
             NotABody: Mass and inertia of an end effector are those of no body.
+            InputError: There is an extension, and the simulator is not Bullet.
         """
         timing, samples = scenario.timing, scenario.timing.ticks + 1
         scatter_seed, tracker_seed, *arm_seeds = np.random.SeedSequence(seed).spawn(2 + len(physics.arms))
         physics, initial, object_state = _scatter(
             scenario.scatter, physics, initial, object_state, np.random.default_rng(scatter_seed)
         )
-        mechanics = Mechanics.load(physics, timing.drive_period)
+        if extension is None:
+            mechanics = SIMULATORS[simulator].load(physics, timing.drive_period)
+        elif simulator == "bullet":
+            mechanics = BulletMechanics.load(physics, timing.drive_period, may_sleep=False)
+        else:
+            raise InputError(f"an extension acts in the plant 'bullet' only, not in {simulator!r}")
         still = {name: np.zeros_like(q) for name, q in initial.items()}
         carried = {name: physics.robot_model(name).gravity_torque(q) for name, q in initial.items()}
         mechanics.start(
             {name: ArmState(q, still[name]) for name, q in initial.items()},
             {name: DriveStart(carried[name], still[name]) for name in initial},
             object_state,
-            may_sleep=extension is None,
         )
         sensors = {
             name: ArmSensors(scenario.sensors, initial[name].size, samples, np.random.default_rng(arm_seed))
@@ -163,13 +174,19 @@ class Plant:
         return plant
 
     @property
+    def bullet(self) -> BulletMechanics:
+        """The mechanics of a Bullet plant, for extensions."""
+        assert isinstance(self._mechanics, BulletMechanics)
+        return self._mechanics
+
+    @property
     def world(self) -> BulletWorld:
         """The Bullet world, for extensions."""
-        return self._mechanics.world
+        return self.bullet.world
 
     def link_state(self, arm: str) -> ArmState:
         """True joint state of an arm, for extensions."""
-        return self._mechanics.links[arm]
+        return self.bullet.links[arm]
 
     @property
     def time(self) -> float:
@@ -182,38 +199,24 @@ class Plant:
 
     def measure(self) -> Measurement:
         """Present sensor values; a second call returns the same."""
-        arms = {}
-        for name, drive in self._mechanics.drives.items():
-            link = self._mechanics.links[name]
-            arms[name] = self._arm_sensors[name].measure(
-                self._tick,
-                link.position,
-                link.velocity,
-                drive.elastic_torque,
-                drive.position,
-                drive.velocity,
-            )
+        arms = {
+            name: sensors.measure(self._tick, self._mechanics.arm(name)) for name, sensors in self._arm_sensors.items()
+        }
         tracked = None
         if self._tracked:
-            state = self.world.object_state()
+            state = self._mechanics.object_state()
             sample = self._tick // self._tracker_ticks
             tracked = self._tracker.measure(sample, self.time, state.position, state.rotation)
         return Measurement(self.time, arms, tracked)
 
     def truth(self) -> Truth:
         """The true state now."""
-        arms = {}
-        for name, drive in self._mechanics.drives.items():
-            link = self._mechanics.links[name]
-            arms[name] = ArmTruth(
-                link.position,
-                link.velocity,
-                drive.elastic_torque,
-                drive.position,
-                drive.velocity,
-                self.world.pad_force(name),
-            )
-        return Truth(self.time, arms, self.world.object_state() if self._tracked else None)
+        mechanics = self._mechanics
+        arms = {
+            name: ArmTruth(**vars(mechanics.arm(name)), pad_force=mechanics.pad_force(name))
+            for name in self.physics.arms
+        }
+        return Truth(self.time, arms, mechanics.object_state() if self._tracked else None)
 
     def step(self, desired: dict[str, Array]) -> None:
         """Advance by one control period with desired torques ``(n,)`` [N m] by arm.
@@ -221,37 +224,31 @@ class Plant:
         Raises:
             InputError: A torque is not finite or has the wrong length.
         """
-        for name, link in self._mechanics.links.items():
-            torque = desired[name]
+        for name, arm in self.physics.arms.items():
+            torque, count = desired[name], arm.facts.joint_count
             # A sum of squares keeps every value that is not finite.
-            if torque.shape != link.position.shape or not math.isfinite(torque @ torque):
+            if torque.shape != (count,) or not math.isfinite(torque @ torque):
                 raise InputError(
-                    f"desired torque of arm {name!r} must be {link.position.size} finite numbers [N m], "
-                    f"got {torque.tolist()}"
+                    f"desired torque of arm {name!r} must be {count} finite numbers [N m], got {torque.tolist()}"
                 )
         if self._tick + 1 >= self._samples:
             raise InputError(f"the trial is over after {self._timing.duration} s")
-        held = {name: [desired[name]] * self._substeps for name in self.physics.arms}
         extension = self._extension
         if extension is None:
-            self._mechanics.step(held, self.time)
+            self._mechanics.step(desired, self._substeps, self.time)
         else:
-            further = {name: extension.joint_torque(self, name) for name in held}
-            self._mechanics.step(
-                held,
+            further = {name: extension.joint_torque(self, name) for name in desired}
+            self.bullet.step(
+                desired,
+                self._substeps,
                 self.time,
                 {name: torque for name, torque in further.items() if torque is not None},
-                self._extend_drive,
+                lambda name: extension.after_sense(self, name, self.bullet.drives[name]),
             )
         self._tick += 1
 
-    def _extend_drive(self, name: str) -> None:
-        drive = self._mechanics.drives[name]
-        assert self._extension is not None and isinstance(drive, Drive)
-        self._extension.after_sense(self, name, drive)
-
     def close(self) -> None:
-        """Free the Bullet world."""
+        """Release resources."""
         self._mechanics.close()
 
 

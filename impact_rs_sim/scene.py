@@ -33,6 +33,25 @@ class ArmState:
 
 
 @dataclass(frozen=True)
+class ArmMotion:
+    """Motion of the joints and motors of one arm: at a moment, ``(n,)``, or along a path, ``(k, n)``.
+
+    Attributes:
+        position: q [rad].
+        velocity: dq [rad/s].
+        torque: tau_J [N m].
+        motor_position: theta [rad].
+        motor_velocity: dtheta [rad/s].
+    """
+
+    position: Array
+    velocity: Array
+    torque: Array
+    motor_position: Array
+    motor_velocity: Array
+
+
+@dataclass(frozen=True)
 class BodyState:
     """State of a free rigid body, at its geometric centre O.
 

@@ -11,6 +11,7 @@ import pinocchio as pin
 from impact_rs_sim.robot import Array
 from impact_rs_sim.rotations import quaternion_of
 from impact_rs_sim.scenario import Sensors
+from impact_rs_sim.scene import ArmMotion
 
 
 @dataclass(frozen=True)
@@ -58,14 +59,14 @@ class ArmSensors:
         self._motor_velocity_noise = sensors.joint_velocity_noise * rng.standard_normal(shape)
         self._torque_noise = sensors.joint_torque_noise * rng.standard_normal(shape)
 
-    def measure(self, tick: int, q: Array, dq: Array, torque: Array, theta: Array, dtheta: Array) -> ArmMeasurement:
+    def measure(self, tick: int, true: ArmMotion) -> ArmMeasurement:
         """The measurement of one control tick."""
         return ArmMeasurement(
-            position=self._quantise(q),
-            velocity=dq + self._velocity_noise[tick],
-            torque=torque + self._torque_noise[tick],
-            motor_position=self._quantise(theta),
-            motor_velocity=dtheta + self._motor_velocity_noise[tick],
+            position=self._quantise(true.position),
+            velocity=true.velocity + self._velocity_noise[tick],
+            torque=true.torque + self._torque_noise[tick],
+            motor_position=self._quantise(true.motor_position),
+            motor_velocity=true.motor_velocity + self._motor_velocity_noise[tick],
         )
 
     def _quantise(self, angle: Array) -> Array:

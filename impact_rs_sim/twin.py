@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """The twin: arms with drives, object and support from a measured state under recorded torque, compiled.
 
-It stands beside the plant (:mod:`impact_rs_sim.mechanics`) as a second simulator of the same
+It stands beside Bullet (:mod:`impact_rs_sim.bullet_mechanics`) as a second simulator of the same
 :class:`~impact_rs_sim.physics.Physics`: in free motion both are equal to rounding, in contact they differ by their
 step methods (``docs/physics.md``, "The twin"). Many jobs run in one call, on several threads, with the same numbers for
-any number of threads.
+any number of threads; :mod:`impact_rs_sim.twin_mechanics` runs one tick by tick.
 
 Loads of formulas and springs are compiled. A load that is a Python class works as well, at the price of a call into
 Python in every tick, during which no other thread calls into Python.
@@ -29,10 +29,9 @@ from impact_rs_sim.bullet_world import check_body
 from impact_rs_sim.drive import Drive, DriveStart
 from impact_rs_sim.effects.formula import AXES, JOINT_SYMBOL, SPEEDS, FormulaLoad
 from impact_rs_sim.effects.surroundings import Spring
-from impact_rs_sim.free_motion import FreePath
 from impact_rs_sim.physics import ArmPhysics, Load, Physics
 from impact_rs_sim.robot import Array, Flange, JointOrigin
-from impact_rs_sim.scene import ArmState, BodyState
+from impact_rs_sim.scene import ArmMotion, ArmState, BodyState
 
 REFINEMENT = 2  # steps in a period of the torque loop in which a pad meets the object
 BEFORE_ALL = -1e9  # s, since when a command without a time was desired
@@ -51,8 +50,8 @@ class TwinJob:
         time: Ticks, ``(k,)`` [s].
         period: Period of the torque loop [s].
         object: State of the object at the start; None: the arms are alone.
-        joint_torque: Whether the torques are measured joint torques, without motors and torque loop
-            (:class:`~impact_rs_sim.drive.LinkTorque`).
+        joint_torque: Whether the torques are measured joint torques, without motors and torque loop: each is tau_J at
+            the end of its period, and the links receive tau_J + D K^-1 dtau_J (paper eq. EOM_link).
         refinement: Steps in a period of the torque loop in which a pad meets the object.
     """
 
@@ -87,7 +86,7 @@ class Result:
         failure: Why the job ended early; empty: it did not.
     """
 
-    arms: dict[str, FreePath]
+    arms: dict[str, ArmMotion]
     poses: Array
     twists: Array
     residual: float
@@ -115,34 +114,40 @@ def simulate(jobs: Sequence[TwinJob], threads: int = 1) -> list[Result]:
     for job in jobs:
         key = (id(job.physics), job.period, job.joint_torque, job.refinement)
         if key not in models:
-            models[key] = _model(job)
+            models[key] = kernel_twin(job.physics, job.period, job.joint_torque, job.refinement)
         prepared.append(_prepared(models[key], job))
     return [_result(job, *found) for job, found in zip(jobs, _kernel.run_twins(prepared, threads), strict=True)]
 
 
 def _prepared(model: _kernel.Twin, job: TwinJob) -> _kernel.TwinTask:
     """A job in the form of the kernel."""
-    arms = []
-    for name in job.physics.arms:
-        state, drive = job.arms[name], job.drives[name]
-        earlier = drive.earlier or ((BEFORE_ALL, drive.torque),)
-        times, values = np.array([time for time, _ in earlier]), np.array([torque for _, torque in earlier])
-        arms.append(
-            (
-                state.position,
-                state.velocity,
-                drive.torque,
-                drive.torque_rate,
-                times,
-                values,
-                job.torque[name],
-                job.acting[name],
-            )
-        )
-    box = None if job.object is None else (job.object.position, job.object.rotation, job.object.twist)
+    arms = [arm_start(job.arms[name], job.drives[name]) for name in job.physics.arms]
+    driving = [(job.torque[name], job.acting[name]) for name in job.physics.arms]
     ticks = len(job.time) - 1
-    substeps = len(next(iter(job.acting.values()))) // ticks if ticks else 1
-    return model, arms, box, job.time, substeps
+    substeps = len(driving[0][1]) // ticks if ticks else 1
+    return model, arms, None if job.object is None else box_start(job.object), job.time, substeps, driving
+
+
+def arm_start(state: ArmState, drive: DriveStart) -> _kernel.TwinArmStart:
+    """Initial state of an arm in the form of the kernel."""
+    earlier = drive.earlier or ((BEFORE_ALL, drive.torque),)
+    times, values = np.array([time for time, _ in earlier]), np.array([torque for _, torque in earlier])
+    return state.position, state.velocity, drive.torque, drive.torque_rate, times, values
+
+
+def box_start(state: BodyState) -> _kernel.TwinBoxStart:
+    """Initial state of the object in the form of the kernel."""
+    return state.position, state.rotation, state.twist
+
+
+def motions(physics: Physics, rows: Array) -> tuple[dict[str, ArmMotion], Array]:
+    """States of the kernel, ``(row,)`` or ``(k, row)``: motion of the arms, and what is left, that of the object."""
+    arms, at = {}, 0
+    for name, arm in physics.arms.items():
+        n = arm.facts.joint_count
+        arms[name] = ArmMotion(*(rows[..., at + i * n : at + (i + 1) * n] for i in range(5)))
+        at += 5 * n
+    return arms, rows[..., at:]
 
 
 def _result(
@@ -156,21 +161,14 @@ def _result(
     failed: Sequence[float],
     failure: str,
 ) -> Result:
-    arms, at = {}, 0
-    for name, arm in job.physics.arms.items():
-        n = arm.facts.joint_count
-        arms[name] = FreePath(*(rows[:, at + i * n : at + (i + 1) * n] for i in range(5)))
-        at += 5 * n
-    poses, twists = rows[:, at:at], rows[:, at:at]
-    if job.object is not None:
-        poses, twists = rows[:, at : at + 7], rows[:, at + 7 : at + 13]
+    arms, body = motions(job.physics, rows)
+    poses, twists = body[:, :7], body[:, 7:]
     return Result(arms, poses, twists, residual, steps, contact_steps, iterations, fallbacks, tuple(failed), failure)
 
 
-def _model(job: TwinJob) -> _kernel.Twin:
-    """Physics in the form of the kernel."""
-    physics = job.physics
-    arms = [_arm(physics, name, job.period, job.joint_torque) for name in physics.arms]
+def kernel_twin(physics: Physics, period: float, joint_torque: bool, refinement: int) -> _kernel.Twin:
+    """A scene in the form of the kernel; arguments as the attributes of :class:`TwinJob`."""
+    arms = [_arm(physics, name, period, joint_torque) for name in physics.arms]
     box = physics.object
     support = None
     if physics.support_height is not None:
@@ -183,8 +181,8 @@ def _model(job: TwinJob) -> _kernel.Twin:
         physics.pad_friction,
         physics.rolling_arm,
         physics.gravity,
-        job.period,
-        job.refinement,
+        period,
+        refinement,
     )
 
 

@@ -23,11 +23,12 @@ from pydantic import Field, model_validator
 
 from impact_rs_control.plan import check_scale
 from impact_rs_sim.errors import InputError, full_traceback
+from impact_rs_sim.mechanics import Simulator
 from impact_rs_sim.scenario import load_scenario
 from impact_rs_sim.schema import PositiveVector, Schema, parse_yaml, validate
 from impact_rs_trials.bags.reader import BagError, TrialBag
 from impact_rs_trials.bags.record import record_trial
-from impact_rs_trials.bags.trial_info import OUTCOMES, Outcome, TrialInfo, TrialKey
+from impact_rs_trials.bags.trial_info import OUTCOMES, VIA, Outcome, TrialInfo, TrialKey
 from impact_rs_trials.bags.writer import partial_path
 from impact_rs_trials.spec import TrialSpec
 from impact_rs_trials.store import Store, open_store, owned
@@ -53,6 +54,7 @@ class Manifest(Schema):
     seed: int = Field(ge=0, description="seed of the campaign")
     motor_inertia: str = Field("reduced", description="motor-inertia model of the reference")
     settings: dict[str, Any] = Field({}, description="values that the scenario has instead of its own, by dotted key")
+    plant: Simulator = Field("bullet", description="simulator of the plant: bullet or twin")
 
     @model_validator(mode="after")
     def _every_trial_has_a_bag_of_its_own(self) -> Self:
@@ -80,7 +82,7 @@ class Manifest(Schema):
         """
         scenario = load_scenario(self.scenario).with_settings(self.settings)
         spec = TrialSpec.of(scenario, key.object, key.case, key.scale, self.motor_inertia)
-        return Trial.of(spec, key.repeat, self.seed)
+        return Trial.of(spec, key.repeat, self.seed, self.plant)
 
 
 @dataclass(frozen=True)
@@ -91,16 +93,18 @@ class Trial:
         spec: What it has in common with its repeats.
         repeat: Number of the repeat, from 0.
         seed: Seed of its random numbers.
+        plant: Simulator of its plant.
     """
 
     spec: TrialSpec
     repeat: int
     seed: int
+    plant: Simulator = "bullet"
 
     @classmethod
-    def of(cls, spec: TrialSpec, repeat: int, campaign_seed: int) -> Trial:
+    def of(cls, spec: TrialSpec, repeat: int, campaign_seed: int, plant: Simulator = "bullet") -> Trial:
         """The trial of a campaign with this seed."""
-        return cls(spec, repeat, TrialKey(spec.object, spec.case, spec.scale, repeat).seed(campaign_seed))
+        return cls(spec, repeat, TrialKey(spec.object, spec.case, spec.scale, repeat).seed(campaign_seed), plant)
 
     @property
     def key(self) -> TrialKey:
@@ -133,6 +137,7 @@ def make_manifest(
     trials: int | None = None,
     seed: int = 0,
     settings: Mapping[str, Any] | None = None,
+    plant: Simulator = "bullet",
 ) -> Manifest:
     """A manifest with the scenario's own values where nothing is given.
 
@@ -159,6 +164,7 @@ def make_manifest(
         "seed": seed,
         "motor_inertia": "reduced",
         "settings": dict(settings or {}),
+        "plant": plant,
     }
     manifest = validate(Manifest, content, f"campaign of scenario {scenario.name!r}")
     for name in manifest.objects:
@@ -213,7 +219,7 @@ def run_one(directory: Path, trial: Trial) -> TrialReport:
         return report_of_bag(key, path)
     shutil.rmtree(partial_path(path), ignore_errors=True)
     plan = trial.spec.plan
-    info = TrialInfo.of(plan, key, trial.seed, "inprocess")
+    info = TrialInfo.of(plan, key, trial.seed, VIA[trial.plant])
     verdict, _ = record_trial(plan, info, path)
     return TrialReport(key, verdict.outcome, verdict.reason)
 

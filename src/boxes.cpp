@@ -64,6 +64,18 @@ void clip(Polygon& polygon, int axis, double sign, double limit) {
   polygon = kept;
 }
 
+constexpr double PARALLEL = 1e-2;  // sine of the angle of two edges
+
+// Middle of the edge along `axis` that is furthest along `direction`.
+Vector edge(const Box& box, int axis, const Vector& direction) {
+  Vector place = box.centre;
+  for (int k = 0; k < 3; ++k) {
+    const Vector side = column(box.rotation, k);
+    if (k != axis) place = place + std::copysign(box.half[k], dot(side, direction)) * side;
+  }
+  return place;
+}
+
 }  // namespace
 
 Face separating_face(const Box& partner, const Box& object, double aligned) {
@@ -113,6 +125,28 @@ void touching(const Box& partner, const Box& object, const Face& face, double to
     if (face.on_object) position = position - height * outward;
     found.push_back({position, height});
   }
+}
+
+std::optional<Crossing> crossing_edges(const Box& partner, const Box& object) {
+  const Vector apart = object.centre - partner.centre;
+  std::optional<Crossing> best;
+  for (int i = 0; i < 3; ++i) {
+    for (int j = 0; j < 3; ++j) {
+      const Vector a = column(partner.rotation, i), b = column(object.rotation, j), across = cross(a, b);
+      const double sine = norm(across);
+      if (sine < PARALLEL) continue;
+      const Vector normal = std::copysign(1.0 / sine, dot(across, apart)) * across;
+      const double separation = dot(normal, apart) - (reach(partner, normal) + reach(object, normal));
+      if (best && separation <= best->separation) continue;
+      // The points of both lines that are nearest to each other.
+      const Vector own = edge(object, j, -1.0 * normal), between = own - edge(partner, i, normal);
+      const double cosine = dot(a, b), along_a = dot(between, a), along_b = dot(between, b);
+      const double on_a = (along_a - cosine * along_b) / (sine * sine), on_b = (cosine * along_a - along_b) / (sine * sine);
+      if (std::abs(on_a) > partner.half[i] || std::abs(on_b) > object.half[j]) continue;
+      best = Crossing{separation, normal, {own + on_b * b, separation}};
+    }
+  }
+  return best;
 }
 
 }  // namespace impact_rs

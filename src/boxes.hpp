@@ -3,6 +3,7 @@
 
 #pragma once
 
+#include <optional>
 #include <vector>
 
 #include "dense.hpp"
@@ -31,5 +32,14 @@ Face separating_face(const Box& partner, const Box& object, double aligned);
 
 // Corners of the incident face, clipped to the reference face, that are within `tolerance` [m] of it.
 void touching(const Box& partner, const Box& object, const Face& face, double tolerance, std::vector<Touch>& found);
+
+struct Crossing {
+  double separation;  // along the normal [m]
+  Vector normal;      // from the partner into the object
+  Touch touch;
+};
+
+// The two edges whose common normal separates two boxes best, where they cross; parallel ones never do.
+std::optional<Crossing> crossing_edges(const Box& partner, const Box& object);
 
 }  // namespace impact_rs

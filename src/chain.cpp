@@ -1,8 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "chain.hpp"
 
-#include <limits>
-
 namespace impact_rs {
 Chain::Chain(std::vector<Joint> joints, std::vector<Link> links, const Vector& gravity, const Vector& tip)
     : joints_(std::move(joints)),
@@ -14,9 +12,7 @@ Chain::Chain(std::vector<Joint> joints, std::vector<Link> links, const Vector& g
       end_{},
       last_{},
       velocities_(joints_.size()),
-      forces_(joints_.size()),
-      inertia_(joints_.size() * joints_.size()),
-      acceleration_(joints_.size()) {}
+      forces_(joints_.size()) {}
 
 Spatial Chain::times(const Body& body, const Spatial& motion) {
   return {body.inertia * motion.angular + cross(body.moment, motion.linear),
@@ -76,23 +72,6 @@ void Chain::equations(const double* dq, const double* tau, double* mass, double*
     for (int k = 0; k < 9; ++k) rest.inertia[k] += bodies_[i].inertia[k];
     const Spatial moved = times(rest, axes_[i]);
     for (int j = 0; j <= i; ++j) mass[i * n + j] = dot(axes_[j], moved);
-  }
-}
-
-void Chain::accelerate(const double* q, const double* dq, const double* tau, double* ddq) {
-  const int n = static_cast<int>(joints());
-  place(q);
-  equations(dq, tau, inertia_.data(), ddq);
-  if (!factorise(inertia_.data(), n)) std::fill(ddq, ddq + n, std::numeric_limits<double>::quiet_NaN());
-  forward(inertia_.data(), n, ddq, 1);
-  backward(inertia_.data(), n, ddq, 1);
-}
-
-void Chain::advance(double* q, double* dq, const double* tau, double period) {
-  accelerate(q, dq, tau, acceleration_.data());
-  for (std::size_t i = 0; i < joints(); ++i) {
-    dq[i] += period * acceleration_[i];
-    q[i] += period * dq[i];
   }
 }
 

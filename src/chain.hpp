@@ -54,9 +54,6 @@ class Chain {
 
   std::size_t joints() const { return joints_.size(); }
 
-  // ddq = M^-1 (tau - h) of the n joints; NaN where M is not positive definite.
-  void accelerate(const double* q, const double* dq, const double* tau, double* ddq);
-
   // Axes, bodies and tip at these joint positions; the next four are about them.
   void place(const double* q);
 
@@ -66,9 +63,6 @@ class Chain {
   const Spatial& axis(int joint) const { return axes_[joint]; }  // motion at unit speed, about the origin of A
   const Vector& end() const { return end_; }                     // the tip in A [m]
   const Matrix& axes_of_last() const { return last_; }           // of the last joint in A
-
-  // A step of semi-implicit Euler, velocity first.
-  void advance(double* q, double* dq, const double* tau, double period);
 
   // M dq and C^T dq - g (n), and the twist of the tip about itself (6): linear, then angular.
   void momentum(const double* q, const double* dq, double* momentum, double* known, double* twist);
@@ -93,8 +87,6 @@ class Chain {
   Vector end_;
   Matrix last_;
   std::vector<Spatial> velocities_, forces_;
-  std::vector<double> inertia_;       // M (n, n), row by row
-  std::vector<double> acceleration_;  // of the last step
 };
 
 }  // namespace impact_rs

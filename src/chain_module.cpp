@@ -30,28 +30,10 @@ Chain chain_of(const Numbers& rotations, const Numbers& origins, const std::vect
                vector(checked(tip, 3, "tip")));
 }
 
-// Number of copies of the arm in an array.
-py::ssize_t copies(const Chain& chain, const Numbers& values) {
-  const auto n = static_cast<py::ssize_t>(chain.joints());
-  if (n == 0 || values.size() % n != 0) throw py::value_error("position: not a number per joint");
-  return values.size() / n;
-}
-
-py::tuple advance(Chain& chain, const Numbers& position, const Numbers& velocity, const Numbers& torque,
-                  double period) {
-  const py::ssize_t rows = copies(chain, position), n = chain.joints();
-  checked(velocity, position.size(), "velocity");
-  Numbers q = own(position), dq = own(velocity);
-  if (torque.size() % position.size() != 0) throw py::value_error("torque: not a number per joint");
-  const double* tau = torque.data();
-  for (py::ssize_t step = 0; step < torque.size() / position.size(); ++step)
-    for (py::ssize_t row = 0; row < rows; ++row, tau += n)
-      chain.advance(q.mutable_data() + row * n, dq.mutable_data() + row * n, tau, period);
-  return py::make_tuple(q, dq);
-}
-
 py::tuple momentum(Chain& chain, const Numbers& position, const Numbers& velocity) {
-  const py::ssize_t rows = copies(chain, position), n = chain.joints();
+  const auto n = static_cast<py::ssize_t>(chain.joints());
+  if (n == 0 || position.size() % n != 0) throw py::value_error("position: not a number per joint");
+  const py::ssize_t rows = position.size() / n;
   const double *q = position.data(), *dq = checked(velocity, position.size(), "velocity");
   Numbers moved({rows, n}), known({rows, n}), twist({rows, py::ssize_t{6}});
   for (py::ssize_t row = 0; row < rows; ++row)
@@ -66,7 +48,6 @@ void add_chain(py::module_& module) {
   py::class_<Chain>(module, "Chain")
       .def(py::init(&chain_of), py::arg("rotations"), py::arg("origins"), py::arg("slides"), py::arg("masses"),
            py::arg("coms"), py::arg("inertias"), py::arg("gravity"), py::arg("tip"))
-      .def("advance", &advance, py::arg("position"), py::arg("velocity"), py::arg("torque"), py::arg("period"))
       .def("momentum", &momentum, py::arg("position"), py::arg("velocity"));
 }
 

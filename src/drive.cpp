@@ -11,15 +11,10 @@ double Friction::torque(std::size_t i, double velocity) const {
   return torque;
 }
 
-void Drive::resize(std::size_t size) {
-  for (auto* state : {&position, &velocity, &elastic, &transmission, &actuation, &friction}) state->assign(size, 0.0);
-}
-
 void Drive::sense(const double* q, const double* dq) {
-  const std::size_t n = joints();
-  for (std::size_t i = 0; i < size(); ++i) {
-    elastic[i] = (position[i] - q[i]) * stiffness_[i % n];
-    transmission[i] = (velocity[i] - dq[i]) * damping_[i % n] + elastic[i];
+  for (std::size_t i = 0; i < joints(); ++i) {
+    elastic[i] = (position[i] - q[i]) * stiffness_[i];
+    transmission[i] = (velocity[i] - dq[i]) * damping_[i] + elastic[i];
   }
 }
 
@@ -29,27 +24,16 @@ void Drive::step(const double* shaped) {
 }
 
 void Drive::act(const double* shaped) {
-  const std::size_t n = joints();
-  for (std::size_t i = 0; i < size(); ++i) actuation[i] = feedback_[i % n] * transmission[i] + shaped[i];
+  for (std::size_t i = 0; i < joints(); ++i) actuation[i] = feedback_[i] * transmission[i] + shaped[i];
 }
 
 void Drive::move(double kick, double drift) {
-  const std::size_t n = joints();
-  for (std::size_t i = 0; i < size(); ++i) {
+  for (std::size_t i = 0; i < joints(); ++i) {
     double net = actuation[i] - transmission[i];
-    if (!law_.coulomb.empty()) net += friction[i] = law_.torque(i % n, velocity[i]);
-    velocity[i] += net * rotor_inverse_[i % n] * kick;
+    if (!law_.coulomb.empty()) net += friction[i] = law_.torque(i, velocity[i]);
+    velocity[i] += net * rotor_inverse_[i] * kick;
     position[i] += velocity[i] * drift;
   }
-}
-
-void Drive::coast(Chain& links, const double* shaped, const double* load, double* q, double* dq) {
-  link_torque_.resize(size());
-  for (std::size_t i = 0; i < size(); ++i) link_torque_[i] = transmission[i] + load[i];
-  step(shaped);
-  for (std::size_t first = 0; first < size(); first += joints())
-    links.advance(q + first, dq + first, link_torque_.data() + first, period_);
-  sense(q, dq);
 }
 
 }  // namespace impact_rs

@@ -5,7 +5,7 @@
 
 #include <vector>
 
-#include "chain.hpp"
+#include "dense.hpp"
 
 namespace impact_rs {
 
@@ -29,13 +29,11 @@ class Drive {
         rotor_inverse_(std::move(rotor_inverse)),
         law_(std::move(friction)),
         period_(period) {
-    resize(stiffness_.size());
+    for (auto* state : {&position, &velocity, &elastic, &transmission, &actuation, &this->friction})
+      state->assign(joints(), 0.0);
   }
 
   std::size_t joints() const { return stiffness_.size(); }
-  std::size_t size() const { return position.size(); }  // of every state below: the joints of one arm or of several
-
-  void resize(std::size_t size);
 
   // Spring and damper between the motors and links at `q` [rad] that move at `dq` [rad/s].
   void sense(const double* q, const double* dq);
@@ -49,9 +47,6 @@ class Drive {
   // The motors under their torques for `kick`, then along their velocities for `drift` [s].
   void move(double kick, double drift);
 
-  // The same with links that touch nothing: copies of one arm at `q` that move at `dq`, and `load` on the links [N m].
-  void coast(Chain& links, const double* shaped, const double* load, double* q, double* dq);
-
   std::vector<double> position, velocity;     // of the motors [rad, rad/s]
   std::vector<double> elastic, transmission;  // tau_J, and with the damper [N m]
   std::vector<double> actuation, friction;    // tau_act and tau_fric,m of the last step [N m]
@@ -60,7 +55,6 @@ class Drive {
   std::vector<double> stiffness_, damping_, feedback_, rotor_inverse_;
   Friction law_;
   double period_;
-  std::vector<double> link_torque_;
 };
 
 }  // namespace impact_rs

@@ -55,14 +55,10 @@ class DriveOfPython {
       : drive_(copied(stiffness, stiffness.size(), "stiffness"), copied(damping, stiffness.size(), "damping"),
                copied(feedback, stiffness.size(), "feedback"),
                copied(rotor_inverse, stiffness.size(), "rotor_inverse"), friction_of(friction, stiffness.size()),
-               period),
-        shape_{stiffness.size()} {}
+               period) {}
 
   void place(const Numbers& position, const Numbers& velocity, const Numbers& elastic, const Numbers& transmission) {
-    const py::ssize_t size = position.size();
-    if (size == 0 || size % drive_.joints() != 0) throw py::value_error("position: not a number per joint");
-    drive_.resize(size);
-    shape_.assign(position.shape(), position.shape() + position.ndim());
+    const auto size = static_cast<py::ssize_t>(drive_.joints());
     drive_.position = copied(position, size, "position");
     drive_.velocity = copied(velocity, size, "velocity");
     drive_.elastic = copied(elastic, size, "elastic");
@@ -70,38 +66,25 @@ class DriveOfPython {
   }
 
   void sense(const py::handle& position, const py::handle& velocity) {
-    const Values q(position, drive_.size(), "position"), dq(velocity, drive_.size(), "velocity");
+    const Values q(position, drive_.joints(), "position"), dq(velocity, drive_.joints(), "velocity");
     drive_.sense(q.data(), dq.data());
   }
 
-  void integrate(const Numbers& shaped) { drive_.step(checked(shaped, drive_.size(), "shaped")); }
-
-  py::tuple coast(Chain& links, const Numbers& position, const Numbers& velocity, const Numbers& shaped,
-                  const Numbers& load) {
-    const auto size = static_cast<py::ssize_t>(drive_.size());
-    for (const Numbers* values : {&position, &velocity, &load}) checked(*values, size, "position, velocity, load");
-    if (links.joints() != drive_.joints() || shaped.size() % size != 0)
-      throw py::value_error("shaped: not a number per joint");
-    Numbers q = own(position), dq = own(velocity);
-    for (const double *wanted = shaped.data(), *end = wanted + shaped.size(); wanted < end; wanted += size)
-      drive_.coast(links, wanted, load.data(), q.mutable_data(), dq.mutable_data());
-    return py::make_tuple(q, dq);
-  }
+  void integrate(const Numbers& shaped) { drive_.step(checked(shaped, drive_.joints(), "shaped")); }
 
   const Drive& drive() const { return drive_; }
 
   template <std::vector<double> Drive::*State>
   Numbers get() const {
-    return array(drive_.*State, shape_);
+    return array(drive_.*State, {static_cast<py::ssize_t>(drive_.joints())});
   }
   template <std::vector<double> Drive::*State>
   void set(const Numbers& values) {
-    drive_.*State = copied(values, drive_.size(), "values");
+    drive_.*State = copied(values, drive_.joints(), "values");
   }
 
  private:
   Drive drive_;
-  Shape shape_;
 };
 
 }  // namespace
@@ -119,8 +102,6 @@ void add_drive(py::module_& module) {
            py::arg("transmission"))
       .def("sense", &Python::sense, py::arg("link_position"), py::arg("link_velocity"))
       .def("integrate", &Python::integrate, py::arg("shaped"))
-      .def("coast", &Python::coast, py::arg("links"), py::arg("position"), py::arg("velocity"), py::arg("shaped"),
-           py::arg("load"))
       .def_property("position", &Python::get<&Drive::position>, &Python::set<&Drive::position>)
       .def_property("velocity", &Python::get<&Drive::velocity>, &Python::set<&Drive::velocity>)
       .def_property_readonly("actuation_torque", &Python::get<&Drive::actuation>)

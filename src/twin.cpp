@@ -11,6 +11,7 @@ constexpr double ALIGNED = 1e-9;         // m, as in impact_rs_sim/impact_map/co
 constexpr double MARGIN = 2e-3;          // m; what is closer may touch soon
 constexpr double IN_REACH = 1e-4;        // m; what is closer, but for its speed, may touch within a step or did so in the last one
 constexpr double WHOLE_FACE = 2e-2;      // m; corners that far apart belong to one face
+constexpr double CROSSED = 0.995;        // cosine; a common normal of edges that is nearer to that of a face is that of the face
 constexpr double FACE_POINTS = 4.0;      // that share stiffness and damping of a face
 constexpr double RIGID = 1e4;            // of the object's mass stops it within a step, and holds what sticks
 constexpr double SUPPORT_THICKNESS = 0.1;      // m
@@ -67,7 +68,6 @@ Vector tangential(const Vector& a, const Vector& normal) { return a + -dot(a, no
 
 Twin::Twin(const TwinModel& model, const TwinStart& start)
     : model_(model),
-      start_(start),
       has_box_(start.box.has_value()),
       awake_(false),
       last_(model.period),
@@ -77,6 +77,7 @@ Twin::Twin(const TwinModel& model, const TwinStart& start)
       momentum_{},
       rotation_(IDENTITY),
       motions_(model.arms.size()),
+      pad_forces_(model.arms.size()),
       guesses_(model.arms.size() + 1),
       softened_(model.arms.size()) {
   arms_.reserve(model.arms.size());
@@ -114,7 +115,8 @@ std::size_t Twin::row() const {
   return size;
 }
 
-void Twin::sample(std::size_t tick, double* out) const {
+void Twin::state(double* out, const double* before) const {
+  const double* begin = out;
   for (const TwinArm& arm : arms_)
     for (const auto* values : {&arm.q, &arm.dq, &arm.elastic(), &arm.motor_position(), &arm.motor_velocity()})
       out = std::copy(values->begin(), values->end(), out);
@@ -122,7 +124,7 @@ void Twin::sample(std::size_t tick, double* out) const {
   const Vector lever = rotation_ * model_.box.offset, middle = centre_ - lever;
   const Vector velocity = velocity_ - cross(angular_, lever);
   out = std::copy(middle.begin(), middle.end(), out);
-  quaternion(rotation_, out, tick > 0 ? out - row() : nullptr);
+  quaternion(rotation_, out, before != nullptr ? before + (out - begin) : nullptr);
   out += 4;
   out = std::copy(velocity.begin(), velocity.end(), out);
   std::copy(angular_.begin(), angular_.end(), out);
@@ -135,24 +137,44 @@ bool Twin::is_finite() const {
   return std::isfinite(sum);
 }
 
-void Twin::run(double* out) {
-  const std::size_t ticks = start_.time.size(), size = row();
-  long number = 0;
-  for (std::size_t tick = 0; tick < ticks; ++tick, out += size) {
-    sample(tick, out);
-    if (tick + 1 == ticks) break;
-    const double time = start_.time[tick];
-    for (TwinArm& arm : arms_) arm.load(time);
-    for (int i = 0; i < start_.substeps; ++i) period(number++, time + i * model_.period);
-    if (is_finite()) continue;
-    report_.failed.push_back(time);
-    std::fill(out + size, out + (ticks - tick) * size, std::numeric_limits<double>::quiet_NaN());
-    break;
+void Twin::load(double time) {
+  for (TwinArm& arm : arms_) arm.load(time);
+}
+
+void Twin::run(const Course& course, double* out) {
+  const std::size_t ticks = course.time.size(), size = row();
+  state(out, nullptr);
+  for (std::size_t tick = 0; tick + 1 < ticks; ++tick, out += size) {
+    const double time = course.time[tick];
+    load(time);
+    for (int i = 0; i < course.substeps; ++i) {
+      for (std::size_t arm = 0; arm < arms_.size(); ++arm) {
+        const auto& [torques, acting] = course.arms[arm];
+        const int* row = acting + periods_;
+        if (row == acting || row[0] != row[-1]) arms_[arm].desire(torques + row[0] * arms_[arm].joints(), periods_);
+      }
+      period(time + i * model_.period);
+    }
+    if (!is_finite()) {  // what follows stays NaN
+      report_.failed.push_back(time);
+      return;
+    }
+    state(out + size, out);
   }
 }
 
-void Twin::period(long number, double time) {
-  for (TwinArm& arm : arms_) arm.command(number);
+bool Twin::tick(double time, int substeps, const std::vector<const double*>& torques) {
+  load(time);
+  for (std::size_t arm = 0; arm < arms_.size(); ++arm) arms_[arm].desire(torques[arm], periods_);
+  for (int i = 0; i < substeps; ++i) period(time + i * model_.period);
+  if (is_finite()) return true;
+  report_.failed.push_back(time);
+  return false;
+}
+
+void Twin::period(double time) {
+  for (TwinArm& arm : arms_) arm.command(periods_);
+  ++periods_;
   const int steps = look() ? model_.refinement : 1;
   const double length = model_.period / steps;
   for (int i = 0; i < steps; ++i) {
@@ -176,6 +198,21 @@ bool Twin::look() {
   return fast;
 }
 
+// Points of two boxes in `touches_`, up to a distance [m]; their normal.
+Vector Twin::touch(const Box& partner, const Box& object, double tolerance) {
+  touches_.clear();
+  const Face face = separating_face(partner, object, ALIGNED);
+  if (face.separation >= MARGIN) return face.normal;
+  // Edges that cross at a small angle are corners of the faces, clipped to each other.
+  const std::optional<Crossing> crossing = crossing_edges(partner, object);
+  if (crossing && crossing->separation > face.separation && dot(crossing->normal, face.normal) < CROSSED) {
+    if (crossing->separation < tolerance) touches_.push_back(crossing->touch);
+    return crossing->normal;
+  }
+  touching(partner, object, face, tolerance, touches_);
+  return face.normal;
+}
+
 void Twin::look_at_pad(int number) {
   TwinArm& arm = arms_[number];
   const Box object = box(), pad = arm.pad_box();
@@ -186,9 +223,7 @@ void Twin::look_at_pad(int number) {
     arm.shear = {};
     return;
   }
-  const Face face = separating_face(pad, object, ALIGNED);
-  touches_.clear();
-  if (face.separation < MARGIN) touching(pad, object, face, WHOLE_FACE, touches_);
+  const Vector normal = touch(pad, object, WHOLE_FACE);
   const std::size_t first = solver_.points.size();
   const double share = std::min(1.0, FACE_POINTS / static_cast<double>(touches_.size())) / FACE_POINTS;
   std::vector<double>& motions = motions_[number];
@@ -197,7 +232,7 @@ void Twin::look_at_pad(int number) {
     if (touch.gap > MARGIN) continue;
     ContactPoint point{};
     point.place = touch.position - centre_;
-    point.normal = face.normal;
+    point.normal = normal;
     point.gap = touch.gap;
     point.share = share;
     solver_.points.push_back(point);
@@ -240,16 +275,14 @@ void Twin::look_at_support() {
   const Box table{{0.0, 0.0, surface - 0.5 * SUPPORT_THICKNESS},
                   IDENTITY,
                   {support.half_x, support.half_y, 0.5 * SUPPORT_THICKNESS}};
-  const Face face = separating_face(table, object, ALIGNED);
-  touches_.clear();
-  if (face.separation < MARGIN) touching(table, object, face, MARGIN, touches_);
+  const Vector normal = touch(table, object, MARGIN);
   if (touches_.empty()) return;
   const std::size_t first = solver_.points.size();
   const double share = std::min(1.0, FACE_POINTS / static_cast<double>(touches_.size())) / FACE_POINTS;
   for (const Touch& touch : touches_) {
     ContactPoint point{};
     point.place = touch.position - centre_;
-    point.normal = face.normal;
+    point.normal = normal;
     point.gap = touch.gap;
     point.share = share;
     point.speed = dot(point.normal, velocity_ + cross(angular_, point.place));
@@ -360,6 +393,7 @@ void Twin::remember(std::size_t number) {
 void Twin::step(double length, double time) {
   const double kick = 0.5 * (last_ + length);
   ++report_.steps;
+  std::fill(pad_forces_.begin(), pad_forces_.end(), Vector{});
   solver_.span = {last_, length};
   for (TwinArm& arm : arms_) arm.equations();
   if (awake_ && has_box_) {
@@ -447,6 +481,7 @@ void Twin::touch_step(double kick, double time) {
     for (int i = 0; i < 3; ++i) momentum_[i] += kick * wrench[i];
     if (partner.joints == 0) continue;
     TwinArm& arm = arms_[partners_[k]];
+    pad_forces_[partners_[k]] = -1.0 * vector(wrench + 3);
     std::copy_n(solver.velocity.begin() + partner.offset, partner.joints, arm.dq.begin());
     if (softened_[partners_[k]].yields) remember(k);
   }

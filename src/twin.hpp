@@ -45,8 +45,19 @@ struct BoxStart {
 struct TwinStart {
   std::vector<ArmStart> arms;
   std::optional<BoxStart> box;  // none: the arms are alone
-  std::vector<double> time;     // ticks [s]
-  int substeps;                 // periods of the torque loop from tick to tick
+};
+
+// Driving torques of an arm in the order in which they act, (m, n), and the row that acts in every period. The caller's.
+struct Driving {
+  const double* torques;
+  const int* acting;
+};
+
+// Ticks and torques of a run that are known beforehand.
+struct Course {
+  std::vector<double> time;  // ticks [s]
+  int substeps;              // periods of the torque loop from tick to tick
+  std::vector<Driving> arms;
 };
 
 // How well the steps were solved.
@@ -62,17 +73,28 @@ class Twin {
  public:
   Twin(const TwinModel& model, const TwinStart& start);
 
-  // All ticks: per tick q, dq, tau_J, theta, dtheta (n each) of every arm; then middle, quaternion x y z w, velocity of
-  // the middle and angular velocity of the box, where there is one. `out` is (ticks, row()).
-  void run(double* out);
+  // Numbers of a state: q, dq, tau_J, theta, dtheta (n each) of every arm; then middle, quaternion x y z w, velocity of
+  // the middle and angular velocity of the box, where there is one. The quaternion has the sign nearer to that of
+  // `before` (a state as well), unless that is null.
   std::size_t row() const;
+  void state(double* out, const double* before) const;
+
+  // States at all ticks of a course, (ticks, row()).
+  void run(const Course& course, double* out);
+
+  // One tick from `time` [s]: `substeps` periods with a desired torque by arm. False: a state is not finite.
+  bool tick(double time, int substeps, const std::vector<const double*>& torques);
+
+  // Force of the box on the pad of an arm in the last step [N].
+  const Vector& pad_force(int arm) const { return pad_forces_[arm]; }
 
   const TwinReport& report() const { return report_; }
 
  private:
-  void sample(std::size_t tick, double* out) const;
-  void period(long number, double time);
+  void load(double time);
+  void period(double time);
   bool look();  // contact points now; whether a pad meets the object faster than a step of a period resolves
+  Vector touch(const Box& partner, const Box& object, double tolerance);
   void look_at_pad(int arm);
   void look_at_support();
   void step(double length, double time);
@@ -87,11 +109,11 @@ class Twin {
   bool is_finite() const;
 
   const TwinModel& model_;
-  const TwinStart& start_;
   TwinReport report_;
   std::vector<TwinArm> arms_;
   bool has_box_, awake_;
   double last_;  // length of the step before [s]
+  long periods_ = 0;  // of the torque loop so far
 
   // Change of the velocities in the step before and its kick, as a first guess while the partners are the same.
   std::vector<double> change_;
@@ -106,6 +128,7 @@ class Twin {
   std::vector<Touch> touches_;
   std::vector<int> partners_;
   std::vector<std::vector<double>> motions_;  // by arm
+  std::vector<Vector> pad_forces_;            // by arm
   std::vector<std::vector<Guess>> guesses_;  // by partner and point, of the step before
   StepSolver solver_;
 

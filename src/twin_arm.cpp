@@ -10,11 +10,10 @@ TwinArm::TwinArm(const ArmModel& model, const ArmStart& start, double period)
     : q(start.position),
       dq(start.velocity),
       model_(model),
-      start_(start),
       period_(period),
       links_(model.links),
       drive_(model.drive),
-      since_(start.earlier_times) {
+      commands_(start.earlier) {
   const std::size_t n = q.size();
   for (auto* numbers : {&wanted_, &shaped_, &passed_, &on_links_, &on_motors_, &acceleration_, &driving})
     numbers->assign(n, 0.0);
@@ -63,37 +62,28 @@ void TwinArm::load(double time) {
   if (model_.python) model_.python(time, q.data(), dq.data(), on_links_.data(), on_motors_.data());
 }
 
-const double* TwinArm::command_row(long number) const {
-  const long earlier = start_.earlier_times.size(), n = joints();
-  if (number < earlier) return start_.earlier + number * n;
-  return start_.torques + rows_[number - earlier] * n;
-}
-
-// The desired torque of a period in `wanted_`: the mean of the held commands over the period that began `delay` ago.
-void TwinArm::deliver(long period) {
-  const int n = joints(), row = start_.acting[period];
+void TwinArm::desire(const double* torque, long period) {
   if (model_.delay <= 0.0 || model_.joint_torque) {
-    std::copy_n(start_.torques + static_cast<long>(row) * n, n, wanted_.begin());
+    std::copy_n(torque, joints(), wanted_.begin());
     return;
   }
-  if (rows_.empty() || rows_.back() != row) {
-    since_.push_back(period * period_);
-    rows_.push_back(row);
-  }
-  const double begin = period * period_ - model_.delay, end = begin + period_;
-  while (oldest_ + 1 < static_cast<long>(since_.size()) && since_[oldest_ + 1] <= begin) ++oldest_;
+  commands_.push_back({period * period_, {torque, torque + joints()}});
+}
+
+// In `wanted_` the mean of the held commands over the period that began `delay` ago.
+void TwinArm::deliver(double begin) {
+  const double end = begin + period_;
+  while (commands_.size() > 1 && commands_[1].since <= begin) commands_.pop_front();
   std::fill(wanted_.begin(), wanted_.end(), 0.0);
-  for (long number = oldest_; number < static_cast<long>(since_.size()); ++number) {
-    const double from = number == oldest_ ? begin : since_[number];
-    const double until = number + 1 < static_cast<long>(since_.size()) ? std::min(since_[number + 1], end) : end;
+  for (std::size_t number = 0; number < commands_.size(); ++number) {
+    const double from = number == 0 ? begin : commands_[number].since;
+    const double until = number + 1 < commands_.size() ? std::min(commands_[number + 1].since, end) : end;
     if (until <= from) continue;
-    const double* torque = command_row(number);
-    for (int i = 0; i < n; ++i) wanted_[i] += (until - from) / period_ * torque[i];
+    for (int i = 0; i < joints(); ++i) wanted_[i] += (until - from) / period_ * commands_[number].torque[i];
   }
 }
 
 void TwinArm::command(long period) {
-  deliver(period);
   const int n = joints();
   if (model_.joint_torque) {
     for (int i = 0; i < n; ++i) {
@@ -103,6 +93,7 @@ void TwinArm::command(long period) {
     }
     return;
   }
+  if (model_.delay > 0.0) deliver(period * period_ - model_.delay);
   for (int i = 0; i < n; ++i)
     shaped_[i] = model_.shaping[i] * (model_.gain[i] * wanted_[i] + model_.offset[i] + on_motors_[i]);
   drive_.act(shaped_.data());

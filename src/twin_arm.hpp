@@ -3,11 +3,13 @@
 
 #pragma once
 
+#include <deque>
 #include <functional>
 #include <optional>
 #include <string>
 
 #include "boxes.hpp"
+#include "chain.hpp"
 #include "drive.hpp"
 #include "twin_formula.hpp"
 
@@ -55,13 +57,16 @@ struct ArmModel {
   PythonLoad python;
 };
 
-// Initial state and input. Pointers belong to the caller.
+// A desired torque, and the time from which it is desired [s].
+struct Command {
+  double since;
+  std::vector<double> torque;
+};
+
+// Initial state.
 struct ArmStart {
   std::vector<double> position, velocity, torque, torque_rate;  // q, dq, tau_J, dtau_J
-  std::vector<double> earlier_times;  // of commands before the start, one or more; the first acts from ever [s]
-  const double* earlier;              // what they are, (earlier_times, n)
-  const double* torques;              // driving torques in the order in which they act, (m, n)
-  const int* acting;                  // row of `torques` in every period
+  std::deque<Command> earlier;  // commands before the start, one or more; the first acts from ever
 };
 
 // Shear of a pad against its flange, in axes of the last joint.
@@ -79,6 +84,9 @@ class TwinArm {
 
   // Loads that hold until they are computed again; std::runtime_error where a formula is not finite.
   void load(double time);
+
+  // Desired torque from the begin of a period on (or measured joint torque, which then is that of its end).
+  void desire(const double* torque, long period);
 
   // Torque law at the begin of a period of the torque loop.
   void command(long period);
@@ -107,18 +115,14 @@ class TwinArm {
   const std::vector<double>& motor_velocity() const { return drive_.velocity; }
 
  private:
-  void deliver(long period);
-  const double* command_row(long number) const;
+  void deliver(double begin);
 
   const ArmModel& model_;
-  const ArmStart& start_;
   double period_;
   Chain links_;
   Drive drive_;
   std::vector<double> wanted_, shaped_, rate_, passed_, on_links_, on_motors_, factor_, acceleration_;
-  long oldest_ = 0;                // the first command that the delay may still deliver
-  std::vector<double> since_;      // times of all commands so far [s]
-  std::vector<int> rows_;          // their rows in `torques`, from the first that is not earlier
+  std::deque<Command> commands_;  // that the delay may still deliver
 };
 
 }  // namespace impact_rs

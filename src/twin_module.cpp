@@ -18,10 +18,11 @@ using PullOfPython = std::tuple<Numbers, double, Numbers>;
 using FormulaOfPython = std::tuple<std::string, int, int, std::vector<int>, std::vector<double>>;
 using BoxOfPython = std::tuple<double, Numbers, Numbers, Numbers>;
 using SupportOfPython = std::tuple<double, double, double, double, double>;
-using ArmStartOfPython = std::tuple<Numbers, Numbers, Numbers, Numbers, Numbers, Numbers, Numbers, Rows>;
+using ArmStartOfPython = std::tuple<Numbers, Numbers, Numbers, Numbers, Numbers, Numbers>;
 using BoxStartOfPython = std::tuple<Numbers, Numbers, Numbers>;
-using JobOfPython =
-    std::tuple<const TwinModel*, std::vector<ArmStartOfPython>, std::optional<BoxStartOfPython>, Numbers, int>;
+using DrivingOfPython = std::tuple<Numbers, Rows>;
+using JobOfPython = std::tuple<const TwinModel*, std::vector<ArmStartOfPython>, std::optional<BoxStartOfPython>, Numbers,
+                               int, std::vector<DrivingOfPython>>;
 
 Vector vector_of(const Numbers& values, const char* name) { return vector(checked(values, 3, name)); }
 
@@ -90,25 +91,22 @@ TwinModel model_of(const std::vector<const ArmModel*>& arms, const BoxOfPython& 
   return model;
 }
 
-ArmStart arm_start_of(const ArmStartOfPython& given, py::ssize_t n, py::ssize_t periods) {
-  const auto& [q, dq, torque, rate, times, earlier, torques, acting] = given;
+ArmStart arm_start_of(const ArmStartOfPython& given, py::ssize_t n) {
+  const auto& [q, dq, torque, rate, times, earlier] = given;
   if (times.size() == 0) throw py::value_error("earlier: expected one command or more");
-  checked(earlier, n * times.size(), "earlier");
-  if (acting.size() != periods) throw py::value_error("acting: expected a row for every period");
-  for (py::ssize_t i = 0; i < periods; ++i)
-    if (acting.data()[i] < 0 || acting.data()[i] >= torques.size() / n) throw py::value_error("acting: no such row");
+  const double* row = checked(earlier, n * times.size(), "earlier");
+  std::deque<Command> commands;
+  for (py::ssize_t i = 0; i < times.size(); ++i, row += n) commands.push_back({times.data()[i], {row, row + n}});
   return {copied(q, n, "position"), copied(dq, n, "velocity"), copied(torque, n, "torque"), copied(rate, n, "torque rate"),
-          copied(times, times.size(), "earlier"), earlier.data(), torques.data(), acting.data()};
+          std::move(commands)};
 }
 
-TwinStart start_of(const JobOfPython& job) {
-  const auto& [model, arms, box, time, substeps] = job;
-  TwinStart start{{}, std::nullopt, copied(time, time.size(), "time"), substeps};
-  if (arms.size() != model->arms.size()) throw py::value_error("arms: not those of the model");
-  if (time.size() == 0 || substeps < 1) throw py::value_error("time: expected ticks, and periods between them");
+TwinStart start_of(const TwinModel& model, const std::vector<ArmStartOfPython>& arms,
+                   const std::optional<BoxStartOfPython>& box) {
+  TwinStart start;
+  if (arms.size() != model.arms.size()) throw py::value_error("arms: not those of the model");
   for (std::size_t i = 0; i < arms.size(); ++i)
-    start.arms.push_back(arm_start_of(arms[i], static_cast<py::ssize_t>(model->arms[i].links.joints()),
-                                      (time.size() - 1) * substeps));
+    start.arms.push_back(arm_start_of(arms[i], static_cast<py::ssize_t>(model.arms[i].links.joints())));
   if (box) {
     const double* twist = checked(std::get<2>(*box), 6, "box");
     start.box = BoxStart{vector_of(std::get<0>(*box), "box"), matrix_of(std::get<1>(*box), "box"), vector(twist),
@@ -116,6 +114,61 @@ TwinStart start_of(const JobOfPython& job) {
   }
   return start;
 }
+
+Course course_of(const TwinModel& model, const Numbers& time, int substeps, const std::vector<DrivingOfPython>& arms) {
+  if (time.size() == 0 || substeps < 1) throw py::value_error("time: expected ticks, and periods between them");
+  if (arms.size() != model.arms.size()) throw py::value_error("driving: not that of the arms of the model");
+  Course course{copied(time, time.size(), "time"), substeps, {}};
+  const py::ssize_t periods = (time.size() - 1) * substeps;
+  for (std::size_t i = 0; i < arms.size(); ++i) {
+    const auto& [torques, acting] = arms[i];
+    const auto rows = torques.size() / static_cast<py::ssize_t>(model.arms[i].links.joints());
+    if (acting.size() != periods) throw py::value_error("acting: expected a row for every period");
+    for (py::ssize_t k = 0; k < periods; ++k)
+      if (acting.data()[k] < 0 || acting.data()[k] >= rows) throw py::value_error("acting: no such row");
+    course.arms.push_back({torques.data(), acting.data()});
+  }
+  return course;
+}
+
+// A simulation that goes on tick by tick, under torques that depend on where it is.
+class TwinRun {
+ public:
+  TwinRun(const TwinModel& model, const std::vector<ArmStartOfPython>& arms, const std::optional<BoxStartOfPython>& box)
+      : model_(model), twin_(model_, start_of(model_, arms, box)), state_(twin_.row()) {
+    twin_.state(state_.data(), nullptr);
+  }
+  TwinRun(const TwinRun&) = delete;
+
+  // The state afterwards.
+  Numbers step(double time, int substeps, const std::vector<Numbers>& torques) {
+    if (torques.size() != model_.arms.size()) throw py::value_error("torque: expected one by arm");
+    std::vector<const double*> desired;
+    for (std::size_t i = 0; i < torques.size(); ++i)
+      desired.push_back(checked(torques[i], model_.arms[i].links.joints(), "torque"));
+    const std::vector<double> before = state_;
+    if (twin_.tick(time, substeps, desired)) {
+      twin_.state(state_.data(), before.data());
+    } else {
+      std::fill(state_.begin(), state_.end(), NAN);
+    }
+    return state();
+  }
+
+  Numbers state() const { return array(state_, {static_cast<py::ssize_t>(state_.size())}); }
+  Numbers pad_force(std::size_t arm) const {
+    if (arm >= model_.arms.size()) throw py::index_error("no such arm");
+    const Vector& force = twin_.pad_force(static_cast<int>(arm));
+    return Numbers(3, force.data());
+  }
+  double residual() const { return twin_.report().residual; }
+  const std::vector<double>& failed() const { return twin_.report().failed; }
+
+ private:
+  const TwinModel model_;
+  Twin twin_;
+  std::vector<double> state_;
+};
 
 // What one job leaves behind.
 struct Outcome {
@@ -126,12 +179,12 @@ struct Outcome {
   std::exception_ptr thrown;
 };
 
-void run_one(const TwinModel& model, const TwinStart& start, Outcome& outcome) {
+void run_one(const TwinModel& model, const TwinStart& start, const Course& course, Outcome& outcome) {
   try {
     Twin twin(model, start);
-    std::fill_n(outcome.data, start.time.size() * twin.row(), NAN);
+    std::fill_n(outcome.data, course.time.size() * twin.row(), NAN);
     try {
-      twin.run(outcome.data);
+      twin.run(course, outcome.data);
     } catch (const std::runtime_error& error) {
       outcome.failure = error.what();
     }
@@ -143,14 +196,14 @@ void run_one(const TwinModel& model, const TwinStart& start, Outcome& outcome) {
 
 py::list run_twins(const std::vector<JobOfPython>& jobs, int threads) {
   std::vector<TwinStart> starts;
+  std::vector<Course> courses;
   std::vector<Outcome> outcomes;
-  starts.reserve(jobs.size());
-  for (const JobOfPython& job : jobs) {
-    starts.push_back(start_of(job));
-    const TwinStart& start = starts.back();
-    std::size_t row = start.box ? BOX_ROW : 0;
-    for (const ArmStart& arm : start.arms) row += 5 * arm.position.size();
-    Numbers rows({static_cast<py::ssize_t>(start.time.size()), static_cast<py::ssize_t>(row)});
+  for (const auto& [model, arms, box, time, substeps, driving] : jobs) {
+    starts.push_back(start_of(*model, arms, box));
+    courses.push_back(course_of(*model, time, substeps, driving));
+    std::size_t row = box ? BOX_ROW : 0;
+    for (const ArmStart& arm : starts.back().arms) row += 5 * arm.position.size();
+    Numbers rows({time.size(), static_cast<py::ssize_t>(row)});
     double* data = rows.mutable_data();
     outcomes.push_back({std::move(rows), data, {}, {}, nullptr});
   }
@@ -158,7 +211,8 @@ py::list run_twins(const std::vector<JobOfPython>& jobs, int threads) {
     const py::gil_scoped_release release;
     std::atomic<std::size_t> next{0};
     const auto work = [&] {
-      for (std::size_t i = next++; i < jobs.size(); i = next++) run_one(*std::get<0>(jobs[i]), starts[i], outcomes[i]);
+      for (std::size_t i = next++; i < jobs.size(); i = next++)
+        run_one(*std::get<0>(jobs[i]), starts[i], courses[i], outcomes[i]);
     };
     std::vector<std::thread> pool;
     for (std::size_t i = 1; i < std::min<std::size_t>(std::max(threads, 1), jobs.size()); ++i) pool.emplace_back(work);
@@ -186,6 +240,14 @@ void add_twin(py::module_& module) {
   py::class_<TwinModel>(module, "Twin")
       .def(py::init(&model_of), py::arg("arms"), py::arg("box"), py::arg("support"), py::arg("pad_friction"),
            py::arg("rolling_arm"), py::arg("gravity"), py::arg("period"), py::arg("refinement"));
+  py::class_<TwinRun>(module, "TwinRun")
+      .def(py::init<const TwinModel&, const std::vector<ArmStartOfPython>&, const std::optional<BoxStartOfPython>&>(),
+           py::arg("model"), py::arg("arms"), py::arg("box"))
+      .def("step", &TwinRun::step, py::arg("time"), py::arg("substeps"), py::arg("torques"))
+      .def("pad_force", &TwinRun::pad_force, py::arg("arm"))
+      .def_property_readonly("state", &TwinRun::state)
+      .def_property_readonly("residual", &TwinRun::residual)
+      .def_property_readonly("failed", &TwinRun::failed);
   module.def("run_twins", &run_twins, py::arg("jobs"), py::arg("threads"));
 }
 

@@ -31,7 +31,7 @@ from impact_rs_sim.plant import Measurement
 from impact_rs_sim.robot import Array
 from impact_rs_sim.rotations import quaternion_of
 from impact_rs_sim.scenario import Scenario
-from impact_rs_sim.scene import BodyState
+from impact_rs_sim.scene import ArmMotion, BodyState
 from impact_rs_sim.sensors import ArmMeasurement, ArmSensors, ObjectTracker
 
 STEP = 1.0 / 8000.0  # s
@@ -150,11 +150,9 @@ class MujocoCell:
         arms: dict[str, ArmMeasurement] = {
             name: self._sensors[name].measure(
                 self._tick,
-                arm.link_position,
-                arm.link_velocity,
-                arm.elastic_torque,
-                arm.motor_position,
-                arm.motor_velocity,
+                ArmMotion(
+                    arm.link_position, arm.link_velocity, arm.elastic_torque, arm.motor_position, arm.motor_velocity
+                ),
             )
             for name, arm in self._arms.items()
         }

@@ -2,9 +2,9 @@
 """The model discrepancy: how far equally valid simulations of the same parameters lie apart, feature by feature.
 
 ``./run python -m benchmarks.foreign.discrepancy -o config/discrepancy.yaml`` (needs the extra ``peers``). Every
-condition is run without noise and scatter by variants as valid as our plant, and replayed as if
-it had been measured. With f the features of :mod:`impact_rs_analysis.evidence.features`, and rms taken over conditions
-and the time bins of a signal,
+condition is run without noise and scatter by three simulators (Bullet, MuJoCo, and the twin with finer steps), and
+replayed by the twin as if it had been measured. With f the features of :mod:`impact_rs_analysis.evidence.features`, and
+rms taken over conditions and the time bins of a signal,
 
     discrepancy = max over variants of rms (f_variant - f_replay).
 
@@ -35,6 +35,7 @@ from impact_rs_analysis.evidence.measured_runs import MeasuredRun
 from impact_rs_analysis.evidence.simulated_trials import observed, quiet
 from impact_rs_control.closed_loop import RobotCell
 from impact_rs_control.plan import TrialPlan
+from impact_rs_sim.mechanics import Simulator
 from impact_rs_sim.plant import Plant
 from impact_rs_sim.robot import Array
 from impact_rs_sim.scenario import Scenario, load_scenario
@@ -63,9 +64,9 @@ class Variant:
 
     Attributes:
         name: Short name.
-        sentence: What it does otherwise than our plant.
+        sentence: What it does otherwise than the twin that replays.
         make: Makes its plant for a trial.
-        counts: Kinds of trials in which every parameter means the same as in our plant.
+        counts: Kinds of trials in which every parameter means the same as in the twin.
     """
 
     name: str
@@ -74,19 +75,12 @@ class Variant:
     counts: tuple[Kind, ...] = KINDS
 
 
-def _plant(plan: TrialPlan, drive_period: float | None = None) -> Plant:
-    """Our plant, as the replay runs it."""
-    scene = plan.scene
-    scenario = quiet(scene.scenario)
-    if drive_period is not None:
-        scenario = scenario.model_copy(
-            update={"timing": scenario.timing.model_copy(update={"drive_period": drive_period})}
-        )
-    return Plant.for_trial(scenario, scene.physics, _initial(plan), scene.object, seed=0)
-
-
-def _half_step(plan: TrialPlan) -> RobotCell:
-    return _plant(plan, plan.scene.scenario.timing.drive_period / 2.0)
+def _plant(plan: TrialPlan, simulator: Simulator = "bullet", finer: int = 1) -> Plant:
+    """Our plant, or the twin in its place, with a torque loop that is ``finer`` times as fast."""
+    scene, scenario = plan.scene, quiet(plan.scene.scenario)
+    timing = scenario.timing.model_copy(update={"drive_period": scenario.timing.drive_period / finer})
+    scenario = scenario.model_copy(update={"timing": timing})
+    return Plant.for_trial(scenario, scene.physics, _initial(plan), scene.object, seed=0, simulator=simulator)
 
 
 def _other_contacts(plan: TrialPlan) -> RobotCell:
@@ -108,7 +102,17 @@ def _initial(plan: TrialPlan) -> dict[str, Array]:
 
 
 VARIANTS = (
-    Variant("bullet_half_step", "Our plant, torque loop and Bullet with half the step.", _half_step),
+    Variant(
+        "twin_quarter_step",
+        "The twin, torque loop and all, with a quarter of the step.",
+        lambda plan: _plant(plan, "twin", finer=4),
+    ),
+    Variant("bullet", "Our plant: contacts and links of Bullet.", _plant),
+    Variant(
+        "bullet_half_step",
+        "Our plant, torque loop and Bullet with half the step.",
+        lambda plan: _plant(plan, finer=2),
+    ),
     Variant(
         "bullet_contacts",
         "Our plant with other solver settings: a support of finite stiffness, a quarter of the error reduction, "

@@ -346,7 +346,8 @@ def read_runs(directory: Path, map_tasks: Map) -> Runs:
     found = Runs.of(directory, map_tasks(read_trial, bags))
     skipped = {path for path, _ in found.skipped}
     remark = unsealed_words(sum(not says_so(bag) for bag in bags if str(bag) not in skipped))
-    return replace(found, remarks=(remark,)) if remark else found
+    of_runs = dict.fromkeys(remark for run in found.runs for remark in run.remarks)
+    return replace(found, remarks=(*((remark,) if remark else ()), *of_runs))
 
 
 def runs_digest(directory: Path) -> str:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Closed-loop simulation of a trial that was not measured, with the native controller, without noise and scatter.
+"""Closed-loop simulation of a trial that was not measured, by controller and twin, without noise and scatter.
 
 Used to propose experiments (:mod:`impact_rs_analysis.diagnosis.next_experiment`); measured trials are replayed instead.
 """
@@ -11,6 +11,7 @@ from pathlib import Path
 from impact_rs_analysis.evidence.replay import AFTER_IMPACT
 from impact_rs_control.closed_loop import RobotCell, run_closed_loop, without_garbage_collection
 from impact_rs_control.plan import TrialPlan
+from impact_rs_sim.mechanics import Simulator
 from impact_rs_sim.physics import Physics
 from impact_rs_sim.plant import Plant
 from impact_rs_sim.scenario import Scenario
@@ -41,12 +42,13 @@ def observed_until(plan: TrialPlan) -> float:
     return max(scenario.excursion_end(robot) for robot in case.robots.values()) + MARGIN
 
 
-def simulated(spec: TrialSpec, physics: Physics) -> Run:
+def simulated(spec: TrialSpec, physics: Physics, simulator: Simulator = "twin") -> Run:
     """A simulated trial without noise and scatter.
 
     Args:
         spec: Plan of the trial.
         physics: Physics of the model.
+        simulator: What moves arms and object.
 
     Raises:
         InputError: There is no such trial, or the physics is not valid.
@@ -54,7 +56,8 @@ def simulated(spec: TrialSpec, physics: Physics) -> Run:
     plan = spec.plan
     scene = plan.scene
     initial = {name: arm.initial for name, arm in plan.arms.items()}
-    return observed(spec, Plant.for_trial(quiet(scene.scenario), physics, initial, scene.object, seed=0))
+    plant = Plant.for_trial(quiet(scene.scenario), physics, initial, scene.object, seed=0, simulator=simulator)
+    return observed(spec, plant)
 
 
 def observed(spec: TrialSpec, plant: RobotCell) -> Run:

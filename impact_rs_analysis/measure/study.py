@@ -11,23 +11,25 @@ from pathlib import Path
 
 from impact_rs_analysis.measure.analyze import Analysis, analyze_campaign
 from impact_rs_analysis.measure.sensitivity import Sensitivity
+from impact_rs_sim.mechanics import Simulator
 from impact_rs_trials.campaign import Manifest, make_manifest
 from impact_rs_trials.workers import Map
 
 SCENARIOS = ("push", "grab")
 
 
-def study_manifests(trials: int | None = None, seed: int = 0) -> dict[str, Manifest]:
+def study_manifests(trials: int | None = None, seed: int = 0, plant: Simulator = "bullet") -> dict[str, Manifest]:
     """Campaigns of the study, by scenario.
 
     Args:
         trials: Repeats of every reference; None: the scenarios' own number.
         seed: Seed of both campaigns.
+        plant: Simulator of their plants.
 
     Raises:
         InputError: Fewer than one trial, or a negative seed.
     """
-    return {name: make_manifest(name, trials=trials, seed=seed) for name in SCENARIOS}
+    return {name: make_manifest(name, trials=trials, seed=seed, plant=plant) for name in SCENARIOS}
 
 
 def analyze_study(

@@ -92,6 +92,7 @@ def write_trial(bag: TrialBag, path: Path) -> Path:
             f"{info.scenario}, {info.object}, {info.case_name}; post-impact reference "
             f"{number_text(info.velocity_scale)} times the prediction",
         ),
+        ("Run by", "the twin in place of the plant" if info.simulator == "twin" else info.via),
         ("Outcome", f"{bag.outcome}: {bag.reason}"),
         ("Impact", "none was detected" if track.impact is None else f"detected at {track.impact:.3f} s"),
     )

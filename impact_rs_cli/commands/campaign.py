@@ -37,6 +37,8 @@ def run(args: argparse.Namespace, terminal: Terminal) -> int:
         )
     if args.via == "nodes" and (args.jobs not in (None, 1) or args.scheduler is not None):
         raise InputError("--jobs and --scheduler go with --via inprocess only: the nodes run one trial at a time")
+    if args.via == "nodes" and args.plant != "bullet":
+        raise InputError("--plant goes with --via inprocess only: the plant node runs Bullet")
     if args.without:
         check_without(args.without, args.via)
     if args.via != "nodes" and args.namespace:
@@ -44,7 +46,7 @@ def run(args: argparse.Namespace, terminal: Terminal) -> int:
     store = open_store(args.output)
     workforce = workforce_of(args)
     manifest = make_manifest(
-        args.scenario, args.objects, args.cases, args.scales, args.trials, args.seed, settings_of(args)
+        args.scenario, args.objects, args.cases, args.scales, args.trials, args.seed, settings_of(args), args.plant
     )
     check_robots(load_scenario(args.scenario).with_settings(settings_of(args)), terminal)
     campaigns: Mapping[Store, Manifest] = {store: manifest}

@@ -20,7 +20,7 @@ def run(args: argparse.Namespace, terminal: Terminal) -> int:
     """Run the command."""
     workforce, failed = workforce_of(args), 0
     with output_folder(args.output) as folder:
-        for name, manifest in study_manifests(args.trials, args.seed).items():
+        for name, manifest in study_manifests(args.trials, args.seed, args.plant).items():
             store = Folder(folder / name)
             campaigns: dict[Store, Manifest] = {store: manifest}
             if not args.no_sensitivity:

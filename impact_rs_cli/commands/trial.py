@@ -15,7 +15,7 @@ from impact_rs_trials.campaign import make_manifest, run_one
 
 def run(args: argparse.Namespace, terminal: Terminal) -> int:
     """Run the command."""
-    manifest = make_manifest(args.scenario, [args.object], [args.case], [args.scale], 1, args.seed)
+    manifest = make_manifest(args.scenario, [args.object], [args.case], [args.scale], 1, args.seed, plant=args.plant)
     key = manifest.keys[0]
     path = args.output / key.name
     if path.exists():

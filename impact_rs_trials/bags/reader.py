@@ -7,7 +7,7 @@ import math
 import weakref
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, TypeVar
@@ -25,6 +25,11 @@ from impact_rs_trials.bags.recovery import recover
 from impact_rs_trials.bags.trial_info import OUTCOMES, TrialInfo
 from impact_rs_trials.bags.types import typestore, typestore_of
 from impact_rs_trials.runs import ArmSignals, Run, Signals, run_of_trial
+
+OF_THE_TWIN = (
+    "the twin made these trials, and it is what the model replays them with: the simulator explains itself, so that no "
+    "difference between simulators shows"
+)
 
 
 class BagError(Exception):
@@ -253,7 +258,8 @@ class TrialBag:
             BagError: A topic is missing, damaged, has NaN, gaps or stamps that run backwards.
             InputError: The scenario in it cannot be read.
         """
-        return run_of_trial(self.info.spec, self._signals(), self.path)
+        run = run_of_trial(self.info.spec, self._signals(), self.path)
+        return replace(run, remarks=(OF_THE_TWIN,)) if self.info.simulator == "twin" else run
 
     def _signals(self) -> Signals:
         """Measured signals, checked."""

@@ -141,7 +141,7 @@ def record_trial(
 
     Args:
         plan: The trial.
-        info: Identity of the trial; its seed determines scatter and noise.
+        info: Identity of the trial; its seed determines scatter and noise, and it says which simulator moves the plant.
         path: Folder of the bag.
         physics: True physics of the plant; None: the scenario's.
         extension: Effects of the plant beyond its physics.
@@ -152,7 +152,7 @@ def record_trial(
     Raises:
         InputError: The bag exists or cannot be written.
     """
-    plant = make_plant(plan, info.seed, physics, extension)
+    plant = make_plant(plan, info.seed, physics, extension, info.simulator)
     return record_cell(plan, info, path, plant, plant.truth)
 
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass, fields
 from typing import Any, Literal
 
 from impact_rs_control.plan import TrialPlan
+from impact_rs_sim.mechanics import Simulator
 from impact_rs_sim.seeds import seed_of
 from impact_rs_sim.version import git_revision, package_version
 from impact_rs_trials.spec import TrialSpec
@@ -24,6 +25,7 @@ OUTCOMES: dict[str, str] = {  # the gravest first: it is the verdict where sever
     "OK": "it went as planned",
 }
 
+VIA: dict[Simulator, str] = {"bullet": "inprocess", "twin": "twin"}  # of a trial in this process, by its simulator
 FORMER_NAMES = {"scenario_json": "scenario_yaml"}  # of fields, up to version 0.1.0; the layout is the same
 
 
@@ -110,6 +112,11 @@ class TrialInfo:
             package_version=package_version(),
             via=via,
         )
+
+    @property
+    def simulator(self) -> Simulator:
+        """What moved the plant, where it was one of ours."""
+        return "twin" if self.via == VIA["twin"] else "bullet"
 
     @property
     def key(self) -> TrialKey:

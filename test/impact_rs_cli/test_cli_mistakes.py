@@ -39,6 +39,7 @@ MISTAKES = {  # {} is a folder with one file, CUBES a table of impacts
     f"{CAMPAIGN} --jobs 0": "jobs = 0",
     f"{CAMPAIGN} --jobs 2 --via nodes": "--via inprocess",
     f"{CAMPAIGN} --sensitivity --via nodes": "--via inprocess",
+    f"{CAMPAIGN} --plant twin --via nodes": "the plant node runs Bullet",
     f"{CAMPAIGN} --without plant": "--via nodes",
     f"{CAMPAIGN} --via nodes --without plnat": "did you mean 'plant'",
     f"{CAMPAIGN} --namespace cell_a": "--via nodes",

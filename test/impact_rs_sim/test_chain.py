@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The compiled arm of a replay against Pinocchio, energy, and the drive that goes step by step."""
+"""The compiled chain against Pinocchio, and friction of the compiled motors."""
 
 from __future__ import annotations
 
@@ -12,11 +12,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from trials import nominal_physics
 
-from impact_rs_sim.drive import Drive, DriveStart
+from impact_rs_sim.drive import Drive
 from impact_rs_sim.physics import JointFriction
 from impact_rs_sim.robot import EndEffector, RobotFacts
 from impact_rs_sim.robot_model import RobotModel
-from impact_rs_sim.scene import ArmState
 
 PERIOD = 2.5e-4  # s
 PHYSICS = nominal_physics("parcel")
@@ -37,14 +36,9 @@ MODELS = {"turning": PHYSICS.robot_model("arm"), "sliding": sliding()}
 
 @pytest.mark.parametrize("model", MODELS.values(), ids=MODELS)
 @given(seed=st.integers(0, 10_000))
-def test_accelerations_momentum_and_twist_are_those_of_pinocchio(model: RobotModel, seed: int) -> None:
+def test_momentum_and_twist_are_those_of_pinocchio(model: RobotModel, seed: int) -> None:
     rng = np.random.default_rng(seed)
-    q, dq, torque = rng.uniform(-2.5, 2.5, 7), rng.normal(0.0, 2.0, 7), rng.normal(0.0, 30.0, 7)
-    wanted = pin.aba(model.pinocchio, model.data, q, dq, torque)
-    position, velocity = model.chain.advance(q, dq, torque, PERIOD)
-    np.testing.assert_allclose((velocity - dq) / PERIOD, wanted, rtol=1e-8, atol=1e-8 * np.abs(wanted).max())
-    np.testing.assert_allclose(position, q + PERIOD * velocity, rtol=1e-14)
-
+    q, dq = rng.uniform(-2.5, 2.5, 7), rng.normal(0.0, 2.0, 7)
     ((momentum,), (known,), (twist,)) = model.chain.momentum(q[None], dq[None])
     coriolis = pin.computeCoriolisMatrix(model.pinocchio, model.data, q, dq)
     np.testing.assert_allclose(momentum, model.mass_matrix(q) @ dq, rtol=1e-10, atol=1e-11)
@@ -52,36 +46,9 @@ def test_accelerations_momentum_and_twist_are_those_of_pinocchio(model: RobotMod
     np.testing.assert_allclose(twist, model.terms(q, dq).twist, rtol=1e-10, atol=1e-11)
 
 
-def energy(model: RobotModel, q: np.ndarray, dq: np.ndarray) -> float:
-    """Kinetic and potential [J]."""
-    kinetic = pin.computeKineticEnergy(model.pinocchio, model.data, q, dq)
-    return float(kinetic + pin.computePotentialEnergy(model.pinocchio, model.data, q))
-
-
-@pytest.mark.parametrize("model", MODELS.values(), ids=MODELS)
-def test_a_falling_arm_keeps_its_energy_better_with_smaller_steps(model: RobotModel) -> None:
-    rng = np.random.default_rng(3)
-    q, dq = rng.uniform(-1.0, 1.0, 7), rng.normal(0.0, 1.0, 7)
-    before, lost = energy(model, q, dq), []
-    for steps in (400, 800):
-        after = model.chain.advance(q, dq, np.zeros((steps, 7)), 0.05 / steps)
-        lost.append(abs(energy(model, *after) - before))
-    assert lost[0] < 0.01
-    assert lost[1] / lost[0] == pytest.approx(0.5, abs=0.05)  # first order, as semi-implicit Euler is
-
-
-def test_an_arm_that_is_no_set_of_bodies_is_said_by_what_is_not_a_number() -> None:
-    hollow = replace(ARM.end_effector, mass=-30.0)
-    chain = RobotModel(ARM.facts, hollow).chain
-    _, velocity = chain.advance(np.full(7, 0.5), np.zeros(7), np.zeros(7), PERIOD)
-    assert np.isnan(velocity).all()
-
-
 def test_a_number_per_joint_is_wanted() -> None:
     with pytest.raises(ValueError, match="velocity: expected 7 numbers, got 6"):
-        MODELS["turning"].chain.advance(np.zeros(7), np.zeros(6), np.zeros(7), PERIOD)
-    with pytest.raises(ValueError, match="torque"):
-        MODELS["turning"].chain.advance(np.zeros(7), np.zeros(7), np.zeros(8), PERIOD)
+        MODELS["turning"].chain.momentum(np.zeros(7), np.zeros(6))
 
 
 FRICTION = JointFriction(
@@ -98,32 +65,6 @@ def test_motor_friction_is_scaled_like_the_shaped_inertia(friction: JointFrictio
         shaping = ARM.motor_inertia_rotor / ARM.motor_inertia_reduced
         wanted = shaping * friction.torque(np.full(7, speed))
         np.testing.assert_allclose(drive.friction_torque, wanted, rtol=1e-13, atol=1e-15)
-
-
-def test_several_arms_at_once_move_freely_as_each_does_step_by_step() -> None:
-    rng = np.random.default_rng(8)
-    physics = replace(
-        ARM, friction=FRICTION, torque_gain=rng.uniform(0.9, 1.1, 7), torque_offset=rng.normal(0.0, 0.5, 7)
-    )
-    model, rows, steps = MODELS["turning"], 3, 40
-    q, dq = rng.uniform(-1.0, 1.0, (2, rows, 7))
-    torque, rate, load = rng.normal(0.0, 5.0, (3, rows, 7))
-    desired = rng.normal(0.0, 20.0, (steps, rows, 7))
-    drives = Drive(physics, PERIOD)
-    drives.start(ArmState(q, dq), DriveStart(torque, rate))
-    after = drives.step_free(model.chain, ArmState(q, dq), desired, load)
-    for row in range(rows):
-        one, position, velocity = Drive(physics, PERIOD), q[row], dq[row]
-        one.start(ArmState(position, velocity), DriveStart(torque[row], rate[row]))
-        for wanted in desired[:, row]:
-            passed = one.link_torque(wanted) + load[row]
-            one.step(wanted)
-            velocity = velocity + PERIOD * pin.aba(model.pinocchio, model.data, position, velocity, passed)
-            position = position + PERIOD * velocity
-            one.sense(position, velocity)
-        np.testing.assert_allclose(after.position[row], position, rtol=1e-11)
-        np.testing.assert_allclose(after.velocity[row], velocity, rtol=1e-9, atol=1e-11)
-        np.testing.assert_allclose(drives.elastic_torque[row], one.elastic_torque, rtol=1e-8, atol=1e-9)
 
 
 def test_end_effectors_of_the_same_numbers_are_one_and_share_a_model() -> None:

@@ -256,7 +256,7 @@ def test_a_drive_started_in_motion_stretches_its_spring_at_that_rate() -> None:
     drive.start(link, DriveStart(torque, rate))
     np.testing.assert_allclose(arm.stiffness * (drive.position - link.position), torque)
     np.testing.assert_allclose(arm.stiffness * (drive.velocity - link.velocity), rate)
-    np.testing.assert_allclose(drive.link_torque(torque), torque + arm.damping / arm.stiffness * rate)
+    np.testing.assert_allclose(drive.transmission_torque, torque + arm.damping / arm.stiffness * rate)
     drive.sense(link.position + period * link.velocity - period * drive.velocity, link.velocity)
     np.testing.assert_allclose(drive.elastic_torque, torque + period * rate)
 

@@ -11,6 +11,7 @@ import pytest
 from trials import nominal_physics
 
 from impact_rs_sim.assumed_drive import SPEED, assumed_drive
+from impact_rs_sim.bullet_mechanics import BulletMechanics
 from impact_rs_sim.bullet_world import mass_matrices
 from impact_rs_sim.drive import DriveStart
 from impact_rs_sim.errors import Infeasible
@@ -18,7 +19,6 @@ from impact_rs_sim.impact_map import ImpactProblem, predict_impact
 from impact_rs_sim.impact_map.derivatives import chain_derivative
 from impact_rs_sim.impact_map.perturbation import parameters_of
 from impact_rs_sim.impact_map.problem import check_problem
-from impact_rs_sim.mechanics import Mechanics
 from impact_rs_sim.physics import JointFriction, Physics
 from impact_rs_sim.robot import EndEffector, RobotFacts
 from impact_rs_sim.robot_check import check_drives, check_facts
@@ -106,12 +106,12 @@ def test_a_force_drives_the_mass_of_links_and_motor_along_a_rail() -> None:
     """x = F t^2 / (2 (m + B_theta)), and the joint's spring is pressed by what the link takes, m F / (m + B) / K."""
     force, reduced, stiffness, time = 8.0, 2.0, 2e5, 0.2
     physics = replace(physics_of(RAIL, 6.0, reduced, stiffness, 400.0), gravity=np.zeros(3))
-    mechanics = Mechanics.load(physics, PERIOD)
+    mechanics = BulletMechanics.load(physics, PERIOD, may_sleep=False)
     away = BodyState(np.array([5.0, 0.0, 0.0]), np.eye(3), np.zeros(6))
     still = np.zeros(1)
-    mechanics.start({"arm": ArmState(still, still)}, {"arm": DriveStart(still, still)}, away, may_sleep=False)
+    mechanics.start({"arm": ArmState(still, still)}, {"arm": DriveStart(still, still)}, away)
     for _ in range(round(time / PERIOD)):
-        mechanics.step({"arm": [np.array([force])]}, 0.0)
+        mechanics.step({"arm": np.array([force])}, 1, 0.0)
     link, drive = mechanics.links["arm"], mechanics.drives["arm"]
     mechanics.close()
     acceleration = force / (CART + reduced)

@@ -15,10 +15,10 @@ from hypothesis import strategies as st
 from trials import nominal_physics
 
 from impact_rs_sim.assumed_drive import assumed_drive
+from impact_rs_sim.bullet_mechanics import BulletMechanics
 from impact_rs_sim.bullet_world import mass_matrices
 from impact_rs_sim.drive import DriveStart
 from impact_rs_sim.errors import InputError
-from impact_rs_sim.mechanics import Mechanics
 from impact_rs_sim.physics import JointFriction
 from impact_rs_sim.robot import EndEffector, load_facts
 from impact_rs_sim.robot_import import FULL_TURN, facts_text, frame_of_axis, import_urdf, save_facts
@@ -156,12 +156,12 @@ def test_any_chain_hits_a_box_without_diverging(
     assume(approach > 0.02)
     half = physics.object.size[2] / 2.0
     box = BodyState(pad.translation + (half + 1e-4) * normal, pad.rotation, np.zeros(6))
-    mechanics = Mechanics.load(physics, PERIOD)
-    mechanics.start({"arm": ArmState(q, dq)}, {"arm": DriveStart(still, still)}, box, may_sleep=False)
+    mechanics = BulletMechanics.load(physics, PERIOD, may_sleep=False)
+    mechanics.start({"arm": ArmState(q, dq)}, {"arm": DriveStart(still, still)}, box)
     inertia = model.mass_matrix(q) + np.diag(arm.motor_inertia_reduced)
     before = 0.5 * dq @ inertia @ dq
     for _ in range(20):
-        mechanics.step({"arm": [still] * 10}, 0.0)
+        mechanics.step({"arm": still}, 10, 0.0)
     link, thing, motor = mechanics.links["arm"], mechanics.world.object_state(), mechanics.drives["arm"].velocity
     mechanics.close()
     mass = model.mass_matrix(link.position)

@@ -8,6 +8,7 @@ import pinocchio as pin
 import pytest
 
 from impact_rs_sim.scenario import Sensors
+from impact_rs_sim.scene import ArmMotion
 from impact_rs_sim.sensors import ArmSensors, ObjectTracker
 
 SAMPLES, JOINTS = 4000, 3
@@ -21,6 +22,7 @@ NOISY = Sensors(
 IDEAL = Sensors(**dict.fromkeys(set(Sensors.model_fields) - {"object_period"}, 0.0))
 Q, DQ, TORQUE = np.array([0.30034, -1.2, 0.5]), np.array([0.1, 0.2, -0.3]), np.array([5.0, -10.0, 1.0])
 THETA, DTHETA = Q + 0.01, DQ - 0.05
+MOTION = ArmMotion(Q, DQ, TORQUE, THETA, DTHETA)
 # Four standard deviations of a standard deviation estimated from all samples.
 SHARE = 4.0 / np.sqrt(2.0 * SAMPLES * JOINTS)
 
@@ -29,7 +31,7 @@ SHARE = 4.0 / np.sqrt(2.0 * SAMPLES * JOINTS)
 def errors() -> dict[str, np.ndarray]:
     """Measured less true, ``(SAMPLES, JOINTS)`` by signal."""
     sensors = ArmSensors(NOISY, JOINTS, SAMPLES, np.random.default_rng(1))
-    measured = [sensors.measure(tick, Q, DQ, TORQUE, THETA, DTHETA) for tick in range(SAMPLES)]
+    measured = [sensors.measure(tick, MOTION) for tick in range(SAMPLES)]
     truth = {"position": Q, "velocity": DQ, "torque": TORQUE, "motor_position": THETA, "motor_velocity": DTHETA}
     return {name: np.array([getattr(each, name) for each in measured]) - value for name, value in truth.items()}
 
@@ -52,14 +54,16 @@ def test_an_encoder_gives_the_nearest_of_its_steps() -> None:
     sensors = ArmSensors(NOISY, JOINTS, 1, np.random.default_rng(0))
     for angle in (0.30034, 0.30066, -0.30034, -0.30066):
         q = np.full(JOINTS, angle)
-        measured = sensors.measure(0, q, DQ, TORQUE, -q, DTHETA)
+        measured = sensors.measure(0, ArmMotion(q, DQ, TORQUE, -q, DTHETA))
         np.testing.assert_allclose(measured.position, np.round(angle, 3), atol=1e-12)
         np.testing.assert_allclose(measured.motor_position, np.round(-angle, 3), atol=1e-12)
 
 
 def test_ideal_sensors_give_copies_of_the_truth() -> None:
     q = Q.copy()
-    measured = ArmSensors(IDEAL, JOINTS, 1, np.random.default_rng(0)).measure(0, q, DQ, TORQUE, THETA, DTHETA)
+    measured = ArmSensors(IDEAL, JOINTS, 1, np.random.default_rng(0)).measure(
+        0, ArmMotion(q, DQ, TORQUE, THETA, DTHETA)
+    )
     q += 1.0
     for value, truth in (
         (measured.position, Q),
@@ -73,7 +77,7 @@ def test_ideal_sensors_give_copies_of_the_truth() -> None:
 
 def test_the_same_tick_is_measured_the_same_twice() -> None:
     sensors = ArmSensors(NOISY, JOINTS, 5, np.random.default_rng(1))
-    first, again, other = (sensors.measure(tick, Q, DQ, TORQUE, THETA, DTHETA) for tick in (2, 2, 3))
+    first, again, other = (sensors.measure(tick, MOTION) for tick in (2, 2, 3))
     np.testing.assert_array_equal(first.velocity, again.velocity)
     assert np.all(first.velocity != other.velocity)
 

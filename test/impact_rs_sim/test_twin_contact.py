@@ -10,9 +10,11 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 import pytest
+from closed_forms import restitution_of
 from twin_scene import (
     AGAINST_Y,
     BOX_MASS,
+    PAD,
     PERIOD,
     RAIL_MASS,
     SIZE,
@@ -23,7 +25,7 @@ from twin_scene import (
     scene,
 )
 
-from impact_rs_sim.physics import Physics
+from impact_rs_sim.physics import ObjectPhysics, Physics
 from impact_rs_sim.robot import Array
 from impact_rs_sim.scene import BodyState
 from impact_rs_sim.twin import Result
@@ -32,17 +34,6 @@ REDUCED = RAIL_MASS * BOX_MASS / (RAIL_MASS + BOX_MASS)  # kg
 STIFFNESS, SPEED, G = 2e5, 0.5, 9.81
 FAR = rail(np.array([0.0, 5.0, 0.0]), AGAINST_Y)
 ON_TABLE = partial(resting, position=np.array([0.0, 0.0, SIZE[2] / 2.0]))
-
-
-def restitution(ratio: float) -> float:
-    """Restitution of a mass on a spring and damper that push only (Schwager and Poeschel 2007, eq. 18)."""
-    frequency = np.sqrt(STIFFNESS / REDUCED)
-    decay = ratio * frequency
-    if ratio < 1.0:
-        damped = np.sqrt(frequency**2 - decay**2)
-        return float(np.exp(-decay / damped * np.arctan2(2.0 * decay * damped, decay**2 - damped**2)))
-    creeping = np.sqrt(decay**2 - frequency**2)
-    return float(np.exp(-decay / creeping * np.log((decay + creeping) / (decay - creeping))))
 
 
 def bounce(gap: float, period: float = PERIOD, damping: float = 0.0, **pad: Any) -> tuple[Physics, Result]:
@@ -65,7 +56,7 @@ def bounces(ratio: float, period: float = PERIOD) -> Array:
 @pytest.mark.parametrize("ratio", [0.0, 0.05, 0.2, 0.5, 0.9, 1.5, 3.0, 10.0])
 def test_a_mass_bounces_as_in_the_closed_form(ratio: float) -> None:
     """From 1 down to 0.002, at 4 kHz, to 0.002 of the speed before."""
-    np.testing.assert_allclose(bounces(ratio), restitution(ratio), atol=2e-3)
+    np.testing.assert_allclose(bounces(ratio), restitution_of(ratio), atol=2e-3)
 
 
 def test_without_a_damper_no_energy_is_lost_or_made() -> None:
@@ -73,7 +64,7 @@ def test_without_a_damper_no_energy_is_lost_or_made() -> None:
 
 
 def test_half_the_step_has_a_quarter_of_the_error() -> None:
-    errors = [abs(np.mean(bounces(0.9, PERIOD / n)) - restitution(0.9)) for n in (1, 2, 4)]
+    errors = [abs(np.mean(bounces(0.9, PERIOD / n)) - restitution_of(0.9)) for n in (1, 2, 4)]
     assert errors[0] / errors[1] == pytest.approx(4.0, rel=0.1)
     assert errors[1] / errors[2] == pytest.approx(4.0, rel=0.1)
 
@@ -89,6 +80,25 @@ def test_a_rigid_pad_does_not_bounce() -> None:
     shared = -SPEED * RAIL_MASS / (RAIL_MASS + BOX_MASS)
     assert result.twists[-1, 1] == pytest.approx(shared, rel=1e-4)
     assert -result.arms["rail"].velocity[-1, 0] == pytest.approx(shared, rel=1e-4)
+
+
+@pytest.mark.parametrize("off", [0.0, 0.03, -0.05])
+def test_edges_that_cross_hit_each_other_along_their_common_normal(off: float) -> None:
+    """A pad turned by 45 degrees meets the upright edge of a cube turned by 45 degrees ``off`` [m] its middle."""
+    side, ahead = 0.16, PAD[1] / 2.0 * np.sqrt(0.5)
+    cube = ObjectPhysics(BOX_MASS, np.full(3, side), np.full(3, BOX_MASS * side**2 / 6.0), np.zeros(3))
+    gap, edge = 0.02, side * np.sqrt(0.5)
+    mass = rail(np.array([0.0, edge + ahead + gap, off]), AGAINST_Y, tilt=(np.pi / 4.0, 0.0), pad_stiffness=1e7)
+    leading = mass.end_effector.pad_placement.rotation @ np.array([0.0, PAD[1] / 2.0, 0.0])
+    mass = replace(mass, base=mass.base * pin.SE3(np.eye(3), np.array([0.0, -np.sign(leading[2]) * leading[1], 0.0])))
+    start = resting(rotation=pin.rpy.rpyToMatrix(0.0, 0.0, np.pi / 4.0))
+    result = run(scene({"rail": mass}, object=cube), [SPEED], start, 0.06)
+    touched = PERIOD * int(np.argmax(np.abs(result.twists[:, 1]) > 0.0))
+    assert touched == pytest.approx(gap / SPEED, abs=2.0 * PERIOD)
+    impulse = 2.0 * SPEED / (1.0 / RAIL_MASS + 1.0 / BOX_MASS + off**2 / cube.inertia[0])
+    assert result.arms["rail"].velocity[-1, 0] == pytest.approx(SPEED - impulse / RAIL_MASS, rel=2e-3)
+    wanted = np.array([0.0, -impulse / BOX_MASS, 0.0, off * impulse / cube.inertia[0], 0.0, 0.0])
+    np.testing.assert_allclose(result.twists[-1], wanted, rtol=5e-3, atol=2e-3)  # the edge turns while it presses
 
 
 def motion(physics: Physics, result: Result) -> tuple[Array, Array]:

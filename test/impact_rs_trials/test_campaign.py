@@ -11,7 +11,7 @@ import pytest
 from trials import made_up
 
 from impact_rs_sim.errors import InputError
-from impact_rs_trials.bags.reader import TrialBag
+from impact_rs_trials.bags.reader import OF_THE_TWIN, TrialBag
 from impact_rs_trials.bags.writer import BagWriter, partial_path
 from impact_rs_trials.campaign import (
     FAILURES,
@@ -57,6 +57,19 @@ def test_another_manifest_is_refused(tmp_path: Path, manifest: Manifest) -> None
     open_campaign(tmp_path, manifest)
     with pytest.raises(InputError, match="another campaign .* seed"):
         open_campaign(tmp_path, manifest.model_copy(update={"seed": 1}))
+
+
+def test_a_campaign_on_the_twin_says_so_and_is_another_one(push_campaign: Path, tmp_path: Path) -> None:
+    """Its bags say which simulator it was, and so does what reads them; its trials go as those of Bullet."""
+    manifest = make_manifest("push", ["cat_food"], ["2"], SCALES, trials=1, plant="twin")
+    assert [report.outcome for report in run_campaign(tmp_path, manifest)] == ["OK", "OK", "OK"]
+    bag, other = (TrialBag.open(folder / manifest.keys[1].name) for folder in (tmp_path, push_campaign))
+    assert (bag.info.via, bag.info.simulator, other.info.simulator) == ("twin", "twin", "bullet")
+    assert bag.run().remarks == (OF_THE_TWIN,) and not other.run().remarks
+    net, other_net = (0.001 * one.controller("arm").feedback_acceleration.sum(axis=0) for one in (bag, other))
+    assert net == pytest.approx(other_net, abs=5e-3)  # m/s
+    with pytest.raises(InputError, match="another campaign .* plant"):
+        open_campaign(tmp_path, manifest.model_copy(update={"plant": "bullet"}))
 
 
 def test_a_half_written_bag_is_run_again_and_gives_the_same_trial(

@@ -70,19 +70,19 @@ EXCITED = TrialSpec.of(load_scenario("excite"), "none", "fast")
 @pytest.fixture(scope="session")
 def hit() -> Run:
     """A push, as it would be measured without noise."""
-    return simulated(HIT, HIT.scene.physics)
+    return simulated(HIT, HIT.scene.physics, "bullet")
 
 
 @pytest.fixture(scope="session")
 def free() -> Run:
     """A free motion there and back."""
-    return simulated(EXCITED, EXCITED.scene.physics)
+    return simulated(EXCITED, EXCITED.scene.physics, "bullet")
 
 
 @pytest.fixture(scope="session")
 def rubbed() -> Run:
     """The same with friction hidden in it."""
-    return simulated(EXCITED, with_friction(EXCITED.scene.physics))
+    return simulated(EXCITED, with_friction(EXCITED.scene.physics), "bullet")
 
 
 @pytest.fixture(scope="session")

@@ -175,7 +175,7 @@ def test_with_nothing_hidden_the_reduced_inertia_predicts_the_speed_after(measur
     """Frictionless plant: some tenths of a percent to some percent, and nearer than without the torque loop."""
     theirs = replace(measured_hit, spec=None)
     found = jumps_of(runs_of(theirs, theirs))
-    assert abs(found.errors["reduced"]) < 4.5
+    assert abs(found.errors["reduced"]) < 5.0
     assert found.errors["reduced"] < found.errors["rotor"]
     (jump,) = found.jumps
     assert jump.before == pytest.approx(0.7, abs=0.01)
@@ -194,7 +194,7 @@ def test_a_pad_that_comes_at_an_angle_takes_the_object_along_sideways() -> None:
     beside = case.robots[arm].model_copy(update={"ante_velocity": (-0.12, -0.48, 0.05)})
     oblique = scenario.model_copy(update={"cases": {"case_1": case.model_copy(update={"robots": {arm: beside}})}})
     trial = TrialSpec.of(oblique, "juice", "case_1")
-    measured = MeasuredRun.of(replace(simulated(trial, trial.scene.physics), spec=None))
+    measured = MeasuredRun.of(replace(simulated(trial, trial.scene.physics, "bullet"), spec=None))
     assert 0.2 < obliqueness(measured) < 0.3
     found = jumps_of(runs_of(measured))
     assert abs(found.errors["reduced"]) < 0.8

@@ -105,7 +105,7 @@ def test_object_velocity_is_the_slope_of_its_position_within_a_window(beside: Tr
 
 def test_two_arms_are_named_in_their_curves() -> None:
     plan = TrialSpec.of(load_scenario("grab"), "juice", "case_1")
-    grabbed = track_of_run(MeasuredRun.of(simulated(plan, plan.scene.physics)), load_model("nominal"))
+    grabbed = track_of_run(MeasuredRun.of(simulated(plan, plan.scene.physics, "bullet")), load_model("nominal"))
     assert {"left: torque of joint 1", "right: torque of joint 1"} <= set(curves_of(grabbed))
 
 

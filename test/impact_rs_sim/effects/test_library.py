@@ -24,7 +24,7 @@ NAMES = [effect.name for effect in BUILT_IN]
 
 def simulated_run(scenario, thing, case):
     spec = TrialSpec.of(load_scenario(scenario), thing, case)
-    return MeasuredRun.of(simulated(spec, spec.scene.physics))
+    return MeasuredRun.of(simulated(spec, spec.scene.physics, "bullet"))
 
 
 @pytest.fixture(scope="module")
