@@ -350,6 +350,7 @@ class ImpactTableSource(Source):
             sigma=sigma[shown].ravel(),
             pure=(noise[shown] / sigma[shown]).ravel(),
             discrepancy=np.zeros(len(features)),
+            stamps=np.array(rows, dtype=float) if self.repeated else None,
         )
 
     def _phase(self, number: int) -> str:

@@ -6,8 +6,9 @@ from __future__ import annotations
 import math
 import weakref
 from collections.abc import Callable, Sequence
-from contextlib import ExitStack
-from dataclasses import dataclass
+from contextlib import ExitStack, suppress
+from dataclasses import dataclass, replace
+from datetime import datetime
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, TypeVar
@@ -22,8 +23,9 @@ from impact_rs_sim.robot import Array
 from impact_rs_trials.bags import checksums, topics
 from impact_rs_trials.bags.cdr import decode
 from impact_rs_trials.bags.recovery import recover
-from impact_rs_trials.bags.trial_info import OUTCOMES, TrialInfo
+from impact_rs_trials.bags.trial_info import IN_PROCESS, OUTCOMES, TrialInfo
 from impact_rs_trials.bags.types import typestore, typestore_of
+from impact_rs_trials.bags.writer import RECORDED
 from impact_rs_trials.runs import ArmSignals, Run, Signals, run_of_trial
 
 
@@ -253,7 +255,16 @@ class TrialBag:
             BagError: A topic is missing, damaged, has NaN, gaps or stamps that run backwards.
             InputError: The scenario in it cannot be read.
         """
-        return run_of_trial(self.info.spec, self._signals(), self.path)
+        return replace(run_of_trial(self.info.spec, self._signals(), self.path), recorded=self._recorded)
+
+    @property
+    def _recorded(self) -> float | None:
+        """When it was recorded, seconds since 1970; None: by another program, or simulated, when time means nothing."""
+        if self.info.via == IN_PROCESS:
+            return None
+        with suppress(KeyError, ValueError):
+            return datetime.fromisoformat(self.metadata[RECORDED]).timestamp()
+        return None
 
     def _signals(self) -> Signals:
         """Measured signals, checked."""

@@ -12,6 +12,7 @@ from impact_rs_sim.version import git_revision, package_version
 from impact_rs_trials.spec import TrialSpec
 
 Outcome = Literal["ABORTED", "DIVERGED", "LIMIT", "INFEASIBLE", "NO-IMPACT", "EARLY", "TIPPED", "DROPPED", "OK"]
+IN_PROCESS = "inprocess"  # in `via`: simulated in one program, the same whenever it runs
 OUTCOMES: dict[str, str] = {  # the gravest first: it is the verdict where several apply
     "ABORTED": "the trial did not end",
     "DIVERGED": "a joint ran away",

@@ -67,6 +67,7 @@ ARM_SIGNALS: tuple[SignalName, ...] = (*REQUIRED, "motor_position", "motor_veloc
 OBJECT_SIGNALS: tuple[SignalName, ...] = ("object_pose", "object_position", "object_quaternion")
 
 LEAST_SAMPLES = 20
+WALL_CLOCK = 1e9  # s; stamps above it count from 1970 (this is 2001), those below from the start of some program
 SHORTEST = 0.3  # s, of a piece between gaps
 GAP_PERIODS = 3.0  # a gap is longer than so many sampling periods, and
 GAP_REPORTED = 0.005  # s, longer than this; a shorter one fits into the window of the velocity fit at an impact
@@ -334,6 +335,8 @@ def read_run(laboratory: Laboratory, run: RunRow) -> Run:
         with laboratory.told_of(arm):
             _check_overlap(path, arms[base]["position"], own)
     origin = float(arms[base]["position"].time[0])  # numbers of the wall clock have no room for microseconds
+    position = arms[base]["position"]
+    began = origin if position.log is None or origin > WALL_CLOCK else float(position.log[0])
     arms = {arm: {name: replace(one, time=one.time - origin) for name, one in own.items()} for arm, own in arms.items()}
     pose_seen = arms[tracker].pop("object_pose", None)
 
@@ -360,7 +363,8 @@ def read_run(laboratory: Laboratory, run: RunRow) -> Run:
         remarks.append("the object was not tracked: it starts where the scenario places it")
     signals = Signals(time, _alike(read), object_time, pose[:, :3], pose[:, 3:])
     gaps_between = tuple((end - grid[0], start - grid[0]) for (_, end), (start, _) in itertools.pairwise(pieces))
-    return _in_scene(laboratory.scenario, run, signals, gaps_between, tuple(dict.fromkeys(remarks)))
+    found = _in_scene(laboratory.scenario, run, signals, gaps_between, tuple(dict.fromkeys(remarks)))
+    return replace(found, recorded=began if began > WALL_CLOCK else None)
 
 
 def _alike(arms: Mapping[str, ArmSignals]) -> dict[str, ArmSignals]:
