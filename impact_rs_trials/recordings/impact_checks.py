@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Checks of a table of impacts that need no contact law: what holds for every friction and restitution.
 
-With H the inertia, u^- and u^+ the velocities before and after, and J_c u the velocities of the contact points, impulses
-L act at these points alone (paper eq. EOM_link, integrated over the impact),
+With H the inertia, u^- and u^+ the velocities before and after, and J_c u the velocities of the contact points,
+impulses L act at these points alone (paper eq. EOM_link, integrated over the impact),
 
     H (u^+ - u^-) = J_c^T L
 

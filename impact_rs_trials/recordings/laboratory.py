@@ -45,6 +45,7 @@ from impact_rs_trials.recordings.clock import (
 from impact_rs_trials.recordings.contact_frame import ContactFrame, PadOnFace, contact_frame
 from impact_rs_trials.recordings.experiment import Experiment, MotionCapture, RunRow, read_runs, run_named
 from impact_rs_trials.recordings.faults import without_faults
+from impact_rs_trials.recordings.joint_checks import doubts_of_arm
 from impact_rs_trials.recordings.mapping import REQUIRED, SignalName
 from impact_rs_trials.recordings.mapping import Mapping as SignalMapping
 from impact_rs_trials.recordings.plausibility import (
@@ -428,6 +429,8 @@ def _arm_of(
         check_arm(path, time, joints, mapping, IMPACT_SHARE if run.hit else 0.0)
         remedy = "wrong sign or unit, or without the arm's own weight?"
         check_weight(path, "torque", laboratory.models[arm], own["position"], own["torque"], remedy)
+        doubts = doubts_of_arm(time, joints, mapping, laboratory.models[arm])
+        remarks += [f"{laboratory.label(arm)}{doubt}" for doubt in doubts]
         command_time, command = _part(series.get("command"), grid, none)
         if command_time.size:
             command = _with_weight(laboratory, path, arm, time, own["position"], command_time, command)
