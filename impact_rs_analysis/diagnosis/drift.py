@@ -9,7 +9,9 @@ over the condition, a drift is a slope
 
 of feature f. rho_f, averaged over the time bins of a signal, needs no scale, and is compared with the same along random
 directions among the repeats: under normal noise every direction is equally likely (Langsrud 2005, *Rotation tests*),
-whatever the covariance of the features. All signals are tested at once (Westfall and Young 1993).
+whatever the covariance of the features. The largest rho of all signals, each standardised by its directions, is held
+against the largest of every direction, so that the level holds for all signals together (Westfall and Young 1993,
+*Resampling-based multiple testing*).
 
 The prediction of a condition is the same for all its repeats, so an effect that the model lacks is no drift. The
 converse holds only if conditions alternate. If one was measured after the other, a drift moves their means and looks
@@ -26,12 +28,12 @@ import numpy as np
 import scipy
 
 from impact_rs_analysis.diagnosis.document import DriftDocument
-from impact_rs_analysis.diagnosis.null_distribution import rarity, smallest
+from impact_rs_analysis.diagnosis.null_distribution import rarity
 from impact_rs_analysis.diagnosis.thresholds import LEAST_FREEDOM, LEAST_P, SIGNIFICANT
 from impact_rs_analysis.evidence.cluster import Cluster, Feature
 from impact_rs_sim.robot import Array
 
-DRAWS = 1999  # of the null distribution
+DRAWS = 4999  # of the null distribution
 CONFOUNDED = 0.85  # share of the variance of the order that is between conditions; three one after the other: 0.89
 
 
@@ -71,8 +73,9 @@ def drift_of(clusters: Sequence[Cluster]) -> DriftDocument | None:
             changes.setdefault(group, []).extend(
                 (feature, float(value)) for feature, value, mine in zip(features, slope, own, strict=True) if mine
             )
-    single = [rarity(float(column[0]), column[1:]) for column in correlation.T]
-    most = min(range(len(groups)), key=lambda number: (single[number], -correlation[0, number]))
+    standard = (correlation - correlation.mean(axis=0)) / np.maximum(correlation.std(axis=0), 1e-300)
+    most = int(np.argmax(standard[0]))
+    largest = standard.max(axis=1)
     moved = changes[groups[most]]
     values = np.array([value for _, value in moved])
     feature = moved[0][0]
@@ -83,7 +86,7 @@ def drift_of(clusters: Sequence[Cluster]) -> DriftDocument | None:
         change=float(np.sqrt(np.mean(np.square(values))) * (1.0 if values.sum() >= 0.0 else -1.0)),
         unit=feature.unit,
         runs=int(order.size),
-        p_value=max(smallest(correlation[0], correlation[1:]), LEAST_P),
+        p_value=max(rarity(float(largest[0]), largest[1:]), LEAST_P),
         confounded=bool(1.0 - within / float(np.sum(np.square(order - order.mean()))) > CONFOUNDED),
     )
 
