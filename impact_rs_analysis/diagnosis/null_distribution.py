@@ -236,17 +236,14 @@ class _Rows:
         """W of the module in every rotation, from the sums of squares of the mean rows, ``(1 + B, F)``."""
         apart = [np.square(item.sigma / self.unit) * (1.0 - np.square(item.pure)) for item in self.items]
         contrasts = np.maximum(np.sum(np.square(self.rows), axis=0) - squares, 0.0)
-        alike = self._alike  # in physical units, for those of `unit` come from the contrasts themselves
-        shared = (contrasts * np.square(self.unit)) @ alike / np.square(self.unit)
+        # Averaged over the bins of a signal in their own units, for `unit` comes from the contrasts itself.
+        keys = [feature.group for feature in self.items[0].features]
+        signals = list(dict.fromkeys(keys))
+        place = np.array([signals.index(key) for key in keys])
+        member = np.equal.outer(place, np.arange(len(signals))) / np.bincount(place)
+        shared = ((contrasts * np.square(self.unit)) @ member)[:, place] / np.square(self.unit)
         own = PRIOR_FREEDOM * shared / max(self.freedom, 1) + contrasts
         return np.asarray(1.0 / (own / (PRIOR_FREEDOM + self.freedom) + np.maximum(np.mean(apart, axis=0), 0.0) + TINY))
-
-    @property
-    def _alike(self) -> Array:
-        """Averages features over the bins of their signal, ``(F, F)``."""
-        groups = [feature.group for feature in self.items[0].features]
-        same = np.array([[one == other for one in groups] for other in groups], dtype=float)
-        return np.asarray(same / same.sum(axis=0))
 
     def products(self, jacobians: Sequence[Array]) -> Array:
         """Scores of every contrast with every mean's sensitivity, ``(means, contrasts, p)``."""
