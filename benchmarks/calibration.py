@@ -117,9 +117,6 @@ def standard_error(design: tuple[int, int], limit: float) -> float:
     conditions, repeats = design
     weight = 1.0 / (np.square(SPREAD) * (1.0 + (limit / 2.0) ** 2))
     scores = [weight * features(number, (("straight", (1.0,)),)) for number in range(conditions)]
-    information = (
-        sum(float(score @ np.square(weight**-0.5 * weight**-0.5 * score)) for score in scores) if False else 0.0
-    )
     information = sum(float(np.sum(np.square(score) / weight)) for score in scores)
     noise = sum(float(np.sum(np.square(ROOT @ score))) for score in scores)
     return float(np.sqrt(noise / repeats) / information)
