@@ -19,7 +19,7 @@ from impact_rs_analysis.diagnosis.document import (
     RunsIdentity,
     UnexplainedDocument,
 )
-from impact_rs_analysis.diagnosis.drift import drift_in_words, drift_of
+from impact_rs_analysis.diagnosis.drift import doubt_of, drift_in_words, drift_of
 from impact_rs_analysis.diagnosis.fit import Evidence, Fit
 from impact_rs_analysis.diagnosis.hold_out import HoldOut, hold_out
 from impact_rs_analysis.diagnosis.next_experiment import next_experiment
@@ -147,7 +147,7 @@ def _document(found: Findings, known: dict[str, Effect], source: Source, model: 
         formulas=source.model.formulas,
         arms=source.model.arms,
     )
-    return document.model_copy(update={"summary": summary_of(document)})
+    return document.model_copy(update={"summary": " ".join(filter(None, [summary_of(document), doubt_of(drift)]))})
 
 
 def _lack_of_fit(verdict: Headline) -> LackOfFit:

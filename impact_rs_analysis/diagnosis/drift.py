@@ -96,6 +96,15 @@ def _centred(parts: Sequence[Array]) -> Array:
     return np.concatenate([part - part.mean(axis=0) for part in parts])
 
 
+def doubt_of(found: DriftDocument | None) -> str:
+    """Sentence of the summary where a drift and the conditions cannot be distinguished; empty elsewhere."""
+    if found is None or not found.confounded or found.p_value >= SIGNIFICANT:
+        return ""
+    return (
+        f"Confidence is low: the {found.signal} {found.index} drifts, and conditions were measured one after the other."
+    )
+
+
 def drift_in_words(found: DriftDocument | None) -> str:
     """What a drift, or an order that would hide one, means for the verdict; empty: nothing."""
     if found is None:

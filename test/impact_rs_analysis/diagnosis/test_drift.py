@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from analytic_world import FEATURES, AnalyticSource, assert_uniform, correlated
 
-from impact_rs_analysis.diagnosis.drift import drift_in_words, drift_of
+from impact_rs_analysis.diagnosis.drift import doubt_of, drift_in_words, drift_of
 from impact_rs_analysis.diagnosis.thresholds import SIGNIFICANT
 from impact_rs_analysis.evidence.cluster import Cluster
 
@@ -52,8 +52,10 @@ def test_in_an_order_by_conditions_a_drift_lowers_the_confidence() -> None:
     found = drift_of(campaign(1, LISTED, 90.0))
     assert found is not None and found.confounded and found.p_value < SIGNIFICANT
     assert drift_in_words(found).startswith("low confidence") and "random order" in drift_in_words(found)
+    assert doubt_of(found).startswith("Confidence is low: the signal 2 x drifts")
     quiet = drift_of(campaign(1, LISTED))
     assert quiet is not None and "No drift is seen" in drift_in_words(quiet)
+    assert doubt_of(quiet) == doubt_of(drift_of(campaign(1, RANDOM, 90.0))) == doubt_of(None) == ""
 
 
 def test_what_a_model_lacks_is_no_drift() -> None:
