@@ -76,7 +76,7 @@ CAMPAIGN = Command(
     name="campaign",
     summary="run many trials, or continue a campaign",
     about="""\
-Run all trials of a scenario, or a selection of them, and record one bag each.
+Run all trials of a scenario, or a selection of them, and record one bag each. Conditions alternate in random order.
 
 To continue an interrupted campaign, run the same command again: finished bags stay, a half-written one is run again.
 Trials run in parallel worker processes; results do not depend on their number (--jobs). With --scheduler they run on
@@ -104,6 +104,11 @@ impact-rs analyze campaigns/push""",
             help="repeats of every scale", otherwise="the scenario's",
         ),
         SEED._replace(help="seed of the campaign"),
+        option(
+            "--order", choices=("random", "listed"), default="random", label="order of trials", advanced=True,
+            help="random: repeat by repeat, conditions in random order (by the seed), so that a drift of the robot "
+            "does not look like an effect of the conditions; listed: condition by condition",
+        ),
         SETTINGS,
         option(
             "--sensitivity", kind="switch", label="settings halved and doubled", advanced=True,

@@ -26,7 +26,7 @@ from impact_rs_sim.robot import JointType
 from impact_rs_sim.scenario import load_scenario
 from impact_rs_sim.unmodelled import OUTSIDE
 from impact_rs_trials.bags.record import record_trial
-from impact_rs_trials.bags.trial_info import TrialInfo
+from impact_rs_trials.bags.trial_info import VIA, TrialInfo
 from impact_rs_trials.bags.writer import partial_path
 from impact_rs_trials.campaign import Trial
 from impact_rs_trials.spec import TrialSpec
@@ -196,7 +196,7 @@ def run_task(task: BlindTask, record: Recorder = _record) -> str:
         return "OK"
     shutil.rmtree(partial_path(path), ignore_errors=True)
     plan = trial.spec.plan
-    info = TrialInfo.of(plan, trial.key, trial.seed, "inprocess")
+    info = TrialInfo.of(plan, trial.key, trial.seed, VIA["bullet"])
     return record(task, plan, info, path, hide(plan.scene.physics, list(task.hidden)))
 
 

@@ -2,6 +2,9 @@
 """Campaigns: a folder of trials with a manifest, run in parallel, resumed where they stopped.
 
 A trial is a pure function of scenario, key and campaign seed, so it does not matter where or in which order trials run.
+On a real robot it does: friction falls as it warms up, pads wear. Trials therefore run in randomised blocks (Fisher
+1935, *The Design of Experiments*): repeat by repeat, with every condition once in each, in an order drawn from the
+campaign seed. A drift is then seen between repeats, and does not look like an effect of the conditions.
 ``manifest.yaml`` describes the campaign. A trial with a complete bag is never run again, one with an incomplete bag is.
 ``.failures/TRIAL.txt`` says why a trial was aborted, with the traceback of its process, until its bag is complete.
 """
@@ -14,10 +17,11 @@ import shutil
 import socket
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Self
+from typing import TYPE_CHECKING, Any, Literal, Self
 
+import numpy as np
 import yaml
 from pydantic import Field, model_validator
 
@@ -40,6 +44,8 @@ if TYPE_CHECKING:
 MANIFEST = "manifest.yaml"
 FAILURES = ".failures"
 
+Order = Literal["random", "listed"]
+
 logger = logging.getLogger(__name__)
 
 
@@ -55,6 +61,11 @@ class Manifest(Schema):
     motor_inertia: str = Field("reduced", description="motor-inertia model of the reference")
     settings: dict[str, Any] = Field({}, description="values that the scenario has instead of its own, by dotted key")
     plant: Simulator = Field("bullet", description="simulator of the plant: bullet or twin")
+    order: Order = Field(
+        "listed",
+        description="random: repeat by repeat, conditions in random order, drawn from the seed; listed: condition by "
+        "condition",
+    )
 
     @model_validator(mode="after")
     def _every_trial_has_a_bag_of_its_own(self) -> Self:
@@ -65,13 +76,26 @@ class Manifest(Schema):
 
     @property
     def keys(self) -> list[TrialKey]:
-        """Every trial of the campaign, in order."""
+        """Every trial of the campaign, condition by condition."""
         return [
             TrialKey(name, case, scale, repeat)
             for name in self.objects
             for case in self.cases
             for scale in self.velocity_scales
             for repeat in range(self.trials)
+        ]
+
+    @property
+    def in_order(self) -> list[TrialKey]:
+        """Every trial of the campaign, in the order in which they run."""
+        if self.order == "listed":
+            return self.keys
+        rng = np.random.default_rng(self.seed)
+        conditions = [key for key in self.keys if key.repeat == 0]
+        return [
+            replace(conditions[number], repeat=repeat)
+            for repeat in range(self.trials)
+            for number in rng.permutation(len(conditions))
         ]
 
     def trial(self, key: TrialKey) -> Trial:
@@ -138,6 +162,7 @@ def make_manifest(
     seed: int = 0,
     settings: Mapping[str, Any] | None = None,
     plant: Simulator = "bullet",
+    order: Order = "random",
 ) -> Manifest:
     """A manifest with the scenario's own values where nothing is given.
 
@@ -165,6 +190,7 @@ def make_manifest(
         "motor_inertia": "reduced",
         "settings": dict(settings or {}),
         "plant": plant,
+        "order": order,
     }
     manifest = validate(Manifest, content, f"campaign of scenario {scenario.name!r}")
     for name in manifest.objects:
@@ -189,7 +215,7 @@ def open_campaign(place: str | Path | Store, manifest: Manifest) -> list[TrialKe
 
 
 def still_to_run(store: Store, manifest: Manifest) -> list[TrialKey]:
-    """The trials of a campaign that are not there yet.
+    """The trials of a campaign that are not there yet, in the order with which it began.
 
     Raises:
         InputError: The place holds another campaign, or cannot be read.
@@ -197,6 +223,7 @@ def still_to_run(store: Store, manifest: Manifest) -> list[TrialKey]:
     if store.exists(MANIFEST):
         path = f"{store}/{MANIFEST}"
         present = validate(Manifest, parse_yaml(store.read(MANIFEST), path), path)
+        manifest = manifest.model_copy(update={"order": present.order})  # no trial depends on it
         if present != manifest:
             changed = [name for name in Manifest.model_fields if getattr(present, name) != getattr(manifest, name)]
             raise InputError(
@@ -204,7 +231,7 @@ def still_to_run(store: Store, manifest: Manifest) -> list[TrialKey]:
                 file=path,
             )
     names = store.names()
-    return [key for key in manifest.keys if key.name not in names]
+    return [key for key in manifest.in_order if key.name not in names]
 
 
 def run_one(directory: Path, trial: Trial) -> TrialReport:
@@ -329,7 +356,7 @@ def run_campaigns(
 def _run_on_cluster(
     client: Client, run: TrialRunner, tasks: Iterable[tuple[Store, Trial]]
 ) -> Iterator[tuple[Store, TrialReport]]:
-    """Run trials on a cluster; repeats of a trial follow each other and share their plan."""
+    """Run trials on a cluster; a worker remembers the plans of the conditions that it has met."""
     try:
         for (store, trial), report in as_they_end(client, functools.partial(_run_task, run), tasks):
             if isinstance(report, TrialReport):

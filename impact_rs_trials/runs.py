@@ -171,6 +171,7 @@ class Run:
         axis: Axis of A along which the scenario moves, for figures.
         spec: Plan of a trial made here; None for runs of other controllers.
         begin: When it begins in its file [s]; a file is cut where a sensor was frozen.
+        recorded: When it was recorded, seconds since 1970; None: not known.
         gaps: Begin and end of gaps in the recording [s]; signals there are interpolated.
         remarks: Remarks on how it was read.
     """
@@ -187,6 +188,7 @@ class Run:
     axis: int = 0
     spec: TrialSpec | None = None
     begin: float = 0.0
+    recorded: float | None = None
     gaps: tuple[tuple[float, float], ...] = ()
     remarks: tuple[str, ...] = ()
 

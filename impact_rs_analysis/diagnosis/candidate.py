@@ -382,17 +382,10 @@ class Problem:
         indices = np.arange(self.total.shape[0])
         picked = indices[tested] if isinstance(tested, slice) else np.asarray(tested)
         others = np.setdiff1d(indices, picked)
-        jacobians = [jacobian[:, picked] for jacobian in self.candidate.jacobians]
-        information = self.total[np.ix_(picked, picked)]
-        if others.size:
-            projection = np.linalg.solve(self.total[np.ix_(others, others)], self.total[np.ix_(others, picked)])
-            jacobians = [
-                own - jacobian[:, others] @ projection
-                for own, jacobian in zip(jacobians, self.candidate.jacobians, strict=True)
-            ]
-            information = information - self.total[np.ix_(picked, others)] @ projection
-        information = 0.5 * (information + information.T) + 1e-12 * np.eye(picked.size) * np.trace(information)
-        return null.p_value(jacobians, information)
+        return null.p_value(
+            [jacobian[:, picked] for jacobian in self.candidate.jacobians],
+            [jacobian[:, others] for jacobian in self.candidate.jacobians],
+        )
 
 
 def bounded(information: Array, score: Array, lower: Array, upper: Array) -> Array:

@@ -19,6 +19,7 @@ from impact_rs_analysis.diagnosis.document import (
     RunsIdentity,
     UnexplainedDocument,
 )
+from impact_rs_analysis.diagnosis.drift import doubt_of, drift_in_words, drift_of
 from impact_rs_analysis.diagnosis.fit import Evidence, Fit
 from impact_rs_analysis.diagnosis.hold_out import HoldOut, hold_out
 from impact_rs_analysis.diagnosis.next_experiment import next_experiment
@@ -119,7 +120,8 @@ def _document(found: Findings, known: dict[str, Effect], source: Source, model: 
     before = [item.mean for item in evidence.clusters]
     after: Sequence[Array] = before if found.hold_out is None else found.hold_out.rest
     ties = {name: found.tied_with(name) for name in found.names}
-    remarks = _remarks(found, source)
+    drift = drift_of(source.clusters)
+    remarks = [*filter(None, [drift_in_words(drift)]), *_remarks(found, source)]
     document = DiagnosisDocument(
         source=source.kind,
         verdict=verdict.verdict,
@@ -149,11 +151,12 @@ def _document(found: Findings, known: dict[str, Effect], source: Source, model: 
         identifiability=_identifiability(found.chosen),
         joints=_joints(source, before, after),
         recording=source.recording,
+        drift=drift,
         remarks=tuple(remarks),
         formulas=source.model.formulas,
         arms=source.model.arms,
     )
-    return document.model_copy(update={"summary": summary_of(document)})
+    return document.model_copy(update={"summary": " ".join(filter(None, [summary_of(document), doubt_of(drift)]))})
 
 
 def _lack_of_fit(verdict: Headline) -> LackOfFit:

@@ -181,6 +181,19 @@ class DesignDocument(Schema):
     shortage: str | None = Field(None, description="missing data for a verdict; null: enough")
 
 
+class DriftDocument(Schema):
+    """The signal that changes most with the order of measurement, among repeats of the same condition."""
+
+    phase: str = Field(description="phase of the motion")
+    signal: str = Field(description="what it is")
+    index: str = Field(description="joint or axis")
+    change: float = Field(description="change of its residual from first to last run, rms over its bins, in the unit")
+    unit: str = Field(description="unit")
+    runs: int = Field(description="runs of the campaign")
+    p_value: float = Field(description="p-value of no signal drifting, for all signals together")
+    confounded: bool = Field(description="whether conditions were measured one after the other")
+
+
 class JointError(Schema):
     """Held-out error of one joint."""
 
@@ -224,6 +237,7 @@ class DiagnosisDocument(Schema):
     identifiability: Identifiability = Field(default_factory=Identifiability, description="how well it is determined")
     joints: tuple[JointError, ...] = Field((), description="held-out error by joint, of recordings")
     recording: RecordingDocument | None = Field(None, description="how recordings were read")
+    drift: DriftDocument | None = Field(None, description="drift over the campaign; null: order unknown or no repeats")
     remarks: tuple[str, ...] = Field((), description="remarks for the reader")
     formulas: tuple[FormulaSpec, ...] = Field((), description="user-defined effects that were considered")
     arms: dict[str, int] = Field({}, description="joints of arms with parameters of their own; empty: shared")

@@ -83,6 +83,7 @@ class Cluster:
         alike: Clusters with the same value share the amplitudes; None: clusters of one layout do.
         late: Change of its residuals when commands act later by one standard deviation of their clock, ``(F,)`` [-];
             None: the clock is known.
+        stamps: When each repeat was measured, in any unit, ``(n,)``; None: not known.
     """
 
     name: str
@@ -98,6 +99,7 @@ class Cluster:
     patterns: Array | None = None
     alike: str | None = None
     late: Array | None = None
+    stamps: Array | None = None
 
     @property
     def count(self) -> int:

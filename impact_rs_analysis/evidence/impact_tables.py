@@ -54,6 +54,7 @@ from impact_rs_sim.model import Model
 from impact_rs_sim.physics import Physics
 from impact_rs_sim.robot import Array
 from impact_rs_sim.robot_model import RobotModel
+from impact_rs_trials.recordings.impact_checks import doubts_of
 from impact_rs_trials.recordings.impact_table import ImpactTable
 from impact_rs_trials.workers import Map
 
@@ -350,6 +351,7 @@ class ImpactTableSource(Source):
             sigma=sigma[shown].ravel(),
             pure=(noise[shown] / sigma[shown]).ravel(),
             discrepancy=np.zeros(len(features)),
+            stamps=np.array(rows, dtype=float) if self.repeated else None,
         )
 
     def _phase(self, number: int) -> str:
@@ -360,7 +362,7 @@ class ImpactTableSource(Source):
         return {1: "on a corner", 2: "on an edge"}.get(len(impact.points), "on a face")
 
     def _remarks(self) -> list[str]:
-        remarks = [*self.table.assumed, NO_DISCREPANCY_KNOWN]
+        remarks = [*doubts_of(self.table), *self.table.assumed, NO_DISCREPANCY_KNOWN]
         if not self.repeated:
             remarks.append(NO_REPEATS)
             if self.table.noise is None:

@@ -56,8 +56,10 @@ def clusters_of(
     discrepancy = measured_discrepancy() if discrepancy is None else discrepancy
     firsts: dict[str, MeasuredRun] = {}
     grouped: dict[str, list[Array]] = {}
+    stamps: dict[str, list[float]] = {}
     for run, residual in zip(runs.runs, residuals, strict=True):
         firsts.setdefault(run.condition, run)
+        stamps.setdefault(run.condition, []).append(np.nan if run.recorded is None else run.recorded)
         grouped.setdefault(run.condition, []).append(residual)
     rows = {condition: np.array(values) for condition, values in grouped.items()}
     layouts = {condition: layout_of(first) for condition, first in firsts.items()}
@@ -89,6 +91,7 @@ def clusters_of(
                 patterns=None if patterns is None else patterns / sigma,
                 # On oblique hits the difference between simulators depends on the condition.
                 alike=condition if kind == "oblique" else f"{layout}, {kind}",
+                stamps=None if np.isnan(stamps[condition]).any() else np.array(stamps[condition]),
             )
         )
     alone = [item.name for item in clusters if pure[item.name] is None]

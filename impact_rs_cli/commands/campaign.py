@@ -46,7 +46,15 @@ def run(args: argparse.Namespace, terminal: Terminal) -> int:
     store = open_store(args.output)
     workforce = workforce_of(args)
     manifest = make_manifest(
-        args.scenario, args.objects, args.cases, args.scales, args.trials, args.seed, settings_of(args), args.plant
+        args.scenario,
+        args.objects,
+        args.cases,
+        args.scales,
+        args.trials,
+        args.seed,
+        settings_of(args),
+        args.plant,
+        args.order,
     )
     check_robots(load_scenario(args.scenario).with_settings(settings_of(args)), terminal)
     campaigns: Mapping[Store, Manifest] = {store: manifest}

@@ -6,8 +6,9 @@ from __future__ import annotations
 import math
 import weakref
 from collections.abc import Callable, Sequence
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass, replace
+from datetime import datetime
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, TypeVar
@@ -22,8 +23,9 @@ from impact_rs_sim.robot import Array
 from impact_rs_trials.bags import checksums, topics
 from impact_rs_trials.bags.cdr import decode
 from impact_rs_trials.bags.recovery import recover
-from impact_rs_trials.bags.trial_info import OUTCOMES, TrialInfo
+from impact_rs_trials.bags.trial_info import OUTCOMES, VIA, TrialInfo
 from impact_rs_trials.bags.types import typestore, typestore_of
+from impact_rs_trials.bags.writer import RECORDED
 from impact_rs_trials.runs import ArmSignals, Run, Signals, run_of_trial
 
 OF_THE_TWIN = (
@@ -258,8 +260,18 @@ class TrialBag:
             BagError: A topic is missing, damaged, has NaN, gaps or stamps that run backwards.
             InputError: The scenario in it cannot be read.
         """
+        remarks = (OF_THE_TWIN,) if self.info.simulator == "twin" else ()
         run = run_of_trial(self.info.spec, self._signals(), self.path)
-        return replace(run, remarks=(OF_THE_TWIN,)) if self.info.simulator == "twin" else run
+        return replace(run, recorded=self._recorded, remarks=remarks)
+
+    @property
+    def _recorded(self) -> float | None:
+        """When it was recorded, seconds since 1970; None: by another program, or simulated, when time means nothing."""
+        if self.info.via in VIA.values():
+            return None
+        with suppress(KeyError, ValueError):
+            return datetime.fromisoformat(self.metadata[RECORDED]).timestamp()
+        return None
 
     def _signals(self) -> Signals:
         """Measured signals, checked."""

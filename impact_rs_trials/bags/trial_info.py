@@ -25,7 +25,8 @@ OUTCOMES: dict[str, str] = {  # the gravest first: it is the verdict where sever
     "OK": "it went as planned",
 }
 
-VIA: dict[Simulator, str] = {"bullet": "inprocess", "twin": "twin"}  # of a trial in this process, by its simulator
+# In `via`, of a trial that is simulated in one program, the same whenever it runs, by its simulator:
+VIA: dict[Simulator, str] = {"bullet": "inprocess", "twin": "twin"}
 FORMER_NAMES = {"scenario_json": "scenario_yaml"}  # of fields, up to version 0.1.0; the layout is the same
 
 

@@ -45,6 +45,7 @@ from impact_rs_trials.recordings.clock import (
 from impact_rs_trials.recordings.contact_frame import ContactFrame, PadOnFace, contact_frame
 from impact_rs_trials.recordings.experiment import Experiment, MotionCapture, RunRow, read_runs, run_named
 from impact_rs_trials.recordings.faults import without_faults
+from impact_rs_trials.recordings.joint_checks import doubts_of_arm
 from impact_rs_trials.recordings.mapping import REQUIRED, SignalName
 from impact_rs_trials.recordings.mapping import Mapping as SignalMapping
 from impact_rs_trials.recordings.plausibility import (
@@ -67,6 +68,7 @@ ARM_SIGNALS: tuple[SignalName, ...] = (*REQUIRED, "motor_position", "motor_veloc
 OBJECT_SIGNALS: tuple[SignalName, ...] = ("object_pose", "object_position", "object_quaternion")
 
 LEAST_SAMPLES = 20
+WALL_CLOCK = 1e9  # s; stamps above it count from 1970 (this is 2001), those below from the start of some program
 SHORTEST = 0.3  # s, of a piece between gaps
 GAP_PERIODS = 3.0  # a gap is longer than so many sampling periods, and
 GAP_REPORTED = 0.005  # s, longer than this; a shorter one fits into the window of the velocity fit at an impact
@@ -334,6 +336,8 @@ def read_run(laboratory: Laboratory, run: RunRow) -> Run:
         with laboratory.told_of(arm):
             _check_overlap(path, arms[base]["position"], own)
     origin = float(arms[base]["position"].time[0])  # numbers of the wall clock have no room for microseconds
+    position = arms[base]["position"]
+    began = origin if position.log is None or origin > WALL_CLOCK else float(position.log[0])
     arms = {arm: {name: replace(one, time=one.time - origin) for name, one in own.items()} for arm, own in arms.items()}
     pose_seen = arms[tracker].pop("object_pose", None)
 
@@ -360,7 +364,8 @@ def read_run(laboratory: Laboratory, run: RunRow) -> Run:
         remarks.append("the object was not tracked: it starts where the scenario places it")
     signals = Signals(time, _alike(read), object_time, pose[:, :3], pose[:, 3:])
     gaps_between = tuple((end - grid[0], start - grid[0]) for (_, end), (start, _) in itertools.pairwise(pieces))
-    return _in_scene(laboratory.scenario, run, signals, gaps_between, tuple(dict.fromkeys(remarks)))
+    found = _in_scene(laboratory.scenario, run, signals, gaps_between, tuple(dict.fromkeys(remarks)))
+    return replace(found, recorded=began if began > WALL_CLOCK else None)
 
 
 def _alike(arms: Mapping[str, ArmSignals]) -> dict[str, ArmSignals]:
@@ -424,6 +429,8 @@ def _arm_of(
         check_arm(path, time, joints, mapping, IMPACT_SHARE if run.hit else 0.0)
         remedy = "wrong sign or unit, or without the arm's own weight?"
         check_weight(path, "torque", laboratory.models[arm], own["position"], own["torque"], remedy)
+        doubts = doubts_of_arm(time, joints, mapping, laboratory.models[arm])
+        remarks += [f"{laboratory.label(arm)}{doubt}" for doubt in doubts]
         command_time, command = _part(series.get("command"), grid, none)
         if command_time.size:
             command = _with_weight(laboratory, path, arm, time, own["position"], command_time, command)

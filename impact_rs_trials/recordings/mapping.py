@@ -96,7 +96,9 @@ class SignalSource(Schema):
     unit: str | tuple[str, ...] = Field(
         description="unit of the numbers in the file; of joints of which some turn and some slide, a list with one each"
     )
-    factor: Annotated[float, Field(description="the numbers are multiplied by this as well, for example -1 [-]")] = 1.0
+    factor: float | tuple[float, ...] = Field(
+        1.0, description="the numbers are multiplied by this as well, for example -1; of joints also a list of each [-]"
+    )
 
     @property
     def units(self) -> tuple[str, ...]:
@@ -181,6 +183,9 @@ class Mapping(Schema):
             if not isinstance(source.unit, str) and (name not in JOINT_SIGNALS or len(source.unit) != wanted):
                 expected = f"one or {wanted}, one per joint" if name in JOINT_SIGNALS else "one"
                 raise ValueError(f"signals.{name}.unit lists {len(source.unit)} units, expected {expected}")
+            if not isinstance(source.factor, float) and (name not in JOINT_SIGNALS or len(source.factor) != wanted):
+                expected = f"one or {wanted}, one per joint" if name in JOINT_SIGNALS else "one"
+                raise ValueError(f"signals.{name}.factor lists {len(source.factor)} numbers, expected {expected}")
             if source.columns is not None and len(source.columns) != wanted:
                 raise ValueError(f"signals.{name}.columns names {len(source.columns)}, expected {wanted}")
             if source.columns is not None and source.column is not None:
@@ -232,7 +237,7 @@ class Mapping(Schema):
         """From the numbers in the file to SI, ``()`` or ``(n,)``."""
         source = self.signals[signal]
         factors = [UNITS[QUANTITY[signal]][unit] for unit in source.units]
-        return np.asarray(factors if len(factors) > 1 else factors[0]) * source.factor
+        return np.asarray(factors if len(factors) > 1 else factors[0]) * np.asarray(source.factor)
 
     def to_si(self, signal: SignalName, values: Array) -> Array:
         """Numbers of a table or array in SI units; quaternions end up in the order x y z w.

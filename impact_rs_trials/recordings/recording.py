@@ -19,6 +19,7 @@ from impact_rs_sim.robot import Array, joined_units
 from impact_rs_sim.robot_model import RobotModel
 from impact_rs_trials.recordings.clock import check_stamps, gaps, tell_gaps
 from impact_rs_trials.recordings.faults import EXCESS, FEW, MARGIN, without_faults
+from impact_rs_trials.recordings.joint_checks import doubts_of_arm
 from impact_rs_trials.recordings.mapping import JOINT_SIGNALS, REQUIRED, Mapping, SignalName
 from impact_rs_trials.recordings.series import Series
 from impact_rs_trials.recordings.sources import BAG_SUFFIXES, FILE_SUFFIXES, read_series
@@ -108,6 +109,7 @@ def _pieces(path: Path, mapping: Mapping) -> list[Run]:
         command_time = {"command_time": time[rows]} if "command" in signals else {}
         arm = ArmSignals(**signals, **command_time)
         check_arm(path, time[rows], arm, mapping)
+        remarks += [doubt for doubt in doubts_of_arm(time[rows], arm, mapping, model) if doubt not in remarks]
         found.append(
             Run(
                 path=path,

@@ -15,6 +15,7 @@ from impact_rs_trials.bags.reader import OF_THE_TWIN, TrialBag
 from impact_rs_trials.bags.writer import BagWriter, partial_path
 from impact_rs_trials.campaign import (
     FAILURES,
+    MANIFEST,
     Manifest,
     Trial,
     TrialReport,
@@ -30,7 +31,7 @@ SCALES = [0.8, 1.0, 1.2]
 
 @pytest.fixture
 def manifest() -> Manifest:
-    return make_manifest("push", ["cat_food"], ["2"], SCALES, trials=1)
+    return make_manifest("push", ["cat_food"], ["2"], SCALES, trials=1, order="listed")
 
 
 def test_a_campaign_is_resumed_where_it_stopped(tmp_path: Path, manifest: Manifest) -> None:
@@ -51,6 +52,33 @@ def test_an_interrupt_leaves_a_campaign_that_can_be_resumed(tmp_path: Path, mani
     with pytest.raises(KeyboardInterrupt):
         list(run_campaign(tmp_path, manifest, run=interrupted))
     assert [key.scale for key in open_campaign(tmp_path, manifest)] == [1.0, 1.2]
+
+
+def test_every_block_of_a_campaign_has_every_condition_once_in_an_order_of_its_own() -> None:
+    manifest = make_manifest("push", ["cat_food"], ["1", "2"], SCALES, trials=4, seed=3)
+    keys, conditions = manifest.in_order, 2 * len(SCALES)
+    blocks = [keys[first : first + conditions] for first in range(0, len(keys), conditions)]
+    assert [{key.repeat for key in block} for block in blocks] == [{0}, {1}, {2}, {3}]
+    orders = [tuple((key.case, key.scale) for key in block) for block in blocks]
+    assert all(len(set(order)) == conditions for order in orders) and len(set(orders)) == 4
+    assert manifest.in_order == keys != make_manifest("push", ["cat_food"], ["1", "2"], SCALES, trials=4).in_order
+    listed = manifest.model_copy(update={"order": "listed"})
+    assert listed.in_order == manifest.keys and [key.repeat for key in listed.in_order][:5] == [0, 1, 2, 3, 0]
+
+
+def test_a_trial_does_not_depend_on_the_order(manifest: Manifest) -> None:
+    random = manifest.model_copy(update={"order": "random"})
+    assert [random.trial(key) for key in manifest.keys] == [manifest.trial(key) for key in manifest.keys]
+
+
+def test_a_campaign_goes_on_in_the_order_in_which_it_began(tmp_path: Path, manifest: Manifest) -> None:
+    """Folders of earlier versions state no order: theirs was that of the list."""
+    open_campaign(tmp_path, manifest)
+    path = tmp_path / MANIFEST
+    path.write_text("".join(line for line in path.read_text().splitlines(True) if not line.startswith("order")))
+    random = make_manifest("push", ["cat_food"], ["2"], SCALES, trials=1)
+    assert random.order == "random" and [key.scale for key in random.in_order] != SCALES
+    assert [key.scale for key in open_campaign(tmp_path, random)] == SCALES
 
 
 def test_another_manifest_is_refused(tmp_path: Path, manifest: Manifest) -> None:

@@ -91,7 +91,7 @@ def test_a_killed_worker_of_a_scheduler_loses_and_doubles_no_trial(tmp_path: Pat
 
 def test_a_campaign_can_be_resumed_after_its_scheduler_went_away(tmp_path: Path, manifest: Manifest) -> None:
     def waits_for_the_end(directory: Path, trial: Trial) -> TrialReport:
-        if trial.key != manifest.keys[0]:
+        if trial.key != manifest.in_order[0]:
             while not (directory / "gone").exists():
                 pass
         (directory / trial.key.name).mkdir()
@@ -101,13 +101,13 @@ def test_a_campaign_can_be_resumed_after_its_scheduler_went_away(tmp_path: Path,
         campaign = run_campaign(
             tmp_path, manifest, Workforce(scheduler=running.scheduler_address), run=waits_for_the_end
         )
-        assert next(campaign).key == manifest.keys[0]
+        assert next(campaign).key == manifest.in_order[0]
         running.sync(running.scheduler.close)
         with pytest.raises(SchedulerLost, match="went away; the same command goes on where it stopped"):
             next(campaign)
         (tmp_path / "gone").write_text("")
     left = list(run_campaign(tmp_path, manifest, run=waits_for_the_end))
-    assert manifest.keys[0] not in [report.key for report in left]
+    assert manifest.in_order[0] not in [report.key for report in left]
     assert all((tmp_path / key.name).is_dir() for key in manifest.keys)
 
 

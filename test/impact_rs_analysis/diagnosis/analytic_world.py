@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 from scipy.stats import binom
@@ -57,6 +58,7 @@ TIPPING = effect(
 )
 
 
+@cache
 def direction(cluster: int, number: int) -> Array:
     return np.random.default_rng([10_000 + number, cluster]).standard_normal(FEATURES)
 

@@ -1,0 +1,193 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Checks of a table of impacts that need no contact law: what holds for every friction and restitution.
+
+With H the inertia, u^- and u^+ the velocities before and after, and J_c u the velocities of the contact points,
+impulses L act at these points alone (paper eq. EOM_link, integrated over the impact),
+
+    H (u^+ - u^-) = J_c^T L
+
+so that, whatever L is,
+
+1. *momentum* outside the range of J_c^T does not change: of a free body with one contact point the angular momentum
+   about that point, with two that about the line through them. In the energy norm, H = C C^T,
+
+       m v_1^2 = |(1 - A A^+) C^T (u^+ - u^-)|^2,        A = C^-1 J_c^T
+
+2. *bodies do not enter each other*: v_2 = max(0, -n . J_c u^+) at every contact,
+3. *energy* does not grow: sqrt(m) v_3 = max(0, |C^T u^+| - |C^T u^-|).
+
+All three are speeds of the body with mass m. A column with a wrong sign or unit makes their rms large. Which one, is
+tried out: the factor that makes all three vanish is named, or several where they cannot be distinguished. Without such
+a factor something is said of free bodies alone: joints of real arms do not jump as those of a rigid arm.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from impact_rs_sim.robot import Array
+from impact_rs_sim.robot_model import RobotModel
+from impact_rs_trials.recordings.impact_table import ImpactRow, ImpactTable
+
+AXES = ("x", "y", "z")
+UNITS = (-1.0, np.pi / 180.0, 180.0 / np.pi, 1e-3, 1e3)  # deg for rad, mm for m, and the other way around
+MOST_ROWS = 200  # of a table, evenly taken
+LEAST_ROWS = 5
+NOTICED = 0.03  # of the whole change of velocity; below it noise and the geometry of the contact decide
+CURED = 0.25  # of the squares; a factor that leaves more of them is no explanation
+CURED_ROWS = 0.75  # of the rows that break a law, which have to get better with it
+ALIKE = 1.5  # times what the best factor leaves; the data do not distinguish factors within it
+SHOWN = 3
+ALONE = 0.5  # of the whole change; so much is reported although no single factor explains it
+
+
+@dataclass(frozen=True)
+class Remedy:
+    """A factor of some columns.
+
+    Attributes:
+        columns: Their names.
+        factor: What their numbers are multiplied by [-].
+        before: The same for every entry of u^-, ``(nv,)`` [-].
+        after: Of u^+, ``(nv,)`` [-].
+    """
+
+    columns: tuple[str, ...]
+    factor: float
+    before: Array
+    after: Array
+
+    def covers(self, other: Remedy) -> bool:
+        """Whether the other one changes some of the same signals and no others."""
+        signals = [{name.rsplit("_", 1)[0] for name in remedy.columns} for remedy in (self, other)]
+        return signals[1] <= signals[0]
+
+
+@dataclass(frozen=True)
+class _Laws:
+    """What an impact obeys under any contact law; see the module.
+
+    Attributes:
+        root: C^T over the root of the body's mass, ``(nv, nv)``.
+        kept: Projects C^T (u^+ - u^-) on what no contact changes, ``(nv, nv)`` [-].
+        normals: n . J_c, ``(m, nv)``.
+    """
+
+    root: Array
+    kept: Array
+    normals: Array
+
+    @classmethod
+    def of(cls, row: ImpactRow, models: dict[str, RobotModel]) -> _Laws:
+        system = row.impact.system(row.physics, models)
+        jacobian = system.jacobian(row.impact.points)
+        root = np.linalg.cholesky(system.inertia)
+        changed = np.linalg.solve(root, jacobian.T)
+        kept = np.eye(len(root)) - changed @ np.linalg.pinv(changed, rcond=1e-9)
+        normals = np.array([point.normal for point in row.impact.points])
+        return cls(
+            root=root.T / np.sqrt(row.physics.object.mass),
+            kept=kept,
+            normals=np.einsum("mi,miv->mv", normals, jacobian.reshape(len(normals), 3, -1)),
+        )
+
+    def broken(self, before: Array, after: Array) -> Array:
+        """v_1, v_2 and v_3 of the module, ``(3,)`` [m/s]."""
+        momentum = np.linalg.norm(self.kept @ self.root @ (after - before))
+        inside = max(0.0, -float(np.min(self.normals @ after)))
+        gained = max(0.0, float(np.linalg.norm(self.root @ after) - np.linalg.norm(self.root @ before)))
+        return np.array([momentum, inside, gained])
+
+
+def doubts_of(table: ImpactTable) -> list[str]:
+    """Laws that the numbers of a table break whatever the contact is like, with the most likely mistake.
+
+    Args:
+        table: Impacts with velocities after them.
+    """
+    chosen = np.unique(np.linspace(0, len(table.rows) - 1, MOST_ROWS).astype(int)).tolist()
+    if len(chosen) < LEAST_ROWS:
+        return []
+    rows = [table.rows[number] for number in chosen]
+    models: dict[int, dict[str, RobotModel]] = {}
+    for row in rows:
+        if id(row.physics) not in models:
+            models[id(row.physics)] = row.physics.robot_models()
+    laws = [_Laws.of(row, models[id(row.physics)]) for row in rows]
+    before = [
+        np.concatenate([*(arm.velocity for arm in row.impact.arms.values()), row.impact.object.twist]) for row in rows
+    ]
+    after = [row.after for row in rows]
+    broken = np.array([law.broken(b, a) for law, b, a in zip(laws, before, after, strict=True)])
+    whole = _rms([float(np.linalg.norm(law.root @ (a - b))) for law, b, a in zip(laws, before, after, strict=True)])
+    speeds = np.linalg.norm(broken, axis=1)
+    size = _rms(speeds)
+    if size <= NOTICED * whole:
+        return []
+    found = []
+    for remedy in remedies(table):
+        tried = np.array(
+            [
+                np.linalg.norm(law.broken(remedy.before * b, remedy.after * a))
+                for law, b, a in zip(laws, before, after, strict=True)
+            ]
+        )
+        wrong = speeds > NOTICED * whole
+        if np.any(wrong) and float(np.mean(tried[wrong] < speeds[wrong])) >= CURED_ROWS:
+            found.append((_rms(tried), remedy))
+    law = _in_words(np.sqrt(np.mean(np.square(broken), axis=0)), whole)
+    left = min((rest for rest, _ in found), default=np.inf)
+    if left**2 < CURED * size**2:
+        simplest: list[Remedy] = []
+        for rest, remedy in found:
+            if rest <= ALIKE * left and not any(remedy.covers(other) for other in simplest):
+                simplest.append(remedy)
+        words = [f"factor: {remedy.factor:.4g} for {', '.join(remedy.columns)}" for remedy in simplest[:SHOWN]]
+        return [f"{law}: wrong sign or unit? {left:.2g} m/s are left with {', or '.join(words)}"]
+    if size > ALONE * whole and not table.arms:
+        return [f"{law}: no factor of one signal explains it; are contact points, axes and inertia right?"]
+    return []
+
+
+def _rms(values: Array | list[float]) -> float:
+    return float(np.sqrt(np.mean(np.square(values))))
+
+
+def _in_words(broken: Array, whole: float) -> str:
+    """The law that is broken most, by how much."""
+    what = (
+        "the momentum that no impulse at the contact points can change (with one of them, the angular momentum about "
+        "it) changes",
+        "after the impact the bodies move into each other",
+        "the kinetic energy grows",
+    )[int(np.argmax(broken))]
+    size = float(broken.max())
+    return f"{what} by {size:.2g} m/s rms, {100.0 * size / whole:.0f} % of the whole change of velocity"
+
+
+def remedies(table: ImpactTable) -> Iterator[Remedy]:
+    """Factors of single signals, the simplest first."""
+    groups: list[tuple[list[str], list[int]]] = []
+    start = 0
+    for name, arm in table.rows[0].impact.arms.items():
+        label = f"{name}." if len(table.arms) > 1 else ""
+        groups += [([f"{label}dq{joint + 1}"], [start + joint]) for joint in range(arm.velocity.size)]
+        start += arm.velocity.size
+    linear, angular = ([f"{stem}{axis}" for axis in AXES] for stem in "vw")
+    groups += [([name], [start + number]) for number, name in enumerate([*linear, *angular])]
+    # Where all of an axis is mirrored, lever and velocity, the other two angular velocities seem to be wrong.
+    groups += [
+        ([angular[i] for i in (0, 1, 2) if i != n], [start + 3 + i for i in (0, 1, 2) if i != n]) for n in range(3)
+    ]
+    groups += [(linear, [start, start + 1, start + 2]), (angular, [start + 3, start + 4, start + 5])]
+    for names, places in groups:
+        for factor in UNITS if len(places) == len(AXES) else (-1.0,):
+            for tails in (("before", "after"), ("after",), ("before",)):
+                scaled = np.ones((2, start + 6))
+                for number, tail in enumerate(("before", "after")):
+                    scaled[number, places] = factor if tail in tails else 1.0
+                columns = tuple(f"{name}_{tail}" for name in names for tail in tails)
+                yield Remedy(columns, factor, scaled[0], scaled[1])

@@ -1,0 +1,91 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A joint with the wrong sign or unit is named with its remedy, and right recordings raise no doubt."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from joint_recordings import swinging, write_npz
+
+from impact_rs_sim.robot_model import RobotModel
+from impact_rs_trials.recordings.experiment import Experiment
+from impact_rs_trials.recordings.joint_checks import doubts_of_arm
+from impact_rs_trials.recordings.laboratory import read_laboratory
+from impact_rs_trials.recordings.mapping import load_mapping
+from impact_rs_trials.recordings.recording import read_recordings
+from impact_rs_trials.runs import ArmSignals
+
+MAPPING = load_mapping("joint_state")
+MODEL = RobotModel(MAPPING.facts, MAPPING.end_effector.build(), pin.SE3.Identity())
+CENTRE = np.array([0.0, -0.3, 0.0, -2.0, 0.0, 1.8, 0.5])  # rad
+TIME = np.arange(0.0, 20.0, 0.005)
+RATES = np.array([[0.11, 0.13, 0.17, 0.19, 0.23, 0.29, 0.31], [0.53, 0.59, 0.61, 0.67, 0.71, 0.73, 0.79]])  # Hz
+FRICTION = 1.0  # N m
+SHARED = Path(__file__).resolve().parents[4] / "shared" / "data"
+
+
+def swung(friction: float = FRICTION) -> dict[str, np.ndarray]:
+    """All joints swing against friction."""
+    columns = swinging(MODEL, TIME, CENTRE, (RATES[0], RATES[1]), (0.4, 0.05))
+    return columns | {"effort": columns["effort"] + friction * np.tanh(columns["velocity"] / 0.01)}
+
+
+def doubts(factors: dict[str, tuple[int, float]]) -> list[str]:
+    """Of a recording in which a signal of one joint is multiplied by a factor."""
+    columns = swung()
+    for name, (joint, factor) in factors.items():
+        columns[name] = columns[name] * np.where(np.arange(7) == joint, factor, 1.0)
+    arm = ArmSignals(columns["position"], columns["velocity"], columns["effort"])
+    return doubts_of_arm(TIME, arm, MAPPING, MODEL)
+
+
+@pytest.mark.parametrize("friction", [0.0, 1.0, 3.0])
+def test_a_right_recording_raises_no_doubt_whatever_its_friction(friction: float) -> None:
+    columns = swung(friction)
+    arm = ArmSignals(columns["position"], columns["velocity"], columns["effort"])
+    assert doubts_of_arm(TIME, arm, MAPPING, MODEL) == []
+
+
+@pytest.mark.parametrize("joint", range(7))
+def test_the_sign_of_a_velocity_is_named(joint: int) -> None:
+    (doubt,) = doubts({"velocity": (joint, -1.0)})
+    remedy = ", ".join("-1" if number == joint else "1" for number in range(7))
+    assert doubt.startswith(f"velocity of joint {joint + 1} is -1 times")
+    assert doubt.endswith(f"signals.velocity.factor: [{remedy}]")
+
+
+def test_degrees_per_second_are_named() -> None:
+    (doubt,) = doubts({"velocity": (2, 180.0 / np.pi)})
+    assert "57 times the derivative" in doubt and "0.0175" in doubt
+
+
+@pytest.mark.parametrize(("joint", "words"), [(1, "weight"), (3, "weight"), (0, "against its motion")])
+def test_the_sign_of_a_torque_is_named_by_weight_or_friction(joint: int, words: str) -> None:
+    (doubt,) = doubts({"effort": (joint, -1.0)})
+    assert doubt.startswith(f"torque of joint {joint + 1}") and words in doubt
+
+
+def test_the_remedy_puts_the_recording_right(tmp_path: Path) -> None:
+    columns = swung()
+    columns["velocity"] = columns["velocity"] * np.array([1.0, 1.0, -1.0, 1.0, 1.0, 1.0, 1.0])
+    path = write_npz(tmp_path / "a.npz", columns)
+    (run,) = read_recordings(path, MAPPING)
+    assert any("signals.velocity.factor: [1, 1, -1, 1, 1, 1, 1]" in remark for remark in run.remarks)
+    source = MAPPING.signals["velocity"].model_copy(update={"factor": (1.0, 1.0, -1.0, 1.0, 1.0, 1.0, 1.0)})
+    (run,) = read_recordings(path, MAPPING.model_copy(update={"signals": {**MAPPING.signals, "velocity": source}}))
+    assert run.remarks == ()
+
+
+@pytest.mark.parametrize("bench", ["bench_0", "bench_1", "bench_2"])
+def test_recordings_of_another_laboratory_raise_no_doubt(bench: str) -> None:
+    if not SHARED.is_dir():
+        pytest.skip("the shared recordings are not on this machine")
+    runs, _ = read_laboratory(SHARED / "lab" / bench, Experiment(scenario="push"), map)
+    assert [remark for run in runs for remark in run.remarks if "factor" in remark] == []
+    arm = runs[0].signals.arms["arm"]
+    wrong = replace(arm, torque=arm.torque * np.where(np.arange(7) == 3, -1.0, 1.0))
+    assert doubts_of_arm(runs[0].signals.time, wrong, MAPPING, runs[0].physics.robot_model("arm"))
