@@ -14,15 +14,18 @@ from importlib.metadata import entry_points
 from impact_rs_sim.effects.actuation import ACTUATION_DELAY, TORQUE_GAIN, TORQUE_OFFSET
 from impact_rs_sim.effects.base import ArmEffect, Effect, Parameter, SceneEffect
 from impact_rs_sim.effects.contact import (
+    DRILLING_FRICTION,
     PAD_COMPLIANCE,
     PAD_CREEP,
     PAD_FRICTION,
     PAD_SHEAR,
     PAD_TILT,
     RESTITUTION,
+    RESTITUTION_FALL,
     ROLLING_RESISTANCE,
     SUPPORT_COMPLIANCE,
     SUPPORT_FRICTION,
+    TANGENTIAL_RESTITUTION,
 )
 from impact_rs_sim.effects.joint import JOINT_STIFFNESS
 from impact_rs_sim.effects.link import END_EFFECTOR_PAYLOAD
@@ -57,6 +60,9 @@ BUILT_IN: tuple[Effect, ...] = (
     PAD_TILT,
     SUPPORT_COMPLIANCE,
     ROLLING_RESISTANCE,
+    RESTITUTION_FALL,
+    TANGENTIAL_RESTITUTION,
+    DRILLING_FRICTION,
 )
 
 
