@@ -193,19 +193,21 @@ class ArmPhysics:
 
 @dataclass(frozen=True)
 class ObjectPhysics:
-    """A homogeneous box, up to an offset of its centre of mass.
+    """A homogeneous box, up to an offset of its centre of mass; or a ball, whose centre of mass is its centre.
 
     Attributes:
         mass: Mass [kg].
         size: Extent along its own x, y, z, ``(3,)`` [m].
         inertia: Principal moments about the centre of mass, ``(3,)`` [kg m^2].
         com_offset: Centre of mass from the geometric centre, in axes of the object, ``(3,)`` [m].
+        round: Whether it is a ball, of diameter ``size``.
     """
 
     mass: float
     size: Array
     inertia: Array
     com_offset: Array
+    round: bool = False
 
 
 @dataclass(frozen=True)

@@ -135,6 +135,7 @@ class ImpactTableSource(Source):
         self._worlds = [model.apply(physics) for physics in distinct.values()]
         self.physics = self._worlds[0]
         self._impacts = MeasuredImpacts([row.impact for row in table.rows], self._of_rows(self._worlds))
+        self._effects = model.known_effects
         self._known: OrderedDict[bytes, Array] = OrderedDict()
         self._axes = np.array([_axes_of(row.impact) for row in table.rows])
         self._seen = slice(None) if table.joints else slice(-6, None)
@@ -197,19 +198,21 @@ class ImpactTableSource(Source):
     def predict(self, wanted: Sequence[tuple[int, Added]], what: str) -> list[Array | None]:
         """See :meth:`Source.predict`."""
         del what
+        answers = {added: self._answers(added) for added in dict.fromkeys(added for _, added in wanted)}
         found: list[Array | None] = []
         for number, added in wanted:
-            rows = self._rows(number, added)
+            rows = self._rows(number, answers[added])
             found.append(None if rows is None else rows.mean(axis=0) if self.repeated else rows.ravel())
         return found
 
     def measure_again(self, added: Added, like: Sequence[Cluster]) -> list[Cluster] | None:
         """See :meth:`Source.measure_again`; every repeat starts from its own state."""
         numbers = {item.name: number for number, item in enumerate(self.clusters)}
+        answers = self._answers(added)
         result = []
         for item in like:
             number = numbers[item.name]
-            rows = self._rows(number, added)
+            rows = self._rows(number, answers)
             if rows is None:
                 return None
             rest = self.measured[list(self._groups[number].rows)] - rows
@@ -284,10 +287,9 @@ class ImpactTableSource(Source):
         """The physics of every row."""
         return [worlds[place] for place in self._world_of]
 
-    def _rows(self, number: int, added: Added) -> Array | None:
-        """u^+ of the rows of a cluster, ``(n, nv)``; None without a solution."""
-        found = self._answers(added)
-        rows = None if found is None else found[list(self._groups[number].rows)]
+    def _rows(self, number: int, answers: Array | None) -> Array | None:
+        """u^+ of the rows of a cluster out of those of all rows, ``(n, nv)``; None without a solution."""
+        rows = None if answers is None else answers[list(self._groups[number].rows)]
         return None if rows is None or np.isnan(rows).any() else rows
 
     def _answers(self, added: Added) -> Array | None:
@@ -295,11 +297,10 @@ class ImpactTableSource(Source):
 
         All rows are solved together, whoever asks for some of them, and kept by everything the map depends on.
         """
-        known = self.model.known_effects
         worlds = self._worlds
         try:
             for name, values in added:
-                worlds = [known[name].apply_vector(physics, np.array(values)) for physics in worlds]
+                worlds = [self._effects[name].apply_vector(physics, np.array(values)) for physics in worlds]
         except NotABody:
             return None
         key = b"".join(_what_the_map_knows(physics) for physics in worlds)

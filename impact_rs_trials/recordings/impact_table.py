@@ -585,7 +585,7 @@ class _Reader:
         inertia = np.array([own[name] for name in ("ixx", "iyy", "izz")]) if "ixx" in own else own_shape
         return Physics(
             arms={},
-            object=ObjectPhysics(own["mass"], size, inertia, np.zeros(3)),
+            object=ObjectPhysics(own["mass"], size, inertia, np.zeros(3), round="radius" in own),
             support_height=None,
             support_size=(np.inf, np.inf),
             support_friction=own.get(FRICTION, ASSUMED_FRICTION),

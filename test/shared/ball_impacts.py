@@ -74,19 +74,19 @@ def ball_table(
     rows: int = 150,
     seed: int = 0,
     noise: Sequence[float] = NOISE,
-    told: bool = True,
+    stated: bool = True,
     **assumed: float,
 ) -> Path:
-    """A table of hollow balls; ``assumed`` are friction and restitution, ``told`` whether it has the noise."""
+    """A table of hollow balls; ``assumed`` are friction and restitution, ``stated`` whether it has the noise."""
     rng = np.random.default_rng(seed)
     header = [f"{name}_before [{'m/s' if name[0] == 'v' else 'rad/s'}]" for name in TWIST]
     header += [f"{name}_after [{'m/s' if name[0] == 'v' else 'rad/s'}]" for name in TWIST]
     header += ["mass [g]", "radius [mm]", "shell [-]", *(f"{name} [-]" for name in assumed)]
-    header += ["v_noise [m/s]", "w_noise [rad/s]"] if told else []
+    header += ["v_noise [m/s]", "w_noise [rad/s]"] if stated else []
     found = []
     for _ in range(rows):
         before = thrown(rng)
         after = bounced(before, racket) + np.repeat(noise, 3) * rng.standard_normal(6)
-        told_noise = list(noise) if told else []
-        found.append([*before, *after, 1e3 * MASS, 1e3 * RADIUS, 1.0, *assumed.values(), *told_noise])
+        own = list(noise) if stated else []
+        found.append([*before, *after, 1e3 * MASS, 1e3 * RADIUS, 1.0, *assumed.values(), *own])
     return write_csv(path, header, found)
