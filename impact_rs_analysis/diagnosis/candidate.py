@@ -22,6 +22,7 @@ from impact_rs_analysis.diagnosis.null_distribution import NullDistribution, com
 from impact_rs_analysis.evidence.cluster import Added, Cluster
 from impact_rs_analysis.evidence.source import Source
 from impact_rs_sim.effects import Effect, Parameter
+from impact_rs_sim.effects.base import Joints
 from impact_rs_sim.robot import Array
 
 PRIOR = 100.0  # parameter scales; only bounds parameters that the data do not determine
@@ -107,6 +108,13 @@ class Candidate:
         """Whether some parameter has zero sensitivity here, like the centre of a payload without mass."""
         return bool(np.any(np.all([np.all(jacobian == 0.0, axis=0) for jacobian in self.jacobians], axis=0)))
 
+    def steps(self, effect: Effect, part: slice, joints: Joints) -> Array:
+        """Finite-difference steps of one effect, away from a bound under the physics at hand, ``(p,)``."""
+        steps = effect.steps(joints, self.point[part])
+        there = self.point[part] + steps
+        beyond = (there < self.lower[part]) | (there > self.upper[part])
+        return np.where(beyond, -steps, steps)
+
     def only(self, clusters: Sequence[int]) -> Candidate:
         """The candidate restricted to some clusters, by number."""
         return replace(
@@ -182,9 +190,7 @@ def wanted(
         for effect, part in candidate.parts:
             if not concerns(effect, source.clusters[number]):
                 continue
-            for index, step in zip(
-                range(part.start, part.stop), effect.steps(joints, candidate.point[part]), strict=True
-            ):
+            for index, step in zip(range(part.start, part.stop), candidate.steps(effect, part, joints), strict=True):
                 moved = candidate.point.copy()
                 moved[index] += share * step
                 result.append((number, candidate.split(moved)))
@@ -223,9 +229,7 @@ def linearise(
         for effect, part in candidate.parts:
             if not concerns(effect, item):
                 continue
-            for index, step in zip(
-                range(part.start, part.stop), effect.steps(joints, candidate.point[part]), strict=True
-            ):
+            for index, step in zip(range(part.start, part.stop), candidate.steps(effect, part, joints), strict=True):
                 there = next(results)
                 if there is None:
                     return None

@@ -192,7 +192,7 @@ RESTITUTION = RestitutionEffect(
     name="restitution",
     acts_on="contact",
     sentence="The object bounces off what it hits more or less than assumed.",
-    parameters=(Parameter("restitution", "-", 0.0, 0.0, 0.9, 0.1, "restitution of pad and object beyond the assumed"),),
+    parameters=(Parameter("restitution", "-", 0.0, 0.0, 1.0, 0.1, "restitution of pad and object beyond the assumed"),),
     law=_restitution,
     phases=("contact",),
 )
@@ -287,7 +287,10 @@ RESTITUTION_FALL = SceneEffect(
     name="restitution_fall",
     acts_on="contact",
     sentence="The faster the object comes, the less it bounces.",
-    parameters=(Parameter("fall", "s/m", 0.0, -0.5, 0.5, 0.01, "fall of restitution with the closing speed"),),
+    # Where none is assumed there is nothing to fall from: the step is a rise.
+    parameters=(
+        Parameter("fall", "s/m", 0.0, -0.5, 0.5, 0.01, "fall of restitution with the closing speed", step=-0.01),
+    ),
     law=_restitution_fall,
     phases=SINGLE_IMPACT,
 )
