@@ -301,7 +301,9 @@ TANGENTIAL_RESTITUTION = SceneEffect(
     sentence="The contact grips and springs back sideways: its slip is reversed.",
     parameters=(
         Parameter("restitution", "-", 0.0, 0.0, 1.0, 0.1, "share of the slip that is returned"),
-        Parameter("fall", "s/m", 0.0, -0.5, 0.5, 0.01, "fall of that share with the slip", shape=True),
+        Parameter(
+            "fall", "s/m", 0.0, -0.5, 0.5, 0.01, "fall of that share with the slip", shape=True, hidden=(0.0, 0.05)
+        ),
     ),
     law=_tangential_restitution,
     phases=SINGLE_IMPACT,
@@ -313,7 +315,9 @@ DRILLING_FRICTION = SceneEffect(
     sentence="The contact has an extent: a moment resists spinning about its normal.",
     parameters=(
         Parameter("arm", "m", 0.0, 0.0, 0.05, 5e-4, "resisting moment over the normal force"),
-        Parameter("restitution", "-", 0.0, 0.0, 1.0, 0.1, "share of the spin that is returned", shape=True),
+        Parameter(
+            "restitution", "-", 0.0, 0.0, 1.0, 0.1, "share of the spin that is returned", shape=True, hidden=(0.0, 0.5)
+        ),
     ),
     law=_drilling_friction,
     phases=SINGLE_IMPACT,

@@ -7,6 +7,7 @@ an impulse along the face changes its slip by (1 + 1/k) L_t / m. It leaves with 
     L_n = m (1 + e) |v_n|
     L_t = -m k / (1 + k) (1 + beta) u_t, shortened to mu L_n where it is longer
     M_n = -I (1 + gamma) omega_n,        shortened to a L_n where it is longer
+    M_t = -I omega_t                     shortened to b L_n where it is longer; if mu = 0
 """
 
 from __future__ import annotations
@@ -35,6 +36,7 @@ class Racket:
         tangential: beta of the slip.
         drilling: a [m].
         spin: gamma [-].
+        rolling: b [m]; of a face without friction.
     """
 
     restitution: Law = lambda speed: 0.5
@@ -42,6 +44,7 @@ class Racket:
     tangential: Law = lambda slip: 0.0
     drilling: float = 0.0
     spin: float = 0.0
+    rolling: float = 0.0
 
 
 def bounced(twist: np.ndarray, racket: Racket, share: float = HOLLOW) -> np.ndarray:
@@ -57,6 +60,10 @@ def bounced(twist: np.ndarray, racket: Racket, share: float = HOLLOW) -> np.ndar
     drilling = -inertia * (1.0 + racket.spin) * turning[2]
     drilling = float(np.clip(drilling, -racket.drilling * pressing, racket.drilling * pressing))
     moment = np.array([RADIUS * along[1], -RADIUS * along[0], drilling])  # (0, 0, -r) x L
+    if racket.rolling:
+        assert racket.friction == 0.0
+        rolling = inertia * float(np.hypot(*turning[:2]))
+        moment[:2] = -inertia * turning[:2] * min(1.0, racket.rolling * pressing / max(rolling, 1e-300))
     return np.concatenate((velocity + np.array([*along, pressing]) / MASS, turning + moment / inertia))
 
 

@@ -60,7 +60,7 @@ def test_friction_and_restitution_of_a_cube_are_found_and_nothing_else(
 ) -> None:
     source, document = tossed
     assert_only(document, "support_friction", "restitution")
-    assert covers(document, "support_friction", "scale", 0.2 / 0.5)
+    assert covers(document, "support_friction", "friction", 0.2 - 0.5)
     assert covers(document, "restitution", "restitution", 0.3)
     assert document.held_out_error_after < 0.05 * document.held_out_error_before
     assert (document.source, document.error_unit, document.runs.trials) == ("impacts", "m/s", 60)
@@ -124,9 +124,9 @@ def test_what_no_effect_explains_is_said_where_the_noise_is_known(tmp_path: Path
 def test_a_limit_that_is_no_friction_at_all_is_found_at_its_bound(tmp_path: Path) -> None:
     document = diagnose(of_cubes(tmp_path / "cubes.csv", cube(0.0)), NOMINAL)
     assert document.named == ("support_friction",)
-    low, high = document.effect("support_friction").parameters["scale"].interval
-    assert low == 0.0
-    assert high < 0.05
+    low, high = document.effect("support_friction").parameters["friction"].interval
+    assert low == -0.5
+    assert high < -0.475
 
 
 def test_rows_that_gain_energy_are_named(tmp_path: Path) -> None:
