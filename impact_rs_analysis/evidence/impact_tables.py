@@ -54,7 +54,7 @@ from impact_rs_sim.impact_map.measured import MeasuredImpact, MeasuredImpacts, r
 from impact_rs_sim.model import Model
 from impact_rs_sim.physics import Physics
 from impact_rs_sim.robot import Array
-from impact_rs_trials.recordings.impact_table import ImpactTable
+from impact_rs_trials.recordings.impact_table import WIDER, ImpactTable
 from impact_rs_trials.workers import Map
 
 BLOCKS = 24  # at most: of 24 blocks a fold leaves 18 for the search, and the test needs 12
@@ -65,6 +65,7 @@ RELEVANT_ANGULAR = 0.05  # rad/s; the same at a lever of 0.1 m
 RELEVANT_JOINT = 0.005  # rad/s; the same at a lever of 1 m; m/s for a prismatic joint
 LEAST_SCALE = 1e-6  # m/s; a model with smaller residuals is exact
 KEPT = 128_000_000  # bytes of predictions of the whole table, with effects that were tried last
+DECIDES = 0.3  # of what the model leaves; contacts that move predictions by more may decide
 GAINED = 1.05  # kinetic energy after over before; rows above it are reported
 
 JOINTS, LINEAR, ANGULAR = "joint velocity after", "velocity after", "angular velocity after"
@@ -316,8 +317,10 @@ class ImpactTableSource(Source):
         rest = self.measured - self.predicted
         limit = np.array([feature.relevance_limit for feature in self.signals]) / 2.0
         if self.repeated:
-            pure = pooled_error([rest[list(group.rows)] for group in self._groups])
-            assert pure is not None
+            pooled = pooled_error([rest[list(group.rows)] for group in self._groups])
+            assert pooled is not None
+            self._pooled, stated = pooled, self._stated_noise()
+            pure = pooled if stated is None else np.maximum(pooled, stated)
             sigma = np.broadcast_to(np.hypot(pure, limit), rest.shape)
             noise = np.broadcast_to(pure, rest.shape)
         else:
@@ -357,6 +360,14 @@ class ImpactTableSource(Source):
             remarks.append(NO_REPEATS)
             if self.noise is None:
                 remarks.append(NO_NOISE)
+        if (unsure := self._unsure_contacts()) is not None:
+            remarks.append(unsure)
+        if self.repeated and (stated := self._stated_noise()) is not None:
+            ratio = float(np.sqrt(np.mean(np.square(self._pooled / np.maximum(stated, LEAST_SCALE)))))
+            remarks.append(
+                f"repeats scatter {ratio:.2g} times as much as the noise columns say; of every velocity the larger of "
+                "both counts"
+            )
         gained = [row.number for row, ratio in zip(self.table.rows, self._gained(), strict=True) if ratio > GAINED]
         if gained:
             shown = ", ".join(str(number) for number in gained[:5]) + (" ..." if len(gained) > 5 else "")
@@ -368,6 +379,29 @@ class ImpactTableSource(Source):
         if self.table.unread:
             remarks.append(f"columns that are not used: {', '.join(self.table.unread)}")
         return remarks
+
+    def _unsure_contacts(self) -> str | None:
+        """How much depends on where bodies touch; None: nothing, or points were measured."""
+        rows = [(number, row.wider) for number, row in enumerate(self.table.rows) if row.wider is not None]
+        if not rows:
+            return None
+        numbers = [number for number, _ in rows]
+        physics = [self._worlds[self._world_of[number]] for number in numbers]
+        velocity, _ = MeasuredImpacts([impact for _, impact in rows], physics).solve(physics)
+        moved = np.zeros_like(self.predicted)
+        moved[numbers] = np.nan_to_num(_turned(velocity, self._axes[numbers])[:, self._seen] - self.predicted[numbers])
+        size = float(np.sqrt(np.mean(np.sum(np.square(moved * self.worth), axis=1))))
+        whole = float(np.sqrt(np.mean(np.sum(np.square((self.measured - self.predicted) * self.worth), axis=1))))
+        turns = "; so much that it may decide the verdict" if size > DECIDES * whole else ""
+        return (
+            f"which points touch is unsure in {len(rows)} of {len(self.table.rows)} rows: with "
+            f"{1e3 * WIDER * self.table.tolerance:g} in place of {1e3 * self.table.tolerance:g} mm predictions move by "
+            f"{size:.2g} m/s, beside {whole:.2g} m/s between measurement and model{turns} (--contact-tolerance)"
+        )
+
+    def _stated_noise(self) -> Array | None:
+        """Standard deviation of the noise columns by feature, ``(nv,)``; None: there are none."""
+        return None if self.noise is None else np.sqrt(np.mean(np.square(self.noise), axis=0))
 
     def _gained(self) -> Array:
         """Measured kinetic energy after over before, ``(rows,)`` [-]."""

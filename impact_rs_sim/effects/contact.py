@@ -150,7 +150,7 @@ class TangentialRestitution(ContactLaw):
 
 @dataclass(frozen=True)
 class DrillingFriction(ContactLaw):
-    """A moment about the normal, |M_n| <= a L_n, against omega_n^+ + gamma omega_n^- (Johnson 1985, sec. 8.3 and 9.2).
+    """A moment about the normal, |M_n| <= a L_n, against omega_n^+ + gamma omega_n^- (Johnson 1985, sec. 7.4).
 
     Attributes:
         arm: a [m].

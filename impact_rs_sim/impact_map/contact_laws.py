@@ -12,8 +12,8 @@ slip s just before,
 with the velocity u and the angular velocity omega of the body against its partner. Without the last two lines it is the
 model of Walton (1993) with the three coefficients that Foerster et al. (1994) measured on small spheres: a contact
 that grips stores energy sideways as well and throws the slip back by beta (Garwin 1969; Cross 2002), and one that slides
-has Coulomb's friction. Drilling and rolling friction bound moments by the normal impulse (Johnson 1985, sec. 8.3 and
-9.2; a disc of radius R that is pressed evenly has a = 2/3 mu R).
+has Coulomb's friction. Drilling and rolling friction bound moments by the normal impulse (Johnson 1985, sec. 7.4 and
+9.1; a disc of radius R that is pressed evenly has a = 2/3 mu R).
 """
 
 from __future__ import annotations
@@ -33,13 +33,13 @@ def laws_of(physics: Physics, closing: Array, slip: Array, on_support: Array) ->
 
     Args:
         physics: Friction, restitution, and laws of single impacts.
-        closing: v, ``(m,)`` [m/s].
+        closing: v, ``(m,)``; a point that opens has the laws of v = 0 [m/s].
         slip: s, ``(m,)`` [m/s].
         on_support: Whether the partner of a point is the support, ``(m,)``.
     """
     nothing = np.zeros_like(closing)
     contact = ContactCondition(
-        closing=closing,
+        closing=np.maximum(closing, 0.0),
         slip=slip,
         friction=np.where(on_support, physics.support_friction, physics.pad_friction),
         restitution=nothing + physics.restitution + physics.bounce,

@@ -7,7 +7,7 @@ contact points have more laws than those of a push that goes on (:mod:`impact_rs
 
 What differs from a planned impact is where the contact points come from. Poses are measured to a millimetre or so, and
 bodies that touch seem to overlap or to stay apart; so the nearest points of two bodies are taken for touching, whatever
-their distance, and all points with them that are no more than ``GAP_TOLERANCE`` further off.
+their distance, and all points with them that are no more than a tolerance further off.
 
 A body that hits something fixed is an object without arms: H is its own inertia, and what it hits is the support. Its
 mass cancels: H, and with it L, grows with the mass, and u^+ stays.
@@ -213,7 +213,7 @@ class MeasuredImpacts:
         friction = contact.friction[own].tolist()
         points = [replace(point, friction=value) for point, value in zip(impact.points, friction, strict=True)]
         terms = ContactTerms.of(system, points, restitution_of(physics))
-        terms = replace(terms, rebound=-contact.restitution[own] * contact.closing[own])
+        terms = replace(terms, rebound=-contact.restitution[own] * self._closing[own])
         impulses, _ = solve_contacts(terms)
         velocity = np.asarray(system.velocity + terms.response @ impulses.ravel())
         return velocity if terms.residual(impulses, velocity).largest <= ExactEngine.tolerance else nothing
@@ -263,18 +263,21 @@ def solve_measured(
     return velocity, system
 
 
-def corners_that_touch(body: BodyState, size: Array, normal: Array) -> tuple[ContactPoint, ...]:
+def corners_that_touch(
+    body: BodyState, size: Array, normal: Array, tolerance: float = GAP_TOLERANCE
+) -> tuple[ContactPoint, ...]:
     """Corners of a box that come first to a plane: the lowest along its normal, and all as low up to the tolerance.
 
     Args:
         body: Pose of the box.
         size: Extent along its own axes, ``(3,)`` [m].
         normal: Unit normal of the plane, into the body, in A, ``(3,)``.
+        tolerance: How much further off a corner may be than the first [m].
     """
     signs = np.array([[x, y, z] for x in (1, -1) for y in (1, -1) for z in (1, -1)])
     corners = body.position + (signs * size / 2.0) @ body.rotation.T
     height = corners @ normal
-    near = corners[height <= height.min() + GAP_TOLERANCE]
+    near = corners[height <= height.min() + tolerance]
     return points_on_plane(near, normal)
 
 
@@ -294,6 +297,7 @@ def points_of_scene(
     body: BodyState,
     models: Mapping[str, RobotModel],
     on_pad: Mapping[str, tuple[Sequence[Array], Array | None]] | None = None,
+    tolerance: float = GAP_TOLERANCE,
 ) -> tuple[ContactPoint, ...]:
     """Contact points of pads with the object, and of the object with its support.
 
@@ -304,6 +308,7 @@ def points_of_scene(
         models: Rigid-body models by arm.
         on_pad: By arm, contact points in A that were measured, ``(3,)`` each [m], and the normal into the object, which
             is that of the nearest faces where it is None; else all points come from the geometry.
+        tolerance: How much further off a point may be than the nearest of its two bodies [m].
 
     Raises:
         Infeasible: No pad is near the object.
@@ -322,7 +327,7 @@ def points_of_scene(
         elif abs(meeting.separation) <= (SUPPORT_REACH if name == SUPPORT else PAD_REACH):
             near = find_contacts(physics, [meeting], PAD_REACH)
             first = min((point.gap for point in near), default=0.0)
-            found += [point for point in near if point.gap <= first + GAP_TOLERANCE]
+            found += [point for point in near if point.gap <= first + tolerance]
     if all(point.partner == SUPPORT for point in found):
         raise Infeasible(
             f"no pad touches the object: the nearest is {1e3 * nearest:.3g} mm away, expected at most "

@@ -61,6 +61,7 @@ import pinocchio as pin
 
 from impact_rs_sim.decimals import decimal
 from impact_rs_sim.errors import Infeasible, InputError, did_you_mean
+from impact_rs_sim.impact_map.contacts import GAP_TOLERANCE
 from impact_rs_sim.impact_map.measured import (
     FRICTION,
     RESTITUTION,
@@ -94,6 +95,7 @@ MOMENTS = 1e-3  # by how much a moment of inertia may exceed the sum of the othe
 UP = np.array([0.0, 0.0, 1.0])
 AXES = "xyz"
 MOST_POINTS = 8  # contact points that a row may name
+WIDER = 4.0  # tolerances; points between one and so many may touch or not
 SLIP = 0.75  # likeness from which an unknown column is taken for a slip of the pen
 
 
@@ -108,6 +110,7 @@ class ImpactRow:
         physics: Nominal physics; rows with the same nominal physics share one.
         impact: State just before, and contact points.
         after: Measured u^+, joint velocities of every arm and then the twist of the centre, ``(nv,)`` [rad/s, m/s].
+        wider: The impact with more contact points, those within ``WIDER`` tolerances; None: there are no more.
     """
 
     number: int
@@ -116,6 +119,7 @@ class ImpactRow:
     physics: Physics
     impact: MeasuredImpact
     after: Array
+    wider: MeasuredImpact | None = None
 
 
 @dataclass(frozen=True)
@@ -128,6 +132,7 @@ class ImpactTable:
         rows: Its impacts.
         arms: Names of the arms; empty: free bodies.
         joints: Whether joint velocities after the impact were measured.
+        tolerance: How much further off than the nearest a point may be that touches [m].
         noise: Standard deviation of a measured change of velocity in the order of ``after``, ``(rows, nv)``
             [rad/s, m/s]; None: said nowhere.
         assumed: Assumptions where the table has no column, as text.
@@ -142,22 +147,26 @@ class ImpactTable:
     assumed: tuple[str, ...] = ()
     unread: tuple[str, ...] = ()
     joints: bool = True
+    tolerance: float = GAP_TOLERANCE
 
 
-def read_impact_table(path: Path, scenario: Scenario | None = None, questions: bool = False) -> ImpactTable:
+def read_impact_table(
+    path: Path, scenario: Scenario | None = None, questions: bool = False, tolerance: float = GAP_TOLERANCE
+) -> ImpactTable:
     """Read a table of impacts.
 
     Args:
         path: CSV or Parquet file.
         scenario: Robots, pads and support of rows of arms; None: rows of free bodies.
         questions: Whether the rows ask for the velocities after: their columns may be absent and are not read.
+        tolerance: How much further off than the nearest a point may be that touches [m].
 
     Raises:
         InputError: It cannot be read, a column is missing or has another unit, or a row is no impact; the message names
             row and column, what is there, and what was expected.
     """
     header, cells, digest = _read(path)
-    return _Reader(path, header, cells, scenario, questions).table(digest)
+    return _Reader(path, header, cells, scenario, questions, tolerance).table(digest)
 
 
 Cells = list[dict[str, Any]]
@@ -251,6 +260,7 @@ class _Reader:
         cells: Rows by header.
         scenario: Of rows of arms.
         questions: Whether velocities after the impact are to be predicted.
+        tolerance: How much further off than the nearest a point may be that touches [m].
     """
 
     path: Path
@@ -258,6 +268,7 @@ class _Reader:
     cells: Cells
     scenario: Scenario | None
     questions: bool = False
+    tolerance: float = GAP_TOLERANCE
     _where: dict[str, str] = field(default_factory=dict)  # header by name of a column
     _factor: dict[str, float] = field(default_factory=dict)
     _unit: dict[str, str] = field(default_factory=dict)
@@ -269,7 +280,9 @@ class _Reader:
         self._demand()
         rows = tuple(self._impact(number, cells) for number, cells in enumerate(self.cells, start=1))
         noise, assumed = self._noise(rows), self._assumed()
-        return ImpactTable(self.path, digest, rows, self._arms, noise, assumed, tuple(unread), self._joints_after)
+        return ImpactTable(
+            self.path, digest, rows, self._arms, noise, assumed, tuple(unread), self._joints_after, self.tolerance
+        )
 
     @property
     def _arms(self) -> tuple[str, ...]:
@@ -460,20 +473,25 @@ class _Reader:
             names = self._of_joints(arm, "dq", "_after")
             unknown = np.full(len(names), np.nan)
             after.insert(place, self._after(number, cells, names) if self._joints_after else unknown)
-        if arms:
-            on_pad = {next(iter(arms)): (given, normal)} if given and len(arms) == 1 else None
-            try:
-                points = points_of_scene(physics, arms, body, models, on_pad)
-            except Infeasible as error:
-                raise self._wrong(number, "pose of pad and object", None, error.message) from None
-        elif given:
-            points = points_on_plane(given, UP if normal is None else normal)
-        elif self._is_ball:
-            normal = UP if normal is None else normal
-            points = points_on_plane([body.position - physics.object.size[0] / 2.0 * normal], normal)
-        else:
-            points = corners_that_touch(body, physics.object.size, UP if normal is None else normal)
-        impact = MeasuredImpact(arms, body, points)
+        on_pad = {next(iter(arms)): (given, normal)} if given and len(arms) == 1 else None
+        upwards = UP if normal is None else normal
+
+        def with_points(tolerance: float) -> MeasuredImpact:
+            if arms:
+                points = points_of_scene(physics, arms, body, models, on_pad, tolerance)
+            elif given:
+                points = points_on_plane(given, upwards)
+            elif self._is_ball:
+                points = points_on_plane([body.position - physics.object.size[0] / 2.0 * upwards], upwards)
+            else:
+                points = corners_that_touch(body, physics.object.size, upwards, tolerance)
+            return MeasuredImpact(arms, body, points)
+
+        try:
+            impact, wider = with_points(self.tolerance), with_points(WIDER * self.tolerance)
+        except Infeasible as error:
+            raise self._wrong(number, "pose of pad and object", None, error.message) from None
+        more = None if len(wider.points) == len(impact.points) else wider
         closing = impact.closing_speed(physics, models)
         if not closing > 0.0:
             raise self._wrong(
@@ -482,7 +500,8 @@ class _Reader:
                 round(-closing, 6),
                 "no impact: the contact does not close; expected a velocity < 0 m/s against the normal",
             )
-        return ImpactRow(number, self._text(cells, "condition"), object_name, physics, impact, np.concatenate(after))
+        condition = self._text(cells, "condition")
+        return ImpactRow(number, condition, object_name, physics, impact, np.concatenate(after), more)
 
     def _rotation(self, number: int, cells: Mapping[str, Any]) -> Array:
         quaternion = self._values(number, cells, ("qx", "qy", "qz", "qw"))

@@ -12,7 +12,8 @@ from ball_impacts import NOISE, Racket, ball_table
 from impact_rs_analysis.diagnosis.diagnose import diagnose
 from impact_rs_analysis.diagnosis.document import DiagnosisDocument
 from impact_rs_analysis.evidence.impact_tables import ImpactTableSource
-from impact_rs_sim.model import load_model
+from impact_rs_sim.effects.formula import FormulaParameter, FormulaSpec
+from impact_rs_sim.model import Model, load_model
 from impact_rs_trials.recordings.impact_table import read_impact_table
 
 NOMINAL = load_model(Path("nominal"))
@@ -100,6 +101,26 @@ def test_the_friction_that_is_assumed_does_not_matter(tmp_path: Path, friction: 
     assert set(document.named) == {"restitution", "support_friction"}
     low, high = document.effect("support_friction").parameters["friction"].interval
     assert low - 0.002 <= 0.212 - friction <= high + 0.002
+
+
+def test_a_formula_of_ones_own_is_a_rival(tmp_path: Path) -> None:
+    """Restitution of a contact that yields falls with the fourth root of the speed (Johnson 1985, sec. 11.5)."""
+    unit = FormulaParameter(unit="-", lower=-1.0, upper=1.0, scale=0.05)
+    law = FormulaSpec(
+        name="yielding_contact",
+        sentence="The contact yields.",
+        contact={"restitution": "c * (1 - (v / 5) ** 0.25)"},
+        parameters={"c": unit},
+    )
+    racket = Racket(lambda v: 0.5 + 0.6 * (1.0 - (v / 5.0) ** 0.25), 0.3)
+    path = ball_table(tmp_path / "balls.csv", racket, friction=0.3, restitution=0.5)
+    model = Model(name="nominal", formulas=(law,))
+    source = ImpactTableSource(read_impact_table(path), model)
+    document = diagnose(source, model, ["restitution", "yielding_contact", "support_friction"])
+    assert document.named == ("yielding_contact",)
+    low, high = document.effect("yielding_contact").parameters["c"].interval
+    assert low - 0.1 <= 0.6 <= high + 0.1
+    assert document.held_out_error_after < 1.1 * document.noise_floor
 
 
 def test_a_ball_needs_no_pose_and_a_hollow_one_turns_more_slowly(tmp_path: Path) -> None:
