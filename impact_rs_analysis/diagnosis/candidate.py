@@ -176,9 +176,7 @@ class Candidate:
         )
 
 
-def wanted(
-    candidate: Candidate, numbers: Sequence[int], source: Source, share: float = 1.0
-) -> list[tuple[int, Added]]:
+def wanted(candidate: Candidate, numbers: Sequence[int], source: Source, share: float = 1.0) -> list[tuple[int, Added]]:
     """Predictions that :func:`linearise` needs, listed so that those of many effects run in one batch."""
     joints = source.joints
     at_nominal = not candidate.origin and bool(np.all(candidate.point == candidate.nominal))

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Laws of a single contact point that depend on how fast it comes.
 
-A measured impact (:mod:`impact_rs_sim.impact_map.measured`) has, at every contact point with the closing speed v and the
-slip s just before,
+A measured impact (:mod:`impact_rs_sim.impact_map.measured`) has, at every contact point with the closing speed v and
+the slip s just before,
 
     0 <= L_n  perpendicular to  u_n^+ + e(v) u_n^- >= 0                        restitution
     |L_t| <= mu L_n                    against   u_t^+ + beta(s) u_t^-         friction and tangential restitution
@@ -11,14 +11,14 @@ slip s just before,
 
 with the velocity u and the angular velocity omega of the body against its partner. Without the last two lines it is the
 model of Walton (1993) with the three coefficients that Foerster et al. (1994) measured on small spheres: a contact
-that grips stores energy sideways as well and throws the slip back by beta (Garwin 1969; Cross 2002), and one that slides
-has Coulomb's friction. Drilling and rolling friction bound moments by the normal impulse (Johnson 1985, sec. 7.4 and
+that grips stores energy sideways as well and throws the slip back by beta (Garwin 1969; Cross 2002), and one that
+slides has Coulomb's friction. Drilling and rolling friction bound moments by the normal impulse (Johnson 1985, sec. 7.4 and
 9.1; a disc of radius R that is pressed evenly has a = 2/3 mu R).
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 

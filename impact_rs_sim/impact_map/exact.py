@@ -152,10 +152,11 @@ class CompiledMap:
         """Contact points as the kernel takes them; kept, because one set is mostly asked about again and again."""
         if self._kept is None or self._kept[0] is not points or self._kept[1] != names:
             self._kept = (points, names, parts_of(points, names))
-        first, partner, *where, law = self._kept[2]
-        law[:, 0] = np.where(np.array(partner) < len(names), self.physics.pad_friction, self.physics.support_friction)
+        parts = self._kept[2]
+        on_pad, law = np.array(parts[1]) < len(names), parts[-1]
+        law[:, 0] = np.where(on_pad, self.physics.pad_friction, self.physics.support_friction)
         law[:, 1] = restitution
-        return (first, partner, *where, law)
+        return parts
 
     def arm(
         self,

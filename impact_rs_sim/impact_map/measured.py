@@ -18,7 +18,6 @@ from __future__ import annotations
 from collections import OrderedDict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 
 import numpy as np
 
@@ -208,7 +207,9 @@ class MeasuredImpacts:
         own = slice(self._first[number], self._first[number + 1])
         system = impact.system(physics, physics.robot_models())
         nothing = np.full(system.velocity.size, np.nan)
-        if any(np.any(getattr(contact, name)[own]) for name in ("tangential_restitution", "drilling_arm", "rolling_arm")):
+        if any(
+            np.any(getattr(contact, name)[own]) for name in ("tangential_restitution", "drilling_arm", "rolling_arm")
+        ):
             return nothing
         friction = contact.friction[own].tolist()
         points = [replace(point, friction=value) for point, value in zip(impact.points, friction, strict=True)]

@@ -33,8 +33,8 @@ column                                      unit      what it is
                                                       (absent: 0.3), of pads on an object (absent: the scenario's)
 ``restitution``                             -         Newton restitution that is assumed; absent: 0, or the scenario's
 ``q1`` ``q2`` ...                           rad       joint positions; with several arms ``left.q1`` and so on
-``dq1_before`` ... , ``dq1_after`` ...      rad/s     joint velocities just before and just after; without any after, the
-                                                      object alone is compared
+``dq1_before`` ... , ``dq1_after`` ...      rad/s     joint velocities just before and just after; without any after,
+                                                      the object alone is compared
 ``B1`` ``B2`` ...                           kg m^2    motor inertia that is assumed; absent: B_theta of the scenario
 ``object``                                            name of the scenario's object; absent: its only one
 ``condition``                                         rows of one condition are repeats of each other
@@ -375,7 +375,9 @@ class _Reader:
         for arm in self._arms:
             needed |= self._state_of(arm)
             if not self._joints_after:
-                needed = {name: unit for name, unit in needed.items() if name not in self._of_joints(arm, "dq", "_after")}
+                needed = {
+                    name: unit for name, unit in needed.items() if name not in self._of_joints(arm, "dq", "_after")
+                }
         if self.scenario is None:
             needed["mass"] = "kg"
         for group in (_triple("n"), _triple("size_"), ["ixx", "iyy", "izz"], *self._point_columns()):

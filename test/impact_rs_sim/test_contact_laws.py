@@ -54,7 +54,10 @@ def energy(twist: np.ndarray, share: float = HOLLOW) -> float:
         (Racket(friction=3.0), {"support_friction": (2.8,)}),
         (Racket(lambda v: max(0.0, 0.5 - 0.03 * v)), {"restitution_fall": (0.03,)}),
         (Racket(lambda v: max(0.0, 0.5 - 0.2 * v)), {"restitution_fall": (0.2,)}),  # the fast ones do not bounce
-        (Racket(friction=0.6, tangential=lambda s: 0.7), {"support_friction": (0.4,), "tangential_restitution": (0.7, 0)}),
+        (
+            Racket(friction=0.6, tangential=lambda s: 0.7),
+            {"support_friction": (0.4,), "tangential_restitution": (0.7, 0.0)},
+        ),
         (
             Racket(friction=0.6, tangential=lambda s: max(0.0, 0.8 - 0.05 * s)),
             {"support_friction": (0.4,), "tangential_restitution": (0.8, 0.05)},

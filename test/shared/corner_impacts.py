@@ -46,8 +46,8 @@ def impulse(velocity: np.ndarray, mobility: np.ndarray, friction: float, restitu
 
     grid = np.linspace(-np.pi, np.pi, 361)
     values = np.array([across(angle) for angle in grid])
-    for low, high in zip(grid[:-1][np.diff(np.sign(values)) != 0], grid[1:][np.diff(np.sign(values)) != 0], strict=True):
-        pushed, way = sliding(scipy.optimize.brentq(across, low, high, xtol=1e-14))
+    for place in np.flatnonzero(np.diff(np.sign(values))):
+        pushed, way = sliding(scipy.optimize.brentq(across, grid[place], grid[place + 1], xtol=1e-14))
         if pushed[2] >= 0.0 and float((velocity + mobility @ pushed) @ way) >= -1e-12:
             return pushed
     raise AssertionError("neither sticks nor slides")

@@ -11,8 +11,8 @@ from impact_rs_analysis.diagnosis.add import add_effect
 from impact_rs_analysis.diagnosis.document import DiagnosisDocument, read_document
 from impact_rs_analysis.diagnosis.history import versions
 from impact_rs_analysis.diagnosis.scoring import Score, score
-from impact_rs_sim.errors import InputError
 from impact_rs_sim.effects import library
+from impact_rs_sim.errors import InputError
 from impact_rs_sim.model import Model, load_model, save_model
 
 MORE_FRICTION = 0.18
