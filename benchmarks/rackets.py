@@ -4,8 +4,8 @@
 Synthetic: every racket is drawn by its seed (restitution, constant or falling with speed; friction; with and without
 tangential restitution and drilling friction), and balls bounce by the closed forms of ``test/shared/ball_impacts.py``,
 with the noise that fits to real impacts leave. A diagnosis of one table says which laws act; the model with them
-predicts another table of the same racket. Errors are those of tt_rackets: mean length of the error of (v_x, v_z) and mean error
-of omega_y, beside those of the true laws.
+predicts another table of the same racket. Errors are those of tt_rackets: mean length of the error of (v_x, v_z) and
+mean error of omega_y, beside those of the true laws.
 """
 
 from __future__ import annotations

@@ -9,11 +9,11 @@ the slip s just before,
     |M_n| <= a L_n                     against   omega_n^+ + gamma omega_n^-   drilling friction, spin restitution
     |M_t| <= b L_n                     against   omega_t^+                     rolling friction
 
-with the velocity u and the angular velocity omega of the body against its partner. Without the last two lines it is the
-model of Walton (1993) with the three coefficients that Foerster et al. (1994) measured on small spheres: a contact
+with the velocity u and the angular velocity omega of the body against its partner. Without the last two lines it is
+the model of Walton (1993) with the three coefficients that Foerster et al. (1994) measured on small spheres: a contact
 that grips stores energy sideways as well and throws the slip back by beta (Garwin 1969; Cross 2002), and one that
-slides has Coulomb's friction. Drilling and rolling friction bound moments by the normal impulse (Johnson 1985, sec. 7.4 and
-9.1; a disc of radius R that is pressed evenly has a = 2/3 mu R).
+slides has Coulomb's friction. Drilling and rolling friction bound moments by the normal impulse (Johnson 1985, sec. 7.4
+and 9.1; a disc of radius R that is pressed evenly has a = 2/3 mu R).
 """
 
 from __future__ import annotations

@@ -168,3 +168,44 @@ def test_a_condition_is_predicted_as_the_mean_of_its_repeats(tmp_path: Path) -> 
     assert again.residuals == pytest.approx(source.clusters[1].residuals)
     item = source.clusters[1]
     assert item.mean * item.sigma == pytest.approx((source.measured - source.predicted)[list(rows)].mean(axis=0))
+
+
+def test_an_object_whose_robot_was_not_measured_after_the_impact_is_compared_alone(tmp_path: Path) -> None:
+    header, rows = arm_table({"object_mass": [1.15]}, 4, seed=1)
+    kept = [number for number, name in enumerate(header) if not (name.startswith("dq") and "_after" in name)]
+    path = write_csv(tmp_path / "pushes.csv", [header[k] for k in kept], [[row[k] for k in kept] for row in rows])
+    source = ImpactTableSource(read_impact_table(path, load_scenario("push")), NOMINAL)
+    assert {feature.signal for feature in source.signals}.isdisjoint({JOINTS})
+    assert source.measured.shape == source.predicted.shape == (len(rows), 6)
+    document = diagnose(source, NOMINAL, ["object_mass", "restitution"])
+    assert_only(document, "object_mass")
+    assert covers(document, "object_mass", "scale", 1.15)
+
+
+@pytest.mark.parametrize(("stated", "larger"), [(1e-6, False), (0.5, True)])
+def test_stated_noise_counts_beside_repeats_where_it_is_larger(tmp_path: Path, stated: float, larger: bool) -> None:
+    header, rows = arm_table({}, 3)
+    names = ["v_noise [m/s]", "w_noise [rad/s]", "dq_noise [rad/s]"]
+    path = write_csv(tmp_path / "pushes.csv", [*header, *names], [[*row, *[stated] * 3] for row in rows])
+    source = ImpactTableSource(read_impact_table(path, load_scenario("push")), NOMINAL)
+    item = source.clusters[0]
+    assert np.allclose(item.pure * item.sigma, stated) == larger
+    (remark,) = (text for text in source.remarks if "the noise columns say" in text)
+    assert ("0.0" in remark) == larger
+
+
+def test_contacts_that_a_millimetre_decides_are_reported(tmp_path: Path) -> None:
+    """A cube that comes down on an edge, with the opposite one 2 mm above the plane."""
+    rows = cube_rows(cube(), 20, noise=False)
+    half = 0.5 * 0.02  # rad, of a cube of 0.1 m
+    for row in rows:
+        row[3:7] = [np.sin(half), 0.0, 0.0, np.cos(half)]
+        row[7:13] = [0.3, 0.0, -1.0, 0.0, 0.0, 0.0]
+    path = write_csv(tmp_path / "cubes.csv", CUBE_HEADER, rows)
+    source = ImpactTableSource(read_impact_table(path), NOMINAL)
+    (remark,) = (text for text in source.remarks if "which points touch is unsure" in text)
+    assert "in 20 of 20 rows: with 4 in place of 1 mm" in remark
+    assert {len(row.impact.points) for row in source.table.rows} == {2}
+    wide = read_impact_table(path, tolerance=0.005)
+    assert {len(row.impact.points) for row in wide.rows} == {4}
+    assert not any("which points touch" in text for text in ImpactTableSource(wide, NOMINAL).remarks)
