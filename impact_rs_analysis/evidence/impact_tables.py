@@ -35,7 +35,7 @@ from functools import cached_property
 
 import numpy as np
 
-from impact_rs_analysis.evidence.cluster import TIMES, Added, Cluster, Feature, pooled_error
+from impact_rs_analysis.evidence.cluster import TIMES, Added, Cluster, Feature, pooled_error, size_of
 from impact_rs_analysis.evidence.levels import (
     Comparison,
     ConditionScore,
@@ -45,6 +45,7 @@ from impact_rs_analysis.evidence.levels import (
     where_of,
     where_of_blocks,
 )
+from impact_rs_analysis.evidence.neighbour_noise import noise_of_neighbours
 from impact_rs_analysis.evidence.source import Identity, Source, with_per_arm_parameters
 from impact_rs_analysis.evidence.tracks import ComparedSignal, Track
 from impact_rs_sim.errors import InputError, NotABody
@@ -65,6 +66,7 @@ RELEVANT_ANGULAR = 0.05  # rad/s; the same at a lever of 0.1 m
 RELEVANT_JOINT = 0.005  # rad/s; the same at a lever of 1 m; m/s for a prismatic joint
 LEAST_SCALE = 1e-6  # m/s; a model with smaller residuals is exact
 KEPT = 128_000_000  # bytes of predictions of the whole table, with effects that were tried last
+TELLING = 0.8  # of what the model leaves; scatter of neighbours above it says nothing
 DECIDES = 0.3  # of what the model leaves; contacts that move predictions by more may decide
 GAINED = 1.05  # kinetic energy after over before; rows above it are reported
 
@@ -83,7 +85,6 @@ NO_NOISE = (
     "the noise is not known: there are neither repeats nor columns 'v_noise [m/s]' and 'w_noise [rad/s]'; unexplained "
     "residuals may be noise"
 )
-
 
 WHAT = "velocities just after every impact, measured and predicted by the impact map from the state before"
 SIZE_REPEATED = (
@@ -360,6 +361,18 @@ class ImpactTableSource(Source):
             remarks.append(NO_REPEATS)
             if self.noise is None:
                 remarks.append(NO_NOISE)
+                scatter = self.scatter_of_neighbours(self.measured - self.predicted)
+                if scatter is not None and scatter < TELLING * self.size():
+                    remarks.append(
+                        f"impacts of neighbouring states scatter by {scatter:.3g} m/s: what the model leaves beyond that "
+                        "is no noise"
+                    )
+        if self.table.arms and self.table.joints and self.repeated:
+            joints, body = self._size_of(joints=True), self._size_of(joints=False)
+            remarks.append(
+                f"apart: joints {joints:.3g}, object {body:.3g} times repeatability; an arm on a real impact also does "
+                "what no rigid map can"
+            )
         if (unsure := self._unsure_contacts()) is not None:
             remarks.append(unsure)
         if self.repeated and (stated := self._stated_noise()) is not None:
@@ -380,6 +393,14 @@ class ImpactTableSource(Source):
             remarks.append(f"columns that are not used: {', '.join(self.table.unread)}")
         return remarks
 
+    def _size_of(self, joints: bool) -> float:
+        """Value of :meth:`size` of the joints alone, or of the object alone."""
+        parts = [
+            item.only([(feature.signal == JOINTS) == joints for feature in item.features], contact=True)
+            for item in self.clusters
+        ]
+        return size_of([part.error for part in parts], [part.expected for part in parts])
+
     def _unsure_contacts(self) -> str | None:
         """How much depends on where bodies touch; None: nothing, or points were measured."""
         rows = [(number, row.wider) for number, row in enumerate(self.table.rows) if row.wider is not None]
@@ -398,6 +419,27 @@ class ImpactTableSource(Source):
             f"{1e3 * WIDER * self.table.tolerance:g} in place of {1e3 * self.table.tolerance:g} mm predictions move by "
             f"{size:.2g} m/s, beside {whole:.2g} m/s between measurement and model{turns} (--contact-tolerance)"
         )
+
+    def scatter_of_neighbours(self, rest: Array) -> float | None:
+        """Size of what rows with nearly the same state before differ by, an upper limit of the noise [m/s].
+
+        The state of a free body is its twist and the place of its contact, in contact axes.
+
+        Args:
+            rest: What a model leaves of ``measured``, ``(rows, nv)``; the smoother, the lower is the limit.
+
+        Returns:
+            None with too few rows, or with arms, whose states have too many coordinates.
+        """
+        if self.table.arms:
+            return None
+        before = _turned(np.array([row.impact.object.twist for row in self.table.rows]), self._axes)
+        levers = [
+            axes @ (np.mean([point.position for point in row.impact.points], axis=0) - row.impact.object.position)
+            for row, axes in zip(self.table.rows, self._axes, strict=True)
+        ]
+        found = noise_of_neighbours(np.hstack((before, levers)), rest)
+        return None if found is None else float(np.sqrt(np.mean(np.sum(np.square(found * self.worth), axis=1))))
 
     def _stated_noise(self) -> Array | None:
         """Standard deviation of the noise columns by feature, ``(nv,)``; None: there are none."""

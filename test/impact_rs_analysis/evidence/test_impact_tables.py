@@ -143,6 +143,9 @@ def test_motor_inertia_of_an_arm_is_found_from_its_jumps(tmp_path: Path) -> None
     assert source.repeated
     assert_only(document, "motor_inertia_scale")
     assert covers(document, "motor_inertia_scale", "scale", 1.3)
+    (apart,) = (text for text in source.remarks if text.startswith("apart: joints "))
+    joints, item = (float(part.split()[-1]) for part in apart.split(" times")[0].removeprefix("apart: ").split(","))
+    assert joints > 1.2 * item  # a motor that is heavier than assumed shows in its own joint
     assert {feature.signal for feature in source.signals} >= {JOINTS}
 
 
