@@ -364,8 +364,8 @@ class ImpactTableSource(Source):
                 scatter = self.scatter_of_neighbours(self.measured - self.predicted)
                 if scatter is not None and scatter < TELLING * self.size():
                     remarks.append(
-                        f"impacts of neighbouring states scatter by {scatter:.3g} m/s: what the model leaves beyond that "
-                        "is no noise"
+                        f"impacts of neighbouring states scatter by {scatter:.3g} m/s: what the model leaves "
+                        "beyond that is no noise"
                     )
         if self.table.arms and self.table.joints and self.repeated:
             joints, body = self._size_of(joints=True), self._size_of(joints=False)

@@ -12,7 +12,7 @@ import functools
 from importlib.metadata import entry_points
 
 from impact_rs_sim.effects.actuation import ACTUATION_DELAY, TORQUE_GAIN, TORQUE_OFFSET
-from impact_rs_sim.effects.base import ArmEffect, Effect, Parameter, SceneEffect
+from impact_rs_sim.effects.base import SINGLE_IMPACT, ArmEffect, Effect, Parameter, SceneEffect
 from impact_rs_sim.effects.contact import (
     DRILLING_FRICTION,
     PAD_COMPLIANCE,
@@ -34,7 +34,7 @@ from impact_rs_sim.effects.object import OBJECT_COM_OFFSET, OBJECT_MASS
 from impact_rs_sim.effects.surroundings import BASE_TILT, EXTERNAL_SPRING
 from impact_rs_sim.errors import InputError
 
-__all__ = ["ArmEffect", "Effect", "Parameter", "SceneEffect", "library"]
+__all__ = ["ArmEffect", "Effect", "Parameter", "SceneEffect", "library", "of_trials"]
 
 ENTRY_POINT_GROUP = "impact_rs.effects"
 BUILT_IN: tuple[Effect, ...] = (
@@ -86,3 +86,8 @@ def library() -> dict[str, Effect]:
             raise InputError(f"entry point {entry.value!r}: there is already an effect called {effect.name!r}")
         effects[effect.name] = effect
     return effects
+
+
+def of_trials() -> dict[str, Effect]:
+    """The effects of the library that act in trials; the others are of tables of impacts alone."""
+    return {name: effect for name, effect in library().items() if effect.phases != SINGLE_IMPACT}

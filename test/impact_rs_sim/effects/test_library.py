@@ -13,7 +13,6 @@ from impact_rs_analysis.evidence.replay_cache import Replay, run_replay
 from impact_rs_analysis.evidence.simulated_trials import simulated
 from impact_rs_sim import effects
 from impact_rs_sim.effects import BUILT_IN, Effect, Parameter, library
-from impact_rs_sim.effects.base import SINGLE_IMPACT
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.model import Model
 from impact_rs_sim.physics import JointFriction, Physics
@@ -81,7 +80,7 @@ def test_effect_says_what_it_is_in_words_units_and_bounds(name):
         assert scalar.scale > 0.0 and scalar.unit and scalar.meaning
 
 
-@pytest.mark.parametrize("name", [n for n in NAMES if library()[n].phases != SINGLE_IMPACT])
+@pytest.mark.parametrize("name", list(effects.of_trials()))
 def test_planted_effect_is_recovered_through_the_replay(name, runs, nominal_features):
     """A size is planted along a direction; the features of the replay lead back to it."""
     effect: Effect = library()[name]
