@@ -5,25 +5,33 @@ from __future__ import annotations
 
 import re
 import shlex
+import shutil
 import subprocess
 from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
 from typing import Any, get_args
 
+import numpy as np
+import pinocchio as pin
 import pytest
 import yaml
+from joint_recordings import swinging
 
+from impact_rs_analysis.evidence.torque_balance import TorqueBalance, prepare
 from impact_rs_cli.main import parser
 from impact_rs_commands import COMMANDS
-from impact_rs_sim.effects.formula import AXES, FUNCTIONS, SPEEDS, FormulaFile, FormulaSpec
+from impact_rs_sim.effects.formula import AXES, FUNCTIONS, SPEEDS, Formula, FormulaFile, FormulaSpec
 from impact_rs_sim.model import Model
+from impact_rs_sim.paths import config_directory
 from impact_rs_sim.robot import RobotFacts
+from impact_rs_sim.robot_model import RobotModel
 from impact_rs_sim.scenario_docs import _key
 from impact_rs_sim.schema import Schema
 from impact_rs_trials.blind import draw_truth
 from impact_rs_trials.recordings.experiment import COLUMNS, Experiment
-from impact_rs_trials.recordings.mapping import QUANTITY, UNITS, Mapping, SignalName, SignalSource
+from impact_rs_trials.recordings.mapping import QUANTITY, UNITS, Mapping, SignalName, SignalSource, load_mapping
+from impact_rs_trials.recordings.recording import ARM, read_recordings
 
 ROOT = Path(__file__).resolve().parent.parent
 DOCS = ROOT / "docs"
@@ -191,6 +199,49 @@ def test_files_that_a_page_shows_are_valid() -> None:
     assert len(shown) >= 4
     for content in shown:
         kinds[next(iter(content))].model_validate(content)
+
+
+def shown_with(page: str, key: str) -> str:
+    """The block of YAML of a page that begins with a key."""
+    (found,) = re.findall(rf"^```yaml\n({key}:.*?)^```", text(DOCS / page), re.MULTILINE | re.DOTALL)
+    return str(found)
+
+
+def test_the_mapping_that_a_page_shows_reads_an_arm_on_a_wall_by_its_motor_currents(tmp_path: Path) -> None:
+    """tau = (M + B) ddq + h with gravity along the wall, in degrees, milliseconds and currents of the other sign."""
+    shutil.copy(config_directory() / "robots" / "franka_fer.yaml", tmp_path / "my_arm.yaml")
+    (tmp_path / "mapping.yaml").write_text(shown_with("your_data.md", "description"), encoding="utf-8")
+    mapping = load_mapping(tmp_path / "mapping.yaml")
+    base = pin.SE3(pin.rpy.rpyToMatrix(0.0, 1.5708, 0.0), np.zeros(3))
+    time, frequencies = np.arange(0.0, 12.0, 0.01), (0.2 + 0.01 * np.arange(7), 0.5 - 0.02 * np.arange(7))
+    centre = np.array([0.0, -0.3, 0.0, -2.0, 0.0, 1.8, 0.5])
+    model = RobotModel(mapping.facts, mapping.end_effector.build(), base)
+    truth = swinging(model, time, centre, frequencies, (0.3, 0.1))
+    acceleration = np.gradient(truth["velocity"], time, axis=0)
+    torque = truth["effort"] + np.array([0.6, 0.6, 0.5, 0.5, 0.2, 0.2, 0.2]) * acceleration
+    columns = (1e3 * time, np.rad2deg(truth["position"]), np.rad2deg(truth["velocity"]), -torque)
+    names = ["t", *(f"{letter}{joint}" for letter in ("a", "v_", "i_") for joint in range(1, 8))]
+    np.savetxt(tmp_path / "log.csv", np.column_stack(columns), delimiter=",", header=",".join(names), comments="")
+
+    (run,) = read_recordings(tmp_path / "log.csv", mapping)
+    arm = run.signals.arms[ARM]
+    np.testing.assert_allclose(run.signals.time, time, atol=1e-9)
+    np.testing.assert_allclose(arm.position, truth["position"], atol=1e-9)
+    np.testing.assert_allclose(arm.velocity, truth["velocity"], atol=1e-9)
+    np.testing.assert_allclose(arm.torque, torque, atol=1e-9)
+    balance = TorqueBalance([prepare(run, mapping.low_pass)])
+    assert np.abs(balance.recorded - balance.predict(run.physics)).max() < 0.02  # N m, where gravity alone makes 60
+
+
+def test_formulas_that_a_page_shows_are_a_drag_and_a_friction() -> None:
+    (drag,) = yaml.safe_load(shown_with("diagnosis.md", "effects"))["effects"]
+    force = Formula(drag["end_effector_force"]["y"], {"drag", "vy"})
+    assert force({"drag": 5.0, "vy": -0.4}) == pytest.approx(2.0)  # N, against the motion
+    (sliding,) = set(re.findall(r'"([^"]*tanh[^"]*)"', text(DOCS / "diagnosis.md")))
+    friction = Formula(sliding, {"c", "dq2"})
+    assert friction({"c": 0.3, "dq2": 0.5}) == pytest.approx(-0.3)  # N m, against the motion
+    assert friction({"c": 0.3, "dq2": 0.0}) == 0.0
+    assert friction({"c": 0.3, "dq2": -0.02}) == pytest.approx(0.3 * np.tanh(1.0))
 
 
 def test_every_page_is_in_the_index_and_every_picture_in_a_page() -> None:

@@ -17,7 +17,7 @@ TEXT = {".cpp", ".css", ".hpp", ".html", ".js", ".md", ".msg", ".action", ".py",
 # As counted on 23 November 2026. Lower a number when its count falls; all of them go to 0.
 MOST = {
     "README.md": 0,
-    "docs": 45,
+    "docs": 2,
     "examples": 0,
     "impact_rs_analysis": 58,
     "impact_rs_cli": 0,

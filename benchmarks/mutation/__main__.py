@@ -4,7 +4,7 @@
 Mutants of a Python module are made and judged by mutmut (``./run python -m pip install mutmut``), by the tests of its
 name in the mirrored folder. Mutants of the C++ kernel are a list in ``mutation.toml``, which also holds the settings of
 mutmut. Both run in ``build/mutation``, a copy of the repository; there ``mutmut browse`` shows the mutants of Python.
-How to read the figures: ``docs/mutants.md``.
+How to read the figures: ``docs/reliability.md``.
 """
 
 from __future__ import annotations

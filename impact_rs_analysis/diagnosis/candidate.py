@@ -17,6 +17,7 @@ from functools import cached_property
 
 import numpy as np
 import scipy
+from numpy.typing import NDArray
 
 from impact_rs_analysis.diagnosis.null_distribution import NullDistribution, combined_half_width
 from impact_rs_analysis.evidence.cluster import Added, Cluster
@@ -25,6 +26,7 @@ from impact_rs_sim.effects import Effect, Parameter
 from impact_rs_sim.effects.base import Joints
 from impact_rs_sim.robot import Array
 
+PROBES = (0.25, 0.5, 1.0)  # shares of the way to the ends of a range, where an effect is looked for
 PRIOR = 100.0  # parameter scales; only bounds parameters that the data do not determine
 
 
@@ -104,9 +106,28 @@ class Candidate:
         return next(part for effect, part in self.parts if effect.name == name)
 
     @property
-    def unseen(self) -> bool:
-        """Whether some parameter has zero sensitivity here, like the centre of a payload without mass."""
-        return bool(np.any(np.all([np.all(jacobian == 0.0, axis=0) for jacobian in self.jacobians], axis=0)))
+    def unseen(self) -> list[int]:
+        """Parameters with zero sensitivity here, like the centre of a payload without mass."""
+        zero = np.all([np.all(jacobian == 0.0, axis=0) for jacobian in self.jacobians], axis=0)
+        return [int(index) for index in np.flatnonzero(zero)]
+
+    def probes(self, index: int) -> list[Array]:
+        """Points over the range of one parameter, nearest first, ``(p,)`` each."""
+        ends = [self.lower[index], self.upper[index], *self.scalars[index].far]
+        here = self.point[index]
+        values = {here + share * (end - here) for end in ends for share in PROBES if end != here}
+        points = []
+        for value in sorted(values, key=lambda value: abs(value - here)):
+            points.append(self.point.copy())
+            points[-1][index] = value
+        return points
+
+    def with_sensitivity(self, index: int, columns: Sequence[Array]) -> Candidate:
+        """The candidate with the sensitivity to one parameter replaced, ``(F,)`` by cluster."""
+        jacobians = tuple(jacobian.copy() for jacobian in self.jacobians)
+        for jacobian, column in zip(jacobians, columns, strict=True):
+            jacobian[:, index] = column
+        return replace(self, jacobians=jacobians)
 
     def steps(self, effect: Effect, part: slice, joints: Joints) -> Array:
         """Finite-difference steps of one effect, away from a bound under the physics at hand, ``(p,)``."""
@@ -152,6 +173,21 @@ class Candidate:
             offset + jacobian[:, chosen] @ off for offset, jacobian in zip(self.offsets, self.jacobians, strict=True)
         )
         return replace(self, offsets=offsets, jacobians=tuple(frozen))
+
+    def widened(self, at: NDArray[np.bool_], source: Source) -> Candidate | None:
+        """The candidate with wider ranges for effects with a parameter at a bound; None if physics sets the bounds.
+
+        Args:
+            at: Whether a parameter is at a bound, ``(p,)``.
+            source: Knows the bounds of physics.
+        """
+        effects = tuple(
+            effect.with_parameters(Parameter.widened) if np.any(at[part]) else effect for effect, part in self.parts
+        )
+        wider = Candidate.of(effects, source)
+        if np.all((wider.lower == self.lower)[at] & (wider.upper == self.upper)[at]):
+            return None
+        return replace(self, effects=effects, scalars=wider.scalars, lower=wider.lower, upper=wider.upper)
 
     def split(self, vector: Array) -> Added:
         """Effect names with their parameter values; effects at nominal are left out, so that replays are shared."""

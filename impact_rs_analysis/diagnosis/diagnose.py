@@ -36,6 +36,8 @@ from impact_rs_analysis.diagnosis.verdicts import (
     residual_size,
     residual_unit,
     rests_of,
+    supported_by_hold_out,
+    unsupported_words,
     without_the_doubtful,
 )
 from impact_rs_analysis.diagnosis.words import summary_of
@@ -43,6 +45,7 @@ from impact_rs_analysis.evidence.source import Source
 from impact_rs_sim.effects import Effect
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.model import Model
+from impact_rs_sim.proportion import Proportion
 from impact_rs_sim.robot import Array
 
 CORRELATED = 0.8
@@ -70,26 +73,32 @@ def diagnose(
         )
     known = source.model.known_effects
     present = {item.name for item in source.model.effects}
-    effects = [known[name] for name in known if name not in present and (only is None or name in only)]
+    size = Proportion.of(source.physics)
+    effects = [
+        known[name].in_proportion(size) for name in known if name not in present and (only is None or name in only)
+    ]
     search = Search(effects, Evidence.of(source), progress)
     chosen = None if search.evidence.null.shortage is not None else search.choose()
     rivals: Sequence[Rival] = ()
-    held = None
+    held, unsupported = None, ""
     if chosen is not None:
         chosen, rivals = search.simplified(chosen)
         if (sure := without_the_doubtful(search, chosen)) is not chosen:
             chosen, rivals = sure, () if sure is None else search.rivals(sure)
-    if chosen is not None:
-        held = hold_out(source, effects)
-        if held is not None and not any(held.chosen) and not search.lacking:
-            # No excess error remains: the effect is significant by chance, and no fold of the hold-out confirms it.
-            chosen, rivals, held = None, (), None
+    if chosen is not None and (held := hold_out(source, effects)) is not None:
+        supported = supported_by_hold_out(search, chosen, rivals, held)
+        if supported is not chosen:
+            unsupported = unsupported_words(search, chosen, supported, held)
+            chosen, rivals = supported, () if supported is None else search.rivals(supported)
+        if chosen is None:
+            held = None
     found = Findings(
         search=search,
         chosen=chosen,
         rivals=tuple(rivals),
         hold_out=held,
         p_values=_p_values(search, chosen),
+        unsupported=unsupported,
     )
     return _document(found, known, source, model)
 
@@ -207,6 +216,8 @@ def _remarks(found: Findings, source: Source) -> list[str]:
             f"arms {', '.join(together)} are of one kind and share the parameters of every effect; --each-arm gives "
             "each arm its own"
         )
+    if found.unsupported:
+        remarks.append(found.unsupported)
     if found.search.ruled_out:
         names = ", ".join(sorted(found.search.ruled_out))
         remarks.append(f"ruled out by free motion, and not tried in contact: {names}")

@@ -25,7 +25,10 @@ NEAR_STEPS = (0.3, 0.1)  # shares of the steps of finite differences, as a fit c
 SHORTEST_LESSON = 0.5  # parameter scales; shorter steps update no sensitivities
 NEAR = 0.1  # parameter scales; a correction below this does not depend on where a trial starts
 MOST_LOOKS = 4
+DOUBLINGS = 8  # of the half width of an interval
+BENT = 0.5  # of the rise of the squares in a straight model; below, an end of an interval lies further out
 POOR = 1.5  # times the expected squared error; a fit below it needs no other start
+WIDENINGS = 4  # of the range of a parameter, to sixteen times its declared width
 HOPELESS = 3.0  # times the squared error of the best fit; a fit above it is dropped
 
 
@@ -165,6 +168,15 @@ class Fit:
         candidate = self.candidate
         return np.clip(candidate.point + self.change * candidate.scale, candidate.lower, candidate.upper)
 
+    @cached_property
+    def at_bound(self) -> NDArray[np.bool_]:
+        """Whether estimates lie at a bound other than their nominal value, ``(p,)``."""
+        candidate = self.candidate
+        near = 1e-6 * candidate.scale
+        low = (np.abs(self.estimate - candidate.lower) < near) & (np.abs(candidate.lower - candidate.nominal) > near)
+        high = (np.abs(self.estimate - candidate.upper) < near) & (np.abs(candidate.upper - candidate.nominal) > near)
+        return np.asarray(low | high)
+
     @property
     def held_out(self) -> Array:
         """Mean square scaled error per cluster, predicted from all others, ``(c,)`` [-]."""
@@ -187,6 +199,48 @@ class Fit:
         own = self.problem.half_widths(self.change, self.evidence.null, confidence)
         moved = scipy.stats.norm.ppf(0.5 + confidence / 2.0) * self.problem.moved_by_clock()
         return np.asarray(np.sqrt(own**2 + moved**2 + (unsure / self.candidate.scale) ** 2))
+
+    @cached_property
+    def interval(self) -> tuple[Array, Array]:
+        """Ends of the 95 % intervals in units of the parameters, ``(p,)`` each, with the half widths of :meth:`widths`.
+
+        Where features bend (a box tips, a contact slips), sensitivities at the estimate are not those at the end of the
+        interval. So each end is simulated, with the other parameters moved along (profile of the squares of residuals),
+        and is moved out until the squares rise as much as they would in a straight model.
+        """
+        candidate, inverse = self.candidate, np.linalg.inv(self.problem.total)
+        half, least = self.half_widths, self._squares_at([self.estimate])[0]
+        ends = {}
+        for side in (-1.0, 1.0):
+            reach, left = half.copy(), list(range(half.size))
+            for _ in range(DOUBLINGS):
+                steps = [side * reach[i] * inverse[:, i] / inverse[i, i] * candidate.scale for i in left]
+                points = [np.clip(self.estimate + step, candidate.lower, candidate.upper) for step in steps]
+                squares = self._squares_at(points)
+                left = [
+                    i
+                    for i, point, there in zip(left, points, squares, strict=True)
+                    if there - least < BENT * half[i] ** 2 / inverse[i, i]
+                    and candidate.lower[i] < point[i] < candidate.upper[i]
+                ]
+                if not left:
+                    break
+                reach[left] *= 2.0
+            ends[side] = np.clip(self.estimate + side * reach * candidate.scale, candidate.lower, candidate.upper)
+        return np.minimum(ends[-1.0], self.estimate), np.maximum(ends[1.0], self.estimate)
+
+    def _squares_at(self, points: Sequence[Array]) -> Array:
+        """Sums of squared scaled residuals at other parameters, ``(k,)``; infinite where they cannot be simulated."""
+        candidate, evidence, count = self.candidate, self.evidence, len(self.evidence.numbers)
+        wanted = [(n, added) for added in (candidate.origin, *map(candidate.split, points)) for n in evidence.numbers]
+        found = evidence.source.predict(wanted, "ends of intervals")
+        sums = []
+        for start in range(count, len(found), count):
+            pairs = zip(evidence.clusters, found[:count], found[start : start + count], strict=True)
+            rests = [None if a is None or b is None else item.mean - (b - a) / item.sigma for item, a, b in pairs]
+            whole = zip(evidence.clusters, rests, strict=True)
+            sums.append(sum(np.inf if rest is None else item.count * float(rest @ rest) for item, rest in whole))
+        return np.array(sums)
 
     @property
     def misfit(self) -> float:
@@ -211,13 +265,24 @@ class Fit:
 
 
 def refine(candidate: Candidate, evidence: Evidence, give_up: float = np.inf) -> Fit:
-    """Fit by repeated simulation.
+    """Fit by repeated simulation; where it ends at a bound that is not one of physics, it goes on beyond.
 
     Args:
         candidate: Start, linearised.
         evidence: The residuals to explain.
         give_up: A fit whose held-out error exceeds this after the first step stops.
     """
+    fitted = _refine(candidate, evidence, give_up)
+    for _ in range(WIDENINGS):
+        wider = fitted.candidate.widened(fitted.at_bound, evidence.source) if np.any(fitted.at_bound) else None
+        if wider is None:
+            break
+        fitted = _refine(wider, evidence, give_up)
+    return fitted
+
+
+def _refine(candidate: Candidate, evidence: Evidence, give_up: float) -> Fit:
+    """:func:`refine` within the bounds of the candidate."""
     best = Fit.of(candidate, evidence)
     nothing = np.zeros_like(best.change)
     best_error = float(np.mean(best.problem.errors(nothing)))

@@ -30,7 +30,6 @@ from impact_rs_analysis.diagnosis.fit import (
 from impact_rs_analysis.diagnosis.thresholds import (
     LEAST_FREEDOM,
     LEAST_GAIN,
-    LEAST_GAIN_OF_FIRST,
     LEAST_TO_DISAGREE,
     MOST_EFFECTS,
     NOTHING,
@@ -102,10 +101,31 @@ class Search:
             found = self._linearised(candidate)
             if found is None:
                 continue
+            found = self._seen_from_afar(found)
             if all(np.all(jacobian == 0.0) for jacobian in found.jacobians):
                 self.unmeasured.add(found.names[0])
             else:
                 self.singles[found.names[0]] = found
+
+    def _seen_from_afar(self, candidate: Candidate) -> Candidate:
+        """The candidate with secants for parameters without sensitivity at nominal, to where they change something.
+
+        A contact that sticks does not depend on its friction, until there is so little that it slips.
+        """
+        clusters, numbers = self.evidence.clusters, self.evidence.numbers
+        for index in candidate.unseen:
+            if candidate.scalars[index].shape:
+                continue
+            for point in candidate.probes(index):
+                added = candidate.split(point)
+                changes = self.source.differences(numbers, candidate.origin, added, "probes of effects")
+                if any(change is None for change in changes) or not any(np.any(change) for change in changes):
+                    continue
+                steps = (point[index] - candidate.point[index]) / candidate.scale[index]
+                columns = [np.asarray(c) / item.sigma / steps for c, item in zip(changes, clusters, strict=True)]
+                candidate = candidate.with_sensitivity(index, columns)
+                break
+        return candidate
 
     def _linearised(self, candidate: Candidate, evidence: Evidence | None = None) -> Candidate | None:
         evidence = evidence or self.evidence
@@ -176,7 +196,6 @@ class Search:
 
     def _extend(self, chosen: Fit | None) -> Fit | None:
         """Add effects until none is accepted."""
-        first = self.evidence.excess(self.evidence.errors)
         decidable = self.evidence.null.shortage is None
         while chosen is None or len(chosen.candidate.effects) < MOST_EFFECTS:
             if chosen is not None and (left := chosen.lack_of_fit()) is not None and left > SIGNIFICANT:
@@ -185,9 +204,7 @@ class Search:
             evidence = self.evidence if chosen is None else chosen.evidence
             errors = self.evidence.errors if chosen is None else chosen.held_out
             excess = evidence.excess(errors)
-            needed = (
-                LEAST_GAIN * excess if self.source.repeated else max(LEAST_GAIN * excess, LEAST_GAIN_OF_FIRST * first)
-            )
+            needed = LEAST_GAIN * excess
             likely = [n for n, p in p_values.items() if n not in self.ruled_out and (p < SIGNIFICANT or not decidable)]
             self._starts |= {n: self._best_shape(self.singles[n]) for n in likely if n not in self._starts}
             linear = sorted((self.beside(chosen, name) for name in likely), key=lambda entry: entry.score)
@@ -374,8 +391,15 @@ class Search:
                 if linear.score > HOPELESS * chosen.score:
                     continue
                 fitted = refine_again(refine(linear.candidate, chosen.evidence, HOPELESS * chosen.score))
-                found.append(Rival(other, name, fitted, tied(chosen, fitted)))
+                found.append(Rival(other, name, fitted, tied(chosen, fitted) and not _in_the_limit(fitted, other)))
         return found
+
+
+def _in_the_limit(fitted: Fit, name: str) -> bool:
+    """Whether a shape parameter of an effect ends where it imitates a simpler one: then that one is the explanation."""
+    part = fitted.candidate.part(name)
+    shapes = np.array([bool(scalar.grid) for scalar in fitted.candidate.scalars[part]])
+    return bool(np.any(fitted.at_bound[part] & shapes))
 
 
 def tied(chosen: Fit, rival: Fit) -> bool:

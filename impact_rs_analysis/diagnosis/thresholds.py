@@ -13,7 +13,6 @@ LEAST_TO_DISAGREE = 4  # clusters that see an effect; with fewer, Student's fact
 FOLDS = 6  # of the outer hold-out, at most: from five on, an error on unseen clusters changes little with their number
 NOTHING = 0.1  # p in free motion above which an effect with several parameters is ruled out
 LEAST_GAIN = 0.10  # share of the excess held-out error that an accepted effect must remove
-LEAST_GAIN_OF_FIRST = 0.05  # the same of the initial excess, for recordings, where no lack-of-fit test ends the search
 LEAST_GAIN_OF_JOINT = 0.05  # the same of one joint's whole error, for a verdict on that joint alone
 MOST = 0.5  # share of the excess that PARTLY must explain
 TIE = 0.05  # log held-out error; explanations closer than 5 % are equally good

@@ -61,6 +61,7 @@ class Findings:
         rivals: Alternatives to the chosen effects.
         hold_out: Held-out errors; None with too few clusters.
         p_values: By effect, adjusted: of unchosen ones given the chosen, of chosen ones given the other chosen.
+        unsupported: What the hold-out does not support, in words; empty: nothing.
     """
 
     search: Search
@@ -68,6 +69,7 @@ class Findings:
     rivals: tuple[Rival, ...]
     hold_out: HoldOut | None
     p_values: dict[str, float]
+    unsupported: str = ""
 
     @property
     def evidence(self) -> Evidence:
@@ -170,6 +172,42 @@ def without_the_doubtful(search: Search, chosen: Fit) -> Fit | None:
         if others is not None:
             return without_the_doubtful(search, others)
     return chosen
+
+
+def supported_by_hold_out(search: Search, chosen: Fit, rivals: Sequence[Rival], held: HoldOut) -> Fit | None:
+    """The chosen effects that the nested hold-out supports; None if it supports none.
+
+    Searches that have not seen a fold must predict it better than the model does: the 95 % interval of the change of
+    the error excludes 0. Of the effects, those remain that most of these searches find, or find a tied one of. What is
+    too small to matter hardly changes a prediction: it needs one such search, or residuals beyond noise.
+    """
+    if not any(matters(chosen, name) for name in chosen.candidate.names):
+        return chosen if any(held.chosen) or search.lacking else None
+    change = change_interval([item.mean for item in search.evidence.clusters], held.rest, search.evidence)
+    if change is None or change[1] >= 0.0:
+        return None
+    for name in chosen.candidate.names:
+        alike = {name, *(rival.name for rival in rivals if rival.instead_of == name and rival.tied)}
+        found = sum(bool(alike & set(names)) for names in held.chosen)
+        if 2 * found > len(held.chosen):
+            continue
+        others = search.without(chosen, name) if len(chosen.candidate.names) > 1 else None
+        return None if others is None else supported_by_hold_out(search, others, rivals, held)
+    return chosen
+
+
+def unsupported_words(search: Search, chosen: Fit, supported: Fit | None, held: HoldOut) -> str:
+    """Why effects that explain all data are not named."""
+    kept = () if supported is None else supported.candidate.names
+    left = " and ".join(name for name in chosen.candidate.names if name not in kept)
+    evidence = search.evidence
+    before, after = (residual_size(evidence, rest) for rest in ([item.mean for item in evidence.clusters], held.rest))
+    found = sum(any(name in names for name in chosen.candidate.names if name not in kept) for names in held.chosen)
+    return (
+        f"not named, because the hold-out does not support it: {left} lowers the error in all data, but searches "
+        f"without the data that they predict find it in {found} of {len(held.chosen)} folds, and the held-out error "
+        f"goes from {before:.3g} to {after:.3g}"
+    )
 
 
 def rests_of(evidence: Evidence, rest: Sequence[Array]) -> list[RestDocument]:
@@ -292,13 +330,13 @@ def _chosen_document(found: Findings, effect: Effect) -> EffectDocument:
     part = chosen.candidate.part(name)
     rivals = found.tied_with(name)
     own = np.array([not scalar.shape for scalar in chosen.candidate.scalars[part]])
-    widths, bound = chosen.half_widths[part][own], _at_bound(chosen)[part][own]
+    widths, bound, shape = chosen.half_widths[part][own], chosen.at_bound[part][own], chosen.at_bound[part][~own]
     places = any(scalar.joint is not None or scalar.arm for scalar in chosen.candidate.scalars[part])
     if evidence.null.shortage is not None:
         verdict, reason = TOO_FEW, evidence.null.shortage
     elif np.all(widths > UNSEEN):
         verdict, reason = UNIDENTIFIABLE, "the data do not determine it: its interval is too wide"
-    elif np.all(bound) or (np.any(bound) and not places):
+    elif np.all(bound) or (np.any(bound) and not places) or np.any(shape):
         verdict, reason = AT_BOUND, "the best value lies at a bound: another effect may be missing"
     elif not matters(chosen, name):
         size = sizes_of(chosen, name)[0]
@@ -389,26 +427,22 @@ def _error_without(found: Findings, name: str) -> float | None:
     return None if fitted is None else residual_size(fitted.evidence, fitted.problem.left_out_rest)
 
 
-def _at_bound(fitted: Fit) -> Array:
-    """Whether estimates lie at a bound other than their nominal value, ``(p,)`` of bool."""
-    candidate = fitted.candidate
-    near = 1e-6 * candidate.scale
-    low = (np.abs(fitted.estimate - candidate.lower) < near) & (np.abs(candidate.lower - candidate.nominal) > 1e-9)
-    high = (np.abs(fitted.estimate - candidate.upper) < near) & (np.abs(candidate.upper - candidate.nominal) > 1e-9)
-    return np.asarray(low | high)
+def _straight(fitted: Fit) -> tuple[Array, Array]:
+    """Ends of the 95 % intervals of a linear fit, within the bounds, ``(p,)`` each."""
+    candidate, half = fitted.candidate, fitted.half_widths * fitted.candidate.scale
+    return np.maximum(fitted.estimate - half, candidate.lower), np.minimum(fitted.estimate + half, candidate.upper)
 
 
 def _estimates(found: Findings, fitted: Fit, name: str) -> dict[str, EstimateDocument]:
     """Estimates of one effect with intervals, clipped to the bounds of the parameters."""
     candidate = fitted.candidate
     part = candidate.part(name)
-    half = fitted.half_widths * candidate.scale
+    ends = fitted.interval if fitted is found.chosen else _straight(fitted)
     result = {}
     for index in range(part.start, part.stop):
         scalar = candidate.scalars[index]
         value = round(float(fitted.estimate[index]) / scalar.scale, 9) * scalar.scale  # no rounding error at bounds
-        low = max(value - float(half[index]), float(candidate.lower[index]))
-        high = min(value + float(half[index]), float(candidate.upper[index]))
+        low, high = (float(end[index]) for end in ends)
         verdict = p = before = after = None
         if scalar.joint is not None and name in found.names and fitted is found.chosen:
             verdict, p, before, after = _joint(found, fitted, index)
@@ -445,7 +479,7 @@ def _joint(found: Findings, fitted: Fit, index: int) -> tuple[str, float, float 
         for name, other in found.search.joint_alternatives(candidate, index)
         if tied_errors(own, _of_joint(evidence, evidence.problem(other).left_out_rest, scalar.arm, joint), 1e-12)
     ]
-    if _at_bound(fitted)[index]:
+    if fitted.at_bound[index]:
         verdict = AT_BOUND
     elif fitted.half_widths[index] > UNSEEN:
         verdict = UNIDENTIFIABLE

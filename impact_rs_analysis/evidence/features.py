@@ -273,23 +273,19 @@ def _between(time: Array, values: Array, moments: Array) -> Array:
     return np.asarray((1.0 - share) * values[every, row] + share * values[every, row + 1])
 
 
-@functools.lru_cache(maxsize=16)
-def _slopes(samples: int, length: int) -> Array:
-    """Matrix from a signal to slopes per sample of parabolas through ``length`` samples, ``(samples, samples)``.
-
-    The Savitzky-Golay filter is linear; a matrix product is cheaper than fitting its ends in every call.
-    """
-    return np.asarray(scipy.signal.savgol_filter(np.eye(samples), length, 2, deriv=1, axis=0))
+def _slope(time: Array, values: Array) -> Array:
+    """Time derivative of signals ``(B, k, n)`` by parabolas over ``RATE_SPAN`` (Savitzky and Golay 1964)."""
+    period = float(time[1] - time[0])
+    length = max(5, 2 * round(RATE_SPAN / period / 2.0) + 1)
+    length = min(length, time.size - 1 + time.size % 2)
+    return np.asarray(scipy.signal.savgol_filter(values, length, 2, deriv=1, delta=period, axis=1))
 
 
 def _spring_rate(time: Array, arm: ArmSignals, physics: ArmPhysics, motor: bool) -> Array:
     """dtheta - dq, measured or from the slope of the joint torque, ``(B, k, n)`` [rad/s]."""
     if motor:
         return arm.motor_velocity - arm.velocity
-    length = max(5, 2 * round(RATE_SPAN / float(time[1] - time[0]) / 2.0) + 1)
-    length = min(length, time.size - 1 + time.size % 2)
-    rate = _slopes(time.size, length) @ arm.torque / float(time[1] - time[0])
-    return np.asarray(rate / physics.stiffness)
+    return np.asarray(_slope(time, arm.torque) / physics.stiffness)
 
 
 def _momenta(model: RobotModel, arm: ArmSignals, rows: NDArray[np.intp] | slice) -> tuple[Array, Array, Array]:
@@ -319,6 +315,15 @@ def _weights(ticks: bytes) -> tuple[Array, Array]:
     time = np.frombuffer(ticks)
     change, mean = _change_and_mean(_Integral(time, np.eye(time.size)[None]), time[None, :1], time[None, -1:])
     return change[0, 0], mean[0, 0]
+
+
+@functools.lru_cache(maxsize=1024)
+def _weights_of_slope(ticks: bytes) -> tuple[Array, Array]:
+    """:func:`_weights` of the slope of a signal (:func:`_slope`), ``(k,)`` each."""
+    time = np.frombuffer(ticks)
+    slope = _slope(time, np.eye(time.size)[None])[0]
+    change, mean = _weights(ticks)
+    return change @ slope, mean @ slope
 
 
 @functools.lru_cache(maxsize=1024)
@@ -352,11 +357,15 @@ class FreeBalances:
         rows = _coarse(time.tobytes())
         change, mean = _weights(time.tobytes())
         coarse_change, coarse_mean = _weights(time[rows].tobytes())
-        spring_rate = _spring_rate(time, arm, physics, motor)
         momentum, known, _ = _momenta(model, arm, rows)
-        transmitted = mean @ (arm.torque + physics.damping * spring_rate)
+        if motor:
+            acceleration, spring_rate = change @ arm.motor_velocity, mean @ (arm.motor_velocity - arm.velocity)
+        else:
+            ramp, rate = (weights @ arm.torque / physics.stiffness for weights in _weights_of_slope(time.tobytes()))
+            acceleration, spring_rate = change @ arm.velocity + ramp, rate
+        transmitted = mean @ arm.torque + physics.damping * spring_rate
         link = transmitted + coarse_mean @ known - coarse_change @ momentum
-        return FreeBalances(time, change @ (arm.velocity + spring_rate), transmitted, link)
+        return FreeBalances(time, acceleration, transmitted, link)
 
     @property
     def middle(self) -> tuple[float, float]:
@@ -401,7 +410,7 @@ class Balances:
         self._known = _Integral(time, known)
 
     def balance(self, start: Array, end: Array) -> tuple[Array, Array]:
-        """Motor- and link-side balance over bins ``(B, w)`` [s], ``(B, w, n)`` [N m]; the former is 0 without a command."""
+        """Motor- and link-side balance over bins ``(B, w)`` [s], ``(B, w, n)`` [N m]; the former 0 without command."""
         begin, stop = _middle(start, end)
         ramp, _ = _change_and_mean(self._motor_velocity, start, end)
         damped = self._damped.mean(begin, stop)

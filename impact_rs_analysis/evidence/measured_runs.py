@@ -20,6 +20,7 @@ from impact_rs_analysis.evidence.impacts import impacts_of
 from impact_rs_analysis.evidence.replay import Window, free_starts, replays, windows_of
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.physics import Physics
+from impact_rs_sim.proportion import Proportion
 from impact_rs_sim.robot import Array
 from impact_rs_sim.robot_model import RobotModel
 from impact_rs_trials.bags.checksums import says_so, unsealed_words
@@ -158,6 +159,8 @@ class MeasuredRun(Run):
             run.motor_measured,
             tracked,
         )
+        size = Proportion.of(run.physics)
+        features = tuple(replace(f, relevance_limit=f.relevance_limit * size.factor(f.unit)) for f in features)
         if run.gaps:  # windows at the same place of the motion have the same name in every repeat
             features = tuple(replace(f, bin=numbers[f.bin]) if f.phase == "free" else f for f in features)
         setup = Setup(

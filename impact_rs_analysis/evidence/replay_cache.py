@@ -15,6 +15,7 @@ import numpy as np
 
 from impact_rs_analysis.evidence.cluster import Added
 from impact_rs_analysis.evidence.measured_runs import Setup
+from impact_rs_sim.bullet_world import check_body
 from impact_rs_sim.errors import NotABody
 from impact_rs_sim.model import Model
 from impact_rs_sim.physics import Physics
@@ -68,6 +69,8 @@ def with_effects(model: Model, physics: Physics, added: Added) -> Physics:
     physics, known = model.apply(physics), model.known_effects
     for name, values in added:
         physics = known[name].apply_vector(physics, np.array(values))
+    for name, arm in physics.arms.items():
+        check_body(name, arm.end_effector)
     return physics
 
 
@@ -93,6 +96,8 @@ def run_batch(tasks: Sequence[Replay]) -> list[Array | None]:
         except NotABody:
             if not task.added:
                 raise
+    if not physics:
+        return found
     simulations = setup.replayed_all(list(physics.values()))
     for number, values in zip(physics, setup.features_of_all(simulations), strict=True):
         blown_up = values is not None and not np.isfinite(values).all()

@@ -22,6 +22,7 @@ from impact_rs_sim.effects.base import SINGLE_IMPACT
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.model import Model
 from impact_rs_sim.physics import Physics
+from impact_rs_sim.proportion import Proportion
 from impact_rs_sim.robot import Array
 from impact_rs_trials.runs import NONE, Signals
 from impact_rs_trials.workers import Map
@@ -68,7 +69,10 @@ def clusters_of(
         spread = pure[condition]
         limit = np.array([feature.relevance_limit for feature in first.features]) / 2.0
         kind = kind_of(first)
+        size = Proportion.of(first.physics)
+        larger = np.array([size.factor(feature.unit) for feature in first.features])  # than where it was measured
         systematic, patterns = discrepancy.of(first.features, kind), discrepancy.patterns_of(first.features, kind)
+        systematic, patterns = larger * systematic, None if patterns is None else larger * patterns
         known = np.zeros_like(limit) if spread is None else spread
         sigma = np.sqrt(known**2 + limit**2 + systematic**2)
         clusters.append(

@@ -10,6 +10,7 @@ one is a parameter list and a function. All others derive from :class:`Effect`.
 
 from __future__ import annotations
 
+import copy
 import functools
 import hashlib
 import inspect
@@ -17,12 +18,16 @@ import sys
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.physics import ArmPhysics, Physics
 from impact_rs_sim.robot import Array, JointType
+
+if TYPE_CHECKING:
+    from impact_rs_sim.proportion import Proportion
 
 # Parameters per joint have the units and ranges of a joint that turns. One that slides has those of a joint behind a
 # pinion of this radius: by the unit that turns, the unit that slides, and the factor of the range.
@@ -56,8 +61,8 @@ class Parameter:
         name: Name, for example ``coulomb``; spelled out ``coulomb_joint2``.
         unit: Unit, ``-`` where it has none.
         nominal: Value at which the effect does nothing.
-        lower: Smallest meaningful value.
-        upper: Largest meaningful value.
+        lower: Smallest meaningful value; a fit that ends there widens the range, where it is not 0.
+        upper: Largest meaningful value, likewise.
         scale: A noticeable change; unit of the weak prior.
         meaning: What it is, for tables.
         per_joint: Whether there is one per joint.
@@ -104,6 +109,32 @@ class Parameter:
         """Step of a finite difference from ``value``; a shape parameter whose grid spans decades changes by a fifth."""
         return min(self.difference, 0.2 * abs(value)) if self.grid and value != 0.0 else self.difference
 
+    def widened(self) -> Parameter:
+        """The parameter with a range twice as wide; a bound at 0 is one of physics, and stays.
+
+        A shape whose grid spans decades keeps its range: beyond, the effect is the limit of a simpler one.
+        """
+        if self.grid:
+            return self
+        if self.lower > 0.0:
+            return replace(self, lower=0.5 * self.lower, upper=2.0 * self.upper)
+        lower, upper = (bound and 2.0 * bound - self.nominal for bound in (self.lower, self.upper))
+        return replace(self, lower=lower, upper=upper)
+
+    def times(self, factor: float) -> Parameter:
+        """The parameter with all its values, ranges and steps multiplied by a factor."""
+        return replace(
+            self,
+            nominal=factor * self.nominal,
+            lower=factor * self.lower,
+            upper=factor * self.upper,
+            scale=factor * self.scale,
+            step=None if self.step is None else factor * self.step,
+            grid=tuple(factor * value for value in self.grid),
+            far=tuple(factor * value for value in self.far),
+            hidden=None if self.hidden is None else (factor * self.hidden[0], factor * self.hidden[1]),
+        )
+
     @property
     def shared_name(self) -> str:
         """Name of a scalar where arms share it."""
@@ -115,18 +146,7 @@ class Parameter:
         if kind == "revolute" or self.unit not in SLIDING:
             return self
         unit, factor = SLIDING[self.unit]
-        return replace(
-            self,
-            unit=unit,
-            nominal=factor * self.nominal,
-            lower=factor * self.lower,
-            upper=factor * self.upper,
-            scale=factor * self.scale,
-            step=None if self.step is None else factor * self.step,
-            grid=tuple(factor * value for value in self.grid),
-            far=tuple(factor * value for value in self.far),
-            hidden=None if self.hidden is None else (factor * self.hidden[0], factor * self.hidden[1]),
-        )
+        return replace(self.times(factor), unit=unit)
 
 
 class Effect(ABC):
@@ -203,6 +223,16 @@ class Effect(ABC):
         """Intersection of the bounds under several physics (at least one), ``(p,)`` each."""
         bounds = [self.bounds(physics) for physics in worlds]
         return np.max([low for low, _ in bounds], axis=0), np.min([high for _, high in bounds], axis=0)
+
+    def with_parameters(self, change: Callable[[Parameter], Parameter]) -> Effect:
+        """The effect with other ranges and steps of its parameters, which keep their names and units."""
+        found = copy.copy(self)
+        object.__setattr__(found, "parameters", tuple(change(parameter) for parameter in self.parameters))
+        return found
+
+    def in_proportion(self, size: Proportion) -> Effect:
+        """The effect with ranges and steps for a robot of another size."""
+        return self.with_parameters(lambda parameter: parameter.times(size.factor(parameter.unit)))
 
     def complexity(self, joints: Joints) -> int:
         """Number of scalars without shape parameters; of two equivalent effects the one with fewer is preferred."""

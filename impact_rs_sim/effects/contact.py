@@ -42,6 +42,17 @@ class FrictionEffect(SceneEffect):
         return np.maximum(lower, -float(getattr(physics, self.name))), upper
 
 
+@dataclass(frozen=True)
+class ReturningEffect(SceneEffect):
+    """An effect with a share of some velocity that comes back: never more than all of it, however wide the range."""
+
+    def bounds(self, physics: Physics) -> tuple[Array, Array]:
+        """See :meth:`Effect.bounds`."""
+        lower, upper = super().bounds(physics)
+        shares = np.array([parameter.name == "restitution" for parameter in self.parameters])
+        return lower, np.where(shares, np.minimum(upper, 1.0), upper)
+
+
 def _pad_friction(physics: Physics, values: Values) -> Physics:
     return replace(physics, pad_friction=max(physics.pad_friction + number(values, "friction"), 0.0))
 
@@ -295,7 +306,7 @@ RESTITUTION_FALL = SceneEffect(
     phases=SINGLE_IMPACT,
 )
 
-TANGENTIAL_RESTITUTION = SceneEffect(
+TANGENTIAL_RESTITUTION = ReturningEffect(
     name="tangential_restitution",
     acts_on="contact",
     sentence="The contact grips and springs back sideways: its slip is reversed.",
@@ -309,7 +320,7 @@ TANGENTIAL_RESTITUTION = SceneEffect(
     phases=SINGLE_IMPACT,
 )
 
-DRILLING_FRICTION = SceneEffect(
+DRILLING_FRICTION = ReturningEffect(
     name="drilling_friction",
     acts_on="contact",
     sentence="The contact has an extent: a moment resists spinning about its normal.",

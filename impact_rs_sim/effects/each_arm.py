@@ -9,7 +9,7 @@ joints as that arm has.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -69,6 +69,10 @@ class EachArm(Effect):
             own = [number for number, scalar in enumerate(scalars) if scalar.arm == name]
             lower[own], upper[own] = self.effect.bounds(_alone(physics, name))
         return lower, upper
+
+    def with_parameters(self, change: Callable[[Parameter], Parameter]) -> EachArm:
+        """See :meth:`Effect.with_parameters`."""
+        return EachArm(replace(self.effect, parameters=tuple(map(change, self.effect.parameters))), self.joints)
 
     @property
     def identity(self) -> str:

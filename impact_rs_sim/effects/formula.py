@@ -282,6 +282,11 @@ class FormulaEffect(Effect):
                             f"arm {arm!r} has {joint_count} joints"
                         )
 
+    def with_parameters(self, change: Callable[[Parameter], Parameter]) -> FormulaEffect:
+        """Itself: its ranges are those that its author states for this robot."""
+        del change
+        return self
+
     @property
     def identity(self) -> str:
         """See :attr:`Effect.identity`; includes the formulas."""

@@ -46,6 +46,7 @@ EFFECTS = {
         effect("one_sided", (parameter("d", lower=0.0),)),
         effect("inverse", (Parameter("s", "-", 1.0, 0.2, 5.0, 0.1, "s"),)),
         effect("fading", (parameter("e"), parameter("rate", 1.0, True, 0.01, (0.1, 1.0, 10.0)))),
+        effect("sticking", (parameter("h"),)),
         effect("local", (parameter("everywhere"), parameter("in_one_place"))),
         effect("dry", (parameter("f", lower=0.0), parameter("fade", 1.0, True, 0.01, (0.1, 1.0, 10.0)))),
     )
@@ -88,6 +89,8 @@ def features(cluster: int, added: Added) -> Array:
         elif name == "tipping":  # as a box that stands flat does, until its weight is too high or too low
             result += first * along(30) + 0.01 * second * along(33)
             result += max(second - 4.0, 0.0) * along(31) + max(-second - 4.0, 0.0) * along(32)
+        elif name == "sticking":
+            result += np.sign(first) * max(abs(first) - 6.0, 0.0) * along(34)
         elif name == "local":
             result += first * along(40) + (second * along(41) if cluster == 0 else 0.0)
         elif name == "outside":

@@ -16,8 +16,10 @@ from analytic_world import (
     BeforeTheHit,
     assert_uniform,
     correlated,
+    effect,
     linearised,
     means_of,
+    parameter,
 )
 from scipy.stats import binom
 
@@ -199,6 +201,35 @@ def test_a_bound_of_physics_is_not_passed() -> None:
     search = searched(AnalyticSource(10, (("one_sided", (-3.0,)),)), "one_sided")
     fitted = refine(search.singles["one_sided"], search.evidence)
     assert fitted.estimate[0] == pytest.approx(0.0, abs=1e-12)
+
+
+@pytest.mark.parametrize("hidden", [-170.0, 170.0, 700.0])
+def test_a_fit_goes_on_beyond_the_range_of_a_parameter_that_is_not_one_of_physics(hidden: float) -> None:
+    search = searched(AnalyticSource(10, (("straight", (hidden,)),)), "straight")
+    fitted = refine(search.singles["straight"], search.evidence)
+    assert fitted.estimate[0] == pytest.approx(hidden, abs=0.5) and not fitted.at_bound.any()
+
+
+def test_a_range_is_widened_four_times_and_then_said_to_be_reached() -> None:
+    search = searched(AnalyticSource(10, (("straight", (5000.0,)),)), "straight")
+    fitted = refine(search.singles["straight"], search.evidence)
+    assert fitted.estimate[0] == 16.0 * 50.0 and fitted.at_bound.all()
+
+
+@pytest.mark.parametrize("hidden", [-12.0, 15.0])
+def test_what_changes_nothing_near_its_nominal_value_is_seen_from_afar(hidden: float) -> None:
+    """As a contact that sticks does until its friction is a fraction of what was assumed."""
+    search = searched(AnalyticSource(4, (("sticking", (hidden,)),)), "sticking", "bent")
+    assert not search.unmeasured and search.p_values(None)["sticking"] < SIGNIFICANT
+    found = search.choose()
+    assert found is not None and found.candidate.names == ("sticking",)
+    assert found.estimate[0] == pytest.approx(hidden, abs=0.5)
+
+
+def test_what_changes_nothing_anywhere_is_not_measured() -> None:
+    nothing = effect("without_influence", (parameter("z"),))
+    search = Search([nothing, EFFECTS["bent"]], Evidence.of(AnalyticSource(4)))
+    assert search.unmeasured == {"without_influence"}
 
 
 @pytest.mark.parametrize("world", [functools.partial(AnalyticSource, free=FREE), BeforeTheHit])

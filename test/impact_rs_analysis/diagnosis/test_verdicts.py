@@ -5,7 +5,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -15,7 +14,6 @@ from impact_rs_analysis.diagnosis.diagnose import diagnose
 from impact_rs_analysis.diagnosis.document import DiagnosisDocument, EffectDocument
 from impact_rs_analysis.diagnosis.fit import Evidence
 from impact_rs_analysis.diagnosis.hold_out import HoldOut, hold_out
-from impact_rs_analysis.diagnosis.search import Search
 from impact_rs_analysis.diagnosis.verdicts import clip_p, residual_size, rests_of
 from impact_rs_analysis.evidence.cluster import Added
 from impact_rs_sim.effects import Effect
@@ -43,21 +41,35 @@ def test_nothing_is_missing_and_one_is_what_repetition_gives() -> None:
     assert sum(d.verdict == "NOTHING-MISSING" for d in documents) >= 18
 
 
-def test_where_noise_explains_all_only_what_folds_choose_is_named(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    def nowhere(source: AnalyticSource, effects: Sequence[Effect], ended: Any) -> HoldOut | None:
-        found = hold_out(source, effects, ended)
-        return found and replace(found, chosen=tuple(() for _ in found.chosen))
+@pytest.mark.parametrize("spoiled", ["chosen", "rest"])
+def test_only_what_the_hold_out_supports_is_named(spoiled: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Searches without the data that they predict must find the effect, and must predict better with it."""
+
+    def unsupported(source: AnalyticSource, effects: Sequence[Effect]) -> HoldOut | None:
+        found = hold_out(source, effects)
+        assert found is not None
+        if spoiled == "rest":
+            return replace(found, rest=tuple(item.mean for item in source.clusters))
+        return replace(found, chosen=(("straight",),) * 3 + ((),) * 3)
 
     source = AnalyticSource(1, (("straight", (5.0,)),))
     assert said(source).named == ("straight",)
-    monkeypatch.setattr("impact_rs_analysis.diagnosis.diagnose.hold_out", nowhere)
-    assert said(source).named == ("straight",)  # there is more than noise
-    monkeypatch.setattr(Search, "lacking", False)
+    monkeypatch.setattr("impact_rs_analysis.diagnosis.diagnose.hold_out", unsupported)
     document = said(source)
-    assert document.named == ()
+    assert document.named == () and document.verdict == "NONE-EXPLAINS"
     assert document.held_out_error_after == document.held_out_error_before
+    assert any(remark.startswith("not named") and "straight" in remark for remark in document.remarks)
+
+
+def test_of_two_effects_the_one_that_folds_do_not_find_is_left_out(monkeypatch: pytest.MonkeyPatch) -> None:
+    def one_of_them(source: AnalyticSource, effects: Sequence[Effect]) -> HoldOut | None:
+        found = hold_out(source, effects)
+        return found and replace(found, chosen=(("straight", "payload"),) * 3 + (("straight",),) * 3)
+
+    source = AnalyticSource(1, (("straight", (5.0,)), ("payload", (3.0, 0.5))))
+    assert set(said(source).named) == {"straight", "payload"}
+    monkeypatch.setattr("impact_rs_analysis.diagnosis.diagnose.hold_out", one_of_them)
+    assert said(source).named == ("straight",)
 
 
 @pytest.mark.parametrize("value", [1.0, 5.0, 40.0])

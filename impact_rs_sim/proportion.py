@@ -1,0 +1,68 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Size of a robot beside the arm for which absolute limits were chosen.
+
+Ranges of parameters, noticeable changes and relevance limits are stated for a Franka arm. Another robot has them in
+proportion: by dimensional analysis (Buckingham 1914), with the mass of its links, its reach and the time in which a
+body falls as far,
+
+    m,    l,    t = sqrt(l / |g|);    a quantity in kg^a m^b s^c is larger by m^a l^b t^c
+
+so that a torque is judged by the torque of the robot's own weight, and verdicts do not depend on the units of mass.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from impact_rs_sim.effects.dimensions import dimension_of
+from impact_rs_sim.physics import ArmPhysics, Physics
+
+FRANKA_MASS = 16.062132  # kg, links 1 to 7
+FRANKA_REACH = 0.98626233  # m, from joint 2 along all joints to the flange
+GRAVITY = 9.81  # m/s^2
+
+
+@dataclass(frozen=True)
+class Proportion:
+    """A robot over the Franka arm.
+
+    Attributes:
+        mass: Of its links [-].
+        length: Of its reach [-].
+        time: In which a body falls as far as it reaches [-].
+    """
+
+    mass: float = 1.0
+    length: float = 1.0
+    time: float = 1.0
+
+    @staticmethod
+    def of(physics: Physics) -> Proportion:
+        """Proportion of the arms of a scene, of several their mean; 1 without an arm."""
+        if not physics.arms:
+            return Proportion()
+        mass = float(np.mean([_mass(arm) for arm in physics.arms.values()])) / FRANKA_MASS
+        length = float(np.mean([_reach(arm) for arm in physics.arms.values()])) / FRANKA_REACH
+        gravity = float(np.linalg.norm(physics.gravity)) or GRAVITY
+        return Proportion(mass, length, float(np.sqrt(length * GRAVITY / gravity)))
+
+    def factor(self, unit: str) -> float:
+        """Factor of a quantity with this unit, ``N m`` for example.
+
+        Raises:
+            InputError: The unit is not understood.
+        """
+        kg, m, s = (float(power) for power in dimension_of(unit))
+        return float(self.mass**kg * self.length**m * self.time**s)
+
+
+def _mass(arm: ArmPhysics) -> float:
+    return sum(link.mass for link in arm.facts.links)
+
+
+def _reach(arm: ArmPhysics) -> float:
+    """Length of the chain from its second joint to the flange [m]."""
+    places = [joint.xyz for joint in arm.facts.joints[1:]] + [arm.facts.flange.xyz]
+    return float(sum(np.linalg.norm(place) for place in places))
