@@ -22,7 +22,7 @@ from impact_rs_analysis.evidence.levels import score_of
 from impact_rs_analysis.evidence.measured_runs import read_runs
 from impact_rs_analysis.evidence.replay_cache import ReplayCache
 from impact_rs_analysis.evidence.replays import ReplaySource
-from impact_rs_sim.effects import library
+from impact_rs_sim.effects import of_trials
 from impact_rs_sim.model import ModelEffect, ParameterValue, load_model
 from impact_rs_sim.unmodelled import OUTSIDE
 from impact_rs_trials.blind import RUNS, TRUTH, make
@@ -36,7 +36,7 @@ OUTSIDE_MAGNITUDES = (2.0, 6.0)
 
 def matrix(seeds: int, pairs: int, nulls: int) -> list[Entry]:
     """Every campaign of the benchmark, each with a seed of its own; what comes first says most, should time run out."""
-    singles = [("single", name, size) for size in MAGNITUDES for name in library()]
+    singles = [("single", name, size) for size in MAGNITUDES for name in of_trials()]
     faint, strong = ([("outside", name, size) for name in OUTSIDE] for size in OUTSIDE_MAGNITUDES)
     once: list[tuple[str, str | None, float | None]] = [("null", None, None)] * nulls
     once += [("pair", PLAIN, 4.0)] * pairs

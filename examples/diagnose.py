@@ -23,7 +23,7 @@ from impact_rs_trials.bags.record import record_trial
 from impact_rs_trials.bags.trial_info import TrialInfo, TrialKey
 from impact_rs_trials.spec import TrialSpec
 
-HIDDEN = ModelEffect(name="support_friction", parameters={"scale": ParameterValue(estimate=1.6, unit="-")})
+HIDDEN = ModelEffect(name="support_friction", parameters={"friction": ParameterValue(estimate=0.18, unit="-")})
 CONDITIONS = [("parcel", "case_1"), ("juice", "case_1"), ("juice", "case_2"), ("cat_food", "case_2")]
 EFFECTS = ["support_friction", "object_mass", "restitution"]
 

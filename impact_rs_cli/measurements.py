@@ -25,6 +25,7 @@ from impact_rs_cli.arguments import started, warn_skipped
 from impact_rs_cli.terminal import Terminal
 from impact_rs_sim.effects.base import Joints
 from impact_rs_sim.errors import InputError
+from impact_rs_sim.impact_map.contacts import GAP_TOLERANCE
 from impact_rs_sim.model import Model
 from impact_rs_sim.scenario import load_scenario
 from impact_rs_trials.recordings.experiment import load_experiment
@@ -132,6 +133,11 @@ def measured(args: argparse.Namespace, terminal: Terminal, each_arm: bool = Fals
         raise InputError(
             "--scenario goes with --impacts only: trials contain their scenario, and recordings have a mapping"
         )
+    tolerance = args.contact_tolerance
+    if tolerance is not None and args.impacts is None:
+        raise InputError("--contact-tolerance goes with --impacts only: trials are replayed from their poses")
+    if tolerance is not None and not tolerance >= 0.0:
+        raise InputError("expected a distance >= 0 m", key="--contact-tolerance", value=tolerance)
     if args.impacts is not None:
         if args.experiment is not None:
             raise InputError(
@@ -140,7 +146,7 @@ def measured(args: argparse.Namespace, terminal: Terminal, each_arm: bool = Fals
         if args.mapping is not None:
             raise InputError("--mapping is for recordings; leave it out with --impacts, whose columns are fixed")
         scenario = None if args.scenario is None else load_scenario(args.scenario)
-        table = read_impact_table(args.impacts, scenario)
+        table = read_impact_table(args.impacts, scenario, tolerance=GAP_TOLERANCE if tolerance is None else tolerance)
         with started(args) as map_tasks:
             yield Measurements(
                 map_tasks,

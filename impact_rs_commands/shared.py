@@ -76,6 +76,11 @@ SOURCE = (
         "each row is one free body that hits a fixed plane",
     ),
     option(
+        "--contact-tolerance", kind="number", metavar="M", unit="m", label="contact tolerance", advanced=True,
+        otherwise="0.001",
+        help="with --impacts: points touch that are no more than this further off than the nearest",
+    ),
+    option(
         "--no-discrepancy", kind="switch", label="assume an exact simulation", advanced=True,
         help="assume that the simulation is exact: ignore the model discrepancy between simulators "
         "(config/discrepancy.yaml)",

@@ -79,7 +79,7 @@ def solve_impacts(
     contact: Sequence[Array | float],
     support: Array | None,
     rules: tuple[float, float, float, float],
-    points: tuple[Sequence[int], Array, Array, Array] | None = None,
+    points: tuple[Sequence[int], Sequence[int], Array, Array, Array, Array] | None = None,
 ) -> tuple[Array, Array, Array, Array, Array, Array, Array, Array, Array, Array, Array, Array, Array]:
     """Solve ``count`` problems; arrays without such a first axis hold for all of them.
 
@@ -91,8 +91,9 @@ def solve_impacts(
         contact: Friction of pads and of the support, restitution.
         support: Centre and half extents of the support in A, ``(6,)`` [m]; None: no support.
         rules: ``ALIGNED``, ``GAP_TOLERANCE``, ``PENETRATION_TOLERANCE`` [m] and ``COMPLIANCE`` [-].
-        points: Partner, position, normal and gap of contact points that hold for all problems, as they are returned;
-            None: those where the boxes touch.
+        points: Contact points with their laws, in place of those where the boxes touch and of ``contact``: number of
+            the first point of every problem, partner, position, normal and gap as they are returned, and the laws
+            ``(M, 6)`` of :func:`impact_rs_sim.impact_map.contact_laws.table_of`.
 
     Returns:
         Status (0 solved, 1 invalid data, 2 not converged) ``(N,)``; u^+ ``(N, nv)``; twists of E

@@ -8,6 +8,7 @@ model.
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -107,6 +108,39 @@ class Load:
 
 
 @dataclass(frozen=True)
+class ContactCondition:
+    """State and laws of m contact points just before an impact (:mod:`impact_rs_sim.impact_map.contact_laws`).
+
+    Attributes:
+        closing: Speed at which a point comes, ``(m,)`` [m/s].
+        slip: Speed at which it slides, ``(m,)`` [m/s].
+        friction: Coulomb coefficient, ``(m,)`` [-].
+        restitution: Of the normal velocity, ``(m,)`` [-].
+        tangential_restitution: Of the sliding velocity, ``(m,)`` [-].
+        drilling_arm: Moment about the normal over the normal impulse, at most, ``(m,)`` [m].
+        rolling_arm: Moment across the normal, likewise, ``(m,)`` [m].
+        spin_restitution: Of the angular velocity about the normal, ``(m,)`` [-].
+    """
+
+    closing: Array
+    slip: Array
+    friction: Array
+    restitution: Array
+    tangential_restitution: Array
+    drilling_arm: Array
+    rolling_arm: Array
+    spin_restitution: Array
+
+
+class ContactLaw(ABC):
+    """A law of the contact points of a single impact, beyond constant friction and restitution."""
+
+    @abstractmethod
+    def apply(self, contact: ContactCondition) -> ContactCondition:
+        """The contact with this law; coefficients may leave their ranges, which are kept in the end."""
+
+
+@dataclass(frozen=True)
 class ArmPhysics:
     """One arm: link side, motor side, actuation and pad.
 
@@ -159,19 +193,21 @@ class ArmPhysics:
 
 @dataclass(frozen=True)
 class ObjectPhysics:
-    """A homogeneous box, up to an offset of its centre of mass.
+    """A homogeneous box, up to an offset of its centre of mass; or a ball, whose centre of mass is its centre.
 
     Attributes:
         mass: Mass [kg].
         size: Extent along its own x, y, z, ``(3,)`` [m].
         inertia: Principal moments about the centre of mass, ``(3,)`` [kg m^2].
         com_offset: Centre of mass from the geometric centre, in axes of the object, ``(3,)`` [m].
+        round: Whether it is a ball, of diameter ``size``.
     """
 
     mass: float
     size: Array
     inertia: Array
     com_offset: Array
+    round: bool = False
 
 
 @dataclass(frozen=True)
@@ -194,6 +230,7 @@ class Physics:
             0: rigid. ``support_height`` is the surface below the object that stands on it.
         rolling_arm: Lever of the moment that resists rolling, over the normal force: |M| <= rolling_arm N [m].
         restitution_law: Whose restitution the rigid impact map has, ``newton`` or ``poisson``.
+        contact_laws: Further laws of the contact points of a single measured impact, in the order in which they act.
     """
 
     arms: dict[str, ArmPhysics]
@@ -208,6 +245,7 @@ class Physics:
     support_compliance: float = 0.0
     rolling_arm: float = 0.0
     restitution_law: str = "newton"
+    contact_laws: tuple[ContactLaw, ...] = ()
 
     @staticmethod
     def nominal(scenario: Scenario, object_name: str) -> Physics:

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from impact_rs_control.plan import TrialPlan
-from impact_rs_sim.effects import library
+from impact_rs_sim.effects import library, of_trials
 from impact_rs_sim.effects.base import Joints
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.files import write_whole
@@ -116,7 +116,7 @@ def draw_truth(
     """
     if kind not in KINDS:
         raise InputError(f"no kind {kind!r}; known: {', '.join(KINDS)}")
-    names = sorted(library())
+    names = sorted(of_trials())
     rng = np.random.default_rng([seed, KINDS.index(kind)])
     count = {"single": 1, "pair": 2}.get(kind, 0)
     if effect is None or count == 0:

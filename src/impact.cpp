@@ -47,6 +47,11 @@ void twist_of(const double* jacobian, const double* rates, int joints, double* t
   }
 }
 
+// Three rows of the angular velocity times a length.
+void turning_rows(const double* jacobian, int columns, double length, double* rows) {
+  for (int j = 0; j < 3 * columns; ++j) rows[j] = length * jacobian[3 * columns + j];
+}
+
 // Three rows of the velocity of a point at `lever` from the origin of a twist: linear + angular x lever, times columns.
 void point_rows(const double* jacobian, int columns, const Vector& lever, double sign, double* rows) {
   const double* angular = jacobian + 3 * columns;
@@ -71,12 +76,6 @@ bool Impact::sound(const std::vector<ArmState>& arms, const ObjectState& object)
 
 bool Impact::find_points(const std::vector<ArmState>& arms, const ObjectState& object, const ContactState& contact) {
   points.clear();
-  places_.clear();
-  for (const ArmState& arm : arms) places_.push_back(vector(arm.place));
-  if (given_ != nullptr) {
-    points = *given_;
-    return true;
-  }
   const Box box{vector(object.position), matrix(object.axes), vector(object.half)};
   const int count = static_cast<int>(arms.size());
   for (int partner = 0; partner < count + (contact.support != nullptr); ++partner) {
@@ -93,13 +92,14 @@ bool Impact::find_points(const std::vector<ArmState>& arms, const ObjectState& o
     if (!(face.separation <= rules_.gap)) continue;
     touches_.clear();
     touching(other, box, face, rules_.gap, touches_);
+    const ContactLaw law{partner < count ? *contact.pad_friction : *contact.support_friction, *contact.restitution};
     for (const Touch& touch : touches_)
-      points.push_back({partner, touch.position, face.normal, {}, touch.gap, State::open});
+      points.push_back({partner, touch.position, face.normal, {}, touch.gap, State::open, law});
   }
   return true;
 }
 
-bool Impact::assemble(const std::vector<ArmState>& arms, const ObjectState& object, const ContactState& contact) {
+bool Impact::assemble(const std::vector<ArmState>& arms, const ObjectState& object) {
   const int count = static_cast<int>(arms.size());
   blocks_.resize(count + 1);
   before_.clear();
@@ -141,10 +141,14 @@ bool Impact::assemble(const std::vector<ArmState>& arms, const ObjectState& obje
     if (!factorise(block.factor.data(), block.size)) return false;
   }
 
-  const int m = static_cast<int>(points.size()), size = 3 * m;
+  turning_.clear();
+  for (std::size_t i = 0; i < points.size(); ++i)
+    if (points[i].law.drilling_arm > 0.0 || points[i].law.rolling_arm > 0.0) turning_.push_back(static_cast<int>(i));
+  length_ = std::sqrt((object.moments[0] + object.moments[1] + object.moments[2]) / (3.0 * mass));
+  const int m = static_cast<int>(points.size() + turning_.size()), size = 3 * m;
   terms_.resize(m);
   terms_.mobility = 1.0 / mass;
-  // Y = L^-1 J_c^T of the object and of the arm at every point, three columns each; G = Y^T Y.
+  // Y = L^-1 J_c^T of the object and of the arm at every contact, three columns each; G = Y^T Y.
   int widest = 6;
   for (const Block& block : blocks_) widest = std::max(widest, block.size);
   object_columns_.resize(18 * m);
@@ -153,10 +157,11 @@ bool Impact::assemble(const std::vector<ArmState>& arms, const ObjectState& obje
   double still[36] = {};
   for (int k = 0; k < 6; ++k) still[7 * k] = 1.0;
   for (int i = 0; i < m; ++i) {
-    const Point& point = points[i];
+    const Point& point = point_of(i);
     const auto columns = [&](const double* jacobian, int n, const Vector& at, double sign, const Block& block,
                              double* found) {
-      point_rows(jacobian, n, at, sign, work_.data());
+      if (turns(i)) turning_rows(jacobian, n, sign * length_, work_.data());
+      else point_rows(jacobian, n, at, sign, work_.data());
       for (int k = 0; k < 3; ++k)
         for (int j = 0; j < n; ++j) found[3 * j + k] = work_[k * n + j];
       forward(block.factor.data(), n, found, 3);
@@ -168,7 +173,7 @@ bool Impact::assemble(const std::vector<ArmState>& arms, const ObjectState& obje
       columns(arm.jacobian, arm.joints, at, -1.0, blocks_[point.partner], arm_columns_.data() + 3 * widest * i);
     }
     for (int j = 0; j <= i; ++j) {
-      const bool together = point.partner < count && point.partner == points[j].partner;
+      const bool together = point.partner < count && point.partner == point_of(j).partner;
       const int n = together ? arms[point.partner].joints : 0;
       double sums[9] = {};
       const auto add = [&sums](const double* left, const double* right, int rows) {
@@ -188,9 +193,17 @@ bool Impact::assemble(const std::vector<ArmState>& arms, const ObjectState& obje
   terms_.take_inverse_mass();
   relative_velocities(arms, object, before_twists_.data(), object.twist, terms_.approach.data());
   for (int i = 0; i < m; ++i) {
-    std::copy(points[i].normal.begin(), points[i].normal.end(), terms_.normals.begin() + 3 * i);
-    terms_.friction[i] = points[i].partner < count ? *contact.pad_friction : *contact.support_friction;
-    terms_.rebound[i] = *contact.restitution * dot(points[i].normal, vector(terms_.approach.data() + 3 * i));
+    const Point& point = point_of(i);
+    const ContactLaw& law = point.law;
+    std::copy(point.normal.begin(), point.normal.end(), terms_.normals.begin() + 3 * i);
+    terms_.host[i] = turns(i) ? turning_[i - points.size()] : -1;
+    terms_.friction[i] = turns(i) ? law.rolling_arm / length_ : law.friction;
+    terms_.spin[i] = turns(i) ? law.drilling_arm / length_ : 0.0;
+    const Vector coming = vector(terms_.approach.data() + 3 * i);
+    const Vector along = dot(point.normal, coming) * point.normal;
+    const Vector back = turns(i) ? law.spin_restitution * along
+                                 : law.restitution * along + law.tangential_restitution * (coming - along);
+    std::copy(back.begin(), back.end(), terms_.rebound.begin() + 3 * i);
   }
   return true;
 }
@@ -199,7 +212,7 @@ bool Impact::assemble(const std::vector<ArmState>& arms, const ObjectState& obje
 void Impact::take_root(int arms) {
   const int m = terms_.count, size = 3 * m, stride = m == 0 ? 0 : static_cast<int>(arm_columns_.size()) / m;
   const int velocities = static_cast<int>(before_.size());
-  terms_.rank = size > MANY * velocities ? velocities : 0;
+  terms_.rank = size > MANY * velocities && turning_.empty() ? velocities : 0;
   if (terms_.rank == 0) return;
   terms_.root.assign(terms_.rank * size, 0.0);
   const auto put = [this, size](const double* columns, const Block& block, int point) {
@@ -224,28 +237,39 @@ void Impact::relative_velocities(const std::vector<ArmState>& arms, const Object
     std::copy(moving.begin(), moving.end(), found);
     found += 3;
   }
+  for (const int number : turning_) {
+    Vector moving = vector(of_object + 3);
+    if (const int partner = points[number].partner; partner < static_cast<int>(arms.size()))
+      moving = moving - vector(of_bodies + 6 * partner + 3);
+    moving = length_ * moving;
+    std::copy(moving.begin(), moving.end(), found);
+    found += 3;
+  }
 }
 
 void Impact::impulses_to_momenta(const std::vector<ArmState>& arms, const ObjectState& object,
                                  std::vector<double>& momenta) {
   const int count = static_cast<int>(arms.size());
   momenta.assign(before_.size(), 0.0);
-  for (const Point& point : points) {
+  for (int i = 0; i < terms_.count; ++i) {
+    const Point& point = point_of(i);
+    const Vector given = vector(impulses_.data() + 3 * i);
+    const Vector impulse = turns(i) ? Vector{} : given, couple = turns(i) ? length_ * given : Vector{};
     double* body = momenta.data() + blocks_[count].start;
-    const Vector moment = cross(point.position - vector(object.position), point.impulse);
+    const Vector moment = cross(point.position - vector(object.position), impulse) + couple;
     for (int k = 0; k < 3; ++k) {
-      body[k] += point.impulse[k];
+      body[k] += impulse[k];
       body[3 + k] += moment[k];
     }
     if (point.partner >= count) continue;
     const ArmState& arm = arms[point.partner];
     const Vector at = point.position - point.gap * point.normal - places_[point.partner];
-    const Vector turning = cross(at, point.impulse);
+    const Vector turning = cross(at, impulse) + couple;
     double* joints = momenta.data() + blocks_[point.partner].start;
     const int n = arm.joints;
     for (int k = 0; k < 3; ++k)
       for (int j = 0; j < n; ++j)
-        joints[j] -= arm.jacobian[k * n + j] * point.impulse[k] + arm.jacobian[(3 + k) * n + j] * turning[k];
+        joints[j] -= arm.jacobian[k * n + j] * impulse[k] + arm.jacobian[(3 + k) * n + j] * turning[k];
   }
 }
 
@@ -283,14 +307,22 @@ void Impact::finish(const std::vector<ArmState>& arms, const ObjectState& object
   twists.resize(6 * count);
   for (int a = 0; a < count; ++a)
     twist_of(arms[a].jacobian, velocity.data() + blocks_[a].start, arms[a].joints, twists.data() + 6 * a);
-  after_.resize(3 * points.size());
+  after_.resize(3 * terms_.count);
   relative_velocities(arms, object, twists.data(), velocity.data() + blocks_[count].start, after_.data());
   laws = judge(terms_, impulses_.data(), after_.data());
 }
 
-Status Impact::solve(const std::vector<ArmState>& arms, const ObjectState& object, const ContactState& contact) {
-  if (!sound(arms, object) || !find_points(arms, object, contact) || !assemble(arms, object, contact))
+Status Impact::solve(const std::vector<ArmState>& arms, const ObjectState& object, const ContactState& contact,
+                     const Point* begin, const Point* end) {
+  if (!sound(arms, object)) return Status::unsound;
+  places_.clear();
+  for (const ArmState& arm : arms) places_.push_back(vector(arm.place));
+  if (begin != nullptr) {
+    points.assign(begin, end);
+  } else if (!find_points(arms, object, contact)) {
     return Status::unsound;
+  }
+  if (!assemble(arms, object)) return Status::unsound;
   solver_.steps = 0;
   const bool solved = solver_.solve(terms_, impulses_, rules_.compliance);
   steps = solver_.steps;

@@ -54,20 +54,32 @@ struct ContactState {
 
 enum class Status : char { solved, unsound, unsolved };  // unsound: invalid data, reported by Python
 
+// The laws of one contact point.
+struct ContactLaw {
+  double friction = 0.0;               // Coulomb coefficient [-]
+  double restitution = 0.0;            // of the normal velocity [-]
+  double tangential_restitution = 0.0;  // of the sliding velocity [-]
+  double drilling_arm = 0.0;           // moment about the normal over the normal impulse, at most [m]
+  double rolling_arm = 0.0;            // moment across the normal, likewise [m]
+  double spin_restitution = 0.0;       // of the angular velocity about the normal [-]
+};
+
 struct Point {
   int partner;  // index of the arm; number of arms: the support
   Vector position, normal, impulse;
   double gap;
   State state;
+  ContactLaw law;
 };
 
 class Impact {
  public:
-  // Contact points are found by geometry, or `given` for all problems.
-  Impact(const Rules& rules, const std::vector<Point>* given) : rules_(rules), given_(given) {}
+  explicit Impact(const Rules& rules) : rules_(rules) {}
 
-  // Solve one problem; the result is in the members below.
-  Status solve(const std::vector<ArmState>& arms, const ObjectState& object, const ContactState& contact);
+  // Solve one problem; the result is in the members below. Contact points are found by geometry, or given with their
+  // laws: those from `begin` to `end`.
+  Status solve(const std::vector<ArmState>& arms, const ObjectState& object, const ContactState& contact,
+               const Point* begin = nullptr, const Point* end = nullptr);
 
   std::vector<double> velocity;  // u^+, joints of all arms and the twist of the object
   std::vector<double> twists;    // of frame E of every arm after the impact, (6) each
@@ -85,7 +97,9 @@ class Impact {
 
   bool sound(const std::vector<ArmState>& arms, const ObjectState& object) const;
   bool find_points(const std::vector<ArmState>& arms, const ObjectState& object, const ContactState& contact);
-  bool assemble(const std::vector<ArmState>& arms, const ObjectState& object, const ContactState& contact);
+  bool assemble(const std::vector<ArmState>& arms, const ObjectState& object);
+  const Point& point_of(int contact) const { return points[turns(contact) ? turning_[contact - points.size()] : contact]; }
+  bool turns(int contact) const { return contact >= static_cast<int>(points.size()); }
   void take_root(int arms);
   void finish(const std::vector<ArmState>& arms, const ObjectState& object);
   void impulses_to_momenta(const std::vector<ArmState>& arms, const ObjectState& object, std::vector<double>& momenta);
@@ -93,12 +107,13 @@ class Impact {
                            const double* of_object, double* found) const;
 
   Rules rules_;
-  const std::vector<Point>* given_;
   Solver solver_;
   Terms terms_;
   std::vector<Touch> touches_;
   std::vector<Vector> places_;  // origins of E
   std::vector<Block> blocks_;
+  std::vector<int> turning_;  // points that resist turning; each is one more contact of the terms
+  double length_ = 1.0;       // of turnings, see laws.hpp [m]
   std::vector<double> before_, before_twists_, impulses_, after_, momenta_, work_;
   std::vector<double> object_columns_, arm_columns_;
 };

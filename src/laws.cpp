@@ -73,7 +73,9 @@ void Terms::resize(int points) {
   approach.assign(3 * points, 0.0);
   normals.assign(3 * points, 0.0);
   friction.assign(points, 0.0);
-  rebound.assign(points, 0.0);
+  spin.assign(points, 0.0);
+  host.assign(points, -1);
+  rebound.assign(3 * points, 0.0);
   least.assign(points, 0.0);
   inverse_mass.assign(points, 0.0);
 }
@@ -110,6 +112,7 @@ PointLaw linearise(const Vector& impulse, const Vector& velocity, const Vector& 
       law.by_velocity[3 * i + j] = ratio * ((closed ? along : 0.0) + (sticks ? across : turned));
     }
     law.by_friction[i] = sticks ? 0.0 : -carried * direction[i];
+    law.by_host[i] = 0.0;
   }
   const double held = closed ? wanted_normal : least;
   law.defect = (pressing - held) * normal + tangential - (sticks ? wanted : radius * direction);
@@ -121,12 +124,51 @@ PointLaw linearise(const Vector& impulse, const Vector& velocity, const Vector& 
   return law;
 }
 
+PointLaw linearise_turning(const Vector& moment, const Vector& velocity, const Vector& normal, double friction,
+                           double spin, double inverse_mass, double pressing) {
+  const double ratio = 1.0 / inverse_mass, carried = std::max(pressing, 0.0);
+  const Vector wanted = moment - ratio * velocity;
+  const double about = dot(normal, wanted), most = spin * carried;
+  const bool held = std::abs(about) <= most;
+  const Vector across = wanted - about * normal;
+  const double length = norm(across), radius = friction * carried;
+  const bool sticks = length <= radius;
+  const Vector direction = (1.0 / std::max(length, TINY)) * across;
+  const double turning = radius / std::max(length, TINY), side = about < 0.0 ? -1.0 : 1.0;
+  PointLaw law;
+  law.defect = moment - (held ? about : side * most) * normal - (sticks ? across : radius * direction);
+  for (int i = 0; i < 3; ++i) {
+    for (int j = 0; j < 3; ++j) {
+      const double along = normal[i] * normal[j], plane = (i == j ? 1.0 : 0.0) - along;
+      const double passed =
+          (held ? along : 0.0) + (sticks ? plane : turning * (plane - direction[i] * direction[j]));
+      law.by_impulse[3 * i + j] = (i == j ? 1.0 : 0.0) - passed;
+      law.by_velocity[3 * i + j] = ratio * passed;
+    }
+    law.by_friction[i] = sticks ? 0.0 : -carried * direction[i];
+    law.by_host[i] =
+        pressing > 0.0 ? -(held ? 0.0 : side * spin * normal[i]) - (sticks ? 0.0 : friction * direction[i]) : 0.0;
+  }
+  law.state = carried > 0.0 ? (held && sticks ? State::stick : State::slide) : State::open;
+  law.margin = inverse_mass * std::min(std::abs(std::abs(about) - most), std::abs(length - radius));
+  law.independent = !held && !sticks && carried == 0.0;
+  return law;
+}
+
+PointLaw Solver::law_of(const Terms& terms, const std::vector<double>& impulses, int i) const {
+  const Vector impulse = at(impulses, i), velocity = at(velocity_, i), normal = at(terms.normals, i);
+  const int host = terms.host[i];
+  if (host < 0) return linearise(impulse, velocity, normal, terms.friction[i], terms.inverse_mass[i], terms.least[i]);
+  return linearise_turning(impulse, velocity, normal, terms.friction[i], terms.spin[i], terms.inverse_mass[i],
+                           dot(at(terms.normals, host), at(impulses, host)));
+}
+
 // s, with the compliance as a spring about the impulses `origin`.
 void Solver::velocities(const Terms& terms, const std::vector<double>& impulses, double yield) {
   const int size = 3 * terms.count;
   velocity_.resize(size);
   for (int i = 0; i < size; ++i)
-    velocity_[i] = terms.approach[i] + yield * (impulses[i] - origin_[i]) + terms.rebound[i / 3] * terms.normals[i];
+    velocity_[i] = terms.approach[i] + yield * (impulses[i] - origin_[i]) + terms.rebound[i];
   for (int j = 0; j < size; ++j) {  // row by row, as G is symmetric
     const double* row = terms.delassus.data() + j * size;
     for (int i = 0; i < size; ++i) velocity_[i] += impulses[j] * row[i];
@@ -211,7 +253,10 @@ bool Solver::newton_step(const Terms& terms, double yield) {
         given[k] += row[0] * step_[3 * j] + row[1] * step_[3 * j + 1] + row[2] * step_[3 * j + 2];
       }
     }
-    const Vector right = -1.0 * law.defect - law.by_velocity * given;
+    Vector right = -1.0 * law.defect - law.by_velocity * given;
+    const int host = terms.host[i];
+    if (host >= 0 && laws_[host].independent)
+      right = right - dot(at(terms.normals, host), at(step_, host)) * law.by_host;
     for (int k = 0; k < 3; ++k) {
       right_[3 * p + k] = right[k];
       double* row = matrix_.data() + (3 * p + k) * unknowns;
@@ -222,6 +267,10 @@ bool Solver::newton_step(const Terms& terms, double yield) {
           row[3 * q + c] = by[0] * block[c] + by[1] * block[size + c] + by[2] * block[2 * size + c];
       }
       for (int c = 0; c < 3; ++c) row[3 * p + c] += law.by_impulse[3 * k + c] + yield * by[c];
+      if (host < 0) continue;
+      for (int q = 0; q < points; ++q)
+        if (coupled_[q] == host)
+          for (int c = 0; c < 3; ++c) row[3 * q + c] += law.by_host[k] * terms.normals[3 * host + c];
     }
   }
   if (!eliminate(matrix_.data(), right_.data(), unknowns)) return false;
@@ -239,8 +288,7 @@ bool Solver::full_steps(const Terms& terms, std::vector<double>& impulses, doubl
     velocities(terms, impulses, yield);
     double sum = 0.0;
     for (int i = 0; i < terms.count; ++i) {
-      laws_[i] = linearise(at(impulses, i), at(velocity_, i), at(terms.normals, i), terms.friction[i],
-                           terms.inverse_mass[i], terms.least[i]);
+      laws_[i] = law_of(terms, impulses, i);
       const double size = terms.inverse_mass[i] * norm(laws_[i].defect);
       sum += size * size;
     }
@@ -302,7 +350,14 @@ void Solver::sweep(const Terms& terms, std::vector<double>& impulses, double yie
         block[3 * k + c] = terms.delassus[(3 * i + k) * size + 3 * i + c] + (k == c ? yield : 0.0);
     const Vector alone = velocity - block * before;
     Vector next{};
-    if (dot(normal, alone) < 0.0) {
+    if (const int host = terms.host[i]; host >= 0) {
+      const double carried = std::max(dot(at(terms.normals, host), at(impulses, host)), 0.0);
+      const Vector wanted = before - (1.0 / (terms.inverse_mass[i] + yield)) * velocity;
+      const double about = dot(normal, wanted), most = terms.spin[i] * carried;
+      const Vector across = wanted - about * normal;
+      next = std::clamp(about, -most, most) * normal +
+             std::min(1.0, terms.friction[i] * carried / std::max(norm(across), TINY)) * across;
+    } else if (dot(normal, alone) < 0.0) {
       Vector holding = -1.0 * alone;
       Matrix work = block;
       eliminate(work.data(), holding.data(), 3);
@@ -370,15 +425,22 @@ Judged judge(const Terms& terms, const double* impulses, const double* after) {
   Judged judged;
   double pushed = TINY;
   for (int i = 0; i < terms.count; ++i)
-    pushed = std::max(pushed, dot(at(terms.normals, i), vector(impulses + 3 * i)));
+    if (terms.host[i] < 0) pushed = std::max(pushed, dot(at(terms.normals, i), vector(impulses + 3 * i)));
   const auto worse = [](double& law, double amount) {
     if (law == law && !(amount <= law)) law = amount;  // NaN counts as the largest
   };
   for (int i = 0; i < terms.count; ++i) {
-    const Vector normal = at(terms.normals, i), impulse = vector(impulses + 3 * i), moving = vector(after + 3 * i);
-    const double leaving = dot(normal, moving), separation = leaving + terms.rebound[i];
-    const double pressing = dot(normal, impulse), mass = terms.inverse_mass[i];
-    const Vector tangential = impulse - pressing * normal, sliding = moving - leaving * normal;
+    const Vector normal = at(terms.normals, i), impulse = vector(impulses + 3 * i);
+    const Vector moving = vector(after + 3 * i) + at(terms.rebound, i);
+    const double mass = terms.inverse_mass[i];
+    if (const int host = terms.host[i]; host >= 0) {
+      const double carried = dot(at(terms.normals, host), vector(impulses + 3 * host));
+      const PointLaw law = linearise_turning(impulse, moving, normal, terms.friction[i], terms.spin[i], mass, carried);
+      worse(judged.friction, mass * norm(law.defect));
+      continue;
+    }
+    const double separation = dot(normal, moving), pressing = dot(normal, impulse);
+    const Vector tangential = impulse - pressing * normal, sliding = moving - separation * normal;
     worse(judged.penetration, -separation);
     worse(judged.complementarity, std::max(separation, 0.0) * std::max(pressing - terms.least[i], 0.0) / pushed);
     worse(judged.complementarity, mass * (terms.least[i] - pressing));

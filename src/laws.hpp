@@ -15,14 +15,19 @@ constexpr double ACCEPTED = 1e-10;   // m/s, |g F| accepted where rounding stops
 constexpr int ITERATIONS = 25;       // of Newton's method; most problems take five to ten
 constexpr double CONTINUATION[] = {1e-2, 1e-3, 1e-4, 1e-5, 1e-6, 1e-7};  // rho, where the final value fails at once
 
-// A problem at its m contact points; three numbers per point, in axes of A.
+// A problem at its m contacts; three numbers per contact, in axes of A. A contact is a point, with an impulse and a
+// velocity, or the turning of a point, with a moment and an angular velocity; these are over and times a length, so that
+// all contacts have one unit. Turning is held by the normal impulse of its point alone: |M_n| <= spin L_n about the normal
+// and |M_t| <= friction L_n across it, with both arms over the same length.
 struct Terms {
   int count = 0;
   std::vector<double> delassus;      // G = J_c H^-1 J_c^T, (3 m, 3 m) [1/kg]
   std::vector<double> approach;      // J_c u^-, (3 m) [m/s]
   std::vector<double> normals;       // into the object, (3 m)
   std::vector<double> friction;      // Coulomb coefficients, (m) [-]
-  std::vector<double> rebound;       // e J_n u^-, (m) [m/s]
+  std::vector<double> spin;          // of turnings, (m) [-]
+  std::vector<int> host;             // point of a turning; -1: a point, (m)
+  std::vector<double> rebound;       // velocity that restitution returns, e J u^-, (3 m) [m/s]
   std::vector<double> least;         // bound a of the normal impulses, (m) [N s]
   std::vector<double> inverse_mass;  // g, (m) [1/kg]
   double mobility = 0.0;             // 1 / m of the object [1/kg]
@@ -35,12 +40,13 @@ struct Terms {
 
 enum class State : char { open, stick, slide };
 
-// The laws at one point: dF = by_impulse dL + by_velocity ds + by_friction dmu.
+// The laws at one contact: dF = by_impulse dL + by_velocity ds + by_friction dmu + by_host dL_n of its point.
 struct PointLaw {
   Vector defect;
   Matrix by_impulse;
   Matrix by_velocity;
   Vector by_friction;
+  Vector by_host;
   State state;
   double margin;     // distance to another contact state [m/s]
   bool independent;  // whether F = L - L_0: nothing depends on a velocity
@@ -48,6 +54,10 @@ struct PointLaw {
 
 PointLaw linearise(const Vector& impulse, const Vector& velocity, const Vector& normal, double friction,
                    double inverse_mass, double least);
+
+// The same of a turning, with the normal impulse of its point.
+PointLaw linearise_turning(const Vector& moment, const Vector& velocity, const Vector& normal, double friction,
+                           double spin, double inverse_mass, double pressing);
 
 class Solver {
  public:
@@ -70,6 +80,7 @@ class Solver {
   void sweep(const Terms& terms, std::vector<double>& impulses, double yield);
   bool newton_step(const Terms& terms, double yield);
   bool step_by_root(const Terms& terms, double yield);
+  PointLaw law_of(const Terms& terms, const std::vector<double>& impulses, int contact) const;
   void velocities(const Terms& terms, const std::vector<double>& impulses, double yield);
 
   std::vector<PointLaw> laws_;

@@ -78,7 +78,8 @@ class TermsOfPython {
     take(terms_.approach, approach, size, "approach");
     take(terms_.normals, normals, size, "normals");
     take(terms_.friction, friction, count, "friction");
-    take(terms_.rebound, rebound, count, "rebound");
+    checked(rebound, count, "rebound");
+    for (py::ssize_t i = 0; i < size; ++i) terms_.rebound[i] = rebound.data()[i / 3] * terms_.normals[i];
     take(terms_.inverse_mass, inverse_mass, count, "inverse_mass");
     terms_.mobility = mobility;
     // In exact arithmetic it is symmetric.
@@ -180,19 +181,21 @@ struct ArmFields {
   }
 };
 
-using PointsOfPython = std::tuple<std::vector<int>, Numbers, Numbers, Numbers>;
+using PointsOfPython = std::tuple<std::vector<int>, std::vector<int>, Numbers, Numbers, Numbers, Numbers>;
 
 std::vector<Point> points_of(const PointsOfPython& given, int arms) {
-  const auto& [partner, position, normal, gap] = given;
+  const auto& [first, partner, position, normal, gap, law] = given;
   const py::ssize_t count = partner.size();
   checked(position, 3 * count, "points.position");
   checked(normal, 3 * count, "points.normal");
   checked(gap, count, "points.gap");
+  checked(law, 6 * count, "points.law");
   std::vector<Point> points;
   for (py::ssize_t i = 0; i < count; ++i) {
     if (partner[i] < 0 || partner[i] > arms) throw py::value_error("points.partner: there is no such arm");
+    const double* l = law.data() + 6 * i;
     points.push_back({partner[i], vector(position.data() + 3 * i), vector(normal.data() + 3 * i), {}, gap.data()[i],
-                      State::open});
+                      State::open, {l[0], l[1], l[2], l[3], l[4], l[5]}});
   }
   return points;
 }
@@ -219,7 +222,15 @@ py::tuple solve_impacts(py::ssize_t count, const py::sequence& arms, const py::s
 
   const py::ssize_t k = arm_fields.size(), size = joints + 6;
   std::vector<Point> known;
-  if (given) known = points_of(*given, static_cast<int>(k));
+  std::vector<int> where;
+  if (given) {
+    known = points_of(*given, static_cast<int>(k));
+    where = std::get<0>(*given);
+    const int most = static_cast<int>(known.size());
+    bool in_order = static_cast<py::ssize_t>(where.size()) == count + 1 && where.front() == 0 && where.back() == most;
+    for (std::size_t q = 1; q < where.size(); ++q) in_order = in_order && where[q - 1] <= where[q];
+    if (!in_order) throw py::value_error("points.first: expected N + 1 numbers in order");
+  }
   Numbers velocity({count, size}), twists({count, 6 * k}), residual({count, py::ssize_t{4}}),
       energy({count, py::ssize_t{2}});
   py::array_t<int> status(count), steps(count), first(count + 1), partner, state;
@@ -230,8 +241,7 @@ py::tuple solve_impacts(py::ssize_t count, const py::sequence& arms, const py::s
            *e = energy.mutable_data();
     int *s = status.mutable_data(), *n = steps.mutable_data(), *f = first.mutable_data();
     const py::gil_scoped_release others_may_run;
-    Impact impact({std::get<0>(rules), std::get<1>(rules), std::get<2>(rules), std::get<3>(rules)},
-                  given ? &known : nullptr);
+    Impact impact({std::get<0>(rules), std::get<1>(rules), std::get<2>(rules), std::get<3>(rules)});
     std::vector<ArmState> states_of_arms(k);
     f[0] = 0;
     for (py::ssize_t q = 0; q < count; ++q) {
@@ -240,7 +250,8 @@ py::tuple solve_impacts(py::ssize_t count, const py::sequence& arms, const py::s
       const auto& c = of_contact;
       const Status found = impact.solve(
           states_of_arms, {o[0](q), o[1](q), o[2](q), o[3](q), o[4](q), o[5](q), o[6](q)},
-          {c[0](q), c[1](q), c[2](q), of_support.empty() ? nullptr : of_support[0](q)});
+          {c[0](q), c[1](q), c[2](q), of_support.empty() ? nullptr : of_support[0](q)},
+          given ? known.data() + where[q] : nullptr, given ? known.data() + where[q + 1] : nullptr);
       s[q] = static_cast<int>(found);
       n[q] = impact.steps;
       if (found == Status::unsound) {

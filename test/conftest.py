@@ -142,7 +142,7 @@ def mixed_trial(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-HIDDEN_FRICTION = 1.6  # times the friction of the support that the scenario says
+HIDDEN_FRICTION = 0.18  # more friction of the support than the scenario says
 CONSIDERED = ["support_friction"]  # few, because every effect costs twin rollouts
 
 

@@ -77,8 +77,8 @@ def test_examples_run_and_say_what_is_so(
     assert bag.outcome == "OK"
     monkeypatch.setenv("XDG_CACHE_HOME", str(diagnosed.parent / "cache"))
     document = example.main(hidden_campaign, ["support_friction"])
-    found = document.effect("support_friction").parameters["scale"]
-    assert found.estimate == pytest.approx(1.6, abs=0.1)
+    found = document.effect("support_friction").parameters["friction"]
+    assert found.estimate == pytest.approx(0.18, abs=0.03)
 
     printed = capsys.readouterr().out
     for line in ("motor inertia reduced: -0.5", "95 % interval", "impact at 0.", "model 'nominal' against 3 trials"):

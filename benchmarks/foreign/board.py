@@ -21,7 +21,7 @@ from typing import Any
 from benchmarks.board import Entry, Row, arguments, run_board, share
 from benchmarks.foreign.campaign import OUTSIDE, make_campaign
 from benchmarks.foreign.cell import UNKNOWN_HERE
-from impact_rs_sim.effects import library
+from impact_rs_sim.effects import of_trials
 from impact_rs_trials.blind import RUNS, TRUTH
 from impact_rs_trials.workers import Map
 
@@ -33,7 +33,7 @@ FIRST_SEED = 1000  # campaigns of benchmarks.blind have other seeds
 
 def matrix(seeds: int) -> list[Entry]:
     """Every campaign of the board, each with a seed of its own; what comes first says most, should time run out."""
-    singles = [("single", name, size) for size in MAGNITUDES for name in library() if name not in UNKNOWN_HERE]
+    singles = [("single", name, size) for size in MAGNITUDES for name in of_trials() if name not in UNKNOWN_HERE]
     outsides = [("outside", name, size) for size in OUTSIDE_MAGNITUDES for name in OUTSIDE]
     nulls: list[tuple[str, str | None, float | None]] = [("null", None, None)] * NULLS
     wanted: list[tuple[str, str | None, float | None]] = [*nulls, *singles, *outsides]

@@ -30,7 +30,7 @@ from benchmarks.foreign.cell import UNKNOWN_HERE, Modification, MujocoCell
 from benchmarks.foreign.discrepancy import oblique
 from examples.laboratory import EXPERIMENT, START, STORE, messages
 from impact_rs_analysis.diagnosis.scoring import held_against_truth
-from impact_rs_sim.effects import library
+from impact_rs_sim.effects import of_trials
 from impact_rs_sim.physics import Physics
 from impact_rs_sim.robot import Array
 from impact_rs_sim.robot_model import RobotModel
@@ -237,7 +237,7 @@ def run(entry: Entry, directory: Path, map_tasks: Map) -> Row:
 
 def matrix() -> list[Entry]:
     """Every campaign, what says most first."""
-    known = [name for name in library() if name not in UNKNOWN_HERE]
+    known = [name for name in of_trials() if name not in UNKNOWN_HERE]
     wanted: list[tuple[str, str | None, float | None]] = [("single", name, MAGNITUDE) for name in known]
     wanted += [("null", None, None)] * NULLS
     wanted += [("outside", name, OUTSIDE_MAGNITUDE) for name in OUTSIDE]

@@ -23,6 +23,7 @@ from impact_rs_analysis.diagnosis.null_distribution import NullDistribution, com
 from impact_rs_analysis.evidence.cluster import Added, Cluster
 from impact_rs_analysis.evidence.source import Source
 from impact_rs_sim.effects import Effect, Parameter
+from impact_rs_sim.effects.base import Joints
 from impact_rs_sim.robot import Array
 
 PROBES = (0.25, 0.5, 1.0)  # shares of the way to the ends of a range, where an effect is looked for
@@ -128,6 +129,13 @@ class Candidate:
             jacobian[:, index] = column
         return replace(self, jacobians=jacobians)
 
+    def steps(self, effect: Effect, part: slice, joints: Joints) -> Array:
+        """Finite-difference steps of one effect, away from a bound under the physics at hand, ``(p,)``."""
+        steps = effect.steps(joints, self.point[part])
+        there = self.point[part] + steps
+        beyond = (there < self.lower[part]) | (there > self.upper[part])
+        return np.where(beyond, -steps, steps)
+
     def only(self, clusters: Sequence[int]) -> Candidate:
         """The candidate restricted to some clusters, by number."""
         return replace(
@@ -216,9 +224,7 @@ def wanted(candidate: Candidate, numbers: Sequence[int], source: Source, share: 
         for effect, part in candidate.parts:
             if not concerns(effect, source.clusters[number]):
                 continue
-            for index, step in zip(
-                range(part.start, part.stop), effect.steps(joints, candidate.point[part]), strict=True
-            ):
+            for index, step in zip(range(part.start, part.stop), candidate.steps(effect, part, joints), strict=True):
                 moved = candidate.point.copy()
                 moved[index] += share * step
                 result.append((number, candidate.split(moved)))
@@ -257,9 +263,7 @@ def linearise(
         for effect, part in candidate.parts:
             if not concerns(effect, item):
                 continue
-            for index, step in zip(
-                range(part.start, part.stop), effect.steps(joints, candidate.point[part]), strict=True
-            ):
+            for index, step in zip(range(part.start, part.stop), candidate.steps(effect, part, joints), strict=True):
                 there = next(results)
                 if there is None:
                     return None

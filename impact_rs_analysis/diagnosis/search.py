@@ -89,6 +89,7 @@ class Search:
         self.unmeasured: set[str] = set()
         self.ended: dict[tuple[str, ...], Candidate] = {}
         self._starts: dict[str, Candidate] = {}
+        self._unseen: dict[str, Candidate] = {}
         self._screen(effects)
         self.ruled_out = self._absent_in_free_motion()
 
@@ -104,6 +105,7 @@ class Search:
             found = self._seen_from_afar(found)
             if all(np.all(jacobian == 0.0) for jacobian in found.jacobians):
                 self.unmeasured.add(found.names[0])
+                self._unseen[found.names[0]] = found
             else:
                 self.singles[found.names[0]] = found
 
@@ -126,6 +128,31 @@ class Search:
                 candidate = candidate.with_sensitivity(index, columns)
                 break
         return candidate
+
+    def _look_beside(self, chosen: Fit) -> None:
+        """Sensitivities of effects that change something beside the chosen ones alone.
+
+        A contact without friction throws no slip back, until there is friction in the model.
+        """
+        clusters, numbers, source = self.evidence.clusters, self.evidence.numbers, self.source
+        base = chosen.candidate.split(chosen.estimate)
+        for name in sorted(self.unmeasured):
+            candidate = self._unseen[name]
+            (effect,) = candidate.effects
+            for index, step in enumerate(candidate.steps(effect, slice(None), source.joints)):
+                if candidate.scalars[index].shape:
+                    continue
+                values = candidate.point.copy()
+                values[index] += step
+                added = (*base, *candidate.split(values))
+                changes = source.differences(numbers, base, added, "effects beside the chosen ones")
+                if any(change is None for change in changes) or not any(np.any(change) for change in changes):
+                    continue
+                steps = step / candidate.scale[index]
+                columns = [np.asarray(c) / item.sigma / steps for c, item in zip(changes, clusters, strict=True)]
+                candidate = candidate.with_sensitivity(index, columns)
+                self.singles[name] = candidate
+                self.unmeasured.discard(name)
 
     def _linearised(self, candidate: Candidate, evidence: Evidence | None = None) -> Candidate | None:
         evidence = evidence or self.evidence
@@ -218,6 +245,7 @@ class Search:
                 break
             chosen = measure_again(best)
             self._keep(chosen)
+            self._look_beside(chosen)
         return chosen
 
     def _keep(self, fitted: Fit) -> None:

@@ -28,13 +28,14 @@ largest effect of a missing term would then have the smallest weight in its esti
 
 from __future__ import annotations
 
+from collections import OrderedDict
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 
-from impact_rs_analysis.evidence.cluster import TIMES, Added, Cluster, Feature, pooled_error
+from impact_rs_analysis.evidence.cluster import TIMES, Added, Cluster, Feature, pooled_error, size_of
 from impact_rs_analysis.evidence.levels import (
     Comparison,
     ConditionScore,
@@ -44,18 +45,18 @@ from impact_rs_analysis.evidence.levels import (
     where_of,
     where_of_blocks,
 )
+from impact_rs_analysis.evidence.neighbour_noise import noise_of_neighbours
 from impact_rs_analysis.evidence.source import Identity, Source, with_per_arm_parameters
 from impact_rs_analysis.evidence.tracks import ComparedSignal, Track
 from impact_rs_sim.errors import InputError, NotABody
 from impact_rs_sim.impact_map.contacts import contact_frame
-from impact_rs_sim.impact_map.measured import MeasuredImpact, restitution_of, solve_measured
-from impact_rs_sim.impact_map.problem import ImpactMapError
+from impact_rs_sim.impact_map.laws import System
+from impact_rs_sim.impact_map.measured import MeasuredImpact, MeasuredImpacts, restitution_of
 from impact_rs_sim.model import Model
 from impact_rs_sim.physics import Physics
 from impact_rs_sim.robot import Array
-from impact_rs_sim.robot_model import RobotModel
 from impact_rs_trials.recordings.impact_checks import doubts_of
-from impact_rs_trials.recordings.impact_table import ImpactTable
+from impact_rs_trials.recordings.impact_table import WIDER, ImpactTable
 from impact_rs_trials.workers import Map
 
 BLOCKS = 24  # at most: of 24 blocks a fold leaves 18 for the search, and the test needs 12
@@ -65,6 +66,9 @@ RELEVANT_LINEAR = 0.005  # m/s; resolution of body velocities by motion capture
 RELEVANT_ANGULAR = 0.05  # rad/s; the same at a lever of 0.1 m
 RELEVANT_JOINT = 0.005  # rad/s; the same at a lever of 1 m; m/s for a prismatic joint
 LEAST_SCALE = 1e-6  # m/s; a model with smaller residuals is exact
+KEPT = 128_000_000  # bytes of predictions of the whole table, with effects that were tried last
+TELLING = 0.8  # of what the model leaves; scatter of neighbours above it says nothing
+DECIDES = 0.3  # of what the model leaves; contacts that move predictions by more may decide
 GAINED = 1.05  # kinetic energy after over before; rows above it are reported
 
 JOINTS, LINEAR, ANGULAR = "joint velocity after", "velocity after", "angular velocity after"
@@ -82,7 +86,6 @@ NO_NOISE = (
     "the noise is not known: there are neither repeats nor columns 'v_noise [m/s]' and 'w_noise [rad/s]'; unexplained "
     "residuals may be noise"
 )
-
 
 WHAT = "velocities just after every impact, measured and predicted by the impact map from the state before"
 SIZE_REPEATED = (
@@ -129,16 +132,19 @@ class ImpactTableSource(Source):
     def __init__(self, table: ImpactTable, model: Model, each_arm: bool = False) -> None:
         model = with_per_arm_parameters(model, [row.physics for row in table.rows], each_arm)
         self.table, self.model = table, model
-        self._applied: dict[tuple[int, Added], Physics | None] = {}
-        self._models: dict[int, dict[str, RobotModel]] = {}
-        self._known: dict[tuple[int, bytes], Array] = {}
-        for row in table.rows:
-            self._applied.setdefault((id(row.physics), ()), model.apply(row.physics))
-        self._worlds = [physics for physics in self._applied.values() if physics is not None]
+        distinct = {id(row.physics): row.physics for row in table.rows}
+        places = {number: place for place, number in enumerate(distinct)}
+        self._world_of = [places[id(row.physics)] for row in table.rows]
+        self._worlds = [model.apply(physics) for physics in distinct.values()]
         self.physics = self._worlds[0]
-        self._axes = [_axes_of(row.impact) for row in table.rows]
-        self.measured = np.array([_turned(row.after, axes) for row, axes in zip(table.rows, self._axes, strict=True)])
-        self.predicted = self._predict_all()
+        self._impacts = MeasuredImpacts([row.impact for row in table.rows], self._of_rows(self._worlds))
+        self._effects = model.known_effects
+        self._known: OrderedDict[bytes, Array] = OrderedDict()
+        self._axes = np.array([_axes_of(row.impact) for row in table.rows])
+        self._seen = slice(None) if table.joints else slice(-6, None)
+        self.measured = _turned(np.array([row.after for row in table.rows]), self._axes)[:, self._seen]
+        self.predicted = self.predicted_with(())
+        self.noise = None if table.noise is None else table.noise[:, self._seen]
         groups = _conditions(table)
         self.repeated = groups is not None
         self._groups = tuple(_blocks(table) if groups is None else groups)
@@ -157,7 +163,7 @@ class ImpactTableSource(Source):
     def signals(self) -> tuple[Feature, ...]:
         """Description of the entries of a row, the same for all rows, ``nv`` of them."""
         found = []
-        for name in self.table.rows[0].impact.arms:
+        for name in self.table.rows[0].impact.arms if self.table.joints else ():
             label = f"{name}." if len(self.table.arms) > 1 else ""
             for joint, units in enumerate(self.table.rows[0].physics.arms[name].facts.units, start=1):
                 found.append(Feature("impact", JOINTS, f"{label}joint{joint}", 0, units.velocity, RELEVANT_JOINT, name))
@@ -167,18 +173,23 @@ class ImpactTableSource(Source):
         return tuple(found)
 
     @cached_property
+    def _systems(self) -> tuple[System, ...]:
+        """Inertia and kinematics of every row under the model."""
+        models = [physics.robot_models() for physics in self._worlds]
+        return tuple(
+            row.impact.system(self._worlds[world], models[world])
+            for row, world in zip(self.table.rows, self._world_of, strict=True)
+        )
+
+    @cached_property
     def worth(self) -> Array:
         """Velocity of the body with the energy of 1 rad/s or 1 m/s, ``(rows, nv)`` [m, -]; see the module."""
-        found = []
-        for number in range(len(self.table.rows)):
-            physics = self._physics(number, ())
-            assert physics is not None
-            system = self.table.rows[number].impact.system(physics, self._robots(physics))
-            axes = self._axes[number]
-            turned = np.array([_turned(column, axes) for column in system.inertia.T])  # H T^T, with T the axes
-            diagonal = np.diag([_turned(column, axes) for column in turned.T])
-            found.append(np.sqrt(diagonal / physics.object.mass))
-        return np.array(found)
+        inertia = np.array([system.inertia for system in self._systems])
+        turned = inertia.copy()  # H T^T, then T H T^T, with T the axes
+        turned = np.swapaxes(_turned_all(turned, self._axes), 1, 2)
+        diagonal = np.einsum("nii->ni", _turned_all(turned, self._axes))
+        masses = np.array([self._worlds[world].object.mass for world in self._world_of])
+        return np.asarray(np.sqrt(diagonal / masses[:, None])[:, self._seen])
 
     def residual_weight(self, item: Cluster) -> Array:
         """See :meth:`Source.residual_weight`; the mean over all entries of a row times their number is d^2."""
@@ -190,19 +201,21 @@ class ImpactTableSource(Source):
     def predict(self, wanted: Sequence[tuple[int, Added]], what: str) -> list[Array | None]:
         """See :meth:`Source.predict`."""
         del what
+        answers = {added: self._answers(added) for added in dict.fromkeys(added for _, added in wanted)}
         found: list[Array | None] = []
         for number, added in wanted:
-            rows = self._rows(number, added)
+            rows = self._rows(number, answers[added])
             found.append(None if rows is None else rows.mean(axis=0) if self.repeated else rows.ravel())
         return found
 
     def measure_again(self, added: Added, like: Sequence[Cluster]) -> list[Cluster] | None:
         """See :meth:`Source.measure_again`; every repeat starts from its own state."""
         numbers = {item.name: number for number, item in enumerate(self.clusters)}
+        answers = self._answers(added)
         result = []
         for item in like:
             number = numbers[item.name]
-            rows = self._rows(number, added)
+            rows = self._rows(number, answers)
             if rows is None:
                 return None
             rest = self.measured[list(self._groups[number].rows)] - rows
@@ -215,7 +228,14 @@ class ImpactTableSource(Source):
         Raises:
             InputError: The effects give a body without positive inertia, or some row has no solution.
         """
-        return self._predict_all(added)
+        found = self._answers(added)
+        if found is None:
+            raise InputError("with these effects the body has no positive inertia", file=self.table.path)
+        unsolved = np.flatnonzero(np.isnan(found).any(axis=1))
+        if unsolved.size:
+            row = self.table.rows[unsolved[0]]
+            raise InputError("no velocities obey the contact laws", file=self.table.path, key=f"row {row.number}")
+        return found
 
     def size(self) -> float:
         """See :meth:`Source.size`; without repeats, root mean square over the rows of d of the module [m/s]."""
@@ -227,9 +247,9 @@ class ImpactTableSource(Source):
         """Value of :meth:`size` if only noise is left; None if the noise is not known."""
         if self.repeated:
             return super().noise_size()
-        if self.table.noise is None:
+        if self.noise is None:
             return None
-        return float(np.sqrt(np.mean(np.sum(np.square(self.table.noise * self.worth), axis=1))))
+        return float(np.sqrt(np.mean(np.sum(np.square(self.noise * self.worth), axis=1))))
 
     def compare_levels(self) -> Comparison:
         """See :meth:`Source.compare_levels`: the velocities just after the impact."""
@@ -261,77 +281,53 @@ class ImpactTableSource(Source):
             for label, values in predictions.items()
         )
 
-    def _predict_all(self, added: Added = ()) -> Array:
-        found = []
-        for number, row in enumerate(self.table.rows):
-            physics = self._physics(number, added)
-            if physics is None:
-                raise InputError("with these effects the body has no positive inertia", file=self.table.path)
-            try:
-                found.append(self._solve(number, physics))
-            except ImpactMapError as error:
-                raise InputError(str(error), file=self.table.path, key=f"row {row.number}") from None
-        return np.array(found)
-
     @property
     def worlds(self) -> Sequence[Physics]:
         """See :attr:`Source.worlds`."""
         return self._worlds
 
-    def _rows(self, number: int, added: Added) -> Array | None:
-        """u^+ of the rows of a cluster, ``(n, nv)``; None without a solution."""
-        found = []
-        for row in self._groups[number].rows:
-            physics = self._physics(row, added)
-            if physics is None:
-                return None
-            try:
-                found.append(self._solve(row, physics))
-            except ImpactMapError:
-                return None
-        return np.array(found)
+    def _of_rows(self, worlds: Sequence[Physics]) -> list[Physics]:
+        """The physics of every row."""
+        return [worlds[place] for place in self._world_of]
 
-    def _physics(self, number: int, added: Added) -> Physics | None:
-        """Physics of a row with added effects; None if they give a body without positive inertia."""
-        base = id(self.table.rows[number].physics)
-        if (base, added) not in self._applied:
-            physics = self._applied[base, ()]
-            known = self.model.known_effects
-            try:
-                assert physics is not None
-                for name, values in added:
-                    physics = known[name].apply_vector(physics, np.array(values))
-                self._applied[base, added] = physics
-            except NotABody:
-                self._applied[base, added] = None
-        return self._applied[base, added]
+    def _rows(self, number: int, answers: Array | None) -> Array | None:
+        """u^+ of the rows of a cluster out of those of all rows, ``(n, nv)``; None without a solution."""
+        rows = None if answers is None else answers[list(self._groups[number].rows)]
+        return None if rows is None or np.isnan(rows).any() else rows
 
-    def _solve(self, number: int, physics: Physics) -> Array:
-        """u^+ of one row as a feature, ``(nv,)``; cached by everything the map depends on."""
-        key = (number, _what_the_map_knows(physics))
+    def _answers(self, added: Added) -> Array | None:
+        """u^+ of all rows as features, ``(rows, nv)``, nan where there is none; None: no positive inertia.
+
+        All rows are solved together, whoever asks for some of them, and kept by everything the map depends on.
+        """
+        worlds = self._worlds
+        try:
+            for name, values in added:
+                worlds = [self._effects[name].apply_vector(physics, np.array(values)) for physics in worlds]
+        except NotABody:
+            return None
+        key = b"".join(_what_the_map_knows(physics) for physics in worlds)
         if key not in self._known:
-            impact = self.table.rows[number].impact
-            velocity, _ = solve_measured(physics, impact, self._robots(physics), may_gain_energy=True)
-            self._known[key] = _turned(velocity, self._axes[number])
+            velocity, _ = self._impacts.solve(self._of_rows(worlds))
+            self._known[key] = _turned(velocity, self._axes)[:, self._seen]
+            while sum(values.nbytes for values in self._known.values()) > KEPT:
+                self._known.popitem(last=False)
+        self._known.move_to_end(key)
         return self._known[key]
-
-    def _robots(self, physics: Physics) -> dict[str, RobotModel]:
-        """Rigid-body models, cached by id; the cached physics are kept alive, so ids stay unique."""
-        if id(physics) not in self._models:
-            self._models[id(physics)] = physics.robot_models()
-        return self._models[id(physics)]
 
     def _clusters(self) -> tuple[Cluster, ...]:
         rest = self.measured - self.predicted
         limit = np.array([feature.relevance_limit for feature in self.signals]) / 2.0
         if self.repeated:
-            pure = pooled_error([rest[list(group.rows)] for group in self._groups])
-            assert pure is not None
+            pooled = pooled_error([rest[list(group.rows)] for group in self._groups])
+            assert pooled is not None
+            self._pooled, stated = pooled, self._stated_noise()
+            pure = pooled if stated is None else np.maximum(pooled, stated)
             sigma = np.broadcast_to(np.hypot(pure, limit), rest.shape)
             noise = np.broadcast_to(pure, rest.shape)
         else:
             sigma = max(self.size() / np.sqrt(len(self.signals)), LEAST_SCALE) / self.worth
-            noise = np.zeros_like(rest) if self.table.noise is None else self.table.noise
+            noise = np.zeros_like(rest) if self.noise is None else self.noise
         return tuple(self._cluster(group, rest, sigma, noise) for group in self._groups)
 
     def _cluster(self, group: _Group, rest: Array, sigma: Array, noise: Array) -> Cluster:
@@ -365,9 +361,29 @@ class ImpactTableSource(Source):
         remarks = [*doubts_of(self.table), *self.table.assumed, NO_DISCREPANCY_KNOWN]
         if not self.repeated:
             remarks.append(NO_REPEATS)
-            if self.table.noise is None:
+            if self.noise is None:
                 remarks.append(NO_NOISE)
-        gained = [row.number for number, row in enumerate(self.table.rows) if self._energy_ratio(number) > GAINED]
+                scatter = self.scatter_of_neighbours(self.measured - self.predicted)
+                if scatter is not None and scatter < TELLING * self.size():
+                    remarks.append(
+                        f"impacts of neighbouring states scatter by {scatter:.3g} m/s: what the model leaves "
+                        "beyond that is no noise"
+                    )
+        if self.table.arms and self.table.joints and self.repeated:
+            joints, body = self._size_of(joints=True), self._size_of(joints=False)
+            remarks.append(
+                f"apart: joints {joints:.3g}, object {body:.3g} times repeatability; an arm on a real impact also does "
+                "what no rigid map can"
+            )
+        if (unsure := self._unsure_contacts()) is not None:
+            remarks.append(unsure)
+        if self.repeated and (stated := self._stated_noise()) is not None:
+            ratio = float(np.sqrt(np.mean(np.square(self._pooled / np.maximum(stated, LEAST_SCALE)))))
+            remarks.append(
+                f"repeats scatter {ratio:.2g} times as much as the noise columns say; of every velocity the larger of "
+                "both counts"
+            )
+        gained = [row.number for row, ratio in zip(self.table.rows, self._gained(), strict=True) if ratio > GAINED]
         if gained:
             shown = ", ".join(str(number) for number in gained[:5]) + (" ..." if len(gained) > 5 else "")
             remarks.append(
@@ -379,14 +395,65 @@ class ImpactTableSource(Source):
             remarks.append(f"columns that are not used: {', '.join(self.table.unread)}")
         return remarks
 
-    def _energy_ratio(self, number: int) -> float:
-        """Measured kinetic energy after over before [-]."""
-        physics = self._physics(number, ())
-        assert physics is not None
-        system = self.table.rows[number].impact.system(physics, self._robots(physics))
-        velocities = (system.velocity, self.table.rows[number].after)
-        before, after = (float(u @ system.inertia @ u) for u in velocities)
-        return after / max(before, 1e-300)
+    def _size_of(self, joints: bool) -> float:
+        """Value of :meth:`size` of the joints alone, or of the object alone."""
+        parts = [
+            item.only([(feature.signal == JOINTS) == joints for feature in item.features], contact=True)
+            for item in self.clusters
+        ]
+        return size_of([part.error for part in parts], [part.expected for part in parts])
+
+    def _unsure_contacts(self) -> str | None:
+        """How much depends on where bodies touch; None: nothing, or points were measured."""
+        rows = [(number, row.wider) for number, row in enumerate(self.table.rows) if row.wider is not None]
+        if not rows:
+            return None
+        numbers = [number for number, _ in rows]
+        physics = [self._worlds[self._world_of[number]] for number in numbers]
+        velocity, _ = MeasuredImpacts([impact for _, impact in rows], physics).solve(physics)
+        moved = np.zeros_like(self.predicted)
+        moved[numbers] = np.nan_to_num(_turned(velocity, self._axes[numbers])[:, self._seen] - self.predicted[numbers])
+        size = float(np.sqrt(np.mean(np.sum(np.square(moved * self.worth), axis=1))))
+        whole = float(np.sqrt(np.mean(np.sum(np.square((self.measured - self.predicted) * self.worth), axis=1))))
+        turns = "; so much that it may decide the verdict" if size > DECIDES * whole else ""
+        return (
+            f"which points touch is unsure in {len(rows)} of {len(self.table.rows)} rows: with "
+            f"{1e3 * WIDER * self.table.tolerance:g} in place of {1e3 * self.table.tolerance:g} mm predictions move by "
+            f"{size:.2g} m/s, beside {whole:.2g} m/s between measurement and model{turns} (--contact-tolerance)"
+        )
+
+    def scatter_of_neighbours(self, rest: Array) -> float | None:
+        """Size of what rows with nearly the same state before differ by, an upper limit of the noise [m/s].
+
+        The state of a free body is its twist and the place of its contact, in contact axes.
+
+        Args:
+            rest: What a model leaves of ``measured``, ``(rows, nv)``; the smoother, the lower is the limit.
+
+        Returns:
+            None with too few rows, or with arms, whose states have too many coordinates.
+        """
+        if self.table.arms:
+            return None
+        before = _turned(np.array([row.impact.object.twist for row in self.table.rows]), self._axes)
+        levers = [
+            axes @ (np.mean([point.position for point in row.impact.points], axis=0) - row.impact.object.position)
+            for row, axes in zip(self.table.rows, self._axes, strict=True)
+        ]
+        found = noise_of_neighbours(np.hstack((before, levers)), rest)
+        return None if found is None else float(np.sqrt(np.mean(np.sum(np.square(found * self.worth), axis=1))))
+
+    def _stated_noise(self) -> Array | None:
+        """Standard deviation of the noise columns by feature, ``(nv,)``; None: there are none."""
+        return None if self.noise is None else np.sqrt(np.mean(np.square(self.noise), axis=0))
+
+    def _gained(self) -> Array:
+        """Measured kinetic energy after over before, ``(rows,)`` [-]."""
+        found = []
+        for row, system in zip(self.table.rows, self._systems, strict=True):
+            before, after = (float(u @ system.inertia @ u) for u in (system.velocity, row.after))
+            found.append(after / max(before, 1e-300))
+        return np.array(found)  # nan where joints were not measured after
 
 
 def _conditions(table: ImpactTable) -> list[_Group] | None:
@@ -426,15 +493,24 @@ def _axes_of(impact: MeasuredImpact) -> Array:
 
 
 def _turned(velocity: Array, axes: Array) -> Array:
-    """u ``(nv,)`` with velocity and angular velocity of the body expressed in other axes."""
-    count = velocity.size - 6
-    return np.concatenate((velocity[:count], axes @ velocity[count : count + 3], axes @ velocity[count + 3 :]))
+    """u ``(rows, nv)`` with velocity and angular velocity of the body expressed in the axes of every row."""
+    return _turned_all(velocity[:, :, None], axes)[:, :, 0]
+
+
+def _turned_all(columns: Array, axes: Array) -> Array:
+    """As :func:`_turned`, of several columns at once, ``(rows, nv, k)``."""
+    result = columns.copy()
+    for place in (-6, -3):
+        own = slice(place, place + 3 or None)
+        result[:, own] = axes @ columns[:, own]
+    return result
 
 
 def _what_the_map_knows(physics: Physics) -> bytes:
     """All numbers that the solution of an impact map depends on, besides its state."""
     body = physics.object
-    parts = [np.array([physics.support_friction, physics.pad_friction, restitution_of(physics)]), body.com_offset]
+    contact = (physics.support_friction, physics.pad_friction, restitution_of(physics), physics.rolling_arm)
+    parts = [np.array(contact), body.com_offset]
     if physics.arms:
         parts += [np.array([body.mass]), body.inertia]
     else:
@@ -444,4 +520,5 @@ def _what_the_map_knows(physics: Physics) -> bytes:
         tool = arm.end_effector
         parts += [np.array([tool.mass, tool.length, tool.mount_yaw]), tool.com, tool.inertia.ravel()]
         parts += [arm.motor_inertia_reduced, arm.base.homogeneous.ravel()]
-    return b"".join(np.ascontiguousarray(part, dtype=float).tobytes() for part in parts)
+    numbers = b"".join(np.ascontiguousarray(part, dtype=float).tobytes() for part in parts)
+    return numbers + repr(physics.contact_laws).encode()

@@ -18,6 +18,7 @@ from impact_rs_analysis.evidence.measured_runs import MeasuredRun, Runs
 from impact_rs_analysis.evidence.replay_cache import Replay, ReplayCache
 from impact_rs_analysis.evidence.source import Identity, Item, Made, Source, with_per_arm_parameters
 from impact_rs_analysis.evidence.tracks import Track, tracks_of_runs
+from impact_rs_sim.effects.base import SINGLE_IMPACT
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.model import Model
 from impact_rs_sim.physics import Physics
@@ -278,8 +279,14 @@ class ReplaySource(Source):
     def predict(self, wanted: Sequence[tuple[int, Added]], what: str) -> list[Array | None]:
         """See :meth:`Source.predict`; the first run of every condition is replayed."""
         return self.store(
-            [Replay(self.conditions[number][0].setup, self.model, added) for number, added in wanted], what
+            [Replay(self.conditions[number][0].setup, self.model, self._of_trials(added)) for number, added in wanted],
+            what,
         )
+
+    def _of_trials(self, added: Added) -> Added:
+        """The effects without those that only tables of impacts have: they change no replay."""
+        known = self.model.known_effects
+        return tuple(item for item in added if known[item[0]].phases != SINGLE_IMPACT)
 
     def spread(self, function: Callable[[Source, Item], Made], items: Sequence[Item], what: str) -> list[Made]:
         """See :meth:`Source.spread`; every process gets a copy of the replays made so far."""

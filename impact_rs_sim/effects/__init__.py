@@ -12,17 +12,20 @@ import functools
 from importlib.metadata import entry_points
 
 from impact_rs_sim.effects.actuation import ACTUATION_DELAY, TORQUE_GAIN, TORQUE_OFFSET
-from impact_rs_sim.effects.base import ArmEffect, Effect, Parameter, SceneEffect
+from impact_rs_sim.effects.base import SINGLE_IMPACT, ArmEffect, Effect, Parameter, SceneEffect
 from impact_rs_sim.effects.contact import (
+    DRILLING_FRICTION,
     PAD_COMPLIANCE,
     PAD_CREEP,
     PAD_FRICTION,
     PAD_SHEAR,
     PAD_TILT,
     RESTITUTION,
+    RESTITUTION_FALL,
     ROLLING_RESISTANCE,
     SUPPORT_COMPLIANCE,
     SUPPORT_FRICTION,
+    TANGENTIAL_RESTITUTION,
 )
 from impact_rs_sim.effects.joint import JOINT_STIFFNESS
 from impact_rs_sim.effects.link import END_EFFECTOR_PAYLOAD
@@ -31,7 +34,7 @@ from impact_rs_sim.effects.object import OBJECT_COM_OFFSET, OBJECT_MASS
 from impact_rs_sim.effects.surroundings import BASE_TILT, EXTERNAL_SPRING
 from impact_rs_sim.errors import InputError
 
-__all__ = ["ArmEffect", "Effect", "Parameter", "SceneEffect", "library"]
+__all__ = ["ArmEffect", "Effect", "Parameter", "SceneEffect", "library", "of_trials"]
 
 ENTRY_POINT_GROUP = "impact_rs.effects"
 BUILT_IN: tuple[Effect, ...] = (
@@ -57,6 +60,9 @@ BUILT_IN: tuple[Effect, ...] = (
     PAD_TILT,
     SUPPORT_COMPLIANCE,
     ROLLING_RESISTANCE,
+    RESTITUTION_FALL,
+    TANGENTIAL_RESTITUTION,
+    DRILLING_FRICTION,
 )
 
 
@@ -80,3 +86,8 @@ def library() -> dict[str, Effect]:
             raise InputError(f"entry point {entry.value!r}: there is already an effect called {effect.name!r}")
         effects[effect.name] = effect
     return effects
+
+
+def of_trials() -> dict[str, Effect]:
+    """The effects of the library that act in trials; the others are of tables of impacts alone."""
+    return {name: effect for name, effect in library().items() if effect.phases != SINGLE_IMPACT}

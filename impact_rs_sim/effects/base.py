@@ -41,6 +41,8 @@ SLIDING = {
     "kg m^2": ("kg", 1.0 / PINION**2),
 }
 
+SINGLE_IMPACT = ("impact",)  # phases of effects that only tables of impacts have
+
 Joints = int | Sequence[JointType]  # of an arm: how many there are, if all of them turn, or how each of them moves
 Values = dict[str, Array]  # by parameter name: (n,) for a parameter per joint, (1,) otherwise, in its unit
 
@@ -157,7 +159,7 @@ class Effect(ABC):
         acts_on: Where it acts: motor side, actuation, joint torque, link inertia, contact, object, scene.
         sentence: One sentence for the user.
         parameters: What can be fitted.
-        phases: Where it is observable: ``free`` motion, ``contact``, or both.
+        phases: Where it is observable: ``free`` motion, ``contact``, or both; ``impact``: in tables of impacts alone.
     """
 
     name: str

@@ -1,5 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Effects at the contacts: restitution, stiffness, friction, mounting of pads; friction, stiffness of the support."""
+"""Effects at the contacts: restitution, stiffness, friction, mounting of pads; friction, stiffness of the support.
+
+Those of a single impact act in tables of impacts alone (:mod:`impact_rs_sim.impact_map.contact_laws`). In a trial the
+pad has a stiffness and a damping of its own, and what an impact does follows from them.
+"""
 
 from __future__ import annotations
 
@@ -7,8 +11,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from impact_rs_sim.effects.base import ArmEffect, Parameter, SceneEffect, Values, number
-from impact_rs_sim.physics import ArmPhysics, Physics
+from impact_rs_sim.effects.base import SINGLE_IMPACT, ArmEffect, Parameter, SceneEffect, Values, number
+from impact_rs_sim.physics import ArmPhysics, ContactCondition, ContactLaw, Physics
 from impact_rs_sim.robot import Array
 
 REDUCED_MASS = 1.0  # kg, of arm and object together; turns a coefficient into a damping
@@ -23,6 +27,38 @@ class RestitutionEffect(SceneEffect):
         lower, upper = super().bounds(physics)
         assumed = physics.restitution + physics.bounce
         return np.minimum(lower, 0.0 - assumed), np.minimum(upper, 1.0 - assumed)
+
+
+@dataclass(frozen=True)
+class FrictionEffect(SceneEffect):
+    """More or less friction than assumed; both together stay above 0.
+
+    It adds and does not multiply: a contact that is assumed to be smooth may be rough.
+    """
+
+    def bounds(self, physics: Physics) -> tuple[Array, Array]:
+        """See :meth:`Effect.bounds`; there is never less than none."""
+        lower, upper = super().bounds(physics)
+        return np.maximum(lower, -float(getattr(physics, self.name))), upper
+
+
+@dataclass(frozen=True)
+class ReturningEffect(SceneEffect):
+    """An effect with a share of some velocity that comes back: never more than all of it, however wide the range."""
+
+    def bounds(self, physics: Physics) -> tuple[Array, Array]:
+        """See :meth:`Effect.bounds`."""
+        lower, upper = super().bounds(physics)
+        shares = np.array([parameter.name == "restitution" for parameter in self.parameters])
+        return lower, np.where(shares, np.minimum(upper, 1.0), upper)
+
+
+def _pad_friction(physics: Physics, values: Values) -> Physics:
+    return replace(physics, pad_friction=max(physics.pad_friction + number(values, "friction"), 0.0))
+
+
+def _support_friction(physics: Physics, values: Values) -> Physics:
+    return replace(physics, support_friction=max(physics.support_friction + number(values, "friction"), 0.0))
 
 
 def _restitution(physics: Physics, values: Values) -> Physics:
@@ -63,10 +99,6 @@ def _pad_compliance(arm: ArmPhysics, values: Values) -> ArmPhysics:
     return replace(arm, pad_stiffness=arm.pad_stiffness * number(values, "scale"))
 
 
-def _pad_friction(physics: Physics, values: Values) -> Physics:
-    return replace(physics, pad_friction=physics.pad_friction * number(values, "scale"))
-
-
 def _pad_shear(arm: ArmPhysics, values: Values) -> ArmPhysics:
     return replace(arm, pad_shear_compliance=arm.pad_shear_compliance + number(values, "compliance"))
 
@@ -89,15 +121,89 @@ def _rolling_resistance(physics: Physics, values: Values) -> Physics:
     return replace(physics, rolling_arm=physics.rolling_arm + number(values, "arm"))
 
 
-def _support_friction(physics: Physics, values: Values) -> Physics:
-    return replace(physics, support_friction=physics.support_friction * number(values, "scale"))
+@dataclass(frozen=True)
+class RestitutionFall(ContactLaw):
+    """Restitution that falls with the closing speed, e = e_0 - k v, not below 0.
+
+    Hunt and Crossley's contact, f = (stiffness + damping rate) depth^n, has e = 1 - alpha v at small speed v with
+    alpha = 2/3 of damping over stiffness (Hunt and Crossley 1975); Goldsmith (1960) measured the same line on metals.
+
+    Attributes:
+        fall: k [s/m].
+    """
+
+    fall: float
+
+    def apply(self, contact: ContactCondition) -> ContactCondition:
+        """See :meth:`ContactLaw.apply`."""
+        return replace(contact, restitution=np.maximum(contact.restitution - self.fall * contact.closing, 0.0))
+
+
+@dataclass(frozen=True)
+class TangentialRestitution(ContactLaw):
+    """A contact that grips throws its slip s back, u_t^+ = -beta u_t^- with beta = beta_0 - k s, not below 0.
+
+    (Garwin 1969; Walton 1993; Cross 2002.) Where friction is too weak for that it slides, by Coulomb's law.
+
+    Attributes:
+        restitution: beta_0 [-].
+        fall: k [s/m].
+    """
+
+    restitution: float
+    fall: float
+
+    def apply(self, contact: ContactCondition) -> ContactCondition:
+        """See :meth:`ContactLaw.apply`."""
+        share = np.maximum(self.restitution - self.fall * contact.slip, 0.0)
+        return replace(contact, tangential_restitution=contact.tangential_restitution + share)
+
+
+@dataclass(frozen=True)
+class DrillingFriction(ContactLaw):
+    """A moment about the normal, |M_n| <= a L_n, against omega_n^+ + gamma omega_n^- (Johnson 1985, sec. 7.4).
+
+    Attributes:
+        arm: a [m].
+        restitution: gamma [-].
+    """
+
+    arm: float
+    restitution: float
+
+    def apply(self, contact: ContactCondition) -> ContactCondition:
+        """See :meth:`ContactLaw.apply`."""
+        return replace(
+            contact,
+            drilling_arm=contact.drilling_arm + self.arm,
+            spin_restitution=contact.spin_restitution + self.restitution,
+        )
+
+
+def _with_law(physics: Physics, law: ContactLaw) -> Physics:
+    return replace(physics, contact_laws=(*physics.contact_laws, law))
+
+
+def _restitution_fall(physics: Physics, values: Values) -> Physics:
+    fall = number(values, "fall")
+    return _with_law(physics, RestitutionFall(fall)) if fall else physics
+
+
+def _tangential_restitution(physics: Physics, values: Values) -> Physics:
+    restitution, fall = number(values, "restitution"), number(values, "fall")
+    return _with_law(physics, TangentialRestitution(restitution, fall)) if restitution else physics
+
+
+def _drilling_friction(physics: Physics, values: Values) -> Physics:
+    arm, restitution = number(values, "arm"), number(values, "restitution")
+    return _with_law(physics, DrillingFriction(arm, restitution)) if arm else physics
 
 
 RESTITUTION = RestitutionEffect(
     name="restitution",
     acts_on="contact",
     sentence="The object bounces off what it hits more or less than assumed.",
-    parameters=(Parameter("restitution", "-", 0.0, 0.0, 0.9, 0.1, "restitution of pad and object beyond the assumed"),),
+    parameters=(Parameter("restitution", "-", 0.0, 0.0, 1.0, 0.1, "restitution of pad and object beyond the assumed"),),
     law=_restitution,
     phases=("contact",),
 )
@@ -111,21 +217,29 @@ PAD_COMPLIANCE = ArmEffect(
     phases=("contact",),
 )
 
-PAD_FRICTION = SceneEffect(
+# Steps and starts lie where contacts begin to slide: as long as all stick, friction has no influence.
+PAD_FRICTION = FrictionEffect(
     name="pad_friction",
     acts_on="contact",
     sentence="The pad grips the object more or less than assumed.",
-    # While the pad sticks, its friction has no influence: only a large step towards slipping has one.
-    parameters=(Parameter("scale", "-", 1.0, 0.0, 4.0, 0.2, "friction coefficient over its assumed value", step=-0.8),),
+    parameters=(
+        Parameter(
+            "friction", "-", 0.0, -2.0, 2.0, 0.1, "coefficient beyond the assumed", step=-0.4, far=(-0.8, -0.4, 0.4)
+        ),
+    ),
     law=_pad_friction,
     phases=("contact",),
 )
 
-SUPPORT_FRICTION = SceneEffect(
+SUPPORT_FRICTION = FrictionEffect(
     name="support_friction",
     acts_on="contact",
     sentence="The object slides on its support with more or less friction than assumed.",
-    parameters=(Parameter("scale", "-", 1.0, 0.0, 4.0, 0.1, "friction coefficient over its assumed value"),),
+    parameters=(
+        Parameter(
+            "friction", "-", 0.0, -2.0, 2.0, 0.03, "coefficient beyond the assumed", step=-0.15, far=(-0.8, -0.4, 0.4)
+        ),
+    ),
     law=_support_friction,
     phases=("contact",),
 )
@@ -178,4 +292,44 @@ ROLLING_RESISTANCE = SceneEffect(
     parameters=(Parameter("arm", "m", 0.0, 0.0, 0.03, 2e-3, "resisting moment over the normal force"),),
     law=_rolling_resistance,
     phases=("contact",),
+)
+
+RESTITUTION_FALL = SceneEffect(
+    name="restitution_fall",
+    acts_on="contact",
+    sentence="The faster the object comes, the less it bounces.",
+    # Where none is assumed there is nothing to fall from: the step is a rise.
+    parameters=(
+        Parameter("fall", "s/m", 0.0, -0.5, 0.5, 0.01, "fall of restitution with the closing speed", step=-0.01),
+    ),
+    law=_restitution_fall,
+    phases=SINGLE_IMPACT,
+)
+
+TANGENTIAL_RESTITUTION = ReturningEffect(
+    name="tangential_restitution",
+    acts_on="contact",
+    sentence="The contact grips and springs back sideways: its slip is reversed.",
+    parameters=(
+        Parameter("restitution", "-", 0.0, 0.0, 1.0, 0.1, "share of the slip that is returned"),
+        Parameter(
+            "fall", "s/m", 0.0, -0.5, 0.5, 0.01, "fall of that share with the slip", shape=True, hidden=(0.0, 0.05)
+        ),
+    ),
+    law=_tangential_restitution,
+    phases=SINGLE_IMPACT,
+)
+
+DRILLING_FRICTION = ReturningEffect(
+    name="drilling_friction",
+    acts_on="contact",
+    sentence="The contact has an extent: a moment resists spinning about its normal.",
+    parameters=(
+        Parameter("arm", "m", 0.0, 0.0, 0.05, 5e-4, "resisting moment over the normal force"),
+        Parameter(
+            "restitution", "-", 0.0, 0.0, 1.0, 0.1, "share of the spin that is returned", shape=True, hidden=(0.0, 0.5)
+        ),
+    ),
+    law=_drilling_friction,
+    phases=SINGLE_IMPACT,
 )

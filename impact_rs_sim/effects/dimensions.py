@@ -12,7 +12,7 @@ import ast
 import re
 from fractions import Fraction
 
-from impact_rs_sim.effects.formula import AXES, FUNCTIONS, SPEEDS, FormulaSpec
+from impact_rs_sim.effects.formula import AXES, CONTACT_SYMBOLS, FUNCTIONS, SPEEDS, FormulaSpec
 from impact_rs_sim.errors import InputError
 
 Dimension = tuple[Fraction, Fraction, Fraction]  # exponents of kg, m and s
@@ -71,12 +71,15 @@ def check_units(spec: FormulaSpec) -> dict[str, str]:
         "joint_torque": (spec.joint_torque, TORQUE),
         "motor_torque": (spec.motor_torque, TORQUE),
         "end_effector_force": (spec.end_effector_force, FORCE),
+        "contact": (spec.contact, NUMBER),
     }
+    of_contact = parameters | dict.fromkeys(CONTACT_SYMBOLS, _of(0, 1, -1)) | {"pi": NUMBER}
     units = {}
     for table, (formulas, wanted) in tables.items():
         for key, text in formulas.items():
             place = f"{table}.{key}"
-            found = _unit(ast.parse(text.strip(), mode="eval").body, known, text)
+            symbols = of_contact if table == "contact" else known
+            found = _unit(ast.parse(text.strip(), mode="eval").body, symbols, text)
             if found is not None and found != wanted:
                 raise InputError(f"formula {text!r} gives {text_of(found)}, expected {text_of(wanted)}", key=place)
             units[place] = "" if found is None else text_of(found)

@@ -8,6 +8,17 @@
       parameters: {drag: {unit: N s/m, nominal: 0, lower: 0, upper: 50, scale: 1},
                    c: {unit: N m, nominal: 0, lower: 0, upper: 3, scale: 0.1}}
 
+A contact of a single impact, in tables of impacts:
+
+    - name: plastic_contact
+      sentence: The contact yields, so that restitution falls with the fourth root of the speed.
+      contact: {restitution: "-c * v ** 0.25"}
+      parameters: {c: {unit: "-", nominal: 0, lower: -1, upper: 1, scale: 0.05}}
+
+``contact`` adds to the coefficients ``restitution``, ``tangential_restitution`` and ``friction`` of a contact point, as
+functions of its closing speed ``v`` and its ``slip`` [m/s]. A normal impulse L_n(v) of a body with the inverse mass G_n
+there is the restitution G_n L_n(v) / v - 1.
+
 ``joint_torque`` acts on a link, where the torque sensor sees it; ``motor_torque`` on the motor before the transmission,
 as friction of a gear does. Both are evaluated at every control tick, with position and velocity of the links.
 
@@ -24,16 +35,16 @@ import math
 import operator
 import re
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Self
 
 import numpy as np
 from pydantic import Field, model_validator
 
-from impact_rs_sim.effects.base import Effect, Parameter, Values, digest, number
+from impact_rs_sim.effects.base import SINGLE_IMPACT, Effect, Parameter, Values, digest, number
 from impact_rs_sim.errors import InputError
-from impact_rs_sim.physics import Load, LoadState, Physics
+from impact_rs_sim.physics import ContactCondition, ContactLaw, Load, LoadState, Physics
 from impact_rs_sim.robot import Array
 from impact_rs_sim.schema import Schema, load
 
@@ -58,6 +69,8 @@ _BINARY: dict[type[ast.operator], Callable[[float, float], float]] = {
     ast.Pow: operator.pow,
 }
 AXES = ("x", "y", "z")
+COEFFICIENTS = ("restitution", "tangential_restitution", "friction")
+CONTACT_SYMBOLS = ("v", "slip")
 SPEEDS = tuple(f"v{axis}" for axis in AXES)
 JOINT = re.compile(r"joint([1-9][0-9]{0,2})")
 JOINT_SYMBOL = re.compile(r"\bd?q([1-9][0-9]{0,2})\b")
@@ -163,6 +176,10 @@ class FormulaSpec(Schema):
     joint_torque: dict[str, str] = Field({}, description="torque on a link, formula per joint (joint1 ...) [N m]")
     motor_torque: dict[str, str] = Field({}, description="torque on a motor, formula per joint (joint1 ...) [N m]")
     end_effector_force: dict[str, str] = Field({}, description="formula per axis (x, y, z) [N]")
+    contact: dict[str, str] = Field(
+        {},
+        description="of a single impact: formula per coefficient (restitution, tangential_restitution, friction) [-]",
+    )
     parameters: dict[str, FormulaParameter] = Field(min_length=1, description="named numbers")
 
 
@@ -196,11 +213,15 @@ class FormulaEffect(Effect):
         clash = [name for name in spec.parameters if name in taken or JOINT_SYMBOL.fullmatch(name)]
         if clash:
             raise InputError(f"effect {spec.name!r}: {sorted(clash)} cannot be parameter names")
-        if not (spec.joint_torque or spec.motor_torque or spec.end_effector_force):
-            raise InputError(f"effect {spec.name!r} needs joint_torque, motor_torque or end_effector_force")
+        on_arms = spec.joint_torque or spec.motor_torque or spec.end_effector_force
+        if not (on_arms or spec.contact):
+            raise InputError(f"effect {spec.name!r} needs joint_torque, motor_torque, end_effector_force or contact")
+        if spec.contact and not on_arms:
+            self.acts_on, self.phases = "contact", SINGLE_IMPACT
         self._torque = {self._joint(key): self._parse(text) for key, text in spec.joint_torque.items()}
         self._motor = {self._joint(key): self._parse(text) for key, text in spec.motor_torque.items()}
         self._force = {self._axis(key): self._parse(text) for key, text in spec.end_effector_force.items()}
+        self._contact = {self._coefficient(key): self._parse_contact(text) for key, text in spec.contact.items()}
 
     def _joint(self, key: str) -> int:
         found = JOINT.fullmatch(key)
@@ -212,6 +233,17 @@ class FormulaEffect(Effect):
         if key not in AXES:
             raise InputError(f"effect {self.name!r}: unknown {key!r}; known: {', '.join(AXES)}")
         return AXES.index(key)
+
+    def _coefficient(self, key: str) -> str:
+        if key not in COEFFICIENTS:
+            raise InputError(f"effect {self.name!r}: unknown {key!r}; known: {', '.join(COEFFICIENTS)}")
+        return key
+
+    def _parse_contact(self, text: str) -> Formula:
+        clash = sorted({*CONTACT_SYMBOLS} & self.spec.parameters.keys())
+        if clash:
+            raise InputError(f"effect {self.name!r}: {clash} cannot be parameter names")
+        return Formula(text, {*CONTACT_SYMBOLS, *self.spec.parameters})
 
     def _parse(self, text: str) -> Formula:
         named = {found[0] for found in JOINT_SYMBOL.finditer(text)}
@@ -227,8 +259,13 @@ class FormulaEffect(Effect):
             self._check_joints(name, arm.facts.joint_count)
         numbers = {parameter.name: number(values, parameter.name) for parameter in self.parameters}
         formula_load = FormulaLoad(self.name, self._torque, self._motor, self._force, numbers)
+        laws = physics.contact_laws
+        if self._contact:
+            laws = (*laws, FormulaContact(self.name, self._contact, numbers, tuple(self.spec.contact.items())))
+        if not (self._torque or self._motor or self._force):
+            return replace(physics, contact_laws=laws)
         arms = {name: replace(arm, loads=(*arm.loads, formula_load)) for name, arm in physics.arms.items()}
-        return replace(physics, arms=arms)
+        return replace(physics, arms=arms, contact_laws=laws)
 
     def _check_joints(self, arm: str, joint_count: int) -> None:
         spec = self.spec
@@ -254,6 +291,37 @@ class FormulaEffect(Effect):
     def identity(self) -> str:
         """See :attr:`Effect.identity`; includes the formulas."""
         return digest(super().identity, self.spec.model_dump_json())
+
+
+@dataclass(frozen=True)
+class FormulaContact(ContactLaw):
+    """Formulas of a contact with numbers filled in.
+
+    Attributes:
+        name: Name of the effect, for messages.
+        formulas: By coefficient.
+        numbers: Parameters.
+        texts: The formulas as text.
+    """
+
+    name: str
+    formulas: dict[str, Formula] = field(repr=False)
+    numbers: dict[str, float]
+    texts: tuple[tuple[str, str], ...]
+
+    def apply(self, contact: ContactCondition) -> ContactCondition:
+        """See :meth:`ContactLaw.apply`."""
+        pairs = list(zip(contact.closing.tolist(), contact.slip.tolist(), strict=True))
+        changed = {}
+        for name, expression in self.formulas.items():
+            try:
+                more = [expression({"v": speed, "slip": slip, **self.numbers}) for speed, slip in pairs]
+            except (ArithmeticError, ValueError, TypeError) as error:
+                raise InputError(f"effect {self.name!r} blows up at a contact: {error}") from None
+            changed[name] = getattr(contact, name) + np.array(more, dtype=float)
+            if not np.isfinite(changed[name]).all():
+                raise InputError(f"effect {self.name!r} is not finite at a contact")
+        return replace(contact, **changed)
 
 
 @dataclass(frozen=True)

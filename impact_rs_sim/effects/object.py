@@ -14,7 +14,7 @@ from impact_rs_sim.robot import Array
 
 @dataclass(frozen=True)
 class ComOffsetEffect(SceneEffect):
-    """An offset of the centre of mass, which stays inside the box."""
+    """An offset of the centre of mass, which stays inside the box; a ball has none."""
 
     def bounds(self, physics: Physics) -> tuple[Array, Array]:
         """See :meth:`Effect.bounds`."""
@@ -30,6 +30,8 @@ def _mass(physics: Physics, values: Values) -> Physics:
 
 def _com_offset(physics: Physics, values: Values) -> Physics:
     object_ = physics.object
+    if object_.round:
+        return physics
     return replace(physics, object=replace(object_, com_offset=object_.com_offset + vector3(values, ("x", "y", "z"))))
 
 

@@ -48,9 +48,10 @@ from impact_rs_sim.scene import ArmState
 SOLVED = 0  # status of a solved problem
 STATES = ("open", "stick", "slide")
 
-_RULES = (ALIGNED, GAP_TOLERANCE, PENETRATION_TOLERANCE, COMPLIANCE)
+RULES = (ALIGNED, GAP_TOLERANCE, PENETRATION_TOLERANCE, COMPLIANCE)
 _ANYTHING = np.finfo(float).max
-_Parts = tuple[Sequence[int], Array, Array, Array]  # partner, position, normal and gap of contact points
+# Number of the first point of every problem; partner, position, normal and gap of all points, and their laws (m, 6).
+Parts = tuple[Sequence[int], Sequence[int], Array, Array, Array, Array]
 
 
 class Compiled(NamedTuple):
@@ -113,7 +114,7 @@ class CompiledMap:
             self._pads[name] = (np.array(pad.translation), np.array(pad.rotation), half)
         object_ = physics.object
         self._object = (object_.mass, object_.size / 2.0, object_.inertia, object_.com_offset)
-        self._kept: tuple[Sequence[ContactPoint], tuple[str, ...], _Parts] | None = None
+        self._kept: tuple[Sequence[ContactPoint], tuple[str, ...], Parts] | None = None
         support = support_box(physics)
         self._support = None if support is None else np.concatenate((support.centre, support.half))
 
@@ -144,14 +145,18 @@ class CompiledMap:
         if body.position.shape != (3,) or body.rotation.shape != (3, 3) or body.twist.shape != (6,):
             return None
         contact = (physics.pad_friction, physics.support_friction, problem.restitution)
-        given = None if points is None else self._given(points, tuple(problem.arms))
+        given = None if points is None else self._given(points, tuple(problem.arms), problem.restitution)
         return self.solve(1, arms, (body.position, body.rotation, body.twist), contact, given)
 
-    def _given(self, points: Sequence[ContactPoint], names: tuple[str, ...]) -> _Parts:
+    def _given(self, points: Sequence[ContactPoint], names: tuple[str, ...], restitution: float) -> Parts:
         """Contact points as the kernel takes them; kept, because one set is mostly asked about again and again."""
         if self._kept is None or self._kept[0] is not points or self._kept[1] != names:
-            self._kept = (points, names, _parts(points, names))
-        return self._kept[2]
+            self._kept = (points, names, parts_of(points, names))
+        parts = self._kept[2]
+        on_pad, law = np.array(parts[1]) < len(names), parts[-1]
+        law[:, 0] = np.where(on_pad, self.physics.pad_friction, self.physics.support_friction)
+        law[:, 1] = restitution
+        return parts
 
     def arm(
         self,
@@ -175,20 +180,22 @@ class CompiledMap:
         arms: Sequence[Sequence[Array]],
         body: tuple[Array, Array, Array],
         contact: tuple[Array | float, Array | float, Array | float],
-        points: _Parts | None = None,
+        points: Parts | None = None,
     ) -> Compiled:
         """Solutions of ``count`` problems; arguments as :func:`impact_rs_sim._kernel.solve_impacts` takes them."""
         object_ = (*body, *self._object)
-        return Compiled(*_kernel.solve_impacts(count, arms, object_, contact, self._support, _RULES, points=points))
+        return Compiled(*_kernel.solve_impacts(count, arms, object_, contact, self._support, RULES, points=points))
 
 
-def _parts(points: Sequence[ContactPoint], names: Sequence[str]) -> _Parts:
-    """Contact points as the kernel takes them."""
+def parts_of(points: Sequence[ContactPoint], names: Sequence[str]) -> Parts:
+    """Contact points of one problem as the kernel takes them, without laws; ``names`` are those of the arms."""
     return (
+        [0, len(points)],
         [names.index(point.partner) if point.partner in names else len(names) for point in points],
         np.array([point.position for point in points]),
         np.array([point.normal for point in points]),
         np.array([point.gap for point in points]),
+        np.zeros((len(points), 6)),
     )
 
 

@@ -1,14 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """The impact map at a measured state: one arm or two and an object, or one free body on a plane.
 
-The laws are those of :mod:`impact_rs_sim.impact_map.problem`, solved as in :mod:`impact_rs_sim.impact_map.exact`,
+The laws are those of :mod:`impact_rs_sim.impact_map.problem`, solved by the compiled map of
+:mod:`impact_rs_sim.impact_map.exact`, at all impacts of a table in one call. One impact is looked at by itself, so its
+contact points have more laws than those of a push that goes on (:mod:`impact_rs_sim.impact_map.contact_laws`).
 
-    H (u^+ - u^-) = J_c^T L,    0 <= L_n  perpendicular to  J_n u^+ + e J_n u^- >= 0,    |L_t| <= mu L_n against J_t u^+
-
-with e = ``restitution + bounce`` of the physics, for one impact is looked at by itself. What differs from a planned
-impact is where the contact points come from. Poses are measured to a millimetre or so, and bodies that touch seem to
-overlap or to stay apart; so the nearest points of two bodies are taken for touching, whatever their distance, and all
-points with them that are no more than ``GAP_TOLERANCE`` further off.
+What differs from a planned impact is where the contact points come from. Poses are measured to a millimetre or so, and
+bodies that touch seem to overlap or to stay apart; so the nearest points of two bodies are taken for touching, whatever
+their distance, and all points with them that are no more than a tolerance further off.
 
 A body that hits something fixed is an object without arms: H is its own inertia, and what it hits is the support. Its
 mass cancels: H, and with it L, grows with the mass, and u^+ stays.
@@ -16,13 +15,16 @@ mass cancels: H, and with it L, grows with the mass, and u^+ stays.
 
 from __future__ import annotations
 
+from collections import OrderedDict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
+from impact_rs_sim import _kernel
 from impact_rs_sim.errors import Infeasible
 from impact_rs_sim.impact_map.cones import solve_contacts
+from impact_rs_sim.impact_map.contact_laws import laws_of, table_of
 from impact_rs_sim.impact_map.contacts import (
     GAP_TOLERANCE,
     SUPPORT,
@@ -30,11 +32,11 @@ from impact_rs_sim.impact_map.contacts import (
     find_contacts,
     meetings,
 )
-from impact_rs_sim.impact_map.engine import Answer, check_energy
-from impact_rs_sim.impact_map.exact import ExactEngine
+from impact_rs_sim.impact_map.engine import check_energy
+from impact_rs_sim.impact_map.exact import RULES, SOLVED, Compiled, ExactEngine
 from impact_rs_sim.impact_map.laws import ContactTerms, System, build_system
-from impact_rs_sim.impact_map.problem import ImpactMapError, ImpactProblem
-from impact_rs_sim.physics import Physics
+from impact_rs_sim.impact_map.problem import ImpactMapError, ImpactProblem, Residual
+from impact_rs_sim.physics import ArmPhysics, ContactCondition, Physics
 from impact_rs_sim.robot import Array
 from impact_rs_sim.robot_model import RobotModel
 from impact_rs_sim.scene import ArmState, BodyState
@@ -42,6 +44,7 @@ from impact_rs_sim.scene import ArmState, BodyState
 FRICTION, RESTITUTION = "friction", "restitution"  # what tables call the two numbers of a contact
 PAD_REACH = 0.02  # m, between pad and object; measured poses are off by less, and beyond it nothing was hit
 SUPPORT_REACH = 0.005  # m, between object and support; beyond it the object is in the air
+_KEPT = 8  # kinematics of all impacts with one set of links; 0.8 kB an impact
 
 
 @dataclass(frozen=True)
@@ -79,6 +82,149 @@ class MeasuredImpact:
         )
 
 
+class MeasuredImpacts:
+    """Impacts with the same arms, solved together.
+
+    Args:
+        impacts: The impacts; at least one.
+        physics: The physics of each.
+    """
+
+    def __init__(self, impacts: Sequence[MeasuredImpact], physics: Sequence[Physics]) -> None:
+        self._impacts = tuple(impacts)
+        self._names = tuple(impacts[0].arms)
+        bodies = [impact.object for impact in impacts]
+        self._body = (
+            np.array([body.position for body in bodies]),
+            np.array([body.rotation for body in bodies]),
+            np.array([body.twist for body in bodies]),
+        )
+        counts = [len(impact.points) for impact in impacts]
+        points = [point for impact in impacts for point in impact.points]
+        self._first = np.concatenate(([0], np.cumsum(counts))).tolist()
+        self._owner = np.repeat(np.arange(len(impacts)), counts)
+        self._position = np.array([point.position for point in points])
+        self._normal = np.array([point.normal for point in points])
+        self._gap = np.array([point.gap for point in points])
+        self._partner = np.array(
+            [self._names.index(p.partner) if p.partner in self._names else len(self._names) for p in points]
+        )
+        self._arms: OrderedDict[tuple[object, ...], tuple[object, tuple[Array, ...]]] = OrderedDict()
+        self._closing, self._slip = self._approach(physics)
+
+    def _approach(self, physics: Sequence[Physics]) -> tuple[Array, Array]:
+        """Closing and sliding speed of every contact point, ``(M,)`` each [m/s]; inertia has no part in them."""
+        position, _, twist = (values[self._owner] for values in self._body)
+        moving = twist[:, :3] + np.cross(twist[:, 3:], self._position - position)
+        on_partner = self._position - self._gap[:, None] * self._normal
+        for number, name in enumerate(self._names):
+            _, jacobian, place, _ = self._kinematics(name, physics)
+            velocity = np.array([impact.arms[name].velocity for impact in self._impacts])
+            of_frame = np.einsum("nij,nj->ni", jacobian, velocity)[self._owner]
+            there = of_frame[:, :3] + np.cross(of_frame[:, 3:], on_partner - place[self._owner])
+            moving = np.where((self._partner == number)[:, None], moving - there, moving)
+        opening = np.sum(self._normal * moving, axis=1)
+        return -opening, np.linalg.norm(moving - opening[:, None] * self._normal, axis=1)
+
+    def _kinematics(self, name: str, physics: Sequence[Physics]) -> tuple[Array, ...]:
+        """M, J, and origin and axes of frame E of one arm at all impacts; kept for some sets of links."""
+        distinct = {id(one): one for one in physics}
+        key = (name, *(_links_of(one.arms[name]) for one in distinct.values()))
+        if key not in self._arms:
+            models = {number: one.robot_model(name) for number, one in distinct.items()}
+            found = [
+                tuple(np.array(part) for part in (inertia, jacobian, place.translation, place.rotation))
+                for impact, one in zip(self._impacts, physics, strict=True)
+                for inertia, jacobian, place in [models[id(one)].at_impact(impact.arms[name].position)]
+            ]
+            facts = [one.arms[name].facts for one in distinct.values()]  # alive, for the key has their ids
+            self._arms[key] = (facts, tuple(np.array(parts) for parts in zip(*found, strict=True)))
+            while len(self._arms) > _KEPT:
+                self._arms.popitem(last=False)
+        self._arms.move_to_end(key)
+        return self._arms[key][1]
+
+    def contacts(self, physics: Sequence[Physics]) -> ContactCondition:
+        """State and laws of all contact points, impact by impact, ``(M,)`` each."""
+        on_support = self._partner == len(self._names)
+        distinct = {id(one): one for one in physics}
+        if len(distinct) == 1:
+            return laws_of(physics[0], self._closing, self._slip, on_support)
+        numbers = np.array([id(one) for one in physics])[self._owner]
+        found = {
+            number: vars(laws_of(one, self._closing[own], self._slip[own], on_support[own]))
+            for number, one in distinct.items()
+            for own in [numbers == number]
+        }
+        together = {name: np.empty(len(self._owner)) for name in next(iter(found.values()))}
+        for number, of_one in found.items():
+            for name, values in of_one.items():
+                together[name][numbers == number] = values
+        return ContactCondition(**together)
+
+    def solve(self, physics: Sequence[Physics]) -> tuple[Array, Compiled]:
+        """Post-impact velocities.
+
+        Args:
+            physics: The physics of each impact.
+
+        Returns:
+            u^+, ``(N, nv)`` [rad/s, m/s], nan where no answer obeys the laws; and what the compiled map returns.
+        """
+        contact = self.contacts(physics)
+        arms = []
+        for name in self._names:
+            inertia, jacobian, place, axes = self._kinematics(name, physics)
+            states = [impact.arms[name] for impact in self._impacts]
+            position = np.array([state.position for state in states])
+            free = np.full(position.shape[1], np.finfo(float).max)
+            motor = np.array([one.arms[name].motor_inertia_reduced for one in physics])
+            velocity = np.array([state.velocity for state in states])
+            no_pad = (np.zeros(3), np.eye(3), np.ones(3))  # contact points are given
+            arms.append((position, velocity, motor, -free, free, free, inertia, jacobian, place, axes, *no_pad))
+        objects = [one.object for one in physics]
+        body = (
+            np.array([item.mass for item in objects]),
+            np.ones(3),
+            np.array([item.inertia for item in objects]),
+            np.array([item.com_offset for item in objects]),
+        )
+        points = (self._first, self._partner.tolist(), self._position, self._normal, self._gap, table_of(contact))
+        found = Compiled(
+            *_kernel.solve_impacts(
+                len(self._impacts), arms, (*self._body, *body), (0.0, 0.0, 0.0), None, RULES, points=points
+            )
+        )
+        answers = np.array(found.velocity)
+        unsolved = (found.status != SOLVED) | ~(np.max(found.residual, axis=1) <= ExactEngine.tolerance)
+        for number in np.flatnonzero(unsolved).tolist():
+            answers[number] = self._by_cones(number, physics[number], contact)
+        return answers, found
+
+    def _by_cones(self, number: int, physics: Physics, contact: ContactCondition) -> Array:
+        """u^+ of one impact from another first guess; nan without an answer, or with laws that cones do not have."""
+        impact = self._impacts[number]
+        own = slice(self._first[number], self._first[number + 1])
+        system = impact.system(physics, physics.robot_models())
+        nothing = np.full(system.velocity.size, np.nan)
+        if any(
+            np.any(getattr(contact, name)[own]) for name in ("tangential_restitution", "drilling_arm", "rolling_arm")
+        ):
+            return nothing
+        friction = contact.friction[own].tolist()
+        points = [replace(point, friction=value) for point, value in zip(impact.points, friction, strict=True)]
+        terms = ContactTerms.of(system, points, restitution_of(physics))
+        terms = replace(terms, rebound=-contact.restitution[own] * self._closing[own])
+        impulses, _ = solve_contacts(terms)
+        velocity = np.asarray(system.velocity + terms.response @ impulses.ravel())
+        return velocity if terms.residual(impulses, velocity).largest <= ExactEngine.tolerance else nothing
+
+
+def _links_of(arm: ArmPhysics) -> tuple[object, ...]:
+    """Everything that the kinematics and the link inertia of an arm depend on."""
+    return id(arm.facts), arm.end_effector, arm.base.homogeneous.tobytes()
+
+
 def restitution_of(physics: Physics) -> float:
     """Newton restitution of a single impact, between 0 and 1 [-]."""
     return min(max(physics.restitution + physics.bounce, 0.0), 1.0)
@@ -90,7 +236,7 @@ def solve_measured(
     models: Mapping[str, RobotModel] | None = None,
     may_gain_energy: bool = False,
 ) -> tuple[Array, System]:
-    """Post-impact velocity of a measured impact.
+    """Post-impact velocity of one measured impact.
 
     Args:
         physics: Friction, restitution, object, motor inertia.
@@ -105,40 +251,34 @@ def solve_measured(
         EnergyGain: The answer gains energy.
         ImpactMapError: The answer breaks a law by more than the engine's tolerance.
     """
-    if models is None:
-        models = physics.robot_models()
-    system = impact.system(physics, models)
-    points = [replace(point, friction=_friction(physics, point)) for point in impact.points]
-    terms = ContactTerms.of(system, points, restitution_of(physics))
-    impulses, iterations = solve_contacts(terms)
-    velocity = np.asarray(system.velocity + terms.response @ impulses.ravel())
-    residual = terms.residual(impulses, velocity)
-    if not residual.largest <= ExactEngine.tolerance:
+    system = impact.system(physics, physics.robot_models() if models is None else models)
+    (velocity,), found = MeasuredImpacts([impact], [physics]).solve([physics])
+    residual = Residual(*found.residual[0].tolist())
+    if not np.isfinite(velocity).all():
         law, amount = residual.worst
-        raise ImpactMapError(f"the impact map breaks {law} by {amount:.3g} m/s with {len(points)} contact points")
+        count = len(impact.points)
+        raise ImpactMapError(f"the impact map breaks {law} by {amount:.3g} m/s with {count} contact points")
     if not may_gain_energy:
-        answer = Answer(terms, impulses, velocity, iterations)
-        check_energy(system.kinetic_energy, answer.energy_gain, impulses, residual, restitution_of(physics))
+        before, gain = found.energy[0].tolist()
+        check_energy(before, gain, found.impulse, residual, restitution_of(physics))
     return velocity, system
 
 
-def _friction(physics: Physics, point: ContactPoint) -> float:
-    """Coulomb coefficient of a point: of the support, or of the pads [-]."""
-    return physics.support_friction if point.partner == SUPPORT else physics.pad_friction
-
-
-def corners_that_touch(body: BodyState, size: Array, normal: Array) -> tuple[ContactPoint, ...]:
+def corners_that_touch(
+    body: BodyState, size: Array, normal: Array, tolerance: float = GAP_TOLERANCE
+) -> tuple[ContactPoint, ...]:
     """Corners of a box that come first to a plane: the lowest along its normal, and all as low up to the tolerance.
 
     Args:
         body: Pose of the box.
         size: Extent along its own axes, ``(3,)`` [m].
         normal: Unit normal of the plane, into the body, in A, ``(3,)``.
+        tolerance: How much further off a corner may be than the first [m].
     """
     signs = np.array([[x, y, z] for x in (1, -1) for y in (1, -1) for z in (1, -1)])
     corners = body.position + (signs * size / 2.0) @ body.rotation.T
     height = corners @ normal
-    near = corners[height <= height.min() + GAP_TOLERANCE]
+    near = corners[height <= height.min() + tolerance]
     return points_on_plane(near, normal)
 
 
@@ -158,6 +298,7 @@ def points_of_scene(
     body: BodyState,
     models: Mapping[str, RobotModel],
     on_pad: Mapping[str, tuple[Sequence[Array], Array | None]] | None = None,
+    tolerance: float = GAP_TOLERANCE,
 ) -> tuple[ContactPoint, ...]:
     """Contact points of pads with the object, and of the object with its support.
 
@@ -168,6 +309,7 @@ def points_of_scene(
         models: Rigid-body models by arm.
         on_pad: By arm, contact points in A that were measured, ``(3,)`` each [m], and the normal into the object, which
             is that of the nearest faces where it is None; else all points come from the geometry.
+        tolerance: How much further off a point may be than the nearest of its two bodies [m].
 
     Raises:
         Infeasible: No pad is near the object.
@@ -186,7 +328,7 @@ def points_of_scene(
         elif abs(meeting.separation) <= (SUPPORT_REACH if name == SUPPORT else PAD_REACH):
             near = find_contacts(physics, [meeting], PAD_REACH)
             first = min((point.gap for point in near), default=0.0)
-            found += [point for point in near if point.gap <= first + GAP_TOLERANCE]
+            found += [point for point in near if point.gap <= first + tolerance]
     if all(point.partner == SUPPORT for point in found):
         raise Infeasible(
             f"no pad touches the object: the nearest is {1e3 * nearest:.3g} mm away, expected at most "

@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Impact tables: one row per impact and nothing else, as CSV or Parquet.
 
-Two kinds of rows. Without joint positions **one free body hits a fixed plane**, for example a tossed cube. With them
+Two kinds of rows. Without joint positions **one free body hits a fixed plane**: a tossed cube, or a ball on a racket so
+heavy that it goes on as it was (velocities are then those relative to it). With them
 **an arm (or two) hits an object**; robots, pads and support are then those of a scenario. A column is headed by its
 name and its unit in brackets, ``mass [kg]``. Everything is in axes of the world A, twists are those of the geometric
 centre, and *before* and *after* are just before and just after the impact.
@@ -9,26 +10,31 @@ centre, and *before* and *after* are just before and just after the impact.
 ==========================================  ========  ============================================================
 column                                      unit      what it is
 ==========================================  ========  ============================================================
-``x`` ``y`` ``z``                           m         geometric centre of the body, or of the object
-``qx`` ``qy`` ``qz`` ``qw``                 -         its orientation: unit quaternion from its own axes to A
+``x`` ``y`` ``z``                           m         geometric centre of the body, or of the object; of a ball optional
+``qx`` ``qy`` ``qz`` ``qw``                 -         its orientation: unit quaternion from its own axes to A; of a ball
+                                                      optional
 ``vx_before`` ... ``vz_before``             m/s       velocity of the centre just before
 ``wx_before`` ... ``wz_before``             rad/s     angular velocity just before
 ``vx_after`` ... ``vz_after``               m/s       velocity of the centre just after
 ``wx_after`` ... ``wz_after``               rad/s     angular velocity just after
 ``mass``                                    kg        mass; of an object: that of the scenario where it is absent
 ``ixx`` ``iyy`` ``izz``                     kg m^2    principal moments about the centre, along the body's own axes;
-                                                      absent: of a homogeneous box of that size
+                                                      absent: of a homogeneous box of that size, or of a ball
 ``size_x`` ``size_y`` ``size_z``            m         extent of the box along its own axes; of a free body optional
                                                       where contact points are given
+``radius``                                  m         of a free body that is a ball; it touches below its centre
+``shell``                                   -         of a ball: 1 hollow, 2/3 m r^2; 0 or absent solid, 2/5 m r^2
 ``px`` ``py`` ``pz``                        m         contact point; further ones ``px2`` ``py2`` ``pz2`` and so on,
-                                                      empty where a row has fewer. Absent: from the geometry
+                                                      empty where a row has fewer. Absent or all empty: from the
+                                                      geometry
 ``nx`` ``ny`` ``nz``                        -         unit normal into the body; absent: up, or that of the nearest
                                                       faces of pad and object
 ``friction``                                -         Coulomb coefficient that is assumed: of a free body on its plane
                                                       (absent: 0.3), of pads on an object (absent: the scenario's)
 ``restitution``                             -         Newton restitution that is assumed; absent: 0, or the scenario's
 ``q1`` ``q2`` ...                           rad       joint positions; with several arms ``left.q1`` and so on
-``dq1_before`` ... , ``dq1_after`` ...      rad/s     joint velocities just before and just after
+``dq1_before`` ... , ``dq1_after`` ...      rad/s     joint velocities just before and just after; without any after,
+                                                      the object alone is compared
 ``B1`` ``B2`` ...                           kg m^2    motor inertia that is assumed; absent: B_theta of the scenario
 ``object``                                            name of the scenario's object; absent: its only one
 ``condition``                                         rows of one condition are repeats of each other
@@ -55,6 +61,7 @@ import pinocchio as pin
 
 from impact_rs_sim.decimals import decimal
 from impact_rs_sim.errors import Infeasible, InputError, did_you_mean
+from impact_rs_sim.impact_map.contacts import GAP_TOLERANCE
 from impact_rs_sim.impact_map.measured import (
     FRICTION,
     RESTITUTION,
@@ -88,6 +95,7 @@ MOMENTS = 1e-3  # by how much a moment of inertia may exceed the sum of the othe
 UP = np.array([0.0, 0.0, 1.0])
 AXES = "xyz"
 MOST_POINTS = 8  # contact points that a row may name
+WIDER = 4.0  # tolerances; points between one and so many may touch or not
 SLIP = 0.75  # likeness from which an unknown column is taken for a slip of the pen
 
 
@@ -102,6 +110,7 @@ class ImpactRow:
         physics: Nominal physics; rows with the same nominal physics share one.
         impact: State just before, and contact points.
         after: Measured u^+, joint velocities of every arm and then the twist of the centre, ``(nv,)`` [rad/s, m/s].
+        wider: The impact with more contact points, those within ``WIDER`` tolerances; None: there are no more.
     """
 
     number: int
@@ -110,6 +119,7 @@ class ImpactRow:
     physics: Physics
     impact: MeasuredImpact
     after: Array
+    wider: MeasuredImpact | None = None
 
 
 @dataclass(frozen=True)
@@ -121,6 +131,8 @@ class ImpactTable:
         digest: Of its bytes.
         rows: Its impacts.
         arms: Names of the arms; empty: free bodies.
+        joints: Whether joint velocities after the impact were measured.
+        tolerance: How much further off than the nearest a point may be that touches [m].
         noise: Standard deviation of a measured change of velocity in the order of ``after``, ``(rows, nv)``
             [rad/s, m/s]; None: said nowhere.
         assumed: Assumptions where the table has no column, as text.
@@ -134,22 +146,27 @@ class ImpactTable:
     noise: Array | None
     assumed: tuple[str, ...] = ()
     unread: tuple[str, ...] = ()
+    joints: bool = True
+    tolerance: float = GAP_TOLERANCE
 
 
-def read_impact_table(path: Path, scenario: Scenario | None = None, questions: bool = False) -> ImpactTable:
+def read_impact_table(
+    path: Path, scenario: Scenario | None = None, questions: bool = False, tolerance: float = GAP_TOLERANCE
+) -> ImpactTable:
     """Read a table of impacts.
 
     Args:
         path: CSV or Parquet file.
         scenario: Robots, pads and support of rows of arms; None: rows of free bodies.
         questions: Whether the rows ask for the velocities after: their columns may be absent and are not read.
+        tolerance: How much further off than the nearest a point may be that touches [m].
 
     Raises:
         InputError: It cannot be read, a column is missing or has another unit, or a row is no impact; the message names
             row and column, what is there, and what was expected.
     """
     header, cells, digest = _read(path)
-    return _Reader(path, header, cells, scenario, questions).table(digest)
+    return _Reader(path, header, cells, scenario, questions, tolerance).table(digest)
 
 
 Cells = list[dict[str, Any]]
@@ -218,6 +235,8 @@ BODY = {
     "mass": "kg",
     **dict.fromkeys(("ixx", "iyy", "izz"), "kg m^2"),
     **dict.fromkeys(_triple("size_"), "m"),
+    "radius": "m",
+    "shell": "-",
     **dict.fromkeys(_triple("n"), "-"),
     **{name + tail: "m" for tail in ("", *map(str, range(2, MOST_POINTS + 1))) for name in _triple("p")},
     FRICTION: "-",
@@ -241,6 +260,7 @@ class _Reader:
         cells: Rows by header.
         scenario: Of rows of arms.
         questions: Whether velocities after the impact are to be predicted.
+        tolerance: How much further off than the nearest a point may be that touches [m].
     """
 
     path: Path
@@ -248,6 +268,7 @@ class _Reader:
     cells: Cells
     scenario: Scenario | None
     questions: bool = False
+    tolerance: float = GAP_TOLERANCE
     _where: dict[str, str] = field(default_factory=dict)  # header by name of a column
     _factor: dict[str, float] = field(default_factory=dict)
     _unit: dict[str, str] = field(default_factory=dict)
@@ -258,11 +279,24 @@ class _Reader:
         unread = self._columns()
         self._demand()
         rows = tuple(self._impact(number, cells) for number, cells in enumerate(self.cells, start=1))
-        return ImpactTable(self.path, digest, rows, self._arms, self._noise(rows), self._assumed(), tuple(unread))
+        noise, assumed = self._noise(rows), self._assumed()
+        return ImpactTable(
+            self.path, digest, rows, self._arms, noise, assumed, tuple(unread), self._joints_after, self.tolerance
+        )
 
     @property
     def _arms(self) -> tuple[str, ...]:
         return () if self.scenario is None else tuple(self.scenario.robots)
+
+    @property
+    def _is_ball(self) -> bool:
+        return "radius" in self._where
+
+    @property
+    def _joints_after(self) -> bool:
+        """Whether some joint has a velocity after the impact."""
+        columns = (name for arm in self._arms for name in self._of_joints(arm, "dq", "_after"))
+        return any(name in self._where for name in columns)
 
     def _joints(self, arm: str) -> int:
         assert self.scenario is not None
@@ -333,9 +367,17 @@ class _Reader:
 
     def _demand(self) -> None:
         """Refuse a table that lacks a column."""
-        needed = {**POSE, **TWISTS}
+        self._demand_of_a_ball()
+        needed = dict(TWISTS) if self._is_ball else {**POSE, **TWISTS}
+        for group in (_triple(""), ["qx", "qy", "qz", "qw"]):
+            if any(name in self._where for name in group):
+                needed |= {name: POSE[name] for name in group}
         for arm in self._arms:
             needed |= self._state_of(arm)
+            if not self._joints_after:
+                needed = {
+                    name: unit for name, unit in needed.items() if name not in self._of_joints(arm, "dq", "_after")
+                }
         if self.scenario is None:
             needed["mass"] = "kg"
         for group in (_triple("n"), _triple("size_"), ["ixx", "iyy", "izz"], *self._point_columns()):
@@ -354,7 +396,7 @@ class _Reader:
                     f"no column {wanted!r}{did_you_mean(wanted, others)}; there are: {', '.join(self.header)}",
                     file=self.path,
                 )
-        shaped = "size_x" in self._where
+        shaped = "size_x" in self._where or self._is_ball
         if self.scenario is None and not (shaped or "px" in self._where):
             raise InputError(
                 "nothing says where the body touches; expected its size ('size_x [m]' ...) or contact points "
@@ -367,6 +409,20 @@ class _Reader:
                 f"size ('size_x [m]' ...); there are: {', '.join(self.header)}",
                 file=self.path,
             )
+
+    def _demand_of_a_ball(self) -> None:
+        """Refuse a ball with the shape of something else."""
+        if self._is_ball and self.scenario is not None:
+            raise InputError(
+                f"column {self._where['radius']!r} is of a free ball; objects of scenario {self._name} are boxes",
+                file=self.path,
+            )
+        others = [name for name in ("size_x", "px") if self._is_ball and name in self._where]
+        if others:
+            said = f"columns {self._where['radius']!r} and {self._where[others[0]]!r}: expected one of them"
+            raise InputError(f"{said}; a ball touches below its centre", file=self.path)
+        if "shell" in self._where and not self._is_ball:
+            raise InputError(f"column {self._where['shell']!r} without 'radius [m]': it is of balls", file=self.path)
 
     @staticmethod
     def _point_columns() -> list[list[str]]:
@@ -401,8 +457,8 @@ class _Reader:
 
     def _impact(self, number: int, cells: Mapping[str, Any]) -> ImpactRow:
         body = BodyState(
-            position=self._values(number, cells, _triple("")),
-            rotation=self._rotation(number, cells),
+            position=self._values(number, cells, _triple("")) if "x" in self._where else np.zeros(3),
+            rotation=self._rotation(number, cells) if "qx" in self._where else np.eye(3),
             twist=self._values(number, cells, [*_triple("v", "_before"), *_triple("w", "_before")]),
         )
         after = [self._after(number, cells, [*_triple("v", "_after"), *_triple("w", "_after")])]
@@ -416,18 +472,28 @@ class _Reader:
                 self._values(number, cells, self._of_joints(arm, "q")),
                 self._values(number, cells, self._of_joints(arm, "dq", "_before")),
             )
-            after.insert(place, self._after(number, cells, self._of_joints(arm, "dq", "_after")))
-        if arms:
-            on_pad = {next(iter(arms)): (given, normal)} if given and len(arms) == 1 else None
-            try:
-                points = points_of_scene(physics, arms, body, models, on_pad)
-            except Infeasible as error:
-                raise self._wrong(number, "pose of pad and object", None, error.message) from None
-        elif given:
-            points = points_on_plane(given, UP if normal is None else normal)
-        else:
-            points = corners_that_touch(body, physics.object.size, UP if normal is None else normal)
-        impact = MeasuredImpact(arms, body, points)
+            names = self._of_joints(arm, "dq", "_after")
+            unknown = np.full(len(names), np.nan)
+            after.insert(place, self._after(number, cells, names) if self._joints_after else unknown)
+        on_pad = {next(iter(arms)): (given, normal)} if given and len(arms) == 1 else None
+        upwards = UP if normal is None else normal
+
+        def with_points(tolerance: float) -> MeasuredImpact:
+            if arms:
+                points = points_of_scene(physics, arms, body, models, on_pad, tolerance)
+            elif given:
+                points = points_on_plane(given, upwards)
+            elif self._is_ball:
+                points = points_on_plane([body.position - physics.object.size[0] / 2.0 * upwards], upwards)
+            else:
+                points = corners_that_touch(body, physics.object.size, upwards, tolerance)
+            return MeasuredImpact(arms, body, points)
+
+        try:
+            impact, wider = with_points(self.tolerance), with_points(WIDER * self.tolerance)
+        except Infeasible as error:
+            raise self._wrong(number, "pose of pad and object", None, error.message) from None
+        more = None if len(wider.points) == len(impact.points) else wider
         closing = impact.closing_speed(physics, models)
         if not closing > 0.0:
             raise self._wrong(
@@ -436,7 +502,8 @@ class _Reader:
                 round(-closing, 6),
                 "no impact: the contact does not close; expected a velocity < 0 m/s against the normal",
             )
-        return ImpactRow(number, self._text(cells, "condition"), object_name, physics, impact, np.concatenate(after))
+        condition = self._text(cells, "condition")
+        return ImpactRow(number, condition, object_name, physics, impact, np.concatenate(after), more)
 
     def _rotation(self, number: int, cells: Mapping[str, Any]) -> Array:
         quaternion = self._values(number, cells, ("qx", "qy", "qz", "qw"))
@@ -464,8 +531,9 @@ class _Reader:
         for names in self._point_columns():
             if names[0] in self._where and any(self._text(cells, name) for name in names):
                 found.append(self._values(number, cells, names))
-        if "px" in self._where and not found:
-            raise self._wrong(number, "columns 'px', 'py', 'pz'", None, "no contact point; expected at least one [m]")
+        if not found and self.scenario is None and not (self._is_ball or "size_x" in self._where):
+            message = "no contact point; expected at least one [m], or columns 'size_x [m]' ... for the geometry"
+            raise self._wrong(number, "columns 'px', 'py', 'pz'", None, message)
         return found
 
     def _object(self, number: int, cells: Mapping[str, Any]) -> str:
@@ -489,12 +557,12 @@ class _Reader:
         self, number: int, cells: Mapping[str, Any], object_name: str
     ) -> tuple[Physics, dict[str, RobotModel]]:
         """Physics of a row before any effect; rows that assume the same share one."""
-        names = ("mass", "ixx", "iyy", "izz", *_triple("size_"), FRICTION, RESTITUTION)
+        names = ("mass", "ixx", "iyy", "izz", *_triple("size_"), "radius", "shell", FRICTION, RESTITUTION)
         own = {name: self._value(number, cells, name) for name in names if name in self._where}
         for name, value in own.items():
-            low = 0.0 if name in (FRICTION, RESTITUTION) else np.finfo(float).tiny
-            if value < low or (name == RESTITUTION and value > 1.0):
-                expected = {FRICTION: ">= 0 [-]", RESTITUTION: "between 0 and 1 [-]"}
+            low = 0.0 if name in (FRICTION, RESTITUTION, "shell") else np.finfo(float).tiny
+            if value < low or (name == RESTITUTION and value > 1.0) or (name == "shell" and value not in (0.0, 1.0)):
+                expected = {FRICTION: ">= 0 [-]", RESTITUTION: "between 0 and 1 [-]", "shell": "0 (solid) or 1 [-]"}
                 unit = self._unit[name]
                 raise self._wrong(
                     number,
@@ -530,12 +598,15 @@ class _Reader:
     @staticmethod
     def _free(own: Mapping[str, float]) -> Physics:
         """A free body: an object without arms, on a support without an edge."""
-        size = np.array([own.get(name, 0.0) for name in _triple("size_")])
+        size = np.array([own.get(name, 2.0 * own.get("radius", 0.0)) for name in _triple("size_")])
+        share = 2.0 / 3.0 if own.get("shell") else 2.0 / 5.0
+        ball = np.full(3, share * own["mass"] * own.get("radius", 0.0) ** 2)
         box = own["mass"] / 12.0 * (np.sum(np.square(size)) - np.square(size))
-        inertia = np.array([own[name] for name in ("ixx", "iyy", "izz")]) if "ixx" in own else box
+        own_shape = ball if "radius" in own else box
+        inertia = np.array([own[name] for name in ("ixx", "iyy", "izz")]) if "ixx" in own else own_shape
         return Physics(
             arms={},
-            object=ObjectPhysics(own["mass"], size, inertia, np.zeros(3)),
+            object=ObjectPhysics(own["mass"], size, inertia, np.zeros(3), round="radius" in own),
             support_height=None,
             support_size=(np.inf, np.inf),
             support_friction=own.get(FRICTION, ASSUMED_FRICTION),

@@ -73,7 +73,7 @@ def test_interval_of_a_mean_is_that_of_student() -> None:
 
 def test_an_effect_is_there_where_its_interval_leaves_out_the_nominal_value() -> None:
     fitted = identify.unknowns(["object_mass", "support_friction"])
-    found = identify.answer("plain", fitted, np.array([1.15, 1.02]), np.array([0.01, 0.03]))
+    found = identify.answer("plain", fitted, np.array([1.15, 0.02]), np.array([0.01, 0.03]))
     assert found.says == ("object_mass",)
     assert identify.false_findings("object_mass", found) == []
     assert [item.effect for item in identify.false_findings("support_friction", found)] == ["object_mass"]

@@ -84,8 +84,8 @@ def test_effects_lists_parameters_with_units(document: Document) -> None:
 
 MODELS = {
     "effects: [{name: torque_ofset, parameters: {}}]": "unknown effect",
-    "effects: [{name: support_friction, parameters: {scale: {estimate: 9, unit: '-'}}}]": "expected 0 ... 4",
-    "effects: [{name: support_friction, parameters: {scale: {estimate: 1, unit: kg}}}]": "expected the unit",
+    "effects: [{name: support_friction, parameters: {friction: {estimate: 9, unit: '-'}}}]": "expected -2 ... 2",
+    "effects: [{name: support_friction, parameters: {friction: {estimate: 1, unit: kg}}}]": "expected the unit",
     "efects: []": "unknown key",
 }
 
@@ -141,7 +141,7 @@ def test_the_demonstration_keeps_the_page_of_the_nominal_model(
     own_cache: None,
 ) -> None:
     monkeypatch.setattr("os.cpu_count", lambda: 1)  # more processes only start
-    hidden = {"name": EFFECT, "parameters": {"scale": {"estimate": 1.6, "unit": "-"}}}
+    hidden = {"name": EFFECT, "parameters": {"friction": {"estimate": 0.18, "unit": "-"}}}
     demonstration = Demonstration(hidden=Model(name="hidden", effects=(hidden,)), considered=(EFFECT,))
     story = walk_the_loop(demonstration, tmp_path, hidden_campaign, Terminal(as_json=False))
     assert story["correct"]

@@ -107,7 +107,7 @@ def test_restitution_stays_between_none_and_all_of_it() -> None:
     effect = library()["restitution"]
     assert restitution_of(effect.apply_vector(cube(restitution=0.2), np.array([0.3]))) == pytest.approx(0.5)
     assert np.concatenate(effect.bounds(cube(restitution=0.2))) == pytest.approx([-0.2, 0.8])
-    assert np.concatenate(effect.bounds(cube())) == pytest.approx([0.0, 0.9])
+    assert np.concatenate(effect.bounds(cube())) == pytest.approx([0.0, 1.0])
     assert restitution_of(replace(cube(), bounce=1.7)) == 1.0
     assert restitution_of(replace(cube(), bounce=-0.1)) == 0.0
 

@@ -23,7 +23,7 @@ from impact_rs_sim.errors import InputError
 from impact_rs_sim.model import Model, ModelEffect, ParameterValue, load_model
 from impact_rs_trials.bags.topics import TRUTH
 
-TRUE_SCALE = 1.6  # of the support's friction, hidden in the fixture's plant
+MORE_FRICTION = 0.18  # of the support, hidden in the fixture's plant
 
 
 @pytest.fixture(scope="module")
@@ -71,8 +71,8 @@ def test_a_rougher_support_shows_in_the_push_and_not_in_free_motion(nominal: Com
 
 
 def test_the_true_model_scores_about_the_repeatability(runs: Runs, nominal: ComparisonDocument) -> None:
-    value = ParameterValue(estimate=TRUE_SCALE, unit="-", ci95=None)
-    true = Model(name="true", effects=(ModelEffect(name="support_friction", parameters={"scale": value}),))
+    value = ParameterValue(estimate=MORE_FRICTION, unit="-", ci95=None)
+    true = Model(name="true", effects=(ModelEffect(name="support_friction", parameters={"friction": value}),))
     found = against(runs, true)
     assert found.noise_floor == 1.0
     assert found.score < 2.0

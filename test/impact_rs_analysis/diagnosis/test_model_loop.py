@@ -11,10 +11,11 @@ from impact_rs_analysis.diagnosis.add import add_effect
 from impact_rs_analysis.diagnosis.document import DiagnosisDocument, read_document
 from impact_rs_analysis.diagnosis.history import versions
 from impact_rs_analysis.diagnosis.scoring import Score, score
+from impact_rs_sim.effects import library
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.model import Model, load_model, save_model
 
-TRUE_SCALE = 1.6
+MORE_FRICTION = 0.18
 
 
 @pytest.fixture(scope="module")
@@ -22,11 +23,19 @@ def document(diagnosed: Path) -> DiagnosisDocument:
     return read_document(diagnosed)
 
 
-def blind(directory: Path, runs: Path, kind: str, **scales: float) -> Path:
-    """A blind campaign of these runs, whose truth is said to be scales of effects."""
+def _only(name: str) -> str:
+    """The parameter of an effect that has one."""
+    (parameter,) = library()[name].parameters
+    return parameter.name
+
+
+def blind(directory: Path, runs: Path, kind: str, **sizes: float) -> Path:
+    """A blind campaign of these runs, whose truth is said to be these sizes of effects."""
     directory.mkdir()
     (directory / "runs").symlink_to(runs)
-    hidden = [{"name": name, "parameters": {"scale": {"value": v, "unit": "-"}}} for name, v in scales.items()]
+    hidden = [
+        {"name": name, "parameters": {_only(name): {"value": value, "unit": "-"}}} for name, value in sizes.items()
+    ]
     (directory / "truth.json").write_text(json.dumps({"kind": kind, "outside": None, "effects": hidden}))
     return directory
 
@@ -55,7 +64,7 @@ def test_the_hidden_friction_is_named_and_estimated(document: DiagnosisDocument)
     assert document.named == ("support_friction",)
     found = document.effects[0]
     assert found.held_out_error_after < 0.5 * found.held_out_error_before
-    assert found.parameters["scale"].estimate == pytest.approx(TRUE_SCALE, rel=0.1)
+    assert found.parameters["friction"].estimate == pytest.approx(MORE_FRICTION, abs=0.02)
 
 
 def test_adding_an_effect_names_the_parent_and_keeps_the_interval(
@@ -67,7 +76,7 @@ def test_adding_an_effect_names_the_parent_and_keeps_the_interval(
     read = load_model(child_file)
     assert read == child
     assert read.parent_digest == load_model("nominal").digest
-    value, said = read.effects[0].parameters["scale"], document.effects[0].parameters["scale"]
+    value, said = read.effects[0].parameters["friction"], document.effects[0].parameters["friction"]
     assert (value.estimate, value.ci95) == (said.estimate, said.ci95)
     chain = versions(child_file)
     assert [entry.effect_added for entry in chain] == [None, "support_friction"]
@@ -118,11 +127,11 @@ def test_scores_of_blind_campaigns(
         folder = tmp_path / f"{kind}_{len(os.listdir(tmp_path))}"
         return score(blind(folder, hidden_campaign, kind, **scales), found, diagnosed)
 
-    right = scored("single", support_friction=TRUE_SCALE)
+    right = scored("single", support_friction=MORE_FRICTION)
     assert right.correct and right.by_own_name and right.also_named == ()
     wrong = scored("single", motor_inertia_scale=1.2)
     assert not wrong.correct and wrong.also_named == ("support_friction",) and wrong.intervals_cover is None
-    assert not scored("pair", support_friction=TRUE_SCALE, object_mass=1.1).correct
+    assert not scored("pair", support_friction=MORE_FRICTION, object_mass=1.1).correct
     assert not scored("null").correct
     assert scored("null", document.model_copy(update={"verdict": "NOTHING-MISSING", "named": ()})).correct
 
@@ -130,6 +139,6 @@ def test_scores_of_blind_campaigns(
 def test_a_diagnosis_of_another_campaign_is_refused(
     document: DiagnosisDocument, diagnosed: Path, push_campaign: Path, tmp_path: Path
 ) -> None:
-    other = blind(tmp_path / "other", push_campaign, "single", support_friction=TRUE_SCALE)
+    other = blind(tmp_path / "other", push_campaign, "single", support_friction=MORE_FRICTION)
     with pytest.raises(InputError, match="other runs"):
         score(other, document, diagnosed)

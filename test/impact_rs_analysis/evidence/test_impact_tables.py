@@ -60,7 +60,7 @@ def test_friction_and_restitution_of_a_cube_are_found_and_nothing_else(
 ) -> None:
     source, document = tossed
     assert_only(document, "support_friction", "restitution")
-    assert covers(document, "support_friction", "scale", 0.2 / 0.5)
+    assert covers(document, "support_friction", "friction", 0.2 - 0.5)
     assert covers(document, "restitution", "restitution", 0.3)
     assert document.held_out_error_after < 0.05 * document.held_out_error_before
     assert (document.source, document.error_unit, document.runs.trials) == ("impacts", "m/s", 60)
@@ -124,9 +124,9 @@ def test_what_no_effect_explains_is_said_where_the_noise_is_known(tmp_path: Path
 def test_a_limit_that_is_no_friction_at_all_is_found_at_its_bound(tmp_path: Path) -> None:
     document = diagnose(of_cubes(tmp_path / "cubes.csv", cube(0.0)), NOMINAL)
     assert document.named == ("support_friction",)
-    low, high = document.effect("support_friction").parameters["scale"].interval
-    assert low == 0.0
-    assert high < 0.05
+    low, high = document.effect("support_friction").parameters["friction"].interval
+    assert low == -0.5
+    assert high < -0.475
 
 
 def test_rows_that_gain_energy_are_named(tmp_path: Path) -> None:
@@ -143,6 +143,9 @@ def test_motor_inertia_of_an_arm_is_found_from_its_jumps(tmp_path: Path) -> None
     assert source.repeated
     assert_only(document, "motor_inertia_scale")
     assert covers(document, "motor_inertia_scale", "scale", 1.3)
+    (apart,) = (text for text in source.remarks if text.startswith("apart: joints "))
+    joints, item = (float(part.split()[-1]) for part in apart.split(" times")[0].removeprefix("apart: ").split(","))
+    assert joints > 1.2 * item  # a motor that is heavier than assumed shows in its own joint
     assert {feature.signal for feature in source.signals} >= {JOINTS}
 
 
@@ -168,3 +171,44 @@ def test_a_condition_is_predicted_as_the_mean_of_its_repeats(tmp_path: Path) -> 
     assert again.residuals == pytest.approx(source.clusters[1].residuals)
     item = source.clusters[1]
     assert item.mean * item.sigma == pytest.approx((source.measured - source.predicted)[list(rows)].mean(axis=0))
+
+
+def test_an_object_whose_robot_was_not_measured_after_the_impact_is_compared_alone(tmp_path: Path) -> None:
+    header, rows = arm_table({"object_mass": [1.15]}, 4, seed=1)
+    kept = [number for number, name in enumerate(header) if not (name.startswith("dq") and "_after" in name)]
+    path = write_csv(tmp_path / "pushes.csv", [header[k] for k in kept], [[row[k] for k in kept] for row in rows])
+    source = ImpactTableSource(read_impact_table(path, load_scenario("push")), NOMINAL)
+    assert {feature.signal for feature in source.signals}.isdisjoint({JOINTS})
+    assert source.measured.shape == source.predicted.shape == (len(rows), 6)
+    document = diagnose(source, NOMINAL, ["object_mass", "restitution"])
+    assert_only(document, "object_mass")
+    assert covers(document, "object_mass", "scale", 1.15)
+
+
+@pytest.mark.parametrize(("stated", "larger"), [(1e-6, False), (0.5, True)])
+def test_stated_noise_counts_beside_repeats_where_it_is_larger(tmp_path: Path, stated: float, larger: bool) -> None:
+    header, rows = arm_table({}, 3)
+    names = ["v_noise [m/s]", "w_noise [rad/s]", "dq_noise [rad/s]"]
+    path = write_csv(tmp_path / "pushes.csv", [*header, *names], [[*row, *[stated] * 3] for row in rows])
+    source = ImpactTableSource(read_impact_table(path, load_scenario("push")), NOMINAL)
+    item = source.clusters[0]
+    assert np.allclose(item.pure * item.sigma, stated) == larger
+    (remark,) = (text for text in source.remarks if "the noise columns say" in text)
+    assert ("0.0" in remark) == larger
+
+
+def test_contacts_that_a_millimetre_decides_are_reported(tmp_path: Path) -> None:
+    """A cube that comes down on an edge, with the opposite one 2 mm above the plane."""
+    rows = cube_rows(cube(), 20, noise=False)
+    half = 0.5 * 0.02  # rad, of a cube of 0.1 m
+    for row in rows:
+        row[3:7] = [np.sin(half), 0.0, 0.0, np.cos(half)]
+        row[7:13] = [0.3, 0.0, -1.0, 0.0, 0.0, 0.0]
+    path = write_csv(tmp_path / "cubes.csv", CUBE_HEADER, rows)
+    source = ImpactTableSource(read_impact_table(path), NOMINAL)
+    (remark,) = (text for text in source.remarks if "which points touch is unsure" in text)
+    assert "in 20 of 20 rows: with 4 in place of 1 mm" in remark
+    assert {len(row.impact.points) for row in source.table.rows} == {2}
+    wide = read_impact_table(path, tolerance=0.005)
+    assert {len(row.impact.points) for row in wide.rows} == {4}
+    assert not any("which points touch" in text for text in ImpactTableSource(wide, NOMINAL).remarks)

@@ -11,6 +11,7 @@ from closed_forms import restitution_of
 from trials import scene_of
 
 from impact_rs_sim.bullet_world import BulletWorld
+from impact_rs_sim.effects import library
 from impact_rs_sim.impact_map import BulletEngine, ExactEngine, ImpactProblem
 from impact_rs_sim.impact_map.contacts import find_contacts, meetings
 from impact_rs_sim.scene import ArmState, BodyState
@@ -19,24 +20,33 @@ ON_PAD = (REACH, 0.0, BOX / 2.0)
 DEAD = 1.8 * np.sqrt(2.0e4)  # N s/m, 0.9 of the critical damping of 1 kg on the pad: restitution 0.0015
 
 
-def slowed_by(name, scale, **sliding):
+def slowed_by(name, more, **sliding):
     """Deceleration of a box that slides along +x, away from the axis, under an effect of friction [m/s^2]."""
-    physics = switched_on(with_support(bench(), -1.0), name, scale=scale)
+    physics = switched_on(with_support(bench(), -1.0), name, friction=more)
     motion = run(physics, seconds=0.1, box_twist=(0.6, 0.0, 0.0, 0.0, 0.0, 0.0), **sliding)
     return -slope(motion.time, motion.box_velocity[:, 0], 0.01, 0.06)
 
 
-@pytest.mark.parametrize("scale", [0.5, 1.0, 1.6])
-def test_support_friction_slows_a_sliding_box_by_mu_g(scale):
-    found = slowed_by("support_friction", scale, box=(1.0, 0.0, -1.0 + BOX / 2.0))
-    assert found == pytest.approx(scale * 0.3 * GRAVITY, rel=0.02)
+@pytest.mark.parametrize("more", [-0.15, 0.0, 0.18])
+def test_support_friction_slows_a_sliding_box_by_mu_g(more):
+    found = slowed_by("support_friction", more, box=(1.0, 0.0, -1.0 + BOX / 2.0))
+    assert found == pytest.approx((0.3 + more) * GRAVITY, rel=0.02)
 
 
-@pytest.mark.parametrize("scale", [0.5, 1.0, 1.6])
-def test_pad_friction_slows_a_box_that_slides_on_the_pad_by_mu_g(scale):
+@pytest.mark.parametrize("more", [-0.25, 0.0, 0.3])
+def test_pad_friction_slows_a_box_that_slides_on_the_pad_by_mu_g(more):
     settled = BOX / 2.0 - GRAVITY / 2.0e4
-    found = slowed_by("pad_friction", scale, box=(REACH, 0.0, settled))
-    assert found == pytest.approx(scale * 0.5 * GRAVITY, rel=0.03)
+    found = slowed_by("pad_friction", more, box=(REACH, 0.0, settled))
+    assert found == pytest.approx((0.5 + more) * GRAVITY, rel=0.03)
+
+
+@pytest.mark.parametrize("name", ["support_friction", "pad_friction"])
+def test_a_smooth_contact_may_be_rough_and_none_has_less_than_no_friction(name):
+    smooth = replace(bench(), **{name: 0.0})
+    assert getattr(switched_on(smooth, name, friction=0.4), name) == 0.4
+    assert np.concatenate(library()[name].bounds(smooth)) == pytest.approx([0.0, 2.0])
+    assert np.concatenate(library()[name].bounds(replace(smooth, **{name: 0.3}))) == pytest.approx([-0.3, 2.0])
+    assert getattr(switched_on(smooth, name, friction=-0.4), name) == 0.0  # a step of a fit
 
 
 @pytest.mark.parametrize("scale", [0.5, 1.0, 4.0])

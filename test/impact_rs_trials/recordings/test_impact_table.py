@@ -242,3 +242,43 @@ def test_every_column_is_documented() -> None:
             continue  # named with the one before
         assert f"``{name}``" in (impact_table.__doc__ or ""), name
         assert f"`{name}`" in page, name
+
+
+def test_a_row_without_contact_points_takes_those_of_the_geometry(tmp_path: Path, cubes: Rows) -> None:
+    lowest = [read_cubes(tmp_path, cubes).rows[number].impact.points[0].position for number in range(2)]
+    given = [row | dict.fromkeys(("px [m]", "py [m]", "pz [m]"), "") for row in cubes]
+    given[1] |= dict(zip(("px [m]", "py [m]", "pz [m]"), (lowest[1] + 0.001).tolist(), strict=True))
+    table = read_cubes(tmp_path, given)
+    np.testing.assert_allclose(table.rows[0].impact.points[0].position, lowest[0])
+    np.testing.assert_allclose(table.rows[1].impact.points[0].position, lowest[1] + 0.001)
+
+
+BALL = {"mass [g]": 2.7, "radius [mm]": 20.0}
+FALL = {f"v{axis}_{when} [m/s]": speed for when, speed in (("before", -1.0), ("after", 0.5)) for axis in "xyz"}
+SPIN = {f"w{axis}_{when} [rad/s]": 3.0 for when in ("before", "after") for axis in "xyz"}
+
+
+@pytest.mark.parametrize(("shell", "share"), [({}, 0.4), ({"shell [-]": 0}, 0.4), ({"shell [-]": 1}, 2.0 / 3.0)])
+def test_a_ball_touches_below_its_centre(tmp_path: Path, shell: dict[str, float], share: float) -> None:
+    normal = dict(zip(("nx [-]", "ny [-]", "nz [-]"), (0.6, 0.0, 0.8), strict=True))
+    (row,) = read_cubes(tmp_path, [BALL | FALL | SPIN | shell | normal]).rows
+    np.testing.assert_allclose(row.physics.object.inertia, share * 0.0027 * 0.02**2)
+    np.testing.assert_allclose(row.impact.points[0].position, [-0.012, 0.0, -0.016])
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"shell [-]": 0.5}, r"column 'shell \[-\]' = 0.5: expected a number 0 \(solid\) or 1 \[-\]"),
+        ({"radius [mm]": 0.0}, r"column 'radius \[mm\]' = 0.0: expected a number > 0 \[mm\]"),
+        (dict.fromkeys(("size_x [m]", "size_y [m]", "size_z [m]"), 0.1), "expected one of them; a ball touches below"),
+        (dict.fromkeys(("px [m]", "py [m]", "pz [m]"), 0.1), "expected one of them; a ball touches below"),
+    ],
+)
+def test_a_ball_that_cannot_be_is_refused(tmp_path: Path, change: dict[str, float], message: str) -> None:
+    assert re.search(message, refusal(read_cubes, tmp_path, [BALL | FALL | SPIN | change]))
+
+
+def test_a_shell_needs_a_radius_and_a_scenario_has_no_balls(tmp_path: Path, cubes: Rows, pushes: Rows) -> None:
+    assert "it is of balls" in refusal(read_cubes, tmp_path, cubes, **{"shell [-]": 1})
+    assert "objects of scenario 'push' are boxes" in refusal(read_pushes, tmp_path, pushes, **{"radius [m]": 0.1})

@@ -1,0 +1,47 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Tossed cubes with a weight off their middle: one verdict, whatever friction is assumed."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from corner_impacts import toss_table
+
+from impact_rs_analysis.diagnosis.diagnose import diagnose
+from impact_rs_analysis.evidence.impact_tables import ImpactTableSource
+from impact_rs_sim.model import load_model
+from impact_rs_trials.recordings.impact_table import read_impact_table
+
+NOMINAL = load_model(Path("nominal"))
+FRICTION, RESTITUTION, HEIGHT = 0.18, 0.27, 0.0068  # -, -, m; as found on the public tosses
+
+
+@pytest.mark.parametrize("assumed", [0.0, 1.0])
+def test_the_map_solves_a_corner_as_one_does_by_hand(tmp_path: Path, assumed: float) -> None:
+    table = read_impact_table(toss_table(tmp_path / "tosses.csv", assumed, rows=40, noise=(0.0, 0.0)))
+    source = ImpactTableSource(table, NOMINAL)
+    truth = (
+        ("restitution", (RESTITUTION,)),
+        ("support_friction", (FRICTION - assumed,)),
+        ("object_com_offset", (0.0, 0.0, HEIGHT)),
+    )
+    np.testing.assert_allclose(source.predicted_with(truth), source.measured, atol=1e-6)
+
+
+@pytest.mark.parametrize("assumed", [0.1, 0.3])
+def test_the_friction_that_is_assumed_of_tosses_does_not_matter(tmp_path: Path, assumed: float) -> None:
+    source = ImpactTableSource(read_impact_table(toss_table(tmp_path / "tosses.csv", assumed)), NOMINAL)
+    document = diagnose(source, NOMINAL)
+    assert set(document.named) == {"restitution", "support_friction", "object_com_offset"}
+    assert document.noise_floor is not None
+    assert document.held_out_error_after < 1.1 * document.noise_floor
+    for effect, parameter, truth in (
+        ("restitution", "restitution", RESTITUTION),
+        ("support_friction", "friction", FRICTION - assumed),
+        ("object_com_offset", "z", HEIGHT),
+    ):
+        found = document.effect(effect).parameters[parameter]
+        half = (found.interval[1] - found.interval[0]) / 2.0
+        assert found.estimate == pytest.approx(truth, abs=2.0 * half)
