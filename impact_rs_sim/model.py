@@ -23,6 +23,7 @@ from pydantic import Field
 
 from impact_rs_sim.effects import Effect, library
 from impact_rs_sim.effects.base import SLIDING, Joints
+from impact_rs_sim.effects.contact import FORMER
 from impact_rs_sim.effects.each_arm import EachArm, of_each
 from impact_rs_sim.effects.formula import FormulaEffect, FormulaSpec
 from impact_rs_sim.errors import InputError
@@ -75,6 +76,8 @@ class Model(Schema):
 
     def effect_of(self, item: ModelEffect) -> Effect:
         """The effect of an entry; its parameters belong to one arm each where it names none that arms share."""
+        if item.name in FORMER and "scale" in item.parameters:
+            return FORMER[item.name]
         shared = self._shared_effects[item.name]
         each = of_each(shared, self.arms)
         own = {scalar.name for scalar in each.scalars(0)}
@@ -192,9 +195,10 @@ def check_model(model: Model, file: str | Path) -> Model:
             value = item.parameters[name]
             if value.unit != scalar.unit:
                 raise InputError(f"expected the unit {scalar.unit!r}", file=file, key=f"{place}.unit", value=value.unit)
-            if not scalar.lower <= value.estimate <= scalar.upper:
+            lower, upper = scalar.possible if effect.name in library() else (scalar.lower, scalar.upper)
+            if not lower <= value.estimate <= upper:
                 raise InputError(
-                    f"expected {scalar.lower:g} ... {scalar.upper:g} {scalar.unit} ({scalar.meaning})",
+                    f"expected {lower:g} ... {upper:g} {scalar.unit} ({scalar.meaning})",
                     file=file,
                     key=f"{place}.estimate",
                     value=value.estimate,

@@ -121,6 +121,12 @@ class Parameter:
         lower, upper = (bound and 2.0 * bound - self.nominal for bound in (self.lower, self.upper))
         return replace(self, lower=lower, upper=upper)
 
+    @property
+    def possible(self) -> tuple[float, float]:
+        """What the parameter may be for any robot: a thousand times its range about nominal, on its side of 0."""
+        lower, upper = (self.nominal + 1e3 * (bound - self.nominal) for bound in (self.lower, self.upper))
+        return (max(lower, 0.0) if self.lower >= 0.0 else lower, min(upper, 0.0) if self.upper <= 0.0 else upper)
+
     def times(self, factor: float) -> Parameter:
         """The parameter with all its values, ranges and steps multiplied by a factor."""
         return replace(

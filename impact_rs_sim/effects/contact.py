@@ -199,6 +199,14 @@ def _drilling_friction(physics: Physics, values: Values) -> Physics:
     return _with_law(physics, DrillingFriction(arm, restitution)) if arm else physics
 
 
+def _former_pad_friction(physics: Physics, values: Values) -> Physics:
+    return replace(physics, pad_friction=physics.pad_friction * number(values, "scale"))
+
+
+def _former_support_friction(physics: Physics, values: Values) -> Physics:
+    return replace(physics, support_friction=physics.support_friction * number(values, "scale"))
+
+
 RESTITUTION = RestitutionEffect(
     name="restitution",
     acts_on="contact",
@@ -243,6 +251,19 @@ SUPPORT_FRICTION = FrictionEffect(
     law=_support_friction,
     phases=("contact",),
 )
+
+# Model files of 0.2.0 and before multiply the assumed coefficient.
+FORMER = {
+    effect.name: SceneEffect(
+        effect.name,
+        effect.acts_on,
+        effect.sentence,
+        (Parameter("scale", "-", 1.0, 0.0, 4.0, 0.2, "friction coefficient over its assumed value"),),
+        law,
+        ("contact",),
+    )
+    for effect, law in ((PAD_FRICTION, _former_pad_friction), (SUPPORT_FRICTION, _former_support_friction))
+}
 
 # Two effects and not one of two parameters: shear comes back when the load ends and creep does not, so that each can be
 # seen by itself, and one alone is a whole law. Together they are a Maxwell element.
