@@ -27,6 +27,7 @@ from impact_rs_sim.effects.base import Joints
 from impact_rs_sim.robot import Array
 
 PROBES = (0.25, 0.5, 1.0)  # shares of the way to the ends of a range, where an effect is looked for
+LEAST_ROOM = 0.2  # of a finite-difference step; nearer a bound it goes the other way
 PRIOR = 100.0  # parameter scales; only bounds parameters that the data do not determine
 
 
@@ -130,11 +131,10 @@ class Candidate:
         return replace(self, jacobians=jacobians)
 
     def steps(self, effect: Effect, part: slice, joints: Joints) -> Array:
-        """Finite-difference steps of one effect, away from a bound under the physics at hand, ``(p,)``."""
+        """Finite-difference steps of one effect, up to a bound under the physics at hand or away from it, ``(p,)``."""
         steps = effect.steps(joints, self.point[part])
-        there = self.point[part] + steps
-        beyond = (there < self.lower[part]) | (there > self.upper[part])
-        return np.where(beyond, -steps, steps)
+        room = np.clip(self.point[part] + steps, self.lower[part], self.upper[part]) - self.point[part]
+        return np.where(np.abs(room) < LEAST_ROOM * np.abs(steps), -steps, room)
 
     def only(self, clusters: Sequence[int]) -> Candidate:
         """The candidate restricted to some clusters, by number."""

@@ -245,7 +245,7 @@ SUPPORT_FRICTION = FrictionEffect(
     sentence="The object slides on its support with more or less friction than assumed.",
     parameters=(
         Parameter(
-            "friction", "-", 0.0, -2.0, 2.0, 0.03, "coefficient beyond the assumed", step=-0.15, far=(-0.8, -0.4, 0.4)
+            "friction", "-", 0.0, -2.0, 2.0, 0.03, "coefficient beyond the assumed", step=-0.4, far=(-0.8, -0.4, 0.4)
         ),
     ),
     law=_support_friction,
