@@ -26,7 +26,9 @@ AGAINST = -0.5  # correlation of torque and velocity below which a torque drives
 MOVES = 0.02  # of the data sheet's velocity, rms, from which a joint moves
 
 
-def doubts_of_arm(time: Array, arm: ArmSignals, mapping: Mapping, model: RobotModel) -> list[str]:
+def doubts_of_arm(
+    time: Array, arm: ArmSignals, mapping: Mapping, model: RobotModel, contact: bool = False
+) -> list[str]:
     """What looks wrong in the signals of an arm: which joint, by how much, and the remedy in the mapping.
 
     Args:
@@ -34,6 +36,7 @@ def doubts_of_arm(time: Array, arm: ArmSignals, mapping: Mapping, model: RobotMo
         arm: Recorded position, velocity and torque.
         mapping: Knows the robot.
         model: Nominal arm, for its weight.
+        contact: Whether something else pushes the arm, so that torques say nothing of weight and friction.
     """
     rows = np.unique(np.linspace(0, time.size - 1, CHECKED).astype(int))
     weight, derived = gravity_torques(model, arm.position[rows]), np.gradient(arm.position, time, axis=0)
@@ -46,6 +49,8 @@ def doubts_of_arm(time: Array, arm: ArmSignals, mapping: Mapping, model: RobotMo
         if moving and (ratio := _ratio(arm.velocity[:, joint], derived[:, joint])) is not None:
             speeds[joint] = f"is {ratio:.2g} times the derivative of its position, expected 1"
             factors["velocity"][joint] = _remedy(ratio)
+        if contact:
+            continue
         if heavy and (ratio := _ratio(arm.torque[rows, joint], own)) is not None:
             torques[joint] = f"is {ratio:.2g} times the arm's weight, expected 1"
             factors["torque"][joint] = _remedy(ratio)

@@ -429,7 +429,7 @@ def _arm_of(
         check_arm(path, time, joints, mapping, IMPACT_SHARE if run.hit else 0.0)
         remedy = "wrong sign or unit, or without the arm's own weight?"
         check_weight(path, "torque", laboratory.models[arm], own["position"], own["torque"], remedy)
-        doubts = doubts_of_arm(time, joints, mapping, laboratory.models[arm])
+        doubts = doubts_of_arm(time, joints, mapping, laboratory.models[arm], run.hit)
         remarks += [f"{laboratory.label(arm)}{doubt}" for doubt in doubts]
         command_time, command = _part(series.get("command"), grid, none)
         if command_time.size:

@@ -63,6 +63,13 @@ def test_degrees_per_second_are_named() -> None:
     assert "57 times the derivative" in doubt and "0.0175" in doubt
 
 
+def test_in_contact_torques_say_nothing_of_weight_and_friction() -> None:
+    columns = swung()
+    arm = ArmSignals(columns["position"], -columns["velocity"], -columns["effort"])
+    (doubt,) = doubts_of_arm(TIME, arm, MAPPING, MODEL, contact=True)
+    assert doubt.startswith("velocity") and doubt.endswith("signals.velocity.factor: -1")
+
+
 @pytest.mark.parametrize(("joint", "words"), [(1, "weight"), (3, "weight"), (0, "against its motion")])
 def test_the_sign_of_a_torque_is_named_by_weight_or_friction(joint: int, words: str) -> None:
     (doubt,) = doubts({"effort": (joint, -1.0)})
@@ -86,6 +93,7 @@ def test_recordings_of_another_laboratory_raise_no_doubt(bench: str) -> None:
         pytest.skip("the shared recordings are not on this machine")
     runs, _ = read_laboratory(SHARED / "lab" / bench, Experiment(scenario="push"), map)
     assert [remark for run in runs for remark in run.remarks if "factor" in remark] == []
-    arm = runs[0].signals.arms["arm"]
+    free = next(run for run in runs if not run.hit)
+    arm = free.signals.arms["arm"]
     wrong = replace(arm, torque=arm.torque * np.where(np.arange(7) == 3, -1.0, 1.0))
-    assert doubts_of_arm(runs[0].signals.time, wrong, MAPPING, runs[0].physics.robot_model("arm"))
+    assert doubts_of_arm(free.signals.time, wrong, MAPPING, free.physics.robot_model("arm"))
