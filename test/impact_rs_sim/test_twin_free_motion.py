@@ -110,7 +110,7 @@ def alone(job: TwinJob) -> Result:
 @pytest.mark.parametrize(
     ("effect", "vector"),
     [
-        ("stribeck_friction", None),
+        ("friction, gain and offset", None),
         ("motor_inertia_scale", (1.4,)),
         ("joint_stiffness", (0.7,)),
         ("end_effector_payload", (0.4, 0.02, 0.0, -0.05)),
@@ -124,7 +124,8 @@ def test_free_motion_is_that_of_pinocchio(
     if vector is None:
         arm = physics.arms["arm"]
         rubs = replace(arm.friction, coulomb=np.full(7, 0.4), viscous=np.full(7, 0.2), stribeck=np.full(7, 0.3))
-        believed = replace(physics, arms={"arm": replace(arm, friction=rubs)})
+        gain, offset = np.linspace(0.9, 1.1, 7), np.linspace(-0.5, 0.4, 7)
+        believed = replace(physics, arms={"arm": replace(arm, friction=rubs, torque_gain=gain, torque_offset=offset)})
     else:
         believed = load_model("nominal").known_effects[effect].apply_vector(physics, np.array(vector))
     one = stretch(believed)
