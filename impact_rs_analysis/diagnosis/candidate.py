@@ -107,6 +107,11 @@ class Candidate:
         return next(part for effect, part in self.parts if effect.name == name)
 
     @property
+    def seen(self) -> bool:
+        """Whether some feature depends on some parameter here."""
+        return any(np.any(jacobian) for jacobian in self.jacobians)
+
+    @property
     def unseen(self) -> list[int]:
         """Parameters with zero sensitivity here, like the centre of a payload without mass."""
         zero = np.all([np.all(jacobian == 0.0, axis=0) for jacobian in self.jacobians], axis=0)

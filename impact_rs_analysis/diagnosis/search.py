@@ -38,6 +38,7 @@ from impact_rs_analysis.diagnosis.thresholds import (
     TIE,
     WIDE_TIE,
 )
+from impact_rs_analysis.evidence.cluster import Added
 from impact_rs_sim.effects import Effect
 from impact_rs_sim.robot import Array
 
@@ -76,7 +77,6 @@ class Search:
 
     Attributes:
         singles: Every measurable effect alone, linearised at nominal.
-        unmeasured: Effects that change no measured feature.
         ruled_out: Effects ruled out by free motion, and not searched.
         ended: Results of fits by simulation, by the names of their effects.
     """
@@ -86,7 +86,6 @@ class Search:
     ) -> None:
         self.evidence, self.source, self._progress = evidence, evidence.source, progress
         self.singles: dict[str, Candidate] = {}
-        self.unmeasured: set[str] = set()
         self.ended: dict[tuple[str, ...], Candidate] = {}
         self._starts: dict[str, Candidate] = {}
         self._unseen: dict[str, Candidate] = {}
@@ -103,24 +102,21 @@ class Search:
             if found is None:
                 continue
             found = self._seen_from_afar(found)
-            if all(np.all(jacobian == 0.0) for jacobian in found.jacobians):
-                self.unmeasured.add(found.names[0])
-                self._unseen[found.names[0]] = found
-            else:
-                self.singles[found.names[0]] = found
+            (self.singles if found.seen else self._unseen)[found.names[0]] = found
 
-    def _seen_from_afar(self, candidate: Candidate) -> Candidate:
+    def _seen_from_afar(self, candidate: Candidate, base: Added = ()) -> Candidate:
         """The candidate with secants for parameters without sensitivity at nominal, to where they change something.
 
-        A contact that sticks does not depend on its friction, until there is so little that it slips.
+        A contact that sticks does not depend on its friction, until there is so little that it slips; one without
+        friction throws no slip back, until there is friction in the model, so other effects may be the ``base``.
         """
         clusters, numbers = self.evidence.clusters, self.evidence.numbers
         for index in candidate.unseen:
             if candidate.scalars[index].shape:
                 continue
             for point in candidate.probes(index):
-                added = candidate.split(point)
-                changes = self.source.differences(numbers, candidate.origin, added, "probes of effects")
+                added = (*base, *candidate.split(point))
+                changes = self.source.differences(numbers, base, added, "probes of effects")
                 if any(change is None for change in changes) or not any(np.any(change) for change in changes):
                     continue
                 steps = (point[index] - candidate.point[index]) / candidate.scale[index]
@@ -130,29 +126,18 @@ class Search:
         return candidate
 
     def _look_beside(self, chosen: Fit) -> None:
-        """Sensitivities of effects that change something beside the chosen ones alone.
-
-        A contact without friction throws no slip back, until there is friction in the model.
-        """
-        clusters, numbers, source = self.evidence.clusters, self.evidence.numbers, self.source
+        """Find effects that change something beside the chosen ones alone."""
         base = chosen.candidate.split(chosen.estimate)
-        for name in sorted(self.unmeasured):
-            candidate = self._unseen[name]
-            (effect,) = candidate.effects
-            for index, step in enumerate(candidate.steps(effect, slice(None), source.joints)):
-                if candidate.scalars[index].shape:
-                    continue
-                values = candidate.point.copy()
-                values[index] += step
-                added = (*base, *candidate.split(values))
-                changes = source.differences(numbers, base, added, "effects beside the chosen ones")
-                if any(change is None for change in changes) or not any(np.any(change) for change in changes):
-                    continue
-                steps = step / candidate.scale[index]
-                columns = [np.asarray(c) / item.sigma / steps for c, item in zip(changes, clusters, strict=True)]
-                candidate = candidate.with_sensitivity(index, columns)
-                self.singles[name] = candidate
-                self.unmeasured.discard(name)
+        for name in sorted(self._unseen):
+            found = self._seen_from_afar(self._unseen[name], base)
+            if found.seen:
+                self.singles[name] = found
+                del self._unseen[name]
+
+    @property
+    def unmeasured(self) -> set[str]:
+        """Effects that change no measured feature."""
+        return set(self._unseen)
 
     def _linearised(self, candidate: Candidate, evidence: Evidence | None = None) -> Candidate | None:
         evidence = evidence or self.evidence
