@@ -28,11 +28,12 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "test" / "shared"))
 from ball_impacts import Racket, ball_table, bounced  # noqa: E402
 
 NOMINAL = load_model(Path("nominal"))
+ALIKE = 0.01  # frictions that differ by less make no difference beyond the noise
 X, Z, Y_TURNING = 0, 2, 4  # columns of a twist
 
 
-def drawn(seed: int) -> tuple[Racket, set[str]]:
-    """A racket, and the effects that name its laws; any friction and restitution differ from the assumed."""
+def drawn(seed: int, assumed: float) -> tuple[Racket, set[str]]:
+    """A racket, and the effects that name its laws beside some ``assumed`` friction and no restitution."""
     rng = np.random.default_rng(seed)
     bounce, fall = rng.uniform(0.4, 0.95), rng.choice([0.0, rng.uniform(0.01, 0.03)])
     gripping = rng.random() < 0.5
@@ -46,7 +47,8 @@ def drawn(seed: int) -> tuple[Racket, set[str]]:
         drilling,
         spin,
     )
-    truth = {"restitution", "support_friction"}
+    truth = {"restitution"}
+    truth |= {"support_friction"} if abs(friction - assumed) > ALIKE else set()
     truth |= {"restitution_fall"} if fall else set()
     truth |= {"tangential_restitution"} if gripping else set()
     truth |= {"drilling_friction"} if drilling else set()
@@ -71,7 +73,7 @@ def main() -> None:
     right = 0
     with tempfile.TemporaryDirectory() as folder:
         for seed in range(args.rackets):
-            racket, truth = drawn(seed)
+            racket, truth = drawn(seed, args.friction)
             paths = [Path(folder) / f"{name}_{seed}.csv" for name in ("train", "test")]
             for number, path in enumerate(paths):
                 ball_table(path, racket, args.rows, seed=2 * seed + number, **assumed)

@@ -119,7 +119,8 @@ class Candidate:
 
     def probes(self, index: int) -> list[Array]:
         """Points over the range of one parameter, nearest first, ``(p,)`` each."""
-        ends = [self.lower[index], self.upper[index], *self.scalars[index].far]
+        low, high = self.lower[index], self.upper[index]
+        ends = [low, high, *np.clip(self.scalars[index].far, low, high)]
         here = self.point[index]
         values = {here + share * (end - here) for end in ends for share in PROBES if end != here}
         points = []

@@ -386,7 +386,7 @@ def look_elsewhere(fitted: Fit) -> Fit:
         for index, scalar in enumerate(scalars):
             for value in scalar.far:
                 point = fitted.estimate.copy()
-                point[index] = value
+                point[index] = np.clip(value, fitted.candidate.lower[index], fitted.candidate.upper[index])
                 if (moved := evaluate_at(fitted.candidate, point, evidence)) is not None:
                     places.append(moved)
         if not places:

@@ -472,13 +472,12 @@ def moves_enough(fitted: Fit, part: slice = slice(None)) -> bool:
 def noticeable(fitted: Fit, first: int = 0) -> bool:
     """Whether the interval of some parameter, from number ``first`` on, lies beyond the least change of the source.
 
-    Parameters at a bound do not count: their intervals are invalid.
+    An estimate at a bound counts: fits widen their ranges, so what is left are bounds of physics, such as no friction.
     """
     candidate = fitted.candidate
     distance = np.abs(fitted.estimate - candidate.nominal) / candidate.scale - fitted.half_widths
-    free = (fitted.estimate > candidate.lower) & (fitted.estimate < candidate.upper)
     own = np.array([not scalar.shape for scalar in candidate.scalars])
-    return bool(np.any((distance > fitted.evidence.source.least_change)[first:] & free[first:] & own[first:]))
+    return bool(np.any((distance > fitted.evidence.source.least_change)[first:] & own[first:]))
 
 
 def adjusted(p_values: dict[str, float]) -> dict[str, float]:

@@ -11,10 +11,20 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from impact_rs_sim.effects.base import SINGLE_IMPACT, ArmEffect, Parameter, SceneEffect, Values, number
+from impact_rs_sim.effects.base import (
+    SINGLE_IMPACT,
+    ArmEffect,
+    Joints,
+    Parameter,
+    SceneEffect,
+    Values,
+    number,
+    types_of,
+)
 from impact_rs_sim.physics import ArmPhysics, ContactCondition, ContactLaw, Physics
 from impact_rs_sim.robot import Array
 
+TO_SLIP = -0.4  # of a friction coefficient
 REDUCED_MASS = 1.0  # kg, of arm and object together; turns a coefficient into a damping
 
 
@@ -40,6 +50,10 @@ class FrictionEffect(SceneEffect):
         """See :meth:`Effect.bounds`; there is never less than none."""
         lower, upper = super().bounds(physics)
         return np.maximum(lower, -float(getattr(physics, self.name))), upper
+
+    def steps(self, joints: Joints, at: Array) -> Array:
+        """See :meth:`Effect.steps`; of a free body that hits once they reach from where it sticks to where it slips."""
+        return super().steps(joints, at) if types_of(joints) else np.array([TO_SLIP])
 
 
 @dataclass(frozen=True)
@@ -225,7 +239,7 @@ PAD_COMPLIANCE = ArmEffect(
     phases=("contact",),
 )
 
-# Steps and starts lie where contacts begin to slide: as long as all stick, friction has no influence.
+# Starts lie where contacts begin to slide, and the step of the pad: as long as all stick, friction has no influence.
 PAD_FRICTION = FrictionEffect(
     name="pad_friction",
     acts_on="contact",
@@ -244,9 +258,7 @@ SUPPORT_FRICTION = FrictionEffect(
     acts_on="contact",
     sentence="The object slides on its support with more or less friction than assumed.",
     parameters=(
-        Parameter(
-            "friction", "-", 0.0, -2.0, 2.0, 0.03, "coefficient beyond the assumed", step=-0.4, far=(-0.8, -0.4, 0.4)
-        ),
+        Parameter("friction", "-", 0.0, -2.0, 2.0, 0.03, "coefficient beyond the assumed", far=(-0.8, -0.4, 0.4)),
     ),
     law=_support_friction,
     phases=("contact",),
