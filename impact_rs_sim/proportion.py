@@ -16,8 +16,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from impact_rs_sim.effects.dimensions import dimension_of
 from impact_rs_sim.physics import ArmPhysics, Physics
+from impact_rs_sim.units import dimension_of
 
 FRANKA_MASS = 16.062132  # kg, links 1 to 7
 FRANKA_REACH = 0.98626233  # m, from joint 2 along all joints to the flange

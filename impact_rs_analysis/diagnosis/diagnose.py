@@ -86,8 +86,8 @@ def diagnose(
         chosen, rivals = search.simplified(chosen)
         if (sure := without_the_doubtful(search, chosen)) is not chosen:
             chosen, rivals = sure, () if sure is None else search.rivals(sure)
-    if chosen is not None and (held := hold_out(source, effects)) is not None:
-        supported = supported_by_hold_out(search, chosen, rivals, held)
+    if chosen is not None and (held := hold_out(source, effects, chosen.candidate)) is not None:
+        supported = supported_by_hold_out(search, chosen, held)
         if supported is not chosen:
             unsupported = unsupported_words(search, chosen, supported, held)
             chosen, rivals = supported, () if supported is None else search.rivals(supported)
@@ -186,7 +186,10 @@ def _hold_out(found: HoldOut | None, source: Source) -> HoldOutDocument:
             f"{len(source.clusters)} {source.pieces} in {count} folds of neighbours; every fold is predicted from "
             "the others without those that touch it"
         )
-    return HoldOutDocument(what=f"{what}; the whole search is repeated without the held-out data", folds=count)
+    how = "the whole search is repeated without the held-out data"
+    if found.only_fitted:
+        how += f", in {found.only_fitted} folds the fit alone, for too few conditions are left to choose from"
+    return HoldOutDocument(what=f"{what}; {how}", folds=count)
 
 
 def _whole(source: Source, held: Sequence[int]) -> bool:

@@ -177,6 +177,15 @@ class Fit:
         high = (np.abs(self.estimate - candidate.upper) < near) & (np.abs(candidate.upper - candidate.nominal) > near)
         return np.asarray(low | high)
 
+    @cached_property
+    def at_end_of_range(self) -> NDArray[np.bool_]:
+        """Whether estimates lie at a bound that is not one of physics, ``(p,)``."""
+        candidate = self.candidate
+        wider = candidate.widened(self.at_bound, self.evidence.source)
+        if wider is None:
+            return np.zeros_like(self.at_bound)
+        return self.at_bound & ((wider.lower < candidate.lower) | (wider.upper > candidate.upper))
+
     @property
     def held_out(self) -> Array:
         """Mean square scaled error per cluster, predicted from all others, ``(c,)`` [-]."""

@@ -3,8 +3,10 @@
 
 Held-out data influence neither shortlist, nor choice, nor estimate of the effects that predict them. For every fold the
 whole search (:mod:`impact_rs_analysis.diagnosis.search`) runs on the other clusters, and the model with the effects it
-found predicts the fold. Conditions are held out with all their repeats. Of several recordings whole recordings are held
-out; of a single one runs of neighbouring stretches, without the neighbours on either side.
+found predicts the fold. A search needs two clusters that see an effect, to predict one from the other; where fewer are
+left, the fold fits the effects that the search of all clusters found. Conditions are held out with all their repeats.
+Of several recordings whole recordings are held out; of a single one runs of neighbouring stretches, without the
+neighbours on either side.
 """
 
 from __future__ import annotations
@@ -15,12 +17,15 @@ from functools import partial
 
 import numpy as np
 
+from impact_rs_analysis.diagnosis.candidate import Candidate
 from impact_rs_analysis.diagnosis.fit import Evidence
 from impact_rs_analysis.diagnosis.search import Search
 from impact_rs_analysis.diagnosis.thresholds import FOLDS, LEAST_CLUSTERS
 from impact_rs_analysis.evidence.source import Source
 from impact_rs_sim.effects import Effect
 from impact_rs_sim.robot import Array
+
+LEAST_TO_CHOOSE = 2  # clusters that see an effect
 
 
 @dataclass(frozen=True)
@@ -45,12 +50,14 @@ class HoldOut:
         errors: Mean square scaled error by cluster, ``(c,)`` [-].
         rest: Mean residuals after prediction, ``(F,)`` per cluster [-].
         chosen: Names of the effects found by the search of every fold.
+        only_fitted: Number of folds with too few clusters for a search.
     """
 
     folds: tuple[Fold, ...]
     errors: Array
     rest: tuple[Array, ...]
     chosen: tuple[tuple[str, ...], ...]
+    only_fitted: int = 0
 
 
 def folds_of(source: Source) -> list[Fold]:
@@ -83,31 +90,45 @@ def _neighbours(source: Source, held: Sequence[int]) -> set[int]:
     return {n for n in near if 0 <= n < len(source.clusters) and source.clusters[n].unit in units}
 
 
-def hold_out(source: Source, effects: Sequence[Effect]) -> HoldOut | None:
+def hold_out(source: Source, effects: Sequence[Effect], chosen: Candidate) -> HoldOut | None:
     """Run the search on all but one fold in turn; None with too few clusters for a hold-out.
 
     Args:
         source: Measurements with the model's predictions.
         effects: Effects to consider.
+        chosen: Effects that the search of all clusters found.
     """
     folds = folds_of(source)
     if not folds:
         return None
     rest: dict[int, Array] = {}
-    names = []
-    for fold, (found, left) in zip(folds, source.spread(partial(_predicted, effects), folds, "hold-out"), strict=True):
+    names, only_fitted = [], 0
+    own = tuple(effect.name for effect in chosen.effects)
+    few = [_seen_by(chosen, fold.training) < LEAST_TO_CHOOSE for fold in folds]
+    tasks = list(zip(folds, few, strict=True))
+    results = source.spread(partial(_predicted, effects, own), tasks, "hold-out")
+    for (fold, alone), (found, left) in zip(tasks, results, strict=True):
         names.append(found)
+        only_fitted += alone
         rest.update(zip(fold.held, left, strict=True))
     ordered = tuple(rest[number] for number in range(len(source.clusters)))
     errors = np.array([float(np.mean(np.square(values))) for values in ordered])
-    return HoldOut(tuple(folds), errors, ordered, tuple(names))
+    return HoldOut(tuple(folds), errors, ordered, tuple(names), only_fitted)
 
 
-def _predicted(effects: Sequence[Effect], source: Source, fold: Fold) -> tuple[tuple[str, ...], list[Array]]:
+def _seen_by(chosen: Candidate, clusters: Sequence[int]) -> int:
+    """Number of clusters in which every chosen effect changes something, of the effect with the fewest."""
+    return min(sum(bool(np.any(chosen.jacobians[number][:, part])) for number in clusters) for _, part in chosen.parts)
+
+
+def _predicted(
+    effects: Sequence[Effect], chosen: tuple[str, ...], source: Source, task: tuple[Fold, bool]
+) -> tuple[tuple[str, ...], list[Array]]:
     """Effects that the search finds without a fold, and the mean residuals of the fold with them."""
+    fold, only_fit = task
     search = Search(effects, Evidence.of(source, fold.training))
-    found = search.choose()
-    if found is not None:
+    found = search.fitted(chosen) if only_fit else search.choose()
+    if found is not None and not only_fit:
         found, _ = search.simplified(found)
     added = () if found is None else found.candidate.split(found.estimate)
     both = source.predict([(n, what) for n in fold.held for what in ((), added)], "hold-out")

@@ -233,6 +233,15 @@ class Search:
             self._look_beside(chosen)
         return chosen
 
+    def fitted(self, names: Sequence[str]) -> Fit | None:
+        """Given effects fitted together; None where one of them changes nothing."""
+        if any(name not in self.singles for name in names):
+            return None
+        joined = self.singles[names[0]]
+        for name in names[1:]:
+            joined = joined.beside(self.singles[name])
+        return look_elsewhere(refine_again(refine(joined, self.evidence)))
+
     def _keep(self, fitted: Fit) -> None:
         self.ended[fitted.candidate.names] = fitted.candidate
 
@@ -472,11 +481,12 @@ def moves_enough(fitted: Fit, part: slice = slice(None)) -> bool:
 def noticeable(fitted: Fit, first: int = 0) -> bool:
     """Whether the interval of some parameter, from number ``first`` on, lies beyond the least change of the source.
 
-    An estimate at a bound counts: fits widen their ranges, so what is left are bounds of physics, such as no friction.
+    An estimate at a bound of physics counts, such as no friction. One at the end of a range does not: its interval is
+    invalid.
     """
     candidate = fitted.candidate
     distance = np.abs(fitted.estimate - candidate.nominal) / candidate.scale - fitted.half_widths
-    own = np.array([not scalar.shape for scalar in candidate.scalars])
+    own = np.array([not scalar.shape for scalar in candidate.scalars]) & ~fitted.at_end_of_range
     return bool(np.any((distance > fitted.evidence.source.least_change)[first:] & own[first:]))
 
 

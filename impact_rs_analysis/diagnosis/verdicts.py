@@ -174,12 +174,12 @@ def without_the_doubtful(search: Search, chosen: Fit) -> Fit | None:
     return chosen
 
 
-def supported_by_hold_out(search: Search, chosen: Fit, rivals: Sequence[Rival], held: HoldOut) -> Fit | None:
+def supported_by_hold_out(search: Search, chosen: Fit, held: HoldOut) -> Fit | None:
     """The chosen effects that the nested hold-out supports; None if it supports none.
 
     Searches that have not seen a fold must predict it better than the model does: the 95 % interval of the change of
-    the error excludes 0. Of the effects, those remain that most of these searches find, or find a tied one of. What is
-    too small to matter hardly changes a prediction: it needs one such search, or residuals beyond noise.
+    the error excludes 0. Of the effects, those remain that most of these searches find or put another one in place of.
+    What is too small to matter hardly changes a prediction: it needs one such search, or residuals beyond noise.
     """
     if not any(matters(chosen, name) for name in chosen.candidate.names):
         return chosen if any(held.chosen) or search.lacking else None
@@ -187,13 +187,16 @@ def supported_by_hold_out(search: Search, chosen: Fit, rivals: Sequence[Rival], 
     if change is None or change[1] >= 0.0:
         return None
     for name in chosen.candidate.names:
-        alike = {name, *(rival.name for rival in rivals if rival.instead_of == name and rival.tied)}
-        found = sum(bool(alike & set(names)) for names in held.chosen)
-        if 2 * found > len(held.chosen):
+        if 2 * sum(_found_or_replaced(name, names, chosen) for names in held.chosen) > len(held.chosen):
             continue
         others = search.without(chosen, name) if len(chosen.candidate.names) > 1 else None
-        return None if others is None else supported_by_hold_out(search, others, rivals, held)
+        return None if others is None else supported_by_hold_out(search, others, held)
     return chosen
+
+
+def _found_or_replaced(name: str, found: Sequence[str], chosen: Fit) -> bool:
+    """Whether a search of the hold-out finds an effect, or another one that the search of all data has not."""
+    return name in found or any(other not in chosen.candidate.names for other in found)
 
 
 def unsupported_words(search: Search, chosen: Fit, supported: Fit | None, held: HoldOut) -> str:
@@ -505,7 +508,9 @@ def _of_joint(evidence: Evidence, rest: Sequence[Array], arm: str, joint: str) -
 
 
 def change_interval(before: Sequence[Array], after: Sequence[Array], evidence: Evidence) -> tuple[float, float] | None:
-    """95 % interval of the change of the held-out size, from its scatter over the clusters (delta method).
+    """95 % interval of the change of the held-out size, from the scatter of its ratio over the clusters (jackknife).
+
+    The logarithm of the ratio is about normal: an effect lowers a large error and a small one by a similar share.
 
     Args:
         before: Mean residuals without, ``(F,)`` per cluster [-].
@@ -515,12 +520,15 @@ def change_interval(before: Sequence[Array], after: Sequence[Array], evidence: E
     count = len(before)
     if count < 2:
         return None
-    whole = residual_size(evidence, after) - residual_size(evidence, before)
-    alone = []
-    for left in range(count):
-        kept = [number for number in range(count) if number != left]
+
+    def ratio(kept: Sequence[int]) -> float:
         part = evidence.only(kept)
-        alone.append(residual_size(part, [after[n] for n in kept]) - residual_size(part, [before[n] for n in kept]))
-    spread = math.sqrt((count - 1) / count * float(np.sum(np.square(np.array(alone) - np.mean(alone)))))
+        sizes = [residual_size(part, [rest[n] for n in kept]) for rest in (before, after)]
+        return math.log(max(sizes[1], 1e-12) / max(sizes[0], 1e-12))
+
+    whole = ratio(range(count))
+    alone = np.array([ratio([n for n in range(count) if n != left]) for left in range(count)])
+    spread = math.sqrt((count - 1) / count * float(np.sum(np.square(alone - alone.mean()))))
     half = float(scipy.stats.t.ppf(0.975, count - 1)) * spread
-    return whole - half, whole + half
+    size = residual_size(evidence, before)
+    return size * math.expm1(whole - half), size * math.expm1(whole + half)

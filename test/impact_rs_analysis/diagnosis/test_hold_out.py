@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from analytic_world import EFFECTS, AnalyticSource
 
+from impact_rs_analysis.diagnosis.candidate import Candidate, linearise
 from impact_rs_analysis.diagnosis.fit import Evidence
 from impact_rs_analysis.diagnosis.hold_out import HoldOut, folds_of, hold_out
 from impact_rs_analysis.diagnosis.search import Search
@@ -47,7 +48,12 @@ def test_stretches_of_a_recording_are_predicted_without_their_neighbours() -> No
 
 
 def held_out(source: Source, effects: Sequence[Effect]) -> HoldOut:
-    found = hold_out(source, effects)
+    evidence = Evidence.of(source)
+    chosen = Search(effects, evidence).choose()
+    first = linearise(Candidate.of((effects[0],), source), evidence.clusters, evidence.numbers, source)
+    candidate = first if chosen is None else chosen.candidate
+    assert candidate is not None
+    found = hold_out(source, effects, candidate)
     assert found is not None
     return found
 
@@ -87,6 +93,14 @@ def test_what_only_a_held_out_cluster_shows_is_unknown_to_its_fold() -> None:
     assert chosen is not None and chosen.estimate[1] == pytest.approx(8.0, abs=0.5)
     errors = held_out(source, effects).errors
     assert errors[0] > 10.0 * errors[1:].max()
+
+
+def test_with_one_hit_left_a_fold_fits_what_all_data_have_chosen() -> None:
+    """Two hits and a free motion: nothing can be chosen from a single hit, but it predicts the other one."""
+    source = AnalyticSource(3, (("bent", (5.0,)),), design=(3, 3, 3), free=(2,))
+    found = held_out(source, [EFFECTS["bent"]])
+    assert found.only_fitted == 2 and found.chosen[:2] == (("bent",), ("bent",))
+    assert np.all(found.errors[:2] < 0.1 * np.array([item.error for item in source.clusters[:2]]))
 
 
 def test_fitting_noise_does_not_lower_the_error_on_unseen_clusters() -> None:

@@ -36,13 +36,13 @@ def fitted(source: AnalyticSource, *names: str, change: Array | None = None) -> 
 
 
 def test_a_change_of_the_error_has_the_interval_of_a_mean_over_conditions() -> None:
-    """Errors of 1 plus something small in every condition: their root mean square is 1 plus the mean of that."""
+    """From 2 to 1 plus something small in every condition: the root mean square falls to 1 plus the mean of that."""
     source = AnalyticSource(1, design=(1,) * 6, repeated=False)
     small = 1e-3 * np.array([1.0, -2.0, 3.0, 0.0, 2.0, 4.0])
-    nothing, after = np.zeros((6, FEATURES)), (1.0 + small)[:, None] * np.ones((6, FEATURES))
+    before, after = 2.0 * np.ones((6, FEATURES)), (1.0 + small)[:, None] * np.ones((6, FEATURES))
     source.residual_weight = lambda item: 1.0  # type: ignore[assignment, method-assign, misc]
-    found = change_interval(list(nothing), list(after), Evidence.of(source))
-    expected = scipy.stats.t.interval(0.95, 5, loc=1.0 + small.mean(), scale=scipy.stats.sem(small))
+    found = change_interval(list(before), list(after), Evidence.of(source))
+    expected = scipy.stats.t.interval(0.95, 5, loc=-1.0 + small.mean(), scale=scipy.stats.sem(small))
     assert found == pytest.approx(expected, abs=1e-5)
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -16,7 +17,6 @@ from impact_rs_analysis.diagnosis.fit import Evidence
 from impact_rs_analysis.diagnosis.hold_out import HoldOut, hold_out
 from impact_rs_analysis.diagnosis.verdicts import clip_p, residual_size, rests_of
 from impact_rs_analysis.evidence.cluster import Added
-from impact_rs_sim.effects import Effect
 from impact_rs_sim.errors import InputError
 
 pytestmark = pytest.mark.usefixtures("few_draws")
@@ -45,8 +45,8 @@ def test_nothing_is_missing_and_one_is_what_repetition_gives() -> None:
 def test_only_what_the_hold_out_supports_is_named(spoiled: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """Searches without the data that they predict must find the effect, and must predict better with it."""
 
-    def unsupported(source: AnalyticSource, effects: Sequence[Effect]) -> HoldOut | None:
-        found = hold_out(source, effects)
+    def unsupported(source: AnalyticSource, *given: Any) -> HoldOut | None:
+        found = hold_out(source, *given)
         assert found is not None
         if spoiled == "rest":
             return replace(found, rest=tuple(item.mean for item in source.clusters))
@@ -62,8 +62,8 @@ def test_only_what_the_hold_out_supports_is_named(spoiled: str, monkeypatch: pyt
 
 
 def test_of_two_effects_the_one_that_folds_do_not_find_is_left_out(monkeypatch: pytest.MonkeyPatch) -> None:
-    def one_of_them(source: AnalyticSource, effects: Sequence[Effect]) -> HoldOut | None:
-        found = hold_out(source, effects)
+    def one_of_them(source: AnalyticSource, *given: Any) -> HoldOut | None:
+        found = hold_out(source, *given)
         return found and replace(found, chosen=(("straight", "payload"),) * 3 + (("straight",),) * 3)
 
     source = AnalyticSource(1, (("straight", (5.0,)), ("payload", (3.0, 0.5))))
