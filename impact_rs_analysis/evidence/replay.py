@@ -280,9 +280,19 @@ def _job(window: Window, physics: Physics, drive_period: float, drive: DriveName
 
 
 def _signals(window: Window, result: Result) -> Signals:
-    """Simulated signals, the object's at the times of tracking, because means over few samples depend on them."""
+    """Simulated signals, the object's at the times of tracking, because means over few samples depend on them.
+
+    A simulation with a step whose equations were not solved is not finite: no fit and no model passes over it.
+    """
+    solved = 1.0 if not result.failed else np.nan
     arms = {
-        name: ArmSignals(path.position, path.velocity, path.torque, path.motor_position, path.motor_velocity)
+        name: ArmSignals(
+            solved * path.position,
+            solved * path.velocity,
+            solved * path.torque,
+            solved * path.motor_position,
+            solved * path.motor_velocity,
+        )
         for name, path in result.arms.items()
     }
     if not window.contact:

@@ -249,7 +249,7 @@ class ReplaySource(Source):
                 missed.append(run)
                 continue
             if not np.isfinite(values).all():
-                raise InputError(f"with model {model.name!r} the replay is not finite", file=run.path)
+                raise InputError(f"with model {model.name!r} the replay is not finite or not solved", file=run.path)
             residuals.append(run.measured - values)
             kept.append(run)
         if missed:

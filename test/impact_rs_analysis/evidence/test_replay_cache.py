@@ -14,6 +14,7 @@ from impact_rs_analysis.evidence.replay_cache import BATCHES, Replay, ReplayCach
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.model import Model, ModelEffect, ParameterValue
 from impact_rs_sim.scene import ArmState
+from impact_rs_sim.twin import Result, TwinJob, simulate
 
 NOMINAL = Model(name="nominal")
 
@@ -81,6 +82,18 @@ def test_no_body_has_no_replay_in_a_fit_and_is_refused_in_a_model(setup: Setup) 
     model = Model(name="hollow", effects=(ModelEffect(name="end_effector_payload", parameters=believed),))
     with pytest.raises(InputError, match="end effector of arm 'arm': mass .* kg .* is no rigid body"):
         run_replay(Replay(setup, model))
+
+
+def test_a_replay_with_a_step_that_was_not_solved_is_passed_over_by_fits_and_refused_in_a_model(
+    setup: Setup, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def unsolved(jobs: Sequence[TwinJob], threads: int = 1) -> list[Result]:
+        return [replace(result, failed=(0.1,)) for result in simulate(jobs, threads)]
+
+    monkeypatch.setattr("impact_rs_analysis.evidence.replay.simulate", unsolved)
+    assert run_replay(Replay(setup, NOMINAL, (("restitution", (0.1,)),))) is None
+    nominal = run_replay(Replay(setup, NOMINAL))
+    assert nominal is None or not np.isfinite(nominal).all()
 
 
 def test_replays_travel_in_batches_of_one_run_and_come_back_in_order(setup: Setup) -> None:
