@@ -65,6 +65,7 @@ def main() -> None:
     """Print one line per racket."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--rackets", type=int, default=10)
+    parser.add_argument("--first", type=int, default=0, help="seed of the first racket")
     parser.add_argument("--rows", type=int, default=540)
     parser.add_argument("--friction", type=float, default=0.3, help="assumed [-]")
     parser.add_argument("--restitution", type=float, default=0.0, help="assumed [-]")
@@ -72,7 +73,7 @@ def main() -> None:
     assumed = {"friction": args.friction, "restitution": args.restitution}
     right = 0
     with tempfile.TemporaryDirectory() as folder:
-        for seed in range(args.rackets):
+        for seed in range(args.first, args.first + args.rackets):
             racket, truth = drawn(seed, args.friction)
             paths = [Path(folder) / f"{name}_{seed}.csv" for name in ("train", "test")]
             for number, path in enumerate(paths):
