@@ -123,8 +123,8 @@ class Parameter:
 
     @property
     def possible(self) -> tuple[float, float]:
-        """What the parameter may be for any robot: a thousand times its range about nominal, on its side of 0."""
-        lower, upper = (self.nominal + 1e3 * (bound - self.nominal) for bound in (self.lower, self.upper))
+        """What the parameter may be for any robot: fifty times its range about nominal, on its side of 0."""
+        lower, upper = (self.nominal + 50.0 * (bound - self.nominal) for bound in (self.lower, self.upper))
         return (max(lower, 0.0) if self.lower >= 0.0 else lower, min(upper, 0.0) if self.upper <= 0.0 else upper)
 
     def times(self, factor: float) -> Parameter:

@@ -84,7 +84,7 @@ def test_effects_lists_parameters_with_units(document: Document) -> None:
 
 MODELS = {
     "effects: [{name: torque_ofset, parameters: {}}]": "unknown effect",
-    "effects: [{name: support_friction, parameters: {friction: {estimate: 9, unit: '-'}}}]": "expected -2 ... 2",
+    "effects: [{name: support_friction, parameters: {friction: {estimate: 900, unit: '-'}}}]": "expected -100 ... 100",
     "effects: [{name: support_friction, parameters: {friction: {estimate: 1, unit: kg}}}]": "expected the unit",
     "efects: []": "unknown key",
 }

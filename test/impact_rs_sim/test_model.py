@@ -57,8 +57,8 @@ def test_a_model_of_an_arm_that_slides_says_newtons_and_fits_no_other(physics):
         checked(sliding).apply(physics)
     with pytest.raises(InputError, match="offset_joint1 in N m, this arm has it in N: that joint moves otherwise"):
         checked(turning).apply(on_rail)
-    sliding["parameters"]["offset_joint1"]["estimate"] = 120.0
-    with pytest.raises(InputError, match=r"expected -100 ... 100 N \(added torque\)"):
+    sliding["parameters"]["offset_joint1"]["estimate"] = 12000.0
+    with pytest.raises(InputError, match=r"expected -5000 ... 5000 N \(added torque\)"):
         checked(sliding)
 
 
