@@ -5,12 +5,13 @@ from __future__ import annotations
 
 import math
 import weakref
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass, replace
 from datetime import datetime
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from types import MappingProxyType
 from typing import Any, TypeVar
 
 import numpy as np
@@ -156,6 +157,7 @@ class TrialBag:
         self.metadata = metadata
         self.counts = {connection.topic: connection.msgcount for connection in reader.connections}
         self._reader = reader
+        self._ahead: dict[str, list[bytes]] = {}
         weakref.finalize(self, reader.close)
 
     @classmethod
@@ -235,7 +237,7 @@ class TrialBag:
 
     def _columns(self, topic: str, of: Callable[[dict[str, Array]], Columns]) -> Columns:
         """All numbers of a topic, and ``time`` from the header stamps [s], as columns of a kind."""
-        connection, rows = _raw(self.path, self._reader, topic)
+        connection, rows = _raw(self.path, self._reader, topic, self._ahead)
         try:
             return of({} if connection is None else columns_of(connection.msgtype, rows, typestore_of(connection)))
         except Exception as error:  # damaged, or a topic of another type
@@ -276,12 +278,23 @@ class TrialBag:
     def _signals(self) -> Signals:
         """Measured signals, checked."""
         arms, time = {}, None
+        of_arm = (topics.joint_states, topics.motor_states, topics.controller_state)
+        self._read_ahead(topics.OBJECT_POSE, *(topic(arm) for arm in self.info.robots for topic in of_arm))
         for arm in self.info.robots:
             time, arms[arm] = self._arm(arm)
         if time is None:
             raise BagError(self.path, "names no robots")
         pose = self.poses(topics.OBJECT_POSE)
         return Signals(time, arms, pose.time, pose.position, pose.quaternion)
+
+    def _read_ahead(self, *names: str) -> None:
+        """Read several topics in one pass over the file; a damaged one is read, and named, by itself later."""
+        rows: dict[str, list[bytes]] = {name: [] for name in names}
+        wanted = [connection for connection in self._reader.connections if connection.topic in rows]
+        with suppress(Exception):
+            for connection, _, data in self._reader.messages(connections=wanted):
+                rows[connection.topic].append(data)
+            self._ahead = rows
 
     def _arm(self, arm: str) -> tuple[Array, ArmSignals]:
         """Times and signals of one arm, checked."""
@@ -338,13 +351,15 @@ def columns_of(kind: str, rows: Sequence[bytes], store: Typestore | None = None)
     return columns
 
 
-def _raw(path: Path, reader: Reader, topic: str) -> tuple[Connection | None, list[bytes]]:
-    """Connection and serialized messages of a topic; None where the bag lacks it."""
+def _raw(
+    path: Path, reader: Reader, topic: str, ahead: Mapping[str, list[bytes]] = MappingProxyType({})
+) -> tuple[Connection | None, list[bytes]]:
+    """Connection and serialized messages of a topic, or those read ``ahead``; None where the bag lacks it."""
     connections = [c for c in reader.connections if c.topic == topic]
     if not connections:
         return None, []
     try:
-        rows = [data for _, _, data in reader.messages(connections=connections)]
+        rows = ahead[topic] if topic in ahead else [data for _, _, data in reader.messages(connections=connections)]
     except Exception as error:  # a damaged file can fail anywhere inside the library
         raise BagError(path, f"{topic}: damaged ({type(error).__name__}: {error})") from None
     expected = connections[0].msgcount
