@@ -28,6 +28,7 @@ from impact_rs_analysis.diagnosis.document import (
 )
 from impact_rs_analysis.diagnosis.fit import Evidence, Fit
 from impact_rs_analysis.diagnosis.hold_out import HoldOut
+from impact_rs_analysis.diagnosis.null_distribution import alike
 from impact_rs_analysis.diagnosis.search import Rival, Search, moves_enough, noticeable, tied_errors
 from impact_rs_analysis.diagnosis.thresholds import (
     LEAST_GAIN_OF_JOINT,
@@ -508,18 +509,54 @@ def _of_joint(evidence: Evidence, rest: Sequence[Array], arm: str, joint: str) -
 
 
 def change_interval(before: Sequence[Array], after: Sequence[Array], evidence: Evidence) -> tuple[float, float] | None:
-    """95 % interval of the change of the held-out size, from the scatter of its ratio over the clusters (jackknife).
+    """95 % interval of the change of the held-out size; None with too few clusters.
 
-    The logarithm of the ratio is about normal: an effect lowers a large error and a small one by a similar share.
+    With repeats it is that of their scatter and the model discrepancy (:func:`_by_repeats`), without them that of the
+    ratio's scatter over the clusters (:func:`_by_clusters`).
 
     Args:
         before: Mean residuals without, ``(F,)`` per cluster [-].
         after: Mean residuals with the effects found, ``(F,)`` per cluster [-].
         evidence: The clusters.
     """
-    count = len(before)
-    if count < 2:
+    if len(before) < 2:
         return None
+    known = evidence.source.repeated and evidence.null.freedom > 0
+    return (_by_repeats if known else _by_clusters)(before, after, evidence)
+
+
+def _by_repeats(before: Sequence[Array], after: Sequence[Array], evidence: Evidence) -> tuple[float, float]:
+    """Interval of a change of the held-out size, from the noise of the held-out residuals.
+
+    A prediction d_c of cluster c does not depend on that cluster's noise e_c, so the squares fall by
+
+        |r_c|^2 - |r_c - d_c|^2 = 2 r_c d_c - |d_c|^2,    with variance 4 d_c cov(e_c) d_c
+
+    where cov(e_c) is the scatter of repeats, pooled over the layout, and the discrepancy, which clusters share.
+    """
+    variance, shared = 0.0, dict[str, Array]()
+    for item, first, second in zip(evidence.clusters, before, after, strict=True):
+        moved = (first - second) / first.size
+        like = [other for other in evidence.clusters if other.layout == item.layout]
+        freedom = sum(other.count - 1 for other in like)
+        scatter = sum(float(np.sum(np.square((other.residuals - other.mean) @ moved))) for other in like)
+        variance += 4.0 * scatter / max(freedom, 1) / item.count
+        name = alike(item)
+        shared[name] = shared.get(name, 0.0) + 2.0 * item.moved_together @ moved
+    variance += sum(float(part @ part) for part in shared.values())
+    scale = float(evidence.expected.sum())
+    sizes = [residual_size(evidence, rest) for rest in (before, after)]
+    half = float(scipy.stats.t.ppf(0.975, evidence.null.freedom)) * math.sqrt(variance) / scale
+    ends = [math.sqrt(max(sizes[1] ** 2 + side * half, 0.0)) - sizes[0] for side in (-1.0, 1.0)]
+    return ends[0], ends[1]
+
+
+def _by_clusters(before: Sequence[Array], after: Sequence[Array], evidence: Evidence) -> tuple[float, float]:
+    """Interval of a change of the held-out size, from the scatter of its ratio over the clusters (jackknife).
+
+    The logarithm of the ratio is about normal: an effect lowers a large error and a small one by a similar share.
+    """
+    count = len(before)
 
     def ratio(kept: Sequence[int]) -> float:
         part = evidence.only(kept)
