@@ -369,9 +369,12 @@ def has_shape_parameter(candidate: Candidate) -> bool:
 def refine_again(fitted: Fit) -> Fit:
     """Continue with new sensitivities while that helps, where secant updates do not reach them.
 
-    They do not where a parameter had zero sensitivity at the start, and hardly along a shape parameter.
+    They do not where a parameter had zero sensitivity at the start, hardly along a shape parameter, and badly where
+    an object bounces in a measured motion, which effects of few parameters describe.
     """
-    if not (fitted.candidate.unseen or has_shape_parameter(fitted.candidate)):
+    candidate = fitted.candidate
+    of_motion = fitted.evidence.source.of_motion and candidate.point.size <= FEW
+    if not (candidate.unseen or has_shape_parameter(candidate) or of_motion):
         return fitted
     for share in NEAR_STEPS:
         moved = evaluate_at(fitted.candidate, fitted.estimate, fitted.evidence)
