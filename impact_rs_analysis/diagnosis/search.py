@@ -156,8 +156,7 @@ class Search:
         for name, candidate in self.singles.items():
             there = self.evidence.seen_before_contact(candidate)
             several = sum(not scalar.shape for scalar in candidate.scalars) > 1
-            seen = any(np.any(jacobian) for jacobian in there.jacobians)
-            if several and seen and free.problem(there).p_value(free.null, slice(None)) > NOTHING:
+            if several and there.seen and free.problem(there).p_value(free.null, slice(None)) > NOTHING:
                 found.add(name)
         return found
 

@@ -18,5 +18,5 @@ MOST = 0.5  # share of the excess that PARTLY must explain
 TIE = 0.05  # log held-out error; explanations closer than 5 % are equally good
 WIDE_TIE = 0.25  # upper limit of the same where the scatter between clusters is larger
 UNSEEN = 20.0  # parameter scales; a wider interval does not determine the parameter
-MOST_EFFECTS = 6  # chosen together; more cannot be told apart in a campaign
+MOST_EFFECTS = 6  # chosen together; more cannot be distinguished in one campaign
 SHORTLIST = 5  # candidates fitted by simulation in every round; in tests the true one was always among them
