@@ -256,6 +256,11 @@ class Fit:
         """Mean square error at the estimate, all clusters [-]."""
         return float(np.mean(self.problem.errors(self.change)))
 
+    @property
+    def poor(self) -> bool:
+        """Whether more than noise and discrepancy is left, so that the fit may have missed the optimum."""
+        return self.misfit > POOR * float(self.evidence.expected.mean())
+
     @cached_property
     def rest(self) -> list[Array]:
         """Mean residuals of the fit, ``(F,)`` per cluster [-]."""
@@ -370,10 +375,10 @@ def refine_again(fitted: Fit) -> Fit:
     """Continue with new sensitivities while that helps, where secant updates do not reach them.
 
     They do not where a parameter had zero sensitivity at the start, hardly along a shape parameter, and badly where
-    an object bounces in a measured motion, which effects of few parameters describe.
+    an object bounces in a measured motion, which effects of few parameters describe: that shows in a poor fit.
     """
     candidate = fitted.candidate
-    of_motion = fitted.evidence.source.of_motion and candidate.point.size <= FEW
+    of_motion = fitted.evidence.source.of_motion and candidate.point.size <= FEW and fitted.poor
     if not (candidate.unseen or has_shape_parameter(candidate) or of_motion):
         return fitted
     for share in NEAR_STEPS:
@@ -392,7 +397,7 @@ def look_elsewhere(fitted: Fit) -> Fit:
     scalars = fitted.candidate.scalars
     for _ in scalars:
         evidence = fitted.evidence
-        if fitted.misfit <= POOR * float(evidence.expected.mean()):
+        if not fitted.poor:
             break
         places = []
         for index, scalar in enumerate(scalars):

@@ -43,7 +43,7 @@ from __future__ import annotations
 
 import copy
 from abc import ABC, abstractmethod
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from functools import cached_property, lru_cache
 
 import numpy as np
@@ -54,6 +54,9 @@ from impact_rs_analysis.diagnosis.thresholds import DRAWS, LEAST_FREEDOM, LEAST_
 from impact_rs_analysis.evidence.cluster import Cluster
 from impact_rs_sim.robot import Array
 
+DRAWS_OF_FIT = 999  # of the test of all residuals, one test that is compared with one level
+IN_TURN = 500  # draws
+ENOUGH_ABOVE = 50  # draws above the measurement: p is known to a seventh
 TINY = 1e-12  # keeps a zero covariance invertible
 PRIOR_FREEDOM = 3.0  # of the mean variance of a signal; with as many contrasts of its own, a feature counts the same
 
@@ -165,6 +168,26 @@ def rarity(observed: float, null: Array) -> float:
     return float((1.0 + np.count_nonzero(null >= observed * (1.0 - 1e-12))) / (1.0 + null.size))
 
 
+def rarity_in_turn(observed: float, null: Callable[[slice], Array]) -> float:
+    """As :func:`rarity`, from draws in turn, until ``ENOUGH_ABOVE`` of them are at least as large.
+
+    Stopped early, the share of the draws so far is a p-value as well, exact at any level that it can reach
+    (Besag and Clifford 1991, *Sequential Monte Carlo p-values*, Biometrika 78).
+
+    Args:
+        observed: The statistic.
+        null: The statistic in a part of ``1 + DRAWS`` draws, of which the first is the measurement.
+    """
+    above = 0
+    for start in range(1, 1 + DRAWS, IN_TURN):
+        drawn = null(slice(start, min(start + IN_TURN, 1 + DRAWS)))
+        exceeds = np.flatnonzero(drawn >= observed * (1.0 - 1e-12))
+        if above + exceeds.size >= ENOUGH_ABOVE:
+            return ENOUGH_ABOVE / float(start + exceeds[ENOUGH_ABOVE - 1 - above])
+        above += exceeds.size
+    return (1.0 + above) / (1.0 + DRAWS)
+
+
 def smallest(observed: Array, null: Array) -> float:
     """p-value of the smallest p-value of several statistics.
 
@@ -227,9 +250,9 @@ class _Rows:
         self.rows = np.array(firsts + contrasts)
         self.means, self.freedom = len(firsts), len(contrasts)
 
-    def rotated(self, seed: int) -> Iterator[Array]:
-        """Every mean row, as measured and in all rotations, ``(1 + B, F)`` each."""
-        frames = _frames(len(self.rows), self.means, seed)
+    def rotated(self, seed: int, draws: slice = slice(None)) -> Iterator[Array]:
+        """Every mean row, as measured and in all or some rotations, ``(1 + B, F)`` each."""
+        frames = _frames(len(self.rows), self.means, seed)[draws]
         return (frames[:, number] @ self.rows for number in range(self.means))
 
     def weights(self, squares: Array) -> Array:
@@ -308,26 +331,33 @@ class RotationNull(NullDistribution):
         if self.shortage is not None or turned is None:
             return 1.0
         every = [np.hstack(both) for both in zip(fitted, jacobians, strict=True)] if fitted else jacobians
-        count = every[0].shape[1]
-        scores, information = np.zeros((1 + DRAWS, count)), np.zeros((1 + DRAWS, count * count))
-        for seed, (own, weights) in enumerate(zip(self._layouts, self._scales, strict=True)):
-            pairs = np.zeros((len(own.unit), count, count))
-            for number, item, rows in zip(own.numbers, own.items, own.rotated(seed), strict=True):
-                jacobian = np.sqrt(item.count) * every[number] * (item.sigma / own.unit)[:, None]
-                scores += (rows * weights) @ jacobian
-                pairs += jacobian[:, :, None] * jacobian[:, None, :]
-            information += weights @ pairs.reshape(len(pairs), -1)
-        information = information.reshape(-1, count, count)
-        explained = _explained(scores, information)
-        if fitted and (before := fitted[0].shape[1]):
-            explained -= _explained(scores[:, :before], information[:, :before, :before])
-        p = rarity(float(explained[0]), explained[1:])
+        before = fitted[0].shape[1] if fitted else 0
+        observed = float(self._explained(every, before, slice(1))[0])
+        p = rarity_in_turn(observed, lambda draws: self._explained(every, before, draws))
         if self.discrepant:
             scores = np.sum(
                 [j.T @ item.mean * item.count for j, item in zip(turned, self.clusters, strict=True)], axis=0
             )
             p = max(p, rarity(float(scores @ scores), self._with_discrepancy(turned)))
         return p
+
+    def _explained(self, jacobians: Sequence[Array], before: int, draws: slice) -> Array:
+        """T of some rotations, ``(B,)``, of the parameters that follow the first ``before``."""
+        scores: Array | float = 0.0
+        information: Array | float = 0.0
+        for seed, (own, weights) in enumerate(zip(self._layouts, self._scales, strict=True)):
+            turned = weights[draws]
+            pairs: Array | float = 0.0
+            for number, item, rows in zip(own.numbers, own.items, own.rotated(seed, draws), strict=True):
+                jacobian = np.sqrt(item.count) * jacobians[number] * (item.sigma / own.unit)[:, None]
+                scores = scores + (rows * turned) @ jacobian
+                pairs = pairs + jacobian[:, :, None] * jacobian[:, None, :]
+            information = information + np.tensordot(turned, pairs, axes=1)
+        scores, information = np.asarray(scores), np.asarray(information)
+        explained = _explained(scores, information)
+        if before:
+            explained = explained - _explained(scores[:, :before], information[:, :before, :before])
+        return explained
 
     def _with_discrepancy(self, jacobians: Sequence[Array]) -> Array:
         """Draws of T under noise and discrepancy, ``(B,)``; sensitivities as of :func:`_normalised`."""
@@ -344,13 +374,13 @@ class RotationNull(NullDistribution):
     def _weights(self) -> tuple[list[Array | None], np.random.Generator]:
         """:meth:`_noise` of every layout, ``(B, means * contrasts)``, None without contrasts; and the generator."""
         rng = np.random.default_rng(1)
-        return [self._noise(rng, own).reshape(DRAWS, -1) if own.freedom else None for own in self._layouts], rng
+        return [self._noise(rng, own, DRAWS).reshape(DRAWS, -1) if own.freedom else None for own in self._layouts], rng
 
     @staticmethod
-    def _noise(rng: np.random.Generator, layout: _Rows) -> Array:
+    def _noise(rng: np.random.Generator, layout: _Rows, draws: int) -> Array:
         """Weights of the contrasts in draws of mean rows, ``(B, means, contrasts)``."""
-        weights = rng.standard_normal((DRAWS, layout.means, layout.freedom))
-        return np.asarray(weights / np.sqrt(rng.chisquare(layout.freedom, DRAWS))[:, None, None])
+        weights = rng.standard_normal((draws, layout.means, layout.freedom))
+        return np.asarray(weights / np.sqrt(rng.chisquare(layout.freedom, draws))[:, None, None])
 
     def lack_of_fit(self, rest: Sequence[Array]) -> float | None:
         """See :meth:`NullDistribution.lack_of_fit`; as :meth:`p_value`, with every feature a parameter of its own.
@@ -364,7 +394,7 @@ class RotationNull(NullDistribution):
             return None
         squares: Array | float = 0.0
         for seed, own in enumerate(self._rows(rest)):
-            each = np.sum([np.square(row) for row in own.rotated(seed)], axis=0)
+            each = np.sum([np.square(row) for row in own.rotated(seed, slice(1 + DRAWS_OF_FIT))], axis=0)
             squares = squares + (each * own.weights(each)) @ _members(own.items[0], self._groups).T
         squares = np.asarray(squares)
         p = smallest(squares[0], squares[1:])
@@ -404,13 +434,13 @@ class RotationNull(NullDistribution):
     ) -> Array:
         """Squares of scaled mean rows under noise and discrepancy, by group of features, ``(B, G)``."""
         contrasts = layout.rows[layout.means :]
-        squares = np.zeros((DRAWS, len(members)))
-        noise = self._noise(rng, layout) if layout.freedom else np.zeros((DRAWS, layout.means, 0))
+        squares = np.zeros((DRAWS_OF_FIT, len(members)))
+        noise = self._noise(rng, layout, DRAWS_OF_FIT) if layout.freedom else np.zeros((DRAWS_OF_FIT, layout.means, 0))
         off: dict[str, tuple[Array, Array]] = {}
         for item in layout.items:
             if alike(item) not in off:
                 root = np.linalg.cholesky(_discrepancy(item) + TINY * np.eye(len(item.features)))
-                off[alike(item)] = rng.standard_normal((DRAWS, len(root))), np.asarray(root)
+                off[alike(item)] = rng.standard_normal((DRAWS_OF_FIT, len(root))), np.asarray(root)
         for group, (own, scale) in enumerate(zip(members, scales, strict=True)):
             if not scale.size:
                 continue

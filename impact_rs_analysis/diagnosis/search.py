@@ -224,6 +224,9 @@ class Search:
             # Small effects are linear: a proposal without gain in the linear fit has none by simulation.
             if chosen is not None:
                 linear = [entry for entry in linear if excess - evidence.excess(entry.held_out) > 0.5 * needed]
+            # Where residuals are no larger than noise, no more than relevant effects are looked for.
+            if self.source.repeated and chosen is None and not all(map(moves_enough, linear)) and not self.lacking:
+                linear = [entry for entry in linear if moves_enough(entry)]
             best = self._best(linear[:SHORTLIST], chosen)
             if best is None or excess - evidence.excess(best.held_out) <= needed:
                 break
@@ -293,10 +296,6 @@ class Search:
         first = 0 if chosen is None else chosen.change.size
         sure = consistent if self.source.repeated else noticeable
         found = [proposal for proposal in found if sure(proposal, first)]
-        if self.source.repeated and chosen is None:
-            enough = [proposal for proposal in found if moves_enough(proposal)]
-            if len(enough) < len(found) and not self.lacking:  # the lack-of-fit test is expensive
-                found = enough
         if not found:
             return None
         best = min(found, key=lambda proposal: proposal.score)
