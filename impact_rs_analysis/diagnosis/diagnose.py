@@ -108,9 +108,8 @@ def _p_values(search: Search, chosen: Fit | None) -> dict[str, float]:
     """Adjusted p-values: of unchosen effects given the chosen ones, of chosen effects given the other chosen ones."""
     raw = search.raw_p_values(chosen)
     if chosen is not None:
-        for effect, part in chosen.candidate.parts:
-            reduced = search.left_without(chosen, effect.name)
-            raw[effect.name] = chosen.problem.p_value(reduced.null, part)
+        names = chosen.candidate.names
+        raw |= {name: search.p_value(name, search.without(chosen, name) if len(names) > 1 else None) for name in names}
     return adjusted(raw)
 
 

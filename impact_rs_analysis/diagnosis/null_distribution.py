@@ -54,7 +54,7 @@ from impact_rs_analysis.diagnosis.thresholds import DRAWS, LEAST_FREEDOM, LEAST_
 from impact_rs_analysis.evidence.cluster import Cluster
 from impact_rs_sim.robot import Array
 
-DRAWS_OF_FIT = 999  # of the test of all residuals, one test that is compared with one level
+FIRST_DRAWS, CLEAR = 999, 0.05  # of the test of all residuals, and the p above which they are enough
 IN_TURN = 500  # draws
 ENOUGH_ABOVE = 50  # draws above the measurement: p is known to a seventh
 TINY = 1e-12  # keeps a zero covariance invertible
@@ -392,13 +392,18 @@ class RotationNull(NullDistribution):
         """
         if self.shortage is not None:
             return None
+        p = self._lack_of_fit(rest, FIRST_DRAWS)
+        return p if p > CLEAR else self._lack_of_fit(rest, DRAWS)
+
+    def _lack_of_fit(self, rest: Sequence[Array], draws: int) -> float:
+        """:meth:`lack_of_fit` from a number of draws."""
         squares: Array | float = 0.0
         for seed, own in enumerate(self._rows(rest)):
-            each = np.sum([np.square(row) for row in own.rotated(seed, slice(1 + DRAWS_OF_FIT))], axis=0)
+            each = np.sum([np.square(row) for row in own.rotated(seed, slice(1 + draws))], axis=0)
             squares = squares + (each * own.weights(each)) @ _members(own.items[0], self._groups).T
         squares = np.asarray(squares)
         p = smallest(squares[0], squares[1:])
-        return max(p, smallest(self._by_themselves(rest), self._by_chance)) if self.discrepant else p
+        return max(p, smallest(self._by_themselves(rest), self._by_chance(draws))) if self.discrepant else p
 
     def _by_themselves(self, rest: Sequence[Array]) -> Array:
         """Squares of scaled mean rows, by group, ``(G,)``."""
@@ -423,24 +428,30 @@ class RotationNull(NullDistribution):
             result.append((layout, members, [_even(both[np.ix_(own, own)]) for own in members]))
         return result
 
-    @cached_property
-    def _by_chance(self) -> Array:
+    def _by_chance(self, draws: int) -> Array:
         """Squares of scaled mean rows under noise and discrepancy, for any residuals, by group, ``(B, G)``."""
-        rng = np.random.default_rng(2)
-        return np.asarray(sum(self._rest_by_chance(rng, *scaled) for scaled in self._scaled))
+        if draws not in self._drawn:
+            rng = np.random.default_rng(2)
+            self._drawn[draws] = np.asarray(sum(self._rest_by_chance(rng, draws, *scaled) for scaled in self._scaled))
+        return self._drawn[draws]
+
+    @cached_property
+    def _drawn(self) -> dict[int, Array]:
+        """Results of :meth:`_by_chance`."""
+        return {}
 
     def _rest_by_chance(
-        self, rng: np.random.Generator, layout: _Rows, members: NDArray[np.bool_], scales: Sequence[Array]
+        self, rng: np.random.Generator, draws: int, layout: _Rows, members: NDArray[np.bool_], scales: Sequence[Array]
     ) -> Array:
         """Squares of scaled mean rows under noise and discrepancy, by group of features, ``(B, G)``."""
         contrasts = layout.rows[layout.means :]
-        squares = np.zeros((DRAWS_OF_FIT, len(members)))
-        noise = self._noise(rng, layout, DRAWS_OF_FIT) if layout.freedom else np.zeros((DRAWS_OF_FIT, layout.means, 0))
+        squares = np.zeros((draws, len(members)))
+        noise = self._noise(rng, layout, draws) if layout.freedom else np.zeros((draws, layout.means, 0))
         off: dict[str, tuple[Array, Array]] = {}
         for item in layout.items:
             if alike(item) not in off:
                 root = np.linalg.cholesky(_discrepancy(item) + TINY * np.eye(len(item.features)))
-                off[alike(item)] = rng.standard_normal((DRAWS_OF_FIT, len(root))), np.asarray(root)
+                off[alike(item)] = rng.standard_normal((draws, len(root))), np.asarray(root)
         for group, (own, scale) in enumerate(zip(members, scales, strict=True)):
             if not scale.size:
                 continue

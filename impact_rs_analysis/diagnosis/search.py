@@ -30,7 +30,6 @@ from impact_rs_analysis.diagnosis.fit import (
 from impact_rs_analysis.diagnosis.thresholds import (
     LEAST_FREEDOM,
     LEAST_GAIN,
-    LEAST_TO_DISAGREE,
     MOST_EFFECTS,
     NOTHING,
     SHORTLIST,
@@ -181,19 +180,17 @@ class Search:
 
     def raw_p_values(self, chosen: Fit | None) -> dict[str, float]:
         """p-value per effect given the chosen ones, not adjusted."""
-        raw = {}
-        for name, candidate in self.singles.items():
-            if chosen is None:
-                problem, tested, evidence = self.evidence.problem(candidate), slice(None), self.evidence
-            elif name in chosen.candidate.names:
-                continue
-            else:
-                joined = chosen.candidate.beside(candidate)
-                count = chosen.candidate.point.size
-                problem, tested = chosen.evidence.problem(joined), slice(count, joined.point.size)
-                evidence = chosen.left
-            raw[name] = problem.p_value(evidence.null, tested)
-        return raw
+        names = () if chosen is None else chosen.candidate.names
+        return {name: self.p_value(name, chosen) for name in self.singles if name not in names}
+
+    def p_value(self, name: str, chosen: Fit | None) -> float:
+        """p-value of an effect given the chosen ones, from its sensitivities beside them."""
+        single = self.singles[name]
+        if chosen is None:
+            return self.evidence.problem(single).p_value(self.evidence.null, slice(None))
+        joined = chosen.candidate.beside(single)
+        tested = slice(chosen.candidate.point.size, joined.point.size)
+        return chosen.evidence.problem(joined).p_value(chosen.left.null, tested)
 
     def choose(self) -> Fit | None:
         """Forward selection; None if no effect is accepted."""
@@ -294,8 +291,8 @@ class Search:
                 found[number] = look_elsewhere(refine_again(proposal))
             self._keep(found[number])
         first = 0 if chosen is None else chosen.change.size
-        sure = consistent if self.source.repeated else noticeable
-        found = [proposal for proposal in found if sure(proposal, first)]
+        if not self.source.repeated:
+            found = [proposal for proposal in found if noticeable(proposal, first)]
         if not found:
             return None
         best = min(found, key=lambda proposal: proposal.score)
@@ -323,15 +320,6 @@ class Search:
     def _others(chosen: Fit, name: str) -> Candidate:
         """The chosen effects but one, at their estimates, with unchanged sensitivities."""
         return replace(chosen.candidate, point=chosen.estimate).without(name)
-
-    @staticmethod
-    def left_without(chosen: Fit, name: str) -> Evidence:
-        """The evidence with the residuals of the other chosen effects, to test one effect."""
-        part = chosen.candidate.part(name)
-        evidence = chosen.evidence
-        reduced = evidence.problem(chosen.candidate.fixed(*range(part.start, part.stop)))
-        rest = reduced.rest(reduced.solve())
-        return evidence.shifted([item.mean - left for item, left in zip(evidence.clusters, rest, strict=True)])
 
     def joint_alternatives(self, chosen: Candidate, index: int) -> list[tuple[str, Candidate]]:
         """The chosen effects with the parameter of one joint replaced by that joint's parameter of another effect."""
@@ -445,25 +433,6 @@ def tied_errors(own: Array, other: Array, floor: Array | float) -> bool:
     ratio = ratio[moved]
     spread = float(ratio.std(ddof=1) / math.sqrt(ratio.size)) if ratio.size > 1 else math.inf
     return float(ratio.mean()) < max(TIE, min(2.0 * spread, WIDE_TIE))
-
-
-def consistent(fitted: Fit, first: int = 0) -> bool:
-    """Whether all conditions agree that some parameter, from number ``first`` on, differs from nominal.
-
-    A p-value accounts for noise only. Simulator errors give different estimates in different conditions, so an interval
-    from the scatter between conditions, at the same level over all parameters, must exclude the nominal value as well.
-    With too few conditions that scatter is unknown, and the test passes.
-    """
-    candidate = fitted.candidate
-    if sum(bool(np.any(jacobian)) for jacobian in candidate.jacobians) < LEAST_TO_DISAGREE:
-        return True
-    own = np.array([number >= first and not scalar.shape for number, scalar in enumerate(candidate.scalars)])
-    if fitted.evidence.null.shortage is not None or not np.any(own):
-        return True
-    confidence = 1.0 - SIGNIFICANT / float(np.count_nonzero(own))
-    widths = fitted.widths(confidence)
-    distance = np.abs(fitted.estimate - candidate.nominal) / candidate.scale
-    return bool(np.any((distance > widths)[own]))
 
 
 def moves_enough(fitted: Fit, part: slice = slice(None)) -> bool:

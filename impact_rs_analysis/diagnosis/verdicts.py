@@ -28,7 +28,6 @@ from impact_rs_analysis.diagnosis.document import (
 )
 from impact_rs_analysis.diagnosis.fit import Evidence, Fit
 from impact_rs_analysis.diagnosis.hold_out import HoldOut
-from impact_rs_analysis.diagnosis.null_distribution import alike
 from impact_rs_analysis.diagnosis.search import Rival, Search, moves_enough, noticeable, tied_errors
 from impact_rs_analysis.diagnosis.thresholds import (
     LEAST_GAIN_OF_JOINT,
@@ -511,8 +510,8 @@ def _of_joint(evidence: Evidence, rest: Sequence[Array], arm: str, joint: str) -
 def change_interval(before: Sequence[Array], after: Sequence[Array], evidence: Evidence) -> tuple[float, float] | None:
     """95 % interval of the change of the held-out size; None with too few clusters.
 
-    With repeats it is that of their scatter and the model discrepancy (:func:`_by_repeats`), without them that of the
-    ratio's scatter over the clusters (:func:`_by_clusters`).
+    With repeats it is that of their scatter (:func:`_by_repeats`), without them that of the ratio's scatter over the
+    clusters (:func:`_by_clusters`).
 
     Args:
         before: Mean residuals without, ``(F,)`` per cluster [-].
@@ -532,18 +531,16 @@ def _by_repeats(before: Sequence[Array], after: Sequence[Array], evidence: Evide
 
         |r_c|^2 - |r_c - d_c|^2 = 2 r_c d_c - |d_c|^2,    with variance 4 d_c cov(e_c) d_c
 
-    where cov(e_c) is the scatter of repeats, pooled over the layout, and the discrepancy, which clusters share.
+    where cov(e_c) is the scatter of repeats, pooled over the layout. The model discrepancy is no part of it: a better
+    prediction is better, whether the model or its simulator was wrong. Which of them it was is asked by the p-value.
     """
-    variance, shared = 0.0, dict[str, Array]()
+    variance = 0.0
     for item, first, second in zip(evidence.clusters, before, after, strict=True):
         moved = (first - second) / first.size
         like = [other for other in evidence.clusters if other.layout == item.layout]
         freedom = sum(other.count - 1 for other in like)
         scatter = sum(float(np.sum(np.square((other.residuals - other.mean) @ moved))) for other in like)
         variance += 4.0 * scatter / max(freedom, 1) / item.count
-        name = alike(item)
-        shared[name] = shared.get(name, 0.0) + 2.0 * item.moved_together @ moved
-    variance += sum(float(part @ part) for part in shared.values())
     scale = float(evidence.expected.sum())
     sizes = [residual_size(evidence, rest) for rest in (before, after)]
     half = float(scipy.stats.t.ppf(0.975, evidence.null.freedom)) * math.sqrt(variance) / scale

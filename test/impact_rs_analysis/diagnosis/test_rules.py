@@ -19,7 +19,7 @@ from impact_rs_analysis.diagnosis.diagnose import _identifiability, diagnose
 from impact_rs_analysis.diagnosis.fit import Evidence, Fit
 from impact_rs_analysis.diagnosis.hold_out import HoldOut
 from impact_rs_analysis.diagnosis.scoring import held_against_truth
-from impact_rs_analysis.diagnosis.search import Search, consistent, noticeable
+from impact_rs_analysis.diagnosis.search import Search, noticeable
 from impact_rs_analysis.diagnosis.verdicts import Findings, certain, change_interval, sizes_of
 from impact_rs_sim.robot import Array
 
@@ -59,15 +59,6 @@ def test_what_stops_at_a_bound_is_not_noticeable() -> None:
     source.least_change = 0.1  # type: ignore[misc]
     assert noticeable(fitted(source, "one_sided", change=np.array([49.0])))
     assert not noticeable(fitted(source, "one_sided", change=np.array([50.0])))
-
-
-def test_one_of_many_parameters_needs_the_significance_of_all() -> None:
-    source = AnalyticSource(1)
-    widths = [fitted(source, "of_joints").widths(level)[2] for level in (0.99, 1.0 - 0.01 / 7.0)]
-    one = np.arange(7) == 2
-    assert widths[0] < 0.8 * widths[1]
-    assert not consistent(fitted(source, "of_joints", change=one * 0.5 * sum(widths)))
-    assert consistent(fitted(source, "of_joints", change=one * 1.3 * widths[1]))
 
 
 def test_an_effect_is_certain_where_one_interval_leaves_out_nothing() -> None:
