@@ -360,10 +360,15 @@ class Problem:
         return np.asarray(np.sqrt((count - 1) / count * spread))
 
     def half_widths(self, change: Array, null: NullDistribution, confidence: float = 0.95) -> Array:
-        """Half widths of intervals in parameter scales, ``(p,)``."""
+        """Half widths of intervals in parameter scales, ``(p,)``.
+
+        The prior pulls what the data do not determine to its nominal value; for parameters that vary as much as the
+        prior allows, the error of this has the covariance A^-1 P A^-1, with A all information and P that of the prior.
+        """
         inverse = np.linalg.inv(self.total)
         noise = null.covariance(self.candidate.jacobians, change, inverse)
-        systematic = null.discrepancy(self.candidate.jacobians, inverse)
+        pulled = inverse @ (self._prior[:, None] * inverse)
+        systematic = null.discrepancy(self.candidate.jacobians, inverse) + pulled
         return combined_half_width(
             np.sqrt(np.maximum(np.diag(noise), 0.0)),
             null.quantile(confidence),

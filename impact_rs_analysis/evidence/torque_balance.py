@@ -16,6 +16,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import pinocchio as pin
 import scipy
 
 from impact_rs_sim.errors import InputError
@@ -27,6 +28,7 @@ from impact_rs_trials.runs import Run
 ORDER = 4
 GRID = 10.0  # samples per period of the cut-off frequency, at most
 EDGE = 2.0  # periods of the cut-off frequency, cut off at both ends
+MOST_REGRESSORS = 2  # kept: of the model, and of another direction of gravity
 
 
 @dataclass(frozen=True)
@@ -128,7 +130,7 @@ class TorqueBalance:
 
     def __init__(self, motions: list[Motion]) -> None:
         self.motions = motions
-        self._rigid: dict[tuple[bytes, ...], list[Array]] = {}
+        self._regressors: dict[bytes, list[Array]] = {}
 
     def predict(self, physics: Physics) -> Array:
         """Predicted recorded torque, all motions stacked between their edges, ``(k, n)`` [N m]."""
@@ -145,21 +147,23 @@ class TorqueBalance:
         return np.concatenate(rows)
 
     def _rigid_torques(self, physics: Physics) -> list[Array]:
-        """M ddq + h, cached, because most effects do not change it."""
-        end = physics.arms[ARM].end_effector
-        key = tuple(np.asarray(value, float).tobytes() for value in (end.mass, end.com, end.inertia, physics.gravity))
-        if key not in self._rigid:
-            model = physics.robot_model(ARM)
-            self._rigid[key] = [
+        """M ddq + h = Y pi, linear in the inertial parameters pi of all links, ``(k, n)`` each [N m]."""
+        model = physics.robot_model(ARM)
+        parameters = np.concatenate([inertia.toDynamicParameters() for inertia in list(model.pinocchio.inertias)[1:]])
+        key = model.pinocchio.gravity.linear.tobytes()
+        if key not in self._regressors:
+            while len(self._regressors) >= MOST_REGRESSORS:
+                self._regressors.pop(list(self._regressors)[1])  # the first is that of the model
+            self._regressors[key] = [
                 np.array(
                     [
-                        model.inverse_dynamics(*state)
+                        pin.computeJointTorqueRegressor(model.pinocchio, model.data, *state)
                         for state in zip(motion.position, motion.velocity, motion.acceleration, strict=True)
                     ]
                 )
                 for motion in self.motions
             ]
-        return self._rigid[key]
+        return [regressor @ parameters for regressor in self._regressors[key]]
 
     @staticmethod
     def _load_torques(physics: Physics, motion: Motion) -> Array:

@@ -166,6 +166,8 @@ class Effect(ABC):
         sentence: One sentence for the user.
         parameters: What can be fitted.
         phases: Where it is observable: ``free`` motion, ``contact``, or both; ``impact``: in tables of impacts alone.
+        calibrates: Whether it describes the bare arm, which recordings of free motion calibrate: a search in trials and
+            tables leaves it out unless it is named. A model that contains it predicts with it everywhere.
     """
 
     name: str
@@ -173,6 +175,7 @@ class Effect(ABC):
     sentence: str
     parameters: tuple[Parameter, ...]
     phases: tuple[str, ...] = ("free", "contact")
+    calibrates: bool = False
 
     @abstractmethod
     def apply(self, physics: Physics, values: Values) -> Physics:
@@ -276,6 +279,7 @@ class ArmEffect(Effect):
     parameters: tuple[Parameter, ...]
     law: Callable[[ArmPhysics, Values], ArmPhysics]
     phases: tuple[str, ...] = ("free", "contact")
+    calibrates: bool = False
 
     def apply(self, physics: Physics, values: Values) -> Physics:
         """See :meth:`Effect.apply`."""
