@@ -104,17 +104,17 @@ class RecordingSource(Source):
     ) -> None:
         self.recordings, self.mapping, self.model = tuple(recordings), mapping, model
         self.motions, self.physics = tuple(motions), physics
-        self.balance = TorqueBalance(list(motions))
+        at_motor = mapping.torque_measured_at == "motor"
+        self.balance = TorqueBalance(list(motions), at_motor)
         self.rest = self.balance.recorded - self.balance.predict(physics)
         self.sigma = np.maximum(np.sqrt(np.mean(np.square(self.rest), axis=0)), 1e-12)
         self.size_unit = self.residual_unit = joined_units(joint.effort for joint in physics.arms[ARM].facts.units)
         self._stretches = tuple(stretches)
         self._predicted: dict[Added, Array | None] = {}
         self.clusters = tuple(self._cluster(number) for number in range(len(self._stretches)))
-        behind_motors = physics.arms[ARM].motor_inertia_reduced.max() == 0.0
         remarks = (f"{item.path.name}: {remark}" for item in recordings for remark in item.remarks)
         self.reading = tuple(dict.fromkeys(remarks))
-        self.remarks = (*REMARKS, *((BEHIND_MOTORS,) if behind_motors else ()), *self.reading)
+        self.remarks = (*REMARKS, *(() if at_motor else (BEHIND_MOTORS,)), *self.reading)
 
     @classmethod
     def of(cls, recordings: Sequence[Run], mapping: Mapping, model: Model) -> RecordingSource:

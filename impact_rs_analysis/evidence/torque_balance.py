@@ -126,10 +126,11 @@ class TorqueBalance:
 
     Args:
         motions: Filtered recordings.
+        at_motor: Whether the torque was measured at the motors, so that it accelerates their inertia as well.
     """
 
-    def __init__(self, motions: list[Motion]) -> None:
-        self.motions = motions
+    def __init__(self, motions: list[Motion], at_motor: bool = False) -> None:
+        self.motions, self._at_motor = motions, at_motor
         self._regressors: dict[bytes, list[Array]] = {}
 
     def predict(self, physics: Physics) -> Array:
@@ -137,7 +138,7 @@ class TorqueBalance:
         arm = physics.arms[ARM]
         rows = []
         for motion, rigid in zip(self.motions, self._rigid_torques(physics), strict=True):
-            torque = rigid + arm.motor_inertia_reduced * motion.acceleration
+            torque = rigid + arm.motor_inertia_reduced * motion.acceleration if self._at_motor else rigid
             if not arm.friction.is_zero:
                 torque = torque - arm.friction.torque(motion.velocity)
             if arm.loads:
