@@ -165,12 +165,20 @@ class Search:
         return self._starts.get(name, self.singles[name])
 
     def _best_shape(self, candidate: Candidate) -> Candidate:
-        """The candidate at the best of several values of its shape parameters, by the misfit of the linear fit."""
+        """The candidate at the best of several values of its shape parameters, by the misfit of the linear fit.
+
+        One that is seen only beside the others, as the place of a mass that is 0, is looked at where the fit of the
+        others puts them.
+        """
         shapes = [index for index, scalar in enumerate(candidate.scalars) if scalar.grid]
         tried = [candidate]
         for values in product(*(candidate.scalars[index].grid for index in shapes)) if shapes else ():
             point = candidate.point.copy()
             point[shapes] = values
+            if (moved := self._linearised(replace(candidate, point=point))) is not None:
+                tried.append(moved)
+        if candidate.unseen:
+            point = Fit.of(candidate, self.evidence).estimate
             if (moved := self._linearised(replace(candidate, point=point))) is not None:
                 tried.append(moved)
         return min(tried, key=lambda entry: Fit.of(entry, self.evidence).misfit)

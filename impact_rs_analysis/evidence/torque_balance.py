@@ -135,6 +135,12 @@ class TorqueBalance:
 
     def predict(self, physics: Physics) -> Array:
         """Predicted recorded torque, all motions stacked between their edges, ``(k, n)`` [N m]."""
+        return np.concatenate(
+            [torque[motion.kept] for motion, torque in zip(self.motions, self.predicted(physics), strict=True)]
+        )
+
+    def predicted(self, physics: Physics) -> list[Array]:
+        """Predicted recorded torque of every motion, with its edges, ``(k, n)`` [N m]."""
         arm = physics.arms[ARM]
         rows = []
         for motion, rigid in zip(self.motions, self._rigid_torques(physics), strict=True):
@@ -143,9 +149,8 @@ class TorqueBalance:
                 torque = torque - arm.friction.torque(motion.velocity)
             if arm.loads:
                 torque = torque - self._load_torques(physics, motion)
-            torque = (torque - arm.torque_offset) / arm.torque_gain
-            rows.append(motion.low_pass(torque)[motion.kept])
-        return np.concatenate(rows)
+            rows.append(motion.low_pass((torque - arm.torque_offset) / arm.torque_gain))
+        return rows
 
     def _rigid_torques(self, physics: Physics) -> list[Array]:
         """M ddq + h = Y pi, linear in the inertial parameters pi of all links, ``(k, n)`` each [N m]."""

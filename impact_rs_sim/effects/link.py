@@ -136,7 +136,17 @@ LINK_COM = ArmEffect(
     acts_on="link inertia",
     sentence="The centre of mass of a link lies elsewhere across its joint axis than the model says.",
     parameters=tuple(
-        Parameter(f"com_{axis}", "m", 0.0, -0.1, 0.1, 0.005, f"shift along {axis} of the link's frame", per_joint=True)
+        Parameter(
+            f"com_{axis}",
+            "m",
+            0.0,
+            -0.1,
+            0.1,
+            0.005,
+            f"shift along {axis} of the link's frame",
+            per_joint=True,
+            firm=True,  # within the link
+        )
         for axis in "xy"
     ),
     law=_link_com,
