@@ -15,7 +15,7 @@ from itertools import combinations, product
 import numpy as np
 import scipy
 
-from impact_rs_analysis.diagnosis.candidate import Candidate, linearise, wanted
+from impact_rs_analysis.diagnosis.candidate import Candidate, concerns, linearise, wanted
 from impact_rs_analysis.diagnosis.fit import (
     HOPELESS,
     Evidence,
@@ -111,6 +111,8 @@ class Search:
         friction throws no slip back, until there is friction in the model, so other effects may be the ``base``.
         """
         clusters, numbers = self.evidence.clusters, self.evidence.numbers
+        if not any(concerns(effect, item) for effect in candidate.effects for item in clusters):
+            return candidate
         for index in candidate.unseen:
             if candidate.scalars[index].shape:
                 continue

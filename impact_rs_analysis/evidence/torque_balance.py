@@ -13,6 +13,7 @@ torque counts as not measured.
 
 from __future__ import annotations
 
+import functools
 from dataclasses import dataclass
 
 import numpy as np
@@ -63,9 +64,13 @@ class Motion:
 
 
 def _low_pass(values: Array, cut_off: float, rate: float) -> Array:
-    return np.asarray(
-        scipy.signal.sosfiltfilt(scipy.signal.butter(ORDER, cut_off, fs=rate, output="sos"), values, axis=0)
-    )
+    return np.asarray(scipy.signal.sosfiltfilt(_butterworth(cut_off, rate), values, axis=0))
+
+
+@functools.lru_cache(maxsize=16)
+def _butterworth(cut_off: float, rate: float) -> Array:
+    """The filter in second-order sections, cached: a search filters thousands of predictions."""
+    return np.asarray(scipy.signal.butter(ORDER, cut_off, fs=rate, output="sos"))
 
 
 def prepare(run: Run, cut_off: float) -> Motion:

@@ -25,7 +25,8 @@ from impact_rs_sim.effects.base import ArmEffect, Parameter, Values, number, vec
 from impact_rs_sim.physics import ArmPhysics, Physics
 from impact_rs_sim.robot import Array, Link
 
-REMOVABLE = 0.9  # share of the mass on the flange, or of a link's moment of inertia, that may be taken away
+REMOVABLE = 0.9  # share of the mass on the flange that may be taken away
+REMOVABLE_MOMENT = 0.99  # the same of a link's moment of inertia about its centre, which may be that of a rod
 
 
 @dataclass(frozen=True)
@@ -117,7 +118,7 @@ class LinkInertiaEffect(ArmEffect):
         """See :meth:`Effect.bounds`; only part of the least moment of inertia among the arms is removable."""
         lower, upper = super().bounds(physics)
         moments = [[link.inertia[5] for link in arm.facts.links] for arm in physics.arms.values()]
-        return np.maximum(lower, -REMOVABLE * np.min(moments, axis=0)), upper
+        return np.maximum(lower, -REMOVABLE_MOMENT * np.min(moments, axis=0)), upper
 
 
 LINK_MASS = ArmEffect(
