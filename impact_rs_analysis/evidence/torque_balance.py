@@ -1,11 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """Torque balance of an arm in free motion, for recordings without command and contact.
 
-    tau + eps = (M(q) ddq + h(q, dq) [+ B ddq] - tau_fric(dq) - tau_load - offset) / gain         (cf. paper eq. eom)
+    tau(t + delay) + eps = (M(q) ddq + h(q, dq) [+ B ddq] - tau_fric(dq) - tau_load - offset) / gain  (cf. paper eq. eom)
 
-tau is what was recorded; B only where the torque was measured at the motor. Positions, velocities and torques pass the
-same zero-phase low-pass (Butterworth, order 4, forwards and backwards), accelerations are central differences of the
-filtered velocity, the prediction passes the low-pass once more and so does the recorded torque; both ends are cut off.
+with q and dq at t; tau is what was recorded, B counts only where the torque was measured at the motor. Positions,
+velocities and torques pass the same zero-phase low-pass (Butterworth, order 4, forwards and backwards), accelerations
+are central differences of the filtered velocity, the prediction passes the low-pass once more and so does the recorded
+torque; both ends are cut off.
 
 Effects are applied through :class:`~impact_rs_sim.physics.Physics`, as in plant and twin. An effect that changes no
 torque counts as not measured.
@@ -126,6 +127,11 @@ def _noise(raw: Array, cut_off: float, rate: float) -> Array:
     return np.asarray(np.sqrt(np.median(density[above], axis=0) * cut_off))
 
 
+def _delayed(values: Array, time: Array, delay: float) -> Array:
+    """Low-passed signals later by a delay, which is shorter than the edges that are cut off."""
+    return np.asarray(scipy.interpolate.CubicSpline(time, values)(time - delay)) if delay else values
+
+
 class TorqueBalance:
     """Predicts the recorded torque of several motions under given physics.
 
@@ -154,7 +160,8 @@ class TorqueBalance:
                 torque = torque - arm.friction.torque(motion.velocity)
             if arm.loads:
                 torque = torque - self._load_torques(physics, motion)
-            rows.append(motion.low_pass((torque - arm.torque_offset) / arm.torque_gain))
+            torque = motion.low_pass((torque - arm.torque_offset) / arm.torque_gain)
+            rows.append(_delayed(torque, motion.time, arm.torque_delay))
         return rows
 
     def _rigid_torques(self, physics: Physics) -> list[Array]:

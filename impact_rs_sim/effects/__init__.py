@@ -37,6 +37,7 @@ from impact_rs_sim.effects.motor import (
     VISCOUS_FRICTION,
 )
 from impact_rs_sim.effects.object import OBJECT_COM_OFFSET, OBJECT_MASS
+from impact_rs_sim.effects.sensing import TORQUE_DELAY
 from impact_rs_sim.effects.surroundings import BASE_TILT, EXTERNAL_SPRING
 from impact_rs_sim.errors import InputError
 
@@ -73,6 +74,7 @@ BUILT_IN: tuple[Effect, ...] = (
     LINK_COM,
     LINK_INERTIA,
     MOTOR_INERTIA,
+    TORQUE_DELAY,
 )
 
 

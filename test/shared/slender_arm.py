@@ -107,11 +107,12 @@ def swung(
     physics = with_effects(mapping, effects)
     arm, joints = physics.arms[ARM], np.arange(mapping.facts.joint_count)
     time = start + np.arange(0.0, seconds, 1.0 / RATE)
-    frequencies = (0.13 + 0.03 * joints, 0.37 - 0.02 * joints)
-    columns = swinging(physics.robot_model(ARM), time, 0.0, frequencies, (0.6, 0.15))
-    torque: Array = columns["effort"] - arm.friction.torque(columns["velocity"]) - arm.torque_offset
+    frequencies, model = (0.13 + 0.03 * joints, 0.37 - 0.02 * joints), physics.robot_model(ARM)
+    columns, past = (
+        swinging(model, moment, 0.0, frequencies, (0.6, 0.15)) for moment in (time, time - arm.torque_delay)
+    )
+    torque: Array = past["effort"] - arm.friction.torque(past["velocity"]) - arm.torque_offset
     if mapping.torque_measured_at == "motor":
-        acceleration = np.gradient(columns["velocity"], time, axis=0, edge_order=2)
-        torque = torque + arm.motor_inertia_reduced * acceleration
+        torque = torque + arm.motor_inertia_reduced * np.gradient(past["velocity"], time, axis=0, edge_order=2)
     torque = torque / arm.torque_gain + np.random.default_rng(seed).normal(0.0, noise, torque.shape)
     return columns | {"time": time - start, "effort": torque}

@@ -1,0 +1,105 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Recordings calibrate the arm: links, motors, torque constants and the clock of the torque, each planted and found."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from joint_recordings import write_npz
+from slender_arm import FLAT, mapping_of, slender_arm, swung
+
+from impact_rs_analysis.diagnosis.diagnose import diagnose
+from impact_rs_analysis.diagnosis.document import DiagnosisDocument, EffectDocument
+from impact_rs_analysis.evidence.recordings import RecordingSource
+from impact_rs_sim.effects import library, of_trials
+from impact_rs_sim.model import Model
+from impact_rs_trials.recordings.mapping import Mapping
+from impact_rs_trials.recordings.recording import read_recordings
+
+FRICTION = {"joint_coulomb_friction": {"coulomb_joint1": 0.8, "coulomb_joint2": 0.5}}
+CONSIDERED = (  # all that are fast
+    "joint_coulomb_friction",
+    "joint_viscous_friction",
+    "torque_offset",
+    "torque_gain",
+    "end_effector_payload",
+    "link_mass",
+    "link_com",
+    "link_inertia",
+    "motor_inertia",
+    "torque_delay",
+)
+ALIKE = {"link_mass", "link_com", "link_inertia", "motor_inertia", "torque_gain"}  # of these one stands for another
+
+
+def diagnosed(folder: Path, mapping: Mapping, planted: dict[str, dict[str, float]]) -> DiagnosisDocument:
+    write_npz(folder / "run.npz", swung(mapping, FRICTION | planted))
+    source = RecordingSource.of(read_recordings(folder / "run.npz", mapping), mapping, Model(name="nominal"))
+    return diagnose(source, source.model, CONSIDERED)
+
+
+def effect(found: DiagnosisDocument, name: str) -> EffectDocument:
+    entry = found.effect(name)
+    assert entry is not None
+    return entry
+
+
+@pytest.mark.parametrize(
+    "planted",
+    [
+        {"link_mass": {"scale_joint2": 1.25}},
+        {"link_com": {"com_x_joint1": -0.03, "com_y_joint3": 0.04}},
+        {"link_inertia": {"inertia_joint2": 0.1}},
+        {"torque_delay": {"delay": -0.012}},
+    ],
+)
+def test_what_is_planted_in_an_upright_arm_is_named_and_its_interval_holds(
+    planted: dict[str, dict[str, float]], tmp_path: Path
+) -> None:
+    found = diagnosed(tmp_path, mapping_of(tmp_path, slender_arm(("revolute",) * 3)), planted)
+    ((name, values),) = planted.items()
+    assert set(found.named) == {"joint_coulomb_friction", name}
+    for key, value in values.items():
+        estimate = effect(found, name).parameters[key]
+        assert estimate.interval[0] <= value <= estimate.interval[1]
+        assert estimate.estimate == pytest.approx(value, rel=0.15)
+
+
+def test_links_that_no_torque_feels_are_not_determined(tmp_path: Path) -> None:
+    """On vertical axes nothing weighs: of the first link its moment alone is felt, and no centre by itself."""
+    mapping = mapping_of(tmp_path, slender_arm(("revolute",) * 2, FLAT))
+    found = diagnosed(tmp_path, mapping, {"link_inertia": {"inertia_joint1": 0.2}})
+    assert not set(found.named) - ALIKE - set(FRICTION)
+    centres = effect(found, "link_com").parameters
+    assert centres["com_y_joint1"].interval[1] - centres["com_y_joint1"].interval[0] > 0.05
+
+
+def test_motor_inertia_and_torque_constants_are_found_from_currents(tmp_path: Path) -> None:
+    constants = [20.0, 10.0, 5.0]  # N m/A
+    mapping = mapping_of(
+        tmp_path,
+        slender_arm(("revolute",) * 3),
+        {"unit": "A"},
+        torque_measured_at="motor",
+        torque_constant=constants,
+    )
+    planted = {"motor_inertia": {"inertia_joint1": 0.5, "inertia_joint2": 0.3, "inertia_joint3": 0.1}}
+    columns = swung(mapping, FRICTION | planted | {"torque_gain": {"gain_joint2": 0.85}})
+    write_npz(tmp_path / "run.npz", columns | {"effort": columns["effort"] / np.array(constants)})
+    source = RecordingSource.of(read_recordings(tmp_path / "run.npz", mapping), mapping, Model(name="nominal"))
+    found = diagnose(source, source.model, CONSIDERED)
+    assert set(found.named) == {"joint_coulomb_friction", "motor_inertia", "torque_gain"}
+    for joint, value in ((1, 0.5), (2, 0.3), (3, 0.1)):
+        assert effect(found, "motor_inertia").parameters[f"inertia_joint{joint}"].estimate == pytest.approx(
+            value, rel=0.15
+        )
+    low, high = effect(found, "torque_gain").parameters["gain_joint2"].interval
+    assert low <= 0.85 <= high and high - low < 0.05
+
+
+def test_what_calibrates_an_arm_is_no_candidate_in_trials() -> None:
+    calibrating = {name for name, effect in library().items() if effect.calibrates}
+    assert calibrating == {"link_mass", "link_com", "link_inertia", "motor_inertia", "torque_delay"}
+    assert not calibrating & set(of_trials())
