@@ -409,4 +409,6 @@ def bounded(information: Array, score: Array, lower: Array, upper: Array) -> Arr
     if np.all(change >= lower - 1e-12) and np.all(change <= upper + 1e-12):
         return np.asarray(change)
     root = np.linalg.cholesky(information).T
-    return np.asarray(scipy.optimize.lsq_linear(root, np.linalg.solve(root.T, score), bounds=(lower, upper)).x)
+    return np.asarray(
+        scipy.optimize.lsq_linear(root, np.linalg.solve(root.T, score), bounds=(lower, upper), method="bvls").x
+    )

@@ -122,7 +122,12 @@ class RecordingSource(Source):
         self.clusters = tuple(self._cluster(number) for number in range(len(self._stretches)))
         remarks = (f"{item.path.name}: {remark}" for item in (*recordings, *minus) for remark in item.remarks)
         self.reading = tuple(dict.fromkeys(remarks))
-        self.remarks = (*REMARKS, *((DIFFERENCE,) if minus else ()), *(() if at_motor else (BEHIND_MOTORS,)), *self.reading)
+        self.remarks = (
+            *REMARKS,
+            *((DIFFERENCE,) if minus else ()),
+            *(() if at_motor else (BEHIND_MOTORS,)),
+            *self.reading,
+        )
 
     @classmethod
     def of(

@@ -30,6 +30,7 @@ from impact_rs_trials.runs import Run
 ORDER = 4
 GRID = 10.0  # samples per period of the cut-off frequency, at most
 EDGE = 2.0  # periods of the cut-off frequency, cut off at both ends
+BAND = (1.5, 3.0)  # times the cut-off frequency, where the noise is measured
 MOST_REGRESSORS = 2  # kept: of the model, and of another direction of gravity
 
 
@@ -119,12 +120,18 @@ def prepare(run: Run, cut_off: float) -> Motion:
 
 
 def _noise(raw: Array, cut_off: float, rate: float) -> Array:
-    """Noise below the cut-off, from the spectral density just above it, where motion is absent, ``(n,)`` [N m]."""
-    frequency, density = scipy.signal.welch(raw, rate, nperseg=min(raw.shape[0], 256), axis=0)
-    above = (frequency >= 1.5 * cut_off) & (frequency <= min(3.0 * cut_off, 0.45 * rate))
-    if not np.any(above):
-        above = frequency >= 1.2 * cut_off
-    return np.asarray(np.sqrt(np.median(density[above], axis=0) * cut_off))
+    """Noise below the cut-off, from its power just above, where smooth motion is absent, ``(n,)`` [N m].
+
+    The median over short windows leaves out those in which a joint turns back: dry friction then jumps, and is no noise.
+    """
+    highest = 0.45 * rate
+    band = (BAND[0] * cut_off, BAND[1] * cut_off) if BAND[1] * cut_off < highest else (1.2 * cut_off, highest)
+    passed = scipy.signal.sosfiltfilt(
+        scipy.signal.butter(ORDER, band, btype="bandpass", fs=rate, output="sos"), raw, axis=0
+    )
+    count = max(1, int(raw.shape[0] * cut_off / rate))
+    power = np.array([np.mean(np.square(window), axis=0) for window in np.array_split(passed, count)])
+    return np.asarray(np.sqrt(np.median(power, axis=0) * cut_off / (band[1] - band[0])))
 
 
 def _delayed(values: Array, time: Array, delay: float) -> Array:

@@ -103,7 +103,5 @@ def library() -> dict[str, Effect]:
 def of_trials() -> dict[str, Effect]:
     """The effects of the library that a search in trials considers."""
     return {
-        name: effect
-        for name, effect in library().items()
-        if effect.phases != SINGLE_IMPACT and not effect.calibrates
+        name: effect for name, effect in library().items() if effect.phases != SINGLE_IMPACT and not effect.calibrates
     }

@@ -94,9 +94,7 @@ MOTOR_INERTIA = ArmEffect(
     acts_on="motor side",
     sentence="The motor of a joint has more inertia than the model says.",
     parameters=(
-        Parameter(
-            "inertia", "kg m^2", 0.0, 0.0, 5.0, 0.05, "added motor inertia, seen at the joint", per_joint=True
-        ),
+        Parameter("inertia", "kg m^2", 0.0, 0.0, 5.0, 0.05, "added motor inertia, seen at the joint", per_joint=True),
     ),
     law=_added_motor_inertia,
     calibrates=True,

@@ -18,7 +18,7 @@ from impact_rs_sim.model import Model
 from impact_rs_trials.recordings.mapping import Mapping
 from impact_rs_trials.recordings.recording import read_recordings
 
-FRICTION = {"joint_coulomb_friction": {"coulomb_joint1": 0.8, "coulomb_joint2": 0.5}}
+FRICTION = {"coulomb_joint1": 0.8, "coulomb_joint2": 0.5, "coulomb_joint3": 0.3}  # N m
 CONSIDERED = (  # all that are fast
     "joint_coulomb_friction",
     "joint_viscous_friction",
@@ -34,8 +34,14 @@ CONSIDERED = (  # all that are fast
 ALIKE = {"link_mass", "link_com", "link_inertia", "motor_inertia", "torque_gain"}  # of these one stands for another
 
 
+def with_friction(mapping: Mapping, planted: dict[str, dict[str, float]]) -> dict[str, dict[str, float]]:
+    """What is planted, and friction of every joint."""
+    own = dict(list(FRICTION.items())[: mapping.facts.joint_count])
+    return {"joint_coulomb_friction": own, **planted}
+
+
 def diagnosed(folder: Path, mapping: Mapping, planted: dict[str, dict[str, float]]) -> DiagnosisDocument:
-    write_npz(folder / "run.npz", swung(mapping, FRICTION | planted))
+    write_npz(folder / "run.npz", swung(mapping, with_friction(mapping, planted)))
     source = RecordingSource.of(read_recordings(folder / "run.npz", mapping), mapping, Model(name="nominal"))
     return diagnose(source, source.model, CONSIDERED)
 
@@ -71,7 +77,7 @@ def test_links_that_no_torque_feels_are_not_determined(tmp_path: Path) -> None:
     """On vertical axes nothing weighs: of the first link its moment alone is felt, and no centre by itself."""
     mapping = mapping_of(tmp_path, slender_arm(("revolute",) * 2, FLAT))
     found = diagnosed(tmp_path, mapping, {"link_inertia": {"inertia_joint1": 0.2}})
-    assert not set(found.named) - ALIKE - set(FRICTION)
+    assert not set(found.named) - ALIKE - {"joint_coulomb_friction"}
     centres = effect(found, "link_com").parameters
     assert centres["com_y_joint1"].interval[1] - centres["com_y_joint1"].interval[0] > 0.05
 
@@ -86,7 +92,7 @@ def test_motor_inertia_and_torque_constants_are_found_from_currents(tmp_path: Pa
         torque_constant=constants,
     )
     planted = {"motor_inertia": {"inertia_joint1": 0.5, "inertia_joint2": 0.3, "inertia_joint3": 0.1}}
-    columns = swung(mapping, FRICTION | planted | {"torque_gain": {"gain_joint2": 0.85}})
+    columns = swung(mapping, with_friction(mapping, {**planted, "torque_gain": {"gain_joint2": 0.85}}))
     write_npz(tmp_path / "run.npz", columns | {"effort": columns["effort"] / np.array(constants)})
     source = RecordingSource.of(read_recordings(tmp_path / "run.npz", mapping), mapping, Model(name="nominal"))
     found = diagnose(source, source.model, CONSIDERED)

@@ -55,3 +55,13 @@ def test_motors_are_accelerated_by_the_torque_that_was_measured_at_them(at_motor
     change = balance.predict(with_effects(mapping, effect)) - balance.predict(with_effects(mapping, {}))
     expected = motion.low_pass(inertia * motion.acceleration)[motion.kept] if at_motor else np.zeros_like(change)
     np.testing.assert_allclose(change, expected, atol=1e-9)
+
+
+def test_noise_is_what_the_torque_has_beside_friction_that_jumps_and_weight_that_swings(tmp_path: Path) -> None:
+    """White noise of 0.02 N m at 50 Hz has 0.02 sqrt(3 / 25) N m below 3 Hz."""
+    mapping = mapping_of(tmp_path, slender_arm(("revolute",) * 3))
+    dry = {"joint_coulomb_friction": {"coulomb_joint1": 2.0, "coulomb_joint2": 1.0, "coulomb_joint3": 0.5}}
+    (run,) = read_recordings(write_npz(tmp_path / "run.npz", swung(mapping, dry, noise=0.02)), mapping)
+    white = 0.02 * np.sqrt(3.0 / 25.0)
+    noise = prepare(run, mapping.low_pass).noise
+    assert np.all(noise > 0.6 * white) and np.all(noise < 2.0 * white)
