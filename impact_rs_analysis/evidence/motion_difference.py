@@ -1,13 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """Difference of two recordings of one motion, for example with and without a load.
 
-From the recorded torque is subtracted what the model left of the torque of a reference, at the same place of the motion:
+From the recorded torque is subtracted what the model left of the torque of a reference, at the same place of the
+motion:
 
     tau'(t) = tau(t) - (tau_r - tau_r,model)(t + s)
 
-Friction, offsets and wrong link parameters, which both recordings have, cancel; what tau' has beyond the model was added
-between the two. Each recording is predicted along its own measured motion, so a small difference of the motions changes
-tau' only by what the model does not know. The shift s minimises the mean square distance of the positions.
+Friction, offsets and wrong link parameters, which both recordings have, cancel; what tau' has beyond the model was
+added between the two. Each recording is predicted along its own measured motion, so a small difference of the motions
+changes tau' only by what the model does not know. The shift s minimises the mean square distance of the positions.
 """
 
 from __future__ import annotations

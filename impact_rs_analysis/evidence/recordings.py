@@ -54,8 +54,8 @@ REMARKS = (
     "come from an effect of the library",
 )
 DIFFERENCE = (
-    "differences of recordings of one motion: what both have in common cancels, and an effect is a change between them; a "
-    "mass is as exact as the scale of the torque"
+    "differences of recordings of one motion: what both have in common cancels, and an effect is a change between "
+    "them; a mass is as exact as the scale of the torque"
 )
 BEHIND_MOTORS = "the torque was measured behind the motors, so their inertia is not in it"
 

@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """Torque balance of an arm in free motion, for recordings without command and contact.
 
-    tau(t + delay) + eps = (M(q) ddq + h(q, dq) [+ B ddq] - tau_fric(dq) - tau_load - offset) / gain  (cf. paper eq. eom)
+    tau(t + delay) + eps = (M(q) ddq + h(q, dq) [+ B ddq] - tau_fric(dq) - tau_load - offset) / gain
 
-with q and dq at t; tau is what was recorded, B counts only where the torque was measured at the motor. Positions,
-velocities and torques pass the same zero-phase low-pass (Butterworth, order 4, forwards and backwards), accelerations
-are central differences of the filtered velocity, the prediction passes the low-pass once more and so does the recorded
-torque; both ends are cut off.
+with q and dq at t (cf. paper eq. eom); tau is what was recorded, B counts only where it was measured at the motor.
+Positions, velocities and torques pass the same zero-phase low-pass (Butterworth, order 4, forwards and backwards),
+accelerations are central differences of the filtered velocity, the prediction passes the low-pass once more and so does
+the recorded torque; both ends are cut off.
 
 Effects are applied through :class:`~impact_rs_sim.physics.Physics`, as in plant and twin. An effect that changes no
 torque counts as not measured.
@@ -122,7 +122,8 @@ def prepare(run: Run, cut_off: float) -> Motion:
 def _noise(raw: Array, cut_off: float, rate: float) -> Array:
     """Noise below the cut-off, from its power just above, where smooth motion is absent, ``(n,)`` [N m].
 
-    The median over short windows leaves out those in which a joint turns back: dry friction then jumps, and is no noise.
+    The median over short windows leaves out those in which a joint turns back: dry friction jumps there, and is no
+    noise.
     """
     highest = 0.45 * rate
     band = (BAND[0] * cut_off, BAND[1] * cut_off) if BAND[1] * cut_off < highest else (1.2 * cut_off, highest)

@@ -17,8 +17,8 @@ TORQUE_DELAY = ArmEffect(
     name="torque_delay",
     acts_on="sensing",
     sentence=(
-        "The torque was recorded some milliseconds later than the positions (below 0: earlier); signals.torque.delay of "
-        "the mapping takes it back."
+        "The torque was recorded some milliseconds later than the positions (below 0: earlier); signals.torque.delay "
+        "of the mapping takes it back."
     ),
     parameters=(Parameter("delay", "s", 0.0, -0.1, 0.1, 0.002, "delay of the torque after the positions"),),
     law=_torque_delay,
