@@ -30,8 +30,8 @@ from impact_rs_sim.effects.contact import (
 from impact_rs_sim.effects.joint import JOINT_STIFFNESS
 from impact_rs_sim.effects.link import END_EFFECTOR_PAYLOAD, LINK_COM, LINK_INERTIA, LINK_MASS
 from impact_rs_sim.effects.motor import (
+    ADDED_MOTOR_INERTIA,
     COULOMB_FRICTION,
-    MOTOR_INERTIA,
     MOTOR_INERTIA_SCALE,
     STRIBECK_FRICTION,
     VISCOUS_FRICTION,
@@ -73,7 +73,7 @@ BUILT_IN: tuple[Effect, ...] = (
     LINK_MASS,
     LINK_COM,
     LINK_INERTIA,
-    MOTOR_INERTIA,
+    ADDED_MOTOR_INERTIA,
     TORQUE_DELAY,
 )
 

@@ -89,8 +89,8 @@ MOTOR_INERTIA_SCALE = ArmEffect(
     law=_motor_inertia,
 )
 
-MOTOR_INERTIA = ArmEffect(
-    name="motor_inertia",
+ADDED_MOTOR_INERTIA = ArmEffect(
+    name="added_motor_inertia",
     acts_on="motor side",
     sentence="The motor of a joint has more inertia than the model says.",
     parameters=(

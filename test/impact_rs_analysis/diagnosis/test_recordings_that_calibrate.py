@@ -28,10 +28,16 @@ CONSIDERED = (  # all that are fast
     "link_mass",
     "link_com",
     "link_inertia",
-    "motor_inertia",
+    "added_motor_inertia",
     "torque_delay",
 )
-ALIKE = {"link_mass", "link_com", "link_inertia", "motor_inertia", "torque_gain"}  # of these one stands for another
+ALIKE = {
+    "link_mass",
+    "link_com",
+    "link_inertia",
+    "added_motor_inertia",
+    "torque_gain",
+}  # of these one stands for another
 
 
 def with_friction(mapping: Mapping, planted: dict[str, dict[str, float]]) -> dict[str, dict[str, float]]:
@@ -91,14 +97,14 @@ def test_motor_inertia_and_torque_constants_are_found_from_currents(tmp_path: Pa
         torque_measured_at="motor",
         torque_constant=constants,
     )
-    planted = {"motor_inertia": {"inertia_joint1": 0.5, "inertia_joint2": 0.3, "inertia_joint3": 0.1}}
+    planted = {"added_motor_inertia": {"inertia_joint1": 0.5, "inertia_joint2": 0.3, "inertia_joint3": 0.1}}
     columns = swung(mapping, with_friction(mapping, {**planted, "torque_gain": {"gain_joint2": 0.85}}))
     write_npz(tmp_path / "run.npz", columns | {"effort": columns["effort"] / np.array(constants)})
     source = RecordingSource.of(read_recordings(tmp_path / "run.npz", mapping), mapping, Model(name="nominal"))
     found = diagnose(source, source.model, CONSIDERED)
-    assert set(found.named) == {"joint_coulomb_friction", "motor_inertia", "torque_gain"}
+    assert set(found.named) == {"joint_coulomb_friction", "added_motor_inertia", "torque_gain"}
     for joint, value in ((1, 0.5), (2, 0.3), (3, 0.1)):
-        assert effect(found, "motor_inertia").parameters[f"inertia_joint{joint}"].estimate == pytest.approx(
+        assert effect(found, "added_motor_inertia").parameters[f"inertia_joint{joint}"].estimate == pytest.approx(
             value, rel=0.15
         )
     low, high = effect(found, "torque_gain").parameters["gain_joint2"].interval
@@ -107,5 +113,5 @@ def test_motor_inertia_and_torque_constants_are_found_from_currents(tmp_path: Pa
 
 def test_what_calibrates_an_arm_is_no_candidate_in_trials() -> None:
     calibrating = {name for name, effect in library().items() if effect.calibrates}
-    assert calibrating == {"link_mass", "link_com", "link_inertia", "motor_inertia", "torque_delay"}
+    assert calibrating == {"link_mass", "link_com", "link_inertia", "added_motor_inertia", "torque_delay"}
     assert not calibrating & set(of_trials())

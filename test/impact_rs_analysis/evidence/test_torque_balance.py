@@ -51,7 +51,7 @@ def test_motors_are_accelerated_by_the_torque_that_was_measured_at_them(at_motor
     balance = TorqueBalance(balance_of(tmp_path, mapping).motions, at_motor)
     (motion,) = balance.motions
     inertia = np.array([0.3, 0.2, 0.1])
-    effect = {"motor_inertia": {f"inertia_joint{joint + 1}": value for joint, value in enumerate(inertia)}}
+    effect = {"added_motor_inertia": {f"inertia_joint{joint + 1}": value for joint, value in enumerate(inertia)}}
     change = balance.predict(with_effects(mapping, effect)) - balance.predict(with_effects(mapping, {}))
     expected = motion.low_pass(inertia * motion.acceleration)[motion.kept] if at_motor else np.zeros_like(change)
     np.testing.assert_allclose(change, expected, atol=1e-9)

@@ -63,6 +63,9 @@ def test_motor_inertia_scale_adds_to_the_inertia_that_a_torque_moves(scale):
 def test_added_motor_inertia_resists_as_much_as_the_assumed_one():
     scaled, added = (
         switched_on(bench(), name, **{parameter: value}).arms["arm"].motor_inertia_reduced
-        for name, parameter, value in (("motor_inertia_scale", "scale", 1.8), ("motor_inertia", "inertia_joint1", 0.12))
+        for name, parameter, value in (
+            ("motor_inertia_scale", "scale", 1.8),
+            ("added_motor_inertia", "inertia_joint1", 0.12),
+        )
     )
     np.testing.assert_allclose(added, scaled)
