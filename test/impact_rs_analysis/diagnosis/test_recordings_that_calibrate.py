@@ -15,10 +15,11 @@ from impact_rs_analysis.diagnosis.document import DiagnosisDocument, EffectDocum
 from impact_rs_analysis.evidence.recordings import RecordingSource
 from impact_rs_sim.effects import library, of_trials
 from impact_rs_sim.model import Model
+from impact_rs_sim.proportion import Proportion
 from impact_rs_trials.recordings.mapping import Mapping
 from impact_rs_trials.recordings.recording import read_recordings
 
-FRICTION = {"coulomb_joint1": 0.8, "coulomb_joint2": 0.5, "coulomb_joint3": 0.3}  # N m
+FRICTION = {"joint_coulomb_friction": {"coulomb_joint1": 0.8, "coulomb_joint2": 0.5}}  # N m; a third joint has none
 CONSIDERED = (  # all that are fast
     "joint_coulomb_friction",
     "joint_viscous_friction",
@@ -31,23 +32,11 @@ CONSIDERED = (  # all that are fast
     "added_motor_inertia",
     "torque_delay",
 )
-ALIKE = {
-    "link_mass",
-    "link_com",
-    "link_inertia",
-    "added_motor_inertia",
-    "torque_gain",
-}  # of these one stands for another
-
-
-def with_friction(mapping: Mapping, planted: dict[str, dict[str, float]]) -> dict[str, dict[str, float]]:
-    """What is planted, and friction of every joint."""
-    own = dict(list(FRICTION.items())[: mapping.facts.joint_count])
-    return {"joint_coulomb_friction": own, **planted}
+GRAVITY = np.array([0.0, 0.0, -9.81])  # m/s^2
 
 
 def diagnosed(folder: Path, mapping: Mapping, planted: dict[str, dict[str, float]]) -> DiagnosisDocument:
-    write_npz(folder / "run.npz", swung(mapping, with_friction(mapping, planted)))
+    write_npz(folder / "run.npz", swung(mapping, FRICTION | planted))
     source = RecordingSource.of(read_recordings(folder / "run.npz", mapping), mapping, Model(name="nominal"))
     return diagnose(source, source.model, CONSIDERED)
 
@@ -79,13 +68,17 @@ def test_what_is_planted_in_an_upright_arm_is_named_and_its_interval_holds(
         assert estimate.estimate == pytest.approx(value, rel=0.15)
 
 
-def test_links_that_no_torque_feels_are_not_determined(tmp_path: Path) -> None:
-    """On vertical axes nothing weighs: of the first link its moment alone is felt, and no centre by itself."""
-    mapping = mapping_of(tmp_path, slender_arm(("revolute",) * 2, FLAT))
-    found = diagnosed(tmp_path, mapping, {"link_inertia": {"inertia_joint1": 0.2}})
-    assert not set(found.named) - ALIKE - {"joint_coulomb_friction"}
-    centres = effect(found, "link_com").parameters
-    assert centres["com_y_joint1"].interval[1] - centres["com_y_joint1"].interval[0] > 0.05
+def test_centres_that_no_torque_feels_are_not_determined(tmp_path: Path) -> None:
+    """On vertical axes nothing weighs: of the first link the moment alone is felt, wherever its centre lies."""
+    facts = slender_arm(("revolute",) * 2, FLAT)
+    found = diagnosed(tmp_path, mapping_of(tmp_path, facts), {})
+    assert found.named == ("joint_coulomb_friction",)
+    centre, moment = effect(found, "link_com").parameters["com_y_joint1"], effect(found, "link_inertia").parameters
+    reach = Proportion.of_robots([facts], GRAVITY).length
+    bound = reach * library()["link_com"].parameters[1].upper
+    assert centre.interval == pytest.approx((-bound, bound))
+    low, high = moment["inertia_joint1"].interval
+    assert low <= 0.0 <= high and high - low < 0.05  # kg m^2
 
 
 def test_motor_inertia_and_torque_constants_are_found_from_currents(tmp_path: Path) -> None:
@@ -98,7 +91,7 @@ def test_motor_inertia_and_torque_constants_are_found_from_currents(tmp_path: Pa
         torque_constant=constants,
     )
     planted = {"added_motor_inertia": {"inertia_joint1": 0.5, "inertia_joint2": 0.3, "inertia_joint3": 0.1}}
-    columns = swung(mapping, with_friction(mapping, {**planted, "torque_gain": {"gain_joint2": 0.85}}))
+    columns = swung(mapping, FRICTION | planted | {"torque_gain": {"gain_joint2": 0.85}})
     write_npz(tmp_path / "run.npz", columns | {"effort": columns["effort"] / np.array(constants)})
     source = RecordingSource.of(read_recordings(tmp_path / "run.npz", mapping), mapping, Model(name="nominal"))
     found = diagnose(source, source.model, CONSIDERED)
