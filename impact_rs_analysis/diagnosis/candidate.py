@@ -150,14 +150,6 @@ class Candidate:
             jacobians=tuple(self.jacobians[number] for number in clusters),
         )
 
-    def scaled(self, factors: Sequence[Array]) -> Candidate:
-        """The candidate for residuals on another scale: multiplied by factors, ``(F,)`` per cluster."""
-        return replace(
-            self,
-            offsets=tuple(factor * offset for factor, offset in zip(factors, self.offsets, strict=True)),
-            jacobians=tuple(factor[:, None] * own for factor, own in zip(factors, self.jacobians, strict=True)),
-        )
-
     def without(self, name: str) -> Candidate:
         """The candidate without one of its effects."""
         part = self.part(name)

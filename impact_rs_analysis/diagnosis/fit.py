@@ -428,9 +428,7 @@ def measure_again(fitted: Fit) -> Fit:
         evidence = replace(like, clusters=tuple(clusters))
         nothing = tuple(np.zeros_like(item.sigma) for item in clusters)
         fresh = replace(candidate, point=point, origin=added, offsets=nothing)
-        if look == 0 or any(
-            new.sigma is not old.sigma for new, old in zip(clusters, fitted.evidence.clusters, strict=True)
-        ):
+        if look == 0:
             fresh = linearise(fresh, clusters, like.numbers, like.source, "final sensitivities", NEAR_STEPS[0]) or fresh
         fitted = refine(fresh, evidence)
         if np.all(np.abs(fitted.estimate - point) < NEAR * candidate.scale):

@@ -162,10 +162,9 @@ class Search:
                 found.add(name)
         return found
 
-    def _start(self, name: str, evidence: Evidence | None = None) -> Candidate:
-        """Start of the fit of an effect alone, on the scale of some evidence; None: of the model's."""
-        start = self._starts.get(name, self.singles[name])
-        return start if evidence is None else start.scaled(factors_between(self.evidence, evidence))
+    def _start(self, name: str) -> Candidate:
+        """Start of the fit of an effect alone."""
+        return self._starts.get(name, self.singles[name])
 
     def _best_shape(self, candidate: Candidate) -> Candidate:
         """The candidate at the best of several values of its shape parameters, by the misfit of the linear fit.
@@ -199,7 +198,7 @@ class Search:
             elif name in chosen.candidate.names:
                 continue
             else:
-                joined = chosen.candidate.beside(candidate.scaled(factors_between(self.evidence, chosen.evidence)))
+                joined = chosen.candidate.beside(candidate)
                 count = chosen.candidate.point.size
                 problem, tested = chosen.evidence.problem(joined), slice(count, joined.point.size)
                 evidence = chosen.left
@@ -253,8 +252,7 @@ class Search:
         return look_elsewhere(refine_again(refine(joined, self.evidence)))
 
     def _keep(self, fitted: Fit) -> None:
-        back = factors_between(fitted.evidence, self.evidence)
-        self.ended[fitted.candidate.names] = fitted.candidate.scaled(back)
+        self.ended[fitted.candidate.names] = fitted.candidate
 
     def _report_progress(self, fitted: Fit) -> None:
         self._progress("+".join(fitted.candidate.names), self.evidence.size(fitted.held_out))
@@ -279,9 +277,9 @@ class Search:
 
         By itself such an effect explains what others are: friction that decreases with speed stands for an offset.
         """
+        start = self._start(name)
         if chosen is None:
-            return Fit.of(self._start(name), self.evidence)
-        start = self._start(name, chosen.evidence)
+            return Fit.of(start, self.evidence)
         joined = Fit.of(chosen.candidate.beside(start), chosen.evidence)
         if not has_shape_parameter(start):
             return joined
@@ -346,15 +344,14 @@ class Search:
         rest = reduced.rest(reduced.solve())
         return evidence.shifted([item.mean - left for item, left in zip(evidence.clusters, rest, strict=True)])
 
-    def joint_alternatives(self, fitted: Fit, index: int) -> list[tuple[str, Candidate]]:
+    def joint_alternatives(self, chosen: Candidate, index: int) -> list[tuple[str, Candidate]]:
         """The chosen effects with the parameter of one joint replaced by that joint's parameter of another effect."""
-        chosen = fitted.candidate
         scalar = chosen.scalars[index]
         found = []
         for name in self.singles:
             if name in chosen.names or name in self.ruled_out:
                 continue
-            single = self._start(name, fitted.evidence)
+            single = self._start(name)
             own = [
                 number
                 for number, other in enumerate(single.scalars)
@@ -415,7 +412,7 @@ class Search:
             for other, single in self.singles.items():
                 if other in chosen.candidate.names or other in self.ruled_out:
                     continue
-                start = self._start(other, chosen.evidence)
+                start = self._start(other)
                 swapped = replace(others, offsets=tuple(np.zeros(o.shape) for o in single.offsets)).beside(start)
                 moved = evaluate_at(replace(swapped, origin=chosen.candidate.origin), swapped.point, chosen.evidence)
                 if moved is not None:
@@ -427,11 +424,6 @@ class Search:
                 fitted = refine_again(refine(linear.candidate, chosen.evidence, HOPELESS * chosen.score))
                 found.append(Rival(other, name, fitted, tied(chosen, fitted) and not _in_the_limit(fitted, other)))
         return found
-
-
-def factors_between(before: Evidence, after: Evidence) -> list[Array]:
-    """Factors of residuals from one scale of the same clusters to another, ``(F,)`` each [-]."""
-    return [old.sigma / new.sigma for old, new in zip(before.clusters, after.clusters, strict=True)]
 
 
 def _in_the_limit(fitted: Fit, name: str) -> bool:

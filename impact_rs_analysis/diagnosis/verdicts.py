@@ -29,14 +29,7 @@ from impact_rs_analysis.diagnosis.document import (
 from impact_rs_analysis.diagnosis.fit import Evidence, Fit
 from impact_rs_analysis.diagnosis.hold_out import HoldOut
 from impact_rs_analysis.diagnosis.null_distribution import alike
-from impact_rs_analysis.diagnosis.search import (
-    Rival,
-    Search,
-    factors_between,
-    moves_enough,
-    noticeable,
-    tied_errors,
-)
+from impact_rs_analysis.diagnosis.search import Rival, Search, moves_enough, noticeable, tied_errors
 from impact_rs_analysis.diagnosis.thresholds import (
     LEAST_GAIN_OF_JOINT,
     LEAST_P,
@@ -91,11 +84,8 @@ class Findings:
 
     @property
     def unexplained(self) -> list[Array]:
-        """Mean residuals with the chosen effects, on the scale of the model's, ``(F,)`` per cluster [-]."""
-        if self.chosen is None:
-            return [item.mean for item in self.evidence.clusters]
-        factors = factors_between(self.chosen.evidence, self.evidence)
-        return [factor * rest for factor, rest in zip(factors, self.chosen.rest, strict=True)]
+        """Mean residuals with the chosen effects, ``(F,)`` per cluster [-]."""
+        return [item.mean for item in self.evidence.clusters] if self.chosen is None else self.chosen.rest
 
     def tied_with(self, name: str) -> tuple[str, ...]:
         """Effects that predict as well in place of a chosen one."""
@@ -409,10 +399,7 @@ def _other_document(found: Findings, effect: Effect) -> EffectDocument:
         verdict, reason = NO_IMPROVEMENT, ""
         if name in search.ruled_out:
             reason = "ruled out by free motion, and not tried in contact"
-    if found.chosen is None:
-        without = residual_size(evidence, [item.mean for item in evidence.clusters])
-    else:
-        without = residual_size(found.chosen.evidence, found.chosen.problem.left_out_rest)
+    base = [item.mean for item in evidence.clusters] if found.chosen is None else found.chosen.problem.left_out_rest
     return EffectDocument(
         name=name,
         sentence=effect.sentence,
@@ -420,10 +407,10 @@ def _other_document(found: Findings, effect: Effect) -> EffectDocument:
         reason=reason,
         rivals=rivals,
         parameters=_estimates(found, fitted, name),
-        held_out_error_before=without,
+        held_out_error_before=residual_size(evidence, base),
         held_out_error_after=residual_size(fitted.evidence, fitted.problem.left_out_rest),
         held_out_error_alone=_error_alone(found, name),
-        held_out_error_others=without if best is None else _error_without(found, best.instead_of),
+        held_out_error_others=residual_size(evidence, base) if best is None else _error_without(found, best.instead_of),
         p_value=clip_p(p),
         sizes=tuple(sizes_of(fitted, name)) if verdict != NO_IMPROVEMENT else (),
     )
@@ -493,7 +480,7 @@ def _joint(found: Findings, fitted: Fit, index: int) -> tuple[str, float, float 
     error, error_without = float(own.mean()), float(own_without.mean())
     rivals = [
         name
-        for name, other in found.search.joint_alternatives(fitted, index)
+        for name, other in found.search.joint_alternatives(candidate, index)
         if tied_errors(own, _of_joint(evidence, evidence.problem(other).left_out_rest, scalar.arm, joint), 1e-12)
     ]
     if fitted.half_widths[index] > UNSEEN:

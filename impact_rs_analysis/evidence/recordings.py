@@ -2,8 +2,8 @@
 """Recordings of free motion as a source of evidence: clusters are stretches of time, predicted by a torque balance.
 
 Stretches last about a second, longer than the correlation time of the low-passed torque noise. Torques are divided by
-the root mean square of the residual of their joint, so that all joints have equal weight; as effects are found, by that
-of what is left. The pure error is the noise of the recorded torque below the cut-off.
+the root mean square of the residual of their joint, so that all joints have equal weight; the pure error is the noise
+of the recorded torque below the cut-off.
 """
 
 from __future__ import annotations
@@ -115,7 +115,7 @@ class RecordingSource(Source):
         at_motor = mapping.torque_measured_at == "motor"
         self.balance = TorqueBalance(list(motions), at_motor)
         self.rest = self.balance.recorded - self.balance.predict(physics)
-        self.sigma = _scale(self.rest)
+        self.sigma = np.maximum(np.sqrt(np.mean(np.square(self.rest), axis=0)), 1e-12)
         self.size_unit = self.residual_unit = joined_units(joint.effort for joint in physics.arms[ARM].facts.units)
         self._stretches = tuple(stretches)
         self._predicted: dict[Added, Array | None] = {}
@@ -193,20 +193,12 @@ class RecordingSource(Source):
         torque = self._torque(added)
         if torque is None:
             return None
-        numbers = {item.name: number for number, item in enumerate(self.clusters)}
-        rows = [self._stretches[numbers[item.name]].rows for item in like]
         rest = self.balance.recorded - torque
-        sigma = _scale(np.concatenate([rest[own] for own in rows]))
-        return [self._scaled(item, rest[own], sigma) for item, own in zip(like, rows, strict=True)]
-
-    def _scaled(self, item: Cluster, rest: Array, sigma: Array) -> Cluster:
-        """A stretch with these residuals, ``(k, n)`` [N m], on the scale of each joint, ``(n,)`` [N m]."""
-        return replace(
-            item,
-            residuals=(rest / sigma).ravel()[None, :],
-            sigma=np.broadcast_to(sigma, rest.shape).ravel(),
-            pure=np.broadcast_to(self.balance.noise / sigma, rest.shape).ravel(),
-        )
+        numbers = {item.name: number for number, item in enumerate(self.clusters)}
+        return [
+            replace(item, residuals=(rest[self._stretches[numbers[item.name]].rows].ravel() / item.sigma)[None, :])
+            for item in like
+        ]
 
     def size(self) -> float:
         """See :meth:`Source.size`; root mean square of the torque residual [N m]."""
@@ -343,11 +335,6 @@ class RecordingSource(Source):
             pure=np.broadcast_to(self.balance.noise / self.sigma, rest.shape).ravel(),
             discrepancy=np.zeros(rest.size),
         )
-
-
-def _scale(rest: Array) -> Array:
-    """Root mean square of the residual of every joint, ``(n,)``."""
-    return np.asarray(np.maximum(np.sqrt(np.mean(np.square(rest), axis=0)), 1e-12))
 
 
 def _feature(phase: str, joint: int, unit: str) -> Feature:

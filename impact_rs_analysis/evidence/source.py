@@ -191,12 +191,7 @@ class Source(ABC):
 
     @abstractmethod
     def measure_again(self, added: Added, like: Sequence[Cluster]) -> list[Cluster] | None:
-        """Residuals of the model with effects; None if they cannot be simulated.
-
-        Args:
-            added: The effects.
-            like: The clusters, with the scale of repeats; recordings have that of what is left.
-        """
+        """Residuals of the model with effects, on the scale of ``like``; None if they cannot be simulated."""
 
 
 def with_per_arm_parameters(model: Model, worlds: Iterable[Physics], each_arm: bool = False) -> Model:
