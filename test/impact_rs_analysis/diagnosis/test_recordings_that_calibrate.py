@@ -19,7 +19,7 @@ from impact_rs_sim.proportion import Proportion
 from impact_rs_trials.recordings.mapping import Mapping
 from impact_rs_trials.recordings.recording import read_recordings
 
-FRICTION = {"joint_coulomb_friction": {"coulomb_joint1": 0.8, "coulomb_joint2": 0.5}}  # N m; a third joint has none
+FRICTION = {"joint_coulomb_friction": {f"coulomb_joint{joint}": 0.8 / joint for joint in (1, 2, 3)}}  # N m
 CONSIDERED = (  # all that are fast
     "joint_coulomb_friction",
     "joint_viscous_friction",
@@ -70,7 +70,7 @@ def test_what_is_planted_in_an_upright_arm_is_named_and_its_interval_holds(
 
 def test_centres_that_no_torque_feels_are_not_determined(tmp_path: Path) -> None:
     """On vertical axes nothing weighs: of the first link the moment alone is felt, wherever its centre lies."""
-    facts = slender_arm(("revolute",) * 2, FLAT)
+    facts = slender_arm(("revolute",) * 3, FLAT)
     found = diagnosed(tmp_path, mapping_of(tmp_path, facts), {})
     assert found.named == ("joint_coulomb_friction",)
     centre, moment = effect(found, "link_com").parameters["com_y_joint1"], effect(found, "link_inertia").parameters
