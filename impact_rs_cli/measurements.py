@@ -35,6 +35,7 @@ from impact_rs_trials.recordings.recording import is_foreign, read_recordings
 from impact_rs_trials.workers import Map
 
 DEFAULT_MAPPING = "joint_state"
+NO_MINUS = "--minus goes with recordings of free motion: RUNS and UNLOADED are recordings with one mapping (--mapping)"
 
 
 class Measurements:
@@ -139,6 +140,8 @@ def measured(args: argparse.Namespace, terminal: Terminal, each_arm: bool = Fals
     if tolerance is not None and not tolerance >= 0.0:
         raise InputError("expected a distance >= 0 m", key="--contact-tolerance", value=tolerance)
     if args.impacts is not None:
+        if args.minus is not None:
+            raise InputError(NO_MINUS)
         if args.experiment is not None:
             raise InputError(
                 "--experiment is for folders of runs; leave it out with --impacts (--scenario names the robots)"
@@ -157,6 +160,8 @@ def measured(args: argparse.Namespace, terminal: Terminal, each_arm: bool = Fals
         return
     discrepancy = NO_DISCREPANCY if args.no_discrepancy else None
     path = Path(args.runs)
+    if args.minus is not None and (args.experiment is not None or (args.mapping is None and not is_foreign(path))):
+        raise InputError(NO_MINUS)
     with started(args) as map_tasks:
         if args.experiment is not None:
             if args.mapping is not None:
@@ -165,10 +170,11 @@ def measured(args: argparse.Namespace, terminal: Terminal, each_arm: bool = Fals
         elif args.mapping is not None or is_foreign(path):
             mapping = load_mapping(args.mapping or DEFAULT_MAPPING)
             recordings = read_recordings(path, mapping)
+            minus = [] if args.minus is None else read_recordings(args.minus, mapping)
             yield Measurements(
                 map_tasks,
                 terminal,
-                lambda model, _: RecordingSource.of(recordings, mapping, model),
+                lambda model, _: RecordingSource.of(recordings, mapping, model, minus),
                 what="recordings without a scenario",
             )
             return

@@ -61,6 +61,11 @@ SOURCE = (
         "of a mapping (joint_state, franka_robot_state), or path of a mapping file",
     ),
     option(
+        "--minus", kind="runs", metavar="UNLOADED", label="subtract recordings", advanced=True,
+        help="RUNS are recordings of free motion: subtract those of the same motions in this file or folder, for "
+        "example without a load; friction and errors of the model cancel, and a payload remains",
+    ),
+    option(
         "--experiment", kind="experiment", metavar="FILE.yaml", label="experiment file", advanced=True,
         help="RUNS is a folder of runs recorded with another controller: experiment file with scenario, mapping and "
         "table of runs (docs/your_data.md); path relative to the working directory, else to RUNS",

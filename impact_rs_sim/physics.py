@@ -162,6 +162,7 @@ class ArmPhysics:
         loads: What else acts on links and motors.
         pad_shear_compliance: Yield of the pad along its face per friction force, back when it ends [m/N].
         pad_creep: Speed at which a pad that sticks is dragged along its face, per friction force [m/(s N)].
+        torque_delay: Of the recorded torque after the recorded positions, in recordings of free motion [s].
     """
 
     facts: RobotFacts
@@ -181,6 +182,7 @@ class ArmPhysics:
     loads: tuple[Load, ...] = ()
     pad_shear_compliance: float = 0.0
     pad_creep: float = 0.0
+    torque_delay: float = 0.0
 
     def motor_inertia(self, model: str) -> Array:
         """Diagonal of B for ``reduced``, ``rotor`` or ``zero``, ``(n,)`` [kg m^2]."""

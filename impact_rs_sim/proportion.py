@@ -12,11 +12,13 @@ so that a torque is judged by the torque of the robot's own weight, and verdicts
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from impact_rs_sim.physics import ArmPhysics, Physics
+from impact_rs_sim.physics import Physics
+from impact_rs_sim.robot import Array, RobotFacts
 from impact_rs_sim.units import dimension_of
 
 FRANKA_MASS = 16.062132  # kg, links 1 to 7
@@ -43,10 +45,15 @@ class Proportion:
         """Proportion of the arms of a scene, of several their mean; 1 without an arm."""
         if not physics.arms:
             return Proportion()
-        mass = float(np.mean([_mass(arm) for arm in physics.arms.values()])) / FRANKA_MASS
-        length = float(np.mean([_reach(arm) for arm in physics.arms.values()])) / FRANKA_REACH
-        gravity = float(np.linalg.norm(physics.gravity)) or GRAVITY
-        return Proportion(mass, length, float(np.sqrt(length * GRAVITY / gravity)))
+        return Proportion.of_robots([arm.facts for arm in physics.arms.values()], np.asarray(physics.gravity))
+
+    @staticmethod
+    def of_robots(robots: Sequence[RobotFacts], gravity: Array) -> Proportion:
+        """Mean proportion of robots (at least one) under a gravity, ``(3,)`` [m/s^2]."""
+        mass = float(np.mean([_mass(facts) for facts in robots])) / FRANKA_MASS
+        length = float(np.mean([_reach(facts) for facts in robots])) / FRANKA_REACH
+        size = float(np.linalg.norm(gravity)) or GRAVITY
+        return Proportion(mass, length, float(np.sqrt(length * GRAVITY / size)))
 
     def factor(self, unit: str) -> float:
         """Factor of a quantity with this unit, ``N m`` for example.
@@ -58,11 +65,11 @@ class Proportion:
         return float(self.mass**kg * self.length**m * self.time**s)
 
 
-def _mass(arm: ArmPhysics) -> float:
-    return sum(link.mass for link in arm.facts.links)
+def _mass(facts: RobotFacts) -> float:
+    return sum(link.mass for link in facts.links)
 
 
-def _reach(arm: ArmPhysics) -> float:
+def _reach(facts: RobotFacts) -> float:
     """Length of the chain from its second joint to the flange [m]."""
-    places = [joint.xyz for joint in arm.facts.joints[1:]] + [arm.facts.flange.xyz]
+    places = [joint.xyz for joint in facts.joints[1:]] + [facts.flange.xyz]
     return float(sum(np.linalg.norm(place) for place in places))

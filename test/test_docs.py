@@ -219,7 +219,8 @@ def test_the_mapping_that_a_page_shows_reads_an_arm_on_a_wall_by_its_motor_curre
     truth = swinging(model, time, centre, frequencies, (0.3, 0.1))
     acceleration = np.gradient(truth["velocity"], time, axis=0)
     torque = truth["effort"] + np.array([0.6, 0.6, 0.5, 0.5, 0.2, 0.2, 0.2]) * acceleration
-    columns = (1e3 * time, np.rad2deg(truth["position"]), np.rad2deg(truth["velocity"]), -torque)
+    currents = -torque / np.array(mapping.torque_constant)
+    columns = (1e3 * time, np.rad2deg(truth["position"]), np.rad2deg(truth["velocity"]), currents)
     names = ["t", *(f"{letter}{joint}" for letter in ("a", "v_", "i_") for joint in range(1, 8))]
     np.savetxt(tmp_path / "log.csv", np.column_stack(columns), delimiter=",", header=",".join(names), comments="")
 
@@ -229,7 +230,7 @@ def test_the_mapping_that_a_page_shows_reads_an_arm_on_a_wall_by_its_motor_curre
     np.testing.assert_allclose(arm.position, truth["position"], atol=1e-9)
     np.testing.assert_allclose(arm.velocity, truth["velocity"], atol=1e-9)
     np.testing.assert_allclose(arm.torque, torque, atol=1e-9)
-    balance = TorqueBalance([prepare(run, mapping.low_pass)])
+    balance = TorqueBalance([prepare(run, mapping.low_pass)], at_motor=True)
     assert np.abs(balance.recorded - balance.predict(run.physics)).max() < 0.02  # N m, where gravity alone makes 60
 
 

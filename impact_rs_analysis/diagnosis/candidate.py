@@ -360,10 +360,15 @@ class Problem:
         return np.asarray(np.sqrt((count - 1) / count * spread))
 
     def half_widths(self, change: Array, null: NullDistribution, confidence: float = 0.95) -> Array:
-        """Half widths of intervals in parameter scales, ``(p,)``."""
+        """Half widths of intervals in parameter scales, ``(p,)``.
+
+        The prior pulls what the data do not determine to its nominal value; for parameters that vary as much as the
+        prior allows, the error of this has the covariance A^-1 P A^-1, with A all information and P that of the prior.
+        """
         inverse = np.linalg.inv(self.total)
         noise = null.covariance(self.candidate.jacobians, change, inverse)
-        systematic = null.discrepancy(self.candidate.jacobians, inverse)
+        pulled = inverse @ (self._prior[:, None] * inverse)
+        systematic = null.discrepancy(self.candidate.jacobians, inverse) + pulled
         return combined_half_width(
             np.sqrt(np.maximum(np.diag(noise), 0.0)),
             null.quantile(confidence),
@@ -404,4 +409,6 @@ def bounded(information: Array, score: Array, lower: Array, upper: Array) -> Arr
     if np.all(change >= lower - 1e-12) and np.all(change <= upper + 1e-12):
         return np.asarray(change)
     root = np.linalg.cholesky(information).T
-    return np.asarray(scipy.optimize.lsq_linear(root, np.linalg.solve(root.T, score), bounds=(lower, upper)).x)
+    return np.asarray(
+        scipy.optimize.lsq_linear(root, np.linalg.solve(root.T, score), bounds=(lower, upper), method="bvls").x
+    )

@@ -60,7 +60,8 @@ def diagnose(
     Args:
         source: Measurements with the model's predictions.
         model: The model of the file; the model of the source may know further effects.
-        only: Names of the effects to consider; None: all known effects that the model does not contain.
+        only: Names of the effects to consider; None: all that the model does not contain, in trials and tables without
+            those that recordings calibrate.
         progress: Called with effects and their held-out error during the search (:class:`Search`).
 
     Raises:
@@ -75,9 +76,8 @@ def diagnose(
     known = source.model.known_effects
     present = {item.name for item in source.model.effects}
     size = Proportion.of(source.physics)
-    effects = [
-        known[name].in_proportion(size) for name in known if name not in present and (only is None or name in only)
-    ]
+    offered = [name for name, effect in known.items() if source.kind == "recordings" or not effect.calibrates]
+    effects = [known[name].in_proportion(size) for name in only or offered if name not in present]
     search = Search(effects, Evidence.of(source), progress)
     chosen = None if search.evidence.null.shortage is not None else search.choose()
     rivals: Sequence[Rival] = ()

@@ -118,6 +118,6 @@ def _of_recordings(found: Findings, known: dict[str, Effect]) -> NextExperiment:
             splits=tuple(rigid),
         )
     return NextExperiment(
-        advice="run an impact campaign, because motor inertia, contact and object act on nothing in a free motion",
+        advice="run an impact campaign, because contact and object act on nothing in a free motion",
         splits=tuple(sorted(found.search.unmeasured)),
     )

@@ -15,7 +15,7 @@ from itertools import combinations, product
 import numpy as np
 import scipy
 
-from impact_rs_analysis.diagnosis.candidate import Candidate, linearise, wanted
+from impact_rs_analysis.diagnosis.candidate import Candidate, concerns, linearise, wanted
 from impact_rs_analysis.diagnosis.fit import (
     HOPELESS,
     Evidence,
@@ -110,6 +110,8 @@ class Search:
         friction throws no slip back, until there is friction in the model, so other effects may be the ``base``.
         """
         clusters, numbers = self.evidence.clusters, self.evidence.numbers
+        if not any(concerns(effect, item) for effect in candidate.effects for item in clusters):
+            return candidate
         for index in candidate.unseen:
             if candidate.scalars[index].shape:
                 continue
@@ -164,12 +166,20 @@ class Search:
         return self._starts.get(name, self.singles[name])
 
     def _best_shape(self, candidate: Candidate) -> Candidate:
-        """The candidate at the best of several values of its shape parameters, by the misfit of the linear fit."""
+        """The candidate at the best of several values of its shape parameters, by the misfit of the linear fit.
+
+        One that is seen only beside the others, as the place of a mass that is 0, is looked at where the fit of the
+        others puts them.
+        """
         shapes = [index for index, scalar in enumerate(candidate.scalars) if scalar.grid]
         tried = [candidate]
         for values in product(*(candidate.scalars[index].grid for index in shapes)) if shapes else ():
             point = candidate.point.copy()
             point[shapes] = values
+            if (moved := self._linearised(replace(candidate, point=point))) is not None:
+                tried.append(moved)
+        if candidate.unseen:
+            point = Fit.of(candidate, self.evidence).estimate
             if (moved := self._linearised(replace(candidate, point=point))) is not None:
                 tried.append(moved)
         return min(tried, key=lambda entry: Fit.of(entry, self.evidence).misfit)

@@ -482,10 +482,10 @@ def _joint(found: Findings, fitted: Fit, index: int) -> tuple[str, float, float 
         for name, other in found.search.joint_alternatives(candidate, index)
         if tied_errors(own, _of_joint(evidence, evidence.problem(other).left_out_rest, scalar.arm, joint), 1e-12)
     ]
-    if fitted.at_bound[index]:
-        verdict = AT_BOUND
-    elif fitted.half_widths[index] > UNSEEN:
+    if fitted.half_widths[index] > UNSEEN:
         verdict = UNIDENTIFIABLE
+    elif fitted.at_bound[index]:
+        verdict = AT_BOUND
     elif p >= SIGNIFICANT or error > (1.0 - LEAST_GAIN_OF_JOINT) * error_without or not seen:
         verdict = NO_IMPROVEMENT
     else:

@@ -94,6 +94,7 @@ class RecordingDocument(Schema):
     sampled_Hz: float = Field(description="sampling rate [Hz]")
     low_pass_Hz: float = Field(description="cut-off of the zero-phase low-pass [Hz]")
     signals: tuple[str, ...] = Field((), description="signals that were found")
+    minus: tuple[str, ...] = Field((), description="paths of recordings of the same motions that were subtracted")
 
 
 @dataclass(frozen=True)

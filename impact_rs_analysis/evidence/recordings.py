@@ -25,6 +25,7 @@ from impact_rs_analysis.evidence.levels import (
     root_mean_square,
     rounded,
 )
+from impact_rs_analysis.evidence.motion_difference import minus_references
 from impact_rs_analysis.evidence.source import Source
 from impact_rs_analysis.evidence.torque_balance import Motion, TorqueBalance, prepare
 from impact_rs_analysis.evidence.tracks import ComparedSignal, Track, track_of_motion
@@ -51,6 +52,10 @@ REMARKS = (
     "temperatures",
     "without repeats there is no pure error: the noise is that of the torque signal, and residuals above it need not "
     "come from an effect of the library",
+)
+DIFFERENCE = (
+    "differences of recordings of one motion: what both have in common cancels, and an effect is a change between "
+    "them; a mass is as exact as the scale of the torque"
 )
 BEHIND_MOTORS = "the torque was measured behind the motors, so their inertia is not in it"
 
@@ -80,6 +85,7 @@ class RecordingSource(Source):
         motions: Filtered recordings.
         physics: Of the arm under the model.
         stretches: Their stretches.
+        minus: Recordings of the same motions that were subtracted.
 
     Attributes:
         balance: Prediction of their torque.
@@ -101,30 +107,50 @@ class RecordingSource(Source):
         motions: Sequence[Motion],
         physics: Physics,
         stretches: Sequence[Stretch],
+        minus: Sequence[Run] = (),
     ) -> None:
         self.recordings, self.mapping, self.model = tuple(recordings), mapping, model
+        self._minus = tuple(minus)
         self.motions, self.physics = tuple(motions), physics
-        self.balance = TorqueBalance(list(motions))
+        at_motor = mapping.torque_measured_at == "motor"
+        self.balance = TorqueBalance(list(motions), at_motor)
         self.rest = self.balance.recorded - self.balance.predict(physics)
         self.sigma = np.maximum(np.sqrt(np.mean(np.square(self.rest), axis=0)), 1e-12)
         self.size_unit = self.residual_unit = joined_units(joint.effort for joint in physics.arms[ARM].facts.units)
         self._stretches = tuple(stretches)
         self._predicted: dict[Added, Array | None] = {}
         self.clusters = tuple(self._cluster(number) for number in range(len(self._stretches)))
-        behind_motors = physics.arms[ARM].motor_inertia_reduced.max() == 0.0
-        remarks = (f"{item.path.name}: {remark}" for item in recordings for remark in item.remarks)
+        remarks = (f"{item.path.name}: {remark}" for item in (*recordings, *minus) for remark in item.remarks)
         self.reading = tuple(dict.fromkeys(remarks))
-        self.remarks = (*REMARKS, *((BEHIND_MOTORS,) if behind_motors else ()), *self.reading)
+        self.remarks = (
+            *REMARKS,
+            *((DIFFERENCE,) if minus else ()),
+            *(() if at_motor else (BEHIND_MOTORS,)),
+            *self.reading,
+        )
 
     @classmethod
-    def of(cls, recordings: Sequence[Run], mapping: Mapping, model: Model) -> RecordingSource:
+    def of(
+        cls, recordings: Sequence[Run], mapping: Mapping, model: Model, minus: Sequence[Run] = ()
+    ) -> RecordingSource:
         """Filter recordings and predict them.
 
+        Args:
+            recordings: The recordings.
+            mapping: Mapping of their signals, and the mounted mass.
+            model: The model.
+            minus: Recordings of the same motions to subtract (:mod:`impact_rs_analysis.evidence.motion_difference`).
+
         Raises:
-            InputError: Sampled too slowly, or too short for a hold-out.
+            InputError: Sampled too slowly, too short for a hold-out, or of another motion than those to subtract.
         """
         motions = [prepare(recording, mapping.low_pass) for recording in recordings]
-        return cls(recordings, mapping, model, motions, model.apply(_physics_of(recordings)), _cut(recordings, motions))
+        physics = model.apply(_physics_of(recordings))
+        if minus:
+            references = [prepare(recording, mapping.low_pass) for recording in minus]
+            files = [recording.path for recording in recordings]
+            motions = minus_references(motions, files, references, physics, mapping.torque_measured_at == "motor")
+        return cls(recordings, mapping, model, motions, physics, _cut(recordings, motions), minus)
 
     @property
     def comparison_remarks(self) -> tuple[str, ...]:
@@ -145,6 +171,7 @@ class RecordingSource(Source):
             sampled_Hz=float(1.0 / np.median(np.diff(times[0]))),
             low_pass_Hz=self.motions[0].cut_off,
             signals=tuple(sorted(self.recordings[0].signals.arms[ARM].measured)),
+            minus=tuple(dict.fromkeys(str(recording.path) for recording in self._minus)),
         )
 
     @property

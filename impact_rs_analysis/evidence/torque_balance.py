@@ -1,11 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """Torque balance of an arm in free motion, for recordings without command and contact.
 
-    tau + eps = (M(q) ddq + h(q, dq) [+ B ddq] - tau_fric(dq) - tau_load - offset) / gain         (cf. paper eq. eom)
+    tau(t + delay) + eps = (M(q) ddq + h(q, dq) [+ B ddq] - tau_fric(dq) - tau_load - offset) / gain
 
-tau is what was recorded; B only where the torque was measured at the motor. Positions, velocities and torques pass the
-same zero-phase low-pass (Butterworth, order 4, forwards and backwards), accelerations are central differences of the
-filtered velocity, the prediction passes the low-pass once more and so does the recorded torque; both ends are cut off.
+with q and dq at t (cf. paper eq. eom); tau is what was recorded, B counts only where it was measured at the motor.
+Positions, velocities and torques pass the same zero-phase low-pass (Butterworth, order 4, forwards and backwards),
+accelerations are central differences of the filtered velocity, the prediction passes the low-pass once more and so does
+the recorded torque; both ends are cut off.
 
 Effects are applied through :class:`~impact_rs_sim.physics.Physics`, as in plant and twin. An effect that changes no
 torque counts as not measured.
@@ -13,9 +14,11 @@ torque counts as not measured.
 
 from __future__ import annotations
 
+import functools
 from dataclasses import dataclass
 
 import numpy as np
+import pinocchio as pin
 import scipy
 
 from impact_rs_sim.errors import InputError
@@ -27,6 +30,8 @@ from impact_rs_trials.runs import Run
 ORDER = 4
 GRID = 10.0  # samples per period of the cut-off frequency, at most
 EDGE = 2.0  # periods of the cut-off frequency, cut off at both ends
+BAND = (1.5, 3.0)  # times the cut-off frequency, where the noise is measured
+MOST_REGRESSORS = 2  # kept: of the model, and of another direction of gravity
 
 
 @dataclass(frozen=True)
@@ -61,9 +66,13 @@ class Motion:
 
 
 def _low_pass(values: Array, cut_off: float, rate: float) -> Array:
-    return np.asarray(
-        scipy.signal.sosfiltfilt(scipy.signal.butter(ORDER, cut_off, fs=rate, output="sos"), values, axis=0)
-    )
+    return np.asarray(scipy.signal.sosfiltfilt(_butterworth(cut_off, rate), values, axis=0))
+
+
+@functools.lru_cache(maxsize=16)
+def _butterworth(cut_off: float, rate: float) -> Array:
+    """The filter in second-order sections, cached: a search filters thousands of predictions."""
+    return np.asarray(scipy.signal.butter(ORDER, cut_off, fs=rate, output="sos"))
 
 
 def prepare(run: Run, cut_off: float) -> Motion:
@@ -111,12 +120,24 @@ def prepare(run: Run, cut_off: float) -> Motion:
 
 
 def _noise(raw: Array, cut_off: float, rate: float) -> Array:
-    """Noise below the cut-off, from the spectral density just above it, where motion is absent, ``(n,)`` [N m]."""
-    frequency, density = scipy.signal.welch(raw, rate, nperseg=min(raw.shape[0], 256), axis=0)
-    above = (frequency >= 1.5 * cut_off) & (frequency <= min(3.0 * cut_off, 0.45 * rate))
-    if not np.any(above):
-        above = frequency >= 1.2 * cut_off
-    return np.asarray(np.sqrt(np.median(density[above], axis=0) * cut_off))
+    """Noise below the cut-off, from its power just above, where smooth motion is absent, ``(n,)`` [N m].
+
+    The median over short windows leaves out those in which a joint turns back: dry friction jumps there, and is no
+    noise.
+    """
+    highest = 0.45 * rate
+    band = (BAND[0] * cut_off, BAND[1] * cut_off) if BAND[1] * cut_off < highest else (1.2 * cut_off, highest)
+    passed = scipy.signal.sosfiltfilt(
+        scipy.signal.butter(ORDER, band, btype="bandpass", fs=rate, output="sos"), raw, axis=0
+    )
+    count = max(1, int(raw.shape[0] * cut_off / rate))
+    power = np.array([np.mean(np.square(window), axis=0) for window in np.array_split(passed, count)])
+    return np.asarray(np.sqrt(np.median(power, axis=0) * cut_off / (band[1] - band[0])))
+
+
+def _delayed(values: Array, time: Array, delay: float) -> Array:
+    """Low-passed signals later by a delay, which is shorter than the edges that are cut off."""
+    return np.asarray(scipy.interpolate.CubicSpline(time, values)(time - delay)) if delay else values
 
 
 class TorqueBalance:
@@ -124,42 +145,51 @@ class TorqueBalance:
 
     Args:
         motions: Filtered recordings.
+        at_motor: Whether the torque was measured at the motors, so that it accelerates their inertia as well.
     """
 
-    def __init__(self, motions: list[Motion]) -> None:
-        self.motions = motions
-        self._rigid: dict[tuple[bytes, ...], list[Array]] = {}
+    def __init__(self, motions: list[Motion], at_motor: bool = False) -> None:
+        self.motions, self._at_motor = motions, at_motor
+        self._regressors: dict[bytes, list[Array]] = {}
 
     def predict(self, physics: Physics) -> Array:
         """Predicted recorded torque, all motions stacked between their edges, ``(k, n)`` [N m]."""
+        return np.concatenate(
+            [torque[motion.kept] for motion, torque in zip(self.motions, self.predicted(physics), strict=True)]
+        )
+
+    def predicted(self, physics: Physics) -> list[Array]:
+        """Predicted recorded torque of every motion, with its edges, ``(k, n)`` [N m]."""
         arm = physics.arms[ARM]
         rows = []
         for motion, rigid in zip(self.motions, self._rigid_torques(physics), strict=True):
-            torque = rigid + arm.motor_inertia_reduced * motion.acceleration
+            torque = rigid + arm.motor_inertia_reduced * motion.acceleration if self._at_motor else rigid
             if not arm.friction.is_zero:
                 torque = torque - arm.friction.torque(motion.velocity)
             if arm.loads:
                 torque = torque - self._load_torques(physics, motion)
-            torque = (torque - arm.torque_offset) / arm.torque_gain
-            rows.append(motion.low_pass(torque)[motion.kept])
-        return np.concatenate(rows)
+            torque = motion.low_pass((torque - arm.torque_offset) / arm.torque_gain)
+            rows.append(_delayed(torque, motion.time, arm.torque_delay))
+        return rows
 
     def _rigid_torques(self, physics: Physics) -> list[Array]:
-        """M ddq + h, cached, because most effects do not change it."""
-        end = physics.arms[ARM].end_effector
-        key = tuple(np.asarray(value, float).tobytes() for value in (end.mass, end.com, end.inertia, physics.gravity))
-        if key not in self._rigid:
-            model = physics.robot_model(ARM)
-            self._rigid[key] = [
+        """M ddq + h = Y pi, linear in the inertial parameters pi of all links, ``(k, n)`` each [N m]."""
+        model = physics.robot_model(ARM)
+        parameters = np.concatenate([inertia.toDynamicParameters() for inertia in list(model.pinocchio.inertias)[1:]])
+        key = model.pinocchio.gravity.linear.tobytes()
+        if key not in self._regressors:
+            while len(self._regressors) >= MOST_REGRESSORS:
+                self._regressors.pop(list(self._regressors)[1])  # the first is that of the model
+            self._regressors[key] = [
                 np.array(
                     [
-                        model.inverse_dynamics(*state)
+                        pin.computeJointTorqueRegressor(model.pinocchio, model.data, *state)
                         for state in zip(motion.position, motion.velocity, motion.acceleration, strict=True)
                     ]
                 )
                 for motion in self.motions
             ]
-        return self._rigid[key]
+        return [regressor @ parameters for regressor in self._regressors[key]]
 
     @staticmethod
     def _load_torques(physics: Physics, motion: Motion) -> Array:

@@ -28,9 +28,16 @@ from impact_rs_sim.effects.contact import (
     TANGENTIAL_RESTITUTION,
 )
 from impact_rs_sim.effects.joint import JOINT_STIFFNESS
-from impact_rs_sim.effects.link import END_EFFECTOR_PAYLOAD
-from impact_rs_sim.effects.motor import COULOMB_FRICTION, MOTOR_INERTIA_SCALE, STRIBECK_FRICTION, VISCOUS_FRICTION
+from impact_rs_sim.effects.link import END_EFFECTOR_PAYLOAD, LINK_COM, LINK_INERTIA, LINK_MASS
+from impact_rs_sim.effects.motor import (
+    ADDED_MOTOR_INERTIA,
+    COULOMB_FRICTION,
+    MOTOR_INERTIA_SCALE,
+    STRIBECK_FRICTION,
+    VISCOUS_FRICTION,
+)
 from impact_rs_sim.effects.object import OBJECT_COM_OFFSET, OBJECT_MASS
+from impact_rs_sim.effects.sensing import TORQUE_DELAY
 from impact_rs_sim.effects.surroundings import BASE_TILT, EXTERNAL_SPRING
 from impact_rs_sim.errors import InputError
 
@@ -63,6 +70,11 @@ BUILT_IN: tuple[Effect, ...] = (
     RESTITUTION_FALL,
     TANGENTIAL_RESTITUTION,
     DRILLING_FRICTION,
+    LINK_MASS,
+    LINK_COM,
+    LINK_INERTIA,
+    ADDED_MOTOR_INERTIA,
+    TORQUE_DELAY,
 )
 
 
@@ -89,5 +101,7 @@ def library() -> dict[str, Effect]:
 
 
 def of_trials() -> dict[str, Effect]:
-    """The effects of the library that act in trials; the others are of tables of impacts alone."""
-    return {name: effect for name, effect in library().items() if effect.phases != SINGLE_IMPACT}
+    """The effects of the library that a search in trials considers."""
+    return {
+        name: effect for name, effect in library().items() if effect.phases != SINGLE_IMPACT and not effect.calibrates
+    }

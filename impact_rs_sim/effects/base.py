@@ -67,6 +67,7 @@ class Parameter:
         meaning: What it is, for tables.
         per_joint: Whether there is one per joint.
         step: Step of the first finite difference; None: its scale.
+        firm: Whether its range is one of physics, which a fit never leaves.
         shape: Whether it has no influence while the effect is off (Stribeck velocity; position of a payload).
         grid: Starting values of a shape parameter.
         far: Starting values for a second fit after a poor one, where the contact state changes on the way.
@@ -84,6 +85,7 @@ class Parameter:
     meaning: str
     per_joint: bool = False
     step: float | None = None
+    firm: bool = False
     shape: bool = False
     grid: tuple[float, ...] = ()
     far: tuple[float, ...] = ()
@@ -110,11 +112,11 @@ class Parameter:
         return min(self.difference, 0.2 * abs(value)) if self.grid and value != 0.0 else self.difference
 
     def widened(self) -> Parameter:
-        """The parameter with a range twice as wide; a bound at 0 is one of physics, and stays.
+        """The parameter with a range twice as wide; a firm range and a bound at 0 are those of physics, and stay.
 
         A shape whose grid spans decades keeps its range: beyond, the effect is the limit of a simpler one.
         """
-        if self.grid:
+        if self.grid or self.firm:
             return self
         if self.lower > 0.0:
             return replace(self, lower=0.5 * self.lower, upper=2.0 * self.upper)
@@ -166,6 +168,8 @@ class Effect(ABC):
         sentence: One sentence for the user.
         parameters: What can be fitted.
         phases: Where it is observable: ``free`` motion, ``contact``, or both; ``impact``: in tables of impacts alone.
+        calibrates: Whether it describes the bare arm, which recordings of free motion calibrate: a search in trials and
+            tables leaves it out unless it is named. A model that contains it predicts with it everywhere.
     """
 
     name: str
@@ -173,6 +177,7 @@ class Effect(ABC):
     sentence: str
     parameters: tuple[Parameter, ...]
     phases: tuple[str, ...] = ("free", "contact")
+    calibrates: bool = False
 
     @abstractmethod
     def apply(self, physics: Physics, values: Values) -> Physics:
@@ -276,6 +281,7 @@ class ArmEffect(Effect):
     parameters: tuple[Parameter, ...]
     law: Callable[[ArmPhysics, Values], ArmPhysics]
     phases: tuple[str, ...] = ("free", "contact")
+    calibrates: bool = False
 
     def apply(self, physics: Physics, values: Values) -> Physics:
         """See :meth:`Effect.apply`."""

@@ -39,6 +39,10 @@ def _motor_inertia(arm: ArmPhysics, values: Values) -> ArmPhysics:
     return replace(arm, motor_inertia_reduced=arm.motor_inertia_reduced * number(values, "scale"))
 
 
+def _added_motor_inertia(arm: ArmPhysics, values: Values) -> ArmPhysics:
+    return replace(arm, motor_inertia_reduced=arm.motor_inertia_reduced + values["inertia"])
+
+
 COULOMB_FRICTION = ArmEffect(
     name="joint_coulomb_friction",
     acts_on="motor side",
@@ -83,4 +87,15 @@ MOTOR_INERTIA_SCALE = ArmEffect(
     sentence="The motor inertia that the torque loop leaves is a multiple of the assumed one.",
     parameters=(Parameter("scale", "-", 1.0, 0.1, 3.0, 0.1, "B_theta over its assumed value"),),
     law=_motor_inertia,
+)
+
+ADDED_MOTOR_INERTIA = ArmEffect(
+    name="added_motor_inertia",
+    acts_on="motor side",
+    sentence="The motor of a joint has more inertia than the model says.",
+    parameters=(
+        Parameter("inertia", "kg m^2", 0.0, 0.0, 5.0, 0.05, "added motor inertia, seen at the joint", per_joint=True),
+    ),
+    law=_added_motor_inertia,
+    calibrates=True,
 )

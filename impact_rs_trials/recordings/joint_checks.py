@@ -17,7 +17,7 @@ import numpy as np
 from impact_rs_sim.robot import Array
 from impact_rs_sim.robot_model import RobotModel
 from impact_rs_trials.recordings.mapping import Mapping, SignalName
-from impact_rs_trials.recordings.plausibility import CHECKED, GRAVITY_NOTICED, gravity_torques
+from impact_rs_trials.recordings.plausibility import CHECKED, gravity_torques, noticed
 from impact_rs_trials.runs import ArmSignals
 
 RATIO = (0.5, 2.0)
@@ -45,7 +45,7 @@ def doubts_of_arm(
     torques: dict[int, str] = {}
     factors = {"velocity": np.ones(len(moves)), "torque": np.ones(len(moves))}
     for joint, moving in enumerate(moves):
-        own, heavy = weight[:, joint], _rms(weight[:, joint]) > GRAVITY_NOTICED
+        own, heavy = weight[:, joint], _rms(weight[:, joint]) > noticed(model)
         if moving and (ratio := _ratio(arm.velocity[:, joint], derived[:, joint])) is not None:
             speeds[joint] = f"is {ratio:.2g} times the derivative of its position, expected 1"
             factors["velocity"][joint] = _remedy(ratio)
@@ -71,7 +71,8 @@ def _remarks(name: SignalName, doubts: dict[int, str], factors: Array, mapping: 
     every = factors * np.array(mapping.signals[name].factor)
     remedy = f"{every[0]:.3g}" if np.all(every == every[0]) else f"[{', '.join(f'{value:.3g}' for value in every)}]"
     what = "; ".join(f"of joint {joint + 1} {text}" for joint, text in doubts.items())
-    return [f"{name} {what}: wrong sign, unit or joint? Remedy in the mapping: signals.{name}.factor: {remedy}"]
+    why = "wrong sign, unit or joint" + (", or a load that the mapping lacks" if name == "torque" else "")
+    return [f"{name} {what}: {why}? Remedy in the mapping: signals.{name}.factor: {remedy}"]
 
 
 def _ratio(values: Array, expected: Array) -> float | None:

@@ -20,20 +20,21 @@ from impact_rs_sim.errors import InputError, did_you_mean, shortened
 from impact_rs_sim.files import is_file
 from impact_rs_sim.paths import config_directory
 from impact_rs_sim.robot import Array, EndEffector, RobotFacts, load_facts
-from impact_rs_sim.schema import NonNegativeVector, Schema, Vector3, load
+from impact_rs_sim.schema import NonNegativeVector, PositiveVector, Schema, Vector3, load
 
 TURNS: dict[str, dict[str, float]] = {  # factor to SI of joints that turn, by quantity
     "position": {"rad": 1.0, "mrad": 1e-3, "deg": np.pi / 180.0},
     "velocity": {"rad/s": 1.0, "mrad/s": 1e-3, "deg/s": np.pi / 180.0},
-    "torque": {"N m": 1.0, "mN m": 1e-3},
+    "torque": {"N m": 1.0, "mN m": 1e-3, "A": 1.0, "mA": 1e-3},
     "torque_rate": {"N m/s": 1.0},
 }
 SLIDES: dict[str, dict[str, float]] = {  # of joints that slide
     "position": {"m": 1.0, "mm": 1e-3},
     "velocity": {"m/s": 1.0, "mm/s": 1e-3},
-    "torque": {"N": 1.0, "mN": 1e-3},
+    "torque": {"N": 1.0, "mN": 1e-3, "A": 1.0, "mA": 1e-3},
     "torque_rate": {"N/s": 1.0},
 }
+CURRENTS = ("A", "mA")  # of a motor; torque_constant makes a torque of them
 UNITS: dict[str, dict[str, float]] = {
     **{quantity: TURNS[quantity] | SLIDES[quantity] for quantity in TURNS},
     "length": {"m": 1.0, "mm": 1e-3},
@@ -159,7 +160,14 @@ class Mapping(Schema):
         "accelerates the motor's own inertia",
     )
     motor_inertia: NonNegativeVector | None = Field(
-        None, description="motor inertia at the joint, only with torque_measured_at: motor [kg m^2], prismatic [kg]"
+        None,
+        description="motor inertia at the joint, only with torque_measured_at: motor; absent: none is assumed, and "
+        "diagnose looks for it [kg m^2], prismatic [kg]",
+    )
+    torque_constant: PositiveVector | None = Field(
+        None,
+        description="torque at the joint over motor current, with the ratio of the gear, for units A and mA "
+        "[N m/A], prismatic [N/A]",
     )
     command_includes_gravity: bool = Field(
         True, description="whether the commanded torque holds the arm's own weight; libfranka's does not"
@@ -191,9 +199,29 @@ class Mapping(Schema):
             if source.columns is not None and source.column is not None:
                 raise ValueError(f"signals.{name} has both column and columns, expected one of them")
         self._object_is_told_once()
-        if self.motor_inertia is not None and len(self.motor_inertia) != len(self.joints):
-            raise ValueError(f"motor_inertia has {len(self.motor_inertia)} entries, expected {len(self.joints)}")
+        for key in ("motor_inertia", "torque_constant"):
+            own = getattr(self, key)
+            if own is not None and len(own) != len(self.joints):
+                raise ValueError(f"{key} has {len(own)} entries, expected {len(self.joints)}")
+        self._currents_have_constants()
         return self
+
+    def _currents_have_constants(self) -> None:
+        currents = [name for name, source in self.signals.items() if any(unit in CURRENTS for unit in source.units)]
+        for name in currents:
+            if not all(unit in CURRENTS for unit in self.signals[name].units):
+                raise ValueError(f"signals.{name}.unit mixes currents and torques, expected one kind for all joints")
+            if self.torque_constant is None:
+                raise ValueError(
+                    f"signals.{name}.unit is a current, which needs torque_constant: torque at each joint over motor "
+                    "current, with the ratio of the gear [N m/A]"
+                )
+            if self.torque_measured_at != "motor":
+                raise ValueError(
+                    f"signals.{name}.unit is a current, which a motor has: expected torque_measured_at: motor"
+                )
+        if self.torque_constant is not None and not currents:
+            raise ValueError("torque_constant is for currents, and no signal has the unit A or mA")
 
     def _object_is_told_once(self) -> None:
         parts = [name for name in ("object_position", "object_quaternion") if name in self.signals]
@@ -237,7 +265,12 @@ class Mapping(Schema):
         """From the numbers in the file to SI, ``()`` or ``(n,)``."""
         source = self.signals[signal]
         factors = [UNITS[QUANTITY[signal]][unit] for unit in source.units]
-        return np.asarray(factors if len(factors) > 1 else factors[0]) * np.asarray(source.factor)
+        constant = self.torque_constant if source.units[0] in CURRENTS else None
+        return (
+            np.asarray(factors if len(factors) > 1 else factors[0])
+            * np.asarray(source.factor)
+            * np.asarray(1.0 if constant is None else constant)
+        )
 
     def to_si(self, signal: SignalName, values: Array) -> Array:
         """Numbers of a table or array in SI units; quaternions end up in the order x y z w.

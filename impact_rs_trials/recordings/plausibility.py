@@ -12,6 +12,7 @@ import numpy as np
 import pinocchio as pin
 
 from impact_rs_sim.errors import InputError
+from impact_rs_sim.proportion import Proportion
 from impact_rs_sim.robot import Array
 from impact_rs_sim.robot_model import RobotModel
 from impact_rs_sim.scenario import Scenario
@@ -24,13 +25,19 @@ MOVED = 0.002  # m
 TOUCH_TOLERANCE = 0.05  # m, between pad and object at their nearest
 TOUCH_TOLD = 0.005  # m
 GRAVITY_RATIO = (0.5, 1.5)  # of the measured torque along the arm's own weight
-GRAVITY_NOTICED = 1.0  # N m rms, a weight that can be noticed in the torques
+GRAVITY_NOTICED = 1.0  # N m rms, a weight that can be noticed in the torques of a Franka arm
 CHECKED = 200  # samples in which the weight is compared
 
 
 def gravity_torques(model: RobotModel, position: Array) -> Array:
     """g(q) at positions ``(k, n)`` [rad], ``(k, n)`` [N m]."""
     return np.array([model.gravity_torque(q) for q in position]).reshape(position.shape)
+
+
+def noticed(model: RobotModel) -> float:
+    """Least weight that can be noticed in the torques of an arm of its size, rms [N m]."""
+    size = Proportion.of_robots([model.facts], np.asarray(model.pinocchio.gravity.linear))
+    return GRAVITY_NOTICED * size.factor("N m")
 
 
 def check_weight(path: Path, name: str, model: RobotModel, position: Array, torque: Array, remedy: str) -> None:
@@ -50,7 +57,7 @@ def check_weight(path: Path, name: str, model: RobotModel, position: Array, torq
     rows = np.unique(np.linspace(0, position.shape[0] - 1, CHECKED).astype(int))
     weight = gravity_torques(model, position[rows])
     power = float(np.sum(np.square(weight)))
-    if power < GRAVITY_NOTICED**2 * rows.size:
+    if power < noticed(model) ** 2 * rows.size:
         return
     ratio = float(np.sum(weight * torque[rows])) / power
     if not GRAVITY_RATIO[0] < ratio < GRAVITY_RATIO[1]:

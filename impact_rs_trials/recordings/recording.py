@@ -141,17 +141,11 @@ def nominal_physics(mapping: Mapping, position: Array, model: RobotModel) -> Phy
         mapping: Robot, base and mounted mass.
         position: Recorded q, ``(k, n)`` [rad].
         model: Its rigid-body model.
-
-    Raises:
-        InputError: The torque was measured at the motors, and their inertia is not known.
     """
     facts = mapping.facts
     count = facts.joint_count
-    inertia = np.zeros(count)
-    if mapping.torque_measured_at == "motor":
-        if mapping.motor_inertia is None:
-            raise InputError("torque_measured_at: motor needs motor_inertia [kg m^2], prismatic [kg]")
-        inertia = np.array(mapping.motor_inertia)
+    known = mapping.torque_measured_at == "motor" and mapping.motor_inertia is not None
+    inertia = np.array(mapping.motor_inertia) if known else np.zeros(count)
     places = [model.placement(q).translation for q in position[:: max(1, len(position) // 50)]]
     arm = ArmPhysics(
         facts=facts,

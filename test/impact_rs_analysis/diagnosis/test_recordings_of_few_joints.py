@@ -3,26 +3,20 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
-import numpy as np
 import pytest
-from joint_recordings import swinging, write_npz
+from joint_recordings import write_npz
+from slender_arm import FLAT, UPRIGHT, mapping_of, slender_arm, swung
 
 from impact_rs_analysis.diagnosis.diagnose import diagnose
 from impact_rs_analysis.diagnosis.document import DiagnosisDocument
 from impact_rs_analysis.evidence.recordings import RecordingSource
 from impact_rs_sim.model import Model
-from impact_rs_sim.robot import JointType, RobotFacts
-from impact_rs_sim.robot_model import RobotModel
-from impact_rs_trials.recordings.mapping import load_mapping
+from impact_rs_sim.robot import JointType
 from impact_rs_trials.recordings.recording import read_recordings
 
-RATE, DURATION = 50.0, 36.0  # Hz, s
 NOISE = 0.02  # N m, N
-LENGTH = 0.4  # m
-UPRIGHT, FLAT = (np.pi / 2.0, 0.0, 0.0), (0.0, 0.0, 0.0)  # rpy of the first joint: it turns about -y, or about z
 
 ARMS: dict[str, tuple[tuple[JointType, ...], tuple[float, ...], tuple[float, ...]]] = {
     # joints, rpy of the first, friction that is planted [N m, N]
@@ -33,54 +27,13 @@ ARMS: dict[str, tuple[tuple[JointType, ...], tuple[float, ...], tuple[float, ...
 }
 
 
-def facts_of(name: str) -> RobotFacts:
-    """Slender links of 0.4 m; a joint that slides does so along its own z, which lies level."""
-    kinds, rpy, _ = ARMS[name]
-    origins = [{"type": kind, "xyz": (LENGTH if joint else 0.0, 0, 0), "rpy": FLAT} for joint, kind in enumerate(kinds)]
-    origins[0]["rpy"] = rpy
-    if kinds[0] == "prismatic":
-        origins[1] |= {"xyz": (0, 0, 0), "rpy": (np.pi / 2.0, 0.0, 0.0)}  # across the rail, so that it couples
-    link = {"mass": 2.0, "com": (LENGTH / 2.0, 0, 0), "inertia": (0.002, 0, 0, 0.03, 0, 0.03)}
-    count = len(kinds)
-    return RobotFacts.model_validate(
-        {
-            "source": "by hand",
-            "joints": origins,
-            "flange": {"xyz": (LENGTH, 0, 0), "rpy": (0, np.pi / 2.0, 0)},
-            "limits": {
-                "position_min_rad": [-3.0] * count,
-                "position_max_rad": [3.0] * count,
-                "velocity_rad_s": [4.0] * count,
-                "torque_Nm": [200.0] * count,
-            },
-            "links": [link] * count,
-        }
-    )
-
-
 def diagnosed(folder: Path, name: str, payload: float = 0.0) -> DiagnosisDocument:
     """Diagnosis of a recording in which every joint swings at its own frequencies."""
-    facts, (kinds, _, coulomb) = facts_of(name), ARMS[name]
-    count = len(kinds)
-    (folder / "robot.yaml").write_text(json.dumps(facts.model_dump(mode="json")), encoding="utf-8")
-    names = {"position": "position", "velocity": "velocity", "torque": "effort"}
-    content = {
-        "description": "by hand",
-        "robot": "robot.yaml",
-        "joints": [f"joint{joint + 1}" for joint in range(count)],
-        "signals": {
-            signal: {"array": name, "unit": [getattr(joint, name) for joint in facts.units]}
-            for signal, name in names.items()
-        },
-    }
-    (folder / "mapping.yaml").write_text(json.dumps(content), encoding="utf-8")
-    mapping = load_mapping(folder / "mapping.yaml")
-    end = mapping.end_effector.model_copy(update={"mass": payload}).build()
-    time, joints = np.arange(0.0, DURATION, 1.0 / RATE), np.arange(count)
-    columns = swinging(RobotModel(facts, end), time, 0.0, (0.13 + 0.03 * joints, 0.37 - 0.02 * joints), (0.6, 0.15))
-    columns["effort"] += np.array(coulomb) * np.tanh(columns["velocity"] / 0.005)
-    columns["effort"] += np.random.default_rng(3).normal(0.0, NOISE, columns["effort"].shape)
-    write_npz(folder / "run.npz", columns)
+    kinds, rpy, coulomb = ARMS[name]
+    mapping = mapping_of(folder, slender_arm(kinds, rpy))
+    friction = {f"coulomb_joint{joint}": value for joint, value in enumerate(coulomb, start=1)}
+    effects = {"joint_coulomb_friction": friction, "end_effector_payload": {"mass": payload, "com_z": 0.0}}
+    write_npz(folder / "run.npz", swung(mapping, effects, NOISE))
     source = RecordingSource.of(read_recordings(folder / "run.npz", mapping), mapping, Model(name="nominal"))
     return diagnose(source, source.model)
 

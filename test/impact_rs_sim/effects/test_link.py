@@ -9,6 +9,9 @@ from bench import (
     ACROSS,
     FIRST_MOMENT,
     GRAVITY,
+    LINK_COM,
+    LINK_INERTIA,
+    LINK_MASS,
     MASS_MATRIX,
     MOTOR_INERTIA,
     REACH,
@@ -70,3 +73,35 @@ def test_at_most_nine_tenths_of_the_flange_mass_can_be_taken_away(on_the_flange,
     assert lower[0] == pytest.approx(lowest)
     np.testing.assert_array_equal(upper, [3.0, 0.2, 0.2, 0.2])
     np.testing.assert_array_equal(lower[1:], -0.2)
+
+
+@pytest.mark.parametrize("q", [0.0, 0.7, -1.9])
+def test_a_heavier_link_weighs_and_resists_in_proportion(q):
+    model = switched_on(bench(ACROSS), "link_mass", scale_joint1=1.3).robot_model("arm")
+    moment = FIRST_MOMENT + 0.3 * LINK_MASS * LINK_COM
+    assert model.gravity_torque(np.array([q]))[0] == pytest.approx(-moment * GRAVITY * np.cos(q), rel=1e-9)
+    added = 0.3 * (LINK_INERTIA + LINK_MASS * LINK_COM**2)
+    assert model.mass_matrix(np.array([q]))[0, 0] == pytest.approx(MASS_MATRIX + added, rel=1e-9)
+
+
+@pytest.mark.parametrize("q", [0.0, 0.7, -1.9])
+def test_a_link_whose_centre_lies_elsewhere_turns_with_its_weight_there(q):
+    x, y = 0.03, -0.02
+    model = switched_on(bench(ACROSS), "link_com", com_x_joint1=x, com_y_joint1=y).robot_model("arm")
+    lever = -(FIRST_MOMENT + LINK_MASS * x) * np.cos(q) + LINK_MASS * y * np.sin(q)
+    assert model.gravity_torque(np.array([q]))[0] == pytest.approx(GRAVITY * lever, rel=1e-9)
+    added = LINK_MASS * ((LINK_COM + x) ** 2 + y**2 - LINK_COM**2)
+    assert model.mass_matrix(np.array([q]))[0, 0] == pytest.approx(MASS_MATRIX + added, rel=1e-9)
+
+
+def test_a_link_s_moment_about_its_axis_adds_to_the_mass_matrix_and_weighs_nothing():
+    model = switched_on(bench(ACROSS), "link_inertia", inertia_joint1=0.07).robot_model("arm")
+    assert model.mass_matrix(np.array([0.4]))[0, 0] == pytest.approx(MASS_MATRIX + 0.07, rel=1e-9)
+    assert model.gravity_torque(np.array([0.4]))[0] == pytest.approx(-FIRST_MOMENT * GRAVITY * np.cos(0.4), rel=1e-9)
+
+
+def test_a_link_keeps_a_part_of_its_moment_and_its_centre_within_reach():
+    lower, _ = library()["link_inertia"].bounds(bench())
+    assert lower == pytest.approx([-0.99 * LINK_INERTIA])
+    for parameter in library()["link_com"].parameters:
+        assert parameter.widened() == parameter

@@ -58,3 +58,14 @@ def test_motor_inertia_scale_adds_to_the_inertia_that_a_torque_moves(scale):
     motion = run(switched_on(bench(), "motor_inertia_scale", scale=scale), lambda time: 2.0)
     expected = 2.0 / (MASS_MATRIX + scale * MOTOR_INERTIA)
     assert slope(motion.time, motion.velocity, 0.2, 0.39) == pytest.approx(expected, rel=0.005)
+
+
+def test_added_motor_inertia_resists_as_much_as_the_assumed_one():
+    scaled, added = (
+        switched_on(bench(), name, **{parameter: value}).arms["arm"].motor_inertia_reduced
+        for name, parameter, value in (
+            ("motor_inertia_scale", "scale", 1.8),
+            ("added_motor_inertia", "inertia_joint1", 0.12),
+        )
+    )
+    np.testing.assert_allclose(added, scaled)

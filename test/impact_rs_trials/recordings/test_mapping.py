@@ -53,9 +53,32 @@ def test_units_are_turned_into_si(signal: str, keys: dict, factor: float) -> Non
     assert mapping(signals=signals(signal, **keys)).factor(signal) == pytest.approx(factor)
 
 
+def test_currents_become_torques_by_the_constant_of_each_joint() -> None:
+    constants = [10.0, 9.0, 8.0, 7.0, 6.0, 5.0, 4.0]
+    own = mapping(signals=signals("torque", unit="mA"), torque_measured_at="motor", torque_constant=constants)
+    np.testing.assert_allclose(own.to_si("torque", np.full((2, 7), 500.0)), [0.5 * np.array(constants)] * 2)
+    np.testing.assert_array_equal(own.factor("velocity"), 1.0)
+
+
 @pytest.mark.parametrize(
     ("changes", "complaint"),
     [
+        ({"signals": signals("torque", unit="A")}, "signals.torque.unit is a current, which needs torque_constant"),
+        (
+            {"signals": signals("torque", unit="A"), "torque_constant": [9.0] * 7},
+            "signals.torque.unit is a current, which a motor has: expected torque_measured_at: motor",
+        ),
+        (
+            {
+                "signals": signals("torque", unit=["A"] * 6 + ["N m"]),
+                "torque_constant": [9.0] * 7,
+                "torque_measured_at": "motor",
+            },
+            "signals.torque.unit mixes currents and torques",
+        ),
+        ({"torque_constant": [9.0] * 7}, "torque_constant is for currents"),
+        ({"torque_constant": [9.0] * 6}, "torque_constant has 6 entries, expected 7"),
+        ({"torque_constant": [0.0] * 7}, "> 0"),
         ({"signals": signals("torque")}, "signals.torque is missing"),
         ({"signals": signals("torque", unit="lbf")}, "signals.torque.unit is 'lbf'"),
         ({"signals": signals("torque", unit="rad")}, "N m"),

@@ -10,9 +10,10 @@ import pinocchio as pin
 import pytest
 
 from impact_rs_sim.errors import InputError
+from impact_rs_sim.robot_model import RobotModel
 from impact_rs_sim.scenario import load_scenario
 from impact_rs_sim.scene import Scene
-from impact_rs_trials.recordings.plausibility import check_object, check_touch, check_weight, gravity_torques
+from impact_rs_trials.recordings.plausibility import check_object, check_touch, check_weight, gravity_torques, noticed
 
 SCENE = Scene.resolve(load_scenario("push"), "parcel", "case_1")
 MODEL, STATE = SCENE.models["arm"], SCENE.arms["arm"]
@@ -80,3 +81,14 @@ def test_torques_hold_the_weight_of_the_arm_once(times: float, right: bool) -> N
     else:
         with pytest.raises(InputError, match=rf"torque holds {times:.2f} times the weight .* expected about 1: why"):
             check_weight(RUN, "torque", MODEL, position, torque, "why")
+
+
+def test_a_weight_is_noticed_in_proportion_to_the_arm() -> None:
+    """About 1 N m of a Franka arm; of one with a tenth of the mass a tenth, so that its signs are checked as well."""
+    links = [
+        link.model_copy(update={"mass": link.mass / 10.0, "inertia": tuple(m / 10.0 for m in link.inertia)})
+        for link in MODEL.facts.links
+    ]
+    light = RobotModel(MODEL.facts.model_copy(update={"links": tuple(links)}), MODEL.end_effector)
+    assert noticed(MODEL) == pytest.approx(1.0, rel=1e-3)
+    assert noticed(light) == pytest.approx(0.1, rel=1e-3)

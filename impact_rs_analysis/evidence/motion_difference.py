@@ -1,0 +1,125 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Difference of two recordings of one motion, for example with and without a load.
+
+From the recorded torque is subtracted what the model left of the torque of a reference, at the same place of the
+motion:
+
+    tau'(t) = tau(t) - (tau_r - tau_r,model)(t + s)
+
+Friction, offsets and wrong link parameters, which both recordings have, cancel; what tau' has beyond the model was
+added between the two. Each recording is predicted along its own measured motion, so a small difference of the motions
+changes tau' only by what the model does not know. The shift s minimises the mean square distance of the positions.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import scipy
+
+from impact_rs_analysis.evidence.torque_balance import Motion, TorqueBalance
+from impact_rs_sim.errors import InputError
+from impact_rs_sim.physics import Physics
+from impact_rs_sim.robot import Array
+
+SHIFTS = 4.0  # tried per period of the cut-off frequency, before the best is refined
+LEAST_OVERLAP = 0.5  # of the shorter motion
+SAME = 0.05  # of the size of the motion, rms; two motions further apart are not one
+
+
+@dataclass(frozen=True)
+class Match:
+    """Place of one motion in another.
+
+    Attributes:
+        number: Number of the other one.
+        shift: From the time of the motion to that of the other one [s].
+        apart: Distance of their positions, rms over time and joints [rad].
+    """
+
+    number: int
+    shift: float
+    apart: float
+
+
+def minus_references(
+    motions: Sequence[Motion],
+    files: Sequence[Path],
+    references: Sequence[Motion],
+    physics: Physics,
+    at_motor: bool,
+) -> list[Motion]:
+    """Every motion with the residual torque of the nearest reference subtracted, where the two overlap.
+
+    Args:
+        motions: Of the recordings.
+        files: Of the recordings, for messages.
+        references: Of the recordings to subtract.
+        physics: Of the arm in both, under the model.
+        at_motor: Whether the torque was measured at the motors.
+
+    Raises:
+        InputError: No reference follows the motion of a recording.
+    """
+    predicted = TorqueBalance(list(references), at_motor).predicted(physics)
+    rests = [reference.torque - torque for reference, torque in zip(references, predicted, strict=True)]
+    found = []
+    for motion, file in zip(motions, files, strict=True):
+        match = nearest(motion, references)
+        size = float(np.sqrt(np.mean(np.square(motion.position - motion.position.mean(axis=0)))))
+        if match is None or match.apart > SAME * size:
+            apart = "too short" if match is None else f"{match.apart:.3g} rad rms apart at best"
+            raise InputError(
+                f"follows the motion of no recording of --minus ({apart}; the motion has {size:.3g} rad rms): record "
+                "the same motion twice, without and with the load",
+                file=file,
+            )
+        reference = references[match.number]
+        place = motion.time + match.shift
+        first, last = reference.time[reference.kept][[0, -1]]
+        inside = np.flatnonzero((place >= first) & (place <= last))
+        found.append(
+            replace(
+                motion,
+                torque=motion.torque - _at(place, reference.time, rests[match.number]),
+                noise=np.hypot(motion.noise, reference.noise),
+                kept=slice(max(motion.kept.start, int(inside[0])), min(motion.kept.stop, int(inside[-1]) + 1)),
+            )
+        )
+    return found
+
+
+def nearest(motion: Motion, references: Sequence[Motion]) -> Match | None:
+    """Where a motion agrees best with a reference; None if none overlaps it for long enough."""
+    matches = [match for number, other in enumerate(references) if (match := _match(motion, number, other)) is not None]
+    return min(matches, key=lambda match: match.apart, default=None)
+
+
+def _match(motion: Motion, number: int, other: Motion) -> Match | None:
+    time, position = motion.time[motion.kept], motion.position[motion.kept]
+    first, last = other.time[other.kept][[0, -1]]
+    least = LEAST_OVERLAP * min(time.size / motion.rate, last - first)
+
+    def apart(shift: float) -> float:
+        inside = (time + shift >= first) & (time + shift <= last)
+        if np.count_nonzero(inside) < least * motion.rate:
+            return np.inf
+        distance = position[inside] - _at(time[inside] + shift, other.time, other.position)
+        return float(np.sqrt(np.mean(np.square(distance))))
+
+    step = 1.0 / (SHIFTS * motion.cut_off)
+    shifts = np.arange(first - time[-1] + least, last - time[0] - least + step, step)
+    best = min(shifts.tolist(), key=apart, default=None)
+    if best is None or not np.isfinite(apart(best)):
+        return None
+    fine = scipy.optimize.minimize_scalar(apart, bounds=(best - step, best + step), method="bounded")
+    shift = min((best, float(fine.x)), key=apart)
+    return Match(number, shift, apart(shift))
+
+
+def _at(wanted: Array, time: Array, values: Array) -> Array:
+    """Columns of ``values`` at other times."""
+    return np.column_stack([np.interp(wanted, time, column) for column in values.T])

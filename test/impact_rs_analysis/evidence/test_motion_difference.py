@@ -1,0 +1,100 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The same motion without and with a load: friction, offsets and wrong links cancel, the load remains."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from joint_recordings import write_npz
+from slender_arm import mapping_of, slender_arm, swung
+
+from impact_rs_analysis.diagnosis.diagnose import diagnose
+from impact_rs_analysis.evidence.motion_difference import nearest
+from impact_rs_analysis.evidence.recordings import RecordingSource
+from impact_rs_analysis.evidence.torque_balance import Motion, prepare
+from impact_rs_cli.main import main
+from impact_rs_sim.errors import InputError
+from impact_rs_sim.model import Model
+from impact_rs_trials.recordings.mapping import Mapping
+from impact_rs_trials.recordings.recording import read_recordings
+
+COMMON = {  # far beyond what the load changes, and none of it in the model
+    "joint_coulomb_friction": {"coulomb_joint1": 3.0, "coulomb_joint2": 2.0, "coulomb_joint3": 1.0},
+    "joint_viscous_friction": {"viscous_joint1": 2.0, "viscous_joint2": 1.0},
+    "torque_offset": {"offset_joint1": 1.0, "offset_joint3": -0.5},
+    "link_mass": {"scale_joint1": 1.2, "scale_joint2": 0.8, "scale_joint3": 1.3},
+}
+MASS, PLACE = 0.6, {"com_x": 0.0, "com_y": 0.03, "com_z": 0.05}  # kg, m; x lies along the axes of all joints
+LATER = 4.36  # s, by which the loaded recording begins later in the motion
+
+
+@pytest.fixture(scope="module")
+def mapping(tmp_path_factory: pytest.TempPathFactory) -> Mapping:
+    return mapping_of(tmp_path_factory.mktemp("arm"), slender_arm(("revolute",) * 3))
+
+
+@pytest.fixture(scope="module")
+def folder(mapping: Mapping, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    made = tmp_path_factory.mktemp("runs")
+    loaded = COMMON | {"end_effector_payload": {"mass": MASS, **PLACE}}
+    write_npz(made / "unloaded.npz", swung(mapping, COMMON, seed=1))
+    write_npz(made / "loaded.npz", swung(mapping, loaded, seed=2, start=LATER))
+    return made
+
+
+def motion_of(path: Path, mapping: Mapping) -> Motion:
+    (run,) = read_recordings(path, mapping)
+    return prepare(run, mapping.low_pass)
+
+
+def source_of(folder: Path, mapping: Mapping, minus: str | None = "unloaded.npz") -> RecordingSource:
+    references = [] if minus is None else read_recordings(folder / minus, mapping)
+    return RecordingSource.of(
+        read_recordings(folder / "loaded.npz", mapping), mapping, Model(name="nominal"), references
+    )
+
+
+def test_the_later_recording_is_found_in_the_earlier_one(folder: Path, mapping: Mapping) -> None:
+    match = nearest(motion_of(folder / "loaded.npz", mapping), [motion_of(folder / "unloaded.npz", mapping)])
+    assert match is not None
+    assert match.shift == pytest.approx(LATER, abs=1e-3) and match.apart < 1e-4
+
+
+def test_the_load_remains_and_nothing_else(folder: Path, mapping: Mapping) -> None:
+    source = source_of(folder, mapping)
+    found = diagnose(source, source.model)
+    assert found.named == ("end_effector_payload",)
+    effect = found.effect("end_effector_payload")
+    assert effect is not None
+    for name, value in {"mass": MASS, **PLACE}.items():
+        low, high = effect.parameters[name].interval
+        assert low <= value <= high and (high - low > 0.2 if name == "com_x" else high - low < 0.1)
+    assert source.recording.minus == (str(folder / "unloaded.npz"),)
+
+
+def test_without_the_reference_friction_and_links_hide_the_load(folder: Path, mapping: Mapping) -> None:
+    """The residual is many times as large, and the difference leaves noise beside the load."""
+    alone, difference = source_of(folder, mapping, None), source_of(folder, mapping)
+    added = (("end_effector_payload", (MASS, PLACE["com_x"], PLACE["com_y"], PLACE["com_z"])),)
+    assert np.all(alone.rest.std(axis=0) > 3.0 * difference.rest_with(added).std(axis=0))
+    assert np.all(np.abs(difference.rest_with(added).mean(axis=0)) < 0.02)  # N m; friction and offset are gone
+
+
+def test_the_noise_of_both_recordings_counts(folder: Path, mapping: Mapping) -> None:
+    alone, difference = source_of(folder, mapping, None), source_of(folder, mapping)
+    np.testing.assert_allclose(difference.balance.noise, np.sqrt(2.0) * alone.balance.noise, rtol=0.3)
+
+
+def test_another_motion_is_refused_with_the_remedy(folder: Path, mapping: Mapping) -> None:
+    write_npz(folder / "other.npz", swung(mapping, COMMON, start=47.3))
+    with pytest.raises(InputError, match="follows the motion of no recording of --minus.*record the same motion twice"):
+        source_of(folder, mapping, "other.npz")
+
+
+def test_only_recordings_have_something_to_subtract(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "t.csv").write_text("vx_before [m/s]\n1\n", encoding="utf-8")
+    for arguments in (["--impacts", str(tmp_path / "t.csv")], [str(tmp_path), "--experiment", "e.yaml"]):
+        assert main(["diagnose", *arguments, "--minus", str(tmp_path)]) == 2
+        assert "--minus goes with recordings of free motion" in capsys.readouterr().err

@@ -1,0 +1,67 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Torque balance: linear in the inertial parameters, and with the motors only where their torque was measured."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from joint_recordings import write_npz
+from slender_arm import mapping_of, slender_arm, swung, with_effects
+
+from impact_rs_analysis.evidence.torque_balance import TorqueBalance, prepare
+from impact_rs_sim.physics import Physics
+from impact_rs_trials.recordings.mapping import Mapping
+from impact_rs_trials.recordings.recording import ARM, read_recordings
+
+EFFECTS = (
+    {},
+    {"link_mass": {"scale_joint2": 1.4}},
+    {"link_com": {"com_y_joint3": 0.05}, "link_inertia": {"inertia_joint1": 0.1}},
+    {"base_tilt": {"roll": 0.1, "pitch": -0.05}},
+    {"base_tilt": {"roll": 0.2}},
+    {"end_effector_payload": {"mass": 0.8, "com_x": 0.1}},
+)
+
+
+def balance_of(folder: Path, mapping: Mapping) -> TorqueBalance:
+    path = write_npz(folder / "run.npz", swung(mapping, {}, seconds=12.0))
+    return TorqueBalance([prepare(run, mapping.low_pass) for run in read_recordings(path, mapping)], at_motor=True)
+
+
+def newton_euler(balance: TorqueBalance, physics: Physics) -> np.ndarray:
+    """Inverse dynamics sample by sample, low-passed."""
+    (motion,), model = balance.motions, physics.robot_model(ARM)
+    states = zip(motion.position, motion.velocity, motion.acceleration, strict=True)
+    return motion.low_pass(np.array([model.inverse_dynamics(*state) for state in states]))[motion.kept]
+
+
+def test_the_torque_of_any_links_is_that_of_inverse_dynamics(tmp_path: Path) -> None:
+    mapping = mapping_of(tmp_path, slender_arm(("revolute",) * 3))
+    balance = balance_of(tmp_path, mapping)
+    for effects in (*EFFECTS, *EFFECTS):  # again, when other directions of gravity came between
+        physics = with_effects(mapping, effects)
+        np.testing.assert_allclose(balance.predict(physics), newton_euler(balance, physics), rtol=0.0, atol=1e-9)
+
+
+@pytest.mark.parametrize("at_motor", [True, False])
+def test_motors_are_accelerated_by_the_torque_that_was_measured_at_them(at_motor: bool, tmp_path: Path) -> None:
+    mapping = mapping_of(tmp_path, slender_arm(("revolute",) * 3))
+    balance = TorqueBalance(balance_of(tmp_path, mapping).motions, at_motor)
+    (motion,) = balance.motions
+    inertia = np.array([0.3, 0.2, 0.1])
+    effect = {"added_motor_inertia": {f"inertia_joint{joint + 1}": value for joint, value in enumerate(inertia)}}
+    change = balance.predict(with_effects(mapping, effect)) - balance.predict(with_effects(mapping, {}))
+    expected = motion.low_pass(inertia * motion.acceleration)[motion.kept] if at_motor else np.zeros_like(change)
+    np.testing.assert_allclose(change, expected, atol=1e-9)
+
+
+def test_noise_is_what_the_torque_has_beside_friction_that_jumps_and_weight_that_swings(tmp_path: Path) -> None:
+    """White noise of 0.02 N m at 50 Hz has 0.02 sqrt(3 / 25) N m below 3 Hz."""
+    mapping = mapping_of(tmp_path, slender_arm(("revolute",) * 3))
+    dry = {"joint_coulomb_friction": {"coulomb_joint1": 2.0, "coulomb_joint2": 1.0, "coulomb_joint3": 0.5}}
+    (run,) = read_recordings(write_npz(tmp_path / "run.npz", swung(mapping, dry, noise=0.02)), mapping)
+    white = 0.02 * np.sqrt(3.0 / 25.0)
+    noise = prepare(run, mapping.low_pass).noise
+    assert np.all(noise > 0.6 * white) and np.all(noise < 2.0 * white)
