@@ -44,7 +44,7 @@ class Proportion:
         if not physics.arms:
             return Proportion()
         mass = float(np.mean([_mass(arm) for arm in physics.arms.values()])) / FRANKA_MASS
-        length = float(np.mean([_reach(arm) for arm in physics.arms.values()])) / FRANKA_REACH
+        length = float(np.mean([reach_of(arm) for arm in physics.arms.values()])) / FRANKA_REACH
         gravity = float(np.linalg.norm(physics.gravity)) or GRAVITY
         return Proportion(mass, length, float(np.sqrt(length * GRAVITY / gravity)))
 
@@ -62,7 +62,7 @@ def _mass(arm: ArmPhysics) -> float:
     return sum(link.mass for link in arm.facts.links)
 
 
-def _reach(arm: ArmPhysics) -> float:
-    """Length of the chain from its second joint to the flange [m]."""
+def reach_of(arm: ArmPhysics) -> float:
+    """Reach of an arm: length of the chain from its second joint to the flange [m]."""
     places = [joint.xyz for joint in arm.facts.joints[1:]] + [arm.facts.flange.xyz]
     return float(sum(np.linalg.norm(place) for place in places))

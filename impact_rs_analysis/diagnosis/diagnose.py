@@ -8,6 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from impact_rs_analysis.diagnosis.document import (
+    TOO_FEW,
     CorrelatedPair,
     DesignDocument,
     DiagnosisDocument,
@@ -18,6 +19,7 @@ from impact_rs_analysis.diagnosis.document import (
     ModelIdentity,
     RunsIdentity,
     UnexplainedDocument,
+    ViewDocument,
 )
 from impact_rs_analysis.diagnosis.drift import doubt_of, drift_in_words, drift_of
 from impact_rs_analysis.diagnosis.fit import Evidence, Fit
@@ -42,7 +44,7 @@ from impact_rs_analysis.diagnosis.verdicts import (
     without_the_doubtful,
 )
 from impact_rs_analysis.diagnosis.words import summary_of
-from impact_rs_analysis.evidence.source import Source
+from impact_rs_analysis.evidence.source import Source, View
 from impact_rs_sim.effects import Effect
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.model import Model
@@ -66,6 +68,30 @@ def diagnose(
     Raises:
         InputError: Too few conditions for a hold-out.
     """
+    document = _diagnosed(source, model, only, progress)
+    views = () if document.verdict == TOO_FEW else source.views()
+    document = document.model_copy(update={"views": tuple(_view(view, model, only) for view in views)})
+    summary = " ".join(filter(None, [summary_of(document), doubt_of(document.drift)]))
+    return document.model_copy(update={"summary": summary})
+
+
+def _view(view: View, model: Model, only: Sequence[str] | None) -> ViewDocument:
+    """The verdict on a view of the measurements."""
+    found = _diagnosed(view.source, model, only)
+    return ViewDocument(
+        name=view.name,
+        option=view.option,
+        verdict=found.verdict,
+        named=found.named,
+        held_out_error_before=found.held_out_error_before,
+        held_out_error_after=found.held_out_error_after,
+    )
+
+
+def _diagnosed(
+    source: Source, model: Model, only: Sequence[str] | None, progress: ProgressCallback = lambda *_: None
+) -> DiagnosisDocument:
+    """:func:`diagnose` without other views and summary."""
     if source.repeated and len(source.clusters) < LEAST_CLUSTERS:
         names = ", ".join(item.name for item in source.clusters)
         raise InputError(
@@ -122,7 +148,7 @@ def _document(found: Findings, known: dict[str, Effect], source: Source, model: 
     ties = {name: found.tied_with(name) for name in found.names}
     drift = drift_of(source.clusters)
     remarks = [*filter(None, [drift_in_words(drift)]), *_remarks(found, source)]
-    document = DiagnosisDocument(
+    return DiagnosisDocument(
         source=source.kind,
         verdict=verdict.verdict,
         named=found.names,
@@ -147,7 +173,7 @@ def _document(found: Findings, known: dict[str, Effect], source: Source, model: 
             least_p=LEAST_P,
             shortage=evidence.null.shortage,
         ),
-        discrepancy=source.discrepancy.document,
+        discrepancy=source.discrepancy_document,
         identifiability=_identifiability(found.chosen),
         joints=_joints(source, before, after),
         recording=source.recording,
@@ -156,7 +182,6 @@ def _document(found: Findings, known: dict[str, Effect], source: Source, model: 
         formulas=source.model.formulas,
         arms=source.model.arms,
     )
-    return document.model_copy(update={"summary": " ".join(filter(None, [summary_of(document), doubt_of(drift)]))})
 
 
 def _lack_of_fit(verdict: Headline) -> LackOfFit:

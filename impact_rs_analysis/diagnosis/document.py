@@ -204,6 +204,17 @@ class JointError(Schema):
     unit: str = Field("N m", description="unit of all of them; N of a joint that slides")
 
 
+class ViewDocument(Schema):
+    """Verdict on the same measurements looked at in another way."""
+
+    name: str = Field(description="what is looked at: joints or object of an arm alone, or other contact points")
+    option: str = Field("", description="option whose other value it is; empty: a part of the signals")
+    verdict: str = Field(description="as that of the diagnosis")
+    named: tuple[str, ...] = Field(description="effects that it names")
+    held_out_error_before: float = Field(description="held-out error of the model, in error_unit")
+    held_out_error_after: float = Field(description="held-out error with the effects named, in error_unit")
+
+
 class DiagnosisDocument(Schema):
     """``diagnosis.json``."""
 
@@ -238,6 +249,7 @@ class DiagnosisDocument(Schema):
     joints: tuple[JointError, ...] = Field((), description="held-out error by joint, of recordings")
     recording: RecordingDocument | None = Field(None, description="how recordings were read")
     drift: DriftDocument | None = Field(None, description="drift over the campaign; null: order unknown or no repeats")
+    views: tuple[ViewDocument, ...] = Field((), description="verdicts on parts of the signals, or other contact points")
     remarks: tuple[str, ...] = Field((), description="remarks for the reader")
     formulas: tuple[FormulaSpec, ...] = Field((), description="user-defined effects that were considered")
     arms: dict[str, int] = Field({}, description="joints of arms with parameters of their own; empty: shared")

@@ -3,14 +3,46 @@
 
 from __future__ import annotations
 
-from impact_rs_analysis.diagnosis.document import NONE, NOTHING, PARTLY, SMALL, TOO_FEW, DiagnosisDocument
+from impact_rs_analysis.diagnosis.document import NONE, NOTHING, PARTLY, SMALL, TOO_FEW, DiagnosisDocument, ViewDocument
 from impact_rs_analysis.evidence.cluster import TIMES
 
 
 def summary_of(document: DiagnosisDocument) -> str:
-    """Verdict, held-out error and largest residual in two to four sentences."""
+    """Verdict, held-out error and largest residual in two to four sentences, and one for every other view."""
+    parts = [view for view in document.views if not view.option]
+    turned = [view for view in document.views if view.option and set(view.named) != set(document.named)]
+    sentences = [_verdict(document), *(_part(view, document) for view in parts)]
+    return " ".join([*sentences, *(_turn(view) for view in turned)])
+
+
+def _part(view: ViewDocument, document: DiagnosisDocument) -> str:
+    """Verdict on a part of the signals."""
+    unit = _unit(document)
+    before, after = f"{view.held_out_error_before:.3g}", f"{view.held_out_error_after:.3g}"
+    what = f"The {view.name} alone"
+    if view.verdict == NOTHING:
+        return f"{what}: nothing missing ({before} {unit})."
+    if not view.named:
+        why = "beyond noise, but too small to matter" if view.verdict == SMALL else "no effect explains them"
+        return f"{what}: {why} ({before} {unit})."
+    small = ", too small to matter" if view.verdict == SMALL else ""
+    rest = ", and more is missing" if view.verdict.startswith((PARTLY, NONE)) else ""
+    return f"{what}: {' and '.join(view.named)}{small}{rest} ({before} → {after} {unit})."
+
+
+def _turn(view: ViewDocument) -> str:
+    """That the verdict depends on a setting."""
+    return f"The verdict turns on which points touch: with {view.name} it is {view.verdict} ({view.option})."
+
+
+def _unit(document: DiagnosisDocument) -> str:
+    return "× repeatability" if document.error_unit == TIMES else document.error_unit
+
+
+def _verdict(document: DiagnosisDocument) -> str:
+    """Verdict, held-out error and largest residual."""
     name, verdict = document.model.name, document.verdict
-    unit = "× repeatability" if document.error_unit == TIMES else document.error_unit
+    unit = _unit(document)
     before, after = document.held_out_error_before, document.held_out_error_after
     noise = document.noise_floor if document.error_unit != TIMES else 0.0
     noise_text = f" (noise alone: {noise:.3g})" if noise else ""

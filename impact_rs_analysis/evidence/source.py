@@ -11,7 +11,7 @@ from typing import Literal, TypeVar
 import numpy as np
 
 from impact_rs_analysis.evidence.cluster import TIMES, Added, Cluster, difference, size_of
-from impact_rs_analysis.evidence.discrepancy import NO_DISCREPANCY, Discrepancy
+from impact_rs_analysis.evidence.discrepancy import NO_DISCREPANCY, Discrepancy, DiscrepancyDocument
 from impact_rs_analysis.evidence.levels import Comparison, RecordingDocument, condition_scores, where_of
 from impact_rs_analysis.evidence.measured_runs import Runs
 from impact_rs_analysis.evidence.tracks import Track
@@ -39,6 +39,21 @@ class Identity:
     digest: str
     count: int
     conditions: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class View:
+    """The same measurements looked at in another way, which gets a verdict of its own.
+
+    Attributes:
+        name: What is looked at, in words.
+        source: The evidence.
+        option: Option of the command line whose other value it is; empty: a part of the signals.
+    """
+
+    name: str
+    source: Source
+    option: str = ""
 
 
 class Source(ABC):
@@ -90,6 +105,11 @@ class Source(ABC):
     def comparison_remarks(self) -> Sequence[str]:
         """See the class."""
         return self.remarks
+
+    @property
+    def discrepancy_document(self) -> DiscrepancyDocument:
+        """What a document says of the model discrepancy that is allowed for."""
+        return self.discrepancy.document
 
     @property
     def worlds(self) -> Sequence[Physics]:
@@ -165,6 +185,10 @@ class Source(ABC):
         """
         found = self.predict([(number, added) for added in (before, after) for number in numbers], what)
         return [difference(a, b) for a, b in zip(found[: len(numbers)], found[len(numbers) :], strict=True)]
+
+    def views(self) -> tuple[View, ...]:
+        """Other ways to look at the measurements, which the diagnosis judges as well."""
+        return ()
 
     def compare_levels(self) -> Comparison:
         """Residuals of the model by level, signal and place."""
