@@ -1,11 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """Discrepancy of the rigid impact map: how far simulated impacts of flexible arms lie from it.
 
-``./run python -m benchmarks.foreign.map_discrepancy -o config/map_discrepancy.yaml`` (needs the extra ``peers``). Pushes
-of :mod:`benchmarks.foreign.discrepancy` are run without noise and scatter by Bullet, the twin and MuJoCo: drives with
-springs, a compliant pad, a controller. Each gives one row of a table: the state in the tick before the object moves, and
-velocities just after. The map has the same parameters, and contact points from the geometry. With du the difference, v_n
-the closing speed, l the reach of the arm and b half the diagonal of the object, shares of the closing speed are
+``./run python -m benchmarks.foreign.map_discrepancy -o config/map_discrepancy.yaml`` (needs the extra ``peers``).
+Pushes of :mod:`benchmarks.foreign.discrepancy` are run without noise and scatter by Bullet, the twin and MuJoCo: drives
+with springs, a compliant pad, a controller. Each gives one row of a table: the state in the tick before the object
+moves, and velocities after. The map has the same parameters, and contact points from the geometry. With du the
+difference, v_n the closing speed, l the reach of the arm and b half the diagonal of the object, shares of the closing
+speed are
 
     joints  l du / v_n,        centre  du / v_n,        rotation  b du / v_n
 
@@ -140,15 +141,16 @@ def document(entries: list[dict[str, Any]], seconds: float) -> dict[str, Any]:
             "versions": {name: version(name) for name in ("impact-rs", "pybullet", "mujoco", "pin", "numpy")},
             "seconds": round(seconds),
             "conditions": [f"{kind}: {spec.object}, {spec.case}" for kind in KINDS for spec in specs_by_kind()[kind]],
-            "combined": "min over windows of the max over simulators of the rms over conditions and over joints or axes",
+            "combined": "min over windows of max over simulators of the rms over conditions and joints or axes",
         },
         "entries": entries,
     }
 
 
 HEADER = """\
-# Discrepancy of the rigid impact map: how far simulators of flexible arms with compliant pads lie from it, as
-# shares of the closing speed (joints: times reach; rotation of the object: times half its diagonal). Made by benchmarks/foreign/map_discrepancy.py, which says how; do not edit by hand.
+# Discrepancy of the rigid impact map: how far simulators of flexible arms with compliant pads lie from it, as shares of
+# the closing speed (joints: times reach; rotation of the object: times half its diagonal).
+# Made by benchmarks/foreign/map_discrepancy.py, which says how; do not edit by hand.
 """
 
 

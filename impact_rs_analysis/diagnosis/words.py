@@ -21,7 +21,8 @@ def _part(view: ViewDocument, document: DiagnosisDocument) -> str:
     before, after = f"{view.held_out_error_before:.3g}", f"{view.held_out_error_after:.3g}"
     what = f"The {view.name} alone"
     if view.verdict == NOTHING:
-        return f"{what}: nothing missing ({before} {unit})."
+        found = "nothing missing" if document.noise_floor else "no effect improves the prediction"
+        return f"{what}: {found} ({before} {unit})."
     if not view.named:
         why = "beyond noise, but too small to matter" if view.verdict == SMALL else "no effect explains them"
         return f"{what}: {why} ({before} {unit})."

@@ -22,10 +22,12 @@ where H is diagonal, as for a free body whose moments are alike. Every entry has
 
     sigma_i = s / sqrt(H_ii / m),        s^2 = mean of d^2 over the rows / number of entries of a row
 
-so that fits minimise the reported error. Tables of arms have a discrepancy of the rigid map
-(:mod:`impact_rs_analysis.evidence.map_discrepancy`), which is part of sigma with repeats, and of what is expected without.
-Joints and object of an arm's table are also judged apart (:meth:`ImpactTableSource.views`). Scaling each signal by its own residual would be wrong: the signal with the
+so that fits minimise the reported error. Scaling each signal by its own residual would be wrong: the signal with the
 largest effect of a missing term would then have the smallest weight in its estimate.
+
+Tables of arms have a discrepancy of the rigid map (:mod:`impact_rs_analysis.evidence.map_discrepancy`). With repeats it
+is part of sigma, without them of what is expected. Joints and object of an arm are also judged apart, and so are other
+contact points where they may decide (:meth:`ImpactTableSource.views`).
 """
 
 from __future__ import annotations

@@ -114,7 +114,8 @@ class ImpactRow:
         impact: State just before, and contact points.
         after: Measured u^+, joint velocities of every arm and then the twist of the centre, ``(nv,)`` [rad/s, m/s].
         wider: The impact with more contact points, those within ``WIDER`` tolerances; None: there are no more.
-        narrower: The impact with fewer, those within a tolerance over ``WIDER``; None: there are no fewer.
+        narrower: The impact with fewer, those within a tolerance over ``WIDER`` (no pose is known better than
+            ``GAP_TOLERANCE``); None: there are no fewer.
     """
 
     number: int
@@ -287,11 +288,17 @@ class _Reader:
         self._demand()
         rows = tuple(self._impact(number, cells) for number, cells in enumerate(self.cells, start=1))
         noise, assumed = self._noise(rows), self._assumed()
-        tolerance = float(
-            np.mean([self._tolerance(row.number, cells) for row, cells in zip(rows, self.cells, strict=True)])
-        )
+        tolerances = [self._tolerance(number, cells) for number, cells in enumerate(self.cells, start=1)]
         return ImpactTable(
-            self.path, digest, rows, self._arms, noise, assumed, tuple(unread), self._joints_after, tolerance
+            path=self.path,
+            digest=digest,
+            rows=rows,
+            arms=self._arms,
+            noise=noise,
+            assumed=assumed,
+            unread=tuple(unread),
+            joints=self._joints_after,
+            tolerance=float(np.mean(tolerances)),
         )
 
     @property
@@ -510,7 +517,8 @@ class _Reader:
 
         tolerance = self._tolerance(number, cells)
         try:
-            narrower, impact, wider = (with_points(times * tolerance) for times in (1.0 / WIDER, 1.0, WIDER))
+            impact, wider = with_points(tolerance), with_points(WIDER * tolerance)
+            narrower = with_points(max(tolerance / WIDER, min(tolerance, GAP_TOLERANCE)))
         except Infeasible as error:
             raise self._wrong(number, "pose of pad and object", None, error.message) from None
         fewer, more = (None if len(other.points) == len(impact.points) else other for other in (narrower, wider))
