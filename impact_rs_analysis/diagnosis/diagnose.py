@@ -7,6 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from impact_rs_analysis.diagnosis.bounds import NO_BOUNDS, Bounds, bounded
 from impact_rs_analysis.diagnosis.document import (
     TOO_FEW,
     CorrelatedPair,
@@ -16,7 +17,9 @@ from impact_rs_analysis.diagnosis.document import (
     Identifiability,
     JointError,
     LackOfFit,
+    LimitDocument,
     ModelIdentity,
+    ProportionDocument,
     RunsIdentity,
     UnexplainedDocument,
     ViewDocument,
@@ -55,7 +58,11 @@ CORRELATED = 0.8
 
 
 def diagnose(
-    source: Source, model: Model, only: Sequence[str] | None = None, progress: ProgressCallback = lambda *_: None
+    source: Source,
+    model: Model,
+    only: Sequence[str] | None = None,
+    progress: ProgressCallback = lambda *_: None,
+    bounds: Bounds = NO_BOUNDS,
 ) -> DiagnosisDocument:
     """Find out which effects are missing in a model.
 
@@ -64,20 +71,21 @@ def diagnose(
         model: The model of the file; the model of the source may know further effects.
         only: Names of the effects to consider; None: all known effects that the model does not contain.
         progress: Called with effects and their held-out error during the search (:class:`Search`).
+        bounds: Ranges of parameters that a user knows better.
 
     Raises:
         InputError: Too few conditions for a hold-out.
     """
-    document = _diagnosed(source, model, only, progress)
+    document = _diagnosed(source, model, only, bounds, progress)
     views = () if document.verdict == TOO_FEW else source.views()
-    document = document.model_copy(update={"views": tuple(_view(view, model, only) for view in views)})
+    document = document.model_copy(update={"views": tuple(_view(view, model, only, bounds) for view in views)})
     summary = " ".join(filter(None, [summary_of(document), doubt_of(document.drift)]))
     return document.model_copy(update={"summary": summary})
 
 
-def _view(view: View, model: Model, only: Sequence[str] | None) -> ViewDocument:
+def _view(view: View, model: Model, only: Sequence[str] | None, bounds: Bounds) -> ViewDocument:
     """The verdict on a view of the measurements."""
-    found = _diagnosed(view.source, model, only)
+    found = _diagnosed(view.source, model, only, bounds)
     return ViewDocument(
         name=view.name,
         option=view.option,
@@ -89,7 +97,11 @@ def _view(view: View, model: Model, only: Sequence[str] | None) -> ViewDocument:
 
 
 def _diagnosed(
-    source: Source, model: Model, only: Sequence[str] | None, progress: ProgressCallback = lambda *_: None
+    source: Source,
+    model: Model,
+    only: Sequence[str] | None,
+    bounds: Bounds,
+    progress: ProgressCallback = lambda *_: None,
 ) -> DiagnosisDocument:
     """:func:`diagnose` without other views and summary."""
     if source.repeated and len(source.clusters) < LEAST_CLUSTERS:
@@ -102,7 +114,9 @@ def _diagnosed(
     present = {item.name for item in source.model.effects}
     size = Proportion.of(source.physics)
     effects = [
-        known[name].in_proportion(size) for name in known if name not in present and (only is None or name in only)
+        bounded(known[name].in_proportion(size), bounds)
+        for name in known
+        if name not in present and (only is None or name in only)
     ]
     search = Search(effects, Evidence.of(source), progress)
     chosen = None if search.evidence.null.shortage is not None else search.choose()
@@ -178,6 +192,8 @@ def _document(found: Findings, known: dict[str, Effect], source: Source, model: 
         joints=_joints(source, before, after),
         recording=source.recording,
         drift=drift,
+        proportion=_proportion(source),
+        limits=_limits(source),
         remarks=tuple(remarks),
         formulas=source.model.formulas,
         arms=source.model.arms,
@@ -189,6 +205,23 @@ def _lack_of_fit(verdict: Headline) -> LackOfFit:
         before=None if verdict.before is None else clip_p(verdict.before),
         after=None if verdict.after is None else clip_p(verdict.after),
     )
+
+
+def _proportion(source: Source) -> ProportionDocument:
+    return ProportionDocument(**vars(Proportion.of(source.physics)))
+
+
+def _limits(source: Source) -> tuple[LimitDocument, ...]:
+    """Relevance limits of all signals, each once."""
+    found = {
+        (feature.phase, feature.signal, feature.unit): LimitDocument(
+            phase=feature.phase, signal=feature.signal, limit=feature.relevance_limit, unit=feature.unit
+        )
+        for item in source.clusters
+        for feature in item.features
+        if feature.relevance_limit > 0.0
+    }
+    return tuple(found.values())
 
 
 def _runs(source: Source) -> RunsIdentity:

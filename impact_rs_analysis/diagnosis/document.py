@@ -48,6 +48,8 @@ class EstimateDocument(Schema):
     p_value: float | None = Field(None, description="p-value of this joint's parameter being nominal, given all others")
     error_before: float | None = Field(None, description="held-out error of the joint without it, in the joint's unit")
     error_after: float | None = Field(None, description="held-out error of the joint with it, in the joint's unit")
+    range: tuple[float, float] | None = Field(None, description="range that was searched, in its unit")
+    at_bound: bool = Field(False, description="whether the estimate lies at an end of the range, and not at nominal")
 
     @property
     def interval(self) -> tuple[float, float]:
@@ -194,6 +196,23 @@ class DriftDocument(Schema):
     confounded: bool = Field(description="whether conditions were measured one after the other")
 
 
+class ProportionDocument(Schema):
+    """Size of the robot beside the Franka arm for which ranges and relevance limits are stated."""
+
+    mass: float = Field(1.0, description="of its links [-]")
+    length: float = Field(1.0, description="of its reach [-]")
+    time: float = Field(1.0, description="in which a body falls as far as it reaches [-]")
+
+
+class LimitDocument(Schema):
+    """Relevance limit of one signal."""
+
+    phase: str = Field(description="phase of the motion")
+    signal: str = Field(description="what it is")
+    limit: float = Field(description="smallest difference that matters, in the unit")
+    unit: str = Field(description="unit")
+
+
 class JointError(Schema):
     """Held-out error of one joint."""
 
@@ -249,6 +268,10 @@ class DiagnosisDocument(Schema):
     joints: tuple[JointError, ...] = Field((), description="held-out error by joint, of recordings")
     recording: RecordingDocument | None = Field(None, description="how recordings were read")
     drift: DriftDocument | None = Field(None, description="drift over the campaign; null: order unknown or no repeats")
+    proportion: ProportionDocument = Field(
+        default_factory=ProportionDocument, description="size of the robot, from which ranges and limits follow"
+    )
+    limits: tuple[LimitDocument, ...] = Field((), description="relevance limits that were used")
     views: tuple[ViewDocument, ...] = Field((), description="verdicts on parts of the signals, or other contact points")
     remarks: tuple[str, ...] = Field((), description="remarks for the reader")
     formulas: tuple[FormulaSpec, ...] = Field((), description="user-defined effects that were considered")

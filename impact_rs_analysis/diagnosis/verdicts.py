@@ -461,6 +461,8 @@ def _estimates(found: Findings, fitted: Fit, name: str) -> dict[str, EstimateDoc
             p_value=p,
             error_before=before,
             error_after=after,
+            range=(float(candidate.lower[index]), float(candidate.upper[index])),
+            at_bound=bool(fitted.at_bound[index]),
         )
     return result
 

@@ -31,6 +31,20 @@ def _part(view: ViewDocument, document: DiagnosisDocument) -> str:
     return f"{what}: {' and '.join(view.named)}{small}{rest} ({before} → {after} {unit})."
 
 
+def _bounds(document: DiagnosisDocument) -> str:
+    """Named effects with an estimate at a bound; empty: none."""
+    found = []
+    for effect in document.effects:
+        ends = [
+            f"{name} = {estimate.estimate:.3g}{'' if estimate.unit == '-' else f' {estimate.unit}'}"
+            for name, estimate in effect.parameters.items()
+            if estimate.at_bound
+        ]
+        if effect.name in document.named and ends:
+            found.append(f"{effect.name} is AT-BOUND ({', '.join(ends)}): another effect may be missing.")
+    return " ".join(found)
+
+
 def _turn(view: ViewDocument) -> str:
     """That the verdict depends on a setting."""
     return f"The verdict turns on which points touch: with {view.name} it is {view.verdict} ({view.option})."
@@ -47,7 +61,7 @@ def _verdict(document: DiagnosisDocument) -> str:
     before, after = document.held_out_error_before, document.held_out_error_after
     noise = document.noise_floor if document.error_unit != TIMES else 0.0
     noise_text = f" (noise alone: {noise:.3g})" if noise else ""
-    fall = f"Held-out error: {before:.3g} → {after:.3g} {unit}{noise_text}."
+    fall = f"Held-out error: {before:.3g} → {after:.3g} {unit}{noise_text}. {_bounds(document)}".strip()
     named = " and ".join(document.named)
     runs = f"{document.runs.trials} {document.source}"
     if verdict == TOO_FEW:

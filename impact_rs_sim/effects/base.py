@@ -73,6 +73,7 @@ class Parameter:
         hidden: Range of values in blind campaigns; None: some scales away from nominal.
         joint: Joint of a scalar, counted from 0; None: the effect as a whole.
         arm: Arm that it belongs to; empty: all arms share it.
+        given: Whether a user has given the range, which is not widened then.
     """
 
     name: str
@@ -90,6 +91,7 @@ class Parameter:
     hidden: tuple[float, float] | None = None
     joint: int | None = None
     arm: str = ""
+    given: bool = False
 
     def scalars(self, joints: Joints) -> list[Parameter]:
         """Itself, or one scalar per joint: ``coulomb_joint1`` ..., each in its joint's unit."""
@@ -114,12 +116,17 @@ class Parameter:
 
         A shape whose grid spans decades keeps its range: beyond, the effect is the limit of a simpler one.
         """
-        if self.grid:
+        if self.grid or self.given:
             return self
         if self.lower > 0.0:
             return replace(self, lower=0.5 * self.lower, upper=2.0 * self.upper)
         lower, upper = (bound and 2.0 * bound - self.nominal for bound in (self.lower, self.upper))
         return replace(self, lower=lower, upper=upper)
+
+    def within(self, lower: float, upper: float) -> Parameter:
+        """The parameter with a range that a user has given, in its unit."""
+        grid = tuple(value for value in self.grid if lower <= value <= upper)
+        return replace(self, lower=lower, upper=upper, grid=grid, given=True)
 
     @property
     def possible(self) -> tuple[float, float]:
