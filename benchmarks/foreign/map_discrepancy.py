@@ -5,10 +5,10 @@
 Pushes of :mod:`benchmarks.foreign.discrepancy` are run without noise and scatter by Bullet, the twin and MuJoCo: drives
 with springs, a compliant pad, a controller. Each gives one row of a table: the state in the tick before the object
 moves, and velocities after. The map has the same parameters, and contact points from the geometry. With du the
-difference, v_n the closing speed, l the reach of the arm and b half the diagonal of the object, shares of the closing
-speed are
+difference, v_n the closing speed, l the reach of the arm and r the radius of gyration of the object, shares of the
+closing speed are
 
-    joints  l du / v_n,        centre  du / v_n,        rotation  b du / v_n
+    joints  l du / v_n,        centre  du / v_n,        rotation  r du / v_n
 
 as rms over joints or axes, and over conditions. The simulator that lies furthest off counts, as for trials. Velocities
 are read in two windows, and the one in which a signal is nearer to the map counts: joints ring and are moved by the
@@ -149,7 +149,7 @@ def document(entries: list[dict[str, Any]], seconds: float) -> dict[str, Any]:
 
 HEADER = """\
 # Discrepancy of the rigid impact map: how far simulators of flexible arms with compliant pads lie from it, as shares of
-# the closing speed (joints: times reach; rotation of the object: times half its diagonal).
+# the closing speed (joints: times reach; rotation of the object: times its radius of gyration).
 # Made by benchmarks/foreign/map_discrepancy.py, which says how; do not edit by hand.
 """
 

@@ -51,7 +51,6 @@ from impact_rs_analysis.evidence.source import Source, View
 from impact_rs_sim.effects import Effect
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.model import Model
-from impact_rs_sim.proportion import Proportion
 from impact_rs_sim.robot import Array
 
 CORRELATED = 0.8
@@ -112,9 +111,8 @@ def _diagnosed(
         )
     known = source.model.known_effects
     present = {item.name for item in source.model.effects}
-    size = Proportion.of(source.physics)
     effects = [
-        bounded(known[name].in_proportion(size), bounds)
+        bounded(known[name].in_proportion(source.proportion), bounds)
         for name in known
         if name not in present and (only is None or name in only)
     ]
@@ -208,7 +206,7 @@ def _lack_of_fit(verdict: Headline) -> LackOfFit:
 
 
 def _proportion(source: Source) -> ProportionDocument:
-    return ProportionDocument(**vars(Proportion.of(source.physics)))
+    return ProportionDocument(**vars(source.proportion))
 
 
 def _limits(source: Source) -> tuple[LimitDocument, ...]:

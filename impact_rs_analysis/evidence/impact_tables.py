@@ -59,6 +59,7 @@ from impact_rs_analysis.evidence.map_discrepancy import (
     NO_MAP_DISCREPANCY,
     HitKind,
     MapDiscrepancy,
+    lengths_of,
     measured_map_discrepancy,
 )
 from impact_rs_analysis.evidence.neighbour_noise import noise_of_neighbours
@@ -71,6 +72,7 @@ from impact_rs_sim.impact_map.laws import System
 from impact_rs_sim.impact_map.measured import MeasuredImpact, MeasuredImpacts, restitution_of
 from impact_rs_sim.model import Model
 from impact_rs_sim.physics import Physics
+from impact_rs_sim.proportion import Proportion
 from impact_rs_sim.robot import Array
 from impact_rs_trials.recordings.impact_checks import doubts_of
 from impact_rs_trials.recordings.impact_table import WIDER, ImpactTable
@@ -79,9 +81,7 @@ from impact_rs_trials.workers import Map
 BLOCKS = 24  # at most: of 24 blocks a fold leaves 18 for the search, and the test needs 12
 LEAST_CONDITIONS = 3  # with repeats; with fewer, blocks are used
 LEAST_REPEATS = 3  # degrees of freedom of the pure error
-RELEVANT_LINEAR = 0.005  # m/s; resolution of body velocities by motion capture
-RELEVANT_ANGULAR = 0.05  # rad/s; the same at a lever of 0.1 m
-RELEVANT_JOINT = 0.005  # rad/s; the same at a lever of 1 m; m/s for a prismatic joint
+RELEVANT = 0.005  # of the closing speed; 5 mm/s at 1 m/s, the resolution of body velocities by motion capture
 LEAST_SCALE = 1e-6  # m/s; a model with smaller residuals is exact
 KEPT = 128_000_000  # bytes of predictions of the whole table, with effects that were tried last
 TELLING = 0.8  # of what the model leaves; scatter of neighbours above it says nothing
@@ -212,11 +212,22 @@ class ImpactTableSource(Source):
         for name in self.table.rows[0].impact.arms:
             label = f"{name}." if len(self.table.arms) > 1 else ""
             for joint, units in enumerate(self.table.rows[0].physics.arms[name].facts.units, start=1):
-                found.append(Feature("impact", JOINTS, f"{label}joint{joint}", 0, units.velocity, RELEVANT_JOINT, name))
+                found.append(Feature("impact", JOINTS, f"{label}joint{joint}", 0, units.velocity, 0.0, name))
         names = AXES if self.table.arms else CONTACT_AXES
-        found += [Feature("impact", LINEAR, axis, 0, "m/s", RELEVANT_LINEAR) for axis in names]
-        found += [Feature("impact", ANGULAR, axis, 0, "rad/s", RELEVANT_ANGULAR) for axis in names]
-        return tuple(found)
+        found += [Feature("impact", LINEAR, axis, 0, "m/s", 0.0) for axis in names]
+        found += [Feature("impact", ANGULAR, axis, 0, "rad/s", 0.0) for axis in names]
+        limits = RELEVANT * self._speed / lengths_of(found, self.physics)
+        return tuple(replace(f, relevance_limit=float(limit)) for f, limit in zip(found, limits, strict=True))
+
+    @cached_property
+    def _speed(self) -> float:
+        """Closing speed of the impacts, root mean square [m/s]."""
+        return float(np.sqrt(np.mean(np.square(self._impacts.closing_speeds))))
+
+    @property
+    def proportion(self) -> Proportion:
+        """See :attr:`Source.proportion`; a free body is in proportion to its mass, moments and closing speed."""
+        return Proportion.of(self.physics) if self.table.arms else Proportion.of_body(self.physics.object, self._speed)
 
     @cached_property
     def _systems(self) -> tuple[System, ...]:
@@ -376,12 +387,10 @@ class ImpactTableSource(Source):
         """Discrepancy of the rigid map of all entries of a row, rms over the rows, ``(nv,)``."""
         if not self.table.arms:
             return np.zeros(6)
-        models = [physics.robot_models() for physics in self._worlds]
-        rows = []
-        for row, world, kind in zip(self.table.rows, self._world_of, self._kinds, strict=True):
-            physics = self._worlds[world]
-            speed = row.impact.closing_speed(physics, models[world])
-            rows.append(self._map_discrepancy.of(self._all_signals, physics, speed, kind))
+        rows = [
+            self._map_discrepancy.of(self._all_signals, self._worlds[world], float(speed), kind)
+            for world, speed, kind in zip(self._world_of, self._impacts.closing_speeds, self._kinds, strict=True)
+        ]
         return np.asarray(np.sqrt(np.mean(np.square(rows), axis=0)))
 
     @property

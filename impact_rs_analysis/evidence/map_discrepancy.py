@@ -5,14 +5,16 @@ The map jumps at once; drives with springs and a pad that yields do not, and jus
 ``config/map_discrepancy.yaml`` holds how far simulators of such arms lie from the map with the same parameters (made by
 ``benchmarks/foreign/map_discrepancy.py``), as shares of the closing speed v_n:
 
-    joints  share v_n / l,        centre of the object  share v_n,        its rotation  share v_n / b
+    joints  share v_n / l,        centre of the object  share v_n,        its rotation  share v_n / r
 
-with the reach l of the arm and half the diagonal b of the object, so that the shares are those of other robots as well.
+with the reach l of the arm and the radius of gyration r of the object, so that the shares are those of other robots as
+well.
 """
 
 from __future__ import annotations
 
 import functools
+from collections.abc import Sequence
 from typing import Literal
 
 import numpy as np
@@ -22,7 +24,7 @@ from impact_rs_analysis.evidence.cluster import Feature
 from impact_rs_analysis.evidence.discrepancy import DiscrepancyDocument, Provenance
 from impact_rs_sim.paths import config_directory
 from impact_rs_sim.physics import Physics
-from impact_rs_sim.proportion import reach_of
+from impact_rs_sim.proportion import gyration_of, reach_of
 from impact_rs_sim.robot import Array
 from impact_rs_sim.schema import Schema, load
 
@@ -48,7 +50,7 @@ class MapDiscrepancy(Schema):
     provenance: Provenance | None = Field(description="how it was measured; null: switched off")
     entries: tuple[MapShare, ...] = Field(description="shares of the closing speed")
 
-    def of(self, features: tuple[Feature, ...], physics: Physics, speed: float, kind: HitKind) -> Array:
+    def of(self, features: Sequence[Feature], physics: Physics, speed: float, kind: HitKind) -> Array:
         """Discrepancy of the velocities after an impact in their units, ``(F,)``.
 
         Args:
@@ -87,8 +89,8 @@ def measured_map_discrepancy() -> MapDiscrepancy:
     return load(MapDiscrepancy, config_directory() / FILE)
 
 
-def lengths_of(features: tuple[Feature, ...], physics: Physics) -> Array:
-    """Length by which a velocity becomes that of a point: reach, half diagonal, or 1 of translations, ``(F,)``."""
-    half = float(np.linalg.norm(physics.object.size)) / 2.0
+def lengths_of(features: Sequence[Feature], physics: Physics) -> Array:
+    """Length by which a velocity becomes that of a point: reach, radius of gyration, 1 of translations, ``(F,)``."""
+    turning = gyration_of(physics.object)
     reach = {name: reach_of(arm) for name, arm in physics.arms.items()}
-    return np.array([1.0 if f.unit == "m/s" else half if f.signal == ANGULAR else reach[f.arm] for f in features])
+    return np.array([1.0 if f.unit == "m/s" else turning if f.signal == ANGULAR else reach[f.arm] for f in features])

@@ -19,6 +19,7 @@ from impact_rs_sim.effects.base import Joints
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.model import Model
 from impact_rs_sim.physics import Physics
+from impact_rs_sim.proportion import Proportion
 from impact_rs_sim.robot import Array, JointType, RobotFacts
 from impact_rs_trials.workers import Map
 
@@ -105,6 +106,11 @@ class Source(ABC):
     def comparison_remarks(self) -> Sequence[str]:
         """See the class."""
         return self.remarks
+
+    @property
+    def proportion(self) -> Proportion:
+        """Size of what was measured, to which ranges of parameters and noticeable changes are in proportion."""
+        return Proportion.of(self.physics)
 
     @property
     def discrepancy_document(self) -> DiscrepancyDocument:

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
 import pytest
 from impact_table_cases import CUBE_HEADER, cube, cube_rows, write_csv
 
@@ -72,7 +73,8 @@ def test_an_estimate_at_a_given_bound_is_said_in_the_summary(tmp_path: Path) -> 
     assert (found.verdict, estimate.range, estimate.at_bound) == (AT_BOUND, (0.0, 0.3), True)
     assert estimate.estimate == pytest.approx(0.3)
     assert "restitution is AT-BOUND (restitution = 0.3): another effect may be missing." in document.summary
-    assert {(limit.signal, limit.limit) for limit in document.limits} == {
-        ("velocity after", 0.005),
-        ("angular velocity after", 0.05),
-    }
+    speed = np.sqrt(np.mean([row.impact.closing_speed(row.physics, {}) ** 2 for row in source.table.rows]))
+    linear, angular = document.limits
+    assert linear.limit == pytest.approx(0.005 * speed)
+    assert angular.limit == pytest.approx(0.005 * speed / (0.1 / np.sqrt(6.0)))  # radius of gyration of the cube
+    assert document.proportion.time == pytest.approx(1.0 / speed)
