@@ -48,6 +48,7 @@ class EstimateDocument(Schema):
     p_value: float | None = Field(None, description="p-value of this joint's parameter being nominal, given all others")
     error_before: float | None = Field(None, description="held-out error of the joint without it, in the joint's unit")
     error_after: float | None = Field(None, description="held-out error of the joint with it, in the joint's unit")
+    nominal: float | None = Field(None, description="value at which the effect does nothing, in its unit")
     range: tuple[float, float] | None = Field(None, description="range that was searched, in its unit")
     at_bound: bool = Field(False, description="whether the estimate lies at an end of the range, and not at nominal")
 
@@ -55,6 +56,23 @@ class EstimateDocument(Schema):
     def interval(self) -> tuple[float, float]:
         """95 % interval, in its unit; unbounded where none is known."""
         return (-math.inf, math.inf) if self.ci95 is None else self.ci95
+
+    @property
+    def excludes_nominal(self) -> bool:
+        """Whether the interval leaves out the value at which the effect does nothing."""
+        low, high = self.interval
+        return self.nominal is not None and not low <= self.nominal <= high
+
+
+def explained(before: float, after: float, noise: float) -> float:
+    """Share of the squared error beyond noise that is gone [-]; below 0: there is more.
+
+    Args:
+        before: Held-out error without the effects.
+        after: The same with them.
+        noise: The same of noise alone; 0: not known.
+    """
+    return (before**2 - after**2) / max(before**2 - noise**2, 1e-300)
 
 
 class SizeDocument(Schema):
@@ -126,7 +144,9 @@ class RestDocument(Schema):
 class UnexplainedDocument(Schema):
     """Residuals after the diagnosis."""
 
-    share_of_excess: float | None = Field(None, description="share of the error beyond noise that remains")
+    share_of_excess: float | None = Field(
+        None, description="share of the squared held-out error beyond noise that remains"
+    )
     where: tuple[RestDocument, ...] = Field((), description="largest remaining residuals")
 
 

@@ -44,6 +44,7 @@ from impact_rs_sim.robot import Array
 
 PAIRS = 2  # fitted jointly after effects were found one by one
 AMONG = 10  # effects from which pairs are formed
+STEEPER = 3.0  # times the sensitivity at nominal; a parameter with such a secant is hardly seen there
 
 
 @dataclass(frozen=True)
@@ -105,24 +106,28 @@ class Search:
             (self.singles if found.seen else self._unseen)[found.names[0]] = found
 
     def _seen_from_afar(self, candidate: Candidate, base: Added = ()) -> Candidate:
-        """The candidate with secants for parameters without sensitivity at nominal, to where they change something.
+        """The candidate with secants for parameters that change more far from nominal, to where they do.
 
         A contact that sticks does not depend on its friction, until there is so little that it slips; one without
-        friction throws no slip back, until there is friction in the model, so other effects may be the ``base``.
+        friction throws no slip back, until there is friction in the model, so other effects may be the ``base``. Where
+        a few impacts slip and most stick, the friction is seen at nominal, but hardly: of impacts, whose predictions
+        are cheap, every parameter is looked at from afar.
         """
         clusters, numbers = self.evidence.clusters, self.evidence.numbers
-        for index in candidate.unseen:
-            if candidate.scalars[index].shape:
+        for index, scalar in enumerate(candidate.scalars):
+            here = _size([jacobian[:, index] for jacobian in candidate.jacobians])
+            if scalar.shape or (here > 0.0 and self.source.of_motion):
                 continue
             for point in candidate.probes(index):
                 added = (*base, *candidate.split(point))
                 changes = self.source.differences(numbers, base, added, "probes of effects")
-                if any(change is None for change in changes) or not any(np.any(change) for change in changes):
+                if any(change is None for change in changes):
                     continue
                 steps = (point[index] - candidate.point[index]) / candidate.scale[index]
                 columns = [np.asarray(c) / item.sigma / steps for c, item in zip(changes, clusters, strict=True)]
-                candidate = candidate.with_sensitivity(index, columns)
-                break
+                if _size(columns) > STEEPER * here:
+                    candidate = candidate.with_sensitivity(index, columns)
+                    break
         return candidate
 
     def _look_beside(self, chosen: Fit) -> None:
@@ -414,6 +419,11 @@ class Search:
                 fitted = refine_again(refine(linear.candidate, chosen.evidence, HOPELESS * chosen.score))
                 found.append(Rival(other, name, fitted, tied(chosen, fitted) and not _in_the_limit(fitted, other)))
         return found
+
+
+def _size(columns: Sequence[Array]) -> float:
+    """Norm of a sensitivity over all clusters."""
+    return math.sqrt(sum(float(column @ column) for column in columns))
 
 
 def _in_the_limit(fitted: Fit, name: str) -> bool:
