@@ -44,7 +44,8 @@ from impact_rs_sim.robot import Array
 
 PAIRS = 2  # fitted jointly after effects were found one by one
 AMONG = 10  # effects from which pairs are formed
-STEEPER = 3.0  # times the sensitivity at nominal; a parameter with such a secant is hardly seen there
+MORE = 1.5  # times as many features as at nominal; where a secant changes so many, contacts are in another mode
+UNCHANGED = 1e-6  # scaled features per parameter scale; the solver's rounding
 
 
 @dataclass(frozen=True)
@@ -106,18 +107,20 @@ class Search:
             (self.singles if found.seen else self._unseen)[found.names[0]] = found
 
     def _seen_from_afar(self, candidate: Candidate, base: Added = ()) -> Candidate:
-        """The candidate with secants for parameters that change more far from nominal, to where they do.
+        """The candidate with secants for parameters that change more features far from nominal, to where they do.
 
         A contact that sticks does not depend on its friction, until there is so little that it slips; one without
         friction throws no slip back, until there is friction in the model, so other effects may be the ``base``. Where
-        a few impacts slip and most stick, the friction is seen at nominal, but hardly: of impacts, whose predictions
-        are cheap, every parameter is looked at from afar.
+        a few impacts slip and most stick, friction is hardly seen at nominal. So of impacts, whose predictions are
+        cheap, every parameter is looked at from afar, and the point counts at which most features change; of motions
+        those alone that change nothing at nominal, and the nearest point at which something does.
         """
         clusters, numbers = self.evidence.clusters, self.evidence.numbers
         for index, scalar in enumerate(candidate.scalars):
-            here = _size([jacobian[:, index] for jacobian in candidate.jacobians])
-            if scalar.shape or (here > 0.0 and self.source.of_motion):
+            here = _changed([jacobian[:, index] for jacobian in candidate.jacobians])
+            if scalar.shape or (here and self.source.of_motion):
                 continue
+            best, most = None, MORE * here
             for point in candidate.probes(index):
                 added = (*base, *candidate.split(point))
                 changes = self.source.differences(numbers, base, added, "probes of effects")
@@ -125,9 +128,12 @@ class Search:
                     continue
                 steps = (point[index] - candidate.point[index]) / candidate.scale[index]
                 columns = [np.asarray(c) / item.sigma / steps for c, item in zip(changes, clusters, strict=True)]
-                if _size(columns) > STEEPER * here:
-                    candidate = candidate.with_sensitivity(index, columns)
-                    break
+                if (seen := _changed(columns)) > most:
+                    best, most = columns, seen
+                    if self.source.of_motion:
+                        break
+            if best is not None:
+                candidate = candidate.with_sensitivity(index, best)
         return candidate
 
     def _look_beside(self, chosen: Fit) -> None:
@@ -421,9 +427,9 @@ class Search:
         return found
 
 
-def _size(columns: Sequence[Array]) -> float:
-    """Norm of a sensitivity over all clusters."""
-    return math.sqrt(sum(float(column @ column) for column in columns))
+def _changed(columns: Sequence[Array]) -> int:
+    """Number of features over all clusters that a sensitivity changes."""
+    return sum(int(np.count_nonzero(np.abs(column) > UNCHANGED)) for column in columns)
 
 
 def _in_the_limit(fitted: Fit, name: str) -> bool:
