@@ -188,11 +188,7 @@ class ImpactTableSource(Source):
 
     def views(self) -> tuple[View, ...]:
         """See :meth:`Source.views`: joints and object of an arm apart, and other contact points where they decide."""
-        found = []
-        for name, seen in ALONE.items() if self.table.arms and self.table.joints else ():
-            part = copy.copy(self)
-            part._judge(seen)
-            found.append(View(name, part))
+        found = [View(name, part) for name, part in self._parts().items()]
         for times in (1.0 / WIDER, WIDER):
             if self._contacts_matter(times):
                 how = f"points within {1e3 * times * self.table.tolerance:g} mm"
@@ -204,6 +200,20 @@ class ImpactTableSource(Source):
         """See :attr:`Source.identity`; without repeats the table counts as its only condition."""
         names = tuple(item.name for item in self.clusters) if self.repeated else (self.table.path.name,)
         return Identity(self.table.digest, len(self.table.rows), names)
+
+    def _parts(self) -> dict[str, ImpactTableSource]:
+        """Joints and object of an arm, each alone; none without an arm, or if the object alone was measured."""
+        found = {}
+        for name, seen in ALONE.items() if self.table.arms and self.table.joints else ():
+            found[name] = copy.copy(self)
+            found[name]._judge(seen)
+        return found
+
+    @property
+    def comparison_remarks(self) -> Sequence[str]:
+        """See :attr:`Source.comparison_remarks`; of arms with how far joints and object are off, each alone."""
+        sizes = ", ".join(f"{name} {part.size():.3g}" for name, part in self._parts().items())
+        return (*self.remarks, *([f"apart: {sizes} {self.size_unit}"] if sizes else []))
 
     @cached_property
     def _all_signals(self) -> tuple[Feature, ...]:

@@ -39,9 +39,9 @@ class MapShare(Schema):
 
     kind: HitKind = Field(description="square: face on face, along the normal; oblique: any other hit")
     signal: str = Field(description="name of the signal")
-    share: float = Field(ge=0.0, description="difference over the closing speed, in the window where it is least [-]")
+    share: float = Field(ge=0.0, description="difference over the closing speed, 5 to 15 ms after [-]")
     by_window: dict[str, float] = Field({}, description="of the simulator that lies furthest off, by window [-]")
-    by_simulator: dict[str, float] = Field({}, description="of every simulator, in the window that counts [-]")
+    by_simulator: dict[str, float] = Field({}, description="of every simulator, 5 to 15 ms after [-]")
 
 
 class MapDiscrepancy(Schema):

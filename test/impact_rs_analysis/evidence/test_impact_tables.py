@@ -146,6 +146,7 @@ def test_motor_inertia_of_an_arm_is_found_from_its_jumps(tmp_path: Path) -> None
     assert_only(document, "motor_inertia_scale")
     assert covers(document, "motor_inertia_scale", "scale", 1.3)
     joints, item = (view.source.size() for view in source.views()[:2])
+    assert f"apart: joints {joints:.3g}, object {item:.3g} times repeatability" in source.comparison_remarks
     assert joints > 1.2 * item  # a motor that is heavier than assumed shows in its own joint
     assert {feature.signal for feature in source.signals} >= {JOINTS}
 
@@ -200,6 +201,16 @@ def test_stated_noise_counts_beside_repeats_where_it_is_larger(tmp_path: Path, s
     assert np.allclose(item.pure * item.sigma, stated) == larger
     (remark,) = (text for text in source.remarks if "the noise columns say" in text)
     assert ("0.0" in remark) == larger
+
+
+def test_noise_of_joints_that_were_not_measured_is_not_asked_for(tmp_path: Path) -> None:
+    header, rows = arm_table({}, 2)
+    kept = [number for number, name in enumerate(header) if not (name.startswith("dq") and "_after" in name)]
+    header = [*(header[k] for k in kept), "v_noise [m/s]", "w_noise [rad/s]"]
+    path = write_csv(tmp_path / "pushes.csv", header, [[*(row[k] for k in kept), 0.01, 0.1] for row in rows])
+    source = ImpactTableSource(read_impact_table(path, load_scenario("push")), NOMINAL)
+    assert source.noise is not None
+    np.testing.assert_array_equal(source.noise[0], [0.01] * 3 + [0.1] * 3)
 
 
 def test_contacts_that_a_millimetre_decides_are_reported(tmp_path: Path) -> None:
