@@ -15,6 +15,7 @@ from impact_rs_analysis.evidence.cluster import Added
 from impact_rs_analysis.evidence.command_clock import read_laboratory_runs
 from impact_rs_analysis.evidence.discrepancy import NO_DISCREPANCY, Discrepancy
 from impact_rs_analysis.evidence.impact_tables import ImpactTableSource
+from impact_rs_analysis.evidence.map_discrepancy import NO_MAP_DISCREPANCY
 from impact_rs_analysis.evidence.measured_runs import Runs, read_runs
 from impact_rs_analysis.evidence.recordings import RecordingSource
 from impact_rs_analysis.evidence.replay_cache import ReplayCache
@@ -154,7 +155,9 @@ def measured(args: argparse.Namespace, terminal: Terminal, each_arm: bool = Fals
             yield Measurements(
                 map_tasks,
                 terminal,
-                lambda model, _: ImpactTableSource(table, model, each_arm),
+                lambda model, _: ImpactTableSource(
+                    table, model, each_arm, NO_MAP_DISCREPANCY if args.no_discrepancy else None
+                ),
                 what="tables of impacts",
             )
         return

@@ -165,6 +165,12 @@ m/s.""",
             "--effects", kind="effect", many=True, metavar="NAME", help="consider only these effects",
             otherwise="all", label="only these effects",
         ),
+        option(
+            "--bounds", kind="text", many=True, default=(), metavar="EFFECT.PARAMETER=LOW:HIGH", advanced=True,
+            label="ranges of parameters", otherwise="in proportion to the robot",
+            help="ranges of parameters that you know better, in their units, or a YAML file with EFFECT.PARAMETER: "
+            "[LOW, HIGH]; they are not widened",
+        ),
         *SOURCE,
         option(
             "--each-arm", kind="switch", label="parameters of every arm separately", advanced=True,

@@ -88,7 +88,7 @@ SOURCE = (
     option(
         "--no-discrepancy", kind="switch", label="assume an exact simulation", advanced=True,
         help="assume that the simulation is exact: ignore the model discrepancy between simulators "
-        "(config/discrepancy.yaml)",
+        "(config/discrepancy.yaml), or of the impact map (config/map_discrepancy.yaml)",
     ),
 )  # fmt: skip
 

@@ -204,7 +204,7 @@ class Plant:
         }
         tracked = None
         if self._tracked:
-            state = self._mechanics.object_state()
+            state = self.object_state()
             sample = self._tick // self._tracker_ticks
             tracked = self._tracker.measure(sample, self.time, state.position, state.rotation)
         return Measurement(self.time, arms, tracked)
@@ -216,7 +216,11 @@ class Plant:
             name: ArmTruth(**vars(mechanics.arm(name)), pad_force=mechanics.pad_force(name))
             for name in self.physics.arms
         }
-        return Truth(self.time, arms, mechanics.object_state() if self._tracked else None)
+        return Truth(self.time, arms, self.object_state() if self._tracked else None)
+
+    def object_state(self) -> BodyState:
+        """True state of the object at its geometric centre."""
+        return self._mechanics.object_state()
 
     def step(self, desired: dict[str, Array]) -> None:
         """Advance by one control period with desired torques ``(n,)`` [N m] by arm.

@@ -8,6 +8,7 @@ body falls as far,
     m,    l,    t = sqrt(l / |g|);    a quantity in kg^a m^b s^c is larger by m^a l^b t^c
 
 so that a torque is judged by the torque of the robot's own weight, and verdicts do not depend on the units of mass.
+Of a free body they are stated for a cube of 1 kg and 0.1 m that comes at 1 m/s.
 """
 
 from __future__ import annotations
@@ -17,23 +18,24 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from impact_rs_sim.physics import Physics
+from impact_rs_sim.physics import ObjectPhysics, Physics
 from impact_rs_sim.robot import Array, RobotFacts
 from impact_rs_sim.units import dimension_of
 
 FRANKA_MASS = 16.062132  # kg, links 1 to 7
 FRANKA_REACH = 0.98626233  # m, from joint 2 along all joints to the flange
 GRAVITY = 9.81  # m/s^2
+GYRATION = 0.1 / 6.0**0.5  # m, of the cube
 
 
 @dataclass(frozen=True)
 class Proportion:
-    """A robot over the Franka arm.
+    """A robot over the Franka arm, or a free body over the one above.
 
     Attributes:
-        mass: Of its links [-].
-        length: Of its reach [-].
-        time: In which a body falls as far as it reaches [-].
+        mass: Of its links, or of the body [-].
+        length: Of its reach, or of its radius of gyration [-].
+        time: In which a body falls as far as it reaches, or comes as far [-].
     """
 
     mass: float = 1.0
@@ -51,9 +53,15 @@ class Proportion:
     def of_robots(robots: Sequence[RobotFacts], gravity: Array) -> Proportion:
         """Mean proportion of robots (at least one) under a gravity, ``(3,)`` [m/s^2]."""
         mass = float(np.mean([_mass(facts) for facts in robots])) / FRANKA_MASS
-        length = float(np.mean([_reach(facts) for facts in robots])) / FRANKA_REACH
+        length = float(np.mean([reach_of(facts) for facts in robots])) / FRANKA_REACH
         size = float(np.linalg.norm(gravity)) or GRAVITY
         return Proportion(mass, length, float(np.sqrt(length * GRAVITY / size)))
+
+    @staticmethod
+    def of_body(body: ObjectPhysics, speed: float) -> Proportion:
+        """Proportion of a free body that comes at some speed [m/s]."""
+        length = gyration_of(body) / GYRATION
+        return Proportion(body.mass, length, length / speed)
 
     def factor(self, unit: str) -> float:
         """Factor of a quantity with this unit, ``N m`` for example.
@@ -65,11 +73,16 @@ class Proportion:
         return float(self.mass**kg * self.length**m * self.time**s)
 
 
+def gyration_of(body: ObjectPhysics) -> float:
+    """Radius of gyration of a body, mean over its axes [m]."""
+    return float(np.sqrt(np.mean(body.inertia) / body.mass))
+
+
 def _mass(facts: RobotFacts) -> float:
     return sum(link.mass for link in facts.links)
 
 
-def _reach(facts: RobotFacts) -> float:
-    """Length of the chain from its second joint to the flange [m]."""
+def reach_of(facts: RobotFacts) -> float:
+    """Reach of an arm: length of the chain from its second joint to the flange [m]."""
     places = [joint.xyz for joint in facts.joints[1:]] + [facts.flange.xyz]
     return float(sum(np.linalg.norm(place) for place in places))

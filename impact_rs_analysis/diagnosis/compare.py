@@ -87,6 +87,6 @@ def compare(source: Source) -> ComparisonDocument:
         not_measured=source.not_measured,
         skipped=tuple(LeftOut(name=name, reason=why) for name, why in skipped),
         recording=source.recording,
-        discrepancy=source.discrepancy.document,
+        discrepancy=source.discrepancy_document,
         remarks=(*source.comparison_remarks, *remarks),
     )

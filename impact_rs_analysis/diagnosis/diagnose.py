@@ -7,7 +7,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from impact_rs_analysis.diagnosis.bounds import NO_BOUNDS, Bounds, bounded
 from impact_rs_analysis.diagnosis.document import (
+    TOO_FEW,
     CorrelatedPair,
     DesignDocument,
     DiagnosisDocument,
@@ -15,9 +17,12 @@ from impact_rs_analysis.diagnosis.document import (
     Identifiability,
     JointError,
     LackOfFit,
+    LimitDocument,
     ModelIdentity,
+    ProportionDocument,
     RunsIdentity,
     UnexplainedDocument,
+    ViewDocument,
 )
 from impact_rs_analysis.diagnosis.drift import doubt_of, drift_in_words, drift_of
 from impact_rs_analysis.diagnosis.fit import Evidence, Fit
@@ -34,7 +39,6 @@ from impact_rs_analysis.diagnosis.verdicts import (
     effect_documents,
     headline,
     noise_size,
-    residual_size,
     residual_unit,
     rests_of,
     supported_by_hold_out,
@@ -42,18 +46,21 @@ from impact_rs_analysis.diagnosis.verdicts import (
     without_the_doubtful,
 )
 from impact_rs_analysis.diagnosis.words import summary_of
-from impact_rs_analysis.evidence.source import Source
+from impact_rs_analysis.evidence.source import Source, View
 from impact_rs_sim.effects import Effect
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.model import Model
-from impact_rs_sim.proportion import Proportion
 from impact_rs_sim.robot import Array
 
 CORRELATED = 0.8
 
 
 def diagnose(
-    source: Source, model: Model, only: Sequence[str] | None = None, progress: ProgressCallback = lambda *_: None
+    source: Source,
+    model: Model,
+    only: Sequence[str] | None = None,
+    progress: ProgressCallback = lambda *_: None,
+    bounds: Bounds = NO_BOUNDS,
 ) -> DiagnosisDocument:
     """Find out which effects are missing in a model.
 
@@ -63,10 +70,39 @@ def diagnose(
         only: Names of the effects to consider; None: all that the model does not contain, in trials and tables without
             those that recordings calibrate.
         progress: Called with effects and their held-out error during the search (:class:`Search`).
+        bounds: Ranges of parameters that a user knows better.
 
     Raises:
         InputError: Too few conditions for a hold-out.
     """
+    document = _diagnosed(source, model, only, bounds, progress)
+    views = () if document.verdict == TOO_FEW else source.views()
+    document = document.model_copy(update={"views": tuple(_view(view, model, only, bounds) for view in views)})
+    summary = " ".join(filter(None, [summary_of(document), doubt_of(document.drift)]))
+    return document.model_copy(update={"summary": summary})
+
+
+def _view(view: View, model: Model, only: Sequence[str] | None, bounds: Bounds) -> ViewDocument:
+    """The verdict on a view of the measurements."""
+    found = _diagnosed(view.source, model, only, bounds)
+    return ViewDocument(
+        name=view.name,
+        option=view.option,
+        verdict=found.verdict,
+        named=found.named,
+        held_out_error_before=found.held_out_error_before,
+        held_out_error_after=found.held_out_error_after,
+    )
+
+
+def _diagnosed(
+    source: Source,
+    model: Model,
+    only: Sequence[str] | None,
+    bounds: Bounds,
+    progress: ProgressCallback = lambda *_: None,
+) -> DiagnosisDocument:
+    """:func:`diagnose` without other views and summary."""
     if source.repeated and len(source.clusters) < LEAST_CLUSTERS:
         names = ", ".join(item.name for item in source.clusters)
         raise InputError(
@@ -75,9 +111,10 @@ def diagnose(
         )
     known = source.model.known_effects
     present = {item.name for item in source.model.effects}
-    size = Proportion.of(source.physics)
     offered = [name for name, effect in known.items() if source.kind == "recordings" or not effect.calibrates]
-    effects = [known[name].in_proportion(size) for name in only or offered if name not in present]
+    effects = [
+        bounded(known[name].in_proportion(source.proportion), bounds) for name in only or offered if name not in present
+    ]
     search = Search(effects, Evidence.of(source), progress)
     chosen = None if search.evidence.null.shortage is not None else search.choose()
     rivals: Sequence[Rival] = ()
@@ -121,7 +158,7 @@ def _document(found: Findings, known: dict[str, Effect], source: Source, model: 
     ties = {name: found.tied_with(name) for name in found.names}
     drift = drift_of(source.clusters)
     remarks = [*filter(None, [drift_in_words(drift)]), *_remarks(found, source)]
-    document = DiagnosisDocument(
+    return DiagnosisDocument(
         source=source.kind,
         verdict=verdict.verdict,
         named=found.names,
@@ -135,8 +172,8 @@ def _document(found: Findings, known: dict[str, Effect], source: Source, model: 
         runs=_runs(source),
         error_unit=residual_unit(evidence),
         noise_floor=noise_size(evidence),
-        held_out_error_before=residual_size(evidence, before),
-        held_out_error_after=residual_size(evidence, after),
+        held_out_error_before=found.held_out_sizes[0],
+        held_out_error_after=found.held_out_sizes[1],
         held_out_change_ci95=change_interval(before, after, evidence) if found.hold_out is not None else None,
         hold_out=_hold_out(found.hold_out, source),
         lack_of_fit=_lack_of_fit(verdict),
@@ -146,16 +183,17 @@ def _document(found: Findings, known: dict[str, Effect], source: Source, model: 
             least_p=LEAST_P,
             shortage=evidence.null.shortage,
         ),
-        discrepancy=source.discrepancy.document,
+        discrepancy=source.discrepancy_document,
         identifiability=_identifiability(found.chosen),
         joints=_joints(source, before, after),
         recording=source.recording,
         drift=drift,
+        proportion=_proportion(source),
+        limits=_limits(source),
         remarks=tuple(remarks),
         formulas=source.model.formulas,
         arms=source.model.arms,
     )
-    return document.model_copy(update={"summary": " ".join(filter(None, [summary_of(document), doubt_of(drift)]))})
 
 
 def _lack_of_fit(verdict: Headline) -> LackOfFit:
@@ -163,6 +201,23 @@ def _lack_of_fit(verdict: Headline) -> LackOfFit:
         before=None if verdict.before is None else clip_p(verdict.before),
         after=None if verdict.after is None else clip_p(verdict.after),
     )
+
+
+def _proportion(source: Source) -> ProportionDocument:
+    return ProportionDocument(**vars(source.proportion))
+
+
+def _limits(source: Source) -> tuple[LimitDocument, ...]:
+    """Relevance limits of all signals, each once."""
+    found = {
+        (feature.phase, feature.signal, feature.unit): LimitDocument(
+            phase=feature.phase, signal=feature.signal, limit=feature.relevance_limit, unit=feature.unit
+        )
+        for item in source.clusters
+        for feature in item.features
+        if feature.relevance_limit > 0.0
+    }
+    return tuple(found.values())
 
 
 def _runs(source: Source) -> RunsIdentity:

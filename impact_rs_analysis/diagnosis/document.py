@@ -48,11 +48,31 @@ class EstimateDocument(Schema):
     p_value: float | None = Field(None, description="p-value of this joint's parameter being nominal, given all others")
     error_before: float | None = Field(None, description="held-out error of the joint without it, in the joint's unit")
     error_after: float | None = Field(None, description="held-out error of the joint with it, in the joint's unit")
+    nominal: float | None = Field(None, description="value at which the effect does nothing, in its unit")
+    range: tuple[float, float] | None = Field(None, description="range that was searched, in its unit")
+    at_bound: bool = Field(False, description="whether the estimate lies at an end of the range, and not at nominal")
 
     @property
     def interval(self) -> tuple[float, float]:
         """95 % interval, in its unit; unbounded where none is known."""
         return (-math.inf, math.inf) if self.ci95 is None else self.ci95
+
+    @property
+    def excludes_nominal(self) -> bool:
+        """Whether the interval leaves out the value at which the effect does nothing."""
+        low, high = self.interval
+        return self.nominal is not None and not low <= self.nominal <= high
+
+
+def explained(before: float, after: float, noise: float) -> float:
+    """Share of the squared error beyond noise that is gone [-]; below 0: there is more.
+
+    Args:
+        before: Held-out error without the effects.
+        after: The same with them.
+        noise: The same of noise alone; 0: not known.
+    """
+    return (before**2 - after**2) / max(before**2 - noise**2, 1e-300)
 
 
 class SizeDocument(Schema):
@@ -124,7 +144,9 @@ class RestDocument(Schema):
 class UnexplainedDocument(Schema):
     """Residuals after the diagnosis."""
 
-    share_of_excess: float | None = Field(None, description="share of the error beyond noise that remains")
+    share_of_excess: float | None = Field(
+        None, description="share of the squared held-out error beyond noise that remains"
+    )
     where: tuple[RestDocument, ...] = Field((), description="largest remaining residuals")
 
 
@@ -194,6 +216,23 @@ class DriftDocument(Schema):
     confounded: bool = Field(description="whether conditions were measured one after the other")
 
 
+class ProportionDocument(Schema):
+    """Size of the robot beside the Franka arm for which ranges and relevance limits are stated."""
+
+    mass: float = Field(1.0, description="of its links [-]")
+    length: float = Field(1.0, description="of its reach [-]")
+    time: float = Field(1.0, description="in which a body falls as far as it reaches [-]")
+
+
+class LimitDocument(Schema):
+    """Relevance limit of one signal."""
+
+    phase: str = Field(description="phase of the motion")
+    signal: str = Field(description="what it is")
+    limit: float = Field(description="smallest difference that matters, in the unit")
+    unit: str = Field(description="unit")
+
+
 class JointError(Schema):
     """Held-out error of one joint."""
 
@@ -202,6 +241,17 @@ class JointError(Schema):
     after: float = Field(description="with the chosen effects [unit]")
     noise: float = Field(description="noise of the recorded torque [unit]")
     unit: str = Field("N m", description="unit of all of them; N of a joint that slides")
+
+
+class ViewDocument(Schema):
+    """Verdict on the same measurements looked at in another way."""
+
+    name: str = Field(description="what is looked at: joints or object of an arm alone, or other contact points")
+    option: str = Field("", description="option whose other value it is; empty: a part of the signals")
+    verdict: str = Field(description="as that of the diagnosis")
+    named: tuple[str, ...] = Field(description="effects that it names")
+    held_out_error_before: float = Field(description="held-out error of the model, in error_unit")
+    held_out_error_after: float = Field(description="held-out error with the effects named, in error_unit")
 
 
 class DiagnosisDocument(Schema):
@@ -238,6 +288,11 @@ class DiagnosisDocument(Schema):
     joints: tuple[JointError, ...] = Field((), description="held-out error by joint, of recordings")
     recording: RecordingDocument | None = Field(None, description="how recordings were read")
     drift: DriftDocument | None = Field(None, description="drift over the campaign; null: order unknown or no repeats")
+    proportion: ProportionDocument = Field(
+        default_factory=ProportionDocument, description="size of the robot, from which ranges and limits follow"
+    )
+    limits: tuple[LimitDocument, ...] = Field((), description="relevance limits that were used")
+    views: tuple[ViewDocument, ...] = Field((), description="verdicts on parts of the signals, or other contact points")
     remarks: tuple[str, ...] = Field((), description="remarks for the reader")
     formulas: tuple[FormulaSpec, ...] = Field((), description="user-defined effects that were considered")
     arms: dict[str, int] = Field({}, description="joints of arms with parameters of their own; empty: shared")

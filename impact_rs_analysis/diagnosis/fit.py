@@ -219,6 +219,8 @@ class Fit:
         """
         candidate, inverse = self.candidate, np.linalg.inv(self.problem.total)
         half, least = self.half_widths, self._squares_at([self.estimate])[0]
+        if not np.isfinite(least):
+            least = 0.0  # nothing to compare with: the ends stay where they are
         ends = {}
         for side in (-1.0, 1.0):
             reach, left = half.copy(), list(range(half.size))

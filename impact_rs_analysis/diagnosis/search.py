@@ -43,6 +43,8 @@ from impact_rs_sim.robot import Array
 
 PAIRS = 2  # fitted jointly after effects were found one by one
 AMONG = 10  # effects from which pairs are formed
+MORE = 1.5  # times as many features as at nominal; where a secant changes so many, contacts are in another mode
+UNCHANGED = 1e-6  # scaled features per parameter scale; the solver's rounding
 
 
 @dataclass(frozen=True)
@@ -104,26 +106,35 @@ class Search:
             (self.singles if found.seen else self._unseen)[found.names[0]] = found
 
     def _seen_from_afar(self, candidate: Candidate, base: Added = ()) -> Candidate:
-        """The candidate with secants for parameters without sensitivity at nominal, to where they change something.
+        """The candidate with secants for parameters that change more features far from nominal, to where they do.
 
         A contact that sticks does not depend on its friction, until there is so little that it slips; one without
-        friction throws no slip back, until there is friction in the model, so other effects may be the ``base``.
+        friction throws no slip back, until there is friction in the model, so other effects may be the ``base``. Where
+        a few impacts slip and most stick, friction is hardly seen at nominal. So of impacts, whose predictions are
+        cheap, every parameter is looked at from afar, and the point counts at which most features change; of motions
+        those alone that change nothing at nominal, and the nearest point at which something does.
         """
         clusters, numbers = self.evidence.clusters, self.evidence.numbers
         if not any(concerns(effect, item) for effect in candidate.effects for item in clusters):
             return candidate
-        for index in candidate.unseen:
-            if candidate.scalars[index].shape:
+        for index, scalar in enumerate(candidate.scalars):
+            here = _changed([jacobian[:, index] for jacobian in candidate.jacobians])
+            if scalar.shape or (here and self.source.of_motion):
                 continue
+            best, most = None, MORE * here
             for point in candidate.probes(index):
                 added = (*base, *candidate.split(point))
                 changes = self.source.differences(numbers, base, added, "probes of effects")
-                if any(change is None for change in changes) or not any(np.any(change) for change in changes):
+                if any(change is None for change in changes):
                     continue
                 steps = (point[index] - candidate.point[index]) / candidate.scale[index]
                 columns = [np.asarray(c) / item.sigma / steps for c, item in zip(changes, clusters, strict=True)]
-                candidate = candidate.with_sensitivity(index, columns)
-                break
+                if (seen := _changed(columns)) > most:
+                    best, most = columns, seen
+                    if self.source.of_motion:
+                        break
+            if best is not None:
+                candidate = candidate.with_sensitivity(index, best)
         return candidate
 
     def _look_beside(self, chosen: Fit) -> None:
@@ -411,6 +422,11 @@ class Search:
                 fitted = refine_again(refine(linear.candidate, chosen.evidence, HOPELESS * chosen.score))
                 found.append(Rival(other, name, fitted, tied(chosen, fitted) and not _in_the_limit(fitted, other)))
         return found
+
+
+def _changed(columns: Sequence[Array]) -> int:
+    """Number of features over all clusters that a sensitivity changes."""
+    return sum(int(np.count_nonzero(np.abs(column) > UNCHANGED)) for column in columns)
 
 
 def _in_the_limit(fitted: Fit, name: str) -> bool:

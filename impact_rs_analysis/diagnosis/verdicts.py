@@ -25,6 +25,7 @@ from impact_rs_analysis.diagnosis.document import (
     EstimateDocument,
     RestDocument,
     SizeDocument,
+    explained,
 )
 from impact_rs_analysis.diagnosis.fit import Evidence, Fit
 from impact_rs_analysis.diagnosis.hold_out import HoldOut
@@ -42,6 +43,7 @@ from impact_rs_sim.robot import Array
 
 MOST_SIZES = 3
 MOST_RESTS = 10
+NO_SIZE = "predicts unseen data, but its interval holds the value at which it does nothing: more conditions decide"
 
 NOT_MEASURED = {
     "motor side": "no motor-side signal was measured",
@@ -85,6 +87,13 @@ class Findings:
     def unexplained(self) -> list[Array]:
         """Mean residuals with the chosen effects, ``(F,)`` per cluster [-]."""
         return [item.mean for item in self.evidence.clusters] if self.chosen is None else self.chosen.rest
+
+    @property
+    def held_out_sizes(self) -> tuple[float, float]:
+        """Held-out error of the model, and with the effects that searches without the held-out part find."""
+        before = [item.mean for item in self.evidence.clusters]
+        after = before if self.hold_out is None else self.hold_out.rest
+        return residual_size(self.evidence, before), residual_size(self.evidence, after)
 
     def tied_with(self, name: str) -> tuple[str, ...]:
         """Effects that predict as well in place of a chosen one."""
@@ -250,7 +259,7 @@ class Headline:
 
     Attributes:
         verdict: See :class:`~impact_rs_analysis.diagnosis.document.DiagnosisDocument`.
-        share: Share of the excess error that remains.
+        share: Share of the squared held-out error beyond noise that remains.
         before: p-value of the model's residuals being noise; None without repeats.
         after: The same of the remaining residuals.
     """
@@ -266,8 +275,7 @@ def headline(found: Findings) -> Headline:
     evidence, chosen = found.evidence, found.chosen
     before = evidence.lack_of_fit
     after = before if chosen is None else chosen.lack_of_fit()
-    errors = np.array([float(np.mean(np.square(rest))) for rest in found.unexplained])
-    share = evidence.excess(errors) / max(evidence.excess(evidence.errors), 1e-300)
+    share = 1.0 - explained(*found.held_out_sizes, noise_size(evidence))
     if evidence.null.shortage is not None:
         return Headline(TOO_FEW, share, before, after)
     if not evidence.source.repeated:
@@ -349,6 +357,11 @@ def _chosen_document(found: Findings, effect: Effect) -> EffectDocument:
         verdict, reason = f"{CONFUSABLE}{{{', '.join(sorted(rivals))}}}", "other effects predict unseen data as well"
     else:
         verdict, reason = CONFIRMED, "predicts unseen data, and no other effect does as well"
+    parameters = _estimates(found, chosen, name)
+    if verdict == CONFIRMED or rivals:
+        shapes = {scalar.name for scalar in chosen.candidate.scalars[part] if scalar.shape}
+        if not any(parameters[key].excludes_nominal for key in parameters.keys() - shapes):
+            verdict, reason = UNIDENTIFIABLE, NO_SIZE
     before = residual_size(evidence, [item.mean for item in evidence.clusters])
     folds = None if found.hold_out is None else sum(name in names for names in found.hold_out.chosen)
     return EffectDocument(
@@ -357,7 +370,7 @@ def _chosen_document(found: Findings, effect: Effect) -> EffectDocument:
         verdict=verdict,
         reason=reason,
         rivals=rivals,
-        parameters=_estimates(found, chosen, name),
+        parameters=parameters,
         held_out_error_before=before,
         held_out_error_after=residual_size(chosen.evidence, chosen.problem.left_out_rest),
         held_out_error_alone=_error_alone(found, name),
@@ -449,9 +462,12 @@ def _estimates(found: Findings, fitted: Fit, name: str) -> dict[str, EstimateDoc
         verdict = p = before = after = None
         if scalar.joint is not None and name in found.names and fitted is found.chosen:
             verdict, p, before, after = _joint(found, fitted, index)
+        low, high = min(low, value), max(high, value)
+        if verdict is not None and verdict.startswith((CONFIRMED, CONFUSABLE)) and low <= scalar.nominal <= high:
+            verdict = UNIDENTIFIABLE
         result[scalar.name] = EstimateDocument(
             estimate=value,
-            ci95=(min(low, value), max(high, value)),
+            ci95=(low, high),
             unit=scalar.unit,
             meaning=scalar.meaning,
             joint=None if scalar.joint is None else f"joint{scalar.joint + 1}",
@@ -460,6 +476,9 @@ def _estimates(found: Findings, fitted: Fit, name: str) -> dict[str, EstimateDoc
             p_value=p,
             error_before=before,
             error_after=after,
+            nominal=scalar.nominal,
+            range=(float(candidate.lower[index]), float(candidate.upper[index])),
+            at_bound=bool(fitted.at_bound[index]),
         )
     return result
 

@@ -3,45 +3,138 @@
 
 from __future__ import annotations
 
-from impact_rs_analysis.diagnosis.document import NONE, NOTHING, PARTLY, SMALL, TOO_FEW, DiagnosisDocument
+from impact_rs_analysis.diagnosis.document import (
+    NONE,
+    NOTHING,
+    PARTLY,
+    SMALL,
+    TOO_FEW,
+    UNIDENTIFIABLE,
+    DiagnosisDocument,
+    ViewDocument,
+    explained,
+)
+from impact_rs_analysis.diagnosis.thresholds import SIGNIFICANT
 from impact_rs_analysis.evidence.cluster import TIMES
 
 
 def summary_of(document: DiagnosisDocument) -> str:
-    """Verdict, held-out error and largest residual in two to four sentences."""
-    name, verdict = document.model.name, document.verdict
-    unit = "× repeatability" if document.error_unit == TIMES else document.error_unit
+    """Verdict, held-out error and largest residual in two to four sentences, and one for every other view."""
+    parts = [view for view in document.views if not view.option]
+    turned = [view for view in document.views if view.option and set(view.named) != set(document.named)]
+    sentences = [_verdict(document), *(_part(view, document) for view in parts)]
+    return " ".join([*sentences, *(_turn(view) for view in turned)])
+
+
+def _part(view: ViewDocument, document: DiagnosisDocument) -> str:
+    """Verdict on a part of the signals."""
+    unit = _unit(document)
+    before = f"{view.held_out_error_before:.3g}"
+    what = f"The {view.name} alone"
+    if view.verdict == NOTHING:
+        found = "nothing missing" if document.noise_floor else "no effect improves the prediction"
+        return f"{what}: {found} ({before} {unit})."
+    if not view.named:
+        why = "beyond noise, but too small to matter" if view.verdict == SMALL else "no effect explains them"
+        return f"{what}: {why} ({before} {unit})."
+    small = ", too small to matter" if view.verdict == SMALL else ""
+    rest = ", and more is missing" if view.verdict.startswith((PARTLY, NONE)) else ""
+    fall = _fall(view.held_out_error_before, view.held_out_error_after)
+    return f"{what}: {' and '.join(view.named)}{small}{rest} ({fall} {unit})."
+
+
+def _bounds(document: DiagnosisDocument) -> str:
+    """Named effects with an estimate at a bound; empty: none."""
+    found = []
+    for effect in document.effects:
+        ends = [
+            f"{name} = {estimate.estimate:.3g}{'' if estimate.unit == '-' else f' {estimate.unit}'}"
+            for name, estimate in effect.parameters.items()
+            if estimate.at_bound
+        ]
+        if effect.name in document.named and ends:
+            found.append(f"{effect.name} is AT-BOUND ({', '.join(ends)}): another effect may be missing.")
+    return " ".join(found)
+
+
+def _turn(view: ViewDocument) -> str:
+    """That the verdict depends on a setting."""
+    return f"The verdict turns on which points touch: with {view.name} it is {view.verdict} ({view.option})."
+
+
+def _unit(document: DiagnosisDocument) -> str:
+    return "× repeatability" if document.error_unit == TIMES else document.error_unit
+
+
+def _verdict(document: DiagnosisDocument) -> str:
+    """Verdict, held-out error and largest residual."""
+    name, verdict, unit = document.model.name, document.verdict, _unit(document)
     before, after = document.held_out_error_before, document.held_out_error_after
     noise = document.noise_floor if document.error_unit != TIMES else 0.0
     noise_text = f" (noise alone: {noise:.3g})" if noise else ""
-    fall = f"Held-out error: {before:.3g} → {after:.3g} {unit}{noise_text}."
+    error = f"Held-out error: {before:.3g} {unit}{noise_text}."
     named = " and ".join(document.named)
     runs = f"{document.runs.trials} {document.source}"
     if verdict == TOO_FEW:
         return f"These {runs} cannot decide what model '{name}' lacks. Needed: {document.design.shortage}."
     if verdict == NOTHING:
-        return f"These {runs} show nothing missing in model '{name}'. Held-out error: {before:.3g} {unit}{noise_text}."
+        if document.noise_floor:
+            return f"These {runs} show nothing missing in model '{name}'. {error}"
+        return (
+            f"No effect in the library improves what model '{name}' predicts of these {runs}; how much of the error is "
+            f"noise is not known. {error}"
+        )
     if verdict == SMALL:
         what = named or "A residual beyond noise"
         return f"{what} is present, but too small to matter: {_small(document)}. Model '{name}' needs no change."
     rest = _rest(document)
-    if verdict == NONE:
-        if document.named:
-            return f"No effect in the library explains these {runs}; {named} explains a small part. {fall} {rest}"
-        return (
-            f"Model '{name}' does not predict these {runs}, and no effect in the library explains why. Held-out error: "
-            f"{before:.3g} {unit}{noise_text}. {rest}"
-        )
+    if not document.named:
+        text = f"Model '{name}' does not predict these {runs}, and no effect in the library explains why."
+        return " ".join(filter(None, [text, _lowering(document), error, rest]))
+    fall = f"Held-out error: {_fall(before, after)} {unit}{noise_text}."
+    doubts = " ".join(filter(None, [_bounds(document), _open(document), _confusable(document)]))
+    text = f"Model '{name}' lacks {named}."
+    share = 100.0 * explained(before, after, document.noise_floor)
     if verdict.startswith(PARTLY):
-        share = 100.0 * (1.0 - (document.unexplained.share_of_excess or 0.0))
-        return (
+        text = (
             f"Model '{name}' lacks {named}, which explains {share:.0f} % of the error beyond noise, and at least one "
-            f"more effect. {fall} {rest}"
+            "more effect."
         )
-    text = f"Model '{name}' lacks {named}. {fall}"
-    for group in document.confusable:
-        text += f" These data cannot distinguish {group[0]} from {', '.join(group[1:])}."
-    return f"{text} {rest}".strip()
+    if verdict == NONE:
+        text = f"No effect in the library explains these {runs}; {named} takes {share:.0f} % of the error beyond noise."
+    return " ".join(filter(None, [text, fall, doubts, rest]))
+
+
+def _fall(before: float, after: float) -> str:
+    """Two errors with as many digits as it takes to tell them apart, three at least."""
+    for digits in range(3, 9):
+        first, second = f"{before:.{digits}g}", f"{after:.{digits}g}"
+        if first != second:
+            break
+    return f"{first} → {second}"
+
+
+def _lowering(document: DiagnosisDocument) -> str:
+    """Effects that are significant and lower the error, but are not named."""
+    found = [
+        effect.name
+        for effect in document.effects
+        if effect.p_value is not None
+        and effect.p_value < SIGNIFICANT
+        and (effect.held_out_error_after or 0.0) < (effect.held_out_error_before or 0.0)
+    ]
+    return f"Significant, but too little or not supported by the hold-out: {', '.join(found)}." if found else ""
+
+
+def _open(document: DiagnosisDocument) -> str:
+    """Named effects of unknown size."""
+    found = [e.name for e in document.effects if e.name in document.named and e.verdict == UNIDENTIFIABLE]
+    return f"The data do not say how large: {', '.join(found)}." if found else ""
+
+
+def _confusable(document: DiagnosisDocument) -> str:
+    """Which effects cannot be distinguished."""
+    return " ".join(f"These data cannot distinguish {one} from {', '.join(by)}." for one, *by in document.confusable)
 
 
 def _small(document: DiagnosisDocument) -> str:

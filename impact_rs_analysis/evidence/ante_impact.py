@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -36,8 +37,11 @@ def ante_impact_state(run: MeasuredRun) -> dict[str, ArmState]:
 
 def obliqueness(run: MeasuredRun) -> float:
     """Obliqueness of a hit: largest angle of pad normal or velocity to the contact normal [rad]."""
-    physics, box = run.setup.physics, run.setup.windows[-1].object
-    states = ante_impact_state(run)
+    return obliqueness_of(run.setup.physics, ante_impact_state(run), run.setup.windows[-1].object)
+
+
+def obliqueness_of(physics: Physics, states: Mapping[str, ArmState], box: BodyState) -> float:
+    """As :func:`obliqueness`, of pads in the state just before they hit an object."""
     models = physics.robot_models()
     placements = {name: models[name].placement(state.position) for name, state in states.items()}
     angles = []

@@ -24,10 +24,15 @@ where H is diagonal, as for a free body whose moments are alike. Every entry has
 
 so that fits minimise the reported error. Scaling each signal by its own residual would be wrong: the signal with the
 largest effect of a missing term would then have the smallest weight in its estimate.
+
+Tables of arms have a discrepancy of the rigid map (:mod:`impact_rs_analysis.evidence.map_discrepancy`). With repeats it
+is part of sigma, without them of what is expected. Joints and object of an arm are also judged apart, and so are other
+contact points where they may decide (:meth:`ImpactTableSource.views`).
 """
 
 from __future__ import annotations
 
+import copy
 from collections import OrderedDict
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -35,7 +40,9 @@ from functools import cached_property
 
 import numpy as np
 
-from impact_rs_analysis.evidence.cluster import TIMES, Added, Cluster, Feature, pooled_error, size_of
+from impact_rs_analysis.evidence.ante_impact import obliqueness_of
+from impact_rs_analysis.evidence.cluster import TIMES, Added, Cluster, Feature, pooled_error
+from impact_rs_analysis.evidence.discrepancy import DiscrepancyDocument
 from impact_rs_analysis.evidence.levels import (
     Comparison,
     ConditionScore,
@@ -45,8 +52,19 @@ from impact_rs_analysis.evidence.levels import (
     where_of,
     where_of_blocks,
 )
+from impact_rs_analysis.evidence.map_discrepancy import (
+    ANGULAR,
+    JOINTS,
+    LINEAR,
+    NO_MAP_DISCREPANCY,
+    HitKind,
+    MapDiscrepancy,
+    lengths_of,
+    measured_map_discrepancy,
+)
 from impact_rs_analysis.evidence.neighbour_noise import noise_of_neighbours
-from impact_rs_analysis.evidence.source import Identity, Source, with_per_arm_parameters
+from impact_rs_analysis.evidence.replays import SQUARE
+from impact_rs_analysis.evidence.source import Identity, Source, View, with_per_arm_parameters
 from impact_rs_analysis.evidence.tracks import ComparedSignal, Track
 from impact_rs_sim.errors import InputError, NotABody
 from impact_rs_sim.impact_map.contacts import contact_frame
@@ -54,6 +72,7 @@ from impact_rs_sim.impact_map.laws import System
 from impact_rs_sim.impact_map.measured import MeasuredImpact, MeasuredImpacts, restitution_of
 from impact_rs_sim.model import Model
 from impact_rs_sim.physics import Physics
+from impact_rs_sim.proportion import Proportion
 from impact_rs_sim.robot import Array
 from impact_rs_trials.recordings.impact_checks import doubts_of
 from impact_rs_trials.recordings.impact_table import WIDER, ImpactTable
@@ -62,23 +81,21 @@ from impact_rs_trials.workers import Map
 BLOCKS = 24  # at most: of 24 blocks a fold leaves 18 for the search, and the test needs 12
 LEAST_CONDITIONS = 3  # with repeats; with fewer, blocks are used
 LEAST_REPEATS = 3  # degrees of freedom of the pure error
-RELEVANT_LINEAR = 0.005  # m/s; resolution of body velocities by motion capture
-RELEVANT_ANGULAR = 0.05  # rad/s; the same at a lever of 0.1 m
-RELEVANT_JOINT = 0.005  # rad/s; the same at a lever of 1 m; m/s for a prismatic joint
+RELEVANT = 0.005  # of the closing speed; 5 mm/s at 1 m/s, the resolution of body velocities by motion capture
 LEAST_SCALE = 1e-6  # m/s; a model with smaller residuals is exact
 KEPT = 128_000_000  # bytes of predictions of the whole table, with effects that were tried last
 TELLING = 0.8  # of what the model leaves; scatter of neighbours above it says nothing
-DECIDES = 0.3  # of what the model leaves; contacts that move predictions by more may decide
+DECIDES = 0.2  # of what the model leaves; contacts that move predictions by more may decide
 GAINED = 1.05  # kinetic energy after over before; rows above it are reported
 
-JOINTS, LINEAR, ANGULAR = "joint velocity after", "velocity after", "angular velocity after"
 AXES = ("x", "y", "z")
 CONTACT_AXES = ("normal", "sliding", "across")
 STICKING = 1e-6  # m/s; slower contacts have no sliding direction, and any tangent is taken
 NO_DISCREPANCY_KNOWN = (
-    "model discrepancy of the rigid impact map is not known and taken as 0: finite duration and compliance of real "
-    "impacts count against the model"
+    "model discrepancy of the rigid impact map is taken as 0: finite duration and compliance of real impacts count "
+    "against the model"
 )
+ALONE = {"joints": slice(None, -6), "object": slice(-6, None)}  # parts of a row of an arm that are also judged apart
 NO_REPEATS = (
     "too few rows are repeats of each other (column 'condition'), so blocks of neighbouring rows are held out instead"
 )
@@ -113,6 +130,8 @@ class ImpactTableSource(Source):
     Args:
         table: The measurements.
         model: The model.
+        each_arm: Whether arms of one kind have parameters of their own.
+        discrepancy: Of the rigid map, for arms; None: as measured.
 
     Attributes:
         predicted: u^+ of the model in the axes of the features, ``(rows, nv)`` [rad/s, m/s].
@@ -129,29 +148,52 @@ class ImpactTableSource(Source):
     of_motion = False
     least_change = 0.0  # relevance limits decide; rows are independent, unlike samples of a torque
 
-    def __init__(self, table: ImpactTable, model: Model, each_arm: bool = False) -> None:
+    def __init__(
+        self, table: ImpactTable, model: Model, each_arm: bool = False, discrepancy: MapDiscrepancy | None = None
+    ) -> None:
         model = with_per_arm_parameters(model, [row.physics for row in table.rows], each_arm)
         self.table, self.model = table, model
+        known = measured_map_discrepancy() if discrepancy is None else discrepancy
+        self._map_discrepancy = known if table.arms else NO_MAP_DISCREPANCY
         distinct = {id(row.physics): row.physics for row in table.rows}
         places = {number: place for place, number in enumerate(distinct)}
         self._world_of = [places[id(row.physics)] for row in table.rows]
         self._worlds = [model.apply(physics) for physics in distinct.values()]
         self.physics = self._worlds[0]
-        self._impacts = MeasuredImpacts([row.impact for row in table.rows], self._of_rows(self._worlds))
         self._effects = model.known_effects
-        self._known: OrderedDict[bytes, Array] = OrderedDict()
         self._axes = np.array([_axes_of(row.impact) for row in table.rows])
-        self._seen = slice(None) if table.joints else slice(-6, None)
-        self.measured = _turned(np.array([row.after for row in table.rows]), self._axes)[:, self._seen]
-        self.predicted = self.predicted_with(())
-        self.noise = None if table.noise is None else table.noise[:, self._seen]
         groups = _conditions(table)
         self.repeated = groups is not None
         self._groups = tuple(_blocks(table) if groups is None else groups)
         self.size_unit = TIMES if self.repeated else self.residual_unit
         self.size_is = SIZE_REPEATED if self.repeated else SIZE_ALONE
-        self.clusters = self._clusters()
+        self._impacts = MeasuredImpacts([row.impact for row in table.rows], self._of_rows(self._worlds))
+        self._known: OrderedDict[bytes, Array] = OrderedDict()
+        self._judge(slice(None) if table.joints else ALONE["object"])
         self.remarks = tuple(self._remarks())
+
+    def _judge(self, seen: slice) -> None:
+        """Compare some of the entries of the rows."""
+        self._seen = seen
+        self.signals, self.worth = self._all_signals[seen], self._all_worth[:, seen]
+        self.measured = _turned(np.array([row.after for row in self.table.rows]), self._axes)[:, seen]
+        self.noise = None if self.table.noise is None else self.table.noise[:, seen]
+        self.predicted = self.predicted_with(())
+        self.clusters = self._clusters()
+
+    @property
+    def discrepancy_document(self) -> DiscrepancyDocument:
+        """See :attr:`Source.discrepancy_document`: of the rigid map, for arms."""
+        return self._map_discrepancy.document
+
+    def views(self) -> tuple[View, ...]:
+        """See :meth:`Source.views`: joints and object of an arm apart, and other contact points where they decide."""
+        found = [View(name, part) for name, part in self._parts().items()]
+        for times in (1.0 / WIDER, WIDER):
+            if self._contacts_matter(times):
+                how = f"points within {1e3 * times * self.table.tolerance:g} mm"
+                found.append(View(how, self._with_contacts(times), "--contact-tolerance"))
+        return tuple(found)
 
     @property
     def identity(self) -> Identity:
@@ -159,18 +201,43 @@ class ImpactTableSource(Source):
         names = tuple(item.name for item in self.clusters) if self.repeated else (self.table.path.name,)
         return Identity(self.table.digest, len(self.table.rows), names)
 
+    def _parts(self) -> dict[str, ImpactTableSource]:
+        """Joints and object of an arm, each alone; none without an arm, or if the object alone was measured."""
+        found = {}
+        for name, seen in ALONE.items() if self.table.arms and self.table.joints else ():
+            found[name] = copy.copy(self)
+            found[name]._judge(seen)
+        return found
+
+    @property
+    def comparison_remarks(self) -> Sequence[str]:
+        """See :attr:`Source.comparison_remarks`; of arms with how far joints and object are off, each alone."""
+        sizes = ", ".join(f"{name} {part.size():.3g}" for name, part in self._parts().items())
+        return (*self.remarks, *([f"apart: {sizes} {self.size_unit}"] if sizes else []))
+
     @cached_property
-    def signals(self) -> tuple[Feature, ...]:
+    def _all_signals(self) -> tuple[Feature, ...]:
         """Description of the entries of a row, the same for all rows, ``nv`` of them."""
         found = []
-        for name in self.table.rows[0].impact.arms if self.table.joints else ():
+        for name in self.table.rows[0].impact.arms:
             label = f"{name}." if len(self.table.arms) > 1 else ""
             for joint, units in enumerate(self.table.rows[0].physics.arms[name].facts.units, start=1):
-                found.append(Feature("impact", JOINTS, f"{label}joint{joint}", 0, units.velocity, RELEVANT_JOINT, name))
+                found.append(Feature("impact", JOINTS, f"{label}joint{joint}", 0, units.velocity, 0.0, name))
         names = AXES if self.table.arms else CONTACT_AXES
-        found += [Feature("impact", LINEAR, axis, 0, "m/s", RELEVANT_LINEAR) for axis in names]
-        found += [Feature("impact", ANGULAR, axis, 0, "rad/s", RELEVANT_ANGULAR) for axis in names]
-        return tuple(found)
+        found += [Feature("impact", LINEAR, axis, 0, "m/s", 0.0) for axis in names]
+        found += [Feature("impact", ANGULAR, axis, 0, "rad/s", 0.0) for axis in names]
+        limits = RELEVANT * self._speed / lengths_of(found, self.physics)
+        return tuple(replace(f, relevance_limit=float(limit)) for f, limit in zip(found, limits, strict=True))
+
+    @cached_property
+    def _speed(self) -> float:
+        """Closing speed of the impacts, root mean square [m/s]."""
+        return float(np.sqrt(np.mean(np.square(self._impacts.closing_speeds))))
+
+    @property
+    def proportion(self) -> Proportion:
+        """See :attr:`Source.proportion`; a free body is in proportion to its mass, moments and closing speed."""
+        return Proportion.of(self.physics) if self.table.arms else Proportion.of_body(self.physics.object, self._speed)
 
     @cached_property
     def _systems(self) -> tuple[System, ...]:
@@ -182,14 +249,14 @@ class ImpactTableSource(Source):
         )
 
     @cached_property
-    def worth(self) -> Array:
+    def _all_worth(self) -> Array:
         """Velocity of the body with the energy of 1 rad/s or 1 m/s, ``(rows, nv)`` [m, -]; see the module."""
         inertia = np.array([system.inertia for system in self._systems])
         turned = inertia.copy()  # H T^T, then T H T^T, with T the axes
         turned = np.swapaxes(_turned_all(turned, self._axes), 1, 2)
         diagonal = np.einsum("nii->ni", _turned_all(turned, self._axes))
         masses = np.array([self._worlds[world].object.mass for world in self._world_of])
-        return np.asarray(np.sqrt(diagonal / masses[:, None])[:, self._seen])
+        return np.asarray(np.sqrt(diagonal / masses[:, None]))
 
     def residual_weight(self, item: Cluster) -> Array:
         """See :meth:`Source.residual_weight`; the mean over all entries of a row times their number is d^2."""
@@ -241,7 +308,7 @@ class ImpactTableSource(Source):
         """See :meth:`Source.size`; without repeats, root mean square over the rows of d of the module [m/s]."""
         if self.repeated:
             return super().size()
-        return float(np.sqrt(np.mean(np.sum(np.square((self.measured - self.predicted) * self.worth), axis=1))))
+        return self._in_energy(self.measured - self.predicted)
 
     def noise_size(self) -> float | None:
         """Value of :meth:`size` if only noise is left; None if the noise is not known."""
@@ -249,7 +316,7 @@ class ImpactTableSource(Source):
             return super().noise_size()
         if self.noise is None:
             return None
-        return float(np.sqrt(np.mean(np.sum(np.square(self.noise * self.worth), axis=1))))
+        return self._in_energy(self.noise)
 
     def compare_levels(self) -> Comparison:
         """See :meth:`Source.compare_levels`: the velocities just after the impact."""
@@ -309,11 +376,37 @@ class ImpactTableSource(Source):
         key = b"".join(_what_the_map_knows(physics) for physics in worlds)
         if key not in self._known:
             velocity, _ = self._impacts.solve(self._of_rows(worlds))
-            self._known[key] = _turned(velocity, self._axes)[:, self._seen]
+            self._known[key] = _turned(velocity, self._axes)
             while sum(values.nbytes for values in self._known.values()) > KEPT:
                 self._known.popitem(last=False)
         self._known.move_to_end(key)
-        return self._known[key]
+        return self._known[key][:, self._seen]
+
+    @cached_property
+    def _kinds(self) -> list[HitKind]:
+        """Kind of the hit of every row."""
+        found: list[HitKind] = []
+        for row, world in zip(self.table.rows, self._world_of, strict=True):
+            impact, physics = row.impact, self._worlds[world]
+            oblique = bool(impact.arms) and obliqueness_of(physics, impact.arms, impact.object) > SQUARE
+            found.append("oblique" if oblique else "square")
+        return found
+
+    @cached_property
+    def _of_the_map_in_all(self) -> Array:
+        """Discrepancy of the rigid map of all entries of a row, rms over the rows, ``(nv,)``."""
+        if not self.table.arms:
+            return np.zeros(6)
+        rows = [
+            self._map_discrepancy.of(self._all_signals, self._worlds[world], float(speed), kind)
+            for world, speed, kind in zip(self._world_of, self._impacts.closing_speeds, self._kinds, strict=True)
+        ]
+        return np.asarray(np.sqrt(np.mean(np.square(rows), axis=0)))
+
+    @property
+    def _of_the_map(self) -> Array:
+        """The same of the entries that are compared, ``(F,)``."""
+        return self._of_the_map_in_all[self._seen]
 
     def _clusters(self) -> tuple[Cluster, ...]:
         rest = self.measured - self.predicted
@@ -323,7 +416,7 @@ class ImpactTableSource(Source):
             assert pooled is not None
             self._pooled, stated = pooled, self._stated_noise()
             pure = pooled if stated is None else np.maximum(pooled, stated)
-            sigma = np.broadcast_to(np.hypot(pure, limit), rest.shape)
+            sigma = np.broadcast_to(np.sqrt(pure**2 + limit**2 + self._of_the_map**2), rest.shape)
             noise = np.broadcast_to(pure, rest.shape)
         else:
             sigma = max(self.size() / np.sqrt(len(self.signals)), LEAST_SCALE) / self.worth
@@ -346,7 +439,8 @@ class ImpactTableSource(Source):
             residuals=scaled if self.repeated else scaled.reshape(1, -1),
             sigma=sigma[shown].ravel(),
             pure=(noise[shown] / sigma[shown]).ravel(),
-            discrepancy=np.zeros(len(features)),
+            discrepancy=(self._of_the_map / sigma[shown]).ravel(),
+            alike=group.name if self._kinds[rows[0]] == "oblique" else None,
             stamps=np.array(rows, dtype=float) if self.repeated else None,
         )
 
@@ -358,7 +452,9 @@ class ImpactTableSource(Source):
         return {1: "on a corner", 2: "on an edge"}.get(len(impact.points), "on a face")
 
     def _remarks(self) -> list[str]:
-        remarks = [*doubts_of(self.table), *self.table.assumed, NO_DISCREPANCY_KNOWN]
+        remarks = [*doubts_of(self.table), *self.table.assumed]
+        if not self._map_discrepancy.entries:
+            remarks.append(NO_DISCREPANCY_KNOWN)
         if not self.repeated:
             remarks.append(NO_REPEATS)
             if self.noise is None:
@@ -369,12 +465,6 @@ class ImpactTableSource(Source):
                         f"impacts of neighbouring states scatter by {scatter:.3g} m/s: what the model leaves "
                         "beyond that is no noise"
                     )
-        if self.table.arms and self.table.joints and self.repeated:
-            joints, body = self._size_of(joints=True), self._size_of(joints=False)
-            remarks.append(
-                f"apart: joints {joints:.3g}, object {body:.3g} times repeatability; an arm on a real impact also does "
-                "what no rigid map can"
-            )
         if (unsure := self._unsure_contacts()) is not None:
             remarks.append(unsure)
         if self.repeated and (stated := self._stated_noise()) is not None:
@@ -395,31 +485,50 @@ class ImpactTableSource(Source):
             remarks.append(f"columns that are not used: {', '.join(self.table.unread)}")
         return remarks
 
-    def _size_of(self, joints: bool) -> float:
-        """Value of :meth:`size` of the joints alone, or of the object alone."""
-        parts = [
-            item.only([(feature.signal == JOINTS) == joints for feature in item.features], contact=True)
-            for item in self.clusters
-        ]
-        return size_of([part.error for part in parts], [part.expected for part in parts])
+    def _with_contacts(self, times: float) -> ImpactTableSource:
+        """The same measurements with the contact points of another tolerance.
+
+        Args:
+            times: The tolerance over that of the table, ``WIDER`` or its inverse [-].
+        """
+        rows = []
+        for row in self.table.rows:
+            other = row.wider if times > 1.0 else row.narrower
+            rows.append(replace(row, impact=row.impact if other is None else other, wider=None, narrower=None))
+        table = replace(self.table, rows=tuple(rows), tolerance=times * self.table.tolerance)
+        return ImpactTableSource(table, self.model, discrepancy=self._map_discrepancy)
+
+    def _contacts_moved(self, times: float) -> float:
+        """How much predictions move with the contact points of another tolerance, as :meth:`size` in m/s."""
+        others = [(n, row.wider if times > 1.0 else row.narrower) for n, row in enumerate(self.table.rows)]
+        changed = [(number, impact) for number, impact in others if impact is not None]
+        if not changed:
+            return 0.0
+        numbers, impacts = [number for number, _ in changed], [impact for _, impact in changed]
+        physics = [self._worlds[self._world_of[number]] for number in numbers]
+        velocity, _ = MeasuredImpacts(impacts, physics).solve(physics)
+        moved = np.zeros_like(self.predicted)
+        moved[numbers] = np.nan_to_num(_turned(velocity, self._axes[numbers])[:, self._seen] - self.predicted[numbers])
+        return self._in_energy(moved)
+
+    def _contacts_matter(self, times: float) -> bool:
+        """Whether the contact points of another tolerance may decide a verdict."""
+        return self._contacts_moved(times) > DECIDES * self._in_energy(self.measured - self.predicted)
+
+    def _in_energy(self, rest: Array) -> float:
+        """Rms over the rows of d of the module, of differences ``(rows, F)`` [m/s]."""
+        return float(np.sqrt(np.mean(np.sum(np.square(rest * self.worth), axis=1))))
 
     def _unsure_contacts(self) -> str | None:
         """How much depends on where bodies touch; None: nothing, or points were measured."""
-        rows = [(number, row.wider) for number, row in enumerate(self.table.rows) if row.wider is not None]
-        if not rows:
+        count = sum(row.wider is not None for row in self.table.rows)
+        if not count:
             return None
-        numbers = [number for number, _ in rows]
-        physics = [self._worlds[self._world_of[number]] for number in numbers]
-        velocity, _ = MeasuredImpacts([impact for _, impact in rows], physics).solve(physics)
-        moved = np.zeros_like(self.predicted)
-        moved[numbers] = np.nan_to_num(_turned(velocity, self._axes[numbers])[:, self._seen] - self.predicted[numbers])
-        size = float(np.sqrt(np.mean(np.sum(np.square(moved * self.worth), axis=1))))
-        whole = float(np.sqrt(np.mean(np.sum(np.square((self.measured - self.predicted) * self.worth), axis=1))))
-        turns = "; so much that it may decide the verdict" if size > DECIDES * whole else ""
         return (
-            f"which points touch is unsure in {len(rows)} of {len(self.table.rows)} rows: with "
+            f"which points touch is unsure in {count} of {len(self.table.rows)} rows: with "
             f"{1e3 * WIDER * self.table.tolerance:g} in place of {1e3 * self.table.tolerance:g} mm predictions move by "
-            f"{size:.2g} m/s, beside {whole:.2g} m/s between measurement and model{turns} (--contact-tolerance)"
+            f"{self._contacts_moved(WIDER):.2g} m/s, beside {self._in_energy(self.measured - self.predicted):.2g} m/s "
+            "between measurement and model (--contact-tolerance)"
         )
 
     def scatter_of_neighbours(self, rest: Array) -> float | None:
@@ -441,7 +550,7 @@ class ImpactTableSource(Source):
             for row, axes in zip(self.table.rows, self._axes, strict=True)
         ]
         found = noise_of_neighbours(np.hstack((before, levers)), rest)
-        return None if found is None else float(np.sqrt(np.mean(np.sum(np.square(found * self.worth), axis=1))))
+        return None if found is None else self._in_energy(found)
 
     def _stated_noise(self) -> Array | None:
         """Standard deviation of the noise columns by feature, ``(nv,)``; None: there are none."""

@@ -11,7 +11,7 @@ from typing import Literal, TypeVar
 import numpy as np
 
 from impact_rs_analysis.evidence.cluster import TIMES, Added, Cluster, difference, size_of
-from impact_rs_analysis.evidence.discrepancy import NO_DISCREPANCY, Discrepancy
+from impact_rs_analysis.evidence.discrepancy import NO_DISCREPANCY, Discrepancy, DiscrepancyDocument
 from impact_rs_analysis.evidence.levels import Comparison, RecordingDocument, condition_scores, where_of
 from impact_rs_analysis.evidence.measured_runs import Runs
 from impact_rs_analysis.evidence.tracks import Track
@@ -19,6 +19,7 @@ from impact_rs_sim.effects.base import Joints
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.model import Model
 from impact_rs_sim.physics import Physics
+from impact_rs_sim.proportion import Proportion
 from impact_rs_sim.robot import Array, JointType, RobotFacts
 from impact_rs_trials.workers import Map
 
@@ -39,6 +40,21 @@ class Identity:
     digest: str
     count: int
     conditions: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class View:
+    """The same measurements looked at in another way, which gets a verdict of its own.
+
+    Attributes:
+        name: What is looked at, in words.
+        source: The evidence.
+        option: Option of the command line whose other value it is; empty: a part of the signals.
+    """
+
+    name: str
+    source: Source
+    option: str = ""
 
 
 class Source(ABC):
@@ -90,6 +106,16 @@ class Source(ABC):
     def comparison_remarks(self) -> Sequence[str]:
         """See the class."""
         return self.remarks
+
+    @property
+    def proportion(self) -> Proportion:
+        """Size of what was measured, to which ranges of parameters and noticeable changes are in proportion."""
+        return Proportion.of(self.physics)
+
+    @property
+    def discrepancy_document(self) -> DiscrepancyDocument:
+        """What a document says of the model discrepancy that is allowed for."""
+        return self.discrepancy.document
 
     @property
     def worlds(self) -> Sequence[Physics]:
@@ -165,6 +191,10 @@ class Source(ABC):
         """
         found = self.predict([(number, added) for added in (before, after) for number in numbers], what)
         return [difference(a, b) for a, b in zip(found[: len(numbers)], found[len(numbers) :], strict=True)]
+
+    def views(self) -> tuple[View, ...]:
+        """Other ways to look at the measurements, which the diagnosis judges as well."""
+        return ()
 
     def compare_levels(self) -> Comparison:
         """Residuals of the model by level, signal and place."""

@@ -86,6 +86,7 @@ class DiagnosisPage:
         comparison: The model against the same measurements.
         arms: Titles of the arms, by name.
         limits: Relevance limit of every signal.
+        ranges: Estimates whose range is known, by effect and parameter.
         effects: Measurable effects, best first.
         effects_plot: Their errors; None without effects.
         unmeasured: Effects without influence on the measured signals.
@@ -103,6 +104,7 @@ class DiagnosisPage:
     comparison: ComparisonDocument
     arms: dict[str, str]
     limits: tuple[RelevanceLimit, ...]
+    ranges: tuple[tuple[str, EstimateDocument], ...]
     effects: tuple[EffectRow, ...]
     effects_plot: Plot | None
     unmeasured: tuple[str, ...]
@@ -145,6 +147,12 @@ def write_diagnosis(
         comparison=comparison,
         arms={arm.name: arm.title for arm in comparison.arms},
         limits=_relevance_limits(comparison),
+        ranges=tuple(
+            (f"{effect.name}: {name}", estimate)
+            for effect in document.effects
+            for name, estimate in effect.parameters.items()
+            if estimate.range is not None
+        ),
         effects=tuple(_effect_row(effect) for effect in document.effects if effect.measured),
         effects_plot=None if bars is None else Plot("effects", bars),
         unmeasured=tuple(effect.name for effect in document.effects if not effect.measured),

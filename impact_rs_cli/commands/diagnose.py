@@ -9,6 +9,7 @@ from pathlib import Path
 from rich.markup import escape
 from rich.table import Table
 
+from impact_rs_analysis.diagnosis.bounds import NO_BOUNDS, Bounds, read_bounds
 from impact_rs_analysis.diagnosis.compare import compare
 from impact_rs_analysis.diagnosis.diagnose import diagnose
 from impact_rs_analysis.diagnosis.document import (
@@ -43,8 +44,9 @@ def run(args: argparse.Namespace, terminal: Terminal) -> int:
         raise InputError("this is a folder; name a file, for example diagnosis.json", file=args.output)
     extended = with_formulas(model, args.formulas)
     check_effects(extended, args.effects)
+    bounds = read_bounds(args.bounds, extended.known_effects)
     with measured(args, terminal, args.each_arm) as measurements:
-        document = diagnosis_of(measurements, model, extended, args.effects, terminal, args.output)
+        document = diagnosis_of(measurements, model, extended, args.effects, terminal, args.output, bounds)
         if args.report is not None:
             with output_folder(args.report):
                 path = report_of(document, measurements, args.model, extended, args.report)
@@ -99,6 +101,7 @@ def diagnosis_of(
     only: list[str] | None,
     terminal: Terminal,
     output: Path | None = None,
+    bounds: Bounds = NO_BOUNDS,
 ) -> DiagnosisDocument:
     """Diagnose, write the result, and show it.
 
@@ -109,9 +112,10 @@ def diagnosis_of(
         only: Names of the effects to consider; None: all.
         terminal: Where to show it.
         output: File for it, which is there before anything is shown; None: none.
+        bounds: Ranges of parameters that the user knows better.
     """
     with measurements.progress():
-        document = diagnose(measurements.against(extended), model, only, terminal.rank)
+        document = diagnose(measurements.against(extended), model, only, terminal.rank, bounds)
     new = tuple(spec for spec in extended.formulas if spec not in model.formulas)
     document = document.model_copy(update={"formulas": new})
     if output is not None:

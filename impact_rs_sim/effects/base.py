@@ -67,7 +67,7 @@ class Parameter:
         meaning: What it is, for tables.
         per_joint: Whether there is one per joint.
         step: Step of the first finite difference; None: its scale.
-        firm: Whether its range is one of physics, which a fit never leaves.
+        firm: Whether a fit never leaves its range, which is one of physics or given by a user.
         shape: Whether it has no influence while the effect is off (Stribeck velocity; position of a payload).
         grid: Starting values of a shape parameter.
         far: Starting values for a second fit after a poor one, where the contact state changes on the way.
@@ -112,7 +112,7 @@ class Parameter:
         return min(self.difference, 0.2 * abs(value)) if self.grid and value != 0.0 else self.difference
 
     def widened(self) -> Parameter:
-        """The parameter with a range twice as wide; a firm range and a bound at 0 are those of physics, and stay.
+        """The parameter with a range twice as wide; a firm range and a bound at 0, which is one of physics, stay.
 
         A shape whose grid spans decades keeps its range: beyond, the effect is the limit of a simpler one.
         """
@@ -122,6 +122,11 @@ class Parameter:
             return replace(self, lower=0.5 * self.lower, upper=2.0 * self.upper)
         lower, upper = (bound and 2.0 * bound - self.nominal for bound in (self.lower, self.upper))
         return replace(self, lower=lower, upper=upper)
+
+    def within(self, lower: float, upper: float) -> Parameter:
+        """The parameter with a range that a user has given, in its unit."""
+        grid = tuple(value for value in self.grid if lower <= value <= upper)
+        return replace(self, lower=lower, upper=upper, grid=grid, firm=True)
 
     @property
     def possible(self) -> tuple[float, float]:

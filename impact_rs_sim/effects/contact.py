@@ -331,10 +331,8 @@ RESTITUTION_FALL = SceneEffect(
     name="restitution_fall",
     acts_on="contact",
     sentence="The faster the object comes, the less it bounces.",
-    # Where none is assumed there is nothing to fall from: the step is a rise.
-    parameters=(
-        Parameter("fall", "s/m", 0.0, -0.5, 0.5, 0.01, "fall of restitution with the closing speed", step=-0.01),
-    ),
+    # No body is known to bounce more when it comes faster: a rise would stand for a restitution that is not assumed.
+    parameters=(Parameter("fall", "s/m", 0.0, 0.0, 0.5, 0.01, "fall of restitution with the closing speed"),),
     law=_restitution_fall,
     phases=SINGLE_IMPACT,
 )

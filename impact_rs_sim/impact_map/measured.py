@@ -112,6 +112,11 @@ class MeasuredImpacts:
         self._arms: OrderedDict[tuple[object, ...], tuple[object, tuple[Array, ...]]] = OrderedDict()
         self._closing, self._slip = self._approach(physics)
 
+    @property
+    def closing_speeds(self) -> Array:
+        """Largest closing speed of the contacts of every impact, ``(N,)`` [m/s]."""
+        return np.maximum.reduceat(self._closing, self._first[:-1])
+
     def _approach(self, physics: Sequence[Physics]) -> tuple[Array, Array]:
         """Closing and sliding speed of every contact point, ``(M,)`` each [m/s]; inertia has no part in them."""
         position, _, twist = (values[self._owner] for values in self._body)

@@ -38,6 +38,8 @@ column                                      unit      what it is
 ``B1`` ``B2`` ...                           kg m^2    motor inertia that is assumed; absent: B_theta of the scenario
 ``object``                                            name of the scenario's object; absent: its only one
 ``condition``                                         rows of one condition are repeats of each other
+``contact_tolerance``                       m         how much further off than the nearest a point may be that touches,
+                                                      where the geometry says which do: pose noise times the width
 ``v_noise`` ``w_noise`` ``dq_noise``        m/s or    standard deviation of a measured change of velocity, where it is
                                             rad/s     known
 ==========================================  ========  ============================================================
@@ -95,7 +97,8 @@ MOMENTS = 1e-3  # by how much a moment of inertia may exceed the sum of the othe
 UP = np.array([0.0, 0.0, 1.0])
 AXES = "xyz"
 MOST_POINTS = 8  # contact points that a row may name
-WIDER = 4.0  # tolerances; points between one and so many may touch or not
+WIDER = 4.0  # tolerances; points between a quarter of one and so many may touch or not
+TOLERANCE = "contact_tolerance"
 SLIP = 0.75  # likeness from which an unknown column is taken for a slip of the pen
 
 
@@ -111,6 +114,8 @@ class ImpactRow:
         impact: State just before, and contact points.
         after: Measured u^+, joint velocities of every arm and then the twist of the centre, ``(nv,)`` [rad/s, m/s].
         wider: The impact with more contact points, those within ``WIDER`` tolerances; None: there are no more.
+        narrower: The impact with fewer, those within a tolerance over ``WIDER`` (no pose is known better than
+            ``GAP_TOLERANCE``); None: there are no fewer.
     """
 
     number: int
@@ -120,6 +125,7 @@ class ImpactRow:
     impact: MeasuredImpact
     after: Array
     wider: MeasuredImpact | None = None
+    narrower: MeasuredImpact | None = None
 
 
 @dataclass(frozen=True)
@@ -132,9 +138,10 @@ class ImpactTable:
         rows: Its impacts.
         arms: Names of the arms; empty: free bodies.
         joints: Whether joint velocities after the impact were measured.
-        tolerance: How much further off than the nearest a point may be that touches [m].
+        tolerance: How much further off than the nearest a point may be that touches [m]; of rows that say it
+            themselves, their mean.
         noise: Standard deviation of a measured change of velocity in the order of ``after``, ``(rows, nv)``
-            [rad/s, m/s]; None: said nowhere.
+            [rad/s, m/s], nan of joints that were not measured; None: said nowhere.
         assumed: Assumptions where the table has no column, as text.
         unread: Columns that are not used.
     """
@@ -244,6 +251,7 @@ BODY = {
     "v_noise": "m/s",
     "w_noise": "rad/s",
     "dq_noise": "rad/s",
+    TOLERANCE: "m",
     "condition": "",
     "object": "",
 }
@@ -280,8 +288,17 @@ class _Reader:
         self._demand()
         rows = tuple(self._impact(number, cells) for number, cells in enumerate(self.cells, start=1))
         noise, assumed = self._noise(rows), self._assumed()
+        tolerances = [self._tolerance(number, cells) for number, cells in enumerate(self.cells, start=1)]
         return ImpactTable(
-            self.path, digest, rows, self._arms, noise, assumed, tuple(unread), self._joints_after, self.tolerance
+            path=self.path,
+            digest=digest,
+            rows=rows,
+            arms=self._arms,
+            noise=noise,
+            assumed=assumed,
+            unread=tuple(unread),
+            joints=self._joints_after,
+            tolerance=float(np.mean(tolerances)),
         )
 
     @property
@@ -297,6 +314,15 @@ class _Reader:
         """Whether some joint has a velocity after the impact."""
         columns = (name for arm in self._arms for name in self._of_joints(arm, "dq", "_after"))
         return any(name in self._where for name in columns)
+
+    def _tolerance(self, number: int, cells: Mapping[str, Any]) -> float:
+        """How much further off than the nearest a point of a row may be that touches [m]."""
+        if TOLERANCE not in self._where:
+            return self.tolerance
+        value = self._value(number, cells, TOLERANCE)
+        if value < 0.0:
+            raise self._wrong(number, f"column {self._where[TOLERANCE]!r}", value, "expected a distance >= 0 [m]")
+        return value
 
     def _joints(self, arm: str) -> int:
         assert self.scenario is not None
@@ -489,11 +515,13 @@ class _Reader:
                 points = corners_that_touch(body, physics.object.size, upwards, tolerance)
             return MeasuredImpact(arms, body, points)
 
+        tolerance = self._tolerance(number, cells)
         try:
-            impact, wider = with_points(self.tolerance), with_points(WIDER * self.tolerance)
+            impact, wider = with_points(tolerance), with_points(WIDER * tolerance)
+            narrower = with_points(max(tolerance / WIDER, min(tolerance, GAP_TOLERANCE)))
         except Infeasible as error:
             raise self._wrong(number, "pose of pad and object", None, error.message) from None
-        more = None if len(wider.points) == len(impact.points) else wider
+        fewer, more = (None if len(other.points) == len(impact.points) else other for other in (narrower, wider))
         closing = impact.closing_speed(physics, models)
         if not closing > 0.0:
             raise self._wrong(
@@ -503,7 +531,7 @@ class _Reader:
                 "no impact: the contact does not close; expected a velocity < 0 m/s against the normal",
             )
         condition = self._text(cells, "condition")
-        return ImpactRow(number, condition, object_name, physics, impact, np.concatenate(after), more)
+        return ImpactRow(number, condition, object_name, physics, impact, np.concatenate(after), more, fewer)
 
     def _rotation(self, number: int, cells: Mapping[str, Any]) -> Array:
         quaternion = self._values(number, cells, ("qx", "qy", "qz", "qw"))
@@ -640,7 +668,7 @@ class _Reader:
 
     def _noise(self, rows: Sequence[ImpactRow]) -> Array | None:
         """Standard deviations in the order of ``after``, ``(rows, nv)``; None where the table says nothing."""
-        wanted = {"v_noise": "m/s", "w_noise": "rad/s"} | ({"dq_noise": "rad/s"} if self._arms else {})
+        wanted = {"v_noise": "m/s", "w_noise": "rad/s"} | ({"dq_noise": "rad/s"} if self._joints_after else {})
         if not any(name in self._where for name in wanted):
             return None
         for name, unit in wanted.items():
@@ -648,9 +676,9 @@ class _Reader:
                 raise InputError(f"no column '{name} [{unit}]', though other noise is given", file=self.path)
         found = []
         for row, cells in zip(rows, self.cells, strict=True):
-            joints = row.after.size - 6
-            names = ["dq_noise"] * joints + ["v_noise"] * 3 + ["w_noise"] * 3
-            found.append(self._values(row.number, cells, names))
+            unmeasured = 0 if self._joints_after else row.after.size - 6
+            names = ["dq_noise"] * (row.after.size - 6 - unmeasured) + ["v_noise"] * 3 + ["w_noise"] * 3
+            found.append(np.concatenate((np.full(unmeasured, np.nan), self._values(row.number, cells, names))))
         return np.array(found)
 
     def _assumed(self) -> tuple[str, ...]:

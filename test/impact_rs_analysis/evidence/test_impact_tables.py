@@ -12,7 +12,8 @@ from impact_table_cases import CUBE_HEADER, NOISE, arm_table, cube, cube_rows, w
 from impact_rs_analysis.diagnosis.compare import compare
 from impact_rs_analysis.diagnosis.diagnose import diagnose
 from impact_rs_analysis.diagnosis.document import CONFIRMED, NONE, NOTHING, DiagnosisDocument
-from impact_rs_analysis.evidence.impact_tables import BLOCKS, JOINTS, ImpactTableSource
+from impact_rs_analysis.evidence.impact_tables import BLOCKS, ImpactTableSource
+from impact_rs_analysis.evidence.map_discrepancy import JOINTS, NO_MAP_DISCREPANCY, measured_map_discrepancy
 from impact_rs_sim.model import load_model
 from impact_rs_sim.physics import Physics
 from impact_rs_sim.scenario import load_scenario
@@ -30,8 +31,9 @@ def of_cubes(path: Path, truth: Physics, **columns: float) -> ImpactTableSource:
 
 
 def of_pushes(path: Path, hidden: dict[str, list[float]], repeats: int, seed: int = 0) -> ImpactTableSource:
+    """Impacts of an arm that obey a rigid map."""
     table = read_impact_table(write_csv(path, *arm_table(hidden, repeats, seed)), load_scenario("push"))
-    return ImpactTableSource(table, NOMINAL)
+    return ImpactTableSource(table, NOMINAL, discrepancy=NO_MAP_DISCREPANCY)
 
 
 def confirmed(document: DiagnosisDocument) -> set[str]:
@@ -143,8 +145,8 @@ def test_motor_inertia_of_an_arm_is_found_from_its_jumps(tmp_path: Path) -> None
     assert source.repeated
     assert_only(document, "motor_inertia_scale")
     assert covers(document, "motor_inertia_scale", "scale", 1.3)
-    (apart,) = (text for text in source.remarks if text.startswith("apart: joints "))
-    joints, item = (float(part.split()[-1]) for part in apart.split(" times")[0].removeprefix("apart: ").split(","))
+    joints, item = (view.source.size() for view in source.views()[:2])
+    assert f"apart: joints {joints:.3g}, object {item:.3g} times repeatability" in source.comparison_remarks
     assert joints > 1.2 * item  # a motor that is heavier than assumed shows in its own joint
     assert {feature.signal for feature in source.signals} >= {JOINTS}
 
@@ -158,7 +160,10 @@ def test_the_mass_of_an_object_is_found_by_what_hits_it(tmp_path: Path) -> None:
 
 def test_pushes_without_anything_hidden_lack_nothing(tmp_path: Path) -> None:
     source = of_pushes(tmp_path / "pushes.csv", {}, repeats=3)
-    assert diagnose(source, NOMINAL, CONSIDERED).verdict == NOTHING
+    document = diagnose(source, NOMINAL, CONSIDERED)
+    assert document.verdict == NOTHING
+    assert "The joints alone: nothing missing" in document.summary
+    assert "The object alone: nothing missing" in document.summary
     assert compare(source).score < 2.0  # times repetition
 
 
@@ -177,8 +182,9 @@ def test_an_object_whose_robot_was_not_measured_after_the_impact_is_compared_alo
     header, rows = arm_table({"object_mass": [1.15]}, 4, seed=1)
     kept = [number for number, name in enumerate(header) if not (name.startswith("dq") and "_after" in name)]
     path = write_csv(tmp_path / "pushes.csv", [header[k] for k in kept], [[row[k] for k in kept] for row in rows])
-    source = ImpactTableSource(read_impact_table(path, load_scenario("push")), NOMINAL)
+    source = ImpactTableSource(read_impact_table(path, load_scenario("push")), NOMINAL, discrepancy=NO_MAP_DISCREPANCY)
     assert {feature.signal for feature in source.signals}.isdisjoint({JOINTS})
+    assert not any(view.name == "object" for view in source.views())  # it is looked at anyway
     assert source.measured.shape == source.predicted.shape == (len(rows), 6)
     document = diagnose(source, NOMINAL, ["object_mass", "restitution"])
     assert_only(document, "object_mass")
@@ -197,6 +203,16 @@ def test_stated_noise_counts_beside_repeats_where_it_is_larger(tmp_path: Path, s
     assert ("0.0" in remark) == larger
 
 
+def test_noise_of_joints_that_were_not_measured_is_not_asked_for(tmp_path: Path) -> None:
+    header, rows = arm_table({}, 2)
+    kept = [number for number, name in enumerate(header) if not (name.startswith("dq") and "_after" in name)]
+    header = [*(header[k] for k in kept), "v_noise [m/s]", "w_noise [rad/s]"]
+    path = write_csv(tmp_path / "pushes.csv", header, [[*(row[k] for k in kept), 0.01, 0.1] for row in rows])
+    source = ImpactTableSource(read_impact_table(path, load_scenario("push")), NOMINAL)
+    assert source.noise is not None
+    np.testing.assert_array_equal(source.noise[0], [0.01] * 3 + [0.1] * 3)
+
+
 def test_contacts_that_a_millimetre_decides_are_reported(tmp_path: Path) -> None:
     """A cube that comes down on an edge, with the opposite one 2 mm above the plane."""
     rows = cube_rows(cube(), 20, noise=False)
@@ -212,3 +228,76 @@ def test_contacts_that_a_millimetre_decides_are_reported(tmp_path: Path) -> None
     wide = read_impact_table(path, tolerance=0.005)
     assert {len(row.impact.points) for row in wide.rows} == {4}
     assert not any("which points touch" in text for text in ImpactTableSource(wide, NOMINAL).remarks)
+
+
+def wrist_jumps(rows: list[list[object]], header: list[str], size: float) -> list[list[object]]:
+    """Joints 5 to 7 jump by as much as no rigid map can, differently in every condition."""
+    rng, places = np.random.default_rng(5), [header.index(f"dq{joint}_after [rad/s]") for joint in (5, 6, 7)]
+    jumps: dict[tuple[object, ...], np.ndarray] = {}
+    for row in rows:
+        jump = jumps.setdefault(tuple(row[:2]), size * rng.standard_normal(3))
+        for place, value in zip(places, jump, strict=True):
+            row[place] = float(row[place]) + value
+    return rows
+
+
+def test_a_wrist_that_no_rigid_map_describes_does_not_drown_the_object(tmp_path: Path) -> None:
+    header, rows = arm_table({"restitution": [0.5]}, 3)
+    path = write_csv(tmp_path / "pushes.csv", header, wrist_jumps(rows, header, 1.0))
+    source = ImpactTableSource(read_impact_table(path, load_scenario("push")), NOMINAL)
+    document = diagnose(source, NOMINAL, CONSIDERED)
+    joints, item = document.views[:2]
+    assert (joints.name, item.name) == ("joints", "object")
+    assert item.named == ("restitution",)
+    assert item.held_out_error_after < 0.5 * item.held_out_error_before
+    assert joints.verdict.startswith((NONE, "PARTLY"))
+    assert "The object alone: restitution (" in document.summary
+
+
+def test_the_discrepancy_of_the_map_grows_with_the_closing_speed_and_not_with_the_size_of_the_robot(
+    tmp_path: Path,
+) -> None:
+    header, rows = arm_table({}, 2)
+    table = read_impact_table(write_csv(tmp_path / "pushes.csv", header, rows), load_scenario("push"))
+    source = ImpactTableSource(table, NOMINAL)
+    features, known = source.signals, measured_map_discrepancy()
+    slow, fast = (known.of(features, source.physics, speed, "square") for speed in (0.5, 1.0))
+    assert fast == pytest.approx(2.0 * slow)
+    assert np.all(known.of(features, source.physics, 1.0, "oblique") >= fast)
+    sigma = source.clusters[0].sigma
+    assert np.all(sigma > ImpactTableSource(table, NOMINAL, discrepancy=NO_MAP_DISCREPANCY).clusters[0].sigma)
+    assert not of_cubes(tmp_path / "cubes.csv", cube()).clusters[0].discrepancy.any()  # a free body has no drives
+
+
+def test_a_verdict_that_turns_on_the_contact_points_says_so(tmp_path: Path) -> None:
+    """Cubes that come down flat are measured with 0.6 degrees of tilt: by a millimetre, an edge hits."""
+    rng, rows = np.random.default_rng(2), []
+    for row in cube_rows(cube(restitution=0.5), 40, noise=False):
+        speed = rng.uniform(0.5, 2.0)
+        row[3:7] = [0.0, 0.0, 0.0, 1.0]
+        row[7:13], row[13:19] = [0.0, 0.0, -speed, 0.0, 0.0, 0.0], [0.0, 0.0, 0.5 * speed, 0.0, 0.0, 0.0]
+        row[13:19] += rng.standard_normal(6) * np.repeat(NOISE[:2], 3)
+        half = 0.5 * np.deg2rad(1.2)
+        row[3:7] = [np.sin(half), 0.0, 0.0, np.cos(half)]
+        rows.append(row)
+    path = write_csv(tmp_path / "cubes.csv", CUBE_HEADER, rows)
+    document = diagnose(ImpactTableSource(read_impact_table(path), NOMINAL), NOMINAL)
+    (view,) = document.views
+    assert view.named == ("restitution",)
+    assert "The verdict turns on which points touch: with points within 4 mm it is restitution" in document.summary
+    wide = ImpactTableSource(read_impact_table(path, tolerance=0.005), NOMINAL)
+    assert [view.name for view in wide.views()] == ["points within 1.25 mm"]
+
+
+def test_a_tolerance_of_a_row_counts_before_that_of_the_table(tmp_path: Path) -> None:
+    rows = cube_rows(cube(), 12, noise=False)
+    half = 0.5 * 0.02  # rad, of a cube of 0.1 m
+    for row in rows:
+        row[3:7] = [np.sin(half), 0.0, 0.0, np.cos(half)]
+        row[7:13] = [0.3, 0.0, -1.0, 0.0, 0.0, 0.0]
+    for number, row in enumerate(rows):
+        row.append(3.0 if number < 6 else 1.0)
+    path = write_csv(tmp_path / "cubes.csv", [*CUBE_HEADER, "contact_tolerance [mm]"], rows)
+    table = read_impact_table(path)
+    assert [len(row.impact.points) for row in table.rows] == [4] * 6 + [2] * 6
+    assert table.tolerance == pytest.approx(0.002)

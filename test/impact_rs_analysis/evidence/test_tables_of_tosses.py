@@ -45,3 +45,13 @@ def test_the_friction_that_is_assumed_of_tosses_does_not_matter(tmp_path: Path, 
         found = document.effect(effect).parameters[parameter]
         half = (found.interval[1] - found.interval[0]) / 2.0
         assert found.estimate == pytest.approx(truth, abs=2.0 * half)
+
+
+def test_friction_that_hardly_any_impact_feels_at_the_assumed_value_is_found(tmp_path: Path) -> None:
+    """Where mu = 1 is assumed, nearly all contacts are believed to stick; with 0.18 they slip."""
+    path = toss_table(tmp_path / "tosses.csv", 1.0, rows=60, restitution=0.0, com=(0.0, 0.0, 0.0))
+    source = ImpactTableSource(read_impact_table(path), NOMINAL)
+    document = diagnose(source, NOMINAL, ["restitution", "support_friction", "rolling_resistance"])
+    assert document.named == ("support_friction",)
+    low, high = document.effect("support_friction").parameters["friction"].interval
+    assert low - 0.005 <= FRICTION - 1.0 <= high + 0.005

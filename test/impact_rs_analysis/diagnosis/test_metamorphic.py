@@ -1,0 +1,256 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What must not matter does not: units, names, order, kind of file, effects that are not there, where a fit begins.
+
+Two tables with a truth (balls with known noise, cubes with repeats), and a recording of an arm. Verdict and estimates
+are compared with those of the same data, changed in a way that changes no physics.
+"""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import numpy as np
+import pytest
+from ball_impacts import Racket, ball_table
+from impact_table_cases import CUBE_HEADER, NOISE, cube, cube_rows, write_csv
+from joint_recordings import swinging, write_bag, write_npz
+from joint_recordings import write_csv as write_columns
+
+from impact_rs_analysis.diagnosis.diagnose import diagnose
+from impact_rs_analysis.diagnosis.document import DiagnosisDocument
+from impact_rs_analysis.evidence.impact_tables import ImpactTableSource
+from impact_rs_analysis.evidence.recordings import RecordingSource
+from impact_rs_sim.model import load_model
+from impact_rs_sim.robot_model import RobotModel
+from impact_rs_trials.recordings.impact_table import read_impact_table
+from impact_rs_trials.recordings.mapping import load_mapping
+from impact_rs_trials.recordings.recording import read_recordings
+
+NOMINAL = load_model(Path("nominal"))
+OF_BALLS = ["restitution", "restitution_fall", "support_friction", "tangential_restitution", "drilling_friction"]
+OF_CUBES = ["restitution", "support_friction", "object_com_offset", "rolling_resistance"]
+OF_ARMS = ["joint_coulomb_friction", "joint_viscous_friction", "torque_offset", "torque_gain", "end_effector_payload"]
+MAPPING = load_mapping("joint_state")
+
+Table = tuple[list[str], list[list[str]]]
+
+
+def diagnosed(path: Path, effects: Sequence[str]) -> DiagnosisDocument:
+    return diagnose(ImpactTableSource(read_impact_table(path), NOMINAL), NOMINAL, effects)
+
+
+def estimates(document: DiagnosisDocument) -> dict[tuple[str, str], tuple[float, float]]:
+    """Estimate and half width of the parameters of all named effects."""
+    return {
+        (name, key): (found.estimate, (found.interval[1] - found.interval[0]) / 2.0)
+        for name in document.named
+        for key, found in document.effect(name).parameters.items()
+    }
+
+
+def assert_alike(
+    one: DiagnosisDocument, other: DiagnosisDocument, share: float = 1e-6, factors: dict[str, float] | None = None
+) -> None:
+    """Same verdicts, and estimates that differ by less than a share of their intervals.
+
+    Args:
+        one: A diagnosis.
+        other: That of the same physics told in another way.
+        share: Of a half width [-].
+        factors: By parameter, its value in the units of the other over its value in those of the one.
+    """
+    assert set(one.named) == set(other.named)
+    for (name, key), (value, half) in estimates(one).items():
+        factor = (factors or {}).get(key, 1.0)
+        again = estimates(other)[name, key][0] / factor
+        assert again == pytest.approx(value, abs=share * half + 1e-9), (name, key)
+        assert one.effect(name).verdict == other.effect(name).verdict
+
+
+@pytest.fixture(scope="module")
+def balls(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Balls with e = 0.53 and mu = 0.212 that are believed to have 0.3 and 0.4."""
+    path = tmp_path_factory.mktemp("balls") / "balls.csv"
+    return ball_table(path, Racket(lambda v: 0.53, 0.212), rows=96, friction=0.4, restitution=0.3)
+
+
+@pytest.fixture(scope="module")
+def of_balls(balls: Path) -> DiagnosisDocument:
+    document = diagnosed(balls, OF_BALLS)
+    assert set(document.named) == {"restitution", "support_friction"}
+    return document
+
+
+@pytest.fixture(scope="module")
+def cubes(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Five tosses, six times each, of cubes with mu = 0.2 and e = 0.3."""
+    rng, rows = np.random.default_rng(3), []
+    for number, row in enumerate(cube_rows(cube(0.2, 0.3), 5, seed=4, noise=False)):
+        for _ in range(6):
+            again = np.array(row)
+            again[13:19] += np.repeat(NOISE[:2], 3) * rng.standard_normal(6)
+            rows.append([*again, f"toss {number}"])
+    path = tmp_path_factory.mktemp("cubes") / "cubes.csv"
+    return write_csv(path, [*CUBE_HEADER, "condition"], rows)
+
+
+@pytest.fixture(scope="module")
+def of_cubes(cubes: Path) -> DiagnosisDocument:
+    document = diagnosed(cubes, OF_CUBES)
+    assert set(document.named) == {"restitution", "support_friction"}
+    return document
+
+
+def read(path: Path) -> Table:
+    with path.open(encoding="utf-8", newline="") as file:
+        header, *rows = csv.reader(file)
+    return header, rows
+
+
+def changed(path: Path, folder: Path, change: Callable[[list[str], list[list[str]]], Table]) -> Path:
+    """The table with a change."""
+    return write_csv(folder / "changed.csv", *change(*read(path)))
+
+
+@pytest.mark.parametrize("removed", ["restitution_fall", "drilling_friction"])
+def test_an_effect_that_is_not_named_can_be_taken_from_the_list(
+    balls: Path, of_balls: DiagnosisDocument, removed: str
+) -> None:
+    assert_alike(of_balls, diagnosed(balls, [name for name in OF_BALLS if name != removed]))
+
+
+@pytest.mark.parametrize("removed", ["object_com_offset", "rolling_resistance"])
+def test_the_same_with_repeats(cubes: Path, of_cubes: DiagnosisDocument, removed: str) -> None:
+    assert_alike(of_cubes, diagnosed(cubes, [name for name in OF_CUBES if name != removed]))
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+def test_the_order_of_rows_does_not_matter(cubes: Path, of_cubes: DiagnosisDocument, tmp_path: Path, seed: int) -> None:
+    def mixed(header: list[str], rows: list[list[str]]) -> Table:
+        return header, [rows[k] for k in np.random.default_rng(seed).permutation(len(rows))]
+
+    assert_alike(of_cubes, diagnosed(changed(cubes, tmp_path, mixed), OF_CUBES))
+
+
+def test_the_order_of_rows_without_repeats_moves_blocks_alone(
+    balls: Path, of_balls: DiagnosisDocument, tmp_path: Path
+) -> None:
+    def backwards(header: list[str], rows: list[list[str]]) -> Table:
+        return header, rows[::-1]
+
+    assert_alike(of_balls, diagnosed(changed(balls, tmp_path, backwards), OF_BALLS), share=0.05)
+
+
+def test_names_and_order_of_columns_and_conditions_do_not_matter(
+    cubes: Path, of_cubes: DiagnosisDocument, tmp_path: Path
+) -> None:
+    def renamed(header: list[str], rows: list[list[str]]) -> Table:
+        order = np.random.default_rng(2).permutation(len(header)).tolist()
+        place = header.index("condition")
+        names = {f"toss {k}": f"{chr(ord('z') - k)}" for k in range(5)}
+        rows = [[*row[:place], names[row[place]], *row[place + 1 :]] for row in rows]
+        return [header[k] for k in order], [[row[k] for k in order] for row in rows]
+
+    assert_alike(of_cubes, diagnosed(changed(cubes, tmp_path, renamed), OF_CUBES))
+
+
+def test_a_table_through_another_door_is_the_same(balls: Path, of_balls: DiagnosisDocument, tmp_path: Path) -> None:
+    arrow, parquet = pytest.importorskip("pyarrow"), pytest.importorskip("pyarrow.parquet")
+    header, rows = read(balls)
+    columns = {name: [float(row[k]) for row in rows] for k, name in enumerate(header)}
+    parquet.write_table(arrow.table(columns), tmp_path / "balls.parquet")
+    assert_alike(of_balls, diagnosed(tmp_path / "balls.parquet", OF_BALLS), share=0.0)
+
+
+DIMENSIONS = {"mass": (1, 0, 0), "radius": (0, 1, 0), "v": (0, 1, -1), "w": (0, 0, -1)}  # powers of kg, m, s
+
+
+@pytest.fixture(scope="module")
+def spun(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, DiagnosisDocument]:
+    """Balls whose parameters have units: a restitution that falls with speed, and friction against their spin."""
+    racket = Racket(lambda v: 0.9 - 0.0213 * v, 0.25, drilling=0.001)
+    path = ball_table(tmp_path_factory.mktemp("spun") / "balls.csv", racket, rows=96, friction=0.25, restitution=0.9)
+    document = diagnosed(path, OF_BALLS)
+    assert set(document.named) == {"restitution_fall", "drilling_friction"}
+    return path, document
+
+
+@pytest.mark.parametrize(("mass", "length", "time"), [(50.0, 1.0, 1.0), (1.0, 30.0, 1.0), (1.0, 1.0, 100.0)])
+def test_units_do_not_matter(
+    spun: tuple[Path, DiagnosisDocument], tmp_path: Path, mass: float, length: float, time: float
+) -> None:
+    """Balls of another mass and size that come at another speed, in proportion."""
+    path, document = spun
+
+    def scaled(header: list[str], rows: list[list[str]]) -> Table:
+        def factor(name: str) -> float:
+            powers = DIMENSIONS.get(name.split()[0], DIMENSIONS.get(name[0]))
+            return 1.0 if powers is None else mass ** powers[0] * length ** powers[1] * time ** powers[2]
+
+        factors = [factor(name) for name in header]
+        return header, [[repr(float(c) * f) for c, f in zip(row, factors, strict=True)] for row in rows]
+
+    again = diagnosed(changed(path, tmp_path, scaled), OF_BALLS)
+    assert again.verdict == document.verdict
+    assert_alike(document, again, share=1e-3, factors={"fall": time / length, "arm": length})
+    speed = length / time
+    assert again.held_out_error_after == pytest.approx(speed * document.held_out_error_after, rel=1e-3)
+
+
+@pytest.mark.parametrize("assumed", [0.0, 0.5, 1.0])
+def test_the_restitution_that_is_assumed_does_not_matter(tmp_path: Path, assumed: float) -> None:
+    """A row of cubes with e = 0.3 and mu = 0.2, believed to bounce otherwise."""
+    rows = cube_rows(cube(0.2, 0.3), 60)
+    for row in rows:
+        row[-1] = assumed
+    document = diagnosed(write_csv(tmp_path / "cubes.csv", CUBE_HEADER, rows), OF_CUBES)
+    assert set(document.named) == {"restitution", "support_friction"}
+    found = estimates(document)
+    value, half = found["restitution", "restitution"]
+    assert value + assumed == pytest.approx(0.3, abs=1.5 * half)
+    value, half = found["support_friction", "friction"]
+    assert value + 0.5 == pytest.approx(0.2, abs=1.5 * half)
+
+
+@pytest.fixture(scope="module")
+def swung() -> dict[str, np.ndarray]:
+    """24 s of an arm with friction in its joints, at 50 Hz."""
+    frequencies = 0.11 + 0.017 * np.arange(7), 0.31 - 0.013 * np.arange(7)
+    centre = np.array([0.0, -0.3, 0.0, -2.0, 0.0, 1.8, 0.5])
+    model = RobotModel(MAPPING.facts, MAPPING.end_effector.build())
+    found = swinging(model, np.arange(0.0, 24.0, 0.02), centre, frequencies, (0.45, 0.12))
+    friction = np.array([0.9, 1.1, 0.8, 1.0, 0.6, 0.5, 0.5])
+    found["effort"] += friction * np.tanh(found["velocity"] / 0.005)
+    found["effort"] += np.random.default_rng(1).normal(0.0, 0.05, found["effort"].shape)
+    return found
+
+
+def of_recording(path: Path, effects: Sequence[str] = OF_ARMS) -> DiagnosisDocument:
+    source = RecordingSource.of(read_recordings(path, MAPPING), MAPPING, NOMINAL)
+    return diagnose(source, NOMINAL, effects)
+
+
+@pytest.fixture(scope="module")
+def of_swing(swung: dict[str, np.ndarray], tmp_path_factory: pytest.TempPathFactory) -> DiagnosisDocument:
+    document = of_recording(write_npz(tmp_path_factory.mktemp("swing") / "swing.npz", swung))
+    assert document.named == ("joint_coulomb_friction",)
+    return document
+
+
+def test_a_recording_through_another_door_is_the_same(
+    swung: dict[str, np.ndarray], of_swing: DiagnosisDocument, tmp_path: Path
+) -> None:
+    """A table, and a bag whose messages list the joints in another order."""
+    doors = [write_columns(tmp_path / "swing.csv", swung), write_bag(tmp_path / "swing", swung, [3, 0, 6, 1, 5, 2, 4])]
+    for path in doors:
+        assert_alike(of_swing, of_recording(path), share=0.02)
+
+
+@pytest.mark.parametrize("removed", ["joint_viscous_friction", "torque_gain"])
+def test_an_effect_that_an_arm_does_not_have_can_be_taken_from_the_list(
+    swung: dict[str, np.ndarray], of_swing: DiagnosisDocument, tmp_path: Path, removed: str
+) -> None:
+    path = write_npz(tmp_path / "swing.npz", swung)
+    assert_alike(of_swing, of_recording(path, [name for name in OF_ARMS if name != removed]))

@@ -1,0 +1,163 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The summary never contradicts the tables: of random documents, and of diagnoses of random worlds."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from analytic_world import EFFECTS, AnalyticSource, knowing
+from contradictions import contradictions
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from impact_rs_analysis.diagnosis.diagnose import diagnose
+from impact_rs_analysis.diagnosis.document import (
+    AT_BOUND,
+    CONFIRMED,
+    NO_IMPROVEMENT,
+    NONE,
+    NOTHING,
+    PARTLY,
+    SMALL,
+    DiagnosisDocument,
+    EffectDocument,
+    EstimateDocument,
+    ModelIdentity,
+    RestDocument,
+    RunsIdentity,
+    SizeDocument,
+    UnexplainedDocument,
+    ViewDocument,
+    explained,
+)
+from impact_rs_analysis.diagnosis.words import summary_of
+from impact_rs_analysis.evidence.cluster import TIMES, Added
+
+NAMES = ("friction", "offset", "restitution", "payload")
+
+
+@st.composite
+def effects(draw: st.DrawFn, named: tuple[str, ...], before: float) -> tuple[EffectDocument, ...]:
+    """One row for every name, the named ones confirmed or at a bound."""
+    found = []
+    for name in NAMES:
+        bound = name in named and draw(st.booleans())
+        own = draw(st.floats(-5.0, 5.0).filter(lambda value: abs(value) > 0.1))
+        half = abs(own) * draw(st.floats(0.01, 0.9))
+        estimate = EstimateDocument(
+            estimate=own, ci95=(own - half, own + half), unit=draw(st.sampled_from(["-", "N m"])), nominal=0.0,
+            range=(-5.0, 5.0), at_bound=bound,
+        )  # fmt: skip
+        limit = draw(st.floats(1e-3, 1.0))
+        found.append(
+            EffectDocument(
+                name=name,
+                verdict=AT_BOUND if bound else CONFIRMED if name in named else NO_IMPROVEMENT,
+                reason="" if name in named else draw(st.sampled_from(["it hardly lowers the error"])),
+                parameters={"size": estimate},
+                held_out_error_before=before,
+                held_out_error_after=before * draw(st.floats(0.5, 0.99)),
+                held_out_error_others=before,
+                p_value=draw(st.sampled_from([0.0005, 0.02, 0.6])),
+                sizes=(SizeDocument(phase="push", signal="velocity", value=0.5 * limit, unit="m/s", floor=limit),),
+            )
+        )
+    return tuple(found)
+
+
+@st.composite
+def documents(draw: st.DrawFn) -> DiagnosisDocument:
+    """Documents that a diagnosis may make: named effects lower the error beyond doubt, by however little."""
+    kind = draw(st.sampled_from([NOTHING, NONE, SMALL, PARTLY, "named"]))
+    source, unit = draw(st.sampled_from([("trials", TIMES), ("recordings", "N m"), ("impacts", "m/s")]))
+    noise = 1.0 if unit == TIMES else draw(st.sampled_from([0.0, 0.0123]))
+    named = draw(st.lists(st.sampled_from(NAMES), unique=True, min_size=1).map(tuple))
+    named = () if kind == NOTHING or (kind in (NONE, SMALL) and draw(st.booleans())) else named
+    before = draw(st.floats(1.05, 500.0)) * (noise or 1.0)
+    lowest, highest = {NONE: (1e-6, 0.49), PARTLY: (0.5, 0.999)}.get(kind, (1e-6, 0.999))
+    share = draw(st.floats(lowest, highest)) if named else 0.0
+    after = float(np.sqrt(before**2 - share * (before**2 - noise**2)))
+    rests = [
+        RestDocument(phase="push", signal="force", index=axis, value=draw(st.floats(0.0, 2.0)), unit="N",
+                     floor=1.0, share=0.1, times_noise=2.0)
+        for axis in "xyz"
+    ]  # fmt: skip
+    confusable = ((named[0], "spring"),) if named and draw(st.booleans()) else ()
+    views = []
+    for name, option in (("joints", ""), ("object", ""), ("points within 4 mm", "--contact-tolerance")):
+        own = draw(st.lists(st.sampled_from(NAMES), unique=True).map(tuple))
+        verdict = "+".join(own) if own else draw(st.sampled_from([NOTHING, NONE]))
+        views.append(
+            ViewDocument(
+                name=name, option=option, verdict=verdict, named=own, held_out_error_before=before,
+                held_out_error_after=before * (draw(st.floats(0.1, 0.9999)) if own else 1.0),
+            )
+        )  # fmt: skip
+    document = DiagnosisDocument(
+        source=source,
+        verdict={PARTLY: f"PARTLY{{{', '.join(named)}}}", "named": "+".join(named)}.get(kind, kind),
+        named=named,
+        effects=draw(effects(named, before)),
+        confusable=confusable,
+        unexplained=UnexplainedDocument(where=tuple(rests)),
+        model=ModelIdentity(name="nominal", digest=""),
+        runs=RunsIdentity(digest="", trials=12, conditions=()),
+        error_unit=unit,
+        noise_floor=noise,
+        held_out_error_before=before,
+        held_out_error_after=after,
+        held_out_change_ci95=(after - before - 0.1, -1e-9),
+        views=tuple(views) if source == "impacts" else (),
+    )
+    return document.model_copy(update={"summary": summary_of(document)})
+
+
+@settings(max_examples=400, deadline=None, derandomize=True)
+@given(documents())
+def test_the_summary_of_a_random_document_contradicts_nothing(document: DiagnosisDocument) -> None:
+    assert contradictions(document) == [], document.summary
+    assert "  " not in document.summary and document.summary.endswith(".")
+
+
+def test_a_contradiction_is_seen() -> None:
+    """Sentences of former versions."""
+    document = DiagnosisDocument(
+        verdict="friction", named=("friction",), effects=(), confusable=(), noise_floor=1.0,
+        summary="Model 'nominal' lacks friction. Held-out error: 1.52 → 1.63 × repeatability.",
+        model=ModelIdentity(name="nominal", digest=""), runs=RunsIdentity(digest="", trials=12, conditions=()),
+        held_out_error_before=1.52, held_out_error_after=1.63, held_out_change_ci95=(-0.1, 0.3),
+    )  # fmt: skip
+    found = contradictions(document)
+    assert any("falls from 1.52 to 1.63" in text for text in found)
+    assert any("the error may change by 0.3" in text for text in found)
+    assert any("has no row" in text for text in found)
+
+
+def test_shares_are_those_of_squared_errors_beyond_noise() -> None:
+    assert explained(2.0, 1.0, 1.0) == 1.0
+    assert explained(2.0, 2.0, 1.0) == 0.0
+    assert explained(2.0, 3.0, 1.0) < 0.0
+    assert explained(2.0, 1.0, 0.0) == pytest.approx(0.75)
+
+
+HIDDEN = [
+    (),
+    (("straight", (0.4,)),),
+    (("straight", (1.2,)), ("bent", (0.5,))),
+    (("outside", (2.0,)), ("straight", (0.7,))),
+    (("payload", (1.0, 0.7)),),
+    (("of_joints", (0.6, 0.0, 0.3, 0.0, 0.0, 1.0, 0.0)),),
+    (("one_sided", (2.0,)), ("outside", (0.5,))),
+]
+
+
+@pytest.mark.usefixtures("few_draws")
+@pytest.mark.parametrize("design", [(2, 2, 2), (3, 3, 3), (2,) * 6])
+@pytest.mark.parametrize("hidden", HIDDEN, ids=str)
+def test_a_diagnosis_contradicts_nothing(hidden: Added, design: tuple[int, ...]) -> None:
+    """Faint effects in few conditions, where hold-out, p values and intervals are most likely to disagree."""
+    for seed in range(3):
+        source = AnalyticSource(seed, hidden, design)
+        knowing(source, *(EFFECTS[name] for name in ("straight", "bent", "payload", "of_joints", "one_sided")))
+        document = diagnose(source, source.model)
+        assert contradictions(document) == [], (seed, document.summary)
