@@ -24,7 +24,7 @@ from impact_rs_sim.files import write_whole
 from impact_rs_sim.physics import Physics
 from impact_rs_sim.robot import JointType
 from impact_rs_sim.scenario import load_scenario
-from impact_rs_sim.unmodelled import OUTSIDE
+from impact_rs_sim.unmodelled import LAWS, OUTSIDE
 from impact_rs_trials.bags.record import record_trial
 from impact_rs_trials.bags.trial_info import VIA, TrialInfo
 from impact_rs_trials.bags.writer import partial_path
@@ -171,7 +171,7 @@ class BlindTask:
 
 def _record(task: BlindTask, plan: TrialPlan, info: TrialInfo, path: Path, physics: Physics) -> str:
     """Record one trial on our plant."""
-    extension = None if task.outside is None else OUTSIDE[task.outside](task.magnitude, task.trial.repeat)
+    extension = None if task.outside is None else {**OUTSIDE, **LAWS}[task.outside](task.magnitude, task.trial.repeat)
     return record_trial(plan, info, path, physics, extension)[0].outcome
 
 
