@@ -211,8 +211,9 @@ class HiddenLaw(PlantExtension):
 
     def joint_torque(self, plant: Plant, arm: str) -> Array | None:
         """Torque on the links over the next control period; on the motors it is set there."""
-        self._on_object(plant, arm)
         if self._place == "object":
+            if plant.time == 0.0:  # afterwards every period ends with the force of the next
+                self._on_object(plant, arm)
             return None
         state = self.state(plant, arm)
         found = self._law(state)
@@ -225,12 +226,12 @@ class HiddenLaw(PlantExtension):
 
     def after_sense(self, plant: Plant, arm: str, drive: Drive) -> None:
         """Force on the object over the next period of the torque loop."""
-        self._on_object(plant, arm)
+        if self._place == "object":
+            self._on_object(plant, arm)
 
     def _on_object(self, plant: Plant, arm: str) -> None:
-        if self._place == "object":
-            state = self.state(plant, arm)
-            plant.world.push(None, state.object_x, self._law(state))
+        state = self.state(plant, arm)
+        plant.world.push(None, state.object_x, self._law(state))
 
 
 def _joint(place: str, number: int, law: Callable[[State, float], float]) -> Callable[[float, int], PlantExtension]:

@@ -66,18 +66,39 @@ def diagnose(
     Raises:
         InputError: Too few conditions for a hold-out.
     """
+    present = {item.name for item in source.model.effects}
+    effects = [
+        effect
+        for name, effect in effects_for(source).items()
+        if name not in present and (only is None or name in only)
+    ]
+    found = findings_of(source, effects, progress)
+    return document_of(found, source, model)
+
+
+def effects_for(source: Source) -> dict[str, Effect]:
+    """All effects that a model knows, by name, with ranges for a robot of this size."""
+    size = Proportion.of(source.physics)
+    return {name: effect.in_proportion(size) for name, effect in source.model.known_effects.items()}
+
+
+def findings_of(source: Source, effects: Sequence[Effect], progress: ProgressCallback = lambda *_: None) -> Findings:
+    """Search for missing effects, and hold out.
+
+    Args:
+        source: Measurements with the model's predictions.
+        effects: Effects to consider.
+        progress: Called with effects and their held-out error during the search (:class:`Search`).
+
+    Raises:
+        InputError: Too few conditions for a hold-out.
+    """
     if source.repeated and len(source.clusters) < LEAST_CLUSTERS:
         names = ", ".join(item.name for item in source.clusters)
         raise InputError(
             f"{len(source.clusters)} condition(s) measured ({names}): at least {LEAST_CLUSTERS} are needed to hold one "
             "out; `impact-rs compare` still shows where the model fails"
         )
-    known = source.model.known_effects
-    present = {item.name for item in source.model.effects}
-    size = Proportion.of(source.physics)
-    effects = [
-        known[name].in_proportion(size) for name in known if name not in present and (only is None or name in only)
-    ]
     search = Search(effects, Evidence.of(source), progress)
     chosen = None if search.evidence.null.shortage is not None else search.choose()
     rivals: Sequence[Rival] = ()
@@ -93,7 +114,7 @@ def diagnose(
             chosen, rivals = supported, () if supported is None else search.rivals(supported)
         if chosen is None:
             held = None
-    found = Findings(
+    return Findings(
         search=search,
         chosen=chosen,
         rivals=tuple(rivals),
@@ -101,7 +122,6 @@ def diagnose(
         p_values=_p_values(search, chosen),
         unsupported=unsupported,
     )
-    return _document(found, known, source, model)
 
 
 def _p_values(search: Search, chosen: Fit | None) -> dict[str, float]:
@@ -114,8 +134,15 @@ def _p_values(search: Search, chosen: Fit | None) -> dict[str, float]:
     return adjusted(raw)
 
 
-def _document(found: Findings, known: dict[str, Effect], source: Source, model: Model) -> DiagnosisDocument:
-    evidence = found.evidence
+def document_of(found: Findings, source: Source, model: Model) -> DiagnosisDocument:
+    """The diagnosis as a document.
+
+    Args:
+        found: Of the search.
+        source: What was searched.
+        model: The model of the file; that of the source may know further effects.
+    """
+    evidence, known = found.evidence, source.model.known_effects
     verdict = headline(found)
     before = [item.mean for item in evidence.clusters]
     after: Sequence[Array] = before if found.hold_out is None else found.hold_out.rest

@@ -8,7 +8,8 @@ without the clusters to predict.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections import Counter
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations, product
 
@@ -32,6 +33,7 @@ from impact_rs_analysis.diagnosis.thresholds import (
     LEAST_GAIN,
     LEAST_TO_DISAGREE,
     MOST_EFFECTS,
+    MOST_TESTED,
     NOTHING,
     SHORTLIST,
     SIGNIFICANT,
@@ -70,7 +72,8 @@ class Search:
     """Search over effects.
 
     Args:
-        effects: Effects to consider.
+        effects: Effects to consider; several of one name are one effect with several starts of its shape, of which the
+            best is kept.
         evidence: Residuals of the model in the clusters of the search.
         progress: Called after every fit with the effects joined by ``+`` and their held-out error, on the scale of
             :meth:`Evidence.size`.
@@ -87,6 +90,7 @@ class Search:
         self.evidence, self.source, self._progress = evidence, evidence.source, progress
         self.singles: dict[str, Candidate] = {}
         self.ended: dict[tuple[str, ...], Candidate] = {}
+        self._looks = Counter(effect.name for effect in effects)
         self._starts: dict[str, Candidate] = {}
         self._unseen: dict[str, Candidate] = {}
         self._screen(effects)
@@ -102,7 +106,16 @@ class Search:
             if found is None:
                 continue
             found = self._seen_from_afar(found)
-            (self.singles if found.seen else self._unseen)[found.names[0]] = found
+            name, known = found.names[0], self.singles.get(found.names[0])
+            if not found.seen:
+                self._unseen[name] = found
+            elif known is None or self._misfit(found) < self._misfit(known):
+                self.singles[name] = found
+        for name in self.singles:
+            self._unseen.pop(name, None)
+
+    def _misfit(self, candidate: Candidate) -> float:
+        return Fit.of(candidate, self.evidence).misfit
 
     def _seen_from_afar(self, candidate: Candidate, base: Added = ()) -> Candidate:
         """The candidate with secants for parameters without sensitivity at nominal, to where they change something.
@@ -133,6 +146,11 @@ class Search:
             if found.seen:
                 self.singles[name] = found
                 del self._unseen[name]
+
+    def keep(self, names: Collection[str]) -> None:
+        """Forget all other effects."""
+        self.singles = {name: candidate for name, candidate in self.singles.items() if name in names}
+        self._unseen = {name: candidate for name, candidate in self._unseen.items() if name in names}
 
     @property
     def unmeasured(self) -> set[str]:
@@ -180,19 +198,23 @@ class Search:
         return adjusted(self.raw_p_values(chosen))
 
     def raw_p_values(self, chosen: Fit | None) -> dict[str, float]:
-        """p-value per effect given the chosen ones, not adjusted."""
-        raw = {}
-        for name, candidate in self.singles.items():
-            if chosen is None:
-                problem, tested, evidence = self.evidence.problem(candidate), slice(None), self.evidence
-            elif name in chosen.candidate.names:
-                continue
-            else:
-                joined = chosen.candidate.beside(candidate)
-                count = chosen.candidate.point.size
-                problem, tested = chosen.evidence.problem(joined), slice(count, joined.point.size)
-                evidence = chosen.left
-            raw[name] = problem.p_value(evidence.null, tested)
+        """p-value per effect given the chosen ones, not adjusted for testing all, but for all starts of its shape.
+
+        Of many effects those that explain least have 1, which is never too small.
+        """
+        evidence = self.evidence if chosen is None else chosen.evidence
+        present = () if chosen is None else chosen.candidate.names
+        fits = {
+            name: Fit.of(candidate if chosen is None else chosen.candidate.beside(candidate), evidence)
+            for name, candidate in self.singles.items()
+            if name not in present
+        }
+        raw = dict.fromkeys(fits, 1.0)
+        null = (self.evidence if chosen is None else chosen.left).null
+        first = 0 if chosen is None else chosen.candidate.point.size
+        for name in sorted(fits, key=lambda name: fits[name].score)[:MOST_TESTED]:
+            tested = slice(first, fits[name].candidate.point.size)
+            raw[name] = min(1.0, self._looks[name] * fits[name].problem.p_value(null, tested))
         return raw
 
     def choose(self) -> Fit | None:

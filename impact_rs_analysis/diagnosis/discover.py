@@ -1,0 +1,245 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Discovery of a law: where no effect of the library explains the measurements, a formula of a grammar may.
+
+A law is an effect made of a formula, so the search, the hold-out, the p-values and the verdicts are those of a
+diagnosis, with the laws of the grammar (:mod:`impact_rs_analysis.diagnosis.grammar`) beside the library. It runs only
+where the library alone leaves more than noise; laws stand at places where free motion or contact leaves a residual.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from impact_rs_analysis.diagnosis.diagnose import document_of, effects_for, findings_of
+from impact_rs_analysis.diagnosis.discovery_document import (
+    FOUND,
+    LIBRARY,
+    NO_LAW,
+    DiscoveryDocument,
+    DomainDocument,
+    LawDocument,
+    NumberDocument,
+)
+from impact_rs_analysis.diagnosis.document import NONE, NOTHING, PARTLY, SMALL, TOO_FEW, DiagnosisDocument
+from impact_rs_analysis.diagnosis.fit import Evidence
+from impact_rs_analysis.diagnosis.grammar import Grammar, Law, laws_of
+from impact_rs_analysis.diagnosis.search import ProgressCallback, Search
+from impact_rs_analysis.diagnosis.verdicts import Findings, headline, residual_unit, rests_of
+from impact_rs_analysis.evidence.source import Source
+from impact_rs_analysis.evidence.visited import Range, visited
+from impact_rs_sim.effects.formula import Formula
+from impact_rs_sim.model import Model
+from impact_rs_sim.units import text_of
+
+SEEN = 1.5  # times repeatability; a signal below it shows no law
+SHARE = 0.25  # of the largest such signal, likewise: of joints that move others, one is the cause
+MOST_OTHERS = 8  # laws that are listed without being proposed
+
+
+def discover(
+    source_of: Callable[[Model], Source],
+    model: Model,
+    grammar: Grammar,
+    progress: ProgressCallback = lambda *_: None,
+) -> DiscoveryDocument:
+    """Look for a law that a model lacks.
+
+    Args:
+        source_of: Measurements against a model.
+        model: The model.
+        grammar: Which laws.
+        progress: Called with laws and their held-out error during the search.
+
+    Raises:
+        InputError: Too few conditions for a hold-out.
+    """
+    source = source_of(model)
+    present = {item.name for item in model.effects}
+    library = [effect for name, effect in effects_for(source).items() if name not in present]
+    verdict = _of_library(source, library, progress)
+    if verdict is not None:
+        return DiscoveryDocument(
+            verdict=verdict, summary=_no_need(verdict), error_unit=residual_unit(Evidence.of(source))
+        )
+    ranges = visited(source)
+    laws = {law.spec.name: law for law in laws_of(grammar, ranges, len(source.joints))}
+    wanted = set(_where(Evidence.of(source), laws.values()))
+    laws = {name: law for name, law in laws.items() if name in wanted and name not in model.known_effects}
+    extended = model.model_copy(update={"formulas": (*model.formulas, *(law.spec for law in laws.values()))})
+    source = source_of(extended)
+    starts = [effect for law in laws.values() for effect in law.effects]
+    found = findings_of(source, [*library, *starts], progress)
+    best = sorted(
+        (name for name in found.search.singles if name in laws and name not in found.names),
+        key=lambda name: found.search.beside(found.chosen, name).score,
+    )
+    rivals = [rival.name for rival in found.rivals]
+    shown = [*(name for name in found.names if name in laws), *dict.fromkeys([*rivals, *best[:MOST_OTHERS]])]
+    found.search.keep({*shown, *(effect.name for effect in library)})
+    diagnosis = document_of(found, source, model)
+    own = tuple(laws[name].spec for name in shown if name in laws)
+    diagnosis = diagnosis.model_copy(update={"formulas": own})
+    return _document(diagnosis, laws, ranges, (len(library) + len(laws), len(library) + len(starts)))
+
+
+def _of_library(source: Source, library: Sequence[object], progress: ProgressCallback) -> str | None:
+    """Verdict of the library where nothing is left to discover, else None."""
+    search = Search(library, Evidence.of(source), progress)  # type: ignore[arg-type]
+    if search.evidence.null.shortage is not None:
+        return TOO_FEW
+    if not search.lacking and source.repeated:
+        return NOTHING
+    found = Findings(search, search.choose(), (), None, {})
+    verdict = headline(found).verdict
+    if verdict.startswith(PARTLY) or verdict == NONE:
+        return None
+    return verdict if verdict in (NOTHING, SMALL) else LIBRARY
+
+
+def _no_need(verdict: str) -> str:
+    """Why no law was looked for."""
+    return {
+        NOTHING: "These measurements show nothing missing in the model: there is no law to discover.",
+        SMALL: "What these measurements show beyond noise is below the relevance limits: no law is proposed.",
+        TOO_FEW: "These measurements have too few repeats to decide what the model lacks.",
+    }.get(verdict, "Effects of the library explain these measurements up to noise: `impact-rs diagnose` names them.")
+
+
+def _where(evidence: Evidence, laws: Iterable[Law]) -> list[str]:
+    """Names of the laws that act where a residual is seen."""
+    rests = rests_of(evidence, [item.mean for item in evidence.clusters])
+    sizes: dict[str, dict[str, float]] = {}
+    in_contact = 0.0
+    for rest in rests:
+        joint = rest.index.rpartition(".")[2]
+        if rest.phase in ("impact", "push"):
+            in_contact = max(in_contact, rest.times_noise)
+        if rest.phase not in ("impact",):
+            own = sizes.setdefault(rest.signal, {})
+            own[joint] = max(own.get(joint, 0.0), rest.times_noise if rest.phase != "push" else 0.0)
+    found = []
+    for law in laws:
+        if not law.needs:
+            if in_contact > SEEN:
+                found.append(law.spec.name)
+            continue
+        signal = sizes.get(law.needs, {})
+        if not evidence.source.repeated:
+            found.append(law.spec.name)
+            continue
+        largest = max(signal.values(), default=0.0)
+        own_size = signal.get(law.where, 0.0) if law.where.startswith("joint") else largest
+        if own_size > max(SEEN, SHARE * largest):
+            found.append(law.spec.name)
+    return found
+
+
+def _document(
+    diagnosis: DiagnosisDocument, laws: Mapping[str, Law], ranges: Mapping[str, Range], counts: tuple[int, int]
+) -> DiscoveryDocument:
+    chosen = [name for name in diagnosis.named if name in laws]
+    tied = [name for group in diagnosis.confusable if group[0] in chosen for name in group[1:] if name in laws]
+    listed = list(dict.fromkeys([*chosen, *tied]))
+    every = {
+        effect.name: _law(diagnosis, laws[effect.name], ranges, laws)
+        for effect in diagnosis.effects
+        if effect.name in laws and effect.measured
+    }
+    first = tuple(sorted((every[name] for name in listed), key=lambda law: law.held_out_error_after))
+    others = tuple(law for name, law in every.items() if name not in listed)
+    verdict = FOUND if chosen else NO_LAW if diagnosis.verdict.startswith((NONE, PARTLY)) else LIBRARY
+    if not diagnosis.named and verdict == LIBRARY:
+        verdict = NO_LAW
+    return DiscoveryDocument(
+        verdict=verdict,
+        summary=_summary(verdict, first, diagnosis, counts[0]),
+        laws=first,
+        others=others,
+        looked_at=counts[0],
+        starts=counts[1],
+        error_unit=diagnosis.error_unit,
+        diagnosis=diagnosis,
+    )
+
+
+def _summary(verdict: str, laws: Sequence[LawDocument], diagnosis: DiagnosisDocument, count: int) -> str:
+    if verdict == NO_LAW:
+        return (
+            f"None of {count} laws and effects holds: the best of them is not supported by conditions that the search "
+            "has not seen."
+        )
+    if verdict == LIBRARY:
+        return f"Among {count} laws and effects, {' and '.join(diagnosis.named)} of the library explains most."
+    best = laws[0]
+    text = (
+        f"{best.sentence} {best.formula}. Held-out error: {diagnosis.held_out_error_before:.3g} → "
+        f"{diagnosis.held_out_error_after:.3g} {diagnosis.error_unit}."
+    )
+    return f"{text} {best.tie}".strip()
+
+
+def _law(diagnosis: DiagnosisDocument, law: Law, ranges: Mapping[str, Range], laws: Mapping[str, Law]) -> LawDocument:
+    effect = diagnosis.effect(law.spec.name)
+    assert effect is not None
+    key, table = next((key, value) for key, value in law.spec.model_dump().items() if key in PLACES_OF and value)
+    rows = table if isinstance(table, dict) else {"": table}
+    place = PLACES_OF[key]
+    where = f" {law.where.removeprefix('joint')}" if law.where else ""
+    domain = ranges.get(law.symbol)
+    return LawDocument(
+        name=law.spec.name,
+        sentence=law.spec.sentence,
+        place=f"{place}{where}",
+        formula="; ".join(f"{f'{axis}: ' if len(rows) > 1 else ''}{text}" for axis, text in rows.items()),
+        parameters={
+            name: NumberDocument(estimate=value.estimate, ci95=value.ci95, unit=value.unit)
+            for name, value in effect.parameters.items()
+        },
+        verdict=effect.verdict,
+        held_out_error_before=effect.held_out_error_others or effect.held_out_error_before or 0.0,
+        held_out_error_after=effect.held_out_error_after or 0.0,
+        p_value=1.0 if effect.p_value is None else effect.p_value,
+        tied_with=effect.rivals,
+        tie=_tie(diagnosis, law, effect.rivals, ranges, laws),
+        valid=None
+        if domain is None
+        else DomainDocument(quantity=law.symbol, low=domain[0], high=domain[1], unit=law.quantity.unit),
+    )
+
+
+PLACES_OF = {
+    "joint_torque": "torque on link",
+    "motor_torque": "torque on motor",
+    "end_effector_force": "force on the end effector",
+    "object_force": "force on the object",
+    "object_moment": "moment on the object",
+    "contact_normal": "normal force between pad and object",
+    "contact_tangential": "friction between pad and object",
+    "support_normal": "normal force between support and object",
+    "support_tangential": "friction between support and object",
+}
+
+
+def _tie(
+    diagnosis: DiagnosisDocument, law: Law, rivals: Sequence[str], ranges: Mapping[str, Range], laws: Mapping[str, Law]
+) -> str:
+    """Why a law and its rivals cannot be distinguished, and what would distinguish them."""
+    if not rivals:
+        return ""
+    names = ", ".join(rivals)
+    domain = ranges.get(law.symbol)
+    alike = [laws[name] for name in rivals if name in laws and laws[name].symbol == law.symbol]
+    text = f"These data cannot distinguish {law.spec.name} from {names}."
+    if domain is None or not alike:
+        return text
+    low, high = domain
+    size = max(abs(low), abs(high))
+    unit = law.quantity.unit
+    return (
+        f"{text} {law.symbol} went from {low:.2g} to {high:.2g} {unit}: measure at {1.6 * size:.2g} {unit}, where they "
+        "differ."
+    )
