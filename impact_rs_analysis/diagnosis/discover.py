@@ -8,11 +8,8 @@ where the library alone leaves more than noise; laws stand at places where free 
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
-
-import numpy as np
+from dataclasses import replace
 
 from impact_rs_analysis.diagnosis.diagnose import document_of, effects_for, findings_of
 from impact_rs_analysis.diagnosis.discovery_document import (
@@ -25,18 +22,19 @@ from impact_rs_analysis.diagnosis.discovery_document import (
     NumberDocument,
 )
 from impact_rs_analysis.diagnosis.document import NONE, NOTHING, PARTLY, SMALL, TOO_FEW, DiagnosisDocument
-from impact_rs_analysis.diagnosis.fit import Evidence
+from impact_rs_analysis.diagnosis.fit import Evidence, Fit
 from impact_rs_analysis.diagnosis.grammar import Grammar, Law, laws_of
-from impact_rs_analysis.diagnosis.search import ProgressCallback, Search
+from impact_rs_analysis.diagnosis.search import ProgressCallback, Rival, Search
+from impact_rs_analysis.diagnosis.thresholds import SIGNIFICANT
 from impact_rs_analysis.diagnosis.verdicts import Findings, headline, residual_unit, rests_of
 from impact_rs_analysis.evidence.source import Source
 from impact_rs_analysis.evidence.visited import Range, visited
-from impact_rs_sim.effects.formula import Formula
+from impact_rs_sim.effects import Effect
 from impact_rs_sim.model import Model
-from impact_rs_sim.units import text_of
 
 SEEN = 1.5  # times repeatability; a signal below it shows no law
 SHARE = 0.25  # of the largest such signal, likewise: of joints that move others, one is the cause
+MOST_RIVALS = 8  # fitted in the place of a law
 MOST_OTHERS = 8  # laws that are listed without being proposed
 
 
@@ -73,6 +71,7 @@ def discover(
     source = source_of(extended)
     starts = [effect for law in laws.values() for effect in law.effects]
     found = findings_of(source, [*library, *starts], progress)
+    found = replace(found, rivals=_rivals(found))
     best = sorted(
         (name for name in found.search.singles if name in laws and name not in found.names),
         key=lambda name: found.search.beside(found.chosen, name).score,
@@ -86,9 +85,30 @@ def discover(
     return _document(diagnosis, laws, ranges, (len(library) + len(laws), len(library) + len(starts)))
 
 
-def _of_library(source: Source, library: Sequence[object], progress: ProgressCallback) -> str | None:
+def _rivals(found: Findings) -> tuple[Rival, ...]:
+    """More rivals of the chosen effects, tied where the chosen one explains nothing beside its rival.
+
+    Two laws that predict to within the noise are equal, whichever has the smaller error.
+    """
+    if found.chosen is None:
+        return ()
+    return tuple(
+        replace(rival, tied=rival.tied or _adds_nothing(found.chosen, rival))
+        for rival in found.search.rivals(found.chosen, MOST_RIVALS)
+    )
+
+
+def _adds_nothing(chosen: Fit, rival: Rival) -> bool:
+    """Whether the chosen effect is not significant beside the rival that takes its place (rotation test)."""
+    part = chosen.candidate.part(rival.instead_of)
+    own = [jacobian[:, part] for jacobian in chosen.candidate.jacobians]
+    left = rival.fit.left
+    return left.null.p_value(own, rival.fit.candidate.jacobians) > SIGNIFICANT
+
+
+def _of_library(source: Source, library: Sequence[Effect], progress: ProgressCallback) -> str | None:
     """Verdict of the library where nothing is left to discover, else None."""
-    search = Search(library, Evidence.of(source), progress)  # type: ignore[arg-type]
+    search = Search(library, Evidence.of(source), progress)
     if search.evidence.null.shortage is not None:
         return TOO_FEW
     if not search.lacking and source.repeated:

@@ -140,13 +140,11 @@ def load_grammar(more: Path | None = None) -> Grammar:
         )
     for name, place in grammar.places.items():
         for quantity, forms in place.laws.items():
-            for known, word, kind in (
-                (grammar.quantities, quantity, "quantity"),
-                *((grammar.forms, form, "form") for form in forms),
-            ):
-                if word not in known:
+            known = {"quantity": (quantity, grammar.quantities), **{form: (form, grammar.forms) for form in forms}}
+            for kind, (word, table) in known.items():
+                if word not in table:
                     raise InputError(
-                        f"unknown {kind}; known: {', '.join(known)}",
+                        f"unknown {'quantity' if kind == 'quantity' else 'form'}; known: {', '.join(table)}",
                         file=more or config_directory() / FILE,
                         key=f"places.{name}.laws",
                         value=word,

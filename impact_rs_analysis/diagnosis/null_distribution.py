@@ -80,7 +80,6 @@ class NullDistribution(ABC):
     def shortage(self) -> str | None:
         """Data that are missing for a verdict, for the user; None if there are enough."""
 
-    @abstractmethod
     def p_value(self, jacobians: Sequence[Array], fitted: Sequence[Array] = ()) -> float:
         """p-value of an effect being absent.
 
@@ -88,6 +87,11 @@ class NullDistribution(ABC):
             jacobians: Sensitivities by cluster, ``(F, p)`` each.
             fitted: Sensitivities by cluster of the parameters whose fit left these residuals, ``(F, p0)`` each.
         """
+        return self.p_values([jacobians], fitted)[0]
+
+    @abstractmethod
+    def p_values(self, effects: Sequence[Sequence[Array]], fitted: Sequence[Array] = ()) -> list[float]:
+        """:meth:`p_value` of several effects, each beside the fitted parameters alone."""
 
     @abstractmethod
     def lack_of_fit(self, rest: Sequence[Array]) -> float | None:
@@ -322,19 +326,37 @@ class RotationNull(NullDistribution):
             f"conditions is {self.freedom}, at least {LEAST_FREEDOM} are needed)"
         )
 
-    def p_value(self, jacobians: Sequence[Array], fitted: Sequence[Array] = ()) -> float:
-        """See :meth:`NullDistribution.p_value`."""
+    def p_values(self, effects: Sequence[Sequence[Array]], fitted: Sequence[Array] = ()) -> list[float]:
+        """See :meth:`NullDistribution.p_values`; every rotation is made once for all effects."""
+        if self.shortage is not None:
+            return [1.0] * len(effects)
+        every = [
+            [np.hstack(both) for both in zip(fitted, own, strict=True)] if fitted else list(own) for own in effects
+        ]
+        edges = np.cumsum([0, *(own[0].shape[1] for own in every)])
+        scores = np.zeros((1 + DRAWS, edges[-1]))
+        for seed, (layout, weights) in enumerate(zip(self._layouts, self._scales, strict=True)):
+            for number, item, rows in zip(layout.numbers, layout.items, layout.rotated(seed), strict=True):
+                columns = np.hstack([own[number] for own in every])
+                scores += (rows * weights) @ (np.sqrt(item.count) * columns * (item.sigma / layout.unit)[:, None])
+        return [
+            self._p_value(jacobians, fitted, own, scores[:, first:last])
+            for jacobians, own, first, last in zip(effects, every, edges[:-1], edges[1:], strict=True)
+        ]
+
+    def _p_value(
+        self, jacobians: Sequence[Array], fitted: Sequence[Array], every: Sequence[Array], scores: Array
+    ) -> float:
+        """:meth:`p_value` from the scores of all its parameters in every rotation, ``(1 + B, p0 + p)``."""
         turned = _normalised(self.clusters, jacobians, fitted)
-        if self.shortage is not None or turned is None:
+        if turned is None:
             return 1.0
-        every = [np.hstack(both) for both in zip(fitted, jacobians, strict=True)] if fitted else jacobians
-        count = every[0].shape[1]
-        scores, information = np.zeros((1 + DRAWS, count)), np.zeros((1 + DRAWS, count * count))
-        for seed, (own, weights) in enumerate(zip(self._layouts, self._scales, strict=True)):
-            pairs = np.zeros((len(own.unit), count, count))
-            for number, item, rows in zip(own.numbers, own.items, own.rotated(seed), strict=True):
-                jacobian = np.sqrt(item.count) * every[number] * (item.sigma / own.unit)[:, None]
-                scores += (rows * weights) @ jacobian
+        count = scores.shape[1]
+        information = np.zeros((1 + DRAWS, count * count))
+        for layout, weights in zip(self._layouts, self._scales, strict=True):
+            pairs = np.zeros((len(layout.unit), count, count))
+            for number, item in zip(layout.numbers, layout.items, strict=True):
+                jacobian = np.sqrt(item.count) * every[number] * (item.sigma / layout.unit)[:, None]
                 pairs += jacobian[:, :, None] * jacobian[:, None, :]
             information += weights @ pairs.reshape(len(pairs), -1)
         information = information.reshape(-1, count, count)
@@ -343,10 +365,10 @@ class RotationNull(NullDistribution):
             explained -= _explained(scores[:, :before], information[:, :before, :before])
         p = rarity(float(explained[0]), explained[1:])
         if self.discrepant:
-            scores = np.sum(
+            own = np.sum(
                 [j.T @ item.mean * item.count for j, item in zip(turned, self.clusters, strict=True)], axis=0
             )
-            p = max(p, rarity(float(scores @ scores), self._with_discrepancy(turned)))
+            p = max(p, rarity(float(own @ own), self._with_discrepancy(turned)))
         return p
 
     def _with_discrepancy(self, jacobians: Sequence[Array]) -> Array:
@@ -486,7 +508,11 @@ class SignFlipNull(NullDistribution):
     def _signs(self) -> Array:
         return np.random.default_rng(0).choice([-1.0, 1.0], size=(DRAWS, len(self.clusters)))
 
-    def p_value(self, jacobians: Sequence[Array], fitted: Sequence[Array] = ()) -> float:
+    def p_values(self, effects: Sequence[Sequence[Array]], fitted: Sequence[Array] = ()) -> list[float]:
+        """See :meth:`NullDistribution.p_values`."""
+        return [self._p_value(jacobians, fitted) for jacobians in effects]
+
+    def _p_value(self, jacobians: Sequence[Array], fitted: Sequence[Array]) -> float:
         """See :meth:`NullDistribution.p_value`."""
         turned = _normalised(self.clusters, jacobians, fitted)
         if self.shortage is not None or turned is None:

@@ -212,10 +212,12 @@ class Search:
         raw = dict.fromkeys(fits, 1.0)
         null = (self.evidence if chosen is None else chosen.left).null
         first = 0 if chosen is None else chosen.candidate.point.size
-        for name in sorted(fits, key=lambda name: fits[name].score)[:MOST_TESTED]:
-            tested = slice(first, fits[name].candidate.point.size)
-            raw[name] = min(1.0, self._looks[name] * fits[name].problem.p_value(null, tested))
-        return raw
+        tested = sorted(fits, key=lambda name: fits[name].score)[:MOST_TESTED]
+        found = [fits[name].candidate.jacobians for name in tested]
+        own = [[jacobian[:, first:] for jacobian in jacobians] for jacobians in found]
+        fitted = () if chosen is None else chosen.candidate.jacobians
+        values = null.p_values(own, fitted)
+        return raw | {name: min(1.0, self._looks[name] * p) for name, p in zip(tested, values, strict=True)}
 
     def choose(self) -> Fit | None:
         """Forward selection; None if no effect is accepted."""

@@ -26,11 +26,8 @@ def visited(source: Source) -> dict[str, Range]:
     for run in _runs(source):
         for name, values in _signals(run):
             found.setdefault(name, []).append(values)
-    ranges = {}
-    for name, values in found.items():
-        low, high = np.percentile(np.concatenate(values), ENDS)
-        ranges[name] = (float(low), float(high))
-    return ranges
+    ends = {name: np.percentile(np.concatenate(every), ENDS) for name, every in found.items()}
+    return {name: (float(low), float(high)) for name, (low, high) in ends.items()}
 
 
 def _runs(source: Source) -> Sequence[Run]:

@@ -153,7 +153,7 @@ def test_a_reference_with_too_few_repeats_decides_nothing() -> None:
 def test_a_shift_that_all_repeats_share_is_seen() -> None:
     jacobians = sensitivity(3, 6, 1)
     reference = shifted(AnalyticSource(3).clusters, jacobians, [1.0] * 6)
-    assert p_of(reference, jacobians) == pytest.approx(1.0 / (1.0 + DRAWS))
+    assert p_of(reference, jacobians) <= 1.0 / (1.0 + DRAWS)
 
 
 def test_a_known_simulator_error_raises_no_alarm() -> None:
