@@ -206,6 +206,10 @@ impact-rs discover lab/ --experiment experiment.yaml --grammar my_terms.yaml -o 
             "--grammar", kind="file", metavar="FILE.yaml", help="further quantities, forms and places of laws",
             label="your own terms of laws", advanced=True,
         ),
+        option(
+            "--effects", kind="effect", many=True, metavar="NAME", otherwise="all", label="only these effects",
+            help="effects of the library to consider beside the laws", advanced=True,
+        ),
         *SOURCE,
         *JOBS,
         JSON,

@@ -11,6 +11,8 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 
+import numpy as np
+
 from impact_rs_analysis.diagnosis.diagnose import document_of, effects_for, findings_of
 from impact_rs_analysis.diagnosis.discovery_document import (
     FOUND,
@@ -34,6 +36,7 @@ from impact_rs_sim.model import Model
 
 SEEN = 1.5  # times repeatability; a signal below it shows no law
 SHARE = 0.25  # of the largest such signal, likewise: of joints that move others, one is the cause
+CLEAR, FARTHEST = 0.3, 3.0  # difference of two laws that separates them, and how far out of the range it is looked for
 MOST_RIVALS = 8  # fitted in the place of a law
 MOST_OTHERS = 8  # laws that are listed without being proposed
 
@@ -42,6 +45,7 @@ def discover(
     source_of: Callable[[Model], Source],
     model: Model,
     grammar: Grammar,
+    only: Sequence[str] | None = None,
     progress: ProgressCallback = lambda *_: None,
 ) -> DiscoveryDocument:
     """Look for a law that a model lacks.
@@ -50,6 +54,7 @@ def discover(
         source_of: Measurements against a model.
         model: The model.
         grammar: Which laws.
+        only: Names of the effects of the library to consider beside them; None: all that the model does not contain.
         progress: Called with laws and their held-out error during the search.
 
     Raises:
@@ -57,7 +62,11 @@ def discover(
     """
     source = source_of(model)
     present = {item.name for item in model.effects}
-    library = [effect for name, effect in effects_for(source).items() if name not in present]
+    library = [
+        effect
+        for name, effect in effects_for(source).items()
+        if name not in present and (only is None or name in only)
+    ]
     verdict = _of_library(source, library, progress)
     if verdict is not None:
         return DiscoveryDocument(
@@ -250,16 +259,30 @@ def _tie(
     """Why a law and its rivals cannot be distinguished, and what would distinguish them."""
     if not rivals:
         return ""
-    names = ", ".join(rivals)
+    text = f"{law.spec.name} and {', '.join(rivals)} cannot be distinguished"
     domain = ranges.get(law.symbol)
     alike = [laws[name] for name in rivals if name in laws and laws[name].symbol == law.symbol]
-    text = f"These data cannot distinguish {law.spec.name} from {names}."
     if domain is None or not alike:
-        return text
+        return f"{text}: along these motions they act alike."
     low, high = domain
-    size = max(abs(low), abs(high))
     unit = law.quantity.unit
-    return (
-        f"{text} {law.symbol} went from {low:.2g} to {high:.2g} {unit}: measure at {1.6 * size:.2g} {unit}, where they "
-        "differ."
-    )
+    text += f" between {low:.2g} and {high:.2g} {unit} of {law.symbol}"
+    apart = [where for other in alike if (where := _apart(law, other, diagnosis, domain)) is not None]
+    return f"{text}: measure at {max(apart):.2g} {unit}." if apart else f"{text}."
+
+
+def _apart(law: Law, other: Law, diagnosis: DiagnosisDocument, domain: Range) -> float | None:
+    """Value of the quantity beyond its range at which two laws differ by ``CLEAR`` of what they are inside; else None."""
+    low, high = domain
+    forces = []
+    reach = np.linspace(1.0, FARTHEST, 50)
+    inside = np.linspace(low, high, 50)
+    outside = (high if abs(high) >= abs(low) else low) * reach
+    for one in (law, other):
+        effect = diagnosis.effect(one.spec.name)
+        assert effect is not None
+        numbers = {name: value.estimate for name, value in effect.parameters.items()}
+        forces.append((one.force(inside, numbers), one.force(outside, numbers)))
+    size = float(np.max(np.abs(forces[0][0])))
+    off = np.flatnonzero(np.abs(forces[0][1] - forces[1][1]) > CLEAR * size)
+    return float(outside[off[0]]) if off.size else None

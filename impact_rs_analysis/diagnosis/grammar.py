@@ -14,13 +14,15 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
+import numpy as np
 from pydantic import Field
 
 from impact_rs_analysis.evidence.visited import Range
 from impact_rs_sim.effects.dimensions import check_units
-from impact_rs_sim.effects.formula import AXES, FormulaEffect, FormulaParameter, FormulaSpec
+from impact_rs_sim.effects.formula import AXES, Formula, FormulaEffect, FormulaParameter, FormulaSpec
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.paths import config_directory
+from impact_rs_sim.robot import Array
 from impact_rs_sim.schema import Schema, load
 
 FILE = "grammar.yaml"
@@ -98,6 +100,7 @@ class Law:
         quantity: Its quantity.
         symbol: The same as a formula.
         form: Name of its form.
+        profile: The force over the quantity ``u``, before its sign.
         needs: Signal of free motion that shows it; empty: none.
         starts: Values of its shape parameters by name.
     """
@@ -108,6 +111,7 @@ class Law:
     quantity: Quantity
     symbol: str
     form: str
+    profile: str
     needs: str
     starts: tuple[Mapping[str, float], ...]
 
@@ -122,6 +126,11 @@ class Law:
             }
             found.append(FormulaEffect(self.spec.model_copy(update={"parameters": parameters})))
         return found
+
+    def force(self, u: Array, numbers: Mapping[str, float]) -> Array:
+        """Its size where the quantity is ``u`` ``(k,)``, with its parameters, ``(k,)`` [unit of the place]."""
+        formula = Formula(self.profile, {"u", *numbers})
+        return np.array([formula({"u": value, **numbers}) for value in u.tolist()])
 
 
 def load_grammar(more: Path | None = None) -> Grammar:
@@ -140,16 +149,17 @@ def load_grammar(more: Path | None = None) -> Grammar:
         )
     for name, place in grammar.places.items():
         for quantity, forms in place.laws.items():
-            known = {"quantity": (quantity, grammar.quantities), **{form: (form, grammar.forms) for form in forms}}
-            for kind, (word, table) in known.items():
-                if word not in table:
-                    raise InputError(
-                        f"unknown {'quantity' if kind == 'quantity' else 'form'}; known: {', '.join(table)}",
-                        file=more or config_directory() / FILE,
-                        key=f"places.{name}.laws",
-                        value=word,
-                    )
+            _known("quantity", quantity, grammar.quantities, f"places.{name}.laws", more)
+            for form in forms:
+                _known("form", form, grammar.forms, f"places.{name}.laws", more)
     return grammar
+
+
+def _known(kind: str, word: str, table: Mapping[str, object], key: str, file: Path | None) -> None:
+    if word not in table:
+        raise InputError(
+            f"unknown {kind}; known: {', '.join(table)}", file=file or config_directory() / FILE, key=key, value=word
+        )
 
 
 def laws_of(grammar: Grammar, ranges: Mapping[str, Range], joints: int) -> Iterator[Law]:
@@ -227,7 +237,7 @@ def _law(
     check_units(spec)
     FormulaEffect(spec)
     every = [{name: value} for name, values in starts.items() for value in values] or [{}]
-    return Law(spec, place_name, where, quantity, symbol, form_name, place.needs, tuple(every))
+    return Law(spec, place_name, where, quantity, symbol, form_name, form.law, place.needs, tuple(every))
 
 
 def _name(place_name: str, place: Place, quantity: str, form: str, number: str) -> str:

@@ -11,6 +11,7 @@ from impact_rs_analysis.diagnosis.discover import discover
 from impact_rs_analysis.diagnosis.discovery_document import DiscoveryDocument, LawDocument, write_discovery
 from impact_rs_analysis.diagnosis.grammar import load_grammar
 from impact_rs_cli.arguments import number, on_local_runs
+from impact_rs_cli.commands.diagnose import check_effects
 from impact_rs_cli.measurements import measured
 from impact_rs_cli.parser import PROGRAM
 from impact_rs_cli.terminal import Terminal, output_folder
@@ -23,12 +24,13 @@ from impact_rs_sim.numbers import estimate_in_line
 def run(args: argparse.Namespace, terminal: Terminal) -> int:
     """Run the command."""
     model, grammar = load_model(args.model), load_grammar(args.grammar)
+    check_effects(model, args.effects)
     if args.output is not None and args.output.is_dir():
         raise InputError("this is a folder; name a file, for example discovery.json", file=args.output)
     if args.impacts is not None:
         raise InputError("laws act along a motion; tables of impacts have none. Give RUNS in place of --impacts")
     with measured(args, terminal) as measurements, measurements.progress():
-        document = discover(measurements.against, model, grammar, terminal.rank)
+        document = discover(measurements.against, model, grammar, args.effects, terminal.rank)
     if args.output is not None:
         with output_folder(args.output.parent):
             write_discovery(document, args.output)
