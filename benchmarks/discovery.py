@@ -3,8 +3,8 @@
 
 Laws outside the library (:data:`impact_rs_sim.unmodelled.LAWS`) at two sizes in the Bullet plant, which the compiled
 twin has to explain; campaigns that hide nothing, and effects of the library, on which nothing may be proposed. It
-resumes where it stopped; ``--only NAME`` runs those whose name starts so. ``--foreign`` hides a quadratic drag, a ripple
-and a cable in the MuJoCo cell under another controller (:mod:`benchmarks.foreign.laws`).
+resumes where it stopped; ``--only NAME`` runs those whose name starts so. ``--foreign`` hides a quadratic drag, a
+ripple and a cable in the MuJoCo cell under another controller (:mod:`benchmarks.foreign.laws`).
 """
 
 from __future__ import annotations
@@ -19,12 +19,14 @@ from benchmarks.board import Entry, Row, arguments, run_board, share
 from impact_rs_analysis.diagnosis.discover import discover
 from impact_rs_analysis.diagnosis.discovery_document import FOUND, DiscoveryDocument, write_discovery
 from impact_rs_analysis.diagnosis.grammar import load_grammar
+from impact_rs_analysis.evidence.command_clock import read_laboratory_runs
 from impact_rs_analysis.evidence.measured_runs import Runs, read_runs
 from impact_rs_analysis.evidence.replay_cache import ReplayCache
 from impact_rs_analysis.evidence.replays import ReplaySource
 from impact_rs_sim.model import Model, load_model
 from impact_rs_sim.unmodelled import LAWS
 from impact_rs_trials.blind import RUNS, make
+from impact_rs_trials.recordings.experiment import load_experiment
 from impact_rs_trials.workers import Map
 
 SIZES = (4.0, 10.0)
@@ -35,6 +37,12 @@ FIRST = (
     "object_quadratic_drag", "motor4_ripple", "end_effector_cable", "motor4_cubic", "motor1_quadratic",
     "object_growing_force", "motor2_load_friction", "motor4_warm_up", "motor6_one_way",
 )  # fmt: skip
+
+FOREIGN_RIGHT = {
+    "quadratic_drag": ("object_drag_square", "support_support_slip_even_square"),
+    "ripple": ("motor4_position_ripple",),
+    "cable": ("end_effector_y_y_below", "end_effector_y_y_above", "end_effector_x_x_above", "end_effector_cable_above"),
+}
 
 # Laws that are right: that which was hidden, and those that are equal to it.
 RIGHT: dict[str, tuple[str, ...]] = {
@@ -84,9 +92,20 @@ def discovered(read: Callable[[], Runs], map_tasks: Map) -> DiscoveryDocument:
 def run(entry: Entry, directory: Path, map_tasks: Map) -> Row:
     """Make, search and score one campaign; one that exists is kept."""
     outsides = tuple(LAWS) if entry.kind == "outside" else ()
-    for _ in make(directory, entry.seed, map_tasks, entry.kind, entry.effect, "small", entry.magnitude, outsides=outsides):
+    for _ in make(
+        directory, entry.seed, map_tasks, entry.kind, entry.effect, "small", entry.magnitude, outsides=outsides
+    ):
         pass
     return judged(entry, directory, partial(read_runs, directory / RUNS, map_tasks), map_tasks)
+
+
+def run_foreign(entry: Entry, directory: Path, map_tasks: Map) -> Row:
+    """Make, search and score one campaign of the MuJoCo cell; one that exists is kept."""
+    from benchmarks.foreign import laboratory
+
+    laboratory.make(entry, directory, map_tasks)
+    experiment = load_experiment(directory / RUNS / "experiment.yaml")
+    return judged(entry, directory, partial(read_laboratory_runs, directory / RUNS, experiment, map_tasks), map_tasks)
 
 
 def judged(entry: Entry, directory: Path, read: Callable[[], Runs], map_tasks: Map) -> Row:
@@ -96,7 +115,7 @@ def judged(entry: Entry, directory: Path, read: Callable[[], Runs], map_tasks: M
     elapsed, spent = time.perf_counter() - started, time.process_time() - spent
     write_discovery(document, directory / "discovery.json")
     laws = [law.name for law in document.laws]
-    right = RIGHT.get(entry.effect or "", ())
+    right = {**RIGHT, **FOREIGN_RIGHT}.get(entry.effect or "", ())
     whole = document.diagnosis
     removed = before = 0.0
     if whole is not None:
@@ -121,23 +140,29 @@ def judged(entry: Entry, directory: Path, read: Callable[[], Runs], map_tasks: M
 
 def scoreboard(rows: list[Row]) -> str:
     """The table."""
-    laws = [row for row in rows if row["kind"] == "outside"]
-    clear = [row for row in laws if row["before"] > CLEAR]
+    of = {kind: [row for row in rows if row["kind"] == kind] for kind in ("outside", "null", "single")}
+    clear = [row for row in of["outside"] if row["before"] > CLEAR]
     right = [row for row in clear if row["correct"]]
     lines = [
-        f"hidden laws, right one first or tied               {share([row['correct'] for row in laws])}",
-        f"... above {CLEAR:g} times the noise                     {share([row['correct'] for row in clear])}",
+        f"hidden laws, right one first or tied               {share([row['correct'] for row in of['outside']])}",
+        f"... above {CLEAR:g} times repeatability                    {share([row['correct'] for row in clear])}",
         f"... of them first                                  {share([row['first'] for row in clear])}",
         f"... something proposed                             {share([row['found'] for row in clear])}",
-        f"nothing hidden, nothing proposed                   {share([not r['found'] for r in rows if r['kind'] == 'null'])}",
-        f"effects of the library, nothing proposed           "
-        f"{share([not r['found'] for r in rows if r['kind'] == 'single'])}",
+        f"nothing hidden, nothing proposed                   {share([not row['found'] for row in of['null']])}",
+        f"effects of the library, nothing proposed           {share([not row['found'] for row in of['single']])}",
     ]
     if right:
-        lines.append(f"excess held-out error removed, median of right ones {100 * statistics.median(r['removed'] for r in right):5.1f} %")
+        removed = 100.0 * statistics.median(row["removed"] for row in right)
+        lines.append(f"excess held-out error removed, median of right ones {removed:5.1f} %")
     if rows:
-        lines.append(f"time, median                                       {statistics.median(r['seconds'] for r in rows):.0f} s")
-    lines += [f"  wrong: {row['name']}: {row['verdict']} (error before {row['before']:.3g})" for row in rows if not row["correct"]]
+        lines.append(
+            f"time, median                                       {statistics.median(r['seconds'] for r in rows):.0f} s"
+        )
+    lines += [
+        f"  wrong: {row['name']}: {row['verdict']} (error before {row['before']:.3g})"
+        for row in rows
+        if not row["correct"]
+    ]
     return "\n".join(lines)
 
 
@@ -145,7 +170,15 @@ def main() -> None:
     """Run what is missing, then print the scoreboard."""
     parser = arguments(__doc__)
     parser.add_argument("--nulls", type=int, default=10, help="campaigns with nothing hidden")
+    parser.add_argument("--foreign", action="store_true", help="laws in the MuJoCo cell under another controller")
     options = parser.parse_args()
+    if options.foreign:
+        from benchmarks.foreign.laws import LAWS as FOREIGN
+
+        entries = [Entry("outside", name, 4.0, 5000 + seed) for seed, name in enumerate(FOREIGN)]
+        entries += [Entry("null", None, None, 5100 + seed) for seed in range(min(options.nulls, 3))]
+        print(scoreboard(run_board(entries, options, run_foreign)))
+        return
     print(scoreboard(run_board(matrix(options.nulls), options, run)))
 
 

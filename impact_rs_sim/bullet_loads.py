@@ -153,4 +153,3 @@ class BulletLoads:
         # Bullet's normal points out of its second body: of the object, or of the support.
         normal = np.array(points[0][7]) * (1.0 if arm is None else -1.0)
         return Touching(force, -float(share @ [point[8] for point in points]), place, normal, velocity)
-

@@ -141,11 +141,14 @@ def draw_outside(
 ) -> tuple[str, float]:
     """An effect that is not in the library, and its size (1: noticeable).
 
+    Mechanisms of :data:`~impact_rs_sim.unmodelled.OUTSIDE` are drawn; its laws are hidden where they are named.
+
     Raises:
         InputError: There is no such outside effect.
     """
-    if name is not None and name not in known:
-        raise InputError(f"no outside effect {name!r}; known: {', '.join(known)}")
+    named = (*known, *LAWS) if known is OUTSIDE else known
+    if name is not None and name not in named:
+        raise InputError(f"no outside effect {name!r}; known: {', '.join(named)}")
     rng = np.random.default_rng([seed, KINDS.index("outside")])
     chosen = name or str(rng.choice(list(known)))
     return chosen, magnitude if magnitude is not None else float(np.exp(rng.uniform(0.0, np.log(4.0))))

@@ -21,7 +21,7 @@ from joint_recordings import swinging
 from impact_rs_analysis.evidence.torque_balance import TorqueBalance, prepare
 from impact_rs_cli.main import parser
 from impact_rs_commands import COMMANDS
-from impact_rs_sim.effects.formula import AXES, CONTACT_SYMBOLS, FUNCTIONS, SYMBOLS, Formula, FormulaFile, FormulaSpec
+from impact_rs_sim.effects.formula import CONTACT_SYMBOLS, FUNCTIONS, SYMBOLS, Formula, FormulaFile, FormulaSpec
 from impact_rs_sim.model import Model
 from impact_rs_sim.paths import config_directory
 from impact_rs_sim.robot import RobotFacts

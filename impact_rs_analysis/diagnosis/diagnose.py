@@ -68,9 +68,7 @@ def diagnose(
     """
     present = {item.name for item in source.model.effects}
     effects = [
-        effect
-        for name, effect in effects_for(source).items()
-        if name not in present and (only is None or name in only)
+        effect for name, effect in effects_for(source).items() if name not in present and (only is None or name in only)
     ]
     found = findings_of(source, effects, progress)
     return document_of(found, source, model)

@@ -63,9 +63,7 @@ def discover(
     source = source_of(model)
     present = {item.name for item in model.effects}
     library = [
-        effect
-        for name, effect in effects_for(source).items()
-        if name not in present and (only is None or name in only)
+        effect for name, effect in effects_for(source).items() if name not in present and (only is None or name in only)
     ]
     verdict = _of_library(source, library, progress)
     if verdict is not None:
@@ -103,7 +101,7 @@ def _rivals(found: Findings) -> tuple[Rival, ...]:
         return ()
     return tuple(
         replace(rival, tied=rival.tied or _adds_nothing(found.chosen, rival))
-        for rival in found.search.rivals(found.chosen, MOST_RIVALS)
+        for rival in found.search.rivals(found.chosen, MOST_RIVALS, hopeless=np.inf)
     )
 
 
@@ -272,7 +270,7 @@ def _tie(
 
 
 def _apart(law: Law, other: Law, diagnosis: DiagnosisDocument, domain: Range) -> float | None:
-    """Value of the quantity beyond its range at which two laws differ by ``CLEAR`` of what they are inside; else None."""
+    """Value of the quantity beyond its range at which two laws differ by ``CLEAR`` of their size inside; else None."""
     low, high = domain
     forces = []
     reach = np.linspace(1.0, FARTHEST, 50)

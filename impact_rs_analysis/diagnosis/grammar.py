@@ -229,7 +229,9 @@ def _law(
     spec = FormulaSpec.model_validate(
         {
             "name": _name(place_name, place, quantity_name, form_name, number),
-            "sentence": f"{words}, {form.words} {quantity.words}." if form_name != "constant" else f"{words}, constant.",
+            "sentence": f"{words}, {form.words} {quantity.words}."
+            if form_name != "constant"
+            else f"{words}, constant.",
             place.formula: formula,
             "parameters": parameters,
         }
@@ -244,7 +246,8 @@ def _name(place_name: str, place: Place, quantity: str, form: str, number: str) 
     """Name of a law: ``motor4_velocity_cube``, ``end_effector_y_above_x``, ``object_drag_square``."""
     if place.each == "velocity":
         return f"{place_name}_{form}"
-    return f"{place_name}{number if place.each == 'joint' else ''}{f'_{number}' if place.each == 'axis' else ''}_{quantity}_{form}"
+    where = {"joint": number, "axis": f"_{number}"}.get(place.each, "")
+    return f"{place_name}{where}_{quantity}_{form}"
 
 
 def _inserted(law: str, symbol: str) -> str:

@@ -365,9 +365,7 @@ class RotationNull(NullDistribution):
             explained -= _explained(scores[:, :before], information[:, :before, :before])
         p = rarity(float(explained[0]), explained[1:])
         if self.discrepant:
-            own = np.sum(
-                [j.T @ item.mean * item.count for j, item in zip(turned, self.clusters, strict=True)], axis=0
-            )
+            own = np.sum([j.T @ item.mean * item.count for j, item in zip(turned, self.clusters, strict=True)], axis=0)
             p = max(p, rarity(float(own @ own), self._with_discrepancy(turned)))
         return p
 

@@ -417,8 +417,14 @@ class Search:
             rivals = self.rivals(chosen)
         return chosen, rivals
 
-    def rivals(self, chosen: Fit, count: int = 3) -> list[Rival]:
-        """Alternatives to every chosen effect, fitted together with the other chosen ones."""
+    def rivals(self, chosen: Fit, count: int = 3, hopeless: float = HOPELESS) -> list[Rival]:
+        """Alternatives to every chosen effect, fitted together with the other chosen ones.
+
+        Args:
+            chosen: The chosen effects.
+            count: How many are fitted in the place of each.
+            hopeless: One whose linear fit has more than so many times the squared error is left out.
+        """
         found = []
         for name in chosen.candidate.names:
             others = self._others(chosen, name)
@@ -433,9 +439,9 @@ class Search:
                     proposals.append((other, Fit.of(moved, chosen.evidence)))
             proposals.sort(key=lambda entry: entry[1].score)
             for other, linear in proposals[:count]:
-                if linear.score > HOPELESS * chosen.score:
+                if linear.score > hopeless * chosen.score:
                     continue
-                fitted = refine_again(refine(linear.candidate, chosen.evidence, HOPELESS * chosen.score))
+                fitted = refine_again(refine(linear.candidate, chosen.evidence, hopeless * chosen.score))
                 found.append(Rival(other, name, fitted, tied(chosen, fitted) and not _in_the_limit(fitted, other)))
         return found
 

@@ -29,11 +29,11 @@ there is the restitution G_n L_n(v) / v - 1.
 Where formulas act:
 
 * ``joint_torque`` on a link, where the torque sensor sees it; ``motor_torque`` on the motor before the transmission, as
-  friction of a gear and errors of the command do; ``end_effector_force`` at the origin of E. They are evaluated at every
-  control tick, with position and velocity of the links.
+  friction of a gear and errors of the command do; ``end_effector_force`` at the origin of E. They are evaluated at
+  every control tick, with position and velocity of the links.
 * ``object_force`` at the middle of the object, ``object_moment`` on it, along the axes of A.
-* ``contact_normal`` and ``contact_tangential`` between pad and object while they touch: a force that parts them, and one
-  against the sliding of the object on the pad. The pad feels the reaction. ``support_normal`` and
+* ``contact_normal`` and ``contact_tangential`` between pad and object while they touch: a force that parts them, and
+  one against the sliding of the object on the pad. The pad feels the reaction. ``support_normal`` and
   ``support_tangential`` likewise between support and object. They are evaluated in every step, with forces of the step
   before.
 
@@ -260,9 +260,7 @@ class FormulaEffect(Effect):
         self.name = spec.name
         self.sentence = spec.sentence
         self.parameters = tuple(
-            Parameter(
-                name, p.unit, p.nominal, p.lower, p.upper, p.scale, p.meaning, shape=p.shape, grid=p.grid
-            )
+            Parameter(name, p.unit, p.nominal, p.lower, p.upper, p.scale, p.meaning, shape=p.shape, grid=p.grid)
             for name, p in spec.parameters.items()
         )
         taken = FUNCTIONS.keys() | SYMBOLS.keys() | {"pi"}
@@ -346,7 +344,11 @@ class FormulaEffect(Effect):
                 if self._joint(key) >= joint_count:
                     raise InputError(f"effect {self.name!r}: unknown {key!r}; arm {arm!r} has {joint_count} joints")
         tables = (spec.joint_torque, spec.motor_torque, spec.end_effector_force)
-        for text in (*(text for table in tables for text in table.values()), spec.contact_normal, spec.contact_tangential):
+        for text in (
+            *(text for table in tables for text in table.values()),
+            spec.contact_normal,
+            spec.contact_tangential,
+        ):
             for symbol in JOINT_SYMBOL.finditer(text):
                 if int(symbol[2]) > joint_count:
                     raise InputError(

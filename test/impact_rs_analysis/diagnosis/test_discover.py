@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A law that is hidden in the plant is found, named with its amplitude, and added; nothing is found where nothing is."""
+"""A law that is hidden in the plant is found with its amplitude and added; nothing is found where nothing is."""
 
 from __future__ import annotations
 
@@ -86,7 +86,9 @@ def test_the_law_becomes_part_of_a_model_that_anyone_can_read(
 
 
 @pytest.mark.parametrize(
-    ("hidden", "verdict"), [([], NOTHING), ([Hidden("support_friction", (0.18,), 6.0)], LIBRARY)], ids=["null", "library"]
+    ("hidden", "verdict"),
+    [([], NOTHING), ([Hidden("support_friction", (0.18,), 6.0)], LIBRARY)],
+    ids=["null", "library"],
 )
 def test_nothing_is_proposed_where_nothing_is_or_the_library_explains(
     hidden: list[Hidden], verdict: str, tmp_path: Path
