@@ -8,16 +8,18 @@ where the library alone leaves more than noise; laws stand at places where free 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from impact_rs_analysis.diagnosis.diagnose import document_of, effects_for, findings_of
 from impact_rs_analysis.diagnosis.discovery_document import (
+    DESCRIBED,
     FOUND,
     LIBRARY,
     NO_LAW,
+    CurveDocument,
     DiscoveryDocument,
     DomainDocument,
     LawDocument,
@@ -25,7 +27,7 @@ from impact_rs_analysis.diagnosis.discovery_document import (
 )
 from impact_rs_analysis.diagnosis.document import NONE, NOTHING, PARTLY, SMALL, TOO_FEW, DiagnosisDocument
 from impact_rs_analysis.diagnosis.fit import Evidence, Fit
-from impact_rs_analysis.diagnosis.grammar import Grammar, Law, laws_of
+from impact_rs_analysis.diagnosis.grammar import Grammar, Law, curve_of, laws_of
 from impact_rs_analysis.diagnosis.search import ProgressCallback, Rival, Search
 from impact_rs_analysis.diagnosis.thresholds import SIGNIFICANT
 from impact_rs_analysis.diagnosis.verdicts import Findings, headline, residual_unit, rests_of
@@ -34,6 +36,7 @@ from impact_rs_analysis.evidence.visited import Range, visited
 from impact_rs_sim.effects import Effect
 from impact_rs_sim.model import Model
 
+OPEN = (NONE, PARTLY)  # verdicts that leave something to discover
 SEEN = 1.5  # times repeatability; a signal below it shows no law
 SHARE = 0.25  # of the largest such signal, likewise: of joints that move others, one is the cause
 CLEAR, FARTHEST = 0.3, 3.0  # difference of two laws that separates them, and how far out of the range it is looked for
@@ -74,22 +77,93 @@ def discover(
     laws = {law.spec.name: law for law in laws_of(grammar, ranges, len(source.joints))}
     wanted = set(_where(Evidence.of(source), laws.values()))
     laws = {name: law for name, law in laws.items() if name in wanted and name not in model.known_effects}
-    extended = model.model_copy(update={"formulas": (*model.formulas, *(law.spec for law in laws.values()))})
-    source = source_of(extended)
+    tried = _searched(source_of, model, library, laws, progress)
+    document = _document(tried, model, laws, ranges)
+    if document.verdict == FOUND:
+        return _with_curve(source_of, model, tried, laws, ranges, document)
+    if document.verdict != NO_LAW:
+        return document
+    curves = {curve.spec.name: curve for law in laws.values() for curve in _curves(law, ranges)}
+    described = _document(_searched(source_of, model, library, curves, progress), model, curves, ranges)
+    if described.verdict != FOUND:
+        return document
+    return described.model_copy(
+        update={
+            "verdict": DESCRIBED,
+            "summary": f"No law of the grammar holds. What remains is described by a curve. {described.summary}",
+        }
+    )
+
+
+@dataclass(frozen=True)
+class _Tried:
+    """A search with laws.
+
+    Attributes:
+        source: What was searched.
+        found: Result.
+        counts: Laws and effects that were looked at, and starts.
+    """
+
+    source: Source
+    found: Findings
+    counts: tuple[int, int]
+
+
+def _searched(
+    source_of: Callable[[Model], Source],
+    model: Model,
+    library: Sequence[Effect],
+    laws: Mapping[str, Law],
+    progress: ProgressCallback,
+) -> _Tried:
+    """Search for laws beside the library."""
+    source = source_of(model.model_copy(update={"formulas": (*model.formulas, *(law.spec for law in laws.values()))}))
     starts = [effect for law in laws.values() for effect in law.effects]
     found = findings_of(source, [*library, *starts], progress)
     found = replace(found, rivals=_rivals(found))
-    best = sorted(
-        (name for name in found.search.singles if name in laws and name not in found.names),
-        key=lambda name: found.search.beside(found.chosen, name).score,
+    return _Tried(source, found, (len(library) + len(laws), len(library) + len(starts)))
+
+
+def _with_curve(
+    source_of: Callable[[Model], Source],
+    model: Model,
+    tried: _Tried,
+    laws: Mapping[str, Law],
+    ranges: Mapping[str, Range],
+    document: DiscoveryDocument,
+) -> DiscoveryDocument:
+    """The discovery with what a free curve in the place of the best law is."""
+    best = laws[document.laws[0].name]
+    chosen = tried.found.names
+    if best.symbol not in ranges or len(chosen) != 1:
+        return document
+    curve = curve_of(best, ranges[best.symbol])
+    source = source_of(model.model_copy(update={"formulas": (*model.formulas, curve.spec)}))
+    fitted = Search(curve.effects, Evidence.of(source)).fitted([curve.spec.name])
+    if fitted is None:
+        return document
+    half = fitted.half_widths * fitted.candidate.scale
+    sign = -1.0 if best.opposes and not best.quantity.along else 1.0
+    numbers = {name: value.estimate for name, value in document.laws[0].parameters.items()}
+    law = document.laws[0].model_copy(
+        update={
+            "curve": CurveDocument(
+                at=curve.knots,
+                force=tuple(fitted.estimate.tolist()),
+                ci95=tuple(zip((fitted.estimate - half).tolist(), (fitted.estimate + half).tolist(), strict=True)),
+                law=tuple((sign * best.force(np.array(curve.knots), numbers)).tolist()),
+                unit=best.unit,
+            )
+        }
     )
-    rivals = [rival.name for rival in found.rivals]
-    shown = [*(name for name in found.names if name in laws), *dict.fromkeys([*rivals, *best[:MOST_OTHERS]])]
-    found.search.keep({*shown, *(effect.name for effect in library)})
-    diagnosis = document_of(found, source, model)
-    own = tuple(laws[name].spec for name in shown if name in laws)
-    diagnosis = diagnosis.model_copy(update={"formulas": own})
-    return _document(diagnosis, laws, ranges, (len(library) + len(laws), len(library) + len(starts)))
+    return document.model_copy(update={"laws": (law, *document.laws[1:])})
+
+
+def _curves(law: Law, ranges: Mapping[str, Range]) -> Iterator[Law]:
+    """The free curve of a law's place and quantity, where the quantity was measured and a formula is short enough."""
+    if law.symbol in ranges and law.form in ("linear", "above"):
+        yield curve_of(law, ranges[law.symbol])
 
 
 def _rivals(found: Findings) -> tuple[Rival, ...]:
@@ -122,7 +196,7 @@ def _of_library(source: Source, library: Sequence[Effect], progress: ProgressCal
         return NOTHING
     found = Findings(search, search.choose(), (), None, {})
     verdict = headline(found).verdict
-    if verdict.startswith(PARTLY) or verdict == NONE:
+    if verdict.startswith(OPEN):
         return None
     return verdict if verdict in (NOTHING, SMALL) else LIBRARY
 
@@ -165,9 +239,17 @@ def _where(evidence: Evidence, laws: Iterable[Law]) -> list[str]:
     return found
 
 
-def _document(
-    diagnosis: DiagnosisDocument, laws: Mapping[str, Law], ranges: Mapping[str, Range], counts: tuple[int, int]
-) -> DiscoveryDocument:
+def _document(tried: _Tried, model: Model, laws: Mapping[str, Law], ranges: Mapping[str, Range]) -> DiscoveryDocument:
+    found = tried.found
+    best = sorted(
+        (name for name in found.search.singles if name in laws and name not in found.names),
+        key=lambda name: found.search.beside(found.chosen, name).score,
+    )
+    rivals = [rival.name for rival in found.rivals]
+    shown = [name for name in dict.fromkeys([*found.names, *rivals, *best[:MOST_OTHERS]]) if name in laws]
+    found.search.keep({*shown, *(name for name in found.search.singles if name not in laws)})
+    diagnosis = document_of(found, tried.source, model)
+    diagnosis = diagnosis.model_copy(update={"formulas": tuple(laws[name].spec for name in shown)})
     chosen = [name for name in diagnosis.named if name in laws]
     tied = [name for group in diagnosis.confusable if group[0] in chosen for name in group[1:] if name in laws]
     listed = list(dict.fromkeys([*chosen, *tied]))
@@ -178,16 +260,14 @@ def _document(
     }
     first = tuple(sorted((every[name] for name in listed), key=lambda law: law.held_out_error_after))
     others = tuple(law for name, law in every.items() if name not in listed)
-    verdict = FOUND if chosen else NO_LAW if diagnosis.verdict.startswith((NONE, PARTLY)) else LIBRARY
-    if not diagnosis.named and verdict == LIBRARY:
-        verdict = NO_LAW
+    verdict = FOUND if chosen else LIBRARY if diagnosis.named and not diagnosis.verdict.startswith(OPEN) else NO_LAW
     return DiscoveryDocument(
         verdict=verdict,
-        summary=_summary(verdict, first, diagnosis, counts[0]),
+        summary=_summary(verdict, first, diagnosis, tried.counts[0]),
         laws=first,
         others=others,
-        looked_at=counts[0],
-        starts=counts[1],
+        looked_at=tried.counts[0],
+        starts=tried.counts[1],
         error_unit=diagnosis.error_unit,
         diagnosis=diagnosis,
     )
@@ -212,7 +292,7 @@ def _summary(verdict: str, laws: Sequence[LawDocument], diagnosis: DiagnosisDocu
 def _law(diagnosis: DiagnosisDocument, law: Law, ranges: Mapping[str, Range], laws: Mapping[str, Law]) -> LawDocument:
     effect = diagnosis.effect(law.spec.name)
     assert effect is not None
-    key, table = next((key, value) for key, value in law.spec.model_dump().items() if key in PLACES_OF and value)
+    key, table = law.formula
     rows = table if isinstance(table, dict) else {"": table}
     place = PLACES_OF[key]
     where = f" {law.where.removeprefix('joint')}" if law.where else ""

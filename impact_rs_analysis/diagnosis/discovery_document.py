@@ -13,6 +13,7 @@ from impact_rs_sim.files import write_whole
 from impact_rs_sim.schema import Schema
 
 FOUND = "LAW-FOUND"
+DESCRIBED = "CURVE-FOUND"
 NO_LAW = "NO-LAW-HOLDS"
 LIBRARY = "LIBRARY-EXPLAINS"
 
@@ -34,6 +35,16 @@ class DomainDocument(Schema):
     unit: str = Field(description="unit")
 
 
+class CurveDocument(Schema):
+    """The same force without a form: what a free curve over the quantity is at its knots, fitted to the same data."""
+
+    at: tuple[float, ...] = Field(description="values of the quantity, in its unit")
+    force: tuple[float, ...] = Field(description="force or torque there, in the unit")
+    ci95: tuple[tuple[float, float], ...] = Field(description="95 % intervals, in the unit")
+    law: tuple[float, ...] = Field(description="what the law says there, in the unit")
+    unit: str = Field(description="unit of the force or torque")
+
+
 class LawDocument(Schema):
     """One law with its evidence."""
 
@@ -49,6 +60,7 @@ class LawDocument(Schema):
     tied_with: tuple[str, ...] = Field((), description="laws and effects that predict as well in its place")
     tie: str = Field("", description="why these cannot be distinguished, and what would; empty: there is no tie")
     valid: DomainDocument | None = Field(None, description="where it was seen; null: the quantity was not measured")
+    curve: CurveDocument | None = Field(None, description="the force without a form; null: not fitted")
 
 
 class DiscoveryDocument(Schema):
@@ -56,7 +68,8 @@ class DiscoveryDocument(Schema):
 
     format: int = Field(1, description="version of this format")
     verdict: str = Field(
-        description="LAW-FOUND, NO-LAW-HOLDS, LIBRARY-EXPLAINS, NOTHING-MISSING, PRESENT-BUT-SMALL or TOO-FEW-REPEATS"
+        description="LAW-FOUND, CURVE-FOUND, NO-LAW-HOLDS, LIBRARY-EXPLAINS, NOTHING-MISSING, PRESENT-BUT-SMALL or "
+        "TOO-FEW-REPEATS"
     )
     summary: str = Field(description="the verdict in words")
     laws: tuple[LawDocument, ...] = Field((), description="the law and those tied with it, best first")

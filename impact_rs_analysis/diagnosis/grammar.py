@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
 
@@ -19,7 +19,7 @@ from pydantic import Field
 
 from impact_rs_analysis.evidence.visited import Range
 from impact_rs_sim.effects.dimensions import check_units
-from impact_rs_sim.effects.formula import AXES, Formula, FormulaEffect, FormulaParameter, FormulaSpec
+from impact_rs_sim.effects.formula import AXES, PLACES, Formula, FormulaEffect, FormulaParameter, FormulaSpec
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.paths import config_directory
 from impact_rs_sim.robot import Array
@@ -27,6 +27,7 @@ from impact_rs_sim.schema import Schema, load
 
 FILE = "grammar.yaml"
 WIDEST = 300.0  # amplitudes, in noticeable ones
+KNOTS = 5  # of a free curve
 MOST_WAVES, HIGHEST = 24, 80.0  # starts of a wave number, and the largest of them in the unit of the quantity
 LEAST_SPAN = 1e-3  # of the typical size; a quantity that hardly moves still has a range
 NARROWEST = 0.01  # width, in ranges of the quantity
@@ -103,6 +104,11 @@ class Law:
         profile: The force over the quantity ``u``, before its sign.
         needs: Signal of free motion that shows it; empty: none.
         starts: Values of its shape parameters by name.
+        words: What it acts on, in a sentence.
+        unit: Unit of the force or torque.
+        noticeable: Amplitude at which it matters, in the unit.
+        opposes: Whether the formula is minus the profile.
+        knots: Values of the quantity between which a free curve is straight; empty: it is a law.
     """
 
     spec: FormulaSpec
@@ -114,6 +120,16 @@ class Law:
     profile: str
     needs: str
     starts: tuple[Mapping[str, float], ...]
+    words: str
+    unit: str
+    noticeable: float
+    opposes: bool
+    knots: tuple[float, ...] = ()
+
+    @property
+    def formula(self) -> tuple[str, dict[str, str] | str]:
+        """Key of its place among the keys of a formula effect, and its formulas there."""
+        return next((key, table) for key in PLACES if (table := getattr(self.spec, key)))
 
     @property
     def effects(self) -> list[FormulaEffect]:
@@ -239,7 +255,58 @@ def _law(
     check_units(spec)
     FormulaEffect(spec)
     every = [{name: value} for name, values in starts.items() for value in values] or [{}]
-    return Law(spec, place_name, where, quantity, symbol, form_name, form.law, place.needs, tuple(every))
+    return Law(
+        spec=spec,
+        place=place_name,
+        where=where,
+        quantity=quantity,
+        symbol=symbol,
+        form=form_name,
+        profile=form.law,
+        needs=place.needs,
+        starts=tuple(every),
+        words=words,
+        unit=place.unit,
+        noticeable=place.noticeable,
+        opposes=opposes or place.each == "velocity",
+    )
+
+
+def curve_of(law: Law, domain: Range) -> Law:
+    """A free curve in the place of a law: a force at each of some knots over the range of its quantity.
+
+    Between them it is straight, beyond them it falls to 0 over the distance of two: it is valid where it was seen.
+
+    Args:
+        law: Gives place and quantity.
+        domain: Range of the quantity.
+    """
+    (key, table), (low, high) = law.formula, domain
+    knots = np.linspace(low, high, KNOTS)
+    width = float(knots[1] - knots[0])
+    profile = " + ".join(f"f{n} * max(0, 1 - abs(u - {knot:.5g}) / {width:.5g})" for n, knot in enumerate(knots))
+    text = _inserted(profile, law.symbol)
+    along = law.quantity.along
+    rows: dict[str, str] | str
+    if isinstance(table, str):
+        rows = text
+    elif along:
+        rows = {axis: f"-({text}) * {along}{axis} / max({law.symbol}, {0.01 * high:.2g})" for axis in table}
+    else:
+        rows = dict.fromkeys(table, text)
+    most = WIDEST * law.noticeable
+    force = FormulaParameter(unit=law.unit, lower=-most, upper=most, scale=law.noticeable)
+    stem = law.spec.name.removesuffix(f"_{law.form}")
+    spec = FormulaSpec.model_validate(
+        {
+            "name": f"{stem}_curve",
+            "sentence": f"{law.words}, a curve over {law.quantity.words}.",
+            key: rows,
+            "parameters": {f"f{number}": force for number in range(KNOTS)},
+        }
+    )
+    check_units(spec)
+    return replace(law, spec=spec, form="curve", profile=profile, starts=({},), knots=tuple(knots.tolist()))
 
 
 def _name(place_name: str, place: Place, quantity: str, form: str, number: str) -> str:

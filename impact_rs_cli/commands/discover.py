@@ -70,6 +70,15 @@ def _show_law(law: LawDocument, terminal: Terminal) -> None:
         domain = law.valid
         terminal.say(f"  seen for {domain.quantity} from {domain.low:.3g} to {domain.high:.3g} {domain.unit}")
 
+    if law.curve is not None:
+        curve = law.curve
+        table = Table(title=f"{law.place} [{curve.unit}]: the law, and a free curve fitted to the same data")
+        for heading in (law.valid.quantity if law.valid else "", "law", "free curve", "95 % interval"):
+            table.add_column(heading, justify="right", no_wrap=True)
+        for at, said, force, (low, high) in zip(curve.at, curve.law, curve.force, curve.ci95, strict=True):
+            table.add_row(number(at), number(said), number(force), f"{number(low)} ... {number(high)}")
+        terminal.say(table)
+
 
 def _errors(law: LawDocument) -> str:
     return f"{number(law.held_out_error_before)} → {number(law.held_out_error_after)}"
