@@ -39,18 +39,18 @@ FIRST = (
 )  # fmt: skip
 
 FOREIGN_RIGHT = {
-    "quadratic_drag": ("object_drag_square", "support_support_slip_even_square"),
+    "quadratic_drag": ("object_drag_square", "support_slip_square"),
     "ripple": ("motor4_position_ripple",),
     "cable": ("end_effector_y_y_below", "end_effector_y_y_above", "end_effector_x_x_above", "end_effector_cable_above"),
 }
 
 # Laws that are right: that which was hidden, and those that are equal to it.
 RIGHT: dict[str, tuple[str, ...]] = {
-    "object_quadratic_drag": ("object_drag_square", "support_support_slip_even_square"),
-    "object_cubic_drag": ("object_drag_cube", "support_support_slip_cube"),
+    "object_quadratic_drag": ("object_drag_square", "support_slip_square"),
+    "object_cubic_drag": ("object_drag_cube", "support_slip_cube"),
     "object_linear_drag": ("object_drag_linear",),
-    "object_spring_from_place": ("object_y_object_y_below",),
-    "object_growing_force": ("object_y_since_contact_linear",),
+    "object_spring_from_place": ("object_y_y_below",),
+    "object_growing_force": ("object_y_since_contact_linear", "support_since_contact_linear"),
     "motor4_ripple": ("motor4_position_ripple",),
     "motor2_ripple": ("motor2_position_ripple",),
     "motor1_quadratic": ("motor1_velocity_square",),

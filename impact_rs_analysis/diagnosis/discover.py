@@ -26,7 +26,7 @@ from impact_rs_analysis.diagnosis.discovery_document import (
     NumberDocument,
 )
 from impact_rs_analysis.diagnosis.document import NONE, NOTHING, PARTLY, SMALL, TOO_FEW, DiagnosisDocument
-from impact_rs_analysis.diagnosis.fit import Evidence, Fit
+from impact_rs_analysis.diagnosis.fit import HOPELESS, Evidence, Fit
 from impact_rs_analysis.diagnosis.grammar import Grammar, Law, curve_of, laws_of
 from impact_rs_analysis.diagnosis.search import ProgressCallback, Rival, Search
 from impact_rs_analysis.diagnosis.thresholds import SIGNIFICANT
@@ -34,6 +34,7 @@ from impact_rs_analysis.diagnosis.verdicts import Findings, headline, residual_u
 from impact_rs_analysis.evidence.source import Source
 from impact_rs_analysis.evidence.visited import Range, visited
 from impact_rs_sim.effects import Effect
+from impact_rs_sim.effects.formula import AXES
 from impact_rs_sim.model import Model
 
 OPEN = (NONE, PARTLY)  # verdicts that leave something to discover
@@ -183,8 +184,9 @@ def _adds_nothing(chosen: Fit, rival: Rival) -> bool:
     """Whether the chosen effect is not significant beside the rival that takes its place (rotation test)."""
     part = chosen.candidate.part(rival.instead_of)
     own = [jacobian[:, part] for jacobian in chosen.candidate.jacobians]
-    left = rival.fit.left
-    return left.null.p_value(own, rival.fit.candidate.jacobians) > SIGNIFICANT
+    left, fit = rival.fit.left, rival.fit
+    near = fit.score <= max(HOPELESS * chosen.score, float(fit.evidence.expected.mean()))
+    return near and left.null.p_value(own, fit.candidate.jacobians) > SIGNIFICANT
 
 
 def _of_library(source: Source, library: Sequence[Effect], progress: ProgressCallback) -> str | None:
@@ -301,7 +303,7 @@ def _law(diagnosis: DiagnosisDocument, law: Law, ranges: Mapping[str, Range], la
         name=law.spec.name,
         sentence=law.spec.sentence,
         place=f"{place}{where}",
-        formula="; ".join(f"{f'{axis}: ' if len(rows) > 1 else ''}{text}" for axis, text in rows.items()),
+        formula=_in_one_line(rows, law.quantity.along),
         parameters={
             name: NumberDocument(estimate=value.estimate, ci95=value.ci95, unit=value.unit)
             for name, value in effect.parameters.items()
@@ -316,6 +318,14 @@ def _law(diagnosis: DiagnosisDocument, law: Law, ranges: Mapping[str, Range], la
         if domain is None
         else DomainDocument(quantity=law.symbol, low=domain[0], high=domain[1], unit=law.quantity.unit),
     )
+
+
+def _in_one_line(rows: Mapping[str, str], along: str) -> str:
+    """Formulas by joint or axis; those along a velocity as one with a vector."""
+    if along and len(rows) == len(AXES):
+        vector = f"({', '.join(f'{along}{axis}' for axis in AXES)})"
+        return rows[AXES[0]].replace(f"{along}{AXES[0]}", vector)
+    return "; ".join(rows.values())
 
 
 PLACES_OF = {

@@ -282,7 +282,7 @@ def curve_of(law: Law, domain: Range) -> Law:
         domain: Range of the quantity.
     """
     (key, table), (low, high) = law.formula, domain
-    knots = np.linspace(low, high, KNOTS)
+    knots = np.linspace(low, high, KNOTS) if not law.quantity.along else np.linspace(0.0, high, KNOTS + 1)[1:]
     width = float(knots[1] - knots[0])
     profile = " + ".join(f"f{n} * max(0, 1 - abs(u - {knot:.5g}) / {width:.5g})" for n, knot in enumerate(knots))
     text = _inserted(profile, law.symbol)
@@ -314,7 +314,7 @@ def _name(place_name: str, place: Place, quantity: str, form: str, number: str) 
     if place.each == "velocity":
         return f"{place_name}_{form}"
     where = {"joint": number, "axis": f"_{number}"}.get(place.each, "")
-    return f"{place_name}{where}_{quantity}_{form}"
+    return f"{place_name}{where}_{quantity.removeprefix(f'{place_name}_')}_{form}"
 
 
 def _inserted(law: str, symbol: str) -> str:
