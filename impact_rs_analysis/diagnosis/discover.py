@@ -261,7 +261,8 @@ def _document(tried: _Tried, model: Model, laws: Mapping[str, Law], ranges: Mapp
         if effect.name in laws and effect.measured
     }
     first = tuple(sorted((every[name] for name in listed), key=lambda law: law.held_out_error_after))
-    others = tuple(law for name, law in every.items() if name not in listed)
+    instead = (law for name, law in every.items() if name not in listed and (name in rivals or not chosen))
+    others = tuple(sorted(instead, key=lambda law: law.held_out_error_after))
     verdict = FOUND if chosen else LIBRARY if diagnosis.named and not diagnosis.verdict.startswith(OPEN) else NO_LAW
     return DiscoveryDocument(
         verdict=verdict,
@@ -351,7 +352,7 @@ def _tie(
     domain = ranges.get(law.symbol)
     alike = [laws[name] for name in rivals if name in laws and laws[name].symbol == law.symbol]
     if domain is None or not alike:
-        return f"{text}: along these motions they act alike."
+        return f"{text}: in these motions they are nearly the same force."
     low, high = domain
     unit = law.quantity.unit
     text += f" between {low:.2g} and {high:.2g} {unit} of {law.symbol}"

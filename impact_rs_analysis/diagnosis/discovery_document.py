@@ -73,7 +73,7 @@ class DiscoveryDocument(Schema):
     )
     summary: str = Field(description="the verdict in words")
     laws: tuple[LawDocument, ...] = Field((), description="the law and those tied with it, best first")
-    others: tuple[LawDocument, ...] = Field((), description="other laws, best first; none of them is proposed")
+    others: tuple[LawDocument, ...] = Field((), description="other laws in place of the found one, best first")
     looked_at: int = Field(0, description="laws and effects that were looked at")
     starts: int = Field(0, description="the same, counted once for every start of a shape")
     error_unit: str = Field(description="unit of the held-out errors")

@@ -282,7 +282,8 @@ def curve_of(law: Law, domain: Range) -> Law:
         domain: Range of the quantity.
     """
     (key, table), (low, high) = law.formula, domain
-    knots = np.linspace(low, high, KNOTS) if not law.quantity.along else np.linspace(0.0, high, KNOTS + 1)[1:]
+    from_rest = 0.0 <= low < high / KNOTS  # a speed: at rest the force is 0, or sticks, which is no curve
+    knots = np.linspace(0.0, high, KNOTS + 1)[1:] if from_rest else np.linspace(low, high, KNOTS)
     width = float(knots[1] - knots[0])
     profile = " + ".join(f"f{n} * max(0, 1 - abs(u - {knot:.5g}) / {width:.5g})" for n, knot in enumerate(knots))
     text = _inserted(profile, law.symbol)

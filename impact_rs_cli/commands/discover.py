@@ -50,7 +50,8 @@ def _show(document: DiscoveryDocument, terminal: Terminal) -> None:
     for law in document.laws:
         _show_law(law, terminal)
     if document.others:
-        table = Table(title=f"Other laws, best first (error on unseen data, {document.error_unit})")
+        where = "in its place" if document.laws else "alone"
+        table = Table(title=f"Other laws {where}, best first (error on unseen data, {document.error_unit})")
         for heading in ("law", "formula"):
             table.add_column(heading, overflow="fold")
         table.add_column("without → with", justify="right", no_wrap=True)
