@@ -147,17 +147,17 @@ def _with_curve(
     half = fitted.half_widths * fitted.candidate.scale
     sign = -1.0 if best.opposes and not best.quantity.along else 1.0
     numbers = {name: value.estimate for name, value in document.laws[0].parameters.items()}
-    law = document.laws[0].model_copy(
-        update={
-            "curve": CurveDocument(
-                at=curve.knots,
-                force=tuple(fitted.estimate.tolist()),
-                ci95=tuple(zip((fitted.estimate - half).tolist(), (fitted.estimate + half).tolist(), strict=True)),
-                law=tuple((sign * best.force(np.array(curve.knots), numbers)).tolist()),
-                unit=best.unit,
-            )
-        }
+    said = sign * best.force(np.array(curve.knots), numbers)
+    known = np.flatnonzero(half <= np.max(np.abs(said)))  # the data determine the others not even in sign
+    force, ends = fitted.estimate, np.column_stack((fitted.estimate - half, fitted.estimate + half))
+    shown = CurveDocument(
+        at=tuple(curve.knots[number] for number in known),
+        force=tuple(force[known].tolist()),
+        ci95=tuple((float(low), float(high)) for low, high in ends[known]),
+        law=tuple(said[known].tolist()),
+        unit=best.unit,
     )
+    law = document.laws[0].model_copy(update={"curve": shown})
     return document.model_copy(update={"laws": (law, *document.laws[1:])})
 
 

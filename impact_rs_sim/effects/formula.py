@@ -62,7 +62,7 @@ from impact_rs_sim.effects.base import SINGLE_IMPACT, Effect, Parameter, Values,
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.physics import ContactCondition, ContactLaw, Load, LoadState, ObjectLoad, Physics
 from impact_rs_sim.robot import Array
-from impact_rs_sim.schema import Schema, load
+from impact_rs_sim.schema import Schema, load, omitted
 
 FUNCTIONS: dict[str, tuple[int, Callable[..., float]]] = {
     "sin": (1, math.sin),
@@ -206,8 +206,8 @@ class FormulaParameter(Schema):
     upper: float = Field(description="largest value that makes sense")
     scale: float = Field(gt=0.0, description="a noticeable change")
     meaning: str = Field("", description="what it is")
-    shape: bool = Field(False, description="whether it changes nothing while the others are nominal, as a threshold")
-    grid: tuple[float, ...] = Field((), description="values of a shape from which a fit starts")
+    shape: bool = omitted(False, description="whether it changes nothing while the others are nominal, as a threshold")
+    grid: tuple[float, ...] = omitted((), description="values of a shape from which a fit starts")
 
     @model_validator(mode="after")
     def _limits_in_order(self) -> Self:
@@ -224,12 +224,12 @@ class FormulaSpec(Schema):
     joint_torque: dict[str, str] = Field({}, description="torque on a link, formula per joint (joint1 ...) [N m]")
     motor_torque: dict[str, str] = Field({}, description="torque on a motor, formula per joint (joint1 ...) [N m]")
     end_effector_force: dict[str, str] = Field({}, description="formula per axis (x, y, z) [N]")
-    object_force: dict[str, str] = Field({}, description="force at the object's middle, formula per axis [N]")
-    object_moment: dict[str, str] = Field({}, description="moment on the object, formula per axis [N m]")
-    contact_normal: str = Field("", description="force that parts pad and object while they touch [N]")
-    contact_tangential: str = Field("", description="force against the object's sliding on the pad [N]")
-    support_normal: str = Field("", description="force that parts support and object while they touch [N]")
-    support_tangential: str = Field("", description="force against the object's sliding on the support [N]")
+    object_force: dict[str, str] = omitted({}, description="force at the object's middle, formula per axis [N]")
+    object_moment: dict[str, str] = omitted({}, description="moment on the object, formula per axis [N m]")
+    contact_normal: str = omitted("", description="force that parts pad and object while they touch [N]")
+    contact_tangential: str = omitted("", description="force against the object's sliding on the pad [N]")
+    support_normal: str = omitted("", description="force that parts support and object while they touch [N]")
+    support_tangential: str = omitted("", description="force against the object's sliding on the support [N]")
     contact: dict[str, str] = Field(
         {},
         description="of a single impact: formula per coefficient (restitution, tangential_restitution, friction) [-]",
