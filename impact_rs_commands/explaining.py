@@ -196,11 +196,16 @@ impact-rs compare campaigns/blind/runs --model model_2.yaml
 
 # runs recorded with another controller, and terms of your own beside the shipped grammar
 impact-rs discover lab/ --experiment experiment.yaml --grammar my_terms.yaml -o discovery.json""",
-    output="the law as a formula with intervals, laws tied with it, where it was seen; with -o a JSON file.",
+    output="the law as a formula with intervals, laws tied with it, where it was seen; with -o a JSON file, with --report "
+    "discovery.html.",
     units="beside each estimate; errors are multiples of repeatability, for recordings N m.",
     options=(
         RUNS,
         MODEL,
+        option(
+            "--report", kind="new_folder", metavar="DIR", help="folder for an HTML page with the picture of the law",
+            label="folder of the report",
+        ),
         output("new_file", "file for the discovery", "FILE.json", label="file of the discovery"),
         option(
             "--grammar", kind="file", metavar="FILE.yaml", help="further quantities, forms and places of laws",

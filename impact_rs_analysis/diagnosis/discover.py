@@ -24,6 +24,7 @@ from impact_rs_analysis.diagnosis.discovery_document import (
     DomainDocument,
     LawDocument,
     NumberDocument,
+    PointDocument,
 )
 from impact_rs_analysis.diagnosis.document import NONE, NOTHING, PARTLY, SMALL, TOO_FEW, DiagnosisDocument
 from impact_rs_analysis.diagnosis.fit import HOPELESS, Evidence, Fit
@@ -36,10 +37,12 @@ from impact_rs_analysis.evidence.visited import Range, visited
 from impact_rs_sim.effects import Effect
 from impact_rs_sim.effects.formula import AXES
 from impact_rs_sim.model import Model
+from impact_rs_sim.robot import Array
 
 OPEN = (NONE, PARTLY)  # verdicts that leave something to discover
 SEEN = 1.5  # times repeatability; a signal below it shows no law
 SHARE = 0.25  # of the largest such signal, likewise: of joints that move others, one is the cause
+POINTS = 41  # of a law over its quantity
 CLEAR, FARTHEST = 0.3, 3.0  # difference of two laws that separates them, and how far out of the range it is looked for
 MOST_RIVALS = 8  # fitted in the place of a law
 MOST_OTHERS = 8  # laws that are listed without being proposed
@@ -145,20 +148,34 @@ def _with_curve(
     if fitted is None:
         return document
     half = fitted.half_widths * fitted.candidate.scale
-    sign = -1.0 if best.opposes and not best.quantity.along else 1.0
-    numbers = {name: value.estimate for name, value in document.laws[0].parameters.items()}
-    said = sign * best.force(np.array(curve.knots), numbers)
-    known = np.flatnonzero(half <= np.max(np.abs(said)))  # the data determine the others not even in sign
-    force, ends = fitted.estimate, np.column_stack((fitted.estimate - half, fitted.estimate + half))
+    at = np.linspace(min(curve.knots), max(curve.knots), POINTS)
+    said, band = _band(best, document.laws[0], at)
+    points = []
+    for knot, force, wide in zip(curve.knots, fitted.estimate.tolist(), half.tolist(), strict=True):
+        if wide <= float(np.max(np.abs(said))):  # the data determine the others not even in sign
+            there = float(np.interp(knot, at, said))
+            points.append(PointDocument(at=knot, force=force, ci95=(force - wide, force + wide), law=there))
     shown = CurveDocument(
-        at=tuple(curve.knots[number] for number in known),
-        force=tuple(force[known].tolist()),
-        ci95=tuple((float(low), float(high)) for low, high in ends[known]),
-        law=tuple(said[known].tolist()),
+        at=tuple(at.tolist()),
+        law=tuple(said.tolist()),
+        law_ci95=tuple(zip((said - band).tolist(), (said + band).tolist(), strict=True)),
+        points=tuple(points),
         unit=best.unit,
     )
     law = document.laws[0].model_copy(update={"curve": shown})
     return document.model_copy(update={"laws": (law, *document.laws[1:])})
+
+
+def _band(law: Law, found: LawDocument, at: Array) -> tuple[Array, Array]:
+    """Force of a law and half width of its band, ``(k,)`` each: the squares of changes at interval ends."""
+    sign = -1.0 if law.opposes and not law.quantity.along else 1.0
+    numbers = {name: value.estimate for name, value in found.parameters.items()}
+    said, squares = sign * law.force(at, numbers), np.zeros_like(at)
+    for name, value in found.parameters.items():
+        if value.ci95 is not None:
+            low, high = (law.force(at, {**numbers, name: end}) for end in value.ci95)
+            squares += np.square((high - low) / 2.0)
+    return said, np.sqrt(squares)
 
 
 def _curves(law: Law, ranges: Mapping[str, Range]) -> Iterator[Law]:

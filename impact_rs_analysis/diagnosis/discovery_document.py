@@ -35,14 +35,23 @@ class DomainDocument(Schema):
     unit: str = Field(description="unit")
 
 
+class PointDocument(Schema):
+    """A value of a free curve in the place of a law, fitted to the same data."""
+
+    at: float = Field(description="the quantity, in its unit")
+    force: float = Field(description="force or torque there, in the unit")
+    ci95: tuple[float, float] = Field(description="95 % interval, in the unit")
+    law: float = Field(description="what the law says there, in the unit")
+
+
 class CurveDocument(Schema):
-    """The same force without a form: what a free curve over the quantity is at its knots, fitted to the same data."""
+    """Force of a law over its quantity, beside that of a free curve."""
 
     at: tuple[float, ...] = Field(description="values of the quantity, in its unit")
-    force: tuple[float, ...] = Field(description="force or torque there, in the unit")
-    ci95: tuple[tuple[float, float], ...] = Field(description="95 % intervals, in the unit")
-    law: tuple[float, ...] = Field(description="what the law says there, in the unit")
-    unit: str = Field(description="unit of the force or torque")
+    law: tuple[float, ...] = Field(description="force or torque of the law there, in the unit")
+    law_ci95: tuple[tuple[float, float], ...] = Field(description="its 95 % band, in the unit")
+    points: tuple[PointDocument, ...] = Field(description="a free curve, where the data determine it")
+    unit: str = Field(description="unit of force or torque")
 
 
 class LawDocument(Schema):

@@ -10,6 +10,7 @@ from rich.table import Table
 from impact_rs_analysis.diagnosis.discover import discover
 from impact_rs_analysis.diagnosis.discovery_document import DiscoveryDocument, LawDocument, write_discovery
 from impact_rs_analysis.diagnosis.grammar import load_grammar
+from impact_rs_analysis.report.discovery import write_report
 from impact_rs_cli.arguments import number, on_local_runs
 from impact_rs_cli.commands.diagnose import check_effects
 from impact_rs_cli.measurements import measured
@@ -34,6 +35,9 @@ def run(args: argparse.Namespace, terminal: Terminal) -> int:
     if args.output is not None:
         with output_folder(args.output.parent):
             write_discovery(document, args.output)
+    if args.report is not None:
+        with output_folder(args.report):
+            terminal.say(f"report: {write_report(document, args.report).resolve()}")
     _show(document, terminal)
     terminal.result(document.model_dump(mode="json"))
     if args.output is not None:
@@ -71,13 +75,13 @@ def _show_law(law: LawDocument, terminal: Terminal) -> None:
         domain = law.valid
         terminal.say(f"  seen for {domain.quantity} from {domain.low:.3g} to {domain.high:.3g} {domain.unit}")
 
-    if law.curve is not None:
-        curve = law.curve
-        table = Table(title=f"{law.place} [{curve.unit}]: the law, and a free curve fitted to the same data")
-        for heading in (law.valid.quantity if law.valid else "", "law", "free curve", "95 % interval"):
+    if law.curve is not None and law.valid is not None:
+        table = Table(title=f"{law.place} [{law.curve.unit}]: the law, and a free curve fitted to the same data")
+        for heading in (law.valid.quantity, "law", "free curve", "95 % interval"):
             table.add_column(heading, justify="right", no_wrap=True)
-        for at, said, force, (low, high) in zip(curve.at, curve.law, curve.force, curve.ci95, strict=True):
-            table.add_row(number(at), number(said), number(force), f"{number(low)} ... {number(high)}")
+        for point in law.curve.points:
+            interval = f"{number(point.ci95[0])} ... {number(point.ci95[1])}"
+            table.add_row(number(point.at), number(point.law), number(point.force), interval)
         terminal.say(table)
 
 
