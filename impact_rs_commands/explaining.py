@@ -196,8 +196,7 @@ impact-rs compare campaigns/blind/runs --model model_2.yaml
 
 # runs recorded with another controller, and terms of your own beside the shipped grammar
 impact-rs discover lab/ --experiment experiment.yaml --grammar my_terms.yaml -o discovery.json""",
-    output="the law as a formula with intervals, laws tied with it, where it was seen; with -o a JSON file, with --report "
-    "discovery.html.",
+    output="the law as a formula with intervals, laws tied with it; with -o a JSON file, with --report discovery.html.",
     units="beside each estimate; errors are multiples of repeatability, for recordings N m.",
     options=(
         RUNS,

@@ -90,7 +90,6 @@ MISTAKES = {  # {} is a folder with one file, CUBES a table of impacts
     "discover {} --effects torque_ofset": "did you mean 'torque_offset'",
     "discover {} --grammar {}/no.yaml": "no.yaml",
     "discover {} --grammar {}/file": "file",
-    "discover {} -o {}": "this is a folder",
     "friction identify pusch -o {}/a.yaml": "did you mean 'push'",
     f"{FRICTION} --objects catfood": "cat_food",
     f"{FRICTION} --runs 0": "runs = 0",
