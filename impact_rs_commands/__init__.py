@@ -19,6 +19,7 @@ COMMANDS: dict[str, Command] = {  # in the order of the help
         explaining.EXPORT,
         explaining.COMPARE,
         explaining.DIAGNOSE,
+        explaining.DISCOVER,
         explaining.ADD,
         explaining.HISTORY,
         predicting.EFFECTS,

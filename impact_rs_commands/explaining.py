@@ -182,6 +182,50 @@ m/s.""",
     ),
 )  # fmt: skip
 
+DISCOVER = Command(
+    name="discover",
+    summary="look for a law that the library of effects does not have",
+    about="""\
+Look for a formula that explains what no effect of the library does: the step after NONE-EXPLAINS and PARTLY.
+
+A law is a place, a quantity and a form (config/grammar.yaml): torque on a motor × its velocity × cube, force on the
+object × its speed × square. Laws stand where a residual is seen. All are screened linearly, the best are fitted by
+simulation with thresholds, widths and periods free, and judged by the held-out error of a search that has not seen
+the condition, beside the effects of the library. Laws that predict equally well are listed together.
+
+Nothing is proposed where the library explains the measurements, where nothing is missing, and where the hold-out does
+not support a law. The same data as for diagnose are needed.""",
+    examples="""\
+impact-rs discover campaigns/blind/runs -o discovery.json
+impact-rs add object_drag_square --from discovery.json -o model_2.yaml
+impact-rs compare campaigns/blind/runs --model model_2.yaml
+
+# runs recorded with another controller, and terms of your own beside the shipped grammar
+impact-rs discover lab/ --experiment experiment.yaml --grammar my_terms.yaml -o discovery.json""",
+    output="the law as a formula with intervals, laws tied with it; with -o a JSON file, with --report discovery.html.",
+    units="beside each estimate; errors are multiples of repeatability, for recordings N m.",
+    options=(
+        RUNS,
+        MODEL,
+        option(
+            "--report", kind="new_folder", metavar="DIR", help="folder for an HTML page with the picture of the law",
+            label="folder of the report",
+        ),
+        output("new_file", "file for the discovery", "FILE.json", label="file of the discovery"),
+        option(
+            "--grammar", kind="file", metavar="FILE.yaml", help="further quantities, forms and places of laws",
+            label="your own terms of laws", advanced=True,
+        ),
+        option(
+            "--effects", kind="effect", many=True, metavar="NAME", otherwise="all", label="only these effects",
+            help="effects of the library to consider beside the laws", advanced=True,
+        ),
+        *SOURCE,
+        *JOBS,
+        JSON,
+    ),
+)  # fmt: skip
+
 ADD = Command(
     name="add",
     summary="add a diagnosed effect to a model",

@@ -302,6 +302,9 @@ class Program:
     def parts(self) -> tuple[Array, Array, Array, Array, Array, Array, Array]:
         """The fields of a :class:`~impact_rs_control.qp.QuadraticProgram`."""
 
+SYMBOLS: Sequence[str]
+"""Symbols of formulas that belong to no joint, by number; q, dq and tau of every joint follow them, all q first."""
+
 OPERATIONS: Sequence[str]
 """What the code of a formula may contain, by number: ``Formula`` in src/twin_formula.hpp."""
 
@@ -309,7 +312,7 @@ TwinLoad = Callable[[float, Array, Array], tuple[Array, Array]]
 """Torques on links and motors, ``(n,)`` each [N m], from time [s], q and dq."""
 
 TwinFormula = tuple[str, int, int, Sequence[int], Sequence[float]]
-"""Name of the effect; 0 link, 1 motor, 2 end effector; joint or axis from 0; code, as in src/twin_formula.hpp, and the
+"""Name of the effect; what it acts on, ``Acts`` in src/twin_formula.hpp; joint or axis from 0; code, as there, and the
 constants that it takes."""
 
 _Pad = tuple[Array, Array, Array, float | None, float, float, float]
@@ -366,6 +369,7 @@ class Twin:
         gravity: Acceleration of gravity in A, ``(3,)`` [m/s^2].
         period: Period of the torque loop [s].
         refinement: Steps in a period in which a pad meets the object.
+        formulas: On the object, and between it and the support.
 
     Raises:
         ValueError: An array has the wrong size, or there is no step in a period.
@@ -381,6 +385,7 @@ class Twin:
         gravity: Array,
         period: float,
         refinement: int,
+        formulas: Sequence[TwinFormula],
     ) -> None: ...
 
 TwinArmStart = tuple[Array, Array, Array, Array, Array, Array]

@@ -8,6 +8,7 @@ from typing import Self
 
 import numpy as np
 
+from impact_rs_sim.bullet_loads import BulletLoads
 from impact_rs_sim.bullet_world import BulletWorld
 from impact_rs_sim.drive import Drive, DriveStart
 from impact_rs_sim.mechanics import Mechanics
@@ -41,7 +42,8 @@ class BulletMechanics(Mechanics):
         self.links: dict[str, ArmState] = {}
         self._models = physics.robot_models()
         self._loaded = [name for name, arm in physics.arms.items() if arm.loads]
-        self._may_sleep = may_sleep
+        self._loads = BulletLoads(physics, world, self._models)
+        self._may_sleep = may_sleep and not self._loads.any
 
     @classmethod
     def load(cls, physics: Physics, period: float, may_sleep: bool = True) -> Self:
@@ -87,8 +89,12 @@ class BulletMechanics(Mechanics):
         loads = {name: self._load_torque(name, time) for name in self._loaded}
         for name, torque in (further or {}).items():
             loads[name] = loads.get(name, 0.0) + torque
-        motions = {}
-        for _ in range(periods):
+        motions, links = {}, self.links
+        for number in range(periods):
+            if self._loads.any:
+                torques = {name: drive.elastic_torque for name, drive in drives.items()}
+                moment = time + number * next(iter(drives.values())).period
+                self._loads.push(moment, links, torques)
             for name, torque in desired.items():
                 drive = drives[name]
                 link_torque = drive.transmission_torque
@@ -100,13 +106,19 @@ class BulletMechanics(Mechanics):
                 drive.sense(*motions[name])
                 if after_sense is not None:
                     after_sense(name)
+            if self._loads.any:
+                links = {name: ArmState(np.array(q), np.array(dq)) for name, (q, dq) in motions.items()}
         for name, (position, velocity) in motions.items():
             self.links[name] = ArmState(np.array(position), np.array(velocity))
 
     def _load_torque(self, name: str, time: float) -> Array:
         """Torque on the links of all loads outside the model, ``(n,)`` [N m]; sets that on the motors as well."""
         link = self.links[name]
-        on_links, on_motors = self.physics.load_torques(name, self._models[name], time, link.position, link.velocity)
+        reads = any(load.reads_scene for load in self.physics.arms[name].loads)
+        scene = self._loads.scene(time, name, self.links) if reads else None
+        on_links, on_motors = self.physics.load_torques(
+            name, self._models[name], time, link.position, link.velocity, self.drives[name].elastic_torque, scene
+        )
         self.drives[name].load(on_motors)
         return on_links
 

@@ -22,6 +22,7 @@ import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
@@ -100,6 +101,7 @@ class BulletWorld:
         self._shears = shears
         self._substeps = substeps
         self._torques: dict[str, list[float]] = {}
+        self._pushes: list[tuple[str | None, Array, Array, Array]] = []
         self._support_friction = physics.support_friction
         self._turns = small_steps and support is not None and physics.support_friction > 0.0
         self._models = {name: physics.robot_model(name) for name in shears}
@@ -254,6 +256,23 @@ class BulletWorld:
         """Joint torque of an arm over the next step, ``(n,)`` [N m]."""
         self._torques[name] = torque.tolist()
 
+    def push(self, arm: str | None, place: Array, force: Array, moment: Array | None = None) -> None:
+        """Add a force at a place, and a moment, over the next step; in A.
+
+        Args:
+            arm: The arm whose end effector it acts on; None: the object.
+            place: Where, ``(3,)`` [m].
+            force: ``(3,)`` [N].
+            moment: ``(3,)`` [N m].
+        """
+        self._pushes.append((arm, place, force, np.zeros(3) if moment is None else moment))
+
+    def contact_points(self, arm: str | None) -> tuple[tuple[Any, ...], ...]:
+        """Points of the last step between an arm and the object, or without an arm between object and support."""
+        if arm is None:
+            return self._get_contacts(self.object, self.support) if self.support is not None else ()
+        return self._get_contacts(self.arms[arm], self.object)
+
     def set_support_friction(self, coefficient: float) -> None:
         """Set the friction coefficient of the support, from the next step on; for extensions of a plant."""
         self._support_friction = coefficient
@@ -266,10 +285,16 @@ class BulletWorld:
                 self._set_torques(self.arms[name], self.joints[name], pybullet.TORQUE_CONTROL, forces=torque)
             for name, shear in self._shears.items():
                 self._shear(name, shear)
+            for arm, place, force, moment in self._pushes:
+                body, link = (self.object, -1) if arm is None else (self.arms[arm], self.end_effector_link[arm])
+                self._push(body, link, force.tolist(), place.tolist(), pybullet.WORLD_FRAME)
+                if np.any(moment):
+                    self.client.applyExternalTorque(body, link, moment.tolist(), pybullet.WORLD_FRAME)
             if self._turns:
                 self._turn_friction()
             self._step()
         self._torques.clear()
+        self._pushes.clear()
 
     def _turn_friction(self) -> None:
         """Correct the direction of the support's friction on the sliding object, over the next step.

@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import hashlib
 import re
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Annotated
 
@@ -82,6 +83,12 @@ class Model(Schema):
         each = of_each(shared, self.arms)
         own = {scalar.name for scalar in each.scalars(0)}
         return each if own & item.parameters.keys() else shared
+
+    def containing(self, names: Iterable[str]) -> Model:
+        """The model with those of its formulas alone that are named or switched on: what a simulation needs of it."""
+        wanted = {*names, *(item.name for item in self.effects)}
+        kept = tuple(spec for spec in self.formulas if spec.name in wanted)
+        return self if len(kept) == len(self.formulas) else self.model_copy(update={"formulas": kept})
 
     @property
     def digest(self) -> str:

@@ -9,6 +9,7 @@ model.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -81,6 +82,8 @@ class LoadState:
         position: Origin of frame E in A, ``(3,)`` [m].
         velocity: Its velocity, ``(3,)`` [m/s].
         impact_position: Where E is at the nominal impact, ``(3,)`` [m].
+        joint_torque: tau_J, ``(n,)`` [N m]; None: not known, and 0 in formulas.
+        scene: Symbols of object and contact by name, in SI units; those that are missing are 0.
     """
 
     time: float
@@ -89,10 +92,43 @@ class LoadState:
     position: Array
     velocity: Array
     impact_position: Array
+    joint_torque: Array | None = None
+    scene: Mapping[str, float] = field(default_factory=dict)
+
+
+class ObjectLoad(ABC):
+    """A load on the object, or between it and its support, from outside the model."""
+
+    @abstractmethod
+    def wrench(self, scene: Mapping[str, float]) -> Array:
+        """Force at the middle of the object and moment, axes of A, ``(6,)`` [N, N m].
+
+        Args:
+            scene: Symbols of time and object by name, in SI units.
+        """
+
+    @abstractmethod
+    def support_force(self, scene: Mapping[str, float]) -> tuple[float, float]:
+        """Normal force on the object away from the support, and force against its sliding [N]."""
 
 
 class Load:
-    """A load on one arm from outside the model; subclasses override what they need."""
+    """A load on one arm from outside the model; subclasses override what they need.
+
+    Attributes:
+        touches: Whether it acts between pad and object.
+        reads_scene: Whether it depends on :attr:`LoadState.scene`.
+    """
+
+    @property
+    def touches(self) -> bool:
+        """See the class."""
+        return False
+
+    @property
+    def reads_scene(self) -> bool:
+        """See the class."""
+        return False
 
     def motor_torque(self, state: LoadState) -> Array | None:
         """Torque on the motors, as joint friction acts, ``(n,)`` [N m], or None."""
@@ -104,6 +140,10 @@ class Load:
 
     def end_effector_force(self, state: LoadState) -> Array | None:
         """Force at the origin of E, axes of A, ``(3,)`` [N], or None."""
+        return None
+
+    def pad_force(self, state: LoadState) -> tuple[float, float] | None:
+        """Between pad and object while they touch: force that parts them, and force against sliding [N], or None."""
         return None
 
 
@@ -233,6 +273,7 @@ class Physics:
         rolling_arm: Lever of the moment that resists rolling, over the normal force: |M| <= rolling_arm N [m].
         restitution_law: Whose restitution the rigid impact map has, ``newton`` or ``poisson``.
         contact_laws: Further laws of the contact points of a single measured impact, in the order in which they act.
+        object_loads: What else acts on the object, and between it and the support.
     """
 
     arms: dict[str, ArmPhysics]
@@ -248,6 +289,7 @@ class Physics:
     rolling_arm: float = 0.0
     restitution_law: str = "newton"
     contact_laws: tuple[ContactLaw, ...] = ()
+    object_loads: tuple[ObjectLoad, ...] = ()
 
     @staticmethod
     def nominal(scenario: Scenario, object_name: str) -> Physics:
@@ -347,7 +389,14 @@ class Physics:
         return {name: self.robot_model(name) for name in self.arms}
 
     def load_torques(
-        self, arm: str, model: RobotModel, time: float, position: Array, velocity: Array
+        self,
+        arm: str,
+        model: RobotModel,
+        time: float,
+        position: Array,
+        velocity: Array,
+        torque: Array | None = None,
+        scene: Mapping[str, float] | None = None,
     ) -> tuple[Array, Array]:
         """Torques of the loads of one arm.
 
@@ -357,6 +406,8 @@ class Physics:
             time: Time since the start of the trial [s].
             position: q, ``(n,)`` [rad].
             velocity: dq, ``(n,)`` [rad/s].
+            torque: tau_J, ``(n,)`` [N m]; None: not known.
+            scene: Symbols of object and contact; None: there is neither.
 
         Returns:
             Torque on the links and torque on the motors, ``(n,)`` each [N m].
@@ -370,6 +421,8 @@ class Physics:
             position=model.placement(position).translation,
             velocity=jacobian @ velocity,
             impact_position=physics.impact_position,
+            joint_torque=torque,
+            scene=scene or {},
         )
         on_links, on_motors = np.zeros_like(position), np.zeros_like(position)
         for load in physics.loads:

@@ -27,12 +27,15 @@ from numpy.typing import NDArray
 from impact_rs_sim import _kernel
 from impact_rs_sim.bullet_world import check_body
 from impact_rs_sim.drive import Drive, DriveStart
-from impact_rs_sim.effects.formula import AXES, JOINT_SYMBOL, SPEEDS, FormulaLoad
+from impact_rs_sim.effects.formula import JOINT_SYMBOL, Formula, FormulaLoad, FormulaObjectLoad
 from impact_rs_sim.effects.surroundings import Spring
+from impact_rs_sim.errors import InputError
 from impact_rs_sim.physics import ArmPhysics, Load, Physics
 from impact_rs_sim.robot import Array, Flange, JointOrigin
 from impact_rs_sim.scene import ArmMotion, ArmState, BodyState
 
+# What formulas beyond those of joints and end effector act on: `Acts` in src/twin_formula.hpp.
+ON_PAD, ALONG_PAD, ON_OBJECT, TURNING_OBJECT, ON_SUPPORT, ALONG_SUPPORT = range(3, 9)
 REFINEMENT = 2  # steps in a period of the torque loop in which a pad meets the object
 BEFORE_ALL = -1e9  # s, since when a command without a time was desired
 
@@ -183,6 +186,7 @@ def kernel_twin(physics: Physics, period: float, joint_torque: bool, refinement:
         physics.gravity,
         period,
         refinement,
+        _object_formulas(physics),
     )
 
 
@@ -192,11 +196,11 @@ def _arm(physics: Physics, name: str, period: float, joint_torque: bool) -> _ker
     links, tip = _links(arm, physics.gravity)
     pad = arm.end_effector.pad_placement
     springs = [load for load in arm.loads if isinstance(load, Spring)]
-    pull = None
+    pull, n = None, arm.facts.joint_count
     if springs:
         force = np.sum([spring.pull for spring in springs], axis=0)
         pull = (force, sum(spring.stiffness for spring in springs), arm.impact_position)
-    formulas = [formula for load in arm.loads if isinstance(load, FormulaLoad) for formula in _formulas(load)]
+    formulas = [formula for load in arm.loads if isinstance(load, FormulaLoad) for formula in _arm_formulas(load, n)]
     others = tuple(load for load in arm.loads if not isinstance(load, (Spring, FormulaLoad)))
     return _kernel.TwinArm(
         links,
@@ -264,20 +268,51 @@ def _call(physics: Physics, name: str, loads: tuple[Load, ...]) -> _kernel.TwinL
     return lambda time, position, velocity: only.load_torques(name, model, time, position, velocity)
 
 
-def _formulas(load: FormulaLoad) -> list[_kernel.TwinFormula]:
-    """Formulas of a load in the form of the kernel: effect, what it acts on, joint or axis, code and constants."""
+def _arm_formulas(load: FormulaLoad, joints: int) -> list[_kernel.TwinFormula]:
+    """Formulas of a load on an arm in the form of the kernel."""
+    tables: dict[int, Mapping[int, Formula | None]] = dict(enumerate((load.torque, load.motor, load.force)))
+    tables |= {ON_PAD: {0: load.pad.get(0)}, ALONG_PAD: {0: load.pad.get(1)}}
+    return [found for acts, own in tables.items() for found in _formulas(load.name, acts, own, load.numbers, joints)]
+
+
+def _object_formulas(physics: Physics) -> list[_kernel.TwinFormula]:
+    """Formulas of the loads on the object in the form of the kernel."""
     found: list[_kernel.TwinFormula] = []
-    for acts, table in enumerate((load.torque, load.motor, load.force)):
-        for index, formula in table.items():
-            code, constants = _postfix(formula.text)
-            values = [load.numbers[value] if isinstance(value, str) else value for value in constants]
-            found.append((load.name, acts, index, code, values))
+    for load in physics.object_loads:
+        if not isinstance(load, FormulaObjectLoad):
+            raise InputError(f"a load on the object that is no formula is unknown to the twin: {type(load).__name__}")
+        tables = {
+            ON_OBJECT: {index: load.free.get(index) for index in range(3)},
+            TURNING_OBJECT: {index: load.free.get(3 + index) for index in range(3)},
+            ON_SUPPORT: {0: load.support.get(0)},
+            ALONG_SUPPORT: {0: load.support.get(1)},
+        }
+        for acts, table in tables.items():
+            found += _formulas(load.name, acts, table, load.numbers, 0)
     return found
 
 
-@functools.lru_cache(maxsize=256)
-def _postfix(text: str) -> tuple[list[int], list[float | str]]:
-    """Code of a formula in postfix order, and its constants: numbers, and names of parameters."""
+def _formulas(
+    effect: str, acts: int, table: Mapping[int, Formula | None], numbers: Mapping[str, float], joints: int
+) -> list[_kernel.TwinFormula]:
+    """Formulas by joint or axis in the form of the kernel: effect, what it acts on, joint or axis, code, constants."""
+    found: list[_kernel.TwinFormula] = []
+    for index, formula in table.items():
+        if formula is not None:
+            code, constants = _postfix(formula.text, joints)
+            values = [numbers[value] if isinstance(value, str) else value for value in constants]
+            found.append((effect, acts, index, code, values))
+    return found
+
+
+@functools.lru_cache(maxsize=4096)
+def _postfix(text: str, joints: int) -> tuple[list[int], list[float | str]]:
+    """Code of a formula in postfix order, and its constants: numbers, and names of parameters.
+
+    Args:
+        text: The formula.
+        joints: Joints of the arm whose symbols it may use.
+    """
     code: list[int] = []
     constants: list[float | str] = []
 
@@ -310,16 +345,13 @@ def _postfix(text: str) -> tuple[list[int], list[float | str]]:
 
     def symbol(name: str) -> None:
         joint = JOINT_SYMBOL.fullmatch(name)
-        if name == "t":
-            put("time")
-        elif name == "pi":
+        if name == "pi":
             constant(math.pi)
-        elif name in AXES:
-            put("position", AXES.index(name))
-        elif name in SPEEDS:
-            put("speed", SPEEDS.index(name))
+        elif name in _kernel.SYMBOLS:
+            put("symbol", _kernel.SYMBOLS.index(name))
         elif joint is not None:
-            put("joint_velocity" if name.startswith("d") else "joint_position", int(joint[1]) - 1)
+            kind = ("q", "dq", "tau").index(joint[1])
+            put("symbol", len(_kernel.SYMBOLS) + kind * joints + int(joint[2]) - 1)
         else:
             constant(name)
 

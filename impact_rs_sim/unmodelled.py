@@ -1,12 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
 """Effects that are *not* in the library: the diagnosis must report that no effect of the library explains them.
 
-Each acts inside the plant and is parametrised by a magnitude (1: noticeable) and the number of the repeat.
+Each acts inside the plant and is parametrised by a magnitude (1: noticeable) and the number of the repeat. Those of
+:data:`OUTSIDE` are whole mechanisms; those of :data:`LAWS` are a force as a function of the state, written here in
+Python and found, if at all, by ``impact-rs discover``.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
 import pinocchio as pin
@@ -139,4 +142,149 @@ OUTSIDE: dict[str, Callable[[float, int], PlantExtension]] = {
     "backlash": Backlash,
     "lubricated_support": LubricatedSupport,
     "torque_ripple": TorqueRipple,
+}
+
+
+@dataclass(frozen=True)
+class State:
+    """Arguments of a hidden law.
+
+    Attributes:
+        t: Time since the start of the trial [s].
+        q: Joint position, ``(n,)`` [rad].
+        dq: Joint velocity, ``(n,)`` [rad/s].
+        tau: Transmitted torque, ``(n,)`` [N m].
+        x: Origin of frame E, ``(3,)`` [m].
+        v: Its velocity, ``(3,)`` [m/s].
+        object_x: Middle of the object, ``(3,)`` [m].
+        object_v: Its velocity, ``(3,)`` [m/s].
+        support_force: Weight of the object [N].
+        since: Time since the pad first touched the object, 0 before [s].
+    """
+
+    t: float
+    q: Array
+    dq: Array
+    tau: Array
+    x: Array
+    v: Array
+    object_x: Array
+    object_v: Array
+    support_force: float
+    since: float
+
+
+class HiddenLaw(PlantExtension):
+    """A force or torque as a function of the state, evaluated in every period of the torque loop.
+
+    Args:
+        place: ``motor``, ``link``, ``end_effector`` or ``object``.
+        law: Torques on the joints ``(n,)`` [N m], or force ``(3,)`` at E or at the middle of the object [N].
+    """
+
+    def __init__(self, place: str, law: Callable[[State], Array]) -> None:
+        self._place, self._law = place, law
+        self._touched: float | None = None
+        self._models: dict[str, RobotModel] = {}
+
+    def begin(self, plant: Plant) -> None:
+        """Keep the rigid-body models."""
+        self._models = plant.physics.robot_models()
+
+    def state(self, plant: Plant, arm: str) -> State:
+        """The state of the plant."""
+        link, model, body = plant.link_state(arm), self._models[arm], plant.world.object_state()
+        if self._touched is None and np.any(plant.world.pad_force(arm)):
+            self._touched = plant.time
+        return State(
+            t=plant.time,
+            q=link.position,
+            dq=link.velocity,
+            tau=plant.bullet.drives[arm].elastic_torque,
+            x=model.placement(link.position).translation,
+            v=model.jacobian(link.position)[:3] @ link.velocity,
+            object_x=body.position,
+            object_v=body.twist[:3],
+            support_force=-float(plant.physics.gravity[2]) * plant.physics.object.mass,
+            since=0.0 if self._touched is None else plant.time - self._touched,
+        )
+
+    def joint_torque(self, plant: Plant, arm: str) -> Array | None:
+        """Torque on the links over the next control period; on the motors it is set there."""
+        if self._place == "object":
+            if plant.time == 0.0:  # afterwards every period ends with the force of the next
+                self._on_object(plant, arm)
+            return None
+        state = self.state(plant, arm)
+        found = self._law(state)
+        if self._place == "motor":
+            plant.bullet.drives[arm].load(found)
+            return None
+        if self._place == "link":
+            return found
+        return np.asarray(self._models[arm].jacobian(state.q)[:3].T @ found)
+
+    def after_sense(self, plant: Plant, arm: str, drive: Drive) -> None:
+        """Force on the object over the next period of the torque loop."""
+        if self._place == "object":
+            self._on_object(plant, arm)
+
+    def _on_object(self, plant: Plant, arm: str) -> None:
+        state = self.state(plant, arm)
+        plant.world.push(None, state.object_x, self._law(state))
+
+
+def _joint(place: str, number: int, law: Callable[[State, float], float]) -> Callable[[float, int], PlantExtension]:
+    """A law of one joint, counted from 1, with the magnitude as its second argument."""
+
+    def make(magnitude: float, repeat: int) -> PlantExtension:
+        del repeat
+
+        def torques(state: State) -> Array:
+            found = np.zeros_like(state.q)
+            found[number - 1] = law(state, magnitude)
+            return found
+
+        return HiddenLaw(place, torques)
+
+    return make
+
+
+def _at(place: str, law: Callable[[State, float], Array]) -> Callable[[float, int], PlantExtension]:
+    """A law of a force, with the magnitude as its second argument."""
+    return lambda magnitude, repeat: HiddenLaw(place, lambda state: law(state, magnitude))
+
+
+def _beyond(value: float, limit: float) -> float:
+    return max(value - limit, 0.0)
+
+
+def _along(axis: int, value: float) -> Array:
+    found = np.zeros(3)
+    found[axis] = value
+    return found
+
+
+def _horizontal(velocity: Array) -> Array:
+    return velocity * [1.0, 1.0, 0.0]
+
+
+LAWS: dict[str, Callable[[float, int], PlantExtension]] = {
+    "object_quadratic_drag": _at("object", lambda s, m: -2.0 * m * np.linalg.norm(s.object_v) * s.object_v),
+    "object_cubic_drag": _at("object", lambda s, m: -3.0 * m * float(s.object_v @ s.object_v) * s.object_v),
+    "object_linear_drag": _at("object", lambda s, m: -1.0 * m * _horizontal(s.object_v)),
+    "object_spring_from_place": _at("object", lambda s, m: _along(1, -1.0 * m * _beyond(-s.object_x[1] - 0.25, 0.0))),
+    "object_growing_force": _at("object", lambda s, m: _along(1, 1.5 * m * s.since)),
+    "motor4_ripple": _joint("motor", 4, lambda s, m: 0.1 * m * np.sin(6.0 * s.q[3])),
+    "motor2_ripple": _joint("motor", 2, lambda s, m: 0.1 * m * np.sin(20.0 * s.q[1])),
+    "motor1_quadratic": _joint("motor", 1, lambda s, m: -0.5 * m * abs(s.dq[0]) * s.dq[0]),
+    "motor4_cubic": _joint("motor", 4, lambda s, m: -0.8 * m * s.dq[3] ** 3),
+    "motor2_load_friction": _joint("motor", 2, lambda s, m: -0.01 * m * abs(s.tau[1]) * np.tanh(s.dq[1] / 0.02)),
+    "motor4_warm_up": _joint("motor", 4, lambda s, m: -0.15 * m * s.t * np.tanh(s.dq[3] / 0.02)),
+    "motor2_gravity_like": _joint("motor", 2, lambda s, m: 0.15 * m * np.cos(s.q[1])),
+    "motor6_one_way": _joint("motor", 6, lambda s, m: -0.3 * m * _beyond(s.dq[5], 0.0)),
+    "motor4_stop": _joint("motor", 4, lambda s, m: -2.0 * m * _beyond(s.q[3] + 2.2, 0.0)),
+    "end_effector_quadratic_drag": _at("end_effector", lambda s, m: -2.0 * m * np.linalg.norm(s.v) * s.v),
+    "end_effector_cable": _at("end_effector", lambda s, m: _along(1, 6.0 * m * _beyond(-s.x[1] - 0.1, 0.0))),
+    "link3_cubic_spring": _joint("link", 3, lambda s, m: -1.0 * m * (s.q[2] - 0.5) ** 3),
 }

@@ -24,7 +24,7 @@ from impact_rs_sim.files import write_whole
 from impact_rs_sim.physics import Physics
 from impact_rs_sim.robot import JointType
 from impact_rs_sim.scenario import load_scenario
-from impact_rs_sim.unmodelled import OUTSIDE
+from impact_rs_sim.unmodelled import LAWS, OUTSIDE
 from impact_rs_trials.bags.record import record_trial
 from impact_rs_trials.bags.trial_info import VIA, TrialInfo
 from impact_rs_trials.bags.writer import partial_path
@@ -141,11 +141,14 @@ def draw_outside(
 ) -> tuple[str, float]:
     """An effect that is not in the library, and its size (1: noticeable).
 
+    Mechanisms of :data:`~impact_rs_sim.unmodelled.OUTSIDE` are drawn; its laws are hidden where they are named.
+
     Raises:
         InputError: There is no such outside effect.
     """
-    if name is not None and name not in known:
-        raise InputError(f"no outside effect {name!r}; known: {', '.join(known)}")
+    named = (*known, *LAWS) if known is OUTSIDE else known
+    if name is not None and name not in named:
+        raise InputError(f"no outside effect {name!r}; known: {', '.join(named)}")
     rng = np.random.default_rng([seed, KINDS.index("outside")])
     chosen = name or str(rng.choice(list(known)))
     return chosen, magnitude if magnitude is not None else float(np.exp(rng.uniform(0.0, np.log(4.0))))
@@ -171,7 +174,7 @@ class BlindTask:
 
 def _record(task: BlindTask, plan: TrialPlan, info: TrialInfo, path: Path, physics: Physics) -> str:
     """Record one trial on our plant."""
-    extension = None if task.outside is None else OUTSIDE[task.outside](task.magnitude, task.trial.repeat)
+    extension = None if task.outside is None else {**OUTSIDE, **LAWS}[task.outside](task.magnitude, task.trial.repeat)
     return record_trial(plan, info, path, physics, extension)[0].outcome
 
 

@@ -18,6 +18,8 @@ constexpr double SUPPORT_THICKNESS = 0.1;      // m
 constexpr double SUPPORT_DAMPING_RATIO = 0.5;  // of the object on a compliant support
 constexpr double RESOLVED = 1e-2;        // m/s; a pad that meets the object more slowly needs no shorter steps
 
+constexpr double SLOW = 2e-3;            // m/s; sliding below it has less than its force, so that rest is a state
+
 constexpr Matrix IDENTITY{1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0};
 
 bool is_zero(const Vector& a) { return a[0] == 0.0 && a[1] == 0.0 && a[2] == 0.0; }
@@ -79,10 +81,16 @@ Twin::Twin(const TwinModel& model, const TwinStart& start)
       motions_(model.arms.size()),
       pad_forces_(model.arms.size()),
       guesses_(model.arms.size() + 1),
+      pushes_(has_box_ && !model.formulas.empty()),
+      touching_(model.arms.size() + 1),
+      symbols_(of_joints, 0.0),
       softened_(model.arms.size()) {
   arms_.reserve(model.arms.size());
   for (std::size_t i = 0; i < model.arms.size(); ++i) arms_.emplace_back(model.arms[i], start.arms[i], model.period);
   if (!has_box_) return;
+  for (const ArmModel& arm : model.arms)
+    for (const FormulaLoad& load : arm.formulas)
+      pushes_ = pushes_ || load.acts == Acts::on_pad || load.acts == Acts::along_pad;
   const BoxStart& box = *start.box;
   rotation_ = box.rotation;
   const Vector lever = rotation_ * model.box.offset;
@@ -138,7 +146,77 @@ bool Twin::is_finite() const {
 }
 
 void Twin::load(double time) {
-  for (TwinArm& arm : arms_) arm.load(time);
+  look_around(time);
+  for (TwinArm& arm : arms_) arm.load();
+}
+
+// Symbols of time, object and contact, of the object's formulas and of those of every arm.
+void Twin::look_around(double time) {
+  symbols_[of_time] = time;
+  if (has_box_) {
+    const Vector middle = box().centre, velocity = velocity_ + cross(angular_, middle - centre_);
+    std::copy(middle.begin(), middle.end(), &symbols_[of_object_place]);
+    std::copy(velocity.begin(), velocity.end(), &symbols_[of_object_velocity]);
+    std::copy(angular_.begin(), angular_.end(), &symbols_[of_object_turning]);
+    symbols_[of_object_speed] = norm(velocity);
+    const Touching& support = touching_.back();
+    symbols_[of_support_force] = support.force;
+    symbols_[of_support_slip] = support.slip;
+  }
+  symbols_[of_normal_force] = symbols_[of_since_contact] = 0.0;
+  for (std::size_t i = 0; i < arms_.size(); ++i) {
+    const Touching& pad = touching_[i];
+    std::vector<double>& own = arms_[i].symbols;
+    std::copy(symbols_.begin(), symbols_.end(), own.begin());
+    own[of_normal_force] = pad.force;
+    own[of_penetration] = pad.penetration;
+    own[of_closing] = pad.closing;
+    own[of_slip] = pad.slip;
+    own[of_since_contact] = pad.begin < 0.0 ? 0.0 : time - pad.begin;
+  }
+  for (const TwinArm& arm : arms_) {  // of all pads together, and since the first touch
+    symbols_[of_normal_force] += arm.symbols[of_normal_force];
+    symbols_[of_since_contact] = std::max(symbols_[of_since_contact], arm.symbols[of_since_contact]);
+  }
+}
+
+// Forces of formulas on the object, and their reactions on the pads, over the coming step.
+void Twin::push(double time) {
+  force_ = moment_ = {};
+  look_around(time);
+  const auto at_surface = [&](const Touching& touching, double normal, double along) {
+    const Vector force = normal * touching.normal + -along * touching.along;
+    force_ = force_ + force;
+    moment_ = moment_ + cross(touching.place - centre_, force);
+    return force;
+  };
+  const Touching& support = touching_.back();
+  Vector at_middle{};
+  for (const FormulaLoad& load : model_.formulas) {
+    const bool at_support = load.acts == Acts::on_support || load.acts == Acts::along_support;
+    if (at_support && support.force <= 0.0) continue;
+    const double value = load.at(symbols_);
+    if (load.acts == Acts::on_object) {
+      at_middle[load.index] += value;
+    } else if (load.acts == Acts::turning_object) {
+      moment_[load.index] += value;
+    } else {
+      at_surface(support, load.acts == Acts::on_support ? value : 0.0, load.acts == Acts::along_support ? value : 0.0);
+    }
+  }
+  force_ = force_ + at_middle;
+  moment_ = moment_ + cross(vector(&symbols_[of_object_place]) - centre_, at_middle);
+  for (std::size_t i = 0; i < arms_.size(); ++i) {
+    const Touching& pad = touching_[i];
+    if (pad.force <= 0.0) continue;
+    arms_[i].look_around();
+    for (const FormulaLoad& load : arms_[i].formulas()) {
+      if (load.acts != Acts::on_pad && load.acts != Acts::along_pad) continue;
+      const double value = load.at(arms_[i].symbols);
+      const bool along = load.acts == Acts::along_pad;
+      arms_[i].push(pad.place, -1.0 * at_surface(pad, along ? 0.0 : value, along ? value : 0.0));
+    }
+  }
 }
 
 void Twin::run(const Course& course, double* out) {
@@ -396,6 +474,7 @@ void Twin::step(double length, double time) {
   std::fill(pad_forces_.begin(), pad_forces_.end(), Vector{});
   solver_.span = {last_, length};
   for (TwinArm& arm : arms_) arm.equations();
+  if (pushes_) push(time);
   if (awake_ && has_box_) {
     touch_step(kick, time);
   } else {
@@ -404,6 +483,7 @@ void Twin::step(double length, double time) {
   }
   for (TwinArm& arm : arms_) arm.move(kick, length);
   if (awake_ && has_box_) move_box(length);
+  if (pushes_ && !(is_zero(force_) && is_zero(moment_))) awake_ = true;  // with its support, from the next step on
   last_ = length;
 }
 
@@ -444,7 +524,9 @@ void Twin::touch_step(double kick, double time) {
     }
   }
   const Matrix turns = inertia();
-  const Vector free = velocity_ + kick * model_.gravity, spin = divided(turns, momentum_);
+  momentum_ = momentum_ + kick * moment_;
+  const Vector free = velocity_ + kick * (model_.gravity + (1.0 / model_.box.mass) * force_);
+  const Vector spin = divided(turns, momentum_);
   for (int i = 0; i < 3; ++i) {
     for (int j = 0; j < 3; ++j) solver.mass[(o + i) * n + o + j] = turns[3 * i + j];
     solver.mass[(o + 3 + i) * n + o + 3 + i] = model_.box.mass;
@@ -469,6 +551,7 @@ void Twin::touch_step(double kick, double time) {
     if (!solution.solved) report_.failed.push_back(time);
   }
   partners_before_ = partners_;
+  for (Touching& touching : touching_) touching.force = 0.0;
   for (auto& guesses : guesses_) guesses.clear();
   for (std::size_t k = 0; k < partners_.size(); ++k) {
     const Partner& partner = solver.partners[k];
@@ -487,6 +570,38 @@ void Twin::touch_step(double kick, double time) {
   }
   angular_ = vector(&solver.velocity[o]);
   velocity_ = vector(&solver.velocity[o + 3]);
+  for (std::size_t k = 0; k < partners_.size(); ++k) note(k, time);
+}
+
+// How a partner was touched in this step.
+void Twin::note(std::size_t number, double time) {
+  const Partner& partner = solver_.partners[number];
+  Touching& own = touching_[partners_[number]];
+  double total = 0.0, deep = 0.0;
+  Vector place{};
+  for (std::size_t i = partner.first; i < partner.first + partner.count; ++i) {
+    const double load = solver_.loads()[i];
+    total += load;
+    deep -= load * solver_.points[i].gap;
+    place = place + load * solver_.points[i].place;
+  }
+  if (!(total > 0.0)) return;
+  place = (1.0 / total) * place;
+  Vector angular = angular_, linear = velocity_;
+  for (int j = 0; j < partner.joints; ++j) {
+    const double rate = solver_.velocity[partner.offset + j];
+    angular = angular - rate * vector(partner.motions + 6 * j);
+    linear = linear - rate * vector(partner.motions + 6 * j + 3);
+  }
+  own.normal = solver_.points[partner.first].normal;
+  const Vector velocity = linear + cross(angular, place), sliding = tangential(velocity, own.normal);
+  own.force = total;
+  own.penetration = deep / total;
+  own.closing = -dot(velocity, own.normal);
+  own.slip = norm(sliding);
+  own.along = (1.0 / std::hypot(own.slip, SLOW)) * sliding;
+  own.place = place + centre_;
+  if (own.begin < 0.0) own.begin = time;
 }
 
 // Forces of the step before as a first guess, where a partner has as many points as then.

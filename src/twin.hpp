@@ -33,6 +33,7 @@ struct TwinModel {
   Vector gravity;       // [m/s^2]
   double period;        // of the torque loop [s]
   int refinement;       // steps in a period in which a pad meets the object
+  std::vector<FormulaLoad> formulas;  // on the object, and between it and the support
 };
 
 struct BoxStart {
@@ -67,6 +68,16 @@ struct TwinReport {
   std::vector<double> failed;  // times of the steps that were not solved [s]
 };
 
+// How the object touched a partner in the last step.
+struct Touching {
+  double force = 0.0;        // normal, on the object; 0: it does not touch [N]
+  double penetration = 0.0;  // mean over its points, weighted with their forces [m]
+  double closing = 0.0, slip = 0.0;  // rate of the penetration, and sliding speed of the object there [m/s]
+  double begin = -1.0;       // time of the first touch; negative: none yet [s]
+  Vector place{}, normal{};  // of the force; into the object
+  Vector along{};            // direction of sliding, shorter where it is slow
+};
+
 constexpr std::size_t BOX_ROW = 13;  // numbers of the box in a row
 
 class Twin {
@@ -98,7 +109,10 @@ class Twin {
   void look_at_pad(int arm);
   void look_at_support();
   void step(double length, double time);
+  void look_around(double time);
+  void push(double time);
   void touch_step(double kick, double time);
+  void note(std::size_t partner, double time);
   void prepare(std::size_t partner, double kick);
   void soften(std::size_t partner);
   void remember(std::size_t partner);
@@ -131,6 +145,12 @@ class Twin {
   std::vector<Vector> pad_forces_;            // by arm
   std::vector<std::vector<Guess>> guesses_;  // by partner and point, of the step before
   StepSolver solver_;
+
+  // Formulas: how every partner is touched, and force and moment about its centre of mass that act on the object.
+  bool pushes_;
+  std::vector<Touching> touching_;  // by arm, then the support
+  std::vector<double> symbols_;     // of the object
+  Vector force_{}, moment_{};
 
   // Shear of the pad that is being prepared.
   struct Softened {

@@ -1,9 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "twin_arm.hpp"
 
-#include <cstdio>
-#include <stdexcept>
-
 namespace impact_rs {
 
 TwinArm::TwinArm(const ArmModel& model, const ArmStart& start, double period)
@@ -18,6 +15,7 @@ TwinArm::TwinArm(const ArmModel& model, const ArmStart& start, double period)
   for (auto* numbers : {&wanted_, &shaped_, &passed_, &on_links_, &on_motors_, &acceleration_, &driving})
     numbers->assign(n, 0.0);
   mass.assign(n * n, 0.0);
+  symbols.assign(of_joints + 3 * n, 0.0);
   rate_ = start.torque_rate;
   drive_.elastic = start.torque;
   for (std::size_t i = 0; i < n; ++i) {
@@ -33,33 +31,41 @@ Box TwinArm::pad_box() const {
   return {links_.end() + axes * model_.pad.centre, axes * model_.pad.rotation, model_.pad.half};
 }
 
-void TwinArm::load(double time) {
+void TwinArm::look_around() {
+  const int n = joints();
+  Spatial twist{};
+  for (int i = 0; i < n; ++i) twist = twist + dq[i] * axis(i);
+  const Vector velocity = twist.linear + cross(twist.angular, end());
+  std::copy(end().begin(), end().end(), &symbols[of_place]);
+  std::copy(velocity.begin(), velocity.end(), &symbols[of_velocity]);
+  symbols[of_speed] = norm(velocity);
+  double* joint = &symbols[of_joints];
+  for (const auto* values : {&q, &dq, &drive_.elastic}) joint = std::copy(values->begin(), values->end(), joint);
+}
+
+void TwinArm::load() {
   if (!model_.pull && model_.formulas.empty() && !model_.python) return;
   const int n = joints();
   std::fill(on_links_.begin(), on_links_.end(), 0.0);
   std::fill(on_motors_.begin(), on_motors_.end(), 0.0);
   look();
-  Spatial twist{};
-  for (int i = 0; i < n; ++i) twist = twist + dq[i] * axis(i);
+  look_around();
   const Vector& place = end();
-  const FormulaState state{time, q.data(), dq.data(), place, twist.linear + cross(twist.angular, place)};
   Vector force{};
   if (model_.pull) force = model_.pull->force + -model_.pull->stiffness * (place - model_.pull->place);
   for (const FormulaLoad& load : model_.formulas) {
-    const double value = load.formula(state);
-    if (std::isnan(value)) {
-      char at[32];
-      std::snprintf(at, sizeof at, "%.3f", time);
-      throw std::runtime_error("effect '" + load.effect + "' blows up at t = " + at + " s");
-    }
     if (load.acts == Acts::on_end_effector) {
-      force[load.index] += value;
-    } else {
-      (load.acts == Acts::on_link ? on_links_ : on_motors_)[load.index] += value;
+      force[load.index] += load.at(symbols);
+    } else if (load.acts == Acts::on_link || load.acts == Acts::on_motor) {
+      (load.acts == Acts::on_link ? on_links_ : on_motors_)[load.index] += load.at(symbols);
     }
   }
   for (int i = 0; i < n; ++i) on_links_[i] += dot(axis(i).linear + cross(axis(i).angular, place), force);
-  if (model_.python) model_.python(time, q.data(), dq.data(), on_links_.data(), on_motors_.data());
+  if (model_.python) model_.python(symbols[of_time], q.data(), dq.data(), on_links_.data(), on_motors_.data());
+}
+
+void TwinArm::push(const Vector& place, const Vector& force) {
+  for (int i = 0; i < joints(); ++i) driving[i] += dot(axis(i).linear + cross(axis(i).angular, place), force);
 }
 
 void TwinArm::desire(const double* torque, long period) {

@@ -32,15 +32,6 @@ struct Pull {
   Vector place;      // p_impact [m]
 };
 
-enum class Acts { on_link, on_motor, on_end_effector };
-
-struct FormulaLoad {
-  std::string effect;  // its name
-  Acts acts;
-  int index;  // of the joint, or the axis of A
-  Formula formula;
-};
-
 // Torque on links and motors that Python computes: time, q, dq, and the two torques, added to.
 using PythonLoad = std::function<void(double, const double*, const double*, double*, double*)>;
 
@@ -82,8 +73,14 @@ class TwinArm {
   int joints() const { return static_cast<int>(q.size()); }
   Box pad_box() const;  // where the links were placed
 
+  // Values of the symbols of formulas: those of the arm now, beside those of time, object and contact as they are.
+  void look_around();
+
   // Loads that hold until they are computed again; std::runtime_error where a formula is not finite.
-  void load(double time);
+  void load();
+
+  // A force on the pad's link at a place, over the coming step [N]; after equations().
+  void push(const Vector& place, const Vector& force);
 
   // Desired torque from the begin of a period on (or measured joint torque, which then is that of its end).
   void desire(const double* torque, long period);
@@ -105,9 +102,11 @@ class TwinArm {
   const Vector& end() const { return links_.end(); }
   const Matrix& axes_of_last() const { return links_.axes_of_last(); }
   const Pad& pad() const { return model_.pad; }
+  const std::vector<FormulaLoad>& formulas() const { return model_.formulas; }
 
   std::vector<double> q, dq;
   std::vector<double> mass, driving;  // of equations()
+  std::vector<double> symbols;  // of formulas
   Shear shear;
 
   const std::vector<double>& elastic() const { return drive_.elastic; }

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "twin_formula.hpp"
 
+#include <cstdio>
 #include <limits>
 #include <stdexcept>
 
@@ -12,32 +13,27 @@ Formula::Formula(std::vector<int> code, std::vector<double> constants, int joint
   for (std::size_t i = 0; i < code_.size(); ++i) {
     const int operation = code_[i];
     if (operation < 0 || operation > sign) throw std::invalid_argument("formula: unknown operation");
-    if (operation <= speed) {
-      const int limits[] = {static_cast<int>(constants_.size()), 3, joints, joints, 3};
-      if (++i == code_.size() || code_[i] < 0 || code_[i] >= limits[operation])
-        throw std::invalid_argument("formula: unknown symbol");
+    if (operation <= symbol) {
+      const int limit = operation == constant ? static_cast<int>(constants_.size()) : of_joints + 3 * joints;
+      if (++i == code_.size() || code_[i] < 0 || code_[i] >= limit) throw std::invalid_argument("formula: unknown symbol");
     }
-    depth += operation <= time ? 1 : operation <= maximum ? -1 : 0;
+    depth += operation <= symbol ? 1 : operation <= maximum ? -1 : 0;
     if (depth < 1 || depth > DEEPEST) throw std::invalid_argument("formula: too deep, or without operands");
   }
   if (depth != 1) throw std::invalid_argument("formula: not one value");
 }
 
-double Formula::operator()(const FormulaState& state) const {
+double Formula::operator()(const std::vector<double>& symbols) const {
   double values[DEEPEST];
   int top = -1;
   for (std::size_t i = 0; i < code_.size(); ++i) {
     const auto operation = static_cast<Operation>(code_[i]);
     if (operation >= add && operation <= maximum) --top;
-    if (operation <= time) ++top;
+    if (operation <= symbol) ++top;
     double& a = values[top];
     switch (operation) {
       case constant: a = constants_[code_[++i]]; break;
-      case position: a = state.place[code_[++i]]; break;
-      case joint_position: a = state.q[code_[++i]]; break;
-      case joint_velocity: a = state.dq[code_[++i]]; break;
-      case speed: a = state.velocity[code_[++i]]; break;
-      case time: a = state.time; break;
+      case symbol: a = symbols[code_[++i]]; break;
       case add: a += values[top + 1]; break;
       case subtract: a -= values[top + 1]; break;
       case multiply: a *= values[top + 1]; break;
@@ -59,6 +55,16 @@ double Formula::operator()(const FormulaState& state) const {
     if (!std::isfinite(a)) return std::numeric_limits<double>::quiet_NaN();
   }
   return values[0];
+}
+
+double FormulaLoad::at(const std::vector<double>& symbols) const {
+  const double value = formula(symbols);
+  if (std::isnan(value)) {
+    char when[32];
+    std::snprintf(when, sizeof when, "%.3f", symbols[of_time]);
+    throw std::runtime_error("effect '" + effect + "' blows up at t = " + when + " s");
+  }
+  return value;
 }
 
 }  // namespace impact_rs

@@ -1,32 +1,40 @@
 // SPDX-License-Identifier: Apache-2.0
-// Arithmetic formulas of an arm's state, in postfix order; made by impact_rs_sim/twin.py.
+// Arithmetic formulas of the state of an arm and the object, in postfix order; made by impact_rs_sim/twin.py.
 
 #pragma once
 
+#include <string>
 #include <vector>
 
 #include "dense.hpp"
 
 namespace impact_rs {
 
-// Symbols of a formula.
-struct FormulaState {
-  double time;            // since the start of the trial [s]
-  const double *q, *dq;   // of the joints
-  Vector place, velocity; // of frame E in A
+// Symbols of a formula that belong to no joint; q, dq and tau of every joint follow them, all q first.
+enum Symbol : int {
+  of_time, of_place, of_velocity = of_place + 3, of_speed = of_velocity + 3,
+  of_object_place, of_object_velocity = of_object_place + 3, of_object_turning = of_object_velocity + 3,
+  of_object_speed = of_object_turning + 3, of_normal_force, of_penetration, of_closing, of_slip, of_since_contact,
+  of_support_force, of_support_slip, of_joints
 };
+
+// Their names in impact_rs_sim/effects/formula.py.
+constexpr const char* SYMBOLS[of_joints] = {
+    "t", "x", "y", "z", "vx", "vy", "vz", "speed",
+    "object_x", "object_y", "object_z", "object_vx", "object_vy", "object_vz", "object_wx", "object_wy", "object_wz",
+    "object_speed", "normal_force", "penetration", "closing", "slip", "since_contact", "support_force", "support_slip"};
 
 class Formula {
  public:
-  // The first five take the number that follows them: of a constant, an axis of A or a joint.
+  // The first two take the number that follows them: of a constant or a symbol.
   enum Operation : int {
-    constant, position, joint_position, joint_velocity, speed, time,
+    constant, symbol,
     add, subtract, multiply, divide, power, minimum, maximum,
     negate, sine, cosine, tangent, exponential, logarithm, root, hyperbolic, absolute, sign
   };
   // Their names in impact_rs_sim/twin.py: those of Python's syntax tree and functions.
   static constexpr const char* NAMES[] = {
-      "constant", "position", "joint_position", "joint_velocity", "speed", "time",
+      "constant", "symbol",
       "Add", "Sub", "Mult", "Div", "Pow", "min", "max",
       "USub", "sin", "cos", "tan", "exp", "log", "sqrt", "tanh", "abs", "sign"};
   static constexpr int DEEPEST = 64;
@@ -34,12 +42,27 @@ class Formula {
   // `code` is valid for an arm of `joints` joints, else std::invalid_argument.
   Formula(std::vector<int> code, std::vector<double> constants, int joints);
 
-  // Its value; NaN where any part of it is not finite.
-  double operator()(const FormulaState& state) const;
+  // Its value for these symbols; NaN where any part of it is not finite.
+  double operator()(const std::vector<double>& symbols) const;
 
  private:
   std::vector<int> code_;
   std::vector<double> constants_;
+};
+
+// What a formula adds to: a torque on a joint, a force or moment along an axis of A, or a force at a surface.
+enum class Acts {
+  on_link, on_motor, on_end_effector, on_pad, along_pad, on_object, turning_object, on_support, along_support
+};
+
+struct FormulaLoad {
+  std::string effect;  // its name
+  Acts acts;
+  int index;  // of the joint, or the axis of A
+  Formula formula;
+
+  // Its value [N or N m]; std::runtime_error where it is not finite.
+  double at(const std::vector<double>& symbols) const;
 };
 
 }  // namespace impact_rs

@@ -69,7 +69,9 @@ ArmModel arm_of(const Chain& links, const py::object& motors, const Numbers& sha
                load ? load_of(*load, links.joints()) : PythonLoad{}};
   if (pull) arm.pull = Pull{vector_of(std::get<0>(*pull), "pull"), std::get<1>(*pull), vector_of(std::get<2>(*pull), "pull")};
   for (const auto& [effect, acts, index, code, constants] : formulas) {
-    if (index < 0 || index >= (acts == 2 ? 3 : n)) throw py::value_error("formula: unknown joint or axis");
+    if (acts < 0 || acts > static_cast<int>(Acts::along_pad)) throw py::value_error("formula: acts on no arm");
+    const auto limit = acts <= static_cast<int>(Acts::on_motor) ? n : 3;
+    if (index < 0 || index >= limit) throw py::value_error("formula: unknown joint or axis");
     arm.formulas.push_back({effect, static_cast<Acts>(acts), index, Formula(code, constants, static_cast<int>(n))});
   }
   if (static_cast<py::ssize_t>(arm.drive.joints()) != n) throw py::value_error("motors: not one per joint");
@@ -78,10 +80,17 @@ ArmModel arm_of(const Chain& links, const py::object& motors, const Numbers& sha
 
 TwinModel model_of(const std::vector<const ArmModel*>& arms, const BoxOfPython& box,
                    const std::optional<SupportOfPython>& support, double pad_friction, double rolling_arm,
-                   const Numbers& gravity, double period, int refinement) {
+                   const Numbers& gravity, double period, int refinement,
+                   const std::vector<FormulaOfPython>& formulas) {
   const auto& [mass, half, inertia, offset] = box;
   TwinModel model{{}, {mass, vector_of(half, "box"), vector_of(inertia, "box"), vector_of(offset, "box")}, std::nullopt,
-                  pad_friction, rolling_arm, vector_of(gravity, "gravity"), period, refinement};
+                  pad_friction, rolling_arm, vector_of(gravity, "gravity"), period, refinement, {}};
+  for (const auto& [effect, acts, index, code, constants] : formulas) {
+    if (acts < static_cast<int>(Acts::on_object) || acts > static_cast<int>(Acts::along_support))
+      throw py::value_error("formula: does not act on the object");
+    if (index < 0 || index >= 3) throw py::value_error("formula: unknown axis");
+    model.formulas.push_back({effect, static_cast<Acts>(acts), index, Formula(code, constants, 0)});
+  }
   for (const ArmModel* arm : arms) model.arms.push_back(*arm);
   if (support) {
     const auto& [height, half_x, half_y, friction, compliance] = *support;
@@ -232,6 +241,7 @@ py::list run_twins(const std::vector<JobOfPython>& jobs, int threads) {
 }  // namespace
 
 void add_twin(py::module_& module) {
+  module.attr("SYMBOLS") = py::cast(std::vector<std::string>(std::begin(SYMBOLS), std::end(SYMBOLS)));
   module.attr("OPERATIONS") = py::cast(std::vector<std::string>(std::begin(Formula::NAMES), std::end(Formula::NAMES)));
   py::class_<ArmModel>(module, "TwinArm")
       .def(py::init(&arm_of), py::arg("links"), py::arg("motors"), py::arg("shaping"), py::arg("gain"), py::arg("offset"),
@@ -239,7 +249,7 @@ void add_twin(py::module_& module) {
            py::arg("pull"), py::arg("formulas"), py::arg("load"));
   py::class_<TwinModel>(module, "Twin")
       .def(py::init(&model_of), py::arg("arms"), py::arg("box"), py::arg("support"), py::arg("pad_friction"),
-           py::arg("rolling_arm"), py::arg("gravity"), py::arg("period"), py::arg("refinement"));
+           py::arg("rolling_arm"), py::arg("gravity"), py::arg("period"), py::arg("refinement"), py::arg("formulas"));
   py::class_<TwinRun>(module, "TwinRun")
       .def(py::init<const TwinModel&, const std::vector<ArmStartOfPython>&, const std::optional<BoxStartOfPython>&>(),
            py::arg("model"), py::arg("arms"), py::arg("box"))

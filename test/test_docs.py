@@ -21,7 +21,7 @@ from joint_recordings import swinging
 from impact_rs_analysis.evidence.torque_balance import TorqueBalance, prepare
 from impact_rs_cli.main import parser
 from impact_rs_commands import COMMANDS
-from impact_rs_sim.effects.formula import AXES, CONTACT_SYMBOLS, FUNCTIONS, SPEEDS, Formula, FormulaFile, FormulaSpec
+from impact_rs_sim.effects.formula import CONTACT_SYMBOLS, FUNCTIONS, SYMBOLS, Formula, FormulaFile, FormulaSpec
 from impact_rs_sim.model import Model
 from impact_rs_sim.paths import config_directory
 from impact_rs_sim.robot import RobotFacts
@@ -181,7 +181,12 @@ def test_signals_of_a_mapping_are_those_of_the_code_with_their_units() -> None:
 
 def test_symbols_and_functions_of_a_formula_are_those_of_the_code() -> None:
     named = {name for row in table("diagnosis.md", "In a formula") for name in re.findall(r"`(\w+)`", row[0])}
-    assert named - {"q1", "q2", "dq1", "dq2", "t", "pi"} == {*FUNCTIONS, *AXES, *SPEEDS, *CONTACT_SYMBOLS, "parameters"}
+    assert named - {"q1", "q2", "dq1", "dq2", "tau1", "tau2", "pi"} == {
+        *FUNCTIONS,
+        *SYMBOLS,
+        *CONTACT_SYMBOLS,
+        "parameters",
+    }
 
 
 def test_files_that_a_page_shows_are_valid() -> None:

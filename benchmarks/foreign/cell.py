@@ -42,6 +42,7 @@ SUPPORT_THICKNESS = 0.1  # m
 RIGID_PAD = (1e7, 5e3)  # N/m and N s/m, of a pad that the scenario calls rigid
 
 Modification = Callable[[mujoco.MjSpec], None]
+Further = Callable[[mujoco.MjModel, mujoco.MjData], None]
 
 
 @dataclass(frozen=True)
@@ -92,6 +93,7 @@ class MujocoCell:
         modify: Changes the description before it is compiled; for what physics cannot say.
         contacts: What MuJoCo wants to know of contacts.
         step: Largest step [s].
+        further: Adds forces before every step; for laws that the physics does not have.
 
     Raises:
         InputError: Masses and inertias that are those of no body.
@@ -107,8 +109,9 @@ class MujocoCell:
         modify: Modification | None = None,
         contacts: ContactSettings = DEFAULT_CONTACTS,
         step: float = STEP,
+        further: Further | None = None,
     ) -> None:
-        timing = scenario.timing
+        timing, self._further = scenario.timing, further
         scatter_seed, object_seed, *arm_seeds = np.random.SeedSequence(seed).spawn(2 + len(physics.arms))
         physics, initial, object_state = _scattered(scenario, physics, initial, object_state, scatter_seed)
         self.physics = physics
@@ -183,6 +186,8 @@ class MujocoCell:
             for _ in range(self._steps):
                 for arm in self._arms.values():
                     arm.apply()
+                if self._further is not None:
+                    self._further(self.model, self.data)
                 mujoco.mj_step(self.model, self.data)
         self._tick += 1
 

@@ -19,6 +19,7 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
+import mujoco
 import numpy as np
 import pinocchio as pin
 from rosbags.rosbag2 import StoragePlugin, Writer
@@ -26,8 +27,9 @@ from rosbags.rosbag2 import StoragePlugin, Writer
 from benchmarks.board import Entry, Row, arguments, diagnosed_laboratory, run_board
 from benchmarks.foreign.board import intervals, scoreboard
 from benchmarks.foreign.campaign import OUTSIDE
-from benchmarks.foreign.cell import UNKNOWN_HERE, Modification, MujocoCell
+from benchmarks.foreign.cell import UNKNOWN_HERE, Further, Modification, MujocoCell
 from benchmarks.foreign.discrepancy import oblique
+from benchmarks.foreign.laws import LAWS, Law
 from examples.laboratory import EXPERIMENT, START, STORE, messages
 from impact_rs_analysis.diagnosis.scoring import held_against_truth
 from impact_rs_sim.effects import of_trials
@@ -137,10 +139,18 @@ def record(task: RunTask) -> None:
     if (path / "metadata.yaml").exists():
         return
     entry = task.entry
-    modify = None
-    if entry.kind == "outside":
+    modify = further = None
+    if entry.effect in LAWS:
+        law, magnitude = LAWS[entry.effect], entry.magnitude or 0.0
+        further = functools.partial(_pushed, law, magnitude)
+    elif entry.kind == "outside":
         modify = functools.partial(OUTSIDE[str(entry.effect)], magnitude=entry.magnitude or 0.0)
-    record_run(path, task.object, task.condition, task.seed, hidden_in(entry), modify)
+    record_run(path, task.object, task.condition, task.seed, hidden_in(entry), modify, further)
+
+
+def _pushed(law: Law, magnitude: float, model: mujoco.MjModel, data: mujoco.MjData) -> None:
+    """A law as the cell calls it."""
+    law(model, data, magnitude)
 
 
 def record_run(
@@ -150,6 +160,7 @@ def record_run(
     seed: int,
     hidden: list[Hidden],
     modify: Callable[[Physics], Modification] | None = None,
+    further: Further | None = None,
 ) -> None:
     """Run the cell under the laboratory's controller, and write its bag.
 
@@ -160,6 +171,7 @@ def record_run(
         seed: Of scatter and noise.
         hidden: Effects that its physics have.
         modify: Makes what physics cannot say.
+        further: Adds forces before every step.
     """
     if object_name == "none":
         scene = Scene.resolve(load_scenario("push"), "juice", "case_1")
@@ -174,7 +186,9 @@ def record_run(
         torque, start, duration = impedance(hit)
     physics = hide(scene.physics, hidden)
     built = None if modify is None else modify(physics)
-    cell = MujocoCell(lasting(scene.scenario, duration), physics, {name: start}, far, seed, modify=built)
+    cell = MujocoCell(
+        lasting(scene.scenario, duration), physics, {name: start}, far, seed, modify=built, further=further
+    )
     with Writer(path, version=9, storage_plugin=StoragePlugin.MCAP) as bag:
         topics: dict[str, Any] = {}
         for number in range(round(duration / 0.001)):

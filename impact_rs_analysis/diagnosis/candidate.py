@@ -90,6 +90,11 @@ class Candidate:
         return np.array([scalar.scale for scalar in self.scalars])
 
     @cached_property
+    def _shapes(self) -> NDArray[np.bool_]:
+        """Which parameters are shapes: they change nothing while the others are nominal, ``(p,)``."""
+        return np.array([scalar.shape for scalar in self.scalars])
+
+    @cached_property
     def nominal(self) -> Array:
         """Nominal values, at which the effects change nothing, ``(p,)``."""
         return np.array([scalar.nominal for scalar in self.scalars])
@@ -200,7 +205,7 @@ class Candidate:
         return tuple(
             (effect.name, tuple(float(value) for value in vector[part]))
             for effect, part in self.parts
-            if np.any(vector[part] != self.nominal[part])
+            if np.any(((vector != self.nominal) & ~self._shapes)[part])
         )
 
     def beside(self, other: Candidate) -> Candidate:

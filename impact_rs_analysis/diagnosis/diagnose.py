@@ -103,18 +103,42 @@ def _diagnosed(
     progress: ProgressCallback = lambda *_: None,
 ) -> DiagnosisDocument:
     """:func:`diagnose` without other views and summary."""
+    return document_of(findings_of(source, effects_for(source, only, bounds), progress), source, model)
+
+
+def effects_for(source: Source, only: Sequence[str] | None = None, bounds: Bounds = NO_BOUNDS) -> list[Effect]:
+    """Effects to consider, with ranges for a robot of this size.
+
+    Args:
+        source: Measurements with the model's predictions.
+        only: Their names; None: all that the model does not contain, in trials and tables without those that recordings
+            calibrate.
+        bounds: Ranges of parameters that a user knows better.
+    """
+    known, present = source.model.known_effects, {item.name for item in source.model.effects}
+    offered = [name for name, effect in known.items() if source.kind == "recordings" or not effect.calibrates]
+    return [
+        bounded(known[name].in_proportion(source.proportion), bounds) for name in only or offered if name not in present
+    ]
+
+
+def findings_of(source: Source, effects: Sequence[Effect], progress: ProgressCallback = lambda *_: None) -> Findings:
+    """Search for missing effects, and hold out.
+
+    Args:
+        source: Measurements with the model's predictions.
+        effects: Effects to consider.
+        progress: Called with effects and their held-out error during the search (:class:`Search`).
+
+    Raises:
+        InputError: Too few conditions for a hold-out.
+    """
     if source.repeated and len(source.clusters) < LEAST_CLUSTERS:
         names = ", ".join(item.name for item in source.clusters)
         raise InputError(
             f"{len(source.clusters)} condition(s) measured ({names}): at least {LEAST_CLUSTERS} are needed to hold one "
             "out; `impact-rs compare` still shows where the model fails"
         )
-    known = source.model.known_effects
-    present = {item.name for item in source.model.effects}
-    offered = [name for name, effect in known.items() if source.kind == "recordings" or not effect.calibrates]
-    effects = [
-        bounded(known[name].in_proportion(source.proportion), bounds) for name in only or offered if name not in present
-    ]
     search = Search(effects, Evidence.of(source), progress)
     chosen = None if search.evidence.null.shortage is not None else search.choose()
     rivals: Sequence[Rival] = ()
@@ -130,7 +154,7 @@ def _diagnosed(
             chosen, rivals = supported, () if supported is None else search.rivals(supported)
         if chosen is None:
             held = None
-    found = Findings(
+    return Findings(
         search=search,
         chosen=chosen,
         rivals=tuple(rivals),
@@ -138,7 +162,6 @@ def _diagnosed(
         p_values=_p_values(search, chosen),
         unsupported=unsupported,
     )
-    return _document(found, known, source, model)
 
 
 def _p_values(search: Search, chosen: Fit | None) -> dict[str, float]:
@@ -146,12 +169,20 @@ def _p_values(search: Search, chosen: Fit | None) -> dict[str, float]:
     raw = search.raw_p_values(chosen)
     if chosen is not None:
         names = chosen.candidate.names
-        raw |= {name: search.p_value(name, search.without(chosen, name) if len(names) > 1 else None) for name in names}
+        for name in names:
+            raw |= search.p_values_of([name], search.without(chosen, name) if len(names) > 1 else None)
     return adjusted(raw)
 
 
-def _document(found: Findings, known: dict[str, Effect], source: Source, model: Model) -> DiagnosisDocument:
-    evidence = found.evidence
+def document_of(found: Findings, source: Source, model: Model) -> DiagnosisDocument:
+    """The diagnosis as a document.
+
+    Args:
+        found: Of the search.
+        source: What was searched.
+        model: The model of the file; that of the source may know further effects.
+    """
+    evidence, known = found.evidence, source.model.known_effects
     verdict = headline(found)
     before = [item.mean for item in evidence.clusters]
     after: Sequence[Array] = before if found.hold_out is None else found.hold_out.rest

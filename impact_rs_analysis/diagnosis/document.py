@@ -327,6 +327,10 @@ def read_document(path: Path) -> DiagnosisDocument:
         raise InputError(f"not a diagnosis: {shortened(str(error))}", file=path) from None
     if not isinstance(data, dict):
         raise InputError("no diagnosis", file=path)
+    if "laws" in data:  # a discovery holds the diagnosis that it comes from
+        data = data.get("diagnosis")
+        if not isinstance(data, dict):
+            raise InputError("this discovery proposes no law", file=path)
     if "format" not in data:
         data = _of_first_format(data, path)
     return validate(DiagnosisDocument, data, path)

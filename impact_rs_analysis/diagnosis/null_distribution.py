@@ -43,7 +43,7 @@ from __future__ import annotations
 
 import copy
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from functools import cached_property, lru_cache
 
 import numpy as np
@@ -55,9 +55,9 @@ from impact_rs_analysis.evidence.cluster import Cluster
 from impact_rs_sim.robot import Array
 
 FIRST_DRAWS, CLEAR = 999, 0.05  # of the test of all residuals, and the p above which they are enough
-IN_TURN = 500  # draws
-ENOUGH_ABOVE = 50  # draws above the measurement: p is known to a seventh
 TINY = 1e-12  # keeps a zero covariance invertible
+FEW_BEYOND, TAIL = 10, 250  # draws beyond an observation, below which its p-value comes from those of the tail
+LIGHTEST = 1e-3  # shape of the tail: about exponential
 PRIOR_FREEDOM = 3.0  # of the mean variance of a signal; with as many contrasts of its own, a feature counts the same
 
 
@@ -81,7 +81,6 @@ class NullDistribution(ABC):
     def shortage(self) -> str | None:
         """Data that are missing for a verdict, for the user; None if there are enough."""
 
-    @abstractmethod
     def p_value(self, jacobians: Sequence[Array], fitted: Sequence[Array] = ()) -> float:
         """p-value of an effect being absent.
 
@@ -89,6 +88,11 @@ class NullDistribution(ABC):
             jacobians: Sensitivities by cluster, ``(F, p)`` each.
             fitted: Sensitivities by cluster of the parameters whose fit left these residuals, ``(F, p0)`` each.
         """
+        return self.p_values([jacobians], fitted)[0]
+
+    @abstractmethod
+    def p_values(self, effects: Sequence[Sequence[Array]], fitted: Sequence[Array] = ()) -> list[float]:
+        """:meth:`p_value` of several effects, each beside the fitted parameters alone."""
 
     @abstractmethod
     def lack_of_fit(self, rest: Sequence[Array]) -> float | None:
@@ -164,28 +168,26 @@ def alike(item: Cluster) -> str:
 
 
 def rarity(observed: float, null: Array) -> float:
-    """Share of a null distribution, including the observation, that is at least as large: the p-value."""
-    return float((1.0 + np.count_nonzero(null >= observed * (1.0 - 1e-12))) / (1.0 + null.size))
+    """Share of a null distribution, including the observation, that is at least as large: the p-value.
 
-
-def rarity_in_turn(observed: float, null: Callable[[slice], Array]) -> float:
-    """As :func:`rarity`, from draws in turn, until ``ENOUGH_ABOVE`` of them are at least as large.
-
-    Stopped early, the share of the draws so far is a p-value as well, exact at any level that it can reach
-    (Besag and Clifford 1991, *Sequential Monte Carlo p-values*, Biometrika 78).
-
-    Args:
-        observed: The statistic.
-        null: The statistic in a part of ``1 + DRAWS`` draws, of which the first is the measurement.
+    Beyond nearly all draws it is that of a generalised Pareto distribution with the probability-weighted moments of the
+    largest draws (Knijnenburg et al. 2009, *Fewer permutations, more accurate P-values*, Bioinformatics 25; Hosking and
+    Wallis 1987), which is given no end: many tests need p-values below one over the number of draws.
     """
-    above = 0
-    for start in range(1, 1 + DRAWS, IN_TURN):
-        drawn = null(slice(start, min(start + IN_TURN, 1 + DRAWS)))
-        exceeds = np.flatnonzero(drawn >= observed * (1.0 - 1e-12))
-        if above + exceeds.size >= ENOUGH_ABOVE:
-            return ENOUGH_ABOVE / float(start + exceeds[ENOUGH_ABOVE - 1 - above])
-        above += exceeds.size
-    return (1.0 + above) / (1.0 + DRAWS)
+    beyond = np.count_nonzero(null >= observed * (1.0 - 1e-12))
+    if beyond >= FEW_BEYOND or null.size < 2 * TAIL:
+        return float((1.0 + beyond) / (1.0 + null.size))
+    largest = np.sort(null)[-TAIL - 1 :]
+    excess = largest[1:] - largest[0]
+    mean = float(excess.mean())
+    weights = 1.0 - (np.arange(1, TAIL + 1) - 0.35) / TAIL
+    weighted = float(np.mean(weights * excess))
+    if not 0.0 < 2.0 * weighted < mean:
+        return float((1.0 + beyond) / (1.0 + null.size))
+    shape = max(2.0 - mean / (mean - 2.0 * weighted), LIGHTEST)
+    scale = mean * (1.0 - shape)
+    tail = (1.0 + shape * (observed - float(largest[0])) / scale) ** (-1.0 / shape)
+    return float(min(TAIL / null.size * tail, (1.0 + beyond) / (1.0 + null.size)))
 
 
 def smallest(observed: Array, null: Array) -> float:
@@ -325,39 +327,48 @@ class RotationNull(NullDistribution):
             f"conditions is {self.freedom}, at least {LEAST_FREEDOM} are needed)"
         )
 
-    def p_value(self, jacobians: Sequence[Array], fitted: Sequence[Array] = ()) -> float:
-        """See :meth:`NullDistribution.p_value`."""
-        turned = _normalised(self.clusters, jacobians, fitted)
-        if self.shortage is not None or turned is None:
-            return 1.0
-        every = [np.hstack(both) for both in zip(fitted, jacobians, strict=True)] if fitted else jacobians
-        before = fitted[0].shape[1] if fitted else 0
-        observed = float(self._explained(every, before, slice(1))[0])
-        p = rarity_in_turn(observed, lambda draws: self._explained(every, before, draws))
-        if self.discrepant:
-            scores = np.sum(
-                [j.T @ item.mean * item.count for j, item in zip(turned, self.clusters, strict=True)], axis=0
-            )
-            p = max(p, rarity(float(scores @ scores), self._with_discrepancy(turned)))
-        return p
+    def p_values(self, effects: Sequence[Sequence[Array]], fitted: Sequence[Array] = ()) -> list[float]:
+        """See :meth:`NullDistribution.p_values`; every rotation is made once for all effects."""
+        if self.shortage is not None:
+            return [1.0] * len(effects)
+        every = [
+            [np.hstack(both) for both in zip(fitted, own, strict=True)] if fitted else list(own) for own in effects
+        ]
+        edges = np.cumsum([0, *(own[0].shape[1] for own in every)])
+        scores = np.zeros((1 + DRAWS, edges[-1]))
+        for seed, (layout, weights) in enumerate(zip(self._layouts, self._scales, strict=True)):
+            for number, item, rows in zip(layout.numbers, layout.items, layout.rotated(seed), strict=True):
+                columns = np.hstack([own[number] for own in every])
+                scores += (rows * weights) @ (np.sqrt(item.count) * columns * (item.sigma / layout.unit)[:, None])
+        return [
+            self._p_value(jacobians, fitted, own, scores[:, first:last])
+            for jacobians, own, first, last in zip(effects, every, edges[:-1], edges[1:], strict=True)
+        ]
 
-    def _explained(self, jacobians: Sequence[Array], before: int, draws: slice) -> Array:
-        """T of some rotations, ``(B,)``, of the parameters that follow the first ``before``."""
-        scores: Array | float = 0.0
-        information: Array | float = 0.0
-        for seed, (own, weights) in enumerate(zip(self._layouts, self._scales, strict=True)):
-            turned = weights[draws]
-            pairs: Array | float = 0.0
-            for number, item, rows in zip(own.numbers, own.items, own.rotated(seed, draws), strict=True):
-                jacobian = np.sqrt(item.count) * jacobians[number] * (item.sigma / own.unit)[:, None]
-                scores = scores + (rows * turned) @ jacobian
-                pairs = pairs + jacobian[:, :, None] * jacobian[:, None, :]
-            information = information + np.tensordot(turned, pairs, axes=1)
-        scores, information = np.asarray(scores), np.asarray(information)
+    def _p_value(
+        self, jacobians: Sequence[Array], fitted: Sequence[Array], every: Sequence[Array], scores: Array
+    ) -> float:
+        """:meth:`p_value` from the scores of all its parameters in every rotation, ``(1 + B, p0 + p)``."""
+        turned = _normalised(self.clusters, jacobians, fitted)
+        if turned is None:
+            return 1.0
+        count = scores.shape[1]
+        information = np.zeros((1 + DRAWS, count * count))
+        for layout, weights in zip(self._layouts, self._scales, strict=True):
+            pairs = np.zeros((len(layout.unit), count, count))
+            for number, item in zip(layout.numbers, layout.items, strict=True):
+                jacobian = np.sqrt(item.count) * every[number] * (item.sigma / layout.unit)[:, None]
+                pairs += jacobian[:, :, None] * jacobian[:, None, :]
+            information += weights @ pairs.reshape(len(pairs), -1)
+        information = information.reshape(-1, count, count)
         explained = _explained(scores, information)
-        if before:
-            explained = explained - _explained(scores[:, :before], information[:, :before, :before])
-        return explained
+        if fitted and (before := fitted[0].shape[1]):
+            explained -= _explained(scores[:, :before], information[:, :before, :before])
+        p = rarity(float(explained[0]), explained[1:])
+        if self.discrepant:
+            own = np.sum([j.T @ item.mean * item.count for j, item in zip(turned, self.clusters, strict=True)], axis=0)
+            p = max(p, rarity(float(own @ own), self._with_discrepancy(turned)))
+        return p
 
     def _with_discrepancy(self, jacobians: Sequence[Array]) -> Array:
         """Draws of T under noise and discrepancy, ``(B,)``; sensitivities as of :func:`_normalised`."""
@@ -507,7 +518,11 @@ class SignFlipNull(NullDistribution):
     def _signs(self) -> Array:
         return np.random.default_rng(0).choice([-1.0, 1.0], size=(DRAWS, len(self.clusters)))
 
-    def p_value(self, jacobians: Sequence[Array], fitted: Sequence[Array] = ()) -> float:
+    def p_values(self, effects: Sequence[Sequence[Array]], fitted: Sequence[Array] = ()) -> list[float]:
+        """See :meth:`NullDistribution.p_values`."""
+        return [self._p_value(jacobians, fitted) for jacobians in effects]
+
+    def _p_value(self, jacobians: Sequence[Array], fitted: Sequence[Array]) -> float:
         """See :meth:`NullDistribution.p_value`."""
         turned = _normalised(self.clusters, jacobians, fitted)
         if self.shortage is not None or turned is None:

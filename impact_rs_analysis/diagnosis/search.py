@@ -8,7 +8,8 @@ without the clusters to predict.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections import Counter
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations, product
 
@@ -31,6 +32,7 @@ from impact_rs_analysis.diagnosis.thresholds import (
     LEAST_FREEDOM,
     LEAST_GAIN,
     MOST_EFFECTS,
+    MOST_TESTED,
     NOTHING,
     SHORTLIST,
     SIGNIFICANT,
@@ -71,7 +73,8 @@ class Search:
     """Search over effects.
 
     Args:
-        effects: Effects to consider.
+        effects: Effects to consider; several of one name are one effect with several starts of its shape, of which the
+            best is kept.
         evidence: Residuals of the model in the clusters of the search.
         progress: Called after every fit with the effects joined by ``+`` and their held-out error, on the scale of
             :meth:`Evidence.size`.
@@ -88,6 +91,7 @@ class Search:
         self.evidence, self.source, self._progress = evidence, evidence.source, progress
         self.singles: dict[str, Candidate] = {}
         self.ended: dict[tuple[str, ...], Candidate] = {}
+        self._looks = Counter(effect.name for effect in effects)
         self._starts: dict[str, Candidate] = {}
         self._unseen: dict[str, Candidate] = {}
         self._screen(effects)
@@ -103,7 +107,16 @@ class Search:
             if found is None:
                 continue
             found = self._seen_from_afar(found)
-            (self.singles if found.seen else self._unseen)[found.names[0]] = found
+            name, known = found.names[0], self.singles.get(found.names[0])
+            if not found.seen:
+                self._unseen[name] = found
+            elif known is None or self._misfit(found) < self._misfit(known):
+                self.singles[name] = found
+        for name in self.singles:
+            self._unseen.pop(name, None)
+
+    def _misfit(self, candidate: Candidate) -> float:
+        return Fit.of(candidate, self.evidence).misfit
 
     def _seen_from_afar(self, candidate: Candidate, base: Added = ()) -> Candidate:
         """The candidate with secants for parameters that change more features far from nominal, to where they do.
@@ -145,6 +158,11 @@ class Search:
             if found.seen:
                 self.singles[name] = found
                 del self._unseen[name]
+
+    def keep(self, names: Collection[str]) -> None:
+        """Forget all other effects."""
+        self.singles = {name: candidate for name, candidate in self.singles.items() if name in names}
+        self._unseen = {name: candidate for name, candidate in self._unseen.items() if name in names}
 
     @property
     def unmeasured(self) -> set[str]:
@@ -200,18 +218,30 @@ class Search:
         return adjusted(self.raw_p_values(chosen))
 
     def raw_p_values(self, chosen: Fit | None) -> dict[str, float]:
-        """p-value per effect given the chosen ones, not adjusted."""
-        names = () if chosen is None else chosen.candidate.names
-        return {name: self.p_value(name, chosen) for name in self.singles if name not in names}
+        """p-value per effect given the chosen ones, not adjusted for testing all, but for all starts of its shape.
 
-    def p_value(self, name: str, chosen: Fit | None) -> float:
-        """p-value of an effect given the chosen ones, from its sensitivities beside them."""
-        single = self.singles[name]
-        if chosen is None:
-            return self.evidence.problem(single).p_value(self.evidence.null, slice(None))
-        joined = chosen.candidate.beside(single)
-        tested = slice(chosen.candidate.point.size, joined.point.size)
-        return chosen.evidence.problem(joined).p_value(chosen.left.null, tested)
+        Of many effects those that explain least have 1, which is never too small.
+        """
+        present = () if chosen is None else chosen.candidate.names
+        return self.p_values_of([name for name in self.singles if name not in present], chosen)
+
+    def p_values_of(self, names: Sequence[str], chosen: Fit | None) -> dict[str, float]:
+        """:meth:`raw_p_values` of some effects, from their sensitivities beside the chosen ones."""
+        evidence = self.evidence if chosen is None else chosen.evidence
+        singles = {name: self.singles[name] for name in names}
+        fits = {
+            name: Fit.of(candidate if chosen is None else chosen.candidate.beside(candidate), evidence)
+            for name, candidate in singles.items()
+        }
+        raw = dict.fromkeys(fits, 1.0)
+        null = (self.evidence if chosen is None else chosen.left).null
+        first = 0 if chosen is None else chosen.candidate.point.size
+        tested = sorted(fits, key=lambda name: fits[name].score)[:MOST_TESTED]
+        found = [fits[name].candidate.jacobians for name in tested]
+        own = [[jacobian[:, first:] for jacobian in jacobians] for jacobians in found]
+        fitted = () if chosen is None else chosen.candidate.jacobians
+        values = null.p_values(own, fitted)
+        return raw | {name: min(1.0, self._looks[name] * p) for name, p in zip(tested, values, strict=True)}
 
     def choose(self) -> Fit | None:
         """Forward selection; None if no effect is accepted."""
@@ -401,8 +431,14 @@ class Search:
             rivals = self.rivals(chosen)
         return chosen, rivals
 
-    def rivals(self, chosen: Fit, count: int = 3) -> list[Rival]:
-        """Alternatives to every chosen effect, fitted together with the other chosen ones."""
+    def rivals(self, chosen: Fit, count: int = 3, hopeless: float = HOPELESS) -> list[Rival]:
+        """Alternatives to every chosen effect, fitted together with the other chosen ones.
+
+        Args:
+            chosen: The chosen effects.
+            count: How many are fitted in the place of each.
+            hopeless: One whose linear fit has more than so many times the squared error is left out.
+        """
         found = []
         for name in chosen.candidate.names:
             others = self._others(chosen, name)
@@ -417,9 +453,9 @@ class Search:
                     proposals.append((other, Fit.of(moved, chosen.evidence)))
             proposals.sort(key=lambda entry: entry[1].score)
             for other, linear in proposals[:count]:
-                if linear.score > HOPELESS * chosen.score:
+                if linear.score > hopeless * chosen.score:
                     continue
-                fitted = refine_again(refine(linear.candidate, chosen.evidence, HOPELESS * chosen.score))
+                fitted = refine_again(refine(linear.candidate, chosen.evidence, hopeless * chosen.score))
                 found.append(Rival(other, name, fitted, tied(chosen, fitted) and not _in_the_limit(fitted, other)))
         return found
 

@@ -18,4 +18,7 @@ TIE = 0.05  # log held-out error; explanations closer than 5 % are equally good
 WIDE_TIE = 0.25  # upper limit of the same where the scatter between clusters is larger
 UNSEEN = 20.0  # parameter scales; a wider interval does not determine the parameter
 MOST_EFFECTS = 6  # chosen together; more cannot be distinguished in one campaign
+MOST_TESTED = (
+    40  # effects with a p-value in every round, more than the library has; the others count as tested, with p = 1
+)
 SHORTLIST = 5  # candidates fitted by simulation in every round; in tests the true one was always among them

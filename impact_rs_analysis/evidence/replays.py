@@ -200,6 +200,7 @@ class ReplaySource(Source):
         self.runs, self.model, self.store, self.clusters = runs, model, store, clusters
         self.discrepancy, self.remarks, self.clock = discrepancy, tuple(remarks), runs.clock
         self.conditions = list(runs.conditions.values())
+        self._known = model.known_effects
         self.physics = model.apply(self.conditions[0][0].setup.physics)
         self._numbers = {item.name: number for number, item in enumerate(clusters)}
         known = self.noise_size() is not None
@@ -242,7 +243,8 @@ class ReplaySource(Source):
         """
         discrepancy = measured_discrepancy() if discrepancy is None else discrepancy
         model = with_per_arm_parameters(model, [run.setup.physics for run in runs.runs], each_arm)
-        predicted = store([Replay(run.setup, model) for run in runs.runs], "replays of the model")
+        bare = model.containing(())
+        predicted = store([Replay(run.setup, bare) for run in runs.runs], "replays of the model")
         residuals, kept, missed = [], [], []
         for run, values in zip(runs.runs, predicted, strict=True):
             if values is None:
@@ -279,14 +281,16 @@ class ReplaySource(Source):
     def predict(self, wanted: Sequence[tuple[int, Added]], what: str) -> list[Array | None]:
         """See :meth:`Source.predict`; the first run of every condition is replayed."""
         return self.store(
-            [Replay(self.conditions[number][0].setup, self.model, self._of_trials(added)) for number, added in wanted],
-            what,
+            [self._replay(self.conditions[number][0], self._of_trials(added)) for number, added in wanted], what
         )
+
+    def _replay(self, run: MeasuredRun, added: Added) -> Replay:
+        """A replay of a run with effects; of many formulas its model has those that it needs."""
+        return Replay(run.setup, self.model.containing(name for name, _ in added), added)
 
     def _of_trials(self, added: Added) -> Added:
         """The effects without those that only tables of impacts have: they change no replay."""
-        known = self.model.known_effects
-        return tuple(item for item in added if known[item[0]].phases != SINGLE_IMPACT)
+        return tuple(item for item in added if self._known[item[0]].phases != SINGLE_IMPACT)
 
     def spread(self, function: Callable[[Source, Item], Made], items: Sequence[Item], what: str) -> list[Made]:
         """See :meth:`Source.spread`; every process gets a copy of the replays made so far."""
@@ -298,7 +302,7 @@ class ReplaySource(Source):
     def measure_again(self, added: Added, like: Sequence[Cluster]) -> list[Cluster] | None:
         """See :meth:`Source.measure_again`; every run is replayed from its own start."""
         groups = [self.conditions[self._numbers[item.name]] for item in like]
-        tasks = [Replay(run.setup, self.model, added) for group in groups for run in group]
+        tasks = [self._replay(run, added) for group in groups for run in group]
         found = self.store(tasks, "every run again")
         if any(values is None for values in found):
             return None

@@ -14,6 +14,8 @@ from impact_rs_analysis.diagnosis.compare import compare
 from impact_rs_analysis.diagnosis.diagnose import diagnose
 from impact_rs_analysis.diagnosis.document import (
     NO_IMPROVEMENT,
+    NONE,
+    PARTLY,
     TOO_FEW,
     UNIDENTIFIABLE,
     DiagnosisDocument,
@@ -58,7 +60,20 @@ def run(args: argparse.Namespace, terminal: Terminal) -> int:
             terminal.say(
                 f"next: {PROGRAM} add {document.named[0]} --model {args.model} --from {args.output} -o model_2.yaml"
             )
+    if document.source != "impacts" and document.verdict.startswith((NONE, PARTLY)):
+        terminal.say(f"a law that the library does not have: {_discover_command(args)}")
     return 0
+
+
+def _discover_command(args: argparse.Namespace) -> str:
+    """The command that looks for a law in the same measurements."""
+    words = [PROGRAM, "discover", str(args.runs)]
+    for option in ("experiment", "mapping"):
+        if (value := getattr(args, option)) is not None:
+            words += [f"--{option}", str(value)]
+    if Path(args.model) != Path("nominal"):
+        words += ["--model", str(args.model)]
+    return " ".join([*words, "-o", "discovery.json"])
 
 
 def with_formulas(model: Model, path: Path | None) -> Model:

@@ -9,14 +9,14 @@ two known units disagree.
 from __future__ import annotations
 
 import ast
-import re
 from fractions import Fraction
 
-from impact_rs_sim.effects.formula import AXES, CONTACT_SYMBOLS, FUNCTIONS, SPEEDS, FormulaSpec
+from impact_rs_sim.effects.formula import CONTACT_SYMBOLS, FUNCTIONS, JOINT_SYMBOL, SYMBOLS, FormulaSpec
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.units import BASE, FORCE, NUMBER, TORQUE, Dimension, dimension_of, of, text_of, times
 
 Unit = Dimension | None  # None: not known
+OF_JOINT = {"q": NUMBER, "dq": BASE["Hz"], "tau": TORQUE}  # joints turn: rad, rad/s, N m
 SAME = ("abs", "min", "max")  # functions that give what they are given
 
 
@@ -27,19 +27,26 @@ def check_units(spec: FormulaSpec) -> dict[str, str]:
         InputError: A unit is not understood, or two of them clash.
     """
     parameters = {name: dimension_of(parameter.unit) for name, parameter in spec.parameters.items()}
-    known: dict[str, Dimension] = {"t": BASE["s"], "pi": NUMBER, **parameters}
-    known |= dict.fromkeys(AXES, BASE["m"]) | dict.fromkeys(SPEEDS, of(0, 1, -1))
+    known = {name: dimension_of(unit) for name, unit in SYMBOLS.items()} | {"pi": NUMBER, **parameters}
     tables = {
         "joint_torque": (spec.joint_torque, TORQUE),
         "motor_torque": (spec.motor_torque, TORQUE),
         "end_effector_force": (spec.end_effector_force, FORCE),
+        "object_force": (spec.object_force, FORCE),
+        "object_moment": (spec.object_moment, TORQUE),
+        "contact_normal": ({"": spec.contact_normal}, FORCE),
+        "contact_tangential": ({"": spec.contact_tangential}, FORCE),
+        "support_normal": ({"": spec.support_normal}, FORCE),
+        "support_tangential": ({"": spec.support_tangential}, FORCE),
         "contact": (spec.contact, NUMBER),
     }
     of_contact = parameters | dict.fromkeys(CONTACT_SYMBOLS, of(0, 1, -1)) | {"pi": NUMBER}
     units = {}
     for table, (formulas, wanted) in tables.items():
         for key, text in formulas.items():
-            place = f"{table}.{key}"
+            if not text:
+                continue
+            place = f"{table}.{key}".removesuffix(".")
             symbols = of_contact if table == "contact" else known
             found = _unit(ast.parse(text.strip(), mode="eval").body, symbols, text)
             if found is not None and found != wanted:
@@ -50,8 +57,8 @@ def check_units(spec: FormulaSpec) -> dict[str, str]:
 
 def _unit(node: ast.AST, known: dict[str, Dimension], text: str) -> Unit:
     if isinstance(node, ast.Name):
-        turn = re.fullmatch(r"(d?)q\d+", node.id)  # joints turn: rad, rad/s
-        return (BASE["Hz"] if turn[1] else NUMBER) if turn else known.get(node.id)
+        joint = JOINT_SYMBOL.fullmatch(node.id)
+        return OF_JOINT[joint[1]] if joint else known.get(node.id)
     if isinstance(node, ast.UnaryOp):
         return _unit(node.operand, known, text)
     if isinstance(node, ast.BinOp):

@@ -8,6 +8,13 @@
       parameters: {drag: {unit: N s/m, nominal: 0, lower: 0, upper: 50, scale: 1},
                    c: {unit: N m, nominal: 0, lower: 0, upper: 3, scale: 0.1}}
 
+A law of the object, or of what it touches:
+
+    - name: air_drag
+      sentence: Air resists the object with the square of its speed.
+      object_force: {x: "-c * object_speed * object_vx", y: "-c * object_speed * object_vy"}
+      parameters: {c: {unit: N s^2/m^2, nominal: 0, lower: 0, upper: 100, scale: 1}}
+
 A contact of a single impact, in tables of impacts:
 
     - name: plastic_contact
@@ -19,13 +26,22 @@ A contact of a single impact, in tables of impacts:
 functions of its closing speed ``v`` and its ``slip`` [m/s]. A normal impulse L_n(v) of a body with the inverse mass G_n
 there is the restitution G_n L_n(v) / v - 1.
 
-``joint_torque`` acts on a link, where the torque sensor sees it; ``motor_torque`` on the motor before the transmission,
-as friction of a gear does. Both are evaluated at every control tick, with position and velocity of the links.
+Where formulas act:
 
-Symbols: ``t`` [s]; ``q1`` ... ``dq1`` ... [rad, rad/s]; ``x y z`` and ``vx vy vz`` of frame E [m, m/s]; ``pi``; and the
-named parameters. Functions: see :data:`FUNCTIONS`. The text is parsed into a syntax tree of which only arithmetic is
-accepted; nothing is ever evaluated as Python. Whether an arm has the joints that a formula names is known when the
-effect meets the arm, not before.
+* ``joint_torque`` on a link, where the torque sensor sees it; ``motor_torque`` on the motor before the transmission, as
+  friction of a gear and errors of the command do; ``end_effector_force`` at the origin of E. They are evaluated at
+  every control tick, with position and velocity of the links.
+* ``object_force`` at the middle of the object, ``object_moment`` on it, along the axes of A.
+* ``contact_normal`` and ``contact_tangential`` between pad and object while they touch: a force that parts them, and
+  one against the sliding of the object on the pad. The pad feels the reaction. ``support_normal`` and
+  ``support_tangential`` likewise between support and object. They are evaluated in every step, with forces of the step
+  before.
+
+Symbols: :data:`SYMBOLS`; ``q1`` ... ``dq1`` ... ``tau1`` ... of the joints [rad, rad/s, N m]; ``pi``; and the named
+parameters. Formulas of object and support have those of time, object and support, and ``normal_force`` and
+``since_contact`` of all pads together. Functions: see :data:`FUNCTIONS`. The text is parsed into a syntax tree of which
+only arithmetic is accepted; nothing is ever evaluated as Python. Whether an arm has the joints that a formula names is
+known when the effect meets the arm, not before.
 """
 
 from __future__ import annotations
@@ -44,9 +60,9 @@ from pydantic import Field, model_validator
 
 from impact_rs_sim.effects.base import SINGLE_IMPACT, Effect, Parameter, Values, digest, number
 from impact_rs_sim.errors import InputError
-from impact_rs_sim.physics import ContactCondition, ContactLaw, Load, LoadState, Physics
+from impact_rs_sim.physics import ContactCondition, ContactLaw, Load, LoadState, ObjectLoad, Physics
 from impact_rs_sim.robot import Array
-from impact_rs_sim.schema import Schema, load
+from impact_rs_sim.schema import Schema, load, omitted
 
 FUNCTIONS: dict[str, tuple[int, Callable[..., float]]] = {
     "sin": (1, math.sin),
@@ -69,11 +85,36 @@ _BINARY: dict[type[ast.operator], Callable[[float, float], float]] = {
     ast.Pow: operator.pow,
 }
 AXES = ("x", "y", "z")
+SYMBOLS = {
+    "t": "s",  # since the start of the trial
+    **dict.fromkeys(AXES, "m"),  # of frame E in A
+    **{f"v{axis}": "m/s" for axis in AXES},
+    "speed": "m/s",
+    **{f"object_{axis}": "m" for axis in AXES},  # of its middle in A
+    **{f"object_v{axis}": "m/s" for axis in AXES},
+    **{f"object_w{axis}": "rad/s" for axis in AXES},
+    "object_speed": "m/s",
+    "normal_force": "N",  # between pad and object
+    "penetration": "m",  # mean over the contact points, weighted with their forces
+    "closing": "m/s",  # rate of the penetration
+    "slip": "m/s",  # at which the object slides on the pad
+    "since_contact": "s",  # since they first touched; 0 before
+    "support_force": "N",  # normal, between support and object
+    "support_slip": "m/s",
+}
+OF_SCENE = frozenset(SYMBOLS) - {"t", *AXES, *(f"v{axis}" for axis in AXES), "speed"}  # beyond the arm
+OF_OBJECT = frozenset(
+    name for name in SYMBOLS if name in ("t", "normal_force", "since_contact") or name.startswith(("object", "support"))
+)
+SLOW = 2e-3  # m/s; sliding below it is opposed by less than the formula says, so that rest is a state
 COEFFICIENTS = ("restitution", "tangential_restitution", "friction")
 CONTACT_SYMBOLS = ("v", "slip")
-SPEEDS = tuple(f"v{axis}" for axis in AXES)
 JOINT = re.compile(r"joint([1-9][0-9]{0,2})")
-JOINT_SYMBOL = re.compile(r"\bd?q([1-9][0-9]{0,2})\b")
+JOINT_SYMBOL = re.compile(r"\b(q|dq|tau)([1-9][0-9]{0,2})\b")
+PLACES = (
+    "joint_torque", "motor_torque", "end_effector_force", "object_force", "object_moment", "contact_normal",
+    "contact_tangential", "support_normal", "support_tangential", "contact",
+)  # fmt: skip
 LONGEST = 400  # characters; a physical law is shorter
 
 Symbols = Mapping[str, float]
@@ -100,6 +141,11 @@ class Formula:
     def __call__(self, values: Symbols) -> float:
         """Value of the formula where its symbols have these values."""
         return self._function(values)
+
+    @property
+    def names(self) -> frozenset[str]:
+        """Symbols that stand in it."""
+        return self.symbols & set(re.findall(r"[A-Za-z_]\w*", self.text))
 
     def __reduce__(self) -> tuple[type[Formula], tuple[str, frozenset[str]]]:
         """See the class."""
@@ -160,6 +206,8 @@ class FormulaParameter(Schema):
     upper: float = Field(description="largest value that makes sense")
     scale: float = Field(gt=0.0, description="a noticeable change")
     meaning: str = Field("", description="what it is")
+    shape: bool = omitted(False, description="whether it changes nothing while the others are nominal, as a threshold")
+    grid: tuple[float, ...] = omitted((), description="values of a shape from which a fit starts")
 
     @model_validator(mode="after")
     def _limits_in_order(self) -> Self:
@@ -176,6 +224,12 @@ class FormulaSpec(Schema):
     joint_torque: dict[str, str] = Field({}, description="torque on a link, formula per joint (joint1 ...) [N m]")
     motor_torque: dict[str, str] = Field({}, description="torque on a motor, formula per joint (joint1 ...) [N m]")
     end_effector_force: dict[str, str] = Field({}, description="formula per axis (x, y, z) [N]")
+    object_force: dict[str, str] = omitted({}, description="force at the object's middle, formula per axis [N]")
+    object_moment: dict[str, str] = omitted({}, description="moment on the object, formula per axis [N m]")
+    contact_normal: str = omitted("", description="force that parts pad and object while they touch [N]")
+    contact_tangential: str = omitted("", description="force against the object's sliding on the pad [N]")
+    support_normal: str = omitted("", description="force that parts support and object while they touch [N]")
+    support_tangential: str = omitted("", description="force against the object's sliding on the support [N]")
     contact: dict[str, str] = Field(
         {},
         description="of a single impact: formula per coefficient (restitution, tangential_restitution, friction) [-]",
@@ -206,22 +260,29 @@ class FormulaEffect(Effect):
         self.name = spec.name
         self.sentence = spec.sentence
         self.parameters = tuple(
-            Parameter(name, p.unit, p.nominal, p.lower, p.upper, p.scale, p.meaning)
+            Parameter(name, p.unit, p.nominal, p.lower, p.upper, p.scale, p.meaning, shape=p.shape, grid=p.grid)
             for name, p in spec.parameters.items()
         )
-        taken = FUNCTIONS.keys() | {"t", "pi", *AXES, *SPEEDS}
+        taken = FUNCTIONS.keys() | SYMBOLS.keys() | {"pi"}
         clash = [name for name in spec.parameters if name in taken or JOINT_SYMBOL.fullmatch(name)]
         if clash:
             raise InputError(f"effect {spec.name!r}: {sorted(clash)} cannot be parameter names")
-        on_arms = spec.joint_torque or spec.motor_torque or spec.end_effector_force
-        if not (on_arms or spec.contact):
-            raise InputError(f"effect {spec.name!r} needs joint_torque, motor_torque, end_effector_force or contact")
-        if spec.contact and not on_arms:
-            self.acts_on, self.phases = "contact", SINGLE_IMPACT
         self._torque = {self._joint(key): self._parse(text) for key, text in spec.joint_torque.items()}
         self._motor = {self._joint(key): self._parse(text) for key, text in spec.motor_torque.items()}
         self._force = {self._axis(key): self._parse(text) for key, text in spec.end_effector_force.items()}
+        self._pad = self._at_surface(spec.contact_normal, spec.contact_tangential, self._parse)
+        self._object = {self._axis(key): self._parse_object(text) for key, text in spec.object_force.items()}
+        self._object |= {3 + self._axis(key): self._parse_object(text) for key, text in spec.object_moment.items()}
+        self._support = self._at_surface(spec.support_normal, spec.support_tangential, self._parse_object)
         self._contact = {self._coefficient(key): self._parse_contact(text) for key, text in spec.contact.items()}
+        on_arms = self._torque or self._motor or self._force
+        touching = self._pad or self._object or self._support
+        if not (on_arms or touching or self._contact):
+            places = ", ".join(PLACES)
+            raise InputError(f"effect {spec.name!r} needs a formula of one of: {places}")
+        if not on_arms:
+            self.acts_on = "object" if self._object or self._support else "contact"
+            self.phases = ("contact",) if touching else SINGLE_IMPACT
 
     def _joint(self, key: str) -> int:
         found = JOINT.fullmatch(key)
@@ -239,15 +300,23 @@ class FormulaEffect(Effect):
             raise InputError(f"effect {self.name!r}: unknown {key!r}; known: {', '.join(COEFFICIENTS)}")
         return key
 
+    @staticmethod
+    def _at_surface(normal: str, tangential: str, parse: Callable[[str], Formula]) -> dict[int, Formula]:
+        """Formulas of the normal force (0) and of the one against sliding (1)."""
+        return {index: parse(text) for index, text in enumerate((normal, tangential)) if text}
+
     def _parse_contact(self, text: str) -> Formula:
         clash = sorted({*CONTACT_SYMBOLS} & self.spec.parameters.keys())
         if clash:
             raise InputError(f"effect {self.name!r}: {clash} cannot be parameter names")
         return Formula(text, {*CONTACT_SYMBOLS, *self.spec.parameters})
 
+    def _parse_object(self, text: str) -> Formula:
+        return Formula(text, {*OF_OBJECT, *self.spec.parameters})
+
     def _parse(self, text: str) -> Formula:
         named = {found[0] for found in JOINT_SYMBOL.finditer(text)}
-        return Formula(text, {"t", "q1", "dq1", *AXES, *SPEEDS, *self.spec.parameters, *named})
+        return Formula(text, {*SYMBOLS, "q1", "dq1", "tau1", *self.spec.parameters, *named})
 
     def apply(self, physics: Physics, values: Values) -> Physics:
         """See :meth:`Effect.apply`.
@@ -258,14 +327,15 @@ class FormulaEffect(Effect):
         for name, arm in physics.arms.items():
             self._check_joints(name, arm.facts.joint_count)
         numbers = {parameter.name: number(values, parameter.name) for parameter in self.parameters}
-        formula_load = FormulaLoad(self.name, self._torque, self._motor, self._force, numbers)
-        laws = physics.contact_laws
+        arms, laws, object_loads = physics.arms, physics.contact_laws, physics.object_loads
+        if self._torque or self._motor or self._force or self._pad:
+            load = FormulaLoad(self.name, self._torque, self._motor, self._force, self._pad, numbers)
+            arms = {name: replace(arm, loads=(*arm.loads, load)) for name, arm in arms.items()}
+        if self._object or self._support:
+            object_loads = (*object_loads, FormulaObjectLoad(self.name, self._object, self._support, numbers))
         if self._contact:
             laws = (*laws, FormulaContact(self.name, self._contact, numbers, tuple(self.spec.contact.items())))
-        if not (self._torque or self._motor or self._force):
-            return replace(physics, contact_laws=laws)
-        arms = {name: replace(arm, loads=(*arm.loads, formula_load)) for name, arm in physics.arms.items()}
-        return replace(physics, arms=arms, contact_laws=laws)
+        return replace(physics, arms=arms, contact_laws=laws, object_loads=object_loads)
 
     def _check_joints(self, arm: str, joint_count: int) -> None:
         spec = self.spec
@@ -273,14 +343,18 @@ class FormulaEffect(Effect):
             for key in table:
                 if self._joint(key) >= joint_count:
                     raise InputError(f"effect {self.name!r}: unknown {key!r}; arm {arm!r} has {joint_count} joints")
-        for table in (spec.joint_torque, spec.motor_torque, spec.end_effector_force):
-            for text in table.values():
-                for symbol in JOINT_SYMBOL.finditer(text):
-                    if int(symbol[1]) > joint_count:
-                        raise InputError(
-                            f"effect {self.name!r}: formula {text!r}: unknown symbol {symbol[0]!r}; "
-                            f"arm {arm!r} has {joint_count} joints"
-                        )
+        tables = (spec.joint_torque, spec.motor_torque, spec.end_effector_force)
+        for text in (
+            *(text for table in tables for text in table.values()),
+            spec.contact_normal,
+            spec.contact_tangential,
+        ):
+            for symbol in JOINT_SYMBOL.finditer(text):
+                if int(symbol[2]) > joint_count:
+                    raise InputError(
+                        f"effect {self.name!r}: formula {text!r}: unknown symbol {symbol[0]!r}; "
+                        f"arm {arm!r} has {joint_count} joints"
+                    )
 
     def with_parameters(self, change: Callable[[Parameter], Parameter]) -> FormulaEffect:
         """Itself: its ranges are those that its author states for this robot."""
@@ -324,31 +398,54 @@ class FormulaContact(ContactLaw):
         return replace(contact, **changed)
 
 
+def _evaluated(effect: str, table: dict[int, Formula], size: int, symbols: Symbols) -> Array:
+    """Values of formulas by number, 0 where there is none, ``(size,)``.
+
+    Raises:
+        InputError: One of them is not finite.
+    """
+    result = np.zeros(size)
+    for index, expression in table.items():
+        try:
+            result[index] = expression(symbols)
+        except (ArithmeticError, ValueError, TypeError) as error:
+            raise InputError(f"effect {effect!r} blows up at t = {symbols['t']:.3f} s: {error}") from None
+        if not np.isfinite(result[index]):
+            raise InputError(f"effect {effect!r} is not finite at t = {symbols['t']:.3f} s")
+    return result
+
+
 @dataclass(frozen=True)
 class FormulaLoad(Load):
-    """Formulas with numbers filled in."""
+    """Formulas of an arm with numbers filled in."""
 
     name: str
     torque: dict[int, Formula]
     motor: dict[int, Formula]
     force: dict[int, Formula]
+    pad: dict[int, Formula]
     numbers: dict[str, float]
 
+    @property
+    def touches(self) -> bool:
+        """See :class:`Load`."""
+        return bool(self.pad)
+
+    @property
+    def reads_scene(self) -> bool:
+        """See :class:`Load`."""
+        tables = (self.torque, self.motor, self.force)
+        return any(OF_SCENE & formula.names for table in tables for formula in table.values())
+
     def _evaluate(self, table: dict[int, Formula], size: int, state: LoadState) -> Array:
-        values: dict[str, float] = {"t": state.time, **self.numbers}
-        values |= {f"q{i + 1}": value for i, value in enumerate(state.joint_position.tolist())}
-        values |= {f"dq{i + 1}": value for i, value in enumerate(state.joint_velocity.tolist())}
+        values = {**dict.fromkeys(SYMBOLS, 0.0), **state.scene, "t": state.time, **self.numbers}
+        torque = np.zeros_like(state.joint_position) if state.joint_torque is None else state.joint_torque
+        for name, joints in (("q", state.joint_position), ("dq", state.joint_velocity), ("tau", torque)):
+            values |= {f"{name}{index + 1}": value for index, value in enumerate(joints.tolist())}
         values |= dict(zip(AXES, state.position.tolist(), strict=True))
-        values |= dict(zip(SPEEDS, state.velocity.tolist(), strict=True))
-        result = np.zeros(size)
-        for index, expression in table.items():
-            try:
-                result[index] = expression(values)
-            except (ArithmeticError, ValueError, TypeError) as error:
-                raise InputError(f"effect {self.name!r} blows up at t = {state.time:.3f} s: {error}") from None
-            if not np.isfinite(result[index]):
-                raise InputError(f"effect {self.name!r} is not finite at t = {state.time:.3f} s")
-        return result
+        values |= {f"v{axis}": value for axis, value in zip(AXES, state.velocity.tolist(), strict=True)}
+        values["speed"] = float(np.linalg.norm(state.velocity))
+        return _evaluated(self.name, table, size, values)
 
     def joint_torque(self, state: LoadState) -> Array | None:
         """Torque on the links, ``(n,)`` [N m]."""
@@ -361,6 +458,33 @@ class FormulaLoad(Load):
     def end_effector_force(self, state: LoadState) -> Array | None:
         """Force at E, axes of A, ``(3,)`` [N]."""
         return self._evaluate(self.force, 3, state) if self.force else None
+
+    def pad_force(self, state: LoadState) -> tuple[float, float] | None:
+        """See :meth:`Load.pad_force`."""
+        if not self.pad:
+            return None
+        normal, against = self._evaluate(self.pad, 2, state).tolist()
+        return normal, against
+
+
+@dataclass(frozen=True)
+class FormulaObjectLoad(ObjectLoad):
+    """Formulas of the object with numbers filled in."""
+
+    name: str
+    free: dict[int, Formula]
+    support: dict[int, Formula]
+    numbers: dict[str, float]
+
+    def wrench(self, scene: Symbols) -> Array:
+        """See :meth:`ObjectLoad.wrench`."""
+        return _evaluated(self.name, self.free, 6, {**dict.fromkeys(OF_OBJECT, 0.0), **scene, **self.numbers})
+
+    def support_force(self, scene: Symbols) -> tuple[float, float]:
+        """See :meth:`ObjectLoad.support_force`."""
+        values = {**dict.fromkeys(OF_OBJECT, 0.0), **scene, **self.numbers}
+        normal, against = _evaluated(self.name, self.support, 2, values).tolist()
+        return normal, against
 
 
 def load_formulas(path: str | Path) -> dict[str, FormulaEffect]:

@@ -12,13 +12,11 @@ from scipy.stats import binom, norm
 from scipy.stats import t as student
 
 from impact_rs_analysis.diagnosis.null_distribution import (
-    ENOUGH_ABOVE,
     RotationNull,
     SignFlipNull,
     _contrasts,
     combined_half_width,
     rarity,
-    rarity_in_turn,
     smallest,
 )
 from impact_rs_analysis.diagnosis.thresholds import LEAST_FREEDOM
@@ -72,8 +70,7 @@ def test_of_one_feature_in_one_condition_p_is_that_of_students_t(repeats: int) -
         reference = RotationNull([of_signals(rows, ["alone"])])
         t = rows.mean() / (rows.std(ddof=1) / np.sqrt(repeats))
         expected = 2.0 * student.sf(abs(t), repeats - 1)
-        accuracy = expected * np.sqrt((1.0 - expected) / ENOUGH_ABOVE) + 1.0 / DRAWS
-        assert p_of(reference, [np.ones((1, 1))]) == pytest.approx(expected, abs=4.0 * accuracy)
+        assert p_of(reference, [np.ones((1, 1))]) == pytest.approx(expected, abs=4.0 * np.sqrt(0.25 / DRAWS))
 
 
 @pytest.mark.parametrize(("design", "parameters"), [((2, 2, 2), 1), ((2,) * 6, 7), ((3,) * 6, 7), ((5, 2, 3, 2), 3)])
@@ -156,7 +153,7 @@ def test_a_reference_with_too_few_repeats_decides_nothing() -> None:
 def test_a_shift_that_all_repeats_share_is_seen() -> None:
     jacobians = sensitivity(3, 6, 1)
     reference = shifted(AnalyticSource(3).clusters, jacobians, [1.0] * 6)
-    assert p_of(reference, jacobians) == pytest.approx(1.0 / (1.0 + DRAWS))
+    assert p_of(reference, jacobians) <= 1.0 / (1.0 + DRAWS)
 
 
 def test_a_known_simulator_error_raises_no_alarm() -> None:
@@ -227,23 +224,6 @@ def test_the_smallest_of_several_p_counts_all_that_were_looked_at() -> None:
     assert together == pytest.approx(1.0 - (1.0 - own) ** 5, rel=0.2)
     silent = smallest(np.array([8.0, 0.0]), np.column_stack((null[:, 0], np.zeros(4000))))
     assert silent == pytest.approx(own)
-
-
-def test_p_of_draws_in_turn_is_uniform_and_that_of_all_draws_where_it_is_small() -> None:
-    def p_of_level(level: float, seed: int) -> tuple[float, int]:
-        uniform, looked_at = np.random.default_rng(seed).random(1 + DRAWS), []
-
-        def null(draws: slice) -> np.ndarray:
-            looked_at.append(draws.stop)
-            return uniform[draws]
-
-        return rarity_in_turn(level, null), looked_at[-1]
-
-    found = [p_of_level(level, seed) for seed, level in enumerate(np.random.default_rng(0).random(2000))]
-    assert_uniform([p for p, _ in found])
-    assert np.mean([last for _, last in found]) < 0.7 * DRAWS
-    everything = np.random.default_rng(7).random(1 + DRAWS)
-    assert rarity_in_turn(0.99, lambda draws: everything[draws]) == rarity(0.99, everything[1:])
 
 
 def test_blocks_flip_their_signs_and_the_null_is_uniform() -> None:

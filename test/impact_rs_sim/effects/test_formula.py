@@ -146,7 +146,7 @@ def test_formula_that_blows_up_says_when():
         ({"joint_torque": {"joint0": "drag"}}, "unknown 'joint0'"),
         ({"joint_torque": {"elbow": "drag"}}, "unknown 'elbow'"),
         ({"end_effector_force": {"y": "drag * q0"}}, "unknown symbol 'q0'"),
-        ({"end_effector_force": {}}, "needs joint_torque, motor_torque, end_effector_force or contact"),
+        ({"end_effector_force": {}}, "needs a formula of one of: joint_torque, motor_torque"),
         ({"end_effector_force": {"y": "t"}, "parameters": {"t": PARAMETER}}, "cannot be parameter names"),
         ({"end_effector_force": {"y": "q12"}, "parameters": {"q12": PARAMETER}}, "cannot be parameter names"),
     ],

@@ -1,0 +1,188 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Scoreboard of ``impact-rs discover`` on hidden laws: ``./run python -m benchmarks.discovery -o DIR``.
+
+Laws outside the library (:data:`impact_rs_sim.unmodelled.LAWS`) at two sizes in the Bullet plant, which the compiled
+twin has to explain; campaigns that hide nothing, and effects of the library, on which nothing may be proposed. It
+resumes where it stopped; ``--only NAME`` runs those whose name starts so. ``--foreign`` hides a quadratic drag, a
+ripple and a cable in the MuJoCo cell under another controller (:mod:`benchmarks.foreign.laws`).
+"""
+
+from __future__ import annotations
+
+import statistics
+import time
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+
+from benchmarks.board import Entry, Row, arguments, run_board, share
+from impact_rs_analysis.diagnosis.discover import discover
+from impact_rs_analysis.diagnosis.discovery_document import FOUND, DiscoveryDocument, write_discovery
+from impact_rs_analysis.diagnosis.grammar import load_grammar
+from impact_rs_analysis.evidence.command_clock import read_laboratory_runs
+from impact_rs_analysis.evidence.measured_runs import Runs, read_runs
+from impact_rs_analysis.evidence.replay_cache import ReplayCache
+from impact_rs_analysis.evidence.replays import ReplaySource
+from impact_rs_sim.model import Model, load_model
+from impact_rs_sim.unmodelled import LAWS
+from impact_rs_trials.blind import RUNS, make
+from impact_rs_trials.recordings.experiment import load_experiment
+from impact_rs_trials.workers import Map
+
+SIZES = (4.0, 10.0)
+CLEAR = 3.0  # times repeatability
+LIBRARY = ("joint_coulomb_friction", "object_mass", "external_spring", "torque_gain", "support_friction", "pad_tilt")
+
+FIRST = (
+    "object_quadratic_drag", "motor4_ripple", "end_effector_cable", "motor4_cubic", "motor1_quadratic",
+    "object_growing_force", "motor2_load_friction", "motor4_warm_up", "motor6_one_way",
+)  # fmt: skip
+
+FOREIGN_RIGHT = {
+    "quadratic_drag": ("object_drag_square", "support_slip_square"),
+    "ripple": ("motor4_position_ripple",),
+    "cable": ("end_effector_y_y_below", "end_effector_y_y_above", "end_effector_x_x_above", "end_effector_cable_above"),
+}
+
+# Laws that are right: that which was hidden, and those that are equal to it.
+RIGHT: dict[str, tuple[str, ...]] = {
+    "object_quadratic_drag": ("object_drag_square", "support_slip_square"),
+    "object_cubic_drag": ("object_drag_cube", "support_slip_cube"),
+    "object_linear_drag": ("object_drag_linear",),
+    "object_spring_from_place": ("object_y_y_below",),
+    "object_growing_force": ("object_y_since_contact_linear", "support_since_contact_linear"),
+    "motor4_ripple": ("motor4_position_ripple",),
+    "motor2_ripple": ("motor2_position_ripple",),
+    "motor1_quadratic": ("motor1_velocity_square",),
+    "motor4_cubic": ("motor4_velocity_cube",),
+    "motor2_load_friction": ("motor2_load_on_friction_linear",),
+    "motor4_warm_up": ("motor4_warm_up_linear",),
+    "motor2_gravity_like": ("motor2_position_ripple", "motor2_position_linear"),
+    "motor6_one_way": ("motor6_velocity_one_way_up",),
+    "motor4_stop": ("motor4_position_above",),
+    "end_effector_quadratic_drag": ("end_effector_drag_square",),
+    "end_effector_cable": ("end_effector_y_y_below",),
+    "link3_cubic_spring": ("link3_position_cube", "link3_position_above", "link3_position_below"),
+}
+
+
+def matrix(nulls: int) -> list[Entry]:
+    """Every campaign, each with a seed of its own; what says most first."""
+    wanted: list[tuple[str, str | None, float | None]] = [("outside", name, SIZES[0]) for name in LAWS]
+    wanted += [("single", name, 3.0) for name in LIBRARY]
+    wanted += [("outside", name, SIZES[1]) for name in LAWS] + [("null", None, None)] * nulls
+    entries = [Entry(*entry, seed) for seed, entry in enumerate(wanted)]
+    first = [entry for entry in entries if entry.effect in FIRST and entry.magnitude == SIZES[0]]
+    return first + [entry for entry in entries if entry not in first]
+
+
+def discovered(read: Callable[[], Runs], map_tasks: Map) -> DiscoveryDocument:
+    """Discovery in runs by the nominal model."""
+    runs, store, sources = read(), ReplayCache(map_tasks), dict[str, ReplaySource]()
+
+    def source_of(model: Model) -> ReplaySource:
+        key = " ".join(spec.name for spec in model.formulas)
+        if key not in sources:
+            sources[key] = ReplaySource.of(runs, model, store)
+        return sources[key]
+
+    return discover(source_of, load_model("nominal"), load_grammar())
+
+
+def run(entry: Entry, directory: Path, map_tasks: Map) -> Row:
+    """Make, search and score one campaign; one that exists is kept."""
+    outsides = tuple(LAWS) if entry.kind == "outside" else ()
+    for _ in make(
+        directory, entry.seed, map_tasks, entry.kind, entry.effect, "small", entry.magnitude, outsides=outsides
+    ):
+        pass
+    return judged(entry, directory, partial(read_runs, directory / RUNS, map_tasks), map_tasks)
+
+
+def run_foreign(entry: Entry, directory: Path, map_tasks: Map) -> Row:
+    """Make, search and score one campaign of the MuJoCo cell; one that exists is kept."""
+    from benchmarks.foreign import laboratory
+
+    laboratory.make(entry, directory, map_tasks)
+    experiment = load_experiment(directory / RUNS / "experiment.yaml")
+    return judged(entry, directory, partial(read_laboratory_runs, directory / RUNS, experiment, map_tasks), map_tasks)
+
+
+def judged(entry: Entry, directory: Path, read: Callable[[], Runs], map_tasks: Map) -> Row:
+    """Search and score one campaign."""
+    started, spent = time.perf_counter(), time.process_time()
+    document = discovered(read, map_tasks)
+    elapsed, spent = time.perf_counter() - started, time.process_time() - spent
+    write_discovery(document, directory / "discovery.json")
+    laws = [law.name for law in document.laws]
+    right = {**RIGHT, **FOREIGN_RIGHT}.get(entry.effect or "", ())
+    whole = document.diagnosis
+    removed = before = 0.0
+    if whole is not None:
+        before = whole.held_out_error_before
+        removed = (before**2 - whole.held_out_error_after**2) / max(before**2 - whole.noise_floor**2, 1e-9)
+    hit = bool(set(laws) & set(right))
+    return {
+        "name": entry.name,
+        "kind": entry.kind,
+        "effect": entry.effect,
+        "verdict": f"{document.verdict} {', '.join(laws)}".strip(),
+        "correct": hit if entry.kind == "outside" else document.verdict != FOUND,
+        "first": bool(laws) and laws[0] in right,
+        "found": document.verdict == FOUND,
+        "before": before,
+        "removed": removed,
+        "parameters": {law.name: law.model_dump(mode="json")["parameters"] for law in document.laws},
+        "seconds": elapsed,
+        "processor": spent,
+    }
+
+
+def scoreboard(rows: list[Row]) -> str:
+    """The table."""
+    of = {kind: [row for row in rows if row["kind"] == kind] for kind in ("outside", "null", "single")}
+    clear = [row for row in of["outside"] if row["before"] > CLEAR]
+    right = [row for row in clear if row["correct"]]
+    lines = [
+        f"hidden laws, right one first or tied               {share([row['correct'] for row in of['outside']])}",
+        f"... above {CLEAR:g} times repeatability                    {share([row['correct'] for row in clear])}",
+        f"... of them first                                  {share([row['first'] for row in clear])}",
+        f"... something proposed                             {share([row['found'] for row in clear])}",
+        f"nothing hidden, nothing proposed                   {share([not row['found'] for row in of['null']])}",
+        f"effects of the library, nothing proposed           {share([not row['found'] for row in of['single']])}",
+    ]
+    if right:
+        removed = 100.0 * statistics.median(row["removed"] for row in right)
+        lines.append(f"excess held-out error removed, median of right ones {removed:5.1f} %")
+    if rows:
+        lines.append(
+            f"time, median                                       {statistics.median(r['seconds'] for r in rows):.0f} s"
+        )
+    lines += [
+        f"  wrong: {row['name']}: {row['verdict']} (error before {row['before']:.3g})"
+        for row in rows
+        if not row["correct"]
+    ]
+    return "\n".join(lines)
+
+
+def main() -> None:
+    """Run what is missing, then print the scoreboard."""
+    parser = arguments(__doc__)
+    parser.add_argument("--nulls", type=int, default=10, help="campaigns with nothing hidden")
+    parser.add_argument("--foreign", action="store_true", help="laws in the MuJoCo cell under another controller")
+    options = parser.parse_args()
+    if options.foreign:
+        from benchmarks.foreign.laws import LAWS as FOREIGN
+
+        entries = [Entry("outside", name, 4.0, 5000 + seed) for seed, name in enumerate(FOREIGN)]
+        entries += [Entry("null", None, None, 5100 + seed) for seed in range(min(options.nulls, 3))]
+        print(scoreboard(run_board(entries, options, run_foreign)))
+        return
+    print(scoreboard(run_board(matrix(options.nulls), options, run)))
+
+
+if __name__ == "__main__":
+    from benchmarks.discovery import main as run_main  # what workers get is then known by its module
+
+    run_main()

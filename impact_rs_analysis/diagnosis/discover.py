@@ -1,0 +1,391 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Discovery of a law: where no effect of the library explains the measurements, a formula of a grammar may.
+
+A law is an effect made of a formula, so the search, the hold-out, the p-values and the verdicts are those of a
+diagnosis, with the laws of the grammar (:mod:`impact_rs_analysis.diagnosis.grammar`) beside the library. It runs only
+where the library alone leaves more than noise; laws stand at places where free motion or contact leaves a residual.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from impact_rs_analysis.diagnosis.diagnose import document_of, effects_for, findings_of
+from impact_rs_analysis.diagnosis.discovery_document import (
+    DESCRIBED,
+    FOUND,
+    LIBRARY,
+    NO_LAW,
+    CurveDocument,
+    DiscoveryDocument,
+    DomainDocument,
+    LawDocument,
+    NumberDocument,
+    PointDocument,
+)
+from impact_rs_analysis.diagnosis.document import NONE, NOTHING, PARTLY, SMALL, TOO_FEW, DiagnosisDocument
+from impact_rs_analysis.diagnosis.fit import HOPELESS, Evidence, Fit
+from impact_rs_analysis.diagnosis.grammar import Grammar, Law, curve_of, laws_of
+from impact_rs_analysis.diagnosis.search import ProgressCallback, Rival, Search
+from impact_rs_analysis.diagnosis.thresholds import SIGNIFICANT
+from impact_rs_analysis.diagnosis.verdicts import Findings, headline, residual_unit, rests_of
+from impact_rs_analysis.evidence.source import Source
+from impact_rs_analysis.evidence.visited import Range, visited
+from impact_rs_sim.effects import Effect
+from impact_rs_sim.effects.formula import AXES
+from impact_rs_sim.model import Model
+from impact_rs_sim.robot import Array
+
+OPEN = (NONE, PARTLY)  # verdicts that leave something to discover
+SEEN = 1.5  # times repeatability; a signal below it shows no law
+SHARE = 0.25  # of the largest such signal, likewise: of joints that move others, one is the cause
+POINTS = 41  # of a law over its quantity
+CLEAR, FARTHEST = 0.3, 3.0  # difference of two laws that separates them, and how far out of the range it is looked for
+MOST_RIVALS = 8  # fitted in the place of a law
+MOST_OTHERS = 8  # laws that are listed without being proposed
+
+
+def discover(
+    source_of: Callable[[Model], Source],
+    model: Model,
+    grammar: Grammar,
+    only: Sequence[str] | None = None,
+    progress: ProgressCallback = lambda *_: None,
+) -> DiscoveryDocument:
+    """Look for a law that a model lacks.
+
+    Args:
+        source_of: Measurements against a model.
+        model: The model.
+        grammar: Which laws.
+        only: Names of the effects of the library to consider beside them; None: all that the model does not contain.
+        progress: Called with laws and their held-out error during the search.
+
+    Raises:
+        InputError: Too few conditions for a hold-out.
+    """
+    source = source_of(model)
+    library = effects_for(source, only)
+    verdict = _of_library(source, library, progress)
+    if verdict is not None:
+        return DiscoveryDocument(
+            verdict=verdict, summary=_no_need(verdict), error_unit=residual_unit(Evidence.of(source))
+        )
+    ranges = visited(source)
+    laws = {law.spec.name: law for law in laws_of(grammar, ranges, len(source.joints))}
+    wanted = set(_where(Evidence.of(source), laws.values()))
+    laws = {name: law for name, law in laws.items() if name in wanted and name not in model.known_effects}
+    tried = _searched(source_of, model, library, laws, progress)
+    document = _document(tried, model, laws, ranges)
+    if document.verdict == FOUND:
+        return _with_curve(source_of, model, tried, laws, ranges, document)
+    if document.verdict != NO_LAW:
+        return document
+    curves = {curve.spec.name: curve for law in laws.values() for curve in _curves(law, ranges)}
+    described = _document(_searched(source_of, model, library, curves, progress), model, curves, ranges)
+    if described.verdict != FOUND:
+        return document
+    return described.model_copy(
+        update={
+            "verdict": DESCRIBED,
+            "summary": f"No law of the grammar holds. What remains is described by a curve. {described.summary}",
+        }
+    )
+
+
+@dataclass(frozen=True)
+class _Tried:
+    """A search with laws.
+
+    Attributes:
+        source: What was searched.
+        found: Result.
+        counts: Laws and effects that were looked at, and starts.
+    """
+
+    source: Source
+    found: Findings
+    counts: tuple[int, int]
+
+
+def _searched(
+    source_of: Callable[[Model], Source],
+    model: Model,
+    library: Sequence[Effect],
+    laws: Mapping[str, Law],
+    progress: ProgressCallback,
+) -> _Tried:
+    """Search for laws beside the library."""
+    source = source_of(model.model_copy(update={"formulas": (*model.formulas, *(law.spec for law in laws.values()))}))
+    starts = [effect for law in laws.values() for effect in law.effects]
+    found = findings_of(source, [*library, *starts], progress)
+    found = replace(found, rivals=_rivals(found))
+    return _Tried(source, found, (len(library) + len(laws), len(library) + len(starts)))
+
+
+def _with_curve(
+    source_of: Callable[[Model], Source],
+    model: Model,
+    tried: _Tried,
+    laws: Mapping[str, Law],
+    ranges: Mapping[str, Range],
+    document: DiscoveryDocument,
+) -> DiscoveryDocument:
+    """The discovery with what a free curve in the place of the best law is."""
+    best = laws[document.laws[0].name]
+    chosen = tried.found.names
+    if best.symbol not in ranges or len(chosen) != 1:
+        return document
+    curve = curve_of(best, ranges[best.symbol])
+    source = source_of(model.model_copy(update={"formulas": (*model.formulas, curve.spec)}))
+    fitted = Search(curve.effects, Evidence.of(source)).fitted([curve.spec.name])
+    if fitted is None:
+        return document
+    half = fitted.half_widths * fitted.candidate.scale
+    at = np.linspace(min(curve.knots), max(curve.knots), POINTS)
+    said, band = _band(best, document.laws[0], at)
+    points = []
+    for knot, force, wide in zip(curve.knots, fitted.estimate.tolist(), half.tolist(), strict=True):
+        if wide <= float(np.max(np.abs(said))):  # the data determine the others not even in sign
+            there = float(np.interp(knot, at, said))
+            points.append(PointDocument(at=knot, force=force, ci95=(force - wide, force + wide), law=there))
+    shown = CurveDocument(
+        at=tuple(at.tolist()),
+        law=tuple(said.tolist()),
+        law_ci95=tuple(zip((said - band).tolist(), (said + band).tolist(), strict=True)),
+        points=tuple(points),
+        unit=best.unit,
+    )
+    law = document.laws[0].model_copy(update={"curve": shown})
+    return document.model_copy(update={"laws": (law, *document.laws[1:])})
+
+
+def _band(law: Law, found: LawDocument, at: Array) -> tuple[Array, Array]:
+    """Force of a law and half width of its band, ``(k,)`` each: the squares of changes at interval ends."""
+    sign = -1.0 if law.opposes and not law.quantity.along else 1.0
+    numbers = {name: value.estimate for name, value in found.parameters.items()}
+    said, squares = sign * law.force(at, numbers), np.zeros_like(at)
+    for name, value in found.parameters.items():
+        if value.ci95 is not None:
+            low, high = (law.force(at, {**numbers, name: end}) for end in value.ci95)
+            squares += np.square((high - low) / 2.0)
+    return said, np.sqrt(squares)
+
+
+def _curves(law: Law, ranges: Mapping[str, Range]) -> Iterator[Law]:
+    """The free curve of a law's place and quantity, where the quantity was measured and a formula is short enough."""
+    if law.symbol in ranges and law.form in ("linear", "above"):
+        yield curve_of(law, ranges[law.symbol])
+
+
+def _rivals(found: Findings) -> tuple[Rival, ...]:
+    """More rivals of the chosen effects, tied where the chosen one explains nothing beside its rival.
+
+    Two laws that predict to within the noise are equal, whichever has the smaller error.
+    """
+    if found.chosen is None:
+        return ()
+    return tuple(
+        replace(rival, tied=rival.tied or _adds_nothing(found.chosen, rival))
+        for rival in found.search.rivals(found.chosen, MOST_RIVALS, hopeless=np.inf)
+    )
+
+
+def _adds_nothing(chosen: Fit, rival: Rival) -> bool:
+    """Whether the chosen effect is not significant beside the rival that takes its place (rotation test)."""
+    part = chosen.candidate.part(rival.instead_of)
+    own = [jacobian[:, part] for jacobian in chosen.candidate.jacobians]
+    left, fit = rival.fit.left, rival.fit
+    near = fit.score <= max(HOPELESS * chosen.score, float(fit.evidence.expected.mean()))
+    return near and left.null.p_value(own, fit.candidate.jacobians) > SIGNIFICANT
+
+
+def _of_library(source: Source, library: Sequence[Effect], progress: ProgressCallback) -> str | None:
+    """Verdict of the library where nothing is left to discover, else None."""
+    search = Search(library, Evidence.of(source), progress)
+    if search.evidence.null.shortage is not None:
+        return TOO_FEW
+    if not search.lacking and source.repeated:
+        return NOTHING
+    found = Findings(search, search.choose(), (), None, {})
+    verdict = headline(found).verdict
+    if verdict.startswith(OPEN):
+        return None
+    return verdict if verdict in (NOTHING, SMALL) else LIBRARY
+
+
+def _no_need(verdict: str) -> str:
+    """Why no law was looked for."""
+    return {
+        NOTHING: "These measurements show nothing missing in the model: there is no law to discover.",
+        SMALL: "What these measurements show beyond noise is below the relevance limits: no law is proposed.",
+        TOO_FEW: "These measurements have too few repeats to decide what the model lacks.",
+    }.get(verdict, "Effects of the library explain these measurements up to noise: `impact-rs diagnose` names them.")
+
+
+def _where(evidence: Evidence, laws: Iterable[Law]) -> list[str]:
+    """Names of the laws that act where a residual is seen."""
+    rests = rests_of(evidence, [item.mean for item in evidence.clusters])
+    sizes: dict[str, dict[str, float]] = {}
+    in_contact = 0.0
+    for rest in rests:
+        joint = rest.index.rpartition(".")[2]
+        if rest.phase in ("impact", "push"):
+            in_contact = max(in_contact, rest.times_noise)
+        if rest.phase not in ("impact",):
+            own = sizes.setdefault(rest.signal, {})
+            own[joint] = max(own.get(joint, 0.0), rest.times_noise if rest.phase != "push" else 0.0)
+    found = []
+    for law in laws:
+        if not law.needs:
+            if in_contact > SEEN:
+                found.append(law.spec.name)
+            continue
+        signal = sizes.get(law.needs, {})
+        if not evidence.source.repeated:
+            found.append(law.spec.name)
+            continue
+        largest = max(signal.values(), default=0.0)
+        own_size = signal.get(law.where, 0.0) if law.where.startswith("joint") else largest
+        if own_size > max(SEEN, SHARE * largest):
+            found.append(law.spec.name)
+    return found
+
+
+def _document(tried: _Tried, model: Model, laws: Mapping[str, Law], ranges: Mapping[str, Range]) -> DiscoveryDocument:
+    found = tried.found
+    best = sorted(
+        (name for name in found.search.singles if name in laws and name not in found.names),
+        key=lambda name: found.search.beside(found.chosen, name).score,
+    )
+    rivals = [rival.name for rival in found.rivals]
+    shown = [name for name in dict.fromkeys([*found.names, *rivals, *best[:MOST_OTHERS]]) if name in laws]
+    found.search.keep({*shown, *(name for name in found.search.singles if name not in laws)})
+    diagnosis = document_of(found, tried.source, model)
+    diagnosis = diagnosis.model_copy(update={"formulas": tuple(laws[name].spec for name in shown)})
+    chosen = [name for name in diagnosis.named if name in laws]
+    tied = [name for group in diagnosis.confusable if group[0] in chosen for name in group[1:] if name in laws]
+    listed = list(dict.fromkeys([*chosen, *tied]))
+    every = {
+        effect.name: _law(diagnosis, laws[effect.name], ranges, laws)
+        for effect in diagnosis.effects
+        if effect.name in laws and effect.measured
+    }
+    first = tuple(sorted((every[name] for name in listed), key=lambda law: law.held_out_error_after))
+    instead = (law for name, law in every.items() if name not in listed and (name in rivals or not chosen))
+    others = tuple(sorted(instead, key=lambda law: law.held_out_error_after))
+    verdict = FOUND if chosen else LIBRARY if diagnosis.named and not diagnosis.verdict.startswith(OPEN) else NO_LAW
+    return DiscoveryDocument(
+        verdict=verdict,
+        summary=_summary(verdict, first, diagnosis, tried.counts[0]),
+        laws=first,
+        others=others,
+        looked_at=tried.counts[0],
+        starts=tried.counts[1],
+        error_unit=diagnosis.error_unit,
+        diagnosis=diagnosis,
+    )
+
+
+def _summary(verdict: str, laws: Sequence[LawDocument], diagnosis: DiagnosisDocument, count: int) -> str:
+    if verdict == NO_LAW:
+        return (
+            f"None of {count} laws and effects holds: the best of them is not supported by conditions that the search "
+            "has not seen."
+        )
+    if verdict == LIBRARY:
+        return f"Among {count} laws and effects, {' and '.join(diagnosis.named)} of the library explains most."
+    best = laws[0]
+    text = (
+        f"{best.sentence} {best.formula}. Held-out error: {diagnosis.held_out_error_before:.3g} → "
+        f"{diagnosis.held_out_error_after:.3g} {diagnosis.error_unit}."
+    )
+    return f"{text} {best.tie}".strip()
+
+
+def _law(diagnosis: DiagnosisDocument, law: Law, ranges: Mapping[str, Range], laws: Mapping[str, Law]) -> LawDocument:
+    effect = diagnosis.effect(law.spec.name)
+    assert effect is not None
+    key, table = law.formula
+    rows = table if isinstance(table, dict) else {"": table}
+    place = PLACES_OF[key]
+    where = f" {law.where.removeprefix('joint')}" if law.where else ""
+    domain = ranges.get(law.symbol)
+    return LawDocument(
+        name=law.spec.name,
+        sentence=law.spec.sentence,
+        place=f"{place}{where}",
+        formula=_in_one_line(rows, law.quantity.along),
+        parameters={
+            name: NumberDocument(estimate=value.estimate, ci95=value.ci95, unit=value.unit)
+            for name, value in effect.parameters.items()
+        },
+        verdict=effect.verdict,
+        held_out_error_before=effect.held_out_error_others or effect.held_out_error_before or 0.0,
+        held_out_error_after=effect.held_out_error_after or 0.0,
+        p_value=1.0 if effect.p_value is None else effect.p_value,
+        tied_with=effect.rivals,
+        tie=_tie(diagnosis, law, effect.rivals, ranges, laws),
+        valid=None
+        if domain is None
+        else DomainDocument(quantity=law.symbol, low=domain[0], high=domain[1], unit=law.quantity.unit),
+    )
+
+
+def _in_one_line(rows: Mapping[str, str], along: str) -> str:
+    """Formulas by joint or axis; those along a velocity as one with a vector."""
+    if along and len(rows) == len(AXES):
+        vector = f"({', '.join(f'{along}{axis}' for axis in AXES)})"
+        return rows[AXES[0]].replace(f"{along}{AXES[0]}", vector)
+    return "; ".join(rows.values())
+
+
+PLACES_OF = {
+    "joint_torque": "torque on link",
+    "motor_torque": "torque on motor",
+    "end_effector_force": "force on the end effector",
+    "object_force": "force on the object",
+    "object_moment": "moment on the object",
+    "contact_normal": "normal force between pad and object",
+    "contact_tangential": "friction between pad and object",
+    "support_normal": "normal force between support and object",
+    "support_tangential": "friction between support and object",
+}
+
+
+def _tie(
+    diagnosis: DiagnosisDocument, law: Law, rivals: Sequence[str], ranges: Mapping[str, Range], laws: Mapping[str, Law]
+) -> str:
+    """Why a law and its rivals cannot be distinguished, and what would distinguish them."""
+    if not rivals:
+        return ""
+    text = f"{law.spec.name} and {', '.join(rivals)} cannot be distinguished"
+    domain = ranges.get(law.symbol)
+    alike = [laws[name] for name in rivals if name in laws and laws[name].symbol == law.symbol]
+    if domain is None or not alike:
+        return f"{text}: in these motions they are nearly the same force."
+    low, high = domain
+    unit = law.quantity.unit
+    text += f" between {low:.2g} and {high:.2g} {unit} of {law.symbol}"
+    apart = [where for other in alike if (where := _apart(law, other, diagnosis, domain)) is not None]
+    return f"{text}: measure at {max(apart):.2g} {unit}." if apart else f"{text}."
+
+
+def _apart(law: Law, other: Law, diagnosis: DiagnosisDocument, domain: Range) -> float | None:
+    """Value of the quantity beyond its range at which two laws differ by ``CLEAR`` of their size inside; else None."""
+    low, high = domain
+    forces = []
+    reach = np.linspace(1.0, FARTHEST, 50)
+    inside = np.linspace(low, high, 50)
+    outside = (high if abs(high) >= abs(low) else low) * reach
+    for one in (law, other):
+        effect = diagnosis.effect(one.spec.name)
+        assert effect is not None
+        numbers = {name: value.estimate for name, value in effect.parameters.items()}
+        forces.append((one.force(inside, numbers), one.force(outside, numbers)))
+    size = float(np.max(np.abs(forces[0][0])))
+    off = np.flatnonzero(np.abs(forces[0][1] - forces[1][1]) > CLEAR * size)
+    return float(outside[off[0]]) if off.size else None

@@ -1,0 +1,363 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Grammar of laws: which formulas ``impact-rs discover`` looks at (``config/grammar.yaml``).
+
+A law is a place, a quantity and a form, for example torque on a motor × joint velocity × cube. Units follow: an
+amplitude of power n has the unit of the place over that of the quantity to the n. A law of a quantity that a
+dissipative force opposes has a sign that dissipates, one between two bodies has its reaction by its place.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from pydantic import Field
+
+from impact_rs_analysis.evidence.visited import Range
+from impact_rs_sim.effects.dimensions import check_units
+from impact_rs_sim.effects.formula import AXES, PLACES, Formula, FormulaEffect, FormulaParameter, FormulaSpec
+from impact_rs_sim.errors import InputError
+from impact_rs_sim.paths import config_directory
+from impact_rs_sim.robot import Array
+from impact_rs_sim.schema import Schema, load
+
+FILE = "grammar.yaml"
+WIDEST = 300.0  # amplitudes, in noticeable ones
+KNOTS = 5  # of a free curve
+MOST_WAVES, HIGHEST = 24, 80.0  # starts of a wave number, and the largest of them in the unit of the quantity
+LEAST_SPAN = 1e-3  # of the typical size; a quantity that hardly moves still has a range
+NARROWEST = 0.01  # width, in ranges of the quantity
+
+
+class Quantity(Schema):
+    """What a law depends on."""
+
+    formula: str = Field(description="in symbols of formulas; {joint} is the joint of the place")
+    unit: str = Field(description="unit")
+    typical: float = Field(gt=0.0, description="its size, where it was not measured, in its unit")
+    words: str = Field(description="what it is, in a sentence")
+    opposes: bool = Field(False, description="whether a force that dissipates has the opposite sign")
+    along: str = Field("", description="the velocity that it is the size of, without its axis; empty: none")
+
+
+class Number(Schema):
+    """A parameter of a form."""
+
+    power: int = Field(0, description="of an amplitude, whose unit is that of the place over the quantity's to it")
+    shape: Literal["", "limit", "width", "wave_number"] = Field(
+        "", description="what changes nothing while the amplitudes are 0; empty: this is an amplitude"
+    )
+    starts: tuple[float, ...] = Field(
+        (),
+        description="where fits of a shape start, as shares of the range of the quantity; of a wave number the angle "
+        "over the range between two starts [rad]",
+    )
+
+
+class Form(Schema):
+    """How a law depends on its quantity u."""
+
+    law: str = Field(description="formula of u and the parameters")
+    along: str = Field("", description="the same over u, for a force along a velocity; empty: there is none")
+    numbers: dict[str, Number] = Field(min_length=1, description="its parameters")
+    restores: bool = Field(False, description="whether it has the sign of a spring")
+    words: str = Field(description="what it is, in a sentence")
+
+
+class Place(Schema):
+    """What a law acts on."""
+
+    formula: str = Field(description="key of a formula effect")
+    each: Literal["joint", "axis", "velocity", "once"] = Field("once", description="what there is one law of")
+    unit: str = Field(description="unit of the force or torque")
+    noticeable: float = Field(gt=0.0, description="amplitude at which it matters, in the unit")
+    words: str = Field(description="what it is, in a sentence")
+    contact: bool = Field(False, description="whether it acts in contact only")
+    against: bool = Field(False, description="whether it is positive against the motion")
+    needs: str = Field("", description="signal of free motion that shows it; empty: none does")
+    laws: dict[str, tuple[str, ...]] = Field(description="forms by quantity")
+
+
+class Grammar(Schema):
+    """``config/grammar.yaml``."""
+
+    quantities: dict[str, Quantity] = Field({}, description="quantities by name")
+    forms: dict[str, Form] = Field({}, description="forms by name")
+    places: dict[str, Place] = Field({}, description="places by name")
+
+
+@dataclass(frozen=True)
+class Law:
+    """One formula with the points from which its fit starts.
+
+    Attributes:
+        spec: The formula effect.
+        place: Name of its place in the grammar.
+        where: Joint (``joint4``) or axis; empty: none.
+        quantity: Its quantity.
+        symbol: The same as a formula.
+        form: Name of its form.
+        profile: The force over the quantity ``u``, before its sign.
+        needs: Signal of free motion that shows it; empty: none.
+        starts: Values of its shape parameters by name.
+        words: What it acts on, in a sentence.
+        unit: Unit of the force or torque.
+        noticeable: Amplitude at which it matters, in the unit.
+        opposes: Whether the formula is minus the profile.
+        knots: Values of the quantity between which a free curve is straight; empty: it is a law.
+    """
+
+    spec: FormulaSpec
+    place: str
+    where: str
+    quantity: Quantity
+    symbol: str
+    form: str
+    profile: str
+    needs: str
+    starts: tuple[Mapping[str, float], ...]
+    words: str
+    unit: str
+    noticeable: float
+    opposes: bool
+    knots: tuple[float, ...] = ()
+
+    @property
+    def formula(self) -> tuple[str, dict[str, str] | str]:
+        """Key of its place among the keys of a formula effect, and its formulas there."""
+        return next((key, table) for key in PLACES if (table := getattr(self.spec, key)))
+
+    @property
+    def effects(self) -> list[FormulaEffect]:
+        """The effect, once for every start."""
+        found = []
+        for start in self.starts:
+            parameters = {
+                name: parameter.model_copy(update={"nominal": start.get(name, parameter.nominal)})
+                for name, parameter in self.spec.parameters.items()
+            }
+            found.append(FormulaEffect(self.spec.model_copy(update={"parameters": parameters})))
+        return found
+
+    def force(self, u: Array, numbers: Mapping[str, float]) -> Array:
+        """Its size where the quantity is ``u`` ``(k,)``, with its parameters, ``(k,)`` [unit of the place]."""
+        formula = Formula(self.profile, {"u", *numbers})
+        return np.array([formula({"u": value, **numbers}) for value in u.tolist()])
+
+
+def load_grammar(more: Path | None = None) -> Grammar:
+    """The shipped grammar with the terms of another file, which replace those of the same name.
+
+    Raises:
+        InputError: A file breaks the schema, or names an unknown quantity or form.
+    """
+    grammar = load(Grammar, config_directory() / FILE)
+    if more is not None:
+        own = load(Grammar, more)
+        grammar = Grammar(
+            quantities={**grammar.quantities, **own.quantities},
+            forms={**grammar.forms, **own.forms},
+            places={**grammar.places, **own.places},
+        )
+    for name, place in grammar.places.items():
+        for quantity, forms in place.laws.items():
+            _known("quantity", quantity, grammar.quantities, f"places.{name}.laws", more)
+            for form in forms:
+                _known("form", form, grammar.forms, f"places.{name}.laws", more)
+    return grammar
+
+
+def _known(kind: str, word: str, table: Mapping[str, object], key: str, file: Path | None) -> None:
+    if word not in table:
+        raise InputError(
+            f"unknown {kind}; known: {', '.join(table)}", file=file or config_directory() / FILE, key=key, value=word
+        )
+
+
+def laws_of(grammar: Grammar, ranges: Mapping[str, Range], joints: int) -> Iterator[Law]:
+    """Every law of a grammar.
+
+    Args:
+        grammar: The grammar.
+        ranges: Ranges of the symbols that were measured.
+        joints: Joints of an arm.
+
+    Raises:
+        InputError: A law has a wrong unit, or does not parse.
+    """
+    for name, place in grammar.places.items():
+        for quantity_name, forms in place.laws.items():
+            quantity = grammar.quantities[quantity_name]
+            for form_name in forms:
+                for where in _wheres(place, joints):
+                    yield _law(name, place, quantity_name, quantity, form_name, grammar.forms[form_name], where, ranges)
+
+
+def _wheres(place: Place, joints: int) -> Sequence[str]:
+    if place.each == "joint":
+        return [f"joint{number}" for number in range(1, joints + 1)]
+    return AXES if place.each == "axis" else ("",)
+
+
+def _law(
+    place_name: str,
+    place: Place,
+    quantity_name: str,
+    quantity: Quantity,
+    form_name: str,
+    form: Form,
+    where: str,
+    ranges: Mapping[str, Range],
+) -> Law:
+    symbol = quantity.formula.replace("{joint}", where.removeprefix("joint"))
+    low, high = ranges.get(symbol, (-quantity.typical if quantity.opposes else 0.0, quantity.typical))
+    high = max(high, low + LEAST_SPAN * quantity.typical)
+    size = max(abs(low), abs(high))
+    opposes = (quantity.opposes or form.restores) and not place.against
+    bounded = quantity.opposes or form.restores or place.against
+    parameters, starts = {}, {}
+    for name, item in form.numbers.items():
+        if item.shape:
+            starts[name] = _starts(item, low, high)
+            parameters[name] = _shape(item, quantity.unit, low, high, starts[name][0])
+            continue
+        scale = place.noticeable / size**item.power
+        parameters[name] = FormulaParameter(
+            unit=unit_of(place.unit, quantity.unit, item.power),
+            lower=0.0 if bounded else -WIDEST * scale,
+            upper=WIDEST * scale,
+            scale=scale,
+        )
+    formula: dict[str, str] | str
+    if place.each == "velocity":
+        factor = _inserted(form.along, symbol)
+        formula = {axis: f"-({factor}) * {quantity.along}{axis}" for axis in AXES}
+    else:
+        text = _inserted(form.law, symbol)
+        text = f"-({text})" if opposes else text
+        formula = {where: text} if where else text
+    number = where.removeprefix("joint")
+    words = f"{place.words} {number}".strip()
+    spec = FormulaSpec.model_validate(
+        {
+            "name": _name(place_name, place, quantity_name, form_name, number),
+            "sentence": f"{words}, {form.words} {quantity.words}."
+            if form_name != "constant"
+            else f"{words}, constant.",
+            place.formula: formula,
+            "parameters": parameters,
+        }
+    )
+    check_units(spec)
+    FormulaEffect(spec)
+    every = [{name: value} for name, values in starts.items() for value in values] or [{}]
+    return Law(
+        spec=spec,
+        place=place_name,
+        where=where,
+        quantity=quantity,
+        symbol=symbol,
+        form=form_name,
+        profile=form.law,
+        needs=place.needs,
+        starts=tuple(every),
+        words=words,
+        unit=place.unit,
+        noticeable=place.noticeable,
+        opposes=opposes or place.each == "velocity",
+    )
+
+
+def curve_of(law: Law, domain: Range) -> Law:
+    """A free curve in the place of a law: a force at each of some knots over the range of its quantity.
+
+    Between them it is straight, beyond them it falls to 0 over the distance of two: it is valid where it was seen.
+
+    Args:
+        law: Gives place and quantity.
+        domain: Range of the quantity.
+    """
+    (key, table), (low, high) = law.formula, domain
+    from_rest = 0.0 <= low < high / KNOTS  # a speed: at rest the force is 0, or sticks, which is no curve
+    knots = np.linspace(0.0, high, KNOTS + 1)[1:] if from_rest else np.linspace(low, high, KNOTS)
+    width = float(knots[1] - knots[0])
+    profile = " + ".join(f"f{n} * max(0, 1 - abs(u - {knot:.5g}) / {width:.5g})" for n, knot in enumerate(knots))
+    text = _inserted(profile, law.symbol)
+    along = law.quantity.along
+    rows: dict[str, str] | str
+    if isinstance(table, str):
+        rows = text
+    elif along:
+        rows = {axis: f"-({text}) * {along}{axis} / max({law.symbol}, {0.01 * high:.2g})" for axis in table}
+    else:
+        rows = dict.fromkeys(table, text)
+    most = WIDEST * law.noticeable
+    force = FormulaParameter(unit=law.unit, lower=-most, upper=most, scale=law.noticeable)
+    stem = law.spec.name.removesuffix(f"_{law.form}")
+    spec = FormulaSpec.model_validate(
+        {
+            "name": f"{stem}_curve",
+            "sentence": f"{law.words}, a curve over {law.quantity.words}.",
+            key: rows,
+            "parameters": {f"f{number}": force for number in range(KNOTS)},
+        }
+    )
+    check_units(spec)
+    return replace(law, spec=spec, form="curve", profile=profile, starts=({},), knots=tuple(knots.tolist()))
+
+
+def _name(place_name: str, place: Place, quantity: str, form: str, number: str) -> str:
+    """Name of a law: ``motor4_velocity_cube``, ``end_effector_y_above_x``, ``object_drag_square``."""
+    if place.each == "velocity":
+        return f"{place_name}_{form}"
+    where = {"joint": number, "axis": f"_{number}"}.get(place.each, "")
+    return f"{place_name}{where}_{quantity.removeprefix(f'{place_name}_')}_{form}"
+
+
+def _inserted(law: str, symbol: str) -> str:
+    """The formula of a form with its quantity in the place of u."""
+    inner = symbol if re.fullmatch(r"\w+", symbol) else f"({symbol})"
+    return re.sub(r"\bu\b", inner, law)
+
+
+def _shape(item: Number, unit: str, low: float, high: float, start: float) -> FormulaParameter:
+    """A shape parameter of a quantity with this unit and range."""
+    span = high - low
+    if item.shape == "wave_number":
+        own, lower, upper, scale = unit_of("-", unit, 1), 0.0, 2.0 * HIGHEST, 0.1 * item.starts[0] / span
+    elif item.shape == "width":
+        own, lower, upper, scale = unit, NARROWEST * span, 10.0 * span, 0.1 * span
+    else:
+        own, lower, upper, scale = unit, low - span, high + span, 0.1 * span
+    return FormulaParameter(unit=own, nominal=start, lower=lower, upper=upper, scale=scale, shape=True)
+
+
+def _starts(item: Number, low: float, high: float) -> list[float]:
+    """Values from which the fit of a shape starts."""
+    span = high - low
+    if item.shape == "wave_number":
+        step = item.starts[0] / span
+        count = max(1, min(int(HIGHEST / step), MOST_WAVES))
+        return [number * step for number in range(1, count + 1)]
+    return [(low if item.shape == "limit" else 0.0) + share * span for share in item.starts]
+
+
+def unit_of(place: str, quantity: str, power: int) -> str:
+    """Unit of a place over that of a quantity to a power, as ``N m s^3/rad^3``; ``-`` is none."""
+    exponents: dict[str, int] = {}
+    for unit, factor in ((place, 1), (quantity, -power)):
+        for part, sign in zip(unit.split("/"), (1, -1), strict=False):
+            for word in part.split():
+                if word != "-":
+                    exponents[word] = exponents.get(word, 0) + sign * factor
+    above = " ".join(_power(word, value) for word, value in exponents.items() if value > 0)
+    below = " ".join(_power(word, -value) for word, value in exponents.items() if value < 0)
+    return f"{above or '1'}/{below}" if below else above or "-"
+
+
+def _power(word: str, value: int) -> str:
+    return word if value == 1 else f"{word}^{value}"

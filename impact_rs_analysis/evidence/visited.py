@@ -1,0 +1,69 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Where measurements have been: the range of every symbol of formulas that was measured."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from impact_rs_analysis.evidence.recordings import RecordingSource
+from impact_rs_analysis.evidence.replay import AFTER_IMPACT
+from impact_rs_analysis.evidence.source import Source
+from impact_rs_sim.effects.formula import AXES
+from impact_rs_sim.robot import Array
+from impact_rs_trials.runs import Run
+
+Range = tuple[float, float]
+
+SAMPLES = 100  # of a run; positions of the end effector are computed for each
+ENDS = (0.5, 99.5)  # percentiles that count as the ends of a range
+
+
+def visited(source: Source) -> dict[str, Range]:
+    """Range of the symbols over all runs, up to the end of the replay; those that were not measured are missing."""
+    found: dict[str, list[Array]] = {}
+    for run in _runs(source):
+        for name, values in _signals(run):
+            found.setdefault(name, []).append(values)
+    ends = {name: np.percentile(np.concatenate(every), ENDS) for name, every in found.items()}
+    return {name: (float(low), float(high)) for name, (low, high) in ends.items()}
+
+
+def _runs(source: Source) -> Sequence[Run]:
+    if source.runs is not None:
+        return source.runs.runs
+    return source.recordings if isinstance(source, RecordingSource) else ()
+
+
+def _signals(run: Run) -> Iterator[tuple[str, Array]]:
+    """Symbols with their values along a run."""
+    impacts = getattr(run, "impacts", {})
+    end = min(impacts.values()) + AFTER_IMPACT if impacts else np.inf
+    signals = run.signals
+    rows = np.flatnonzero(signals.time <= end)
+    rows = rows[:: max(1, rows.size // SAMPLES)]
+    yield "t", signals.time[rows]
+    for name, arm in signals.arms.items():
+        for symbol, values in (("q", arm.position), ("dq", arm.velocity), ("tau", arm.torque)):
+            for joint, column in enumerate(values[rows].T if values.size else (), start=1):
+                yield f"{symbol}{joint}", column
+        model = run.physics.robot_model(name)
+        pairs = list(zip(arm.position[rows], arm.velocity[rows], strict=True))
+        places = np.array([model.placement(q).translation for q, _ in pairs])
+        speeds = np.array([model.jacobian(q)[:3] @ dq for q, dq in pairs])
+        for axis, place, speed in zip(AXES, places.T, speeds.T, strict=True):
+            yield axis, place
+            yield f"v{axis}", speed
+        yield "speed", np.linalg.norm(speeds, axis=1)
+    seen = signals.object_time <= end
+    if np.count_nonzero(seen) < 3 or not impacts:
+        return
+    velocity = np.gradient(signals.object_position[seen], signals.object_time[seen], axis=0)
+    for axis, place, speed in zip(AXES, signals.object_position[seen].T, velocity.T, strict=True):
+        yield f"object_{axis}", place
+        yield f"object_v{axis}", speed
+    size = np.linalg.norm(velocity, axis=1)
+    yield "object_speed", size
+    yield "support_slip", size
+    yield "since_contact", np.array([0.0, min(AFTER_IMPACT, float(signals.time[-1]) - min(impacts.values()))])

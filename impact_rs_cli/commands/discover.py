@@ -1,0 +1,89 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``impact-rs discover``: a formula for what no effect of the library explains."""
+
+from __future__ import annotations
+
+import argparse
+
+from rich.table import Table
+
+from impact_rs_analysis.diagnosis.discover import discover
+from impact_rs_analysis.diagnosis.discovery_document import DiscoveryDocument, LawDocument, write_discovery
+from impact_rs_analysis.diagnosis.grammar import load_grammar
+from impact_rs_analysis.report.discovery import write_report
+from impact_rs_cli.arguments import number, on_local_runs
+from impact_rs_cli.commands.diagnose import check_effects
+from impact_rs_cli.measurements import measured
+from impact_rs_cli.parser import PROGRAM
+from impact_rs_cli.terminal import Terminal, output_folder
+from impact_rs_sim.errors import InputError
+from impact_rs_sim.model import load_model
+from impact_rs_sim.numbers import estimate_in_line
+
+
+@on_local_runs
+def run(args: argparse.Namespace, terminal: Terminal) -> int:
+    """Run the command."""
+    model, grammar = load_model(args.model), load_grammar(args.grammar)
+    check_effects(model, args.effects)
+    if args.output is not None and args.output.is_dir():
+        raise InputError("this is a folder; name a file, for example discovery.json", file=args.output)
+    if args.impacts is not None:
+        raise InputError("laws act along a motion; tables of impacts have none. Give RUNS in place of --impacts")
+    with measured(args, terminal) as measurements, measurements.progress():
+        document = discover(measurements.against, model, grammar, args.effects, terminal.rank)
+    if args.output is not None:
+        with output_folder(args.output.parent):
+            write_discovery(document, args.output)
+    if args.report is not None:
+        with output_folder(args.report):
+            terminal.say(f"report: {write_report(document, args.report).resolve()}")
+    _show(document, terminal)
+    terminal.result(document.model_dump(mode="json"))
+    if args.output is not None:
+        terminal.say(f"discovery: {args.output}")
+        if document.laws:
+            terminal.say(
+                f"next: {PROGRAM} add {document.laws[0].name} --model {args.model} --from {args.output} -o model_2.yaml"
+            )
+    return 0
+
+
+def _show(document: DiscoveryDocument, terminal: Terminal) -> None:
+    terminal.say(document.verdict, document.summary)
+    for law in document.laws:
+        _show_law(law, terminal)
+    if document.others:
+        where = "in its place" if document.laws else "alone"
+        table = Table(title=f"Other laws {where}, best first (error on unseen data, {document.error_unit})")
+        for heading in ("law", "formula"):
+            table.add_column(heading, overflow="fold")
+        table.add_column("without → with", justify="right", no_wrap=True)
+        for law in document.others:
+            table.add_row(law.name, law.formula, _errors(law))
+        terminal.say(table)
+    if document.looked_at:
+        terminal.say(f"looked at {document.looked_at} laws and effects from {document.starts} starts")
+
+
+def _show_law(law: LawDocument, terminal: Terminal) -> None:
+    terminal.say(f"\n{law.name}: {law.sentence}", f"  {law.place} = {law.formula}")
+    for name, value in law.parameters.items():
+        terminal.say(f"  {name} = {estimate_in_line(value.estimate, value.ci95)} {value.unit.strip('-')}")
+    terminal.say(f"  error on unseen data {_errors(law)}, {law.verdict}")
+    if law.valid is not None:
+        domain = law.valid
+        terminal.say(f"  seen for {domain.quantity} from {domain.low:.3g} to {domain.high:.3g} {domain.unit}")
+
+    if law.curve is not None and law.valid is not None:
+        table = Table(title=f"{law.place} [{law.curve.unit}]: the law, and a free curve fitted to the same data")
+        for heading in (law.valid.quantity, "law", "free curve", "95 % interval"):
+            table.add_column(heading, justify="right", no_wrap=True)
+        for point in law.curve.points:
+            interval = f"{number(point.ci95[0])} ... {number(point.ci95[1])}"
+            table.add_row(number(point.at), number(point.law), number(point.force), interval)
+        terminal.say(table)
+
+
+def _errors(law: LawDocument) -> str:
+    return f"{number(law.held_out_error_before)} → {number(law.held_out_error_after)}"

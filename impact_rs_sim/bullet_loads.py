@@ -1,0 +1,155 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Loads of formulas on the object of a Bullet world, and between it and what it touches.
+
+Every period of the torque loop starts with the forces of the contacts in the step before, as in the twin
+(``Twin::push`` in src/twin.cpp).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from impact_rs_sim.bullet_world import BulletWorld
+from impact_rs_sim.effects.formula import AXES, SLOW
+from impact_rs_sim.physics import LoadState, Physics
+from impact_rs_sim.robot import Array
+from impact_rs_sim.robot_model import RobotModel
+from impact_rs_sim.scene import ArmState
+
+Scene = dict[str, float]
+
+
+@dataclass(frozen=True)
+class Touching:
+    """How the object touches a partner.
+
+    Attributes:
+        force: Normal force on the object [N].
+        penetration: Mean over the points, weighted with their forces [m].
+        place: Of the force, in A, ``(3,)`` [m].
+        normal: Into the object, ``(3,)``.
+        velocity: Of the object against its partner there, ``(3,)`` [m/s].
+    """
+
+    force: float
+    penetration: float
+    place: Array
+    normal: Array
+    velocity: Array
+
+    @property
+    def sliding(self) -> Array:
+        """Tangential part of the velocity, ``(3,)`` [m/s]."""
+        return self.velocity - (self.velocity @ self.normal) * self.normal
+
+    def load(self, parts: float, against: float) -> Array:
+        """Force on the object of one that parts both and one against sliding [N], in A, ``(3,)`` [N]."""
+        sliding = self.sliding
+        return parts * self.normal - against * sliding / math.hypot(float(np.linalg.norm(sliding)), SLOW)
+
+
+class BulletLoads:
+    """The loads of one world.
+
+    Args:
+        physics: Parameters of the scene.
+        world: Their Bullet world.
+        models: Rigid-body models by arm.
+
+    Attributes:
+        any: Whether something acts on the object or between it and what it touches.
+    """
+
+    def __init__(self, physics: Physics, world: BulletWorld, models: Mapping[str, RobotModel]) -> None:
+        self._physics, self._world, self._models = physics, world, models
+        self._first: dict[str, float] = {}  # s, when a pad first touched the object
+        arms = [load for arm in physics.arms.values() for load in arm.loads]
+        self.any = bool(physics.object_loads) or any(load.touches for load in arms)
+        self._touching: dict[str | None, Touching | None] = {}
+
+    def scene(self, time: float, arm: str | None, links: Mapping[str, ArmState]) -> Scene:
+        """Symbols of formulas: of time, of the object, and of its contacts with an arm or, without one, with all.
+
+        Args:
+            time: Since the start of the trial [s].
+            arm: The arm.
+            links: Joint states by arm.
+        """
+        state, found = self._world.object_state(), {"t": time}
+        found |= {f"object_{axis}": float(value) for axis, value in zip(AXES, state.position, strict=True)}
+        found |= {f"object_v{axis}": float(value) for axis, value in zip(AXES, state.twist[:3], strict=True)}
+        found |= {f"object_w{axis}": float(value) for axis, value in zip(AXES, state.twist[3:], strict=True)}
+        found["object_speed"] = float(np.linalg.norm(state.twist[:3]))
+        self._touching = {name: self._touch(name, links) for name in (*self._physics.arms, None)}
+        for name in self._physics.arms:
+            if self._touching[name] is not None:
+                self._first.setdefault(name, time)
+        if (support := self._touching[None]) is not None:
+            found |= {"support_force": support.force, "support_slip": float(np.linalg.norm(support.sliding))}
+        if arm is None:
+            pads = [self._touching[name] for name in self._physics.arms]
+            found["normal_force"] = sum(pad.force for pad in pads if pad is not None)
+            found["since_contact"] = max((time - first for first in self._first.values()), default=0.0)
+        elif (pad := self._touching[arm]) is not None:
+            found |= {"normal_force": pad.force, "penetration": pad.penetration}
+            found |= {"closing": -float(pad.velocity @ pad.normal), "slip": float(np.linalg.norm(pad.sliding))}
+        if arm in self._first:
+            found["since_contact"] = time - self._first[arm]
+        return found
+
+    def push(self, time: float, links: Mapping[str, ArmState], torques: Mapping[str, Array]) -> None:
+        """Apply the loads over the next step of the world.
+
+        Args:
+            time: Since the start of the trial [s].
+            links: Joint states by arm.
+            torques: tau_J by arm, ``(n,)`` [N m].
+        """
+        scene, place = self.scene(time, None, links), self._world.object_state().position
+        support = self._touching[None]
+        for load in self._physics.object_loads:
+            wrench = load.wrench(scene)
+            self._world.push(None, place, wrench[:3], wrench[3:])
+            if support is not None:
+                self._world.push(None, support.place, support.load(*load.support_force(scene)))
+        for name, arm in self._physics.arms.items():
+            pad, link, model = self._touching[name], links[name], self._models[name]
+            if pad is None:
+                continue
+            state = LoadState(
+                time=time,
+                joint_position=link.position,
+                joint_velocity=link.velocity,
+                position=model.placement(link.position).translation,
+                velocity=model.jacobian(link.position)[:3] @ link.velocity,
+                impact_position=arm.impact_position,
+                joint_torque=torques[name],
+                scene=self.scene(time, name, links),
+            )
+            for own in arm.loads:
+                if (forces := own.pad_force(state)) is not None:
+                    self._world.push(None, pad.place, pad.load(*forces))
+                    self._world.push(name, pad.place, -pad.load(*forces))
+
+    def _touch(self, arm: str | None, links: Mapping[str, ArmState]) -> Touching | None:
+        """How the object touches an arm, or without one its support; None: it does not."""
+        points = self._world.contact_points(arm)
+        loads = np.array([max(point[9], 0.0) for point in points])
+        force = float(loads.sum())
+        if force <= 0.0:
+            return None
+        share = loads / force
+        place = share @ np.array([point[6] for point in points])
+        body = self._world.object_state()
+        velocity = body.twist[:3] + np.cross(body.twist[3:], place - body.position)
+        if arm is not None:
+            link, model = links[arm], self._models[arm]
+            twist = model.jacobian(link.position) @ link.velocity
+            velocity = velocity - twist[:3] - np.cross(twist[3:], place - model.placement(link.position).translation)
+        # Bullet's normal points out of its second body: of the object, or of the support.
+        normal = np.array(points[0][7]) * (1.0 if arm is None else -1.0)
+        return Touching(force, -float(share @ [point[8] for point in points]), place, normal, velocity)

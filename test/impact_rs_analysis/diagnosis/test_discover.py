@@ -1,0 +1,101 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A law that is hidden in the plant is found with its amplitude and added; nothing is found where nothing is."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from impact_rs_analysis.diagnosis.discover import discover
+from impact_rs_analysis.diagnosis.discovery_document import FOUND, LIBRARY, DiscoveryDocument, write_discovery
+from impact_rs_analysis.diagnosis.document import NOTHING, read_document
+from impact_rs_analysis.diagnosis.grammar import Grammar, load_grammar
+from impact_rs_analysis.evidence.measured_runs import read_runs
+from impact_rs_analysis.evidence.replay_cache import ReplayCache
+from impact_rs_analysis.evidence.replays import ReplaySource
+from impact_rs_cli.main import main
+from impact_rs_control.plan import plan_trial
+from impact_rs_sim.errors import InputError
+from impact_rs_sim.model import load_model
+from impact_rs_sim.scenario import load_scenario
+from impact_rs_sim.scene import Scene
+from impact_rs_sim.unmodelled import LAWS
+from impact_rs_trials.bags.record import record_trial
+from impact_rs_trials.bags.trial_info import TrialInfo, TrialKey
+from impact_rs_trials.blind import Hidden, hide
+
+BESIDE = ("object_mass", "support_friction", "restitution")  # few, because every effect costs replays
+AMPLITUDE = 4.0
+
+
+def recorded(directory: Path, law: str | None, hidden: list[Hidden]) -> Path:
+    """Pushes of two boxes at two speeds, twice each."""
+    for item in ("parcel", "juice"):
+        for case in ("case_1", "case_2"):
+            plan = plan_trial(Scene.resolve(load_scenario("push"), item, case))
+            for repeat in range(2):
+                key = TrialKey(item, case, 1.0, repeat)
+                info = TrialInfo.of(plan, key, key.seed(5), "inprocess")
+                extension = None if law is None else LAWS[law](AMPLITUDE, repeat)
+                record_trial(plan, info, directory / key.name, hide(plan.scene.physics, hidden), extension)
+    return directory
+
+
+def drags() -> Grammar:
+    """Drag on the object alone, of three powers."""
+    grammar = load_grammar()
+    return grammar.model_copy(update={"places": {"object_drag": grammar.places["object_drag"]}})
+
+
+def found_in(runs: Path) -> DiscoveryDocument:
+    read, store = read_runs(runs, map), ReplayCache(map)
+    return discover(lambda model: ReplaySource.of(read, model, store), load_model("nominal"), drags(), BESIDE)
+
+
+@pytest.fixture(scope="module")
+def drag(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, DiscoveryDocument]:
+    runs = recorded(tmp_path_factory.mktemp("drag") / "runs", "object_quadratic_drag", [])
+    return runs, found_in(runs)
+
+
+def test_a_quadratic_drag_is_found_with_its_amplitude(drag: tuple[Path, DiscoveryDocument]) -> None:
+    """2 N s^2/m^2 times the amplitude, in Bullet; the twin explains it."""
+    _, document = drag
+    assert document.verdict == FOUND
+    law = document.laws[0]
+    assert (law.name, law.place) == ("object_drag_square", "force on the object")
+    assert law.parameters["c"].unit == "N s^2/m^2"
+    assert law.parameters["c"].estimate == pytest.approx(2.0 * AMPLITUDE, rel=0.1)
+    assert law.held_out_error_before > 5.0 > 2.0 > law.held_out_error_after
+    assert "object_drag_linear" not in law.tied_with
+    assert law.valid is not None and 0.2 < law.valid.high < 0.8
+
+
+def test_the_law_becomes_part_of_a_model_that_anyone_can_read(
+    drag: tuple[Path, DiscoveryDocument], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    _, document = drag
+    file, child = tmp_path / "discovery.json", tmp_path / "model_2.yaml"
+    write_discovery(document, file)
+    assert main(["add", "object_drag_square", "--from", str(file), "-o", str(child)]) == 0
+    model = load_model(child)
+    assert "object_speed" in child.read_text() and model.effects[-1].name == "object_drag_square"
+    assert set(json.loads(file.read_text())) >= {"verdict", "laws", "looked_at"}
+
+
+@pytest.mark.parametrize(
+    ("hidden", "verdict"),
+    [([], NOTHING), ([Hidden("support_friction", (0.18,), 6.0)], LIBRARY)],
+    ids=["null", "library"],
+)
+def test_nothing_is_proposed_where_nothing_is_or_the_library_explains(
+    hidden: list[Hidden], verdict: str, tmp_path: Path
+) -> None:
+    document = found_in(recorded(tmp_path / "runs", None, hidden))
+    assert (document.verdict, document.laws) == (verdict, ())
+    file = tmp_path / "discovery.json"
+    write_discovery(document, file)
+    with pytest.raises(InputError, match="proposes no law"):
+        read_document(file)

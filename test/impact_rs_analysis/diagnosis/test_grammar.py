@@ -1,0 +1,144 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Laws of the grammar have the right units, dissipate where they should, and are read from YAML."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from impact_rs_analysis.diagnosis.grammar import Law, laws_of, load_grammar, unit_of
+from impact_rs_analysis.diagnosis.null_distribution import rarity
+from impact_rs_sim.effects.dimensions import check_units
+from impact_rs_sim.effects.formula import SYMBOLS, Formula
+from impact_rs_sim.errors import InputError
+
+RANGES = {"dq4": (-0.6, 0.8), "q4": (-2.4, -1.6), "object_speed": (0.0, 0.5)}
+SHIPPED = list(laws_of(load_grammar(), RANGES, 7))
+RIGHT = {"joint_torque": "N m", "motor_torque": "N m"}
+
+
+def law(name: str) -> Law:
+    return next(one for one in SHIPPED if one.spec.name == name)
+
+
+def values(one: Law, amplitude: float, rng: np.random.Generator) -> dict[str, float]:
+    """A random state with all amplitudes of a law."""
+    state = {name: float(rng.uniform(-1.0, 1.0)) for name in SYMBOLS}
+    state |= {f"{name}{joint}": float(rng.uniform(-1.0, 1.0)) for name in ("q", "dq", "tau") for joint in range(1, 8)}
+    for body in ("", "object_"):
+        state[f"{body}speed"] = float(np.linalg.norm([state[f"{body}v{axis}"] for axis in "xyz"]))
+    for name in ("t", "normal_force", "penetration", "slip", "since_contact", "support_force", "support_slip"):
+        state[name] = abs(state[name])
+    numbers = {
+        name: amplitude if not parameter.shape else one.starts[0][name]
+        for name, parameter in one.spec.parameters.items()
+    }
+    return {**state, **numbers}
+
+
+def evaluated(table: Mapping[str, str], state: dict[str, float]) -> dict[str, float]:
+    return {key: Formula(text, state)(state) for key, text in table.items()}
+
+
+def test_every_law_has_the_unit_of_its_place_and_a_name_of_its_own() -> None:
+    assert len({one.spec.name for one in SHIPPED}) == len(SHIPPED) > 200
+    for one in SHIPPED:
+        for place, unit in check_units(one.spec).items():
+            assert unit in ("", RIGHT.get(place.partition(".")[0], "N")), one.spec.name
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_laws_of_a_velocity_take_energy_out(seed: int) -> None:
+    """Torque times joint velocity, force times velocity: never positive, for any state and amplitude."""
+    rng, seen = np.random.default_rng(seed), 0
+    for one in SHIPPED:
+        if not one.quantity.opposes or one.spec.contact_tangential or one.spec.support_tangential:
+            continue
+        assert all(parameter.shape or parameter.lower == 0.0 for parameter in one.spec.parameters.values())
+        state, seen = values(one, 1.0, rng), seen + 1
+        for table in (one.spec.motor_torque, one.spec.joint_torque):
+            for joint, torque in evaluated(table, state).items():
+                assert torque * state[f"dq{joint.removeprefix('joint')}"] <= 0.0, one.spec.name
+        for table, body in ((one.spec.end_effector_force, ""), (one.spec.object_force, "object_")):
+            power = sum(force * state[f"{body}v{axis}"] for axis, force in evaluated(table, state).items())
+            assert power <= 0.0, one.spec.name
+    assert seen > 50
+
+
+def test_friction_at_a_surface_opposes_sliding() -> None:
+    rng = np.random.default_rng(0)
+    for one in SHIPPED:
+        for text in filter(None, (one.spec.contact_tangential, one.spec.support_tangential)):
+            state = values(one, 1.0, rng)
+            assert Formula(text, state)(state) >= 0.0
+            assert all(parameter.shape or parameter.lower == 0.0 for parameter in one.spec.parameters.values())
+
+
+def test_a_form_is_what_it_says() -> None:
+    """Closed forms of some laws, and the units of their amplitudes."""
+    cube, drag, cable = law("motor4_velocity_cube"), law("object_drag_square"), law("end_effector_y_y_above")
+    assert cube.spec.motor_torque == {"joint4": "-(c * dq4 ** 3)"}
+    assert cube.spec.parameters["c"].unit == "N m s^3/rad^3"
+    assert cube.spec.parameters["c"].scale == pytest.approx(0.1 / 0.8**3)
+    state = {"object_speed": 0.5, "object_vx": 0.3, "object_vy": -0.4, "object_vz": 0.0, "c": 8.0}
+    np.testing.assert_allclose(list(evaluated(drag.spec.object_force, state).values()), [-1.2, 1.6, 0.0])
+    assert evaluated(cable.spec.end_effector_force, {"y": 0.6, "start": 0.5, "c": 30.0}) == pytest.approx({"y": -3.0})
+    np.testing.assert_allclose(drag.force(np.array([0.0, 0.5]), {"c": 8.0}), [0.0, 2.0])
+
+
+def test_fits_of_a_ripple_start_a_quarter_of_a_turn_apart_over_the_range() -> None:
+    starts = [start["k"] for start in law("motor4_position_ripple").starts]
+    assert np.diff(starts) == pytest.approx(2.5 / 0.8)
+    assert [effect.parameters[-1].nominal for effect in law("motor4_position_ripple").effects] == starts
+
+
+@pytest.mark.parametrize(
+    ("place", "quantity", "power", "unit"),
+    [
+        ("N m", "rad/s", 3, "N m s^3/rad^3"),
+        ("N", "m/s", 2, "N s^2/m^2"),
+        ("N m", "N m", 1, "-"),
+        ("-", "rad", 1, "1/rad"),
+        ("N", "s", 0, "N"),
+    ],
+)
+def test_the_unit_of_an_amplitude_follows_from_place_and_quantity(
+    place: str, quantity: str, power: int, unit: str
+) -> None:
+    assert unit_of(place, quantity, power) == unit
+
+
+def test_a_user_adds_terms_in_yaml(tmp_path: Path) -> None:
+    file = tmp_path / "mine.yaml"
+    file.write_text(
+        """
+quantities: {height: {formula: object_z, unit: m, typical: 0.1, words: its height}}
+forms: {quartic: {law: c * u ** 4, numbers: {c: {power: 4}}, words: with the fourth power of}}
+places: {lift: {formula: object_force, each: axis, unit: N, noticeable: 1, words: Lift along, contact: true,
+                laws: {height: [quartic, linear]}}}
+"""
+    )
+    grammar = load_grammar(file)
+    own = {one.spec.name: one for one in laws_of(grammar, {}, 7)}
+    assert own["lift_z_height_quartic"].spec.parameters["c"].unit == "N/m^4"
+    assert len(own) == len(SHIPPED) + 6
+    file.write_text(
+        "places: {lift: {formula: object_force, unit: N, noticeable: 1, words: Lift, laws: {hight: [linear]}}}"
+    )
+    with pytest.raises(InputError, match="unknown quantity"):
+        load_grammar(file)
+
+
+@pytest.mark.parametrize(("freedom", "quantile"), [(1, 1e-5), (3, 1e-6)])
+def test_a_p_value_beyond_all_draws_is_that_of_the_tail(freedom: int, quantile: float) -> None:
+    """Of chi squared, to a factor of four with 4999 draws; the plain count stops at 2e-4."""
+    import scipy
+
+    found = []
+    for seed in range(20):
+        null = np.random.default_rng(seed).chisquare(freedom, 4999)
+        found.append(rarity(float(scipy.stats.chi2.isf(quantile, freedom)), null))
+    assert quantile / 4.0 < np.exp(np.mean(np.log(found))) < 4.0 * quantile

@@ -1,0 +1,200 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Formulas on the object, its support and its pad: closed forms in the twin, reactions, and the same in the plant."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from twin_scene import AGAINST_Y, BOX_MASS, PERIOD, RAIL_MASS, SIZE, rail, resting, run, scene
+
+from impact_rs_sim import _kernel
+from impact_rs_sim.bullet_mechanics import BulletMechanics
+from impact_rs_sim.drive import DriveStart
+from impact_rs_sim.effects.formula import SYMBOLS, FormulaEffect, FormulaSpec
+from impact_rs_sim.errors import InputError
+from impact_rs_sim.physics import Physics
+from impact_rs_sim.robot import Array
+from impact_rs_sim.scenario import load_scenario
+from impact_rs_sim.scene import ArmState, BodyState, Scene
+from impact_rs_sim.twin import TwinJob, simulate
+
+FAR = rail(np.array([0.0, 5.0, 0.0]), AGAINST_Y)
+G = 9.81
+DRAG = {f"{axis}": f"-c * object_speed * object_v{axis}" for axis in "xyz"}
+
+
+def effect(**formulas: Any) -> FormulaEffect:
+    """An effect with a single parameter c."""
+    number = {"unit": "-", "lower": -1e6, "upper": 1e6, "scale": 1.0}
+    return FormulaEffect(
+        FormulaSpec.model_validate({"name": "law", "sentence": "A law.", "parameters": {"c": number}, **formulas})
+    )
+
+
+def with_law(physics: Physics, c: float, **formulas: Any) -> Physics:
+    return effect(**formulas).apply_vector(physics, np.array([c]))
+
+
+def test_the_twin_has_the_symbols_of_formulas_in_their_order() -> None:
+    assert tuple(_kernel.SYMBOLS) == tuple(SYMBOLS)
+
+
+def test_drag_with_the_square_of_the_speed_slows_a_box_as_in_the_closed_form() -> None:
+    """v = v_0 / (1 + c v_0 t / m), to the step's 0.05 %."""
+    speed, c, time = np.array([0.3, -0.4, 0.0]), 8.0, 0.2
+    box = resting(twist=np.array([*speed, 0.0, 0.0, 0.0]))
+    result = run(with_law(scene({"far": FAR}), c, object_force=DRAG), [0.0], box, time)
+    np.testing.assert_allclose(result.twists[-1, :3], speed / (1.0 + c * 0.5 * time / BOX_MASS), rtol=1e-3)
+
+
+def test_a_moment_spins_the_box_up() -> None:
+    physics, time = scene({"far": FAR}), 0.1
+    result = run(with_law(physics, 0.01, object_moment={"z": "c"}), [0.0], resting(), time)
+    assert result.twists[-1, 5] == pytest.approx(0.01 * time / physics.object.inertia[2], rel=5e-3)
+    np.testing.assert_allclose(result.twists[-1, :5], 0.0, atol=1e-12)
+
+
+def test_a_force_acts_at_the_middle_and_turns_a_box_whose_mass_lies_elsewhere() -> None:
+    physics = scene({"far": FAR})
+    offset, time = np.array([0.05, 0.0, 0.0]), 0.01
+    physics = replace(physics, object=replace(physics.object, com_offset=offset))
+    result = run(with_law(physics, 1.0, object_force={"y": "c"}), [0.0], resting(), time)
+    spin = -offset[0] * time / physics.object.inertia[2]
+    assert result.twists[-1, 5] == pytest.approx(spin, rel=0.02)
+
+
+def test_friction_that_grows_with_load_and_speed_decays_exponentially() -> None:
+    """On a support without friction of its own, v = v_0 exp(-c g t), and the support feels the weight."""
+    c, time, height = 0.5, 0.1, -SIZE[2] / 2.0
+    physics = scene({"far": FAR}, support_height=height, support_friction=0.0, gravity=np.array([0.0, 0.0, -G]))
+    box = resting(twist=np.array([0.3, 0.4, 0.0, 0.0, 0.0, 0.0]))
+    result = run(with_law(physics, c, support_tangential="c * support_force * support_slip"), [0.0], box, time)
+    np.testing.assert_allclose(result.twists[-1, :2], np.exp(-c * G * time) * box.twist[:2], rtol=2e-3)
+
+
+@pytest.mark.parametrize("law", ["contact_normal", "contact_tangential"])
+def test_a_law_between_pad_and_object_has_its_reaction(law: str) -> None:
+    """Momentum of rail and box together along the rail stays; it moves between them."""
+    mass = rail(np.array([0.0, SIZE[1] / 2.0 + 1e-3, 0.0]), AGAINST_Y, pad_damping=100.0)
+    start = resting(twist=np.array([0.2, 0.0, 0.0, 0.0, 0.0, 0.0]))
+    alone, pushed = (
+        run(physics, [0.5], start, 0.02)
+        for physics in (scene({"rail": mass}), with_law(scene({"rail": mass}), 50.0, **{law: "c"}))
+    )
+    for result in (alone, pushed):
+        momentum = RAIL_MASS * -result.arms["rail"].velocity[-1, 0] + BOX_MASS * result.twists[-1, 1]
+        assert momentum == pytest.approx(-0.5 * RAIL_MASS, rel=1e-9)
+    axis, sign = (1, -1.0) if law == "contact_normal" else (0, -1.0)
+    assert sign * (pushed.twists[-1, axis] - alone.twists[-1, axis]) > 0.01
+
+
+def test_a_sleeping_box_is_woken_by_a_force_and_not_by_drag() -> None:
+    height = -SIZE[2] / 2.0
+    physics = scene({"far": FAR}, support_height=height, gravity=np.array([0.0, 0.0, -G]))
+    drag = run(with_law(physics, 9.0, object_force=DRAG), [0.0], resting(), 0.05)
+    assert drag.contact_steps == 0
+    pulled = run(with_law(physics, 5.0, object_force={"x": "c"}), [0.0], resting(), 0.2)
+    assert pulled.twists[-1, 0] == pytest.approx((5.0 / BOX_MASS - 0.3 * G) * 0.2, rel=0.02)
+
+
+def test_time_since_contact_starts_at_the_contact() -> None:
+    gap, speed, c = 5e-3, 0.5, 50.0
+    mass = rail(np.array([0.0, SIZE[1] / 2.0 + gap, 0.0]), AGAINST_Y, pad_damping=5e3)
+    physics = with_law(scene({"rail": mass}), c, object_force={"x": "c * since_contact"})
+    result = run(physics, [speed], resting(), 0.06)
+    since = 0.06 - gap / speed
+    assert result.twists[-1, 0] == pytest.approx(0.5 * c * since**2 / BOX_MASS, rel=0.02)
+
+
+def test_a_formula_that_blows_up_on_the_object_says_so() -> None:
+    physics = with_law(scene({"far": FAR}), 1.0, object_force={"x": "c / object_speed"})
+    still = np.zeros(1)
+    job = TwinJob(
+        physics,
+        {"far": ArmState(still, still)},
+        {"far": DriveStart(still, still)},
+        {"far": still[None]},
+        {"far": np.zeros(4, dtype=np.int32)},
+        np.arange(5) * PERIOD,
+        PERIOD,
+        object=resting(),
+    )
+    assert simulate([job])[0].failure == "effect 'law' blows up at t = 0.000 s"
+
+
+@pytest.mark.parametrize("formulas", [{"object_force": {"x": "c * q1"}}, {"support_normal": "c * speed"}])
+def test_a_law_of_the_object_knows_no_arm(formulas: dict[str, Any]) -> None:
+    with pytest.raises(InputError, match="unknown symbol"):
+        effect(**formulas)
+
+
+# Large enough to be seen beside what the two simulators differ by.
+IN_THE_PLANT: list[tuple[float, dict[str, Any]]] = [
+    (20.0, {"object_force": DRAG}),
+    (2.0, {"object_moment": {"z": "c"}}),
+    (30.0, {"contact_normal": "c"}),
+    (2e7, {"contact_normal": "c * penetration ** 2"}),
+    (0.5, {"support_tangential": "c * support_force * support_slip"}),
+    (400.0, {"object_force": {"y": "c * since_contact"}}),
+    (0.3, {"joint_torque": {"joint4": "c * normal_force"}}),
+    (0.5, {"motor_torque": {"joint2": "-c * tau2"}}),
+]
+
+
+@pytest.mark.parametrize(("c", "formulas"), IN_THE_PLANT, ids=lambda value: str(value))
+def test_a_law_changes_a_push_in_the_plant_as_in_the_twin(c: float, formulas: dict[str, Any]) -> None:
+    scenario = load_scenario("push")
+    found = Scene.resolve(scenario, "juice", "case_1")
+    changes = []
+    for moved in (by_twin, by_plant):
+        before, after = (moved(found, physics) for physics in (found.physics, with_law(found.physics, c, **formulas)))
+        changes.append(after - before)
+    size = np.linalg.norm(changes[1])
+    assert size > 5e-3
+    # A normal force acts while the pads touch, which begins and ends in another step.
+    assert np.linalg.norm(changes[0] - changes[1]) < (0.13 if "contact_normal" in formulas else 0.08) * size
+
+
+TICKS, SUBSTEPS, BEFORE = 60, 4, 0.01
+
+
+def starts(found: Scene) -> tuple[dict[str, ArmState], dict[str, DriveStart], dict[str, Array]]:
+    arms, drives, torque = {}, {}, {}
+    for arm, state in found.arms.items():
+        q = state.position - BEFORE * state.velocity
+        load = found.physics.robot_model(arm).gravity_torque(q)
+        arms[arm], drives[arm] = ArmState(q, state.velocity), DriveStart(load, np.zeros_like(q))
+        torque[arm] = load
+    return arms, drives, torque
+
+
+def by_twin(found: Scene, physics: Physics) -> Array:
+    arms, drives, torque = starts(found)
+    job = TwinJob(
+        physics,
+        arms,
+        drives,
+        {name: own[None] for name, own in torque.items()},
+        dict.fromkeys(arms, np.zeros(TICKS * SUBSTEPS, dtype=np.int32)),
+        np.arange(TICKS + 1) * (PERIOD * SUBSTEPS),
+        PERIOD,
+        object=found.object,
+    )
+    (result,) = simulate([job])
+    assert not result.failed and not result.failure
+    return np.concatenate((result.arms["arm"].velocity[-1], result.twists[-1]))
+
+
+def by_plant(found: Scene, physics: Physics) -> Array:
+    arms, drives, torque = starts(found)
+    plant = BulletMechanics.load(physics, PERIOD)
+    plant.start(arms, drives, found.object)
+    for tick in range(TICKS):
+        plant.step(torque, SUBSTEPS, tick * PERIOD * SUBSTEPS)
+    state: BodyState = plant.object_state()
+    velocity = plant.arm("arm").velocity
+    plant.close()
+    return np.concatenate((velocity, state.twist))
