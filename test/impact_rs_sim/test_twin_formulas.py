@@ -140,7 +140,7 @@ IN_THE_PLANT: list[tuple[float, dict[str, Any]]] = [
     (0.5, {"support_tangential": "c * support_force * support_slip"}),
     (400.0, {"object_force": {"y": "c * since_contact"}}),
     (0.3, {"joint_torque": {"joint4": "c * normal_force"}}),
-    (0.5, {"motor_torque": {"joint2": "-c * tau2"}}),
+    (0.1, {"motor_torque": {"joint2": "-c * tau2"}}),
 ]
 
 
@@ -155,10 +155,10 @@ def test_a_law_changes_a_push_in_the_plant_as_in_the_twin(c: float, formulas: di
     size = np.linalg.norm(changes[1])
     assert size > 5e-3
     # A normal force acts while the pads touch, which begins and ends in another step.
-    assert np.linalg.norm(changes[0] - changes[1]) < (0.13 if "contact_normal" in formulas else 0.08) * size
+    assert np.linalg.norm(changes[0] - changes[1]) < (0.13 if "contact_normal" in formulas else 0.06) * size
 
 
-TICKS, SUBSTEPS, BEFORE = 60, 4, 0.01
+TICKS, SUBSTEPS, BEFORE = 30, 4, 0.01  # until 20 ms after contact: a box that bounces meets the pad again later
 
 
 def starts(found: Scene) -> tuple[dict[str, ArmState], dict[str, DriveStart], dict[str, Array]]:
