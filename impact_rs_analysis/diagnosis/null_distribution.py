@@ -168,26 +168,36 @@ def alike(item: Cluster) -> str:
 
 
 def rarity(observed: float, null: Array) -> float:
-    """Share of a null distribution, including the observation, that is at least as large: the p-value.
+    """Share of a null distribution, including the observation, that is at least as large: the p-value."""
+    return float((1.0 + _beyond(observed, null)) / (1.0 + null.size))
+
+
+def rarity_in_the_tail(observed: float, null: Array) -> float:
+    """As :func:`rarity` of a continuous statistic, finer than one over the number of draws.
 
     Beyond nearly all draws it is that of a generalised Pareto distribution with the probability-weighted moments of the
     largest draws (Knijnenburg et al. 2009, *Fewer permutations, more accurate P-values*, Bioinformatics 25; Hosking and
     Wallis 1987), which is given no end: many tests need p-values below one over the number of draws.
     """
-    beyond = np.count_nonzero(null >= observed * (1.0 - 1e-12))
-    if beyond >= FEW_BEYOND or null.size < 2 * TAIL:
-        return float((1.0 + beyond) / (1.0 + null.size))
+    share = rarity(observed, null)
+    if _beyond(observed, null) >= FEW_BEYOND or null.size < 2 * TAIL:
+        return share
     largest = np.sort(null)[-TAIL - 1 :]
     excess = largest[1:] - largest[0]
     mean = float(excess.mean())
     weights = 1.0 - (np.arange(1, TAIL + 1) - 0.35) / TAIL
     weighted = float(np.mean(weights * excess))
     if not 0.0 < 2.0 * weighted < mean:
-        return float((1.0 + beyond) / (1.0 + null.size))
+        return share
     shape = max(2.0 - mean / (mean - 2.0 * weighted), LIGHTEST)
     scale = mean * (1.0 - shape)
     tail = (1.0 + shape * (observed - float(largest[0])) / scale) ** (-1.0 / shape)
-    return float(min(TAIL / null.size * tail, (1.0 + beyond) / (1.0 + null.size)))
+    return float(min(TAIL / null.size * tail, share))
+
+
+def _beyond(observed: float, null: Array) -> int:
+    """Number of draws at least as large."""
+    return int(np.count_nonzero(null >= observed * (1.0 - 1e-12)))
 
 
 def smallest(observed: Array, null: Array) -> float:
@@ -329,7 +339,7 @@ class RotationNull(NullDistribution):
 
     def p_values(self, effects: Sequence[Sequence[Array]], fitted: Sequence[Array] = ()) -> list[float]:
         """See :meth:`NullDistribution.p_values`; every rotation is made once for all effects."""
-        if self.shortage is not None:
+        if self.shortage is not None or not effects:
             return [1.0] * len(effects)
         every = [
             [np.hstack(both) for both in zip(fitted, own, strict=True)] if fitted else list(own) for own in effects
@@ -364,10 +374,10 @@ class RotationNull(NullDistribution):
         explained = _explained(scores, information)
         if fitted and (before := fitted[0].shape[1]):
             explained -= _explained(scores[:, :before], information[:, :before, :before])
-        p = rarity(float(explained[0]), explained[1:])
+        p = rarity_in_the_tail(float(explained[0]), explained[1:])
         if self.discrepant:
             own = np.sum([j.T @ item.mean * item.count for j, item in zip(turned, self.clusters, strict=True)], axis=0)
-            p = max(p, rarity(float(own @ own), self._with_discrepancy(turned)))
+            p = max(p, rarity_in_the_tail(float(own @ own), self._with_discrepancy(turned)))
         return p
 
     def _with_discrepancy(self, jacobians: Sequence[Array]) -> Array:
