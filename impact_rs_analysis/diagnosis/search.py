@@ -198,7 +198,7 @@ class Search:
         """The candidate at the best of several values of its shape parameters, by the misfit of the linear fit.
 
         One that is seen only beside the others, as the place of a mass that is 0, is looked at where the fit of the
-        others puts them.
+        others puts them: in recordings, whose torque is linear in both mass and moment. Contacts bend on the way.
         """
         shapes = [index for index, scalar in enumerate(candidate.scalars) if scalar.grid]
         tried = [candidate]
@@ -207,7 +207,7 @@ class Search:
             point[shapes] = values
             if (moved := self._linearised(replace(candidate, point=point))) is not None:
                 tried.append(moved)
-        if candidate.unseen:
+        if candidate.unseen and self.source.recording is not None:
             point = Fit.of(candidate, self.evidence).estimate
             if (moved := self._linearised(replace(candidate, point=point))) is not None:
                 tried.append(moved)
