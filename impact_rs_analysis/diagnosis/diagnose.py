@@ -143,6 +143,7 @@ def findings_of(source: Source, effects: Sequence[Effect], progress: ProgressCal
     chosen = None if search.evidence.null.shortage is not None else search.choose()
     rivals: Sequence[Rival] = ()
     held, unsupported = None, ""
+    suspected: tuple[str, ...] = ()
     if chosen is not None:
         chosen, rivals = search.simplified(chosen)
         if (sure := without_the_doubtful(search, chosen)) is not chosen:
@@ -150,7 +151,9 @@ def findings_of(source: Source, effects: Sequence[Effect], progress: ProgressCal
     if chosen is not None and (held := hold_out(source, effects, chosen.candidate)) is not None:
         supported = supported_by_hold_out(search, chosen, held)
         if supported is not chosen:
-            unsupported = unsupported_words(search, chosen, supported, held)
+            kept = () if supported is None else supported.candidate.names
+            suspected = tuple(name for name in chosen.candidate.names if name not in kept)
+            unsupported = unsupported_words(search, suspected, held)
             chosen, rivals = supported, () if supported is None else search.rivals(supported)
         if chosen is None:
             held = None
@@ -160,6 +163,7 @@ def findings_of(source: Source, effects: Sequence[Effect], progress: ProgressCal
         rivals=tuple(rivals),
         hold_out=held,
         p_values=_p_values(search, chosen),
+        suspected=suspected,
         unsupported=unsupported,
     )
 
@@ -193,6 +197,7 @@ def document_of(found: Findings, source: Source, model: Model) -> DiagnosisDocum
         source=source.kind,
         verdict=verdict.verdict,
         named=found.names,
+        suspected=found.suspected,
         effects=tuple(effect_documents(found, known)),
         confusable=tuple((name, *others) for name, others in ties.items() if others),
         unexplained=UnexplainedDocument(

@@ -265,6 +265,9 @@ class DiagnosisDocument(Schema):
     )
     summary: str = Field("", description="the verdict in words, with the largest residuals in units")
     named: tuple[str, ...] = Field((), description="effects that the diagnosis chose")
+    suspected: tuple[str, ...] = Field(
+        (), description="effects that lower the error of all data, and that the hold-out does not support"
+    )
     effects: tuple[EffectDocument, ...] = Field(description="all effects, best first")
     confusable: tuple[tuple[str, ...], ...] = Field(description="effects that the data cannot distinguish")
     unexplained: UnexplainedDocument = Field(default_factory=UnexplainedDocument, description="what stays")

@@ -63,7 +63,8 @@ class Findings:
         rivals: Alternatives to the chosen effects.
         hold_out: Held-out errors; None with too few clusters.
         p_values: By effect, adjusted: of unchosen ones given the chosen, of chosen ones given the other chosen.
-        unsupported: What the hold-out does not support, in words; empty: nothing.
+        suspected: Effects that lower the error of all data, and that the hold-out does not support.
+        unsupported: The same in words; empty: none.
     """
 
     search: Search
@@ -71,6 +72,7 @@ class Findings:
     rivals: tuple[Rival, ...]
     hold_out: HoldOut | None
     p_values: dict[str, float]
+    suspected: tuple[str, ...] = ()
     unsupported: str = ""
 
     @property
@@ -208,17 +210,15 @@ def _found_or_replaced(name: str, found: Sequence[str], chosen: Fit) -> bool:
     return name in found or any(other not in chosen.candidate.names for other in found)
 
 
-def unsupported_words(search: Search, chosen: Fit, supported: Fit | None, held: HoldOut) -> str:
+def unsupported_words(search: Search, suspected: Sequence[str], held: HoldOut) -> str:
     """Why effects that explain all data are not named."""
-    kept = () if supported is None else supported.candidate.names
-    left = " and ".join(name for name in chosen.candidate.names if name not in kept)
     evidence = search.evidence
     before, after = (residual_size(evidence, rest) for rest in ([item.mean for item in evidence.clusters], held.rest))
-    found = sum(any(name in names for name in chosen.candidate.names if name not in kept) for names in held.chosen)
+    found = sum(any(name in names for name in suspected) for names in held.chosen)
     return (
-        f"not named, because the hold-out does not support it: {left} lowers the error in all data, but searches "
-        f"without the data that they predict find it in {found} of {len(held.chosen)} folds, and the held-out error "
-        f"goes from {before:.3g} to {after:.3g}"
+        f"not named, because the hold-out does not support it: {' and '.join(suspected)} lowers the error in all data, "
+        f"but searches without the data that they predict find it in {found} of {len(held.chosen)} folds, and the "
+        f"held-out error goes from {before:.3g} to {after:.3g}"
     )
 
 

@@ -78,6 +78,13 @@ def _verdict(document: DiagnosisDocument) -> str:
     if verdict == TOO_FEW:
         return f"These {runs} cannot decide what model '{name}' lacks. Needed: {document.design.shortage}."
     if verdict == NOTHING:
+        if document.suspected:
+            suspected = " and ".join(document.suspected)
+            return (
+                f"These {runs} show nothing missing in model '{name}' for certain. {suspected} may be: it lowers the "
+                f"error, but predictions of data that were not searched do not support it. More conditions decide. "
+                f"{error}"
+            )
         if document.noise_floor:
             return f"These {runs} show nothing missing in model '{name}'. {error}"
         return (

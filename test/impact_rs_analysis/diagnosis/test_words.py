@@ -133,6 +133,14 @@ def test_a_contradiction_is_seen() -> None:
     assert any("has no row" in text for text in found)
 
 
+def test_what_the_hold_out_does_not_support_is_suspected() -> None:
+    source = AnalyticSource(1)
+    nothing = diagnose(source, source.model).model_copy(update={"verdict": "NOTHING-MISSING", "named": ()})
+    assert "show nothing missing in model" in summary_of(nothing) and "straight" not in summary_of(nothing)
+    doubtful = summary_of(nothing.model_copy(update={"suspected": ("straight",)}))
+    assert "for certain. straight may be" in doubtful and "More conditions decide" in doubtful
+
+
 def test_shares_are_those_of_squared_errors_beyond_noise() -> None:
     assert explained(2.0, 1.0, 1.0) == 1.0
     assert explained(2.0, 2.0, 1.0) == 0.0
