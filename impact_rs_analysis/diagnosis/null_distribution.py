@@ -328,7 +328,7 @@ class RotationNull(NullDistribution):
 
     def p_values(self, effects: Sequence[Sequence[Array]], fitted: Sequence[Array] = ()) -> list[float]:
         """See :meth:`NullDistribution.p_values`; every rotation is made once for all effects."""
-        if self.shortage is not None:
+        if self.shortage is not None or not effects:
             return [1.0] * len(effects)
         every = [
             [np.hstack(both) for both in zip(fitted, own, strict=True)] if fitted else list(own) for own in effects
