@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from impact_rs_analysis.diagnosis.candidate import Candidate, linearise
 from impact_rs_analysis.diagnosis.diagnose import document_of, effects_for, findings_of
 from impact_rs_analysis.diagnosis.discovery_document import (
     DESCRIBED,
@@ -27,7 +28,7 @@ from impact_rs_analysis.diagnosis.discovery_document import (
     PointDocument,
 )
 from impact_rs_analysis.diagnosis.document import NONE, NOTHING, PARTLY, SMALL, TOO_FEW, DiagnosisDocument
-from impact_rs_analysis.diagnosis.fit import HOPELESS, Evidence, Fit
+from impact_rs_analysis.diagnosis.fit import HOPELESS, Evidence, Fit, refine
 from impact_rs_analysis.diagnosis.grammar import Grammar, Law, curve_of, laws_of
 from impact_rs_analysis.diagnosis.search import ProgressCallback, Rival, Search
 from impact_rs_analysis.diagnosis.thresholds import SIGNIFICANT
@@ -75,7 +76,8 @@ def discover(
             verdict=verdict, summary=_no_need(verdict), error_unit=residual_unit(Evidence.of(source))
         )
     ranges = visited(source)
-    laws = {law.spec.name: law for law in laws_of(grammar, ranges, len(source.joints))}
+    joints = min((len(kinds) for world in source.worlds for _, kinds in world.arm_joints), default=0)
+    laws = {law.spec.name: law for law in laws_of(grammar, ranges, joints)}
     wanted = set(_where(Evidence.of(source), laws.values()))
     laws = {name: law for name, law in laws.items() if name in wanted and name not in model.known_effects}
     tried = _searched(source_of, model, library, laws, progress)
@@ -141,9 +143,13 @@ def _with_curve(
         return document
     curve = curve_of(best, ranges[best.symbol])
     source = source_of(model.model_copy(update={"formulas": (*model.formulas, curve.spec)}))
-    fitted = Search(curve.effects, Evidence.of(source)).fitted([curve.spec.name])
-    if fitted is None:
+    evidence, effect = Evidence.of(source), curve.effects[0]
+    start, _ = _band(best, document.laws[0], np.array(curve.knots))
+    near = Candidate.of((effect,), source, np.clip(start, *effect.bounds(source.physics)))
+    seen = linearise(near, evidence.clusters, evidence.numbers, source)
+    if seen is None:
         return document
+    fitted = refine(seen, evidence)
     half = fitted.half_widths * fitted.candidate.scale
     at = np.linspace(min(curve.knots), max(curve.knots), POINTS)
     said, band = _band(best, document.laws[0], at)

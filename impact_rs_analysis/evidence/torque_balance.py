@@ -195,8 +195,8 @@ class TorqueBalance:
     def _load_torques(physics: Physics, motion: Motion) -> Array:
         """Torques of loads outside the rigid model on links and motors, ``(k, n)`` [N m]."""
         model = physics.robot_model(ARM)
-        rows = zip(motion.time, motion.position, motion.velocity, strict=True)
-        return np.array([sum(physics.load_torques(ARM, model, float(time), q, dq)) for time, q, dq in rows])
+        rows = zip(motion.time, motion.position, motion.velocity, motion.torque, strict=True)
+        return np.array([sum(physics.load_torques(ARM, model, float(time), q, dq, tau)) for time, q, dq, tau in rows])
 
     @property
     def recorded(self) -> Array:
