@@ -38,6 +38,7 @@ from impact_rs_analysis.diagnosis.verdicts import (
     clip_p,
     effect_documents,
     headline,
+    lowers,
     noise_size,
     residual_unit,
     rests_of,
@@ -152,8 +153,9 @@ def findings_of(source: Source, effects: Sequence[Effect], progress: ProgressCal
         supported = supported_by_hold_out(search, chosen, held)
         if supported is not chosen:
             kept = () if supported is None else supported.candidate.names
-            suspected = tuple(name for name in chosen.candidate.names if name not in kept)
-            unsupported = unsupported_words(search, suspected, held)
+            left = tuple(name for name in chosen.candidate.names if name not in kept)
+            unsupported = unsupported_words(search, left, held)
+            suspected = left if lowers(search, held) else ()
             chosen, rivals = supported, () if supported is None else search.rivals(supported)
         if chosen is None:
             held = None

@@ -266,7 +266,7 @@ class DiagnosisDocument(Schema):
     summary: str = Field("", description="the verdict in words, with the largest residuals in units")
     named: tuple[str, ...] = Field((), description="effects that the diagnosis chose")
     suspected: tuple[str, ...] = Field(
-        (), description="effects that lower the error of all data, and that the hold-out does not support"
+        (), description="effects that lower the error of all data, and the held-out error by less than its interval"
     )
     effects: tuple[EffectDocument, ...] = Field(description="all effects, best first")
     confusable: tuple[tuple[str, ...], ...] = Field(description="effects that the data cannot distinguish")

@@ -63,8 +63,8 @@ class Findings:
         rivals: Alternatives to the chosen effects.
         hold_out: Held-out errors; None with too few clusters.
         p_values: By effect, adjusted: of unchosen ones given the chosen, of chosen ones given the other chosen.
-        suspected: Effects that lower the error of all data, and that the hold-out does not support.
-        unsupported: The same in words; empty: none.
+        suspected: Effects that lower the error of all data, and the held-out error by less than its interval.
+        unsupported: Which effects of all data the hold-out does not support, and why; empty: none.
     """
 
     search: Search
@@ -93,9 +93,7 @@ class Findings:
     @property
     def held_out_sizes(self) -> tuple[float, float]:
         """Held-out error of the model, and with the effects that searches without the held-out part find."""
-        before = [item.mean for item in self.evidence.clusters]
-        after = before if self.hold_out is None else self.hold_out.rest
-        return residual_size(self.evidence, before), residual_size(self.evidence, after)
+        return _held_out_sizes(self.search, self.hold_out)
 
     def tied_with(self, name: str) -> tuple[str, ...]:
         """Effects that predict as well in place of a chosen one."""
@@ -212,14 +210,27 @@ def _found_or_replaced(name: str, found: Sequence[str], chosen: Fit) -> bool:
 
 def unsupported_words(search: Search, suspected: Sequence[str], held: HoldOut) -> str:
     """Why effects that explain all data are not named."""
-    evidence = search.evidence
-    before, after = (residual_size(evidence, rest) for rest in ([item.mean for item in evidence.clusters], held.rest))
+    before, after = _held_out_sizes(search, held)
     found = sum(any(name in names for name in suspected) for names in held.chosen)
     return (
         f"not named, because the hold-out does not support it: {' and '.join(suspected)} lowers the error in all data, "
         f"but searches without the data that they predict find it in {found} of {len(held.chosen)} folds, and the "
         f"held-out error goes from {before:.3g} to {after:.3g}"
     )
+
+
+def lowers(search: Search, held: HoldOut) -> bool:
+    """Whether searches that have not seen a fold predict it better than the model does, however little."""
+    before, after = _held_out_sizes(search, held)
+    return after < before
+
+
+def _held_out_sizes(search: Search, held: HoldOut | None) -> tuple[float, float]:
+    """Held-out error of the model, and with what searches without the held-out part find."""
+    evidence = search.evidence
+    before = [item.mean for item in evidence.clusters]
+    after = before if held is None else held.rest
+    return residual_size(evidence, before), residual_size(evidence, after)
 
 
 def rests_of(evidence: Evidence, rest: Sequence[Array]) -> list[RestDocument]:
