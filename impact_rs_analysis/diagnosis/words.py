@@ -75,16 +75,12 @@ def _verdict(document: DiagnosisDocument) -> str:
     error = f"Held-out error: {before:.3g} {unit}{noise_text}."
     named = " and ".join(document.named)
     runs = f"{document.runs.trials} {document.source}"
+    suspicion = _suspicion(document)
     if verdict == TOO_FEW:
         return f"These {runs} cannot decide what model '{name}' lacks. Needed: {document.design.shortage}."
     if verdict == NOTHING:
-        if document.suspected:
-            suspected = " and ".join(document.suspected)
-            return (
-                f"These {runs} show nothing missing in model '{name}' for certain. {suspected} may be: it lowers the "
-                f"error, but predictions of data that were not searched do not support it. More conditions decide. "
-                f"{error}"
-            )
+        if suspicion:
+            return f"These {runs} show nothing missing in model '{name}' for certain. {suspicion} {error}"
         if document.noise_floor:
             return f"These {runs} show nothing missing in model '{name}'. {error}"
         return (
@@ -96,8 +92,9 @@ def _verdict(document: DiagnosisDocument) -> str:
         return f"{what} is present, but too small to matter: {_small(document)}. Model '{name}' needs no change."
     rest = _rest(document)
     if not document.named:
-        text = f"Model '{name}' does not predict these {runs}, and no effect in the library explains why."
-        return " ".join(filter(None, [text, _lowering(document), error, rest]))
+        sure = " for certain" if suspicion else ""
+        text = f"Model '{name}' does not predict these {runs}, and no effect in the library explains why{sure}."
+        return " ".join(filter(None, [text, suspicion or _lowering(document), error, rest]))
     fall = f"Held-out error: {_fall(before, after)} {unit}{noise_text}."
     doubts = " ".join(filter(None, [_bounds(document), _open(document), _confusable(document)]))
     text = f"Model '{name}' lacks {named}."
@@ -114,11 +111,21 @@ def _verdict(document: DiagnosisDocument) -> str:
 
 def _fall(before: float, after: float) -> str:
     """Two errors with as many digits as it takes to tell them apart, three at least."""
-    for digits in range(3, 9):
+    for digits in range(3, 18):
         first, second = f"{before:.{digits}g}", f"{after:.{digits}g}"
         if first != second:
             break
     return f"{first} → {second}"
+
+
+def _suspicion(document: DiagnosisDocument) -> str:
+    """Effects that may be missing, and what it takes to know; empty: none."""
+    if not document.suspected:
+        return ""
+    return (
+        f"{' and '.join(document.suspected)} may be missing: with it the held-out error falls, but not beyond noise. "
+        "More conditions decide."
+    )
 
 
 def _lowering(document: DiagnosisDocument) -> str:

@@ -138,7 +138,9 @@ def test_what_the_hold_out_does_not_support_is_suspected() -> None:
     nothing = diagnose(source, source.model).model_copy(update={"verdict": "NOTHING-MISSING", "named": ()})
     assert "show nothing missing in model" in summary_of(nothing) and "straight" not in summary_of(nothing)
     doubtful = summary_of(nothing.model_copy(update={"suspected": ("straight",)}))
-    assert "for certain. straight may be" in doubtful and "More conditions decide" in doubtful
+    assert "for certain. straight may be missing" in doubtful and "More conditions decide" in doubtful
+    unexplained = nothing.model_copy(update={"verdict": "NONE-EXPLAINS", "suspected": ("straight",)})
+    assert "explains why for certain. straight may be missing" in summary_of(unexplained)
 
 
 def test_shares_are_those_of_squared_errors_beyond_noise() -> None:
