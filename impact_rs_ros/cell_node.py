@@ -20,6 +20,7 @@ from impact_rs_ros.cell_trial import CellTrial, TrialLimits
 from impact_rs_ros.effort_arms import EffortArms, arms_of, commands_topic, rest_until
 from impact_rs_ros.motion_capture import COORDINATES, MOCAP, TrackerPoses
 from impact_rs_ros.names import on_network, resolved
+from impact_rs_ros.presence import UNKNOWN
 from impact_rs_ros.process import run
 from impact_rs_ros.qos import COMMAND, LATCHED
 from impact_rs_ros.robot_clock import RobotClock
@@ -34,7 +35,7 @@ from impact_rs_trials.bags.streams import Stream, StreamMaker
 from impact_rs_trials.bags.trial_info import TrialInfo
 
 BRAKING = 0.6  # s, that the arms may take to rest before a trial is left; six times the time constant of the brake
-LISTENING = 1.0  # s, until the effort controllers must have been found
+LISTENING = 1.0  # s, until the effort controllers, and the names of those who can send torques, must have been found
 SURVEY = 0.1  # s, between two looks at who else publishes what only this cell or one robot may publish
 
 
@@ -101,6 +102,7 @@ class CellNode(LeadingNode[CellTrial]):
             mocap = TrackerPoses(self.parameter("mocap_frame"), placement)
         start = self.parameter("start_tolerance")
         self._robots = self.node.count_publishers(resolved(self.node, STATES))
+        self._await_names()
         if complaint := self._strangers():
             raise InputError(f"not armed: {complaint}")
         self.inbox.clear()
@@ -172,6 +174,18 @@ class CellNode(LeadingNode[CellTrial]):
         if robots > max(1, self._robots):
             return f"{robots} publishers on {resolved(self.node, STATES)}, {self._robots} when the trial was armed"
         return ""
+
+    def _await_names(self) -> None:
+        """Wait for the names of those who can send torques: one without a name is a stranger, a watchdog is none."""
+        until = time.monotonic() + LISTENING
+        topics_of_arms = [resolved(self.node, commands_topic(arm)) for arm in self.arms]
+        while time.monotonic() < until and any(
+            info.node_name == UNKNOWN
+            for topic in topics_of_arms
+            for info in self.node.get_publishers_info_by_topic(topic)
+        ):
+            self.inbox.wait(MATCHING)
+            self._rest(MATCHING)
 
     def _await_listeners(self) -> None:
         """Wait for the effort controllers, which may have been found after the states."""

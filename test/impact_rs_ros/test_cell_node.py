@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from types import SimpleNamespace
 
 import pytest
 import rclpy
@@ -119,6 +120,31 @@ def test_whoever_else_can_send_torques_is_named_and_nothing_is_armed(cell: CellN
         cell.prepare(PUSH, None)  # type: ignore[arg-type]
     other.destroy_node()
     assert eventually(cell, lambda: cell._strangers() == "")
+
+
+def test_a_publisher_without_a_name_is_waited_for_and_then_a_stranger(
+    cell: CellNode, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The middleware knows a publisher of a node that starts before its name, which may be that of a watchdog."""
+    looks: list[str] = []
+
+    def watchdog_after(count: int) -> None:
+        looks.clear()
+
+        def found(topic: str) -> list[SimpleNamespace]:
+            looks.append(topic)
+            name = "_NODE_NAME_UNKNOWN_" if len(looks) <= count else "watchdog"
+            return [SimpleNamespace(node_name=name, node_namespace="/")]
+
+        monkeypatch.setattr(cell.node, "get_publishers_info_by_topic", found)
+
+    watchdog_after(3)
+    cell._await_names()
+    assert len(looks) == 4 and cell._strangers() == ""
+    watchdog_after(10**9)
+    monkeypatch.setattr(cell_node, "LISTENING", 0.01)
+    cell._await_names()
+    assert "can send torques" in cell._strangers()
 
 
 def test_a_second_publisher_of_joint_states_ends_the_trial(cell: CellNode, other: rclpy.node.Node) -> None:
