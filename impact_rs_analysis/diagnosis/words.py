@@ -110,7 +110,7 @@ def _verdict(document: DiagnosisDocument) -> str:
 
 
 def _fall(before: float, after: float) -> str:
-    """Two errors with as many digits as it takes to tell them apart, three at least."""
+    """Two errors, with three digits or as many as make them differ."""
     for digits in range(3, 18):
         first, second = f"{before:.{digits}g}", f"{after:.{digits}g}"
         if first != second:
