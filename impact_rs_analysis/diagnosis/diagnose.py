@@ -149,7 +149,7 @@ def findings_of(source: Source, effects: Sequence[Effect], progress: ProgressCal
         chosen, rivals = search.simplified(chosen)
         if (sure := without_the_doubtful(search, chosen)) is not chosen:
             chosen, rivals = sure, () if sure is None else search.rivals(sure)
-    if chosen is not None and (held := hold_out(source, effects, chosen.candidate)) is not None:
+    if chosen is not None and (held := hold_out(source, effects, chosen.candidate, search.ended)) is not None:
         supported = supported_by_hold_out(search, chosen, held)
         if supported is not chosen:
             kept = () if supported is None else supported.candidate.names

@@ -259,6 +259,12 @@ class Fit:
         return float(np.mean(self.problem.errors(self.change)))
 
     @property
+    def converged(self) -> bool:
+        """Whether the linear fit gains little over the candidate's point."""
+        here = float(np.mean(self.problem.errors(np.zeros_like(self.change))))
+        return here - self.misfit < ENOUGH * here
+
+    @property
     def poor(self) -> bool:
         """Whether more than noise and discrepancy is left, so that the fit may have missed the optimum."""
         return self.misfit > POOR * float(self.evidence.expected.mean())
@@ -420,10 +426,14 @@ def look_elsewhere(fitted: Fit) -> Fit:
     return fitted
 
 
-def measure_again(fitted: Fit) -> Fit:
+def measure_again(fitted: Fit, near: bool = False) -> Fit:
     """The fit against residuals of the model with its effects, every run replayed from its own start.
 
     The last correction of the estimate, its interval and the lack of fit come from here.
+
+    Args:
+        fitted: The fit.
+        near: Whether its sensitivities are those at an optimum already.
     """
     like = fitted.evidence
     for look in range(MOST_LOOKS):
@@ -435,7 +445,7 @@ def measure_again(fitted: Fit) -> Fit:
         evidence = replace(like, clusters=tuple(clusters))
         nothing = tuple(np.zeros_like(item.sigma) for item in clusters)
         fresh = replace(candidate, point=point, origin=added, offsets=nothing)
-        if look == 0:
+        if look == 0 and not near:
             fresh = linearise(fresh, clusters, like.numbers, like.source, "final sensitivities", NEAR_STEPS[0]) or fresh
         fitted = refine(fresh, evidence)
         if np.all(np.abs(fitted.estimate - point) < NEAR * candidate.scale):

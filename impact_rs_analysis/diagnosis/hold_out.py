@@ -3,7 +3,8 @@
 
 Held-out data influence neither shortlist, nor choice, nor estimate of the effects that predict them. For every fold the
 whole search (:mod:`impact_rs_analysis.diagnosis.search`) runs on the other clusters, and the model with the effects it
-found predicts the fold. A search needs two clusters that see an effect, to predict one from the other; where fewer are
+found predicts the fold. A fit of a fold begins where the fit of the same effects to all clusters ended, which costs few
+simulations; it ends where the other clusters alone lead it. A search needs two clusters that see an effect, to predict one from the other; where fewer are
 left, the fold fits the effects that the search of all clusters found. Conditions are held out with all their repeats.
 Of several recordings whole recordings are held out; of a single one runs of neighbouring stretches, without the
 neighbours on either side.
@@ -11,7 +12,7 @@ neighbours on either side.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 
@@ -90,13 +91,16 @@ def _neighbours(source: Source, held: Sequence[int]) -> set[int]:
     return {n for n in near if 0 <= n < len(source.clusters) and source.clusters[n].unit in units}
 
 
-def hold_out(source: Source, effects: Sequence[Effect], chosen: Candidate) -> HoldOut | None:
+def hold_out(
+    source: Source, effects: Sequence[Effect], chosen: Candidate, known: Mapping[tuple[str, ...], Candidate]
+) -> HoldOut | None:
     """Run the search on all but one fold in turn; None with too few clusters for a hold-out.
 
     Args:
         source: Measurements with the model's predictions.
         effects: Effects to consider.
         chosen: Effects that the search of all clusters found.
+        known: Where its fits ended, by names of effects (:attr:`Search.ended`).
     """
     folds = folds_of(source)
     if not folds:
@@ -106,7 +110,7 @@ def hold_out(source: Source, effects: Sequence[Effect], chosen: Candidate) -> Ho
     own = tuple(effect.name for effect in chosen.effects)
     few = [_seen_by(chosen, fold.training) < LEAST_TO_CHOOSE for fold in folds]
     tasks = list(zip(folds, few, strict=True))
-    results = source.spread(partial(_predicted, effects, own), tasks, "hold-out")
+    results = source.spread(partial(_predicted, effects, own, known), tasks, "hold-out")
     for (fold, alone), (found, left) in zip(tasks, results, strict=True):
         names.append(found)
         only_fitted += alone
@@ -122,11 +126,15 @@ def _seen_by(chosen: Candidate, clusters: Sequence[int]) -> int:
 
 
 def _predicted(
-    effects: Sequence[Effect], chosen: tuple[str, ...], source: Source, task: tuple[Fold, bool]
+    effects: Sequence[Effect],
+    chosen: tuple[str, ...],
+    known: Mapping[tuple[str, ...], Candidate],
+    source: Source,
+    task: tuple[Fold, bool],
 ) -> tuple[tuple[str, ...], list[Array]]:
     """Effects that the search finds without a fold, and the mean residuals of the fold with them."""
     fold, only_fit = task
-    search = Search(effects, Evidence.of(source, fold.training))
+    search = Search(effects, Evidence.of(source, fold.training), known=known)
     found = search.fitted(chosen) if only_fit else search.choose()
     if found is not None and not only_fit:
         found, _ = search.simplified(found)

@@ -9,9 +9,10 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations, product
+from types import MappingProxyType
 
 import numpy as np
 import scipy
@@ -66,6 +67,8 @@ class Rival:
     tied: bool
 
 
+NOTHING_KNOWN: Mapping[tuple[str, ...], Candidate] = MappingProxyType({})
+
 ProgressCallback = Callable[[str, float], None]
 
 
@@ -78,6 +81,8 @@ class Search:
         evidence: Residuals of the model in the clusters of the search.
         progress: Called after every fit with the effects joined by ``+`` and their held-out error, on the scale of
             :meth:`Evidence.size`.
+        known: Results of fits of the same effects to all clusters of the source, by the names of the effects: a fit
+            begins there. It ends where the evidence leads it.
 
     Attributes:
         singles: Every measurable effect alone, linearised at nominal.
@@ -86,9 +91,13 @@ class Search:
     """
 
     def __init__(
-        self, effects: Sequence[Effect], evidence: Evidence, progress: ProgressCallback = lambda *_: None
+        self,
+        effects: Sequence[Effect],
+        evidence: Evidence,
+        progress: ProgressCallback = lambda *_: None,
+        known: Mapping[tuple[str, ...], Candidate] = NOTHING_KNOWN,
     ) -> None:
-        self.evidence, self.source, self._progress = evidence, evidence.source, progress
+        self.evidence, self.source, self._progress, self._known = evidence, evidence.source, progress, known
         self.singles: dict[str, Candidate] = {}
         self.ended: dict[tuple[str, ...], Candidate] = {}
         self._looks = Counter(effect.name for effect in effects)
@@ -278,8 +287,7 @@ class Search:
             best = self._best(linear[:SHORTLIST], chosen)
             if best is None or excess - evidence.excess(best.held_out) <= needed:
                 break
-            chosen = measure_again(best)
-            self._keep(chosen)
+            chosen = self._measured_again(best)
             self._look_beside(chosen)
         return chosen
 
@@ -290,10 +298,24 @@ class Search:
         joined = self.singles[names[0]]
         for name in names[1:]:
             joined = joined.beside(self.singles[name])
-        return look_elsewhere(refine_again(refine(joined, self.evidence)))
+        return look_elsewhere(refine_again(self._refined(joined, self.evidence)))
 
-    def _keep(self, fitted: Fit) -> None:
+    def _refined(self, start: Candidate, evidence: Evidence, give_up: float = np.inf) -> Fit:
+        """The fit by simulation (:func:`refine`), from where the same effects are known to end."""
+        known = self._known.get(start.names)
+        if known is not None:
+            there = replace(known.only(evidence.numbers), origin=start.origin)
+            start = evaluate_at(there, there.point, evidence) or start
+            if (fitted := Fit.of(start, evidence)).converged:
+                return self._kept(fitted)
+        return self._kept(refine(start, evidence, give_up))
+
+    def _measured_again(self, fitted: Fit) -> Fit:
+        return self._kept(measure_again(fitted, near=fitted.candidate.names in self._known))
+
+    def _kept(self, fitted: Fit) -> Fit:
         self.ended[fitted.candidate.names] = fitted.candidate
+        return fitted
 
     def _report_progress(self, fitted: Fit) -> None:
         self._progress("+".join(fitted.candidate.names), self.evidence.size(fitted.held_out))
@@ -332,15 +354,14 @@ class Search:
         found: list[Fit] = []
         for entry in shortlist:
             beat = min((proposal.score for proposal in found), default=np.inf)
-            found.append(refine(entry.candidate, entry.evidence, HOPELESS * beat))
+            found.append(self._refined(entry.candidate, entry.evidence, HOPELESS * beat))
             self._report_progress(found[-1])
         if not found:
             return None
         top = min(proposal.score for proposal in found)
         for number, proposal in enumerate(found):
             if proposal.score <= HOPELESS * top:
-                found[number] = look_elsewhere(refine_again(proposal))
-            self._keep(found[number])
+                found[number] = self._kept(look_elsewhere(refine_again(proposal)))
         first = 0 if chosen is None else chosen.change.size
         if not self.source.repeated:
             found = [proposal for proposal in found if noticeable(proposal, first)]
@@ -365,7 +386,7 @@ class Search:
         """The other chosen effects, fitted again; None where they cannot be simulated."""
         others = self._others(chosen, name)
         reduced = evaluate_at(others, others.point, chosen.evidence)
-        return None if reduced is None else refine(reduced, chosen.evidence)
+        return None if reduced is None else self._refined(reduced, chosen.evidence)
 
     @staticmethod
     def _others(chosen: Fit, name: str) -> Candidate:
@@ -401,10 +422,9 @@ class Search:
                 joined = self._start(first).beside(self._start(second))
                 ranked.append((Fit.of(joined, self.evidence).score, joined))
         for _, joined in sorted(ranked, key=lambda entry: entry[0])[:PAIRS]:
-            pair = refine(joined, self.evidence, HOPELESS * chosen.score)
-            self._keep(pair)
+            pair = self._refined(joined, self.evidence, HOPELESS * chosen.score)
             if pair.score < (1.0 - LEAST_GAIN) * chosen.score:
-                chosen = measure_again(pair)
+                chosen = self._measured_again(pair)
         return chosen
 
     def simplified(self, chosen: Fit) -> tuple[Fit, list[Rival]]:
@@ -427,7 +447,7 @@ class Search:
                 break
             best = min(simpler, key=lambda rival: (known[rival.name].complexity(joints), rival.fit.score))
             # The replaced effect may have explained more, which is missing now.
-            chosen = self._extend(measure_again(best.fit)) or chosen
+            chosen = self._extend(self._measured_again(best.fit)) or chosen
             rivals = self.rivals(chosen)
         return chosen, rivals
 
@@ -455,7 +475,7 @@ class Search:
             for other, linear in proposals[:count]:
                 if linear.score > hopeless * chosen.score:
                     continue
-                fitted = refine_again(refine(linear.candidate, chosen.evidence, hopeless * chosen.score))
+                fitted = refine_again(self._refined(linear.candidate, chosen.evidence, hopeless * chosen.score))
                 found.append(Rival(other, name, fitted, tied(chosen, fitted) and not _in_the_limit(fitted, other)))
         return found
 

@@ -252,4 +252,4 @@ def test_a_real_robot_lacks_joint_friction_and_no_payload(real_bag: Path, capsys
     payload = effect(found, "end_effector_payload")
     assert payload.verdict != "CONFIRMED" and abs(payload.parameters["mass"].estimate) < 0.2
     after = np.array([row.after for row in found.joints])
-    assert np.all(after < [0.34, 0.27, 0.25, 0.25, 0.25, 0.12, 0.11])  # of searches that have not seen it
+    assert np.all(after < [0.36, 0.27, 0.25, 0.25, 0.25, 0.12, 0.11])  # of searches that have not seen it

@@ -47,13 +47,14 @@ def test_stretches_of_a_recording_are_predicted_without_their_neighbours() -> No
         assert list(fold.held) == list(range(fold.held[0], fold.held[0] + 4))
 
 
-def held_out(source: Source, effects: Sequence[Effect]) -> HoldOut:
+def held_out(source: Source, effects: Sequence[Effect], from_known: bool = True) -> HoldOut:
     evidence = Evidence.of(source)
-    chosen = Search(effects, evidence).choose()
+    search = Search(effects, evidence)
+    chosen = search.choose()
     first = linearise(Candidate.of((effects[0],), source), evidence.clusters, evidence.numbers, source)
     candidate = first if chosen is None else chosen.candidate
     assert candidate is not None
-    found = hold_out(source, effects, candidate)
+    found = hold_out(source, effects, candidate, search.ended if from_known else {})
     assert found is not None
     return found
 
@@ -83,6 +84,15 @@ def test_what_a_held_out_cluster_holds_does_not_change_its_prediction(number: in
     assert [held.chosen[fold] for _, held in found] == [("straight",)] * 2
     predicted = [source.clusters[number].mean - held.rest[number] for source, held in found]
     np.testing.assert_allclose(*predicted, atol=1e-9)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_fold_ends_at_the_same_place_from_wherever_it_begins(seed: int) -> None:
+    """From nominal, or from where the fit of all clusters ended: same effects, same predictions."""
+    source = AnalyticSource(seed, (("bent", (5.0,)), ("straight", (4.0,))))
+    cold, warm = (held_out(source, CONSIDERED, known) for known in (False, True))
+    assert warm.chosen == cold.chosen
+    np.testing.assert_allclose(np.concatenate(warm.rest), np.concatenate(cold.rest), atol=0.05)  # of the noise
 
 
 def test_what_only_a_held_out_cluster_shows_is_unknown_to_its_fold() -> None:
