@@ -16,7 +16,7 @@ from impact_rs_sim.impact_map.measured import solve_measured
 from impact_rs_sim.impact_map.problem import ImpactMapError
 from impact_rs_sim.robot import Array
 from impact_rs_trials.recordings.impact_table import SUFFIXES, ImpactRow, ImpactTable
-from impact_rs_trials.recordings.table_file import require
+from impact_rs_trials.recordings.table_columns import require
 from impact_rs_trials.workers import Map
 
 _AT_A_TIME = 50  # rows of a task; one takes some milliseconds

@@ -1,5 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""NPZ and HDF5 files: an array per signal, samples x joints, and one or several arrays of time stamps."""
+"""NPZ, HDF5 and MAT files: an array per signal, samples x joints, and one or several arrays of time stamps.
+
+MATLAB writes vectors as matrices, structures as ``data.q`` (here ``data/q``), and since version 7.3 an HDF5 file in
+which every array lies the other way round.
+"""
 
 from __future__ import annotations
 
@@ -7,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
 
 from impact_rs_sim.errors import InputError, did_you_mean
@@ -14,17 +19,18 @@ from impact_rs_sim.robot import Array
 from impact_rs_trials.recordings.clock import seconds_of
 from impact_rs_trials.recordings.mapping import UNITS, WIDTH, Mapping, SignalName, SignalSource
 from impact_rs_trials.recordings.series import MissingSignal, Names, Series
-from impact_rs_trials.recordings.table_file import require
+from impact_rs_trials.recordings.table_columns import require
 
 UNSEALED = (
     "{} has arrays without checksums (or with blocks of zeros, whose checksum is that of a lost block): accidental "
     "changes of numbers cannot be detected (fletcher32 in h5py)"
 )
+TIME_KEY = "time.array"
 REAL = "iuf"  # kinds of NumPy types whose numbers are taken: no complex ones, truth values, texts or durations
 
 
 class ArrayFile:
-    """One NPZ or HDF5 file.
+    """One NPZ, HDF5 or MAT file.
 
     Attributes:
         unsealed: Arrays without checksums that detect a change; those of an NPZ file always have some.
@@ -41,10 +47,7 @@ class ArrayFile:
     def __init__(self, path: Path, mapping: Mapping, names: Names) -> None:
         self._path, self._mapping, self._names = path, mapping, names
         self.unsealed: frozenset[str] = frozenset()
-        if path.suffix == ".npz":
-            self._arrays = _read_npz(path)
-        else:
-            self._arrays, self.unsealed = _read_hdf5(path)
+        self._arrays, self.unsealed = _read(path)
 
     @staticmethod
     def shapes_of(path: Path) -> dict[str, tuple[int, ...]]:
@@ -53,8 +56,7 @@ class ArrayFile:
         Raises:
             InputError: It is no such file.
         """
-        arrays = _read_npz(path) if path.suffix == ".npz" else _read_hdf5(path)[0]
-        return {name: array.shape for name, array in arrays.items()}
+        return {name: array.shape for name, array in _read(path)[0].items()}
 
     def series(self, name: SignalName, source: SignalSource) -> Series:
         """One signal in SI units.
@@ -65,34 +67,91 @@ class ArrayFile:
         """
         if source.array is None:
             raise MissingSignal(f"the mapping says no array for {name}", file=self._path, key=f"signals.{name}")
-        values = self._array(self._names.fill(source.array), name)
-        stamps = self._names.fill(source.time_array or self._mapping.time.array)
-        time = self._stamps(stamps, f"time of {name}")
-        if time.ndim != 1:
-            raise InputError(f"array {stamps!r} (time) is {time.shape}, expected one number a sample", file=self._path)
-        if values.shape != (time.size, self._mapping.width(name)):
-            what = "numbers" if name in WIDTH else "joints"
-            expected = f"{time.size} samples x {self._mapping.width(name)} {what}"
-            raise InputError(f"array {source.array!r} ({name}) is {values.shape}, expected {expected}", file=self._path)
-        time = seconds_of(time, UNITS["time"][self._mapping.time.unit]) + source.delay
-        place = f"array {source.array!r} ({name})"
-        remarks = (UNSEALED.format(self._path.name),) if self.unsealed else ()
-        return Series(place, time, self._mapping.to_si(name, values), remarks=remarks).sampled()
+        place, width = f"array {source.array!r} ({name})", self._mapping.width(name)
+        values = self._array(self._names.fill(source.array), name, f"signals.{name}.array")
+        if width == 1 and values.ndim == 1:
+            values = values[:, None]
+        time = self._time(source, name, values)
+        remarks: tuple[str, ...] = (UNSEALED.format(self._path.name),) if self.unsealed else ()
+        if values.shape == (width, time.size) and width != time.size:
+            values = values.T
+            remarks += (f"{place} is joints x samples, and was turned",)
+        if values.shape != (time.size, width):
+            expected = f"{time.size} samples x {width} {'numbers' if name in WIDTH else 'joints'}"
+            raise InputError(f"{place} is {values.shape}, expected {expected}", file=self._path)
+        return Series(place, time + source.delay, self._mapping.to_si(name, values), remarks=remarks).sampled()
 
-    def _stamps(self, name: str, meaning: str) -> NDArray[Any]:
+    def _time(self, source: SignalSource, name: SignalName, values: Array) -> Array:
+        """Stamps of the samples of a signal [s]."""
+        clock = self._mapping.time
+        if clock.rate is not None:
+            width = self._mapping.width(name)
+            count = values.size // width if values.ndim == 2 and width in values.shape else 0
+            return np.asarray(np.arange(count) / clock.rate)
+        if clock.unit == "date":
+            said = "arrays hold numbers, expected their unit: s, ms, us or ns"
+            raise InputError(said, file=self._path, key="time.unit", value=clock.unit)
+        array = self._names.fill(source.time_array or clock.array)
+        stamps = self._stamps(array, f"time of {name}", f"signals.{name}.time_array" if source.time_array else TIME_KEY)
+        if stamps.ndim == 2 and 1 in stamps.shape:  # a vector of MATLAB
+            stamps = stamps.ravel()
+        if stamps.ndim != 1:
+            raise InputError(f"array {array!r} (time) is {stamps.shape}, expected one number a sample", file=self._path)
+        return seconds_of(stamps, UNITS["time"][clock.unit])
+
+    def _stamps(self, name: str, meaning: str, key: str) -> NDArray[Any]:
         """An array of time, in whole numbers where it holds those."""
-        as_numbers, as_stored = self._array(name, meaning), self._arrays[name.strip("/")]
+        as_numbers, as_stored = self._array(name, meaning, key), self._arrays[name.strip("/")]
         return as_stored if np.issubdtype(as_stored.dtype, np.integer) else as_numbers
 
-    def _array(self, name: str, meaning: str) -> Array:
+    def _array(self, name: str, meaning: str, key: str) -> Array:
         name = name.strip("/")
         if name not in self._arrays:
             near, found = did_you_mean(name, self._arrays), ", ".join(self._arrays)
-            raise MissingSignal(f"no array {name!r} ({meaning}){near}; found: {found}", file=self._path)
+            said = f"no array {name!r} ({meaning}){near}; found: {found}"
+            raise MissingSignal(said, file=self._path, key=f"{key} of the mapping")
         stored = self._arrays[name]
         if stored.dtype.kind not in REAL:
             raise InputError(f"array {name!r} ({meaning}) holds {stored.dtype}, expected real numbers", file=self._path)
         return np.asarray(stored, dtype=float)
+
+
+def _read(path: Path) -> tuple[dict[str, Array], frozenset[str]]:
+    """Arrays by name, and which of them carry no checksums."""
+    if path.suffix == ".npz":
+        return _read_npz(path), frozenset()
+    if path.suffix != ".mat":
+        return _read_hdf5(path)
+    with path.open("rb") as file:
+        newest = file.read(128).startswith(b"MATLAB 7.3")
+    if not newest:
+        arrays = _read_mat(path)
+        return arrays, frozenset(arrays)
+    arrays, unsealed = _read_hdf5(path)
+    return {name: array.T for name, array in arrays.items()}, unsealed
+
+
+def _read_mat(path: Path) -> dict[str, Array]:
+    arrays: dict[str, Array] = {}
+
+    def keep(name: str, value: Any) -> None:
+        fields = getattr(value, "_fieldnames", None)
+        if fields is not None:
+            for field in fields:
+                keep(f"{name}/{field}", getattr(value, field))
+        elif isinstance(value, np.ndarray) and value.dtype.kind == "O" and value.size == 1:
+            keep(name, value.flat[0])  # a structure, or a cell of one array
+        elif isinstance(value, np.ndarray):
+            arrays[name] = value
+
+    try:
+        for name, value in scipy.io.loadmat(path, struct_as_record=False, squeeze_me=False).items():
+            if not name.startswith("__"):
+                keep(name, value)
+    except Exception as error:  # a damaged file can fail anywhere inside the library
+        said = (str(error).splitlines() or [type(error).__name__])[0]
+        raise InputError(f"not a readable MAT file ({said})", file=path) from None
+    return arrays
 
 
 def _read_npz(path: Path) -> dict[str, Array]:

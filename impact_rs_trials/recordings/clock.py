@@ -62,7 +62,8 @@ def check_stamps(path: Path, what: str, time: Array) -> None:
     count = int(np.sum(steps == 0.0))
     raise InputError(
         f"{what}: time stamps stand still {at}, {count} of {time.size} repeat the one before: recorded twice, or "
-        "stamped by a clock that is too coarse; keep one sample of each, or take other stamps (time in the mapping)",
+        "stamped by a clock that is too coarse; in the mapping time.repeated: keep_first keeps one sample of each, and "
+        "time.column takes other stamps",
         file=path,
     )
 

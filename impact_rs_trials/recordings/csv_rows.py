@@ -9,15 +9,18 @@ from pathlib import Path
 from impact_rs_sim.errors import InputError
 
 
-def csv_rows(path: Path) -> list[tuple[int, list[str]]]:
+def csv_rows(path: Path, header: int | None = None, first: int | None = None) -> list[tuple[int, list[str]]]:
     """Cells of every row with the line it stands in, counted from 1.
 
-    Cells are separated by commas, semicolons or tabs, whichever the first row has most of. Empty lines and lines that
-    begin with # are skipped. A quoted cell ends in its line: with a stray quotation mark a cell would go on until the
-    next one and swallow the rows between them.
+    Cells are separated by commas, semicolons or tabs, whichever the first row has most of, or by blanks where it has
+    none of them. Empty lines and lines that begin with # are skipped. A quoted cell ends in its line: with a stray
+    quotation mark a cell would go on until the next one and swallow the rows between them.
 
     Args:
         path: The file, in UTF-8.
+        header: Line of the names, which may begin with #; lines above it are no rows. 0: the file has no names; None:
+            they stand in the first line that is not skipped.
+        first: Line of the first row below the names; None: the next.
 
     Raises:
         InputError: It cannot be read, or a line is no row; the message names the line.
@@ -28,11 +31,23 @@ def csv_rows(path: Path) -> list[tuple[int, list[str]]]:
         raise InputError(f"not a table in UTF-8: {error}", file=path) from None
     except OSError as error:
         raise InputError(f"cannot be read: {error.strerror or error}", file=path) from None
-    lines = [(number, line) for number, line in enumerate(text.split("\n"), 1)]
-    lines = [(number, line) for number, line in lines if line.strip() and not line.startswith("#")]
+    every = list(enumerate(text.split("\n"), 1))
+    lines = [(number, line) for number, line in every if line.strip() and not line.startswith("#")]
+    if header:
+        named = [(number, line.lstrip("# ")) for number, line in every[header - 1 : header] if line.strip("# \r")]
+        if not named:
+            raise InputError(
+                f"expected the names of the columns there; the file has {len(every)} lines", file=path,
+                key="table.header", value=header,
+            )  # fmt: skip
+        lines = named + [(number, line) for number, line in lines if number > header]
+    if first is not None:
+        lines = lines[: header != 0] + [(number, line) for number, line in lines[header != 0 :] if number >= first]
     if not lines:
         return []
     separator = max(",;\t", key=lines[0][1].count)
+    if separator not in lines[0][1] and len(lines[0][1].split()) > 1:
+        return [(number, line.split()) for number, line in lines]
     return [(number, _cells(path, number, line, separator)) for number, line in lines]
 
 

@@ -27,7 +27,7 @@ from impact_rs_sim.scenario import Scenario, load_scenario
 from impact_rs_sim.schema import Schema, Vector3, load
 from impact_rs_trials.recordings.csv_rows import csv_rows
 from impact_rs_trials.recordings.mapping import Mapping, load_mapping
-from impact_rs_trials.recordings.sources import FILE_SUFFIXES
+from impact_rs_trials.recordings.sources import FILE_SUFFIXES, name_of, spread_runs
 
 HIT = "hit"
 FREE_MOTION = "free motion"
@@ -164,7 +164,7 @@ class RunRow:
     @property
     def name(self) -> str:
         """Name of the recording, without the ending of a file."""
-        return self.path.name if self.path.is_dir() else self.path.stem
+        return name_of(self.path)
 
 
 def read_runs(directory: Path, experiment: Experiment, scenario: Scenario) -> list[RunRow]:
@@ -187,6 +187,8 @@ def read_runs(directory: Path, experiment: Experiment, scenario: Scenario) -> li
         near = did_you_mean(experiment.runs, [file.name for file in directory.iterdir() if file.is_file()])
         folders = f"{directory} or {experiment.folder}" if experiment.folder != directory else str(directory)
         raise InputError(f"no table of runs {experiment.runs!r} in {folders}{near}", file=directory)
+    mappings = list(experiment.load_mappings(scenario.robots).values())
+    spread = mappings if all(mapping.spread for mapping in mappings) else []
     header, rows = _table(path)
     place = {name: header.index(name) for name in header}
     further = [name for name in header if name not in COLUMNS]
@@ -204,7 +206,7 @@ def read_runs(directory: Path, experiment: Experiment, scenario: Scenario) -> li
             raise _wrong(path, line, "object", name, f"expected an object of scenario {scenario.name!r}: {known}{near}")
         if not hit and name not in (NO_OBJECT, ""):
             raise _wrong(path, line, "object", name, f"expected {NO_OBJECT!r}, nothing is touched in free motion")
-        recording = _recording(path, line, directory, cells["bag"])
+        recording = _recording(path, line, directory, cells["bag"], spread)
         if recording in seen:
             raise _wrong(path, line, "bag", cells["bag"], f"stands in line {seen[recording]} already")
         seen[recording] = line
@@ -264,11 +266,18 @@ def _table(path: Path) -> tuple[list[str], list[tuple[int, list[str]]]]:
     return header, rows
 
 
-def _recording(table: Path, line: int, directory: Path, name: str) -> Path:
-    """File or folder that a row names; the ending of a file may be left out."""
+def _recording(table: Path, line: int, directory: Path, name: str, spread: Sequence[Mapping]) -> Path:
+    """File or folder that a row names; the ending of a file may be left out, and of several files stand run alone."""
     if not name:
         raise _wrong(table, line, "bag", name, "expected the name of a recording")
     path = directory / name
+    if spread:
+        runs = spread_runs(path.parent, spread[0]) if path.parent.is_dir() else {}
+        if path in runs:
+            return path
+        files = ", ".join(sorted({str(source.file) for mapping in spread for source in mapping.signals.values()}))
+        near = did_you_mean(path.name, [run.name for run in runs])
+        raise _wrong(table, line, "bag", name, f"no such run among the files {files} in {path.parent}{near}")
     try:
         if path.exists():
             return path

@@ -78,7 +78,7 @@ from impact_rs_sim.robot_model import RobotModel
 from impact_rs_sim.scenario import Scenario
 from impact_rs_sim.scene import ArmState, BodyState
 from impact_rs_trials.recordings.csv_rows import csv_rows
-from impact_rs_trials.recordings.table_file import require
+from impact_rs_trials.recordings.table_columns import require
 
 SUFFIXES = (".csv", ".parquet")
 FACTORS: dict[str, dict[str, float]] = {  # from the unit of a header to SI

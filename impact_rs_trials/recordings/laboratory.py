@@ -42,6 +42,7 @@ from impact_rs_trials.recordings.clock import (
     grid_from,
     tell_gaps,
 )
+from impact_rs_trials.recordings.clock_offset import on_one_clock, with_start_at
 from impact_rs_trials.recordings.contact_frame import ContactFrame, PadOnFace, contact_frame
 from impact_rs_trials.recordings.experiment import Experiment, MotionCapture, RunRow, read_runs, run_named
 from impact_rs_trials.recordings.faults import without_faults
@@ -318,10 +319,14 @@ def read_run(laboratory: Laboratory, run: RunRow) -> Run:
     path, tracker = run.path, laboratory.tracker
     wanted: list[SignalName] = [*ARM_SIGNALS, "command", "wrench", *(OBJECT_SIGNALS if run.hit else ())]
     arms = laboratory.series(run, wanted, _needed(laboratory, run))
+    for arm, own in arms.items():
+        with laboratory.told_of(arm):
+            arms[arm] = on_one_clock(path, own, laboratory.mappings[arm], laboratory.models[arm])
     remarks = list(dict.fromkeys(remark for own in arms.values() for one in own.values() for remark in one.remarks))
     faults: list[str] = []
     if run.hit:
         arms[tracker] = _with_object(path, arms[tracker], remarks)
+        _start_in_the_impact(laboratory, run, arms, remarks)
     for arm, own in arms.items():
         with laboratory.told_of(arm):
             for name, one in own.items():
@@ -481,6 +486,18 @@ def _with_object(path: Path, series: ArmSeries, remarks: list[str]) -> ArmSeries
     return series
 
 
+def _start_in_the_impact(laboratory: Laboratory, run: RunRow, arms: dict[str, ArmSeries], remarks: list[str]) -> None:
+    """Bring the object's pose to the clock of the joints, where it has one of its own."""
+    tracker, mapping = laboratory.tracker, laboratory.mappings[laboratory.tracker]
+    if "object_pose" not in arms[tracker]:
+        return
+    name = next(name for name in OBJECT_SIGNALS if name in mapping.signals)
+    pose = arms[tracker]["object_pose"]
+    moved = with_start_at(run.path, pose, impact_time(arms[tracker]["velocity"]), mapping, name)
+    remarks += [remark for remark in moved.remarks if remark not in pose.remarks]
+    arms[tracker] = {**arms[tracker], "object_pose": moved}
+
+
 def _check(path: Path, name: SignalName, series: Series) -> None:
     """Stamps that increase without a jump, and finite numbers."""
     if name in REQUIRED and series.time.size < LEAST_SAMPLES:
@@ -506,7 +523,8 @@ def _check_overlap(path: Path, base: Series, series: ArmSeries) -> None:
         if one.time[-1] < base.time[0] or one.time[0] > base.time[-1]:
             raise InputError(
                 f"{one.place} spans {one.time[0]:.3f} ... {one.time[-1]:.3f} s, {base.place} {base.time[0]:.3f} ... "
-                f"{base.time[-1]:.3f} s: another clock, or another run? `delay` in the mapping shifts a signal",
+                f"{base.time[-1]:.3f} s: another clock, or another run? In the mapping signals.NAME.delay "
+                "shifts a signal, and signals.NAME.clock: own finds the offset from the motion",
                 file=path,
             )
 

@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Mapping files: where a recording that was not made here keeps its signals (``config/mappings/*.yaml``).
 
-One mapping serves bags (topic, message type and field), CSV and Parquet files (a column per joint) and NPZ and HDF5
-files (an array per signal). What a signal is called is data; what it means is said here, with its unit.
+One mapping serves bags (topic, message type and field), tables (CSV, text, Parquet, NPY: a column per joint) and files
+of arrays (NPZ, HDF5, MAT: an array per signal). What a signal is called is data; what it means is said here, with its
+unit.
 
 In ``topic``, ``child_frame``, ``file``, ``joints`` and column names ``{object}`` stands for the object of a run,
 ``{arm}`` for the arm of its scenario and ``{run}`` for the run's own name.
@@ -40,7 +41,7 @@ UNITS: dict[str, dict[str, float]] = {
     "length": {"m": 1.0, "mm": 1e-3},
     "orientation": {"-": 1.0},
     "wrench": {"N, N m": 1.0},
-    "time": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9},
+    "time": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "date": 1e-9},  # dates are read as whole nanoseconds
 }
 QUANTITY = {  # quantity of each signal
     "position": "position",
@@ -86,14 +87,20 @@ class SignalSource(Schema):
         None, description="stamp of a message; absent: that of the mapping, and the log where there is no header"
     )
     child_frame: str | None = Field(None, description="child_frame_id to take from transforms; * matches any text")
-    column: str | None = Field(None, description="column of a CSV or Parquet file; {joint} stands for 1, 2, ...")
-    columns: tuple[str, ...] | None = Field(None, description="columns of a CSV or Parquet file one by one, in order")
+    column: str | None = Field(
+        None,
+        description="column of a table; {joint} stands for 1, 2, ..., without it a cell holds all numbers of a sample",
+    )
+    columns: tuple[str, ...] | None = Field(None, description="columns of a table one by one, in order")
     time_column: str | None = Field(None, description="column of this signal's own time; absent: that of the mapping")
-    array: str | None = Field(None, description="array of an NPZ or HDF5 file, samples x joints")
+    array: str | None = Field(None, description="array of an NPZ, HDF5 or MAT file, samples x joints")
     time_array: str | None = Field(None, description="array of this signal's own time; absent: that of the mapping")
     file: str | None = Field(None, description="file in the folder of a run; absent: the run's own file")
     quaternion_order: Literal["xyzw", "wxyz"] = Field("xyzw", description="order of a quaternion's numbers in a table")
     delay: float = Field(0.0, description="added to the time stamps [s]")
+    clock: Literal["shared", "own"] = Field(
+        "shared", description="own: its stamps are of another clock; the constant offset is found from the motion"
+    )
     unit: str | tuple[str, ...] = Field(
         description="unit of the numbers in the file; of joints of which some turn and some slide, a list with one each"
     )
@@ -111,9 +118,30 @@ class TimeSource(Schema):
     """Where the time stamps are."""
 
     stamp: Literal["header", "log"] = Field("header", description="stamp of a message: its header or the bag's log")
-    column: str = Field("time", description="column of a CSV or Parquet file")
-    array: str = Field("time", description="array of an NPZ or HDF5 file")
-    unit: Literal["s", "ms", "us", "ns"] = Field("s", description="unit of the stamps in files that are no bags")
+    column: str = Field("time", description="column of a table")
+    array: str = Field("time", description="array of an NPZ, HDF5 or MAT file")
+    unit: Literal["s", "ms", "us", "ns", "date"] = Field(
+        "s", description="unit of the stamps in files that are no bags; date: 2026-11-25 12:00:00.5, a zone may follow"
+    )
+    rate: Annotated[float | None, Field(gt=0.0)] = Field(
+        None, description="sampling rate of files without stamps [Hz]; absent: they have stamps"
+    )
+    repeated: Literal["refuse", "keep_first"] = Field(
+        "refuse", description="samples with the stamp of the one before: refuse the file, or keep the first of each"
+    )
+
+
+class TableLayout(Schema):
+    """Where rows and names of columns stand in a text table."""
+
+    header: Annotated[int | None, Field(ge=0)] = Field(
+        None,
+        description="line of the column names, counted from 1; lines above it are skipped; 0: there is none, and the "
+        "columns are c1, c2, ...; absent: the first line that is neither empty nor a remark (#)",
+    )
+    first: Annotated[int | None, Field(ge=1)] = Field(
+        None, description="line of the first row, below a line of units for example; absent: the next"
+    )
 
 
 class MountedEndEffector(Schema):
@@ -174,6 +202,7 @@ class Mapping(Schema):
     )
     low_pass: Annotated[float, Field(gt=0.0, description="cut-off of the zero-phase low-pass [Hz]")] = 3.0
     time: TimeSource = Field(default_factory=TimeSource, description="time stamps")
+    table: TableLayout = Field(default_factory=TableLayout, description="where a text table has its names and rows")
     definitions: tuple[str, ...] = Field((), description="message packages whose definitions are in mappings/messages")
     signals: dict[SignalName, SignalSource] = Field(description="where each signal is")
 
@@ -229,6 +258,11 @@ class Mapping(Schema):
             raise ValueError(f"signals has both object_pose and {parts[0]}, expected one of them")
         if len(parts) == 1:
             raise ValueError(f"signals.{parts[0]} stands alone, expected object_position and object_quaternion")
+
+    @property
+    def spread(self) -> bool:
+        """Whether every run lies in files of its own name, which no file of one run holds together."""
+        return all(source.file is not None and "{run}" in source.file for source in self.signals.values())
 
     def width(self, signal: SignalName) -> int:
         """How many numbers one sample of a signal has."""

@@ -18,11 +18,18 @@ from impact_rs_sim.physics import ArmPhysics, JointFriction, ObjectPhysics, Phys
 from impact_rs_sim.robot import Array, joined_units
 from impact_rs_sim.robot_model import RobotModel
 from impact_rs_trials.recordings.clock import check_stamps, gaps, tell_gaps
+from impact_rs_trials.recordings.clock_offset import on_one_clock
 from impact_rs_trials.recordings.faults import EXCESS, FEW, MARGIN, without_faults
 from impact_rs_trials.recordings.joint_checks import doubts_of_arm
 from impact_rs_trials.recordings.mapping import JOINT_SIGNALS, REQUIRED, Mapping, SignalName
 from impact_rs_trials.recordings.series import Series
-from impact_rs_trials.recordings.sources import BAG_SUFFIXES, FILE_SUFFIXES, read_series
+from impact_rs_trials.recordings.sources import (
+    BAG_SUFFIXES,
+    FILE_SUFFIXES,
+    SEARCHED_SUFFIXES,
+    read_series,
+    spread_runs,
+)
 from impact_rs_trials.runs import ArmSignals, Run, Signals
 
 logger = logging.getLogger(__name__)
@@ -51,9 +58,10 @@ def find_recordings(path: Path) -> list[Path]:
     if (path / "metadata.yaml").is_file():
         return [path]
     bags = {file.parent for file in path.rglob("metadata.yaml")}
-    files = {file for suffix in FILE_SUFFIXES for file in path.rglob(f"*{suffix}") if file.parent not in bags}
+    files = {file for suffix in SEARCHED_SUFFIXES for file in path.rglob(f"*{suffix}") if file.parent not in bags}
     if not bags | files:
-        raise InputError(f"no recording here; expected {', '.join(FILE_SUFFIXES)} or the folder of a bag", file=path)
+        expected = f"{', '.join(SEARCHED_SUFFIXES)} or the folder of a bag"
+        raise InputError(f"no recording here; expected {expected}", file=path)
     return sorted(bags | files)
 
 
@@ -87,19 +95,29 @@ def read_recordings(path: Path, mapping: Mapping) -> list[Run]:
     Raises:
         InputError: A recording cannot be used; the message says what was expected.
     """
-    return [piece for item in find_recordings(path) for piece in _pieces(item, mapping)]
+    if mapping.spread and path.is_dir():
+        found = list(spread_runs(path, mapping))
+        if not found:
+            files = ", ".join(sorted({str(source.file) for source in mapping.signals.values()}))
+            raise InputError(f"no file here is called as signals.NAME.file of the mapping says: {files}", file=path)
+    else:
+        found = find_recordings(path)
+    return [piece for item in found for piece in _pieces(item, mapping)]
 
 
 def _pieces(path: Path, mapping: Mapping) -> list[Run]:
-    """One recording, checked, in the pieces that faults of sensors leave of it."""
+    """One recording, checked, in the pieces that gaps and faults of sensors leave of it."""
     recorded = read_series(path, mapping, JOINT_SIGNALS, REQUIRED)
+    gaps_said = []
     for name, one in recorded.items():
         what = one.place if name == "position" or one.log is not None else f"time of {one.place}"
-        _check_time(path, one.time, what, mapping.low_pass)
+        gaps_said += _check_time(path, one.time, what, mapping.low_pass)
         if name in REQUIRED:
             _check_numbers(path, name, one.time, one.values)
     model = _model(mapping)
+    recorded = on_one_clock(path, recorded, mapping, model)
     series, remarks = without_faults(recorded, mapping, model)
+    remarks = [*gaps_said, *remarks]
     time = series["position"].time
     remarks = list(dict.fromkeys([*(remark for one in series.values() for remark in one.remarks), *remarks]))
     found = []
@@ -189,18 +207,17 @@ def _longest_gap(period: float, low_pass: float) -> float:
     return max(LARGEST_GAP * period, GAP_IN_LOW_PASS / low_pass)
 
 
-def _check_time(path: Path, time: Array, what: str, low_pass: float) -> None:
+def _check_time(path: Path, time: Array, what: str, low_pass: float) -> list[str]:
+    """Stamps that increase; returns what is said of gaps, which cut the recording into pieces."""
     if time.size < LEAST_SAMPLES:
         raise InputError(f"{what}: {time.size} samples, at least {LEAST_SAMPLES} are needed", file=path)
     check_stamps(path, what, time)
     period = float(np.median(np.diff(time)))
     found = gaps(time, _longest_gap(period, low_pass))
-    if found:
-        raise InputError(
-            f"{what}: gap of {tell_gaps(found, time[0])} (period {period:.4f} s, low-pass {low_pass:g} Hz); cut the "
-            "recording there",
-            file=path,
-        )
+    if not found:
+        return []
+    said = tell_gaps(found, time[0])
+    return [f"{what}: gap of {said} (period {period:.4f} s, low-pass {low_pass:g} Hz); the pieces between are used"]
 
 
 def check_arm(path: Path, time: Array, arm: ArmSignals, mapping: Mapping, briefly: float = 0.0) -> None:

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -59,6 +59,16 @@ class Series:
             return self
         log = None if self.log is None else self.log[kept]
         return Series(self.place, self.time[kept], self.values[kept], log, self.remarks)
+
+    def without_repeats(self) -> Series:
+        """Without the samples that have the stamp of the one before them; a remark says how many."""
+        kept = np.diff(self.time, prepend=-np.inf) != 0.0
+        if kept.all():
+            return self
+        repeats = int(np.sum(~kept))
+        said = f"{self.place}: {repeats} of {kept.size} samples have the stamp of the one before; the first is kept"
+        log = None if self.log is None else self.log[kept]
+        return replace(self, time=self.time[kept], values=self.values[kept], log=log, remarks=(*self.remarks, said))
 
     def at(self, time: Array) -> Array:
         """Interpolated linearly, and held at the ends, ``(m, c)``; the samples themselves at their own stamps."""

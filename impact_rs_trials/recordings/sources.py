@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Collection, Iterable
 from pathlib import Path
 from typing import Protocol
@@ -15,9 +16,11 @@ from impact_rs_trials.recordings.series import MissingSignal, Names, Series
 from impact_rs_trials.recordings.table_file import TableFile
 
 BAG_SUFFIXES = (".db3", ".mcap")
-TABLE_SUFFIXES = (".csv", ".parquet")
-ARRAY_SUFFIXES = (".npz", ".h5", ".hdf5")
+NOTE_SUFFIXES = (".txt", ".dat")  # of tables that are read where they are named; others of a folder may be notes
+TABLE_SUFFIXES = (".csv", ".tsv", ".parquet", ".npy", *NOTE_SUFFIXES)
+ARRAY_SUFFIXES = (".npz", ".h5", ".hdf5", ".mat")
 FILE_SUFFIXES = (*BAG_SUFFIXES, *TABLE_SUFFIXES, *ARRAY_SUFFIXES)
+SEARCHED_SUFFIXES = tuple(suffix for suffix in FILE_SUFFIXES if suffix not in NOTE_SUFFIXES)
 
 
 class SignalFile(Protocol):
@@ -37,6 +40,37 @@ def is_bag_folder(path: Path) -> bool:
     return (path / "metadata.yaml").is_file()
 
 
+def spread_runs(folder: Path, mapping: Mapping) -> dict[Path, str]:
+    """Runs whose signals lie in files of a folder with the run's name in theirs, in natural order, and their objects.
+
+    Args:
+        folder: The folder.
+        mapping: Names the files, ``hit_{run}.csv`` or ``object_{object}_hit_{run}.csv``.
+    """
+    patterns = {source.file for source in mapping.signals.values() if source.file is not None}
+    runs: dict[str, str] = {}
+    for pattern in sorted(patterns):
+        expression = re.escape(pattern)
+        for part in ("run", "object", "arm"):
+            once = expression.replace(re.escape(f"{{{part}}}"), f"(?P<{part}>[^/]+)", 1)
+            expression = once.replace(re.escape(f"{{{part}}}"), f"(?P={part})")
+        for file in folder.iterdir():
+            if found := re.fullmatch(expression, file.name):
+                known = found.groupdict()
+                runs[known["run"]] = known.get("object") or runs.get(known["run"], "")
+    return {folder / run: runs[run] for run in sorted(runs, key=natural)}
+
+
+def natural(name: str) -> list[tuple[bool, int, str]]:
+    """Order in which run 9 comes before run 10."""
+    return [(part.isdecimal(), int(part) if part.isdecimal() else 0, part) for part in re.split(r"(\d+)", name)]
+
+
+def name_of(path: Path) -> str:
+    """Name of a run, without the ending of a file."""
+    return path.stem if path.suffix in FILE_SUFFIXES and not path.is_dir() else path.name
+
+
 def read_series(
     path: Path,
     mapping: Mapping,
@@ -47,7 +81,8 @@ def read_series(
     """Signals of one run as its files have them.
 
     Args:
-        path: A file; a folder of a bag; or, where the mapping names files, a folder of those.
+        path: A file; a folder of a bag; or, where the mapping names files, a folder of those, or the name of a run
+            beside them.
         mapping: Where the signals are.
         wanted: Signals to read, as far as the mapping has them.
         needed: Of those, the ones that must be there.
@@ -56,7 +91,7 @@ def read_series(
     Raises:
         InputError: A needed signal is missing, or something cannot be used.
     """
-    names = names or Names(run=path.stem)
+    names = names or Names(run=name_of(path))
     sources = {name: mapping.signals[name] for name in wanted if name in mapping.signals}
     files: dict[Path, list[SignalName]] = {}
     for name, source in sources.items():
@@ -76,7 +111,7 @@ def read_series(
             if series.time.size == 0 and name in needed:
                 raise InputError(f"{series.place} has no sample", file=file)
             if series.time.size:
-                found[name] = series
+                found[name] = series.without_repeats() if mapping.time.repeated == "keep_first" else series
     return found
 
 
@@ -95,12 +130,12 @@ def _file_of(path: Path, source: SignalSource, names: Names) -> Path:
         return folder / names.fill(source.file)
     if not path.is_dir() or is_bag_folder(path):
         return path
-    inside = sorted(file for file in path.iterdir() if file.suffix in FILE_SUFFIXES)
+    inside = sorted(file for file in path.iterdir() if file.suffix in SEARCHED_SUFFIXES)
     if len(inside) == 1:  # a bag that has lost its metadata.yaml, or a table in a folder of its own
         return inside[0]
     if not inside:
         raise InputError(
-            f"no recording in this folder; expected metadata.yaml of a bag, or one of {', '.join(FILE_SUFFIXES)}",
+            f"no recording in this folder; expected metadata.yaml of a bag, or one of {', '.join(SEARCHED_SUFFIXES)}",
             file=path,
         )
     raise InputError(

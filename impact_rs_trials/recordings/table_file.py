@@ -1,13 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
-"""CSV and Parquet files: a column per joint.
+"""Tables (CSV, text, Parquet, NPY): a column per joint, or one whose cells hold all joints, ``0.1 0.2 0.3``.
 
 A row may hold some signals only: where all cells of a signal are empty (or NaN) it has no sample.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping as AbstractMapping
-from importlib.util import find_spec
+import re
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
@@ -15,28 +15,25 @@ import numpy as np
 from numpy.typing import NDArray
 
 from impact_rs_sim.decimals import decimal
-from impact_rs_sim.errors import InputError, did_you_mean
+from impact_rs_sim.errors import InputError, did_you_mean, shortened
 from impact_rs_sim.robot import Array
 from impact_rs_trials.recordings.clock import seconds_of
-from impact_rs_trials.recordings.csv_rows import csv_rows
-from impact_rs_trials.recordings.mapping import UNITS, Mapping, SignalName, SignalSource
+from impact_rs_trials.recordings.mapping import UNITS, Mapping, SignalName, SignalSource, TableLayout
 from impact_rs_trials.recordings.series import MissingSignal, Names, Series
+from impact_rs_trials.recordings.table_columns import read_columns
 
 SHOWN = 8  # column names in a message
-
-
-def require(package: str, path: Path) -> None:
-    """Say how to get a library that reading this file takes.
-
-    Raises:
-        InputError: It is not installed.
-    """
-    if find_spec(package) is None:
-        raise InputError(f"{path.suffix} files need {package}: pip install 'impact-rs[export]'", file=path)
+BRACKETS = "[](){} \t"  # about the numbers of a cell
+BETWEEN = re.compile(r"[\s,;]+")
+DATE = re.compile(
+    r"(\d{4})[-/](\d\d)[-/](\d\d)[T ](\d\d):(\d\d):(\d\d)(?:[.,](?P<fraction>\d{1,9}))?"
+    r" ?(?P<zone>Z|(?P<sign>[+-])(?P<hours>\d\d):?(?P<minutes>\d\d))?",
+    re.ASCII,
+)
 
 
 class TableFile:
-    """One CSV or Parquet file.
+    """One table.
 
     Args:
         path: The file.
@@ -49,18 +46,16 @@ class TableFile:
 
     def __init__(self, path: Path, mapping: Mapping, names: Names) -> None:
         self._path, self._mapping, self._names = path, mapping, names
-        self._columns: AbstractMapping[str, list[str] | NDArray[Any]] = (
-            _read_csv(path) if path.suffix == ".csv" else _read_parquet(path, UNITS["time"][mapping.time.unit])
-        )
+        self._columns = read_columns(path, mapping.table)
 
     @staticmethod
-    def columns_of(path: Path) -> list[str]:
+    def columns_of(path: Path, layout: TableLayout | None = None) -> list[str]:
         """Names of the columns of a file.
 
         Raises:
             InputError: It is no such file.
         """
-        return list(_read_csv(path) if path.suffix == ".csv" else _read_parquet(path, 1.0))
+        return list(read_columns(path, layout or TableLayout()).cells)
 
     def series(self, name: SignalName, source: SignalSource) -> Series:
         """One signal in SI units.
@@ -72,9 +67,12 @@ class TableFile:
         columns = self._named(name, source)
         if not columns:
             raise MissingSignal(f"the mapping says no column for {name}", file=self._path, key=f"signals.{name}")
-        stamps = self._stamps(self._names.fill(source.time_column or self._mapping.time.column))
-        values = np.column_stack([self._numbers(column, name) for column in columns])
-        time = seconds_of(stamps, UNITS["time"][self._mapping.time.unit]) + source.delay
+        key = f"signals.{name}.{'column' if source.columns is None else 'columns'}"
+        if source.column is not None and "{joint}" not in source.column and self._mapping.width(name) > 1:
+            values = self._vectors(columns[0], name, key)
+        else:
+            values = np.column_stack([self._numbers(column, name, key) for column in columns])
+        time = self._seconds(source, name, len(values)) + source.delay
         return Series(f"column {columns[0]!r} ({name})", time, self._mapping.to_si(name, values)).sampled()
 
     def _named(self, name: SignalName, source: SignalSource) -> list[str]:
@@ -85,9 +83,26 @@ class TableFile:
         column = self._names.fill(source.column)
         return [column.replace("{joint}", str(index + 1)) for index in range(self._mapping.width(name))]
 
-    def _stamps(self, column: str) -> NDArray[Any]:
+    def _seconds(self, source: SignalSource, name: SignalName, samples: int) -> Array:
+        """Stamps of a signal [s]."""
+        clock = self._mapping.time
+        if clock.rate is not None:
+            return np.asarray(np.arange(samples) / clock.rate)
+        column = self._names.fill(source.time_column or clock.column)
+        key = "time.column" if source.time_column is None else f"signals.{name}.time_column"
+        cells = self._cells(column, "time", key)
+        if column in self._columns.dates:
+            return seconds_of(np.asarray(cells), 1e-9)
+        if clock.unit == "date":
+            if not isinstance(cells, list):
+                said = f"column {column!r} holds numbers, expected their unit: s, ms, us or ns"
+                raise InputError(said, file=self._path, key="time.unit", value=clock.unit)
+            return seconds_of(np.array([self._date(cell, row, column) for row, cell in enumerate(cells)]), 1e-9)
+        return seconds_of(self._stamps(column, key), UNITS["time"][clock.unit])
+
+    def _stamps(self, column: str, key: str) -> NDArray[Any]:
         """A column of time, in whole numbers where it holds nothing else."""
-        cells = self._columns.get(column, [])
+        cells = self._columns.cells[column]
         if isinstance(cells, list) and cells and all(cell.isascii() and cell.isdecimal() for cell in cells):
             longest = max(cells, key=len)
             try:
@@ -97,60 +112,59 @@ class TableFile:
                 raise InputError(said, file=self._path) from None
         if isinstance(cells, np.ndarray) and np.issubdtype(cells.dtype, np.integer):
             return cells
-        return self._numbers(column, "time")
+        return self._numbers(column, "time", key)
 
-    def _numbers(self, column: str, name: str) -> Array:
-        if column not in self._columns:
-            near, found = did_you_mean(column, self._columns), list(self._columns)
+    def _date(self, cell: str, row: int, column: str) -> int:
+        """Nanoseconds from 1970 to a date; without a zone it is that of Greenwich."""
+        found = DATE.fullmatch(cell.strip())
+        if found is None:
+            said = f"{shortened(cell, 40)!r}, expected a date as 2026-11-25 12:00:00.5 or an instant with its zone"
+            raise self._wrong(said, row, column)
+        try:
+            year, month, day, hour, minute, second = map(int, found.groups()[:6])
+            whole = int(datetime(year, month, day, hour, minute, second, tzinfo=UTC).timestamp())
+        except ValueError as error:
+            raise self._wrong(f"{cell.strip()!r} is no date: {error}", row, column) from None
+        ahead = int(f"{found['sign'] or '+'}1") * (3600 * int(found["hours"] or 0) + 60 * int(found["minutes"] or 0))
+        return (whole - ahead) * 10**9 + int((found["fraction"] or "0").ljust(9, "0"))
+
+    def _cells(self, column: str, name: str, key: str) -> list[str] | NDArray[Any]:
+        if column not in self._columns.cells:
+            near, found = did_you_mean(column, self._columns.cells), list(self._columns.cells)
             more = " ..." if len(found) > SHOWN else ""
             message = f"no column {column!r} ({name}){near}; found: {', '.join(found[:SHOWN])}{more}"
-            raise MissingSignal(message, file=self._path)
-        cells = self._columns[column]
+            raise MissingSignal(message, file=self._path, key=f"{key} of the mapping")
+        return self._columns.cells[column]
+
+    def _numbers(self, column: str, name: str, key: str) -> Array:
+        cells = self._cells(column, name, key)
         if isinstance(cells, np.ndarray):
             return np.asarray(cells, dtype=float)
+        return np.array([self._number(cell or "nan", row, column) for row, cell in enumerate(cells)])
+
+    def _vectors(self, column: str, name: SignalName, key: str) -> Array:
+        """Cells that hold all numbers of a sample, ``(k, width)``; those of an empty cell are nan."""
+        cells, width = self._cells(column, name, key), self._mapping.width(name)
+        rows = np.full((len(cells), width), np.nan)
+        for row, cell in enumerate(cells):
+            parts = [part for part in BETWEEN.split(str(cell).strip(BRACKETS)) if part]
+            if len(parts) not in (0, width):
+                said = (
+                    f"{len(parts)} numbers in a cell, expected {width} with blanks between them; where each number has "
+                    "a column of its own, {joint} in the name stands for 1, 2, ..."
+                )
+                raise self._wrong(said, row, column)
+            rows[row, : len(parts)] = [self._number(part, row, column) for part in parts]
+        return rows
+
+    def _number(self, cell: str, row: int, column: str) -> float:
         try:
-            return np.array([decimal(cell or "nan") for cell in cells])
+            return decimal(cell)
         except ValueError as error:
-            raise InputError(f"not a table of numbers: {error} in column {column!r}", file=self._path) from None
+            raise self._wrong(str(error), row, column) from None
 
-
-def _read_csv(path: Path) -> dict[str, list[str] | NDArray[Any]]:
-    rows = csv_rows(path)
-    if len(rows) < 2:
-        raise InputError("expected a line of column names and lines of numbers", file=path)
-    header = [name.strip() for name in rows[0][1]]
-    for number, row in rows:
-        if len(row) != len(header):
-            raise InputError(f"line {number}: {len(row)} numbers, expected {len(header)} as in the header", file=path)
-    if len(set(header)) < len(header):
-        twice = next(name for name in header if header.count(name) > 1)
-        raise InputError(f"two columns are called {twice!r}", file=path)
-    columns = zip(*(row for _, row in rows[1:]), strict=True)
-    return {name: list(cells) for name, cells in zip(header, columns, strict=True)}
-
-
-def _read_parquet(path: Path, time_unit: float) -> dict[str, list[str] | NDArray[Any]]:
-    require("pyarrow", path)
-    import pyarrow
-    import pyarrow.parquet
-
-    try:
-        table = pyarrow.parquet.read_table(path)
-        names = [str(name) for name in table.column_names]
-    except Exception as error:  # a damaged file can fail anywhere inside the library
-        said = (str(error).splitlines() or [type(error).__name__])[0]
-        raise InputError(f"not a readable Parquet file ({said})", file=path) from None
-    columns: dict[str, list[str] | NDArray[Any]] = {}
-    for name, column in zip(names, table.columns, strict=True):
-        if pyarrow.types.is_timestamp(column.type):  # its type has a unit, which overrides the mapping
-            try:
-                nanoseconds = column.cast(pyarrow.timestamp("ns")).cast(pyarrow.int64())
-            except pyarrow.ArrowInvalid:
-                said = f"column {name!r} has a stamp outside the years 1678 to 2262, which 64 bits of nanoseconds hold"
-                raise InputError(said, file=path) from None
-            columns[name] = seconds_of(nanoseconds.to_numpy(zero_copy_only=False), 1e-9) / time_unit
-        elif pyarrow.types.is_integer(column.type) or pyarrow.types.is_floating(column.type):
-            columns[name] = column.to_numpy(zero_copy_only=False)
-        else:
-            columns[name] = ["" if cell is None else str(cell) for cell in column.to_pylist()]
-    return columns
+    def _wrong(self, said: str, row: int, column: str) -> InputError:
+        """What is wrong in a cell."""
+        lines = self._columns.lines
+        where = f"line {lines[row]}" if lines else f"row {row + 1}"
+        return InputError(f"not a table of numbers: {said} in column {column!r}", file=self._path, key=where)

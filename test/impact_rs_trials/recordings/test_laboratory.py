@@ -260,7 +260,7 @@ def test_a_missing_library_is_named_with_the_way_to_get_it(
     laboratory: LaboratoryFolder, monkeypatch: pytest.MonkeyPatch, package: str, name: str
 ) -> None:
     (laboratory.path / name).write_text("not empty")
-    module = "impact_rs_trials.recordings.table_file.find_spec"
+    module = "impact_rs_trials.recordings.table_columns.find_spec"
     monkeypatch.setattr(module, lambda asked: None if asked == package else object())
     said = laboratory.refusal()
     assert f"{name}: " in said and f"files need {package}: pip install 'impact-rs[export]'" in said

@@ -1,0 +1,245 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Clocks that differ by a constant: the offset of a stream is found from the motion that two streams share.
+
+A stream whose stamps are of another clock (``clock: own`` in the mapping) is moved to where it fits the joint
+positions q(t) best. What it should be follows from them: velocities are dq/dt, motor positions follow q, torques and
+commands carry the weight g(q). The offset d maximises the correlation of both over the stretch in which they overlap,
+
+    c(d) = sum x(t) y(t - d) / sqrt(sum x(t)^2 sum y(t - d)^2),
+
+with x and y less their means; around its maximum y = a x + b is fitted to every column by least squares. Objects do not
+move with the joints: in a hit the moment in which the object starts is that in which the joint velocities jump.
+
+The standard error is that of least squares with residuals r of the samples, sigma_d^-2 = sum (a dx/dt)^2 / mean r^2
+over samples and columns.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import scipy
+
+from impact_rs_sim.errors import InputError
+from impact_rs_sim.robot import Array
+from impact_rs_sim.robot_model import RobotModel
+from impact_rs_trials.recordings.mapping import Mapping, SignalName
+from impact_rs_trials.recordings.plausibility import gravity_torques
+from impact_rs_trials.recordings.series import Series
+
+FOUND_BY: dict[SignalName, str] = {
+    "velocity": "the derivative of the positions",
+    "motor_position": "the positions",
+    "motor_velocity": "the derivative of the positions",
+    "torque": "the weight at the positions",
+    "command": "the weight at the positions",
+}
+LEAST_OVERLAP = 0.5  # of the shorter stream
+CLEAR = 0.7  # least correlation from which an offset is believed
+APART = 0.05  # by which the correlation must fall beside the peak, else several offsets fit
+MOST_SAMPLES = 200_000  # of a common grid
+REFINED = 3.0  # samples of it about the largest correlation, in which an offset is fitted
+LEAST_NOISE = 5e-5  # m; no tracker resolves less
+BEND_OF_NOISE = 3.77  # median length of second differences of noise 1 on every axis: sqrt(6) times that of chi with 3
+CLEAR_OF_NOISE = 5.0  # noises from which an object moves
+STEADY = 4  # samples in a row that are clear of the noise
+STARTING = 5  # samples of rest, at least
+FITTED = 12  # samples after the start
+
+
+def on_one_clock(
+    path: Path, series: dict[SignalName, Series], mapping: Mapping, model: RobotModel
+) -> dict[SignalName, Series]:
+    """Joint signals on the clock of the positions; remarks say what was moved, and by how much.
+
+    Args:
+        path: File, for messages.
+        series: Signals as their files have them.
+        mapping: Says which have a clock of their own.
+        model: Nominal arm, for its weight.
+
+    Raises:
+        InputError: The motion does not determine an offset.
+    """
+    moved = dict(series)
+    for name, one in series.items():
+        if name in mapping.signals and mapping.signals[name].clock == "own" and name in FOUND_BY:
+            expected = _expected(name, series["position"], model)
+            offset, error = offset_between(expected, one, path, f"signals.{name}.clock")
+            moved[name] = shifted(one, offset, error, FOUND_BY[name])
+    return moved
+
+
+def with_start_at(path: Path, pose: Series, impact: float, mapping: Mapping, name: SignalName) -> Series:
+    """The pose of an object on the clock of the joints: it starts to move in the impact.
+
+    Args:
+        path: File, for messages.
+        pose: Position first, as its file has it.
+        impact: Time of the impact on the clock of the joints [s].
+        mapping: Says whether the pose has a clock of its own.
+        name: The signal that the pose comes from.
+
+    Raises:
+        InputError: The object does not start to move.
+    """
+    if mapping.signals[name].clock == "shared":
+        return pose
+    start, error = start_of_motion(pose, path, f"signals.{name}.clock")
+    return shifted(pose, impact - start, error, "the start of the object in the impact")
+
+
+def start_of_motion(pose: Series, path: Path, key: str) -> tuple[float, float]:
+    """When an object that rests at first starts to move, and the standard error [s].
+
+    The way s along the motion is fitted by s = v (t - t_0) - a (t - t_0)^2 / 2 to the first samples in which it is
+    clear of the noise; t_0 is where the parabola is zero.
+
+    Args:
+        pose: Position first, ``(k, 3 or more)``.
+        path: File, for messages.
+        key: Key of the mapping, for messages.
+
+    Raises:
+        InputError: It does not rest at first, or never moves.
+    """
+    place = pose.values[:, :3]
+    bend = np.linalg.norm(np.diff(place, n=2, axis=0), axis=1)
+    noise = float(np.median(bend)) / BEND_OF_NOISE + LEAST_NOISE
+    rest = np.median(place[: max(STARTING, place.shape[0] // 20)], axis=0)
+    clear = np.linalg.norm(place - rest, axis=1) > CLEAR_OF_NOISE * noise
+    steady = clear.copy()
+    for later in range(1, STEADY):
+        steady[:-later] &= clear[later:]
+        steady[-later:] = False
+    first = int(np.argmax(steady))
+    if not steady.any() or first < STARTING:
+        raise InputError(
+            "the object does not rest at first and move later, so its motion does not determine the offset of its "
+            "clock: set signals.NAME.delay and leave the key out", file=path, key=key, value="own",
+        )  # fmt: skip
+    rest = np.median(place[max(0, first - 5 * STARTING) : first - 1], axis=0)
+    rows = slice(first, first + FITTED)
+    time, way = pose.time[rows], place[rows] - rest
+    direction = way[-1] / np.linalg.norm(way[-1])
+    t, s = time - time[0], way @ direction
+    design = np.column_stack((np.ones_like(t), t, t**2))
+    fit, covariance = np.linalg.lstsq(design, s, rcond=None)[0], np.linalg.inv(design.T @ design)
+    roots = np.roots(fit[::-1])
+    real = roots[np.isreal(roots)].real
+    before = real[real < t[1]]
+    start = float(before.max()) if before.size else -float(fit[0] / fit[1])
+    start = float(np.clip(start, pose.time[first - 2] - time[0], t[1]))
+    at = np.array([1.0, start, start**2])
+    speed = abs(float(fit[1] + 2.0 * fit[2] * start))
+    scatter = max(float(np.sqrt(np.sum(np.square(s - design @ fit)) / max(len(s) - 3, 1))), noise)
+    error = scatter * float(np.sqrt(at @ covariance @ at)) / max(speed, 1e-9)
+    return float(time[0] + start), min(error, float(t[1]))
+
+
+def shifted(series: Series, offset: float, error: float, found_by: str) -> Series:
+    """A signal with its stamps moved by an offset [s], and a remark that says so."""
+    said = f"{series.place}: clock of its own; stamps moved by {offset:+.6g} s (+- {1e3 * error:.2g} ms), by {found_by}"
+    return replace(series, time=series.time + offset, remarks=(*series.remarks, said))
+
+
+def offset_between(expected: Series, measured: Series, path: Path, key: str) -> tuple[float, float]:
+    """What to add to the stamps of ``measured`` so that it fits ``expected``, and its standard error [s].
+
+    Args:
+        expected: What it should be, up to a factor and an offset of every column.
+        measured: What was measured, with as many columns.
+        path: File, for messages.
+        key: Key of the mapping, for messages.
+
+    Raises:
+        InputError: No offset, or several, fit.
+    """
+    period = max(float(np.median(np.diff(one.time))) for one in (expected, measured)) / 2.0
+    first, second = (_evenly(one, period) for one in (expected, measured))
+    if max(len(first), len(second)) > MOST_SAMPLES:
+        raise InputError(f"streams of more than {MOST_SAMPLES} samples; cut them first", file=path, key=key)
+    correlation, lags, overlap = _correlation(first, second)
+    allowed = overlap >= LEAST_OVERLAP * min(len(first), len(second))
+    correlation = np.where(allowed, np.abs(correlation), 0.0)
+    best = int(np.argmax(correlation))
+    width = _peak_width(correlation, best)
+    beside = np.abs(np.arange(correlation.size) - best) > width
+    second_best = float(np.max(correlation[beside], initial=0.0))
+    if correlation[best] < CLEAR or second_best > correlation[best] - APART:
+        raise InputError(
+            f"the motion does not determine the offset of this clock (correlation {correlation[best]:.2f}, elsewhere "
+            f"{second_best:.2f}; expected at least {CLEAR} at one place): set signals.NAME.delay and leave the key out",
+            file=path,
+            key=key,
+            value="own",
+        )
+    near = float(expected.time[0] - measured.time[0] + lags[best] * period)
+    fitted = scipy.optimize.minimize_scalar(
+        lambda offset: _misfit(expected, measured, offset)[0],
+        bounds=(near - REFINED * period, near + REFINED * period),
+        method="bounded",
+        options={"xatol": 1e-7},
+    )
+    return float(fitted.x), _misfit(expected, measured, float(fitted.x))[1]
+
+
+def _misfit(expected: Series, measured: Series, offset: float) -> tuple[float, float]:
+    """Mean square of what a line leaves of every column, over its variance; and the standard error of the offset."""
+    time = measured.time + offset
+    rows = (time >= expected.time[0]) & (time <= expected.time[-1])
+    x, y = expected.at(time[rows]), measured.values[rows]
+    steep = np.gradient(x, time[rows], axis=0)
+    x, y = x - x.mean(axis=0), y - y.mean(axis=0)
+    power = np.maximum(np.sum(x * x, axis=0), 1e-300)
+    slope = np.sum(x * y, axis=0) / power
+    left = np.mean(np.square(y - slope * x), axis=0)
+    moves = np.ptp(y, axis=0) > 0.0
+    share = left[moves] / np.maximum(np.var(y[:, moves], axis=0), 1e-300)
+    known = np.sum(np.square(slope * steep), axis=0)[moves] / np.maximum(left[moves], 1e-300)
+    return float(np.mean(share)), float(1.0 / np.sqrt(max(float(np.sum(known)), 1e-300)))
+
+
+def _expected(name: SignalName, position: Series, model: RobotModel) -> Series:
+    """What a signal should be by the positions."""
+    if name == "motor_position":
+        return position
+    if name in ("velocity", "motor_velocity"):
+        return replace(position, values=np.gradient(position.values, position.time, axis=0))
+    return replace(position, values=gravity_torques(model, position.values))
+
+
+def _evenly(series: Series, period: float) -> Array:
+    """Columns less their mean and over their size, on an even grid."""
+    grid = np.arange(series.time[0], series.time[-1], period)
+    values = series.at(grid)
+    return np.asarray(values - values.mean(axis=0))
+
+
+def _correlation(first: Array, second: Array) -> tuple[Array, Array, Array]:
+    """Correlation over the overlap by lag [samples], for all columns together."""
+    scale = np.linalg.norm(second, axis=0) * np.linalg.norm(first, axis=0)
+    weight = np.divide(1.0, scale, out=np.zeros_like(scale), where=scale > 1e-9 * max(float(scale.max()), 1e-300))
+    total = np.zeros(len(first) + len(second) - 1)
+    powers = np.zeros((2, total.size))
+    ones = (np.ones(len(first)), np.ones(len(second)))
+    for a, b, w in zip(first.T, second.T, weight, strict=True):
+        sized = (a / max(np.linalg.norm(a), 1e-300), b / max(np.linalg.norm(b), 1e-300))
+        if w == 0.0:
+            continue
+        total += scipy.signal.correlate(*sized, method="fft")
+        powers[0] += scipy.signal.correlate(np.square(sized[0]), ones[1], method="fft")
+        powers[1] += scipy.signal.correlate(ones[0], np.square(sized[1]), method="fft")
+    lags = scipy.signal.correlation_lags(len(first), len(second))
+    overlap = np.rint(scipy.signal.correlate(*ones, method="fft"))
+    energy = np.sqrt(np.maximum(powers[0], 0.0) * np.maximum(powers[1], 0.0))
+    return np.divide(total, energy, out=np.zeros_like(total), where=energy > 1e-6 * energy.max()), lags, overlap
+
+
+def _peak_width(correlation: Array, best: int) -> int:
+    """Half width of the peak: samples until the correlation has fallen to half on either side."""
+    below = np.flatnonzero(correlation < 0.5 * correlation[best])
+    left, right = below[below < best], below[below > best]
+    return int(max(best - left[-1] if left.size else best, right[0] - best if right.size else correlation.size - best))

@@ -1,0 +1,139 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Columns of a table by name, as a file has them: CSV and other text, Parquet, NPY.
+
+Columns without names are ``c1``, ``c2`` and so on.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from impact_rs_sim.errors import InputError
+from impact_rs_trials.recordings.csv_rows import csv_rows
+from impact_rs_trials.recordings.mapping import TableLayout
+
+TRAILING = "the names of the columns may stand in another line: table.header in the mapping says in which"
+
+
+@dataclass(frozen=True)
+class Columns:
+    """Columns of a table.
+
+    Attributes:
+        cells: Texts or numbers by name of a column.
+        lines: Line of every row in a text file; empty: it is none.
+        dates: Columns that hold dates, as nanoseconds since 1970.
+    """
+
+    cells: Mapping[str, list[str] | NDArray[Any]]
+    lines: tuple[int, ...] = ()
+    dates: frozenset[str] = frozenset()
+
+
+def require(package: str, path: Path) -> None:
+    """Say how to get a library that reading this file takes.
+
+    Raises:
+        InputError: It is not installed.
+    """
+    if find_spec(package) is None:
+        raise InputError(f"{path.suffix} files need {package}: pip install 'impact-rs[export]'", file=path)
+
+
+def read_columns(path: Path, layout: TableLayout) -> Columns:
+    """The columns of a table.
+
+    Args:
+        path: The file.
+        layout: Where a text has its names and rows.
+
+    Raises:
+        InputError: It cannot be read.
+    """
+    if path.suffix == ".parquet":
+        return _of_parquet(path)
+    return _of_npy(path) if path.suffix == ".npy" else _of_text(path, layout)
+
+
+def _of_text(path: Path, layout: TableLayout) -> Columns:
+    rows = csv_rows(path, layout.header, layout.first)
+    if layout.header == 0 and rows:
+        rows.insert(0, (0, [f"c{number}" for number in range(1, len(rows[0][1]) + 1)]))
+    if len(rows) < 2:
+        raise InputError("expected a line of column names and lines of numbers", file=path)
+    header = [name.strip() for name in rows[0][1]]
+    kept = []
+    for number, row in rows:
+        if len(row) == len(header) + 1 and not row[-1].strip():  # a separator at the end of the line
+            row = row[:-1]
+        if len(row) != len(header):
+            said = f"{len(row)} numbers, expected {len(header)} as in line {rows[0][0] or rows[1][0]}; {TRAILING}"
+            raise InputError(f"line {number}: {said}", file=path)
+        kept.append(row)
+    if len(set(header)) < len(header):
+        twice = next(name for name in header if header.count(name) > 1)
+        raise InputError(f"two columns are called {twice!r}", file=path)
+    columns = zip(header, zip(*kept[1:], strict=True), strict=True)
+    return Columns({name: list(cells) for name, cells in columns}, tuple(number for number, _ in rows[1:]))
+
+
+def _of_npy(path: Path) -> Columns:
+    try:
+        array = np.load(path, allow_pickle=False)
+    except Exception as error:  # a damaged file can fail anywhere inside the library
+        raise InputError(f"not a readable NPY file ({(str(error).splitlines() or [''])[0]})", file=path) from None
+    if not isinstance(array, np.ndarray):
+        raise InputError("several arrays where one is expected; is it an .npz file?", file=path)
+    if array.dtype.names is not None and array.ndim == 1:
+        cells = {name: array[name] for name in array.dtype.names}
+    elif array.ndim in (1, 2):
+        columns = array.reshape(len(array), -1).T
+        cells = {f"c{number}": column for number, column in enumerate(columns, start=1)}
+    else:
+        raise InputError(f"an array of {array.shape}, expected samples x columns", file=path)
+    for name, column in cells.items():
+        if column.dtype.kind not in "iuf" or column.ndim != 1:
+            said = f"column {name!r} holds {column.dtype} {column.shape}, expected real numbers, one a sample"
+            raise InputError(said, file=path)
+    return Columns(cells)
+
+
+def _of_parquet(path: Path) -> Columns:
+    require("pyarrow", path)
+    import pyarrow
+    import pyarrow.parquet
+
+    try:
+        table = pyarrow.parquet.read_table(path)
+        names = [str(name) for name in table.column_names]
+    except Exception as error:  # a damaged file can fail anywhere inside the library
+        said = (str(error).splitlines() or [type(error).__name__])[0]
+        raise InputError(f"not a readable Parquet file ({said})", file=path) from None
+    cells: dict[str, list[str] | NDArray[Any]] = {}
+    dates = set()
+    for name, column in zip(names, table.columns, strict=True):
+        if pyarrow.types.is_timestamp(column.type):
+            try:
+                nanoseconds = column.cast(pyarrow.timestamp("ns")).cast(pyarrow.int64())
+            except pyarrow.ArrowInvalid:
+                said = f"column {name!r} has a stamp outside the years 1678 to 2262, which 64 bits of nanoseconds hold"
+                raise InputError(said, file=path) from None
+            cells[name] = nanoseconds.to_numpy(zero_copy_only=False)
+            dates.add(name)
+        elif pyarrow.types.is_integer(column.type) or pyarrow.types.is_floating(column.type):
+            cells[name] = column.to_numpy(zero_copy_only=False)
+        else:
+            cells[name] = ["" if cell is None else _text(cell) for cell in column.to_pylist()]
+    return Columns(cells, dates=frozenset(dates))
+
+
+def _text(cell: object) -> str:
+    """A cell that is no number; the numbers of a list stand behind each other."""
+    return " ".join(map(str, cell)) if isinstance(cell, list) else str(cell)

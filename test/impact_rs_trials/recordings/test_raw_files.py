@@ -1,0 +1,233 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Files as laboratories leave them: every form of the same joint positions gives the same numbers."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+import scipy.io
+from refusals import refusal
+from signal_files import TIME, VALUES
+
+from impact_rs_trials.recordings.experiment import Experiment, read_runs
+from impact_rs_trials.recordings.mapping import Mapping, load_mapping
+from impact_rs_trials.recordings.series import Series
+from impact_rs_trials.recordings.sources import read_series, spread_runs
+
+ROWS = [" ".join(f"{value!r}" for value in row) for row in VALUES.tolist()]
+NAMES = [f"position_{joint}" for joint in range(1, 8)]
+NUMBERED = [f"c{column}" for column in range(2, 9)]
+
+
+def mapping_of(time: dict | None = None, table: dict | None = None, **position: object) -> Mapping:
+    """The mapping ``joint_state`` with another way to the joint positions."""
+    shipped = load_mapping("joint_state")
+    source = {"unit": "rad", **position}
+    signals = {name: source if name == "position" else one.model_dump() for name, one in shipped.signals.items()}
+    signals |= {name: {**signals[name], "file": position["file"]} for name in signals if "file" in position}
+    content = shipped.model_dump() | {"time": time or {}, "table": table or {}, "signals": signals}
+    return Mapping.model_validate(content)
+
+
+BY_NAME = {"column": "position_{joint}"}
+
+
+def in_line(header: int) -> Mapping:
+    return mapping_of({}, {"header": header}, **BY_NAME)
+
+
+def read(path: Path, mapping: Mapping) -> Series:
+    return read_series(path, mapping, ["position"], ["position"])["position"]
+
+
+def text(path: Path, above: str, separator: str = ",", names: list[str] | None = NAMES, between: str = "") -> Path:
+    """A text table with lines above and between the names and the numbers."""
+    table = np.column_stack((TIME, VALUES)).tolist()
+    lines = [separator.join(["time", *names])] if names else []
+    lines += [between] if between else []
+    path.write_text(
+        "\n".join([*([above] if above else []), *lines, *(separator.join(map(repr, row)) for row in table)])
+    )
+    return path
+
+
+def vectors(path: Path, opened: str = "", closed: str = "") -> Path:
+    """Cells that hold all joints."""
+    rows = [f'{time!r},"{opened}{row}{closed}"' for time, row in zip(TIME.tolist(), ROWS, strict=True)]
+    path.write_text("\n".join(["time,JointPosition", *rows]))
+    return path
+
+
+def stamps(path: Path, cells: list[str]) -> Path:
+    rows = [f"{cell},{','.join(row.split())}" for cell, row in zip(cells, ROWS, strict=True)]
+    path.write_text("\n".join([f"time,{','.join(NAMES)}", *rows]))
+    return path
+
+
+def npy(path: Path) -> Path:
+    np.save(path, np.column_stack((TIME, VALUES)))
+    return path
+
+
+def structured(path: Path) -> Path:
+    rows = np.zeros(24, dtype=[("time", "f8"), *((name, "f8") for name in NAMES)])
+    for name, column in zip(["time", *NAMES], np.column_stack((TIME, VALUES)).T, strict=True):
+        rows[name] = column
+    np.save(path, rows)
+    return path
+
+
+def mat(path: Path, **arrays: object) -> Path:
+    scipy.io.savemat(path, arrays or {"time": TIME, "position": VALUES})
+    return path
+
+
+def newest_mat(path: Path) -> Path:
+    """MATLAB 7.3: HDF5 behind 512 bytes of its own, with all arrays turned."""
+    with pytest.importorskip("h5py").File(path, "w", userblock_size=512) as file:
+        file.create_dataset("time", data=TIME[None, :])
+        file.create_dataset("data/q", data=VALUES.T)
+    with path.open("r+b") as file:
+        file.write(b"MATLAB 7.3 MAT-file, Platform: GLNXA64".ljust(124))
+    return path
+
+
+FORMS: dict[str, tuple[Callable[[Path], Path], str, Mapping]] = {
+    "names in line 3": (lambda p: text(p, 'Robot,"iiwa\n1,2,3'), ".csv", in_line(3)),
+    "units below the names": (
+        lambda p: text(p, "", between="s" + 7 * ",rad"), ".csv", mapping_of({}, {"first": 3}, **BY_NAME),
+    ),
+    "no names": (
+        lambda p: text(p, "", names=None), ".csv", mapping_of({"column": "c1"}, {"header": 0}, columns=NUMBERED),
+    ),
+    "blanks and lines above": (
+        lambda p: text(p, "log of 3 May", "   ", names=None), ".txt",
+        mapping_of({"column": "c1"}, {"header": 0, "first": 2}, columns=NUMBERED),
+    ),
+    "a name behind #": (lambda p: text(p, "# made up\n# here", " "), ".dat", in_line(3)),
+    "tabs": (lambda p: text(p, "", "\t"), ".tsv", mapping_of(**BY_NAME)),
+    "vectors": (vectors, ".csv", mapping_of(column="JointPosition")),
+    "vectors in brackets": (lambda p: vectors(p, "[", " ]"), ".csv", mapping_of(column="JointPosition")),
+    "milliseconds": (
+        lambda p: stamps(p, [str(round(1e3 * time)) for time in TIME]), ".csv", mapping_of({"unit": "ms"}, **BY_NAME),
+    ),
+    "no stamps": (lambda p: text(p, ""), ".csv", mapping_of({"rate": 100.0}, **BY_NAME)),
+    "npy": (npy, ".npy", mapping_of({"column": "c1"}, columns=NUMBERED)),
+    "npy with names": (structured, ".npy", mapping_of(**BY_NAME)),
+    "mat": (mat, ".mat", mapping_of(array="position")),
+    "mat, joints x samples": (lambda p: mat(p, time=TIME, position=VALUES.T), ".mat", mapping_of(array="position")),
+    "mat, a structure": (
+        lambda p: mat(p, log={"t": TIME, "q": VALUES}), ".mat", mapping_of({"array": "log/t"}, array="log/q"),
+    ),
+    "mat 7.3": (newest_mat, ".mat", mapping_of(array="data/q")),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("form", FORMS)
+def test_every_form_holds_the_same_numbers(tmp_path: Path, form: str) -> None:
+    write, suffix, mapping = FORMS[form]
+    found = read(write(tmp_path / f"run{suffix}"), mapping)
+    np.testing.assert_allclose(found.values, VALUES, rtol=0.0, atol=0.0)
+    np.testing.assert_allclose(found.time, TIME, rtol=0.0, atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("first", "seconds"),
+    [
+        ("2001-09-09 01:46:40.{}", 0.0),
+        ("2001-09-09T03:46:40.{}+02:00", 0.0),
+        ("2001/09/08 20:16:40,{} -0530", 0.0),
+        ("2001-09-09 01:46:41.{}Z", 1.0),
+    ],
+)
+def test_dates_are_instants(tmp_path: Path, first: str, seconds: float) -> None:
+    """The first second of the second billion since 1970; nanoseconds stay."""
+    cells = [f'"{first.format(f"{10 * row:03d}000001")}"' for row in range(24)]
+    found = read(stamps(tmp_path / "a.csv", cells), mapping_of({"unit": "date"}, **BY_NAME))
+    np.testing.assert_allclose(found.time - 1e9 - seconds, TIME, atol=2e-7)
+
+
+@pytest.mark.parametrize("cell", ["09.09.2001 01:46:40", "2001-02-30 01:00:00", "2001-09-09", "1000000000", ""])
+def test_what_is_no_date_is_refused_with_its_line(tmp_path: Path, cell: str) -> None:
+    cells = [f"2001-09-09 01:46:40.{10 * row:03d}" for row in range(24)]
+    cells[4] = cell
+    said = refusal(read, stamps(tmp_path / "a.csv", cells), mapping_of({"unit": "date"}, **BY_NAME))
+    assert "line 6" in said
+    assert "date" in said
+
+
+def test_numbers_are_no_dates(tmp_path: Path) -> None:
+    said = refusal(read, npy(tmp_path / "a.npy"), mapping_of({"column": "c1", "unit": "date"}, columns=NUMBERED))
+    assert "time.unit = 'date'" in said
+    assert "s, ms, us or ns" in said
+    assert "s, ms, us or ns" in refusal(read, mat(tmp_path / "a.mat"), mapping_of({"unit": "date"}, array="position"))
+
+
+@pytest.mark.parametrize(
+    ("form", "mapping", "said"),
+    [
+        (vectors, mapping_of(column="JointVelocity"), "position.column of the mapping: no column 'JointVelocity'"),
+        (vectors, mapping_of(column="Joint{joint}"), "signals.position.column of the mapping: no column 'Joint1'"),
+        (vectors, mapping_of({"column": "t"}, column="JointPosition"), "time.column of the mapping: no column 't'"),
+        (lambda p: text(p, ""), mapping_of(column="position_1"), "line 2: not a table of numbers: 1 numbers in a cell"),
+        (lambda p: text(p, "a,b"), mapping_of(**BY_NAME), "table.header in the mapping says in which"),
+        (lambda p: text(p, ""), mapping_of({}, {"header": 40}, column="x"), "table.header = 40: expected the names"),
+    ],
+)  # fmt: skip
+def test_what_does_not_fit_names_the_key_and_the_line(
+    tmp_path: Path, form: Callable[[Path], Path], mapping: Mapping, said: str
+) -> None:
+    path = form(tmp_path / "a.csv")
+    error = refusal(read, path, mapping)
+    assert said in error
+    assert str(path) in error
+
+
+def test_repeated_stamps_are_refused_or_the_first_is_kept_and_said(tmp_path: Path) -> None:
+    time = np.where(np.arange(24) % 8 == 7, np.roll(TIME, 1), TIME)
+    file = stamps(tmp_path / "a.csv", [repr(float(one)) for one in time])
+    assert read(file, mapping_of(**BY_NAME)).time.size == 24  # a reader of runs refuses them
+    found = read(file, mapping_of({"repeated": "keep_first"}, **BY_NAME))
+    np.testing.assert_array_equal(found.values, VALUES[np.arange(24) % 8 != 7])
+    (remark,) = found.remarks
+    assert "3 of 24 samples have the stamp of the one before; the first is kept" in remark
+
+
+# ---- one folder, a file per signal and run --------------------------------------------------------------------------
+
+
+@pytest.fixture
+def spread(tmp_path: Path) -> Path:
+    for run in (10, 9, 2):
+        vectors(tmp_path / f"IIWA_7_hit_{run}.csv")
+        (tmp_path / f"object_parcel_hit_{run}.csv").write_text("RosTime\n")
+    (tmp_path / "notes_hit.csv").write_text("none")
+    return tmp_path
+
+
+def spread_mapping() -> Mapping:
+    mapping = mapping_of(column="JointPosition", file="IIWA_7_hit_{run}.csv")
+    pose = {"unit": "m", "column": "pose", "file": "object_{object}_hit_{run}.csv"}
+    return Mapping.model_validate(
+        mapping.model_dump() | {"signals": mapping.model_dump()["signals"] | {"object_pose": pose}}
+    )
+
+
+def test_runs_are_found_by_the_names_of_their_files(spread: Path) -> None:
+    runs = spread_runs(spread, spread_mapping())
+    assert [(path.name, name) for path, name in runs.items()] == [("2", "parcel"), ("9", "parcel"), ("10", "parcel")]
+    found = read(spread / "9", spread_mapping())
+    np.testing.assert_array_equal(found.values, VALUES)
+
+
+def test_a_table_of_runs_names_runs_that_are_spread_over_files(spread: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (spread / "runs.csv").write_text("bag,object,kind\n9,none,free motion\n10,none,free motion\n")
+    experiment = Experiment(scenario="push")
+    monkeypatch.setattr(Experiment, "load_mappings", lambda *_: {"arm": spread_mapping()})
+    assert [run.name for run in read_runs(spread, experiment, experiment.load_scenario())] == ["9", "10"]
+    (spread / "runs.csv").write_text("bag,object,kind\n19,none,free motion\n")
+    said = refusal(read_runs, spread, experiment, experiment.load_scenario())
+    assert "line 2, bag = '19': no such run among the files IIWA_7_hit_{run}.csv" in said
