@@ -17,6 +17,7 @@ COMMANDS: dict[str, Command] = {  # in the order of the help
         measuring.STUDY,
         explaining.SHOW,
         explaining.EXPORT,
+        explaining.IMPORT,
         explaining.COMPARE,
         explaining.DIAGNOSE,
         explaining.DISCOVER,

@@ -76,6 +76,52 @@ impact-rs paper --json -o report""",
     options=(output("new_folder", "folder for figure and table", "REPORT_DIR"), JSON),
 )
 
+IMPORT = Command(
+    name="import",
+    module="import_files",
+    summary="describe raw files: joints, units, rates and signs, with evidence",
+    about="""\
+Look at recorded files and write the files that describe them: mapping.yaml, runs.csv, and experiment.yaml where
+something is hit.
+
+Tables (.csv, .txt, .tsv, .dat, .parquet, .npy), arrays (.npz, .h5, .mat) and bags are read as they are: lines above
+the names, no names at all, all joints in one cell, stamps in s, ms, us, ns or as dates, a file per signal and run. What
+a column is, its numbers decide: positions lie within the limits of the robot, velocities are their derivative, torques
+are those of weight and inertia. Every value is printed and written with what shows it; ASSUMED marks values that
+nothing shows. Look at those, then compare. Files are never overwritten.""",
+    examples="""\
+impact-rs import log.csv --robot franka_fr3 -o my_lab
+impact-rs compare log.csv --mapping my_lab/mapping.yaml
+
+# hits: a folder of runs, each in one or several files; the scenario says what was hit
+impact-rs import hits/ --robot kuka_iiwa7 --scenario my_push.yaml -o my_lab
+impact-rs impacts hits --experiment my_lab/experiment.yaml -o impacts.csv
+
+# a tossed body or a ball alone, tracked at 148 Hz without stamps
+impact-rs import tosses/ --robot none --rate 148 -o my_tosses""",
+    output="a table of guesses and their evidence; mapping.yaml, runs.csv and experiment.yaml.",
+    units="as in the files; the mapping names them.",
+    options=(
+        argument("files", "recordings, or folders of them", kind="file", metavar="FILE", many=True),
+        option(
+            "--robot", kind="robot", metavar="ROBOT", otherwise="the one that the files name",
+            help="name of robot facts or path of their YAML file (impact-rs robot import makes them from a URDF); "
+            "none: an object alone was tracked",
+        ),
+        option(
+            "--scenario", kind="scenario", metavar="NAME",
+            help="scenario (name or file) with the robots and objects of the hits",
+        ),
+        option("--rate", kind="number", metavar="HZ", unit="Hz", help="sampling rate of files without stamps"),
+        option(
+            "--dedupe", kind="switch",
+            help="of samples with the same stamp keep the first; without it such files are refused",
+        ),
+        output("new_folder", "folder of the description", required=True),
+        JSON,
+    ),
+)  # fmt: skip
+
 COMPARE = Command(
     name="compare",
     summary="show where a model fails against trials",

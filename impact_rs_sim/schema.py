@@ -71,6 +71,7 @@ Vector3 = Annotated[tuple[float, float, float], BeforeValidator(_as_tuple)]
 Vector = Annotated[tuple[float, ...], BeforeValidator(_as_tuple)]
 PositiveVector = Annotated[Vector, _check(lambda value: value > 0.0, "> 0")]
 NonNegativeVector = Annotated[Vector, _check(lambda value: value >= 0.0, ">= 0")]
+PositiveNumber = Annotated[float, Field(gt=0.0)]
 PositiveVector3 = Annotated[Vector3, _check(lambda value: value > 0.0, "> 0")]
 
 

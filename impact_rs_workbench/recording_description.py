@@ -49,7 +49,7 @@ from impact_rs_trials.recordings.plausibility import check_weight
 from impact_rs_trials.recordings.recording import check_limits, check_velocity
 from impact_rs_trials.recordings.series import Series
 from impact_rs_trials.recordings.sources import read_series
-from impact_rs_workbench.candidates import MOST_WIDE, OBJECT_POSE, candidates_of, propose
+from impact_rs_trials.recordings.candidates import MOST_WIDE, OBJECT_POSE, candidates_of, propose
 from impact_rs_workbench.workspace import RUN_TABLE, Workspace
 
 EXPERIMENT = "experiment.yaml"

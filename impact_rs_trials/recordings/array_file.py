@@ -50,6 +50,16 @@ class ArrayFile:
         self._arrays, self.unsealed = _read(path)
 
     @staticmethod
+    def arrays_of(path: Path) -> dict[str, NDArray[Any]]:
+        """Names and arrays of a file, vectors of MATLAB with one axis.
+
+        Raises:
+            InputError: It is no such file.
+        """
+        arrays = _read(path)[0]
+        return {name: one.ravel() if one.ndim == 2 and 1 in one.shape else one for name, one in arrays.items()}
+
+    @staticmethod
     def shapes_of(path: Path) -> dict[str, tuple[int, ...]]:
         """Names and shapes of the arrays of a file.
 

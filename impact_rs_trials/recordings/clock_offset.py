@@ -178,16 +178,22 @@ def offset_between(expected: Series, measured: Series, path: Path, key: str) -> 
         )
     near = float(expected.time[0] - measured.time[0] + lags[best] * period)
     fitted = scipy.optimize.minimize_scalar(
-        lambda offset: _misfit(expected, measured, offset)[0],
+        lambda offset: misfit(expected, measured, offset)[0],
         bounds=(near - REFINED * period, near + REFINED * period),
         method="bounded",
         options={"xatol": 1e-7},
     )
-    return float(fitted.x), _misfit(expected, measured, float(fitted.x))[1]
+    return float(fitted.x), misfit(expected, measured, float(fitted.x))[1]
 
 
-def _misfit(expected: Series, measured: Series, offset: float) -> tuple[float, float]:
-    """Mean square of what a line leaves of every column, over its variance; and the standard error of the offset."""
+def misfit(expected: Series, measured: Series, offset: float) -> tuple[float, float]:
+    """Mean square of what a line leaves of every column, over its variance; and the standard error of the offset [s].
+
+    Args:
+        expected: What it should be, up to a factor and an offset of every column.
+        measured: What was measured, with as many columns.
+        offset: Added to the stamps of ``measured`` [s].
+    """
     time = measured.time + offset
     rows = (time >= expected.time[0]) & (time <= expected.time[-1])
     x, y = expected.at(time[rows]), measured.values[rows]

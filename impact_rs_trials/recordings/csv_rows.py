@@ -25,13 +25,7 @@ def csv_rows(path: Path, header: int | None = None, first: int | None = None) ->
     Raises:
         InputError: It cannot be read, or a line is no row; the message names the line.
     """
-    try:
-        text = path.read_text(encoding="utf-8-sig")
-    except UnicodeDecodeError as error:
-        raise InputError(f"not a table in UTF-8: {error}", file=path) from None
-    except OSError as error:
-        raise InputError(f"cannot be read: {error.strerror or error}", file=path) from None
-    every = list(enumerate(text.split("\n"), 1))
+    every = read_lines(path)
     lines = [(number, line) for number, line in every if line.strip() and not line.startswith("#")]
     if header:
         named = [(number, line.lstrip("# ")) for number, line in every[header - 1 : header] if line.strip("# \r")]
@@ -45,10 +39,43 @@ def csv_rows(path: Path, header: int | None = None, first: int | None = None) ->
         lines = lines[: header != 0] + [(number, line) for number, line in lines[header != 0 :] if number >= first]
     if not lines:
         return []
-    separator = max(",;\t", key=lines[0][1].count)
-    if separator not in lines[0][1] and len(lines[0][1].split()) > 1:
+    separator = separator_of(lines[0][1])
+    if separator is None:
         return [(number, line.split()) for number, line in lines]
     return [(number, _cells(path, number, line, separator)) for number, line in lines]
+
+
+def read_lines(path: Path) -> list[tuple[int, str]]:
+    """Lines of a text with their numbers, counted from 1.
+
+    Raises:
+        InputError: It cannot be read.
+    """
+    try:
+        text = path.read_text(encoding="utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise InputError(f"not a table in UTF-8: {error}", file=path) from None
+    except OSError as error:
+        raise InputError(f"cannot be read: {error.strerror or error}", file=path) from None
+    return list(enumerate(text.split("\n"), 1))
+
+
+def separator_of(line: str) -> str | None:
+    """What separates the cells of a line: comma, semicolon or tab, whichever it has most of; None: blanks."""
+    separator = max(",;\t", key=line.count)
+    return None if separator not in line and len(line.split()) > 1 else separator
+
+
+def split_line(line: str) -> list[str]:
+    """Cells of a line that may be no row; where quotation marks do not pair up, what stands between separators."""
+    separator = separator_of(line)
+    if separator is None:
+        return line.split()
+    try:
+        (cells,) = csv.reader([line.rstrip("\r")], delimiter=separator, skipinitialspace=True, strict=True)
+    except (csv.Error, ValueError):
+        cells = line.split(separator)
+    return cells
 
 
 def _cells(path: Path, number: int, line: str, separator: str) -> list[str]:

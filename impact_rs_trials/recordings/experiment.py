@@ -16,15 +16,15 @@ import os
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TypeVar
+from typing import Annotated, Self, TypeVar
 
 import numpy as np
 import pinocchio as pin
-from pydantic import Field, PrivateAttr
+from pydantic import Field, PrivateAttr, model_validator
 
 from impact_rs_sim.errors import InputError, did_you_mean
 from impact_rs_sim.scenario import Scenario, load_scenario
-from impact_rs_sim.schema import Schema, Vector3, load
+from impact_rs_sim.schema import PositiveNumber, PositiveVector3, Schema, Vector3, load
 from impact_rs_trials.recordings.csv_rows import csv_rows
 from impact_rs_trials.recordings.mapping import Mapping, load_mapping
 from impact_rs_trials.recordings.sources import FILE_SUFFIXES, name_of, spread_runs
@@ -66,10 +66,46 @@ class MotionCapture(FramePlacement):
     )
 
 
+class Body(Schema):
+    """A body without a robot that hits a fixed plane: a box or a ball."""
+
+    mass: PositiveNumber = Field(description="mass [kg]")
+    size: PositiveVector3 | None = Field(None, description="extent of a box along its own axes [m]")
+    radius: PositiveNumber | None = Field(None, description="radius of a ball [m]")
+    shell: bool = Field(False, description="whether a ball is hollow, 2/3 m r^2; else solid, 2/5 m r^2")
+    inertia: PositiveVector3 | None = Field(
+        None, description="principal moments about the centre, along its own axes [kg m^2]; absent: homogeneous"
+    )
+    place: FramePlacement = Field(
+        default_factory=FramePlacement, description="its geometric centre and axes in the frame that is tracked"
+    )
+
+    @model_validator(mode="after")
+    def _one_shape(self) -> Self:
+        if (self.size is None) == (self.radius is None):
+            raise ValueError("expected either size, of a box, or radius, of a ball [m]")
+        return self
+
+
+class Plane(Schema):
+    """The plane that a body hits, in the world of the tracker."""
+
+    height: float = Field(0.0, description="distance of the plane from the origin along its normal [m]")
+    normal: Vector3 = Field((0.0, 0.0, 1.0), description="its normal, towards the body [-]")
+    friction: Annotated[float, Field(ge=0.0)] = Field(0.3, description="Coulomb coefficient that is assumed [-]")
+    restitution: Annotated[float, Field(ge=0.0, le=1.0)] = Field(0.0, description="restitution that is assumed [-]")
+    gravity: Vector3 = Field((0.0, 0.0, -9.81), description="free fall in the tracker's world [m/s^2]")
+
+
 class Experiment(Schema):
     """An experiment file; :func:`load_experiment` reads one."""
 
-    scenario: str = Field(description="name or path of the scenario; its references and control are not used")
+    scenario: str | None = Field(
+        None,
+        description="name or path of the scenario, needed where a robot hits; its references and control are not used",
+    )
+    body: Body | None = Field(None, description="a body without a robot that hits a plane; in place of scenario")
+    plane: Plane | None = Field(None, description="the plane that the body hits; absent: z = 0")
     mapping: str | dict[str, str] = Field(
         "joint_state_effort_controller",
         description="name or path of the mapping; of several arms one by the name of each, or one for all, in which "
@@ -81,6 +117,16 @@ class Experiment(Schema):
         description="world frame of the motion capture in the scenario's inertial frame; absent: they are the same",
     )
     _file: Path | None = PrivateAttr(None)
+
+    @model_validator(mode="after")
+    def _robot_or_body(self) -> Self:
+        if (self.scenario is None) == (self.body is None):
+            raise ValueError(
+                "expected either scenario, where a robot hits, or body, where a body without one hits a plane"
+            )
+        if self.plane is not None and self.body is None:
+            raise ValueError("plane goes with body; where a robot hits, the scenario says what is there")
+        return self
 
     @property
     def file(self) -> Path | None:
@@ -96,8 +142,13 @@ class Experiment(Schema):
         """The scenario.
 
         Raises:
-            InputError: There is none, or it breaks its schema.
+            InputError: There is none, it breaks its schema, or the experiment is one of a body without a robot.
         """
+        if self.scenario is None:
+            raise InputError(
+                "a body without a robot hits a plane: impact-rs impacts makes a table of its impacts, which compare "
+                "and diagnose take with --impacts", file=self.file, key="body",
+            )  # fmt: skip
         return load_scenario(self._path(self.scenario))
 
     def load_mappings(self, arms: Collection[str]) -> dict[str, Mapping]:
@@ -134,6 +185,8 @@ def load_experiment(path: Path) -> Experiment:
         raise InputError("a folder where an experiment file is expected, experiment.yaml for example", file=path)
     experiment = load(Experiment, path)
     experiment._file = path
+    if experiment.scenario is None:
+        return experiment
     scenario = _in_key(path, "scenario", experiment.scenario, experiment.load_scenario)
     named = experiment.mapping if isinstance(experiment.mapping, dict) else {"": experiment.mapping}
     for arm, mapping in named.items():

@@ -69,9 +69,23 @@ SignalName = Literal[
     "object_quaternion",
     "wrench",
 ]
+NO_ROBOT = "none"  # robot of a mapping whose recordings hold an object alone
 REQUIRED: tuple[SignalName, ...] = ("position", "velocity", "torque")
 WIDTH: dict[SignalName, int] = {"object_pose": 7, "object_position": 3, "object_quaternion": 4, "wrench": 6}
 JOINT_SIGNALS: tuple[SignalName, ...] = tuple(name for name in get_args(SignalName) if name not in WIDTH)
+
+
+class TableLayout(Schema):
+    """Where rows and names of columns stand in a text table."""
+
+    header: Annotated[int | None, Field(ge=0)] = Field(
+        None,
+        description="line of the column names, counted from 1; lines above it are skipped; 0: there is none, and the "
+        "columns are c1, c2, ...; absent: the first line that is neither empty nor a remark (#)",
+    )
+    first: Annotated[int | None, Field(ge=1)] = Field(
+        None, description="line of the first row, below a line of units for example; absent: the next"
+    )
 
 
 class SignalSource(Schema):
@@ -96,6 +110,7 @@ class SignalSource(Schema):
     array: str | None = Field(None, description="array of an NPZ, HDF5 or MAT file, samples x joints")
     time_array: str | None = Field(None, description="array of this signal's own time; absent: that of the mapping")
     file: str | None = Field(None, description="file in the folder of a run; absent: the run's own file")
+    table: TableLayout | None = Field(None, description="as table, for this signal's file; absent: that of the mapping")
     quaternion_order: Literal["xyzw", "wxyz"] = Field("xyzw", description="order of a quaternion's numbers in a table")
     delay: float = Field(0.0, description="added to the time stamps [s]")
     clock: Literal["shared", "own"] = Field(
@@ -131,19 +146,6 @@ class TimeSource(Schema):
     )
 
 
-class TableLayout(Schema):
-    """Where rows and names of columns stand in a text table."""
-
-    header: Annotated[int | None, Field(ge=0)] = Field(
-        None,
-        description="line of the column names, counted from 1; lines above it are skipped; 0: there is none, and the "
-        "columns are c1, c2, ...; absent: the first line that is neither empty nor a remark (#)",
-    )
-    first: Annotated[int | None, Field(ge=1)] = Field(
-        None, description="line of the first row, below a line of units for example; absent: the next"
-    )
-
-
 class MountedEndEffector(Schema):
     """What was mounted on the flange during the recording."""
 
@@ -173,10 +175,11 @@ class Mapping(Schema):
 
     description: str = Field(description="what kind of recording this reads")
     robot: str = Field(
-        description="robot facts: name of a file in config/robots, or a path, seen from the mapping file's folder"
+        description="robot facts: name of a file in config/robots, or a path, seen from the mapping file's folder; "
+        "none: an object alone was tracked"
     )
     joints: tuple[str, ...] = Field(
-        min_length=1, description="joint names in order; * matches any text, {arm} is the name of the arm"
+        (), description="joint names in order; * matches any text, {arm} is the name of the arm; required with a robot"
     )
     end_effector: MountedEndEffector = Field(
         default_factory=MountedEndEffector, description="what was mounted on the flange"
@@ -208,7 +211,11 @@ class Mapping(Schema):
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:
-        for name in REQUIRED:
+        if self.robot == NO_ROBOT:
+            self._is_of_an_object()
+        elif not self.joints:
+            raise ValueError("joints is missing; expected the names of the joints, base to tip")
+        for name in REQUIRED if self.robot != NO_ROBOT else ():
             if name not in self.signals:
                 raise ValueError(f"signals.{name} is missing; position, velocity and torque are needed")
         for name, source in self.signals.items():
@@ -252,11 +259,19 @@ class Mapping(Schema):
         if self.torque_constant is not None and not currents:
             raise ValueError("torque_constant is for currents, and no signal has the unit A or mA")
 
+    def _is_of_an_object(self) -> None:
+        if self.joints:
+            raise ValueError("joints has names, but robot is none; expected a robot, or no joints")
+        if strange := [name for name in self.signals if name in JOINT_SIGNALS]:
+            raise ValueError(f"signals.{strange[0]} is of joints, but robot is none; expected a robot")
+        if not {"object_pose", "object_position"} & set(self.signals):
+            raise ValueError("signals.object_pose is missing; an object alone needs its pose, or object_position")
+
     def _object_is_told_once(self) -> None:
         parts = [name for name in ("object_position", "object_quaternion") if name in self.signals]
         if parts and "object_pose" in self.signals:
             raise ValueError(f"signals has both object_pose and {parts[0]}, expected one of them")
-        if len(parts) == 1:
+        if len(parts) == 1 and not (self.robot == NO_ROBOT and parts == ["object_position"]):
             raise ValueError(f"signals.{parts[0]} stands alone, expected object_position and object_quaternion")
 
     @property
@@ -275,6 +290,8 @@ class Mapping(Schema):
         Raises:
             InputError: There is no such robot, it has another number of joints, or a unit is none of its joint.
         """
+        if self.robot == NO_ROBOT:
+            raise InputError("an object alone was tracked; expected a robot", key="robot", value=self.robot)
         facts = load_facts(self.robot)
         if facts.joint_count != len(self.joints):
             raise InputError(f"{self.robot} has {facts.joint_count} joints, the mapping names {len(self.joints)}")

@@ -100,7 +100,7 @@ def read_series(
     for file, inside in files.items():
         if not file.exists() and not set(needed) & set(inside):
             continue
-        opened = _open(file, mapping, names, tuple(inside))
+        opened = open_file(file, mapping, names, tuple(inside))
         for name in inside:
             try:
                 series = opened.series(name, sources[name])
@@ -145,7 +145,18 @@ def _file_of(path: Path, source: SignalSource, names: Names) -> Path:
     )
 
 
-def _open(file: Path, mapping: Mapping, names: Names, wanted: tuple[SignalName, ...]) -> SignalFile:
+def open_file(file: Path, mapping: Mapping, names: Names, wanted: tuple[SignalName, ...]) -> SignalFile:
+    """A file of signals, read once.
+
+    Args:
+        file: A file, or the folder of a bag.
+        mapping: Where the signals are.
+        names: What the placeholders of the mapping stand for.
+        wanted: Signals that it should have.
+
+    Raises:
+        InputError: It cannot be read.
+    """
     if not file.exists():
         folder = file.parent
         near = did_you_mean(file.name, [other.name for other in folder.iterdir()]) if folder.is_dir() else ""

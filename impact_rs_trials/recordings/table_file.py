@@ -46,7 +46,9 @@ class TableFile:
 
     def __init__(self, path: Path, mapping: Mapping, names: Names) -> None:
         self._path, self._mapping, self._names = path, mapping, names
-        self._columns = read_columns(path, mapping.table)
+        here = [source for source in mapping.signals.values() if source.file and names.fill(source.file) == path.name]
+        own = [source.table for source in here if source.table is not None]
+        self._columns = read_columns(path, own[0] if own else mapping.table)
 
     @staticmethod
     def columns_of(path: Path, layout: TableLayout | None = None) -> list[str]:

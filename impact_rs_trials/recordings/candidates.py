@@ -13,15 +13,18 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
+from numpy.typing import NDArray
 from rosbags.rosbag2 import Reader
 from rosbags.typesys import Stores, get_typestore
 
+from impact_rs_sim.decimals import decimal
 from impact_rs_sim.errors import InputError
 from impact_rs_trials.recordings.array_file import ArrayFile
 from impact_rs_trials.recordings.bag_file import POSE_PARTS, register
-from impact_rs_trials.recordings.mapping import REQUIRED
+from impact_rs_trials.recordings.mapping import REQUIRED, TableLayout
 from impact_rs_trials.recordings.sources import ARRAY_SUFFIXES, BAG_SUFFIXES, TABLE_SUFFIXES, is_bag_folder
-from impact_rs_trials.recordings.table_file import TableFile
+from impact_rs_trials.recordings.table_columns import read_columns
+from impact_rs_trials.recordings.table_file import BETWEEN, BRACKETS
 
 MOST_WIDE = 40  # numbers in a sample of what may be joints
 DEEPEST = 3  # fields of a message inside of each other
@@ -30,6 +33,8 @@ STATIC = "/tf_static"  # frames that do not move are no pose of an object
 OBJECT_POSE: Final = "object_pose"
 # Parts of an arm from base to tip, for joints that are named after them and not numbered.
 PARTS = ("rail", "base", "shoulder_pan", "shoulder_lift", "shoulder", "upper_arm", "elbow", "forearm", "wrist")
+PART_OF_ARM = re.compile(rf"({'|'.join(PARTS)})(_?\d)?(_joint)?(?=[^a-z]|$)", re.IGNORECASE)
+MOST_LOOKED_AT = 50  # rows
 FINGERS = re.compile("finger|gripper|hand", re.IGNORECASE)
 
 
@@ -67,8 +72,12 @@ class Proposal:
     signals: dict[str, int] = field(default_factory=dict)
 
 
-def candidates_of(path: Path) -> list[SignalCandidate]:
+def candidates_of(path: Path, layout: TableLayout | None = None) -> list[SignalCandidate]:
     """What may be signals in a recording.
+
+    Args:
+        path: The recording.
+        layout: Where a text table has its names and rows; None: names first, then rows.
 
     Raises:
         InputError: It cannot be read.
@@ -76,7 +85,7 @@ def candidates_of(path: Path) -> list[SignalCandidate]:
     if is_bag_folder(path) or path.suffix in BAG_SUFFIXES:
         return _in_bag(path)
     if path.suffix in TABLE_SUFFIXES:
-        return _in_table(path)
+        return _in_table(path, layout or TableLayout())
     if path.suffix in ARRAY_SUFFIXES:
         return _in_arrays(path)
     raise InputError("no recording that can be looked at", file=path)
@@ -200,18 +209,36 @@ def _numbers(message: Any, before: str = "", depth: int = DEEPEST) -> Iterator[t
             yield from _numbers(value, f"{place}.", depth - 1)
 
 
-def _in_table(path: Path) -> list[SignalCandidate]:
-    """Columns whose names differ in a number, and those of a pose."""
+def _in_table(path: Path, layout: TableLayout) -> list[SignalCandidate]:
+    """Columns whose names differ in a number or a part of an arm, those whose cells hold vectors, those of a pose."""
     found = []
-    columns = TableFile.columns_of(path)
+    cells = read_columns(path, layout).cells
+    columns = list(cells)
     groups: dict[str, set[int]] = {}
+    parts: dict[str, list[str]] = {}
     for column in columns:
         for number in re.finditer(r"\d+", column):
             groups.setdefault(f"{column[: number.start()]}{{joint}}{column[number.end() :]}", set()).add(int(number[0]))
+        if part := PART_OF_ARM.search(column):
+            parts.setdefault(f"{column[: part.start()]}…{column[part.end() :]}", []).append(column)
     for pattern, numbers in groups.items():
-        if len(numbers) > 1 and numbers == set(range(1, len(numbers) + 1)):
-            label = f"{pattern.replace('{joint}', '1')} … {pattern.replace('{joint}', str(len(numbers)))}"
-            found.append(SignalCandidate(label, {"column": pattern}, False, _guess(pattern), len(numbers)))
+        first, last = min(numbers), max(numbers)
+        if first > 1 or len(numbers) < 2 or numbers != set(range(first, last + 1)):
+            continue
+        names = [pattern.replace("{joint}", str(number)) for number in range(first, last + 1)]
+        source = {"column": pattern} if first == 1 else {"columns": names}
+        found.append(SignalCandidate(f"{names[0]} … {names[-1]}", source, False, _guess(pattern), len(numbers)))
+    for pattern, own in parts.items():
+        if len(own) > 1:
+            names = sorted(own, key=_base_to_tip)
+            label = f"{names[0]} … {names[-1]}"
+            found.append(SignalCandidate(label, {"columns": names}, False, _guess(pattern), len(names)))
+    for column in columns:
+        width = vector_width(cells[column])
+        if width > 1:
+            pose = width == len(POSE_COLUMNS) and _is_of_an_object(column)
+            guess = OBJECT_POSE if pose else _guess(column)
+            found.append(SignalCandidate(f"{column} ({width})", {"column": column}, pose, guess, width))
     for column in columns:
         before = column.removesuffix("qw")
         names = [f"{before}{axis}" for axis in POSE_COLUMNS]
@@ -225,10 +252,30 @@ def _in_arrays(path: Path) -> list[SignalCandidate]:
     for name, shape in ArrayFile.shapes_of(path).items():
         if len(shape) != 2 or not 1 < shape[1] <= MOST_WIDE:
             continue
-        pose = shape[1] == len(POSE_COLUMNS) and ("pose" in name or "object" in name)
+        pose = shape[1] == len(POSE_COLUMNS) and _is_of_an_object(name)
         guess = OBJECT_POSE if pose else _guess(name)
         found.append(SignalCandidate(f"{name} ({shape[0]} × {shape[1]})", {"array": name}, pose, guess, shape[1]))
     return found
+
+
+def vector_width(cells: Sequence[str] | NDArray[Any]) -> int:
+    """How many numbers every cell of a column holds; 0: other things, or not the same number in all."""
+    if not isinstance(cells, list):
+        return 1
+    widths = {len(numbers_in(cell)) for cell in cells[:MOST_LOOKED_AT] if cell.strip()}
+    return widths.pop() if len(widths) == 1 else 0
+
+
+def numbers_in(cell: str) -> list[float]:
+    """Numbers of a cell, ``0.1 0.2`` or ``[0.1, 0.2]``; none where it holds anything else."""
+    try:
+        return [decimal(part) for part in BETWEEN.split(cell.strip(BRACKETS)) if part]
+    except ValueError:
+        return []
+
+
+def _is_of_an_object(name: str) -> bool:
+    return "pose" in name.lower() or "object" in name.lower()
 
 
 def _guess(name: str) -> str:

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from known_recordings import JOINTS, BagFormat, Signals
 
-from impact_rs_workbench import candidates
-from impact_rs_workbench.candidates import SignalCandidate, candidates_of, joints_of, propose
+from impact_rs_trials.recordings import candidates
+from impact_rs_trials.recordings.candidates import SignalCandidate, candidates_of, joints_of, propose
 
 NUMBERED = tuple(f"joint{number}" for number in range(1, 8))
 

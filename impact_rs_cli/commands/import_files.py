@@ -1,0 +1,56 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``impact-rs import``: a description of raw files."""
+
+from __future__ import annotations
+
+import argparse
+from dataclasses import asdict
+
+from rich.table import Table
+
+from impact_rs_cli.parser import PROGRAM
+from impact_rs_cli.terminal import Terminal
+from impact_rs_sim.errors import InputError
+from impact_rs_sim.files import whole_folder
+from impact_rs_trials.recordings.importing import Draft, Wishes, draft_import
+
+
+def run(args: argparse.Namespace, terminal: Terminal) -> int:
+    """Guess, show the evidence, and write."""
+    if args.rate is not None and not args.rate > 0.0:
+        raise InputError("expected a sampling rate > 0 Hz", key="--rate", value=args.rate)
+    wishes = Wishes(args.robot, args.scenario, args.rate, args.dedupe)
+    draft = draft_import(args.files, args.output, wishes)
+    for name in draft.texts:
+        if (args.output / name).exists():
+            raise InputError("this file exists already; descriptions are never overwritten", file=args.output / name)
+    with whole_folder(args.output) as aside:
+        for name, text in draft.texts.items():
+            (aside / name).write_text(text, encoding="utf-8")
+    terminal.result(
+        {
+            "folder": str(args.output), "files": list(draft.texts), "runs": draft.runs, "hits": draft.hits,
+            "guesses": [asdict(line) for line in draft.lines], "remarks": list(draft.remarks),
+        }
+    )  # fmt: skip
+    _show(draft, terminal)
+    for remark in draft.remarks:
+        terminal.say(f"note: {remark}")
+    terminal.say(f"{args.output}: {', '.join(draft.texts)}; {draft.runs} runs, {draft.hits} of them hits")
+    if "experiment.yaml" in draft.texts:
+        steps = f"impacts {draft.folder} --experiment {args.output / 'experiment.yaml'} -o impacts.csv"
+    else:
+        target = draft.folder if draft.runs > 1 else args.files[0]
+        steps = f"compare {target} --mapping {args.output / 'mapping.yaml'}"
+    terminal.say(f"next: look at what is assumed, then {PROGRAM} {steps}")
+    return 0
+
+
+def _show(draft: Draft, terminal: Terminal) -> None:
+    table = Table(title="What the files hold")
+    for heading in ("key", "value", "what shows it"):
+        table.add_column(heading)
+    for line in draft.lines:
+        evidence = line.evidence if line.sure else f"ASSUMED: {line.evidence}"
+        table.add_row(line.key, line.value, evidence)
+    terminal.say(table)

@@ -1,0 +1,278 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What raw numbers are, guessed from physics: clock, units and signs, each with the evidence for it.
+
+    clock     the column that increases and gives a sampling rate of 1 Hz to 100 kHz in its unit
+    position  the unit in which all of them lie within the limits of the joints
+    velocity  v = a dq/dt:  a is unit and sign
+    torque    tau = a (M ddq + h):  a is unit and sign; motor currents give another a for every joint
+    pose      a unit quaternion beside three numbers within reach
+
+Signals and derivatives are compared after a moving average, because encoders are quantised.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping as AbstractMapping
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from impact_rs_sim.proportion import Proportion
+from impact_rs_sim.robot import Array, RobotFacts
+from impact_rs_sim.robot_model import RobotModel
+from impact_rs_trials.recordings.clock import seconds_of
+from impact_rs_trials.recordings.clock_offset import misfit
+from impact_rs_trials.recordings.mapping import SLIDES, TURNS, UNITS
+from impact_rs_trials.recordings.series import Series
+from impact_rs_trials.recordings.table_file import DATE
+
+STAMP = re.compile(r"(^|[^a-z])(t|time|times|timestamp|stamp|sec|secs|nsec)([^a-z]|$)|time|stamp", re.IGNORECASE)
+RATES = (1.0, 1e5)  # Hz, that a recording may have
+SMOOTHED = 0.05  # s, of the moving average
+FEWEST_SMOOTHED = 5  # samples
+MARGIN = 0.05  # of the range of a joint, by which positions may lie beyond it
+CLOSE = (0.8, 1.25)  # ratios that a unit explains
+CLOSE_TORQUE = (0.5, 2.0)  # friction and loads are in the torque as well
+TOGETHER = 0.8  # least correlation from which a factor is believed
+MOVES = 0.02  # of the data sheet's velocity, rms, from which a joint moves
+NOTICED = 0.3  # of what the largest joint takes by weight and inertia, in proportion to the robot [N m]
+LOOKED_AT = 400  # samples in which the torque is compared
+LAG = 0.002  # s, from which a lag is said
+LONGEST_LAG = 0.1  # s
+UNIT_LENGTH = 0.02  # by which a quaternion may be off length 1
+REACH = 20.0  # m; a position beyond it is in millimetres
+
+
+@dataclass(frozen=True)
+class Guess:
+    """A value of a key, and what shows it.
+
+    Attributes:
+        value: The value.
+        evidence: What shows it, in words.
+        sure: Whether something shows it; else it is assumed.
+        further: Further keys of the same section with their values.
+        remarks: What the user should know besides.
+    """
+
+    value: Any
+    evidence: str
+    sure: bool = True
+    further: AbstractMapping[str, Any] = field(default_factory=dict)
+    remarks: tuple[str, ...] = ()
+
+
+def clock_of(columns: AbstractMapping[str, Sequence[str] | NDArray[Any]]) -> Guess | None:
+    """The column of the stamps, with its unit; None: none can be."""
+    found: list[tuple[float, str, Guess]] = []
+    for place, (name, cells) in enumerate(columns.items()):
+        guess = _clock(name, cells)
+        if guess is not None:
+            found.append((2.0 * bool(STAMP.search(name)) - 0.01 * place, name, guess))
+    return max(found)[2] if found else None
+
+
+def _clock(name: str, cells: Sequence[str] | NDArray[Any]) -> Guess | None:
+    if isinstance(cells, list) and cells and all(DATE.fullmatch(cell.strip()) for cell in cells):
+        return Guess(name, "holds dates", further={"unit": "date"})
+    try:
+        stamps = np.asarray(cells, dtype=float)
+    except (ValueError, TypeError):
+        return None
+    steps = np.diff(stamps)
+    if stamps.ndim != 1 or stamps.size < 3 or not np.isfinite(stamps).all() or np.any(steps < 0.0):
+        return None
+    usual = float(np.median(steps[steps > 0.0])) if np.any(steps > 0.0) else 0.0
+    if usual == 0.0 or float(np.mean(np.abs(steps / usual - 1.0) < 0.9)) < 0.5:
+        return None
+    units = [unit for unit in ("s", "ms", "us", "ns") if _plausible(unit, stamps, usual)]
+    named = [unit for unit in units if re.search(rf"(^|[^a-z]){unit}([^a-z]|$)", name, re.IGNORECASE)]
+    if not units:
+        return None
+    unit = (named or units)[0]
+    rate = 1.0 / (usual * UNITS["time"][unit])
+    said = f"increases; in {unit} that is {rate:.4g} Hz"
+    if stamps[0] * UNITS["time"][unit] > 1e8:
+        said += f", from {_year(stamps[0] * UNITS['time'][unit])} on"
+    repeats = int(np.sum(steps == 0.0))
+    remarks = (f"{repeats} of {stamps.size} stamps repeat the one before",) if repeats else ()
+    return Guess(name, said, bool(named or len(units) == 1), {"unit": unit}, remarks)
+
+
+def _plausible(unit: str, stamps: Array, step: float) -> bool:
+    """Whether stamps in a unit give a sampling rate, and a year, that can be."""
+    seconds = UNITS["time"][unit]
+    start = float(seconds_of(stamps[:1], seconds)[0])
+    return RATES[0] <= 1.0 / (step * seconds) <= RATES[1] and start < 5e9
+
+
+def _year(seconds: float) -> str:
+    return str(np.datetime64(int(seconds), "s").astype("datetime64[Y]"))
+
+
+def smoothed(time: Array, values: Array) -> tuple[Array, Array]:
+    """Moving averages over some hundredths of a second, ``(k,)`` and ``(k, c)``."""
+    period = float(np.median(np.diff(time)))
+    width = int(np.clip(round(SMOOTHED / max(period, 1e-9)), FEWEST_SMOOTHED, max(FEWEST_SMOOTHED, time.size // 20)))
+    window = np.ones(width) / width
+    mean = np.column_stack([np.convolve(column, window, "valid") for column in values.T])
+    return np.convolve(time, window, "valid"), mean
+
+
+def unit_of_position(raw: Array, facts: RobotFacts, name: str) -> Guess | None:
+    """Unit in which positions ``(k, n)`` lie within the joints' limits; None: in none."""
+    low, high = np.array(facts.limits.position_min_rad), np.array(facts.limits.position_max_rad)
+    margin = MARGIN * (high - low)
+    slides = [kind == "prismatic" for kind in facts.joint_types]
+    tried: list[str] = []
+    for turns, slide in (("rad", "m"), ("deg", "mm"), ("mrad", "mm")):
+        units = [slide if sliding else turns for sliding in slides]
+        factor = np.array([{**TURNS["position"], **SLIDES["position"]}[unit] for unit in units])
+        inside = np.mean((raw * factor >= low - margin) & (raw * factor <= high + margin), axis=0)
+        written = units[0] if len(set(units)) == 1 else units
+        span = ", ".join(
+            f"{one:.3g} ... {other:.3g}" for one, other in zip(raw.min(axis=0), raw.max(axis=0), strict=True)
+        )
+        if np.all(inside > 0.99):
+            said = f"the joints reach {span}, which lies within their limits in {turns}"
+            said += f" and not in {' or '.join(tried)}" if tried else ""
+            return Guess(written, said, further={"factor_": factor})
+        tried.append(turns)
+    return None
+
+
+def velocity_of(time: Array, position: Array, raw: Array, facts: RobotFacts) -> tuple[float, Guess] | None:
+    """How surely a signal is the velocity of positions ``(k, n)`` [rad], and its unit and signs; None: it is not."""
+    at, q = smoothed(time, position)
+    _, v = smoothed(time, raw)
+    derived = np.gradient(q, at, axis=0)
+    limits = np.array(facts.limits.velocity_rad_s)
+    moving = np.sqrt(np.mean(np.square(derived), axis=0)) > MOVES * limits
+    if not np.any(moving):
+        moving = np.ptp(q, axis=0) >= 0.5 * float(np.max(np.ptp(q, axis=0)))
+    ratio, together = _ratios(derived, v)
+    slides = [kind == "prismatic" for kind in facts.joint_types]
+    sure = float(np.median(np.abs(together[moving])))
+    usual = float(np.median(np.abs(ratio[moving])))
+    for turns, slide in (("rad/s", "m/s"), ("deg/s", "mm/s"), ("mrad/s", "mm/s")):
+        per_unit = 1.0 / TURNS["velocity"][turns]
+        if CLOSE[0] < usual / per_unit < CLOSE[1] and sure > TOGETHER:
+            signs = np.where(moving & (np.abs(together) > TOGETHER), np.sign(ratio), np.median(np.sign(ratio[moving])))
+            units = [slide if sliding else turns for sliding in slides]
+            said = (
+                f"{_range(ratio[moving] / per_unit)} times the derivative of the position in {turns} "
+                f"(correlation {_range(together[moving])})"
+            )
+            further = {} if np.all(signs > 0.0) else {"factor": _signs(signs)}
+            return sure, Guess(_common(units), said, True, further, _lag(time, position, raw, moving))
+    return None
+
+
+def _lag(time: Array, position: Array, raw: Array, moving: NDArray[np.bool_]) -> tuple[str, ...]:
+    """Whether velocities lag behind the positions, as low-passed ones do."""
+    at, q = smoothed(time, position[:, moving])
+    derived = Series("", at, np.gradient(q, at, axis=0))
+    measured = Series("", *smoothed(time, raw[:, moving]))
+    period = float(np.median(np.diff(time)))
+    lags = np.arange(-LONGEST_LAG, LONGEST_LAG, max(period / 4.0, 5e-4))
+    errors = [misfit(derived, measured, -float(lag))[0] for lag in lags]
+    best = float(lags[int(np.argmin(errors))])
+    if best < max(LAG, period / 2.0) or min(errors) > 0.8 * misfit(derived, measured, 0.0)[0]:
+        return ()
+    return (
+        f"the velocities lag {1e3 * best:.0f} ms behind the derivative of the positions: they were low-passed; "
+        f"signals.velocity.delay: {-best:.4g} moves them back",
+    )
+
+
+def torque_of(
+    time: Array, position: Array, velocity: Array, raw: Array, model: RobotModel, name: str
+) -> tuple[float, Guess] | None:
+    """How surely a signal is the torque of a motion in SI units, with its unit and signs; None: it may not be."""
+    at, q = smoothed(time, position)
+    _, dq = smoothed(time, velocity)
+    _, tau = smoothed(time, raw)
+    ddq = np.gradient(dq, at, axis=0)
+    rows = np.unique(np.linspace(0, at.size - 1, LOOKED_AT).astype(int))
+    needed = np.array([model.inverse_dynamics(q[row], dq[row], ddq[row]) for row in rows])
+    tau = tau[rows]
+    ratio, together = _ratios(needed, tau)
+    size = Proportion.of_robots([model.facts], np.asarray(model.pinocchio.gravity.linear)).factor("N m")
+    heavy = np.sqrt(np.mean(np.square(needed), axis=0)) > NOTICED * size
+    shown = heavy & (np.abs(together) > TOGETHER)
+    slides = [kind == "prismatic" for kind in model.facts.joint_types]
+    if not np.any(shown):
+        return None
+    sure = float(np.max(np.abs(together[shown])))
+    usual = float(np.median(np.abs(ratio[shown])))
+    said = (
+        f"{_range(ratio[shown])} times the torque that weight and inertia of the arm take in joint"
+        f"{'s' if np.sum(shown) > 1 else ''} {', '.join(str(joint + 1) for joint in np.flatnonzero(shown))}"
+    )
+    signs = np.where(shown, np.sign(ratio), np.sign(np.median(np.sign(ratio[shown]))))
+    further: dict[str, Any] = {} if np.all(signs > 0.0) else {"factor": _signs(signs)}
+    if not np.all(shown):
+        said += "; the others show nothing and are taken like them"
+    for turns, slide in (("N m", "N"), ("mN m", "mN")):
+        if CLOSE_TORQUE[0] < usual * TURNS["torque"][turns] < CLOSE_TORQUE[1]:
+            return sure, Guess(_common([slide if one else turns for one in slides]), said, True, further)
+    constants = np.where(shown, 1.0 / np.maximum(np.abs(ratio), 1e-12), 1.0 / usual)
+    said += ": no unit of torque; taken for motor currents, with the constants that the weight shows"
+    written = [float(f"{constant:.3g}") for constant in constants]
+    return sure, Guess("A", said, False, {**further, "torque_constant": written})
+
+
+def pose_of(raw: Array) -> Guess | None:
+    """Unit and order of poses ``(k, 7)``; None: they hold no unit quaternion."""
+    place, quaternion = raw[:, :3], raw[:, 3:]
+    order = quaternion_order(quaternion)
+    if order is None:
+        return None
+    length = unit_of_length(place)
+    further = {} if order.value == "xyzw" else {"quaternion_order": order.value}
+    return Guess(length.value, f"{length.evidence}; {order.evidence}", order.sure, further)
+
+
+def unit_of_length(place: Array) -> Guess:
+    """Unit of positions ``(k, 3)`` of an object near a robot."""
+    largest = float(np.nanmax(np.abs(place)))
+    unit = "mm" if largest > REACH else "m"
+    return Guess(unit, f"up to {largest:.3g} from the origin, which is a place near a robot in {unit}")
+
+
+def quaternion_order(quaternion: Array) -> Guess | None:
+    """Order of unit quaternions ``(k, 4)``; None: they are none."""
+    seen = quaternion[np.isfinite(quaternion).all(axis=1)]
+    if not len(seen) or not np.all(np.abs(np.linalg.norm(seen, axis=1) - 1.0) < UNIT_LENGTH):
+        return None
+    middle = np.abs(np.median(seen, axis=0))
+    if middle[0] > 0.9 or middle[3] > 0.9:
+        order = "xyzw" if middle[3] > middle[0] else "wxyz"
+        which = "last" if order == "xyzw" else "first"
+        return Guess(order, f"the {which} number of the unit quaternion is near 1, as w of a body that hardly turns")
+    return Guess("xyzw", "which number of the unit quaternion is w, nothing shows; taken as x y z w", False)
+
+
+def _ratios(expected: Array, measured: Array) -> tuple[Array, Array]:
+    """Factor and correlation of every column, about their means where those do not go together."""
+    power = np.maximum(np.sum(expected**2, axis=0), 1e-300)
+    product = np.sum(expected * measured, axis=0)
+    size = np.sqrt(power * np.maximum(np.sum(measured**2, axis=0), 1e-300))
+    return product / power, product / size
+
+
+def _range(values: Array) -> str:
+    low, high = float(np.min(values)), float(np.max(values))
+    return f"{low:.3g}" if f"{low:.3g}" == f"{high:.3g}" else f"{low:.3g} ... {high:.3g}"
+
+
+def _signs(signs: Array) -> Any:
+    return float(signs[0]) if np.all(signs == signs[0]) else [float(sign) for sign in signs]
+
+
+def _common(units: list[str]) -> Any:
+    return units[0] if len(set(units)) == 1 else units

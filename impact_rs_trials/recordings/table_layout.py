@@ -1,0 +1,88 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Where a text table has its names and rows, found from the text.
+
+Rows are the first lines of which several in a row have as many cells and hold numbers (or vectors of numbers, dates,
+words beside them). The names stand in the line above that has as many cells, or one line higher if units lie between.
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from pathlib import Path
+
+from impact_rs_sim.errors import InputError
+from impact_rs_trials.recordings.candidates import numbers_in
+from impact_rs_trials.recordings.csv_rows import read_lines, split_line
+from impact_rs_trials.recordings.mapping import TableLayout
+
+LOOKED_AT = 60  # lines, in which a table must have begun
+ALIKE = 3  # lines of numbers in a row that make a table
+NUMBERS = 0.5  # least share of cells that are numbers, in a row
+UNIT = re.compile(
+    r"[\[(]?(-|s|ms|us|ns|sec|rad|mrad|deg|m|mm|kg|g|n|nm|n ?m|n\*m|a|ma|v|(m?rad|deg|m|mm)/s(\^?2)?|1|)[\])]?", re.I
+)
+
+
+@dataclass(frozen=True)
+class FoundLayout:
+    """A layout, and what shows it.
+
+    Attributes:
+        layout: Line of the names and first row.
+        evidence: What shows it.
+        skipped: Lines above the names.
+    """
+
+    layout: TableLayout
+    evidence: str
+    skipped: int = 0
+
+
+def find_layout(path: Path) -> FoundLayout:
+    """Where a text table has its names and rows.
+
+    Raises:
+        InputError: No table begins in its first lines.
+    """
+    lines = [(number, line) for number, line in read_lines(path)[:LOOKED_AT] if line.strip()]
+    cells = {number: split_line(line.lstrip("# ")) for number, line in lines}
+    data = [number for number, line in lines if not line.startswith("#") and _is_row(cells[number])]
+    for place, first in enumerate(data):
+        together = data[place : place + ALIKE]
+        if len({len(cells[number]) for number in together}) == 1 and (len(together) == ALIKE or place == 0):
+            return _named(cells, first)
+    raise InputError(f"no table of numbers begins in its first {LOOKED_AT} lines", file=path)
+
+
+def _named(cells: dict[int, list[str]], first: int) -> FoundLayout:
+    """The layout of a table whose numbers begin in a line."""
+    width = len(cells[first])
+    above = [number for number in cells if number < first]
+    if above and len(cells[above[-1]]) == width and all(UNIT.fullmatch(cell.strip()) for cell in cells[above[-1]]):
+        units, above = above[-1], above[:-1]
+    else:
+        units = None
+    names = above[-1] if above and len(cells[above[-1]]) == width and not _is_row(cells[above[-1]]) else None
+    if names is None:
+        layout = TableLayout(header=0, first=first if first > 1 else None)
+        return FoundLayout(layout, f"no line of {width} names stands above the numbers in line {first}", len(above))
+    said = f"line {names} has {width} names, as many as the rows have cells"
+    if units is not None:
+        said += f"; units stand in line {units}"
+    if len(above) > 1:
+        said += f"; what stands above is skipped ({len(above) - 1} line{'s' if len(above) > 2 else ''})"
+    plain = names == min(cells) and units is None
+    layout = TableLayout() if plain else TableLayout(header=names, first=None if units is None else first)
+    return FoundLayout(layout, said, len(above) - 1)
+
+
+def _is_row(cells: list[str]) -> bool:
+    """Whether a line holds numbers: half of its cells that are not empty, and its first or second cell."""
+    filled = [cell for cell in cells if cell.strip()]
+    numeric = [bool(numbers_in(cell)) for cell in filled]
+    return bool(filled) and sum(numeric) >= NUMBERS * len(filled) and not all(map(_is_name, filled[:2]))
+
+
+def _is_name(cell: str) -> bool:
+    return not numbers_in(cell)
