@@ -122,6 +122,15 @@ impact-rs robot check my_robot.yaml --scenario my_push.yaml""",
                     "--tip", metavar="LINK", help="link whose frame is the flange, +z outwards",
                     otherwise="the only leaf of the tree",
                 ),
+                option(
+                    "--limits", many=True, default=(), metavar="JOINT.QUANTITY=VALUE", otherwise="those of the URDF",
+                    help="limits that the URDF lacks or has as 0: elbow.effort=10 '*.velocity=3' '*.position=-3:3'; * "
+                    "is every joint",
+                ),
+                option(
+                    "--inertia-at", choices=("centre", "joint"), default="centre",
+                    help="where the moments of inertia are about: the centre of mass, as the format says, or the joint",
+                ),
                 option("--source", metavar="TEXT", help="where the numbers come from, with their licence"),
                 JSON,
             ),

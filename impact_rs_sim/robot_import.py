@@ -19,6 +19,7 @@ import os
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal
 from xml.etree import ElementTree as Xml
 
 import numpy as np
@@ -27,7 +28,9 @@ import pinocchio as pin
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.robot import UNITS, Array, Flange, JointOrigin, JointType, Limits, Link, Mesh, RobotFacts
 from impact_rs_sim.schema import parse_yaml, validate
-from impact_rs_sim.urdf_chain import MOVES_AS, Chain, UrdfTree
+from impact_rs_sim.urdf_chain import MOVES_AS, Chain, UrdfTree, child_of
+from impact_rs_sim.urdf_repairs import Limits as GivenLimits
+from impact_rs_sim.urdf_repairs import about_centre, given_limits, looks_about_joint
 
 FULL_TURN = 2.0 * math.pi  # rad; what a joint without position limits gets to either side
 TYPED: dict[JointType, str] = {"revolute": "", "prismatic": "type: prismatic, "}  # as a file of facts says it
@@ -50,7 +53,12 @@ class ImportedRobot:
 
 
 def import_urdf(
-    file: Path, base: str | None = None, tip: str | None = None, source: str | None = None
+    file: Path,
+    base: str | None = None,
+    tip: str | None = None,
+    source: str | None = None,
+    limits: Sequence[str] = (),
+    inertia_at: Literal["centre", "joint"] = "centre",
 ) -> ImportedRobot:
     """Facts of the arm from link ``base`` to link ``tip`` of a URDF.
 
@@ -59,6 +67,8 @@ def import_urdf(
         base: Link that the arm is mounted with; None: the root.
         tip: Link whose frame is the flange; None: the only one there is.
         source: Where the numbers come from; None: the file's name.
+        limits: Limits in place of those of the URDF (:func:`~impact_rs_sim.urdf_repairs.given_limits`).
+        inertia_at: Where its moments of inertia are about: the centre of mass, as the format says, or the joint.
 
     Raises:
         InputError: The file is no URDF, has no such chain, or lacks a number that is needed.
@@ -66,11 +76,14 @@ def import_urdf(
     tree = UrdfTree(file)
     chain = tree.chain(base, tip)
     _check_inertials(tree, chain)
+    notes = [*tree.notes, *_moved_inertias(tree, chain, inertia_at)]
+    chain = tree.chain(base, tip)
+    given = given_limits(limits, [joint.get("name", "") for joint in chain.joints], file)
     try:
         model = pin.buildModelFromXML(chain.urdf)
     except ValueError as error:
         raise InputError(f"Pinocchio does not read it: {error}", file=file) from None
-    joints, links, limits = [], [], []
+    joints, links, rows = [], [], []
     before = np.eye(3)
     meshes = _meshes(tree, chain, model)
     for index, joint in enumerate(chain.joints, start=1):
@@ -86,11 +99,11 @@ def import_urdf(
         origin = _placement(before.T @ placement.translation, before.T @ placement.rotation @ turn)
         joints.append(JointOrigin.model_validate({"type": _type(joint), **origin}))
         links.append(_link(body, turn, meshes.get(index, [])))
-        limits.append(_limits(tree, joint))
+        rows.append(_limits(tree, joint, given, notes))
         before = turn
     frame = model.frames[model.getFrameId(chain.tip, pin.FrameType.BODY)].placement
     flange = Flange.model_validate(_placement(before.T @ frame.translation, before.T @ frame.rotation))
-    columns = [tuple(column) for column in zip(*limits, strict=True)]
+    columns = [tuple(column) for column in zip(*rows, strict=True)]
     facts = RobotFacts(
         source=source or f"imported from {file.name}",
         joints=tuple(joints),
@@ -99,7 +112,7 @@ def import_urdf(
         links=tuple(links),
         base_meshes=tuple(_mesh(one, np.eye(3)) for one in meshes.get(0, [])),
     )
-    return ImportedRobot(facts, tuple(joint.get("name", "") for joint in chain.joints), tuple(_notes(chain)))
+    return ImportedRobot(facts, tuple(joint.get("name", "") for joint in chain.joints), (*_notes(chain), *notes))
 
 
 def frame_of_axis(axis: Array) -> Array:
@@ -220,26 +233,88 @@ def _axis(tree: UrdfTree, joint: Xml.Element) -> Array:
     return np.asarray(axis / np.linalg.norm(axis))
 
 
+def _origin(tree: UrdfTree, joint: Xml.Element) -> list[float]:
+    return tree.numbers(joint.find("origin"), "xyz", 3, "0 0 0", f"joint {joint.get('name')}: origin xyz")
+
+
 def _type(joint: Xml.Element) -> JointType:
     return MOVES_AS[joint.get("type", "")]
 
 
-def _limits(tree: UrdfTree, joint: Xml.Element) -> tuple[float, float, float, float]:
-    """Lowest and highest position, velocity and effort, in the units of the joint."""
-    units = UNITS[_type(joint)]
-    limit, key = joint.find("limit"), f"joint {joint.get('name')}: limit"
-    if joint.get("type") == "continuous":
+def _limits(
+    tree: UrdfTree, joint: Xml.Element, given: GivenLimits, notes: list[str]
+) -> tuple[float, float, float, float]:
+    """Lowest and highest position, velocity and effort, in the units of the joint; what was given is noted."""
+    units, name = UNITS[_type(joint)], joint.get("name", "")
+    limit, key = joint.find("limit"), f"joint {name}: limit"
+    remedy = f"--limits {name}."
+    if (name, "position") in given:
+        lower, upper = given[name, "position"]
+        notes.append(f"Limits of joint {name} as given: {lower:g} to {upper:g} {units.position}.")
+    elif joint.get("type") == "continuous":
         lower, upper = -FULL_TURN, FULL_TURN
     else:
-        (lower,), (upper,) = (tree.numbers(limit, name, 1, "0", f"{key} {name}") for name in ("lower", "upper"))
-        if lower >= upper:
-            message = f"expected lower < upper [{units.position}], found {lower:g} and {upper:g}"
-            raise InputError(message, file=tree.file, key=key)
-    (velocity,), (effort,) = (tree.numbers(limit, name, 1, None, f"{key} {name}") for name in ("velocity", "effort"))
-    for name, value, unit in (("velocity", velocity, units.velocity), ("effort", effort, units.effort)):
+        (lower,), (upper,) = (tree.numbers(limit, end, 1, "0", f"{key} {end}") for end in ("lower", "upper"))
+    if lower >= upper:
+        message = f"expected lower < upper [{units.position}], found {lower:g} and {upper:g}; {remedy}position=LOW:HIGH"
+        raise InputError(f"{message} says it", file=tree.file, key=key)
+    most = []
+    for quantity, unit in (("velocity", units.velocity), ("effort", units.effort)):
+        if (name, quantity) in given:
+            (value,) = given[name, quantity]
+            notes.append(f"{quantity.capitalize()} limit of joint {name} as given: {value:g} {unit}.")
+        elif limit is None or limit.get(quantity) is None:
+            said = f"this is missing in the URDF, expected a number; {remedy}{quantity}=MOST says it"
+            raise InputError(said, file=tree.file, key=f"{key} {quantity}")
+        else:
+            (value,) = tree.numbers(limit, quantity, 1, None, f"{key} {quantity}")
         if value <= 0.0:
-            raise InputError(f"expected > 0 [{unit}], found {value:g}", file=tree.file, key=f"{key} {name}")
-    return lower, upper, velocity, effort
+            said = f"expected > 0 [{unit}], found {value:g}; {remedy}{quantity}=MOST says it"
+            raise InputError(said, file=tree.file, key=f"{key} {quantity}")
+        most.append(value)
+    return lower, upper, most[0], most[1]
+
+
+def _moved_inertias(tree: UrdfTree, chain: Chain, inertia_at: str) -> list[str]:
+    """Notes on moments that look as if they were about joints, which are moved to the centres of mass if asked for."""
+    notes, suspects = [], []
+    length = sum(float(np.linalg.norm(_origin(tree, joint))) for joint in chain.joints)
+    for joint in chain.joints:
+        name = child_of(joint)
+        inertial = tree.links[name].find("inertial")
+        if inertial is None:
+            continue
+        key, origin = f"link {name}", inertial.find("origin")
+        (mass,) = tree.numbers(inertial.find("mass"), "value", 1, None, f"{key}: inertial mass")
+        centre = np.array(tree.numbers(origin, "xyz", 3, "0 0 0", f"{key}: origin xyz"))
+        turn = pin.rpy.rpyToMatrix(*tree.numbers(origin, "rpy", 3, "0 0 0", f"{key}: origin rpy"))
+        tensor = inertial.find("inertia")
+        assert tensor is not None  # it was checked
+        numbers = [tree.numbers(tensor, entry, 1, None, f"{key}: inertia {entry}")[0] for entry in INERTIA]
+        upper = np.zeros((3, 3))
+        upper[np.triu_indices(3)] = numbers
+        stated = turn @ (upper + np.triu(upper, 1).T) @ turn.T
+        axis = _axis(tree, joint)
+        if inertia_at == "centre":
+            ratio = looks_about_joint(mass, centre, stated, axis, length)
+            suspects += [] if ratio is None else [f"{name} ({ratio:.2f} m d^2)"]
+            continue
+        moved = about_centre(mass, centre, stated, axis)
+        if moved is None:
+            raise InputError(
+                "no body has these moments about its joint: less than m r^2 are left about the centre of mass; leave "
+                "--inertia-at joint out", file=tree.file, key=f"{key}: inertia",
+            )  # fmt: skip
+        for entry, value in zip(INERTIA, (turn.T @ moved @ turn)[np.triu_indices(3)], strict=True):
+            tensor.set(entry, repr(float(value)))
+        notes.append(f"Moments of inertia of {name} were moved from the joint to the centre of mass (Steiner).")
+    if suspects:
+        notes.append(
+            "Moments of inertia look as if they were about the joints, not about the centres of mass: "
+            f"{', '.join(suspects)}, with d the distance of the centre from the axis; a slender link has a third of it. "
+            "If so: --inertia-at joint."
+        )
+    return notes
 
 
 def _placement(translation: Array, rotation: Array) -> dict[str, tuple[float, ...]]:

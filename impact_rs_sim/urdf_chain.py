@@ -23,6 +23,7 @@ from impact_rs_sim.robot import JointType
 MOVES_AS: dict[str, JointType] = {"revolute": "revolute", "continuous": "revolute", "prismatic": "prismatic"}
 TYPES = (*MOVES_AS, "fixed", "planar", "floating")
 XACRO = "xacro {file} > robot.urdf"
+WORLD = "world"  # link that simulators know without its being in the file
 KEPT = ("origin", "parent", "child", "axis", "inertial")  # what rigid-body dynamics need; no meshes
 LONGEST_MESSAGE = 1000  # characters; of a large arm all links are listed
 ONCE = {  # elements that may stand once in an element; of two a reader would take either
@@ -62,6 +63,14 @@ class Chain:
 class UrdfTree:
     """Links and joints of a URDF file.
 
+    Attributes:
+        file: The URDF.
+        links: Links by name.
+        above: The joint that carries a link, by the link's name.
+        below: Joints that a link carries.
+        root: The link that no joint carries.
+        notes: What was taken for granted.
+
     Args:
         file: The URDF.
 
@@ -76,6 +85,10 @@ class UrdfTree:
         joints = self._named(robot, "joint")
         if not self.links:
             self._fail("there is no link in it")
+        self.notes: list[str] = []
+        if WORLD not in self.links and any(_parent(joint) == WORLD for joint in joints.values()):
+            self.links[WORLD] = Xml.Element("link", name=WORLD)
+            self.notes.append(f"The URDF has no link {WORLD!r}, on which joints hang: it is taken for the ground.")
         for kind, elements in (("link", self.links), ("joint", joints)):
             for name, element in elements.items():
                 self._check_once(element, f"{kind} {name}")
@@ -112,8 +125,8 @@ class UrdfTree:
         if not joints:
             self._fail(f"no joint moves between {start!r} and {end!r}; expected at least one that turns or slides")
         moved = way[way.index(joints[0]) :]
-        beside = [joint for carrier in moved[:-1] for joint in self._beside(_child(carrier), way)]
-        fixed = (_child(joint) for joint in (*moved, *beside) if joint.get("type") == "fixed")
+        beside = [joint for carrier in moved[:-1] for joint in self._beside(child_of(carrier), way)]
+        fixed = (child_of(joint) for joint in (*moved, *beside) if joint.get("type") == "fixed")
         return Chain(
             file=self.file,
             base=start,
@@ -199,7 +212,7 @@ class UrdfTree:
         if moves and not self.below[link]:
             yield link
         for joint in self.below[link]:
-            yield from self._tips(_child(joint), moves or joint.get("type") != "fixed")
+            yield from self._tips(child_of(joint), moves or joint.get("type") != "fixed")
 
     def _way(self, base: str, tip: str) -> list[Xml.Element]:
         way: list[Xml.Element] = []
@@ -231,16 +244,16 @@ class UrdfTree:
                     f"joint {_name(joint)}",
                 )
             yield joint
-            yield from self._beside(_child(joint), way)
+            yield from self._beside(child_of(joint), way)
 
     def _everything_below(self, link: str) -> Iterator[str]:
         for joint in self.below[link]:
-            yield _child(joint)
-            yield from self._everything_below(_child(joint))
+            yield child_of(joint)
+            yield from self._everything_below(child_of(joint))
 
     def _pruned(self, base: str, joints: list[Xml.Element]) -> str:
         robot = Xml.Element("robot", name="arm")
-        for name in (base, *(_child(joint) for joint in joints)):
+        for name in (base, *(child_of(joint) for joint in joints)):
             link = Xml.SubElement(robot, "link", name=name)
             link.extend(copy.deepcopy(part) for part in self.links[name] if part.tag in KEPT)
         for joint in joints:
@@ -272,7 +285,13 @@ def _name(element: Xml.Element) -> str:
     return element.get("name", "")
 
 
-def _child(joint: Xml.Element) -> str:
+def _parent(joint: Xml.Element) -> str | None:
+    parent = joint.find("parent")
+    return None if parent is None else parent.get("link")
+
+
+def child_of(joint: Xml.Element) -> str:
+    """Link that a joint carries; empty: it says none."""
     child = joint.find("child")
     return "" if child is None else child.get("link", "")
 

@@ -25,6 +25,7 @@ from impact_rs_sim.robot_import import FULL_TURN, facts_text, frame_of_axis, imp
 from impact_rs_sim.robot_model import RobotModel
 from impact_rs_sim.scene import ArmState, BodyState
 from impact_rs_sim.urdf import write_description
+from impact_rs_sim.urdf_repairs import looks_about_joint
 
 PERIOD = 2.5e-4  # s, of the torque loop
 LIMIT = '<limit lower="-2" upper="1.5" velocity="3" effort="40"/>'
@@ -445,3 +446,101 @@ def test_numbers_of_a_urdf_are_decimal(tmp_path: Path, number: str) -> None:
     parts = [part.replace('<mass value="2"/>', f'<mass value="{number}"/>') for part in ARM]
     with pytest.raises(InputError, match="expected 1 finite number"):
         import_urdf(write(tmp_path, *parts))
+
+
+# ---- what a URDF lacks or has wrong ---------------------------------------------------------------------------------
+
+
+def test_a_parent_called_world_is_the_ground(tmp_path: Path) -> None:
+    """As simulators write it, without a link of that name."""
+    weld = '<joint name="weld" type="fixed"><parent link="world"/><child link="base"/></joint>'
+    robot = import_urdf(write(tmp_path, *ARM, weld))
+    assert robot.facts.links == import_urdf(write(tmp_path, *ARM)).facts.links
+    assert any("'world'" in note for note in robot.notes)
+    with pytest.raises(InputError, match="its parent is 'ground', expected a link of this file"):
+        import_urdf(write(tmp_path, *ARM, weld.replace("world", "ground")))
+
+
+def test_limits_that_are_missing_or_0_are_given_by_hand_and_said(tmp_path: Path) -> None:
+    bare = [*ARM[:3], joint("shoulder", "base", "upper", inside=""), joint("elbow", "upper", "fore", inside=LIMIT)]
+    given = ["*.velocity=2", "*.effort=50", "shoulder.position=-1:1.2", "elbow.effort=9"]
+    robot = import_urdf(write(tmp_path, *bare), limits=given)
+    assert robot.facts.limits.position_min_rad == (-1.0, -2.0)
+    assert robot.facts.limits.velocity_rad_s == (2.0, 2.0)
+    assert robot.facts.limits.torque_Nm == (50.0, 9.0)
+    assert "Limits of joint shoulder as given: -1 to 1.2 rad." in robot.notes
+    assert "Effort limit of joint elbow as given: 9 N m." in robot.notes
+    with pytest.raises(
+        InputError, match=r"shoulder: limit: expected lower < upper .* --limits shoulder.position=LOW:HIGH"
+    ):
+        import_urdf(write(tmp_path, *bare), limits=given[:2])
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("elbow.effort", "expected JOINT.position=LOW:HIGH"),
+        ("elbow.effort=1:2", "expected JOINT.position=LOW:HIGH"),
+        ("elbow.position=1", "expected JOINT.position=LOW:HIGH"),
+        ("elbow.effort=inf", "expected JOINT.position=LOW:HIGH"),
+        ("elbow.torque=3", "expected JOINT.position=LOW:HIGH"),
+        ("elbo.effort=3", "no joint 'elbo'; did you mean 'elbow'"),
+        ("elbow.effort=0", "expected > 0"),
+    ],
+)
+def test_limits_that_cannot_be_are_refused(tmp_path: Path, text: str, said: str) -> None:
+    with pytest.raises(InputError, match=said):
+        import_urdf(write(tmp_path, *ARM), limits=[text])
+
+
+def rod(mass: float, length: float, about_joint: bool, thick: float = 0.02) -> str:
+    """Inertial of a rod along x, whose moments stand about its end or, as they should, about its middle."""
+    across = mass * length**2 / (3.0 if about_joint else 12.0)
+    moments = f'ixx="{mass * thick**2}" iyy="{across}" izz="{across}"'
+    return (
+        f'<inertial><origin xyz="{length / 2} 0 0"/><mass value="{mass}"/><inertia {moments} ixy="0" ixz="0" iyz="0"/>'
+        "</inertial>"
+    )
+
+
+def pendulum(folder: Path, inside: str) -> Path:
+    axis = '<axis xyz="0 0 1"/>' + LIMIT
+    parts = [link("base"), link("upper", inside), link("fore", inside), joint("shoulder", "base", "upper", inside=axis)]
+    return write(folder, *parts, joint("elbow", "upper", "fore", inside=axis, xyz="0.6 0 0"))
+
+
+def test_moments_about_the_joint_are_moved_to_the_centre_of_mass(tmp_path: Path) -> None:
+    """Steiner: m l^2 / 3 about the end of a rod is m l^2 / 12 about its middle."""
+    true = import_urdf(pendulum(tmp_path, rod(2.0, 0.6, False)))
+    assert not any("about the joints" in note for note in true.notes)
+    moved = import_urdf(pendulum(tmp_path, rod(2.0, 0.6, True)), inertia_at="joint")
+    for one, other in zip(true.facts.links, moved.facts.links, strict=True):
+        np.testing.assert_allclose(one.inertia, other.inertia, atol=1e-12)
+    assert "Moments of inertia of fore were moved from the joint to the centre of mass (Steiner)." in moved.notes
+
+
+def test_one_moment_written_three_times_about_the_joint_is_recognised(tmp_path: Path) -> None:
+    """As where a planar plant was identified: no body is left by Steiner, so its part is taken from each."""
+    about_joint = 2.0 * 0.3**2 + 0.004
+    moments = " ".join(f'{name}="{about_joint}"' for name in ("ixx", "iyy", "izz"))
+    inside = (
+        f'<inertial><origin xyz="0.3 0 0"/><mass value="2"/><inertia {moments} ixy="0" ixz="0" iyz="0"/></inertial>'
+    )
+    (note,) = [note for note in import_urdf(pendulum(tmp_path, inside)).notes if "about the joints" in note]
+    assert "upper (1.02 m d^2), fore (1.02 m d^2)" in note
+    assert "--inertia-at joint" in note
+    moved = import_urdf(pendulum(tmp_path, inside), inertia_at="joint")
+    np.testing.assert_allclose(moved.facts.links[0].inertia, [0.004, 0, 0, 0.004, 0, 0.004], atol=1e-12)
+
+
+def test_too_little_inertia_is_not_about_the_joint(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="no body has these moments about its joint"):
+        import_urdf(pendulum(tmp_path, rod(2.0, 0.6, False)), inertia_at="joint")
+
+
+@pytest.mark.parametrize("name", ["franka_fer", "franka_fr3", "kuka_iiwa7", "kuka_iiwa14", "ur5e", "ur10e"])
+def test_links_of_real_arms_are_not_suspected(name: str) -> None:
+    facts = load_facts(name)
+    length = sum(float(np.linalg.norm(origin.xyz)) for origin in facts.joints)
+    for one in facts.links:
+        assert looks_about_joint(one.mass, np.array(one.com), one.inertia_matrix, np.array([0, 0, 1.0]), length) is None

@@ -1,0 +1,111 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a URDF lacks or has wrong, and how the user puts it right: limits, and moments of inertia about joints.
+
+A URDF states moments of inertia about the centre of mass. Some are written about the joint instead, which is too much
+by Steiner's term,
+
+    I_joint = I_centre + m (r^2 1 - r r^T),        r from the joint to the centre of mass.
+
+A link is suspected if its smallest moment is at least m d^2, with d the distance of the centre from the joint axis: a
+body whose centre lies at d would reach beyond its joint by as much in all directions. Links of real arms that are long
+for the arm are slender, with about m d^2 / 3 across and much less along (a rod, a tube); short ones may be as wide, and
+say nothing.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from impact_rs_sim.decimals import decimal
+from impact_rs_sim.errors import InputError, did_you_mean
+from impact_rs_sim.robot import Array
+
+QUANTITIES = ("position", "velocity", "effort")
+GIVEN = re.compile(r"(?P<joint>.+)\.(?P<quantity>position|velocity|effort)=(?P<value>.+)")
+SUSPECTED = 1.0  # smallest moment over m d^2, from which moments are taken for those about a joint
+LONG = 0.12  # of the arm's length, distance of the centre of mass from the joint axis from which a link is long
+EVERY = "*"
+
+Limits = Mapping[tuple[str, str], tuple[float, ...]]
+
+
+def given_limits(texts: Sequence[str], joints: Sequence[str], file: Path) -> Limits:
+    """Limits that the user gives, by joint and quantity.
+
+    Args:
+        texts: ``elbow.effort=10``, ``*.position=-3:3``; ``*`` stands for all joints.
+        joints: Names of the joints of the chain.
+        file: The URDF, for messages.
+
+    Raises:
+        InputError: A text says something else, or there is no such joint.
+    """
+    found: dict[tuple[str, str], tuple[float, ...]] = {}
+    for text in texts:
+        match = GIVEN.fullmatch(text)
+        try:
+            numbers = tuple(decimal(part) for part in match["value"].split(":")) if match else ()
+        except ValueError:
+            numbers = ()
+        if (
+            match is None
+            or len(numbers) != (2 if match["quantity"] == "position" else 1)
+            or not np.isfinite(numbers).all()
+        ):
+            expected = "expected JOINT.position=LOW:HIGH, JOINT.velocity=MOST or JOINT.effort=MOST; * is every joint"
+            raise InputError(expected, key="--limits", value=text)
+        if match["joint"] not in (EVERY, *joints):
+            near = did_you_mean(match["joint"], joints)
+            raise InputError(
+                f"no joint {match['joint']!r}{near}; it has: {', '.join(joints)}", file=file, key="--limits"
+            )
+        for joint in joints if match["joint"] == EVERY else (match["joint"],):
+            if match["joint"] != EVERY or (joint, match["quantity"]) not in found:
+                found[joint, match["quantity"]] = numbers
+    return found
+
+
+def looks_about_joint(mass: float, centre: Array, inertia: Array, axis: Array, length: float) -> float | None:
+    """Smallest moment over m d^2 where it is so large that it looks as if it were about the joint; else None.
+
+    Args:
+        mass: Of the link [kg].
+        centre: Of mass, from the joint, ``(3,)`` [m].
+        inertia: As the URDF has it, ``(3, 3)`` [kg m^2].
+        axis: Of the joint, ``(3,)``.
+        length: Of the arm along its joints [m].
+    """
+    distance = float(np.linalg.norm(np.cross(axis, centre)))
+    if distance < max(LONG * length, 1e-9) or mass <= 0.0:
+        return None
+    ratio = float(np.linalg.eigvalsh(inertia)[0]) / (mass * distance**2)
+    return ratio if ratio >= SUSPECTED else None
+
+
+def about_centre(mass: float, centre: Array, inertia: Array, axis: Array) -> Array | None:
+    """Inertia about the centre of mass of a link that is stated about its joint, ``(3, 3)``; None: none is left.
+
+    By Steiner's theorem; where no body has what is left (one number was written three times) its part about the joint
+    axis is taken from every moment.
+
+    Args:
+        mass: Of the link [kg].
+        centre: Of mass, from the joint, ``(3,)`` [m].
+        inertia: About the joint, ``(3, 3)`` [kg m^2].
+        axis: Of the joint, ``(3,)``.
+    """
+    square = float(centre @ centre)
+    moved = inertia - mass * (square * np.eye(3) - np.outer(centre, centre))
+    if _is_of_a_body(moved):
+        return np.asarray(moved)
+    moved = inertia - mass * float(np.sum(np.square(np.cross(axis, centre)))) * np.eye(3)
+    return np.asarray(moved) if _is_of_a_body(moved) else None
+
+
+def _is_of_a_body(inertia: Array) -> bool:
+    moments = np.linalg.eigvalsh(inertia)
+    return bool(moments[0] > 0.0 and moments[2] <= (moments[0] + moments[1]) * (1.0 + 1e-6))
