@@ -311,7 +311,7 @@ def _moved_inertias(tree: UrdfTree, chain: Chain, inertia_at: str) -> list[str]:
     if suspects:
         notes.append(
             "Moments of inertia look as if they were about the joints, not about the centres of mass: "
-            f"{', '.join(suspects)}, with d the distance of the centre from the axis; a slender link has a third of it. "
+            f"{', '.join(suspects)}, with d the distance of the centre from the axis; slender links have a third. "
             "If so: --inertia-at joint."
         )
     return notes

@@ -36,8 +36,10 @@ SMOOTHED = 0.05  # s, of the moving average
 FEWEST_SMOOTHED = 5  # samples
 MARGIN = 0.05  # of the range of a joint, by which positions may lie beyond it
 CLOSE = (0.8, 1.25)  # ratios that a unit explains
-CLOSE_TORQUE = (0.5, 2.0)  # friction and loads are in the torque as well
-TOGETHER = 0.8  # least correlation from which a factor is believed
+CLOSE_TORQUE = (0.2, 5.0)  # friction, loads and delays are in the torque as well; N m and mN m differ by more
+SURE_TORQUE = (0.5, 2.0)
+TOGETHER = 0.8  # least correlation from which a factor is believed,
+HARDLY = 0.5  # and from which it is assumed
 MOVES = 0.02  # of the data sheet's velocity, rms, from which a joint moves
 NOTICED = 0.3  # of what the largest joint takes by weight and inertia, in proportion to the robot [N m]
 LOOKED_AT = 400  # samples in which the torque is compared
@@ -204,6 +206,8 @@ def torque_of(
     size = Proportion.of_robots([model.facts], np.asarray(model.pinocchio.gravity.linear)).factor("N m")
     heavy = np.sqrt(np.mean(np.square(needed), axis=0)) > NOTICED * size
     shown = heavy & (np.abs(together) > TOGETHER)
+    clear = bool(np.any(shown))
+    shown = shown if clear else heavy & (np.abs(together) > HARDLY)
     slides = [kind == "prismatic" for kind in model.facts.joint_types]
     if not np.any(shown):
         return None
@@ -219,7 +223,9 @@ def torque_of(
         said += "; the others show nothing and are taken like them"
     for turns, slide in (("N m", "N"), ("mN m", "mN")):
         if CLOSE_TORQUE[0] < usual * TURNS["torque"][turns] < CLOSE_TORQUE[1]:
-            return sure, Guess(_common([slide if one else turns for one in slides]), said, True, further)
+            certain = clear and SURE_TORQUE[0] < usual * TURNS["torque"][turns] < SURE_TORQUE[1]
+            said += "" if clear else f" (correlation {sure:.2g})"
+            return sure, Guess(_common([slide if one else turns for one in slides]), said, certain, further)
     constants = np.where(shown, 1.0 / np.maximum(np.abs(ratio), 1e-12), 1.0 / usual)
     said += ": no unit of torque; taken for motor currents, with the constants that the weight shows"
     written = [float(f"{constant:.3g}") for constant in constants]

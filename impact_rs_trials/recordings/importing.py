@@ -300,6 +300,16 @@ class _Importer:
                 if guess is not None:
                     found.append((guess[0] + _named(one, "torque"), number, guess[1]))
         if not found:
+            found = [
+                (
+                    0.0,
+                    number,
+                    Guess("N m", "nothing but its name: the motion takes too little torque to show it", False),
+                )
+                for number, series in part.series.items()
+                if part.candidates[number].guess == "torque" and series.time.size == time.size
+            ]
+        if not found:
             labels = "; ".join(part.candidates[number].label for number in part.series if number not in taken) or "none"
             raise InputError(
                 f"nothing goes with the torque that weight and inertia of {robot} take in this motion; other signals "
