@@ -18,6 +18,7 @@ COMMANDS: dict[str, Command] = {  # in the order of the help
         explaining.SHOW,
         explaining.EXPORT,
         explaining.IMPORT,
+        explaining.IMPACTS,
         explaining.COMPARE,
         explaining.DIAGNOSE,
         explaining.DISCOVER,

@@ -122,6 +122,39 @@ impact-rs import tosses/ --robot none --rate 148 -o my_tosses""",
     ),
 )  # fmt: skip
 
+IMPACTS = Command(
+    name="impacts",
+    module="impacts",
+    summary="find impacts in runs, and write a table of them",
+    about="""\
+Find the impacts in recorded runs and write a table with one row per impact, which compare and diagnose take.
+
+Where a robot hits: joint positions on both sides are parabolas that meet at the impact (recorded velocities are often
+low-passed and are not used), the object slides, flies, or is judged by the way it slid. Where a body without a robot
+hits a plane: it flies freely on both sides. Every row says its noise, and how well the pose is known; contact points
+follow from the geometry. Further columns hold the friction of the support and the way that an object slid. Whatever
+gives no row is listed with the reason.""",
+    examples="""\
+impact-rs impacts tosses --experiment my_tosses/experiment.yaml -o tosses.csv
+impact-rs diagnose --impacts tosses.csv -o diagnosis.json
+
+# a robot hits objects; the scenario says which
+impact-rs impacts lab --experiment lab/experiment.yaml -o impacts.csv
+impact-rs compare --impacts impacts.csv --scenario push""",
+    output="how many impacts were found, what was left out and why; the table as CSV.",
+    units="in the header of every column.",
+    options=(
+        argument("directory", "folder of the recordings", kind="folder", metavar="DIR"),
+        option(
+            "--experiment", kind="experiment", required=True, metavar="FILE.yaml", label="experiment file",
+            help="experiment file (impact-rs import writes one), relative to the working directory, else to DIR",
+        ),
+        output("new_file", "table to write", "TABLE.csv", required=True),
+        *JOBS,
+        JSON,
+    ),
+)  # fmt: skip
+
 COMPARE = Command(
     name="compare",
     summary="show where a model fails against trials",

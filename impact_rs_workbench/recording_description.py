@@ -25,6 +25,7 @@ from impact_rs_sim.physics import Physics
 from impact_rs_sim.robot import Array
 from impact_rs_sim.scenario import Scenario, load_scenario
 from impact_rs_sim.schema import Name, Schema, load_mapping, validate
+from impact_rs_trials.recordings.candidates import MOST_WIDE, OBJECT_POSE, candidates_of, propose
 from impact_rs_trials.recordings.experiment import (
     FREE_MOTION,
     HIT,
@@ -49,7 +50,6 @@ from impact_rs_trials.recordings.plausibility import check_weight
 from impact_rs_trials.recordings.recording import check_limits, check_velocity
 from impact_rs_trials.recordings.series import Series
 from impact_rs_trials.recordings.sources import read_series
-from impact_rs_trials.recordings.candidates import MOST_WIDE, OBJECT_POSE, candidates_of, propose
 from impact_rs_workbench.workspace import RUN_TABLE, Workspace
 
 EXPERIMENT = "experiment.yaml"

@@ -23,6 +23,7 @@ import pinocchio as pin
 from pydantic import Field, PrivateAttr, model_validator
 
 from impact_rs_sim.errors import InputError, did_you_mean
+from impact_rs_sim.robot import Array
 from impact_rs_sim.scenario import Scenario, load_scenario
 from impact_rs_sim.schema import PositiveNumber, PositiveVector3, Schema, Vector3, load
 from impact_rs_trials.recordings.csv_rows import csv_rows
@@ -33,6 +34,7 @@ HIT = "hit"
 FREE_MOTION = "free motion"
 KINDS = (HIT, FREE_MOTION)
 NO_OBJECT = "none"
+BODY = "body"  # object of runs without a robot
 COLUMNS = ("bag", "object", "kind")
 YAML = (".yaml", ".yml")
 MOST_LISTED = 20  # names of runs in an error
@@ -79,6 +81,16 @@ class Body(Schema):
     place: FramePlacement = Field(
         default_factory=FramePlacement, description="its geometric centre and axes in the frame that is tracked"
     )
+
+    @property
+    def moments(self) -> Array:
+        """Principal moments about the centre, ``(3,)`` [kg m^2]."""
+        if self.inertia is not None:
+            return np.array(self.inertia)
+        if self.radius is not None:
+            return np.full(3, (2.0 / 3.0 if self.shell else 0.4) * self.mass * self.radius**2)
+        square = np.square(np.array(self.size))
+        return np.asarray(self.mass / 12.0 * (np.sum(square) - square))
 
     @model_validator(mode="after")
     def _one_shape(self) -> Self:
@@ -220,13 +232,13 @@ class RunRow:
         return name_of(self.path)
 
 
-def read_runs(directory: Path, experiment: Experiment, scenario: Scenario) -> list[RunRow]:
+def read_runs(directory: Path, experiment: Experiment, scenario: Scenario | None) -> list[RunRow]:
     """The table of runs, checked: every recording is there, every object is known, and none is named twice.
 
     Args:
         directory: Folder of the recordings.
         experiment: Names the table.
-        scenario: Knows the objects.
+        scenario: Knows the objects; None: a body without a robot, which is called body.
 
     Raises:
         InputError: It cannot be used; the message names file, line, column, value and what was expected.
@@ -240,7 +252,8 @@ def read_runs(directory: Path, experiment: Experiment, scenario: Scenario) -> li
         near = did_you_mean(experiment.runs, [file.name for file in directory.iterdir() if file.is_file()])
         folders = f"{directory} or {experiment.folder}" if experiment.folder != directory else str(directory)
         raise InputError(f"no table of runs {experiment.runs!r} in {folders}{near}", file=directory)
-    mappings = list(experiment.load_mappings(scenario.robots).values())
+    objects = [BODY] if scenario is None else list(scenario.objects)
+    mappings = list(experiment.load_mappings([BODY] if scenario is None else scenario.robots).values())
     spread = mappings if all(mapping.spread for mapping in mappings) else []
     header, rows = _table(path)
     place = {name: header.index(name) for name in header}
@@ -253,10 +266,12 @@ def read_runs(directory: Path, experiment: Experiment, scenario: Scenario) -> li
         if kind not in KINDS:
             raise _wrong(path, line, "kind", kind, f"expected {HIT!r} or {FREE_MOTION!r}{did_you_mean(kind, KINDS)}")
         hit = kind == HIT
-        if hit and name not in scenario.objects:
-            known = ", ".join(scenario.objects)
-            near = did_you_mean(name, scenario.objects)
-            raise _wrong(path, line, "object", name, f"expected an object of scenario {scenario.name!r}: {known}{near}")
+        if hit and name not in objects:
+            known = ", ".join(objects)
+            where = "an experiment with body" if scenario is None else f"scenario {scenario.name!r}"
+            raise _wrong(
+                path, line, "object", name, f"expected an object of {where}: {known}{did_you_mean(name, objects)}"
+            )
         if not hit and name not in (NO_OBJECT, ""):
             raise _wrong(path, line, "object", name, f"expected {NO_OBJECT!r}, nothing is touched in free motion")
         recording = _recording(path, line, directory, cells["bag"], spread)

@@ -318,15 +318,9 @@ def read_run(laboratory: Laboratory, run: RunRow) -> Run:
     """
     path, tracker = run.path, laboratory.tracker
     wanted: list[SignalName] = [*ARM_SIGNALS, "command", "wrench", *(OBJECT_SIGNALS if run.hit else ())]
-    arms = laboratory.series(run, wanted, _needed(laboratory, run))
-    for arm, own in arms.items():
-        with laboratory.told_of(arm):
-            arms[arm] = on_one_clock(path, own, laboratory.mappings[arm], laboratory.models[arm])
-    remarks = list(dict.fromkeys(remark for own in arms.values() for one in own.values() for remark in one.remarks))
+    remarks: list[str] = []
+    arms = on_clock_of_joints(laboratory, run, wanted, _needed(laboratory, run), remarks)
     faults: list[str] = []
-    if run.hit:
-        arms[tracker] = _with_object(path, arms[tracker], remarks)
-        _start_in_the_impact(laboratory, run, arms, remarks)
     for arm, own in arms.items():
         with laboratory.told_of(arm):
             for name, one in own.items():
@@ -361,7 +355,7 @@ def read_run(laboratory: Laboratory, run: RunRow) -> Run:
     if object_time.size:
         if laboratory.placed is not None:
             remarks.append(str(laboratory.placed))
-        pose = _in_inertial_frame(laboratory.motion_capture, run, pose)
+        pose = in_inertial_frame(laboratory.motion_capture, run, pose)
         for arm, joints in read.items():
             with laboratory.told_of(arm):
                 remarks += _check_object(laboratory, run, arm, time, joints.position, object_time, pose)
@@ -461,8 +455,17 @@ def _arm_of(
 # ---- stamps and gaps ------------------------------------------------------------------------------------------------
 
 
-def _with_object(path: Path, series: ArmSeries, remarks: list[str]) -> ArmSeries:
-    """With the pose as one signal, and without the samples in which the object was not seen."""
+def with_object(path: Path, series: ArmSeries, remarks: list[str]) -> ArmSeries:
+    """With the pose as one signal, and without the samples in which the object was not seen.
+
+    Args:
+        path: File, for messages.
+        series: Signals of an arm, or of an object alone.
+        remarks: What is said is added to them.
+
+    Raises:
+        InputError: Its parts have other stamps, or it is never seen.
+    """
     series = dict(series)
     position, quaternion = series.pop("object_position", None), series.pop("object_quaternion", None)
     if position is not None and quaternion is not None:
@@ -484,6 +487,36 @@ def _with_object(path: Path, series: ArmSeries, remarks: list[str]) -> ArmSeries
     log = None if pose.log is None else pose.log[seen]
     series["object_pose"] = replace(pose, time=pose.time[seen], values=pose.values[seen], log=log)
     return series
+
+
+def on_clock_of_joints(
+    laboratory: Laboratory,
+    run: RunRow,
+    wanted: Sequence[SignalName],
+    needed: Sequence[SignalName],
+    remarks: list[str],
+) -> dict[str, ArmSeries]:
+    """Signals of every arm, all on the clock of its joint positions, with the object's pose as one signal.
+
+    Args:
+        laboratory: Knows arms and mappings.
+        run: The run.
+        wanted: Signals to read, as far as a mapping has them.
+        needed: Of those, the ones that must be there.
+        remarks: What is said is added to them.
+
+    Raises:
+        InputError: A needed signal is missing, or something cannot be used.
+    """
+    arms = laboratory.series(run, wanted, needed)
+    for arm, own in arms.items():
+        with laboratory.told_of(arm):
+            arms[arm] = on_one_clock(run.path, own, laboratory.mappings[arm], laboratory.models[arm])
+    remarks += dict.fromkeys(remark for own in arms.values() for one in own.values() for remark in one.remarks)
+    if run.hit:
+        arms[laboratory.tracker] = with_object(run.path, arms[laboratory.tracker], remarks)
+        _start_in_the_impact(laboratory, run, arms, remarks)
+    return arms
 
 
 def _start_in_the_impact(laboratory: Laboratory, run: RunRow, arms: dict[str, ArmSeries], remarks: list[str]) -> None:
@@ -704,7 +737,7 @@ def touches_of(task: tuple[Laboratory, RunRow]) -> list[PadOnFace]:
     wanted: tuple[SignalName, ...] = ("position", "velocity", *OBJECT_SIGNALS)
     try:
         arms = laboratory.series(run, wanted, wanted[:2])
-        seen = _with_object(run.path, arms[laboratory.tracker], []).get("object_pose")
+        seen = with_object(run.path, arms[laboratory.tracker], []).get("object_pose")
         whole = {arm: _without_faults(laboratory, run, arm, own)[0] for arm, own in arms.items()}
         found = [_touch(laboratory, run, arm, own, seen) for arm, own in whole.items()]
     except InputError as error:
@@ -722,7 +755,7 @@ def _touch(laboratory: Laboratory, run: RunRow, arm: str, series: ArmSeries, see
         raise InputError("the object was not tracked", file=run.path)
     given = laboratory.motion_capture
     tilted = given.model_copy(update={"position": (0.0, 0.0, 0.0), "rpy": (*given.rpy[:2], 0.0)})
-    pose = _in_inertial_frame(tilted, run, seen.values)  # with roll and pitch, which hits do not determine
+    pose = in_inertial_frame(tilted, run, seen.values)  # with roll and pitch, which hits do not determine
     impact = impact_time(series["velocity"])
     first, last = (impact + moment for moment in TOUCHING)
     times = seen.time[(seen.time >= first) & (seen.time <= last)]
@@ -748,8 +781,14 @@ def _touch(laboratory: Laboratory, run: RunRow, arm: str, series: ArmSeries, see
     )
 
 
-def _in_inertial_frame(motion_capture: MotionCapture, run: RunRow, pose: Array) -> Array:
-    """Poses of the object in A, ``(p, 7)``, from those of the tracked frame in the world of the motion capture."""
+def in_inertial_frame(motion_capture: MotionCapture, run: RunRow, pose: Array) -> Array:
+    """Poses of the object in A, ``(p, 7)``, from those of the tracked frame in the world of the motion capture.
+
+    Args:
+        motion_capture: Where its world is, and the object in the frame that is tracked.
+        run: Knows the object.
+        pose: As tracked, ``(p, 7)``.
+    """
     assert run.object is not None
     world = motion_capture.placement
     body = motion_capture.bodies.get(run.object)

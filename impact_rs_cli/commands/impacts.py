@@ -1,0 +1,61 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``impact-rs impacts``: a table of the impacts in recorded runs."""
+
+from __future__ import annotations
+
+import argparse
+from collections import Counter
+from dataclasses import asdict
+
+import numpy as np
+
+from impact_rs_cli.arguments import MOST_SHOWN, started
+from impact_rs_cli.measurements import experiment_file
+from impact_rs_cli.parser import PROGRAM
+from impact_rs_cli.terminal import Terminal
+from impact_rs_sim.errors import InputError
+from impact_rs_sim.files import write_whole
+from impact_rs_trials.recordings.experiment import load_experiment
+from impact_rs_trials.recordings.found_impacts import FoundImpacts, find_impacts
+from impact_rs_trials.recordings.impact_rows import table_text
+
+
+def run(args: argparse.Namespace, terminal: Terminal) -> int:
+    """Find and write."""
+    if args.output.suffix != ".csv":
+        raise InputError("expected a name that ends in .csv", file=args.output)
+    if args.output.exists():
+        raise InputError("this file exists already; tables are never overwritten", file=args.output)
+    experiment = load_experiment(experiment_file(args.experiment, args.directory, terminal))
+    with started(args) as map_tasks:
+        found = find_impacts(args.directory.absolute(), experiment, map_tasks)
+    if not found.impacts:
+        reasons = "; ".join(f"{one.name}: {one.reason}" for one in found.left_out[:MOST_SHOWN])
+        raise InputError(f"no impact was found in {found.runs} runs; {reasons}", file=args.directory)
+    write_whole(args.output, table_text(found.impacts, found.constants))
+    _show(found, terminal)
+    terminal.result(
+        {
+            "table": str(args.output), "rows": len(found.impacts), "runs": found.runs,
+            "left_out": [asdict(one) for one in found.left_out], "remarks": list(found.remarks),
+        }
+    )  # fmt: skip
+    scenario = "" if experiment.scenario is None else f" --scenario {experiment.scenario}"
+    terminal.say(f"{args.output}: {len(found.impacts)} impacts of {found.runs} runs")
+    terminal.say(f"next: {PROGRAM} compare --impacts {args.output}{scenario}")
+    return 0
+
+
+def _show(found: FoundImpacts, terminal: Terminal) -> None:
+    noise = np.median([impact.noise for impact in found.impacts], axis=0)
+    terminal.say(f"noise of a change of velocity, median: {noise[0]:.3g} m/s, {noise[1]:.3g} rad/s")
+    laws = Counter(impact.model for impact in found.impacts)
+    terminal.say("after the impact: " + ", ".join(f"{law} {count}" for law, count in laws.items()))
+    for remark in found.remarks:
+        terminal.say(f"note: {remark}")
+    reasons: dict[str, list[str]] = {}
+    for one in found.left_out:
+        reasons.setdefault(one.reason, []).append(one.name)
+    for reason, names in reasons.items():
+        shown = ", ".join(names[:MOST_SHOWN]) + (" ..." if len(names) > MOST_SHOWN else "")
+        terminal.say(f"left out {len(names)}: {reason} ({shown})")

@@ -1,0 +1,216 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Impacts of a tracked body on a fixed plane: where its free flight breaks off, and the state on both sides.
+
+In free flight the second difference of the position is g; where it is not, something touches. The noise of the tracker
+follows from third differences of the recording itself. An impact lies between two stretches of flight with at most
+``LONGEST`` disturbed differences between them; it is where the two parabolas have the same height. Left out, and said,
+is what does not give a state before and after:
+
+* too few samples of flight on a side, or several impacts in a row;
+* a body that comes down so slowly that noise decides;
+* one that lands on an edge or a face: its next corner comes within two samples, so that two impacts look like one;
+* a run that is there twice (the same heights).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import NDArray
+
+from impact_rs_sim.robot import Array
+from impact_rs_trials.recordings.experiment import Body
+from impact_rs_trials.recordings.impact_rows import Impact, LeftOut
+from impact_rs_trials.recordings.motion_fits import Motion, fly
+
+Rows = NDArray[np.signedinteger]
+
+FEWEST = 5  # samples of flight on a side
+LONGEST_FLIGHT = 0.12  # s, of the samples that are used; longer ones feel drag
+LONGEST = 2  # disturbed second differences in a row; a single impact, between two samples or on one, makes no more
+NOISE_FACTOR = 3.0  # standard deviations of a second difference from which it is disturbed,
+SHARE_OF_GRAVITY = 0.3  # and at least so much of g
+TOO_NOISY = 0.8  # of g, of the noise beyond which rest looks like flight
+SLOW = 5.0  # standard deviations of the velocity that a body must come down with
+NEXT_CORNER = 2.0  # samples, in which the next corner comes and two impacts look like one
+TURN_OF_WINDOW = 1.2  # rad, that a body may turn on either side of the middle of a window
+
+
+@dataclass(frozen=True)
+class TrackedBody:
+    """One run of a body, in a frame whose z axis is the normal of the plane and whose plane is z = 0.
+
+    Attributes:
+        run: Its name.
+        time: Stamps, ``(k,)`` [s].
+        position: Of the geometric centre, ``(k, 3)`` [m].
+        rotation: From its axes, ``(k, 3, 3)``.
+        gravity: ``(3,)`` [m/s^2].
+    """
+
+    run: str
+    time: Array
+    position: Array
+    rotation: Array
+    gravity: Array
+
+
+def impacts_of_bodies(runs: Sequence[TrackedBody], body: Body) -> tuple[list[Impact], list[LeftOut]]:
+    """Impacts of all runs, and what was left out.
+
+    Args:
+        runs: Tracked runs.
+        body: The body.
+    """
+    found: list[Impact] = []
+    left_out: list[LeftOut] = []
+    heights: dict[bytes, str] = {}
+    for run in runs:
+        key = run.position[:, 2].round(6).tobytes()
+        if key in heights:
+            left_out.append(LeftOut(run.run, f"recorded twice: the same heights as {heights[key]}"))
+            continue
+        heights[key] = run.run
+        own, out = _impacts_of(run, body)
+        found += own
+        left_out += out
+    return found, left_out
+
+
+def _impacts_of(run: TrackedBody, body: Body) -> tuple[list[Impact], list[LeftOut]]:
+    if len(run.time) < 2 * FEWEST + 2:
+        return [], [LeftOut(run.run, f"{len(run.time)} samples, at least {2 * FEWEST + 2} are needed")]
+    off = disturbed(run.time, run.position, run.gravity)
+    if off is None:
+        return [], [
+            LeftOut(run.run, "the tracker is so noisy that rest looks like free flight; smooth it or take a better one")
+        ]
+    flights = _stretches(~off)
+    if not off.any():
+        return [], [LeftOut(run.run, "nothing is hit")]
+    found: list[Impact] = []
+    left_out: list[LeftOut] = []
+    for (a, b), (c, d) in zip(flights, flights[1:], strict=False):
+        # A second difference of sample i needs i-1 and i+1: flight reaches one sample further on either side.
+        name = run.run if not found and not left_out else f"{run.run}, impact {len(found) + len(left_out) + 1}"
+        if c - b - 1 > LONGEST:
+            left_out.append(
+                LeftOut(name, f"{c - b - 1} samples in a row do not fly: several impacts, or a contact that lasts")
+            )
+            continue
+        before, after = np.arange(a - 1, b + 1), np.arange(c, d + 2)
+        if min(before.size, after.size) < FEWEST:
+            left_out.append(
+                LeftOut(name, f"too few samples of free flight: {before.size} before, {after.size} after, of {FEWEST}")
+            )
+            continue
+        result = _impact(run, body, name, before, after)
+        if isinstance(result, Impact):
+            found.append(result)
+        else:
+            left_out.append(result)
+    if not found and not left_out:
+        left_out.append(LeftOut(run.run, "no free flight on both sides of an impact"))
+    return found, left_out
+
+
+def disturbed(time: Array, position: Array, gravity: Array) -> NDArray[np.bool_] | None:
+    """Which samples do not fly freely, ``(k,)``, ends included; None: noise hides it.
+
+    Args:
+        time: Stamps, ``(k,)`` [s].
+        position: ``(k, 3)`` [m].
+        gravity: ``(3,)`` [m/s^2].
+    """
+    first, last = np.diff(time)[:-1, None], np.diff(time)[1:, None]
+    slopes = np.diff(position, axis=0) / np.diff(time)[:, None]
+    bend = 2.0 * np.diff(slopes, axis=0) / (first + last) - gravity
+    size = np.linalg.norm(gravity)
+    noise = 1.4826 * float(np.median(np.abs(np.diff(bend, axis=0)))) / np.sqrt(20.0 / 6.0)
+    if NOISE_FACTOR * noise > TOO_NOISY * size:
+        return None
+    limit = max(NOISE_FACTOR * noise, SHARE_OF_GRAVITY * float(size))
+    inner = np.max(np.abs(bend), axis=1) > limit
+    return np.concatenate(([True], inner, [True]))
+
+
+def _stretches(flying: NDArray[np.bool_]) -> list[tuple[int, int]]:
+    """First and last index of every stretch of flight."""
+    edges = np.diff(np.concatenate(([False], flying, [False])).astype(int))
+    return [(int(a), int(b) - 1) for a, b in zip(np.flatnonzero(edges == 1), np.flatnonzero(edges == -1), strict=True)]
+
+
+def _impact(run: TrackedBody, body: Body, name: str, before: Rows, after: Rows) -> Impact | LeftOut:
+    period = float(np.median(np.diff(run.time)))
+    before, after = _window(run, before, -1), _window(run, after, 1)
+    edge = (float(run.time[before[-1]]), float(run.time[after[0]]))
+    if edge[1] - edge[0] > (LONGEST + 2.0) * period:
+        return LeftOut(name, f"the tracker does not see the impact: {edge[1] - edge[0]:.3f} s without a sample")
+    ante, post = (
+        fly(run.time[rows], run.position[rows], run.rotation[rows], run.gravity, body.moments, at)
+        for rows, at in ((before, edge[0]), (after, edge[1]))
+    )
+    time = _meeting(ante, post, edge)
+    position, rotation, twist = ante.at(time)
+    post_twist = post.at(time)[2]
+    noise = (float(np.hypot(ante.noise[0], post.noise[0])), float(np.hypot(ante.noise[1], post.noise[1])))
+    corners = _corners(position, rotation, body)
+    if corners is None:
+        approach = -float(twist[2])
+    else:
+        heights = np.sort(corners[:, 2])
+        speeds = twist[2] + np.cross(twist[3:], corners - position)[:, 2]
+        approach = -float(speeds[int(np.argmin(corners[:, 2]))])
+        gap = float(heights[1] - heights[0])
+        if gap < NEXT_CORNER * period * max(approach, 0.0):
+            return LeftOut(name, "lands on an edge or a face: another corner comes within two samples")
+    if approach < SLOW * noise[0]:
+        return LeftOut(
+            name, f"comes down at {approach:.2f} m/s, less than {SLOW:g} standard deviations of the velocity"
+        )
+    if post_twist[2] < twist[2]:
+        return LeftOut(name, "goes on downwards faster than it came: not this plane")
+    extent = 0.0 if body.size is None else float(np.max(body.size))
+    return Impact(
+        run=name,
+        condition="",
+        object_name="",
+        time=time,
+        position=position,
+        rotation=rotation,
+        before=twist,
+        after=post_twist,
+        noise=noise,
+        tolerance=2.0 * (ante.scatter[0] + 0.5 * ante.scatter[1] * extent),
+        model="free flight",
+    )
+
+
+def _window(run: TrackedBody, rows: Rows, side: int) -> Rows:
+    """Samples nearest to the impact, of a flight that is neither too long nor turns too far."""
+    rows = rows if side > 0 else rows[::-1]
+    span = np.abs(run.time[rows] - run.time[rows[0]]) <= LONGEST_FLIGHT
+    rows = rows[: max(FEWEST, int(np.argmin(np.append(span, False))))]
+    turned = np.array([np.linalg.norm(pin.log3(run.rotation[row] @ run.rotation[rows[0]].T)) for row in rows])
+    near = turned <= 2.0 * TURN_OF_WINDOW
+    rows = rows[: max(FEWEST, int(np.argmin(np.append(near, False))))]
+    return np.asarray(rows if side > 0 else rows[::-1])
+
+
+def _meeting(ante: Motion, post: Motion, edge: tuple[float, float]) -> float:
+    """Time at which both have the same height: both fall with g, so the difference is a straight line."""
+    start = edge[0]
+    gap = ante.at(start)[0][2] - post.at(start)[0][2]
+    slope = ante.at(start)[2][2] - post.at(start)[2][2]
+    return float(np.clip(start - gap / slope, *edge)) if slope != 0.0 else start
+
+
+def _corners(position: Array, rotation: Array, body: Body) -> Array | None:
+    """Corners of a box, ``(8, 3)`` [m]; None: a ball."""
+    if body.size is None:
+        return None
+    signs = np.array([[x, y, z] for x in (1, -1) for y in (1, -1) for z in (1, -1)])
+    return np.asarray(position + 0.5 * (signs * np.array(body.size)) @ rotation.T)

@@ -1,0 +1,166 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Impacts in the runs of an experiment: of a body on a plane, or of arms on an object."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import pinocchio as pin
+
+from impact_rs_sim.errors import InputError
+from impact_rs_sim.robot import Array
+from impact_rs_trials.recordings.arm_impacts import impact_of_run
+from impact_rs_trials.recordings.body_impacts import TrackedBody, impacts_of_bodies
+from impact_rs_trials.recordings.experiment import Body, Experiment, Plane, RunRow, read_runs
+from impact_rs_trials.recordings.impact_rows import Impact, LeftOut
+from impact_rs_trials.recordings.laboratory import Laboratory, placed, with_object
+from impact_rs_trials.recordings.mapping import Mapping, SignalName
+from impact_rs_trials.recordings.recording import find_recordings
+from impact_rs_trials.recordings.series import Names
+from impact_rs_trials.recordings.sources import read_series
+from impact_rs_trials.workers import Map
+
+POSE: tuple[SignalName, ...] = ("object_pose", "object_position", "object_quaternion")
+
+
+@dataclass(frozen=True)
+class FoundImpacts:
+    """What was found.
+
+    Attributes:
+        impacts: Impacts in the order of the runs.
+        left_out: Runs and impacts that give no row, with the reason.
+        runs: How many runs were looked at.
+        constants: Columns of the table with one value: what the body is, and what is assumed of the contact.
+        remarks: What the user should know of how the runs were read.
+    """
+
+    impacts: tuple[Impact, ...]
+    left_out: tuple[LeftOut, ...]
+    runs: int
+    constants: dict[str, float]
+    remarks: tuple[str, ...] = ()
+
+
+def find_impacts(directory: Path, experiment: Experiment, map_tasks: Map) -> FoundImpacts:
+    """Impacts of all runs of an experiment.
+
+    Args:
+        directory: Folder of the recordings.
+        experiment: Says what they are.
+        map_tasks: Who reads them.
+
+    Raises:
+        InputError: The experiment, its table of runs or a file cannot be used.
+    """
+    if experiment.body is not None:
+        return _of_bodies(directory, experiment, experiment.body, map_tasks)
+    laboratory = Laboratory.of(experiment)
+    table = read_runs(directory, experiment, laboratory.scenario)
+    hits = [run for run in table if run.hit]
+    if not hits:
+        raise InputError("the table of runs names no hit; expected rows with kind hit", file=directory)
+    laboratory = placed(laboratory, table, map_tasks)
+    impacts: list[Impact] = []
+    left_out: list[LeftOut] = []
+    remarks: Counter[str] = Counter()
+    for result, said in map_tasks(_arm_task, [(laboratory, run) for run in hits]):
+        remarks.update(dict.fromkeys(said, 1))
+        if isinstance(result, Impact):
+            impacts.append(result)
+        else:
+            left_out.append(result)
+    said = tuple(_counted(remarks, len(hits)))
+    return FoundImpacts(tuple(impacts), tuple(left_out), len(hits), {}, said)
+
+
+def _arm_task(task: tuple[Laboratory, RunRow]) -> tuple[Impact | LeftOut, tuple[str, ...]]:
+    return impact_of_run(*task)
+
+
+def _counted(remarks: Counter[str], runs: int) -> Iterator[str]:
+    for remark, count in remarks.items():
+        yield remark if count == runs == 1 else f"{count} of {runs} runs: {remark}"
+
+
+# ---- a body on a plane ----------------------------------------------------------------------------------------------
+
+
+def _of_bodies(directory: Path, experiment: Experiment, body: Body, map_tasks: Map) -> FoundImpacts:
+    (mapping,) = experiment.load_mappings(["body"]).values()
+    plane = experiment.plane or Plane()
+    tables = (directory / experiment.runs, experiment.folder / experiment.runs)
+    rows = [RunRow(path, "body", True, "") for path in find_recordings(directory)]
+    if any(table.is_file() for table in tables):
+        rows = [row for row in read_runs(directory, experiment, None) if row.hit]
+    runs, left_out = [], []
+    for row, result in zip(rows, map_tasks(_track, [(row, mapping, body, plane) for row in rows]), strict=True):
+        if isinstance(result, InputError):
+            left_out.append(LeftOut(row.name, result.message))
+        else:
+            runs.append(result)
+    impacts, out = impacts_of_bodies(runs, body)
+    conditions = {row.name: row.condition for row in rows}
+    named = [_with_condition(impact, conditions) for impact in impacts]
+    constants = body_columns(body, plane)
+    return FoundImpacts(tuple(named), (*left_out, *out), len(rows), constants)
+
+
+def _with_condition(impact: Impact, conditions: dict[str, str]) -> Impact:
+    return replace(impact, condition=conditions.get(impact.run.split(", impact ")[0], ""))
+
+
+def body_columns(body: Body, plane: Plane) -> dict[str, float]:
+    """Columns of a table of impacts that say what the body is and what is assumed of the contact."""
+    shape = {"radius [m]": body.radius, "shell [-]": float(body.shell)} if body.radius is not None else {}
+    if body.size is not None:
+        shape = {f"size_{axis} [m]": extent for axis, extent in zip("xyz", body.size, strict=True)}
+    moments = {f"i{axis}{axis} [kg m^2]": float(one) for axis, one in zip("xyz", body.moments, strict=True)}
+    if body.radius is not None and body.inertia is None:
+        moments = {}
+    return {
+        "mass [kg]": body.mass,
+        **moments,
+        **{name: float(value) for name, value in shape.items()},
+        "friction [-]": plane.friction,
+        "restitution [-]": plane.restitution,
+    }
+
+
+def tracked_body(name: str, time: Array, pose: Array, body: Body, plane: Plane) -> TrackedBody:
+    """A run in a frame whose z axis is the normal of the plane and whose plane is z = 0.
+
+    Args:
+        name: Of the run.
+        time: Stamps, ``(k,)`` [s].
+        pose: Of the tracked frame, place and quaternion x y z w, ``(k, 7)``.
+        body: Where its centre is in that frame.
+        plane: Where it is in the tracker's world.
+    """
+    normal = np.array(plane.normal) / np.linalg.norm(plane.normal)
+    level = pin.Quaternion.FromTwoVectors(normal, np.array([0.0, 0.0, 1.0])).matrix()
+    placements = [pin.XYZQUATToSE3(np.concatenate((row[:3], row[3:] / np.linalg.norm(row[3:])))) for row in pose]
+    bodies = [placement * body.place.placement for placement in placements]
+    position = np.array([one.translation for one in bodies]) @ level.T - np.array([0.0, 0.0, plane.height])
+    rotation = np.array([level @ one.rotation for one in bodies])
+    return TrackedBody(name, time - time[0], position, rotation, level @ np.array(plane.gravity))
+
+
+def _track(task: tuple[RunRow, Mapping, Body, Plane]) -> TrackedBody | InputError:
+    row, mapping, body, plane = task
+    if "object_quaternion" not in mapping.signals and "object_pose" not in mapping.signals:
+        return InputError("the turn of the body was not tracked (object_quaternion): its spin decides how it bounces")
+    wanted = [name for name in POSE if name in mapping.signals]
+    try:
+        read = with_object(row.path, dict(read_series(row.path, mapping, wanted, wanted, Names(run=row.name))), [])
+        pose = read["object_pose"]
+        finite = np.isfinite(pose.values).all(axis=1)
+        if np.any(np.diff(pose.time) <= 0.0):
+            raise InputError("time stamps stand still or run backwards; time.repeated: keep_first keeps one of each")
+        return tracked_body(row.name, pose.time[finite], pose.values[finite], body, plane)
+    except InputError as error:
+        return error

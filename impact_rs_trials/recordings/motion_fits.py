@@ -1,0 +1,140 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Motion of a tracked body beside an impact, fitted by the law that it obeys there.
+
+    free flight   p(t) = p_0 + v t + g t^2 / 2
+                  R(t) = exp(w t + a t^2 / 2) R_0,     a = I^-1 (-w x I w)          (Euler; t about the reference time)
+    sliding       p(t) = p_0 + d s(t),  s = v t - c t^2 / 2 until it rests,         c = mu g for a flat support
+
+All are linear in their parameters and fitted by least squares. The standard deviation of a velocity is that of the
+parameter, with the scatter of the samples about the fit; it is of white noise, so filtered tracking has less scatter
+than error.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import pinocchio as pin
+
+from impact_rs_sim.robot import Array
+
+ROUNDS = 3  # of the angular velocity, whose gyroscopic term depends on it
+AT_REST = 2.0  # standard deviations of a velocity below which a body rests
+
+
+@dataclass(frozen=True)
+class Motion:
+    """Place and twist of a body over time.
+
+    Attributes:
+        reference: Time about which it is written [s].
+        position: p_0, ``(3,)`` [m].
+        velocity: v, ``(3,)`` [m/s].
+        acceleration: g, or that of sliding, ``(3,)`` [m/s^2].
+        rotation: R_0, ``(3, 3)``.
+        turning: w in axes of the world, ``(3,)`` [rad/s].
+        turning_rate: a, ``(3,)`` [rad/s^2].
+        scatter: Root mean square of what the fit leaves of positions [m] and angles [rad].
+        noise: Standard deviation of a component of the velocity [m/s] and of the angular velocity [rad/s], at the end
+            of the samples that is nearer to the impact.
+    """
+
+    reference: float
+    position: Array
+    velocity: Array
+    acceleration: Array
+    rotation: Array
+    turning: Array
+    turning_rate: Array
+    scatter: tuple[float, float]
+    noise: tuple[float, float]
+
+    def at(self, time: float) -> tuple[Array, Array, Array]:
+        """Position ``(3,)`` [m], rotation ``(3, 3)`` and twist ``(6,)`` [m/s, rad/s] at a time [s]."""
+        t = time - self.reference
+        position = self.position + self.velocity * t + 0.5 * self.acceleration * t**2
+        rotation = pin.exp3(self.turning * t + 0.5 * self.turning_rate * t**2) @ self.rotation
+        twist = np.concatenate((self.velocity + self.acceleration * t, self.turning + self.turning_rate * t))
+        return position, rotation, twist
+
+
+def fly(time: Array, positions: Array, rotations: Array, gravity: Array, inertia: Array, at: float) -> Motion:
+    """Free flight.
+
+    Args:
+        time: Stamps, ``(k,)`` [s], at least three.
+        positions: Of the centre of mass, ``(k, 3)`` [m].
+        rotations: From the body's principal axes to the world, ``(k, 3, 3)``.
+        gravity: ``(3,)`` [m/s^2].
+        inertia: Principal moments, ``(3,)`` [kg m^2].
+        at: Time of the impact, for the noise [s].
+    """
+    return _fit(time, positions, rotations, gravity, inertia, at, curved=False)
+
+
+def move(time: Array, positions: Array, rotations: Array, at: float) -> Motion:
+    """Motion on a support whose friction is not known: velocity and acceleration are fitted, the turn is steady.
+
+    Args:
+        time: Stamps, ``(k,)`` [s], at least four.
+        positions: ``(k, 3)`` [m].
+        rotations: ``(k, 3, 3)``.
+        at: Time of the impact, for the noise [s].
+    """
+    return _fit(time, positions, rotations, np.zeros(3), np.ones(3), at, curved=True)
+
+
+def rest(positions: Array, rotations: Array, at: float) -> Motion:
+    """A body that does not move; its scatter is that of the tracker.
+
+    Args:
+        positions: ``(k, 3)`` [m].
+        rotations: ``(k, 3, 3)``.
+        at: Time of the impact [s].
+    """
+    place = np.mean(positions, axis=0)
+    middle = rotations[len(rotations) // 2]
+    turns = np.array([pin.log3(rotation @ middle.T) for rotation in rotations])
+    mean = np.mean(turns, axis=0)
+    scatter = (_rms(positions - place), _rms(turns - mean))
+    zero = np.zeros(3)
+    return Motion(at, place, zero, zero, pin.exp3(mean) @ middle, zero, zero, scatter, (0.0, 0.0))
+
+
+def _fit(
+    time: Array, positions: Array, rotations: Array, gravity: Array, inertia: Array, at: float, curved: bool
+) -> Motion:
+    middle = len(time) // 2
+    t = time - time[middle]
+    basis = np.column_stack((np.ones_like(t), t, 0.5 * t**2) if curved else (np.ones_like(t), t))
+    falling = positions - 0.5 * np.outer(t**2, gravity)
+    line, place_left = _least_squares(basis, falling)
+    turned = np.array([pin.log3(rotation @ rotations[middle].T) for rotation in rotations])
+    steady = np.column_stack((np.ones_like(t), t))
+    rate = np.zeros(3)
+    for _ in range(ROUNDS):
+        spin, turn_left = _least_squares(steady, turned - 0.5 * np.outer(t**2, rate))
+        world = rotations[middle] @ np.diag(inertia) @ rotations[middle].T
+        rate = np.zeros(3) if curved else np.linalg.solve(world, -np.cross(spin[1], world @ spin[1]))
+    end = at - time[middle]
+    gradient = np.array([0.0, 1.0, end] if curved else [0.0, 1.0])
+    noise = (
+        place_left * float(np.sqrt(gradient @ np.linalg.inv(basis.T @ basis) @ gradient)),
+        turn_left * float(np.sqrt(np.linalg.inv(steady.T @ steady)[1, 1])),
+    )
+    acceleration = line[2] if curved else gravity
+    rotation = pin.exp3(spin[0]) @ rotations[middle]
+    scatter = (place_left, turn_left)
+    return Motion(float(time[middle]), line[0], line[1], acceleration, rotation, spin[1], rate, scatter, noise)
+
+
+def _least_squares(basis: Array, values: Array) -> tuple[Array, float]:
+    """Coefficients of columns ``(k, c)``, and the scatter about them."""
+    fit = np.asarray(np.linalg.lstsq(basis, values, rcond=None)[0], dtype=float)
+    freedom = values.shape[1] * (len(values) - basis.shape[1])
+    return fit, float(np.sqrt(np.sum(np.square(values - basis @ fit)) / max(freedom, 1)))
+
+
+def _rms(values: Array) -> float:
+    return float(np.sqrt(np.mean(np.square(values))))
