@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Impacts of a tracked body on a fixed plane: where its free flight breaks off, and the state on both sides.
 
-In free flight the second difference of the position is g; where it is not, something touches. The noise of the tracker
+In free flight the second difference of the height is g; where it is not, something touches. The noise of the tracker
 follows from third differences of the recording itself. An impact lies between two stretches of flight with at most
 ``LONGEST`` disturbed differences between them; it is where the two parabolas have the same height. Left out, and said,
 is what does not give a state before and after:
@@ -31,9 +31,9 @@ Rows = NDArray[np.signedinteger]
 FEWEST = 5  # samples of flight on a side
 LONGEST_FLIGHT = 0.12  # s, of the samples that are used; longer ones feel drag
 LONGEST = 2  # disturbed second differences in a row; a single impact, between two samples or on one, makes no more
-NOISE_FACTOR = 3.0  # standard deviations of a second difference from which it is disturbed,
-SHARE_OF_GRAVITY = 0.3  # and at least so much of g
-TOO_NOISY = 0.8  # of g, of the noise beyond which rest looks like flight
+NOISE_FACTOR = 4.0  # standard deviations of a second difference from which it is disturbed,
+SHARE_OF_GRAVITY = 0.5  # and at least so much of g
+TOO_NOISY = 0.9  # of g, of the limit beyond which rest looks like flight
 SLOW = 5.0  # standard deviations of the velocity that a body must come down with
 NEXT_CORNER = 2.0  # samples, in which the next corner comes and two impacts look like one
 TURN_OF_WINDOW = 1.2  # rad, that a body may turn on either side of the middle of a window
@@ -97,9 +97,7 @@ def _impacts_of(run: TrackedBody, body: Body) -> tuple[list[Impact], list[LeftOu
         # A second difference of sample i needs i-1 and i+1: flight reaches one sample further on either side.
         name = run.run if not found and not left_out else f"{run.run}, impact {len(found) + len(left_out) + 1}"
         if c - b - 1 > LONGEST:
-            left_out.append(
-                LeftOut(name, f"{c - b - 1} samples in a row do not fly: several impacts, or a contact that lasts")
-            )
+            left_out.append(LeftOut(name, "several impacts in a row, or a contact that lasts"))
             continue
         before, after = np.arange(a - 1, b + 1), np.arange(c, d + 2)
         if min(before.size, after.size) < FEWEST:
@@ -125,15 +123,15 @@ def disturbed(time: Array, position: Array, gravity: Array) -> NDArray[np.bool_]
         position: ``(k, 3)`` [m].
         gravity: ``(3,)`` [m/s^2].
     """
-    first, last = np.diff(time)[:-1, None], np.diff(time)[1:, None]
-    slopes = np.diff(position, axis=0) / np.diff(time)[:, None]
-    bend = 2.0 * np.diff(slopes, axis=0) / (first + last) - gravity
-    size = np.linalg.norm(gravity)
-    noise = 1.4826 * float(np.median(np.abs(np.diff(bend, axis=0)))) / np.sqrt(20.0 / 6.0)
-    if NOISE_FACTOR * noise > TOO_NOISY * size:
+    steps = np.diff(time)
+    slopes = np.diff(position[:, 2]) / steps
+    bend = 2.0 * np.diff(slopes) / (steps[:-1] + steps[1:]) - gravity[2]
+    # Third differences of white noise are sqrt(20 / 6) times as large as second ones, and impacts are few.
+    noise = 1.4826 * float(np.median(np.abs(np.diff(bend)))) / np.sqrt(20.0 / 6.0)
+    limit = max(NOISE_FACTOR * noise, SHARE_OF_GRAVITY * abs(float(gravity[2])))
+    if limit > TOO_NOISY * abs(float(gravity[2])):
         return None
-    limit = max(NOISE_FACTOR * noise, SHARE_OF_GRAVITY * float(size))
-    inner = np.max(np.abs(bend), axis=1) > limit
+    inner = np.abs(bend) > limit
     return np.concatenate(([True], inner, [True]))
 
 
