@@ -116,10 +116,11 @@ def _place_of_run(name: str, alike: Sequence[Path], every: Sequence[Path]) -> in
     differing = [place for place, column in enumerate(columns) if len(set(column)) > 1]
     if differing:
         return differing[-1]
-    others = {NUMBER.sub("0", file.name): NUMBER.findall(file.name) for file in every}
-    shared = [
-        place for place, number in enumerate(NUMBER.findall(name)) if all(number in one for one in others.values())
-    ]
+    others: dict[str, set[str]] = {}
+    for file in every:
+        others.setdefault(NUMBER.sub("0", file.name), set()).update(NUMBER.findall(file.name))
+    own = enumerate(NUMBER.findall(name))
+    shared = [place for place, number in own if all(number in numbers for numbers in others.values())]
     return shared[-1] if shared and len(others) > 1 else None
 
 

@@ -89,7 +89,7 @@ def _clock(name: str, cells: Sequence[str] | NDArray[Any]) -> Guess | None:
     if stamps.ndim != 1 or stamps.size < 3 or not np.isfinite(stamps).all() or np.any(steps < 0.0):
         return None
     usual = float(np.median(steps[steps > 0.0])) if np.any(steps > 0.0) else 0.0
-    if usual == 0.0 or float(np.mean(np.abs(steps / usual - 1.0) < 0.9)) < 0.5:
+    if usual == 0.0 or float(np.mean(np.abs(steps[steps > 0.0] / usual - 1.0) < 0.9)) < 0.5:
         return None
     units = [unit for unit in ("s", "ms", "us", "ns") if _plausible(unit, stamps, usual)]
     named = [unit for unit in units if re.search(rf"(^|[^a-z]){unit}([^a-z]|$)", name, re.IGNORECASE)]
@@ -158,7 +158,7 @@ def velocity_of(time: Array, position: Array, raw: Array, facts: RobotFacts) -> 
         moving = np.ptp(q, axis=0) >= 0.5 * float(np.max(np.ptp(q, axis=0)))
     ratio, together = _ratios(derived, v)
     slides = [kind == "prismatic" for kind in facts.joint_types]
-    sure = float(np.median(np.abs(together[moving])))
+    sure = float(np.mean(np.abs(together[moving])))
     usual = float(np.median(np.abs(ratio[moving])))
     for turns, slide in (("rad/s", "m/s"), ("deg/s", "mm/s"), ("mrad/s", "mm/s")):
         per_unit = 1.0 / TURNS["velocity"][turns]

@@ -384,7 +384,8 @@ class _Importer:
         """A mapping by which a reader gives numbers as the file has them."""
         signals: dict[str, Any] = {name: {"unit": unit, **(source or {})} for name, unit in RAW_UNITS.items()}
         if robot == NO_ROBOT:
-            signals = {"object_pose": {"unit": "m", **(source or {})}}
+            parts = {"object_position": {"unit": "m"}, "object_quaternion": {"unit": "-"}}
+            signals = parts if source is None else {"object_pose": {"unit": "m", **source}}
         return Mapping.model_validate(
             {"description": "raw", "robot": robot, "joints": joints, "time": self._clock_keys(part),
              "table": part.layout.model_dump(), "signals": signals}
@@ -421,7 +422,7 @@ class _Importer:
         return None
 
     def _poses(self, part: _Part, with_robot: bool) -> list[tuple[dict[str, Any], dict[str, Any] | None]]:
-        """Sources of a pose: of seven numbers alone, or of place and quaternion; of an object alone place may do."""
+        """Sources of a pose: of seven numbers alone, or of place and quaternion."""
         whole = [(one.source, None) for one in part.candidates if one.pose or one.width == 7 and not with_robot]
         vectors = {name: vector_width(cells) for name, cells in part.columns.items()}
         sources = {name: {"column": name} for name in vectors}
@@ -434,14 +435,12 @@ class _Importer:
         turns = [sources[name] for name in names if vectors[name] == 4] + [{"columns": own} for own in groups[1]]
         pairs: list[tuple[dict[str, Any], dict[str, Any] | None]] = list(whole)
         pairs += list(zip(places, turns, strict=False))
-        if not with_robot:
-            pairs += [(place, None) for place in places]
         return pairs
 
     def _pose_sections(
         self, part: _Part, place: dict[str, Any], quaternion: dict[str, Any] | None
     ) -> dict[str, dict[str, Any]] | None:
-        source = place if part.is_bag else None
+        source = place if quaternion is None else None
         file = open_file(part.path, self._raw_mapping(part, NO_ROBOT, (), source), Names(), ("object_pose",))
 
         def numbers(name: SignalName, source: dict[str, Any]) -> Array | None:
@@ -452,33 +451,28 @@ class _Importer:
                 return None
 
         label = place.get("column") or place.get("array") or place.get("topic") or ", ".join(place.get("columns", ()))
-        if quaternion is None and (pose := numbers("object_pose", place)) is not None:
-            guess = pose_of(pose)
+        if quaternion is None:
+            pose = numbers("object_pose", place)
+            guess = None if pose is None else pose_of(pose)
             if guess is None:
                 return None
             self._say("signals.object_pose", label, "holds a place and a unit quaternion")
             self._say("signals.object_pose.unit", guess.value, guess.evidence, guess.sure)
             return {"object_pose": {**self._source(part, dict(place)), "unit": guess.value, **guess.further}}
-        where = numbers("object_position", place)
-        if where is None:
+        where, turned = numbers("object_position", place), numbers("object_quaternion", quaternion)
+        order = None if turned is None else quaternion_order(turned)
+        if where is None or order is None:
             return None
         length = unit_of_length(where)
-        sections = {"object_position": {**self._source(part, dict(place)), "unit": length.value}}
-        if quaternion is not None:
-            turned = numbers("object_quaternion", quaternion)
-            order = None if turned is None else quaternion_order(turned)
-            if order is None:
-                return None
-            names = [str(name).lower() for name in quaternion.get("columns", ())]
-            if names and names[0].endswith("w"):
-                order = Guess("wxyz", "the names of its columns")
-            elif names:
-                order = Guess("xyzw", "the names of its columns")
-            further = {} if order.value == "xyzw" else {"quaternion_order": order.value}
-            sections["object_quaternion"] = {**self._source(part, dict(quaternion)), "unit": "-", **further}
-            self._say("signals.object_quaternion", order.value, order.evidence, order.sure)
-        self._say("signals.object_position", label, f"{length.evidence}")
-        return sections
+        if names := quaternion.get("columns"):
+            order = Guess("wxyz" if names[0].lower().endswith("w") else "xyzw", "the names of its columns")
+        further = {} if order.value == "xyzw" else {"quaternion_order": order.value}
+        self._say("signals.object_position", label, length.evidence)
+        self._say("signals.object_quaternion", order.value, order.evidence, order.sure)
+        return {
+            "object_position": {**self._source(part, dict(place)), "unit": length.value},
+            "object_quaternion": {**self._source(part, dict(quaternion)), "unit": "-", **further},
+        }
 
     def _own_layout(self, part: _Part, joints: _Part, with_robot: bool) -> dict[str, Any]:
         """Layout and stamps of a file that are not those of the joints."""

@@ -13,7 +13,7 @@ from pathlib import Path
 
 from impact_rs_sim.errors import InputError
 from impact_rs_trials.recordings.candidates import numbers_in
-from impact_rs_trials.recordings.csv_rows import read_lines, split_line
+from impact_rs_trials.recordings.csv_rows import read_lines, separator_of, split_line
 from impact_rs_trials.recordings.mapping import TableLayout
 
 LOOKED_AT = 60  # lines, in which a table must have begun
@@ -46,16 +46,18 @@ def find_layout(path: Path) -> FoundLayout:
         InputError: No table begins in its first lines.
     """
     lines = [(number, line) for number, line in read_lines(path)[:LOOKED_AT] if line.strip()]
+    texts = dict(lines)
     cells = {number: split_line(line.lstrip("# ")) for number, line in lines}
     data = [number for number, line in lines if not line.startswith("#") and _is_row(cells[number])]
     for place, first in enumerate(data):
         together = data[place : place + ALIKE]
-        if len({len(cells[number]) for number in together}) == 1 and (len(together) == ALIKE or place == 0):
-            return _named(cells, first)
+        alike = {(len(cells[number]), separator_of(texts[number])) for number in together}
+        if len(alike) == 1 and (len(together) == ALIKE or place == 0):
+            return _named(cells, first, {number for number, line in lines if line.startswith("#")})
     raise InputError(f"no table of numbers begins in its first {LOOKED_AT} lines", file=path)
 
 
-def _named(cells: dict[int, list[str]], first: int) -> FoundLayout:
+def _named(cells: dict[int, list[str]], first: int, remarks: set[int]) -> FoundLayout:
     """The layout of a table whose numbers begin in a line."""
     width = len(cells[first])
     above = [number for number in cells if number < first]
@@ -72,7 +74,7 @@ def _named(cells: dict[int, list[str]], first: int) -> FoundLayout:
         said += f"; units stand in line {units}"
     if len(above) > 1:
         said += f"; what stands above is skipped ({len(above) - 1} line{'s' if len(above) > 2 else ''})"
-    plain = names == min(cells) and units is None
+    plain = names not in remarks and set(above[:-1]) <= remarks and units is None
     layout = TableLayout() if plain else TableLayout(header=names, first=None if units is None else first)
     return FoundLayout(layout, said, len(above) - 1)
 
