@@ -1,14 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
 """Impacts of a tracked body on a fixed plane: where its free flight breaks off, and the state on both sides.
 
-In free flight the second difference of the height is g; where it is not, something touches. The noise of the tracker
-follows from third differences of the recording itself. An impact lies between two stretches of flight with at most
-``LONGEST`` disturbed differences between them; it is where the two parabolas have the same height. Left out, and said,
-is what does not give a state before and after:
+In free flight the second difference of the height over k samples, (z(i+k) - 2 z(i) + z(i-k)) / (k h)^2, is g; where it
+is not, something touches. k is the smallest number for which rest and flight differ by more than the noise of the
+tracker, which follows from third differences of the recording itself. An impact disturbs at most 2 k differences in a
+row; it is where the two parabolas about them have the same height. Left out, and said, is what does not give a state
+before and after:
 
 * too few samples of flight on a side, or several impacts in a row;
 * a body that comes down so slowly that noise decides;
-* one that lands on an edge or a face: its next corner comes within two samples, so that two impacts look like one;
+* one that lands on an edge or a face: its next corner comes so soon that two impacts look like one;
 * a run that is there twice (the same heights).
 """
 
@@ -30,12 +31,13 @@ Rows = NDArray[np.signedinteger]
 
 FEWEST = 5  # samples of flight on a side
 LONGEST_FLIGHT = 0.12  # s, of the samples that are used; longer ones feel drag
-LONGEST = 2  # disturbed second differences in a row; a single impact, between two samples or on one, makes no more
+LONGEST = 2  # disturbed differences in a row, over k; a single impact, between two samples or on one, makes no more
+MOST_SKIPPED = 6  # k
 NOISE_FACTOR = 4.0  # standard deviations of a second difference from which it is disturbed,
 SHARE_OF_GRAVITY = 0.5  # and at least so much of g
 TOO_NOISY = 0.9  # of g, of the limit beyond which rest looks like flight
 SLOW = 5.0  # standard deviations of the velocity that a body must come down with
-NEXT_CORNER = 2.0  # samples, in which the next corner comes and two impacts look like one
+NEXT_CORNER = 2  # samples at least, in which the next corner comes and two impacts look like one
 TURN_OF_WINDOW = 1.2  # rad, that a body may turn on either side of the middle of a window
 
 
@@ -83,56 +85,61 @@ def impacts_of_bodies(runs: Sequence[TrackedBody], body: Body) -> tuple[list[Imp
 def _impacts_of(run: TrackedBody, body: Body) -> tuple[list[Impact], list[LeftOut]]:
     if len(run.time) < 2 * FEWEST + 2:
         return [], [LeftOut(run.run, f"{len(run.time)} samples, at least {2 * FEWEST + 2} are needed")]
-    off = disturbed(run.time, run.position, run.gravity)
-    if off is None:
-        return [], [
-            LeftOut(run.run, "the tracker is so noisy that rest looks like free flight; smooth it or take a better one")
-        ]
-    flights = _stretches(~off)
-    if not off.any():
+    found_breaks = breaks(run.time, run.position[:, 2], float(run.gravity[2]))
+    if found_breaks is None:
+        return [], [LeftOut(run.run, "the tracker is so noisy that rest looks like free flight")]
+    off, reach = found_breaks
+    if not off[reach:-reach].any():
         return [], [LeftOut(run.run, "nothing is hit")]
     found: list[Impact] = []
     left_out: list[LeftOut] = []
+    flights = _stretches(~off)
     for (a, b), (c, d) in zip(flights, flights[1:], strict=False):
-        # A second difference of sample i needs i-1 and i+1: flight reaches one sample further on either side.
         name = run.run if not found and not left_out else f"{run.run}, impact {len(found) + len(left_out) + 1}"
-        if c - b - 1 > LONGEST:
+        if c - b - 1 > LONGEST * reach:
             left_out.append(LeftOut(name, "several impacts in a row, or a contact that lasts"))
             continue
-        before, after = np.arange(a - 1, b + 1), np.arange(c, d + 2)
+        # A difference about sample i reaches k samples further; the last of them may lie beyond the impact.
+        before, after = np.arange(a - reach, b + reach), np.arange(c - reach + 1, d + reach + 1)
         if min(before.size, after.size) < FEWEST:
             left_out.append(
                 LeftOut(name, f"too few samples of free flight: {before.size} before, {after.size} after, of {FEWEST}")
             )
             continue
-        result = _impact(run, body, name, before, after)
+        result = _impact(run, body, name, before, after, reach)
         if isinstance(result, Impact):
             found.append(result)
         else:
             left_out.append(result)
     if not found and not left_out:
-        left_out.append(LeftOut(run.run, "no free flight on both sides of an impact"))
+        left_out.append(LeftOut(run.run, "too few samples of free flight on one side of what is hit"))
     return found, left_out
 
 
-def disturbed(time: Array, position: Array, gravity: Array) -> NDArray[np.bool_] | None:
-    """Which samples do not fly freely, ``(k,)``, ends included; None: noise hides it.
+def breaks(time: Array, height: Array, gravity: float) -> tuple[NDArray[np.bool_], int] | None:
+    """Which samples do not fly freely, ``(k,)``, ends included, and how far differences reach; None: noise hides it.
 
     Args:
         time: Stamps, ``(k,)`` [s].
-        position: ``(k, 3)`` [m].
-        gravity: ``(3,)`` [m/s^2].
+        height: ``(k,)`` [m].
+        gravity: Along the height, negative [m/s^2].
     """
-    steps = np.diff(time)
-    slopes = np.diff(position[:, 2]) / steps
-    bend = 2.0 * np.diff(slopes) / (steps[:-1] + steps[1:]) - gravity[2]
     # Third differences of white noise are sqrt(20 / 6) times as large as second ones, and impacts are few.
-    noise = 1.4826 * float(np.median(np.abs(np.diff(bend)))) / np.sqrt(20.0 / 6.0)
-    limit = max(NOISE_FACTOR * noise, SHARE_OF_GRAVITY * abs(float(gravity[2])))
-    if limit > TOO_NOISY * abs(float(gravity[2])):
-        return None
-    inner = np.abs(bend) > limit
-    return np.concatenate(([True], inner, [True]))
+    noise = 1.4826 * float(np.median(np.abs(np.diff(_bend(time, height, 1))))) / np.sqrt(20.0 / 6.0)
+    for reach in range(1, min(MOST_SKIPPED, (len(time) - 2) // 4) + 1):
+        limit = max(NOISE_FACTOR * noise / reach**2, SHARE_OF_GRAVITY * abs(gravity))
+        if limit <= TOO_NOISY * abs(gravity):
+            off = np.ones(len(time), dtype=bool)
+            off[reach:-reach] = np.abs(_bend(time, height, reach) - gravity) > limit
+            return off, reach
+    return None
+
+
+def _bend(time: Array, height: Array, reach: int) -> Array:
+    """Second differences over ``reach`` samples on either side [m/s^2]."""
+    first, last = time[reach:-reach] - time[: -2 * reach], time[2 * reach :] - time[reach:-reach]
+    slopes = (height[2 * reach :] - height[reach:-reach]) / last, (height[reach:-reach] - height[: -2 * reach]) / first
+    return np.asarray(2.0 * (slopes[0] - slopes[1]) / (first + last))
 
 
 def _stretches(flying: NDArray[np.bool_]) -> list[tuple[int, int]]:
@@ -141,11 +148,11 @@ def _stretches(flying: NDArray[np.bool_]) -> list[tuple[int, int]]:
     return [(int(a), int(b) - 1) for a, b in zip(np.flatnonzero(edges == 1), np.flatnonzero(edges == -1), strict=True)]
 
 
-def _impact(run: TrackedBody, body: Body, name: str, before: Rows, after: Rows) -> Impact | LeftOut:
+def _impact(run: TrackedBody, body: Body, name: str, before: Rows, after: Rows, reach: int) -> Impact | LeftOut:
     period = float(np.median(np.diff(run.time)))
     before, after = _window(run, before, -1), _window(run, after, 1)
     edge = (float(run.time[before[-1]]), float(run.time[after[0]]))
-    if edge[1] - edge[0] > (LONGEST + 2.0) * period:
+    if edge[1] - edge[0] > (LONGEST + 2.0) * reach * period:
         return LeftOut(name, f"the tracker does not see the impact: {edge[1] - edge[0]:.3f} s without a sample")
     ante, post = (
         fly(run.time[rows], run.position[rows], run.rotation[rows], run.gravity, body.moments, at)
@@ -163,8 +170,8 @@ def _impact(run: TrackedBody, body: Body, name: str, before: Rows, after: Rows) 
         speeds = twist[2] + np.cross(twist[3:], corners - position)[:, 2]
         approach = -float(speeds[int(np.argmin(corners[:, 2]))])
         gap = float(heights[1] - heights[0])
-        if gap < NEXT_CORNER * period * max(approach, 0.0):
-            return LeftOut(name, "lands on an edge or a face: another corner comes within two samples")
+        if gap < max(NEXT_CORNER, reach) * period * max(approach, 0.0):
+            return LeftOut(name, "lands on an edge or a face: another corner comes too soon after the first")
     if approach < SLOW * noise[0]:
         return LeftOut(
             name, f"comes down at {approach:.2f} m/s, less than {SLOW:g} standard deviations of the velocity"

@@ -2,12 +2,12 @@
 """Motion of a tracked body beside an impact, fitted by the law that it obeys there.
 
     free flight   p(t) = p_0 + v t + g t^2 / 2
-                  R(t) = exp(w t + a t^2 / 2) R_0,     a = I^-1 (-w x I w)          (Euler; t about the reference time)
+                  dR/dt = [w] R,  I dw/dt = -w x I w                                (Euler)
     sliding       p(t) = p_0 + d s(t),  s = v t - c t^2 / 2 until it rests,         c = mu g for a flat support
 
-All are linear in their parameters and fitted by least squares. The standard deviation of a velocity is that of the
-parameter, with the scatter of the samples about the fit; it is of white noise, so filtered tracking has less scatter
-than error.
+Places are linear in their parameters and fitted by least squares, turns by Gauss-Newton steps. The standard deviation of
+a velocity is that of the parameter, with the scatter of the samples about the fit; it is of white noise, so filtered
+tracking has less scatter than error.
 """
 
 from __future__ import annotations
@@ -19,7 +19,9 @@ import pinocchio as pin
 
 from impact_rs_sim.robot import Array
 
-ROUNDS = 3  # of the angular velocity, whose gyroscopic term depends on it
+ROUNDS = 3  # Gauss-Newton steps of a turn
+STEP = 2e-3  # s, of Euler's equations
+ALIKE = 1e-9  # relative difference of moments below which a body turns steadily
 AT_REST = 2.0  # standard deviations of a velocity below which a body rests
 
 
@@ -34,7 +36,7 @@ class Motion:
         acceleration: g, or that of sliding, ``(3,)`` [m/s^2].
         rotation: R_0, ``(3, 3)``.
         turning: w in axes of the world, ``(3,)`` [rad/s].
-        turning_rate: a, ``(3,)`` [rad/s^2].
+        moments: Principal moments, ``(3,)``; alike where the turn is taken for steady.
         scatter: Root mean square of what the fit leaves of positions [m] and angles [rad].
         noise: Standard deviation of a component of the velocity [m/s] and of the angular velocity [rad/s], at the end
             of the samples that is nearer to the impact.
@@ -46,7 +48,7 @@ class Motion:
     acceleration: Array
     rotation: Array
     turning: Array
-    turning_rate: Array
+    moments: Array
     scatter: tuple[float, float]
     noise: tuple[float, float]
 
@@ -54,12 +56,31 @@ class Motion:
         """Position ``(3,)`` [m], rotation ``(3, 3)`` and twist ``(6,)`` [m/s, rad/s] at a time [s]."""
         t = time - self.reference
         position = self.position + self.velocity * t + 0.5 * self.acceleration * t**2
-        rotation = pin.exp3(self.turning * t + 0.5 * self.turning_rate * t**2) @ self.rotation
-        twist = np.concatenate((self.velocity + self.acceleration * t, self.turning + self.turning_rate * t))
-        return position, rotation, twist
+        rotation, turning = turned(self.rotation, self.turning, self.moments, t)
+        return position, rotation, np.concatenate((self.velocity + self.acceleration * t, turning))
 
 
-def fly(time: Array, positions: Array, rotations: Array, gravity: Array, inertia: Array, at: float) -> Motion:
+def turned(rotation: Array, turning: Array, moments: Array, duration: float) -> tuple[Array, Array]:
+    """Rotation ``(3, 3)`` and angular velocity ``(3,)`` [rad/s] of a free body after a time, which may be negative.
+
+    Args:
+        rotation: From its principal axes to the world, ``(3, 3)``.
+        turning: In axes of the world, ``(3,)`` [rad/s].
+        moments: Principal moments, ``(3,)``.
+        duration: The time [s].
+    """
+    if np.ptp(moments) <= ALIKE * float(np.max(moments)):
+        return np.asarray(pin.exp3(turning * duration) @ rotation), turning
+    own, steps = rotation.T @ turning, max(1, int(np.ceil(abs(duration) / STEP)))
+    h = duration / steps
+    for _ in range(steps):  # midpoint rule
+        middle = own + 0.5 * h * np.cross(moments * own, own) / moments
+        rotation = rotation @ pin.exp3(h * middle)
+        own = own + h * np.cross(moments * middle, middle) / moments
+    return np.asarray(rotation), np.asarray(rotation @ own)
+
+
+def fly(time: Array, positions: Array, rotations: Array, gravity: Array, moments: Array, at: float) -> Motion:
     """Free flight.
 
     Args:
@@ -67,10 +88,10 @@ def fly(time: Array, positions: Array, rotations: Array, gravity: Array, inertia
         positions: Of the centre of mass, ``(k, 3)`` [m].
         rotations: From the body's principal axes to the world, ``(k, 3, 3)``.
         gravity: ``(3,)`` [m/s^2].
-        inertia: Principal moments, ``(3,)`` [kg m^2].
+        moments: Principal moments, ``(3,)`` [kg m^2].
         at: Time of the impact, for the noise [s].
     """
-    return _fit(time, positions, rotations, gravity, inertia, at, curved=False)
+    return _fit(time, positions, rotations, gravity, moments, at, curved=False)
 
 
 def move(time: Array, positions: Array, rotations: Array, at: float) -> Motion:
@@ -99,24 +120,24 @@ def rest(positions: Array, rotations: Array, at: float) -> Motion:
     mean = np.mean(turns, axis=0)
     scatter = (_rms(positions - place), _rms(turns - mean))
     zero = np.zeros(3)
-    return Motion(at, place, zero, zero, pin.exp3(mean) @ middle, zero, zero, scatter, (0.0, 0.0))
+    return Motion(at, place, zero, zero, pin.exp3(mean) @ middle, zero, np.ones(3), scatter, (0.0, 0.0))
 
 
 def _fit(
-    time: Array, positions: Array, rotations: Array, gravity: Array, inertia: Array, at: float, curved: bool
+    time: Array, positions: Array, rotations: Array, gravity: Array, moments: Array, at: float, curved: bool
 ) -> Motion:
     middle = len(time) // 2
     t = time - time[middle]
     basis = np.column_stack((np.ones_like(t), t, 0.5 * t**2) if curved else (np.ones_like(t), t))
     falling = positions - 0.5 * np.outer(t**2, gravity)
     line, place_left = _least_squares(basis, falling)
-    turned = np.array([pin.log3(rotation @ rotations[middle].T) for rotation in rotations])
     steady = np.column_stack((np.ones_like(t), t))
-    rate = np.zeros(3)
+    start, turning = rotations[middle], np.zeros(3)
     for _ in range(ROUNDS):
-        spin, turn_left = _least_squares(steady, turned - 0.5 * np.outer(t**2, rate))
-        world = rotations[middle] @ np.diag(inertia) @ rotations[middle].T
-        rate = np.zeros(3) if curved else np.linalg.solve(world, -np.cross(spin[1], world @ spin[1]))
+        expected = [turned(start, turning, moments, moment)[0] for moment in t]
+        off = np.array([pin.log3(seen @ one.T) for seen, one in zip(rotations, expected, strict=True)])
+        (shift, faster), turn_left = _least_squares(steady, off)
+        start, turning = pin.exp3(shift) @ start, turning + faster
     end = at - time[middle]
     gradient = np.array([0.0, 1.0, end] if curved else [0.0, 1.0])
     noise = (
@@ -124,9 +145,8 @@ def _fit(
         turn_left * float(np.sqrt(np.linalg.inv(steady.T @ steady)[1, 1])),
     )
     acceleration = line[2] if curved else gravity
-    rotation = pin.exp3(spin[0]) @ rotations[middle]
     scatter = (place_left, turn_left)
-    return Motion(float(time[middle]), line[0], line[1], acceleration, rotation, spin[1], rate, scatter, noise)
+    return Motion(float(time[middle]), line[0], line[1], acceleration, start, turning, moments, scatter, noise)
 
 
 def _least_squares(basis: Array, values: Array) -> tuple[Array, float]:
