@@ -11,13 +11,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import scipy
 from numpy.typing import NDArray
 
 from impact_rs_sim.errors import InputError, did_you_mean
 from impact_rs_sim.robot import Array
 from impact_rs_trials.recordings.clock import seconds_of
 from impact_rs_trials.recordings.mapping import UNITS, WIDTH, Mapping, SignalName, SignalSource
+from impact_rs_trials.recordings.mat_file import read_mat
 from impact_rs_trials.recordings.series import MissingSignal, Names, Series
 from impact_rs_trials.recordings.table_columns import require
 
@@ -135,33 +135,10 @@ def _read(path: Path) -> tuple[dict[str, Array], frozenset[str]]:
     with path.open("rb") as file:
         newest = file.read(128).startswith(b"MATLAB 7.3")
     if not newest:
-        arrays = _read_mat(path)
+        arrays = read_mat(path)
         return arrays, frozenset(arrays)
     arrays, unsealed = _read_hdf5(path)
     return {name: array.T for name, array in arrays.items()}, unsealed
-
-
-def _read_mat(path: Path) -> dict[str, Array]:
-    arrays: dict[str, Array] = {}
-
-    def keep(name: str, value: Any) -> None:
-        fields = getattr(value, "_fieldnames", None)
-        if fields is not None:
-            for field in fields:
-                keep(f"{name}/{field}", getattr(value, field))
-        elif isinstance(value, np.ndarray) and value.dtype.kind == "O" and value.size == 1:
-            keep(name, value.flat[0])  # a structure, or a cell of one array
-        elif isinstance(value, np.ndarray):
-            arrays[name] = value
-
-    try:
-        for name, value in scipy.io.loadmat(path, struct_as_record=False, squeeze_me=False).items():
-            if not name.startswith("__"):
-                keep(name, value)
-    except Exception as error:  # a damaged file can fail anywhere inside the library
-        said = (str(error).splitlines() or [type(error).__name__])[0]
-        raise InputError(f"not a readable MAT file ({said})", file=path) from None
-    return arrays
 
 
 def _read_npz(path: Path) -> dict[str, Array]:

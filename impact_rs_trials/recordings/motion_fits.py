@@ -5,7 +5,7 @@
                   dR/dt = [w] R,  I dw/dt = -w x I w                                (Euler)
     sliding       p(t) = p_0 + d s(t),  s = v t - c t^2 / 2 until it rests,         c = mu g for a flat support
 
-Places are linear in their parameters and fitted by least squares, turns by Gauss-Newton steps. The standard deviation of
+Places are linear in their parameters and fitted by least squares, turns by Gauss-Newton steps. The standard error of
 a velocity is that of the parameter, with the scatter of the samples about the fit; it is of white noise, so filtered
 tracking has less scatter than error.
 """
