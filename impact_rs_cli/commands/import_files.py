@@ -12,7 +12,7 @@ from impact_rs_cli.parser import PROGRAM
 from impact_rs_cli.terminal import Terminal
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.files import whole_folder
-from impact_rs_trials.recordings.importing import Draft, Wishes, draft_import
+from impact_rs_trials.recordings.importing import ImportDraft, Wishes, draft_import
 
 
 def run(args: argparse.Namespace, terminal: Terminal) -> int:
@@ -46,7 +46,7 @@ def run(args: argparse.Namespace, terminal: Terminal) -> int:
     return 0
 
 
-def _show(draft: Draft, terminal: Terminal) -> None:
+def _show(draft: ImportDraft, terminal: Terminal) -> None:
     table = Table(title="What the files hold")
     for heading in ("key", "value", "what shows it"):
         table.add_column(heading)

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.robot import Array
 from impact_rs_trials.recordings.experiment import RunRow
-from impact_rs_trials.recordings.impact_rows import ArmState, Impact, LeftOut
+from impact_rs_trials.recordings.impact_rows import ArmInImpact, Impact, NoRow
 from impact_rs_trials.recordings.laboratory import (
     OBJECT_SIGNALS,
     SLOW_POSE,
@@ -34,7 +34,7 @@ from impact_rs_trials.recordings.laboratory import (
     on_clock_of_joints,
 )
 from impact_rs_trials.recordings.mapping import SignalName
-from impact_rs_trials.recordings.motion_fits import AT_REST, Motion, fly, move, rest
+from impact_rs_trials.recordings.motion_fits import AT_REST, FittedMotion, fly, move, rest
 from impact_rs_trials.recordings.plausibility import check_touch
 from impact_rs_trials.recordings.series import Series
 
@@ -103,7 +103,7 @@ def _broken(time: Array, values: Array, impact: float) -> tuple[Array, Array, Ar
     return fit, values - basis @ fit, np.linalg.pinv(basis.T @ basis)
 
 
-def impact_of_run(laboratory: Laboratory, run: RunRow) -> tuple[Impact | LeftOut, tuple[str, ...]]:
+def impact_of_run(laboratory: Laboratory, run: RunRow) -> tuple[Impact | NoRow, tuple[str, ...]]:
     """The impact of a run, or why it gives none; and what the user should know of how it was read.
 
     Raises:
@@ -115,16 +115,16 @@ def impact_of_run(laboratory: Laboratory, run: RunRow) -> tuple[Impact | LeftOut
     try:
         arms = on_clock_of_joints(laboratory, run, wanted, NEEDED, remarks)
     except InputError as error:
-        return LeftOut(run.name, error.message), ()
+        return NoRow(run.name, error.message), ()
     tracker = arms[laboratory.tracker]
     pose = tracker.get("object_pose")
     if pose is None:
-        return LeftOut(run.name, "the object was not tracked"), tuple(remarks)
+        return NoRow(run.name, "the object was not tracked"), tuple(remarks)
     jumps: dict[str, JointJump] = {}
     for arm, own in arms.items():
         found = joint_jump(own["position"], impact_time(own["velocity"]))
         if found is None:
-            return LeftOut(run.name, f"{laboratory.label(arm)}too few samples of the joints about the impact"), tuple(
+            return NoRow(run.name, f"{laboratory.label(arm)}too few samples of the joints about the impact"), tuple(
                 remarks
             )
         jumps[arm] = found
@@ -134,7 +134,7 @@ def impact_of_run(laboratory: Laboratory, run: RunRow) -> tuple[Impact | LeftOut
 
 def _with_object(
     laboratory: Laboratory, run: RunRow, arms: dict[str, ArmSeries], pose: Series, jumps: dict[str, JointJump]
-) -> Impact | LeftOut:
+) -> Impact | NoRow:
     assert run.object is not None
     time = float(np.mean([jump.time for jump in jumps.values()]))
     values = in_inertial_frame(laboratory.motion_capture, run, pose.values)
@@ -143,7 +143,7 @@ def _with_object(
     early = np.flatnonzero((pose.time >= time - BEFORE) & (pose.time < time))
     late = np.flatnonzero((pose.time > time) & (pose.time <= time + AFTER[1]))
     if early.size < LEAST_OBJECT:
-        return LeftOut(run.name, f"{early.size} samples of the object before the impact, of {LEAST_OBJECT}")
+        return NoRow(run.name, f"{early.size} samples of the object before the impact, of {LEAST_OBJECT}")
     ante = _before(pose.time, positions, rotations, early, time)
     scenario = laboratory.scenario
     outcomes = _slid(pose, positions, time, ante)
@@ -152,9 +152,7 @@ def _with_object(
     if rate < SLOW_POSE or late.size < LEAST_OBJECT:
         way = outcomes.get("slide_distance [m]")
         if way is None:
-            return LeftOut(
-                run.name, f"the object is seen at {rate:.0f} Hz and does not come to rest: no velocity after"
-            )
+            return NoRow(run.name, f"the object is seen at {rate:.0f} Hz and does not come to rest: no velocity after")
         post_twist, noise, law = _by_distance(positions, time, pose, way, friction)
     else:
         post, law = _after(pose.time, positions, rotations, late, time)
@@ -165,7 +163,7 @@ def _with_object(
     noise = (float(np.hypot(noise[0], ante.noise[0])), float(np.hypot(noise[1], ante.noise[1])))
     before = ante.at(time)[2]
     if float(np.linalg.norm(post_twist[:3] - before[:3])) < JUMPS * noise[0]:
-        return LeftOut(run.name, "the velocity of the object does not change beyond its noise")
+        return NoRow(run.name, "the velocity of the object does not change beyond its noise")
     position, rotation, _ = ante.at(time)
     size = np.array(scenario.object(run.object).size)
     placed = np.concatenate((position, pin.Quaternion(rotation).coeffs()))[None]
@@ -173,10 +171,10 @@ def _with_object(
         try:
             check_touch(run.path, laboratory.models[arm], run.object, size, jump.position[None], placed)
         except InputError as error:
-            return LeftOut(run.name, f"{laboratory.label(arm)}{error.message}")
+            return NoRow(run.name, f"{laboratory.label(arm)}{error.message}")
     tolerance = 2.0 * (ante.scatter[0] + 0.5 * ante.scatter[1] * float(np.max(size)))
     states = {
-        arm: ArmState(
+        arm: ArmInImpact(
             jump.position,
             jump.before,
             jump.after,
@@ -192,7 +190,7 @@ def _with_object(
     )  # fmt: skip
 
 
-def _before(time: Array, positions: Array, rotations: Array, rows: Rows, at: float) -> Motion:
+def _before(time: Array, positions: Array, rotations: Array, rows: Rows, at: float) -> FittedMotion:
     """Rest, unless the object moves beyond the noise."""
     if rows.size >= LEAST_OBJECT + 1:
         moving = move(time[rows], positions[rows], rotations[rows], at)
@@ -202,7 +200,7 @@ def _before(time: Array, positions: Array, rotations: Array, rows: Rows, at: flo
     return rest(positions[rows], rotations[rows], at)
 
 
-def _after(time: Array, positions: Array, rotations: Array, rows: Rows, at: float) -> tuple[Motion, str]:
+def _after(time: Array, positions: Array, rotations: Array, rows: Rows, at: float) -> tuple[FittedMotion, str]:
     """Sliding, or flight where the object falls with g."""
     first = rows[time[rows] <= at + AFTER[0]]
     first = first if first.size >= LEAST_OBJECT else rows[:LEAST_OBJECT]
@@ -216,7 +214,7 @@ def _after(time: Array, positions: Array, rotations: Array, rows: Rows, at: floa
     return move(time[kept], positions[kept], rotations[kept], at), "sliding"
 
 
-def _slid(pose: Series, positions: Array, time: float, ante: Motion) -> dict[str, float]:
+def _slid(pose: Series, positions: Array, time: float, ante: FittedMotion) -> dict[str, float]:
     """Way from the impact to rest, if the object comes to rest while it is seen."""
     late = positions[pose.time > time]
     if len(late) < 2 * LEAST_OBJECT:

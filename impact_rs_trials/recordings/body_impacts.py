@@ -24,8 +24,8 @@ from numpy.typing import NDArray
 
 from impact_rs_sim.robot import Array
 from impact_rs_trials.recordings.experiment import Body
-from impact_rs_trials.recordings.impact_rows import Impact, LeftOut
-from impact_rs_trials.recordings.motion_fits import Motion, fly
+from impact_rs_trials.recordings.impact_rows import Impact, NoRow
+from impact_rs_trials.recordings.motion_fits import FittedMotion, fly
 
 Rows = NDArray[np.signedinteger]
 
@@ -60,7 +60,7 @@ class TrackedBody:
     gravity: Array
 
 
-def impacts_of_bodies(runs: Sequence[TrackedBody], body: Body) -> tuple[list[Impact], list[LeftOut]]:
+def impacts_of_bodies(runs: Sequence[TrackedBody], body: Body) -> tuple[list[Impact], list[NoRow]]:
     """Impacts of all runs, and what was left out.
 
     Args:
@@ -68,12 +68,12 @@ def impacts_of_bodies(runs: Sequence[TrackedBody], body: Body) -> tuple[list[Imp
         body: The body.
     """
     found: list[Impact] = []
-    left_out: list[LeftOut] = []
+    left_out: list[NoRow] = []
     heights: dict[bytes, str] = {}
     for run in runs:
         key = run.position[:, 2].round(6).tobytes()
         if key in heights:
-            left_out.append(LeftOut(run.run, f"recorded twice: the same heights as {heights[key]}"))
+            left_out.append(NoRow(run.run, f"recorded twice: the same heights as {heights[key]}"))
             continue
         heights[key] = run.run
         own, out = _impacts_of(run, body)
@@ -82,28 +82,28 @@ def impacts_of_bodies(runs: Sequence[TrackedBody], body: Body) -> tuple[list[Imp
     return found, left_out
 
 
-def _impacts_of(run: TrackedBody, body: Body) -> tuple[list[Impact], list[LeftOut]]:
+def _impacts_of(run: TrackedBody, body: Body) -> tuple[list[Impact], list[NoRow]]:
     if len(run.time) < 2 * FEWEST + 2:
-        return [], [LeftOut(run.run, f"{len(run.time)} samples, at least {2 * FEWEST + 2} are needed")]
+        return [], [NoRow(run.run, f"{len(run.time)} samples, at least {2 * FEWEST + 2} are needed")]
     found_breaks = breaks(run.time, run.position[:, 2], float(run.gravity[2]))
     if found_breaks is None:
-        return [], [LeftOut(run.run, "the tracker is so noisy that rest looks like free flight")]
+        return [], [NoRow(run.run, "the tracker is so noisy that rest looks like free flight")]
     off, reach = found_breaks
     if not off[reach:-reach].any():
-        return [], [LeftOut(run.run, "nothing is hit")]
+        return [], [NoRow(run.run, "nothing is hit")]
     found: list[Impact] = []
-    left_out: list[LeftOut] = []
+    left_out: list[NoRow] = []
     flights = _stretches(~off)
     for (a, b), (c, d) in zip(flights, flights[1:], strict=False):
         name = run.run if not found and not left_out else f"{run.run}, impact {len(found) + len(left_out) + 1}"
         if c - b - 1 > LONGEST * reach:
-            left_out.append(LeftOut(name, "several impacts in a row, or a contact that lasts"))
+            left_out.append(NoRow(name, "several impacts in a row, or a contact that lasts"))
             continue
         # A difference about sample i reaches k samples further; the last of them may lie beyond the impact.
         before, after = np.arange(a - reach, b + reach), np.arange(c - reach + 1, d + reach + 1)
         if min(before.size, after.size) < FEWEST:
             left_out.append(
-                LeftOut(name, f"too few samples of free flight: {before.size} before, {after.size} after, of {FEWEST}")
+                NoRow(name, f"too few samples of free flight: {before.size} before, {after.size} after, of {FEWEST}")
             )
             continue
         result = _impact(run, body, name, before, after, reach)
@@ -112,7 +112,7 @@ def _impacts_of(run: TrackedBody, body: Body) -> tuple[list[Impact], list[LeftOu
         else:
             left_out.append(result)
     if not found and not left_out:
-        left_out.append(LeftOut(run.run, "too few samples of free flight on one side of what is hit"))
+        left_out.append(NoRow(run.run, "too few samples of free flight on one side of what is hit"))
     return found, left_out
 
 
@@ -148,12 +148,12 @@ def _stretches(flying: NDArray[np.bool_]) -> list[tuple[int, int]]:
     return [(int(a), int(b) - 1) for a, b in zip(np.flatnonzero(edges == 1), np.flatnonzero(edges == -1), strict=True)]
 
 
-def _impact(run: TrackedBody, body: Body, name: str, before: Rows, after: Rows, reach: int) -> Impact | LeftOut:
+def _impact(run: TrackedBody, body: Body, name: str, before: Rows, after: Rows, reach: int) -> Impact | NoRow:
     period = float(np.median(np.diff(run.time)))
     before, after = _window(run, before, -1), _window(run, after, 1)
     edge = (float(run.time[before[-1]]), float(run.time[after[0]]))
     if edge[1] - edge[0] > (LONGEST + 2.0) * reach * period:
-        return LeftOut(name, f"the tracker does not see the impact: {edge[1] - edge[0]:.3f} s without a sample")
+        return NoRow(name, f"the tracker does not see the impact: {edge[1] - edge[0]:.3f} s without a sample")
     ante, post = (
         fly(run.time[rows], run.position[rows], run.rotation[rows], run.gravity, body.moments, at)
         for rows, at in ((before, edge[0]), (after, edge[1]))
@@ -171,13 +171,11 @@ def _impact(run: TrackedBody, body: Body, name: str, before: Rows, after: Rows, 
         approach = -float(speeds[int(np.argmin(corners[:, 2]))])
         gap = float(heights[1] - heights[0])
         if gap < max(NEXT_CORNER, reach) * period * max(approach, 0.0):
-            return LeftOut(name, "lands on an edge or a face: another corner comes too soon after the first")
+            return NoRow(name, "lands on an edge or a face: another corner comes too soon after the first")
     if approach < SLOW * noise[0]:
-        return LeftOut(
-            name, f"comes down at {approach:.2f} m/s, less than {SLOW:g} standard deviations of the velocity"
-        )
+        return NoRow(name, f"comes down at {approach:.2f} m/s, less than {SLOW:g} standard deviations of the velocity")
     if post_twist[2] < twist[2]:
-        return LeftOut(name, "goes on downwards faster than it came: not this plane")
+        return NoRow(name, "goes on downwards faster than it came: not this plane")
     extent = 0.0 if body.size is None else float(np.max(body.size))
     return Impact(
         run=name,
@@ -205,7 +203,7 @@ def _window(run: TrackedBody, rows: Rows, side: int) -> Rows:
     return np.asarray(rows if side > 0 else rows[::-1])
 
 
-def _meeting(ante: Motion, post: Motion, edge: tuple[float, float]) -> float:
+def _meeting(ante: FittedMotion, post: FittedMotion, edge: tuple[float, float]) -> float:
     """Time at which both have the same height: both fall with g, so the difference is a straight line."""
     start = edge[0]
     gap = ante.at(start)[0][2] - post.at(start)[0][2]

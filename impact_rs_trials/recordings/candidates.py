@@ -259,7 +259,7 @@ def _in_arrays(path: Path) -> list[SignalCandidate]:
 
 
 def vector_width(cells: Sequence[str] | NDArray[Any]) -> int:
-    """How many numbers every cell of a column holds; 0: other things, or not the same number in all."""
+    """How many numbers every cell of a column holds; 0: something else, or not as many in all."""
     if not isinstance(cells, list):
         return 1
     widths = {len(numbers_in(cell)) for cell in cells[:MOST_LOOKED_AT] if cell.strip()}

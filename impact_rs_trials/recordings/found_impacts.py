@@ -16,7 +16,7 @@ from impact_rs_sim.robot import Array
 from impact_rs_trials.recordings.arm_impacts import impact_of_run
 from impact_rs_trials.recordings.body_impacts import TrackedBody, impacts_of_bodies
 from impact_rs_trials.recordings.experiment import Body, Experiment, Plane, RunRow, read_runs
-from impact_rs_trials.recordings.impact_rows import Impact, LeftOut
+from impact_rs_trials.recordings.impact_rows import Impact, NoRow
 from impact_rs_trials.recordings.laboratory import Laboratory, placed, with_object
 from impact_rs_trials.recordings.mapping import Mapping, SignalName
 from impact_rs_trials.recordings.recording import find_recordings
@@ -40,7 +40,7 @@ class FoundImpacts:
     """
 
     impacts: tuple[Impact, ...]
-    left_out: tuple[LeftOut, ...]
+    left_out: tuple[NoRow, ...]
     runs: int
     constants: dict[str, float]
     remarks: tuple[str, ...] = ()
@@ -66,7 +66,7 @@ def find_impacts(directory: Path, experiment: Experiment, map_tasks: Map) -> Fou
         raise InputError("the table of runs names no hit; expected rows with kind hit", file=directory)
     laboratory = placed(laboratory, table, map_tasks)
     impacts: list[Impact] = []
-    left_out: list[LeftOut] = []
+    left_out: list[NoRow] = []
     remarks: Counter[str] = Counter()
     for result, said in map_tasks(_arm_task, [(laboratory, run) for run in hits]):
         remarks.update(dict.fromkeys(said, 1))
@@ -78,7 +78,7 @@ def find_impacts(directory: Path, experiment: Experiment, map_tasks: Map) -> Fou
     return FoundImpacts(tuple(impacts), tuple(left_out), len(hits), {}, said)
 
 
-def _arm_task(task: tuple[Laboratory, RunRow]) -> tuple[Impact | LeftOut, tuple[str, ...]]:
+def _arm_task(task: tuple[Laboratory, RunRow]) -> tuple[Impact | NoRow, tuple[str, ...]]:
     return impact_of_run(*task)
 
 
@@ -100,7 +100,7 @@ def _of_bodies(directory: Path, experiment: Experiment, body: Body, map_tasks: M
     runs, left_out = [], []
     for row, result in zip(rows, map_tasks(_track, [(row, mapping, body, plane) for row in rows]), strict=True):
         if isinstance(result, InputError):
-            left_out.append(LeftOut(row.name, result.message))
+            left_out.append(NoRow(row.name, result.message))
         else:
             runs.append(result)
     impacts, out = impacts_of_bodies(runs, body)

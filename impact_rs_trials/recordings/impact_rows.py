@@ -19,7 +19,7 @@ DIGITS = 9
 
 
 @dataclass(frozen=True)
-class LeftOut:
+class NoRow:
     """An impact or a run that gives no row.
 
     Attributes:
@@ -32,7 +32,7 @@ class LeftOut:
 
 
 @dataclass(frozen=True)
-class ArmState:
+class ArmInImpact:
     """One arm in an impact.
 
     Attributes:
@@ -81,7 +81,7 @@ class Impact:
     noise: tuple[float, float]
     tolerance: float
     model: str
-    arms: Mapping[str, ArmState] = field(default_factory=dict)
+    arms: Mapping[str, ArmInImpact] = field(default_factory=dict)
     outcomes: Mapping[str, float] = field(default_factory=dict)
 
 

@@ -85,7 +85,7 @@ class Line:
 
 
 @dataclass(frozen=True)
-class Draft:
+class ImportDraft:
     """Files that describe recordings.
 
     Attributes:
@@ -140,7 +140,7 @@ class _Part:
         return is_bag_folder(self.path) or self.path.suffix in BAG_SUFFIXES
 
 
-def draft_import(paths: Sequence[Path], output: Path, wishes: Wishes) -> Draft:
+def draft_import(paths: Sequence[Path], output: Path, wishes: Wishes) -> ImportDraft:
     """Describe recordings.
 
     Args:
@@ -163,7 +163,7 @@ class _Importer:
         self._remarks: list[str] = []
         self._parts = [self._part(pattern, next(iter(files.values()))) for pattern, files in groups.kinds.items()]
 
-    def draft(self) -> Draft:
+    def draft(self) -> ImportDraft:
         """All files."""
         robot = self._robot()
         facts = None if robot == NO_ROBOT else load_facts(robot)
@@ -197,7 +197,7 @@ class _Importer:
             texts["experiment.yaml"] = self._experiment(facts, robot)
         self._try(mapping, hits)
         remarks = tuple(dict.fromkeys(self._remarks))
-        return Draft(self._groups.folder, texts, tuple(self._lines), remarks, hits, len(rows))
+        return ImportDraft(self._groups.folder, texts, tuple(self._lines), remarks, hits, len(rows))
 
     def _part(self, pattern: str, path: Path) -> _Part:
         layout = TableLayout()

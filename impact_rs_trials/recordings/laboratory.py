@@ -199,12 +199,12 @@ class Laboratory:
         for arm, mapping in self.mappings.items():
             names = Names(object=run.object or "*", arm=arm, run=run.name)
             own = [name for name in wanted if name not in OBJECT_SIGNALS or arm == self.tracker]
-            with self.told_of(arm):
+            with self.errors_of(arm):
                 found[arm] = read_series(run.path, mapping, own, set(needed) & set(own), names)
         return found
 
     @contextmanager
-    def told_of(self, arm: str) -> Iterator[None]:
+    def errors_of(self, arm: str) -> Iterator[None]:
         """What is wrong in here is wrong with this arm, which is said where there are several."""
         try:
             yield
@@ -322,7 +322,7 @@ def read_run(laboratory: Laboratory, run: RunRow) -> Run:
     arms = on_clock_of_joints(laboratory, run, wanted, _needed(laboratory, run), remarks)
     faults: list[str] = []
     for arm, own in arms.items():
-        with laboratory.told_of(arm):
+        with laboratory.errors_of(arm):
             for name, one in own.items():
                 _check(path, name, one)
             arms[arm], left_out = _without_faults(laboratory, run, arm, own)
@@ -332,7 +332,7 @@ def read_run(laboratory: Laboratory, run: RunRow) -> Run:
     remarks += faults
     base = _fastest(arms)
     for arm, own in arms.items():
-        with laboratory.told_of(arm):
+        with laboratory.errors_of(arm):
             _check_overlap(path, arms[base]["position"], own)
     origin = float(arms[base]["position"].time[0])  # numbers of the wall clock have no room for microseconds
     position = arms[base]["position"]
@@ -357,7 +357,7 @@ def read_run(laboratory: Laboratory, run: RunRow) -> Run:
             remarks.append(str(laboratory.placed))
         pose = in_inertial_frame(laboratory.motion_capture, run, pose)
         for arm, joints in read.items():
-            with laboratory.told_of(arm):
+            with laboratory.errors_of(arm):
                 remarks += _check_object(laboratory, run, arm, time, joints.position, object_time, pose)
     elif run.hit:
         remarks.append("the object was not tracked: it starts where the scenario places it")
@@ -423,7 +423,7 @@ def _arm_of(
     mapping, path = laboratory.mappings[arm], run.path
     own = {name: _on_grid(series[name], grid) for name in ARM_SIGNALS if name in series}
     time, none = grid - grid[0], np.zeros((0, len(mapping.joints)))
-    with laboratory.told_of(arm):
+    with laboratory.errors_of(arm):
         joints = ArmSignals(own["position"], own["velocity"], own["torque"])
         check_arm(path, time, joints, mapping, IMPACT_SHARE if run.hit else 0.0)
         remedy = "wrong sign or unit, or without the arm's own weight?"
@@ -510,7 +510,7 @@ def on_clock_of_joints(
     """
     arms = laboratory.series(run, wanted, needed)
     for arm, own in arms.items():
-        with laboratory.told_of(arm):
+        with laboratory.errors_of(arm):
             arms[arm] = on_one_clock(run.path, own, laboratory.mappings[arm], laboratory.models[arm])
     remarks += dict.fromkeys(remark for own in arms.values() for one in own.values() for remark in one.remarks)
     if run.hit:

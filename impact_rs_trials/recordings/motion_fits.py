@@ -26,7 +26,7 @@ AT_REST = 2.0  # standard deviations of a velocity below which a body rests
 
 
 @dataclass(frozen=True)
-class Motion:
+class FittedMotion:
     """Place and twist of a body over time.
 
     Attributes:
@@ -80,7 +80,7 @@ def turned(rotation: Array, turning: Array, moments: Array, duration: float) -> 
     return np.asarray(rotation), np.asarray(rotation @ own)
 
 
-def fly(time: Array, positions: Array, rotations: Array, gravity: Array, moments: Array, at: float) -> Motion:
+def fly(time: Array, positions: Array, rotations: Array, gravity: Array, moments: Array, at: float) -> FittedMotion:
     """Free flight.
 
     Args:
@@ -94,7 +94,7 @@ def fly(time: Array, positions: Array, rotations: Array, gravity: Array, moments
     return _fit(time, positions, rotations, gravity, moments, at, curved=False)
 
 
-def move(time: Array, positions: Array, rotations: Array, at: float) -> Motion:
+def move(time: Array, positions: Array, rotations: Array, at: float) -> FittedMotion:
     """Motion on a support whose friction is not known: velocity and acceleration are fitted, the turn is steady.
 
     Args:
@@ -106,7 +106,7 @@ def move(time: Array, positions: Array, rotations: Array, at: float) -> Motion:
     return _fit(time, positions, rotations, np.zeros(3), np.ones(3), at, curved=True)
 
 
-def rest(positions: Array, rotations: Array, at: float) -> Motion:
+def rest(positions: Array, rotations: Array, at: float) -> FittedMotion:
     """A body that does not move; its scatter is that of the tracker.
 
     Args:
@@ -120,12 +120,12 @@ def rest(positions: Array, rotations: Array, at: float) -> Motion:
     mean = np.mean(turns, axis=0)
     scatter = (_rms(positions - place), _rms(turns - mean))
     zero = np.zeros(3)
-    return Motion(at, place, zero, zero, pin.exp3(mean) @ middle, zero, np.ones(3), scatter, (0.0, 0.0))
+    return FittedMotion(at, place, zero, zero, pin.exp3(mean) @ middle, zero, np.ones(3), scatter, (0.0, 0.0))
 
 
 def _fit(
     time: Array, positions: Array, rotations: Array, gravity: Array, moments: Array, at: float, curved: bool
-) -> Motion:
+) -> FittedMotion:
     middle = len(time) // 2
     t = time - time[middle]
     basis = np.column_stack((np.ones_like(t), t, 0.5 * t**2) if curved else (np.ones_like(t), t))
@@ -146,7 +146,7 @@ def _fit(
     )
     acceleration = line[2] if curved else gravity
     scatter = (place_left, turn_left)
-    return Motion(float(time[middle]), line[0], line[1], acceleration, start, turning, moments, scatter, noise)
+    return FittedMotion(float(time[middle]), line[0], line[1], acceleration, start, turning, moments, scatter, noise)
 
 
 def _least_squares(basis: Array, values: Array) -> tuple[Array, float]:

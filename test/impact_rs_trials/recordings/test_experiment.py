@@ -97,7 +97,7 @@ def test_a_wrong_header_is_refused(tmp_path: Path, header: str, complaint: str) 
         ("scenario: push.yaml\n", "no scenario '"),
         ("{scenario: push, mapping: joint_sate}\n", "mapping = 'joint_sate': no mapping 'joint_sate'; did you mean"),
         ("{scenario: push, maping: joint_state}\n", "maping: unknown key; did you mean 'mapping'?"),
-        ("mapping: joint_state\n", "scenario: this key is missing (name or path of the scenario"),
+        ("mapping: joint_state\n", "expected either scenario, where a robot hits, or body"),
         ("{scenario: push, motion_capture: {position: [0, 1]}}\n", "motion_capture.position"),
         ("{scenario: push, motion_capture: {bodies: {parcl: {}}}}\n", "has no object 'parcl'"),
         ("scenario: [push\n", "not valid YAML at line 2"),

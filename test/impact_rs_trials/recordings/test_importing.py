@@ -13,7 +13,7 @@ from refusals import refusal
 from impact_rs_sim.robot import load_facts
 from impact_rs_sim.robot_model import RobotModel
 from impact_rs_trials.recordings.file_groups import group_files
-from impact_rs_trials.recordings.importing import Draft, Wishes, draft_import
+from impact_rs_trials.recordings.importing import ImportDraft, Wishes, draft_import
 from impact_rs_trials.recordings.mapping import MountedEndEffector, load_mapping
 from impact_rs_trials.recordings.recording import read_recordings
 from impact_rs_trials.recordings.table_layout import find_layout
@@ -45,19 +45,19 @@ def numbered(stem: str, first: int = 1) -> list[str]:
     return [f"{stem}{number}" for number in range(first, first + 7)]
 
 
-def told(draft: Draft, key: str) -> str:
+def said_of(draft: ImportDraft, key: str) -> str:
     """What is said of a key."""
     return next(f"{line.value} {line.evidence}" for line in draft.lines if line.key == key)
 
 
-def described(draft: Draft, folder: Path) -> Path:
+def described(draft: ImportDraft, folder: Path) -> Path:
     folder.mkdir(exist_ok=True)
     for name, text in draft.texts.items():
         (folder / name).write_text(text)
     return folder / "mapping.yaml"
 
 
-def check_reading(draft: Draft, folder: Path, target: Path, motion: Columns) -> None:
+def check_reading(draft: ImportDraft, folder: Path, target: Path, motion: Columns) -> None:
     """What is written reads the planted motion in SI units."""
     (run,) = read_recordings(target, load_mapping(described(draft, folder)))
     arm = run.signals.arms["arm"]
@@ -72,11 +72,11 @@ def test_units_and_signs_are_found_from_the_numbers(tmp_path: Path, motion: Colu
     columns = [1e3 * TIME + 5000.0, np.degrees(motion["position"]), np.degrees(motion["velocity"]), -motion["effort"]]
     file = write(tmp_path / "log.csv", names, columns)
     draft = draft_import([file], tmp_path / "lab", Wishes(robot="kuka_iiwa7"))
-    assert told(draft, "signals.position.unit").startswith("deg ")
-    assert "not in rad" in told(draft, "signals.position.unit")
-    assert "1 times the derivative of the position in deg/s" in told(draft, "signals.velocity.unit")
-    assert "-1 times the torque that weight and inertia of the arm take" in told(draft, "signals.torque.unit")
-    assert "{column: stamp, unit: ms} increases; in ms that is 100 Hz" in told(draft, "time")
+    assert said_of(draft, "signals.position.unit").startswith("deg ")
+    assert "not in rad" in said_of(draft, "signals.position.unit")
+    assert "1 times the derivative of the position in deg/s" in said_of(draft, "signals.velocity.unit")
+    assert "-1 times the torque that weight and inertia of the arm take" in said_of(draft, "signals.torque.unit")
+    assert "{column: stamp, unit: ms} increases; in ms that is 100 Hz" in said_of(draft, "time")
     assert "factor: -1" in draft.texts["mapping.yaml"]
     check_reading(draft, tmp_path / "lab", file, motion)
 
@@ -88,8 +88,8 @@ def test_a_table_without_names_is_read_by_its_numbers_alone(tmp_path: Path, moti
     file = write(tmp_path / "log.txt", None, columns, separator=" ")
     draft = draft_import([file], tmp_path / "lab", Wishes(robot="kuka_iiwa7"))
     assert "columns: [c11, c12, c13, c14, c15, c16, c17]" in draft.texts["mapping.yaml"]
-    assert told(draft, "signals.torque.unit").startswith("mN m")
-    assert "no line of 24 names" in told(draft, "table (log.txt)")
+    assert said_of(draft, "signals.torque.unit").startswith("mN m")
+    assert "no line of 24 names" in said_of(draft, "table (log.txt)")
     check_reading(draft, tmp_path / "lab", file, motion)
 
 
@@ -118,7 +118,7 @@ def test_motor_currents_are_taken_for_what_they_are(tmp_path: Path, motion: Colu
         tmp_path / "log.csv", names, [TIME, motion["position"], motion["velocity"], motion["effort"] / constants]
     )
     draft = draft_import([file], tmp_path / "lab", Wishes(robot="kuka_iiwa7"))
-    assert told(draft, "signals.torque.unit").startswith("A ")
+    assert said_of(draft, "signals.torque.unit").startswith("A ")
     text = draft.texts["mapping.yaml"]
     assert "torque_measured_at: motor" in text
     found = load_mapping(described(draft, tmp_path / "lab")).torque_constant

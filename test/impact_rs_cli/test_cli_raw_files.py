@@ -1,0 +1,95 @@
+# SPDX-License-Identifier: Apache-2.0
+"""From raw files to a verdict: ``import``, ``impacts`` and ``compare`` in a row, as the manual shows them."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pinocchio as pin
+import pytest
+import yaml
+
+from impact_rs_cli.main import main
+from impact_rs_sim.impact_map.measured import MeasuredImpact, corners_that_touch, solve_measured
+from impact_rs_sim.physics import ObjectPhysics, Physics
+from impact_rs_sim.scene import BodyState
+from impact_rs_trials.recordings.impact_table import read_impact_table
+
+RATE = 200.0  # Hz
+SIZE, MASS = 0.1, 0.4  # m, kg
+TRUTH_E = 0.4
+
+
+def cube() -> Physics:
+    moments = np.full(3, MASS * SIZE**2 / 6.0)
+    body = ObjectPhysics(MASS, np.full(3, SIZE), moments, np.zeros(3))
+    return Physics({}, body, None, (np.inf, np.inf), 0.25, 0.0, TRUTH_E)
+
+
+def toss(path: Path, rng: np.random.Generator) -> None:
+    """A cube that lands on a corner, in the millimetres of its tracker, w x y z, without stamps or names."""
+    rotation = pin.rpy.rpyToMatrix(*rng.uniform([0.4, 0.4, 0.0], [0.8, 0.7, 3.0]))
+    signs = np.array([[x, y, z] for x in (1, -1) for y in (1, -1) for z in (1, -1)])
+    height = float(-np.min(0.5 * SIZE * signs @ rotation[2]))
+    twist = np.concatenate((rng.uniform([-0.5, -0.5, -1.6], [0.5, 0.5, -1.0]), rng.uniform(-3.0, 3.0, 3)))
+    body = BodyState(np.array([0.1, 0.2, height]), rotation, twist)
+    impact = MeasuredImpact({}, body, corners_that_touch(body, np.full(3, SIZE), np.array([0.0, 0.0, 1.0])))
+    after, _ = solve_measured(cube(), impact)
+    rows = []
+    for sample in range(-15, 16):
+        t = (sample + 0.4) / RATE
+        own = twist if t < 0.0 else after
+        place = body.position + own[:3] * t - [0.0, 0.0, 4.905 * t**2]
+        x, y, z, w = pin.Quaternion(pin.exp3(own[3:] * t) @ rotation).coeffs()
+        rows.append([*(1e3 * (place + 2e-5 * rng.standard_normal(3))), w, x, y, z])
+    np.savetxt(path, rows, delimiter=",", header="mx,my,mz,qw,qx,qy,qz", comments="", fmt="%.9g")
+
+
+def test_tosses_go_from_raw_files_to_a_comparison(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    raw, lab = tmp_path / "raw", tmp_path / "lab"
+    raw.mkdir()
+    rng = np.random.default_rng(0)
+    for number in range(8):
+        toss(raw / f"toss_{number}.csv", rng)
+    assert main(["import", str(raw), "--robot", "none", "--rate", "200", "-o", str(lab)]) == 0
+    assert "ASSUMED" in (lab / "experiment.yaml").read_text()
+    assert main(["impacts", str(raw), "--experiment", str(lab / "experiment.yaml"), "-o", str(tmp_path / "t.csv")]) == 2
+    assert "body" in capsys.readouterr().err
+    experiment = yaml.safe_load((lab / "experiment.yaml").read_text())
+    experiment["body"] = {"mass": MASS, "size": [SIZE] * 3}
+    (lab / "experiment.yaml").write_text(yaml.safe_dump(experiment))
+    table = tmp_path / "tosses.csv"
+    command = ["impacts", str(raw), "--experiment", str(lab / "experiment.yaml"), "-o", str(table), "--jobs", "1"]
+    capsys.readouterr()
+    assert main([*command, "--json"]) == 0
+    said = json.loads(capsys.readouterr().out)
+    assert said["runs"] == 8
+    assert said["rows"] + len(said["left_out"]) == 8
+    assert said["rows"] >= 6
+    rows = read_impact_table(table).rows
+    ratios = []
+    for row in rows:
+        (point,) = row.impact.points
+        arm = point.position - row.impact.object.position
+        before, after = (twist[2] + np.cross(twist[3:], arm)[2] for twist in (row.impact.object.twist, row.after))
+        ratios.append(-after / before)
+    assert np.mean(ratios) == pytest.approx(TRUTH_E, abs=0.02)
+    assert main(command) == 2
+    assert "never overwritten" in capsys.readouterr().err
+    assert main(["import", str(raw), "--robot", "none", "--rate", "200", "-o", str(lab)]) == 2
+    assert "never overwritten" in capsys.readouterr().err
+    assert main(["compare", "--impacts", str(table)]) == 0
+
+
+def test_mistakes_of_import_are_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "a.csv").write_text("t,q1\n0,1\n1,2\n2,3\n")
+    for arguments, said in (
+        ([str(tmp_path / "b.csv")], "no such file or folder"),
+        ([str(tmp_path / "a.csv")], "--robot is needed"),
+        ([str(tmp_path / "a.csv"), "--robot", "franka_fr3", "--rate", "0"], "expected a sampling rate > 0 Hz"),
+    ):
+        assert main(["import", *arguments, "-o", str(tmp_path / "lab")]) == 2
+        assert said in capsys.readouterr().err
+    assert not (tmp_path / "lab").exists()
