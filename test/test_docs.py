@@ -193,6 +193,7 @@ def test_files_that_a_page_shows_are_valid() -> None:
     """The first key of a block of YAML says which file it is."""
     kinds: dict[str, type[Schema]] = {
         "scenario": Experiment,
+        "mapping": Experiment,
         "description": Mapping,
         "effects": FormulaFile,
     }
@@ -207,8 +208,8 @@ def test_files_that_a_page_shows_are_valid() -> None:
 
 
 def shown_with(page: str, key: str) -> str:
-    """The block of YAML of a page that begins with a key."""
-    (found,) = re.findall(rf"^```yaml\n({key}:.*?)^```", text(DOCS / page), re.MULTILINE | re.DOTALL)
+    """The last block of YAML of a page that begins with a key."""
+    *_, found = re.findall(rf"^```yaml\n({key}:.*?)^```", text(DOCS / page), re.MULTILINE | re.DOTALL)
     return str(found)
 
 
