@@ -28,6 +28,7 @@ from impact_rs_sim.robot import Array
 
 PROBES = (0.25, 0.5, 1.0)  # shares of the way to the ends of a range, where an effect is looked for
 LEAST_ROOM = 0.2  # of a finite-difference step; nearer a bound it goes the other way
+FITTED = 1e-3  # of the square of what a calibration changes; with less left, the parameters of a fit stand for it
 PRIOR = 100.0  # parameter scales; only bounds parameters that the data do not determine
 
 
@@ -383,13 +384,24 @@ class Problem:
             confidence,
         )
 
-    def moved_by_clock(self) -> Array:
-        """Change of the estimate when the clock of all commands is off by its standard deviation, ``(p,)``."""
-        score = np.zeros(self.total.shape[0])
-        for item, jacobian in zip(self.clusters, self.candidate.jacobians, strict=True):
-            if item.late is not None:
-                score += item.count * jacobian.T @ item.late
-        return np.asarray(np.linalg.solve(self.total, score))
+    def moved_by_calibrations(self) -> Array:
+        """Standard errors of the estimate from calibrations that all clusters share, ``(p,)``.
+
+        A calibration that an effect of the candidate stands for, such as the gain of a torque, is fitted and adds none.
+        """
+        pairs = [
+            (np.sqrt(item.count) * item.calibrations, np.sqrt(item.count) * jacobian)
+            for item, jacobian in zip(self.clusters, self.candidate.jacobians, strict=True)
+            if item.calibrations is not None
+        ]
+        if not pairs:
+            return np.zeros(self.total.shape[0])
+        scores = np.sum([rows @ jacobian for rows, jacobian in pairs], axis=0)
+        changes = np.linalg.solve(self.total, scores.T).T
+        rests = [(rows, rows - changes @ jacobian.T) for rows, jacobian in pairs]
+        whole, left = np.sum([[np.sum(np.square(part), axis=1) for part in both] for both in rests], axis=0)
+        changes[left < FITTED * whole] = 0.0
+        return np.asarray(np.sqrt(np.sum(np.square(changes), axis=0)))
 
     def p_value(self, null: NullDistribution, tested: slice | Sequence[int]) -> float:
         """p-value of some parameters being nominal while all others of the candidate are fitted (score test).

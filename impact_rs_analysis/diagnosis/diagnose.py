@@ -28,7 +28,7 @@ from impact_rs_analysis.diagnosis.drift import doubt_of, drift_in_words, drift_o
 from impact_rs_analysis.diagnosis.fit import Evidence, Fit
 from impact_rs_analysis.diagnosis.hold_out import HoldOut, hold_out
 from impact_rs_analysis.diagnosis.next_experiment import next_experiment
-from impact_rs_analysis.diagnosis.search import ProgressCallback, Rival, Search, adjusted
+from impact_rs_analysis.diagnosis.search import NOTHING_KNOWN, ProgressCallback, Rival, Search, adjusted
 from impact_rs_analysis.diagnosis.thresholds import LEAST_CLUSTERS, LEAST_P
 from impact_rs_analysis.diagnosis.verdicts import (
     MOST_RESTS,
@@ -149,7 +149,8 @@ def findings_of(source: Source, effects: Sequence[Effect], progress: ProgressCal
         chosen, rivals = search.simplified(chosen)
         if (sure := without_the_doubtful(search, chosen)) is not chosen:
             chosen, rivals = sure, () if sure is None else search.rivals(sure)
-    if chosen is not None and (held := hold_out(source, effects, chosen.candidate, search.ended)) is not None:
+    known = search.ended if source.of_motion else NOTHING_KNOWN  # impacts are cheap, and bend where a contact slips
+    if chosen is not None and (held := hold_out(source, effects, chosen.candidate, known)) is not None:
         supported = supported_by_hold_out(search, chosen, held)
         if supported is not chosen:
             kept = () if supported is None else supported.candidate.names

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from impact_rs_analysis.diagnosis.candidate import Candidate, Problem, linearise
 from impact_rs_analysis.diagnosis.null_distribution import NullDistribution, RotationNull, SignFlipNull
+from impact_rs_analysis.diagnosis.thresholds import LEAST_GAIN, LEAST_GAIN_IN_ONE
 from impact_rs_analysis.evidence.cluster import Cluster, size_of
 from impact_rs_analysis.evidence.source import Source
 from impact_rs_sim.robot import Array
@@ -119,9 +120,42 @@ class Evidence:
             jacobians=tuple(candidate.jacobians[position][mask] for position, mask in self._free),
         )
 
-    def excess(self, errors: Array) -> float:
-        """Mean square error in excess of repeatability and discrepancy [-]."""
-        return float(np.mean(np.maximum(errors - self.expected, 0.0)))
+    @cached_property
+    def _signals(self) -> list[list[NDArray[np.bool_]]]:
+        """Features by cluster, for every joint with a noise of its own; a single group of all where there is none."""
+        if not self.source.noise_apart:
+            return [[np.ones(len(item.features), dtype=bool) for item in self.clusters]]
+        names = dict.fromkeys(feature.index for item in self.clusters for feature in item.features)
+        return [[np.array([f.index == name for f in item.features]) for item in self.clusters] for name in names]
+
+    def gains(self, before: Sequence[Array], after: Sequence[Array], of_enough: float = 1.0) -> bool:
+        """Whether enough of the error in excess of repeatability and discrepancy goes.
+
+        Enough is ``LEAST_GAIN`` of the whole. Where every joint has a noise of its own that is not known, a gain counts
+        against what is left of the joint, and ``LEAST_GAIN_IN_ONE`` of it is enough: on the scale of what the model
+        without effects leaves, whatever acts in a well explained joint is small.
+
+        Args:
+            before: Mean residuals without an effect, ``(F,)`` per cluster [-].
+            after: The same with it.
+            of_enough: Share of it that is asked for.
+        """
+        first, second = (self.excess(rest) for rest in (before, after))
+        least, in_one = of_enough * LEAST_GAIN, of_enough * LEAST_GAIN_IN_ONE
+        whole = float(np.sum(first - second)) > least * float(np.sum(first))
+        return whole or (self.source.noise_apart and bool(np.any(first - second > in_one * first)))
+
+    def excess(self, rest: Sequence[Array]) -> Array:
+        """Mean square error beyond repeatability and discrepancy, by joint with a noise of its own, ``(g,)`` [-]."""
+        expected = [np.square(item.pure) / item.count + np.square(item.discrepancy) for item in self.clusters]
+        return np.array(
+            [
+                np.mean(
+                    [max(np.mean(np.square(r[m]) - e[m]), 0.0) for r, e, m in zip(rest, expected, own, strict=True)]
+                )
+                for own in self._signals
+            ]
+        )
 
     def size(self, errors: Array) -> float:
         """Size of mean square errors by cluster, in multiples of repeatability [-]."""
@@ -201,12 +235,17 @@ class Fit:
         """Half widths of the 95 % intervals in parameter scales, ``(p,)``."""
         return self.widths(0.95)
 
+    @cached_property
+    def half_widths_of_noise(self) -> Array:
+        """Half widths if clocks and calibrations are exact, in parameter scales, ``(p,)``."""
+        return self.problem.half_widths(self.change, self.evidence.null)
+
     def widths(self, confidence: float) -> Array:
-        """Half widths of intervals in parameter scales, ``(p,)``, with the uncertainty of the clocks."""
+        """Half widths of intervals in parameter scales, ``(p,)``, with the uncertainty of clocks and calibrations."""
         clock = confidence * self.evidence.source.clock  # of equally likely offsets
         unsure = np.array([clock if scalar.unit == "s" else 0.0 for scalar in self.candidate.scalars])
         own = self.problem.half_widths(self.change, self.evidence.null, confidence)
-        moved = scipy.stats.norm.ppf(0.5 + confidence / 2.0) * self.problem.moved_by_clock()
+        moved = scipy.stats.norm.ppf(0.5 + confidence / 2.0) * self.problem.moved_by_calibrations()
         return np.asarray(np.sqrt(own**2 + moved**2 + (unsure / self.candidate.scale) ** 2))
 
     @cached_property

@@ -4,10 +4,11 @@
 Held-out data influence neither shortlist, nor choice, nor estimate of the effects that predict them. For every fold the
 whole search (:mod:`impact_rs_analysis.diagnosis.search`) runs on the other clusters, and the model with the effects it
 found predicts the fold. A fit of a fold begins where the fit of the same effects to all clusters ended, which costs few
-simulations; it ends where the other clusters alone lead it. A search needs two clusters that see an effect, to predict one from the other; where fewer are
-left, the fold fits the effects that the search of all clusters found. Conditions are held out with all their repeats.
-Of several recordings whole recordings are held out; of a single one runs of neighbouring stretches, without the
-neighbours on either side.
+simulations; it ends where the other clusters alone lead it. Fits of impacts begin afresh: they are cheap, and secants
+from elsewhere mislead where contacts slip. A search needs two clusters that see an effect, to predict one from the
+other; where fewer are left, the fold fits the effects that the search of all clusters found. Conditions are held out
+with all their repeats. Of several recordings whole recordings are held out; of a single one runs of neighbouring
+stretches, without the neighbours on either side.
 """
 
 from __future__ import annotations

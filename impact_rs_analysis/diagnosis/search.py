@@ -270,9 +270,7 @@ class Search:
                 break
             p_values = self.p_values(chosen)
             evidence = self.evidence if chosen is None else chosen.evidence
-            errors = self.evidence.errors if chosen is None else chosen.held_out
-            excess = evidence.excess(errors)
-            needed = LEAST_GAIN * excess
+            before = self._unexplained(chosen)
             likely = [n for n, p in p_values.items() if n not in self.ruled_out and (p < SIGNIFICANT or not decidable)]
             self._starts |= {n: self._best_shape(self.singles[n]) for n in likely if n not in self._starts}
             linear = sorted((self.beside(chosen, name) for name in likely), key=lambda entry: entry.score)
@@ -280,16 +278,20 @@ class Search:
                 self._report_progress(entry)
             # Small effects are linear: a proposal without gain in the linear fit has none by simulation.
             if chosen is not None:
-                linear = [entry for entry in linear if excess - evidence.excess(entry.held_out) > 0.5 * needed]
+                linear = [e for e in linear if evidence.gains(before, e.problem.left_out_rest, 0.5)]
             # Where residuals are no larger than noise, no more than relevant effects are looked for.
             if self.source.repeated and chosen is None and not all(map(moves_enough, linear)) and not self.lacking:
                 linear = [entry for entry in linear if moves_enough(entry)]
             best = self._best(linear[:SHORTLIST], chosen)
-            if best is None or excess - evidence.excess(best.held_out) <= needed:
+            if best is None:
                 break
             chosen = self._measured_again(best)
             self._look_beside(chosen)
         return chosen
+
+    def _unexplained(self, chosen: Fit | None) -> list[Array]:
+        """Mean residuals of every cluster, predicted by the chosen effects from all others, ``(F,)`` each [-]."""
+        return [item.mean for item in self.evidence.clusters] if chosen is None else chosen.problem.left_out_rest
 
     def fitted(self, names: Sequence[str]) -> Fit | None:
         """Given effects fitted together; None where one of them changes nothing."""
@@ -363,6 +365,8 @@ class Search:
             if proposal.score <= HOPELESS * top:
                 found[number] = self._kept(look_elsewhere(refine_again(proposal)))
         first = 0 if chosen is None else chosen.change.size
+        before = self._unexplained(chosen)
+        found = [entry for entry in found if entry.evidence.gains(before, entry.problem.left_out_rest)]
         if not self.source.repeated:
             found = [proposal for proposal in found if noticeable(proposal, first)]
         if not found:
@@ -531,10 +535,10 @@ def noticeable(fitted: Fit, first: int = 0) -> bool:
     """Whether the interval of some parameter, from number ``first`` on, lies beyond the least change of the source.
 
     An estimate at a bound of physics counts, such as no friction. One at the end of a range does not: its interval is
-    invalid.
+    invalid. Calibrations are taken as exact here: whether the model lacks something is another question than how much.
     """
     candidate = fitted.candidate
-    distance = np.abs(fitted.estimate - candidate.nominal) / candidate.scale - fitted.half_widths
+    distance = np.abs(fitted.estimate - candidate.nominal) / candidate.scale - fitted.half_widths_of_noise
     own = np.array([not scalar.shape for scalar in candidate.scalars]) & ~fitted.at_end_of_range
     return bool(np.any((distance > fitted.evidence.source.least_change)[first:] & own[first:]))
 

@@ -81,8 +81,8 @@ class Cluster:
         patterns: Patterns of the discrepancy, ``(k, F)`` [-]: it is a sum of these rows with standard normal
             amplitudes; column sums of squares equal those of ``discrepancy``. None: features are independent.
         alike: Clusters with the same value share the amplitudes; None: clusters of one layout do.
-        late: Change of its residuals when commands act later by one standard deviation of their clock, ``(F,)`` [-];
-            None: the clock is known.
+        calibrations: Change of its residuals by one standard deviation of what all clusters share (clock of the
+            commands, scale of a joint's torque), ``(k, F)`` [-]; None: all are exact.
         stamps: When each repeat was measured, in any unit, ``(n,)``; None: not known.
     """
 
@@ -98,7 +98,7 @@ class Cluster:
     discrepancy: Array
     patterns: Array | None = None
     alike: str | None = None
-    late: Array | None = None
+    calibrations: Array | None = None
     stamps: Array | None = None
 
     @property
@@ -130,7 +130,7 @@ class Cluster:
             pure=self.pure[rows],
             discrepancy=self.discrepancy[rows],
             patterns=None if self.patterns is None else self.patterns[:, rows],
-            late=None if self.late is None else self.late[rows],
+            calibrations=None if self.calibrations is None else self.calibrations[:, rows],
         )
 
     @property

@@ -3,7 +3,8 @@
 
 Stretches last about a second, longer than the correlation time of the low-passed torque noise. Torques are divided by
 the root mean square of the residual of their joint, so that all joints have equal weight; the pure error is the noise
-of the recorded torque below the cut-off.
+of the recorded torque below the cut-off. A gain counts against what is left of a joint as well, because its noise is
+not known. A motion does not test the scale of each joint's torque: one that is 1 % off looks like a payload.
 """
 
 from __future__ import annotations
@@ -45,6 +46,7 @@ SLOW = 0.05  # rad/s, m/s
 SIGNAL = "torque"
 PHASES = ("moving up", "moving down", "slow")
 WHAT = "torque balance of the arm in free motion, both sides low-passed"
+TORQUE_SCALE = {"link": 0.01, "motor": 0.02}  # standard deviation, over the torque (torque sensors of arms: 1 to 2 %)
 LEAST_SAMPLES = 5  # of a phase of one joint; fewer are not reported
 
 REMARKS = (
@@ -54,8 +56,11 @@ REMARKS = (
     "come from an effect of the library",
 )
 DIFFERENCE = (
-    "differences of recordings of one motion: what both have in common cancels, and an effect is a change between "
-    "them; a mass is as exact as the scale of the torque"
+    "differences of recordings of one motion: what both have in common cancels, and an effect is a change between them"
+)
+COUNTED = (
+    "intervals count the scatter over the motion and a standard deviation of {scale:.0%} of the scale of each joint's "
+    "torque; links of the model count as exact"
 )
 BEHIND_MOTORS = "the torque was measured behind the motors, so their inertia is not in it"
 
@@ -96,6 +101,7 @@ class RecordingSource(Source):
 
     kind = "recordings"
     repeated = False
+    noise_apart = True
     size_is = "root mean square of recorded minus predicted joint torque over all joints and samples"
     not_measured = ("velocity jump", "contact and impulses", "object", "controller and its references")
 
@@ -125,6 +131,7 @@ class RecordingSource(Source):
         self.remarks = (
             *REMARKS,
             *((DIFFERENCE,) if minus else ()),
+            COUNTED.format(scale=TORQUE_SCALE[mapping.torque_measured_at]),
             *(() if at_motor else (BEHIND_MOTORS,)),
             *self.reading,
         )
@@ -334,7 +341,17 @@ class RecordingSource(Source):
             sigma=sigma,
             pure=np.broadcast_to(self.balance.noise / self.sigma, rest.shape).ravel(),
             discrepancy=np.zeros(rest.size),
+            calibrations=self._of_scales(stretch.rows),
         )
+
+    def _of_scales(self, rows: slice) -> Array:
+        """Change of the residuals by one standard deviation of the scale of each joint's torque, ``(n, k n)`` [-].
+
+        In a difference of recordings the torque that both have is wrong by as much, and cancels.
+        """
+        torque = (self.rest if self._minus else self.balance.recorded)[rows] / self.sigma
+        each = TORQUE_SCALE[self.mapping.torque_measured_at] * torque[None, :, :] * np.eye(self.sigma.size)[:, None, :]
+        return np.asarray(each.reshape(self.sigma.size, -1))
 
 
 def _feature(phase: str, joint: int, unit: str) -> Feature:

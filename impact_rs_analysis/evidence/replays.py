@@ -158,7 +158,7 @@ def max_bin(run: MeasuredRun, phase: str, signal: str) -> int:
 def _with_late(
     clusters: Sequence[Cluster], runs: Runs, residuals: Sequence[Array], model: Model, store: ReplayCache
 ) -> tuple[Cluster, ...]:
-    """Clusters with the effect of the clock of commands (``late``)."""
+    """Clusters with the effect of the clock of commands on them."""
     firsts = {run.condition: values for run, values in zip(reversed(runs.runs), reversed(residuals), strict=True)}
     late = {name: run for name, run in runs.late.items() if name in firsts}
     predicted = store([Replay(run.setup, model) for run in late.values()], "clock of the commands")
@@ -167,7 +167,10 @@ def _with_late(
         for (name, run), values in zip(late.items(), predicted, strict=True)
         if values is not None and np.isfinite(values).all()
     }
-    return tuple(replace(item, late=moved[item.name] / item.sigma) if item.name in moved else item for item in clusters)
+    return tuple(
+        replace(item, calibrations=(moved[item.name] / item.sigma)[None, :]) if item.name in moved else item
+        for item in clusters
+    )
 
 
 class ReplaySource(Source):

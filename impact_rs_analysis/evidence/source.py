@@ -74,6 +74,7 @@ class Source(ABC):
         discrepancy: Model discrepancy that is allowed for.
         size_is: Definition of :meth:`size`.
         not_measured: Quantities that were not measured.
+        noise_apart: Whether every joint has an unknown noise of its own: gains count against what is left of it, too.
         residual_unit: Unit of the size of residuals without repeats.
         size_unit: Unit of :meth:`size`.
         pieces: Name of the clusters without repeats, plural.
@@ -95,6 +96,7 @@ class Source(ABC):
     discrepancy: Discrepancy = NO_DISCREPANCY
     size_is: str = "size of the difference between measurement and model, in multiples of repeatability"
     not_measured: tuple[str, ...] = ()
+    noise_apart: bool = False
     residual_unit: str = "N m"
     size_unit: str = TIMES
     pieces: str = "stretches of time"

@@ -15,9 +15,11 @@ from ros_messages import message
 from rosbags.rosbag2 import StoragePlugin, Writer
 
 from impact_rs_analysis.diagnosis.compare import compare
-from impact_rs_analysis.diagnosis.diagnose import diagnose
+from impact_rs_analysis.diagnosis.diagnose import diagnose, effects_for
 from impact_rs_analysis.diagnosis.document import DiagnosisDocument, EffectDocument, read_document
+from impact_rs_analysis.diagnosis.fit import Evidence, measure_again
 from impact_rs_analysis.diagnosis.hold_out import folds_of
+from impact_rs_analysis.diagnosis.search import Search
 from impact_rs_analysis.evidence.recordings import RecordingSource
 from impact_rs_cli.main import main
 from impact_rs_sim.effects.formula import FormulaParameter, FormulaSpec
@@ -116,6 +118,20 @@ def test_planted_payload_is_found(tmp_path: Path) -> None:
     mass = effect(found, "end_effector_payload").parameters["mass"]
     assert mass.interval[0] <= TRUE_PAYLOAD <= mass.interval[1]
     assert mass.estimate == pytest.approx(TRUE_PAYLOAD, abs=0.05)
+
+
+def test_the_interval_of_a_payload_counts_the_scale_of_the_torque(tmp_path: Path) -> None:
+    """Torques that are 1 % off look like a payload; a known motion has no other sign of them."""
+    columns = synthetic(TRUE_COULOMB, payload=TRUE_PAYLOAD)
+    columns["effort"] *= 1.0 + 0.01 * np.array([0.0, 1.5, 0.0, 1.5, 0.0, 0.0, 0.0])
+    source = source_of(write_npz(tmp_path / "a.npz", columns))
+    names = ["joint_coulomb_friction", "end_effector_payload"]
+    fit = Search(effects_for(source, names), Evidence.of(source)).fitted(names)
+    assert fit is not None
+    fit = measure_again(fit)
+    index = fit.candidate.part("end_effector_payload").start
+    error = abs(fit.estimate[index] - TRUE_PAYLOAD) / fit.candidate.scale[index]
+    assert fit.half_widths_of_noise[index] < error < fit.half_widths[index]
 
 
 def test_friction_as_a_formula_explains_as_much_as_the_library_s_own(planted: Columns, tmp_path: Path) -> None:

@@ -78,7 +78,7 @@ def test_centres_that_no_torque_feels_are_not_determined(tmp_path: Path) -> None
     bound = reach * library()["link_com"].parameters[1].upper
     assert centre.interval == pytest.approx((-bound, bound))
     low, high = moment["inertia_joint1"].interval
-    assert low <= 0.0 <= high and high - low < 0.05  # kg m^2
+    assert low <= 0.0 <= high and high - low < 0.1  # kg m^2, most of it for the scale of the torque
 
 
 def test_motor_inertia_and_torque_constants_are_found_from_currents(tmp_path: Path) -> None:

@@ -23,7 +23,7 @@ from analytic_world import (
 )
 from scipy.stats import binom
 
-from impact_rs_analysis.diagnosis.candidate import Problem, bounded
+from impact_rs_analysis.diagnosis.candidate import Candidate, Problem, bounded
 from impact_rs_analysis.diagnosis.fit import Evidence, Fit, _broyden, evaluate_at, look_elsewhere, refine
 from impact_rs_analysis.diagnosis.search import Search, adjusted, tied
 from impact_rs_analysis.diagnosis.thresholds import SIGNIFICANT
@@ -130,15 +130,24 @@ def test_the_interval_of_a_delay_is_no_narrower_than_the_clocks_may_be_off() -> 
     np.testing.assert_array_equal(without_time, alone)
 
 
-def test_an_interval_knows_what_a_late_clock_does_to_all_conditions() -> None:
+def test_an_interval_knows_what_a_calibration_does_to_all_conditions() -> None:
     start, evidence = linearised(AnalyticSource(3, (("straight", (2.0,)),)), EFFECTS["straight"])
     alone = Fit.of(start, evidence).half_widths
     clock = np.full(start.point.size, 0.3)  # parameter scales that it looks like
-    late = tuple(
-        replace(item, late=jacobian @ clock) for item, jacobian in zip(evidence.clusters, start.jacobians, strict=True)
-    )
-    both = Fit.of(start, replace(evidence, clusters=late)).half_widths
+    both = Fit.of(start, with_calibration(evidence, start, clock, 3.0)).half_widths
     np.testing.assert_allclose(np.sqrt(both**2 - alone**2), 1.96 * clock, rtol=1e-3)
+    itself = Fit.of(start, with_calibration(evidence, start, clock, 0.0)).half_widths
+    np.testing.assert_array_equal(itself, alone)  # what an effect stands for is fitted
+
+
+def with_calibration(evidence: Evidence, start: Candidate, looks_like: np.ndarray, aside: float) -> Evidence:
+    """A calibration that looks like a change of the parameters, and changes ``aside`` besides what they do not."""
+    every = np.vstack(start.jacobians)
+    other = np.random.default_rng(1).standard_normal(len(every))
+    other -= every @ np.linalg.lstsq(every, other, rcond=None)[0]
+    rows = np.split(every @ looks_like + aside * other, len(evidence.clusters))
+    clusters = (replace(item, calibrations=row[None, :]) for item, row in zip(evidence.clusters, rows, strict=True))
+    return replace(evidence, clusters=tuple(clusters))
 
 
 def test_an_update_of_the_sensitivities_gives_the_step_just_made_exactly() -> None:

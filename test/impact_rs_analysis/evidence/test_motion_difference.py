@@ -27,6 +27,7 @@ COMMON = {  # far beyond what the load changes, and none of it in the model
     "link_mass": {"scale_joint1": 1.2, "scale_joint2": 0.8, "scale_joint3": 1.3},
 }
 MASS, PLACE = 0.6, {"com_x": 0.0, "com_y": 0.03, "com_z": 0.05}  # kg, m; x lies along the axes of all joints
+RIPPLE = 0.85  # N m, of the loaded recording alone
 LATER = 4.36  # s, by which the loaded recording begins later in the motion
 
 
@@ -72,6 +73,25 @@ def test_the_load_remains_and_nothing_else(folder: Path, mapping: Mapping) -> No
         low, high = effect.parameters[name].interval
         assert low <= value <= high and (high - low > 0.2 if name == "com_x" else high - low < 0.1)
     assert source.recording.minus == (str(folder / "unloaded.npz"),)
+
+
+def test_friction_that_the_load_adds_to_one_joint_is_seen_beside_what_nothing_explains(
+    mapping: Mapping, tmp_path: Path
+) -> None:
+    """It is little beside what no effect explains in the first joint, and most of what is left in its own."""
+    more = COMMON["joint_coulomb_friction"] | {"coulomb_joint2": 2.12}
+    loaded = COMMON | {"joint_coulomb_friction": more, "end_effector_payload": {"mass": MASS, **PLACE}}
+    columns = swung(mapping, loaded, seed=2, start=LATER)
+    columns["effort"][:, 0] += RIPPLE * np.sin(15.0 * columns["position"][:, 0])
+    write_npz(tmp_path / "loaded.npz", columns)
+    write_npz(tmp_path / "unloaded.npz", swung(mapping, COMMON, seed=1))
+    source = source_of(tmp_path, mapping)
+    found = diagnose(source, source.model)
+    assert set(found.named) == {"end_effector_payload", "joint_coulomb_friction"}
+    effect = found.effect("joint_coulomb_friction")
+    assert effect is not None
+    low, high = effect.parameters["coulomb_joint2"].interval
+    assert low <= 0.12 <= high
 
 
 def test_without_the_reference_friction_and_links_hide_the_load(folder: Path, mapping: Mapping) -> None:
