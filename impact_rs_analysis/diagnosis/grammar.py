@@ -140,13 +140,18 @@ class Law:
                 name: parameter.model_copy(update={"nominal": start.get(name, parameter.nominal)})
                 for name, parameter in self.spec.parameters.items()
             }
-            found.append(FormulaEffect(self.spec.model_copy(update={"parameters": parameters})))
+            found.append(FormulaEffect(self.spec.model_copy(update={"parameters": parameters}), self.key))
         return found
+
+    @property
+    def key(self) -> str:
+        """What the laws of one form at several joints share, as joints are alike."""
+        where = "" if self.where.startswith("joint") else self.where
+        return f"{self.place} {where} {self.quantity.words} {self.form}"
 
     def force(self, u: Array, numbers: Mapping[str, float]) -> Array:
         """Its size where the quantity is ``u`` ``(k,)``, with its parameters, ``(k,)`` [unit of the place]."""
-        formula = Formula(self.profile, {"u", *numbers})
-        return np.array([formula({"u": value, **numbers}) for value in u.tolist()])
+        return np.broadcast_to(Formula(self.profile, {"u", *numbers})({"u": u, **numbers}), u.shape)
 
 
 def load_grammar(more: Path | None = None) -> Grammar:
