@@ -9,7 +9,7 @@ model.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -73,7 +73,7 @@ class JointFriction:
 
 @dataclass(frozen=True)
 class LoadState:
-    """Arguments of a :class:`Load`.
+    """Arguments of a :class:`Load`; of one that is ``vectorised`` all arrays may have an axis of samples in front.
 
     Attributes:
         time: Time since the start of the trial [s].
@@ -86,7 +86,7 @@ class LoadState:
         scene: Symbols of object and contact by name, in SI units; those that are missing are 0.
     """
 
-    time: float
+    time: float | Array
     joint_position: Array
     joint_velocity: Array
     position: Array
@@ -94,6 +94,22 @@ class LoadState:
     impact_position: Array
     joint_torque: Array | None = None
     scene: Mapping[str, float] = field(default_factory=dict)
+
+    @property
+    def samples(self) -> Iterator[LoadState]:
+        """Each of many samples without contact."""
+        torques = np.zeros_like(self.joint_position) if self.joint_torque is None else self.joint_torque
+        rows = zip(
+            np.asarray(self.time).tolist(),
+            self.joint_position,
+            self.joint_velocity,
+            self.position,
+            self.velocity,
+            torques,
+            strict=True,
+        )
+        for time, q, dq, place, velocity, torque in rows:
+            yield LoadState(time, q, dq, place, velocity, self.impact_position, torque)
 
 
 class ObjectLoad(ABC):
@@ -118,6 +134,7 @@ class Load:
     Attributes:
         touches: Whether it acts between pad and object.
         reads_scene: Whether it depends on :attr:`LoadState.scene`.
+        vectorised: Whether it takes many samples at once; if not, it is called for each.
     """
 
     @property
@@ -127,6 +144,11 @@ class Load:
 
     @property
     def reads_scene(self) -> bool:
+        """See the class."""
+        return False
+
+    @property
+    def vectorised(self) -> bool:
         """See the class."""
         return False
 
@@ -231,6 +253,33 @@ class ArmPhysics:
             "rotor": self.motor_inertia_rotor,
             "zero": np.zeros_like(self.motor_inertia_rotor),
         }[model]
+
+    def load_torques(self, state: LoadState, jacobian: Array) -> tuple[Array, Array]:
+        """Torques of all loads.
+
+        Args:
+            state: Of the arm; its arrays may have an axis of k samples in front.
+            jacobian: Linear part of J(q) of frame E in E[A], ``(3, n)`` or ``(k, 3, n)``.
+
+        Returns:
+            Torque on the links and torque on the motors, ``(n,)`` or ``(k, n)`` each [N m].
+        """
+        on_links, on_motors = np.zeros_like(state.joint_position), np.zeros_like(state.joint_position)
+        for load in self.loads:
+            if jacobian.ndim == 3 and not load.vectorised:
+                alone = replace(self, loads=(load,))
+                every = [alone.load_torques(one, own) for one, own in zip(state.samples, jacobian, strict=True)]
+                links, motors = zip(*every, strict=True)
+                on_links, on_motors = on_links + np.array(links), on_motors + np.array(motors)
+                continue
+            torque, force, motor = load.joint_torque(state), load.end_effector_force(state), load.motor_torque(state)
+            if torque is not None:
+                on_links += torque
+            if force is not None:
+                on_links += np.einsum("...an,...a->...n", jacobian, force)
+            if motor is not None:
+                on_motors += motor
+        return on_links, on_motors
 
 
 @dataclass(frozen=True)
@@ -412,7 +461,6 @@ class Physics:
         Returns:
             Torque on the links and torque on the motors, ``(n,)`` each [N m].
         """
-        physics = self.arms[arm]
         jacobian = model.jacobian(position)[:3]
         state = LoadState(
             time=time,
@@ -420,17 +468,8 @@ class Physics:
             joint_velocity=velocity,
             position=model.placement(position).translation,
             velocity=jacobian @ velocity,
-            impact_position=physics.impact_position,
+            impact_position=self.arms[arm].impact_position,
             joint_torque=torque,
             scene=scene or {},
         )
-        on_links, on_motors = np.zeros_like(position), np.zeros_like(position)
-        for load in physics.loads:
-            torque, force, motor = load.joint_torque(state), load.end_effector_force(state), load.motor_torque(state)
-            if torque is not None:
-                on_links += torque
-            if force is not None:
-                on_links += jacobian.T @ force
-            if motor is not None:
-                on_motors += motor
-        return on_links, on_motors
+        return self.arms[arm].load_torques(state, jacobian)

@@ -142,10 +142,10 @@ class Candidate:
             jacobian[:, index] = column
         return replace(self, jacobians=jacobians)
 
-    def steps(self, effect: Effect, part: slice, joints: Joints) -> Array:
-        """Finite-difference steps of one effect, up to a bound under the physics at hand or away from it, ``(p,)``."""
-        steps = effect.steps(joints, self.point[part])
-        room = np.clip(self.point[part] + steps, self.lower[part], self.upper[part]) - self.point[part]
+    def steps(self, joints: Joints) -> Array:
+        """Finite-difference steps, up to a bound under the physics at hand or away from it, ``(p,)``."""
+        steps = np.concatenate([effect.steps(joints, self.point[part]) for effect, part in self.parts])
+        room = np.clip(self.point + steps, self.lower, self.upper) - self.point
         return np.where(np.abs(room) < LEAST_ROOM * np.abs(steps), -steps, room)
 
     def only(self, clusters: Sequence[int]) -> Candidate:
@@ -226,20 +226,17 @@ class Candidate:
 
 def wanted(candidate: Candidate, numbers: Sequence[int], source: Source, share: float = 1.0) -> list[tuple[int, Added]]:
     """Predictions that :func:`linearise` needs, listed so that those of many effects run in one batch."""
-    joints = source.joints
     at_nominal = not candidate.origin and bool(np.all(candidate.point == candidate.nominal))
+    here, steps = candidate.split(candidate.point), candidate.steps(source.joints)
+    moved = [candidate.split(candidate.point + share * row) for row in np.diag(steps)]
     result: list[tuple[int, Added]] = []
     for number in numbers:
         result.append((number, candidate.origin))
         if not at_nominal:
-            result.append((number, candidate.split(candidate.point)))
+            result.append((number, here))
         for effect, part in candidate.parts:
-            if not concerns(effect, source.clusters[number]):
-                continue
-            for index, step in zip(range(part.start, part.stop), candidate.steps(effect, part, joints), strict=True):
-                moved = candidate.point.copy()
-                moved[index] += share * step
-                result.append((number, candidate.split(moved)))
+            if concerns(effect, source.clusters[number]):
+                result += [(number, added) for added in moved[part]]
     return result
 
 
@@ -262,8 +259,8 @@ def linearise(
         share: Of the steps of the parameters. Whole steps see past joints and contacts that stick; near an optimum
             they mislead where features bend.
     """
-    joints = source.joints
     at_nominal = not candidate.origin and bool(np.all(candidate.point == candidate.nominal))
+    steps = candidate.steps(source.joints)
     results = iter(source.predict(wanted(candidate, numbers, source, share), what))
     offsets, jacobians = [], []
     for item in clusters:
@@ -275,11 +272,11 @@ def linearise(
         for effect, part in candidate.parts:
             if not concerns(effect, item):
                 continue
-            for index, step in zip(range(part.start, part.stop), candidate.steps(effect, part, joints), strict=True):
+            for index in range(part.start, part.stop):
                 there = next(results)
                 if there is None:
                     return None
-                jacobian[:, index] = (there - here) / item.sigma * candidate.scale[index] / (share * step)
+                jacobian[:, index] = (there - here) / item.sigma * candidate.scale[index] / (share * steps[index])
         offsets.append((here - base) / item.sigma)
         jacobians.append(jacobian)
     return replace(candidate, offsets=tuple(offsets), jacobians=tuple(jacobians))
@@ -372,7 +369,7 @@ class Problem:
         prior allows, the error of this has the covariance A^-1 P A^-1, with A all information and P that of the prior.
         """
         inverse = np.linalg.inv(self.total)
-        noise = null.covariance(self.candidate.jacobians, change, inverse)
+        noise = null.covariance(self.candidate.jacobians, self.rest(change), inverse)
         pulled = inverse @ (self._prior[:, None] * inverse)
         systematic = null.discrepancy(self.candidate.jacobians, inverse) + pulled
         return combined_half_width(

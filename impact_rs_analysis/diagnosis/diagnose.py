@@ -28,7 +28,7 @@ from impact_rs_analysis.diagnosis.drift import doubt_of, drift_in_words, drift_o
 from impact_rs_analysis.diagnosis.fit import Evidence, Fit
 from impact_rs_analysis.diagnosis.hold_out import HoldOut, hold_out
 from impact_rs_analysis.diagnosis.next_experiment import next_experiment
-from impact_rs_analysis.diagnosis.search import NOTHING_KNOWN, ProgressCallback, Rival, Search, adjusted
+from impact_rs_analysis.diagnosis.search import NOTHING_KNOWN, ProgressCallback, Rival, Search
 from impact_rs_analysis.diagnosis.thresholds import LEAST_CLUSTERS, LEAST_P
 from impact_rs_analysis.diagnosis.verdicts import (
     MOST_RESTS,
@@ -178,7 +178,7 @@ def _p_values(search: Search, chosen: Fit | None) -> dict[str, float]:
         names = chosen.candidate.names
         for name in names:
             raw |= search.p_values_of([name], search.without(chosen, name) if len(names) > 1 else None)
-    return adjusted(raw)
+    return search.adjusted(raw)
 
 
 def document_of(found: Findings, source: Source, model: Model) -> DiagnosisDocument:
@@ -328,7 +328,7 @@ def _identifiability(chosen: Fit | None) -> Identifiability:
         return Identifiability()
     singular = np.linalg.svd(np.vstack(chosen.candidate.jacobians), compute_uv=False)
     inverse = np.linalg.inv(chosen.problem.total)
-    covariance = chosen.evidence.null.covariance(chosen.candidate.jacobians, chosen.change, inverse)
+    covariance = chosen.evidence.null.covariance(chosen.candidate.jacobians, chosen.rest, inverse)
     spread = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
     correlation = covariance / np.outer(spread, spread)
     names = [scalar.name for scalar in chosen.candidate.scalars]

@@ -45,7 +45,7 @@ SEEN = 1.5  # times repeatability; a signal below it shows no law
 SHARE = 0.25  # of the largest such signal, likewise: of joints that move others, one is the cause
 POINTS = 41  # of a law over its quantity
 CLEAR, FARTHEST = 0.3, 3.0  # difference of two laws that separates them, and how far out of the range it is looked for
-MOST_RIVALS = 8  # fitted in the place of a law
+MOST_RIVALS = 8  # fitted in the place of laws
 MOST_OTHERS = 8  # laws that are listed without being proposed
 
 
@@ -70,7 +70,8 @@ def discover(
     """
     source = source_of(model)
     library = effects_for(source, only)
-    verdict = _of_library(source, library, progress)
+    known = _of_library(source, library, progress)
+    verdict = _settled(known)
     if verdict is not None:
         return DiscoveryDocument(
             verdict=verdict, summary=_no_need(verdict), error_unit=residual_unit(Evidence.of(source))
@@ -78,7 +79,7 @@ def discover(
     ranges = visited(source)
     joints = min((len(kinds) for world in source.worlds for _, kinds in world.arm_joints), default=0)
     laws = {law.spec.name: law for law in laws_of(grammar, ranges, joints)}
-    wanted = set(_where(Evidence.of(source), laws.values()))
+    wanted = set(_where(known, laws.values()))
     laws = {name: law for name, law in laws.items() if name in wanted and name not in model.known_effects}
     tried = _searched(source_of, model, library, laws, progress)
     document = _document(tried, model, laws, ranges)
@@ -196,7 +197,7 @@ def _rivals(found: Findings) -> tuple[Rival, ...]:
         return ()
     return tuple(
         replace(rival, tied=rival.tied or _adds_nothing(found.chosen, rival))
-        for rival in found.search.rivals(found.chosen, MOST_RIVALS, hopeless=np.inf)
+        for rival in found.search.rivals(found.chosen, max(1, MOST_RIVALS // len(found.names)), hopeless=np.inf)
     )
 
 
@@ -209,18 +210,22 @@ def _adds_nothing(chosen: Fit, rival: Rival) -> bool:
     return near and left.null.p_value(own, fit.candidate.jacobians) > SIGNIFICANT
 
 
-def _of_library(source: Source, library: Sequence[Effect], progress: ProgressCallback) -> str | None:
-    """Verdict of the library where nothing is left to discover, else None."""
+def _of_library(source: Source, library: Sequence[Effect], progress: ProgressCallback) -> Findings:
+    """What a search for effects of the library alone finds."""
     search = Search(library, Evidence.of(source), progress)
-    if search.evidence.null.shortage is not None:
-        return TOO_FEW
-    if not search.lacking and source.repeated:
-        return NOTHING
-    found = Findings(search, search.choose(), (), None, {})
-    verdict = headline(found).verdict
+    decidable = search.evidence.null.shortage is None and (search.lacking or not source.repeated)
+    return Findings(search, search.choose() if decidable else None, (), None, {})
+
+
+def _settled(known: Findings) -> str | None:
+    """Verdict where nothing is left to discover beside effects of the library; None: something is."""
+    verdict, source = headline(known).verdict, known.evidence.source
+    if not source.repeated and verdict not in (TOO_FEW, NOTHING):
+        left = max(rest.times_noise for rest in rests_of(known.evidence, known.unexplained))
+        return None if left > SEEN else LIBRARY
     if verdict.startswith(OPEN):
         return None
-    return verdict if verdict in (NOTHING, SMALL) else LIBRARY
+    return verdict if verdict in (TOO_FEW, NOTHING, SMALL) else LIBRARY
 
 
 def _no_need(verdict: str) -> str:
@@ -232,12 +237,23 @@ def _no_need(verdict: str) -> str:
     }.get(verdict, "Effects of the library explain these measurements up to noise: `impact-rs diagnose` names them.")
 
 
-def _where(evidence: Evidence, laws: Iterable[Law]) -> list[str]:
-    """Names of the laws that act where a residual is seen."""
-    rests = rests_of(evidence, [item.mean for item in evidence.clusters])
+def _where(known: Findings, laws: Iterable[Law]) -> list[str]:
+    """Names of the laws that act where a residual is seen; in recordings, where the library leaves one."""
+    evidence = known.evidence
+    if not evidence.source.repeated:
+        rows = evidence.source.joint_sizes(known.unexplained)
+        left = {joint: size / noise for joint, size, noise, _ in rows if noise > 0.0}
+        seen = {joint for joint, size in left.items() if size > max(SEEN, SHARE * max(left.values()))}
+        apart: dict[tuple[str, ...], str] = {}  # a torque on a motor and one on its link are the same there
+        for law in laws:
+            if law.where in seen:
+                apart.setdefault((law.where, law.symbol, law.form), law.spec.name)
+            elif law.needs and not law.where.startswith("joint") and len(seen) > 1:  # a force is felt by several joints
+                apart[law.spec.name,] = law.spec.name
+        return list(apart.values())
     sizes: dict[str, dict[str, float]] = {}
     in_contact = 0.0
-    for rest in rests:
+    for rest in rests_of(evidence, [item.mean for item in evidence.clusters]):
         joint = rest.index.rpartition(".")[2]
         if rest.phase in ("impact", "push"):
             in_contact = max(in_contact, rest.times_noise)
@@ -251,9 +267,6 @@ def _where(evidence: Evidence, laws: Iterable[Law]) -> list[str]:
                 found.append(law.spec.name)
             continue
         signal = sizes.get(law.needs, {})
-        if not evidence.source.repeated:
-            found.append(law.spec.name)
-            continue
         largest = max(signal.values(), default=0.0)
         own_size = signal.get(law.where, 0.0) if law.where.startswith("joint") else largest
         if own_size > max(SEEN, SHARE * largest):

@@ -61,7 +61,7 @@ class Number(Schema):
 class Form(Schema):
     """How a law depends on its quantity u."""
 
-    law: str = Field(description="formula of u and the parameters")
+    law: str = Field(description="formula of u, the middle of its range, and the parameters")
     along: str = Field("", description="the same over u, for a force along a velocity; empty: there is none")
     numbers: dict[str, Number] = Field(min_length=1, description="its parameters")
     restores: bool = Field(False, description="whether it has the sign of a spring")
@@ -140,13 +140,18 @@ class Law:
                 name: parameter.model_copy(update={"nominal": start.get(name, parameter.nominal)})
                 for name, parameter in self.spec.parameters.items()
             }
-            found.append(FormulaEffect(self.spec.model_copy(update={"parameters": parameters})))
+            found.append(FormulaEffect(self.spec.model_copy(update={"parameters": parameters}), self.family))
         return found
+
+    @property
+    def family(self) -> str:
+        """What the laws of one form at several joints share, as joints are alike."""
+        where = "" if self.where.startswith("joint") else self.where
+        return f"{self.place} {where} {self.quantity.words} {self.form}"
 
     def force(self, u: Array, numbers: Mapping[str, float]) -> Array:
         """Its size where the quantity is ``u`` ``(k,)``, with its parameters, ``(k,)`` [unit of the place]."""
-        formula = Formula(self.profile, {"u", *numbers})
-        return np.array([formula({"u": value, **numbers}) for value in u.tolist()])
+        return np.broadcast_to(Formula(self.profile, {"u", *numbers})({"u": u, **numbers}), u.shape)
 
 
 def load_grammar(more: Path | None = None) -> Grammar:
@@ -217,6 +222,8 @@ def _law(
     low, high = ranges.get(symbol, (-quantity.typical if quantity.opposes else 0.0, quantity.typical))
     high = max(high, low + LEAST_SPAN * quantity.typical)
     size = max(abs(low), abs(high))
+    middle = (low + high) / 2.0
+    profile = form.law.replace("- middle", f"- {middle:.3g}" if middle > 0.0 else f"+ {-middle:.3g}")
     opposes = (quantity.opposes or form.restores) and not place.against
     bounded = quantity.opposes or form.restores or place.against
     parameters, starts = {}, {}
@@ -237,7 +244,7 @@ def _law(
         factor = _inserted(form.along, symbol)
         formula = {axis: f"-({factor}) * {quantity.along}{axis}" for axis in AXES}
     else:
-        text = _inserted(form.law, symbol)
+        text = _inserted(profile, symbol)
         text = f"-({text})" if opposes else text
         formula = {where: text} if where else text
     number = where.removeprefix("joint")
@@ -262,7 +269,7 @@ def _law(
         quantity=quantity,
         symbol=symbol,
         form=form_name,
-        profile=form.law,
+        profile=profile,
         needs=place.needs,
         starts=tuple(every),
         words=words,

@@ -56,6 +56,7 @@ from impact_rs_sim.robot import Array
 
 FIRST_DRAWS, CLEAR = 999, 0.05  # of the test of all residuals, and the p above which they are enough
 TINY = 1e-12  # keeps a zero covariance invertible
+MANY_DRAWS = 49999  # of signs, where hardly one of fewer lies beyond an observation
 FEW_BEYOND, TAIL = 10, 250  # draws beyond an observation, below which its p-value comes from those of the tail
 LIGHTEST = 1e-3  # shape of the tail: about exponential
 PRIOR_FREEDOM = 3.0  # of the mean variance of a signal; with as many contrasts of its own, a feature counts the same
@@ -99,12 +100,12 @@ class NullDistribution(ABC):
         """p-value of mean residuals ``(F,)`` by cluster being noise and discrepancy; None without repeats."""
 
     @abstractmethod
-    def covariance(self, jacobians: Sequence[Array], change: Array, inverse: Array) -> Array:
+    def covariance(self, jacobians: Sequence[Array], rest: Sequence[Array], inverse: Array) -> Array:
         """Covariance of an estimate due to noise (sandwich), ``(p, p)``.
 
         Args:
             jacobians: Sensitivities by cluster, ``(F, p)`` each.
-            change: Estimate, from the point of the residuals, ``(p,)``.
+            rest: Mean residuals of the fit by cluster, ``(F,)`` each.
             inverse: Inverse of the information, ``(p, p)``.
         """
 
@@ -493,9 +494,9 @@ class RotationNull(NullDistribution):
             / len(items)
         )
 
-    def covariance(self, jacobians: Sequence[Array], change: Array, inverse: Array) -> Array:
+    def covariance(self, jacobians: Sequence[Array], rest: Sequence[Array], inverse: Array) -> Array:
         """See :meth:`NullDistribution.covariance`; trials are independent of each other, their features are not."""
-        del change  # the scatter of repeats about their mean does not depend on the fit
+        del rest  # the scatter of repeats about their mean does not depend on the fit
         meat = np.zeros_like(inverse)
         for item, jacobian in zip(self.clusters, jacobians, strict=True):
             if item.count > 1:
@@ -524,9 +525,15 @@ class SignFlipNull(NullDistribution):
             f"{self.LEAST} needed"
         )
 
+    def _signs(self, draws: int) -> Array:
+        """Signs of the blocks in draws of the null distribution, ``(draws, blocks)``."""
+        if draws not in self._known_signs:
+            self._known_signs[draws] = np.random.default_rng(0).choice([-1.0, 1.0], size=(draws, len(self.clusters)))
+        return self._known_signs[draws]
+
     @cached_property
-    def _signs(self) -> Array:
-        return np.random.default_rng(0).choice([-1.0, 1.0], size=(DRAWS, len(self.clusters)))
+    def _known_signs(self) -> dict[int, Array]:
+        return {}
 
     def p_values(self, effects: Sequence[Sequence[Array]], fitted: Sequence[Array] = ()) -> list[float]:
         """See :meth:`NullDistribution.p_values`."""
@@ -538,17 +545,23 @@ class SignFlipNull(NullDistribution):
         if self.shortage is not None or turned is None:
             return 1.0
         scores = np.array([j.T @ item.mean for item, j in zip(self.clusters, turned, strict=True)])
-        observed, null = scores.sum(axis=0), self._signs @ scores
-        return rarity(float(observed @ observed), np.einsum("bp,bp->b", null, null))
+        observed = float(np.sum(np.square(scores.sum(axis=0))))
+        share = 1.0
+        for draws in (DRAWS, MANY_DRAWS):
+            null = np.sum(np.square(self._signs(draws) @ scores), axis=1)
+            share = rarity_in_the_tail(observed, null)
+            if _beyond(observed, null) >= FEW_BEYOND:
+                break
+        return max(share, 2.0 ** (1 - len(self.clusters)))  # of all patterns of signs, the same and its opposite
 
     def lack_of_fit(self, rest: Sequence[Array]) -> float | None:
         """None: without repeats there is no test of the remaining residuals."""
         del rest
         return None
 
-    def covariance(self, jacobians: Sequence[Array], change: Array, inverse: Array) -> Array:
+    def covariance(self, jacobians: Sequence[Array], rest: Sequence[Array], inverse: Array) -> Array:
         """See :meth:`NullDistribution.covariance`; blocks are independent, neighbouring samples are not."""
-        scores = np.array([j.T @ (item.mean - j @ change) for item, j in zip(self.clusters, jacobians, strict=True)])
+        scores = np.array([j.T @ left for left, j in zip(rest, jacobians, strict=True)])
         count = len(self.clusters)
         return np.asarray(inverse @ (scores.T @ scores) @ inverse * count / (count - 1.0))
 

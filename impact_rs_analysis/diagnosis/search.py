@@ -11,6 +11,7 @@ import math
 from collections import Counter
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import reduce
 from itertools import combinations, product
 from types import MappingProxyType
 
@@ -223,38 +224,60 @@ class Search:
         return min(tried, key=lambda entry: Fit.of(entry, self.evidence).misfit)
 
     def p_values(self, chosen: Fit | None) -> dict[str, float]:
-        """p-value per effect given the chosen ones, adjusted for testing all (Benjamini and Hochberg)."""
-        return adjusted(self.raw_p_values(chosen))
+        """p-value per effect given the chosen ones, and per law at all joints together (:meth:`_groups`), adjusted."""
+        return self.adjusted(self.raw_p_values(chosen))
+
+    def adjusted(self, p_values: Mapping[str, float]) -> dict[str, float]:
+        """p-values adjusted for testing all of these at every start of their shapes (Benjamini and Hochberg)."""
+        return adjusted(p_values, sum(max(1, self._looks[name]) for name in p_values))
 
     def raw_p_values(self, chosen: Fit | None) -> dict[str, float]:
-        """p-value per effect given the chosen ones, not adjusted for testing all, but for all starts of its shape.
+        """:meth:`p_values` not adjusted for testing all, each at its best start.
 
         Of many effects those that explain least have 1, which is never too small.
         """
-        present = () if chosen is None else chosen.candidate.names
-        return self.p_values_of([name for name in self.singles if name not in present], chosen)
+        return self.p_values_of(self._groups(() if chosen is None else chosen.candidate.names), chosen)
 
-    def p_values_of(self, names: Sequence[str], chosen: Fit | None) -> dict[str, float]:
+    def _groups(self, present: Collection[str], names: Collection[str] | None = None) -> list[str]:
+        """What may be accepted at once: an effect, or a law at several joints, joined by ``+``: joints are alike.
+
+        Args:
+            present: Effects that are chosen.
+            names: Of the others those to consider; None: all.
+        """
+        alone = [name for name in self.singles if name not in present and (names is None or name in names)]
+        families: dict[str, list[str]] = {}
+        for name in alone:
+            families.setdefault(self.singles[name].effects[0].family, []).append(name)
+        return alone + ["+".join(members) for family, members in families.items() if family and len(members) > 1]
+
+    def _joined(self, group: str) -> Candidate:
+        """A group at the starts of its fits."""
+        return reduce(Candidate.beside, map(self._start, group.split("+")))
+
+    def p_values_of(self, groups: Sequence[str], chosen: Fit | None) -> dict[str, float]:
         """:meth:`raw_p_values` of some effects, from their sensitivities beside the chosen ones."""
         evidence = self.evidence if chosen is None else chosen.evidence
-        singles = {name: self.singles[name] for name in names}
-        fits = {
-            name: Fit.of(candidate if chosen is None else chosen.candidate.beside(candidate), evidence)
-            for name, candidate in singles.items()
-        }
+        fits = {}
+        for group in groups:
+            own = reduce(Candidate.beside, (self.singles[name] for name in group.split("+")))
+            fits[group] = Fit.of(own if chosen is None else chosen.candidate.beside(own), evidence)
         raw = dict.fromkeys(fits, 1.0)
         null = (self.evidence if chosen is None else chosen.left).null
         first = 0 if chosen is None else chosen.candidate.point.size
-        tested = sorted(fits, key=lambda name: fits[name].score)[:MOST_TESTED]
-        found = [fits[name].candidate.jacobians for name in tested]
-        own = [[jacobian[:, first:] for jacobian in jacobians] for jacobians in found]
+        tested = sorted(fits, key=lambda group: fits[group].score)[:MOST_TESTED]
+        found = [fits[group].candidate.jacobians for group in tested]
+        own_part = [[jacobian[:, first:] for jacobian in jacobians] for jacobians in found]
         fitted = () if chosen is None else chosen.candidate.jacobians
-        values = null.p_values(own, fitted)
-        return raw | {name: min(1.0, self._looks[name] * p) for name, p in zip(tested, values, strict=True)}
+        return raw | dict(zip(tested, null.p_values(own_part, fitted), strict=True))
 
     def choose(self) -> Fit | None:
         """Forward selection; None if no effect is accepted."""
-        chosen = self._extend(None)
+        # In recordings what has a name comes first: friction is in all of them, and laws describe what it leaves.
+        named = [name for name, single in self.singles.items() if not single.effects[0].family]
+        chosen = self._extend(None, None if self.source.repeated else named)
+        if not self.source.repeated:
+            chosen = self._extend(chosen)
         if chosen is None:
             return None
         chosen = self._without_the_superfluous(chosen)
@@ -262,18 +285,23 @@ class Search:
             chosen = self._try_pairs(chosen)
         return chosen
 
-    def _extend(self, chosen: Fit | None) -> Fit | None:
-        """Add effects until none is accepted."""
+    def _extend(self, chosen: Fit | None, names: Collection[str] | None = None) -> Fit | None:
+        """Add effects until none is accepted; of some alone if ``names`` says which."""
         decidable = self.evidence.null.shortage is None
-        while chosen is None or len(chosen.candidate.effects) < MOST_EFFECTS:
+        while chosen is None or len({e.family or e.name for e in chosen.candidate.effects}) < MOST_EFFECTS:
             if chosen is not None and (left := chosen.lack_of_fit()) is not None and left > SIGNIFICANT:
                 break
             p_values = self.p_values(chosen)
             evidence = self.evidence if chosen is None else chosen.evidence
             before = self._unexplained(chosen)
-            likely = [n for n, p in p_values.items() if n not in self.ruled_out and (p < SIGNIFICANT or not decidable)]
-            self._starts |= {n: self._best_shape(self.singles[n]) for n in likely if n not in self._starts}
-            linear = sorted((self.beside(chosen, name) for name in likely), key=lambda entry: entry.score)
+            likely = [
+                group
+                for group in self._groups(() if chosen is None else chosen.candidate.names, names)
+                if group not in self.ruled_out and (p_values[group] < SIGNIFICANT or not decidable)
+            ]
+            apart = {name for group in likely for name in group.split("+")}
+            self._starts |= {n: self._best_shape(self.singles[n]) for n in apart if n not in self._starts}
+            linear = sorted((self.beside(chosen, group) for group in likely), key=lambda entry: entry.score)
             for entry in linear:
                 self._report_progress(entry)
             # Small effects are linear: a proposal without gain in the linear fit has none by simulation.
@@ -297,9 +325,7 @@ class Search:
         """Given effects fitted together; None where one of them changes nothing."""
         if any(name not in self.singles for name in names):
             return None
-        joined = self.singles[names[0]]
-        for name in names[1:]:
-            joined = joined.beside(self.singles[name])
+        joined = reduce(Candidate.beside, (self.singles[name] for name in names))
         return look_elsewhere(refine_again(self._refined(joined, self.evidence)))
 
     def _refined(self, start: Candidate, evidence: Evidence, give_up: float = np.inf) -> Fit:
@@ -337,12 +363,12 @@ class Search:
             fits.append(Fit.of(moved, self.evidence))
         return min(fits, key=lambda fitted: fitted.score)
 
-    def beside(self, chosen: Fit | None, name: str) -> Fit:
-        """Linear fit of one more effect; one with a shape parameter is linearised together with the chosen ones.
+    def beside(self, chosen: Fit | None, group: str) -> Fit:
+        """Linear fit of one more effect or group; one with a shape parameter is linearised beside the chosen ones.
 
         By itself such an effect explains what others are: friction that decreases with speed stands for an offset.
         """
-        start = self._start(name)
+        start = self._joined(group)
         if chosen is None:
             return Fit.of(start, self.evidence)
         joined = Fit.of(chosen.candidate.beside(start), chosen.evidence)
@@ -372,9 +398,12 @@ class Search:
         if not found:
             return None
         best = min(found, key=lambda proposal: proposal.score)
-        joints = self.source.joints
-        alike = [entry for entry in found if entry.score <= best.score * math.exp(TIE)]
-        return min(alike, key=lambda entry: (entry.candidate.effects[-1].complexity(joints), entry.score))
+        joints, known = self.source.joints, 0 if chosen is None else len(chosen.candidate.effects)
+
+        def cost(entry: Fit) -> tuple[int, float]:
+            return sum(effect.complexity(joints) for effect in entry.candidate.effects[known:]), entry.score
+
+        return min((entry for entry in found if entry.score <= best.score * math.exp(TIE)), key=cost)
 
     def _without_the_superfluous(self, chosen: Fit) -> Fit:
         """The fit without effects that later ones made redundant."""
@@ -543,8 +572,14 @@ def noticeable(fitted: Fit, first: int = 0) -> bool:
     return bool(np.any((distance > fitted.evidence.source.least_change)[first:] & own[first:]))
 
 
-def adjusted(p_values: dict[str, float]) -> dict[str, float]:
-    """Benjamini and Hochberg's adjustment."""
+def adjusted(p_values: Mapping[str, float], tests: int = 0) -> dict[str, float]:
+    """Benjamini and Hochberg's adjustment.
+
+    Args:
+        p_values: By name.
+        tests: How many were made, those with larger p-values among them; 0: these alone.
+    """
     if not p_values:
         return {}
-    return dict(zip(p_values, scipy.stats.false_discovery_control(list(p_values.values())).tolist(), strict=True))
+    every = [*p_values.values(), *[1.0] * (tests - len(p_values))]
+    return dict(zip(p_values, scipy.stats.false_discovery_control(every).tolist(), strict=False))

@@ -117,6 +117,7 @@ class RecordingSource(Source):
     ) -> None:
         self.recordings, self.mapping, self.model = tuple(recordings), mapping, model
         self._minus = tuple(minus)
+        self._known = model.known_effects
         self.motions, self.physics = tuple(motions), physics
         at_motor = mapping.torque_measured_at == "motor"
         self.balance = TorqueBalance(list(motions), at_motor)
@@ -314,10 +315,9 @@ class RecordingSource(Source):
         """Predicted torque of all recordings, ``(k, n)`` [N m]; None without positive inertia."""
         if added not in self._predicted:
             physics = self.physics
-            known = self.model.known_effects
             try:
                 for name, values in added:
-                    physics = known[name].apply_vector(physics, np.array(values))
+                    physics = self._known[name].apply_vector(physics, np.array(values))
                 self._predicted[added] = self.balance.predict(physics)
             except NotABody:
                 self._predicted[added] = None

@@ -22,8 +22,9 @@ import pinocchio as pin
 import scipy
 
 from impact_rs_sim.errors import InputError
-from impact_rs_sim.physics import Physics
+from impact_rs_sim.physics import LoadState, Physics
 from impact_rs_sim.robot import Array
+from impact_rs_sim.robot_model import RobotModel
 from impact_rs_trials.recordings.recording import ARM
 from impact_rs_trials.runs import Run
 
@@ -140,6 +141,21 @@ def _delayed(values: Array, time: Array, delay: float) -> Array:
     return np.asarray(scipy.interpolate.CubicSpline(time, values)(time - delay)) if delay else values
 
 
+def _state(motion: Motion, model: RobotModel, impact_position: Array) -> tuple[LoadState, Array]:
+    """Arguments of loads along a motion, and the linear part of the Jacobians, ``(k, 3, n)``."""
+    jacobian = np.array([model.jacobian(q)[:3] for q in motion.position])
+    state = LoadState(
+        time=motion.time,
+        joint_position=motion.position,
+        joint_velocity=motion.velocity,
+        position=np.array([model.placement(q).translation for q in motion.position]),
+        velocity=np.einsum("kan,kn->ka", jacobian, motion.velocity),
+        impact_position=impact_position,
+        joint_torque=motion.torque,
+    )
+    return state, jacobian
+
+
 class TorqueBalance:
     """Predicts the recorded torque of several motions under given physics.
 
@@ -151,6 +167,7 @@ class TorqueBalance:
     def __init__(self, motions: list[Motion], at_motor: bool = False) -> None:
         self.motions, self._at_motor = motions, at_motor
         self._regressors: dict[bytes, list[Array]] = {}
+        self._known_states: dict[bytes, list[tuple[LoadState, Array]]] = {}
 
     def predict(self, physics: Physics) -> Array:
         """Predicted recorded torque, all motions stacked between their edges, ``(k, n)`` [N m]."""
@@ -162,12 +179,12 @@ class TorqueBalance:
         """Predicted recorded torque of every motion, with its edges, ``(k, n)`` [N m]."""
         arm = physics.arms[ARM]
         rows = []
-        for motion, rigid in zip(self.motions, self._rigid_torques(physics), strict=True):
+        for number, (motion, rigid) in enumerate(zip(self.motions, self._rigid_torques(physics), strict=True)):
             torque = rigid + arm.motor_inertia_reduced * motion.acceleration if self._at_motor else rigid
             if not arm.friction.is_zero:
                 torque = torque - arm.friction.torque(motion.velocity)
             if arm.loads:
-                torque = torque - self._load_torques(physics, motion)
+                torque = torque - self._load_torques(physics, number)
             torque = motion.low_pass((torque - arm.torque_offset) / arm.torque_gain)
             rows.append(_delayed(torque, motion.time, arm.torque_delay))
         return rows
@@ -191,12 +208,19 @@ class TorqueBalance:
             ]
         return [regressor @ parameters for regressor in self._regressors[key]]
 
-    @staticmethod
-    def _load_torques(physics: Physics, motion: Motion) -> Array:
+    def _load_torques(self, physics: Physics, number: int) -> Array:
         """Torques of loads outside the rigid model on links and motors, ``(k, n)`` [N m]."""
-        model = physics.robot_model(ARM)
-        rows = zip(motion.time, motion.position, motion.velocity, motion.torque, strict=True)
-        return np.array([sum(physics.load_torques(ARM, model, float(time), q, dq, tau)) for time, q, dq, tau in rows])
+        state, jacobian = self._states(physics)[number]
+        return np.add(*physics.arms[ARM].load_torques(state, jacobian))
+
+    def _states(self, physics: Physics) -> list[tuple[LoadState, Array]]:
+        """Arguments of loads of every motion, and the linear part of the Jacobians, ``(k, 3, n)``."""
+        arm, model = physics.arms[ARM], physics.robot_model(ARM)
+        start = np.zeros(arm.facts.joint_count)
+        key = np.concatenate((model.placement(start).homogeneous.ravel(), arm.impact_position)).tobytes()
+        if key not in self._known_states:
+            self._known_states = {key: [_state(motion, model, arm.impact_position) for motion in self.motions]}
+        return self._known_states[key]
 
     @property
     def recorded(self) -> Array:

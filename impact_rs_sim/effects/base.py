@@ -175,6 +175,8 @@ class Effect(ABC):
         phases: Where it is observable: ``free`` motion, ``contact``, or both; ``impact``: in tables of impacts alone.
         calibrates: Whether it describes the bare arm, which recordings of free motion calibrate: a search in trials and
             tables leaves it out unless it is named. A model that contains it predicts with it everywhere.
+        family: Of a law that is looked for, what the laws of one form at several joints share; empty: it has a name of
+            its own in the library or the model.
     """
 
     name: str
@@ -183,6 +185,7 @@ class Effect(ABC):
     parameters: tuple[Parameter, ...]
     phases: tuple[str, ...] = ("free", "contact")
     calibrates: bool = False
+    family: str = ""
 
     @abstractmethod
     def apply(self, physics: Physics, values: Values) -> Physics:

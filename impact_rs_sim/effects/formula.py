@@ -64,20 +64,23 @@ from impact_rs_sim.physics import ContactCondition, ContactLaw, Load, LoadState,
 from impact_rs_sim.robot import Array
 from impact_rs_sim.schema import Schema, load, omitted
 
-FUNCTIONS: dict[str, tuple[int, Callable[..., float]]] = {
-    "sin": (1, math.sin),
-    "cos": (1, math.cos),
-    "tan": (1, math.tan),
-    "exp": (1, math.exp),
-    "log": (1, math.log),
-    "sqrt": (1, math.sqrt),
-    "tanh": (1, math.tanh),
-    "abs": (1, abs),
-    "sign": (1, lambda value: float(np.sign(value))),
-    "min": (2, min),
-    "max": (2, max),
+Value = float | Array
+"""A number, or an array of them for many samples at once."""
+
+FUNCTIONS: dict[str, tuple[int, Callable[..., Value]]] = {
+    "sin": (1, np.sin),
+    "cos": (1, np.cos),
+    "tan": (1, np.tan),
+    "exp": (1, np.exp),
+    "log": (1, np.log),
+    "sqrt": (1, np.sqrt),
+    "tanh": (1, np.tanh),
+    "abs": (1, np.abs),
+    "sign": (1, np.sign),
+    "min": (2, np.minimum),
+    "max": (2, np.maximum),
 }
-_BINARY: dict[type[ast.operator], Callable[[float, float], float]] = {
+_BINARY: dict[type[ast.operator], Callable[[Value, Value], Value]] = {
     ast.Add: operator.add,
     ast.Sub: operator.sub,
     ast.Mult: operator.mul,
@@ -117,8 +120,8 @@ PLACES = (
 )  # fmt: skip
 LONGEST = 400  # characters; a physical law is shorter
 
-Symbols = Mapping[str, float]
-Expression = Callable[[Symbols], float]
+Symbols = Mapping[str, Value]
+Expression = Callable[[Symbols], Value]
 
 
 class Formula:
@@ -130,6 +133,9 @@ class Formula:
         text: The formula.
         symbols: Names that it may use.
 
+    Attributes:
+        names: Symbols that stand in it.
+
     Raises:
         InputError: The text does not parse, names an unknown symbol or function, or is no arithmetic.
     """
@@ -137,15 +143,11 @@ class Formula:
     def __init__(self, text: str, symbols: Iterable[str]) -> None:
         self.text, self.symbols = text, frozenset(symbols)
         self._function = _parse(text, self.symbols)
+        self.names = self.symbols & set(re.findall(r"[A-Za-z_]\w*", text))
 
-    def __call__(self, values: Symbols) -> float:
-        """Value of the formula where its symbols have these values."""
+    def __call__(self, values: Symbols) -> Value:
+        """Value of the formula where its symbols have these values: numbers, or arrays of samples."""
         return self._function(values)
-
-    @property
-    def names(self) -> frozenset[str]:
-        """Symbols that stand in it."""
-        return self.symbols & set(re.findall(r"[A-Za-z_]\w*", self.text))
 
     def __reduce__(self) -> tuple[type[Formula], tuple[str, frozenset[str]]]:
         """See the class."""
@@ -248,6 +250,7 @@ class FormulaEffect(Effect):
 
     Args:
         spec: The formulas.
+        family: See :class:`Effect`.
 
     Raises:
         InputError: A formula does not parse or names something unknown.
@@ -255,8 +258,8 @@ class FormulaEffect(Effect):
 
     acts_on = "joint torque"
 
-    def __init__(self, spec: FormulaSpec) -> None:
-        self.spec = spec
+    def __init__(self, spec: FormulaSpec, family: str = "") -> None:
+        self.spec, self.family = spec, family
         self.name = spec.name
         self.sentence = spec.sentence
         self.parameters = tuple(
@@ -385,33 +388,36 @@ class FormulaContact(ContactLaw):
 
     def apply(self, contact: ContactCondition) -> ContactCondition:
         """See :meth:`ContactLaw.apply`."""
-        pairs = list(zip(contact.closing.tolist(), contact.slip.tolist(), strict=True))
+        symbols: dict[str, Value] = {"v": contact.closing, "slip": contact.slip, **self.numbers}
         changed = {}
         for name, expression in self.formulas.items():
             try:
-                more = [expression({"v": speed, "slip": slip, **self.numbers}) for speed, slip in pairs]
+                with np.errstate(all="ignore"):
+                    changed[name] = getattr(contact, name) + expression(symbols)
             except (ArithmeticError, ValueError, TypeError) as error:
                 raise InputError(f"effect {self.name!r} blows up at a contact: {error}") from None
-            changed[name] = getattr(contact, name) + np.array(more, dtype=float)
             if not np.isfinite(changed[name]).all():
                 raise InputError(f"effect {self.name!r} is not finite at a contact")
         return replace(contact, **changed)
 
 
 def _evaluated(effect: str, table: dict[int, Formula], size: int, symbols: Symbols) -> Array:
-    """Values of formulas by number, 0 where there is none, ``(size,)``.
+    """Values of formulas by number, 0 where there is none, ``(..., size)`` with an axis of samples in front if any.
 
     Raises:
         InputError: One of them is not finite.
     """
-    result = np.zeros(size)
+    time = np.asarray(symbols["t"])
+    result = np.zeros((*time.shape, size))
     for index, expression in table.items():
         try:
-            result[index] = expression(symbols)
+            with np.errstate(all="ignore"):
+                result[..., index] = expression(symbols)
         except (ArithmeticError, ValueError, TypeError) as error:
-            raise InputError(f"effect {effect!r} blows up at t = {symbols['t']:.3f} s: {error}") from None
-        if not np.isfinite(result[index]):
-            raise InputError(f"effect {effect!r} is not finite at t = {symbols['t']:.3f} s")
+            raise InputError(f"effect {effect!r} blows up at t = {time.min():.3f} s: {error}") from None
+        if not np.isfinite(result[..., index]).all():
+            first = time[~np.isfinite(result[..., index])].min()
+            raise InputError(f"effect {effect!r} is not finite at t = {first:.3f} s")
     return result
 
 
@@ -437,23 +443,28 @@ class FormulaLoad(Load):
         tables = (self.torque, self.motor, self.force)
         return any(OF_SCENE & formula.names for table in tables for formula in table.values())
 
+    @property
+    def vectorised(self) -> bool:
+        """See :class:`Load`."""
+        return True
+
     def _evaluate(self, table: dict[int, Formula], size: int, state: LoadState) -> Array:
-        values = {**dict.fromkeys(SYMBOLS, 0.0), **state.scene, "t": state.time, **self.numbers}
+        values: dict[str, Value] = {**dict.fromkeys(SYMBOLS, 0.0), **state.scene, "t": state.time, **self.numbers}
         torque = np.zeros_like(state.joint_position) if state.joint_torque is None else state.joint_torque
         for name, joints in (("q", state.joint_position), ("dq", state.joint_velocity), ("tau", torque)):
-            values |= {f"{name}{index + 1}": value for index, value in enumerate(joints.tolist())}
-        values |= dict(zip(AXES, state.position.tolist(), strict=True))
-        values |= {f"v{axis}": value for axis, value in zip(AXES, state.velocity.tolist(), strict=True)}
-        values["speed"] = float(np.linalg.norm(state.velocity))
+            values |= {f"{name}{index + 1}": value for index, value in enumerate(joints.T)}
+        values |= dict(zip(AXES, state.position.T, strict=True))
+        values |= {f"v{axis}": value for axis, value in zip(AXES, state.velocity.T, strict=True)}
+        values["speed"] = np.linalg.norm(state.velocity, axis=-1)
         return _evaluated(self.name, table, size, values)
 
     def joint_torque(self, state: LoadState) -> Array | None:
         """Torque on the links, ``(n,)`` [N m]."""
-        return self._evaluate(self.torque, state.joint_position.size, state) if self.torque else None
+        return self._evaluate(self.torque, state.joint_position.shape[-1], state) if self.torque else None
 
     def motor_torque(self, state: LoadState) -> Array | None:
         """Torque on the motors, ``(n,)`` [N m]."""
-        return self._evaluate(self.motor, state.joint_position.size, state) if self.motor else None
+        return self._evaluate(self.motor, state.joint_position.shape[-1], state) if self.motor else None
 
     def end_effector_force(self, state: LoadState) -> Array | None:
         """Force at E, axes of A, ``(3,)`` [N]."""

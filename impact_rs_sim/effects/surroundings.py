@@ -38,6 +38,11 @@ class Spring(Load):
     pull: Array
     stiffness: float
 
+    @property
+    def vectorised(self) -> bool:
+        """See :class:`Load`."""
+        return True
+
     def end_effector_force(self, state: LoadState) -> Array | None:
         """Force at E, axes of A, ``(3,)`` [N]."""
         return np.asarray(self.pull - self.stiffness * (state.position - state.impact_position))

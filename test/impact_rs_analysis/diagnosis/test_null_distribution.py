@@ -237,7 +237,7 @@ def test_covariance_of_repeats_is_that_of_a_weighted_mean() -> None:
     source = AnalyticSource(11, design=(400,))
     reference, ones = RotationNull(source.clusters), [np.ones((FEATURES, 1))]
     inverse = np.linalg.inv(information(reference, ones))
-    found = reference.covariance(ones, np.zeros(1), inverse)[0, 0]
+    found = reference.covariance(ones, [], inverse)[0, 0]
     means = source.clusters[0].residuals.mean(axis=1)
     assert found == pytest.approx(means.var(ddof=1) / 400, rel=1e-9)
 
@@ -305,6 +305,6 @@ def test_covariance_adds_up_over_conditions_of_two_repeats_and_more() -> None:
     """The mean over all repeats has the variance sum n_c s_c^2 / n^2; a condition without repeats says nothing."""
     source = AnalyticSource(12, design=(5, 1, 2, 3))
     reference, ones = RotationNull(source.clusters), [np.ones((FEATURES, 1))] * 4
-    found = reference.covariance(ones, np.zeros(1), np.linalg.inv(information(reference, ones)))[0, 0]
+    found = reference.covariance(ones, [], np.linalg.inv(information(reference, ones)))[0, 0]
     means = [item.residuals.mean(axis=1) for item in source.clusters if item.count > 1]
     assert found == pytest.approx(sum(own.size * own.var(ddof=1) for own in means) / 11.0**2, rel=1e-9)
