@@ -93,7 +93,7 @@ class Candidate:
     @cached_property
     def _shapes(self) -> NDArray[np.bool_]:
         """Which parameters are shapes: they change nothing while the others are nominal, ``(p,)``."""
-        return np.array([scalar.shape for scalar in self.scalars])
+        return np.array([scalar.shape for scalar in self.scalars], dtype=bool)
 
     @cached_property
     def nominal(self) -> Array:

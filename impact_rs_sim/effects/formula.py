@@ -397,7 +397,7 @@ class FormulaContact(ContactLaw):
             except (ArithmeticError, ValueError, TypeError) as error:
                 raise InputError(f"effect {self.name!r} blows up at a contact: {error}") from None
             if not np.isfinite(changed[name]).all():
-                raise InputError(f"effect {self.name!r} is not finite at a contact")
+                raise InputError(f"effect {self.name!r} blows up at a contact")
         return replace(contact, **changed)
 
 
@@ -417,7 +417,7 @@ def _evaluated(effect: str, table: dict[int, Formula], size: int, symbols: Symbo
             raise InputError(f"effect {effect!r} blows up at t = {time.min():.3f} s: {error}") from None
         if not np.isfinite(result[..., index]).all():
             first = time[~np.isfinite(result[..., index])].min()
-            raise InputError(f"effect {effect!r} is not finite at t = {first:.3f} s")
+            raise InputError(f"effect {effect!r} blows up at t = {first:.3f} s")
     return result
 
 
