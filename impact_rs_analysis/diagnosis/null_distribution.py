@@ -44,7 +44,7 @@ from __future__ import annotations
 import copy
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Sequence
-from functools import cached_property, lru_cache
+from functools import cached_property, lru_cache, reduce
 
 import numpy as np
 import scipy
@@ -268,6 +268,10 @@ class _Rows:
         frames = _frames(len(self.rows), self.means, seed)[draws]
         return (frames[:, number] @ self.rows for number in range(self.means))
 
+    def squares(self, seed: int, draws: slice = slice(None)) -> Array:
+        """Sum of squares of the mean rows, as :meth:`rotated`, ``(1 + B, F)``."""
+        return reduce(np.add, map(np.square, self.rotated(seed, draws)))
+
     def weights(self, squares: Array) -> Array:
         """W of the module in every rotation, from the sums of squares of the mean rows, ``(1 + B, F)``."""
         apart = [np.square(item.sigma / self.unit) * (1.0 - np.square(item.pure)) for item in self.items]
@@ -318,10 +322,7 @@ class RotationNull(NullDistribution):
     @cached_property
     def _scales(self) -> list[Array]:
         """W of every layout in all rotations, ``(1 + B, F)``."""
-        return [
-            own.weights(np.sum([np.square(row) for row in own.rotated(seed)], axis=0))
-            for seed, own in enumerate(self._layouts)
-        ]
+        return [own.weights(own.squares(seed)) for seed, own in enumerate(self._layouts)]
 
     @property
     def freedom(self) -> int:
@@ -421,7 +422,7 @@ class RotationNull(NullDistribution):
         """:meth:`lack_of_fit` from a number of draws."""
         squares: Array | float = 0.0
         for seed, own in enumerate(self._rows(rest)):
-            each = np.sum([np.square(row) for row in own.rotated(seed, slice(1 + draws))], axis=0)
+            each = own.squares(seed, slice(1 + draws))
             squares = squares + (each * own.weights(each)) @ _members(own.items[0], self._groups).T
         squares = np.asarray(squares)
         p = smallest(squares[0], squares[1:])
