@@ -61,6 +61,7 @@ class LawDocument(Schema):
     sentence: str = Field(description="what it is")
     place: str = Field(description="what it acts on, with its unit")
     formula: str = Field(description="the law")
+    curved: bool = Field(False, description="whether it is a free curve, whose parameters are its values at knots")
     parameters: dict[str, NumberDocument] = Field(description="estimates by name")
     verdict: str = Field(description="verdict on it, as of an effect of a diagnosis")
     held_out_error_before: float = Field(description="error on unseen conditions without it")
