@@ -201,11 +201,11 @@ def _band(law: Law, found: LawDocument, at: Array) -> tuple[Array, Array]:
 
 
 def _curves(laws: Iterable[Law], ranges: Mapping[str, Range]) -> Iterator[Law]:
-    """The free curves over every measured quantity at every place of some laws."""
+    """The free curves over every measured quantity at every place of some laws; joints have offsets in the library."""
     apart = {(law.place, law.where, law.symbol): law for law in laws if law.symbol in ranges}
     for law in apart.values():
         for count in KNOTS:
-            yield curve_of(law, ranges[law.symbol], count)
+            yield curve_of(law, ranges[law.symbol], count, absolute=not law.where.startswith("joint"))
 
 
 def _rivals(found: Findings) -> tuple[Rival, ...]:

@@ -280,7 +280,7 @@ def _law(
     )
 
 
-def curve_of(law: Law, domain: Range, count: int = KNOTS[0]) -> Law:
+def curve_of(law: Law, domain: Range, count: int = KNOTS[0], absolute: bool = True) -> Law:
     """A free curve in the place of a law: a force at each of some knots over the range of its quantity.
 
     Between them it is straight, beyond them it falls to 0 over the distance of two: it is valid where it was seen.
@@ -289,12 +289,15 @@ def curve_of(law: Law, domain: Range, count: int = KNOTS[0]) -> Law:
         law: Gives place and quantity.
         domain: Range of the quantity.
         count: Number of knots.
+        absolute: Whether it contains a constant; else it is 0 at the knot nearest to 0, and an offset is another effect.
     """
     (key, table), (low, high) = law.formula, domain
     from_rest = 0.0 <= low < high / count  # a speed: at rest the force is 0, or sticks, which is no curve
-    knots = np.linspace(0.0, high, count + 1)[1:] if from_rest else np.linspace(low, high, count)
-    width = float(knots[1] - knots[0])
-    profile = " + ".join(f"f{n} * max(0, 1 - abs(u - {knot:.5g}) / {width:.5g})" for n, knot in enumerate(knots))
+    every = np.linspace(0.0, high, count + 1)[1:] if from_rest else np.linspace(low, high, count)
+    width = float(every[1] - every[0])
+    knots = every if absolute else np.delete(every, np.argmin(np.abs(every)))
+    profile = " + ".join(f"f{n} * max(0, 1 - abs(u - {knot:.4g}) / {width:.4g})" for n, knot in enumerate(knots))
+    profile = profile.replace("u - -", "u + ")
     text = _inserted(profile, law.symbol)
     along = law.quantity.along
     rows: dict[str, str] | str
@@ -312,7 +315,7 @@ def curve_of(law: Law, domain: Range, count: int = KNOTS[0]) -> Law:
             "name": f"{stem}_curve_{count}",
             "sentence": f"{law.words}, a curve over {law.quantity.words}.",
             key: rows,
-            "parameters": {f"f{number}": force for number in range(count)},
+            "parameters": {f"f{number}": force for number in range(knots.size)},
             "valid": law.spec.valid,
         }
     )
