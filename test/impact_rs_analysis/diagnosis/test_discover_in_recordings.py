@@ -1,0 +1,107 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Laws and curves that are planted in recordings of free motion are found, become models, and say where they end.
+
+Torques are those of Pinocchio's recursive algorithm with friction and a law in plain NumPy; the search predicts them
+by regressors and formulas.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from joint_recordings import write_npz
+from slender_arm import FLAT, UPRIGHT, mapping_of, slender_arm, swung
+
+from impact_rs_analysis.diagnosis.compare import compare
+from impact_rs_analysis.diagnosis.discover import discover
+from impact_rs_analysis.diagnosis.discovery_document import (
+    DESCRIBED,
+    FOUND,
+    LIBRARY,
+    DiscoveryDocument,
+    write_discovery,
+)
+from impact_rs_analysis.diagnosis.grammar import load_grammar
+from impact_rs_analysis.evidence.recordings import RecordingSource
+from impact_rs_cli.main import main
+from impact_rs_sim.model import Model, load_model
+from impact_rs_trials.recordings.mapping import Mapping
+from impact_rs_trials.recordings.recording import read_recordings
+
+pytestmark = pytest.mark.usefixtures("few_draws")
+
+NOISE = 0.02  # N m
+COULOMB = (0.6, 0.4)  # N m
+LIBRARY_EFFECTS = ["joint_coulomb_friction", "joint_viscous_friction", "torque_offset"]
+Torque = Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray]
+
+RIPPLE, RATE = 0.4, 5.0  # N m, 1/rad
+OF_LOAD = 0.06  # of the transmitted torque
+STEP, AT, WIDTH = 0.5, 0.15, 0.08  # N m, rad, rad
+
+
+def ripple(q: np.ndarray, dq: np.ndarray, tau: np.ndarray) -> np.ndarray:
+    return -RIPPLE * np.sin(RATE * q)
+
+
+def friction_of_load(q: np.ndarray, dq: np.ndarray, tau: np.ndarray) -> np.ndarray:
+    return OF_LOAD * np.abs(tau) * np.tanh(dq / 0.02)
+
+
+def step(q: np.ndarray, dq: np.ndarray, tau: np.ndarray) -> np.ndarray:
+    """A cable that tips over: no form of the grammar has a step away from 0."""
+    return -STEP * np.tanh((q - AT) / WIDTH)
+
+
+def nothing(q: np.ndarray, dq: np.ndarray, tau: np.ndarray) -> np.ndarray:
+    return np.zeros_like(q)
+
+
+def recorded(folder: Path, law: Torque) -> tuple[Path, Mapping]:
+    """A pendulum of two joints, both with friction, the second with a law."""
+    mapping = mapping_of(folder, slender_arm(("revolute",) * 2, UPRIGHT))
+    columns = swung(mapping, {}, NOISE)
+    clean = swung(mapping, {}, 0.0)["effort"]
+    columns["effort"] += np.array(COULOMB) * np.tanh(columns["velocity"] / 0.005)
+    columns["effort"][:, 1] += law(columns["position"][:, 1], columns["velocity"][:, 1], clean[:, 1])
+    return write_npz(folder / "run.npz", columns), mapping
+
+
+def found_in(folder: Path, law: Torque) -> DiscoveryDocument:
+    path, mapping = recorded(folder, law)
+    recordings = read_recordings(path, mapping)
+    return discover(
+        lambda model: RecordingSource.of(recordings, mapping, model),
+        load_model("nominal"),
+        load_grammar(),
+        LIBRARY_EFFECTS,
+    )
+
+
+def test_a_ripple_is_found_with_amplitude_and_wave_number(tmp_path: Path) -> None:
+    document = found_in(tmp_path, ripple)
+    assert document.verdict == FOUND
+    law = document.laws[0]
+    assert law.name == "motor2_position_ripple" and not law.curved
+    numbers = {name: value.estimate for name, value in law.parameters.items()}
+    assert np.hypot(numbers["a"], numbers["b"]) == pytest.approx(RIPPLE, rel=0.05)
+    low, high = law.parameters["k"].ci95
+    assert low <= RATE <= high and high - low < 1.0
+    assert law.held_out_error_after < 0.2 * law.held_out_error_before
+
+
+def test_friction_of_the_load_is_found_alone(tmp_path: Path) -> None:
+    """Its coefficient lies in its interval; the recorded torque, with friction and noise in it, would leave a rest."""
+    document = found_in(tmp_path, friction_of_load)
+    assert (document.verdict, document.laws[0].name) == (FOUND, "motor2_load_on_friction_linear")
+    low, high = document.laws[0].parameters["c"].ci95
+    assert low <= OF_LOAD <= high and high - low < 0.5 * OF_LOAD
+    assert document.diagnosis.named == ("joint_coulomb_friction", "motor2_load_on_friction_linear")
+
+
+def test_nothing_is_proposed_where_only_friction_acts(tmp_path: Path) -> None:
+    document = found_in(tmp_path, nothing)
+    assert (document.verdict, document.laws) == (LIBRARY, ())
