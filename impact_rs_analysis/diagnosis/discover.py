@@ -86,8 +86,10 @@ def discover(
     if document.verdict == LIBRARY:
         return document
     if document.verdict == NO_LAW or _settled(tried.found) is None:
-        held = {law.name: laws[law.name] for law in document.laws}
         curves = {curve.spec.name: curve for curve in _curves(laws.values(), ranges)}
+        over = {(curve.place, curve.where, curve.symbol) for curve in curves.values()}  # such a curve contains a law
+        found = [laws[law.name] for law in document.laws]
+        held = {law.spec.name: law for law in found if (law.place, law.where, law.symbol) not in over}
         described = _document(
             _searched(source_of, model, library, held | curves, progress), model, held | curves, ranges
         )
