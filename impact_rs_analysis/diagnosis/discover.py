@@ -86,7 +86,7 @@ def discover(
     if document.verdict == LIBRARY:
         return document
     if document.verdict == NO_LAW or _settled(tried.found) is None:
-        curves = {curve.spec.name: curve for curve in _curves(laws.values(), ranges)}
+        curves = {curve.spec.name: curve for curve in _curves(laws.values(), ranges, _has_offset(source, library))}
         over = {(curve.place, curve.where, curve.symbol) for curve in curves.values()}  # such a curve contains a law
         found = [laws[law.name] for law in document.laws]
         held = {law.spec.name: law for law in found if (law.place, law.where, law.symbol) not in over}
@@ -202,12 +202,27 @@ def _band(law: Law, found: LawDocument, at: Array) -> tuple[Array, Array]:
     return said, np.sqrt(squares)
 
 
-def _curves(laws: Iterable[Law], ranges: Mapping[str, Range]) -> Iterator[Law]:
-    """The free curves over every measured quantity at every place of some laws; joints have offsets in the library."""
+def _curves(laws: Iterable[Law], ranges: Mapping[str, Range], offset: bool) -> Iterator[Law]:
+    """The free curves over every measured quantity at every place of some laws.
+
+    Where the search has an ``offset`` of joints, their curves do without one: of the two together only the sum is seen.
+    """
     apart = {(law.place, law.where, law.symbol): law for law in laws if law.symbol in ranges}
     for law in apart.values():
         for count in KNOTS:
-            yield curve_of(law, ranges[law.symbol], count, absolute=not law.where.startswith("joint"))
+            absolute = not (offset and law.where.startswith("joint"))
+            yield curve_of(law, ranges[law.symbol], count, absolute)
+
+
+def _has_offset(source: Source, library: Sequence[Effect]) -> bool:
+    """Whether an effect of the library is a constant torque on the joints."""
+    for effect in library:
+        start = effect.nominal(source.joints)
+        moved = effect.apply_vector(source.physics, start + effect.steps(source.joints, start))
+        pairs = ((arm, source.physics.arms[name]) for name, arm in moved.arms.items())
+        if any(not np.array_equal(arm.torque_offset, before.torque_offset) for arm, before in pairs):
+            return True
+    return False
 
 
 def _rivals(found: Findings) -> tuple[Rival, ...]:
@@ -347,11 +362,16 @@ def _summary(verdict: str, laws: Sequence[LawDocument], diagnosis: DiagnosisDocu
     if verdict == LIBRARY:
         return f"Among {count} laws and effects, {' and '.join(diagnosis.named)} of the library explains most."
     before, after = diagnosis.held_out_error_before, diagnosis.held_out_error_after
+    named = {law.name for law in laws} | {name for law in laws for name in law.tied_with}
+    beside = [name for name in diagnosis.named if name not in named]
     sentences = [
         "No law of the grammar explains all of it; a curve describes the rest." if verdict == DESCRIBED else "",
         *(law.sentence if law.curved else f"{law.sentence} {law.formula}." for law in laws),
         f"Held-out error: {before:.3g} → {after:.3g} {diagnosis.error_unit}.",
         *(law.tie for law in laws),
+        f"It stands beside {' and '.join(beside)} of the library: add those first, then discover again."
+        if beside
+        else "",
     ]
     return " ".join(filter(None, sentences))
 
