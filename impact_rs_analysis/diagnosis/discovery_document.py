@@ -90,6 +90,11 @@ class DiscoveryDocument(Schema):
     diagnosis: DiagnosisDocument | None = Field(None, description="the search as a diagnosis; null: there was none")
 
 
+def is_discovery(path: Path) -> bool:
+    """Whether a file, which :func:`~impact_rs_analysis.diagnosis.document.read_document` reads, is a discovery."""
+    return "laws" in json.loads(path.read_text(encoding="utf-8"))
+
+
 def write_discovery(document: DiscoveryDocument, path: Path) -> None:
     """Write ``discovery.json`` atomically; an earlier one is replaced.
 

@@ -289,7 +289,7 @@ def curve_of(law: Law, domain: Range, count: int = KNOTS[0], absolute: bool = Tr
         law: Gives place and quantity.
         domain: Range of the quantity.
         count: Number of knots.
-        absolute: Whether it contains a constant; else it is 0 at the knot nearest to 0, and an offset is another effect.
+        absolute: Whether it contains a constant; else it is 0 at the knot nearest to 0, beside an offset.
     """
     (key, table), (low, high) = law.formula, domain
     from_rest = 0.0 <= low < high / count  # a speed: at rest the force is 0, or sticks, which is no curve

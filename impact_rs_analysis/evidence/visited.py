@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Where measurements have been: the range of every symbol of formulas that was measured, and whether a law reaches it."""
+"""Where measurements have been: ranges of the symbols of formulas, and whether they leave those of a model's laws."""
 
 from __future__ import annotations
 
@@ -43,8 +43,8 @@ def beyond(source: Source) -> tuple[str, ...]:
             margin = MARGIN * (high - low)
             if least < low - margin or most > high + margin:
                 found.append(
-                    f"{spec.name} was seen for {symbol} from {low:.3g} to {high:.3g}, and these measurements reach from "
-                    f"{least:.3g} to {most:.3g} (SI units): beyond, a law is extrapolated and a curve says nothing"
+                    f"{spec.name} was seen for {symbol} from {low:.3g} to {high:.3g}, and these measurements reach "
+                    f"from {least:.3g} to {most:.3g} (SI units): beyond, a law is extrapolated and a curve says nothing"
                 )
     return tuple(found)
 

@@ -88,8 +88,8 @@ def law_plot(law: LawDocument) -> go.Figure:
 def _caption(law: LawDocument) -> str:
     if law.curved:
         return (
-            "The curve that describes what no law explains, with its 95 % band. Points: its values, with 95 % intervals, "
-            "between which it is straight. Beyond them it falls to 0: it says nothing there."
+            "The curve that describes what no law explains, with its 95 % band. Points: its values with their "
+            "intervals, between which it is straight. Beyond them it falls to 0: it says nothing there."
         )
     return (
         f"Line: {law.name} with its 95 % band. Points: a free curve in its place, fitted to the same measurements, "
