@@ -31,7 +31,7 @@ from impact_rs_analysis.diagnosis.document import NONE, NOTHING, PARTLY, SMALL, 
 from impact_rs_analysis.diagnosis.fit import HOPELESS, Evidence, Fit, refine
 from impact_rs_analysis.diagnosis.grammar import KNOTS, Grammar, Law, curve_of, laws_of
 from impact_rs_analysis.diagnosis.search import ProgressCallback, Rival, Search
-from impact_rs_analysis.diagnosis.thresholds import SIGNIFICANT
+from impact_rs_analysis.diagnosis.thresholds import LEAST_GAIN, SIGNIFICANT
 from impact_rs_analysis.diagnosis.verdicts import Findings, headline, residual_unit, rests_of
 from impact_rs_analysis.evidence.source import Source
 from impact_rs_analysis.evidence.visited import Range, visited
@@ -93,10 +93,17 @@ def discover(
         described = _document(
             _searched(source_of, model, library, held | curves, progress), model, held | curves, ranges
         )
-        if described.verdict == DESCRIBED:
+        if described.verdict == DESCRIBED and _predicts_better(described, document):
             best = described.laws[0]
             return _with_first(described, _as_curve(curves[best.name], best)) if best.name in curves else described
     return _with_curve(source_of, model, tried, laws, ranges, document) if document.verdict == FOUND else document
+
+
+def _predicts_better(curves: DiscoveryDocument, laws: DiscoveryDocument) -> bool:
+    """Whether curves leave clearly less of unseen conditions than laws, which have fewer parameters and say more."""
+    assert curves.diagnosis is not None and laws.diagnosis is not None
+    after, before = curves.diagnosis.held_out_error_after, laws.diagnosis.held_out_error_after
+    return after**2 <= (1.0 - LEAST_GAIN) * before**2
 
 
 @dataclass(frozen=True)
