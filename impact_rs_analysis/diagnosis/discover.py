@@ -443,7 +443,7 @@ def _tie(
     text = f"{law.spec.name} and {', '.join(rivals)} cannot be distinguished"
     domain = ranges.get(law.symbol)
     alike = [laws[name] for name in rivals if name in laws and laws[name].symbol == law.symbol]
-    if domain is None or not alike:
+    if domain is None or not alike or law.knots:  # a curve says nothing beyond its range
         return f"{text}: in these motions they are nearly the same force."
     low, high = domain
     unit = law.quantity.unit
