@@ -17,7 +17,7 @@ from pathlib import Path
 
 from benchmarks.board import Entry, Row, arguments, run_board, share
 from impact_rs_analysis.diagnosis.discover import discover
-from impact_rs_analysis.diagnosis.discovery_document import FOUND, DiscoveryDocument, write_discovery
+from impact_rs_analysis.diagnosis.discovery_document import DiscoveryDocument, write_discovery
 from impact_rs_analysis.diagnosis.grammar import load_grammar
 from impact_rs_analysis.evidence.command_clock import read_laboratory_runs
 from impact_rs_analysis.evidence.measured_runs import Runs, read_runs
@@ -127,9 +127,9 @@ def judged(entry: Entry, directory: Path, read: Callable[[], Runs], map_tasks: M
         "kind": entry.kind,
         "effect": entry.effect,
         "verdict": f"{document.verdict} {', '.join(laws)}".strip(),
-        "correct": hit if entry.kind == "outside" else document.verdict != FOUND,
+        "correct": hit if entry.kind == "outside" else not laws,
         "first": bool(laws) and laws[0] in right,
-        "found": document.verdict == FOUND,
+        "found": bool(laws),
         "before": before,
         "removed": removed,
         "parameters": {law.name: law.model_dump(mode="json")["parameters"] for law in document.laws},

@@ -33,6 +33,7 @@ FORMS: dict[str, Command] = {
         explaining.ANALYZE,
         explaining.COMPARE,
         explaining.DIAGNOSE,
+        explaining.DISCOVER,
         explaining.ADD,
         explaining.HISTORY,
     )

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from impact_rs_analysis.diagnosis.compare import ComparisonDocument
+from impact_rs_analysis.diagnosis.discovery_document import is_discovery
 from impact_rs_analysis.diagnosis.document import read_document
 from impact_rs_analysis.evidence.levels import Cell
 from impact_rs_analysis.report.comparison import comparison_in_words, on_scale, where_part
@@ -90,6 +91,8 @@ def diagnosis(path: Path) -> dict[str, Any]:
         "model": document.model.name,
         "digest": document.model.digest,
         "named": list(document.named),
+        "calls_for_a_law": document.calls_for_a_law and not is_discovery(path),
+        "report": "discovery.html" if is_discovery(path) else "diagnosis.html",
         "unit": document.error_unit,
         "figure": None if figure is None else json.loads(str(figure.to_json())),
         "left": [

@@ -27,6 +27,7 @@ from impact_rs_analysis.evidence.cluster import ErrorUnit
 from impact_rs_analysis.evidence.discrepancy import DiscrepancyDocument
 from impact_rs_analysis.evidence.levels import Cell, ConditionScore, Level, RecordingDocument, SignalLevel, rounded
 from impact_rs_analysis.evidence.source import Source
+from impact_rs_analysis.evidence.visited import beyond
 from impact_rs_analysis.measure.arms import ArmDocument, arms_of
 from impact_rs_sim.schema import Schema
 
@@ -88,5 +89,5 @@ def compare(source: Source) -> ComparisonDocument:
         skipped=tuple(LeftOut(name=name, reason=why) for name, why in skipped),
         recording=source.recording,
         discrepancy=source.discrepancy_document,
-        remarks=(*source.comparison_remarks, *remarks),
+        remarks=(*source.comparison_remarks, *remarks, *beyond(source)),
     )

@@ -48,6 +48,7 @@ from impact_rs_analysis.diagnosis.verdicts import (
 )
 from impact_rs_analysis.diagnosis.words import summary_of
 from impact_rs_analysis.evidence.source import Source, View
+from impact_rs_analysis.evidence.visited import beyond
 from impact_rs_sim.effects import Effect
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.model import Model
@@ -300,7 +301,7 @@ def _joints(source: Source, before: Sequence[Array], after: Sequence[Array]) -> 
 
 
 def _remarks(found: Findings, source: Source) -> list[str]:
-    remarks = list(source.remarks)
+    remarks = [*source.remarks, *beyond(source)]
     null = found.evidence.null
     if null.shortage is not None:
         remarks.append(f"too few repeats for a verdict: {null.shortage}")

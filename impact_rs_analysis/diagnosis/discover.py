@@ -29,9 +29,9 @@ from impact_rs_analysis.diagnosis.discovery_document import (
 )
 from impact_rs_analysis.diagnosis.document import NONE, NOTHING, PARTLY, SMALL, TOO_FEW, DiagnosisDocument
 from impact_rs_analysis.diagnosis.fit import HOPELESS, Evidence, Fit, refine
-from impact_rs_analysis.diagnosis.grammar import Grammar, Law, curve_of, laws_of
+from impact_rs_analysis.diagnosis.grammar import KNOTS, Grammar, Law, curve_of, laws_of
 from impact_rs_analysis.diagnosis.search import ProgressCallback, Rival, Search
-from impact_rs_analysis.diagnosis.thresholds import SIGNIFICANT
+from impact_rs_analysis.diagnosis.thresholds import LEAST_GAIN, SIGNIFICANT
 from impact_rs_analysis.diagnosis.verdicts import Findings, headline, residual_unit, rests_of
 from impact_rs_analysis.evidence.source import Source
 from impact_rs_analysis.evidence.visited import Range, visited
@@ -83,20 +83,27 @@ def discover(
     laws = {name: law for name, law in laws.items() if name in wanted and name not in model.known_effects}
     tried = _searched(source_of, model, library, laws, progress)
     document = _document(tried, model, laws, ranges)
-    if document.verdict == FOUND:
-        return _with_curve(source_of, model, tried, laws, ranges, document)
-    if document.verdict != NO_LAW:
+    if document.verdict == LIBRARY:
         return document
-    curves = {curve.spec.name: curve for law in laws.values() for curve in _curves(law, ranges)}
-    described = _document(_searched(source_of, model, library, curves, progress), model, curves, ranges)
-    if described.verdict != FOUND:
-        return document
-    return described.model_copy(
-        update={
-            "verdict": DESCRIBED,
-            "summary": f"No law of the grammar holds. What remains is described by a curve. {described.summary}",
-        }
-    )
+    if document.verdict == NO_LAW or _settled(tried.found) is None:
+        curves = {curve.spec.name: curve for curve in _curves(laws.values(), ranges, _has_offset(source, library))}
+        over = {(curve.place, curve.where, curve.symbol) for curve in curves.values()}  # such a curve contains a law
+        found = [laws[law.name] for law in document.laws]
+        held = {law.spec.name: law for law in found if (law.place, law.where, law.symbol) not in over}
+        described = _document(
+            _searched(source_of, model, library, held | curves, progress), model, held | curves, ranges
+        )
+        if described.verdict == DESCRIBED and _predicts_better(described, document):
+            best = described.laws[0]
+            return _with_first(described, _as_curve(curves[best.name], best)) if best.name in curves else described
+    return _with_curve(source_of, model, tried, laws, ranges, document) if document.verdict == FOUND else document
+
+
+def _predicts_better(curves: DiscoveryDocument, laws: DiscoveryDocument) -> bool:
+    """Whether curves leave clearly less of unseen conditions than laws, which have fewer parameters and say more."""
+    assert curves.diagnosis is not None and laws.diagnosis is not None
+    after, before = curves.diagnosis.held_out_error_after, laws.diagnosis.held_out_error_after
+    return after**2 <= (1.0 - LEAST_GAIN) * before**2
 
 
 @dataclass(frozen=True)
@@ -159,14 +166,34 @@ def _with_curve(
         if wide <= float(np.max(np.abs(said))):  # the data determine the others not even in sign
             there = float(np.interp(knot, at, said))
             points.append(PointDocument(at=knot, force=force, ci95=(force - wide, force + wide), law=there))
-    shown = CurveDocument(
+    return _with_first(document, _drawn(at, said, band, points, best.unit))
+
+
+def _as_curve(curve: Law, found: LawDocument) -> CurveDocument:
+    """A free curve that was found, with its knots."""
+    at = np.linspace(min(curve.knots), max(curve.knots), POINTS)
+    said, band = _band(curve, found, at)
+    points = [
+        PointDocument(at=knot, force=value.estimate, ci95=value.ci95, law=value.estimate)
+        for knot, value in zip(curve.knots, found.parameters.values(), strict=True)
+        if value.ci95 is not None
+    ]
+    return _drawn(at, said, band, points, curve.unit)
+
+
+def _drawn(at: Array, said: Array, band: Array, points: Sequence[PointDocument], unit: str) -> CurveDocument:
+    return CurveDocument(
         at=tuple(at.tolist()),
         law=tuple(said.tolist()),
         law_ci95=tuple(zip((said - band).tolist(), (said + band).tolist(), strict=True)),
         points=tuple(points),
-        unit=best.unit,
+        unit=unit,
     )
-    law = document.laws[0].model_copy(update={"curve": shown})
+
+
+def _with_first(document: DiscoveryDocument, curve: CurveDocument) -> DiscoveryDocument:
+    """The document with the force of its first law."""
+    law = document.laws[0].model_copy(update={"curve": curve})
     return document.model_copy(update={"laws": (law, *document.laws[1:])})
 
 
@@ -182,10 +209,27 @@ def _band(law: Law, found: LawDocument, at: Array) -> tuple[Array, Array]:
     return said, np.sqrt(squares)
 
 
-def _curves(law: Law, ranges: Mapping[str, Range]) -> Iterator[Law]:
-    """The free curve of a law's place and quantity, where the quantity was measured and a formula is short enough."""
-    if law.symbol in ranges and law.form in ("linear", "above"):
-        yield curve_of(law, ranges[law.symbol])
+def _curves(laws: Iterable[Law], ranges: Mapping[str, Range], offset: bool) -> Iterator[Law]:
+    """The free curves over every measured quantity at every place of some laws.
+
+    Where the search has an ``offset`` of joints, their curves do without one: of the two together only the sum is seen.
+    """
+    apart = {(law.place, law.where, law.symbol): law for law in laws if law.symbol in ranges}
+    for law in apart.values():
+        for count in KNOTS:
+            absolute = not (offset and law.where.startswith("joint"))
+            yield curve_of(law, ranges[law.symbol], count, absolute)
+
+
+def _has_offset(source: Source, library: Sequence[Effect]) -> bool:
+    """Whether an effect of the library is a constant torque on the joints."""
+    for effect in library:
+        start = effect.nominal(source.joints)
+        moved = effect.apply_vector(source.physics, start + effect.steps(source.joints, start))
+        pairs = ((arm, source.physics.arms[name]) for name, arm in moved.arms.items())
+        if any(not np.array_equal(arm.torque_offset, before.torque_offset) for arm, before in pairs):
+            return True
+    return False
 
 
 def _rivals(found: Findings) -> tuple[Rival, ...]:
@@ -286,21 +330,28 @@ def _document(tried: _Tried, model: Model, laws: Mapping[str, Law], ranges: Mapp
     diagnosis = document_of(found, tried.source, model)
     diagnosis = diagnosis.model_copy(update={"formulas": tuple(laws[name].spec for name in shown)})
     chosen = [name for name in diagnosis.named if name in laws]
-    tied = [name for group in diagnosis.confusable if group[0] in chosen for name in group[1:] if name in laws]
-    listed = list(dict.fromkeys([*chosen, *tied]))
+    ties = {group[0]: [name for name in group[1:] if name in laws] for group in diagnosis.confusable}
+    listed = {name for one in chosen for name in (one, *ties.get(one, ()))}
     every = {
         effect.name: _law(diagnosis, laws[effect.name], ranges, laws)
         for effect in diagnosis.effects
         if effect.name in laws and effect.measured
     }
-    first = tuple(sorted((every[name] for name in listed), key=lambda law: law.held_out_error_after))
+    groups = [
+        sorted((every[name] for name in (one, *ties.get(one, ()))), key=lambda law: law.held_out_error_after)
+        for one in sorted(chosen, key=lambda name: -every[name].held_out_error_before)  # what is lost without it
+    ]
+    first = {law.name: law for group in groups for law in group}
     instead = (law for name, law in every.items() if name not in listed and (name in rivals or not chosen))
     others = tuple(sorted(instead, key=lambda law: law.held_out_error_after))
-    verdict = FOUND if chosen else LIBRARY if diagnosis.named and not diagnosis.verdict.startswith(OPEN) else NO_LAW
+    if chosen:
+        verdict = DESCRIBED if any(laws[name].knots for name in chosen) else FOUND
+    else:
+        verdict = LIBRARY if diagnosis.named and not diagnosis.verdict.startswith(OPEN) else NO_LAW
     return DiscoveryDocument(
         verdict=verdict,
-        summary=_summary(verdict, first, diagnosis, tried.counts[0]),
-        laws=first,
+        summary=_summary(verdict, [group[0] for group in groups], diagnosis, tried.counts[0]),
+        laws=tuple(first.values()),
         others=others,
         looked_at=tried.counts[0],
         starts=tried.counts[1],
@@ -317,12 +368,19 @@ def _summary(verdict: str, laws: Sequence[LawDocument], diagnosis: DiagnosisDocu
         )
     if verdict == LIBRARY:
         return f"Among {count} laws and effects, {' and '.join(diagnosis.named)} of the library explains most."
-    best = laws[0]
-    text = (
-        f"{best.sentence} {best.formula}. Held-out error: {diagnosis.held_out_error_before:.3g} → "
-        f"{diagnosis.held_out_error_after:.3g} {diagnosis.error_unit}."
-    )
-    return f"{text} {best.tie}".strip()
+    before, after = diagnosis.held_out_error_before, diagnosis.held_out_error_after
+    named = {law.name for law in laws} | {name for law in laws for name in law.tied_with}
+    beside = [name for name in diagnosis.named if name not in named]
+    sentences = [
+        "No law of the grammar explains all of it; a curve describes the rest." if verdict == DESCRIBED else "",
+        *(law.sentence if law.curved else f"{law.sentence} {law.formula}." for law in laws),
+        f"Held-out error: {before:.3g} → {after:.3g} {diagnosis.error_unit}.",
+        *(law.tie for law in laws),
+        f"It stands beside {' and '.join(beside)} of the library: add those first, then discover again."
+        if beside
+        else "",
+    ]
+    return " ".join(filter(None, sentences))
 
 
 def _law(diagnosis: DiagnosisDocument, law: Law, ranges: Mapping[str, Range], laws: Mapping[str, Law]) -> LawDocument:
@@ -342,6 +400,7 @@ def _law(diagnosis: DiagnosisDocument, law: Law, ranges: Mapping[str, Range], la
             name: NumberDocument(estimate=value.estimate, ci95=value.ci95, unit=value.unit)
             for name, value in effect.parameters.items()
         },
+        curved=bool(law.knots),
         verdict=effect.verdict,
         held_out_error_before=effect.held_out_error_others or effect.held_out_error_before or 0.0,
         held_out_error_after=effect.held_out_error_after or 0.0,
@@ -384,7 +443,7 @@ def _tie(
     text = f"{law.spec.name} and {', '.join(rivals)} cannot be distinguished"
     domain = ranges.get(law.symbol)
     alike = [laws[name] for name in rivals if name in laws and laws[name].symbol == law.symbol]
-    if domain is None or not alike:
+    if domain is None or not alike or law.knots:  # a curve says nothing beyond its range
         return f"{text}: in these motions they are nearly the same force."
     low, high = domain
     unit = law.quantity.unit

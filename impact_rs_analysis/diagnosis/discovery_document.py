@@ -61,6 +61,7 @@ class LawDocument(Schema):
     sentence: str = Field(description="what it is")
     place: str = Field(description="what it acts on, with its unit")
     formula: str = Field(description="the law")
+    curved: bool = Field(False, description="whether it is a free curve, whose parameters are its values at knots")
     parameters: dict[str, NumberDocument] = Field(description="estimates by name")
     verdict: str = Field(description="verdict on it, as of an effect of a diagnosis")
     held_out_error_before: float = Field(description="error on unseen conditions without it")
@@ -87,6 +88,11 @@ class DiscoveryDocument(Schema):
     starts: int = Field(0, description="the same, counted once for every start of a shape")
     error_unit: str = Field(description="unit of the held-out errors")
     diagnosis: DiagnosisDocument | None = Field(None, description="the search as a diagnosis; null: there was none")
+
+
+def is_discovery(path: Path) -> bool:
+    """Whether a file, which :func:`~impact_rs_analysis.diagnosis.document.read_document` reads, is a discovery."""
+    return "laws" in json.loads(path.read_text(encoding="utf-8"))
 
 
 def write_discovery(document: DiscoveryDocument, path: Path) -> None:

@@ -300,6 +300,11 @@ class DiagnosisDocument(Schema):
     formulas: tuple[FormulaSpec, ...] = Field((), description="user-defined effects that were considered")
     arms: dict[str, int] = Field({}, description="joints of arms with parameters of their own; empty: shared")
 
+    @property
+    def calls_for_a_law(self) -> bool:
+        """Whether something remains that no effect explains, in motions, along which a law could act."""
+        return self.source != "impacts" and self.verdict.startswith((NONE, PARTLY))
+
     def effect(self, name: str) -> EffectDocument | None:
         """Document of one effect; None if there is none."""
         return next((effect for effect in self.effects if effect.name == name), None)

@@ -27,7 +27,7 @@ from impact_rs_sim.schema import Schema, load
 
 FILE = "grammar.yaml"
 WIDEST = 300.0  # amplitudes, in noticeable ones
-KNOTS = 5  # of a free curve
+KNOTS = (5, 9)  # of a free curve; more where they predict better
 MOST_WAVES, HIGHEST = 24, 80.0  # starts of a wave number, and the largest of them in the unit of the quantity
 LEAST_SPAN = 1e-3  # of the typical size; a quantity that hardly moves still has a range
 NARROWEST = 0.01  # width, in ranges of the quantity
@@ -257,6 +257,7 @@ def _law(
             else f"{words}, constant.",
             place.formula: formula,
             "parameters": parameters,
+            "valid": {symbol: (low, high)} if symbol in ranges else {},
         }
     )
     check_units(spec)
@@ -279,7 +280,7 @@ def _law(
     )
 
 
-def curve_of(law: Law, domain: Range) -> Law:
+def curve_of(law: Law, domain: Range, count: int = KNOTS[0], absolute: bool = True) -> Law:
     """A free curve in the place of a law: a force at each of some knots over the range of its quantity.
 
     Between them it is straight, beyond them it falls to 0 over the distance of two: it is valid where it was seen.
@@ -287,12 +288,16 @@ def curve_of(law: Law, domain: Range) -> Law:
     Args:
         law: Gives place and quantity.
         domain: Range of the quantity.
+        count: Number of knots.
+        absolute: Whether it contains a constant; else it is 0 at the knot nearest to 0, beside an offset.
     """
     (key, table), (low, high) = law.formula, domain
-    from_rest = 0.0 <= low < high / KNOTS  # a speed: at rest the force is 0, or sticks, which is no curve
-    knots = np.linspace(0.0, high, KNOTS + 1)[1:] if from_rest else np.linspace(low, high, KNOTS)
-    width = float(knots[1] - knots[0])
-    profile = " + ".join(f"f{n} * max(0, 1 - abs(u - {knot:.5g}) / {width:.5g})" for n, knot in enumerate(knots))
+    from_rest = 0.0 <= low < high / count  # a speed: at rest the force is 0, or sticks, which is no curve
+    every = np.linspace(0.0, high, count + 1)[1:] if from_rest else np.linspace(low, high, count)
+    width = float(every[1] - every[0])
+    knots = every if absolute else np.delete(every, np.argmin(np.abs(every)))
+    profile = " + ".join(f"f{n} * max(0, 1 - abs(u - {knot:.4g}) / {width:.4g})" for n, knot in enumerate(knots))
+    profile = profile.replace("u - -", "u + ")
     text = _inserted(profile, law.symbol)
     along = law.quantity.along
     rows: dict[str, str] | str
@@ -307,14 +312,17 @@ def curve_of(law: Law, domain: Range) -> Law:
     stem = law.spec.name.removesuffix(f"_{law.form}")
     spec = FormulaSpec.model_validate(
         {
-            "name": f"{stem}_curve",
+            "name": f"{stem}_curve_{count}",
             "sentence": f"{law.words}, a curve over {law.quantity.words}.",
             key: rows,
-            "parameters": {f"f{number}": force for number in range(KNOTS)},
+            "parameters": {f"f{number}": force for number in range(knots.size)},
+            "valid": law.spec.valid,
         }
     )
     check_units(spec)
-    return replace(law, spec=spec, form="curve", profile=profile, starts=({},), knots=tuple(knots.tolist()))
+    return replace(
+        law, spec=spec, form="curve", profile=profile, starts=({},), opposes=False, knots=tuple(knots.tolist())
+    )
 
 
 def _name(place_name: str, place: Place, quantity: str, form: str, number: str) -> str:

@@ -15,7 +15,7 @@ torque counts as not measured.
 from __future__ import annotations
 
 import functools
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pinocchio as pin
@@ -151,7 +151,6 @@ def _state(motion: Motion, model: RobotModel, impact_position: Array) -> tuple[L
         position=np.array([model.placement(q).translation for q in motion.position]),
         velocity=np.einsum("kan,kn->ka", jacobian, motion.velocity),
         impact_position=impact_position,
-        joint_torque=motion.torque,
     )
     return state, jacobian
 
@@ -184,7 +183,7 @@ class TorqueBalance:
             if not arm.friction.is_zero:
                 torque = torque - arm.friction.torque(motion.velocity)
             if arm.loads:
-                torque = torque - self._load_torques(physics, number)
+                torque = torque - self._load_torques(physics, number, rigid)
             torque = motion.low_pass((torque - arm.torque_offset) / arm.torque_gain)
             rows.append(_delayed(torque, motion.time, arm.torque_delay))
         return rows
@@ -208,10 +207,14 @@ class TorqueBalance:
             ]
         return [regressor @ parameters for regressor in self._regressors[key]]
 
-    def _load_torques(self, physics: Physics, number: int) -> Array:
-        """Torques of loads outside the rigid model on links and motors, ``(k, n)`` [N m]."""
+    def _load_torques(self, physics: Physics, number: int, rigid: Array) -> Array:
+        """Torques of loads outside the rigid model on links and motors, ``(k, n)`` [N m].
+
+        A law of the transmitted torque is given that of the links: the recorded one contains the friction of the motor
+        and the noise of the very signal that the law shall explain.
+        """
         state, jacobian = self._states(physics)[number]
-        return np.add(*physics.arms[ARM].load_torques(state, jacobian))
+        return np.add(*physics.arms[ARM].load_torques(replace(state, joint_torque=rigid), jacobian))
 
     def _states(self, physics: Physics) -> list[tuple[LoadState, Array]]:
         """Arguments of loads of every motion, and the linear part of the Jacobians, ``(k, 3, n)``."""

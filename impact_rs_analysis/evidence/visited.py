@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Where measurements have been: the range of every symbol of formulas that was measured."""
+"""Where measurements have been: ranges of the symbols of formulas, and whether they leave those of a model's laws."""
 
 from __future__ import annotations
 
@@ -17,6 +17,7 @@ from impact_rs_trials.runs import Run
 Range = tuple[float, float]
 
 SAMPLES = 100  # of a run; positions of the end effector are computed for each
+MARGIN = 0.02  # of a range; less is not beyond it
 ENDS = (0.5, 99.5)  # percentiles that count as the ends of a range
 
 
@@ -28,6 +29,24 @@ def visited(source: Source) -> dict[str, Range]:
             found.setdefault(name, []).append(values)
     ends = {name: np.percentile(np.concatenate(every), ENDS) for name, every in found.items()}
     return {name: (float(low), float(high)) for name, (low, high) in ends.items()}
+
+
+def beyond(source: Source) -> tuple[str, ...]:
+    """Where measurements leave the range in which a formula of the model was seen to hold, in words."""
+    known = {effect.name for effect in source.model.effects}
+    formulas = [spec for spec in source.model.formulas if spec.name in known and spec.valid]
+    ranges = visited(source) if formulas else {}
+    found = []
+    for spec in formulas:
+        for symbol, (low, high) in spec.valid.items():
+            least, most = ranges.get(symbol, (low, high))
+            margin = MARGIN * (high - low)
+            if least < low - margin or most > high + margin:
+                found.append(
+                    f"{spec.name} was seen for {symbol} from {low:.3g} to {high:.3g}, and these measurements reach "
+                    f"from {least:.3g} to {most:.3g} (SI units): beyond, a law is extrapolated and a curve says nothing"
+                )
+    return tuple(found)
 
 
 def _runs(source: Source) -> Sequence[Run]:

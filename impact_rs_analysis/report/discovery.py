@@ -75,7 +75,7 @@ def law_plot(law: LawDocument) -> go.Figure:
                 "array": [point.ci95[1] - point.force for point in points],
                 "arrayminus": [point.force - point.ci95[0] for point in points],
             },
-            name="free curve",
+            name="values" if law.curved else "free curve",
         ),
     ]
     return go.Figure(traces, layout={"template": TEMPLATE}).update_layout(
@@ -86,6 +86,11 @@ def law_plot(law: LawDocument) -> go.Figure:
 
 
 def _caption(law: LawDocument) -> str:
+    if law.curved:
+        return (
+            "The curve that describes what no law explains, with its 95 % band. Points: its values with their "
+            "intervals, between which it is straight. Beyond them it falls to 0: it says nothing there."
+        )
     return (
         f"Line: {law.name} with its 95 % band. Points: a free curve in its place, fitted to the same measurements, "
         "with 95 % intervals; it knows no form."

@@ -14,8 +14,6 @@ from impact_rs_analysis.diagnosis.compare import compare
 from impact_rs_analysis.diagnosis.diagnose import diagnose
 from impact_rs_analysis.diagnosis.document import (
     NO_IMPROVEMENT,
-    NONE,
-    PARTLY,
     TOO_FEW,
     UNIDENTIFIABLE,
     DiagnosisDocument,
@@ -60,7 +58,7 @@ def run(args: argparse.Namespace, terminal: Terminal) -> int:
             terminal.say(
                 f"next: {PROGRAM} add {document.named[0]} --model {args.model} --from {args.output} -o model_2.yaml"
             )
-    if document.source != "impacts" and document.verdict.startswith((NONE, PARTLY)):
+    if document.calls_for_a_law:
         terminal.say(f"a law that the library does not have: {_discover_command(args)}")
     return 0
 

@@ -60,29 +60,34 @@ def _show(document: DiscoveryDocument, terminal: Terminal) -> None:
             table.add_column(heading, overflow="fold")
         table.add_column("without → with", justify="right", no_wrap=True)
         for law in document.others:
-            table.add_row(law.name, law.formula, _errors(law))
+            table.add_row(law.name, "a curve" if law.curved else law.formula, _errors(law))
         terminal.say(table)
     if document.looked_at:
         terminal.say(f"looked at {document.looked_at} laws and effects from {document.starts} starts")
 
 
 def _show_law(law: LawDocument, terminal: Terminal) -> None:
-    terminal.say(f"\n{law.name}: {law.sentence}", f"  {law.place} = {law.formula}")
-    for name, value in law.parameters.items():
-        terminal.say(f"  {name} = {estimate_in_line(value.estimate, value.ci95)} {value.unit.strip('-')}")
+    terminal.say(f"\n{law.name}: {law.sentence}")
+    if not law.curved:
+        terminal.say(f"  {law.place} = {law.formula}")
+        for name, value in law.parameters.items():
+            terminal.say(f"  {name} = {estimate_in_line(value.estimate, value.ci95)} {value.unit.strip('-')}")
     terminal.say(f"  error on unseen data {_errors(law)}, {law.verdict}")
-    if law.valid is not None:
-        domain = law.valid
-        terminal.say(f"  seen for {domain.quantity} from {domain.low:.3g} to {domain.high:.3g} {domain.unit}")
-
-    if law.curve is not None and law.valid is not None:
-        table = Table(title=f"{law.place} [{law.curve.unit}]: the law, and a free curve fitted to the same data")
-        for heading in (law.valid.quantity, "law", "free curve", "95 % interval"):
-            table.add_column(heading, justify="right", no_wrap=True)
-        for point in law.curve.points:
-            interval = f"{number(point.ci95[0])} ... {number(point.ci95[1])}"
-            table.add_row(number(point.at), number(point.law), number(point.force), interval)
-        terminal.say(table)
+    domain, curve = law.valid, law.curve
+    if domain is None:
+        return
+    terminal.say(f"  seen for {domain.quantity} from {domain.low:.3g} to {domain.high:.3g} {domain.unit}")
+    if curve is None:
+        return
+    others = "straight between these values" if law.curved else "the law, and a free curve fitted to the same data"
+    table = Table(title=f"{law.place} [{curve.unit}]: {others}")
+    for heading in (domain.quantity, *(() if law.curved else ("law",)), "free curve", "95 % interval"):
+        table.add_column(heading, justify="right", no_wrap=True)
+    for point in curve.points:
+        interval = f"{number(point.ci95[0])} ... {number(point.ci95[1])}"
+        said = () if law.curved else (number(point.law),)
+        table.add_row(number(point.at), *said, number(point.force), interval)
+    terminal.say(table)
 
 
 def _errors(law: LawDocument) -> str:

@@ -118,7 +118,7 @@ PLACES = (
     "joint_torque", "motor_torque", "end_effector_force", "object_force", "object_moment", "contact_normal",
     "contact_tangential", "support_normal", "support_tangential", "contact",
 )  # fmt: skip
-LONGEST = 400  # characters; a physical law is shorter
+LONGEST = 1000  # characters; a physical law is shorter, a curve of nine knots takes 600
 
 Symbols = Mapping[str, Value]
 Expression = Callable[[Symbols], Value]
@@ -237,6 +237,18 @@ class FormulaSpec(Schema):
         description="of a single impact: formula per coefficient (restitution, tangential_restitution, friction) [-]",
     )
     parameters: dict[str, FormulaParameter] = Field(min_length=1, description="named numbers")
+    valid: dict[str, tuple[float, float]] = omitted(
+        {}, description="smallest and largest value by symbol at which the formulas were seen to hold, in SI units"
+    )
+
+    @model_validator(mode="after")
+    def _ranges_of_known_symbols(self) -> Self:
+        for symbol, (low, high) in self.valid.items():
+            if symbol not in SYMBOLS and not JOINT_SYMBOL.fullmatch(symbol):
+                raise ValueError(f"valid: unknown symbol {symbol!r}; known: q1, dq1, tau1, ..., {', '.join(SYMBOLS)}")
+            if low >= high:
+                raise ValueError(f"valid.{symbol}: {low:g} must be below {high:g}")
+        return self
 
 
 class FormulaFile(Schema):

@@ -814,10 +814,25 @@ const diagnose = {
         ...['effect', 'verdict', 'error', 'p', 'add to the model'].map((text) => h('th', {scope: 'col', class: text === 'verdict' ? 'text' : null}, text)))), h('tbody', {}, ...rows))),
       found.left.length ? h('div', {}, h('h3', {}, 'Unexplained'), h('ul', {}, ...found.left.map((one) => h('li', {},
         `${one.what} (${one.phase}): ${one.value}, ${one.times} × repeatability; relevance limit ${one.floor}`)))) : '',
+      found.calls_for_a_law ? this.law(found) : '',
       found.next ? this.next(found.next) : '',
-      ...wholeReport(this.opened.replace(/[^/]*$/, 'diagnosis.html'), false),
+      ...wholeReport(this.opened.replace(/[^/]*$/, found.report), false),
       ...found.remarks.map((text) => h('p', {class: 'note'}, `Note: ${text}`)));
     if (found.figure) draw(plot, found.figure); else plot.remove();
+  },
+
+  // What no effect explains may be a law of the same measurements: discover is given what diagnose was given.
+  law(found) {
+    const place = this.opened.replace(/[^/]*$/, ''), model = state.workspace.models.find((one) => one.digest === found.digest)?.path;
+    const given = FORMS.discover.fields.map((one) => one.name).filter((name) => FORMS.diagnose.fields.some((one) => one.name === name));
+    return h('div', {class: 'answer', id: 'law'}, h('b', {}, 'A law that the library does not have'),
+      h('p', {}, 'Formulas of a grammar may explain what remains; where none holds, a curve describes it.'),
+      h('div', {class: 'actions'}, h('button', {type: 'button', class: 'primary', onclick: async () => {
+        try {
+          keepJob(await ask('/api/jobs', {command: 'discover', ...Object.fromEntries(given.map((name) => [name, this.form.value(name)])),
+            model, effects: null, report: place.slice(0, -1) || '.', output: `${place}discovery.json`}));
+        } catch (error) { showAbout({title: 'A law', text: error.message}); }
+      }}, 'Look for a law')));
   },
 
   next(experiment) {
@@ -1238,7 +1253,7 @@ function finished(job) {
   if (job.exit_code !== 0) return;
   if (job.arguments[0] === 'compare') compare.wanted = `${made[0]}/compare.html`;
   if (job.arguments[0] === 'analyze') compare.wanted = `${made[0]}/report.html`;
-  if (job.arguments[0] === 'diagnose') diagnose.wanted = made.find((path) => path.endsWith('.json'));
+  if (['diagnose', 'discover'].includes(job.arguments[0])) diagnose.wanted = made.find((path) => path.endsWith('.json'));
   if (state.workspace) STEPS[state.step][1].update(); // the list of files may have arrived before the end of the job
 }
 

@@ -93,6 +93,7 @@ def test_a_form_is_the_command_it_shows(client: TestClient, tmp_path: Path) -> N
     forms = {
         "compare": ["compare", f"{root}/lab", *model, "-o", f"{root}/out", *own],
         "diagnose": ["diagnose", f"{root}/lab", *model, "-o", f"{root}/out", "--effects", "object_mass", *own],
+        "discover": ["discover", f"{root}/lab", *model, "-o", f"{root}/out", *own],
         "history": ["history", f"{root}/models/m.yaml", "--runs", f"{root}/lab", "-o", f"{root}/out", *own],
     }
     for name, words in forms.items():

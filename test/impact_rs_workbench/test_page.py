@@ -226,6 +226,25 @@ def test_a_figure_keeps_its_height_when_the_window_is_resized(page: Page, report
         expect(page.locator("[data-step=add]")).to_have_attribute("aria-current", "step")
 
 
+def test_what_no_effect_explains_is_looked_for_as_a_law_by_a_button(page: Page, reported: Path) -> None:
+    """In the measurements of the form, beside the diagnosis; where effects explain everything there is no button."""
+    found = json.loads((reported / "reports" / "diagnosed" / "diagnosis.json").read_text())
+    (reported / "reports" / "open").mkdir(exist_ok=True)
+    (reported / "reports" / "open" / "diagnosis.json").write_text(json.dumps(found | {"verdict": "NONE-EXPLAINS"}))
+    go(page, "diagnose")
+    page.select_option("#diagnose-file", "reports/diagnosed/diagnosis.json")
+    expect(page.locator("#ranking")).to_be_visible()
+    expect(page.locator("#law")).to_have_count(0)
+    page.select_option("#diagnose-file", "reports/open/diagnosis.json")
+    page.select_option("#diagnose-runs", "blind/runs")
+    page.route("**/api/jobs", lambda route: route.abort())
+    with page.expect_request("**/api/jobs") as asked:
+        page.locator("#law button").click()
+    order = asked.value.post_data_json
+    assert (order["command"], order["runs"]) == ("discover", "blind/runs")
+    assert (order["report"], order["output"]) == ("reports/open", "reports/open/discovery.json")
+
+
 def test_a_campaign_is_offered_counted_and_refused_on_the_page(page: Page) -> None:
     command, campaign = go(page, "measure"), page.locator("#part-campaign")
     expect(command).to_contain_text("--scales 0.8 0.9 1 1.1 1.2 --trials 2")

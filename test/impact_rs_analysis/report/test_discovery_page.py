@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 from impact_rs_analysis.diagnosis.discovery_document import (
+    DESCRIBED,
     FOUND,
     NO_LAW,
     CurveDocument,
@@ -50,6 +51,14 @@ def test_the_page_says_the_law_and_draws_it(tmp_path: Path) -> None:
         assert text in page
     points = law_plot(LAW).data[-1]
     assert (points.error_y.array[0], points.error_y.arrayminus[0]) == pytest.approx((0.3, 0.2))
+
+
+def test_the_page_of_a_curve_shows_its_values_and_no_formula(tmp_path: Path) -> None:
+    curve = LAW.model_copy(update={"name": "object_drag_curve_5", "formula": "f0 * max(0, 1)", "curved": True})
+    page = write_report(document(DESCRIBED, curve), tmp_path).read_text()
+    assert "f0 * max" not in page
+    for text in ("CURVE-FOUND", "What remains, as a curve", "over object_speed", "1 values [N", "it falls to 0"):
+        assert text in page
 
 
 def test_a_page_without_a_law_has_no_picture(tmp_path: Path) -> None:

@@ -1,0 +1,161 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Laws and curves that are planted in recordings of free motion are found, become models, and say where they end.
+
+Torques are those of Pinocchio's recursive algorithm with friction and a law in plain NumPy; the search predicts them
+by regressors and formulas.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import numpy as np
+import pytest
+from joint_recordings import write_npz
+from slender_arm import UPRIGHT, mapping_of, slender_arm, swung
+
+from impact_rs_analysis.diagnosis.compare import ComparisonDocument, compare
+from impact_rs_analysis.diagnosis.discover import discover
+from impact_rs_analysis.diagnosis.discovery_document import (
+    DESCRIBED,
+    FOUND,
+    LIBRARY,
+    DiscoveryDocument,
+    write_discovery,
+)
+from impact_rs_analysis.diagnosis.grammar import load_grammar
+from impact_rs_analysis.evidence.recordings import RecordingSource
+from impact_rs_cli.main import main
+from impact_rs_sim.model import Model, ModelEffect, ParameterValue, load_model, save_model
+from impact_rs_trials.recordings.mapping import Mapping
+from impact_rs_trials.recordings.recording import read_recordings
+
+pytestmark = pytest.mark.usefixtures("few_draws")
+
+NOISE = 0.02  # N m
+COULOMB = (0.6, 0.4)  # N m
+LIBRARY_EFFECTS = ["joint_coulomb_friction", "joint_viscous_friction", "torque_offset"]
+Torque = Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray]
+
+RIPPLE, RATE = 0.4, 5.0  # N m, 1/rad
+OF_LOAD = 0.06  # of the transmitted torque
+STEP, AT, WIDTH = 0.5, 0.15, 0.08  # N m, rad, rad
+
+
+def ripple(q: np.ndarray, dq: np.ndarray, tau: np.ndarray) -> np.ndarray:
+    return -RIPPLE * np.sin(RATE * q)
+
+
+def friction_of_load(q: np.ndarray, dq: np.ndarray, tau: np.ndarray) -> np.ndarray:
+    return OF_LOAD * np.abs(tau) * np.tanh(dq / 0.02)
+
+
+def step(q: np.ndarray, dq: np.ndarray, tau: np.ndarray) -> np.ndarray:
+    """A cable that tips over: no form of the grammar has a step away from 0."""
+    return -STEP * np.tanh((q - AT) / WIDTH)
+
+
+def nothing(q: np.ndarray, dq: np.ndarray, tau: np.ndarray) -> np.ndarray:
+    return np.zeros_like(q)
+
+
+def recorded(folder: Path, law: Torque) -> tuple[Path, Mapping]:
+    """A pendulum of two joints, both with friction, the second with a law."""
+    mapping = mapping_of(folder, slender_arm(("revolute",) * 2, UPRIGHT))
+    columns = swung(mapping, {}, NOISE)
+    clean = swung(mapping, {}, 0.0)["effort"]
+    columns["effort"] += np.array(COULOMB) * np.tanh(columns["velocity"] / 0.005)
+    columns["effort"][:, 1] += law(columns["position"][:, 1], columns["velocity"][:, 1], clean[:, 1])
+    return write_npz(folder / "run.npz", columns), mapping
+
+
+def found_in(
+    folder: Path, law: Torque, model: Model | None = None, effects: Sequence[str] = LIBRARY_EFFECTS
+) -> DiscoveryDocument:
+    path, mapping = recorded(folder, law)
+    recordings, grammar = read_recordings(path, mapping), load_grammar()
+    return discover(
+        lambda changed: RecordingSource.of(recordings, mapping, changed),
+        model or load_model("nominal"),
+        grammar.model_copy(update={"places": {"motor": grammar.places["motor"]}}),
+        effects,
+    )
+
+
+def with_friction(file: Path) -> Path:
+    """A model that has the friction already, as after a diagnosis."""
+    values = {f"coulomb_joint{n}": ParameterValue(estimate=value, unit="N m") for n, value in enumerate(COULOMB, 1)}
+    item = ModelEffect(name="joint_coulomb_friction", parameters=values)
+    save_model(Model(name=file.stem, effects=(item,)), file)
+    return file
+
+
+def test_a_ripple_is_found_with_amplitude_and_wave_number(tmp_path: Path) -> None:
+    document = found_in(tmp_path, ripple)
+    assert document.verdict == FOUND
+    law = document.laws[0]
+    assert law.name == "motor2_position_ripple" and not law.curved
+    numbers = {name: value.estimate for name, value in law.parameters.items()}
+    assert np.hypot(numbers["a"], numbers["b"]) == pytest.approx(RIPPLE, rel=0.05)
+    low, high = law.parameters["k"].ci95
+    assert low <= RATE <= high and high - low < 1.0
+    assert law.held_out_error_after < 0.2 * law.held_out_error_before
+
+
+def test_friction_of_the_load_is_found_alone(tmp_path: Path) -> None:
+    """Its coefficient lies in its interval; the recorded torque, with friction and noise in it, would leave a rest."""
+    document = found_in(tmp_path, friction_of_load)
+    assert (document.verdict, document.laws[0].name) == (FOUND, "motor2_load_on_friction_linear")
+    low, high = document.laws[0].parameters["c"].ci95
+    assert low <= OF_LOAD <= high and high - low < 0.5 * OF_LOAD
+    assert document.diagnosis.named == ("joint_coulomb_friction", "motor2_load_on_friction_linear")
+
+
+def test_nothing_is_proposed_where_only_friction_acts(tmp_path: Path) -> None:
+    document = found_in(tmp_path, nothing)
+    assert (document.verdict, document.laws) == (LIBRARY, ())
+
+
+@pytest.fixture(scope="module")
+def stepped(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, DiscoveryDocument]:
+    folder = tmp_path_factory.mktemp("stepped")
+    model = load_model(with_friction(folder / "friction.yaml"))
+    return folder, found_in(folder, step, model, ["joint_viscous_friction"])
+
+
+def test_what_no_form_explains_is_a_curve_within_its_band(stepped: tuple[Path, DiscoveryDocument]) -> None:
+    """Up to the straight pieces between its knots."""
+    document = stepped[1]
+    assert document.verdict == DESCRIBED
+    law = document.laws[0]
+    assert law.name == "motor2_position_curve_9" and law.curved and law.curve is not None
+    assert law.held_out_error_after < 0.3 * law.held_out_error_before
+    at, said = np.array(law.curve.at), np.array(law.curve.law)
+    off = said - STEP * np.tanh((at - AT) / WIDTH)
+    assert np.sqrt(np.mean(np.square(off))) < 0.12 * STEP
+    assert law.valid is not None and (law.valid.low, law.valid.high) == pytest.approx((-0.74, 0.74), abs=0.05)
+
+
+def test_a_curve_becomes_part_of_a_model_that_says_where_it_ends(
+    stepped: tuple[Path, DiscoveryDocument], tmp_path: Path
+) -> None:
+    folder, document = stepped
+    file, child, parent = tmp_path / "discovery.json", tmp_path / "model_2.yaml", folder / "friction.yaml"
+    write_discovery(document, file)
+    name = document.laws[0].name
+    assert main(["add", name, "--model", str(parent), "--from", str(file), "-o", str(child)]) == 0
+    mapping = mapping_of(folder, slender_arm(("revolute",) * 2, UPRIGHT))
+    recordings = read_recordings(folder / "run.npz", mapping)
+
+    def compared(model: Model) -> ComparisonDocument:
+        return compare(RecordingSource.of(recordings, mapping, model))
+
+    model = load_model(child)
+    before, after = compared(load_model(parent)), compared(model)
+    assert after.score < 0.3 * before.score
+    assert not [remark for remark in after.remarks if "was seen for" in remark]
+    narrow = model.formulas[-1].model_copy(update={"valid": {"q2": (-0.3, 0.3)}})
+    beyond = compared(model.model_copy(update={"formulas": (narrow,)})).remarks
+    (said,) = [remark for remark in beyond if "was seen for" in remark]
+    assert said.startswith(f"{name} was seen for q2 from -0.3 to 0.3, and these measurements reach from -0.7")
