@@ -1,16 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Turn the flights of table tennis balls of SpinDOE into a table of impacts, one row per ball: its first bounce on the table.
+"""Turn flights of table tennis balls (SpinDOE) into a table of impacts, a row per ball: its first bounce on the table.
 
     git clone https://github.com/cogsys-tuebingen/spindoe
     ./run python examples/ball_bounces.py spindoe/data/trajectories/trajectories.zip ball_bounces.csv
     ./run impact-rs diagnose --impacts ball_bounces.csv -o diagnosis.json
 
-The data (Gossard, Tebbe, Ziegler and Zell 2023) are 231 flights, tracked at some 145 Hz to the millimetre. A file holds time and
-centre of the ball, ``t;x;y;z`` in s and m, z up; ``index.csv`` holds the spin before the bounce in rad/s. The spin after it was not
-measured, so velocities alone are compared.
+The data (Gossard, Tebbe, Ziegler and Zell 2023) are 232 flights, tracked at some 145 Hz to the millimetre. A file holds
+time and centre of the ball, ``t;x;y;z`` in s and m, z up; ``index.csv`` holds the spin before the bounce in rad/s. The
+spin after it was not measured, so velocities alone are compared.
 
-Drag and spin bend the flight (Magnus force), so that not g but a steady acceleration is fitted, over 0.1 s on either side. The
-parabolas of the height meet in the bounce.
+Drag and spin bend the flight (Magnus force), so that not g but a steady acceleration is fitted, over 0.1 s on either
+side. The parabolas of the height meet in the bounce.
 """
 
 from __future__ import annotations
@@ -31,12 +31,19 @@ from impact_rs_trials.recordings.motion_fits import FittedMotion, move
 
 MASS, RADIUS = 0.0027, 0.020  # kg, m: the laws of table tennis
 WINDOW = 0.1  # s of flight on either side
-FEWEST = 8  # samples there: two more than a parabola in three axes needs to show its scatter
+FEWEST = 8  # samples there: with fewer a parabola hardly shows its scatter
 LOW = 0.1  # m; the table is near z = 0
 FASTEST = 2.0 * np.pi * 160.0  # rad/s; the fastest spins that were ever measured are 150 turns a second
 HEADER = (
     *("run", "vx_before [m/s]", "vy_before [m/s]", "vz_before [m/s]"),
-    *("wx_before [rad/s]", "wy_before [rad/s]", "wz_before [rad/s]", "vx_after [m/s]", "vy_after [m/s]", "vz_after [m/s]"),
+    *(
+        "wx_before [rad/s]",
+        "wy_before [rad/s]",
+        "wz_before [rad/s]",
+        "vx_after [m/s]",
+        "vy_after [m/s]",
+        "vz_after [m/s]",
+    ),
     *("v_noise [m/s]", "mass [kg]", "radius [m]", "shell [-]", "friction [-]", "restitution [-]"),
 )
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Real data sets, diagnosed: ``./run python -m benchmarks.real --list``, then ``./run python -m benchmarks.real SET --data DIR``.
+"""Public sets of real data, diagnosed: ``./run python -m benchmarks.real SET --data DIR``; ``--list`` names the sets.
 
 A set is a YAML file beside this one (:class:`RealSet`): where the data are, how they are read, which commands diagnose
 them, and what should come out, with the source of that, written down before the first run. The data belong to others
@@ -14,6 +14,7 @@ import shlex
 import shutil
 import subprocess
 import sys
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -21,14 +22,14 @@ from typing import Any
 import yaml
 from pydantic import Field
 
-from impact_rs_analysis.diagnosis.document import CONFIRMED, DiagnosisDocument, read_document
+from impact_rs_analysis.diagnosis.document import CONFIRMED, DiagnosisDocument, EstimateDocument, read_document
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.numbers import estimate_in_line
 from impact_rs_sim.schema import Schema, load
 
 HERE = Path(__file__).parent
 ROOT = HERE.parents[1]
-HEAD = ("Set", "Expected", "Said", "Estimates, 95 % interval (published)", "Held-out error", "As expected")
+HEAD = ("Set", "Expected", "Said", "Estimates, 95 % interval (expected)", "Held-out error", "Judged")
 
 
 class Expected(Schema):
@@ -37,7 +38,8 @@ class Expected(Schema):
     source: str = Field(description="who says so")
     effects: tuple[str, ...] = Field((), description="effects that act")
     absent: tuple[str, ...] = Field((), description="effects that do not act: to confirm one would be wrong")
-    values: dict[str, float] = Field({}, description="published values by EFFECT.PARAMETER, in the parameter's unit")
+    known: dict[str, float] = Field({}, description="weighed or built in, by EFFECT.PARAMETER, in the parameter's unit")
+    published: dict[str, float] = Field({}, description="estimates of others, as known")
 
 
 class RealSet(Schema):
@@ -62,41 +64,61 @@ class Judgement:
     Attributes:
         missed: Effects that act and were not named.
         contradicted: Effects that do not act and were confirmed.
-        inside: How many published values lie in their intervals.
-        values: How many there are.
+        doubted: Effects that do not act and were named among others that the data cannot distinguish from them.
+        known: Whether the interval contains a value that is known, for each of them.
+        published: The same of estimates of others.
     """
 
     missed: tuple[str, ...]
     contradicted: tuple[str, ...]
-    inside: int
-    values: int
+    doubted: tuple[str, ...]
+    known: tuple[bool, ...]
+    published: tuple[bool, ...]
 
     @property
     def words(self) -> str:
         """The judgement in a cell."""
-        if self.contradicted:
-            return f"no: {', '.join(self.contradicted)}"
-        names = f"missed: {', '.join(self.missed)}" if self.missed else "names yes"
-        return names + (f"; {self.inside} of {self.values} values" if self.values else "")
+        found = [
+            f"{what}: {', '.join(names)}"
+            for what, names in (("wrong", self.contradicted), ("missed", self.missed), ("in doubt", self.doubted))
+            if names
+        ]
+        found += [
+            f"{sum(inside)} of {len(inside)} {what} values"
+            for what, inside in (("known", self.known), ("published", self.published))
+            if inside
+        ]
+        return "; ".join(found if self.missed or self.contradicted else ["names yes", *found])
 
 
 def judge(document: DiagnosisDocument, expected: Expected) -> Judgement:
-    """What a diagnosis got right; a value of an effect that was not named counts as missed."""
-    confirmed = {name for name in document.named if _effect_verdict(document, name) == CONFIRMED}
-    inside = 0
-    for key, truth in expected.values.items():
-        name, parameter = key.split(".")
-        effect = document.effect(name)
-        if effect is None or parameter not in effect.parameters:
-            raise InputError(f"the diagnosis has no {key}; expected EFFECT.PARAMETER of it", key="expected.values")
-        low, high = effect.parameters[parameter].interval
-        inside += name in document.named and low <= truth <= high
+    """What a diagnosis got right; a value of an effect that was not named counts as outside."""
+    named = set(document.named)
+    confirmed = {name for name in named if _effect_verdict(document, name) == CONFIRMED}
+
+    def inside(values: dict[str, float]) -> tuple[bool, ...]:
+        found = []
+        for key, truth in values.items():
+            low, high = _parameter(document, key).interval
+            found.append(key.split(".")[0] in named and low <= truth <= high)
+        return tuple(found)
+
     return Judgement(
-        tuple(name for name in expected.effects if name not in document.named),
+        tuple(name for name in expected.effects if name not in named),
         tuple(name for name in expected.absent if name in confirmed),
-        inside,
-        len(expected.values),
+        tuple(name for name in expected.absent if name in named - confirmed),
+        inside(expected.known),
+        inside(expected.published),
     )
+
+
+def _parameter(document: DiagnosisDocument, key: str) -> EstimateDocument:
+    """The estimate of EFFECT.PARAMETER."""
+    name, parameter = key.split(".")
+    effect = document.effect(name)
+    if effect is None or parameter not in effect.parameters:
+        raise InputError("the diagnosis has no such estimate; expected EFFECT.PARAMETER of it", key=key)
+    return effect.parameters[parameter]
 
 
 def _effect_verdict(document: DiagnosisDocument, name: str) -> str:
@@ -140,17 +162,16 @@ def run_set(one: RealSet, data: Path, out: Path) -> DiagnosisDocument:
     return read_document(out / "diagnosis.json")
 
 
-def row(name: str, one: RealSet, document: DiagnosisDocument) -> tuple[str, ...]:
+def row(name: str, expected: Expected, shown: Sequence[str], document: DiagnosisDocument) -> tuple[str, ...]:
     """Cells of the table for a set that was run."""
-    assert one.expected is not None
-    expected = one.expected
     wanted = ", ".join(f"`{effect}`" for effect in expected.effects)
     if expected.absent:
         wanted += f"; not {', '.join(f'`{effect}`' for effect in expected.absent)}"
     said = ", ".join(f"`{effect}`{_doubt(document, effect)}" for effect in document.named) or f"`{document.verdict}`"
-    estimates = [_estimate(document, key, expected.values.get(key)) for key in (*expected.values, *one.shown)]
-    unit = document.error_unit
-    error = f"{document.held_out_error_before:.3g} → {document.held_out_error_after:.3g} {unit}"
+    truths = expected.known | expected.published
+    estimates = [_estimate(document, key, truths.get(key)) for key in (*truths, *shown)]
+    before, after = document.held_out_error_before, document.held_out_error_after
+    error = f"{before:.3g} → {after:.3g} {document.error_unit}"
     return name, wanted, said, "; ".join(estimates), error, judge(document, expected).words
 
 
@@ -160,13 +181,10 @@ def _doubt(document: DiagnosisDocument, name: str) -> str:
 
 
 def _estimate(document: DiagnosisDocument, key: str, truth: float | None) -> str:
-    name, parameter = key.split(".")
-    effect = document.effect(name)
-    if effect is None or parameter not in effect.parameters:
-        return f"{parameter} not fitted"
-    value = effect.parameters[parameter]
-    published = "" if truth is None else f" ({truth:g})"
-    return f"{parameter} {estimate_in_line(value.estimate, value.ci95)} {value.unit}{published}"
+    value = _parameter(document, key)
+    unit = "" if value.unit == "-" else f" {value.unit}"
+    expected = "" if truth is None else f" ({truth:g})"
+    return f"{key.split('.')[1]} {estimate_in_line(value.estimate, value.ci95)}{unit}{expected}"
 
 
 def table(rows: list[tuple[str, ...]]) -> str:
@@ -178,6 +196,17 @@ def table(rows: list[tuple[str, ...]]) -> str:
 def sets() -> dict[str, RealSet]:
     """All sets by name."""
     return {path.stem: load(RealSet, path) for path in sorted(HERE.glob("*.yaml"))}
+
+
+def total(judgements: Sequence[Judgement]) -> str:
+    """All sets in one line."""
+    right = sum(not (one.missed or one.contradicted) for one in judgements)
+    known, published = ([v for one in judgements for v in getattr(one, name)] for name in ("known", "published"))
+    return (
+        f"{len(judgements)} sets: names as expected in {right}, wrong names in "
+        f"{sum(bool(one.contradicted) for one in judgements)}; inside their intervals are {sum(known)} of {len(known)} "
+        f"known values and {sum(published)} of {len(published)} published estimates"
+    )
 
 
 def main() -> int:
@@ -195,19 +224,21 @@ def main() -> int:
             if one.not_taken:
                 print(f"    not taken yet: {one.not_taken}")
         return 0
-    rows = []
-    for name in args.sets or [name for name, one in known.items() if not one.not_taken]:
-        if name not in known:
-            parser.error(f"no set {name}; there are {', '.join(known)}")
-        if known[name].not_taken:
-            parser.error(f"{name} is not taken yet: {known[name].not_taken}")
+    if unknown := set(args.sets) - set(known):
+        parser.error(f"no set {', '.join(unknown)}; there are {', '.join(known)}")
+    rows, judgements = [], []
+    for name in args.sets or known:
+        one = known[name]
         try:
-            document = run_set(known[name], args.data.resolve(), args.output.resolve() / name)
-            rows.append(row(name, known[name], document))
+            if one.expected is None:
+                raise InputError(f"not taken yet: {one.not_taken}")
+            document = run_set(one, args.data.resolve(), args.output.resolve() / name)
+            rows.append(row(name, one.expected, one.shown, document))
+            judgements.append(judge(document, one.expected))
         except InputError as error:
-            rows.append((name, "", f"not run: {error}", "", "", ""))
+            rows.append((name, "", str(error), "", "", "not run"))
         print(table(rows[-1:]).splitlines()[-1], file=sys.stderr, flush=True)
-    print(table(rows))
+    print(f"{table(rows)}\n\n{total(judgements)}")
     return 0
 
 

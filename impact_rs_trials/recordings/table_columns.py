@@ -74,7 +74,8 @@ def _of_text(path: Path, layout: TableLayout) -> Columns:
     remarks = []
     if len(rows) > 2 and len(rows[-1][1]) < len(header) and not path.read_bytes().endswith(b"\n"):
         number, row = rows.pop()
-        remarks.append(f"{path.name}: line {number}, the last, is cut off ({len(row)} of {len(header)} numbers): left out")
+        said = f"line {number}, the last, is cut off ({len(row)} of {len(header)} numbers): left out"
+        remarks.append(f"{path.name}: {said}")
     kept = []
     for number, row in rows:
         if len(row) == len(header) + 1 and not row[-1].strip():  # a separator at the end of the line

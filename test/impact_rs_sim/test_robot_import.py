@@ -538,7 +538,7 @@ def test_too_little_inertia_is_not_about_the_joint(tmp_path: Path) -> None:
         import_urdf(pendulum(tmp_path, rod(2.0, 0.6, False)), inertia_at="joint")
 
 
-@pytest.mark.parametrize("name", ["franka_fer", "franka_fr3", "kuka_iiwa7", "kuka_iiwa14", "ur5e", "ur10e"])
+@pytest.mark.parametrize("name", ["franka_fer", "franka_fr3", "kuka_iiwa7", "kuka_iiwa14", "ur5e", "ur10", "ur10e"])
 def test_links_of_real_arms_are_not_suspected(name: str) -> None:
     facts = load_facts(name)
     length = sum(float(np.linalg.norm(origin.xyz)) for origin in facts.joints)
