@@ -446,10 +446,12 @@ class ImpactTableSource(Source):
 
     def _phase(self, number: int) -> str:
         """Phase name of a row: the part of the body that is hit."""
-        impact = self.table.rows[number].impact
-        if impact.arms:
+        row = self.table.rows[number]
+        if row.impact.arms:
             return "on the pad"
-        return {1: "on a corner", 2: "on an edge"}.get(len(impact.points), "on a face")
+        if row.physics.object.round:
+            return "of a ball"
+        return {1: "on a corner", 2: "on an edge"}.get(len(row.impact.points), "on a face")
 
     def _remarks(self) -> list[str]:
         remarks = [*doubts_of(self.table), *self.table.assumed]
