@@ -270,14 +270,19 @@ def _parse(file: Path) -> Xml.Element:
         text = file.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
         raise InputError(f"cannot be read: {error}", file=file) from None
-    if file.suffix == ".xacro" or "<xacro:" in text or "${" in text:
-        raise InputError(f"this is xacro, expected URDF; expand it first: {XACRO.format(file=file.name)}", file=file)
+    xacro = InputError(f"this is xacro, expected URDF; expand it first: {XACRO.format(file=file.name)}", file=file)
+    if file.suffix == ".xacro" or "<xacro:" in text:
+        raise xacro
     try:
         robot = Xml.fromstring(text)
     except Xml.ParseError as error:
         raise InputError(f"not valid XML: {error}", file=file) from None
     if robot.tag != "robot":
         raise InputError(f"the outermost element is <{robot.tag}>, expected <robot>", file=file)
+    # Sections on controllers and transmissions are not read, and makers leave expressions in them.
+    read = [element for part in robot if part.tag in ("link", "joint") for element in part.iter()]
+    if any("${" in value for element in read for value in element.attrib.values()):
+        raise xacro
     return robot
 
 

@@ -17,6 +17,7 @@ from types import ModuleType
 import numpy as np
 import pinocchio as pin
 import pytest
+from ball_impacts import Racket, bounced
 from impact_table_cases import cube, tossed
 
 from impact_rs_sim.errors import InputError
@@ -27,7 +28,7 @@ from impact_rs_trials.recordings.experiment import load_experiment
 from impact_rs_trials.recordings.impact_table import read_impact_table
 from impact_rs_trials.recordings.laboratory import read_laboratory
 
-LONG = ("cube_tosses", "draw_robot", "foreign_plant")  # beside files, nodes or views of others, in full
+LONG = ("ball_bounces", "cube_tosses", "draw_robot", "foreign_plant")  # beside files, nodes or views of others, in full
 EXAMPLES = Path(__file__).resolve().parent.parent / "examples"
 
 
@@ -123,6 +124,38 @@ def test_tosses_as_torch_writes_them_become_a_table_of_impacts(
     (tmp_path / "7.pt").write_bytes(pickle.dumps(Path("x")))
     with pytest.raises(InputError, match="no tensor of a toss"):
         example.read_tensor(tmp_path / "7.pt")
+
+
+def test_flights_of_balls_become_a_table_of_their_bounces(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Balls that slide on a table by closed forms, in air that bends their flight, seen to the millimetre."""
+    example, rng = load("ball_bounces"), np.random.default_rng(0)
+    racket, truth = Racket(lambda _: 0.9, 0.2), []
+    index, flights = ["traj_file,x_spin,y_spin,z_spin"], {}
+    for number in range(6):
+        before = np.array([*rng.uniform(-1.0, 1.0, 1), -6.0, -2.5, *rng.uniform(-100.0, 100.0, 3)])
+        after = bounced(before, racket)
+        times = np.arange(-14, 15) / 145.0 + rng.uniform(0.001, 0.005)
+        bent = np.array([1.0, 2.0, -12.0])  # m/s^2, gravity, drag and Magnus force
+        sides = np.where(times[:, None] < 0.0, before[:3], after[:3])
+        seen = np.round(sides * times[:, None] + 0.5 * bent * times[:, None] ** 2, 3)
+        flights[f"{number:03d}.csv"] = "\n".join(
+            f"{t:.4f};{x};{y};{z}" for t, (x, y, z) in zip(times, seen, strict=True)
+        )
+        spin = before[3:] if number else np.array([2000.0, 0.0, 0.0])  # one that nobody can throw
+        index.append(f"{number},{','.join(map(str, spin))}")
+        truth.append((before, after))
+    with zipfile.ZipFile(tmp_path / "flights.zip", "w") as archive:
+        for name, text in {**flights, "index.csv": "\n".join(index)}.items():
+            archive.writestr(name, text)
+    assert example.write_table(tmp_path / "flights.zip", tmp_path / "bounces.csv", 0.3, 0.5) == 5
+    assert "5 of 6 flights; left out: 1 spin of more than 160 turns" in capsys.readouterr().out
+    table = read_impact_table(tmp_path / "bounces.csv")
+    for row, (before, after) in zip(table.rows, truth[1:], strict=True):
+        assert row.impact.object.twist == pytest.approx(before, abs=0.06)  # m/s: 0.3 mm over 14 samples
+        assert row.after[:3] == pytest.approx(after[:3], abs=0.06)
+    (tmp_path / "none.zip").write_text("none")
+    with pytest.raises(InputError, match="no archive of flights"):
+        example.write_table(tmp_path / "none.zip", tmp_path / "none.csv", 0.3, 0.5)
 
 
 def _lengths() -> np.ndarray:

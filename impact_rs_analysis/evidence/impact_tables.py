@@ -95,7 +95,7 @@ NO_DISCREPANCY_KNOWN = (
     "model discrepancy of the rigid impact map is taken as 0: finite duration and compliance of real impacts count "
     "against the model"
 )
-ALONE = {"joints": slice(None, -6), "object": slice(-6, None)}  # parts of a row of an arm that are also judged apart
+ALONE = ("joints", "object")  # parts of a row of an arm that are also judged apart
 NO_REPEATS = (
     "too few rows are repeats of each other (column 'condition'), so blocks of neighbouring rows are held out instead"
 )
@@ -169,7 +169,7 @@ class ImpactTableSource(Source):
         self.size_is = SIZE_REPEATED if self.repeated else SIZE_ALONE
         self._impacts = MeasuredImpacts([row.impact for row in table.rows], self._of_rows(self._worlds))
         self._known: OrderedDict[bytes, Array] = OrderedDict()
-        self._judge(slice(None) if table.joints else ALONE["object"])
+        self._judge(_entries(table, joints=table.joints, body=True))
         self.remarks = tuple(self._remarks())
 
     def _judge(self, seen: slice) -> None:
@@ -204,9 +204,9 @@ class ImpactTableSource(Source):
     def _parts(self) -> dict[str, ImpactTableSource]:
         """Joints and object of an arm, each alone; none without an arm, or if the object alone was measured."""
         found = {}
-        for name, seen in ALONE.items() if self.table.arms and self.table.joints else ():
+        for name in ALONE if self.table.arms and self.table.joints else ():
             found[name] = copy.copy(self)
-            found[name]._judge(seen)
+            found[name]._judge(_entries(self.table, joints=name == "joints", body=name == "object"))
         return found
 
     @property
@@ -446,10 +446,12 @@ class ImpactTableSource(Source):
 
     def _phase(self, number: int) -> str:
         """Phase name of a row: the part of the body that is hit."""
-        impact = self.table.rows[number].impact
-        if impact.arms:
+        row = self.table.rows[number]
+        if row.impact.arms:
             return "on the pad"
-        return {1: "on a corner", 2: "on an edge"}.get(len(impact.points), "on a face")
+        if row.physics.object.round:
+            return "of a ball"
+        return {1: "on a corner", 2: "on an edge"}.get(len(row.impact.points), "on a face")
 
     def _remarks(self) -> list[str]:
         remarks = [*doubts_of(self.table), *self.table.assumed]
@@ -562,7 +564,13 @@ class ImpactTableSource(Source):
         for row, system in zip(self.table.rows, self._systems, strict=True):
             before, after = (float(u @ system.inertia @ u) for u in (system.velocity, row.after))
             found.append(after / max(before, 1e-300))
-        return np.array(found)  # nan where joints were not measured after
+        return np.array(found)  # nan where something was not measured after
+
+
+def _entries(table: ImpactTable, joints: bool, body: bool) -> slice:
+    """Entries of a row of joints or of the body, or of both, without what was not measured."""
+    last = (None if table.turning else -3) if body else -6
+    return slice(None if joints else -6, last)
 
 
 def _conditions(table: ImpactTable) -> list[_Group] | None:

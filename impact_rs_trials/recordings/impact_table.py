@@ -16,7 +16,8 @@ column                                      unit      what it is
 ``vx_before`` ... ``vz_before``             m/s       velocity of the centre just before
 ``wx_before`` ... ``wz_before``             rad/s     angular velocity just before
 ``vx_after`` ... ``vz_after``               m/s       velocity of the centre just after
-``wx_after`` ... ``wz_after``               rad/s     angular velocity just after
+``wx_after`` ... ``wz_after``               rad/s     angular velocity just after; without any, velocities of the
+                                                      centre and of joints are compared
 ``mass``                                    kg        mass; of an object: that of the scenario where it is absent
 ``ixx`` ``iyy`` ``izz``                     kg m^2    principal moments about the centre, along the body's own axes;
                                                       absent: of a homogeneous box of that size, or of a ball
@@ -138,10 +139,11 @@ class ImpactTable:
         rows: Its impacts.
         arms: Names of the arms; empty: free bodies.
         joints: Whether joint velocities after the impact were measured.
+        turning: Whether angular velocities after the impact were measured.
         tolerance: How much further off than the nearest a point may be that touches [m]; of rows that say it
             themselves, their mean.
         noise: Standard deviation of a measured change of velocity in the order of ``after``, ``(rows, nv)``
-            [rad/s, m/s], nan of joints that were not measured; None: said nowhere.
+            [rad/s, m/s], nan of what was not measured; None: said nowhere.
         assumed: Assumptions where the table has no column, as text.
         unread: Columns that are not used.
     """
@@ -154,6 +156,7 @@ class ImpactTable:
     assumed: tuple[str, ...] = ()
     unread: tuple[str, ...] = ()
     joints: bool = True
+    turning: bool = True
     tolerance: float = GAP_TOLERANCE
 
 
@@ -298,6 +301,7 @@ class _Reader:
             assumed=assumed,
             unread=tuple(unread),
             joints=self._joints_after,
+            turning=self._turning_after,
             tolerance=float(np.mean(tolerances)),
         )
 
@@ -314,6 +318,11 @@ class _Reader:
         """Whether some joint has a velocity after the impact."""
         columns = (name for arm in self._arms for name in self._of_joints(arm, "dq", "_after"))
         return any(name in self._where for name in columns)
+
+    @property
+    def _turning_after(self) -> bool:
+        """Whether the body has an angular velocity after the impact."""
+        return any(name in self._where for name in _triple("w", "_after"))
 
     def _tolerance(self, number: int, cells: Mapping[str, Any]) -> float:
         """How much further off than the nearest a point of a row may be that touches [m]."""
@@ -404,6 +413,8 @@ class _Reader:
                 needed = {
                     name: unit for name, unit in needed.items() if name not in self._of_joints(arm, "dq", "_after")
                 }
+        if not self._turning_after:
+            needed = {name: unit for name, unit in needed.items() if name not in _triple("w", "_after")}
         if self.scenario is None:
             needed["mass"] = "kg"
         for group in (_triple("n"), _triple("size_"), ["ixx", "iyy", "izz"], *self._point_columns()):
@@ -487,7 +498,9 @@ class _Reader:
             rotation=self._rotation(number, cells) if "qx" in self._where else np.eye(3),
             twist=self._values(number, cells, [*_triple("v", "_before"), *_triple("w", "_before")]),
         )
-        after = [self._after(number, cells, [*_triple("v", "_after"), *_triple("w", "_after")])]
+        after = [self._after(number, cells, _triple("v", "_after"))]
+        spin = _triple("w", "_after")
+        after.append(self._after(number, cells, spin) if self._turning_after else np.full(len(spin), np.nan))
         normal = self._normal(number, cells)
         given = self._given_points(number, cells)
         object_name = self._object(number, cells)
@@ -668,7 +681,8 @@ class _Reader:
 
     def _noise(self, rows: Sequence[ImpactRow]) -> Array | None:
         """Standard deviations in the order of ``after``, ``(rows, nv)``; None where the table says nothing."""
-        wanted = {"v_noise": "m/s", "w_noise": "rad/s"} | ({"dq_noise": "rad/s"} if self._joints_after else {})
+        wanted = {"v_noise": "m/s"} | ({"w_noise": "rad/s"} if self._turning_after else {})
+        wanted |= {"dq_noise": "rad/s"} if self._joints_after else {}
         if not any(name in self._where for name in wanted):
             return None
         for name, unit in wanted.items():
@@ -676,9 +690,8 @@ class _Reader:
                 raise InputError(f"no column '{name} [{unit}]', though other noise is given", file=self.path)
         found = []
         for row, cells in zip(rows, self.cells, strict=True):
-            unmeasured = 0 if self._joints_after else row.after.size - 6
-            names = ["dq_noise"] * (row.after.size - 6 - unmeasured) + ["v_noise"] * 3 + ["w_noise"] * 3
-            found.append(np.concatenate((np.full(unmeasured, np.nan), self._values(row.number, cells, names))))
+            names = ["dq_noise"] * (row.after.size - 6) + ["v_noise"] * 3 + ["w_noise"] * 3
+            found.append([self._value(row.number, cells, name) if name in wanted else np.nan for name in names])
         return np.array(found)
 
     def _assumed(self) -> tuple[str, ...]:

@@ -30,11 +30,13 @@ class Columns:
         cells: Texts or numbers by name of a column.
         lines: Line of every row in a text file; empty: it is none.
         dates: Columns that hold dates, as nanoseconds since 1970.
+        remarks: What the user should know of how it was read.
     """
 
     cells: Mapping[str, list[str] | NDArray[Any]]
     lines: tuple[int, ...] = ()
     dates: frozenset[str] = frozenset()
+    remarks: tuple[str, ...] = ()
 
 
 def require(package: str, path: Path) -> None:
@@ -69,6 +71,11 @@ def _of_text(path: Path, layout: TableLayout) -> Columns:
     if len(rows) < 2:
         raise InputError("expected a line of column names and lines of numbers", file=path)
     header = [name.strip() for name in rows[0][1]]
+    remarks = []
+    if len(rows) > 2 and len(rows[-1][1]) < len(header) and not path.read_bytes().endswith(b"\n"):
+        number, row = rows.pop()
+        said = f"line {number}, the last, is cut off ({len(row)} of {len(header)} numbers): left out"
+        remarks.append(f"{path.name}: {said}")
     kept = []
     for number, row in rows:
         if len(row) == len(header) + 1 and not row[-1].strip():  # a separator at the end of the line
@@ -81,7 +88,8 @@ def _of_text(path: Path, layout: TableLayout) -> Columns:
         twice = next(name for name in header if header.count(name) > 1)
         raise InputError(f"two columns are called {twice!r}", file=path)
     columns = zip(header, zip(*kept[1:], strict=True), strict=True)
-    return Columns({name: list(cells) for name, cells in columns}, tuple(number for number, _ in rows[1:]))
+    lines = tuple(number for number, _ in rows[1:])
+    return Columns({name: list(cells) for name, cells in columns}, lines, remarks=tuple(remarks))
 
 
 def _of_npy(path: Path) -> Columns:

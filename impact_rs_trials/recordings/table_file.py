@@ -75,7 +75,8 @@ class TableFile:
         else:
             values = np.column_stack([self._numbers(column, name, key) for column in columns])
         time = self._seconds(source, name, len(values)) + source.delay
-        return Series(f"column {columns[0]!r} ({name})", time, self._mapping.to_si(name, values)).sampled()
+        place, remarks = f"column {columns[0]!r} ({name})", self._columns.remarks
+        return Series(place, time, self._mapping.to_si(name, values), remarks=remarks).sampled()
 
     def _named(self, name: SignalName, source: SignalSource) -> list[str]:
         if source.columns is not None:

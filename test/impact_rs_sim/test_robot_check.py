@@ -39,7 +39,7 @@ def outcomes(checks: list[Check]) -> dict[str, str]:
 
 
 def test_the_shipped_robots_are_those_of_the_manual() -> None:
-    assert SHIPPED == ["franka_fer", "franka_fr3", "kuka_iiwa14", "kuka_iiwa7", "ur10e", "ur5e"]
+    assert SHIPPED == ["franka_fer", "franka_fr3", "kinova_gen3", "kuka_iiwa14", "kuka_iiwa7", "ur10", "ur10e", "ur5e"]
 
 
 @pytest.mark.parametrize("name", SHIPPED)

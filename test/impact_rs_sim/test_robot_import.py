@@ -334,7 +334,8 @@ def test_a_file_that_is_no_urdf_is_refused(tmp_path: Path, name: str, text: str,
 
 def test_a_urdf_that_xacro_made_is_taken(tmp_path: Path) -> None:
     file = tmp_path / "arm.urdf"
-    file.write_text(f'<robot name="arm" xmlns:xacro="http://ros.org/wiki/xacro">{"".join(ARM)}</robot>')
+    rest = '<ros2_control name="arm"><param name="min">${-2*pi}</param></ros2_control>'
+    file.write_text(f'<robot name="arm" xmlns:xacro="http://ros.org/wiki/xacro">{"".join(ARM)}{rest}</robot>')
     assert import_urdf(file).facts.joint_count == 2
 
 
@@ -538,7 +539,10 @@ def test_too_little_inertia_is_not_about_the_joint(tmp_path: Path) -> None:
         import_urdf(pendulum(tmp_path, rod(2.0, 0.6, False)), inertia_at="joint")
 
 
-@pytest.mark.parametrize("name", ["franka_fer", "franka_fr3", "kuka_iiwa7", "kuka_iiwa14", "ur5e", "ur10e"])
+@pytest.mark.parametrize(
+    "name",
+    ["franka_fer", "franka_fr3", "kinova_gen3", "kuka_iiwa7", "kuka_iiwa14", "ur5e", "ur10", "ur10e"],
+)
 def test_links_of_real_arms_are_not_suspected(name: str) -> None:
     facts = load_facts(name)
     length = sum(float(np.linalg.norm(origin.xyz)) for origin in facts.joints)

@@ -3,15 +3,18 @@
 
 from __future__ import annotations
 
+import csv
 from pathlib import Path
 
 import numpy as np
 import pytest
 from ball_impacts import NOISE, Racket, ball_table
+from impact_table_cases import write_csv
 
 from impact_rs_analysis.diagnosis.diagnose import diagnose
 from impact_rs_analysis.diagnosis.document import DiagnosisDocument
 from impact_rs_analysis.evidence.impact_tables import ImpactTableSource
+from impact_rs_analysis.evidence.map_discrepancy import LINEAR
 from impact_rs_sim.effects.formula import FormulaParameter, FormulaSpec
 from impact_rs_sim.model import Model, load_model
 from impact_rs_trials.recordings.impact_table import read_impact_table
@@ -132,3 +135,20 @@ def test_a_ball_needs_no_pose_and_a_hollow_one_turns_more_slowly(tmp_path: Path)
     with_truth = source.predicted_with((("restitution", (0.5,)), ("support_friction", (-0.1,))))
     np.testing.assert_allclose(with_truth, source.measured, atol=1e-9)
     assert NOISE[0] < source.size()  # without the truth the difference is larger than the noise of real impacts
+
+
+def test_a_ball_whose_spin_was_not_measured_after_the_impact_is_compared_by_its_velocity(tmp_path: Path) -> None:
+    """A camera that follows the centre alone still shows both coefficients."""
+    path = ball_table(tmp_path / "balls.csv", Racket(lambda v: 0.53, 0.212), friction=0.3, restitution=0.45)
+    header, *rows = csv.reader(path.read_text().splitlines())
+    kept = [n for n, name in enumerate(header) if not (name.startswith("w") and ("_after" in name or "_noise" in name))]
+    seen = write_csv(tmp_path / "seen.csv", [header[n] for n in kept], [[row[n] for n in kept] for row in rows])
+    source = ImpactTableSource(read_impact_table(seen), NOMINAL)
+    assert {feature.signal for feature in source.signals} == {LINEAR}
+    assert source.measured.shape == source.predicted.shape == (len(rows), 3)
+    np.testing.assert_array_equal(source.noise, np.full((len(rows), 3), NOISE[0]))
+    document = diagnose(source, NOMINAL, CONSIDERED)
+    assert set(document.named) == {"restitution", "support_friction"}
+    for name, parameter, truth in (("restitution", "restitution", 0.08), ("support_friction", "friction", -0.088)):
+        low, high = document.effect(name).parameters[parameter].interval
+        assert low <= truth <= high

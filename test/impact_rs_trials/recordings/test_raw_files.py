@@ -231,3 +231,15 @@ def test_a_table_of_runs_names_runs_that_are_spread_over_files(spread: Path, mon
     (spread / "runs.csv").write_text("bag,object,kind\n19,none,free motion\n")
     said = refusal(read_runs, spread, experiment, experiment.load_scenario())
     assert "line 2, bag = '19': no such run among the files IIWA_7_hit_{run}.csv" in said
+
+
+def test_a_log_that_ends_in_the_middle_of_its_last_line_is_read_without_it(tmp_path: Path) -> None:
+    whole = text(tmp_path / "whole.csv", "")
+    cut = tmp_path / "cut.csv"
+    cut.write_text(whole.read_text().rpartition(",")[0])
+    series = read(cut, mapping_of({}, **BY_NAME))
+    np.testing.assert_array_equal(series.values, VALUES[:-1])
+    (remark,) = series.remarks
+    assert remark == f"cut.csv: line {len(VALUES) + 1}, the last, is cut off (7 of 8 numbers): left out"
+    cut.write_text(cut.read_text() + "\n")  # a line that ends is no line that was cut
+    assert "7 numbers, expected 8" in refusal(read, cut, mapping_of({}, **BY_NAME))
