@@ -319,8 +319,8 @@ class Problem:
     def _weigh_prior(self, noise: float) -> None:
         """Weigh the prior as beside residuals of a mean square, scaled like the clusters [-].
 
-        Where the noise is not known, residuals are scaled by what the model leaves, and a prior that is weak beside that
-        is strong beside a better model.
+        Where the noise is not known, residuals are scaled by what the model leaves. A prior that is weak beside that is
+        strong beside a better model.
         """
         self._prior = np.full(self._nominal.size, noise / PRIOR**2)
         self.total = self.information.sum(axis=0) + np.diag(self._prior)

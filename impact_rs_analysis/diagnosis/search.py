@@ -169,8 +169,8 @@ class Search:
     def _seen_beside(self, name: str, chosen: Fit | None) -> Candidate:
         """An effect as it is seen beside the chosen ones, of which impacts depend on more than the sum.
 
-        A contact that is believed to stick feels no rolling resistance of the one that slips. Motions, whose predictions
-        are dear, are taken as the sum.
+        Rolling resistance turns a body that slips in another way than one that is believed to stick. Motions, whose
+        predictions are dear, are taken as the sum.
         """
         single = self.singles[name]
         if chosen is None or self.source.of_motion:

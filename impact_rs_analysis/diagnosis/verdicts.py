@@ -352,7 +352,11 @@ def _chosen_document(found: Findings, effect: Effect) -> EffectDocument:
     part = chosen.candidate.part(name)
     rivals = found.tied_with(name)
     own = np.array([not scalar.shape for scalar in chosen.candidate.scalars[part]])
-    widths, bound, shape = chosen.half_widths[part][own], chosen.held_at_bound[part][own], chosen.held_at_bound[part][~own]
+    widths, bound, shape = (
+        chosen.half_widths[part][own],
+        chosen.held_at_bound[part][own],
+        chosen.held_at_bound[part][~own],
+    )
     places = any(scalar.joint is not None or scalar.arm for scalar in chosen.candidate.scalars[part])
     if evidence.null.shortage is not None:
         verdict, reason = TOO_FEW, evidence.null.shortage
