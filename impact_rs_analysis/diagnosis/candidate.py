@@ -29,6 +29,7 @@ from impact_rs_sim.robot import Array
 PROBES = (0.25, 0.5, 1.0)  # shares of the way to the ends of a range, where an effect is looked for
 LEAST_ROOM = 0.2  # of a finite-difference step; nearer a bound it goes the other way
 FITTED = 1e-3  # of the square of what a calibration changes; with less left, the parameters of a fit stand for it
+LEAST_NOISE = 1e-4  # mean square, scaled [-]; beside less, a parameter that the data do not determine is not bounded
 PRIOR = 100.0  # parameter scales; only bounds parameters that the data do not determine
 
 
@@ -311,10 +312,19 @@ class Problem:
         scale = candidate.scale
         self._lower = (candidate.lower - candidate.point) / scale
         self._upper = np.maximum((candidate.upper - candidate.point) / scale, self._lower + 1e-9)
-        self._prior = np.full(scale.size, 1.0 / PRIOR**2)
-        self._pull = (candidate.nominal - candidate.point) / scale * self._prior
+        self._nominal = (candidate.nominal - candidate.point) / scale
+        self._weigh_prior(1.0)
+        self._weigh_prior(float(np.clip(np.mean(self.errors(self.solve())), LEAST_NOISE, 1.0)))
+
+    def _weigh_prior(self, noise: float) -> None:
+        """Weigh the prior as beside residuals of a mean square, scaled like the clusters [-].
+
+        Where the noise is not known, residuals are scaled by what the model leaves. A prior that is weak beside that is
+        strong beside a better model.
+        """
+        self._prior = np.full(self._nominal.size, noise / PRIOR**2)
         self.total = self.information.sum(axis=0) + np.diag(self._prior)
-        self._total_score = self.scores.sum(axis=0) + self._pull
+        self._total_score = self.scores.sum(axis=0) + self._nominal * self._prior
 
     def solve(self, without: Sequence[int] = ()) -> Array:
         """Change from the candidate's point in parameter scales, ``(p,)``; ``without`` leaves clusters out."""
@@ -366,11 +376,12 @@ class Problem:
         """Half widths of intervals in parameter scales, ``(p,)``.
 
         The prior pulls what the data do not determine to its nominal value; for parameters that vary as much as the
-        prior allows, the error of this has the covariance A^-1 P A^-1, with A all information and P that of the prior.
+        prior allows, S = PRIOR^2, the error of this has the covariance A^-1 P S P A^-1, with A all information and P
+        that of the prior.
         """
         inverse = np.linalg.inv(self.total)
         noise = null.covariance(self.candidate.jacobians, self.rest(change), inverse)
-        pulled = inverse @ (self._prior[:, None] * inverse)
+        pulled = inverse @ ((PRIOR * self._prior[:, None]) ** 2 * inverse)
         systematic = null.discrepancy(self.candidate.jacobians, inverse) + pulled
         return combined_half_width(
             np.sqrt(np.maximum(np.diag(noise), 0.0)),

@@ -50,7 +50,9 @@ class EstimateDocument(Schema):
     error_after: float | None = Field(None, description="held-out error of the joint with it, in the joint's unit")
     nominal: float | None = Field(None, description="value at which the effect does nothing, in its unit")
     range: tuple[float, float] | None = Field(None, description="range that was searched, in its unit")
-    at_bound: bool = Field(False, description="whether the estimate lies at an end of the range, and not at nominal")
+    at_bound: bool = Field(
+        False, description="whether the data put the estimate at an end of the range, away from nominal"
+    )
 
     @property
     def interval(self) -> tuple[float, float]:

@@ -212,6 +212,13 @@ class Fit:
         return np.asarray(low | high)
 
     @cached_property
+    def held_at_bound(self) -> NDArray[np.bool_]:
+        """Whether the data put estimates at a bound, ``(p,)``; one that they leave open may lie there by chance."""
+        away = np.abs(self.estimate - self.candidate.nominal) / self.candidate.scale
+        shapes = np.array([scalar.shape for scalar in self.candidate.scalars], dtype=bool)
+        return np.asarray(self.at_bound & (shapes | (away > self.half_widths)))
+
+    @cached_property
     def at_end_of_range(self) -> NDArray[np.bool_]:
         """Whether estimates lie at a bound that is not one of physics, ``(p,)``."""
         candidate = self.candidate

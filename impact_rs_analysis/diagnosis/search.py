@@ -104,6 +104,7 @@ class Search:
         self._looks = Counter(effect.name for effect in effects)
         self._starts: dict[str, Candidate] = {}
         self._unseen: dict[str, Candidate] = {}
+        self._beside: dict[tuple[str, Added], Candidate] = {}
         self._screen(effects)
         self.ruled_out = self._absent_in_free_motion()
 
@@ -137,8 +138,7 @@ class Search:
         cheap, every parameter is looked at from afar, and the point counts at which most features change; of motions
         those alone that change nothing at nominal, and the nearest point at which something does.
         """
-        clusters, numbers = self.evidence.clusters, self.evidence.numbers
-        if not any(concerns(effect, item) for effect in candidate.effects for item in clusters):
+        if not any(concerns(effect, item) for effect in candidate.effects for item in self.evidence.clusters):
             return candidate
         for index, scalar in enumerate(candidate.scalars):
             here = _changed([jacobian[:, index] for jacobian in candidate.jacobians])
@@ -146,19 +146,43 @@ class Search:
                 continue
             best, most = None, MORE * here
             for point in candidate.probes(index):
-                added = (*base, *candidate.split(point))
-                changes = self.source.differences(numbers, base, added, "probes of effects")
-                if any(change is None for change in changes):
-                    continue
-                steps = (point[index] - candidate.point[index]) / candidate.scale[index]
-                columns = [np.asarray(c) / item.sigma / steps for c, item in zip(changes, clusters, strict=True)]
-                if (seen := _changed(columns)) > most:
+                columns = self._secant(candidate, index, point[index], base)
+                if columns is not None and (seen := _changed(columns)) > most:
                     best, most = columns, seen
                     if self.source.of_motion:
                         break
             if best is not None:
                 candidate = candidate.with_sensitivity(index, best)
         return candidate
+
+    def _secant(self, candidate: Candidate, index: int, value: float, base: Added) -> list[Array] | None:
+        """Scaled change of all features per scale of one parameter, from its point to a value, ``(F,)`` by cluster."""
+        point = candidate.point.copy()
+        point[index] = value
+        before, after = ((*base, *candidate.split(vector)) for vector in (candidate.point, point))
+        changes = self.source.differences(self.evidence.numbers, before, after, "probes of effects")
+        steps = (value - candidate.point[index]) / candidate.scale[index]
+        pairs = list(zip(changes, self.evidence.clusters, strict=True))
+        columns = [change / (item.sigma * steps) for change, item in pairs if change is not None]
+        return columns if len(columns) == len(pairs) else None
+
+    def _seen_beside(self, name: str, chosen: Fit | None) -> Candidate:
+        """An effect as it is seen beside the chosen ones, of which impacts depend on more than the sum.
+
+        Rolling resistance turns a body that slips in another way than one that is believed to stick. Motions, whose
+        predictions are dear, are taken as the sum.
+        """
+        single = self.singles[name]
+        if chosen is None or self.source.of_motion:
+            return single
+        base = chosen.candidate.split(chosen.estimate)
+        if (name, base) not in self._beside:
+            for index, step in enumerate(single.steps(self.source.joints)):
+                columns = self._secant(single, index, single.point[index] + step, base)
+                if columns is not None:
+                    single = single.with_sensitivity(index, columns)
+            self._beside[name, base] = self._seen_from_afar(single, base)
+        return self._beside[name, base]
 
     def _look_beside(self, chosen: Fit) -> None:
         """Find effects that change something beside the chosen ones alone."""
@@ -251,16 +275,19 @@ class Search:
             families.setdefault(self.singles[name].effects[0].family, []).append(name)
         return alone + ["+".join(members) for family, members in families.items() if family and len(members) > 1]
 
-    def _joined(self, group: str) -> Candidate:
-        """A group at the starts of its fits."""
-        return reduce(Candidate.beside, map(self._start, group.split("+")))
+    def _joined(self, group: str, chosen: Fit | None) -> Candidate:
+        """A group at the starts of its fits beside the chosen effects."""
+        starts = [self._start(name) for name in group.split("+")]
+        return reduce(
+            Candidate.beside, (s if has_shape_parameter(s) else self._seen_beside(s.names[0], chosen) for s in starts)
+        )
 
     def p_values_of(self, groups: Sequence[str], chosen: Fit | None) -> dict[str, float]:
         """:meth:`raw_p_values` of some effects, from their sensitivities beside the chosen ones."""
         evidence = self.evidence if chosen is None else chosen.evidence
         fits = {}
         for group in groups:
-            own = reduce(Candidate.beside, (self.singles[name] for name in group.split("+")))
+            own = reduce(Candidate.beside, (self._seen_beside(name, chosen) for name in group.split("+")))
             fits[group] = Fit.of(own if chosen is None else chosen.candidate.beside(own), evidence)
         raw = dict.fromkeys(fits, 1.0)
         null = (self.evidence if chosen is None else chosen.left).null
@@ -372,7 +399,7 @@ class Search:
 
         By itself such an effect explains what others are: friction that decreases with speed stands for an offset.
         """
-        start = self._joined(group)
+        start = self._joined(group, chosen)
         if chosen is None:
             return Fit.of(start, self.evidence)
         joined = Fit.of(chosen.candidate.beside(start), chosen.evidence)

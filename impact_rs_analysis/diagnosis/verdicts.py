@@ -352,7 +352,11 @@ def _chosen_document(found: Findings, effect: Effect) -> EffectDocument:
     part = chosen.candidate.part(name)
     rivals = found.tied_with(name)
     own = np.array([not scalar.shape for scalar in chosen.candidate.scalars[part]])
-    widths, bound, shape = chosen.half_widths[part][own], chosen.at_bound[part][own], chosen.at_bound[part][~own]
+    widths, bound, shape = (
+        chosen.half_widths[part][own],
+        chosen.held_at_bound[part][own],
+        chosen.held_at_bound[part][~own],
+    )
     places = any(scalar.joint is not None or scalar.arm for scalar in chosen.candidate.scalars[part])
     if evidence.null.shortage is not None:
         verdict, reason = TOO_FEW, evidence.null.shortage
@@ -489,7 +493,7 @@ def _estimates(found: Findings, fitted: Fit, name: str) -> dict[str, EstimateDoc
             error_after=after,
             nominal=scalar.nominal,
             range=(float(candidate.lower[index]), float(candidate.upper[index])),
-            at_bound=bool(fitted.at_bound[index]),
+            at_bound=bool(fitted.held_at_bound[index]),
         )
     return result
 
@@ -514,7 +518,7 @@ def _joint(found: Findings, fitted: Fit, index: int) -> tuple[str, float, float 
     ]
     if fitted.half_widths[index] > UNSEEN:
         verdict = UNIDENTIFIABLE
-    elif fitted.at_bound[index]:
+    elif fitted.held_at_bound[index]:
         verdict = AT_BOUND
     elif p >= SIGNIFICANT or error > (1.0 - LEAST_GAIN_OF_JOINT) * error_without or not seen:
         verdict = NO_IMPROVEMENT

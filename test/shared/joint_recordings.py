@@ -55,6 +55,7 @@ def write_bag(
     order: Sequence[int],
     storage: StoragePlugin = StoragePlugin.MCAP,
     behind: float = 0.0,
+    names: Sequence[str] = tuple(f"fer_joint{joint}" for joint in range(1, 8)),
 ) -> Path:
     """A bag of JointState messages with the joints in some order; stamps are ``behind`` [s] the log."""
     store, kind = typestore(), "sensor_msgs/msg/JointState"
@@ -62,7 +63,7 @@ def write_bag(
         connection = writer.add_connection("/arm/joint_states", kind, typestore=store)
         for row, time in enumerate(columns["time"]):
             signals = {name: columns[name][row, list(order)] for name in SIGNALS}
-            names, stamp = [f"fer_joint{joint + 1}" for joint in order], divmod(round((time + behind) * 1e9), 10**9)
-            state = message(kind, {"header.stamp": stamp, "name": names, **signals})
+            stamp, own = divmod(round((time + behind) * 1e9), 10**9), [names[joint] for joint in order]
+            state = message(kind, {"header.stamp": stamp, "name": own, **signals})
             writer.write(connection, round(time * 1e9), store.serialize_cdr(state, kind))
     return path

@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """What must not matter does not: units, names, order, kind of file, effects that are not there, where a fit begins.
 
-Two tables with a truth (balls with known noise, cubes with repeats), and a recording of an arm. Verdict and estimates
+Two tables with a truth (balls with known noise, cubes with repeats), recordings of arms, and trials of a world with a
+closed form. Verdict and estimates
 are compared with those of the same data, changed in a way that changes no physics.
 """
 
@@ -9,14 +10,18 @@ from __future__ import annotations
 
 import csv
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from analytic_world import EFFECTS, AnalyticSource, features, knowing
 from ball_impacts import Racket, ball_table
 from impact_table_cases import CUBE_HEADER, NOISE, cube, cube_rows, write_csv
 from joint_recordings import swinging, write_bag, write_npz
 from joint_recordings import write_csv as write_columns
+from slender_arm import mapping_of, slender_arm
+from slender_arm import swung as swung_arm
 
 from impact_rs_analysis.diagnosis.diagnose import diagnose
 from impact_rs_analysis.diagnosis.document import DiagnosisDocument
@@ -31,6 +36,7 @@ from impact_rs_trials.recordings.recording import read_recordings
 NOMINAL = load_model(Path("nominal"))
 OF_BALLS = ["restitution", "restitution_fall", "support_friction", "tangential_restitution", "drilling_friction"]
 OF_CUBES = ["restitution", "support_friction", "object_com_offset", "rolling_resistance"]
+OF_TRIALS = ["straight", "bent", "payload", "of_joints", "one_sided"]
 OF_ARMS = ["joint_coulomb_friction", "joint_viscous_friction", "torque_offset", "torque_gain", "end_effector_payload"]
 MAPPING = load_mapping("joint_state")
 
@@ -164,7 +170,25 @@ def test_a_table_through_another_door_is_the_same(balls: Path, of_balls: Diagnos
     assert_alike(of_balls, diagnosed(tmp_path / "balls.parquet", OF_BALLS), share=0.0)
 
 
-DIMENSIONS = {"mass": (1, 0, 0), "radius": (0, 1, 0), "v": (0, 1, -1), "w": (0, 0, -1)}  # powers of kg, m, s
+DIMENSIONS = {  # powers of kg, m, s
+    "mass": (1, 0, 0), "radius": (0, 1, 0), "x": (0, 1, 0), "y": (0, 1, 0), "z": (0, 1, 0),
+    "size_x": (0, 1, 0), "size_y": (0, 1, 0), "size_z": (0, 1, 0), "v": (0, 1, -1), "w": (0, 0, -1),
+}  # fmt: skip
+
+
+def in_units(path: Path, folder: Path, mass: float, length: float, time: float) -> Path:
+    """The table of bodies of another mass and size that come at another speed, in proportion."""
+
+    def factor(name: str) -> float:
+        powers = DIMENSIONS.get(name.split()[0], DIMENSIONS.get(name[0]) if "_" in name else None)
+        return 1.0 if powers is None else mass ** powers[0] * length ** powers[1] * time ** powers[2]
+
+    def scaled(header: list[str], rows: list[list[str]]) -> Table:
+        factors = [factor(name) for name in header]
+        scale = [[repr(float(c) * f) if f != 1.0 else c for c, f in zip(row, factors, strict=True)] for row in rows]
+        return header, scale
+
+    return changed(path, folder, scaled)
 
 
 @pytest.fixture(scope="module")
@@ -181,22 +205,20 @@ def spun(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, DiagnosisDocum
 def test_units_do_not_matter(
     spun: tuple[Path, DiagnosisDocument], tmp_path: Path, mass: float, length: float, time: float
 ) -> None:
-    """Balls of another mass and size that come at another speed, in proportion."""
     path, document = spun
-
-    def scaled(header: list[str], rows: list[list[str]]) -> Table:
-        def factor(name: str) -> float:
-            powers = DIMENSIONS.get(name.split()[0], DIMENSIONS.get(name[0]))
-            return 1.0 if powers is None else mass ** powers[0] * length ** powers[1] * time ** powers[2]
-
-        factors = [factor(name) for name in header]
-        return header, [[repr(float(c) * f) for c, f in zip(row, factors, strict=True)] for row in rows]
-
-    again = diagnosed(changed(path, tmp_path, scaled), OF_BALLS)
+    again = diagnosed(in_units(path, tmp_path, mass, length, time), OF_BALLS)
     assert again.verdict == document.verdict
     assert_alike(document, again, share=1e-3, factors={"fall": time / length, "arm": length})
     speed = length / time
     assert again.held_out_error_after == pytest.approx(speed * document.held_out_error_after, rel=1e-3)
+
+
+def test_units_do_not_matter_where_bodies_have_edges_and_rows_repeats(
+    cubes: Path, of_cubes: DiagnosisDocument, tmp_path: Path
+) -> None:
+    again = diagnosed(in_units(cubes, tmp_path, mass=40.0, length=7.0, time=3.0), OF_CUBES)
+    assert again.verdict == of_cubes.verdict
+    assert_alike(of_cubes, again, share=0.02)
 
 
 @pytest.mark.parametrize("assumed", [0.0, 0.5, 1.0])
@@ -246,6 +268,68 @@ def test_a_recording_through_another_door_is_the_same(
     doors = [write_columns(tmp_path / "swing.csv", swung), write_bag(tmp_path / "swing", swung, [3, 0, 6, 1, 5, 2, 4])]
     for path in doors:
         assert_alike(of_swing, of_recording(path), share=0.02)
+
+
+def test_names_of_joints_do_not_matter(
+    swung: dict[str, np.ndarray], of_swing: DiagnosisDocument, tmp_path: Path
+) -> None:
+    names = [f"axis_{chr(ord('g') - joint)}" for joint in range(7)]  # in another order of the alphabet
+    path = write_bag(tmp_path / "swing", swung, [6, 5, 4, 3, 2, 1, 0], names=names)
+    renamed = MAPPING.model_copy(update={"joints": tuple(names)})
+    source = RecordingSource.of(read_recordings(path, renamed), renamed, NOMINAL)
+    assert_alike(of_swing, diagnose(source, NOMINAL, OF_ARMS), share=0.02)
+
+
+@pytest.mark.parametrize("factor", [0.02, 50.0])
+def test_the_unit_of_mass_does_not_matter_to_a_recording(tmp_path: Path, factor: float) -> None:
+    """A pendulum whose links and torques are lighter or heavier by a factor, with friction in proportion."""
+    found = []
+    for scale in (1.0, factor):
+        folder = tmp_path / f"{scale}"
+        folder.mkdir()
+        arm = slender_arm(("revolute",) * 2)
+        links = [
+            link.model_copy(update={"mass": scale * link.mass, "inertia": tuple(scale * i for i in link.inertia)})
+            for link in arm.links
+        ]
+        limits = arm.limits.model_copy(update={"torque_Nm": tuple(scale * most for most in arm.limits.torque_Nm)})
+        mapping = mapping_of(folder, arm.model_copy(update={"links": tuple(links), "limits": limits}))
+        friction = {"coulomb_joint1": 0.6 * scale, "coulomb_joint2": 0.3 * scale}
+        columns = swung_arm(mapping, {"joint_coulomb_friction": friction}, noise=0.02 * scale)
+        path = write_npz(folder / "run.npz", columns)
+        source = RecordingSource.of(read_recordings(path, mapping), mapping, NOMINAL)
+        found.append(diagnose(source, NOMINAL, OF_ARMS))
+    assert found[0].named == ("joint_coulomb_friction",)
+    factors = {f"coulomb_joint{joint}": factor for joint in (1, 2)}
+    assert_alike(*found, share=0.02, factors=factors)
+
+
+@pytest.fixture(scope="module")
+def of_trials() -> DiagnosisDocument:
+    document = of_world()
+    assert set(document.named) == {"straight", "bent"}
+    return document
+
+
+def of_world(order: Sequence[int] = range(6), label: str = "", effects: Sequence[str] = OF_TRIALS) -> DiagnosisDocument:
+    """Diagnosis of six conditions, three times each, in some order and with other names."""
+    source = AnalyticSource(2, (("straight", (2.0,)), ("bent", (3.0,))))
+    knowing(source, *(EFFECTS[name] for name in effects))
+    source.clusters = tuple(replace(source.clusters[number], unit=f"{label}{number}") for number in order)
+    source.predict = lambda wanted, what: [features(order[number], added) for number, added in wanted]  # type: ignore[method-assign]
+    return diagnose(source, source.model)
+
+
+@pytest.mark.parametrize("order", [(5, 4, 3, 2, 1, 0), (2, 0, 5, 1, 4, 3)])
+def test_order_and_names_of_conditions_do_not_matter(of_trials: DiagnosisDocument, order: Sequence[int]) -> None:
+    assert_alike(of_trials, of_world(order, "campaign of "), share=1e-3)
+
+
+@pytest.mark.parametrize("removed", ["payload", "of_joints", "one_sided"])
+def test_an_effect_that_trials_do_not_show_can_be_taken_from_the_list(
+    of_trials: DiagnosisDocument, removed: str
+) -> None:
+    assert_alike(of_trials, of_world(effects=[name for name in OF_TRIALS if name != removed]), share=1e-3)
 
 
 @pytest.mark.parametrize("removed", ["joint_viscous_friction", "torque_gain"])

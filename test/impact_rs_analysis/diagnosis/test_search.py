@@ -27,6 +27,7 @@ from impact_rs_analysis.diagnosis.candidate import Candidate, Problem, bounded
 from impact_rs_analysis.diagnosis.fit import Evidence, Fit, _broyden, evaluate_at, look_elsewhere, refine
 from impact_rs_analysis.diagnosis.search import Search, adjusted, tied
 from impact_rs_analysis.diagnosis.thresholds import SIGNIFICANT
+from impact_rs_sim.robot import Array
 
 pytestmark = pytest.mark.usefixtures("few_draws")
 FREE = (0, 1)  # clusters in which nothing is hit, where there are any
@@ -171,7 +172,39 @@ def test_leaving_a_cluster_out_uses_all_others_but_its_guard() -> None:
             out = {number, *(() if neighbours is None else neighbours[number])}
             kept = [index for index in range(6) if index not in out]
             direct = Problem(candidate.only(kept), [source.clusters[index] for index in kept]).solve()
-            np.testing.assert_allclose(problem.left_out[number], direct, rtol=1e-9)
+            np.testing.assert_allclose(problem.left_out[number], direct, rtol=1e-6)  # but for the weight of the prior
+
+
+def test_a_scale_larger_than_the_noise_does_not_make_the_prior_strong() -> None:
+    """Two parameters that act nearly alike, on residuals whose scale is 50 times their noise."""
+    source = AnalyticSource(4, (("of_joints", (2.0, 3.0, 0.0, 0.0, 0.0, 0.0, 0.0)),))
+    single = searched(source, "of_joints").singles["of_joints"]
+    shrunk = tuple(
+        replace(item, residuals=item.residuals / 50.0, sigma=50.0 * item.sigma, pure=item.pure / 50.0)
+        for item in source.clusters
+    )
+
+    def alike(jacobian: Array) -> Array:
+        return np.column_stack((jacobian[:, 0], jacobian[:, 0] + 0.1 * jacobian[:, 1], jacobian[:, 2:]))
+
+    fits = []
+    for clusters, factor in ((source.clusters, 1.0), (shrunk, 50.0)):
+        candidate = replace(single, jacobians=tuple(alike(jacobian) / factor for jacobian in single.jacobians))
+        fits.append(Problem(candidate, clusters).solve())
+    np.testing.assert_allclose(fits[1][:2], fits[0][:2], atol=0.1)
+    assert fits[0][1] == pytest.approx(30.0, abs=2.0)
+
+
+@pytest.mark.parametrize(("sensitivity", "held"), [(1.0, True), (1e-4, False)])
+def test_a_parameter_that_the_data_leave_open_is_not_held_at_a_bound(sensitivity: float, held: bool) -> None:
+    source = AnalyticSource(4, (("straight", (80.0,)),))
+    search = searched(source, "straight")
+    single = search.singles["straight"]
+    faint = replace(single, jacobians=tuple(sensitivity * jacobian for jacobian in single.jacobians))
+    fitted = Fit.of(faint, search.evidence)
+    fitted = replace(fitted, change=(single.upper - single.point) / single.scale)
+    assert fitted.at_bound.tolist() == [True]
+    assert fitted.held_at_bound.tolist() == [held]
 
 
 def test_the_jackknife_of_a_mean_is_its_standard_error() -> None:
