@@ -194,7 +194,8 @@ def document_of(found: Findings, source: Source, model: Model) -> DiagnosisDocum
     verdict = headline(found)
     before = [item.mean for item in evidence.clusters]
     after: Sequence[Array] = before if found.hold_out is None else found.hold_out.rest
-    ties = {name: found.tied_with(name) for name in found.names}
+    effects = tuple(effect_documents(found, known))
+    rivals = {effect.name: effect.rivals for effect in effects}
     drift = drift_of(source.clusters)
     remarks = [*filter(None, [drift_in_words(drift)]), *_remarks(found, source)]
     return DiagnosisDocument(
@@ -202,8 +203,8 @@ def document_of(found: Findings, source: Source, model: Model) -> DiagnosisDocum
         verdict=verdict.verdict,
         named=found.names,
         suspected=found.suspected,
-        effects=tuple(effect_documents(found, known)),
-        confusable=tuple((name, *others) for name, others in ties.items() if others),
+        effects=effects,
+        confusable=tuple((name, *rivals[name]) for name in found.names if rivals[name]),
         unexplained=UnexplainedDocument(
             share_of_excess=verdict.share, where=tuple(rests_of(evidence, found.unexplained)[:MOST_RESTS])
         ),

@@ -373,6 +373,9 @@ def _chosen_document(found: Findings, effect: Effect) -> EffectDocument:
     else:
         verdict, reason = CONFIRMED, "predicts unseen data, and no other effect does as well"
     parameters = _estimates(found, chosen, name)
+    if verdict == CONFIRMED and (alike := _alike_at_joints([one.verdict for one in parameters.values()])):
+        rivals = alike
+        verdict, reason = f"{CONFUSABLE}{{{', '.join(alike)}}}", "at no joint it predicts unseen data better than these"
     if verdict == CONFIRMED or rivals:
         shapes = {scalar.name for scalar in chosen.candidate.scalars[part] if scalar.shape}
         if not any(parameters[key].excludes_nominal for key in parameters.keys() - shapes):
@@ -496,6 +499,17 @@ def _estimates(found: Findings, fitted: Fit, name: str) -> dict[str, EstimateDoc
             at_bound=bool(fitted.held_at_bound[index]),
         )
     return result
+
+
+def _alike_at_joints(verdicts: Sequence[str | None]) -> tuple[str, ...]:
+    """What an effect is confusable with by the verdicts on its joints; empty: some joint is sure, or none says anything.
+
+    An effect is no surer than the surest of its joints. What all of them allow explains all of them.
+    """
+    sets = [set(one[len(CONFUSABLE) + 1 : -1].split(", ")) for one in verdicts if one and one.startswith(CONFUSABLE)]
+    if CONFIRMED in verdicts or not sets:
+        return ()
+    return tuple(sorted(set.intersection(*sets) or set.union(*sets)))
 
 
 def _joint(found: Findings, fitted: Fit, index: int) -> tuple[str, float, float | None, float | None]:

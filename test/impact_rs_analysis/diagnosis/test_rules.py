@@ -20,7 +20,7 @@ from impact_rs_analysis.diagnosis.fit import Evidence, Fit
 from impact_rs_analysis.diagnosis.hold_out import HoldOut
 from impact_rs_analysis.diagnosis.scoring import held_against_truth
 from impact_rs_analysis.diagnosis.search import Search, noticeable
-from impact_rs_analysis.diagnosis.verdicts import Findings, certain, change_interval, sizes_of
+from impact_rs_analysis.diagnosis.verdicts import Findings, _alike_at_joints, certain, change_interval, sizes_of
 from impact_rs_sim.robot import Array
 
 pytestmark = pytest.mark.usefixtures("few_draws")
@@ -116,3 +116,16 @@ def test_an_effect_is_identified_where_one_of_its_parameters_is() -> None:
     assert low < -4.0 and high > 4.0
     assert effect.parameters["g"].interval[1] - effect.parameters["g"].interval[0] < 1.0
     assert effect.verdict == "CONFIRMED"
+
+
+@pytest.mark.parametrize(
+    ("joints", "rivals"),
+    [
+        (["CONFIRMED", "CONFUSABLE-WITH{link_mass}"], ()),
+        (["NO-IMPROVEMENT", None], ()),
+        (["CONFUSABLE-WITH{link_inertia, link_mass}", "NO-IMPROVEMENT", "CONFUSABLE-WITH{link_mass}"], ("link_mass",)),
+        (["CONFUSABLE-WITH{link_mass}", "CONFUSABLE-WITH{torque_gain}"], ("link_mass", "torque_gain")),
+    ],
+)
+def test_an_effect_is_no_surer_than_the_surest_of_its_joints(joints: list[str | None], rivals: tuple[str, ...]) -> None:
+    assert _alike_at_joints(joints) == rivals
