@@ -502,7 +502,7 @@ def _estimates(found: Findings, fitted: Fit, name: str) -> dict[str, EstimateDoc
 
 
 def _alike_at_joints(verdicts: Sequence[str | None]) -> tuple[str, ...]:
-    """What an effect is confusable with by the verdicts on its joints; empty: some joint is sure, or none says anything.
+    """What an effect is confusable with by the verdicts on its joints; empty: some joint is sure, or none says it.
 
     An effect is no surer than the surest of its joints. What all of them allow explains all of them.
     """
