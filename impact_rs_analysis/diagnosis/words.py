@@ -101,11 +101,12 @@ def _verdict(document: DiagnosisDocument) -> str:
     share = 100.0 * explained(before, after, document.noise_floor)
     if verdict.startswith(PARTLY):
         text = (
-            f"Model '{name}' lacks {named}, which explain{one} {share:.0f} % of the error beyond noise, and at least one "
-            "more effect."
+            f"Model '{name}' lacks {named}, which explain{one} {share:.0f} % of the error beyond noise, and at least "
+            "one more effect."
         )
     if verdict == NONE:
-        text = f"No effect in the library explains these {runs}; {named} take{one} {share:.0f} % of the error beyond noise."
+        taken = f"{named} take{one} {share:.0f} % of the error beyond noise"
+        text = f"No effect in the library explains these {runs}; {taken}."
     return " ".join(filter(None, [text, fall, doubts, rest]))
 
 
