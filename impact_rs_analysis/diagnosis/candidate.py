@@ -290,10 +290,16 @@ class Problem:
         candidate: Effects with sensitivities.
         clusters: Residuals, in the same order.
         neighbours: Per cluster, neighbours left out of the fit together with it, but not counted in its held-out error.
+        independent: Whether residuals are independent of each other, as impacts are and samples of a torque are not:
+            what a fit leaves is then the noise, beside which the prior is weighed.
     """
 
     def __init__(
-        self, candidate: Candidate, clusters: Sequence[Cluster], neighbours: Sequence[Sequence[int]] | None = None
+        self,
+        candidate: Candidate,
+        clusters: Sequence[Cluster],
+        neighbours: Sequence[Sequence[int]] | None = None,
+        independent: bool = False,
     ) -> None:
         self.candidate = candidate
         self.clusters = tuple(clusters)
@@ -314,7 +320,8 @@ class Problem:
         self._upper = np.maximum((candidate.upper - candidate.point) / scale, self._lower + 1e-9)
         self._nominal = (candidate.nominal - candidate.point) / scale
         self._weigh_prior(1.0)
-        self._weigh_prior(float(np.clip(np.mean(self.errors(self.solve())), LEAST_NOISE, 1.0)))
+        if independent:
+            self._weigh_prior(float(np.clip(np.mean(self.errors(self.solve())), LEAST_NOISE, 1.0)))
 
     def _weigh_prior(self, noise: float) -> None:
         """Weigh the prior as beside residuals of a mean square, scaled like the clusters [-].

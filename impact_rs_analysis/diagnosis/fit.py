@@ -163,7 +163,7 @@ class Evidence:
 
     def problem(self, candidate: Candidate) -> Problem:
         """Least squares of a candidate that is linearised in these clusters."""
-        return Problem(candidate, self.clusters, self.neighbours)
+        return Problem(candidate, self.clusters, self.neighbours, independent=not self.source.of_motion)
 
     def shifted(self, changes: Sequence[Array]) -> Evidence:
         """The evidence with ``changes`` subtracted from the residuals of every cluster, ``(F,)`` each [-]."""
@@ -203,12 +203,20 @@ class Fit:
         return np.clip(candidate.point + self.change * candidate.scale, candidate.lower, candidate.upper)
 
     @cached_property
-    def at_bound(self) -> NDArray[np.bool_]:
-        """Whether estimates lie at a bound other than their nominal value, ``(p,)``."""
+    def _at_ends(self) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+        """Whether estimates lie at the lower and at the upper bound, other than their nominal value, ``(p,)`` each."""
         candidate = self.candidate
         near = 1e-6 * candidate.scale
-        low = (np.abs(self.estimate - candidate.lower) < near) & (np.abs(candidate.lower - candidate.nominal) > near)
-        high = (np.abs(self.estimate - candidate.upper) < near) & (np.abs(candidate.upper - candidate.nominal) > near)
+        low, high = (
+            (np.abs(self.estimate - bound) < near) & (np.abs(bound - candidate.nominal) > near)
+            for bound in (candidate.lower, candidate.upper)
+        )
+        return low, high
+
+    @cached_property
+    def at_bound(self) -> NDArray[np.bool_]:
+        """Whether estimates lie at a bound other than their nominal value, ``(p,)``."""
+        low, high = self._at_ends
         return np.asarray(low | high)
 
     @cached_property
@@ -225,7 +233,8 @@ class Fit:
         wider = candidate.widened(self.at_bound, self.evidence.source)
         if wider is None:
             return np.zeros_like(self.at_bound)
-        return self.at_bound & ((wider.lower < candidate.lower) | (wider.upper > candidate.upper))
+        low, high = self._at_ends
+        return np.asarray((low & (wider.lower < candidate.lower)) | (high & (wider.upper > candidate.upper)))
 
     @property
     def held_out(self) -> Array:

@@ -166,16 +166,15 @@ class Search:
         columns = [change / (item.sigma * steps) for change, item in pairs if change is not None]
         return columns if len(columns) == len(pairs) else None
 
-    def _seen_beside(self, name: str, chosen: Fit | None) -> Candidate:
+    def _seen_beside(self, single: Candidate, chosen: Fit | None) -> Candidate:
         """An effect as it is seen beside the chosen ones, of which impacts depend on more than the sum.
 
         Rolling resistance turns a body that slips in another way than one that is believed to stick. Motions, whose
         predictions are dear, are taken as the sum.
         """
-        single = self.singles[name]
         if chosen is None or self.source.of_motion:
             return single
-        base = chosen.candidate.split(chosen.estimate)
+        name, base = single.names[0], chosen.candidate.split(chosen.estimate)
         if (name, base) not in self._beside:
             for index, step in enumerate(single.steps(self.source.joints)):
                 columns = self._secant(single, index, single.point[index] + step, base)
@@ -278,16 +277,14 @@ class Search:
     def _joined(self, group: str, chosen: Fit | None) -> Candidate:
         """A group at the starts of its fits beside the chosen effects."""
         starts = [self._start(name) for name in group.split("+")]
-        return reduce(
-            Candidate.beside, (s if has_shape_parameter(s) else self._seen_beside(s.names[0], chosen) for s in starts)
-        )
+        return reduce(Candidate.beside, (s if has_shape_parameter(s) else self._seen_beside(s, chosen) for s in starts))
 
     def p_values_of(self, groups: Sequence[str], chosen: Fit | None) -> dict[str, float]:
         """:meth:`raw_p_values` of some effects, from their sensitivities beside the chosen ones."""
         evidence = self.evidence if chosen is None else chosen.evidence
         fits = {}
         for group in groups:
-            own = reduce(Candidate.beside, (self._seen_beside(name, chosen) for name in group.split("+")))
+            own = reduce(Candidate.beside, (self._seen_beside(self.singles[name], chosen) for name in group.split("+")))
             fits[group] = Fit.of(own if chosen is None else chosen.candidate.beside(own), evidence)
         raw = dict.fromkeys(fits, 1.0)
         null = (self.evidence if chosen is None else chosen.left).null

@@ -212,10 +212,11 @@ def unsupported_words(search: Search, suspected: Sequence[str], held: HoldOut) -
     """Why effects that explain all data are not named."""
     before, after = _held_out_sizes(search, held)
     found = sum(any(name in names for name in suspected) for names in held.chosen)
+    lower, it = ("lowers", "it") if len(suspected) == 1 else ("lower", "them")
     return (
-        f"not named, because the hold-out does not support it: {' and '.join(suspected)} lowers the error in all data, "
-        f"but searches without the data that they predict find it in {found} of {len(held.chosen)} folds, and the "
-        f"held-out error goes from {before:.3g} to {after:.3g}"
+        f"not named, because the hold-out does not support it: {' and '.join(suspected)} {lower} the error in all "
+        f"data, but searches without the data that they predict find {it} in {found} of {len(held.chosen)} "
+        f"folds, and the held-out error goes from {before:.3g} to {after:.3g}"
     )
 
 

@@ -97,15 +97,16 @@ def _verdict(document: DiagnosisDocument) -> str:
         return " ".join(filter(None, [text, suspicion or _lowering(document), error, rest]))
     fall = f"Held-out error: {_fall(before, after)} {unit}{noise_text}."
     doubts = " ".join(filter(None, [_bounds(document), _open(document), _confusable(document)]))
-    text = f"Model '{name}' lacks {named}."
+    text, one = f"Model '{name}' lacks {named}.", "s" if len(document.named) == 1 else ""
     share = 100.0 * explained(before, after, document.noise_floor)
     if verdict.startswith(PARTLY):
         text = (
-            f"Model '{name}' lacks {named}, which explains {share:.0f} % of the error beyond noise, and at least one "
-            "more effect."
+            f"Model '{name}' lacks {named}, which explain{one} {share:.0f} % of the error beyond noise, and at least "
+            "one more effect."
         )
     if verdict == NONE:
-        text = f"No effect in the library explains these {runs}; {named} takes {share:.0f} % of the error beyond noise."
+        taken = f"{named} take{one} {share:.0f} % of the error beyond noise"
+        text = f"No effect in the library explains these {runs}; {taken}."
     return " ".join(filter(None, [text, fall, doubts, rest]))
 
 
@@ -122,8 +123,9 @@ def _suspicion(document: DiagnosisDocument) -> str:
     """Effects that may be missing, and what it takes to know; empty: none."""
     if not document.suspected:
         return ""
+    it = "it" if len(document.suspected) == 1 else "them"
     return (
-        f"{' and '.join(document.suspected)} may be missing: with it the held-out error falls, but not beyond noise. "
+        f"{' and '.join(document.suspected)} may be missing: with {it} the held-out error falls, but not beyond noise. "
         "More conditions decide."
     )
 

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from closed_forms import restitution_of_hunt_and_crossley
 from twin_scene import AGAINST_Y, BOX_MASS, PERIOD, RAIL_MASS, SIZE, rail, resting, run, scene
 
 from impact_rs_sim import _kernel
@@ -91,6 +92,49 @@ def test_a_law_between_pad_and_object_has_its_reaction(law: str) -> None:
     assert sign * (pushed.twists[-1, axis] - alone.twists[-1, axis]) > 0.01
 
 
+def bounced(speed: float, period: float, stiffness: float, c: float, law: str) -> tuple[float, float, float]:
+    """Restitution of a box hit by the rail, deepest penetration [m] and how long they touch [s]."""
+    gap = 1e-3
+    mass = rail(np.array([0.0, SIZE[1] / 2.0 + gap, 0.0]), AGAINST_Y, pad_damping=0.0, pad_stiffness=stiffness)
+    duration = gap / speed + 0.06
+    result = run(with_law(scene({"rail": mass}), c, contact_normal=law), [speed], resting(), duration, period=period)
+    arm = result.arms["rail"]
+    parting = result.twists[-1, 1] + arm.velocity[-1, 0]
+    depth = arm.position[:, 0] - gap + result.poses[:, 1]
+    return -parting / speed, float(depth.max()), period * int(np.count_nonzero(depth > 0.0))
+
+
+@pytest.mark.parametrize("fall", [0.05, 0.3, 1.0])
+@pytest.mark.parametrize("speed", [0.2, 0.8])
+def test_a_pad_of_hunt_and_crossley_bounces_less_the_faster_it_is_hit(speed: float, fall: float) -> None:
+    """f = k d (1 + a dd/dt): the spring of the pad, without its damper, and the product as a formula."""
+    stiffness = 2e4
+    found, _, _ = bounced(speed, PERIOD / 4.0, stiffness, stiffness * fall, "c * penetration * closing")
+    assert found == pytest.approx(restitution_of_hunt_and_crossley(fall * speed), abs=3e-3)
+
+
+def test_restitution_of_hunt_and_crossley_falls_with_two_thirds_at_small_speed() -> None:
+    assert 1.0 - restitution_of_hunt_and_crossley(1e-3) == pytest.approx(2e-3 / 3.0, rel=2e-3)
+
+
+@pytest.mark.parametrize("speed", [0.2, 0.8])
+def test_a_pad_of_hertz_is_as_deep_and_as_long_in_touch_as_in_his_closed_form(speed: float) -> None:
+    """f = K d^1.5: d_max = (5 m v^2 / (4 K))^(2/5), for 2.943 d_max / v, without loss (Johnson 1985, 11.4).
+
+    A formula has the value at the begin of a step, so that a spring made of it gains energy with the step: halve it.
+    """
+    stiffness, reduced = 1e6, RAIL_MASS * BOX_MASS / (RAIL_MASS + BOX_MASS)
+    coarse, fine = (
+        np.array(bounced(speed, PERIOD / parts, 1.0, stiffness, "c * max(penetration, 0) ** 1.5")) for parts in (8, 16)
+    )
+    restitution, depth, time = 2.0 * fine - coarse
+    deepest = (1.25 * reduced * speed**2 / stiffness) ** 0.4
+    assert 0.0 < fine[0] - 1.0 < 0.6 * (coarse[0] - 1.0)
+    assert restitution == pytest.approx(1.0, abs=1e-3)
+    assert depth == pytest.approx(deepest, rel=1e-3)
+    assert time == pytest.approx(2.943 * deepest / speed, rel=5e-3)
+
+
 def test_a_sleeping_box_is_woken_by_a_force_and_not_by_drag() -> None:
     height = -SIZE[2] / 2.0
     physics = scene({"far": FAR}, support_height=height, gravity=np.array([0.0, 0.0, -G]))
@@ -137,6 +181,7 @@ IN_THE_PLANT: list[tuple[float, dict[str, Any]]] = [
     (2.0, {"object_moment": {"z": "c"}}),
     (30.0, {"contact_normal": "c"}),
     (2e7, {"contact_normal": "c * penetration ** 2"}),
+    (2e5, {"contact_normal": "c * penetration * closing"}),
     (0.5, {"support_tangential": "c * support_force * support_slip"}),
     (400.0, {"object_force": {"y": "c * since_contact"}}),
     (0.3, {"joint_torque": {"joint4": "c * normal_force"}}),
