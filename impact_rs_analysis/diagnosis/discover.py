@@ -330,13 +330,13 @@ def _document(tried: _Tried, model: Model, laws: Mapping[str, Law], ranges: Mapp
     diagnosis = document_of(found, tried.source, model)
     diagnosis = diagnosis.model_copy(update={"formulas": tuple(laws[name].spec for name in shown)})
     chosen = [name for name in diagnosis.named if name in laws]
-    ties = {group[0]: [name for name in group[1:] if name in laws] for group in diagnosis.confusable}
-    listed = {name for one in chosen for name in (one, *ties.get(one, ()))}
     every = {
         effect.name: _law(diagnosis, laws[effect.name], ranges, laws)
         for effect in diagnosis.effects
         if effect.name in laws and effect.measured
     }
+    ties = {group[0]: [name for name in group[1:] if name in every] for group in diagnosis.confusable}
+    listed = {name for one in chosen for name in (one, *ties.get(one, ()))}
     groups = [
         sorted((every[name] for name in (one, *ties.get(one, ()))), key=lambda law: law.held_out_error_after)
         for one in sorted(chosen, key=lambda name: -every[name].held_out_error_before)  # what is lost without it
@@ -442,7 +442,8 @@ def _tie(
         return ""
     text = f"{law.spec.name} and {', '.join(rivals)} cannot be distinguished"
     domain = ranges.get(law.symbol)
-    alike = [laws[name] for name in rivals if name in laws and laws[name].symbol == law.symbol]
+    fitted = [laws[name] for name in rivals if name in laws and diagnosis.effect(name) is not None]
+    alike = [other for other in fitted if other.symbol == law.symbol]
     if domain is None or not alike or law.knots:  # a curve says nothing beyond its range
         return f"{text}: in these motions they are nearly the same force."
     low, high = domain

@@ -9,7 +9,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from impact_rs_analysis.diagnosis.grammar import Law, laws_of, load_grammar, unit_of
+from impact_rs_analysis.diagnosis.discover import _tie
+from impact_rs_analysis.diagnosis.document import DiagnosisDocument
+from impact_rs_analysis.diagnosis.grammar import Law, curve_of, laws_of, load_grammar, unit_of
 from impact_rs_analysis.diagnosis.null_distribution import rarity_in_the_tail
 from impact_rs_sim.effects.dimensions import check_units
 from impact_rs_sim.effects.formula import SYMBOLS, Formula
@@ -109,6 +111,30 @@ def test_the_unit_of_an_amplitude_follows_from_place_and_quantity(
     place: str, quantity: str, power: int, unit: str
 ) -> None:
     assert unit_of(place, quantity, power) == unit
+
+
+def test_a_tie_with_a_law_that_was_not_kept_is_still_said() -> None:
+    """Its estimate is not in the diagnosis, so no place is named at which the two differ."""
+    laws, diagnosis = {one.spec.name: one for one in SHIPPED}, DiagnosisDocument.model_construct(effects=())
+    said = _tie(diagnosis, law("motor4_velocity_cube"), ["motor4_velocity_square"], RANGES, laws)
+    assert said.endswith(
+        "motor4_velocity_square cannot be distinguished: in these motions they are nearly the same force."
+    )
+
+
+@pytest.mark.parametrize("count", [5, 9])
+def test_a_curve_has_its_values_at_its_knots_and_is_straight_between_them(count: int) -> None:
+    """Beside an offset it is 0 at the knot nearest to 0; beyond two knots it is 0."""
+    low, high = RANGES["q4"]
+    for absolute in (True, False):
+        curve = curve_of(law("motor4_position_cube"), RANGES["q4"], count, absolute)
+        assert len(curve.knots) == len(curve.spec.parameters) == count - (not absolute)
+        values = {f"f{n}": float(n + 1) for n in range(len(curve.knots))}
+        np.testing.assert_allclose(curve.force(np.array(curve.knots), values), list(values.values()), rtol=1e-3)
+        half = np.array(curve.knots[:2]).mean(keepdims=True)
+        np.testing.assert_allclose(curve.force(half, values), 1.5, rtol=1e-3)
+        assert curve.force(np.array([low - (high - low)]), values) == 0.0
+        assert curve.spec.valid == {"q4": RANGES["q4"]}
 
 
 def test_a_user_adds_terms_in_yaml(tmp_path: Path) -> None:
