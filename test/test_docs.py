@@ -240,10 +240,13 @@ def test_the_mapping_that_a_page_shows_reads_an_arm_on_a_wall_by_its_motor_curre
     assert np.abs(balance.recorded - balance.predict(run.physics)).max() < 0.02  # N m, where gravity alone makes 60
 
 
-def test_formulas_that_a_page_shows_are_a_drag_and_a_friction() -> None:
-    (drag,) = yaml.safe_load(shown_with("diagnosis.md", "effects"))["effects"]
+def test_formulas_that_a_page_shows_are_a_drag_a_pad_and_a_friction() -> None:
+    blocks = map(yaml.safe_load, re.findall(r"```yaml\n(.*?)```", text(DOCS / "diagnosis.md"), re.DOTALL))
+    drag, pad = (spec for block in blocks for spec in block.get("effects", []))
     force = Formula(drag["end_effector_force"]["y"], {"drag", "vy"})
     assert force({"drag": 5.0, "vy": -0.4}) == pytest.approx(2.0)  # N, against the motion
+    push = Formula(FormulaSpec.model_validate(pad).contact_normal, {"c", "penetration", "closing"})
+    assert push({"c": 1e4, "penetration": 0.002, "closing": 0.5}) == pytest.approx(10.0)  # N, apart while they approach
     (sliding,) = set(re.findall(r'"([^"]*tanh[^"]*)"', text(DOCS / "diagnosis.md")))
     friction = Formula(sliding, {"c", "dq2"})
     assert friction({"c": 0.3, "dq2": 0.5}) == pytest.approx(-0.3)  # N m, against the motion
