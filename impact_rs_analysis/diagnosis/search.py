@@ -362,10 +362,6 @@ class Search:
                 return self._kept(fitted)
         return self._kept(refine(start, evidence, give_up))
 
-    def _refined_again(self, fitted: Fit) -> Fit:
-        """:func:`refine_again`, unless the fit began where one that had been through it ended."""
-        return fitted if fitted.candidate.names in self._known else refine_again(fitted)
-
     def _measured_again(self, fitted: Fit) -> Fit:
         return self._kept(measure_again(fitted, near=fitted.candidate.names in self._known))
 
@@ -417,7 +413,7 @@ class Search:
         top = min(proposal.score for proposal in found)
         for number, proposal in enumerate(found):
             if proposal.score <= HOPELESS * top:
-                found[number] = self._kept(look_elsewhere(self._refined_again(proposal)))
+                found[number] = self._kept(look_elsewhere(refine_again(proposal)))
         first = 0 if chosen is None else chosen.change.size
         before = self._unexplained(chosen)
         found = [entry for entry in found if entry.evidence.gains(before, entry.problem.left_out_rest)]
