@@ -35,15 +35,10 @@ FEWEST = 8  # samples there: with fewer a parabola hardly shows its scatter
 LOW = 0.1  # m; the table is near z = 0
 FASTEST = 2.0 * np.pi * 160.0  # rad/s; the fastest spins that were ever measured are 150 turns a second
 HEADER = (
-    *("run", "vx_before [m/s]", "vy_before [m/s]", "vz_before [m/s]"),
-    *(
-        "wx_before [rad/s]",
-        "wy_before [rad/s]",
-        "wz_before [rad/s]",
-        "vx_after [m/s]",
-        "vy_after [m/s]",
-        "vz_after [m/s]",
-    ),
+    "run",
+    *(f"v{axis}_before [m/s]" for axis in "xyz"),
+    *(f"w{axis}_before [rad/s]" for axis in "xyz"),
+    *(f"v{axis}_after [m/s]" for axis in "xyz"),
     *("v_noise [m/s]", "mass [kg]", "radius [m]", "shell [-]", "friction [-]", "restitution [-]"),
 )
 

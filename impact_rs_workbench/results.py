@@ -82,7 +82,7 @@ def diagnosis(path: Path) -> dict[str, Any]:
     Raises:
         InputError: There is no diagnosis.
     """
-    document = read_document(path)
+    document, discovered = read_document(path), is_discovery(path)
     figure = effects_plot(document)
     experiment = document.next_experiment
     return {
@@ -91,8 +91,8 @@ def diagnosis(path: Path) -> dict[str, Any]:
         "model": document.model.name,
         "digest": document.model.digest,
         "named": list(document.named),
-        "calls_for_a_law": document.calls_for_a_law and not is_discovery(path),
-        "report": "discovery.html" if is_discovery(path) else "diagnosis.html",
+        "calls_for_a_law": document.calls_for_a_law and not discovered,
+        "report": "discovery.html" if discovered else "diagnosis.html",
         "unit": document.error_unit,
         "figure": None if figure is None else json.loads(str(figure.to_json())),
         "left": [

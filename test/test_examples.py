@@ -141,7 +141,7 @@ def test_flights_of_balls_become_a_table_of_their_bounces(tmp_path: Path, capsys
         flights[f"{number:03d}.csv"] = "\n".join(
             f"{t:.4f};{x};{y};{z}" for t, (x, y, z) in zip(times, seen, strict=True)
         )
-        spin = before[3:] if number else np.array([2000.0, 0.0, 0.0])  # one that nobody can throw
+        spin = before[3:] if number else np.array([2000.0, 0.0, 0.0])  # faster than any spin that was measured
         index.append(f"{number},{','.join(map(str, spin))}")
         truth.append((before, after))
     with zipfile.ZipFile(tmp_path / "flights.zip", "w") as archive:

@@ -64,13 +64,8 @@ class Evidence:
         return self.null.lack_of_fit([item.mean for item in self.clusters])
 
     @cached_property
-    def errors(self) -> Array:
-        """Mean square of the mean residual by cluster, ``(c,)`` [-]."""
-        return np.array([item.error for item in self.clusters])
-
-    @cached_property
     def expected(self) -> Array:
-        """Expected :attr:`errors` from repeatability and discrepancy alone, ``(c,)`` [-]."""
+        """Mean square error expected from repeatability and discrepancy alone, by cluster, ``(c,)`` [-]."""
         return np.array([item.expected for item in self.clusters])
 
     @cached_property
@@ -147,7 +142,7 @@ class Evidence:
 
     def excess(self, rest: Sequence[Array]) -> Array:
         """Mean square error beyond repeatability and discrepancy, by joint with a noise of its own, ``(g,)`` [-]."""
-        expected = [np.square(item.pure) / item.count + np.square(item.discrepancy) for item in self.clusters]
+        expected = [item.expected_squares for item in self.clusters]
         return np.array(
             [
                 np.mean(

@@ -239,7 +239,7 @@ def rests_of(evidence: Evidence, rest: Sequence[Array]) -> list[RestDocument]:
     squares: dict[tuple[str, str, str], list[tuple[float, float, float]]] = {}
     facts: dict[tuple[str, str, str], tuple[str, float]] = {}
     for item, values in zip(evidence.clusters, rest, strict=True):
-        expected = np.square(item.pure) / item.count + np.square(item.discrepancy)
+        expected = item.expected_squares
         for feature, value, noise, sigma in zip(item.features, values, expected, item.sigma, strict=True):
             squares.setdefault(feature.group, []).append((float(value**2), float(noise), float(sigma)))
             facts[feature.group] = (feature.unit, feature.relevance_limit)

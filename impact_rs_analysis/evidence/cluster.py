@@ -144,9 +144,14 @@ class Cluster:
         return float(np.mean(np.square(self.mean)))
 
     @property
+    def expected_squares(self) -> Array:
+        """Expected squares of the mean residual under repeatability and model discrepancy alone, ``(F,)`` [-]."""
+        return np.asarray(np.square(self.pure) / self.count + np.square(self.discrepancy))
+
+    @property
     def expected(self) -> float:
         """Expected :attr:`error` under repeatability and model discrepancy alone [-]; 0 where neither is known."""
-        return float(np.mean(np.square(self.pure) / self.count + np.square(self.discrepancy)))
+        return float(np.mean(self.expected_squares))
 
 
 TIMES = "times repeatability"

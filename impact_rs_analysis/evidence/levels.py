@@ -179,7 +179,7 @@ def where_of(clusters: Sequence[Cluster]) -> list[Cell]:
     total = sum(float(np.sum(np.square(item.mean))) for item in clusters)
     found: dict[tuple[str, ...], list[tuple[float, float, float, str, float]]] = {}
     for item in clusters:
-        noise = np.sqrt(np.square(item.pure) / item.count + np.square(item.discrepancy))
+        noise = np.sqrt(item.expected_squares)
         noise = np.where(noise > 0.0, noise, 1.0)
         for feature, mean, sigma, own in zip(item.features, item.mean, item.sigma, noise, strict=True):
             row = (float(mean / own), float(mean * sigma), float(mean), feature.unit, feature.relevance_limit)
