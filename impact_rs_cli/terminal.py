@@ -65,6 +65,14 @@ class Terminal:
         """One line on standard error."""
         self._errors.print(text, soft_wrap=True, markup=False)
 
+    def ask(self, question: str) -> bool:
+        """A question to the operator; False without a clear yes, or where there is no terminal."""
+        self._errors.print(f"{question} [y/N] ", end="", markup=False, soft_wrap=True)
+        if not sys.stdin.isatty():
+            self._errors.print("no one to answer")
+            return False
+        return sys.stdin.readline().strip().lower() in ("y", "yes")
+
     def trace(self, text: str) -> None:
         """A traceback on standard error; silent without ``--debug``."""
         if self.debug and text:

@@ -25,6 +25,7 @@ COMMANDS: dict[str, Command] = {  # in the order of the help
         explaining.ADD,
         explaining.HISTORY,
         predicting.EFFECTS,
+        measuring.INVESTIGATE,
         measuring.BLIND,
         measuring.FRICTION,
         predicting.ROBOT,

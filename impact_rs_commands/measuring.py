@@ -9,6 +9,7 @@ from impact_rs_commands.shared import (
     CASES,
     JOBS,
     JSON,
+    MODEL,
     NAMESPACE,
     OBJECT,
     OBJECTS,
@@ -172,6 +173,7 @@ only score reads. Kinds: single, pair, null (no hidden effect), outside (an effe
 impact-rs blind make 7 -o blind_7 --size small
 impact-rs diagnose blind_7/runs -o diagnosis.json
 impact-rs blind score blind_7 --diagnosis diagnosis.json
+impact-rs blind score inquiry                        # of impact-rs investigate inquiry --blind 7
 impact-rs blind make 8 -o blind_8 --scenarios my_push.yaml my_excite.yaml      # for your own robot""",
     output="make: trials in DIR/runs. score: right or wrong, what was hidden, and what was named.",
     units="truth.json names those of the hidden parameters.",
@@ -205,18 +207,90 @@ impact-rs blind make 8 -o blind_8 --scenarios my_push.yaml my_excite.yaml      #
         ),
         Command(
             name="blind score",
-            summary="score a diagnosis against the truth",
+            summary="score a diagnosis, or an investigation, against the truth",
             function="score",
             options=(
                 argument("directory", "folder of the campaign", kind="folder", metavar="DIR"),
                 option(
-                    "--diagnosis", kind="diagnosis", required=True, metavar="FILE.json",
+                    "--diagnosis", kind="diagnosis", metavar="FILE.json", otherwise="the end of the investigation",
                     help="diagnosis of its folder runs",
                 ),
                 JSON,
             ),
         ),
     ),
+)  # fmt: skip
+
+INVESTIGATE = Command(
+    name="investigate",
+    summary="run the whole loop until nothing is missing, or it cannot be decided",
+    about="""\
+Run the loop by itself: choose trials, predict them, measure them, compare, diagnose, add the missing effect to the
+model, and try the new model on new trials. It ends with NOTHING-MISSING, EXPLAINED (the effects are named and the model
+holds), LAW-HOLDS (a law outside the library does), or UNDECIDED: the trials of the budget cannot decide it.
+
+All that it did is in DIR, step by step; the same command goes on after Ctrl-C, a kill or a power cut. --budget may
+grow.
+
+With --blind SEED the plant hides what impact-rs blind make SEED hides; impact-rs blind score DIR judges the end.
+
+With --via cell trials run on a real cell (docs/real_robot.md): only inside the envelope; before every new kind of
+motion, and before every trial, it asks (--yes: it does not); a trial that does not go as planned stops it, and it
+moves nothing again until you have answered.""",
+    examples="""\
+impact-rs investigate inquiry --blind 7
+impact-rs investigate inquiry --blind 7 --budget 20 --kind pair
+impact-rs investigate inquiry --blind 7 --via nodes
+impact-rs investigate cell_7 --via cell --envelope envelope.yaml --budget 24
+impact-rs blind score inquiry""",
+    output="every decision with its reason; in DIR trials, models, diagnoses, log.md and report/investigation.html.",
+    units="errors are multiples of repeatability, speeds in m/s, impulses in N s.",
+    options=(
+        argument("directory", "folder of the investigation", kind="new_folder", metavar="DIR"),
+        option(
+            "--budget", kind="whole", default=60, least=1, most=1000, metavar="N", help="trials at most",
+            label="trials at most",
+        ),
+        option(
+            "--blind", kind="whole", least=0, metavar="SEED", label="seed of a hidden effect", otherwise="none",
+            help="hide in the plant what blind make SEED hides",
+        ),
+        option(
+            "--kind", choices=("single", "pair", "null", "outside"), default="single", advanced=True,
+            help="what --blind hides",
+        ),
+        option(
+            "--effect", metavar="NAME", advanced=True, otherwise="drawn from SEED",
+            help="effect that --blind hides, FIRST+SECOND for a pair",
+        ),
+        option(
+            "--scenarios", kind="scenario", many=True, metavar="SCENARIO", default=("push", "excite"),
+            help="scenarios of one arm: hits and free motions", advanced=True,
+        ),
+        MODEL._replace(label="first model", advanced=True),
+        option(
+            "--effects", kind="effect", many=True, metavar="NAME", otherwise="all", label="only these effects",
+            help="effects to consider", advanced=True,
+        ),
+        SEED._replace(help="seed of scatter and noise; with --blind that seed"),
+        option(
+            "--via", choices=("inprocess", "nodes", "cell"), default="inprocess", label="how trials run", advanced=True,
+            help="run trials in this program, through the ROS 2 nodes, or on a real cell in the plant's place",
+        ),
+        option(
+            "--envelope", kind="file", metavar="FILE.yaml", advanced=True, otherwise="none",
+            help="which trials may run (docs/real_robot.md); needed with --via cell",
+        ),
+        option("--yes", kind="switch", advanced=True, help="with --via cell: do not ask before motions"),
+        option(
+            "--mapping", kind="mapping", default="impact_rs", metavar="NAME", advanced=True,
+            help="with --via cell: mapping of its bags",
+        ),
+        NAMESPACE,
+        *JOBS,
+        JSON,
+    ),
+    resumable=True,
 )  # fmt: skip
 
 FRICTION = Command(

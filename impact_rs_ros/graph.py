@@ -341,12 +341,17 @@ def run_trials_through_nodes(
 
 
 def run_trial(
-    graph: Graph, directory: Path, manifest: Manifest, key: TrialKey, plant_model: Model | None = None
+    graph: Graph,
+    directory: Path,
+    manifest: Manifest,
+    key: TrialKey,
+    plant_model: Model | None = None,
+    repeated: bool = True,
 ) -> TrialReport:
     """Run one trial of a campaign; a failure, and every node that was lost, is named in the report.
 
     If a node is lost or the trial is aborted, all nodes are started again. An aborted trial is then repeated once,
-    unless its bag is complete.
+    unless its bag is complete, or ``repeated`` is false: a robot that stopped does not move again by itself.
 
     Raises:
         GraphError: The nodes cannot be started again.
@@ -372,7 +377,7 @@ def run_trial(
             if bag.exists():  # the recorder had closed it, and only the answer was lost
                 kept = report_of_bag(key, bag)
                 outcome, message = kept.outcome, kept.message
-            else:
+            elif repeated:
                 outcome, message = _attempt(graph, goal)
     trace = graph.nodes.outputs() if outcome == "ABORTED" else ""
     report = TrialReport(key, outcome, "; ".join(filter(None, dict.fromkeys((message, *remarks)))), trace)

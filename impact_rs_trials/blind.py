@@ -12,7 +12,7 @@ import shutil
 from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 
@@ -21,6 +21,7 @@ from impact_rs_sim.effects import library, of_trials
 from impact_rs_sim.effects.base import Joints
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.files import write_whole
+from impact_rs_sim.model import Model, ModelEffect, ParameterValue
 from impact_rs_sim.physics import Physics
 from impact_rs_sim.robot import JointType
 from impact_rs_sim.scenario import load_scenario
@@ -154,6 +155,83 @@ def draw_outside(
     return chosen, magnitude if magnitude is not None else float(np.exp(rng.uniform(0.0, np.log(4.0))))
 
 
+@dataclass(frozen=True)
+class Secret:
+    """All that a plant hides.
+
+    Attributes:
+        hidden: Effects of the library.
+        outside: Effect outside it; None: none.
+        strength: Its size.
+        truth: Content of ``truth.json``.
+    """
+
+    hidden: tuple[Hidden, ...]
+    outside: str | None
+    strength: float
+    truth: str
+
+    @classmethod
+    def drawn(
+        cls,
+        seed: int,
+        kind: str = "single",
+        effect: str | None = None,
+        magnitude: float | None = None,
+        size: str = "small",
+        outsides: Collection[str] = OUTSIDE,
+        scenarios: Sequence[str] = SCENARIOS,
+    ) -> Self:
+        """What a seed hides; arguments and errors as of :func:`make`."""
+        joints = _joints(scenarios)
+        worlds = [spec.plan.scene.physics for spec, _ in specs(size, scenarios)]
+        hidden = draw_truth(seed, kind, effect, magnitude, joints, worlds)
+        outside, strength = (None, 0.0) if kind != "outside" else draw_outside(seed, effect, magnitude, outsides)
+        truth = {
+            "kind": kind,
+            "seed": seed,
+            "size": size,
+            "outside": outside,
+            "outside_magnitude": strength,
+            "effects": [
+                {"name": item.name, "magnitude": item.magnitude, "parameters": named(item, joints)} for item in hidden
+            ],
+        }
+        if tuple(scenarios) != SCENARIOS:
+            truth["scenarios"] = list(scenarios)
+        return cls(tuple(hidden), outside, strength, json.dumps(truth, indent=2) + "\n")
+
+    @property
+    def model(self) -> Model | None:
+        """The hidden effects of the library as the plant node takes them; None: there are none."""
+        effects = tuple(
+            ModelEffect(
+                name=item["name"],
+                parameters={
+                    name: ParameterValue(estimate=one["value"], unit=one["unit"])
+                    for name, one in item["parameters"].items()
+                },
+            )
+            for item in (json.loads(self.truth)["effects"] if self.truth else ())
+        )
+        return Model(name="hidden", effects=effects) if effects else None
+
+    def check(self, directory: Path) -> None:
+        """Refuse a folder that holds another truth.
+
+        Raises:
+            InputError: It does.
+        """
+        path = directory / TRUTH
+        if path.exists() and path.read_text(encoding="utf-8") != self.truth:
+            raise InputError("this folder holds another blind campaign; choose another folder", file=directory)
+
+    def keep(self, directory: Path) -> None:
+        """Write the truth, beside a folder for the trials; only ``blind score`` reads it."""
+        (directory / RUNS).mkdir(parents=True, exist_ok=True)
+        write_whole(directory / TRUTH, self.truth)
+
+
 def hide(physics: Physics, hidden: list[Hidden]) -> Physics:
     """Physics with the hidden effects."""
     for item in hidden:
@@ -269,30 +347,11 @@ def make(
         InputError: Unknown kind, effect, size or scenario, arms with different numbers of joints, or a folder that
             holds another blind campaign.
     """
-    joints = _joints(scenarios)
-    worlds = [spec.plan.scene.physics for spec, _ in specs(size, scenarios)]
-    hidden = draw_truth(seed, kind, effect, magnitude, joints, worlds)
-    outside, strength = (None, 0.0) if kind != "outside" else draw_outside(seed, effect, magnitude, outsides)
-    todo = tasks(directory, seed, size, hidden, outside, strength, scenarios)
-    truth = {
-        "kind": kind,
-        "seed": seed,
-        "size": size,
-        "outside": outside,
-        "outside_magnitude": strength,
-        "effects": [
-            {"name": item.name, "magnitude": item.magnitude, "parameters": named(item, joints)} for item in hidden
-        ],
-    }
-    if tuple(scenarios) != SCENARIOS:
-        truth["scenarios"] = list(scenarios)
-    path = directory / TRUTH
-    text = json.dumps(truth, indent=2) + "\n"
-    if path.exists() and path.read_text(encoding="utf-8") != text:
-        raise InputError("this folder holds another blind campaign; choose another folder", file=directory)
+    secret = Secret.drawn(seed, kind, effect, magnitude, size, outsides, scenarios)
+    todo = tasks(directory, seed, size, list(secret.hidden), secret.outside, secret.strength, scenarios)
+    secret.check(directory)
     with owned(Folder(directory)):
-        (directory / RUNS).mkdir(parents=True, exist_ok=True)
-        write_whole(path, text)
+        secret.keep(directory)
         for done, _ in enumerate(map_tasks(work, todo), start=1):
             yield done, len(todo)
 

@@ -29,7 +29,7 @@ from impact_rs_trials.store import is_bag
 HIDDEN = ".workbench"
 DEEPEST = 5  # folders below the workbench's own that are looked into
 LARGEST_DOCUMENT = 20_000_000  # bytes of a report's numbers
-REPORTS = ("report.html", "compare.html", "diagnosis.html", "discovery.html", "history.html")
+REPORTS = ("report.html", "compare.html", "diagnosis.html", "discovery.html", "history.html", "investigation.html")
 NOMINAL = "nominal"
 RUN_TABLE: str = Experiment.model_fields["runs"].default
 

@@ -6,6 +6,7 @@ from __future__ import annotations
 import json
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from impact_rs_analysis.diagnosis.document import NONE, NOTHING, PARTLY, DiagnosisDocument
 from impact_rs_analysis.diagnosis.thresholds import SIGNIFICANT
@@ -59,6 +60,28 @@ def score(directory: Path, document: DiagnosisDocument, source: Path) -> Score:
     return found
 
 
+def truth_of(directory: Path) -> tuple[str, tuple[str, ...]]:
+    """Kind of a blind campaign, and the hidden effects; for ``outside`` the hidden cause.
+
+    Raises:
+        InputError: No blind campaign.
+    """
+    kind, hidden, outside = _read_truth(directory)
+    return kind, (outside,) if kind == "outside" else tuple(hidden)
+
+
+def _read_truth(directory: Path) -> tuple[str, dict[str, Any], str]:
+    path = directory / TRUTH
+    try:
+        truth = json.loads(path.read_text(encoding="utf-8"))
+        hidden = {item["name"]: item["parameters"] for item in truth["effects"]}
+        return str(truth["kind"]), hidden, str(truth.get("outside"))
+    except OSError:
+        raise InputError(f"no blind campaign: there is no {TRUTH}", file=directory) from None
+    except (json.JSONDecodeError, KeyError, TypeError) as error:
+        raise InputError(f"not the truth of a blind campaign ({type(error).__name__}: {error})", file=path) from None
+
+
 def held_against_truth(directory: Path, document: DiagnosisDocument) -> Score:
     """Compare a diagnosis with the truth of a blind campaign, whatever files it was made from.
 
@@ -72,15 +95,7 @@ def held_against_truth(directory: Path, document: DiagnosisDocument) -> Score:
     Raises:
         InputError: No blind campaign.
     """
-    path = directory / TRUTH
-    try:
-        truth = json.loads(path.read_text(encoding="utf-8"))
-        kind, hidden = str(truth["kind"]), {item["name"]: item["parameters"] for item in truth["effects"]}
-        outside = truth.get("outside")
-    except OSError:
-        raise InputError(f"no blind campaign: there is no {TRUTH}", file=directory) from None
-    except (json.JSONDecodeError, KeyError, TypeError) as error:
-        raise InputError(f"not the truth of a blind campaign ({type(error).__name__}: {error})", file=path) from None
+    kind, hidden, outside = _read_truth(directory)
     named = document.named
     groups = [set(group) for group in document.confusable]
 
@@ -105,7 +120,7 @@ def held_against_truth(directory: Path, document: DiagnosisDocument) -> Score:
     ]
     return Score(
         kind=kind,
-        truth=(str(outside),) if kind == "outside" else tuple(hidden),
+        truth=(outside,) if kind == "outside" else tuple(hidden),
         named=named,
         correct=right,
         by_own_name=bool(hidden) and all(name in named for name in hidden),

@@ -7,6 +7,8 @@ import argparse
 
 from impact_rs_analysis.diagnosis.document import read_document
 from impact_rs_analysis.diagnosis.scoring import score as score_diagnosis
+from impact_rs_analysis.diagnosis.scoring import truth_of
+from impact_rs_analysis.investigation import judged, read_ending
 from impact_rs_cli.arguments import started
 from impact_rs_cli.parser import PROGRAM
 from impact_rs_cli.terminal import Terminal, output_folder
@@ -30,12 +32,39 @@ def make(args: argparse.Namespace, terminal: Terminal) -> int:
 
 
 def score(args: argparse.Namespace, terminal: Terminal) -> int:
-    """Score a diagnosis."""
+    """Score a diagnosis, or the end of an investigation."""
+    if args.diagnosis is None:
+        return _score_investigation(args, terminal)
     found = score_diagnosis(args.directory, read_document(args.diagnosis), args.diagnosis)
     terminal.result({**vars(found), "truth": list(found.truth), "named": list(found.named)})
     cover = "" if found.intervals_cover is None else "; {} of {} intervals contain the truth".format(*found.covered)
     terminal.say(
         f"{'right' if found.correct else 'wrong'}: {found.kind}, hidden {', '.join(found.truth) or 'nothing'}, "
         f"named {', '.join(found.named) or 'nothing'}{cover}"
+    )
+    return 0
+
+
+def _score_investigation(args: argparse.Namespace, terminal: Terminal) -> int:
+    """Score the end of an investigation."""
+    ending = read_ending(args.directory)
+    kind, hidden = truth_of(args.directory)
+    right, wrong = judged(ending, kind, hidden)
+    named = ending.effects if ending.certain else ending.candidates
+    judgement = "right" if right else "wrong" if wrong else "undecided without the hidden effect"
+    terminal.result(
+        {
+            "kind": kind,
+            "truth": list(hidden),
+            "verdict": ending.verdict,
+            "named": list(named),
+            "correct": right,
+            "surely_wrong": wrong,
+            "trials": ending.trials,
+        }
+    )
+    terminal.say(
+        f"{judgement}: {kind}, hidden {', '.join(hidden) or 'nothing'}; {ending.verdict}, "
+        f"{'named' if ending.certain else 'possible'} {', '.join(named) or 'nothing'}, after {ending.trials} trials"
     )
     return 0

@@ -1,0 +1,757 @@
+# SPDX-License-Identifier: Apache-2.0
+"""An investigation: design, predict, measure, compare, diagnose and add, again and again, until nothing is missing.
+
+The folder is the state. Every step reads what is there, makes one file that is missing, and writes it whole, so that an
+investigation that was interrupted anywhere goes on where it stopped:
+
+    investigation.yaml              what was asked
+    runs/round_NN/FOLDER/TRIAL      bags
+    rounds/NN/plan.yaml             which trials, and why
+    rounds/NN/prediction.json       what the model predicts for them, written before they are measured
+    rounds/NN/compare.json          the model against all trials
+    rounds/NN/diagnosis.json        what the model lacks
+    rounds/NN/again.json            what the first model lacks, where the present one does not hold
+    rounds/NN/discovery.json        a law, where no effect of the library explains the trials
+    rounds/NN/decision.json         what to do next, and why
+    model_N.yaml                    models, each with its parent
+    ending.json, log.md             the end, and the whole story in words
+
+A model is made from the first one by one diagnosis of all trials: estimates of an early model are not kept, so no later
+trial has to be explained by an effect that only makes up for their error. It is then tried on trials that were measured
+after it was made.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Literal, Protocol
+
+from pydantic import Field
+
+from impact_rs_analysis.diagnosis.add import add_effect
+from impact_rs_analysis.diagnosis.compare import ComparisonDocument, compare
+from impact_rs_analysis.diagnosis.diagnose import diagnose
+from impact_rs_analysis.diagnosis.discover import discover
+from impact_rs_analysis.diagnosis.discovery_document import FOUND, DiscoveryDocument, write_discovery
+from impact_rs_analysis.diagnosis.document import (
+    CONFIRMED,
+    NOTHING,
+    SMALL,
+    TOO_FEW,
+    DiagnosisDocument,
+    ModelIdentity,
+    read_document,
+    write_document,
+)
+from impact_rs_analysis.diagnosis.grammar import load_grammar
+from impact_rs_analysis.diagnosis.search import ProgressCallback
+from impact_rs_analysis.evidence.source import Source
+from impact_rs_sim.errors import InputError
+from impact_rs_sim.files import write_whole
+from impact_rs_sim.impact_map import predict_impact
+from impact_rs_sim.impact_map.problem import ImpactProblem
+from impact_rs_sim.model import Model, load_model, save_model
+from impact_rs_sim.scenario import load_scenario
+from impact_rs_sim.schema import Schema, SchemaType, load, load_mapping, validate
+from impact_rs_trials.blind import KINDS, RUNS
+from impact_rs_trials.campaign import Trial
+from impact_rs_trials.envelope import Envelope
+from impact_rs_trials.experiment_plan import ExperimentPlan, read_plan, write_plan
+from impact_rs_trials.runs import label_of
+from impact_rs_trials.spec import TrialSpec
+
+SETTINGS, ROUNDS, ENDING, LOG = "investigation.yaml", "rounds", "ending.json", "log.md"
+FIRST, CHECK, MORE = 8, 2, 4  # trials of the first round, of one that tries a new model, and of any other
+MOST_DISCOVERIES = 2  # each takes minutes
+EXPLAINED, LAW, MISSES_NOTHING, UNDECIDED = "EXPLAINED", "LAW-HOLDS", NOTHING, "UNDECIDED"
+CANNOT = "I cannot tell"  # the words of UNDECIDED
+
+
+class BlindChoice(Schema):
+    """What the plant hides, as ``blind make`` draws it."""
+
+    seed: int = Field(ge=0, description="seed that draws effect and size")
+    kind: Literal["single", "pair", "null", "outside"] = Field("single", description="what is hidden")
+    effect: str | None = Field(None, description="effect that is hidden; null: drawn")
+    magnitude: float | None = Field(None, description="its size in parameter scales [-]; null: drawn")
+
+
+class Settings(Schema):
+    """What an investigation was asked (``investigation.yaml``)."""
+
+    scenarios: tuple[str, ...] = Field(min_length=1, description="names or paths of scenarios")
+    model: str = Field("nominal", description="the first model: nominal, or a file")
+    model_digest: str = Field(description="digest of its physics")
+    via: Literal["inprocess", "nodes", "cell"] = Field("inprocess", description="where trials run")
+    seed: int = Field(0, ge=0, description="seed of scatter and noise")
+    effects: tuple[str, ...] = Field((), description="effects to consider; none: the library")
+    blind: BlindChoice | None = Field(None, description="what the plant hides; null: nothing on purpose")
+    envelope: Envelope | None = Field(None, description="which trials may run; null: all that can be planned")
+
+
+class Prediction(Schema):
+    """What a model predicts for a condition before it is measured."""
+
+    condition: str = Field(description="scenario, object and case")
+    arm: float = Field(description="velocity of the end effector just after the impact along the axis [m/s]")
+    object: float = Field(description="velocity of the object just after the impact along the axis [m/s]")
+
+
+class Predictions(Schema):
+    """``prediction.json``."""
+
+    model: ModelIdentity = Field(description="what predicts")
+    impacts: tuple[Prediction, ...] = Field((), description="by condition with an impact")
+
+
+class Decision(Schema):
+    """What to do after a round, and why (``decision.json``)."""
+
+    action: Literal["measure", "add", "end"] = Field(description="what to do")
+    reason: str = Field(description="why, in words")
+    add: tuple[str, ...] = Field((), description="effects that the new models have, in order")
+    models: tuple[str, ...] = Field((), description="their files, one for each effect")
+    source: str = Field("", description="file of the round that has their estimates")
+    verdict: str = Field("", description="the end: EXPLAINED, LAW-HOLDS, NOTHING-MISSING or UNDECIDED")
+    tied: tuple[tuple[str, ...], ...] = Field((), description="effects that the trials cannot distinguish")
+    spent: bool = Field(False, description="whether it ends because the budget is spent")
+    budget: int = Field(description="trials that were allowed")
+
+
+class Ending(Schema):
+    """How an investigation ended (``ending.json``)."""
+
+    verdict: str = Field(description="EXPLAINED, LAW-HOLDS, NOTHING-MISSING or UNDECIDED")
+    summary: str = Field(description="the end in words")
+    model: str = Field(description="file of the last model")
+    effects: tuple[str, ...] = Field((), description="effects that it has beyond the first model")
+    laws: tuple[str, ...] = Field((), description="those of them that are laws beyond the library")
+    candidates: tuple[str, ...] = Field((), description="effects that may be missing where it is undecided")
+    trials: int = Field(description="trials that were measured")
+    rounds: int = Field(description="rounds")
+
+    @property
+    def certain(self) -> bool:
+        """Whether it says what is missing, or that nothing is."""
+        return self.verdict != UNDECIDED
+
+
+@dataclass(frozen=True)
+class PlannedTrial:
+    """One trial of a round.
+
+    Attributes:
+        folder: Folder of its bag below ``runs``.
+        scenario: Name or path of its scenario.
+        settings: Values that the scenario has instead of its own.
+        campaign_seed: Seed of its campaign.
+        trial: What runs.
+    """
+
+    folder: str
+    scenario: str
+    settings: dict[str, Any]
+    campaign_seed: int
+    trial: Trial
+
+    @property
+    def path(self) -> str:
+        """Its bag below ``runs``."""
+        return f"{self.folder}/{self.trial.key.name}"
+
+
+@dataclass(frozen=True)
+class Round:
+    """What is on disk of one round; None: that step is still to be done.
+
+    Attributes:
+        number: From 1.
+        directory: Its folder.
+        model: File of the model that it begins with, as ``Settings.model`` or a name in the investigation's folder.
+    """
+
+    number: int
+    directory: Path
+    model: str
+    plan: ExperimentPlan | None = None
+    prediction: Predictions | None = None
+    comparison: ComparisonDocument | None = None
+    diagnosis: DiagnosisDocument | None = None
+    again: DiagnosisDocument | None = None
+    discovery: DiscoveryDocument | None = None
+    decision: Decision | None = None
+
+    @property
+    def basis(self) -> DiagnosisDocument | None:
+        """The diagnosis that the decision is made from."""
+        return self.again or self.diagnosis
+
+    @property
+    def trials(self) -> list[PlannedTrial]:
+        """The trials of its plan, in the order of the plan."""
+        return [] if self.plan is None else trials_of(self.plan, f"round_{self.number:02d}")
+
+
+Against = Callable[[Model], Source]
+Say = Callable[[str], None]
+
+
+class Bench(Protocol):
+    """Where trials are measured and read."""
+
+    def measure(self, trials: Sequence[PlannedTrial]) -> None:
+        """Measure trials that have no bag yet; returns when all have one."""
+
+    def read(self) -> Against:
+        """All trials against a model."""
+
+    def design(
+        self, model: Model, done: Sequence[Round], document: DiagnosisDocument | None, budget: int, seed: int
+    ) -> ExperimentPlan:
+        """The next trials, at most ``budget``."""
+
+    @property
+    def rank(self) -> ProgressCallback:
+        """Shows explanations with their error while a search runs."""
+
+
+class Investigation:
+    """An investigation in its folder.
+
+    Args:
+        directory: The folder.
+        settings: What was asked.
+        budget: Trials at most.
+        bench: Where trials are measured.
+        say: Called with a line about every step.
+        after: Called after every step.
+    """
+
+    def __init__(
+        self,
+        directory: Path,
+        settings: Settings,
+        budget: int,
+        bench: Bench,
+        say: Say = lambda line: None,
+        after: Callable[[], None] = lambda: None,
+    ) -> None:
+        self.directory, self.settings, self.budget = directory, settings, budget
+        self._bench, self._say, self._after = bench, say, after
+
+    def run(self) -> Ending:
+        """Take steps until the end; what is on disk is kept.
+
+        Raises:
+            InputError: The first model has changed, or a file cannot be used.
+        """
+        if load_model(self.settings.model).digest != self.settings.model_digest:
+            raise InputError(
+                "this model was changed since the investigation began; undo that, or begin another in a new folder",
+                file=self.settings.model,
+            )
+        while True:
+            rounds = read_rounds(self.directory, self.settings)
+            ended = self._step(rounds)
+            write_whole(self.directory / LOG, log_of(self.settings, read_rounds(self.directory, self.settings)))
+            self._after()
+            if ended:
+                return read_ending(self.directory)
+
+    def _step(self, rounds: list[Round]) -> bool:
+        """Do the first step that has not been done; returns whether it was the last one."""
+        last = rounds[-1] if rounds else None
+        if last is not None and (done := last.decision) is not None:
+            if done.action == "end" and done.spent and self.budget > done.budget:
+                (last.directory / "decision.json").unlink()  # there are trials again
+                return False
+            if missing := [name for name in done.models if not (self.directory / name).exists()]:
+                self._add(last, missing[0])
+                return False
+            if done.action == "end":
+                write_whole(self.directory / ENDING, _json(ending_of(self.settings, rounds)))
+                return True
+            last = None
+        if last is None:
+            self._plan(rounds)
+            return False
+        todo = [one for one in last.trials if not (self.directory / RUNS / one.path).exists()]
+        for missing_step, step in (
+            (last.prediction is None, self._predict),
+            (bool(todo), lambda here: self._bench.measure(todo)),
+            (last.comparison is None, self._compare),
+            (last.diagnosis is None, self._diagnose),
+            (last.again is None and self._fails(last), self._diagnose_again),
+            (last.discovery is None and self._wants_a_law(rounds), self._discover),
+        ):
+            if missing_step:
+                step(last)
+                return False
+        self._decide(rounds)
+        return False
+
+    def _plan(self, rounds: Sequence[Round]) -> None:
+        number = len(rounds) + 1
+        here = _folder(self.directory, number)
+        left = self.budget - measured(rounds)
+        document = rounds[-1].basis if rounds else None
+        fresh = bool(rounds) and rounds[-1].decision is not None and rounds[-1].decision.action == "add"
+        count = min(left, FIRST if not rounds else CHECK if fresh else MORE)
+        self._say(f"Round {number}: design of {count} trials at most, {left} are left")
+        plan = self._bench.design(
+            self._model(_model_after(self.settings, rounds)),
+            rounds,
+            None if fresh else document,
+            count,
+            self.settings.seed + number - 1,
+        )
+        write_plan(plan, here / "plan.yaml")
+
+    def _predict(self, here: Round) -> None:
+        model = self._model(here.model)
+        specs = {label_of(one.trial.spec): one.trial.spec for one in here.trials}
+        found = tuple(predicted(model, spec) for spec in specs.values() if spec.scenario.excursion is None)
+        self._write(here, "prediction.json", Predictions(model=_identity(model), impacts=found))
+
+    def _compare(self, here: Round) -> None:
+        self._say(f"Round {here.number}: model {here.model} against all trials")
+        self._write(here, "compare.json", compare(self._bench.read()(self._model(here.model))))
+
+    def _diagnose(self, here: Round) -> None:
+        self._diagnosis(here, here.model, "diagnosis.json")
+
+    def _diagnose_again(self, here: Round) -> None:
+        self._diagnosis(here, self.settings.model, "again.json")
+
+    def _diagnosis(self, here: Round, file: str, name: str) -> None:
+        self._say(f"Round {here.number}: what model {file} lacks")
+        model = self._model(file)
+        present = {item.name for item in model.effects}
+        only = [effect for effect in self.settings.effects if effect not in present] or None
+        document = diagnose(self._bench.read()(model), model, only, self._bench.rank)
+        write_document(document, here.directory / name)
+
+    def _discover(self, here: Round) -> None:
+        self._say(f"Round {here.number}: a law that the library does not have")
+        model = self._model(self.settings.model)
+        found = discover(
+            self._bench.read(), model, load_grammar(), list(self.settings.effects) or None, self._bench.rank
+        )
+        write_discovery(found, here.directory / "discovery.json")
+
+    def _decide(self, rounds: Sequence[Round]) -> None:
+        decision = decide(self.settings, rounds, self.budget)
+        self._say(f"Round {rounds[-1].number}: {decision.action}. {decision.reason}")
+        self._write(rounds[-1], "decision.json", decision)
+
+    def _add(self, here: Round, name: str) -> None:
+        """Write one model of a decision; the earlier ones are there."""
+        done = here.decision
+        assert done is not None
+        index = done.models.index(name)
+        source = here.directory / done.source
+        document = read_document(source)
+        parent = self.settings.model if index == 0 else str(self.directory / done.models[index - 1])
+        model = load_model(parent)
+        document = document.model_copy(
+            update={"model": _identity(model)}
+        )  # estimates are those of all effects together
+        self._say(f"Round {here.number}: {name}: {done.add[index]}")
+        output = self.directory / name
+        save_model(add_effect(model, Path(parent), document, source, done.add[index], output, False), output)
+
+    def _fails(self, here: Round) -> bool:
+        """Whether a model with effects does not hold."""
+        return here.model != self.settings.model and here.diagnosis is not None and not holds(here.diagnosis)
+
+    def _wants_a_law(self, rounds: Sequence[Round]) -> bool:
+        """Whether it is time for a law: what remains has no name, again or for good."""
+        now = rounds[-1].basis
+        if now is None or not now.calls_for_a_law or _settled(self.settings, rounds[-1]):
+            return False
+        if sum(one.discovery is not None for one in rounds) >= MOST_DISCOVERIES:
+            return False
+        before = rounds[-2].basis if len(rounds) > 1 else None
+        return (before is not None and before.calls_for_a_law) or self.budget <= measured(rounds)
+
+    def _model(self, name: str) -> Model:
+        return load_model(name if name == self.settings.model else self.directory / name)
+
+    def _write(self, here: Round, name: str, document: Schema) -> None:
+        write_whole(here.directory / name, _json(document))
+
+
+def holds(document: DiagnosisDocument) -> bool:
+    """Whether a model lacks nothing that matters."""
+    return document.verdict in (NOTHING, SMALL)
+
+
+def _settled(settings: Settings, here: Round) -> bool:
+    """Whether a model with effects has stood the trial."""
+    return here.model != settings.model and here.diagnosis is not None and holds(here.diagnosis)
+
+
+def decide(settings: Settings, rounds: Sequence[Round], budget: int) -> Decision:
+    """What to do after the last of some rounds.
+
+    Args:
+        settings: What was asked.
+        rounds: All rounds, the last one complete but for its decision.
+        budget: Trials at most.
+    """
+    here, basis = rounds[-1], rounds[-1].basis
+    assert here.diagnosis is not None and basis is not None
+    left = budget - measured(rounds)
+    ties = tuple(group for group in basis.confusable)
+
+    def more(reason: str, candidates: tuple[tuple[str, ...], ...] = ()) -> Decision:
+        planned = here.plan is not None and here.plan.trials > 0
+        if left > 0 and planned:
+            return Decision(action="measure", reason=reason, budget=budget)
+        why = f"the budget of {budget} trials is spent" if planned else "no trial within the limits decides it"
+        return Decision(
+            action="end",
+            verdict=UNDECIDED,
+            reason=f"{reason} And {why}.",
+            tied=candidates,
+            spent=planned,
+            budget=budget,
+        )
+
+    def add(names: Sequence[str], source: str, reason: str) -> Decision:
+        first = 2 + sum(len(one.decision.models) for one in rounds if one.decision is not None)
+        files = tuple(f"model_{first + index}.yaml" for index in range(len(names)))
+        again = here.model != settings.model and set(names) == _added(settings, rounds)
+        ended = again or left <= 0
+        tried = (
+            "The estimates are renewed with all trials."
+            if again
+            else "No trial is left to try it on."
+            if ended
+            else "It is tried on new trials."
+        )
+        laws = source == "discovery.json" and any(name in basis_formulas for name in names)
+        return Decision(
+            action="end" if ended else "add",
+            verdict="" if not ended else LAW if laws else EXPLAINED,
+            reason=f"{reason} {tried}",
+            add=tuple(names),
+            models=files,
+            source=source,
+            budget=budget,
+        )
+
+    basis_formulas = {law.name for law in here.discovery.laws} if here.discovery is not None else set()
+    if _settled(settings, here):
+        laws = set(_laws_added(rounds))
+        return Decision(
+            action="end",
+            verdict=LAW if laws else EXPLAINED,
+            reason=f"{here.model} predicts the {len(here.trials)} trials that were measured after it was made, and "
+            f"lacks nothing in all {here.diagnosis.runs.trials}: {here.diagnosis.summary}",
+            budget=budget,
+        )
+    if basis.verdict == TOO_FEW:
+        return more(f"Too few repeats for a verdict: {basis.design.shortage}.")
+    if holds(basis):
+        if basis.suspected:
+            names = " and ".join(basis.suspected)
+            return more(f"{names} lowers the error, but not surely on unseen conditions.", (basis.suspected,))
+        before = rounds[-2].basis if len(rounds) > 1 else None
+        if (before is not None and holds(before) and not before.suspected) or left <= 0:
+            return Decision(
+                action="end", verdict=MISSES_NOTHING, reason=f"{basis.summary} New trials do not change it.",
+                budget=budget,
+            )  # fmt: skip
+        return more(f"{basis.summary} New trials have to confirm it.")
+    if here.discovery is not None:
+        return _after_discovery(here.discovery, add, more)
+    if basis.calls_for_a_law:
+        names = (
+            f"{' and '.join(basis.named)} explains a part" if basis.named else "No effect of the library explains it"
+        )
+        return more(f"{names}: {basis.summary}", (basis.named,) if basis.named else ())
+    unsure = [effect for name in basis.named if (effect := basis.effect(name)) and effect.verdict != CONFIRMED]
+    if not unsure:
+        source = "again.json" if here.again is not None else "diagnosis.json"
+        return add(basis.named, source, basis.summary)
+    reason = "; ".join(f"{effect.name} is {effect.verdict}" for effect in unsure)
+    alone = tuple((name,) for name in basis.named if not any(name in group for group in ties))
+    return more(f"{reason}. {basis.summary}", (*ties, *alone))
+
+
+def _after_discovery(
+    found: DiscoveryDocument,
+    add: Callable[[Sequence[str], str, str], Decision],
+    more: Callable[..., Decision],
+) -> Decision:
+    """What to do with a discovery."""
+    if found.verdict == FOUND and found.diagnosis is not None:
+        best = found.laws[0]
+        rivals = tuple(law.name for law in found.laws if law.name in best.tied_with)
+        if best.tied_with:
+            return more(f"{best.name} and {', '.join(best.tied_with)} predict equally well. {best.tie}",
+                        ((best.name, *(rivals or best.tied_with)),))  # fmt: skip
+        if best.verdict == CONFIRMED:
+            return add(found.diagnosis.named, "discovery.json", f"{found.summary} {best.place} = {best.formula}.")
+        return more(f"{best.name} is {best.verdict}. {found.summary}", ((best.name,),))
+    names = tuple(law.name for law in found.laws)
+    return more(f"{found.verdict}: {found.summary}", (names,) if names else ())
+
+
+def measured(rounds: Sequence[Round]) -> int:
+    """Trials of the plans of some rounds."""
+    return sum(one.plan.trials for one in rounds if one.plan is not None)
+
+
+def trials_of(plan: ExperimentPlan, folder: str) -> list[PlannedTrial]:
+    """The trials of a plan, repeat by repeat, with every condition once in each.
+
+    Args:
+        plan: The plan.
+        folder: Folder of its campaigns.
+
+    Raises:
+        InputError: A scenario, object or case of it does not exist.
+    """
+    found = []
+    for campaign in plan.campaigns:
+        scenario = load_scenario(campaign.scenario).with_settings(campaign.settings)
+        for condition in campaign.conditions:
+            spec = TrialSpec.of(scenario, condition.object, condition.case, condition.scale)
+            found += [
+                PlannedTrial(
+                    f"{folder}/{campaign.folder}",
+                    campaign.scenario,
+                    campaign.settings,
+                    plan.seed,
+                    Trial.of(spec, repeat, plan.seed),
+                )
+                for repeat in range(condition.trials)
+            ]
+    return sorted(found, key=lambda one: one.trial.repeat)
+
+
+def predicted(model: Model, spec: TrialSpec) -> Prediction:
+    """The velocities just after the impact that a model predicts, by the impact map."""
+    scene, axis = spec.scene, spec.scenario.axis_index
+    scene = replace(scene, physics=model.apply(scene.physics))
+    result = predict_impact(ImpactProblem.at_nominal_impact(scene), spec.scenario.control.reference_contact)
+    arms = [float(twist[axis]) for twist in result.end_effector_twist.values()]
+    return Prediction(
+        condition=label_of(spec), arm=sum(arms) / len(arms), object=float(result.object_twist[axis])
+    )  # fmt: skip
+
+
+def begin(directory: Path, settings: Settings) -> Settings:
+    """The settings of a folder, which are written where it has none.
+
+    Raises:
+        InputError: It holds another investigation.
+    """
+    path = directory / SETTINGS
+    if path.exists():
+        present = load(Settings, path)
+        if present != settings:
+            changed = [name for name in Settings.model_fields if getattr(present, name) != getattr(settings, name)]
+            raise InputError(
+                f"this folder holds another investigation (it differs in {', '.join(changed)}); give the same options "
+                "again, only --budget may grow, or choose another folder",
+                file=path,
+            )
+        return present
+    import yaml
+
+    write_whole(path, yaml.safe_dump(settings.model_dump(mode="json"), sort_keys=False))
+    return settings
+
+
+def read_settings(directory: Path) -> Settings:
+    """What was asked.
+
+    Raises:
+        InputError: There is no investigation in the folder.
+    """
+    path = directory / SETTINGS
+    if not path.exists():
+        raise InputError(f"no investigation here: there is no {SETTINGS}", file=directory)
+    return load(Settings, path)
+
+
+def read_ending(directory: Path) -> Ending:
+    """How an investigation ended.
+
+    Raises:
+        InputError: It has not ended.
+    """
+    path = directory / ENDING
+    if not path.exists():
+        raise InputError(f"this investigation has not ended: there is no {ENDING}", file=directory)
+    return validate(Ending, load_mapping(path), path)
+
+
+def read_rounds(directory: Path, settings: Settings) -> list[Round]:
+    """All rounds that have begun.
+
+    Raises:
+        InputError: A file is not what it should be.
+    """
+    found: list[Round] = []
+    while (here := _folder(directory, len(found) + 1)) and (here / "plan.yaml").exists():
+        found.append(
+            Round(
+                number=len(found) + 1,
+                directory=here,
+                model=_model_after(settings, found),
+                plan=read_plan(here / "plan.yaml"),
+                prediction=_read(Predictions, here / "prediction.json"),
+                comparison=_read(ComparisonDocument, here / "compare.json"),
+                diagnosis=_read_diagnosis(here / "diagnosis.json"),
+                again=_read_diagnosis(here / "again.json"),
+                discovery=_read(DiscoveryDocument, here / "discovery.json"),
+                decision=_read(Decision, here / "decision.json"),
+            )
+        )
+    return found
+
+
+def _read(kind: type[SchemaType], path: Path) -> SchemaType | None:
+    return validate(kind, json.loads(path.read_text(encoding="utf-8")), path) if path.exists() else None
+
+
+def _read_diagnosis(path: Path) -> DiagnosisDocument | None:
+    return read_document(path) if path.exists() else None
+
+
+def _folder(directory: Path, number: int) -> Path:
+    return directory / ROUNDS / f"{number:02d}"
+
+
+def _model_after(settings: Settings, rounds: Sequence[Round]) -> str:
+    """The newest model."""
+    made = [one.decision.models[-1] for one in rounds if one.decision is not None and one.decision.models]
+    return made[-1] if made else settings.model
+
+
+def _last_addition(rounds: Sequence[Round]) -> Decision | None:
+    return next((one.decision for one in reversed(rounds) if one.decision is not None and one.decision.models), None)
+
+
+def _added(settings: Settings, rounds: Sequence[Round]) -> set[str]:
+    """Effects that the newest model has beyond the first one."""
+    del settings
+    last = _last_addition(rounds)
+    return set() if last is None else set(last.add)
+
+
+def _laws_added(rounds: Sequence[Round]) -> tuple[str, ...]:
+    """Those of them that a discovery proposed."""
+    last = _last_addition(rounds)
+    if last is None or last.source != "discovery.json":
+        return ()
+    laws = {law.name for one in rounds if one.discovery is not None for law in one.discovery.laws}
+    return tuple(name for name in last.add if name in laws)
+
+
+def _identity(model: Model) -> ModelIdentity:
+    return ModelIdentity(name=model.name, digest=model.digest)
+
+
+def _json(document: Schema) -> str:
+    return json.dumps(document.model_dump(mode="json"), indent=2, allow_nan=False) + "\n"
+
+
+def ending_of(settings: Settings, rounds: Sequence[Round]) -> Ending:
+    """The end that the last decision says."""
+    last = rounds[-1].decision
+    assert last is not None and last.action == "end"
+    certain = last.verdict in (EXPLAINED, LAW)
+    names = tuple(sorted(_added(settings, rounds))) if certain else ()
+    candidates = tuple(dict.fromkeys(name for group in last.tied for name in group))
+    what = {
+        EXPLAINED: f"Missing: {' and '.join(names)}.",
+        LAW: f"Missing, by a law that holds: {' and '.join(names)}.",
+        MISSES_NOTHING: "Nothing is missing.",
+        UNDECIDED: f"{CANNOT} which effect is missing"
+        + (f"; possible: {', '.join(candidates)}." if candidates else "."),
+    }[last.verdict]
+    return Ending(
+        verdict=last.verdict,
+        summary=f"{what} {last.reason}",
+        model=_model_after(settings, rounds) if certain else settings.model,
+        effects=names,
+        laws=_laws_added(rounds) if certain else (),
+        candidates=candidates,
+        trials=measured(rounds),
+        rounds=len(rounds),
+    )
+
+
+def log_of(settings: Settings, rounds: Sequence[Round]) -> str:
+    """The story of an investigation, in Markdown."""
+    asked = f"Scenarios {', '.join(settings.scenarios)}; first model {settings.model}; trials run via {settings.via}."
+    if settings.blind is not None:
+        asked += f" The plant hides what seed {settings.blind.seed} draws ({settings.blind.kind})."
+    lines = ["# Investigation", "", asked, ""]
+    for here in rounds:
+        lines += [f"## Round {here.number}", "", *_round_lines(here), ""]
+    if rounds and (last := rounds[-1].decision) is not None and last.action == "end":
+        end = ending_of(settings, rounds)
+        lines += [f"## End: {end.verdict}", "", end.summary, "", f"{end.trials} trials in {end.rounds} rounds.", ""]
+    return "\n".join(lines)
+
+
+def _round_lines(here: Round) -> Iterator[str]:
+    """One line per step of a round."""
+    if (plan := here.plan) is not None:
+        yield f"* Design: {plan.trials} trials. {plan.summary}".rstrip()
+        for campaign in plan.campaigns:
+            for one in campaign.conditions:
+                bought = f": {one.buys}" if one.buys else ""
+                yield f"    * {one.trials} × {one.what or f'{campaign.folder}/{one.object}/{one.case}'}{bought}"
+    if (prediction := here.prediction) is not None:
+        for impact in prediction.impacts:
+            yield (
+                f"* Prediction of {prediction.model.name} for {impact.condition}: end effector {impact.arm:+.3f} m/s, "
+                f"object {impact.object:+.3f} m/s after the impact"
+            )
+    if (comparison := here.comparison) is not None:
+        floor = "" if comparison.noise_floor is None else f" (noise: {comparison.noise_floor:.3g})"
+        yield (
+            f"* Comparison: {comparison.model.name} against {comparison.trials} trials: error {comparison.score:.3g} "
+            f"× repeatability{floor}"
+        )
+    if here.diagnosis is not None:
+        yield f"* Diagnosis of {here.diagnosis.model.name}: {here.diagnosis.verdict}. {here.diagnosis.summary}"
+    if here.again is not None:
+        yield f"* It does not hold. Diagnosis of the first model: {here.again.verdict}. {here.again.summary}"
+    if here.discovery is not None:
+        yield f"* Discovery: {here.discovery.verdict}. {here.discovery.summary}"
+    if (decision := here.decision) is not None:
+        made = f" ({', '.join(decision.models)})" if decision.models else ""
+        yield f"* Decision: {decision.action}{made}. {decision.reason}"
+
+
+def judged(ending: Ending, kind: str, hidden: Sequence[str]) -> tuple[bool, bool]:
+    """Whether an end is right, and whether it is surely wrong.
+
+    Right is: every hidden effect and no other, or undecided among candidates with all of them; where nothing is hidden,
+    NOTHING-MISSING; of a cause outside the library, a law that holds or undecided. An undecided end is never surely
+    wrong.
+
+    Args:
+        ending: The end.
+        kind: Kind of what is hidden, one of ``KINDS``.
+        hidden: Hidden effects of the library, or the cause outside it.
+    """
+    assert kind in KINDS
+    if kind == "outside":
+        right = not ending.certain or ending.verdict == LAW
+    elif not ending.certain:
+        right = bool(hidden) and set(hidden) <= set(ending.candidates)
+    else:
+        right = set(ending.effects) == set(hidden) and (ending.verdict == MISSES_NOTHING) == (not hidden)
+    return right, ending.certain and not right

@@ -1,0 +1,162 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Our plant as the bench of an investigation; :mod:`impact_rs_cli.node_benches` has the nodes and a real cell."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from impact_rs_analysis.diagnosis.document import DiagnosisDocument
+from impact_rs_analysis.diagnosis.search import ProgressCallback
+from impact_rs_analysis.evidence.measured_runs import Runs
+from impact_rs_analysis.evidence.replay_cache import ReplayCache
+from impact_rs_analysis.evidence.replays import ReplaySource
+from impact_rs_analysis.evidence.source import Source
+from impact_rs_analysis.investigation import Against, PlannedTrial, Round, Settings
+from impact_rs_cli.measurements import read
+from impact_rs_cli.terminal import Terminal
+from impact_rs_sim.errors import InputError
+from impact_rs_sim.model import Model
+from impact_rs_sim.scenario import load_scenario
+from impact_rs_trials.blind import RUNS, BlindTask, Secret, run_task
+from impact_rs_trials.experiment_plan import ExperimentPlan, PlannedCampaign, PlannedCondition
+from impact_rs_trials.spec import TrialSpec
+from impact_rs_trials.workers import Map
+
+NO_SECRET = Secret((), None, 0.0, "")
+
+
+class PlantBench:
+    """Our plant in this program.
+
+    Args:
+        directory: Folder of the investigation.
+        settings: What was asked.
+        map_tasks: Workers.
+        terminal: Shows progress and warnings.
+        secret: What the plant hides.
+    """
+
+    def __init__(
+        self, directory: Path, settings: Settings, map_tasks: Map, terminal: Terminal, secret: Secret = NO_SECRET
+    ) -> None:
+        self.runs, self.settings, self.secret = directory / RUNS, settings, secret
+        self.map_tasks, self.terminal = map_tasks, terminal
+        self._store = ReplayCache(map_tasks)
+        self._known: tuple[int, Runs, dict[str, Source]] | None = None
+
+    @property
+    def rank(self) -> ProgressCallback:
+        """Shows explanations with their error while a search runs."""
+        return self.terminal.rank
+
+    def measure(self, trials: Sequence[PlannedTrial]) -> None:
+        """Record trials on the plant."""
+        secret = self.secret
+        tasks = []
+        for one in trials:
+            folder = self.runs / one.folder
+            folder.mkdir(parents=True, exist_ok=True)
+            tasks.append(BlindTask(str(folder.absolute()), one.trial, secret.hidden, secret.outside, secret.strength))
+        with self.terminal.progress("trials") as report:
+            for count, (one, outcome) in enumerate(zip(trials, self.map_tasks(run_task, tasks), strict=True), start=1):
+                if outcome != "OK":
+                    self.terminal.warn(f"{one.path}: {outcome}")
+                report(count, len(tasks))
+
+    def read(self) -> Against:
+        """All trials against a model; bags are read again only where there are more."""
+        count = sum(1 for _ in self.runs.rglob("metadata.yaml"))
+        if self._known is None or self._known[0] != count:
+            self._known = count, self.measured_runs(), {}
+        _, runs, sources = self._known
+
+        def against(model: Model) -> Source:
+            key = f"{model.digest} {[spec.name for spec in model.formulas]}"
+            if key not in sources:
+                sources[key] = ReplaySource.of(runs, model, self._store)
+            return sources[key]
+
+        return against
+
+    def measured_runs(self) -> Runs:
+        """All trials."""
+        return read(self.runs, self.map_tasks, self.terminal)
+
+    def design(
+        self, model: Model, done: Sequence[Round], document: DiagnosisDocument | None, budget: int, seed: int
+    ) -> ExperimentPlan:
+        """The next trials."""
+        return simple_design(self.settings, model, done, document, budget, seed)
+
+
+def simple_design(
+    settings: Settings,
+    model: Model,
+    done: Sequence[Round],
+    document: DiagnosisDocument | None,
+    budget: int,
+    seed: int,
+) -> ExperimentPlan:
+    """Trials by rule: at first two repeats of a few conditions, then what the diagnosis asks for, else new conditions.
+
+    Args:
+        settings: What was asked.
+        model: The newest model.
+        done: Rounds so far.
+        document: Diagnosis to go on from; None: at first, and to try a new model.
+        budget: Trials at most.
+        seed: Seed of scatter and noise.
+    """
+    often: dict[tuple[str, str, str], int] = {}
+    for name in settings.scenarios:
+        scenario = load_scenario(name)
+        objects = list(scenario.objects) if scenario.excursion is None else list(scenario.objects)[:1]
+        for case in scenario.cases:
+            for item in objects:
+                if settings.envelope is None or not settings.envelope.complaint(TrialSpec.of(scenario, item, case)):
+                    often[name, item, case] = 0
+    for one in (trial for here in done for trial in here.trials):
+        key = one.trial.key
+        often[one.scenario, key.object, key.case] += 1
+    if not often:
+        raise InputError("no condition of these scenarios lies inside the envelope; expected limits that allow some")
+    hits = [place for place in often if load_scenario(place[0]).excursion is None]
+    free = [place for place in often if place not in hits]
+    wanted: dict[tuple[str, str, str], int] = {}
+    if not done:
+        corners = [*hits[:1], *[place for place in reversed(hits) if place[1] != hits[0][1]][:1], *hits[-1:]]
+        conditions = list(dict.fromkeys([*corners[:2], *free[:2], *hits]))[: max(3, budget // 2)][:4]
+        for place in conditions:
+            wanted[place] = 2
+        reason = "Two objects and free motion, to see where the model fails."
+    else:
+        experiment = None if document is None else document.next_experiment
+        asked = [
+            place
+            for place in often
+            if experiment is not None
+            and (load_scenario(place[0]).name, *place[1:]) == (experiment.scenario, experiment.object, experiment.case)
+        ]
+        if experiment is not None and asked:
+            wanted[asked[0]] = budget
+            reason = f"{experiment.advice[:1].upper()}{experiment.advice[1:]}."
+        else:
+            fewest = sorted(hits or free, key=lambda place: often[place])
+            for place in fewest[:budget]:
+                wanted[place] = 1
+            reason = "Conditions that were measured least."
+    folders: dict[str, list[PlannedCondition]] = {}
+    for (name, item, case), count in wanted.items():
+        folders.setdefault(name, []).append(PlannedCondition(object=item, case=case, trials=count))
+    return ExperimentPlan(
+        model=model.name,
+        model_digest=model.digest,
+        budget=budget,
+        seed=seed,
+        summary=reason,
+        campaigns=tuple(
+            PlannedCampaign(folder=Path(name).stem, scenario=name, conditions=tuple(conditions))
+            for name, conditions in folders.items()
+        ),
+    )

@@ -1,0 +1,159 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Benches of an investigation behind ROS 2: our nodes, and a real cell in the plant's place."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from impact_rs_analysis.evidence.command_clock import read_laboratory_runs
+from impact_rs_analysis.evidence.measured_runs import Runs
+from impact_rs_analysis.investigation import PlannedTrial, Settings
+from impact_rs_cli.bench import PlantBench
+from impact_rs_cli.cell_guard import CellGuard
+from impact_rs_cli.terminal import Terminal
+from impact_rs_ros.graph import Graph, run_trial
+from impact_rs_sim.errors import InputError
+from impact_rs_sim.files import write_whole
+from impact_rs_sim.model import Model
+from impact_rs_sim.scenario import load_scenario
+from impact_rs_trials.bags.reader import TrialBag
+from impact_rs_trials.campaign import Manifest, TrialReport
+from impact_rs_trials.recordings.experiment import FREE_MOTION, HIT, NO_OBJECT, load_experiment
+from impact_rs_trials.workers import Map
+
+
+class NodesBench(PlantBench):
+    """The ROS 2 nodes, with our plant among them.
+
+    Args:
+        hidden: Effects of the plant that no other node knows; None: none.
+        without: Nodes that the user provides.
+        namespace: ROS namespace of the nodes.
+    """
+
+    def __init__(
+        self,
+        directory: Path,
+        settings: Settings,
+        map_tasks: Map,
+        terminal: Terminal,
+        hidden: Model | None = None,
+        without: Sequence[str] = (),
+        namespace: str = "",
+    ) -> None:
+        super().__init__(directory, settings, map_tasks, terminal)
+        self._hidden, self._without, self._namespace = hidden, without, namespace
+
+    def measure(self, trials: Sequence[PlannedTrial]) -> None:
+        """Run trials through the nodes, one after the other."""
+        trials = self.in_order(trials)
+        self.runs.mkdir(parents=True, exist_ok=True)
+        with (
+            Graph.running(
+                trials[0].scenario,
+                root=self.runs,
+                without=self._without,
+                notify=self.terminal.warn,
+                namespace=self._namespace,
+            ) as graph,
+            self.terminal.progress("trials") as report,
+        ):
+            for count, one in enumerate(trials, start=1):
+                graph.wait_until_ready()
+                self.run(graph, one)
+                report(count, len(trials))
+
+    def in_order(self, trials: Sequence[PlannedTrial]) -> Sequence[PlannedTrial]:
+        """The trials in the order in which they run."""
+        return trials
+
+    def run(self, graph: Graph, one: PlannedTrial) -> TrialReport:
+        """Run one trial."""
+        report = self.one(graph, one, repeated=True)
+        if report.outcome != "OK":
+            self.terminal.warn(f"{one.path}: {report.outcome}: {report.message}")
+        if report.outcome == "ABORTED":
+            raise RuntimeError(f"{one.path} was aborted: {report.message}; the same command goes on")
+        return report
+
+    def one(self, graph: Graph, one: PlannedTrial, repeated: bool) -> TrialReport:
+        """Ask the experiment node for one trial.
+
+        Raises:
+            InputError: The trial has settings of its own, which the nodes read from the file of the scenario.
+        """
+        if one.settings:
+            raise InputError(f"{one.path} changes {', '.join(one.settings)}: the nodes read the file of the scenario")
+        directory = self.runs / one.folder
+        directory.mkdir(parents=True, exist_ok=True)
+        key = one.trial.key
+        manifest = Manifest(
+            scenario=one.scenario,
+            objects=(key.object,),
+            cases=(key.case,),
+            velocity_scales=(key.scale,),
+            trials=key.repeat + 1,
+            seed=one.campaign_seed,
+        )
+        return run_trial(graph, directory, manifest, key, self._hidden, repeated)
+
+
+class CellBench(NodesBench):
+    """A real cell in the plant's place, guarded; its bags are read as those of a laboratory.
+
+    Args:
+        guard: Admits trials.
+        mapping: Where the signals are in its bags.
+    """
+
+    def __init__(
+        self,
+        directory: Path,
+        settings: Settings,
+        map_tasks: Map,
+        terminal: Terminal,
+        guard: CellGuard,
+        namespace: str = "",
+        mapping: str = "impact_rs",
+    ) -> None:
+        super().__init__(directory, settings, map_tasks, terminal, without=("plant",), namespace=namespace)
+        self._guard, self._mapping = guard, mapping
+
+    def measure(self, trials: Sequence[PlannedTrial]) -> None:
+        """Run trials on the cell, after the last stop was answered for."""
+        self._guard.begin()
+        super().measure(trials)
+
+    def in_order(self, trials: Sequence[PlannedTrial]) -> Sequence[PlannedTrial]:
+        """As the guard admits them."""
+        return self._guard.in_order(trials)
+
+    def run(self, graph: Graph, one: PlannedTrial) -> TrialReport:
+        """Run one trial as the guard admits it; an aborted one is not repeated.
+
+        Raises:
+            SafetyStop: The operator did not agree, or the trial did not go as planned.
+        """
+        self._guard.admit(one)
+        report = self.one(graph, one, repeated=False)
+        self._guard.after(one, report)
+        return report
+
+    def measured_runs(self) -> Runs:
+        """All trials, from measured signals alone: a robot reports no motor states."""
+        rows, hits = ["bag,object,kind,scenario,case,scale"], set()
+        for path in sorted(self.runs.glob("*/*/*/metadata.yaml")):
+            bag = TrialBag.open(path.parent)
+            spec = bag.info.spec
+            hit = spec.scenario.excursion is None
+            kind, what = (HIT, spec.object) if hit else (FREE_MOTION, NO_OBJECT)
+            if hit:
+                hits.add(bag.info.scenario)
+            name = path.parent.relative_to(self.runs).as_posix()
+            rows.append(f"{name},{what},{kind},{bag.info.scenario},{spec.case},{spec.scale:g}")
+        hit_scenarios = [name for name in self.settings.scenarios if load_scenario(name).excursion is None]
+        write_whole(self.runs / "runs.csv", "\n".join(rows) + "\n")
+        experiment = self.runs / "experiment.yaml"
+        write_whole(experiment, f"scenario: {hit_scenarios[0]}\nmapping: {self._mapping}\n")
+        return read_laboratory_runs(self.runs.absolute(), load_experiment(experiment), self.map_tasks)

@@ -1,0 +1,90 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The envelope of a real cell (``envelope.yaml``): which trials may run on it at all.
+
+Speeds are those of the references, impulses those of the impact map; what the arm really does is limited by the cell
+(:mod:`impact_rs_control.arm_limits`). The file says what the operator allows, in physical limits and in names.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from pydantic import Field
+
+from impact_rs_sim.errors import InputError
+from impact_rs_sim.schema import PositiveNumber, Schema
+from impact_rs_trials.spec import TrialSpec
+
+ROUNDING = 1e-9  # of a limit that a case is made for
+
+
+@dataclass(frozen=True)
+class Motion:
+    """What a trial asks of a cell.
+
+    Attributes:
+        speed: Largest reference speed of an end effector [m/s].
+        joint_speed: Largest ante-impact speed of a joint over its limit [-].
+        impulse: Predicted impulse on the object, sum over its contacts with arms [N s]; 0 where nothing is hit.
+    """
+
+    speed: float
+    joint_speed: float
+    impulse: float
+
+
+class Envelope(Schema):
+    """Trials that may run on a cell."""
+
+    scenarios: tuple[str, ...] = Field(min_length=1, description="names of the scenarios")
+    objects: tuple[str, ...] = Field((), description="names of the objects; none: all of the scenarios")
+    cases: tuple[str, ...] = Field((), description="full names of the cases; none: all of the scenarios")
+    speed: PositiveNumber = Field(description="largest reference speed of an end effector [m/s]")
+    joint_speed: PositiveNumber = Field(
+        0.8, description="largest speed of a joint at the impact, over the limit of the robot [-]"
+    )
+    impulse: PositiveNumber = Field(description="largest predicted impulse on the object [N s]")
+
+    def complaint(self, spec: TrialSpec) -> str:
+        """Why a trial is outside; empty: it is inside.
+
+        Raises:
+            InputError: The trial cannot be planned.
+        """
+        named = ((spec.scenario.name, self.scenarios), (spec.object, self.objects), (spec.case, self.cases))
+        for name, known in named:
+            if known and name not in known:
+                return f"{name} is not in the envelope ({', '.join(known)})"
+        motion = motion_of(spec)
+        for what, value, limit, unit in (
+            ("reference speed", motion.speed, self.speed, " m/s"),
+            ("speed of a joint over its limit", motion.joint_speed, self.joint_speed, ""),
+            ("predicted impulse", motion.impulse, self.impulse, " N s"),
+        ):
+            if not value <= limit * (1.0 + ROUNDING):
+                return f"{what} {value:.3g}{unit}, the envelope allows {limit:g}{unit}"
+        return ""
+
+    def check(self, spec: TrialSpec) -> None:
+        """Refuse a trial that is outside.
+
+        Raises:
+            InputError: It is outside, or cannot be planned.
+        """
+        if complaint := self.complaint(spec):
+            raise InputError(f"{spec.scenario.name}/{spec.object}/{spec.case} leaves the envelope: {complaint}")
+
+
+def motion_of(spec: TrialSpec) -> Motion:
+    """What a trial asks of a cell, by its references and the impact map."""
+    plan = spec.plan
+    paths = [path for arm in plan.arms.values() for path in (arm.ante_position, arm.post_position)]
+    speed = max(float(np.linalg.norm(path.velocity, axis=1).max()) for path in paths)
+    share = 0.0
+    for name, model in plan.scene.models.items():
+        velocity = plan.scene.arms[name].velocity
+        share = max(share, float(np.max(np.abs(velocity) / model.velocity_max)))
+    contacts = () if plan.impact is None else plan.impact.contacts
+    pushed = [contact.impulse for contact in contacts if contact.body_b in plan.arms]
+    return Motion(speed, share, float(np.linalg.norm(np.sum(pushed, axis=0))) if pushed else 0.0)
