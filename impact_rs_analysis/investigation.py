@@ -407,17 +407,19 @@ def decide(settings: Settings, rounds: Sequence[Round], budget: int) -> Decision
     left = budget - measured(rounds)
     ties = tuple(group for group in basis.confusable)
 
-    def more(reason: str, candidates: tuple[tuple[str, ...], ...] = ()) -> Decision:
+    def more(reason: str, candidates: tuple[tuple[str, ...], ...] = (), stop: str = "") -> Decision:
         planned = here.plan is not None and here.plan.trials > 0
-        if left > 0 and planned:
+        if left > 0 and planned and not stop:
             return Decision(action="measure", reason=reason, budget=budget)
-        why = f"the budget of {budget} trials is spent" if planned else "no trial within the limits decides it"
+        why = stop or (
+            f"the budget of {budget} trials is spent" if planned else "no trial within the limits decides it"
+        )
         return Decision(
             action="end",
             verdict=UNDECIDED,
             reason=f"{reason} And {why}.",
             tied=candidates,
-            spent=planned,
+            spent=planned and not stop,
             budget=budget,
         )
 
@@ -468,7 +470,7 @@ def decide(settings: Settings, rounds: Sequence[Round], budget: int) -> Decision
             )  # fmt: skip
         return more(f"{basis.summary} New trials have to confirm it.")
     if here.discovery is not None:
-        return _after_discovery(here.discovery, add, more)
+        return _after_discovery(here.discovery, sum(one.discovery is not None for one in rounds), add, more)
     if basis.calls_for_a_law:
         names = (
             f"{' and '.join(basis.named)} explains a part" if basis.named else "No effect of the library explains it"
@@ -485,10 +487,11 @@ def decide(settings: Settings, rounds: Sequence[Round], budget: int) -> Decision
 
 def _after_discovery(
     found: DiscoveryDocument,
+    count: int,
     add: Callable[[Sequence[str], str, str], Decision],
     more: Callable[..., Decision],
 ) -> Decision:
-    """What to do with a discovery."""
+    """What to do with a discovery, of ``count`` up to now."""
     if found.verdict == FOUND and found.diagnosis is not None:
         best = found.laws[0]
         rivals = tuple(law.name for law in found.laws if law.name in best.tied_with)
@@ -499,7 +502,8 @@ def _after_discovery(
             return add(found.diagnosis.named, "discovery.json", f"{found.summary} {best.place} = {best.formula}.")
         return more(f"{best.name} is {best.verdict}. {found.summary}", ((best.name,),))
     names = tuple(law.name for law in found.laws)
-    return more(f"{found.verdict}: {found.summary}", (names,) if names else ())
+    stop = f"{count} discoveries have found no law" if count >= MOST_DISCOVERIES else ""
+    return more(f"{found.verdict}: {found.summary}", (names,) if names else (), stop)
 
 
 def measured(rounds: Sequence[Round]) -> int:

@@ -52,12 +52,11 @@ class PlantBench:
 
     def measure(self, trials: Sequence[PlannedTrial]) -> None:
         """Record trials on the plant."""
-        secret = self.secret
-        tasks = []
-        for one in trials:
-            folder = self.runs / one.folder
-            folder.mkdir(parents=True, exist_ok=True)
-            tasks.append(BlindTask(str(folder.absolute()), one.trial, secret.hidden, secret.outside, secret.strength))
+        self.runs.mkdir(parents=True, exist_ok=True)
+        runs, secret = str(self.runs.absolute()), self.secret
+        tasks = [
+            BlindTask(runs, one.trial, secret.hidden, secret.outside, secret.strength, one.folder) for one in trials
+        ]
         with self.terminal.progress("trials") as report:
             for count, (one, outcome) in enumerate(zip(trials, self.map_tasks(run_task, tasks), strict=True), start=1):
                 if outcome != "OK":

@@ -248,6 +248,7 @@ class BlindTask:
     hidden: tuple[Hidden, ...]
     outside: str | None
     magnitude: float
+    folder: str = ""  # of its bag, below the directory; empty: the name of its scenario
 
 
 def _record(task: BlindTask, plan: TrialPlan, info: TrialInfo, path: Path, physics: Physics) -> str:
@@ -270,7 +271,7 @@ def run_task(task: BlindTask, record: Recorder = _record) -> str:
         InputError: This machine does not see the campaign's folder.
     """
     trial = task.trial
-    path = Path(task.directory) / trial.spec.scenario.name / trial.key.name
+    path = Path(task.directory) / (task.folder or trial.spec.scenario.name) / trial.key.name
     if not Path(task.directory).is_dir():
         raise InputError("a worker does not find this folder; expected one that all workers share", file=task.directory)
     if path.exists():

@@ -1,0 +1,421 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Steps and decisions of an investigation, on diagnoses that are given; each step may be killed."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import pytest
+from documents import comparison, diagnosis
+
+from impact_rs_analysis import investigation
+from impact_rs_analysis.diagnosis.discovery_document import DiscoveryDocument
+from impact_rs_analysis.diagnosis.document import DiagnosisDocument, EffectDocument, ModelIdentity
+from impact_rs_analysis.investigation import (
+    BlindChoice,
+    Decision,
+    Ending,
+    Investigation,
+    PlannedTrial,
+    Round,
+    Settings,
+    begin,
+    judged,
+    read_ending,
+    read_rounds,
+    trials_of,
+)
+from impact_rs_analysis.report.family_tree import bought_of, family_of, write_investigation
+from impact_rs_sim.errors import InputError
+from impact_rs_sim.model import Model, load_model
+from impact_rs_trials.experiment_plan import ExperimentPlan, PlannedCampaign, PlannedCondition
+
+FRICTION, MASS = "support_friction", "object_mass"
+PARAMETERS = {
+    FRICTION: {"friction": {"estimate": 0.1, "ci95": (0.08, 0.12), "unit": "-"}},
+    MASS: {"scale": {"estimate": 1.2, "ci95": (1.1, 1.3), "unit": "-"}},
+}
+SETTINGS = Settings(scenarios=("push", "excite"), model_digest=load_model("nominal").digest)
+
+
+def said(verdict: str, *effects: str, of: str = "CONFIRMED", **more: Any) -> DiagnosisDocument:
+    """A diagnosis that names effects, each with one verdict."""
+    found = tuple(
+        EffectDocument(
+            name=name,
+            verdict=of,
+            parameters=PARAMETERS[name],
+            held_out_error_before=9.0,
+            held_out_error_after=1.0,
+            p_value=0.001,
+        )
+        for name in effects
+    )
+    update = {"verdict": verdict, "named": effects, "effects": found, "suspected": (), "confusable": (), "views": ()}
+    return diagnosis().model_copy(
+        update={"summary": f"{verdict}.", "next_experiment": None, "formulas": ()} | update | more
+    )
+
+
+CLEAN = said("NOTHING-MISSING")
+
+
+class FakeBench:
+    """Trials that are folders, and a diagnosis for every (number of effects of the model, trials) that is asked for."""
+
+    rank = staticmethod(lambda *_: None)
+
+    def __init__(self, directory: Path, answer: Callable[[Model, int], DiagnosisDocument]) -> None:
+        self.directory, self.answer = directory, answer
+        self.measured: list[str] = []
+        self.last: DiagnosisDocument | None = None
+
+    def measure(self, trials: Sequence[PlannedTrial]) -> None:
+        for one in trials:
+            self.measured.append(one.path)
+            (self.directory / "runs" / one.path).mkdir(parents=True)
+
+    def read(self) -> Callable[[Model], Any]:
+        return lambda model: (self, model)
+
+    def design(
+        self, model: Model, done: Sequence[Round], document: DiagnosisDocument | None, budget: int, seed: int
+    ) -> ExperimentPlan:
+        self.last = document
+        one = PlannedCondition(object="parcel", case="case_1", trials=budget)
+        return ExperimentPlan(
+            model=model.name,
+            model_digest=model.digest,
+            budget=budget,
+            seed=seed,
+            campaigns=(PlannedCampaign(folder="push", scenario="push", conditions=(one,)),),
+        )
+
+
+Start = Callable[..., tuple[Investigation, FakeBench]]
+
+
+@pytest.fixture
+def start(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Start:
+    """An investigation with given diagnoses."""
+
+    def diagnosed(source: tuple[FakeBench, Model], model: Model, *_: Any) -> DiagnosisDocument:
+        bench, _ = source
+        found = bench.answer(model, len(list((bench.directory / "runs").glob("*/*/*"))))
+        return found.model_copy(update={"model": ModelIdentity(name=model.name, digest=model.digest)})
+
+    monkeypatch.setattr(investigation, "diagnose", diagnosed)
+    monkeypatch.setattr(investigation, "compare", lambda source: comparison())
+
+    def made(
+        answer: Callable[[Model, int], DiagnosisDocument], budget: int = 60, folder: str = "one"
+    ) -> tuple[Investigation, FakeBench]:
+        directory = tmp_path / folder
+        begin(directory, SETTINGS)
+        bench = FakeBench(directory, answer)
+        return Investigation(directory, SETTINGS, budget, bench), bench
+
+    return made
+
+
+def friction_then_nothing(model: Model, trials: int) -> DiagnosisDocument:
+    del trials
+    return CLEAN if model.effects else said(FRICTION, FRICTION)
+
+
+def test_an_effect_that_is_found_is_added_and_tried_on_new_trials(start: Start) -> None:
+    investigation_, bench = start(friction_then_nothing)
+    ending = investigation_.run()
+    assert (ending.verdict, ending.effects, ending.model) == ("EXPLAINED", (FRICTION,), "model_2.yaml")
+    assert ending.trials == len(bench.measured) == investigation.FIRST + investigation.CHECK
+    model = load_model(investigation_.directory / "model_2.yaml")
+    assert model.effects[0].parameters["friction"].estimate == 0.1
+    assert "predicts the 2 trials that were measured after it was made" in ending.summary
+
+
+def test_two_effects_are_two_models_with_the_estimates_of_one_diagnosis(start: Start) -> None:
+    both = said(f"{FRICTION}+{MASS}", FRICTION, MASS)
+    investigation_, _ = start(lambda model, trials: CLEAN if model.effects else both)
+    ending = investigation_.run()
+    assert ending.effects == (MASS, FRICTION)
+    last = load_model(investigation_.directory / ending.model)
+    assert [item.name for item in last.effects] == [FRICTION, MASS]
+    family = family_of(SETTINGS, read_rounds(investigation_.directory, SETTINGS))
+    assert [(one.name, one.parent, one.generation) for one in family] == [
+        ("nominal", None, 0),
+        ("model_2.yaml", "nominal", 1),
+        ("model_3.yaml", "model_2.yaml", 2),
+    ]
+
+
+def test_nothing_is_missing_only_where_a_second_batch_of_trials_says_so_too(start: Start) -> None:
+    investigation_, bench = start(lambda model, trials: CLEAN)
+    ending = investigation_.run()
+    assert (ending.verdict, ending.effects, ending.model) == ("NOTHING-MISSING", (), "nominal")
+    assert ending.rounds == 2 and len(bench.measured) == investigation.FIRST + investigation.MORE
+
+
+def test_a_model_that_fails_on_new_trials_is_left_and_the_first_one_diagnosed_again(start: Start) -> None:
+    """Friction at first; with all trials mass explains them, and the model with mass holds."""
+
+    def answer(model: Model, trials: int) -> DiagnosisDocument:
+        if model.effects:
+            return CLEAN if model.effects[0].name == MASS else said(MASS, MASS)
+        return said(FRICTION, FRICTION) if trials <= investigation.FIRST else said(MASS, MASS)
+
+    investigation_, _ = start(answer)
+    ending = investigation_.run()
+    assert ending.effects == (MASS,)
+    family = family_of(SETTINGS, read_rounds(investigation_.directory, SETTINGS))
+    assert [(one.parent, one.effect, one.last) for one in family[1:]] == [
+        ("nominal", FRICTION, False),
+        ("nominal", MASS, True),
+    ]
+
+
+def test_the_same_effect_again_with_all_trials_renews_its_estimate_and_ends(start: Start) -> None:
+    investigation_, _ = start(lambda model, trials: said(MASS, MASS) if model.effects else said(FRICTION, FRICTION))
+    ending = investigation_.run()
+    assert (ending.verdict, ending.effects, ending.model) == ("EXPLAINED", (FRICTION,), "model_3.yaml")
+    assert (investigation_.directory / "model_3.yaml").exists()
+
+
+def tie(model: Model, trials: int) -> DiagnosisDocument:
+    del model, trials
+    return said(FRICTION, FRICTION, of=f"CONFUSABLE-WITH{{{MASS}}}", confusable=((FRICTION, MASS),))
+
+
+def test_a_tie_that_no_trial_splits_ends_with_i_cannot_tell_and_both_names(start: Start) -> None:
+    investigation_, bench = start(tie, budget=20)
+    ending = investigation_.run()
+    assert (ending.verdict, ending.certain) == ("UNDECIDED", False)
+    assert ending.candidates == (FRICTION, MASS)
+    assert "I cannot tell" in ending.summary and "the budget of 20 trials is spent" in ending.summary
+    assert len(bench.measured) == 20
+    assert bench.last is not None and bench.last.confusable  # the design knows what to split
+
+
+@pytest.mark.parametrize("budget", [1, 3, 8, 9, 13])
+def test_no_more_trials_than_the_budget(start: Start, budget: int) -> None:
+    for name, answer in {"tie": tie, "null": lambda *_: CLEAN, "single": friction_then_nothing}.items():
+        investigation_, bench = start(answer, budget, name)
+        assert investigation_.run().trials == len(bench.measured) <= budget
+
+
+def test_a_larger_budget_goes_on_after_the_end_of_a_spent_one(start: Start) -> None:
+    def answer(model: Model, trials: int) -> DiagnosisDocument:
+        return friction_then_nothing(model, trials) if trials > 10 else tie(model, trials)
+
+    investigation_, bench = start(answer, budget=8)
+    assert investigation_.run().verdict == "UNDECIDED"
+    larger = Investigation(investigation_.directory, SETTINGS, 40, bench)
+    assert (larger.run().verdict, read_ending(investigation_.directory).effects) == ("EXPLAINED", (FRICTION,))
+
+
+def test_too_few_repeats_and_a_suspicion_ask_for_more_trials(start: Start) -> None:
+    def answer(model: Model, trials: int) -> DiagnosisDocument:
+        if trials <= 8:
+            return said("TOO-FEW-REPEATS")
+        if trials <= 12:
+            return CLEAN.model_copy(update={"suspected": (FRICTION,)})
+        return friction_then_nothing(model, trials)
+
+    investigation_, _ = start(answer)
+    assert investigation_.run().effects == (FRICTION,)
+    actions = [one.decision.action for one in read_rounds(investigation_.directory, SETTINGS) if one.decision]
+    assert actions == ["measure", "measure", "add", "end"]
+
+
+def test_what_no_effect_explains_is_first_measured_again_and_then_a_law_is_looked_for(
+    start: Start, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    looked = []
+
+    def discovered(source_of: Any, model: Model, *_: Any) -> DiscoveryDocument:
+        looked.append(model.name)
+        return DiscoveryDocument(verdict="NO-LAW-HOLDS", summary="No law holds.", error_unit="times repeatability")
+
+    monkeypatch.setattr(investigation, "discover", discovered)
+    investigation_, bench = start(lambda *_: said("NONE-EXPLAINS"), budget=20)
+    ending = investigation_.run()
+    assert ending.verdict == "UNDECIDED" and "NO-LAW-HOLDS" in ending.summary
+    assert "2 discoveries have found no law" in ending.summary
+    assert len(looked) == investigation.MOST_DISCOVERIES and len(bench.measured) == 16
+    first, second = read_rounds(investigation_.directory, SETTINGS)[:2]
+    assert first.discovery is None and second.discovery is not None
+
+
+class Killed(BaseException):
+    """The power went."""
+
+
+def story(directory: Path) -> dict[str, str]:
+    """Everything that an investigation wrote."""
+    return {
+        path.relative_to(directory).as_posix(): path.read_text(encoding="utf-8")
+        for path in sorted(directory.rglob("*"))
+        if path.is_file()
+    }
+
+
+def test_a_kill_before_or_after_every_write_loses_nothing(start: Start, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Every file of every step, killed before it is there and just after: the end is that of an undisturbed run."""
+    both = said(f"{FRICTION}+{MASS}", FRICTION, MASS)
+
+    def answer(model: Model, trials: int) -> DiagnosisDocument:
+        if model.effects:
+            return CLEAN if len(model.effects) == 2 else said(MASS, MASS)
+        return said(FRICTION, FRICTION) if trials <= investigation.FIRST else both
+
+    undisturbed, bench = start(answer)
+    undisturbed.run()
+    expected, trials = story(undisturbed.directory), bench.measured
+    assert len(expected) > 15
+    writers = ("write_whole", "write_plan", "write_document", "save_model")
+    real = {name: getattr(investigation, name) for name in writers}
+    kills, number = 0, 0
+    while True:
+        number += 1
+        left = number
+        went_through = True
+
+        def killing(name: str) -> Callable[..., None]:
+            def write(*arguments: Any) -> None:
+                nonlocal left
+                left -= 1
+                if left == 0:
+                    raise Killed
+                real[name](*arguments)
+                left -= 1
+                if left == 0:
+                    raise Killed
+
+            return write
+
+        killed, bench = start(answer, folder=f"kill_{number}")
+        for name in writers:
+            monkeypatch.setattr(investigation, name, killing(name))
+        try:
+            killed.run()
+        except Killed:
+            kills, went_through = kills + 1, False
+        for name in writers:
+            monkeypatch.setattr(investigation, name, real[name])
+        again = Investigation(killed.directory, SETTINGS, 60, bench)
+        again.run()
+        assert story(again.directory) == expected, number
+        assert bench.measured == trials  # no trial is measured twice
+        if went_through:
+            break
+    assert kills > 40
+
+
+def test_a_kill_between_two_trials_repeats_none(start: Start) -> None:
+    killed, bench = start(friction_then_nothing)
+    measure = bench.measure
+
+    def only_three(trials: Sequence[PlannedTrial]) -> None:
+        measure(trials[:3])
+        raise Killed
+
+    bench.measure = only_three  # type: ignore[method-assign]
+    with pytest.raises(Killed):
+        killed.run()
+    bench.measure = measure  # type: ignore[method-assign]
+    assert killed.run().effects == (FRICTION,)
+    assert len(bench.measured) == len(set(bench.measured)) == 10
+
+
+def test_another_question_in_the_same_folder_is_refused(start: Start) -> None:
+    killed, _ = start(friction_then_nothing)
+    other = SETTINGS.model_copy(update={"seed": 5, "blind": BlindChoice(seed=5)})
+    with pytest.raises(InputError, match="holds another investigation \\(it differs in seed, blind\\)"):
+        begin(killed.directory, other)
+
+
+def test_a_first_model_that_was_changed_is_refused(start: Start) -> None:
+    investigation_, bench = start(friction_then_nothing)
+    settings = SETTINGS.model_copy(update={"model_digest": "0" * 16})
+    with pytest.raises(InputError, match="was changed since the investigation began"):
+        Investigation(investigation_.directory, settings, 60, bench).run()
+
+
+def test_a_prediction_is_on_disk_before_its_trials(start: Start) -> None:
+    """The end effector of the nominal arm leaves a push of the parcel at 0.5 m/s with a part of it, along -y."""
+    investigation_, bench = start(friction_then_nothing)
+    seen: list[bool] = []
+    measure = bench.measure
+
+    def measured(trials: Sequence[PlannedTrial]) -> None:
+        folder = sorted((investigation_.directory / "rounds").iterdir())[-1]
+        content = json.loads((folder / "prediction.json").read_text())
+        seen.append(content["impacts"][0]["condition"] == "push/parcel/case_1")
+        assert -0.5 < content["impacts"][0]["arm"] < -0.3
+        measure(trials)
+
+    bench.measure = measured  # type: ignore[method-assign]
+    investigation_.run()
+    assert seen == [True, True]
+
+
+def test_repeats_of_a_plan_alternate_and_rounds_draw_other_noise() -> None:
+    one, two = (PlannedCondition(object=name, case="case_1", trials=2) for name in ("parcel", "juice"))
+    plan = ExperimentPlan(
+        model="nominal",
+        model_digest="",
+        budget=4,
+        seed=3,
+        campaigns=(PlannedCampaign(folder="push", scenario="push", conditions=(one, two)),),
+    )
+    trials = trials_of(plan, "round_01")
+    assert [(one.trial.key.object, one.trial.repeat) for one in trials] == [
+        ("parcel", 0), ("juice", 0), ("parcel", 1), ("juice", 1),
+    ]  # fmt: skip
+    later = trials_of(plan.model_copy(update={"seed": 4}), "round_02")
+    assert {one.trial.seed for one in trials}.isdisjoint(one.trial.seed for one in later)
+
+
+def test_the_log_and_the_page_give_every_decision_with_its_reason(start: Start) -> None:
+    investigation_, _ = start(friction_then_nothing)
+    ending = investigation_.run()
+    rounds = read_rounds(investigation_.directory, SETTINGS)
+    text = (investigation_.directory / "log.md").read_text()
+    page = write_investigation(SETTINGS, rounds, investigation_.directory / "report").read_text()
+    for here in rounds:
+        assert isinstance(here.decision, Decision)
+        assert here.decision.reason in text
+    assert ending.summary in text and "EXPLAINED" in page and FRICTION in page
+    assert [one.total for one in bought_of(rounds)] == [8, 10]
+
+
+def end(verdict: str, effects: tuple[str, ...] = (), candidates: tuple[str, ...] = ()) -> Ending:
+    return Ending(
+        verdict=verdict, summary="", model="nominal", effects=effects, candidates=candidates, trials=8, rounds=1
+    )
+
+
+@pytest.mark.parametrize(
+    ("ending", "kind", "hidden", "right", "wrong"),
+    [
+        (end("EXPLAINED", ("a",)), "single", ("a",), True, False),
+        (end("EXPLAINED", ("b",)), "single", ("a",), False, True),
+        (end("EXPLAINED", ("a",)), "pair", ("a", "b"), False, True),
+        (end("EXPLAINED", ("a", "b")), "pair", ("b", "a"), True, False),
+        (end("NOTHING-MISSING"), "null", (), True, False),
+        (end("NOTHING-MISSING"), "single", ("a",), False, True),
+        (end("EXPLAINED", ("a",)), "null", (), False, True),
+        (end("UNDECIDED", (), ("a", "b")), "single", ("a",), True, False),
+        (end("UNDECIDED", (), ("b",)), "single", ("a",), False, False),
+        (end("UNDECIDED"), "null", (), False, False),
+        (end("LAW-HOLDS", ("law",)), "outside", ("drag",), True, False),
+        (end("EXPLAINED", ("a",)), "outside", ("drag",), False, True),
+        (end("UNDECIDED"), "outside", ("drag",), True, False),
+    ],
+)
+def test_an_end_is_right_undecided_or_surely_wrong(
+    ending: Ending, kind: str, hidden: tuple[str, ...], right: bool, wrong: bool
+) -> None:
+    assert judged(ending, kind, hidden) == (right, wrong)
