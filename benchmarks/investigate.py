@@ -1,0 +1,129 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Scoreboard of blind investigations: ``./run python -m benchmarks.investigate -o DIR``.
+
+Effects of the library alone and in pairs, laws outside it, and nulls. It resumes where it stopped, within an
+investigation as well; ``--only single`` runs those whose name starts so.
+"""
+
+from __future__ import annotations
+
+import statistics
+import time
+from pathlib import Path
+
+from benchmarks.board import Entry, Row, arguments, run_board, share
+from benchmarks.discovery import RIGHT
+from impact_rs_analysis.diagnosis.scoring import truth_of
+from impact_rs_analysis.investigation import LAW, BlindChoice, Investigation, Settings, begin, judged, read_rounds
+from impact_rs_cli.bench import PlantBench
+from impact_rs_cli.commands.investigate import secret_of
+from impact_rs_cli.terminal import Terminal
+from impact_rs_sim.model import load_model
+from impact_rs_trials.blind import specs
+from impact_rs_trials.workers import Map
+
+MAGNITUDE = 4.0  # parameter scales, of an effect that should be seen; as the pairs of the board of diagnoses
+LAW_MAGNITUDE = 4.0
+LAWS = ("object_quadratic_drag", "motor6_ripple", "end_effector_cable", "motor4_stop")
+VISIBLE = 2.0  # times the noise, of the error of the first model
+FIXED = sum(repeats for _, repeats in specs("small"))  # trials of the fixed campaign
+
+
+def matrix(singles: int, pairs: int, laws: int, nulls: int) -> list[Entry]:
+    """Every investigation, kinds in turn, so that a board that is stopped early has some of each."""
+    kinds = (
+        [Entry("single", None, MAGNITUDE, 100 + seed) for seed in range(singles)],
+        [Entry("null", None, None, 300 + seed) for seed in range(nulls)],
+        [Entry("pair", None, MAGNITUDE, 200 + seed) for seed in range(pairs)],
+        [Entry("outside", LAWS[seed % len(LAWS)], LAW_MAGNITUDE, 400 + seed) for seed in range(laws)],
+    )
+    longest = max(map(len, kinds))
+    return [kind[index] for index in range(longest) for kind in kinds if index < len(kind)]
+
+
+def run(entry: Entry, directory: Path, map_tasks: Map, budget: int) -> Row:
+    """Investigate one plant, and hold the end against the truth."""
+    blind = BlindChoice(seed=entry.seed, kind=entry.kind, effect=entry.effect, magnitude=entry.magnitude)
+    settings = Settings(
+        scenarios=("push", "excite"), model_digest=load_model("nominal").digest, seed=entry.seed, blind=blind
+    )
+    secret = secret_of(settings)
+    directory.mkdir(parents=True, exist_ok=True)
+    secret.check(directory)
+    begin(directory, settings)
+    secret.keep(directory)
+    started, spent = time.perf_counter(), time.process_time()
+    bench = PlantBench(directory, settings, map_tasks, Terminal(as_json=True), secret)
+    ending = Investigation(directory, settings, budget, bench).run()
+    kind, hidden = truth_of(directory)
+    right, wrong = judged(ending, kind, hidden)
+    if ending.verdict == LAW:
+        right = bool(set(ending.effects) & set(RIGHT.get(hidden[0], ())))
+        wrong = not right
+    first = read_rounds(directory, settings)[0].diagnosis
+    assert first is not None
+    return {
+        "name": entry.name,
+        "kind": kind,
+        "truth": list(hidden),
+        "verdict": f"{ending.verdict} {'+'.join(ending.effects or ending.candidates)}".strip(),
+        "certain": ending.certain,
+        "correct": right,
+        "wrong": wrong,
+        "trials": ending.trials,
+        "rounds": ending.rounds,
+        "before": first.held_out_error_before,
+        "noise": first.noise_floor,
+        "seconds": time.perf_counter() - started,
+        "processor": time.process_time() - spent,
+    }
+
+
+def scoreboard(rows: list[Row]) -> str:
+    """The table."""
+    asked = [row for row in rows if row["kind"] != "null"]
+    nulls = [row for row in rows if row["kind"] == "null"]
+    seen = [row for row in asked if row["before"] > VISIBLE * row["noise"]]
+    lines = [
+        f"something hidden, end right                 {share([row['correct'] for row in asked])}",
+        f"... above twice the noise                   {share([row['correct'] for row in seen])}",
+        f"... certain and right                       {share([row['correct'] and row['certain'] for row in asked])}",
+        f"... certain and wrong                       {share([row['wrong'] for row in asked])}",
+        f"nothing hidden, NOTHING-MISSING             {share([row['correct'] for row in nulls])}",
+        f"nothing hidden, certain and wrong           {share([row['wrong'] for row in nulls])}",
+    ]
+    if asked:
+        median = statistics.median(row["trials"] for row in asked)
+        lines.append(
+            f"trials, median                              {median:g} = {100.0 * median / FIXED:.0f} % of {FIXED}"
+        )
+    if rows:
+        lines.append(
+            f"time, median                                {statistics.median(row['seconds'] for row in rows):.0f} s, "
+            f"of the processor {statistics.median(row['processor'] for row in rows):.0f} s"
+        )
+    for row in rows:
+        if not row["correct"]:
+            how = "wrong" if row["wrong"] else "missed"
+            error = f"error before {row['before']:.3g}, noise {row['noise']:.3g}"
+            lines.append(f"  {how}: {row['name']}: hidden {', '.join(row['truth']) or 'nothing'}; {row['verdict']}, ")
+            lines[-1] += f"{row['trials']} trials ({error})"
+    return "\n".join(lines)
+
+
+def main() -> None:
+    """Run what is missing, then print the scoreboard."""
+    parser = arguments(__doc__)
+    for name, count in (("singles", 10), ("pairs", 6), ("laws", 4), ("nulls", 10)):
+        parser.add_argument(f"--{name}", type=int, default=count, help=f"number of {name}")
+    parser.add_argument("--budget", type=int, default=30, help="trials of each at most")
+    options = parser.parse_args()
+    entries = matrix(options.singles, options.pairs, options.laws, options.nulls)
+    rows = run_board(entries, options, lambda entry, folder, map_tasks: run(entry, folder, map_tasks, options.budget))
+    print(scoreboard(rows))
+
+
+if __name__ == "__main__":
+    from benchmarks.investigate import main as run_main  # what workers get is then known by its module
+
+    run_main()
