@@ -1,0 +1,56 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Envelope of a cell: speeds of references and impulses of the impact map against what the operator allows."""
+
+import numpy as np
+import pytest
+
+from impact_rs_sim.errors import InputError
+from impact_rs_sim.scenario import load_scenario
+from impact_rs_trials.envelope import Envelope, motion_of
+from impact_rs_trials.spec import TrialSpec
+
+PUSH = load_scenario("push")
+SLOW = TrialSpec.of(PUSH, "parcel", "case_1")  # 0.5 m/s
+FAST = TrialSpec.of(PUSH, "parcel", "case_2")  # 0.7 m/s
+LIMITS = Envelope(scenarios=("push",), objects=("parcel",), cases=("case_1",), speed=0.55, impulse=1.0)
+
+
+def test_the_impulse_is_the_momentum_that_the_object_gets() -> None:
+    """m v of the parcel along the push; the support takes the rest of what is not along it."""
+    motion, scene = motion_of(SLOW), SLOW.scene
+    impact = SLOW.plan.impact
+    assert impact is not None
+    momentum = scene.physics.object.mass * np.linalg.norm(impact.object_twist[:3])
+    assert motion.impulse == pytest.approx(momentum, rel=0.2)
+    heavier = motion_of(TrialSpec.of(PUSH, "juice", "case_1"))
+    assert heavier.impulse > 2.0 * motion.impulse
+
+
+def test_the_speed_is_at_least_that_of_the_case_and_grows_with_the_reference() -> None:
+    assert 0.5 <= motion_of(SLOW).speed < 0.52
+    assert 0.7 <= motion_of(FAST).speed < 0.72
+    assert motion_of(TrialSpec.of(PUSH, "parcel", "case_1", 1.2)).speed > 0.52
+    assert motion_of(TrialSpec.of(load_scenario("excite"), "none", "fast")).impulse == 0.0
+
+
+def test_a_trial_at_its_limits_is_inside() -> None:
+    motion = motion_of(SLOW)
+    assert LIMITS.model_copy(update={"speed": motion.speed, "impulse": motion.impulse}).complaint(SLOW) == ""
+
+
+@pytest.mark.parametrize(
+    ("update", "complaint"),
+    [
+        ({"speed": 0.45}, "reference speed 0.5 m/s, the envelope allows 0.45 m/s"),
+        ({"impulse": 0.1}, "N s, the envelope allows 0.1 N s"),
+        ({"joint_speed": 0.01}, "speed of a joint over its limit"),
+        ({"objects": ("juice",)}, "parcel is not in the envelope"),
+        ({"cases": ("case_2",)}, "case_1 is not in the envelope"),
+        ({"scenarios": ("grab",)}, "push is not in the envelope"),
+    ],
+)
+def test_a_trial_outside_is_refused_with_value_and_limit(update: dict[str, object], complaint: str) -> None:
+    envelope = LIMITS.model_copy(update=update)
+    assert complaint in envelope.complaint(SLOW)
+    with pytest.raises(InputError, match="push/parcel/case_1 leaves the envelope"):
+        envelope.check(SLOW)
