@@ -19,7 +19,8 @@ from impact_rs_sim.errors import InputError
 from impact_rs_sim.model import Model
 from impact_rs_sim.scenario import load_scenario
 from impact_rs_trials.blind import RUNS, BlindTask, Secret, run_task
-from impact_rs_trials.experiment_plan import ExperimentPlan, PlannedCampaign, PlannedCondition
+from impact_rs_trials.campaign import PlannedTrials
+from impact_rs_trials.experiment_plan import ExperimentPlan, PlannedCampaign
 from impact_rs_trials.spec import TrialSpec
 from impact_rs_trials.workers import Map
 
@@ -145,12 +146,14 @@ def simple_design(
             for place in fewest[:budget]:
                 wanted[place] = 1
             reason = "Conditions that were measured least."
-    folders: dict[str, list[PlannedCondition]] = {}
+    folders: dict[str, list[PlannedTrials]] = {}
     for (name, item, case), count in wanted.items():
-        folders.setdefault(name, []).append(PlannedCondition(object=item, case=case, trials=count))
+        folders.setdefault(name, []).append(PlannedTrials(object=item, case=case, trials=count))
     return ExperimentPlan(
         model=model.name,
         model_digest=model.digest,
+        aim="effects",
+        method="fixed",
         budget=budget,
         seed=seed,
         summary=reason,

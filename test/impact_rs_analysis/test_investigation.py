@@ -31,7 +31,8 @@ from impact_rs_analysis.investigation import (
 from impact_rs_analysis.report.family_tree import bought_of, family_of, write_investigation
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.model import Model, load_model
-from impact_rs_trials.experiment_plan import ExperimentPlan, PlannedCampaign, PlannedCondition
+from impact_rs_trials.campaign import PlannedTrials
+from impact_rs_trials.experiment_plan import ExperimentPlan, PlannedCampaign
 
 FRICTION, MASS = "support_friction", "object_mass"
 PARAMETERS = {
@@ -85,10 +86,12 @@ class FakeBench:
         self, model: Model, done: Sequence[Round], document: DiagnosisDocument | None, budget: int, seed: int
     ) -> ExperimentPlan:
         self.last = document
-        one = PlannedCondition(object="parcel", case="case_1", trials=budget)
+        one = PlannedTrials(object="parcel", case="case_1", trials=budget)
         return ExperimentPlan(
             model=model.name,
             model_digest=model.digest,
+            aim="effects",
+            method="fixed",
             budget=budget,
             seed=seed,
             campaigns=(PlannedCampaign(folder="push", scenario="push", conditions=(one,)),),
@@ -358,10 +361,12 @@ def test_a_prediction_is_on_disk_before_its_trials(start: Start) -> None:
 
 
 def test_repeats_of_a_plan_alternate_and_rounds_draw_other_noise() -> None:
-    one, two = (PlannedCondition(object=name, case="case_1", trials=2) for name in ("parcel", "juice"))
+    one, two = (PlannedTrials(object=name, case="case_1", trials=2) for name in ("parcel", "juice"))
     plan = ExperimentPlan(
         model="nominal",
         model_digest="",
+        aim="effects",
+        method="fixed",
         budget=4,
         seed=3,
         campaigns=(PlannedCampaign(folder="push", scenario="push", conditions=(one, two)),),

@@ -19,18 +19,20 @@ from impact_rs_cli.node_benches import CellBench
 from impact_rs_cli.terminal import Terminal
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.model import load_model
-from impact_rs_trials.campaign import TrialReport
+from impact_rs_trials.campaign import PlannedTrials, TrialReport
 from impact_rs_trials.envelope import Envelope
-from impact_rs_trials.experiment_plan import ExperimentPlan, PlannedCampaign, PlannedCondition
+from impact_rs_trials.experiment_plan import ExperimentPlan, PlannedCampaign
 
 ENVELOPE = Envelope(scenarios=("push",), objects=("parcel", "juice"), speed=0.75, impulse=2.0)
 
 
 def planned(*conditions: tuple[str, str, int]) -> list[PlannedTrial]:
     """Pushes: object, case, repeats."""
-    listed = tuple(PlannedCondition(object=item, case=case, trials=count) for item, case, count in conditions)
+    listed = tuple(PlannedTrials(object=item, case=case, trials=count) for item, case, count in conditions)
     campaign = PlannedCampaign(folder="push", scenario="push", conditions=listed)
-    plan = ExperimentPlan(model="nominal", model_digest="", budget=60, campaigns=(campaign,))
+    plan = ExperimentPlan(
+        model="nominal", model_digest="", aim="effects", method="fixed", budget=60, campaigns=(campaign,)
+    )
     return trials_of(plan, "round_01")
 
 
