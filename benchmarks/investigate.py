@@ -9,17 +9,29 @@ from __future__ import annotations
 
 import statistics
 import time
+from collections.abc import Sequence
 from pathlib import Path
 
 from benchmarks.board import Entry, Row, arguments, run_board, share
 from benchmarks.discovery import RIGHT
+from impact_rs_analysis.diagnosis.document import DiagnosisDocument
 from impact_rs_analysis.diagnosis.scoring import truth_of
-from impact_rs_analysis.investigation import LAW, BlindChoice, Investigation, Settings, begin, judged, read_rounds
+from impact_rs_analysis.investigation import (
+    LAW,
+    BlindChoice,
+    Investigation,
+    Round,
+    Settings,
+    begin,
+    judged,
+    read_rounds,
+)
 from impact_rs_cli.bench import PlantBench
 from impact_rs_cli.commands.investigate import secret_of
 from impact_rs_cli.terminal import Terminal
-from impact_rs_sim.model import load_model
+from impact_rs_sim.model import Model, load_model
 from impact_rs_trials.blind import specs
+from impact_rs_trials.experiment_plan import ExperimentPlan, read_plan, write_plan
 from impact_rs_trials.workers import Map
 
 MAGNITUDE = 4.0  # parameter scales, of an effect that should be seen; as the pairs of the board of diagnoses
@@ -41,6 +53,21 @@ def matrix(singles: int, pairs: int, laws: int, nulls: int) -> list[Entry]:
     return [kind[index] for index in range(longest) for kind in kinds if index < len(kind)]
 
 
+class SharedFirstPlan(PlantBench):
+    """Our plant; the first plan, which is the same for all, is made once and read by the others."""
+
+    def design(
+        self, model: Model, done: Sequence[Round], document: DiagnosisDocument | None, budget: int, seed: int
+    ) -> ExperimentPlan:
+        """The next trials."""
+        if done:
+            return super().design(model, done, document, budget, seed)
+        path = self.runs.parent.parent / f"first_plan_{budget}.yaml"
+        if not path.exists():
+            write_plan(super().design(model, done, document, budget, 0), path)
+        return read_plan(path).model_copy(update={"seed": seed})
+
+
 def run(entry: Entry, directory: Path, map_tasks: Map, budget: int) -> Row:
     """Investigate one plant, and hold the end against the truth."""
     blind = BlindChoice(seed=entry.seed, kind=entry.kind, effect=entry.effect, magnitude=entry.magnitude)
@@ -53,7 +80,7 @@ def run(entry: Entry, directory: Path, map_tasks: Map, budget: int) -> Row:
     begin(directory, settings)
     secret.keep(directory)
     started, spent = time.perf_counter(), time.process_time()
-    bench = PlantBench(directory, settings, map_tasks, Terminal(as_json=True), secret)
+    bench = SharedFirstPlan(directory, settings, map_tasks, Terminal(as_json=True), secret)
     ending = Investigation(directory, settings, budget, bench).run()
     kind, hidden = truth_of(directory)
     right, wrong = judged(ending, kind, hidden)

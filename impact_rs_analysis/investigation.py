@@ -65,6 +65,7 @@ from impact_rs_trials.spec import TrialSpec
 
 SETTINGS, ROUNDS, ENDING, LOG = "investigation.yaml", "rounds", "ending.json", "log.md"
 FIRST, CHECK, MORE = 8, 2, 4  # trials of the first round, of one that tries a new model, and of any other
+LOUD = 1.5  # times the noise, of an error that is not nothing, however few trials it comes from
 MOST_DISCOVERIES = 2  # each takes minutes
 EXPLAINED, LAW, MISSES_NOTHING, UNDECIDED = "EXPLAINED", "LAW-HOLDS", NOTHING, "UNDECIDED"
 CANNOT = "I cannot tell"  # the words of UNDECIDED
@@ -302,7 +303,7 @@ class Investigation:
         count = min(left, FIRST if not rounds else CHECK if fresh else MORE)
         self._say(f"Round {number}: design of {count} trials at most, {left} are left")
         plan = self._bench.design(
-            self._model(_model_after(self.settings, rounds)),
+            self._model(_model_after(self.settings, rounds) if fresh else self.settings.model),
             rounds,
             None if fresh else document,
             count,
@@ -462,6 +463,11 @@ def decide(settings: Settings, rounds: Sequence[Round], budget: int) -> Decision
         if basis.suspected:
             names = " and ".join(basis.suspected)
             return more(f"{names} lowers the error, but not surely on unseen conditions.", (basis.suspected,))
+        if basis.verdict == NOTHING and basis.held_out_error_before > LOUD * basis.noise_floor:
+            return more(
+                f"Nothing stands out, but the error of {basis.held_out_error_before:.3g} is far beyond the noise of "
+                f"{basis.noise_floor:.3g}: too few repeats to say what it is."
+            )
         before = rounds[-2].basis if len(rounds) > 1 else None
         if (before is not None and holds(before) and not before.suspected) or left <= 0:
             return Decision(

@@ -6,17 +6,23 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
+from impact_rs_analysis.design.design import design
+from impact_rs_analysis.design.hypotheses import Decision, which_effect
+from impact_rs_analysis.design.possible_trials import NO_LIMITS, Limits
 from impact_rs_analysis.diagnosis.document import DiagnosisDocument
+from impact_rs_analysis.diagnosis.next_experiment import left_open
 from impact_rs_analysis.diagnosis.search import ProgressCallback
 from impact_rs_analysis.evidence.measured_runs import Runs
 from impact_rs_analysis.evidence.replay_cache import ReplayCache
 from impact_rs_analysis.evidence.replays import ReplaySource
 from impact_rs_analysis.evidence.source import Source
-from impact_rs_analysis.investigation import Against, PlannedTrial, Round, Settings
+from impact_rs_analysis.investigation import Against, PlannedTrial, Round, Settings, trials_of
 from impact_rs_cli.measurements import read
 from impact_rs_cli.terminal import Terminal
+from impact_rs_sim.effects.base import Joints
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.model import Model
+from impact_rs_sim.physics import Physics
 from impact_rs_sim.scenario import load_scenario
 from impact_rs_trials.blind import RUNS, BlindTask, Secret, run_task
 from impact_rs_trials.campaign import PlannedTrials
@@ -66,10 +72,9 @@ class PlantBench:
 
     def read(self) -> Against:
         """All trials against a model; bags are read again only where there are more."""
-        count = sum(1 for _ in self.runs.rglob("metadata.yaml"))
-        if self._known is None or self._known[0] != count:
-            self._known = count, self.measured_runs(), {}
-        _, runs, sources = self._known
+        runs = self._runs()
+        assert self._known is not None
+        sources = self._known[2]
 
         def against(model: Model) -> Source:
             key = f"{model.digest} {[spec.name for spec in model.formulas]}"
@@ -79,6 +84,12 @@ class PlantBench:
 
         return against
 
+    def _runs(self) -> Runs:
+        count = sum(1 for _ in self.runs.rglob("metadata.yaml"))
+        if self._known is None or self._known[0] != count:
+            self._known = count, self.measured_runs(), {}
+        return self._known[1]
+
     def measured_runs(self) -> Runs:
         """All trials."""
         return read(self.runs, self.map_tasks, self.terminal)
@@ -86,8 +97,38 @@ class PlantBench:
     def design(
         self, model: Model, done: Sequence[Round], document: DiagnosisDocument | None, budget: int, seed: int
     ) -> ExperimentPlan:
-        """The next trials."""
-        return simple_design(self.settings, model, done, document, budget, seed)
+        """The trials that decide most of what is open; where none can be planned so, those of a rule."""
+        limits = NO_LIMITS if self.settings.envelope is None else Limits(self.settings.envelope.speed)
+        try:
+            decide = None if document is None else left_open(document, model)
+            if decide is None and self.settings.effects:
+                decide = self._which
+            runs = self._runs() if done else None
+            with self.terminal.stages() as stage:
+                plan = design(
+                    model, self.settings.scenarios, budget, self.map_tasks, decide, runs, "design", limits, seed, stage
+                )
+            self.check(plan)
+            return plan
+        except InputError as error:
+            self.terminal.warn(f"trials by rule instead of by design: {error}")
+            return simple_design(self.settings, model, done, document, budget, seed)
+
+    def _which(self, model: Model, joints: Joints, worlds: Sequence[Physics]) -> Decision:
+        """Which of the effects that are considered is missing."""
+        present = {item.name for item in model.effects}
+        effects = [model.known_effects[name] for name in self.settings.effects if name not in present]
+        return which_effect(effects, joints, worlds)
+
+    def check(self, plan: ExperimentPlan) -> None:
+        """Refuse a plan that leaves the envelope.
+
+        Raises:
+            InputError: It does.
+        """
+        if self.settings.envelope is not None:
+            for one in trials_of(plan, ""):
+                self.settings.envelope.check(one.trial.spec)
 
 
 def simple_design(

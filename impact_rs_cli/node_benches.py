@@ -13,12 +13,12 @@ from impact_rs_cli.bench import PlantBench
 from impact_rs_cli.cell_guard import CellGuard
 from impact_rs_cli.terminal import Terminal
 from impact_rs_ros.graph import Graph, run_trial
-from impact_rs_sim.errors import InputError
 from impact_rs_sim.files import write_whole
 from impact_rs_sim.model import Model
 from impact_rs_sim.scenario import load_scenario
 from impact_rs_trials.bags.reader import TrialBag
 from impact_rs_trials.campaign import Manifest, TrialReport
+from impact_rs_trials.experiment_plan import SCENARIO_FILE, write_scenario
 from impact_rs_trials.recordings.experiment import FREE_MOTION, HIT, NO_OBJECT, load_experiment
 from impact_rs_trials.workers import Map
 
@@ -78,18 +78,17 @@ class NodesBench(PlantBench):
         return report
 
     def one(self, graph: Graph, one: PlannedTrial, repeated: bool) -> TrialReport:
-        """Ask the experiment node for one trial.
-
-        Raises:
-            InputError: The trial has settings of its own, which the nodes read from the file of the scenario.
-        """
-        if one.settings:
-            raise InputError(f"{one.path} changes {', '.join(one.settings)}: the nodes read the file of the scenario")
+        """Ask the experiment node for one trial; a variant of a scenario gets a file, because nodes read files."""
         directory = self.runs / one.folder
         directory.mkdir(parents=True, exist_ok=True)
+        scenario = one.scenario
+        if one.settings:
+            path = directory / SCENARIO_FILE
+            write_scenario(load_scenario(scenario).with_settings(one.settings), path)
+            scenario = str(path.resolve())
         key = one.trial.key
         manifest = Manifest(
-            scenario=one.scenario,
+            scenario=scenario,
             objects=(key.object,),
             cases=(key.case,),
             velocity_scales=(key.scale,),

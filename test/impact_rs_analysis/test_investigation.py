@@ -61,7 +61,7 @@ def said(verdict: str, *effects: str, of: str = "CONFIRMED", **more: Any) -> Dia
     )
 
 
-CLEAN = said("NOTHING-MISSING")
+CLEAN = said("NOTHING-MISSING", held_out_error_before=1.0, noise_floor=1.0)
 
 
 class FakeBench:
@@ -230,6 +230,15 @@ def test_too_few_repeats_and_a_suspicion_ask_for_more_trials(start: Start) -> No
     assert investigation_.run().effects == (FRICTION,)
     actions = [one.decision.action for one in read_rounds(investigation_.directory, SETTINGS) if one.decision]
     assert actions == ["measure", "measure", "add", "end"]
+
+
+def test_an_error_far_beyond_the_noise_is_not_nothing_however_few_the_trials(start: Start) -> None:
+    loud = CLEAN.model_copy(update={"held_out_error_before": 3.0})
+    undecided, _ = start(lambda *_: loud, budget=16)
+    ending = undecided.run()
+    assert ending.verdict == "UNDECIDED" and "error of 3 is far beyond the noise of 1" in ending.summary
+    quiet, _ = start(lambda model, trials: loud if trials <= 8 else CLEAN, folder="quiet")
+    assert quiet.run().verdict == "NOTHING-MISSING"
 
 
 def test_what_no_effect_explains_is_first_measured_again_and_then_a_law_is_looked_for(
