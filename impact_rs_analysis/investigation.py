@@ -29,6 +29,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal, Protocol
 
+import yaml
 from pydantic import Field
 
 from impact_rs_analysis.diagnosis.add import add_effect
@@ -93,7 +94,7 @@ class Settings(Schema):
     envelope: Envelope | None = Field(None, description="which trials may run; null: all that can be planned")
 
 
-class Prediction(Schema):
+class ImpactPrediction(Schema):
     """What a model predicts for a condition before it is measured."""
 
     condition: str = Field(description="scenario, object and case")
@@ -105,10 +106,10 @@ class Predictions(Schema):
     """``prediction.json``."""
 
     model: ModelIdentity = Field(description="what predicts")
-    impacts: tuple[Prediction, ...] = Field((), description="by condition with an impact")
+    impacts: tuple[ImpactPrediction, ...] = Field((), description="by condition with an impact")
 
 
-class Decision(Schema):
+class RoundDecision(Schema):
     """What to do after a round, and why (``decision.json``)."""
 
     action: Literal["measure", "add", "end"] = Field(description="what to do")
@@ -183,7 +184,7 @@ class Round:
     diagnosis: DiagnosisDocument | None = None
     again: DiagnosisDocument | None = None
     discovery: DiscoveryDocument | None = None
-    decision: Decision | None = None
+    decision: RoundDecision | None = None
 
     @property
     def basis(self) -> DiagnosisDocument | None:
@@ -395,7 +396,7 @@ def _settled(settings: Settings, here: Round) -> bool:
     return here.model != settings.model and here.diagnosis is not None and holds(here.diagnosis)
 
 
-def decide(settings: Settings, rounds: Sequence[Round], budget: int) -> Decision:
+def decide(settings: Settings, rounds: Sequence[Round], budget: int) -> RoundDecision:
     """What to do after the last of some rounds.
 
     Args:
@@ -408,14 +409,14 @@ def decide(settings: Settings, rounds: Sequence[Round], budget: int) -> Decision
     left = budget - measured(rounds)
     ties = tuple(group for group in basis.confusable)
 
-    def more(reason: str, candidates: tuple[tuple[str, ...], ...] = (), stop: str = "") -> Decision:
+    def more(reason: str, candidates: tuple[tuple[str, ...], ...] = (), stop: str = "") -> RoundDecision:
         planned = here.plan is not None and here.plan.trials > 0
         if left > 0 and planned and not stop:
-            return Decision(action="measure", reason=reason, budget=budget)
+            return RoundDecision(action="measure", reason=reason, budget=budget)
         why = stop or (
             f"the budget of {budget} trials is spent" if planned else "no trial within the limits decides it"
         )
-        return Decision(
+        return RoundDecision(
             action="end",
             verdict=UNDECIDED,
             reason=f"{reason} And {why}.",
@@ -424,7 +425,7 @@ def decide(settings: Settings, rounds: Sequence[Round], budget: int) -> Decision
             budget=budget,
         )
 
-    def add(names: Sequence[str], source: str, reason: str) -> Decision:
+    def add(names: Sequence[str], source: str, reason: str) -> RoundDecision:
         first = 2 + sum(len(one.decision.models) for one in rounds if one.decision is not None)
         files = tuple(f"model_{first + index}.yaml" for index in range(len(names)))
         again = here.model != settings.model and set(names) == _added(settings, rounds)
@@ -437,7 +438,7 @@ def decide(settings: Settings, rounds: Sequence[Round], budget: int) -> Decision
             else "It is tried on new trials."
         )
         laws = source == "discovery.json" and any(name in basis_formulas for name in names)
-        return Decision(
+        return RoundDecision(
             action="end" if ended else "add",
             verdict="" if not ended else LAW if laws else EXPLAINED,
             reason=f"{reason} {tried}",
@@ -450,7 +451,7 @@ def decide(settings: Settings, rounds: Sequence[Round], budget: int) -> Decision
     basis_formulas = {law.name for law in here.discovery.laws} if here.discovery is not None else set()
     if _settled(settings, here):
         laws = set(_laws_added(rounds))
-        return Decision(
+        return RoundDecision(
             action="end",
             verdict=LAW if laws else EXPLAINED,
             reason=f"{here.model} predicts the {len(here.trials)} trials that were measured after it was made, and "
@@ -470,7 +471,7 @@ def decide(settings: Settings, rounds: Sequence[Round], budget: int) -> Decision
             )
         before = rounds[-2].basis if len(rounds) > 1 else None
         if (before is not None and holds(before) and not before.suspected) or left <= 0:
-            return Decision(
+            return RoundDecision(
                 action="end", verdict=MISSES_NOTHING, reason=f"{basis.summary} New trials do not change it.",
                 budget=budget,
             )  # fmt: skip
@@ -481,7 +482,8 @@ def decide(settings: Settings, rounds: Sequence[Round], budget: int) -> Decision
         names = (
             f"{' and '.join(basis.named)} explains a part" if basis.named else "No effect of the library explains it"
         )
-        return more(f"{names}: {basis.summary}", (basis.named,) if basis.named else ())
+        possible = (*basis.named, *basis.suspected)
+        return more(f"{names}: {basis.summary}", (possible,) if possible else ())
     unsure = [effect for name in basis.named if (effect := basis.effect(name)) and effect.verdict != CONFIRMED]
     if not unsure:
         source = "again.json" if here.again is not None else "diagnosis.json"
@@ -494,9 +496,9 @@ def decide(settings: Settings, rounds: Sequence[Round], budget: int) -> Decision
 def _after_discovery(
     found: DiscoveryDocument,
     count: int,
-    add: Callable[[Sequence[str], str, str], Decision],
-    more: Callable[..., Decision],
-) -> Decision:
+    add: Callable[[Sequence[str], str, str], RoundDecision],
+    more: Callable[..., RoundDecision],
+) -> RoundDecision:
     """What to do with a discovery, of ``count`` up to now."""
     if found.verdict == FOUND and found.diagnosis is not None:
         best = found.laws[0]
@@ -545,13 +547,13 @@ def trials_of(plan: ExperimentPlan, folder: str) -> list[PlannedTrial]:
     return sorted(found, key=lambda one: one.trial.repeat)
 
 
-def predicted(model: Model, spec: TrialSpec) -> Prediction:
+def predicted(model: Model, spec: TrialSpec) -> ImpactPrediction:
     """The velocities just after the impact that a model predicts, by the impact map."""
     scene, axis = spec.scene, spec.scenario.axis_index
     scene = replace(scene, physics=model.apply(scene.physics))
     result = predict_impact(ImpactProblem.at_nominal_impact(scene), spec.scenario.control.reference_contact)
     arms = [float(twist[axis]) for twist in result.end_effector_twist.values()]
-    return Prediction(
+    return ImpactPrediction(
         condition=label_of(spec), arm=sum(arms) / len(arms), object=float(result.object_twist[axis])
     )  # fmt: skip
 
@@ -573,8 +575,6 @@ def begin(directory: Path, settings: Settings) -> Settings:
                 file=path,
             )
         return present
-    import yaml
-
     write_whole(path, yaml.safe_dump(settings.model_dump(mode="json"), sort_keys=False))
     return settings
 
@@ -622,7 +622,7 @@ def read_rounds(directory: Path, settings: Settings) -> list[Round]:
                 diagnosis=_read_diagnosis(here / "diagnosis.json"),
                 again=_read_diagnosis(here / "again.json"),
                 discovery=_read(DiscoveryDocument, here / "discovery.json"),
-                decision=_read(Decision, here / "decision.json"),
+                decision=_read(RoundDecision, here / "decision.json"),
             )
         )
     return found
@@ -646,7 +646,7 @@ def _model_after(settings: Settings, rounds: Sequence[Round]) -> str:
     return made[-1] if made else settings.model
 
 
-def _last_addition(rounds: Sequence[Round]) -> Decision | None:
+def _last_addition(rounds: Sequence[Round]) -> RoundDecision | None:
     return next((one.decision for one in reversed(rounds) if one.decision is not None and one.decision.models), None)
 
 

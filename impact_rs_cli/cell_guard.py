@@ -16,7 +16,7 @@ from impact_rs_sim.errors import InputError
 from impact_rs_sim.files import write_whole
 from impact_rs_trials.bags.trial_info import OUTCOMES
 from impact_rs_trials.campaign import TrialReport
-from impact_rs_trials.envelope import Envelope, motion_of
+from impact_rs_trials.envelope import Envelope, demand_of
 
 STOPPED, APPROVED = "stopped.json", "approved.json"
 
@@ -63,7 +63,7 @@ class CellGuard:
             self._envelope.check(one.trial.spec)
         known = set(self._read(APPROVED) or {})
         new = sorted(
-            (one for one in trials if _kind(one) not in known), key=lambda one: motion_of(one.trial.spec).speed
+            (one for one in trials if _kind(one) not in known), key=lambda one: demand_of(one.trial.spec).speed
         )
         return [*(one for one in trials if _kind(one) in known), *new]
 
@@ -76,7 +76,7 @@ class CellGuard:
         """
         spec, kind = one.trial.spec, _kind(one)
         self._envelope.check(spec)
-        motion = motion_of(spec)
+        motion = demand_of(spec)
         approved = self._read(APPROVED) or {}
         said = {"speed": motion.speed, "impulse": motion.impulse}
         if kind not in approved:

@@ -322,7 +322,7 @@ impact-rs blind score inquiry""",
     options=(
         argument("directory", "folder of the investigation", kind="new_folder", metavar="DIR"),
         option(
-            "--budget", kind="whole", default=60, least=1, most=1000, metavar="N", help="trials at most",
+            "--budget", kind="whole", default=60, least=6, most=1000, metavar="N", help="trials at most",
             label="trials at most",
         ),
         option(

@@ -20,7 +20,7 @@ ROUNDING = 1e-9  # of a limit that a case is made for
 
 
 @dataclass(frozen=True)
-class Motion:
+class Demand:
     """What a trial asks of a cell.
 
     Attributes:
@@ -56,7 +56,7 @@ class Envelope(Schema):
         for name, known in named:
             if known and name not in known:
                 return f"{name} is not in the envelope ({', '.join(known)})"
-        motion = motion_of(spec)
+        motion = demand_of(spec)
         for what, value, limit, unit in (
             ("reference speed", motion.speed, self.speed, " m/s"),
             ("speed of a joint over its limit", motion.joint_speed, self.joint_speed, ""),
@@ -76,7 +76,7 @@ class Envelope(Schema):
             raise InputError(f"{spec.scenario.name}/{spec.object}/{spec.case} leaves the envelope: {complaint}")
 
 
-def motion_of(spec: TrialSpec) -> Motion:
+def demand_of(spec: TrialSpec) -> Demand:
     """What a trial asks of a cell, by its references and the impact map."""
     plan = spec.plan
     paths = [path for arm in plan.arms.values() for path in (arm.ante_position, arm.post_position)]
@@ -87,4 +87,4 @@ def motion_of(spec: TrialSpec) -> Motion:
         share = max(share, float(np.max(np.abs(velocity) / model.velocity_max)))
     contacts = () if plan.impact is None else plan.impact.contacts
     pushed = [contact.impulse for contact in contacts if contact.body_b in plan.arms]
-    return Motion(speed, share, float(np.linalg.norm(np.sum(pushed, axis=0))) if pushed else 0.0)
+    return Demand(speed, share, float(np.linalg.norm(np.sum(pushed, axis=0))) if pushed else 0.0)

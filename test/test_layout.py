@@ -109,7 +109,7 @@ def _no_circle(links: dict[str, set[str]]) -> None:
 
 @pytest.mark.parametrize("package", PACKAGES)
 def test_imports_stand_at_the_top_of_modules(package: str) -> None:
-    """Slow and optional libraries aside; and ROS 2, which `campaign` and `show` need for running nodes alone."""
+    """Slow and optional libraries aside; and ROS 2, which some commands need for running nodes alone."""
     late = {
         (name, imported)
         for name, module in modules_of(package)
@@ -117,7 +117,10 @@ def test_imports_stand_at_the_top_of_modules(package: str) -> None:
         if imported.split(".")[0] not in LATE
     }
     nodes = ("impact_rs_ros.graph", "impact_rs_ros.node_processes")
-    live = {("impact_rs_cli/commands/show.py", "impact_rs_cli.live_graph")}
+    live = {
+        ("impact_rs_cli/commands/show.py", "impact_rs_cli.live_graph"),
+        ("impact_rs_cli/commands/investigate.py", "impact_rs_cli.node_benches"),
+    }
     assert late <= live | {("impact_rs_cli/commands/campaign.py", module) for module in nodes}
 
 

@@ -31,6 +31,7 @@ from impact_rs_trials.store import Folder, owned
 from impact_rs_trials.workers import Map
 
 REPORT = "report"
+LEAST = 6  # trials; a diagnosis needs three conditions with a repeat each
 
 
 def run(args: argparse.Namespace, terminal: Terminal) -> int:
@@ -63,8 +64,10 @@ def settings_of(args: argparse.Namespace) -> Settings:
     """
     model = load_model(args.model)
     check_effects(model, args.effects)
-    if args.budget < 1:
-        raise InputError(f"argument --budget: expected at least 1 trial, got {args.budget}")
+    if args.budget < LEAST:
+        raise InputError(
+            f"argument --budget: expected at least {LEAST} trials, three conditions twice, got {args.budget}"
+        )
     if args.blind is None and (args.kind != "single" or args.effect is not None):
         raise InputError("--kind and --effect say what --blind SEED hides; give it, too")
     if args.blind is not None and args.via == "cell":

@@ -16,11 +16,11 @@ from impact_rs_analysis.diagnosis.discovery_document import DiscoveryDocument
 from impact_rs_analysis.diagnosis.document import DiagnosisDocument, EffectDocument, ModelIdentity
 from impact_rs_analysis.investigation import (
     BlindChoice,
-    Decision,
     Ending,
     Investigation,
     PlannedTrial,
     Round,
+    RoundDecision,
     Settings,
     begin,
     judged,
@@ -395,7 +395,7 @@ def test_the_log_and_the_page_give_every_decision_with_its_reason(start: Start) 
     text = (investigation_.directory / "log.md").read_text()
     page = write_investigation(SETTINGS, rounds, investigation_.directory / "report").read_text()
     for here in rounds:
-        assert isinstance(here.decision, Decision)
+        assert isinstance(here.decision, RoundDecision)
         assert here.decision.reason in text
     assert ending.summary in text and "EXPLAINED" in page and FRICTION in page
     assert [one.total for one in bought_of(rounds)] == [8, 10]

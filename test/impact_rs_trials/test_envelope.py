@@ -6,7 +6,7 @@ import pytest
 
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.scenario import load_scenario
-from impact_rs_trials.envelope import Envelope, motion_of
+from impact_rs_trials.envelope import Envelope, demand_of
 from impact_rs_trials.spec import TrialSpec
 
 PUSH = load_scenario("push")
@@ -17,24 +17,24 @@ LIMITS = Envelope(scenarios=("push",), objects=("parcel",), cases=("case_1",), s
 
 def test_the_impulse_is_the_momentum_that_the_object_gets() -> None:
     """m v of the parcel along the push; the support takes the rest of what is not along it."""
-    motion, scene = motion_of(SLOW), SLOW.scene
+    motion, scene = demand_of(SLOW), SLOW.scene
     impact = SLOW.plan.impact
     assert impact is not None
     momentum = scene.physics.object.mass * np.linalg.norm(impact.object_twist[:3])
     assert motion.impulse == pytest.approx(momentum, rel=0.2)
-    heavier = motion_of(TrialSpec.of(PUSH, "juice", "case_1"))
+    heavier = demand_of(TrialSpec.of(PUSH, "juice", "case_1"))
     assert heavier.impulse > 2.0 * motion.impulse
 
 
 def test_the_speed_is_at_least_that_of_the_case_and_grows_with_the_reference() -> None:
-    assert 0.5 <= motion_of(SLOW).speed < 0.52
-    assert 0.7 <= motion_of(FAST).speed < 0.72
-    assert motion_of(TrialSpec.of(PUSH, "parcel", "case_1", 1.2)).speed > 0.52
-    assert motion_of(TrialSpec.of(load_scenario("excite"), "none", "fast")).impulse == 0.0
+    assert 0.5 <= demand_of(SLOW).speed < 0.52
+    assert 0.7 <= demand_of(FAST).speed < 0.72
+    assert demand_of(TrialSpec.of(PUSH, "parcel", "case_1", 1.2)).speed > 0.52
+    assert demand_of(TrialSpec.of(load_scenario("excite"), "none", "fast")).impulse == 0.0
 
 
 def test_a_trial_at_its_limits_is_inside() -> None:
-    motion = motion_of(SLOW)
+    motion = demand_of(SLOW)
     assert LIMITS.model_copy(update={"speed": motion.speed, "impulse": motion.impulse}).complaint(SLOW) == ""
 
 

@@ -1,0 +1,113 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A blind investigation from beginning to end on the command line, and every way to ask for one wrongly."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from impact_rs_cli.main import main
+from impact_rs_sim.model import load_model
+from impact_rs_sim.scenario import load_scenario
+from impact_rs_trials.experiment_plan import write_scenario
+
+pytestmark = pytest.mark.timeout(600)  # the first test waits for the whole loop
+
+SEED, EFFECT = "0", "support_friction"
+Document = Callable[..., dict[str, Any]]
+Refused = Callable[..., str]
+
+
+@pytest.fixture(scope="module")
+def small(tmp_path_factory: pytest.TempPathFactory) -> list[str]:
+    """Push and free motion with few conditions, so that little has to be rehearsed."""
+    folder, push = tmp_path_factory.mktemp("scenarios"), load_scenario("push")
+    few = {
+        "objects": {name: push.objects[name] for name in ("parcel", "juice")},
+        "cases": {"case_1": push.cases["case_1"]},
+    }
+    write_scenario(push.model_copy(update=few), folder / "push.yaml")
+    excite = load_scenario("excite")
+    write_scenario(excite.model_copy(update={"cases": {"fast": excite.cases["fast"]}}), folder / "excite.yaml")
+    return [str(folder / "push.yaml"), str(folder / "excite.yaml")]
+
+
+@pytest.fixture(scope="module")
+def investigated(small: list[str], tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[str], list[str]]:
+    """An investigation of a plant with more friction of the support; its command, and the files named truth it read."""
+    directory = tmp_path_factory.mktemp("inquiry") / "inquiry"
+    words = ["investigate", str(directory), "--blind", SEED, "--effect", EFFECT, "--effects", EFFECT, "object_mass"]
+    words += ["--scenarios", *small, "--budget", "16", "--jobs", "1"]
+    read: list[str] = []
+    real = Path.read_text
+
+    def spied(path: Path, *arguments: Any, **more: Any) -> str:
+        read.append(path.name)
+        return real(path, *arguments, **more)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(Path, "read_text", spied)
+        assert main(words) == 0
+    return directory, words, read
+
+
+def test_the_loop_names_the_hidden_effect_with_fewer_trials_than_a_fixed_campaign(
+    investigated: tuple[Path, list[str], list[str]], document: Document
+) -> None:
+    directory, _, read = investigated
+    scored = document("blind", "score", directory)
+    assert (scored["correct"], scored["surely_wrong"], scored["verdict"]) == (True, False, "EXPLAINED")
+    assert scored["named"] == scored["truth"] == [EFFECT]
+    assert scored["trials"] == len(list((directory / "runs").glob("*/*/*/metadata.yaml"))) < 18
+    ending = json.loads((directory / "ending.json").read_text())
+    (truth,) = json.loads((directory / "truth.json").read_text())["effects"]
+    (item,) = load_model(directory / ending["model"]).effects
+    friction = item.parameters["friction"]
+    assert friction.estimate == pytest.approx(truth["parameters"]["friction"]["value"], rel=0.15)
+    assert "truth.json" not in read  # it is written for blind score alone
+
+
+def test_the_same_command_after_the_end_measures_nothing_and_says_the_same(
+    investigated: tuple[Path, list[str], list[str]], document: Document
+) -> None:
+    directory, words, _ = investigated
+    before = {path: path.stat().st_mtime_ns for path in directory.rglob("*.mcap")}
+    again = document(*words)
+    assert (again["verdict"], again["effects"]) == ("EXPLAINED", [EFFECT])
+    assert {path: path.stat().st_mtime_ns for path in directory.rglob("*.mcap")} == before
+
+
+def test_log_page_and_models_are_there(investigated: tuple[Path, list[str], list[str]]) -> None:
+    directory, _, _ = investigated
+    log = (directory / "log.md").read_text()
+    assert all(
+        word in log for word in ("## Round 1", "Design", "Prediction", "Comparison", "Diagnosis", "Decision", EFFECT)
+    )
+    page = (directory / "report" / "investigation.html").read_text()
+    assert "Family tree of the models" in page and "model_2" in page
+
+
+def test_what_cannot_be_asked_is_refused_before_anything_is_written(refused: Refused, tmp_path: Path) -> None:
+    envelope = tmp_path / "envelope.yaml"
+    envelope.write_text("scenarios: [push]\nspeed: 0.6\nimpulse: 2.0\nforce: 3\n")
+    for line, message in {
+        "investigate D --budget 5": "expected at least 6 trials",
+        "investigate D --kind pair": "say what --blind SEED hides",
+        "investigate D --blind 3 --via cell --envelope E": "a cell has its own",
+        "investigate D --blind 3 --kind outside --via nodes": "the plant node knows effects of the library",
+        "investigate D --via cell": "needs --envelope FILE.yaml",
+        "investigate D --yes": "answers questions of --via cell",
+        "investigate D --via cell --envelope E": "unknown key",
+        "investigate D --blind 3 --effect suport_friction": "no effect 'suport_friction'",
+        "investigate D --effects suport_friction": "did you mean 'support_friction'",
+        "investigate D --model nowhere.yaml": "nowhere.yaml",
+        "investigate D --scenarios nowhere": "nowhere",
+        "blind score D": "has not ended",
+    }.items():
+        words = [{"D": tmp_path / "d", "E": envelope}.get(word, word) for word in line.split()]
+        assert message in refused(*words), line
+    assert [path.name for path in tmp_path.iterdir()] == ["envelope.yaml"]
