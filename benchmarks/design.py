@@ -5,7 +5,6 @@ Every blind campaign of the matrix is measured in three ways with the same hidde
 ``blind make`` (18 trials), and half as many trials by design and at random. Each is diagnosed and scored. Where the
 fixed campaign ends in a tie, ``TIE_BUDGET`` further trials are proposed by design and at random, and all trials
 together are diagnosed again.
-
 """
 
 from __future__ import annotations
@@ -17,6 +16,8 @@ from dataclasses import asdict
 from functools import partial
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from benchmarks.blind import matrix
 from benchmarks.board import Entry, Row, arguments, run_board, share
@@ -37,6 +38,7 @@ from impact_rs_trials.workers import Map
 
 BUDGET = 9  # half of the fixed campaign
 TIE_BUDGET = 4
+NULLS = 8
 METHODS: tuple[Method, ...] = ("design", "random")
 
 
@@ -63,9 +65,9 @@ def record(plan: ExperimentPlan, directory: Path, truth: Path, map_tasks: Map) -
         pass
 
 
-def joined(*parts: Runs) -> Runs:
-    """Runs of several folders; repeats of a condition have the features that all of them have."""
-    return Runs.of(parts[0].directory, [run for part in parts for run in part.runs])
+def together(before: Runs, directory: Path, map_tasks: Map) -> Runs:
+    """Earlier runs and those of another folder; repeats of a condition have the features that all of them have."""
+    return Runs.of(before.directory, [*before.runs, *read_runs(directory, map_tasks).runs])
 
 
 def diagnosed(document: Path, read: Callable[[], Runs], map_tasks: Map) -> DiagnosisDocument:
@@ -82,15 +84,24 @@ class Planner:
     def __init__(self, map_tasks: Map) -> None:
         self._map = map_tasks
         self._first: Rehearsal | None = None
+        self._designed: ExperimentPlan | None = None
         self._trials = possible_trials(SCENARIOS)
 
     def first(self, path: Path, method: Method, seed: int) -> ExperimentPlan:
         """The plan of a campaign from nothing; designed ones are equal but for their seed."""
         if not path.exists():
-            if self._first is None:
-                self._first = rehearse(load_model("nominal"), self._trials, ReplayCache(self._map))
-            write_plan(planned(self._first, decision_of(self._first), BUDGET, method, seed), path)
+            write_plan(self._plan(method, seed), path)
         return read_plan(path)
+
+    def _plan(self, method: Method, seed: int) -> ExperimentPlan:
+        if method == "design" and self._designed is not None:
+            return self._designed.model_copy(update={"seed": seed})
+        if self._first is None:
+            self._first = rehearse(load_model("nominal"), self._trials, ReplayCache(self._map))
+        plan = planned(self._first, decision_of(self._first), BUDGET, method, seed)
+        if method == "design":
+            self._designed = plan
+        return plan
 
     def next(self, path: Path, method: Method, seed: int, runs: Runs, decide: Decide) -> ExperimentPlan:
         """The plan after a diagnosis with a tie."""
@@ -122,7 +133,7 @@ def run(planner: Planner, entry: Entry, directory: Path, map_tasks: Map) -> Row:
             record(plan, directory / f"tie_{method}", directory, map_tasks)
             found = diagnosed(
                 directory / f"tie_{method}.json",
-                lambda method=method: joined(before, read_runs(directory / f"tie_{method}", map_tasks)),
+                partial(together, before, directory / f"tie_{method}", map_tasks),
                 map_tasks,
             )
             row["ties"][method] = judged(directory, found) | {
@@ -171,14 +182,15 @@ def main() -> None:
     parser = arguments(__doc__)
     parser.add_argument("--seeds", type=int, default=1, help="campaigns of every effect and magnitude")
     options = parser.parse_args()
-    entries = matrix(options.seeds, 0, 4)
+    entries = matrix(options.seeds, 0, NULLS)
+    order = np.random.default_rng(0).permutation(len(entries))  # those that are done in time are a sample
     planners: dict[int, Planner] = {}
 
     def one(entry: Entry, directory: Path, map_tasks: Map) -> Row:
         planner = planners.setdefault(id(map_tasks), Planner(map_tasks))
         return run(planner, entry, directory, map_tasks)
 
-    print(scoreboard(run_board(entries, options, one)))
+    print(scoreboard(run_board([entries[number] for number in order], options, one)))
 
 
 if __name__ == "__main__":

@@ -191,8 +191,8 @@ impact-rs design --scenarios my_push.yaml my_excite.yaml --speed 0.4 --force 200
         ),
         option(
             "--method", choices=("design", "random", "fixed"), default="design", advanced=True,
-            help="design: the most informative; for comparison random conditions, or fixed: the cases of the scenarios, "
-            "in equal shares",
+            help="design: the most informative; for comparison random conditions, or fixed: the cases of the files in "
+            "equal shares",
         ),
         SEED._replace(
             help="seed of the planned trials, and of random conditions", default=None,
