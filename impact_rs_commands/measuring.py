@@ -138,9 +138,9 @@ impact-rs analyze campaigns/push""",
 
 DESIGN = Command(
     name="design",
-    summary="plan the trials that tell most about what a model lacks",
+    summary="plan the most informative trials",
     about="""\
-Plan the trials that tell explanations apart best, within a budget.
+Plan the trials that distinguish explanations best, within a budget.
 
 Every trial that the cell can run (scenario, object, case, further speeds, beside the object's centre, free motions) is
 simulated with the model by the compiled twin, in closed loop and within the limits of joints and torques, and
@@ -149,7 +149,7 @@ replayed under every explanation. Chosen is what raises the probability of the r
   without --after   which effect is missing, if any: all effects of the library against each other
   with --after      which of the tied effects of a diagnosis is there; without ties, how large the effects found are
 
---runs names the trials measured so far: their scatter counts, and what they told already. The plan says what each
+--runs names the trials measured so far: their scatter counts, and their information. The plan says what each
 condition adds. The probability is that of a likelihood-ratio test between two explanations; a diagnosis asks for more
 (docs/design.md).""",
     examples="""\
@@ -191,7 +191,7 @@ impact-rs design --scenarios my_push.yaml my_excite.yaml --speed 0.4 --force 200
         ),
         option(
             "--method", choices=("design", "random", "fixed"), default="design", advanced=True,
-            help="design: what tells most; for comparison random conditions, or fixed: the cases of the scenarios in "
+            help="design: the most informative; for comparison random conditions, or fixed: the cases of the files in "
             "equal shares",
         ),
         SEED._replace(

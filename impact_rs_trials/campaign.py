@@ -57,7 +57,7 @@ class PlannedTrials(Schema):
     scale: float = Field(1.0, gt=0.0, description="post-impact reference over prediction [-]")
     trials: int = Field(ge=1, description="repeats")
     what: str = Field("", description="the trial in words")
-    buys: str = Field("", description="what these trials tell, in words")
+    buys: str = Field("", description="what these trials add, in words")
 
 
 class Manifest(Schema):

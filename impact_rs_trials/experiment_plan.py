@@ -30,7 +30,7 @@ SCENARIO_FILE = "scenario.yaml"
 
 
 class PlannedPair(Schema):
-    """Two explanations that a plan tells apart."""
+    """Two explanations that a plan distinguishes."""
 
     first: str = Field(description="one explanation")
     second: str = Field(description="the other one")
@@ -65,7 +65,7 @@ class ExperimentPlan(Schema):
     aim: Aim = Field(
         description="rivals: ties of a diagnosis; effects: which effect is missing; parameters: their size"
     )
-    method: Method = Field(description="design: chosen by what they tell; random, fixed: for comparison")
+    method: Method = Field(description="design: the most informative trials; random, fixed: for comparison")
     budget: int = Field(ge=1, description="largest number of trials")
     seed: int = Field(0, ge=0, description="seed of the trials")
     summary: str = Field("", description="what the plan buys, in words")

@@ -10,7 +10,7 @@ import numpy as np
 
 from impact_rs_analysis.design.discrimination import Discrimination
 from impact_rs_analysis.design.hypotheses import Decision, which_effect
-from impact_rs_analysis.design.possible_trials import NO_LIMITS, Limits, PossibleTrial, possible_trials
+from impact_rs_analysis.design.possible_trials import NO_ENVELOPE, Envelope, PossibleTrial, possible_trials
 from impact_rs_analysis.design.rehearsal import Rehearsal, Rehearsed, rehearse
 from impact_rs_analysis.design.selection import Counts, chosen
 from impact_rs_analysis.evidence.measured_runs import Runs
@@ -23,7 +23,7 @@ from impact_rs_trials.campaign import PlannedTrials
 from impact_rs_trials.experiment_plan import ExperimentPlan, Method, PlannedCampaign, PlannedPair
 from impact_rs_trials.workers import Map
 
-SURE = 0.95  # probability of the right decision above which a pair counts as told apart
+SURE = 0.95  # probability of the right decision above which a pair counts as distinguished
 MOST_PAIRS = 20  # listed in a plan, least certain first
 LISTED = 3  # pairs named in a sentence
 
@@ -38,11 +38,11 @@ def design(
     decide: Decide | None = None,
     runs: Runs | None = None,
     method: Method = "design",
-    limits: Limits = NO_LIMITS,
+    envelope: Envelope = NO_ENVELOPE,
     seed: int = 0,
     progress: Progress | None = None,
 ) -> ExperimentPlan:
-    """The trials that tell most for the coming decision.
+    """The most informative trials for the coming decision.
 
     Args:
         model: What predicts them.
@@ -51,17 +51,17 @@ def design(
         map_tasks: Parallel map.
         decide: What shall be decided, from the model with the parameters of the arms at hand, their joints and all
             physics; None: which effect is missing, of all that the model lacks.
-        runs: Trials measured so far; their scatter counts, and what they told.
+        runs: Trials measured so far; their scatter counts, and their information.
         method: How trials are chosen.
-        limits: Of the cell.
+        envelope: Of the cell.
         seed: Of the planned trials, and of a random choice. Another plan for the same folder needs another seed.
         progress: Called with (what, done, total).
 
     Raises:
         InputError: No such scenario, too small a budget, no trial within the limits, or nothing to decide.
     """
-    trials = possible_trials(scenarios, limits)
-    rehearsal = rehearse(model, trials, ReplayCache(map_tasks, progress), limits, runs, seed)
+    trials = possible_trials(scenarios, envelope)
+    rehearsal = rehearse(model, trials, ReplayCache(map_tasks, progress), envelope, runs, seed)
     decision = decision_of(rehearsal, decide)
     return planned(rehearsal, decision, budget, method, seed)
 
@@ -168,7 +168,7 @@ def _buys(counts: Discrimination, decision: Decision, total: Array, picked: Coun
     best = int(np.argmax(now - less))
     i, j = decision.pairs[best]
     first, second = decision.hypotheses[i].name, decision.hypotheses[j].name
-    return f"{times} tell {first} from {second} with {_percent(now[best])}, without them {_percent(less[best])}"
+    return f"{times} distinguish {first} from {second} with {_percent(now[best])}, without them {_percent(less[best])}"
 
 
 def _summary(decision: Decision, pairs: Sequence[PlannedPair], picked: Counts, information: float) -> str:
@@ -176,14 +176,14 @@ def _summary(decision: Decision, pairs: Sequence[PlannedPair], picked: Counts, i
     trials = f"{sum(picked.values())} trials of {len(picked)} conditions"
     if decision.aim == "parameters":
         return f"{trials}: {information:.2g} nat of information on the parameters of {decision.hypotheses[0].name}"
-    told = [pair for pair in pairs if pair.after >= SURE]
+    sure = [pair for pair in pairs if pair.after >= SURE]
     open_pairs = [pair for pair in pairs if pair.after < SURE]
     if len(pairs) <= LISTED:
         said = "; ".join(f"{pair.first} from {pair.second} with {_percent(pair.after)}" for pair in pairs)
-        return f"{trials} tell {said}"
+        return f"{trials} distinguish {said}"
     listed = ", ".join(f"{pair.first} from {pair.second} ({_percent(pair.after)})" for pair in open_pairs[:LISTED])
     rest = f"; least certain: {listed}" if listed else ""
-    return f"{trials} tell {len(told)} of {len(pairs)} pairs of explanations apart with {SURE:.0%} and more{rest}"
+    return f"{trials} distinguish {len(sure)} of {len(pairs)} pairs of explanations with {SURE:.0%} or more{rest}"
 
 
 def _percent(value: float) -> str:

@@ -50,10 +50,10 @@ TIES = 1e-3  # weight of the second term of the utility, which chooses where the
 
 
 class Discrimination:
-    """What sets of trials tell about a decision.
+    """Information of sets of trials about a decision.
 
     Args:
-        decision: What shall be told apart.
+        decision: What shall be distinguished.
         trials: Every trial that may be counted.
     """
 

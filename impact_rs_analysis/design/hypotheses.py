@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Explanations that a plan shall tell apart, each with what is known of its parameters.
+"""Explanations that a plan shall distinguish, each with what is known of its parameters.
 
     centre      effects added to the model, at their estimates; none: the model as it is
     varied      the same with one parameter a standard deviation off, one entry per parameter
 
-Of an effect that nobody has estimated the centre is the model as it is, and a standard deviation is the parameter's
+Of an effect without an estimate the centre is the model as it is, and a standard deviation is the parameter's
 scale, a noticeable change: what is hidden may be there or not, to either side.
 """
 
@@ -59,7 +59,7 @@ class Decision:
         aim: ``rivals``: which of the estimated explanations is right; ``effects``: which effect is missing, if any;
             ``parameters``: how large the effects of the only hypothesis are.
         hypotheses: The explanations.
-        pairs: Numbers of those that are to be told apart; none for parameters.
+        pairs: Numbers of those that are to be distinguished; none for parameters.
     """
 
     aim: Aim

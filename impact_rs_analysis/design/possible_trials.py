@@ -24,7 +24,7 @@ HORIZONTAL = 1e-6  # of a pad's normal along z; steeper pads have no side
 
 
 @dataclass(frozen=True)
-class Limits:
+class Envelope:
     """What the cell allows beyond the limits of the robot's facts, which always hold.
 
     Attributes:
@@ -41,7 +41,7 @@ class Limits:
                 raise InputError(f"expected a limit > 0 {unit}", key=key, value=value)
 
 
-NO_LIMITS = Limits()
+NO_ENVELOPE = Envelope()
 
 
 @dataclass(frozen=True)
@@ -73,12 +73,12 @@ class PossibleTrial:
         return not self.settings and self.own_case is None
 
 
-def possible_trials(scenarios: Sequence[str], limits: Limits = NO_LIMITS) -> list[PossibleTrial]:
+def possible_trials(scenarios: Sequence[str], envelope: Envelope = NO_ENVELOPE) -> list[PossibleTrial]:
     """Every trial that may be planned, sorted by name.
 
     Args:
         scenarios: Names or paths.
-        limits: Of the cell.
+        envelope: Of the cell.
 
     Raises:
         InputError: There is no such scenario, or two have one name.
@@ -90,27 +90,27 @@ def possible_trials(scenarios: Sequence[str], limits: Limits = NO_LIMITS) -> lis
         if scenario.name in names:
             raise InputError(f"scenarios {names[scenario.name]!r} and {path!r} have one name, {scenario.name!r}")
         names[scenario.name] = path
-        found |= {trial.name: trial for trial in trials_of(path, scenario, limits)}
+        found |= {trial.name: trial for trial in trials_of(path, scenario, envelope)}
     return [found[name] for name in sorted(found)]
 
 
-def trials_of(path: str, scenario: Scenario, limits: Limits = NO_LIMITS) -> Iterator[PossibleTrial]:
+def trials_of(path: str, scenario: Scenario, envelope: Envelope = NO_ENVELOPE) -> Iterator[PossibleTrial]:
     """Every trial of one scenario that may be planned.
 
     Args:
         path: Its name or path.
         scenario: What is there.
-        limits: Of the cell.
+        envelope: Of the cell.
     """
     for settings, aside in _variants(scenario):
-        yield from _of_variant(path, scenario, settings, aside, limits)
+        yield from _of_variant(path, scenario, settings, aside, envelope)
 
 
 def _of_variant(
-    path: str, scenario: Scenario, settings: Mapping[str, Any], aside: str, limits: Limits
+    path: str, scenario: Scenario, settings: Mapping[str, Any], aside: str, envelope: Envelope
 ) -> Iterator[PossibleTrial]:
     """Trials of a variant: every object and case, at every speed within the limit."""
-    fastest = max(map(_speed, scenario.cases.values())) if limits.speed is None else limits.speed
+    fastest = max(map(_speed, scenario.cases.values())) if envelope.speed is None else envelope.speed
     own = {name: case for name, case in _cases(scenario, fastest).items() if _speed(case) <= fastest * (1.0 + 1e-9)}
     added = {f"cases.{name}": case.model_dump(mode="json") for name, case in own.items() if name not in scenario.cases}
     varied = scenario.with_settings({**settings, **added})

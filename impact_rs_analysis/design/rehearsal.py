@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from impact_rs_analysis.design.hypotheses import Decision, Hypothesis
-from impact_rs_analysis.design.possible_trials import NO_LIMITS, Limits, PossibleTrial
+from impact_rs_analysis.design.possible_trials import NO_ENVELOPE, Envelope, PossibleTrial
 from impact_rs_analysis.evidence.cluster import Added, Cluster
 from impact_rs_analysis.evidence.discrepancy import measured_discrepancy
 from impact_rs_analysis.evidence.measured_runs import MeasuredRun, Runs
@@ -119,7 +119,7 @@ def rehearse(
     model: Model,
     trials: Sequence[PossibleTrial],
     store: ReplayCache,
-    limits: Limits = NO_LIMITS,
+    envelope: Envelope = NO_ENVELOPE,
     runs: Runs | None = None,
     seed: int = 0,
 ) -> Rehearsal:
@@ -129,15 +129,15 @@ def rehearse(
         model: The model.
         trials: The possible trials.
         store: Makes replays, and spreads simulations.
-        limits: Of the cell.
-        runs: Trials measured so far; their scatter counts, and what they told.
+        envelope: Of the cell.
+        runs: Trials measured so far; their scatter counts, and their information.
         seed: Seed of the simulated scatter.
 
     Raises:
         InputError: No trial is within the limits, or the model is not valid.
     """
     there = {} if runs is None else runs.conditions
-    tasks = [_Task(trial.spec, model, limits) for trial in trials if trial.name not in there]
+    tasks = [_Task(trial.spec, model, envelope) for trial in trials if trial.name not in there]
     results = store.spread(_simulated, tasks, "trials on the twin")
     found = [run for run in results if isinstance(run, MeasuredRun)]
     refused = tuple(run for run in results if not isinstance(run, MeasuredRun))
@@ -150,7 +150,7 @@ def rehearse(
         run
         for run in store.spread(
             _simulated,
-            [_Task(spec, model, NO_LIMITS, seed_of(seed, str(n))) for spec in noisy for n in range(NOISY_REPEATS)],
+            [_Task(spec, model, NO_ENVELOPE, seed_of(seed, str(n))) for spec in noisy for n in range(NOISY_REPEATS)],
             "scatter on the twin",
         )
         if isinstance(run, MeasuredRun)
@@ -179,7 +179,7 @@ def rehearse(
 class _Task:
     spec: TrialSpec
     model: Model
-    limits: Limits
+    envelope: Envelope
     seed: int | None = None
 
 
@@ -202,8 +202,8 @@ def _simulated(task: _Task) -> MeasuredRun | tuple[str, str]:
         ),
         default=0.0,
     )
-    if task.limits.force is not None and force > task.limits.force:
-        return name, f"contact force {force:.0f} N, limit {task.limits.force:g} N"
+    if task.envelope.force is not None and force > task.envelope.force:
+        return name, f"contact force {force:.0f} N, limit {task.envelope.force:g} N"
     return found
 
 

@@ -3,7 +3,7 @@
 
 Greedy: the next choice is the one with the largest gain of utility per trial. A condition that was not measured costs
 two trials at first, because without a repeat it has no scatter of its own. The first conditions of a campaign are
-distinct, because a diagnosis holds conditions out. Further budget only ever adds trials, so more of it tells no less.
+distinct, because a diagnosis holds conditions out. More budget never informs less.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ def chosen(method: Method, counts: Discrimination, trials: Sequence[Rehearsed], 
 
     Args:
         method: How they are chosen.
-        counts: What trials tell.
+        counts: Information of the trials.
         trials: Those that can be planned.
         budget: Largest number.
         seed: Of a random choice.
@@ -121,7 +121,7 @@ def most_telling(counts: Discrimination, trials: Sequence[Rehearsed]) -> tuple[R
     """The one further trial with the largest gain in squared distance between two estimated explanations.
 
     Args:
-        counts: What trials tell about the only pair of a decision.
+        counts: Information of the trials about the only pair of a decision.
         trials: Those to choose from.
 
     Returns:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The next experiment: what a diagnosis leaves open, and the trial that tells most about it."""
+"""The next experiment: what a diagnosis leaves open, and the most informative trial."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from impact_rs_sim.scenario import load_scenario
 
 COMPANION = "excite"
 NORMAL = 1.959964  # half width of a 95 % interval over the standard deviation
-WIDEST = 10.0  # parameter scales; an interval that is wider, or unknown, tells nothing of where the truth is
+WIDEST = 10.0  # parameter scales; an interval that is wider, or unknown, says nothing of where the truth is
 
 
 def next_experiment(found: Findings, known: dict[str, Effect]) -> NextExperiment | None:

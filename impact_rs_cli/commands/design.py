@@ -8,7 +8,7 @@ import argparse
 from rich.table import Table
 
 from impact_rs_analysis.design.design import design
-from impact_rs_analysis.design.possible_trials import Limits
+from impact_rs_analysis.design.possible_trials import Envelope
 from impact_rs_analysis.diagnosis.document import read_document
 from impact_rs_analysis.diagnosis.next_experiment import left_open
 from impact_rs_cli.arguments import started
@@ -29,7 +29,7 @@ def run(args: argparse.Namespace, terminal: Terminal) -> int:
     model = load_model(args.model)
     if args.output is not None and args.output.is_dir():
         raise InputError("this is a folder; name a file, for example plan.yaml", file=args.output)
-    limits = Limits(args.speed, args.force)
+    envelope = Envelope(args.speed, args.force)
     decide, earlier = None, ""
     if args.after is not None:
         document = read_document(args.after)
@@ -46,7 +46,9 @@ def run(args: argparse.Namespace, terminal: Terminal) -> int:
             earlier = runs.digest
         seed = args.seed if args.seed is not None else seed_of(0, earlier) % SEEDS if earlier else 0
         with terminal.stages() as stage:
-            plan = design(model, args.scenarios, args.budget, map_tasks, decide, runs, args.method, limits, seed, stage)
+            plan = design(
+                model, args.scenarios, args.budget, map_tasks, decide, runs, args.method, envelope, seed, stage
+            )
     if args.output is not None:
         with output_folder(args.output.parent):
             write_plan(plan, args.output)
