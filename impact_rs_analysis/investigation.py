@@ -59,7 +59,7 @@ from impact_rs_sim.scenario import load_scenario
 from impact_rs_sim.schema import Schema, SchemaType, load, load_mapping, validate
 from impact_rs_trials.blind import KINDS, RUNS
 from impact_rs_trials.campaign import Trial
-from impact_rs_trials.envelope import Envelope
+from impact_rs_trials.envelope import CellEnvelope
 from impact_rs_trials.experiment_plan import ExperimentPlan, read_plan, write_plan
 from impact_rs_trials.runs import label_of
 from impact_rs_trials.spec import TrialSpec
@@ -91,7 +91,7 @@ class Settings(Schema):
     seed: int = Field(0, ge=0, description="seed of scatter and noise")
     effects: tuple[str, ...] = Field((), description="effects to consider; none: the library")
     blind: BlindChoice | None = Field(None, description="what the plant hides; null: nothing on purpose")
-    envelope: Envelope | None = Field(None, description="which trials may run; null: all that can be planned")
+    envelope: CellEnvelope | None = Field(None, description="which trials may run; null: all that can be planned")
 
 
 class ImpactPrediction(Schema):

@@ -16,7 +16,7 @@ from impact_rs_sim.errors import InputError
 from impact_rs_sim.files import write_whole
 from impact_rs_trials.bags.trial_info import OUTCOMES
 from impact_rs_trials.campaign import TrialReport
-from impact_rs_trials.envelope import Envelope, demand_of
+from impact_rs_trials.envelope import CellEnvelope, demand_of
 
 STOPPED, APPROVED = "stopped.json", "approved.json"
 
@@ -37,7 +37,7 @@ class CellGuard:
         brave: Whether new kinds of motion and the start of trials need no answer; a stop always does.
     """
 
-    def __init__(self, directory: Path, envelope: Envelope, ask: Ask, brave: bool = False) -> None:
+    def __init__(self, directory: Path, envelope: CellEnvelope, ask: Ask, brave: bool = False) -> None:
         self._directory, self._envelope, self._ask, self._brave = directory, envelope, ask, brave
 
     def begin(self) -> None:

@@ -34,7 +34,7 @@ class Demand:
     impulse: float
 
 
-class Envelope(Schema):
+class CellEnvelope(Schema):
     """Trials that may run on a cell."""
 
     scenarios: tuple[str, ...] = Field(min_length=1, description="names of the scenarios")

@@ -26,7 +26,7 @@ from impact_rs_sim.model import load_model
 from impact_rs_sim.scenario import load_scenario
 from impact_rs_sim.schema import load
 from impact_rs_trials.blind import Secret
-from impact_rs_trials.envelope import Envelope
+from impact_rs_trials.envelope import CellEnvelope
 from impact_rs_trials.store import Folder, owned
 from impact_rs_trials.workers import Map
 
@@ -91,7 +91,7 @@ def settings_of(args: argparse.Namespace) -> Settings:
         seed=args.seed if blind is None else blind.seed,
         effects=tuple(args.effects or ()),
         blind=blind,
-        envelope=None if args.envelope is None else load(Envelope, args.envelope),
+        envelope=None if args.envelope is None else load(CellEnvelope, args.envelope),
     )
 
 

@@ -20,10 +20,10 @@ from impact_rs_cli.terminal import Terminal
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.model import load_model
 from impact_rs_trials.campaign import PlannedTrials, TrialReport
-from impact_rs_trials.envelope import Envelope
+from impact_rs_trials.envelope import CellEnvelope
 from impact_rs_trials.experiment_plan import ExperimentPlan, PlannedCampaign
 
-ENVELOPE = Envelope(scenarios=("push",), objects=("parcel", "juice"), speed=0.75, impulse=2.0)
+ENVELOPE = CellEnvelope(scenarios=("push",), objects=("parcel", "juice"), speed=0.75, impulse=2.0)
 
 
 def planned(*conditions: tuple[str, str, int]) -> list[PlannedTrial]:

@@ -6,13 +6,13 @@ import pytest
 
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.scenario import load_scenario
-from impact_rs_trials.envelope import Envelope, demand_of
+from impact_rs_trials.envelope import CellEnvelope, demand_of
 from impact_rs_trials.spec import TrialSpec
 
 PUSH = load_scenario("push")
 SLOW = TrialSpec.of(PUSH, "parcel", "case_1")  # 0.5 m/s
 FAST = TrialSpec.of(PUSH, "parcel", "case_2")  # 0.7 m/s
-LIMITS = Envelope(scenarios=("push",), objects=("parcel",), cases=("case_1",), speed=0.55, impulse=1.0)
+LIMITS = CellEnvelope(scenarios=("push",), objects=("parcel",), cases=("case_1",), speed=0.55, impulse=1.0)
 
 
 def test_the_impulse_is_the_momentum_that_the_object_gets() -> None:
