@@ -387,8 +387,13 @@ class Investigation:
 
 
 def holds(document: DiagnosisDocument) -> bool:
-    """Whether a model lacks nothing that matters."""
-    return document.verdict in (NOTHING, SMALL)
+    """Whether a model lacks nothing that matters: no effect is suspected, and the error is that of noise."""
+    return document.verdict == SMALL or (document.verdict == NOTHING and not document.suspected and not _loud(document))
+
+
+def _loud(document: DiagnosisDocument) -> bool:
+    """Whether an error is far beyond the noise, although too few repeats do not show it for certain."""
+    return document.held_out_error_before > LOUD * document.noise_floor
 
 
 def _settled(settings: Settings, here: Round) -> bool:
@@ -461,21 +466,22 @@ def decide(settings: Settings, rounds: Sequence[Round], budget: int) -> RoundDec
     if basis.verdict == TOO_FEW:
         return more(f"Too few repeats for a verdict: {basis.design.shortage}.")
     if holds(basis):
-        if basis.suspected:
-            names = " and ".join(basis.suspected)
-            return more(f"{names} lowers the error, but not surely on unseen conditions.", (basis.suspected,))
-        if basis.verdict == NOTHING and basis.held_out_error_before > LOUD * basis.noise_floor:
-            return more(
-                f"Nothing stands out, but the error of {basis.held_out_error_before:.3g} is far beyond the noise of "
-                f"{basis.noise_floor:.3g}: too few repeats to say what it is."
-            )
         before = rounds[-2].basis if len(rounds) > 1 else None
-        if (before is not None and holds(before) and not before.suspected) or left <= 0:
-            return RoundDecision(
-                action="end", verdict=MISSES_NOTHING, reason=f"{basis.summary} New trials do not change it.",
-                budget=budget,
-            )  # fmt: skip
+        if (before is not None and holds(before)) or left <= 0:
+            confirmed = before is not None and holds(before)
+            reason = (
+                f"{basis.summary} {'New trials do not change it.' if confirmed else 'No trial is left to confirm it.'}"
+            )
+            return RoundDecision(action="end", verdict=MISSES_NOTHING, reason=reason, budget=budget)
         return more(f"{basis.summary} New trials have to confirm it.")
+    if basis.verdict == NOTHING and basis.suspected:
+        names = " and ".join(basis.suspected)
+        return more(f"{names} lowers the error, but not surely on unseen conditions.", (basis.suspected,))
+    if basis.verdict == NOTHING:
+        return more(
+            f"Nothing stands out, but the error of {basis.held_out_error_before:.3g} is far beyond the noise of "
+            f"{basis.noise_floor:.3g}: too few repeats to say what it is."
+        )
     if here.discovery is not None:
         return _after_discovery(here.discovery, sum(one.discovery is not None for one in rounds), add, more)
     if basis.calls_for_a_law:

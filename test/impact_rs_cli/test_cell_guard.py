@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -15,10 +16,12 @@ from impact_rs_analysis.investigation import PlannedTrial, Settings, trials_of
 from impact_rs_cli import node_benches
 from impact_rs_cli.bench import simple_design
 from impact_rs_cli.cell_guard import CellGuard, SafetyStop
-from impact_rs_cli.node_benches import CellBench
+from impact_rs_cli.node_benches import CellBench, NodesBench
 from impact_rs_cli.terminal import Terminal
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.model import load_model
+from impact_rs_sim.scenario import load_scenario
+from impact_rs_trials.blind import Secret
 from impact_rs_trials.campaign import PlannedTrials, TrialReport
 from impact_rs_trials.envelope import CellEnvelope
 from impact_rs_trials.experiment_plan import ExperimentPlan, PlannedCampaign
@@ -240,3 +243,65 @@ def test_only_a_clear_yes_is_one(monkeypatch: pytest.MonkeyPatch, answer: str, a
 
     monkeypatch.setattr("sys.stdin", Screen())
     assert Terminal(as_json=False).ask("May it run?") is agreed
+
+
+def test_bags_of_a_cell_are_read_by_measured_signals_alone(tmp_path: Path, hidden_campaign: Path) -> None:
+    """Rounds in folders, hits and free motion in one table; what a diagnosis needs of it is there."""
+    for number, name in enumerate(("push", "excite"), start=1):
+        shutil.copytree(hidden_campaign / name, tmp_path / "runs" / f"round_0{number}" / name)
+    runs = bench(tmp_path, Operator()).measured_runs()
+    assert len(runs.runs) == 6 and not runs.skipped
+    assert sorted(map(len, runs.conditions.values())) == [2, 2, 2]
+    assert all(run.spec is None for run in runs.runs)  # a laboratory's: nothing of controller and plan is known
+    table = (tmp_path / "runs" / "runs.csv").read_text().splitlines()
+    assert sum(",free motion," in row for row in table) == 2 and sum(",hit," in row for row in table) == 4
+
+
+class FakeNodes(FakeCell):
+    """The nodes, which are given hidden effects and may be asked to repeat a trial."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch, outcomes: dict[str, str] | None = None) -> None:
+        super().__init__(monkeypatch, outcomes)
+        self.scenarios: list[str] = []
+        self.hidden: list[Any] = []
+
+    def _run(
+        self, graph: Any, directory: Path, manifest: Any, key: Any, plant_model: Any, repeated: bool
+    ) -> TrialReport:
+        self.scenarios.append(manifest.scenario)
+        self.hidden.append(plant_model)
+        return super()._run(graph, directory, manifest, key, None, repeated)
+
+
+def test_the_plant_node_alone_is_given_what_is_hidden(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    nodes, secret = FakeNodes(monkeypatch), Secret.drawn(0, "single", "support_friction")
+    via = NodesBench(tmp_path, SETTINGS, map, Terminal(as_json=True), secret.model)  # type: ignore[arg-type]
+    via.measure(planned(("parcel", "case_1", 2)))
+    assert [model.effects[0].name for model in nodes.hidden] == ["support_friction"] * 2
+    friction = nodes.hidden[0].effects[0].parameters["friction"]
+    assert friction.estimate == secret.hidden[0].values[0]
+    assert nodes.repeated == [True, True] and nodes.without == ()
+
+
+def test_a_variant_of_a_scenario_reaches_the_nodes_as_a_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    nodes = FakeNodes(monkeypatch)
+    settings = {"name": "push_soft", "contact.friction": 0.4}
+    one = PlannedTrials(object="parcel", case="case_1", trials=1)
+    campaign = PlannedCampaign(folder="push_soft", scenario="push", settings=settings, conditions=(one,))
+    plan = ExperimentPlan(
+        model="nominal", model_digest="", aim="effects", method="design", budget=6, campaigns=(campaign,)
+    )
+    via = NodesBench(tmp_path, SETTINGS, map, Terminal(as_json=True))  # type: ignore[arg-type]
+    via.measure(trials_of(plan, "round_01"))
+    scenario = load_scenario(nodes.scenarios[0])
+    assert (scenario.name, scenario.contact.friction) == ("push_soft", 0.4)
+
+
+def test_an_aborted_trial_of_the_nodes_ends_the_command_and_not_the_investigation(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    nodes = FakeNodes(monkeypatch, {"parcel__case_1__s1.000__r1": "ABORTED"})
+    via = NodesBench(tmp_path, SETTINGS, map, Terminal(as_json=True))  # type: ignore[arg-type]
+    with pytest.raises(RuntimeError, match="was aborted: .*; the same command goes on"):
+        via.measure(planned(("parcel", "case_1", 3)))
+    assert len(nodes.moved) == 2 and not (tmp_path / "stopped.json").exists()
