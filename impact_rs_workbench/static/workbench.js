@@ -942,11 +942,15 @@ const history_ = {
   build() {
     this.form = runsForm('history', 'Show the history', {model: newestModel});
     this.result = h('div', {id: 'history-result'});
-    return h('section', {}, h('h2', {}, 'How the error fell'), this.form.node, this.result);
+    this.investigations = h('p', {id: 'investigations'});
+    return h('section', {}, h('h2', {}, 'How the error fell'), this.form.node, this.investigations, this.result);
   },
 
   update() {
     this.form.update();
+    const pages = state.workspace.reports.filter((path) => path.endsWith('investigation.html'));
+    this.investigations.replaceChildren(...pages.map((path) =>
+      h('a', {href: `/files/${path}`, target: '_blank', rel: 'noopener'}, `Investigation ${path}: models and trials`)));
     const found = state.workspace.reports.filter((path) => path.endsWith('history.html'));
     const newest = found.sort((a, b) => state.workspace.stamps[b] - state.workspace.stamps[a])[0];
     const key = newest && `${newest} ${state.workspace.stamps[newest]}`;

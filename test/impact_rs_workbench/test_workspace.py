@@ -158,3 +158,10 @@ def test_what_is_not_there_is_told_with_what_is_near(workspace: Workspace) -> No
     (workspace.root / "campaigns").mkdir()
     with pytest.raises(InputError, match="there is nothing at 'campaign'; did you mean 'campaigns'"):
         workspace.existing("campaign")
+
+
+def test_the_page_of_an_investigation_is_among_the_reports(workspace: Workspace) -> None:
+    page = workspace.root / "inquiry" / "report" / "investigation.html"
+    page.parent.mkdir(parents=True)
+    page.write_text("<html></html>")
+    assert workspace.contents().reports == ("inquiry/report/investigation.html",)
