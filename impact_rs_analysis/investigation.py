@@ -268,6 +268,7 @@ class Investigation:
         last = rounds[-1] if rounds else None
         if last is not None and (done := last.decision) is not None:
             if done.action == "end" and done.spent and self.budget > done.budget:
+                (self.directory / ENDING).unlink(missing_ok=True)
                 (last.directory / "decision.json").unlink()  # there are trials again
                 return False
             if missing := [name for name in done.models if not (self.directory / name).exists()]:
@@ -358,9 +359,8 @@ class Investigation:
         document = read_document(source)
         parent = self.settings.model if index == 0 else str(self.directory / done.models[index - 1])
         model = load_model(parent)
-        document = document.model_copy(
-            update={"model": _identity(model)}
-        )  # estimates are those of all effects together
+        # Estimates are those of all effects together, so that a child takes them from the diagnosis of its parent.
+        document = document.model_copy(update={"model": _identity(model)})
         self._say(f"Round {here.number}: {name}: {done.add[index]}")
         output = self.directory / name
         save_model(add_effect(model, Path(parent), document, source, done.add[index], output, False), output)
@@ -412,36 +412,29 @@ def decide(settings: Settings, rounds: Sequence[Round], budget: int) -> RoundDec
     here, basis = rounds[-1], rounds[-1].basis
     assert here.diagnosis is not None and basis is not None
     left = budget - measured(rounds)
-    ties = tuple(group for group in basis.confusable)
+    ties = basis.confusable
 
     def more(reason: str, candidates: tuple[tuple[str, ...], ...] = (), stop: str = "") -> RoundDecision:
-        planned = here.plan is not None and here.plan.trials > 0
-        if left > 0 and planned and not stop:
+        if left > 0 and not stop:
             return RoundDecision(action="measure", reason=reason, budget=budget)
-        why = stop or (
-            f"the budget of {budget} trials is spent" if planned else "no trial within the limits decides it"
-        )
+        why = stop or f"the budget of {budget} trials is spent"
         return RoundDecision(
             action="end",
             verdict=UNDECIDED,
             reason=f"{reason} And {why}.",
             tied=candidates,
-            spent=planned and not stop,
+            spent=not stop,
             budget=budget,
         )
 
     def add(names: Sequence[str], source: str, reason: str) -> RoundDecision:
         first = 2 + sum(len(one.decision.models) for one in rounds if one.decision is not None)
         files = tuple(f"model_{first + index}.yaml" for index in range(len(names)))
-        again = here.model != settings.model and set(names) == _added(settings, rounds)
+        again = here.model != settings.model and set(names) == _added(rounds)
         ended = again or left <= 0
-        tried = (
-            "The estimates are renewed with all trials."
-            if again
-            else "No trial is left to try it on."
-            if ended
-            else "It is tried on new trials."
-        )
+        tried = "No trial is left to try it on." if left <= 0 else "It is tried on new trials."
+        if again:
+            tried = "The estimates are renewed with all trials."
         laws = source == "discovery.json" and any(name in basis_formulas for name in names)
         return RoundDecision(
             action="end" if ended else "add",
@@ -450,6 +443,7 @@ def decide(settings: Settings, rounds: Sequence[Round], budget: int) -> RoundDec
             add=tuple(names),
             models=files,
             source=source,
+            spent=ended and not again,
             budget=budget,
         )
 
@@ -467,12 +461,16 @@ def decide(settings: Settings, rounds: Sequence[Round], budget: int) -> RoundDec
         return more(f"Too few repeats for a verdict: {basis.design.shortage}.")
     if holds(basis):
         before = rounds[-2].basis if len(rounds) > 1 else None
-        if (before is not None and holds(before)) or left <= 0:
-            confirmed = before is not None and holds(before)
-            reason = (
-                f"{basis.summary} {'New trials do not change it.' if confirmed else 'No trial is left to confirm it.'}"
+        confirmed = before is not None and holds(before)
+        if confirmed or left <= 0:
+            then = "New trials do not change it." if confirmed else "No trial is left to confirm it."
+            return RoundDecision(
+                action="end",
+                verdict=MISSES_NOTHING,
+                reason=f"{basis.summary} {then}",
+                spent=not confirmed,
+                budget=budget,
             )
-            return RoundDecision(action="end", verdict=MISSES_NOTHING, reason=reason, budget=budget)
         return more(f"{basis.summary} New trials have to confirm it.")
     if basis.verdict == NOTHING and basis.suspected:
         names = " and ".join(basis.suspected)
@@ -635,7 +633,14 @@ def read_rounds(directory: Path, settings: Settings) -> list[Round]:
 
 
 def _read(kind: type[SchemaType], path: Path) -> SchemaType | None:
-    return validate(kind, json.loads(path.read_text(encoding="utf-8")), path) if path.exists() else None
+    """A file of a step; None: that step is still to be done."""
+    if not path.exists():
+        return None
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+    except ValueError as error:
+        raise InputError(f"not whole ({error}); remove it, and the step is done again", file=path) from None
+    return validate(kind, content, path)
 
 
 def _read_diagnosis(path: Path) -> DiagnosisDocument | None:
@@ -656,9 +661,8 @@ def _last_addition(rounds: Sequence[Round]) -> RoundDecision | None:
     return next((one.decision for one in reversed(rounds) if one.decision is not None and one.decision.models), None)
 
 
-def _added(settings: Settings, rounds: Sequence[Round]) -> set[str]:
+def _added(rounds: Sequence[Round]) -> set[str]:
     """Effects that the newest model has beyond the first one."""
-    del settings
     last = _last_addition(rounds)
     return set() if last is None else set(last.add)
 
@@ -685,7 +689,7 @@ def ending_of(settings: Settings, rounds: Sequence[Round]) -> Ending:
     last = rounds[-1].decision
     assert last is not None and last.action == "end"
     certain = last.verdict in (EXPLAINED, LAW)
-    names = tuple(sorted(_added(settings, rounds))) if certain else ()
+    names = tuple(sorted(_added(rounds))) if certain else ()
     candidates = tuple(dict.fromkeys(name for group in last.tied for name in group))
     what = {
         EXPLAINED: f"Missing: {' and '.join(names)}.",

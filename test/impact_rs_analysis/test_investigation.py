@@ -32,6 +32,7 @@ from impact_rs_analysis.report.family_tree import bought_of, family_of, write_in
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.model import Model, load_model
 from impact_rs_trials.campaign import PlannedTrials
+from impact_rs_trials.envelope import CellEnvelope
 from impact_rs_trials.experiment_plan import ExperimentPlan, PlannedCampaign
 
 FRICTION, MASS = "support_friction", "object_mass"
@@ -215,6 +216,10 @@ def test_a_larger_budget_goes_on_after_the_end_of_a_spent_one(start: Start) -> N
     investigation_, bench = start(answer, budget=8)
     assert investigation_.run().verdict == "UNDECIDED"
     larger = Investigation(investigation_.directory, SETTINGS, 40, bench)
+    untried, bench_ = start(friction_then_nothing, 8, "untried")
+    assert "No trial is left to try it on" in untried.run().summary
+    tried = Investigation(untried.directory, SETTINGS, 40, bench_).run()
+    assert (tried.effects, tried.trials, tried.model) == ((FRICTION,), 10, "model_2.yaml")
     assert (larger.run().verdict, read_ending(investigation_.directory).effects) == ("EXPLAINED", (FRICTION,))
 
 
@@ -337,11 +342,25 @@ def test_a_kill_between_two_trials_repeats_none(start: Start) -> None:
     assert len(bench.measured) == len(set(bench.measured)) == 10
 
 
+def test_a_damaged_file_of_a_step_is_named_with_the_remedy(start: Start) -> None:
+    investigation_, _ = start(friction_then_nothing)
+    investigation_.run()
+    damaged = investigation_.directory / "rounds" / "02" / "decision.json"
+    damaged.write_text(damaged.read_text()[:40])
+    with pytest.raises(InputError, match="decision.json: not whole .* remove it, and the step is done again"):
+        investigation_.run()
+    damaged.unlink()
+    assert investigation_.run().effects == (FRICTION,)
+
+
 def test_another_question_in_the_same_folder_is_refused(start: Start) -> None:
     killed, _ = start(friction_then_nothing)
     other = SETTINGS.model_copy(update={"seed": 5, "blind": BlindChoice(seed=5)})
     with pytest.raises(InputError, match="holds another investigation \\(it differs in seed, blind\\)"):
         begin(killed.directory, other)
+    wider = SETTINGS.model_copy(update={"envelope": CellEnvelope(scenarios=("push",), speed=9.0, impulse=9.0)})
+    with pytest.raises(InputError, match="it differs in envelope"):
+        begin(killed.directory, wider)
 
 
 def test_a_first_model_that_was_changed_is_refused(start: Start) -> None:
