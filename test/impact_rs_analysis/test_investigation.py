@@ -12,7 +12,7 @@ import pytest
 from documents import comparison, diagnosis
 
 from impact_rs_analysis import investigation
-from impact_rs_analysis.diagnosis.discovery_document import DiscoveryDocument
+from impact_rs_analysis.diagnosis.discovery_document import DiscoveryDocument, LawDocument
 from impact_rs_analysis.diagnosis.document import DiagnosisDocument, EffectDocument, ModelIdentity
 from impact_rs_analysis.investigation import (
     BlindChoice,
@@ -29,6 +29,7 @@ from impact_rs_analysis.investigation import (
     trials_of,
 )
 from impact_rs_analysis.report.family_tree import bought_of, family_of, write_investigation
+from impact_rs_sim.effects.formula import FormulaSpec
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.model import Model, load_model
 from impact_rs_trials.campaign import PlannedTrials
@@ -263,6 +264,77 @@ def test_what_no_effect_explains_is_first_measured_again_and_then_a_law_is_looke
     assert len(looked) == investigation.MOST_DISCOVERIES and len(bench.measured) == 16
     first, second = read_rounds(investigation_.directory, SETTINGS)[:2]
     assert first.discovery is None and second.discovery is not None
+
+
+DRAG = FormulaSpec.model_validate(
+    {
+        "name": "end_effector_drag",
+        "sentence": "Drag.",
+        "end_effector_force": {"y": "-drag * vy"},
+        "parameters": {"drag": {"unit": "N s/m", "nominal": 0.0, "lower": 0.0, "upper": 50.0, "scale": 1.0}},
+    }
+)
+
+
+def law_found(verdict: str = "CONFIRMED", tied: tuple[str, ...] = ()) -> DiscoveryDocument:
+    """A drag of 5 N s/m that explains everything, alone or tied with other laws."""
+    numbers = {"drag": {"estimate": 5.0, "ci95": (4.8, 5.2), "unit": "N s/m"}}
+    effect = EffectDocument(
+        name=DRAG.name,
+        verdict=verdict,
+        parameters=numbers,
+        held_out_error_before=9.0,
+        held_out_error_after=1.0,
+        p_value=0.001,
+    )
+    model = load_model("nominal")
+    found = said(DRAG.name).model_copy(
+        update={
+            "named": (DRAG.name,),
+            "effects": (effect,),
+            "formulas": (DRAG,),
+            "model": ModelIdentity(name=model.name, digest=model.digest),
+        }
+    )
+    law = LawDocument(
+        name=DRAG.name,
+        sentence="Drag.",
+        place="force on the end effector",
+        formula="-drag * vy",
+        parameters=numbers,
+        verdict=verdict,
+        held_out_error_before=9.0,
+        held_out_error_after=1.0,
+        p_value=0.001,
+        tied_with=tied,
+    )
+    return DiscoveryDocument(
+        verdict="LAW-FOUND", summary="A law holds.", laws=(law,), error_unit="times repeatability", diagnosis=found
+    )
+
+
+def outside(model: Model, trials: int) -> DiagnosisDocument:
+    """No effect of the library explains the trials; with a law they are explained."""
+    del trials
+    return CLEAN if model.effects else said("NONE-EXPLAINS")
+
+
+def test_a_law_that_is_found_is_added_as_a_formula_and_tried(start: Start, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(investigation, "discover", lambda *_: law_found())
+    investigation_, _ = start(outside)
+    ending = investigation_.run()
+    assert (ending.verdict, ending.laws, ending.effects) == ("LAW-HOLDS", (DRAG.name,), (DRAG.name,))
+    model = load_model(investigation_.directory / ending.model)
+    assert model.formulas[0].end_effector_force == {"y": "-drag * vy"}
+    assert model.effects[0].parameters["drag"].estimate == 5.0
+    assert judged(ending, "outside", ("drag",)) == (True, False)
+
+
+def test_laws_that_predict_equally_well_leave_it_undecided(start: Start, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(investigation, "discover", lambda *_: law_found("CONFUSABLE-WITH{cable}", ("cable",)))
+    investigation_, _ = start(outside, budget=16)
+    ending = investigation_.run()
+    assert (ending.verdict, ending.candidates, ending.effects) == ("UNDECIDED", (DRAG.name, "cable"), ())
 
 
 class Killed(BaseException):
