@@ -128,7 +128,8 @@ def bought_of(rounds: Sequence[Round]) -> list[Bought]:
         possible = None
         if basis is not None:
             out = (NO_IMPROVEMENT, UNIDENTIFIABLE)
-            possible = sum(effect.measured and effect.verdict not in out for effect in basis.effects)
+            left = {effect.name for effect in basis.effects if effect.measured and effect.verdict not in out}
+            possible = len(left | set(basis.suspected))
         error = None if here.comparison is None else here.comparison.score
         found.append(Bought(here, measured(rounds[:number]), error, possible))
     return found
