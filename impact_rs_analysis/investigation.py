@@ -730,8 +730,8 @@ def _round_lines(here: Round) -> Iterator[str]:
         yield f"* Design: {plan.trials} trials. {plan.summary}".rstrip()
         for campaign in plan.campaigns:
             for one in campaign.conditions:
-                bought = f": {one.buys}" if one.buys else ""
-                yield f"    * {one.trials} × {one.what or f'{campaign.folder}/{one.object}/{one.case}'}{bought}"
+                what = one.what or f"{campaign.folder}/{one.object}/{one.case}"
+                yield f"    * {one.buys or f'{one.trials} x {what}'}"
     if (prediction := here.prediction) is not None:
         for impact in prediction.impacts:
             yield (
