@@ -89,7 +89,7 @@ def planned(
     can_run = [trial for trial in trials if trial.trial is not None]
     counts = Discrimination(decision, trials)
     picked = chosen(method, counts, can_run, budget, seed)
-    before = counts.total(counts.measured)
+    before = counts.total(counts.counted)
     after = counts.total(counts.with_more(picked))
     pairs = _pairs(decision, counts.probabilities(before), counts.probabilities(after))
     words = {name: _buys(counts, decision, after, picked, name) for name in picked}
@@ -157,7 +157,7 @@ def _campaigns(trials: dict[str, Rehearsed], picked: Counts, words: dict[str, st
 
 def _buys(counts: Discrimination, decision: Decision, total: Array, picked: Counts, name: str) -> str:
     """What the trials of one condition add to all others of the plan."""
-    there, repeats = counts.measured.get(name, 0), picked[name]
+    there, repeats = counts.counted.get(name, 0), picked[name]
     without = counts.added(total, name, there + repeats, there)
     trial = counts.trial(name)
     times = f"{repeats} x {name if trial is None else trial.what}"
