@@ -11,6 +11,7 @@ COMMANDS: dict[str, Command] = {  # in the order of the help
     for command in (
         measuring.DEMO,
         predicting.MAP,
+        predicting.LIMITS,
         measuring.TRIAL,
         measuring.CAMPAIGN,
         explaining.ANALYZE,

@@ -141,7 +141,7 @@ class Reflexes(Schema):
     )
     velocity_jump_rad_s: PositiveVector | None = Field(
         None,
-        description="largest joint velocity jump at a hit that the gears are trusted with [rad/s], prismatic [m/s]",
+        description="largest joint velocity jump that the gears are trusted with [rad/s], prismatic [m/s]",
     )
     observer_gain: Annotated[float, Field(gt=0.0)] = Field(
         500.0, description="rate of the filter of external torques and forces [1/s]"

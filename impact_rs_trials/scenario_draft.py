@@ -256,7 +256,7 @@ def scenario_text(
         head = head.replace(line, f"object_position: [{mirrored[0]:.4f}, {mirrored[1]:.4f}]  # m")
     drive = assumed_drive(facts, model.end_effector, float(plain["timing"]["drive_period"]))
     lines = [
-        f"# Made by impact-rs scenario new for {facts_name}: pose and drive were found, the rest is that of {kind}. Choices:",
+        f"# Made by impact-rs scenario new for {facts_name}, with pose and drive found and the rest from {kind}:",
         "# SI units everywhere; the inertial frame has z up (REP-103).",
         "# The drive is an assumption, scaled from a Franka arm: replace it by the numbers of your robot, then run",
         f"# impact-rs robot check {facts_name} --scenario THIS_FILE",

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Shipped scenarios of robots by name: their drives are stable, and a trial of each goes as a careful person expects."""
+"""Shipped scenarios of robots by name: stable drives, and a trial of each with sane figures."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def test_a_shipped_scenario_is_that_of_its_robot_and_its_drives_are_stable(name:
 
 @pytest.mark.parametrize("name", ROBOTS)
 def test_a_trial_ends_well_within_the_limits_and_near_the_impact_map(name: str, tmp_path: Path) -> None:
-    """The heaviest box: joints stay below 65 % of their speed and 95 % of their torque, the map is met as in ``NEAR``."""
+    """The heaviest box: below 65 % of joint speeds and 95 % of joint torques; the map is met as in ``NEAR``."""
     scenario = load_scenario(name)
     plan = TrialSpec.of(scenario, "juice", next(iter(scenario.cases))).plan
     verdict = recorded(plan, tmp_path / "bag", seed=1)
