@@ -31,6 +31,7 @@ COMMANDS: dict[str, Command] = {  # in the order of the help
         predicting.ROBOT,
         predicting.SCENARIO_DRAFT,
         explaining.PAPER,
+        measuring.REHEARSE,
         measuring.UP,
         explaining.WORKBENCH,
     )

@@ -84,7 +84,7 @@ contact laws; --json adds joints and contacts; with --table the file of -o.""",
 
 LIMITS = Command(
     name="limits",
-    summary="how fast the arms may hit, with 99 %",
+    summary="how fast the arms may hit",
     about="""\
 Say how fast the arms of a scenario may hit, object by object and case by case.
 
