@@ -12,6 +12,7 @@ COMMANDS: dict[str, Command] = {  # in the order of the help
         measuring.DEMO,
         predicting.MAP,
         measuring.DESIGN,
+        predicting.LIMITS,
         measuring.TRIAL,
         measuring.CAMPAIGN,
         explaining.ANALYZE,
@@ -31,6 +32,7 @@ COMMANDS: dict[str, Command] = {  # in the order of the help
         predicting.ROBOT,
         predicting.SCENARIO_DRAFT,
         explaining.PAPER,
+        measuring.REHEARSE,
         measuring.UP,
         explaining.WORKBENCH,
     )
