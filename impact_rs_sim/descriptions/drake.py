@@ -152,8 +152,8 @@ def _pad_law(scene: ExportedScene, name: str, arm: ArmPhysics) -> tuple[float, f
         relaxation,
         [
             f"{name}: point_contact_stiffness {stiffness / CORNERS:.6g} N/m of one of {CORNERS} corners: "
-            f"{source}; hunt_crossley_dissipation {dissipation:.5g} s/m has the restitution {e:.3g} at {speed:.4g} m/s, "
-            f"relaxation_time {relaxation:.4g} s (solver SAP) at any speed"
+            f"{source}; hunt_crossley_dissipation {dissipation:.5g} s/m has the restitution {e:.3g} at "
+            f"{speed:.4g} m/s, relaxation_time {relaxation:.4g} s (solver SAP) at any speed"
         ],
     )
 

@@ -6,8 +6,8 @@ eq. EOM_motor_mod without elasticity). Joint friction is that of the same equati
 (B_rho), the motors feel ``B_rho B_theta^-1 tau_fric``. The contact is either ``rigid``, with the restitution of the
 impact map, or ``compliant``, with the stiffness and damping of the pad, from which its restitution follows.
 
-Physics that a format cannot hold are listed, never dropped: a format names the :class:`ExportedQuantity` that it holds, and
-:meth:`ExportedScene.left_out` says the rest.
+Physics that a format cannot hold are listed, never dropped: a format names the :class:`ExportedQuantity` that it holds,
+and :meth:`ExportedScene.left_out` says the rest.
 """
 
 from __future__ import annotations
