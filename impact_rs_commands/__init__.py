@@ -17,6 +17,7 @@ COMMANDS: dict[str, Command] = {  # in the order of the help
         measuring.CAMPAIGN,
         explaining.ANALYZE,
         measuring.STUDY,
+        predicting.STUDY_DESIGN,
         explaining.SHOW,
         explaining.EXPORT,
         explaining.IMPORT,
