@@ -38,7 +38,8 @@ from impact_rs_workbench.recording_description import Description, PreviewReques
 from impact_rs_workbench.request_guard import FILE_POLICY, Guard
 from impact_rs_workbench.workspace import HIDDEN, Workspace
 
-STATIC = {"workbench.css": "text/css", "workbench.js": "text/javascript"}
+SCRIPTS = ("workbench.js", "explain.js")
+STATIC = {"workbench.css": "text/css", **dict.fromkeys(SCRIPTS, "text/javascript")}
 SHOWN_FILES = {".html": "text/html", ".json": "application/json", ".yaml": "text/plain", ".csv": "text/plain"}
 LARGEST_REQUEST = 1_000_000  # bytes
 LOOKED_AT = 0.25  # s, between two looks at running jobs

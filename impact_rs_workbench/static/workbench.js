@@ -1,6 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 // The page of the workbench. It shows what the server reads from files and stores nothing itself.
 
+import {LEADS, TERMS, TERMS_OF} from './explain.js';
+
 const $ = (id) => document.getElementById(id);
 const state = {workspace: null, jobs: [], step: 'predict', chosen: null};
 
@@ -35,6 +37,9 @@ const unit = (text) => !text || text === '-' ? '' : ` ${text}`;
 const slug = (text) => text.replace(/[^A-Za-z0-9]+/g, '_').replace(/^_|_$/g, '');
 const stem = (path) => path.split('/').pop().replace(/\.[a-z]+$/, '');
 
+// A path as it is seen from the folder of the workbench; in the middle of a text, too.
+const inFolder = (text) => state.workspace ? text.replaceAll(`${state.workspace.root}/`, '').replaceAll(state.workspace.root, '.') : text;
+
 function seconds(value) {
   if (value === null || value === undefined) return '';
   return value < 90 ? `${Math.max(1, Math.round(value))} s left` : `${Math.round(value / 60)} min left`;
@@ -52,7 +57,31 @@ function fill(select, options, wanted) {
   const same = content(select.options) === content(options);
   if (!same) select.replaceChildren(...options.map((one) => new Option(one.text, one.value)));
   if (options.some((one) => one.value === before)) select.value = before;
+  fit(select);
 }
+
+// A list is as wide as its longest choice needs; where the page is too narrow, what is cut off stands below it.
+const pen = document.createElement('canvas').getContext('2d');
+const ARROW = 44; // px, of a list beside its text
+
+function fit(select) {
+  const label = select.closest('label');
+  if (!label || !select.isConnected) return;
+  pen.font = getComputedStyle(select).font;
+  const wide = (text) => pen.measureText(text).width + ARROW;
+  const longest = Math.max(0, ...[...select.options].map((one) => wide(one.text)));
+  label.classList.toggle('long', longest > 170 && longest <= 350);
+  label.classList.toggle('wide', longest > 350);
+  const text = select.selectedOptions[0]?.text ?? '', cut = select.clientWidth > 0 && wide(text) > select.clientWidth;
+  let whole = label.querySelector('small');
+  if (!cut) { whole?.remove(); return; }
+  if (!whole) label.append(whole = h('small', {class: 'whole'}));
+  whole.textContent = text;
+}
+
+function fitAll() { for (const select of document.querySelectorAll('label > select')) fit(select); }
+addEventListener('resize', () => requestAnimationFrame(fitAll));
+document.addEventListener('change', ({target}) => { if (target.tagName === 'SELECT') fit(target); });
 
 // Replaces changed items only: a button that is replaced while the pointer is down gets no click.
 function refill(node, items) {
@@ -86,8 +115,22 @@ function messageArea() {
     wait() { node.setAttribute('aria-busy', 'true'); },
     show(...items) { node.removeAttribute('aria-busy'); node.replaceChildren(...items); },
     command(text) { this.show(commandLine(text)); },
-    error(text) { this.show(h('p', {class: 'error', role: 'alert'}, text)); },
+    error(text) { this.show(h('p', {class: 'error', role: 'alert'}, inFolder(text))); },
   };
+}
+
+// Arrow keys, Home and End go from tab to tab and open it.
+function arrowKeys(tabs) {
+  for (const [place, tab] of tabs.entries()) {
+    tab.addEventListener('keydown', (event) => {
+      const to = {ArrowRight: place + 1, ArrowLeft: place - 1, Home: 0, End: tabs.length - 1}[event.key];
+      if (to === undefined) return;
+      event.preventDefault();
+      const next = tabs[(to + tabs.length) % tabs.length];
+      next.click();
+      next.focus();
+    });
+  }
 }
 
 // ---- figures -------------------------------------------------------------------------------------------------------
@@ -156,7 +199,27 @@ const ABOUT = {
     'fitting noise does not help.', units: 'multiples of repeatability', page: 'diagnosis.md'},
 };
 
-function showAbout({title, text, equation, units, page, command, facts = [], actions = []}) {
+function drawing(markup) {
+  const made = document.createElement('template');
+  made.innerHTML = markup;
+  return made.content;
+}
+
+const termsOf = (step) => TERMS_OF[step].map((key) => h('figure', {class: 'term'}, drawing(TERMS[key].svg),
+  h('figcaption', {}, h('b', {}, TERMS[key].name), `: ${TERMS[key].text}`)));
+
+// The first two lines of a step: what it is; what it says, and what comes next.
+const said = Object.fromEntries(Object.keys(LEADS).map((step) => [step, h('span', {'data-says': step}, LEADS[step].empty)]));
+
+function lead(step) {
+  const {what, next, step: following} = LEADS[step];
+  return h('div', {class: 'lead'}, h('p', {}, what), h('p', {}, said[step], ' Next: ',
+    h('a', {href: `#${following}`}, next), '.'));
+}
+
+function says(step, text) { said[step].textContent = text || LEADS[step].empty; }
+
+function showAbout({title, text, equation, units, page, command, facts = [], actions = [], terms = []}) {
   $('right').replaceChildren(
     h('h2', {}, title), text ? h('p', {}, text) : '',
     equation ? h('p', {}, ...equation.split('\n').flatMap((line) => [h('code', {}, line), h('br')])) : '',
@@ -165,7 +228,7 @@ function showAbout({title, text, equation, units, page, command, facts = [], act
     command ? h('p', {class: 'note'}, 'In a terminal: ', h('code', {}, command)) : '',
     actions.length ? h('div', {class: 'actions'}, ...actions) : '',
     page ? h('p', {}, h('a', {href: `#manual/${page}`, onclick: (event) => { event.preventDefault(); openManual(page); }},
-      'In the manual')) : '',
+      'In the manual')) : '', ...terms,
   );
 }
 
@@ -288,12 +351,13 @@ function commandForm(command, label, {offers = [], first = 'scenario', suggest =
   };
   const nodes = (advanced) => all.filter(({one}) => one.advanced === advanced).sort((a, b) => place(a) - place(b)).map(({node}) => node);
   const further = nodes(true);
-  const node = h('form', {novalidate: true, oninput: refresh, onchange: refresh, onsubmit: async (event) => {
+  const reply = replyArea();
+  const node = h('form', {novalidate: true, oninput: refresh, onchange: refresh, onsubmit: (event) => {
     event.preventDefault();
-    try { keepJob(await ask('/api/jobs', body())); } catch (error) { message.error(error.message); }
+    reply.start(body());
   }}, h('div', {class: 'fields'}, ...nodes(false)),
   further.length ? h('details', {class: 'more'}, h('summary', {}, 'More options'), h('div', {class: 'fields'}, ...further)) : '',
-  h('div', {class: 'actions'}, button), message.node); // below the button, which must not move while it is clicked
+  h('div', {class: 'actions'}, button, reply.node), message.node); // below the button, which must not move while it is clicked
   return {node, refresh, message, value, control: (name) => fields[name].control,
     offer: (name, choices, wanted) => fields[name].offer(choices, wanted),
     choose(name, wanted) { offerAll(); typed.add(name); fields[name].set(wanted); refresh(); },
@@ -325,6 +389,35 @@ function keepJob(job) {
   if (!state.jobs.some((other) => other.number === job.number)) showJobs([{...job, progress: null}, ...state.jobs]);
 }
 
+// What became of a click, beside the button: the state of the job that it started, or why there is none.
+const replies = new Map(); // by number of the job
+
+function replyArea() {
+  const node = h('output', {class: 'reply'});
+  const show = (text, kind = '') => { node.className = `reply ${kind}`; node.textContent = inFolder(text); };
+  return {
+    node, show,
+    async start(body) {
+      show('starting …');
+      try {
+        const job = await ask('/api/jobs', body);
+        replies.set(job.number, show);
+        keepJob(job);
+      } catch (error) { show(error.message, 'error'); }
+    },
+  };
+}
+
+function answerBeside(job) {
+  replies.get(job.number)?.(`Job ${job.number}: ${stateText(job)}`, job.ended === null ? '' : job.exit_code ? 'error' : 'good');
+}
+
+// A button that starts a job, with its reply.
+function jobButton(text, body, attributes = {}) {
+  const reply = replyArea();
+  return [h('button', {type: 'button', ...attributes, onclick: () => reply.start(body())}, text), reply.node];
+}
+
 // ---- predict ----------------------------------------------------------------------------------------------------------
 
 const predict = {
@@ -351,7 +444,7 @@ const predict = {
       h('div', {}, h('h3', {}, 'Sources of the interval'), this.budget));
     this.plot.redrawn = () => { if (this.answer) this.paint(); };
     return h('section', {},
-      h('h2', {}, 'Predict the velocities just after the impact'),
+      h('h2', {}, 'Predict the velocities just after the impact'), lead('predict'),
       h('div', {class: 'fields'}, labelled('scenario', this.scenario), labelled('object', this.object),
         labelled('case', this.case), labelled('motor inertia', this.inertia), labelled('arm in the figure', this.arm, {hidden: true})),
       this.sliders,
@@ -489,6 +582,8 @@ const predict = {
     this.budget.classList.toggle('stale', answer.moving); // too few draws for shares
     if (!answer.moving) this.budget.replaceChildren(...answer.budget.slice(0, 7).map((one) => h('li', {}, h('span', {}, one.source),
       h('i', {style: `width: ${(100 * one.share).toFixed(1)}%`}), h('span', {}, `${Math.round(100 * one.share)} %`))));
+    const main = answer.rows.filter((row) => row.main), shown = (row) => `${row.body} ${fixed(row.before, 2)} → ${fixed(row.after, 2)} m/s`;
+    says('predict', `${main.map(shown).join(', ')}, along ${answer.axis}.`);
     this.place(question.moving);
     requestAnimationFrame(() => { this.plot.dataset.shown = JSON.stringify(question.values); });
   },
@@ -555,17 +650,22 @@ const measure = {
     this.parts.laboratory = laboratory.build();
     this.tabs = Object.entries(names).map(([name, text]) => h('button', {type: 'button', role: 'tab', id: `tab-${name}`,
       'aria-controls': `part-${name}`, onclick: () => this.show(name)}, text));
+    arrowKeys(this.tabs);
     const panels = Object.entries(this.parts).map(([name, part]) => h('div', {role: 'tabpanel', id: `part-${name}`,
       'aria-labelledby': `tab-${name}`, 'data-part': name}, part));
-    this.node = h('section', {}, h('h2', {}, 'Measure'), h('div', {class: 'tabs', role: 'tablist'}, ...this.tabs), ...panels);
+    this.node = h('section', {}, h('h2', {}, 'Measure'), lead('measure'), h('div', {class: 'tabs', role: 'tablist'}, ...this.tabs), ...panels);
     this.show('campaign');
     return this.node;
   },
 
   show(name) {
     for (const panel of this.node.querySelectorAll('[data-part]')) panel.hidden = panel.dataset.part !== name;
-    for (const tab of this.tabs) tab.setAttribute('aria-selected', String(tab.id === `tab-${name}`));
-    showAbout(ABOUT[name === 'laboratory' ? name : 'measure']);
+    for (const tab of this.tabs) {
+      tab.setAttribute('aria-selected', String(tab.id === `tab-${name}`));
+      tab.tabIndex = tab.id === `tab-${name}` ? 0 : -1; // the arrow keys lead on from here
+    }
+    requestAnimationFrame(fitAll);
+    showAbout({...ABOUT[name === 'laboratory' ? name : 'measure'], terms: name === 'laboratory' ? [] : termsOf('measure')});
   },
 
   campaign() {
@@ -656,7 +756,7 @@ const compare = {
     this.report = h('select', {id: 'compare-report', onchange: () => this.open()});
     this.result = h('div', {id: 'compare-result'});
     this.none = emptyNote('No measurements yet: run a campaign first, or practise on one with a hidden effect.');
-    return h('section', {}, h('h2', {}, 'Compare model and measurement'), this.none, this.form.node,
+    return h('section', {}, h('h2', {}, 'Compare model and measurement'), lead('compare'), this.none, this.form.node,
       labelled('report', this.report), this.result);
   },
 
@@ -693,6 +793,7 @@ const compare = {
       const node = h('div', {class: 'plot clickable', role: 'img', 'aria-label': `Where the model fails: ${title}`});
       return {title, figure, node};
     });
+    says('compare', `${found.model}: score ${number(found.score)}, where ${number(found.floor)} is noise.`);
     this.result.replaceChildren(h('p', {class: 'answer'}, h('b', {}, `Score ${number(found.score)}`), found.headline),
       maps.length ? h('p', {class: 'note'}, 'Measured minus model, in multiples of repeatability. Click on a cell to see its signal over time.') : '',
       ...maps.flatMap(({title, node}) => [h('h3', {}, title), node]),
@@ -761,7 +862,7 @@ const diagnose = {
     this.file = h('select', {id: 'diagnose-file', onchange: () => this.open()});
     this.progress = h('div', {});
     this.result = h('div', {id: 'diagnose-result'});
-    return h('section', {}, h('h2', {}, 'Find out what the model lacks'), this.form.node, this.progress,
+    return h('section', {}, h('h2', {}, 'Find out what the model lacks'), lead('diagnose'), this.form.node, this.progress,
       labelled('diagnosis', this.file), this.result);
   },
 
@@ -778,8 +879,7 @@ const diagnose = {
   jobs() {
     const job = state.jobs.find((one) => one.arguments[0] === 'diagnose' && one.ended === null);
     const ranking = job?.progress?.ranking ?? [];
-    this.progress.replaceChildren(...(job ? [h('p', {role: 'status'}, progressText(job)),
-      h('progress', {max: job.progress?.total || 1, ...(job.progress?.total ? {value: job.progress.done} : {})}),
+    this.progress.replaceChildren(...(job ? [h('p', {role: 'status'}, progressText(job)), progressBar(job),
       ranking.length ? h('p', {class: 'note'}, 'So far: held-out error with each effect, the smaller the better.') : '',
       ranking.length ? h('ol', {class: 'bars'}, ...ranking.map(([name, error]) => h('li', {},
         h('span', {}, name), h('i', {style: `width: ${Math.min(100, 100 * error / ranking[ranking.length - 1][1]).toFixed(1)}%`}),
@@ -805,6 +905,7 @@ const diagnose = {
       h('td', {}, `${number(effect.before)} → ${number(effect.after)}`), h('td', {}, effect.p),
       h('td', {}, effect.tag === 'no' ? '' : h('button', {type: 'button', onclick: () => add.start(this.opened, effect.name)}, 'Add'))));
     const named = found.effects.filter((effect) => found.named.includes(effect.name));
+    says('diagnose', `${found.model}: ${found.verdict}.`);
     this.result.replaceChildren(h('p', {class: 'answer', id: 'verdict'}, h('b', {}, found.verdict), found.summary),
       ...named.map((effect) => h('div', {class: 'scroll'}, h('h3', {}, effect.name), h('table', {}, h('thead', {}, h('tr', {},
         ...['parameter', 'estimate', '95 % interval', 'unit'].map((text) => h('th', {scope: 'col'}, text)))), h('tbody', {},
@@ -827,22 +928,16 @@ const diagnose = {
     const given = FORMS.discover.fields.map((one) => one.name).filter((name) => FORMS.diagnose.fields.some((one) => one.name === name));
     return h('div', {class: 'answer', id: 'law'}, h('b', {}, 'A law that the library does not have'),
       h('p', {}, 'Formulas of a grammar may explain what remains; where none holds, a curve describes it.'),
-      h('div', {class: 'actions'}, h('button', {type: 'button', class: 'primary', onclick: async () => {
-        try {
-          keepJob(await ask('/api/jobs', {command: 'discover', ...Object.fromEntries(given.map((name) => [name, this.form.value(name)])),
-            model, effects: null, report: place.slice(0, -1) || '.', output: `${place}discovery.json`}));
-        } catch (error) { showAbout({title: 'A law', text: error.message}); }
-      }}, 'Look for a law')));
+      h('div', {class: 'actions'}, ...jobButton('Look for a law', () => ({command: 'discover',
+        ...Object.fromEntries(given.map((name) => [name, this.form.value(name)])),
+        model, effects: null, report: place.slice(0, -1) || '.', output: `${place}discovery.json`}), {class: 'primary'})));
   },
 
   next(experiment) {
-    const run = experiment.scenario ? [h('button', {type: 'button', class: 'primary', onclick: async () => {
-      try {
-        keepJob(await ask('/api/jobs', {command: 'campaign', scenario: experiment.scenario,
-          output: `${nextFolder(this.form.value('runs'))}/next_${slug(experiment.scenario)}_${slug(experiment.object ?? '')}`,
-          objects: experiment.object ? [experiment.object] : null, cases: experiment.case ? [experiment.case] : null, scales: [1], trials: 3}));
-      } catch (error) { showAbout({title: 'Next experiment', text: error.message}); }
-    }}, 'Run it')] : [];
+    const run = experiment.scenario ? jobButton('Run it', () => ({command: 'campaign', scenario: experiment.scenario,
+      output: `${nextFolder(this.form.value('runs'))}/next_${slug(experiment.scenario)}_${slug(experiment.object ?? '')}`,
+      objects: experiment.object ? [experiment.object] : null, cases: experiment.case ? [experiment.case] : null, scales: [1], trials: 3}),
+    {class: 'primary'}) : [];
     return h('div', {class: 'answer'}, h('b', {}, 'Next experiment'), h('p', {}, experiment.advice), h('div', {class: 'actions'}, ...run));
   },
 };
@@ -871,7 +966,7 @@ const add = {
     this.text.value = EXAMPLE;
     this.checked = h('div', {id: 'formula-check', 'aria-live': 'polite'});
     this.name = h('input', {value: 'formulas/mine.yaml', id: 'formula-file'});
-    return h('section', {}, h('h2', {}, 'A better model'), h('h3', {}, 'Add a diagnosed effect'), this.note, this.form.node,
+    return h('section', {}, h('h2', {}, 'A better model'), lead('add'), h('h3', {}, 'Add a diagnosed effect'), this.note, this.form.node,
       h('h3', {}, 'Your own effect'), h('p', {class: 'note'}, 'A formula, checked while you write. Save it to use it in Diagnose.'),
       this.text, this.checked, h('div', {class: 'fields'}, labelled('file', this.name)),
       h('div', {class: 'actions'}, this.save = h('button', {type: 'button', onclick: () => this.keep()}, 'Save the formulas')));
@@ -942,7 +1037,7 @@ const history_ = {
   build() {
     this.form = runsForm('history', 'Show the history', {model: newestModel});
     this.result = h('div', {id: 'history-result'});
-    return h('section', {}, h('h2', {}, 'How the error fell'), this.form.node, this.result);
+    return h('section', {}, h('h2', {}, 'How the error fell'), lead('history'), this.form.node, this.result);
   },
 
   update() {
@@ -1129,8 +1224,16 @@ const newest = (kind, path) => state.workspace[kind].find((one) => one.path === 
 
 function showFolder() {
   const {campaigns, laboratories, models, diagnoses} = state.workspace;
+  const count = (number_, what) => `${number_} ${what}${number_ === 1 ? '' : 's'}`;
+  const trials = campaigns.reduce((sum, one) => sum + one.present, 0), held = models.filter((one) => one.score);
+  says('measure', campaigns.length + laboratories.length ? `${count(trials, 'trial')} in ${count(campaigns.length, 'campaign')}` +
+    `${laboratories.length ? `, and ${count(laboratories.length, 'folder')} of a laboratory` : ''}.` : '');
+  says('add', models.length > 1 ? `${count(models.length, 'model')}; the newest is ${models.find((one) => one.path === newestModel()).name}.` : '');
+  says('history', held.length ? `${held.map((one) => `${one.name} ${number(one.score.held_out ?? one.score.fit)}`).join(', ')} ` +
+    `(noise ${number(held[0].score.floor)}).` : '');
   const or = (items, text) => items.length ? items : [h('li', {class: 'quiet'}, text)];
-  $('root').textContent = state.workspace.root;
+  $('root').textContent = state.workspace.root.split('/').pop();
+  $('root').title = state.workspace.root;
   const focused = document.activeElement?.dataset?.entry;
   refill($('campaigns'), or(campaigns.map((one) => entry(`campaign ${one.path}`, one.path,
     [one.error || `${one.scenario ? `${one.scenario}, ` : ''}${one.present} of ${one.trials} trials`],
@@ -1156,9 +1259,7 @@ function chooseCampaign(one) {
   showAbout({...ABOUT.measure, title: one.path, facts: [one.error || `${one.present} of ${one.trials} trials are recorded.`,
     one.present < one.trials ? 'Run the same command again to continue.' : ''].filter(Boolean),
   actions: [use('compare', compare.form), use('diagnose', diagnose.form),
-    h('button', {type: 'button', onclick: async () => {
-      try { keepJob(await ask('/api/jobs', {command: 'analyze', directory: one.path})); } catch (error) { showAbout({title: one.path, text: error.message}); }
-    }}, 'Analyze')]});
+    ...jobButton('Analyze', () => ({command: 'analyze', directory: one.path}))]});
 }
 
 function chooseLaboratory(path) {
@@ -1178,14 +1279,15 @@ function chooseModel(one) {
 // ---- jobs -----------------------------------------------------------------------------------------------------------------
 
 function progressText(job) {
-  const {what = job.arguments[0], done = 0, total = null, left = null} = job.progress ?? {};
-  return [job.stopping ? 'stopping' : what, total ? `${done} of ${total}` : '', seconds(left)].filter(Boolean).join(', ');
+  const {what = job.arguments[0], done = 0, total = null, left = null, share = null} = job.progress ?? {};
+  return [job.stopping ? 'stopping' : what, total ? `${done} of ${total}` : '', share === null ? '' : `${Math.round(100 * share)} % of the job`,
+    seconds(left)].filter(Boolean).join(', ');
 }
 
 function stateText(job) {
   if (job.ended === null) return progressText(job);
   if (job.exit_code === 0) return `✓ done in ${Math.max(1, Math.round(job.ended - job.started))} s`;
-  return `${job.exit_code === 130 ? '■ stopped' : '✗ failed'}: ${job.line}`;
+  return inFolder(`${job.exit_code === 130 ? '■ stopped' : '✗ failed'}: ${job.line}`);
 }
 
 const opened = new Map(); // of jobs whose output is looked at, by their numbers
@@ -1198,12 +1300,18 @@ async function showOutput(number_) {
   if (shown) shown.textContent = opened.get(number_);
 }
 
+// Of the whole job, not of its stage.
+const progressBar = (job) => h('progress', {max: 1, 'aria-label': `progress of job ${job.number}`,
+  ...(Number.isFinite(job.progress?.share) ? {value: job.progress.share} : {})});
+
 function jobRow(job) {
-  const act = (what) => async () => { try { await ask(`/api/jobs/${job.number}/${what}`, {}); } catch (error) {
-    showAbout({title: `Job ${job.number}`, text: error.message});
-  } };
-  const bar = job.ended === null ? h('progress', {max: job.progress?.total || 1, 'aria-label': `progress of job ${job.number}`,
-    ...(job.progress?.total ? {value: job.progress.done} : {})}) : '';
+  const act = (what) => async ({target}) => {
+    const reply = target.parentElement.querySelector('.reply');
+    reply.textContent = {stop: 'stopping …', again: 'starting …'}[what];
+    try { keepJob(await ask(`/api/jobs/${job.number}/${what}`, {})); if (what === 'again') reply.textContent = 'started above'; }
+    catch (error) { reply.textContent = inFolder(error.message); }
+  };
+  const bar = job.ended === null ? progressBar(job) : '';
   const look = ({target}) => {
     if (!opened.delete(job.number)) { opened.set(job.number, ''); showOutput(job.number); }
     target.closest('li').querySelector('pre').hidden = !opened.has(job.number);
@@ -1213,16 +1321,32 @@ function jobRow(job) {
     h('div', {class: 'buttons'}, job.ended === null ? h('button', {type: 'button', disabled: job.stopping, onclick: act('stop')}, 'Stop') :
       h('button', {type: 'button', onclick: act('again')}, job.exit_code ? 'Continue' : 'Again'),
     h('button', {type: 'button', onclick: look}, 'Output'),
-    h('button', {type: 'button', onclick: () => navigator.clipboard.writeText(job.command)}, 'Copy')),
+    h('button', {type: 'button', onclick: () => navigator.clipboard.writeText(job.command)}, 'Copy'), h('output', {class: 'reply'}, job.stopping ? 'stopping …' : '')),
     h('pre', {hidden: !opened.has(job.number), tabindex: 0}, opened.get(job.number) ?? ''));
 }
 
 const MOST_JOBS = 8;
 
+// The drawer at the lower edge: closed, it shows the job that runs, or the last one.
+function drawer(jobs) {
+  const running = jobs.filter((job) => job.ended === null), job = running[0] ?? jobs[0];
+  const more = running.length > 1 ? ` and ${running.length - 1} more` : '';
+  const line = job ? `job ${job.number}, ${job.arguments[0]}: ${stateText(job)}${more}` : 'none yet';
+  $('jobs-line').replaceChildren(h('span', {}, line), ...(running.length ? [progressBar(job)] : []));
+}
+
+function openDrawer(open) {
+  $('jobs-toggle').setAttribute('aria-expanded', String(open));
+  $('job-list').hidden = !open;
+}
+$('jobs-toggle').addEventListener('click', () => openDrawer($('job-list').hidden));
+
 function showJobs(jobs) {
   const before = new Map(state.jobs.map((job) => [job.number, JSON.stringify(job)]));
   state.jobs = jobs;
   const list = $('job-list'), shown = jobs.slice(0, MOST_JOBS);
+  for (const job of jobs) answerBeside(job);
+  drawer(jobs);
   if (!jobs.length) { list.replaceChildren(h('li', {class: 'quiet'}, 'None yet. Jobs that you start appear here; they continue when this page is closed.')); return; }
   for (const item of [...list.children]) if (!shown.some((job) => String(job.number) === item.dataset.job)) item.remove();
   shown.forEach((job, index) => {
@@ -1270,8 +1394,9 @@ function go(step) {
   for (const button of $('steps').querySelectorAll('button')) {
     if (button.dataset.step === step) button.setAttribute('aria-current', 'step'); else button.removeAttribute('aria-current');
   }
-  showAbout(ABOUT[step]);
+  showAbout({...ABOUT[step], terms: termsOf(step)});
   if (state.workspace) STEPS[step][1].update();
+  requestAnimationFrame(fitAll);
 }
 
 function listen() {

@@ -480,6 +480,7 @@ def test_a_running_job_is_seen_by_other_tabs_and_stopped_there(page: Page) -> No
     other.goto(page.url)
     expect(other.locator("#job-list > li").first).to_have_attribute("data-state", "running")
     expect(other.locator("#part-campaign .command code")).to_contain_text("impact-rs campaign")  # nothing moves now
+    other.locator("#jobs-toggle").click()
     other.locator("#job-list > li").first.get_by_role("button", name="Stop").hover()
     other.mouse.down()
     done = other.locator("#job-list progress").first.get_attribute("value") or ""

@@ -184,11 +184,12 @@ const {ImpactReplay, ImpactLive} = (function () {
       if (this.scene) {
         this.scene.traverse((node) => [node.geometry, node.material].forEach((part) => part && part.dispose()));
       }
+      const dark = matchMedia('(prefers-color-scheme: dark)').matches;
       this.scene = new THREE.Scene();
-      this.scene.background = new THREE.Color('#F4F6F8');
+      this.scene.background = new THREE.Color(dark ? '#1D2327' : '#F4F6F8');
       const sun = new THREE.DirectionalLight('#FFFFFF', 1.8);
       sun.position.set(1, -2, 4);
-      const grid = new THREE.GridHelper(3, 12, '#C9CFD6', '#DFE3E8').rotateX(Math.PI / 2);
+      const grid = new THREE.GridHelper(3, 12, dark ? '#46525A' : '#C9CFD6', dark ? '#323B41' : '#DFE3E8').rotateX(Math.PI / 2);
       this.scene.add(new THREE.HemisphereLight('#FFFFFF', '#8A929C', 1.8), sun, grid, ...roots);
     }
 
