@@ -16,13 +16,15 @@ import numpy as np
 from pydantic import Field
 
 from impact_rs_analysis.report.figures import MODEL_STYLE
+from impact_rs_analysis.report.scene_3d import scene_data
 from impact_rs_commands.predicting import MAP
 from impact_rs_control.plan import LARGEST_SCALE
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.impact_map import ImpactMapError, ImpactProblem, predict_impact
 from impact_rs_sim.impact_map.uncertainty import LEVEL, UncertainPrediction, interval_of_draws, predict
 from impact_rs_sim.impact_map.uniqueness import uniqueness_of
-from impact_rs_sim.physics import MOTOR_INERTIA_MODELS
+from impact_rs_sim.physics import MOTOR_INERTIA_MODELS, Physics
+from impact_rs_sim.rotations import quaternion_of
 from impact_rs_sim.scenario import Scenario, Uncertainties, load_scenario
 from impact_rs_sim.scene import Scene
 from impact_rs_sim.schema import Schema
@@ -172,6 +174,7 @@ def answer(scenario: Scenario, question: Question) -> dict[str, Any]:
         "rows": rows,
         "arm": arm,
         "impulses": {name: impulse.tolist() for name, impulse in impulses.items()},
+        "moment": _moment(scene, rows),
         "budget": _budget(uncertain, f"{arm}.velocity.{scenario.axis}"),
         "interval": None
         if uncertain is None
@@ -180,6 +183,38 @@ def answer(scenario: Scenario, question: Question) -> dict[str, Any]:
         "residual": found.residual.largest,
         "note": note,
     }
+
+
+def _moment(scene: Scene, rows: list[dict[str, Any]]) -> dict[str, Any]:
+    """The impact as the picture shows it: where joints and object are, and velocities with the ends of intervals."""
+    jumps = []
+    for body in (*scene.arms, *(() if scene.scenario.excursion is not None else ("object",))):
+        own = [row for row in rows if row["body"] == body]
+        known = all(row["low"] is not None for row in own)
+        jumps.append(
+            {
+                "arm": None if body == "object" else body,
+                "before": [row["before"] for row in own],
+                "after": [row["after"] for row in own],
+                "low": [row["low"] for row in own] if known else None,
+                "high": [row["high"] for row in own] if known else None,
+            }
+        )
+    pose = (*scene.object.position.tolist(), *quaternion_of(scene.object.rotation).tolist())
+    return {
+        "joints": np.concatenate([arm.position for arm in scene.arms.values()]).tolist(),
+        "object": pose,
+        "jumps": jumps,
+    }
+
+
+def scene_of(path: str, object_name: str) -> dict[str, Any]:
+    """Arms, support and object of a scenario as the picture draws them.
+
+    Raises:
+        InputError: There is no such scenario or object.
+    """
+    return scene_data(Physics.nominal(load_scenario(path), object_name))
 
 
 def _row(body: str, axis: str, ante: float, post: float, ends: Ends, main: bool) -> dict[str, Any]:

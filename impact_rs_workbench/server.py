@@ -21,7 +21,7 @@ from starlette.responses import FileResponse, HTMLResponse, JSONResponse, PlainT
 from starlette.routing import Route
 from starlette.types import ASGIApp
 
-from impact_rs_analysis.report.page import PLOTLY
+from impact_rs_analysis.report.page import BUNDLE, PLOTLY, TEMPLATES
 from impact_rs_commands.predicting import EFFECTS
 from impact_rs_sim.errors import InputError, shortened
 from impact_rs_sim.impact_map import ImpactMapError
@@ -38,8 +38,10 @@ from impact_rs_workbench.recording_description import Description, PreviewReques
 from impact_rs_workbench.request_guard import FILE_POLICY, Guard
 from impact_rs_workbench.workspace import HIDDEN, Workspace
 
-SCRIPTS = ("workbench.js", "explain.js")
+SCRIPTS = ("workbench.js", "explain.js", "picture.js")
+LIBRARIES = {"plotly.js": PLOTLY, "three.js": BUNDLE / "three.min.js", "replay.js": TEMPLATES / "replay.js"}
 STATIC = {"workbench.css": "text/css", **dict.fromkeys(SCRIPTS, "text/javascript")}
+KEPT = {"cache-control": "max-age=86400"}  # libraries of others, which do not change
 SHOWN_FILES = {".html": "text/html", ".json": "application/json", ".yaml": "text/plain", ".csv": "text/plain"}
 LARGEST_REQUEST = 1_000_000  # bytes
 LOOKED_AT = 0.25  # s, between two looks at running jobs
@@ -72,6 +74,10 @@ class Workbench:
     def scenario(self, name: str) -> dict[str, Any]:
         """What can be chosen in a scenario."""
         return prediction.describe(name, self.workspace.scenario_path(name))
+
+    def scene(self, name: str, object_name: str) -> dict[str, Any]:
+        """A scenario with one of its objects, as the picture draws it."""
+        return prediction.scene_of(self.workspace.scenario_path(name), object_name)
 
     def predict(self, question: Question) -> dict[str, Any]:
         """One prediction, with the command that gives it."""
@@ -142,6 +148,7 @@ def _routes(workbench: Workbench) -> list[Route]:
         Route("/api/forms", _got(lambda _: {name: form_of(command) for name, command in FORMS.items()})),
         Route("/api/workspace", _got(lambda _: workbench.state())),
         Route("/api/scenario", _got(lambda given: workbench.scenario(given.get("name", "")))),
+        Route("/api/scene", _got(lambda given: workbench.scene(given.get("name", ""), given.get("object", "")))),
         Route("/api/comparison", _got(lambda given: results.comparison(workspace.existing(given.get("path", ""))))),
         Route("/api/diagnosis", _got(lambda given: results.diagnosis(workspace.existing(given.get("path", ""))))),
         Route(
@@ -253,8 +260,10 @@ async def _page(request: Request) -> Response:
 
 async def _static(request: Request) -> Response:
     name = request.path_params["name"]
-    if name == "plotly.js":
-        return FileResponse(PLOTLY, media_type="text/javascript", headers={"cache-control": "max-age=86400"})
+    if name in LIBRARIES:
+        return FileResponse(
+            LIBRARIES[name], media_type="text/javascript", headers=KEPT if LIBRARIES[name].parent == BUNDLE else {}
+        )
     if name not in STATIC:
         return PlainTextResponse("There is no such file.", 404)
     text = (files(__package__) / "static" / name).read_text(encoding="utf-8")

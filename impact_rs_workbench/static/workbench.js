@@ -2,6 +2,7 @@
 // The page of the workbench. It shows what the server reads from files and stores nothing itself.
 
 import {LEADS, TERMS, TERMS_OF} from './explain.js';
+import {Impact, replayIn} from './picture.js';
 
 const $ = (id) => document.getElementById(id);
 const state = {workspace: null, jobs: [], step: 'predict', chosen: null};
@@ -420,6 +421,8 @@ function jobButton(text, body, attributes = {}) {
 
 // ---- predict ----------------------------------------------------------------------------------------------------------
 
+const sceneOf = (name, object) => ask(`/api/scene?${query({name, object})}`);
+
 const predict = {
   scenarios: {}, values: {}, over: 'speed', wanted: null, busy: false, sweep: null, question: null, sweepNumber: 0,
 
@@ -430,6 +433,8 @@ const predict = {
     this.inertia = h('select', {id: 'predict-inertia', onchange: () => this.anew()},
       new Option('B_θ (reduced)', 'reduced'), new Option('B_ρ (whole rotor)', 'rotor'), new Option('B = 0 (none)', 'zero'));
     this.arm = h('select', {id: 'predict-arm', onchange: () => this.anew()});
+    this.scene = h('div', {class: 'scene', id: 'predict-scene'});
+    this.impact = new Impact(this.scene, sceneOf);
     this.sliders = h('div', {class: 'sliders', id: 'sliders'});
     this.known = h('div', {class: 'sliders'});
     this.plot = h('div', {class: 'plot', id: 'predict-plot', role: 'img', 'aria-label': 'Velocity after the impact'});
@@ -447,8 +452,8 @@ const predict = {
       h('h2', {}, 'Predict the velocities just after the impact'), lead('predict'),
       h('div', {class: 'fields'}, labelled('scenario', this.scenario), labelled('object', this.object),
         labelled('case', this.case), labelled('motor inertia', this.inertia), labelled('arm in the figure', this.arm, {hidden: true})),
-      this.sliders,
-      h('details', {}, h('summary', {}, 'Uncertainty of the inputs (95 %, relative)'), this.known),
+      h('div', {class: 'beside'}, this.scene, h('div', {}, this.sliders,
+        h('details', {}, h('summary', {}, 'Uncertainty of the inputs (95 %)'), this.known))),
       this.plot, this.message.node, this.numbers,
       h('div', {class: 'actions'}, h('button', {type: 'button', onclick: () => this.reset()}, 'Reset sliders'),
         h('button', {type: 'button', onclick: () => this.measure()}, 'Measure this')));
@@ -489,7 +494,8 @@ const predict = {
     if (this.plot.data) { Plotly.purge(this.plot); this.plot.replaceChildren(); }
   },
 
-  anew() { this.clear(); this.again(); },
+  // A new question: velocities first, with an interval from few draws, and the full interval behind them.
+  anew() { this.clear(); this.again(true); this.again(false, true); },
 
   objectChosen() {
     this.values = {};
@@ -524,7 +530,9 @@ const predict = {
   reset() { this.objectChosen(); },
 
   // Latest wins: while one answer is under way, only the newest question waits.
-  async again(moving = false) {
+  async again(moving = false, behind = false) {
+    if (behind) { this.behind = true; return; }
+    this.behind = false;
     this.wanted = {scenario: this.scenario.value, object: this.object.value, case: this.case.value, arm: this.arm.value,
       motor_inertia: this.inertia.value, values: {...this.values}, moving};
     this.message.wait();
@@ -539,6 +547,11 @@ const predict = {
         if (this.wanted && !this.same(question, this.wanted)) continue; // the answer to an earlier question
         this.question = question;
         this.show(answer, question);
+        if (this.behind && !this.wanted) {
+          this.behind = false;
+          await new Promise((painted) => requestAnimationFrame(() => setTimeout(painted)));
+          this.wanted ??= {...question, moving: false};
+        }
       } catch (error) {
         if (this.wanted) continue;
         this.clear();
@@ -583,6 +596,7 @@ const predict = {
     if (!answer.moving) this.budget.replaceChildren(...answer.budget.slice(0, 7).map((one) => h('li', {}, h('span', {}, one.source),
       h('i', {style: `width: ${(100 * one.share).toFixed(1)}%`}), h('span', {}, `${Math.round(100 * one.share)} %`))));
     const main = answer.rows.filter((row) => row.main), shown = (row) => `${row.body} ${fixed(row.before, 2)} → ${fixed(row.after, 2)} m/s`;
+    this.impact.draw(question.scenario, question.object, answer.moment).catch((error) => { this.scene.textContent = error.message; });
     says('predict', `${main.map(shown).join(', ')}, along ${answer.axis}.`);
     this.place(question.moving);
     requestAnimationFrame(() => { this.plot.dataset.shown = JSON.stringify(question.values); });
