@@ -38,7 +38,7 @@ from impact_rs_workbench.recording_description import Description, PreviewReques
 from impact_rs_workbench.request_guard import FILE_POLICY, Guard
 from impact_rs_workbench.workspace import HIDDEN, Workspace
 
-SCRIPTS = ("workbench.js", "explain.js", "picture.js")
+SCRIPTS = ("workbench.js", "explain.js", "figures.js", "picture.js", "tools.js")
 LIBRARIES = {"plotly.js": PLOTLY, "three.js": BUNDLE / "three.min.js", "replay.js": TEMPLATES / "replay.js"}
 STATIC = {"workbench.css": "text/css", **dict.fromkeys(SCRIPTS, "text/javascript")}
 KEPT = {"cache-control": "max-age=86400"}  # libraries of others, which do not change
@@ -151,6 +151,9 @@ def _routes(workbench: Workbench) -> list[Route]:
         Route("/api/scene", _got(lambda given: workbench.scene(given.get("name", ""), given.get("object", "")))),
         Route("/api/comparison", _got(lambda given: results.comparison(workspace.existing(given.get("path", ""))))),
         Route("/api/diagnosis", _got(lambda given: results.diagnosis(workspace.existing(given.get("path", ""))))),
+        Route("/api/reveal", _got(lambda given: _revealed(workbench, given.get("path", "")))),
+        Route("/api/trials", _got(lambda given: results.trials(workspace.existing(given.get("path", ""))))),
+        Route("/api/trial", _got(lambda given: results.trial(workspace.existing(given.get("path", ""))))),
         Route(
             "/api/laboratory",
             _got(lambda given: recording_description.look(workspace, given.get("path", ""), given.get("scenario", ""))),
@@ -173,6 +176,11 @@ def _routes(workbench: Workbench) -> list[Route]:
 
 def _command(workbench: Workbench, data: Any) -> dict[str, str]:
     return {"command": workbench.command(list(order_of(data, workbench.workspace).arguments))}
+
+
+def _revealed(workbench: Workbench, path: str) -> dict[str, Any]:
+    found = results.reveal(workbench.workspace, path)
+    return found | {"command": workbench.command(found.pop("words"))}
 
 
 def _described(workbench: Workbench, data: Any) -> dict[str, Any]:

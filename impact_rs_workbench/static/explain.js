@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// What a reader is told who has not read the paper: the first two lines of every step, and the terms with a sketch.
+// For a reader who has not read the paper: the first two lines of every step, and the terms with a sketch.
 
 // By step: what it is, what it says before there is anything, and the step that comes next.
 export const LEADS = {
@@ -35,7 +35,7 @@ export const TERMS = {
     'and one rotation. A grab is compared with it.',
   svg: sketch(`<rect class="soft" x="52" y="20" width="22" height="46" rx="3"/><rect class="object" x="74" y="18" width="52" height="50"/>
     ${arrow(62, 10, 44, 'after')}${arrow(100, 78, 44, 'after')}<text class="small" x="30" y="47">pad</text><text class="small" x="158" y="47">object</text>`)},
-  reference: {name: 'Reference', text: 'the velocity that the controller is told to have after the impact. A campaign tries several, ' +
+  reference: {name: 'Reference', text: 'the velocity that the controller is to keep after the impact. A campaign tries several, ' +
     'below and above the predicted one.',
   svg: sketch(`<path class="axis" d="M22 10v64h186"/><path class="before" d="M22 22h76"/><path class="axis dash" d="M98 12v62"/>
     <path class="soft-line" d="M98 36h104"/><path class="after" d="M98 46h104"/><path class="soft-line" d="M98 56h104"/>

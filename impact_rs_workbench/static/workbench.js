@@ -2,175 +2,9 @@
 // The page of the workbench. It shows what the server reads from files and stores nothing itself.
 
 import {LEADS, TERMS, TERMS_OF} from './explain.js';
+import {cursor, darkScheme, draw, seen} from './figures.js';
 import {Impact, replayIn} from './picture.js';
-
-const $ = (id) => document.getElementById(id);
-const state = {workspace: null, jobs: [], step: 'predict', chosen: null};
-
-// ---- small tools ---------------------------------------------------------------------------------------------------
-
-function h(tag, attributes = {}, ...children) {
-  const node = document.createElement(tag);
-  for (const [name, value] of Object.entries(attributes)) {
-    if (name.startsWith('on')) node.addEventListener(name.slice(2), value);
-    else if (value === true) node.setAttribute(name, '');
-    else if (value !== false && value !== null && value !== undefined) node.setAttribute(name, value);
-  }
-  node.append(...children.flat().filter((child) => child !== null && child !== undefined && child !== ''));
-  return node;
-}
-
-async function ask(path, body) {
-  const options = body === undefined ? {} :
-    {method: 'POST', headers: {'content-type': 'application/json'}, body: JSON.stringify(body)};
-  const answer = await fetch(path, options);
-  const data = answer.headers.get('content-type')?.startsWith('application/json') ?
-    await answer.json() : {error: await answer.text()};
-  if (!answer.ok) throw new Error(data.error);
-  return data;
-}
-
-const query = (values) => new URLSearchParams(values).toString();
-const tidy = (text) => text.replace('-', '−');
-const number = (value, digits = 3) => value === null || value === undefined ? '–' : tidy(String(Number(Number(value).toPrecision(digits))));
-const fixed = (value, digits = 3) => value === null ? '–' : tidy((Number(value.toFixed(digits)) + 0).toFixed(digits)); // + 0: no −0.000
-const unit = (text) => !text || text === '-' ? '' : ` ${text}`;
-const slug = (text) => text.replace(/[^A-Za-z0-9]+/g, '_').replace(/^_|_$/g, '');
-const stem = (path) => path.split('/').pop().replace(/\.[a-z]+$/, '');
-
-// A path as it is seen from the folder of the workbench; in the middle of a text, too.
-const inFolder = (text) => state.workspace ? text.replaceAll(`${state.workspace.root}/`, '').replaceAll(state.workspace.root, '.') : text;
-
-function seconds(value) {
-  if (value === null || value === undefined) return '';
-  return value < 90 ? `${Math.max(1, Math.round(value))} s left` : `${Math.round(value / 60)} min left`;
-}
-
-function later(wait, work) {
-  let timer = 0;
-  return (...given) => { clearTimeout(timer); timer = setTimeout(() => work(...given), wait); };
-}
-
-// Fills a list of choices and keeps what was chosen.
-function fill(select, options, wanted) {
-  const before = wanted ?? select.value;
-  const content = (all) => JSON.stringify([...all].map((one) => [one.value, one.text]));
-  const same = content(select.options) === content(options);
-  if (!same) select.replaceChildren(...options.map((one) => new Option(one.text, one.value)));
-  if (options.some((one) => one.value === before)) select.value = before;
-  fit(select);
-}
-
-// A list is as wide as its longest choice needs; where the page is too narrow, what is cut off stands below it.
-const pen = document.createElement('canvas').getContext('2d');
-const ARROW = 44; // px, of a list beside its text
-
-function fit(select) {
-  const label = select.closest('label');
-  if (!label || !select.isConnected) return;
-  pen.font = getComputedStyle(select).font;
-  const wide = (text) => pen.measureText(text).width + ARROW;
-  const longest = Math.max(0, ...[...select.options].map((one) => wide(one.text)));
-  label.classList.toggle('long', longest > 170 && longest <= 350);
-  label.classList.toggle('wide', longest > 350);
-  const text = select.selectedOptions[0]?.text ?? '', cut = select.clientWidth > 0 && wide(text) > select.clientWidth;
-  let whole = label.querySelector('small');
-  if (!cut) { whole?.remove(); return; }
-  if (!whole) label.append(whole = h('small', {class: 'whole'}));
-  whole.textContent = text;
-}
-
-function fitAll() { for (const select of document.querySelectorAll('label > select')) fit(select); }
-addEventListener('resize', () => requestAnimationFrame(fitAll));
-document.addEventListener('change', ({target}) => { if (target.tagName === 'SELECT') fit(target); });
-
-// Replaces changed items only: a button that is replaced while the pointer is down gets no click.
-function refill(node, items) {
-  const before = [...node.children];
-  items.forEach((item, index) => {
-    if (!before[index]) node.append(item); else if (!before[index].isEqualNode(item)) before[index].replaceWith(item);
-  });
-  for (const item of before.slice(items.length)) item.remove();
-}
-
-const plain = (values) => values.map((value) => ({value, text: value}));
-
-function labelled(text, control, attributes = {}) {
-  return h('label', attributes, h('span', {}, text), control);
-}
-
-function commandLine(text) {
-  const copied = h('button', {type: 'button', onclick: async () => {
-    await navigator.clipboard.writeText(text);
-    copied.textContent = 'copied';
-  }}, 'copy');
-  return h('div', {class: 'command'}, h('code', {}, text), copied);
-}
-
-// The message below a form: the command that it makes, or the error in its input.
-function messageArea() {
-  const node = h('div', {class: 'message', 'aria-live': 'polite'});
-  return {
-    node,
-    // The message belongs to an earlier question: it stays in place, so that nothing jumps, and is greyed out.
-    wait() { node.setAttribute('aria-busy', 'true'); },
-    show(...items) { node.removeAttribute('aria-busy'); node.replaceChildren(...items); },
-    command(text) { this.show(commandLine(text)); },
-    error(text) { this.show(h('p', {class: 'error', role: 'alert'}, inFolder(text))); },
-  };
-}
-
-// Arrow keys, Home and End go from tab to tab and open it.
-function arrowKeys(tabs) {
-  for (const [place, tab] of tabs.entries()) {
-    tab.addEventListener('keydown', (event) => {
-      const to = {ArrowRight: place + 1, ArrowLeft: place - 1, Home: 0, End: tabs.length - 1}[event.key];
-      if (to === undefined) return;
-      event.preventDefault();
-      const next = tabs[(to + tabs.length) % tabs.length];
-      next.click();
-      next.focus();
-    });
-  }
-}
-
-// ---- figures -------------------------------------------------------------------------------------------------------
-
-const darkScheme = matchMedia('(prefers-color-scheme: dark)');
-const IN_THE_DARK = {'#0072b2': '#56b4e9', '#d55e00': '#ff9142', '#009e73': '#2fcf9f', '#000000': '#f0f0f0',
-  '#555555': '#b0b8bd', '#1a1a1a': '#eceff1', '#777777': '#b0b8bd'};
-
-function seen(colour) {
-  return darkScheme.matches && typeof colour === 'string' ? IN_THE_DARK[colour.toLowerCase()] ?? colour : colour;
-}
-
-// A figure follows the width of its place and keeps its height: Plotly's own `responsive` forgets the height that a
-// figure asks for, and what stands below it is covered.
-const widths = new ResizeObserver((seen_) => {
-  for (const {target: node, contentRect: {width}} of seen_) {
-    if (!node.data || width <= 0 || Math.abs(width - node.layout.width) < 1) continue;
-    if (node.redrawn) node.redrawn(); else Plotly.relayout(node, {width}); // what else changes with the width
-  }
-});
-
-// A figure of the reports in the colours of this page.
-function draw(node, figure, config = {}) {
-  const style = getComputedStyle(document.documentElement);
-  const ink = style.getPropertyValue('--ink').trim(), grid = style.getPropertyValue('--grid').trim();
-  const data = figure.data.map((trace) => ({
-    ...trace,
-    ...(trace.line ? {line: {...trace.line, color: seen(trace.line.color)}} : {}),
-    ...(trace.marker && typeof trace.marker.color === 'string' ?
-      {marker: {...trace.marker, color: seen(trace.marker.color)}} : {}),
-  }));
-  const axes = Object.fromEntries(['xaxis', 'yaxis', 'xaxis2', 'yaxis2'].filter((name) => figure.layout[name] || !name.endsWith('2'))
-    .map((name) => [name, {...figure.layout[name], gridcolor: grid, zerolinecolor: grid, color: ink}]));
-  const layout = {...figure.layout, ...axes, paper_bgcolor: 'rgba(0,0,0,0)', plot_bgcolor: 'rgba(0,0,0,0)', autosize: false,
-    width: node.clientWidth || 600, height: figure.layout.height ?? 450, // hidden, it has no width yet
-    font: {...figure.layout.font, color: ink, family: 'system-ui, sans-serif'}};
-  widths.observe(node);
-  return Plotly.react(node, data, layout, {displaylogo: false, displayModeBar: false, ...config});
-}
+import {$, arrowKeys, ask, commandLine, fill, fit, fitAll, fixed, h, inFolder, labelled, later, messageArea, number, plain, query, refill, seconds, slug, state, stem, unit} from './tools.js';
 
 // ---- explanations ------------------------------------------------------------------------------------------------
 
@@ -359,7 +193,7 @@ function commandForm(command, label, {offers = [], first = 'scenario', suggest =
   }}, h('div', {class: 'fields'}, ...nodes(false)),
   further.length ? h('details', {class: 'more'}, h('summary', {}, 'More options'), h('div', {class: 'fields'}, ...further)) : '',
   h('div', {class: 'actions'}, button, reply.node), message.node); // below the button, which must not move while it is clicked
-  return {node, refresh, message, value, control: (name) => fields[name].control,
+  return {node, refresh, message, value, fields, control: (name) => fields[name].control,
     offer: (name, choices, wanted) => fields[name].offer(choices, wanted),
     choose(name, wanted) { offerAll(); typed.add(name); fields[name].set(wanted); refresh(); },
     update() { offerAll(); refresh(); }};
@@ -660,14 +494,19 @@ const predict = {
 const measure = {
   build() {
     this.parts = {campaign: this.campaign(), trial: this.trial(), blind: this.blind()};
-    const names = {campaign: 'Campaign', trial: 'Single trial', blind: 'Practise: a hidden effect', laboratory: 'Laboratory folder'};
+    this.parts.recorded = recorded.build();
+    const names = {campaign: 'Campaign', trial: 'Single trial', recorded: 'Recorded trials', blind: 'Practise', laboratory: 'Laboratory'};
     this.parts.laboratory = laboratory.build();
     this.tabs = Object.entries(names).map(([name, text]) => h('button', {type: 'button', role: 'tab', id: `tab-${name}`,
       'aria-controls': `part-${name}`, onclick: () => this.show(name)}, text));
     arrowKeys(this.tabs);
     const panels = Object.entries(this.parts).map(([name, part]) => h('div', {role: 'tabpanel', id: `part-${name}`,
       'aria-labelledby': `tab-${name}`, 'data-part': name}, part));
-    this.node = h('section', {}, h('h2', {}, 'Measure'), lead('measure'), h('div', {class: 'tabs', role: 'tablist'}, ...this.tabs), ...panels);
+    this.scene = h('div', {class: 'scene', id: 'measure-scene'});
+    this.impact = new Impact(this.scene, sceneOf);
+    for (const form of [this.form, this.trialForm]) form.node.addEventListener('change', () => this.picture());
+    this.node = h('section', {}, h('h2', {}, 'Measure'), lead('measure'), h('div', {class: 'tabs', role: 'tablist'}, ...this.tabs),
+      this.place = h('div', {}, h('div', {}, ...panels), this.scene));
     this.show('campaign');
     return this.node;
   },
@@ -679,7 +518,26 @@ const measure = {
       tab.tabIndex = tab.id === `tab-${name}` ? 0 : -1; // the arrow keys lead on from here
     }
     requestAnimationFrame(fitAll);
+    this.scene.hidden = !['campaign', 'trial'].includes(name);
+    this.place.className = this.scene.hidden ? '' : 'beside';
+    if (name === 'recorded' && state.workspace) recorded.update();
+    if (state.workspace) this.picture();
     showAbout({...ABOUT[name === 'laboratory' ? name : 'measure'], terms: name === 'laboratory' ? [] : termsOf('measure')});
+  },
+
+  // The impact that the form asks for, as the nominal model predicts it.
+  async picture() {
+    if (this.scene.hidden || state.step !== 'measure') return;
+    const form = this.node.querySelector('[data-part=trial]').hidden ? this.form : this.trialForm;
+    const one = (value) => Array.isArray(value) ? value[0] : value;
+    const question = {scenario: form.value('scenario'), object: one(form.value('objects' in form.fields ? 'objects' : 'object')),
+      case: one(form.value('cases' in form.fields ? 'cases' : 'case'))};
+    if (!form.found || !question.object || !question.case) return;
+    const key = this.pictured = JSON.stringify(question);
+    try {
+      const {moment} = await ask('/api/predict', {...question, moving: true});
+      if (this.pictured === key) await this.impact.draw(question.scenario, question.object, moment);
+    } catch (error) { if (this.pictured === key) this.scene.title = error.message; }
   },
 
   campaign() {
@@ -702,6 +560,7 @@ const measure = {
       form.offer('cases', chosen(Object.entries(found.cases), only.case));
       form.offer('scales', found.scales.map((scale) => ({value: scale, text: `${scale}`, on: true}))); // an estimate needs several
       counted();
+      this.picture();
     });
     return h('div', {}, form.node, count);
   },
@@ -713,6 +572,7 @@ const measure = {
       form.control('scale').max = found.largest_scale;
       form.offer('object', Object.entries(found.objects).map(([value, one]) => ({value, text: one.label})));
       form.offer('case', Object.entries(found.cases).map(([value, text]) => ({value, text})));
+      this.picture();
     });
     return form.node;
   },
@@ -720,8 +580,22 @@ const measure = {
   blind() {
     const form = this.blindForm = commandForm('blind make', 'Make the campaign',
       {suggest: {seed: () => 7, output: () => `blind_${form.value('seed')}`}});
-    return h('div', {}, h('p', {class: 'note'}, 'The plant has one hidden effect; find it with Compare and Diagnose. ' +
-      'truth.json beside the trials names it.'), form.node);
+    this.made = h('div', {id: 'practice'});
+    return h('div', {}, h('p', {class: 'note'}, 'The plant has one hidden effect. Make a campaign, diagnose it, then reveal what was hidden: ' +
+      'until then nothing reads truth.json.'), form.node, this.made);
+  },
+
+  // Practice campaigns: diagnose one, and reveal what it hid.
+  practice() {
+    const found = state.workspace.blinds;
+    if (JSON.stringify(found) === this.practised) return;
+    this.practised = JSON.stringify(found);
+    this.made.replaceChildren(...(found.length ? [h('h3', {}, 'Practice campaigns')] : []), ...found.map((path) => {
+      const answer = h('div', {});
+      return h('div', {'data-practice': path}, h('div', {class: 'actions'}, h('code', {}, path),
+        h('button', {type: 'button', onclick: () => { go('diagnose'); diagnose.form.choose('runs', `${path}/runs`); }}, 'Diagnose'),
+        h('button', {type: 'button', onclick: () => reveal(path, answer)}, 'Reveal')), answer);
+    }));
   },
 
   update() {
@@ -731,9 +605,70 @@ const measure = {
     if (first) for (const form of [this.form, this.trialForm]) form.offer('scenario', plain(state.workspace.scenarios), 'push');
     for (const form of [this.form, this.trialForm, this.blindForm]) form.update();
     laboratory.update();
+    recorded.update();
+    this.practice();
     if (wanted) this.form.choose('scenario', wanted.scenario);
     if (first || wanted) this.choose(wanted ?? {});
     if (first) this.chooseTrial();
+  },
+};
+
+// ---- recorded trials ----------------------------------------------------------------------------------------------------
+
+// Trials of a campaign: a click opens one in 3D, above its signals. While a campaign runs, its newest trial is followed.
+const recorded = {
+  build() {
+    this.campaign = h('select', {id: 'recorded-campaign', onchange: () => this.list()});
+    this.follow = h('input', {type: 'checkbox', id: 'recorded-follow', checked: true});
+    this.none = emptyNote('No trials yet.');
+    this.trials = h('ul', {class: 'chips', id: 'recorded-trials'});
+    this.shown = h('div', {id: 'recorded-shown'});
+    return h('div', {}, this.none, h('div', {class: 'fields'}, labelled('campaign', this.campaign),
+      h('label', {class: 'tick'}, this.follow, 'follow the newest while it runs')), this.trials, this.shown);
+  },
+
+  update() {
+    const found = state.workspace.campaigns.filter((one) => !one.error && one.present);
+    this.none.hidden = found.length > 0;
+    this.campaign.closest('.fields').hidden = !found.length;
+    fill(this.campaign, found.map((one) => ({value: one.path, text: `${one.path} (${one.present} of ${one.trials})`})), this.wanted);
+    this.wanted = undefined;
+    const key = `${this.campaign.value} ${found.find((one) => one.path === this.campaign.value)?.present}`;
+    if (found.length && key !== this.listed) { this.listed = key; this.list(); }
+  },
+
+  async list() {
+    const path = this.campaign.value;
+    const names = await ask(`/api/trials?${query({path})}`);
+    if (path !== this.campaign.value) return;
+    const fresh = names.filter((name) => !(this.names ?? names).includes(name));
+    const same = this.path === path;
+    Object.assign(this, {names, path});
+    refill(this.trials, names.map((name) => h('li', {}, h('button', {type: 'button', 'data-trial': name,
+      'aria-pressed': String(this.open_ === `${path}/${name}`), onclick: () => this.open(`${path}/${name}`)}, name.replaceAll('__', ' ')))));
+    if (same && fresh.length && this.follow.checked) this.open(`${path}/${fresh.at(-1)}`);
+  },
+
+  async open(path) {
+    this.open_ = path;
+    for (const button of this.trials.querySelectorAll('button')) {
+      button.setAttribute('aria-pressed', String(path === `${this.path}/${button.dataset.trial}`));
+    }
+    this.shown.replaceChildren(reading(path));
+    try {
+      const found = await ask(`/api/trial?${query({path})}`);
+      if (path !== this.open_) return;
+      const replay = h('div', {id: 'recorded-replay'});
+      const plots = found.plots.map(({title, figure}) => ({title, figure, node: h('div', {class: 'plot', role: 'img', 'aria-label': title})}));
+      this.shown.replaceChildren(h('h3', {}, found.title), replay, ...plots.flatMap(({title, node}) => [h('h3', {}, title), node]),
+        ...found.facts.map((text) => h('p', {class: 'note'}, text)));
+      for (const {figure, node} of plots) draw(node, figure);
+      const made = await replayIn(replay, found.replay, {onSeek: (time) => { for (const {node} of plots) cursor(node, time); }});
+      for (const {node} of plots) {
+        node.on('plotly_click', ({points: [point]}) => made.seek(point.x));
+        cursor(node, made.time);
+      }
+    } catch (error) { if (path === this.open_) this.shown.replaceChildren(h('p', {class: 'error', role: 'alert'}, inFolder(error.message))); }
   },
 };
 
@@ -930,6 +865,7 @@ const diagnose = {
       found.left.length ? h('div', {}, h('h3', {}, 'Unexplained'), h('ul', {}, ...found.left.map((one) => h('li', {},
         `${one.what} (${one.phase}): ${one.value}, ${one.times} × repeatability; relevance limit ${one.floor}`)))) : '',
       found.calls_for_a_law ? this.law(found) : '',
+      state.workspace.blinds.length ? this.revealed() : '',
       found.next ? this.next(found.next) : '',
       ...wholeReport(this.opened.replace(/[^/]*$/, found.report), false),
       ...found.remarks.map((text) => h('p', {class: 'note'}, `Note: ${text}`)));
@@ -947,6 +883,12 @@ const diagnose = {
         model, effects: null, report: place.slice(0, -1) || '.', output: `${place}discovery.json`}), {class: 'primary'})));
   },
 
+  revealed() {
+    const answer = h('div', {id: 'revealed'}), path = this.opened;
+    return h('div', {}, h('div', {class: 'actions'}, h('button', {type: 'button', id: 'reveal', onclick: () => reveal(path, answer)},
+      'Reveal what was hidden'), h('span', {class: 'note'}, 'of a practice campaign')), answer);
+  },
+
   next(experiment) {
     const run = experiment.scenario ? jobButton('Run it', () => ({command: 'campaign', scenario: experiment.scenario,
       output: `${nextFolder(this.form.value('runs'))}/next_${slug(experiment.scenario)}_${slug(experiment.object ?? '')}`,
@@ -955,6 +897,23 @@ const diagnose = {
     return h('div', {class: 'answer'}, h('b', {}, 'Next experiment'), h('p', {}, experiment.advice), h('div', {class: 'actions'}, ...run));
   },
 };
+
+// What a practice campaign hid, beside what its diagnosis found. `path`: the campaign, or the diagnosis.
+async function reveal(path, node) {
+  node.replaceChildren(reading(path));
+  try {
+    const found = await ask(`/api/reveal?${query({path})}`);
+    const list = (names) => names.join(' + ') || 'nothing';
+    node.replaceChildren(h('div', {class: 'answer', 'data-correct': String(found.correct)},
+      h('b', {class: found.correct ? 'good' : 'error'}, found.correct ? '✓ right' : '✗ wrong'),
+      `Hidden: ${list(found.truth)}. Named: ${list(found.named)}.`,
+      found.parameters.length ? h('div', {class: 'scroll'}, h('table', {}, h('thead', {}, h('tr', {}, ...['parameter', 'hidden', 'estimate', '95 % interval', 'inside'].map((text) =>
+        h('th', {scope: 'col'}, text)))), h('tbody', {}, ...found.parameters.map((one) => h('tr', {}, h('td', {}, `${one.name}${unit(one.unit) ? ` [${one.unit}]` : ''}`),
+        h('td', {}, number(one.hidden)), h('td', {}, number(one.estimate)), h('td', {}, one.low === null ? '–' : `${number(one.low)} … ${number(one.high)}`),
+        h('td', {}, one.low === null ? '–' : one.low <= one.hidden && one.hidden <= one.high ? '✓' : '✗')))))) : ''),
+    commandLine(found.command));
+  } catch (error) { node.replaceChildren(h('p', {class: 'error', role: 'alert'}, inFolder(error.message))); }
+}
 
 // Further trials are written beside the measured ones, so that the same RUNS contains them.
 const nextFolder = (runs) => state.workspace.campaigns.some((one) => one.path === runs && one.scenario) ?
@@ -1269,6 +1228,11 @@ function showFolder() {
 }
 
 function chooseCampaign(one) {
+  if (one.present && !one.error) {
+    recorded.wanted = one.path;
+    go('measure');
+    measure.show('recorded');
+  }
   const use = (step, form) => h('button', {type: 'button', onclick: () => { go(step); form.choose('runs', one.path); }}, step === 'compare' ? 'Compare' : 'Diagnose');
   showAbout({...ABOUT.measure, title: one.path, facts: [one.error || `${one.present} of ${one.trials} trials are recorded.`,
     one.present < one.trials ? 'Run the same command again to continue.' : ''].filter(Boolean),
