@@ -8,7 +8,7 @@ moves, and along a band, it comes from a few draws, always the same ones, so tha
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any, Literal
 
@@ -132,10 +132,16 @@ def _yaml(value: Setting) -> str:
     return f"{value:.6g}" if isinstance(value, float) else f"[{', '.join(f'{one:.6g}' for one in value)}]"
 
 
-def answer(scenario: Scenario, question: Question) -> dict[str, Any]:
+def answer(scenario: Scenario, question: Question, stopped: Callable[[], bool] = lambda: False) -> dict[str, Any]:
     """Velocities before and after with their intervals, impulses, and the shares of the sources.
 
+    Args:
+        scenario: The scenario.
+        question: The question.
+        stopped: Whether nobody waits for the answer any more.
+
     Raises:
+        Stopped: ``stopped`` said so.
         InputError: The scenario has no such object, case, arm or value, or the question has no answer.
         ImpactMapError: No answer was found.
     """
@@ -150,7 +156,7 @@ def answer(scenario: Scenario, question: Question) -> dict[str, Any]:
         if question.moving:
             names, low, high = interval_of_draws(problem, stated, scene.models, MOVING_DRAWS)
         else:
-            uncertain = predict(problem, stated, scene.models)
+            uncertain = predict(problem, stated, scene.models, stopped=stopped)
             names, low, high = uncertain.names, uncertain.low, uncertain.high
         ends = dict(zip(names, zip(low.tolist(), high.tolist(), strict=True), strict=True))
     except (InputError, ImpactMapError) as error:  # velocities are known all the same

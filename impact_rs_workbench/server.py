@@ -25,6 +25,7 @@ from impact_rs_analysis.report.page import BUNDLE, PLOTLY, TEMPLATES
 from impact_rs_commands.predicting import EFFECTS
 from impact_rs_sim.errors import InputError, shortened
 from impact_rs_sim.impact_map import ImpactMapError
+from impact_rs_sim.impact_map.uncertainty import Stopped
 from impact_rs_sim.scenario import load_scenario
 from impact_rs_sim.schema import validate
 from impact_rs_trials.store import Folder, owned
@@ -80,15 +81,25 @@ class Workbench:
         return prediction.scene_of(self.workspace.scenario_path(name), object_name)
 
     def predict(self, question: Question) -> dict[str, Any]:
-        """One prediction, with the command that gives it."""
+        """One prediction, with the command that gives it; ``superseded`` where another question was asked meanwhile."""
         scenario = load_scenario(self.workspace.scenario_path(question.scenario))
         settings = prediction.settings_of(scenario, question)
         self._asked += 1
+        asked = self._asked
         with self._map:
-            found = prediction.answer(scenario, question)
+            try:
+                found = prediction.answer(scenario, question, lambda: self._asked != asked)
+            except Stopped:
+                return {"superseded": True}
         name = named(self.workspace, question.scenario)
         words = prediction.map_arguments(name, question, settings)
         return found | {"command": self.command(words)}
+
+    def impact(self, question: Question) -> dict[str, Any]:
+        """The impact as a picture shows it; no other question gives way to it."""
+        scenario = load_scenario(self.workspace.scenario_path(question.scenario))
+        with self._map:
+            return prediction.answer(scenario, question.model_copy(update={"moving": True}))
 
     def sweep(self, question: Question, key: str) -> dict[str, Any]:
         """Predictions over a slider; ``superseded`` where a slider has moved meanwhile, which comes first."""
@@ -162,6 +173,7 @@ def _routes(workbench: Workbench) -> list[Route]:
         Route("/api/jobs/{number}/log", _got(lambda given: {"log": jobs.log(_job(given))})),
         Route("/api/events", _events(workbench)),
         Route("/api/predict", _posted(lambda data: workbench.predict(_question(data))), methods=["POST"]),
+        Route("/api/impact", _posted(lambda data: workbench.impact(_question(data))), methods=["POST"]),
         Route("/api/sweep", _posted(sweep), methods=["POST"]),
         Route("/api/laboratory/preview", _posted(preview), methods=["POST"]),
         Route("/api/laboratory", _posted(lambda data: _described(workbench, data)), methods=["POST"]),

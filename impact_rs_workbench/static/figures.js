@@ -1,7 +1,12 @@
 // SPDX-License-Identifier: Apache-2.0
 // Figures of the reports in the colours and widths of the page.
 
-import {h} from './tools.js';
+import {h, load} from './tools.js';
+
+let loading = null;
+
+// The library, when the first figure is drawn: numbers do not wait for it.
+const plotly = () => loading ??= load('/static/plotly.js');
 
 export const darkScheme = matchMedia('(prefers-color-scheme: dark)');
 const IN_THE_DARK = {'#0072b2': '#56b4e9', '#d55e00': '#ff9142', '#009e73': '#2fcf9f', '#000000': '#f0f0f0',
@@ -21,7 +26,8 @@ const widths = new ResizeObserver((seen_) => {
 });
 
 // A figure of the reports in the colours of this page.
-export function draw(node, figure, config = {}) {
+export async function draw(node, figure, config = {}) {
+  await plotly();
   const style = getComputedStyle(document.documentElement);
   const ink = style.getPropertyValue('--ink').trim(), grid = style.getPropertyValue('--grid').trim();
   const data = figure.data.map((trace) => ({

@@ -3,16 +3,10 @@
 // Scenes in 3D: the impact of a scenario with an answer of the impact map, and recorded trials. replay.js draws; it and its
 // library come when they are first needed, behind the first numbers.
 
+import {load} from './tools.js';
+
 const LIBRARIES = ['/static/three.js', '/static/replay.js'];
 let loading = null;
-
-const load = (address) => new Promise((done, failed) => {
-  const script = document.createElement('script');
-  script.src = address;
-  script.onload = done;
-  script.onerror = () => failed(new Error(`${address} cannot be loaded`));
-  document.head.append(script);
-});
 
 // The libraries, once.
 function threeD() {

@@ -15,9 +15,9 @@ export function h(tag, attributes = {}, ...children) {
   return node;
 }
 
-export async function ask(path, body) {
+export async function ask(path, body, signal) {
   const options = body === undefined ? {} :
-    {method: 'POST', headers: {'content-type': 'application/json'}, body: JSON.stringify(body)};
+    {method: 'POST', headers: {'content-type': 'application/json'}, body: JSON.stringify(body), signal};
   const answer = await fetch(path, options);
   const data = answer.headers.get('content-type')?.startsWith('application/json') ?
     await answer.json() : {error: await answer.text()};
@@ -128,3 +128,12 @@ export function arrowKeys(tabs) {
     });
   }
 }
+
+// A script of the server, once it has run.
+export const load = (address) => new Promise((done, failed) => {
+  const script = document.createElement('script');
+  script.src = address;
+  script.onload = done;
+  script.onerror = () => failed(new Error(`${address} cannot be loaded`));
+  document.head.append(script);
+});

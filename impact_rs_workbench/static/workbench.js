@@ -371,13 +371,18 @@ const predict = {
       motor_inertia: this.inertia.value, values: {...this.values}, moving};
     this.message.wait();
     this.numbers.setAttribute('aria-busy', 'true');
-    if (this.busy) return;
+    if (this.busy) { // velocities of a new question come before the full interval of an earlier one
+      if (this.flight) this.flight.abort();
+      return;
+    }
     this.busy = true;
     while (this.wanted) {
       const question = this.wanted;
       this.wanted = null;
       try {
-        const answer = await ask('/api/predict', question);
+        this.flight = question.moving ? null : new AbortController();
+        const answer = await ask('/api/predict', question, this.flight?.signal);
+        if (answer.superseded) { this.wanted ??= await this.afterOthers(question); continue; } // by another tab
         if (this.wanted && !this.same(question, this.wanted)) continue; // the answer to an earlier question
         this.question = question;
         this.show(answer, question);
@@ -388,6 +393,7 @@ const predict = {
         }
       } catch (error) {
         if (this.wanted) continue;
+        if (error.name === 'AbortError') continue;
         this.clear();
         this.numbers.removeAttribute('aria-busy');
         this.facts.textContent = '';
@@ -397,6 +403,9 @@ const predict = {
     this.busy = false;
     if (this.question && !this.question.moving) this.sweepAgain();
   },
+
+  // The same question once more, a little later.
+  afterOthers(question) { return new Promise((again) => setTimeout(() => again(question), 300)); },
 
   // Whether two questions differ in sliders alone.
   same(one, other) {
@@ -432,8 +441,11 @@ const predict = {
     const main = answer.rows.filter((row) => row.main), shown = (row) => `${row.body} ${fixed(row.before, 2)} → ${fixed(row.after, 2)} m/s`;
     this.impact.draw(question.scenario, question.object, answer.moment).catch((error) => { this.scene.textContent = error.message; });
     says('predict', `${main.map(shown).join(', ')}, along ${answer.axis}.`);
-    this.place(question.moving);
-    requestAnimationFrame(() => { this.plot.dataset.shown = JSON.stringify(question.values); });
+    requestAnimationFrame(() => { // numbers are painted before the library of the figures comes
+      if (this.answer !== answer) return;
+      this.place(question.moving);
+      this.plot.dataset.shown = JSON.stringify(question.values);
+    });
   },
 
   // The row of the figure's body.
@@ -453,7 +465,7 @@ const predict = {
 
   place(moving) {
     const drawn = this.sweep?.slider.key === this.over && this.plot.dataset.over === this.over;
-    if (moving && drawn) Plotly.relayout(this.plot, {shapes: this.marks()}); else this.paint();
+    if (moving && drawn && this.plot.data) Plotly.relayout(this.plot, {shapes: this.marks()}); else this.paint();
   },
 
   // The impact map over one slider, with markers of the current values.
@@ -535,7 +547,7 @@ const measure = {
     if (!form.found || !question.object || !question.case) return;
     const key = this.pictured = JSON.stringify(question);
     try {
-      const {moment} = await ask('/api/predict', {...question, moving: true});
+      const {moment} = await ask('/api/impact', question);
       if (this.pictured === key) await this.impact.draw(question.scenario, question.object, moment);
     } catch (error) { if (this.pictured === key) this.scene.title = error.message; }
   },
@@ -662,7 +674,7 @@ const recorded = {
       const plots = found.plots.map(({title, figure}) => ({title, figure, node: h('div', {class: 'plot', role: 'img', 'aria-label': title})}));
       this.shown.replaceChildren(h('h3', {}, found.title), replay, ...plots.flatMap(({title, node}) => [h('h3', {}, title), node]),
         ...found.facts.map((text) => h('p', {class: 'note'}, text)));
-      for (const {figure, node} of plots) draw(node, figure);
+      await Promise.all(plots.map(({figure, node}) => draw(node, figure)));
       const made = await replayIn(replay, found.replay, {onSeek: (time) => { for (const {node} of plots) cursor(node, time); }});
       for (const {node} of plots) {
         node.on('plotly_click', ({points: [point]}) => made.seek(point.x));
@@ -749,14 +761,13 @@ const compare = {
       found.cells.length ? labelled('or choose a place, the worst first', choose) : '', this.signal, ...this.frame,
       ...found.remarks.map((text) => h('p', {class: 'note'}, `Note: ${text}`)));
     for (const {title, figure, node} of maps) {
-      draw(node, figure);
-      node.on('plotly_click', ({points: [point]}) => {
+      draw(node, figure).then(() => node.on('plotly_click', ({points: [point]}) => {
         const index = found.cells.findIndex((cell) => cell.row === point.y && cell.column === point.x && (!cell.map || cell.map === title));
         if (index < 0) return;
         choose.value = index;
         node.after(this.signal);
         this.openSignal(found.cells[index], path);
-      });
+      }));
     }
   },
 
@@ -1121,7 +1132,7 @@ const laboratory = {
     const value = () => source.value === '' ? null : {...streams[source.value].source,
       unit: units.length > 1 ? slides.map((one) => unitOf(one ? 'slide' : 'turn')) : units[0].select.value};
     let asked = 0;
-    const clear = (text, kind) => { line.className = kind; line.textContent = text; plot.replaceChildren(); Plotly.purge(plot); };
+    const clear = (text, kind) => { line.className = kind; line.textContent = text; if (plot.data) Plotly.purge(plot); plot.replaceChildren(); };
     const show = async () => {
       const mine = ++asked;
       if (source.value === '') { clear('', 'note'); return; }
