@@ -141,6 +141,32 @@ def _revealed(campaign: Path, file: Path, document: DiagnosisDocument) -> dict[s
     return {"correct": found.correct, "truth": found.truth, "named": found.named, "parameters": rows, "words": words}
 
 
+def estimates(workspace: Workspace) -> list[dict[str, Any]]:
+    """Every estimate of a parameter in the diagnoses of the folder, the oldest first."""
+    contents = workspace.contents()
+    found = []
+    for one in sorted(contents.diagnoses, key=lambda one: contents.stamps.get(one.path, 0.0)):
+        document = read_document(workspace.existing(one.path))
+        for effect in document.effects:
+            for name, value in effect.parameters.items():
+                low, high = value.interval
+                found.append(
+                    {
+                        "parameter": f"{effect.name}: {name}",
+                        "unit": value.unit,
+                        "estimate": value.estimate,
+                        "low": low,
+                        "high": high,
+                        "diagnosis": one.path,
+                        "model": one.model,
+                        "verdict": effect.verdict,
+                        "named": effect.name in document.named,
+                        "when": contents.stamps.get(one.path, 0.0),
+                    }
+                )
+    return found
+
+
 def nearest_signal(cell: Cell) -> str:
     """Name of the signal over time (:mod:`impact_rs_analysis.evidence.tracks`) that shows best what a cell is about.
 

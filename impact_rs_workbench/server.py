@@ -39,7 +39,7 @@ from impact_rs_workbench.recording_description import Description, PreviewReques
 from impact_rs_workbench.request_guard import FILE_POLICY, Guard
 from impact_rs_workbench.workspace import HIDDEN, Workspace
 
-SCRIPTS = ("workbench.js", "explain.js", "figures.js", "picture.js", "tools.js")
+SCRIPTS = ("workbench.js", "explain.js", "figures.js", "overlay.js", "picture.js", "tools.js")
 LIBRARIES = {"plotly.js": PLOTLY, "three.js": BUNDLE / "three.min.js", "replay.js": TEMPLATES / "replay.js"}
 STATIC = {"workbench.css": "text/css", **dict.fromkeys(SCRIPTS, "text/javascript")}
 KEPT = {"cache-control": "max-age=86400"}  # libraries of others, which do not change
@@ -163,6 +163,7 @@ def _routes(workbench: Workbench) -> list[Route]:
         Route("/api/comparison", _got(lambda given: results.comparison(workspace.existing(given.get("path", ""))))),
         Route("/api/diagnosis", _got(lambda given: results.diagnosis(workspace.existing(given.get("path", ""))))),
         Route("/api/reveal", _got(lambda given: _revealed(workbench, given.get("path", "")))),
+        Route("/api/estimates", _got(lambda _: results.estimates(workspace))),
         Route("/api/trials", _got(lambda given: results.trials(workspace.existing(given.get("path", ""))))),
         Route("/api/trial", _got(lambda given: results.trial(workspace.existing(given.get("path", ""))))),
         Route(

@@ -3,6 +3,7 @@
 
 import {LEADS, TERMS, TERMS_OF} from './explain.js';
 import {cursor, darkScheme, draw, seen} from './figures.js';
+import {overlay} from './overlay.js';
 import {Impact, replayIn} from './picture.js';
 import {$, arrowKeys, ask, commandLine, fill, fit, fitAll, fixed, h, inFolder, labelled, later, messageArea, number, plain, query, refill, seconds, slug, state, stem, unit} from './tools.js';
 
@@ -30,6 +31,8 @@ const ABOUT = {
   add: {title: 'A better model', text: 'The parent model with one more effect and its estimate. Model files are never overwritten and name their ' +
     'parent. An effect of your own is an arithmetic formula.',
     units: 'beside each parameter', page: 'diagnosis.md'},
+  overlay: {title: 'Overlay', text: 'Runs lie over each other with their impacts at time 0. A pinned run stays chosen and on top, whatever ' +
+    'the filter says. Estimates have their 95 % intervals.', units: 'beside each axis', page: 'workbench.md'},
   history: {title: 'History', text: 'How the error fell from model to model: with the parameters of the file, and held out, where ' +
     'fitting noise does not help.', units: 'multiples of repeatability', page: 'diagnosis.md'},
 };
@@ -747,6 +750,7 @@ const compare = {
   show(found, path) {
     this.signal = h('div', {id: 'signal'});
     this.frame = wholeReport(path, false);
+    this.replay = replayOf(path);
     const choose = h('select', {'aria-label': 'place', id: 'cell', onchange: () => this.openSignal(found.cells[choose.value], path)},
       ...found.cells.slice(0, 60).map((cell, index) => new Option(`${cell.row}, ${cell.column} ${cell.map ? `(${cell.map})` : ''}: ${cell.error}, ` +
         `${cell.times} ×`, index)));
@@ -758,7 +762,7 @@ const compare = {
     this.result.replaceChildren(h('p', {class: 'answer'}, h('b', {}, `Score ${number(found.score)}`), found.headline),
       maps.length ? h('p', {class: 'note'}, 'Measured minus model, in multiples of repeatability. Click on a cell to see its signal over time.') : '',
       ...maps.flatMap(({title, node}) => [h('h3', {}, title), node]),
-      found.cells.length ? labelled('or choose a place, the worst first', choose) : '', this.signal, ...this.frame,
+      found.cells.length ? labelled('or choose a place, the worst first', choose) : '', this.signal, this.replay.node, ...this.frame,
       ...found.remarks.map((text) => h('p', {class: 'note'}, `Note: ${text}`)));
     for (const {title, figure, node} of maps) {
       draw(node, figure).then(() => node.on('plotly_click', ({points: [point]}) => {
@@ -771,15 +775,17 @@ const compare = {
     }
   },
 
+  // Signals over time, and runs in 3D, from the report's own page.
+  async read(path) {
+    if (this.tracksOf === `${path} ${this.stamp}`) return;
+    this.tracksOf = `${path} ${this.stamp}`;
+    const page = await pageOf(path), plot = page.getElementById('tracks'), data = page.getElementById('tracks-data');
+    this.tracks = plot && data ? {sets: JSON.parse(data.textContent), figure: JSON.parse(page.getElementById(plot.dataset.tracks).textContent)} : null;
+  },
+
   // The signal that shows a cell best, measured and predicted, from the data of the report's own page.
   async openSignal(cell, path) {
-    if (this.tracksOf !== `${path} ${this.stamp}`) {
-      const page = new DOMParser().parseFromString(await (await fetch(`/files/${path}`)).text(), 'text/html');
-      const plot = page.getElementById('tracks'), data = page.getElementById('tracks-data');
-      this.tracks = plot && data ? {sets: JSON.parse(data.textContent),
-        figure: JSON.parse(page.getElementById(plot.dataset.tracks).textContent)} : null;
-      this.tracksOf = `${path} ${this.stamp}`;
-    }
+    await this.read(path);
     if (!this.tracks) { this.signal.replaceChildren(emptyNote('This report has no signals over time.')); return; }
     const {sets, figure} = this.tracks;
     const set = sets.find((one) => one.label.startsWith(cell.set)) ?? sets[0];
@@ -796,18 +802,41 @@ const compare = {
       h('p', {class: 'note'}, `${cell.row} differs by ${cell.error}, ${cell.times} × repeatability; this signal shows it best. Dotted: start of the impact.`),
       plot);
     draw(plot, {data, layout});
-    // The report beside it goes to the same place and moment, its replay included.
-    this.frame.find((node) => node.tagName === 'DETAILS')?.querySelector('iframe')?.contentWindow
-      .postMessage({set: set.label, signal: signal.name, time: set.impact}, '*');
+    this.replay.show(set.label, set.impact);
     this.signal.scrollIntoView({block: 'nearest'});
   },
 };
+
+const pageOf = async (path) => new DOMParser().parseFromString(await (await fetch(`/files/${path}`)).text(), 'text/html');
+
+// The runs of a report in 3D: measured, and the model as a ghost. `show` goes to a run and a moment.
+function replayOf(path) {
+  const choose = h('select', {'aria-label': 'run in 3D'}), place = h('div', {});
+  const node = h('div', {class: 'replays', hidden: true}, h('h3', {}, 'In 3D, beside the model'), choose, place);
+  const ready = (async () => {
+    const data = (await pageOf(path)).getElementById('replay-data');
+    if (!data) return null;
+    node.hidden = false;
+    const runs = JSON.parse(data.textContent), made = await replayIn(place, runs);
+    choose.replaceChildren(...runs.runs.map((run, number_) => new Option(run.label, number_)));
+    choose.hidden = runs.runs.length < 2;
+    choose.addEventListener('change', () => made.show(Number(choose.value)));
+    return {runs: runs.runs, made};
+  })().catch((error) => { place.textContent = error.message; return null; });
+  return {node, async show(label, time) {
+    const found = await ready, number_ = found?.runs.findIndex((run) => run.label === label) ?? -1;
+    if (number_ < 0) return;
+    choose.value = number_;
+    if (found.made.number !== number_) found.made.show(number_);
+    if (time !== null) found.made.seek(time);
+  }};
+}
 
 // A report of the folder, sandboxed as if from another site, so that its scripts cannot act here.
 function wholeReport(path, open) {
   const stamp = state.workspace.stamps[path] ?? '';
   const frame = () => h('iframe', {src: `/files/${path}?${stamp}`, title: `report ${path}`, sandbox: 'allow-scripts allow-popups'});
-  const details = h('details', {open}, h('summary', {}, 'The whole report, with its replay'));
+  const details = h('details', {open}, h('summary', {}, 'The whole report'));
   if (open) details.append(frame());
   details.addEventListener('toggle', () => { if (details.open && !details.querySelector('iframe')) details.append(frame()); });
   return [h('p', {}, h('a', {href: `/files/${path}`, target: '_blank', rel: 'noopener'}, `Open ${path} by itself`)), details];
@@ -878,6 +907,7 @@ const diagnose = {
       found.calls_for_a_law ? this.law(found) : '',
       state.workspace.blinds.length ? this.revealed() : '',
       found.next ? this.next(found.next) : '',
+      replayOf(this.opened.replace(/[^/]*$/, found.report)).node,
       ...wholeReport(this.opened.replace(/[^/]*$/, found.report), false),
       ...found.remarks.map((text) => h('p', {class: 'note'}, `Note: ${text}`)));
     if (found.figure) draw(plot, found.figure); else plot.remove();
@@ -1213,6 +1243,7 @@ function showFolder() {
   says('measure', campaigns.length + laboratories.length ? `${count(trials, 'trial')} in ${count(campaigns.length, 'campaign')}` +
     `${laboratories.length ? `, and ${count(laboratories.length, 'folder')} of a laboratory` : ''}.` : '');
   says('add', models.length > 1 ? `${count(models.length, 'model')}; the newest is ${models.find((one) => one.path === newestModel()).name}.` : '');
+  says('overlay', trials ? `${count(trials, 'trial')}, ${count(models.length, 'model')} and ${count(diagnoses.length, 'diagnosis').replace('diagnosiss', 'diagnoses')} to choose from.` : '');
   says('history', held.length ? `${held.map((one) => `${one.name} ${number(one.score.held_out ?? one.score.fit)}`).join(', ')} ` +
     `(noise ${number(held[0].score.floor)}).` : '');
   const or = (items, text) => items.length ? items : [h('li', {class: 'quiet'}, text)];
@@ -1373,7 +1404,7 @@ function finished(job) {
 // ---- the page ---------------------------------------------------------------------------------------------------------------
 
 const STEPS = {predict: ['Predict', predict], measure: ['Measure', measure], compare: ['Compare', compare],
-  diagnose: ['Diagnose', diagnose], add: ['Add', add], history: ['History', history_]};
+  diagnose: ['Diagnose', diagnose], add: ['Add', add], history: ['History', history_], overlay: ['Overlay', overlay]};
 const panels = {};
 
 function go(step) {
@@ -1403,6 +1434,7 @@ function listen() {
 for (const [name, [text, part]] of Object.entries(STEPS)) {
   $('steps').append(h('li', {}, h('button', {type: 'button', 'data-step': name, onclick: () => go(name)}, text)));
   panels[name] = part.build();
+  if (part === overlay) panels[name].firstChild.after(lead(name));
   $('middle').append(panels[name]);
 }
 const asked = location.hash.slice(1);
@@ -1410,3 +1442,4 @@ go(STEPS[asked] ? asked : 'predict');
 addEventListener('hashchange', () => { const step = location.hash.slice(1); if (STEPS[step] && step !== state.step) go(step); });
 darkScheme.addEventListener('change', () => { if (predict.answer) predict.paint(); });
 listen();
+window.impact_rs = {predict, recorded}; // for the browser's console
