@@ -138,7 +138,7 @@ def answer(scenario: Scenario, question: Question, stopped: Callable[[], bool] =
     Args:
         scenario: The scenario.
         question: The question.
-        stopped: Whether nobody waits for the answer any more.
+        stopped: Whether the answer is no longer wanted.
 
     Raises:
         Stopped: ``stopped`` said so.

@@ -108,6 +108,8 @@ def reveal(workspace: Workspace, path: str) -> dict[str, Any]:
         InputError: There is no such pair.
     """
     given, contents = workspace.existing(path), workspace.contents()
+    if given.is_dir() and path not in contents.blinds:
+        raise InputError(f"no practice campaign: there is no {TRUTH} beside {RUNS}", file=given)
     stamps = contents.stamps
     newest_first = sorted((one.path for one in contents.diagnoses), key=lambda name: -stamps.get(name, 0.0))
     campaigns = [given] if given.is_dir() else [workspace.existing(name) for name in contents.blinds]

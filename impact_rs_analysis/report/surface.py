@@ -86,7 +86,8 @@ def _corners(data: bytes) -> Array:
 def _loaded(path: Path) -> Array:
     """Corners of the triangles of a DAE or OBJ file, ``(f, 3, 3)`` [m]."""
     mesh = coal.MeshLoader().load(str(path), np.ones(3))
-    faces = [tuple(mesh.tri_indices(row)) for row in range(mesh.num_tris)]
+    triangles = (mesh.tri_indices(row) for row in range(mesh.num_tris))
+    faces = [[triangle[corner] for corner in range(3)] for triangle in triangles]
     found = UNIT.search(path.read_bytes()) if path.suffix.lower() == ".dae" else None
     size = 1.0 if found is None else float(found[1])
     return size * np.asarray(mesh.vertices()).reshape(-1, 3)[np.array(faces, dtype=int).reshape(-1, 3)]

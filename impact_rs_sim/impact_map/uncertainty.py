@@ -48,7 +48,7 @@ _LAWFUL = 1e-5  # m/s, residual of a draw that counts
 
 
 class Stopped(Exception):
-    """Nobody waits for the prediction any more."""
+    """The caller no longer wants the prediction."""
 
 
 @dataclass(frozen=True)
@@ -200,7 +200,7 @@ def predict(
         models: Rigid-body models by arm, where the caller has them already.
         draws: From all uncertainties; a quarter as many of every source where the interval is that of the draws.
         seed: Of the draws.
-        stopped: Asked before every draw: whether nobody waits for the answer any more.
+        stopped: Asked before every draw: whether the answer is no longer wanted.
 
     Raises:
         Stopped: ``stopped`` said so.

@@ -7,7 +7,7 @@ import {ask, arrowKeys, fill, h, inFolder, labelled, number, plain, query, state
 const COLOURS = ['#0072B2', '#D55E00', '#009E73', '#CC79A7', '#E69F00', '#56B4E9', '#555555', '#7A5195', '#003F5C', '#BC5090'];
 const FIRST = 3; // runs that are chosen at first
 const MOST = 60; // rows of the list
-const MOST_CHOSEN = 30; // runs over each other, from which on curves are hard to tell apart
+const MOST_CHOSEN = 30; // runs over each other: more curves are one blot
 
 // A list to choose from, with a filter and pins: pinned entries stay on top and chosen.
 class Choice {
