@@ -1,0 +1,601 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Follows a model from hit to hit: learns the scatter, updates the posterior, tests for change, and predicts.
+
+The first hits teach the scatter (:mod:`.scatter`). From then on every instant
+
+1. is predicted by each hypothesis before its outcome is looked at,
+2. updates the posterior of each (:mod:`.posterior`), and its probability by how well it predicted,
+3. is tested for a change, on the likeliest hypothesis (:mod:`.change`).
+
+A change replaces the hypotheses by its explanations, at most ``MOST``: each with the parameters of one effect free,
+linearised anew about their estimate (Gauss-Newton on the hits since the change). Later hits raise or lower them, as in
+multiple-model estimation (Magill 1965), and predictions are their mixture.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, replace
+from itertools import groupby
+
+import numpy as np
+import scipy
+
+from impact_rs_analysis.diagnosis.candidate import Candidate
+from impact_rs_analysis.diagnosis.diagnose import effects_for
+from impact_rs_analysis.evidence.cluster import Added
+from impact_rs_analysis.following.change import MEAN_TIME, Calibration, ChangeTest, Explanation
+from impact_rs_analysis.following.document import (
+    Cause,
+    Change,
+    Followed,
+    HitDocument,
+    Predicted,
+    Prediction,
+)
+from impact_rs_analysis.following.hits import Door, Hit
+from impact_rs_analysis.following.posterior import WIDE, WIDTH, Evidence, Posterior, log_density, weight_of
+from impact_rs_analysis.following.scatter import Scatter, deviations_of, scatter_of
+from impact_rs_sim.errors import InputError
+from impact_rs_sim.model import Model
+from impact_rs_sim.numbers import estimate_text
+from impact_rs_sim.robot import Array
+
+LEARNT = 20  # hits that teach the scatter
+LEAST_FREEDOM = 10  # of the scatter: its standard deviations are known to 22 % then
+MOST = 4  # hypotheses at a time
+RULED_OUT = 1e-3  # probability below which a hypothesis is dropped
+RULED_IN = 0.95  # probability from which the cause is said to be known
+STEPS = 3  # of Gauss-Newton about an explanation
+APART = 2.0  # standard deviations between predictions; one hit then tells explanations apart
+NORMAL_95 = 1.96
+
+
+@dataclass
+class Hypothesis:
+    """One belief about what the cell is.
+
+    Attributes:
+        point: Values of all parameters about which it is linearised, ``(p,)``.
+        posterior: State of its parameters.
+        log_weight: Logarithm of its probability.
+        effect: Effect that changed last; empty: none did.
+    """
+
+    point: Array
+    posterior: Posterior
+    log_weight: float = 0.0
+    effect: str = ""
+
+
+class Follower:
+    """Follows a model through hits.
+
+    Args:
+        door: Gives hits and predictions; its model is replaced by one without the effects that are followed.
+        model: What is believed at the start.
+        only: Effects to look at beside those of the model; None: all that hits can show.
+        learnt: Hits that teach the scatter.
+        mean_time: Mean number of hits to a false alarm, at least.
+    """
+
+    def __init__(
+        self,
+        door: Door,
+        model: Model,
+        only: Sequence[str] | None = None,
+        learnt: int = LEARNT,
+        mean_time: float = MEAN_TIME,
+    ) -> None:
+        self.door, self.model, self._only, self._learnt, self._mean_time = door, model, only, learnt, mean_time
+        followed = [item for item in model.effects if model.effect_of(item) == model.known_effects[item.name]]
+        self._believed = followed
+        kept = tuple(item for item in model.effects if item not in followed)
+        door.model = model.model_copy(update={"effects": kept})
+        self._first: list[Hit] = []
+        self._scatter: dict[str, Scatter] = {}
+        self._jacobians: dict[tuple[str, bytes], Array] = {}
+        self._last: dict[str, Hit] = {}
+        self._instants = 0
+        self._announced: list[str] = []
+        self.calibration = Calibration()
+        self.candidate: Candidate | None = None
+        self.hypotheses: list[Hypothesis] = []
+
+    @property
+    def watching(self) -> bool:
+        """Whether the scatter is known, so that changes are looked for."""
+        return self.candidate is not None
+
+    def arrived(self) -> Iterable[HitDocument]:
+        """Take the hits that have arrived since the last call, in time order.
+
+        Raises:
+            InputError: The measurements cannot be read, or the model predicts none of the first hits.
+        """
+        for _, together in groupby(self.door.arrived(), key=lambda hit: hit.stamp):
+            yield from self.take(list(together))
+
+    def take(self, instant: Sequence[Hit]) -> list[HitDocument]:
+        """Take simultaneous hits, whose order does not matter.
+
+        Args:
+            instant: Hits with one stamp.
+        """
+        instant = sorted(instant, key=lambda hit: hit.name)
+        for hit in instant:
+            self._last[hit.condition] = hit
+        self._last[""] = instant[-1]
+        if not self.watching:
+            self._first += instant
+            if self._enough:
+                self._begin()
+            return [self._learning(hit) for hit in instant]
+        return self._watch(instant)
+
+    @property
+    def likeliest(self) -> Hypothesis:
+        """The hypothesis with the largest probability."""
+        return max(self.hypotheses, key=lambda one: one.log_weight)
+
+    def followed(self) -> tuple[Followed, ...]:
+        """Believed parameters, by the likeliest hypothesis."""
+        if self.candidate is None:
+            return ()
+        return self._followed(self.likeliest, self.likeliest.posterior.followed, self._start)
+
+    def prediction(self, condition: str = "") -> Prediction | None:
+        """What the next hit of a condition will measure, if it starts as the last one did; None while learning.
+
+        Args:
+            condition: The condition; empty: that of the last hit.
+        """
+        hit = self._last.get(condition)
+        if hit is None or not self.watching or hit.layout not in self._scatter:
+            return None
+        found = [self._predicted(one, hit) for one in self.hypotheses]
+        shares = self.probabilities()
+        known = [(share, *one) for share, one in zip(shares, found, strict=True) if one is not None]
+        if not known:
+            return None
+        total = sum(share for share, _, _ in known)
+        mean = sum(share * value for share, value, _ in known) / total
+        variance = sum(share * (own + np.square(value - mean)) for share, value, own in known) / total
+        half = scipy.stats.t.ppf(0.975, self.calibration.freedom) * np.sqrt(variance * self.calibration.of_hits)
+        return Prediction(
+            condition=hit.condition,
+            like=hit.name,
+            values=tuple(
+                Predicted(
+                    signal=feature.signal,
+                    index=feature.index,
+                    phase=feature.phase,
+                    bin=feature.bin,
+                    value=float(value),
+                    ci95=(float(value - width), float(value + width)),
+                    unit=feature.unit,
+                )
+                for feature, value, width in zip(hit.features, mean, half, strict=True)
+            ),
+        )
+
+    def probabilities(self) -> Array:
+        """Probability of every hypothesis, ``(h,)``."""
+        weights = np.array([one.log_weight for one in self.hypotheses])
+        weights = np.exp(weights - weights.max())
+        return np.asarray(weights / weights.sum())
+
+    @property
+    def _enough(self) -> bool:
+        """Whether the first hits teach the scatter."""
+        if len(self._first) < self._learnt:
+            return False
+        for layout in {hit.layout for hit in self._first}:
+            own = [hit for hit in self._first if hit.layout == layout]
+            _, freedom = deviations_of([hit.measured for hit in own], [hit.condition for hit in own])
+            if freedom < min(LEAST_FREEDOM, self._learnt - 2):
+                return False
+        return True
+
+    def _learning(self, hit: Hit) -> HitDocument:
+        return HitDocument(
+            name=hit.name, stamp=hit.stamp, condition=hit.condition, error=None, of_model=None, evidence=None,
+            milliseconds=0.0,
+        )  # fmt: skip
+
+    def _begin(self) -> None:
+        """Learn the scatter from the first hits, and begin to watch."""
+        source = self.door.source(self._first)
+        known = [item.name for item in self._believed]
+        wanted = None if self._only is None else [*known, *(name for name in self._only if name not in known)]
+        effects = effects_for(source, wanted)
+        candidate = Candidate.of(tuple(effects), source)
+        point = candidate.nominal.copy()
+        deviations = np.full(point.size, WIDE)
+        followed: list[int] = []
+        for item in self._believed:
+            part = candidate.part(item.name)
+            for number in range(part.start, part.stop):
+                value = item.parameters[candidate.scalars[number].name]
+                point[number] = value.estimate
+                if value.ci95 is not None:
+                    width = (value.ci95[1] - value.ci95[0]) / (2.0 * NORMAL_95)
+                    deviations[number] = max(width / candidate.scale[number], 1e-6)
+                    followed.append(number)
+        self._start = point
+        self._steps_at_nominal = candidate.steps(source.joints)
+        self._joints = source.joints
+        self.candidate = replace(candidate, point=point)
+        residuals, jacobians = [], []
+        for hit in self._first:
+            predicted = self._linearised(hit, point)
+            if predicted is None:
+                continue
+            residuals.append((hit, hit.measured - predicted[0]))
+            jacobians.append(predicted[1])
+        if len(residuals) < 0.5 * len(self._first):
+            raise InputError(f"model {self.model.name!r} predicts {len(residuals)} of the first {len(self._first)} hits")
+        self._learn(residuals, jacobians)
+        moving = np.max([np.max(np.abs(jacobian), axis=0) for jacobian in jacobians], axis=0)
+        self.active = tuple(int(number) for number in np.flatnonzero(moving > 0.0))
+        followed = [number for number in followed if number in self.active]
+        posterior = Posterior.of(followed, deviations[followed])
+        self.hypotheses = [Hypothesis(point, posterior)]
+        for _, together in groupby((hit for hit, _ in residuals), key=lambda hit: hit.stamp):
+            evidence = [one for hit in together if (one := self._evidence(hit, point)) is not None]
+            posterior.make_room((one.hit.group, one.patterns.shape[1]) for one in evidence)
+            posterior.add(evidence)
+        posterior.believe_before(len(posterior.window))
+        self._calibrate(residuals, jacobians)
+        self._first = []
+
+    def _learn(self, residuals: Sequence[tuple[Hit, Array]], jacobians: Sequence[Array]) -> None:
+        """Scatter of every layout."""
+        freedom = 0
+        for layout in {hit.layout for hit, _ in residuals}:
+            own = [(hit, residual) for hit, residual in residuals if hit.layout == layout]
+            scatter, degrees = _scatter(own)
+            self._scatter[layout] = scatter
+            freedom = degrees if not freedom else min(freedom, degrees)
+        self.calibration.freedom = float(max(freedom, 2))
+
+    def _calibrate(self, residuals: Sequence[tuple[Hit, Array]], jacobians: Sequence[Array]) -> None:
+        """Variance of the scores: of every first hit by the scatter of the others."""
+        test = self._test(self.hypotheses[0])
+        square, expected = 0.0, 0.0
+        for layout in self._scatter:
+            own = [n for n, (hit, _) in enumerate(residuals) if hit.layout == layout]
+            for left in own:
+                others = [residuals[n] for n in own if n != left]
+                hit, residual = residuals[left]
+                alike = [value for one, value in others if one.condition == hit.condition] or [v for _, v in others]
+                scatter, _ = _scatter(others)
+                deviation = (residual - np.mean(alike, axis=0)) / math.sqrt(1.0 + 1.0 / len(alike))
+                whitened = scatter.whiten @ deviation
+                square, expected = square + float(whitened @ whitened), expected + whitened.size
+                jacobian = scatter.whiten @ jacobians[left]
+                for name, places in test.effects.items():
+                    columns = jacobian[:, [test.active[place] for place in places]]
+                    basis, values, _ = np.linalg.svd(columns, full_matrices=False)
+                    basis = basis[:, values > 1e-6 * max(float(values[0]), 1e-300)]
+                    self.calibration.add(name, float(np.sum(np.square(basis.T @ whitened))), float(basis.shape[1]))
+        self.calibration.whole = square, expected
+
+    def _test(self, hypothesis: Hypothesis) -> ChangeTest:
+        assert self.candidate is not None
+        return ChangeTest(
+            replace(self.candidate, point=hypothesis.point), self.active, self.calibration, self._mean_time
+        )
+
+    def _watch(self, instant: Sequence[Hit]) -> list[HitDocument]:
+        """Predict, update and test."""
+        begun = time.perf_counter()
+        self._instants += 1
+        fresh = [hit for hit in instant if hit.layout in self._scatter]
+        errors: dict[str, tuple[float, float, bool]] = {}
+        shares = self.probabilities()
+        best = self.likeliest
+        for hypothesis, share in zip(list(self.hypotheses), shares, strict=True):
+            taken = []
+            for hit in fresh:
+                evidence = self._evidence(hit, hypothesis.point)
+                if evidence is None:
+                    self.door.skipped[hit.name] = "the model predicts no impact"
+                    continue
+                posterior = hypothesis.posterior
+                posterior.make_room([(hit.group, evidence.patterns.shape[1])])
+                innovation, covariance = posterior.innovation(evidence)
+                inflation = self.calibration.of_hits
+                weight, square = weight_of(innovation, covariance, inflation)
+                hypothesis.log_weight += log_density(innovation, covariance, inflation, self.calibration.freedom)
+                taken.append(replace(evidence, weight=weight))
+                error = self._scatter[hit.layout].whiten
+                del error
+                size = math.sqrt(float(np.mean(np.square(innovation))))
+                if hypothesis is best:
+                    errors[hit.name] = size, math.sqrt(float(np.mean(np.square(evidence.residual)))), weight < 1.0
+                del share, square
+                share = 0.0
+            if taken:
+                hypothesis.posterior.add(taken)
+        resolved = self._weigh()
+        statistic, change = self._tested(instant)
+        spent = 1e3 * (time.perf_counter() - begun) / max(len(instant), 1)
+        documents = []
+        for number, hit in enumerate(instant):
+            error = errors.get(hit.name)
+            last = number == len(instant) - 1
+            documents.append(
+                HitDocument(
+                    name=hit.name,
+                    stamp=hit.stamp,
+                    condition=hit.condition,
+                    error=None if error is None else error[0],
+                    of_model=None if error is None else error[1],
+                    evidence=statistic / math.log(10.0),
+                    odd=error is not None and error[2],
+                    change=change if last else None,
+                    resolved=resolved if last else "",
+                    milliseconds=spent,
+                )
+            )
+        return documents
+
+    def _weigh(self) -> str:
+        """Drop hypotheses that are ruled out; what is now known for certain."""
+        several = len(self.hypotheses) > 1
+        shares = self.probabilities()
+        most = float(shares.max())
+        self.hypotheses = [h for h, share in zip(self.hypotheses, shares, strict=True) if share > RULED_OUT]
+        top = max(one.log_weight for one in self.hypotheses)
+        for one in self.hypotheses:
+            one.log_weight -= top
+        if several and most > RULED_IN:
+            self.hypotheses = [self.likeliest]
+            best = self.likeliest
+            return f"it is {best.effect}" if best.effect else ""
+        return ""
+
+    def _tested(self, instant: Sequence[Hit]) -> tuple[float, Change | None]:
+        """Logarithm of the statistic, and the change that it shows."""
+        best = self.likeliest
+        if not best.posterior.window:
+            return 0.0, None
+        test = self._test(best)
+        statistic, ratios, starts = test.statistics(best.posterior)
+        if statistic >= test.threshold and (found := test.change(best.posterior, ratios, starts)):
+            change = self._changed(best, test, found[:MOST], statistic, instant[-1])
+            return statistic, change
+        if len(best.posterior.window) > 1 and statistic < 0.5 * test.threshold:
+            for name, (square, rank) in test.quiet(best.posterior).items():
+                self.calibration.add(name, min(square, 9.0 * max(rank, 1.0)), rank)
+            self.calibration.freedom += 1.0
+        return statistic, None
+
+    def _changed(
+        self, before: Hypothesis, test: ChangeTest, found: Sequence[Explanation], statistic: float, hit: Hit
+    ) -> Change:
+        """Replace the hypotheses by the explanations of a change."""
+        window = list(before.posterior.window)
+        first = window[found[0].start][0].hit
+        hypotheses = []
+        for one in found:
+            hypothesis = self._about(before, one)
+            hypothesis.log_weight = one.log_ratio
+            hypotheses.append(hypothesis)
+        self.hypotheses = hypotheses
+        shares = self.probabilities()
+        causes = []
+        old = self._values(before)
+        for one, share, hypothesis in zip(found, shares, hypotheses, strict=True):
+            numbers = [test.active[place] for place in test.effects[one.effect]]
+            parameters = self._followed(hypothesis, numbers, old)
+            start = window[one.start][0].hit
+            causes.append(
+                Cause(
+                    effect=one.effect, share=float(share), since=start.name, parameters=parameters,
+                    words=_in_words(one.effect, parameters),
+                )
+            )  # fmt: skip
+        again = found[0].effect in self._announced
+        self._announced.append(found[0].effect)
+        since = _when(first)
+        apart = self._apart() if len(causes) > 1 else ""
+        words = f"since {since} {' or '.join(cause.words for cause in causes)}"
+        return Change(
+            hit=hit.name,
+            since=first.name,
+            since_time=first.stamp if first.timed else None,
+            hits=sum(len(window[n]) for n in range(found[0].start, len(window))),
+            log10_ratio=found[0].log_ratio / math.log(10.0),
+            false_alarm=math.exp(min(statistic, 300.0)),
+            causes=tuple(causes),
+            again=again,
+            apart=apart,
+            words=f"{words}; {apart}" if apart else words,
+        )
+
+    def _about(self, before: Hypothesis, one: Explanation) -> Hypothesis:
+        """An explanation, linearised about its estimate."""
+        assert self.candidate is not None
+        own = self.candidate
+        part = own.part(one.effect)
+        numbers = [n for n in range(part.start, part.stop) if n in self.active]
+        past = _copy(before.posterior)
+        hits = past.window[one.start :]
+        past.believe_before(one.start)
+        old = self._values(before)[numbers]
+        followed = tuple(dict.fromkeys((*before.posterior.followed, *numbers)))
+        point = before.point.copy()
+        lower, upper = own.lower[numbers], own.upper[numbers]
+        point[numbers] = np.clip(old + own.scale[numbers] * one.change, lower, upper)
+        posterior = past
+        for _ in range(STEPS):
+            shift = (old - point[numbers]) / own.scale[numbers]
+            posterior = past.refollowed(followed, numbers, shift)
+            for instant in hits:
+                evidence = [e for hit in instant if (e := self._evidence(hit.hit, point)) is not None]
+                weighed = []
+                for e in evidence:
+                    innovation, covariance = posterior.innovation(e)
+                    weighed.append(replace(e, weight=weight_of(innovation, covariance, self.calibration.of_hits)[0]))
+                if weighed:
+                    posterior.add(weighed)
+            place = [posterior.followed.index(n) for n in numbers]
+            there = np.clip(point[numbers] + own.scale[numbers] * posterior.mean[place], lower, upper)
+            if np.all(np.abs(there - point[numbers]) < 0.1 * own.scale[numbers]):
+                break
+            point[numbers] = there
+        return Hypothesis(point, posterior, effect=one.effect)
+
+    def _values(self, hypothesis: Hypothesis) -> Array:
+        """Believed values of all parameters, ``(p,)``."""
+        assert self.candidate is not None
+        values = hypothesis.point.copy()
+        for place, number in enumerate(hypothesis.posterior.followed):
+            values[number] += self.candidate.scale[number] * hypothesis.posterior.mean[place]
+        return np.clip(values, self.candidate.lower, self.candidate.upper)
+
+    def _followed(self, hypothesis: Hypothesis, numbers: Sequence[int], old: Array) -> tuple[Followed, ...]:
+        """Parameters with their intervals and changes."""
+        assert self.candidate is not None
+        own, posterior = self.candidate, hypothesis.posterior
+        values = self._values(hypothesis)
+        covariance = posterior.covariance_of_followed()
+        wide = scipy.stats.t.ppf(0.975, self.calibration.freedom)
+        names = [effect.name for effect, part in own.parts for _ in range(part.start, part.stop)]
+        found = []
+        for number in numbers:
+            place = posterior.followed.index(number)
+            inflation = self.calibration.of(names[number])
+            half = wide * own.scale[number] * math.sqrt(float(covariance[place, place]) * inflation)
+            scalar = own.scalars[number]
+            value = float(values[number])
+            found.append(
+                Followed(
+                    parameter=f"{names[number]}.{scalar.name}",
+                    estimate=value,
+                    ci95=(value - half, value + half),
+                    change=value - float(old[number]),
+                    unit=scalar.unit,
+                )
+            )
+        return tuple(found)
+
+    def _apart(self) -> str:
+        """The condition in which one hit tells the explanations apart best."""
+        best: tuple[float, str] = (0.0, "")
+        for condition, hit in self._last.items():
+            if not condition:
+                continue
+            pair = [self._predicted(one, hit) for one in self.hypotheses[:2]]
+            if pair[0] is None or pair[1] is None:
+                continue
+            apart = self._scatter[hit.layout].whiten @ (pair[0][0] - pair[1][0])
+            best = max(best, (float(np.linalg.norm(apart)), condition))
+        size, condition = best
+        free = [one.effect for one in self.hypotheses if self._seen_free(one.effect)]
+        if size > APART:
+            return f"one hit of {condition} tells them apart ({size:.1f} standard deviations)"
+        if 0 < len(free) < len(self.hypotheses):
+            return f"a free motion tells them apart: {' and '.join(free)} would show there"
+        if condition:
+            return f"hits like these hardly tell them apart ({condition}: {size:.1f} standard deviations); hit otherwise"
+        return "hits like these hardly tell them apart; hit otherwise"
+
+    def _seen_free(self, name: str) -> bool:
+        assert self.candidate is not None
+        return any(effect.name == name and effect.seen_in(contact=False) for effect in self.candidate.effects)
+
+    def _predicted(self, hypothesis: Hypothesis, hit: Hit) -> tuple[Array, Array] | None:
+        """Mean and variance of what a hit like this one measures, ``(F,)`` each, in its units."""
+        if hit.layout not in self._scatter:
+            return None
+        evidence = self._evidence(hit, hypothesis.point)
+        if evidence is None:
+            return None
+        hypothesis.posterior.make_room([(hit.group, evidence.patterns.shape[1])])
+        innovation, covariance = hypothesis.posterior.innovation(evidence)
+        unwhiten = np.linalg.inv(self._scatter[hit.layout].whiten)
+        return hit.measured - unwhiten @ innovation, np.diag(unwhiten @ covariance @ unwhiten.T)
+
+    def _evidence(self, hit: Hit, point: Array) -> Evidence | None:
+        """What a hit says about a point; None without a contact."""
+        found = self._linearised(hit, point)
+        if found is None:
+            return None
+        predicted, jacobian = found
+        whiten = self._scatter[hit.layout].whiten
+        return Evidence(hit, whiten @ (hit.measured - predicted), whiten @ jacobian, whiten @ hit.discrepancy.T)
+
+    def _linearised(self, hit: Hit, point: Array) -> tuple[Array, Array] | None:
+        """Prediction ``(F,)`` and sensitivities per scale ``(F, p)`` at a point; None without a contact."""
+        assert self.candidate is not None
+        own = replace(self.candidate, point=point)
+        key = (hit.shared, point.tobytes())
+        if hit.shared and key in self._jacobians:
+            (predicted,) = self.door.predict(hit, [own.split(point)])
+            return None if predicted is None else (predicted, self._jacobians[key])
+        steps = own.steps(self._joints)
+        numbers = getattr(self, "active", range(point.size))
+        points: list[Added] = [own.split(point)]
+        for number in numbers:
+            moved = point.copy()
+            moved[number] += steps[number]
+            points.append(own.split(moved))
+        predicted, *others = self.door.predict(hit, points)
+        if predicted is None:
+            return None
+        jacobian = np.zeros((predicted.size, point.size))
+        for number, there in zip(numbers, others, strict=True):
+            if there is not None:
+                jacobian[:, number] = (there - predicted) * own.scale[number] / steps[number]
+        if hit.shared:
+            self._jacobians[key] = jacobian
+        return predicted, jacobian
+
+
+def _scatter(residuals: Sequence[tuple[Hit, Array]]) -> tuple[Scatter, int]:
+    """Scatter of hits of one layout, and its degrees of freedom."""
+    deviations, freedom = deviations_of([value for _, value in residuals], [hit.condition for hit, _ in residuals])
+    features = residuals[0][0].features
+    stated = np.max([hit.noise for hit, _ in residuals], axis=0)
+    return scatter_of(deviations, freedom, stated, np.array([f.relevance_limit for f in features])), freedom
+
+
+def _copy(posterior: Posterior) -> Posterior:
+    """A copy that can be changed."""
+    return replace(
+        posterior,
+        information=posterior.information.copy(),
+        vector=posterior.vector.copy(),
+        groups=dict(posterior.groups),
+        window=list(posterior.window),
+        _sums=list(posterior._sums),
+        _total=None,
+    )
+
+
+def _when(hit: Hit) -> str:
+    """When a hit was, for the reader."""
+    return time.strftime("%Y-%m-%d %H:%M:%S", time.localtime(hit.stamp)) if hit.timed else hit.name
+
+
+def _in_words(effect: str, parameters: Sequence[Followed]) -> str:
+    """A change of an effect's parameters in words: those that moved for certain, else the one that moved most."""
+    sure = [p for p in parameters if not p.ci95[0] <= p.estimate - p.change <= p.ci95[1]]
+    shown = sure or sorted(parameters, key=lambda p: -abs(p.change) / max(p.ci95[1] - p.ci95[0], 1e-300))[:1]
+    texts = []
+    for one in shown:
+        half = 0.5 * (one.ci95[1] - one.ci95[0])
+        value, low, high = estimate_text(one.change, (one.change - half, one.change + half))
+        sign = "" if value.startswith("-") else "+"
+        unit = "" if one.unit == "-" else f" {one.unit}"
+        texts.append(f"{one.parameter.partition('.')[2]} {sign}{value}{unit} [{low}, {high}]")
+    return f"{effect}: {', '.join(texts)}"
+
+
+Progress = Callable[[int, int], None]
+__all__ = ["Follower", "Hypothesis", "LEARNT", "WIDTH"]
