@@ -35,7 +35,6 @@ from __future__ import annotations
 import copy
 from collections import OrderedDict
 from collections.abc import Sequence
-from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -84,6 +83,7 @@ LEAST_CONDITIONS = 3  # with repeats; with fewer, blocks are used
 LEAST_REPEATS = 3  # degrees of freedom of the pure error
 RELEVANT = 0.005  # of the closing speed; 5 mm/s at 1 m/s, the resolution of body velocities by motion capture
 LEAST_SCALE = 1e-6  # m/s; a model with smaller residuals is exact
+ALTERED = 1024  # physics with effects that were tried last
 KEPT = 128_000_000  # bytes of predictions of the whole table, with effects that were tried last
 TELLING = 0.8  # of what the model leaves; scatter of neighbours above it says nothing
 DECIDES = 0.2  # of what the model leaves; contacts that move predictions by more may decide
@@ -176,6 +176,7 @@ class ImpactTableSource(Source):
         self.size_is = SIZE_REPEATED if self.repeated else SIZE_ALONE
         self._impacts = MeasuredImpacts([row.impact for row in table.rows], self._of_rows(self._worlds))
         self._known: OrderedDict[bytes, Array] = OrderedDict()
+        self._altered: OrderedDict[tuple[int, Added], Physics | None] = OrderedDict()
         self._judge(_entries(table, joints=table.joints, body=True))
         self.remarks = tuple(self._remarks()) if remarks else ()
 
@@ -321,13 +322,9 @@ class ImpactTableSource(Source):
         Returns:
             None where the effects give a body without positive inertia, or no velocities obey the laws.
         """
-        base, found, worlds = self._worlds[self._world_of[row]], {}, {}
-        for number, effects in enumerate(added):
-            physics = base
-            with suppress(NotABody):
-                for name, values in effects:
-                    physics = self._effects[name].apply_vector(physics, np.array(values))
-                worlds[number] = physics
+        found: dict[int, Array] = {}
+        each = [self._world_with(self._world_of[row], effects) for effects in added]
+        worlds = {number: physics for number, physics in enumerate(each) if physics is not None}
         if worlds:
             physics_of = list(worlds.values())
             impact = self.table.rows[row].impact
@@ -335,6 +332,22 @@ class ImpactTableSource(Source):
             turned = _turned(velocity, np.broadcast_to(self._axes[row], (len(velocity), 3, 3)))[:, self._seen]
             found = dict(zip(worlds, turned, strict=True))
         return [None if n not in found or np.isnan(found[n]).any() else found[n] for n in range(len(added))]
+
+    def _world_with(self, place: int, added: Added) -> Physics | None:
+        """One of the physics with effects; None: no positive inertia. Those that were asked for last are kept."""
+        key = place, added
+        if key not in self._altered:
+            physics: Physics | None = self._worlds[place]
+            try:
+                for name, values in added:
+                    physics = self._effects[name].apply_vector(physics, np.array(values))
+            except NotABody:
+                physics = None
+            self._altered[key] = physics
+            while len(self._altered) > ALTERED:
+                self._altered.popitem(last=False)
+        self._altered.move_to_end(key)
+        return self._altered[key]
 
     def map_discrepancy_of(self, row: int) -> Array:
         """Discrepancy of the rigid map of the entries of a row that are compared, ``(F,)``."""

@@ -16,9 +16,10 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import groupby
+from typing import Any
 
 import numpy as np
 import scipy
@@ -26,6 +27,7 @@ import scipy
 from impact_rs_analysis.diagnosis.candidate import Candidate
 from impact_rs_analysis.diagnosis.diagnose import effects_for
 from impact_rs_analysis.evidence.cluster import Added
+from impact_rs_analysis.evidence.source import Source
 from impact_rs_analysis.following.change import MEAN_TIME, Calibration, ChangeTest, Explanation
 from impact_rs_analysis.following.document import (
     Cause,
@@ -36,11 +38,12 @@ from impact_rs_analysis.following.document import (
     Prediction,
 )
 from impact_rs_analysis.following.hits import Door, Hit
-from impact_rs_analysis.following.posterior import WIDE, WIDTH, Evidence, Posterior, log_density, weight_of
+from impact_rs_analysis.following.posterior import WIDE, Evidence, Posterior, log_density, weight_of
 from impact_rs_analysis.following.scatter import Scatter, deviations_of, scatter_of
 from impact_rs_sim.errors import InputError
-from impact_rs_sim.model import Model
+from impact_rs_sim.model import Model, ModelEffect, ParameterValue
 from impact_rs_sim.numbers import estimate_text
+from impact_rs_sim.proportion import Proportion
 from impact_rs_sim.robot import Array
 
 LEARNT = 20  # hits that teach the scatter
@@ -90,14 +93,17 @@ class Follower:
         mean_time: float = MEAN_TIME,
     ) -> None:
         self.door, self.model, self._only, self._learnt, self._mean_time = door, model, only, learnt, mean_time
-        followed = [item for item in model.effects if model.effect_of(item) == model.known_effects[item.name]]
-        self._believed = followed
-        kept = tuple(item for item in model.effects if item not in followed)
+        self._believed = [item for item in model.effects if _same(model, item)]
+        kept = tuple(item for item in model.effects if item not in self._believed)
         door.model = model.model_copy(update={"effects": kept})
         self._first: list[Hit] = []
         self._scatter: dict[str, Scatter] = {}
+        self._limits: dict[str, Array] = {}
+        self._names: list[str] = []
         self._jacobians: dict[tuple[str, bytes], Array] = {}
+        self._plans: dict[bytes, tuple[Array, list[Added]]] = {}
         self._last: dict[str, Hit] = {}
+        self.active: tuple[int, ...] = ()
         self._instants = 0
         self._announced: list[str] = []
         self.calibration = Calibration()
@@ -126,6 +132,7 @@ class Follower:
         """
         instant = sorted(instant, key=lambda hit: hit.name)
         for hit in instant:
+            self._names.append(hit.name)
             self._last[hit.condition] = hit
         self._last[""] = instant[-1]
         if not self.watching:
@@ -163,7 +170,7 @@ class Follower:
         total = sum(share for share, _, _ in known)
         mean = sum(share * value for share, value, _ in known) / total
         variance = sum(share * (own + np.square(value - mean)) for share, value, own in known) / total
-        half = scipy.stats.t.ppf(0.975, self.calibration.freedom) * np.sqrt(variance * self.calibration.of_hits)
+        half = scipy.special.stdtrit(self.calibration.freedom, 0.975) * np.sqrt(variance * self.calibration.of_hits)
         return Prediction(
             condition=hit.condition,
             like=hit.name,
@@ -187,6 +194,96 @@ class Follower:
         weights = np.exp(weights - weights.max())
         return np.asarray(weights / weights.sum())
 
+    def model_now(self, name: str, parent: str) -> Model:
+        """The model with the parameters that are believed now, by the likeliest hypothesis.
+
+        Args:
+            name: Its name.
+            parent: File of the model that was given.
+
+        Raises:
+            InputError: Nothing is followed yet.
+        """
+        if self.candidate is None:
+            raise InputError(f"too few hits to follow a model: {len(self._names)} of {self._learnt} that teach the scatter")
+        found, values = self.model, self._values(self.likeliest)
+        known = {one.parameter: one for one in self.followed()}
+        for effect, part in self.candidate.parts:
+            names = [f"{effect.name}.{scalar.name}" for scalar in self.candidate.scalars[part]]
+            if not any(own in known for own in names):
+                continue
+            parameters = {}
+            for own, scalar, value in zip(names, self.candidate.scalars[part], values[part], strict=True):
+                interval = known[own].ci95 if own in known else None
+                parameters[scalar.name] = ParameterValue(estimate=float(value), unit=scalar.unit, ci95=interval)
+            found = found.with_effect(ModelEffect(name=effect.name, parameters=parameters), name, parent)
+        note = f"followed through {len(self._names)} hits, the last of them {self._names[-1]}"
+        return found.model_copy(
+            update={"name": name, "parent": parent, "parent_digest": self.model.digest, "note": note}
+        )
+
+    def saved(self) -> tuple[dict[str, Any], dict[str, Array]]:
+        """All that a later run needs to go on, as a document and arrays (:mod:`.state`)."""
+        arrays: dict[str, Array] = {}
+        hypotheses = []
+        for number, one in enumerate(self.hypotheses):
+            own = one.posterior
+            arrays |= {f"point{number}": one.point, f"information{number}": own.information, f"vector{number}": own.vector}
+            hypotheses.append(
+                {
+                    "followed": own.followed,
+                    "groups": {group: (part.start, part.stop) for group, part in own.groups.items()},
+                    "window": [[(e.hit.name, e.weight) for e in instant] for instant in own.window],
+                    "log_weight": one.log_weight,
+                    "effect": one.effect,
+                }
+            )
+        for number, (layout, scatter) in enumerate(self._scatter.items()):
+            arrays |= {f"whiten{number}": scatter.whiten, f"sigma{number}": scatter.sigma}
+        document = {
+            "model": self.model.digest,
+            "names": self._names,
+            "first": [hit.name for hit in self._first],
+            "last": {condition: hit.name for condition, hit in self._last.items()},
+            "announced": self._announced,
+            "active": self.active,
+            "layouts": list(self._scatter),
+            "calibration": vars(self.calibration),
+            "proportion": None if self.candidate is None else vars(self.proportion),
+            "hypotheses": hypotheses,
+        }
+        return document, arrays
+
+    def restore(self, document: Mapping[str, Any], arrays: Mapping[str, Array]) -> None:
+        """Go on where :meth:`saved` was called.
+
+        Raises:
+            InputError: A hit that the state needs is gone.
+        """
+        windows = [name for h in document["hypotheses"] for instant in h["window"] for name, _ in instant]
+        needed = [*document["first"], *document["last"].values(), *windows]
+        hits = self.door.recalled(needed, document["names"])
+        self._names, self._announced = list(document["names"]), list(document["announced"])
+        self._first = [hits[name] for name in document["first"]]
+        self._last = {condition: hits[name] for condition, name in document["last"].items()}
+        if document["proportion"] is None:
+            return
+        self.consider(self.door.source(list(hits.values())), Proportion(**document["proportion"]))
+        self.active = tuple(document["active"])
+        self._scatter = {
+            layout: Scatter(arrays[f"whiten{n}"], arrays[f"sigma{n}"]) for n, layout in enumerate(document["layouts"])
+        }
+        self.calibration = Calibration(**{**document["calibration"], "whole": tuple(document["calibration"]["whole"])})
+        self.hypotheses = []
+        for number, one in enumerate(document["hypotheses"]):
+            groups = {group: slice(*ends) for group, ends in one["groups"].items()}
+            followed, point = tuple(one["followed"]), arrays[f"point{number}"]
+            posterior = Posterior(followed, arrays[f"information{number}"], arrays[f"vector{number}"], groups)
+            for instant in one["window"]:
+                evidence = [(self._evidence(hits[name], point), weight) for name, weight in instant]
+                posterior.add([replace(e, weight=weight) for e, weight in evidence if e is not None])
+            self.hypotheses.append(Hypothesis(point, posterior, one["log_weight"], one["effect"]))
+
     @property
     def _enough(self) -> bool:
         """Whether the first hits teach the scatter."""
@@ -208,10 +305,48 @@ class Follower:
     def _begin(self) -> None:
         """Learn the scatter from the first hits, and begin to watch."""
         source = self.door.source(self._first)
+        point, deviations, followed = self.consider(source, source.proportion)
+        residuals, jacobians = [], []
+        for hit in self._first:
+            predicted = self._linearised(hit, point)
+            if predicted is None:
+                continue
+            residuals.append((hit, hit.measured - predicted[0]))
+            jacobians.append(predicted[1])
+        if len(residuals) < 0.5 * len(self._first):
+            raise InputError(f"model {self.model.name!r} predicts {len(residuals)} of the first {len(self._first)} hits")
+        self._learn(residuals)
+        moving = np.max([np.max(np.abs(jacobian), axis=0) for jacobian in jacobians], axis=0)
+        self.active = tuple(int(number) for number in np.flatnonzero(moving > 0.0))
+        self._plans.clear()
+        followed = [number for number in followed if number in self.active]
+        posterior = Posterior.of(followed, deviations[followed])
+        self.hypotheses = [Hypothesis(point, posterior)]
+        for _, together in groupby((hit for hit, _ in residuals), key=lambda hit: hit.stamp):
+            evidence = [one for hit in together if (one := self._evidence(hit, point)) is not None]
+            posterior.make_room((one.hit.group, one.patterns.shape[1]) for one in evidence)
+            posterior.add(evidence)
+        posterior.believe_before(len(posterior.window))
+        self._calibrate(residuals, jacobians)
+        self._first = []
+
+    def consider(self, source: Source, proportion: Proportion) -> tuple[Array, Array, list[int]]:
+        """Choose effects and their parameters.
+
+        Args:
+            source: Some hits.
+            proportion: Size of what was measured, to which ranges and scales are in proportion.
+
+        Returns:
+            Believed values ``(p,)``, their standard deviations in scales ``(p,)``, and the numbers of those that the
+            model states with an interval.
+        """
         known = [item.name for item in self._believed]
-        wanted = None if self._only is None else [*known, *(name for name in self._only if name not in known)]
-        effects = effects_for(source, wanted)
-        candidate = Candidate.of(tuple(effects), source)
+        library = source.model.known_effects
+        names = [effect.name for effect in effects_for(source, self._only)]
+        names += [name for name in known if name not in names]
+        effects = tuple(library[name].in_proportion(proportion) for name in names)
+        candidate = Candidate.of(effects, source)
         point = candidate.nominal.copy()
         deviations = np.full(point.size, WIDE)
         followed: list[int] = []
@@ -224,39 +359,18 @@ class Follower:
                     width = (value.ci95[1] - value.ci95[0]) / (2.0 * NORMAL_95)
                     deviations[number] = max(width / candidate.scale[number], 1e-6)
                     followed.append(number)
-        self._start = point
-        self._steps_at_nominal = candidate.steps(source.joints)
-        self._joints = source.joints
+        self._start, self._joints, self.proportion = point, source.joints, proportion
+        self.active = tuple(range(point.size))
         self.candidate = replace(candidate, point=point)
-        residuals, jacobians = [], []
-        for hit in self._first:
-            predicted = self._linearised(hit, point)
-            if predicted is None:
-                continue
-            residuals.append((hit, hit.measured - predicted[0]))
-            jacobians.append(predicted[1])
-        if len(residuals) < 0.5 * len(self._first):
-            raise InputError(f"model {self.model.name!r} predicts {len(residuals)} of the first {len(self._first)} hits")
-        self._learn(residuals, jacobians)
-        moving = np.max([np.max(np.abs(jacobian), axis=0) for jacobian in jacobians], axis=0)
-        self.active = tuple(int(number) for number in np.flatnonzero(moving > 0.0))
-        followed = [number for number in followed if number in self.active]
-        posterior = Posterior.of(followed, deviations[followed])
-        self.hypotheses = [Hypothesis(point, posterior)]
-        for _, together in groupby((hit for hit, _ in residuals), key=lambda hit: hit.stamp):
-            evidence = [one for hit in together if (one := self._evidence(hit, point)) is not None]
-            posterior.make_room((one.hit.group, one.patterns.shape[1]) for one in evidence)
-            posterior.add(evidence)
-        posterior.believe_before(len(posterior.window))
-        self._calibrate(residuals, jacobians)
-        self._first = []
+        return point, deviations, followed
 
-    def _learn(self, residuals: Sequence[tuple[Hit, Array]], jacobians: Sequence[Array]) -> None:
+    def _learn(self, residuals: Sequence[tuple[Hit, Array]]) -> None:
         """Scatter of every layout."""
-        freedom = 0
-        for layout in {hit.layout for hit, _ in residuals}:
+        freedom, first = 0, [hit for hit, _ in residuals]
+        for layout in {hit.layout for hit in first}:
             own = [(hit, residual) for hit, residual in residuals if hit.layout == layout]
-            scatter, degrees = _scatter(own)
+            self._limits[layout] = self.door.limits(first, layout)
+            scatter, degrees = _scatter(own, self._limits[layout])
             self._scatter[layout] = scatter
             freedom = degrees if not freedom else min(freedom, degrees)
         self.calibration.freedom = float(max(freedom, 2))
@@ -271,7 +385,7 @@ class Follower:
                 others = [residuals[n] for n in own if n != left]
                 hit, residual = residuals[left]
                 alike = [value for one, value in others if one.condition == hit.condition] or [v for _, v in others]
-                scatter, _ = _scatter(others)
+                scatter, _ = _scatter(others, self._limits[layout])
                 deviation = (residual - np.mean(alike, axis=0)) / math.sqrt(1.0 + 1.0 / len(alike))
                 whitened = scatter.whiten @ deviation
                 square, expected = square + float(whitened @ whitened), expected + whitened.size
@@ -295,9 +409,8 @@ class Follower:
         self._instants += 1
         fresh = [hit for hit in instant if hit.layout in self._scatter]
         errors: dict[str, tuple[float, float, bool]] = {}
-        shares = self.probabilities()
         best = self.likeliest
-        for hypothesis, share in zip(list(self.hypotheses), shares, strict=True):
+        for hypothesis in self.hypotheses:
             taken = []
             for hit in fresh:
                 evidence = self._evidence(hit, hypothesis.point)
@@ -308,16 +421,12 @@ class Follower:
                 posterior.make_room([(hit.group, evidence.patterns.shape[1])])
                 innovation, covariance = posterior.innovation(evidence)
                 inflation = self.calibration.of_hits
-                weight, square = weight_of(innovation, covariance, inflation)
+                weight, _ = weight_of(innovation, covariance, inflation)
                 hypothesis.log_weight += log_density(innovation, covariance, inflation, self.calibration.freedom)
                 taken.append(replace(evidence, weight=weight))
-                error = self._scatter[hit.layout].whiten
-                del error
                 size = math.sqrt(float(np.mean(np.square(innovation))))
                 if hypothesis is best:
                     errors[hit.name] = size, math.sqrt(float(np.mean(np.square(evidence.residual)))), weight < 1.0
-                del share, square
-                share = 0.0
             if taken:
                 hypothesis.posterior.add(taken)
         resolved = self._weigh()
@@ -464,7 +573,7 @@ class Follower:
         own, posterior = self.candidate, hypothesis.posterior
         values = self._values(hypothesis)
         covariance = posterior.covariance_of_followed()
-        wide = scipy.stats.t.ppf(0.975, self.calibration.freedom)
+        wide = scipy.special.stdtrit(self.calibration.freedom, 0.975)
         names = [effect.name for effect, part in own.parts for _ in range(part.start, part.stop)]
         found = []
         for number in numbers:
@@ -538,13 +647,12 @@ class Follower:
         if hit.shared and key in self._jacobians:
             (predicted,) = self.door.predict(hit, [own.split(point)])
             return None if predicted is None else (predicted, self._jacobians[key])
-        steps = own.steps(self._joints)
-        numbers = getattr(self, "active", range(point.size))
-        points: list[Added] = [own.split(point)]
-        for number in numbers:
-            moved = point.copy()
-            moved[number] += steps[number]
-            points.append(own.split(moved))
+        numbers = self.active
+        if (plan := self._plans.get(point.tobytes())) is None:
+            steps = own.steps(self._joints)
+            moved = [point + steps[number] * (np.arange(point.size) == number) for number in numbers]
+            plan = self._plans[point.tobytes()] = steps, [own.split(one) for one in (point, *moved)]
+        steps, points = plan
         predicted, *others = self.door.predict(hit, points)
         if predicted is None:
             return None
@@ -557,12 +665,16 @@ class Follower:
         return predicted, jacobian
 
 
-def _scatter(residuals: Sequence[tuple[Hit, Array]]) -> tuple[Scatter, int]:
+def _scatter(residuals: Sequence[tuple[Hit, Array]], limits: Array) -> tuple[Scatter, int]:
     """Scatter of hits of one layout, and its degrees of freedom."""
     deviations, freedom = deviations_of([value for _, value in residuals], [hit.condition for hit, _ in residuals])
-    features = residuals[0][0].features
     stated = np.max([hit.noise for hit, _ in residuals], axis=0)
-    return scatter_of(deviations, freedom, stated, np.array([f.relevance_limit for f in features])), freedom
+    return scatter_of(deviations, freedom, stated, limits), freedom
+
+
+def _same(model: Model, item: ModelEffect) -> bool:
+    """Whether an entry has the parameters that the effect of its name has now; older files may have others."""
+    return model.effect_of(item).parameters == model.known_effects[item.name].parameters
 
 
 def _copy(posterior: Posterior) -> Posterior:
@@ -596,6 +708,3 @@ def _in_words(effect: str, parameters: Sequence[Followed]) -> str:
         texts.append(f"{one.parameter.partition('.')[2]} {sign}{value}{unit} [{low}, {high}]")
     return f"{effect}: {', '.join(texts)}"
 
-
-Progress = Callable[[int, int], None]
-__all__ = ["Follower", "Hypothesis", "LEARNT", "WIDTH"]

@@ -84,6 +84,28 @@ class Door(ABC):
         """
 
     @abstractmethod
+    def recalled(self, names: Sequence[str], known: Sequence[str]) -> dict[str, Hit]:
+        """Some hits by name, after a restart.
+
+        Args:
+            names: Hits to read again.
+            known: All hits that were given before, which :meth:`arrived` leaves out from now on.
+
+        Raises:
+            InputError: One of them is gone.
+        """
+
+    def limits(self, first: Sequence[Hit], layout: str) -> Array:
+        """Relevance limits of the features of a layout, ``(F,)``.
+
+        Args:
+            first: Hits from which they follow.
+            layout: The layout.
+        """
+        features = next(hit.features for hit in first if hit.layout == layout)
+        return np.array([feature.relevance_limit for feature in features])
+
+    @abstractmethod
     def source(self, hits: Sequence[Hit]) -> Source:
         """Some hits as a source of evidence, which knows robots, ranges of parameters and noticeable changes."""
 
@@ -97,10 +119,12 @@ class RowHit(Hit):
     """A row of a table.
 
     Attributes:
-        source: Holds the row alone.
+        source: Holds the row among others.
+        place: Its position there.
     """
 
     source: ImpactTableSource
+    place: int
 
 
 class TableDoor(Door):
@@ -126,7 +150,24 @@ class TableDoor(Door):
         self.model = with_per_arm_parameters(self.model, [row.physics for row in table.rows])
         fresh = [place for place, row in enumerate(table.rows) if row.number not in self._known]
         self._known |= {table.rows[place].number for place in fresh}
-        return sorted((self._hit(table, place) for place in fresh), key=lambda hit: (hit.stamp, hit.name))
+        return sorted(self._hits(table, fresh), key=lambda hit: (hit.stamp, hit.name))
+
+    def recalled(self, names: Sequence[str], known: Sequence[str]) -> dict[str, Hit]:
+        """See :meth:`Door.recalled`."""
+        table = self._table = self._read()
+        self.model = with_per_arm_parameters(self.model, [row.physics for row in table.rows])
+        places = {_name(row.number): place for place, row in enumerate(table.rows)}
+        if missing := [name for name in (*names, *known) if name not in places]:
+            raise InputError(f"{missing[0]}, which the state knows, is gone", file=table.path)
+        given = set(known)
+        self._known = {row.number for row in table.rows if _name(row.number) in given}
+        return {hit.name: hit for hit in self._hits(table, [places[name] for name in dict.fromkeys(names)])}
+
+    def limits(self, first: Sequence[Hit], layout: str) -> Array:
+        """See :meth:`Door.limits`; they are shares of the closing speed of all first hits."""
+        source = self.source(first)
+        assert isinstance(source, ImpactTableSource)
+        return np.array([feature.relevance_limit for feature in source.signals])
 
     def source(self, hits: Sequence[Hit]) -> Source:
         """See :meth:`Door.source`."""
@@ -138,25 +179,41 @@ class TableDoor(Door):
     def predict(self, hit: Hit, added: Sequence[Added]) -> list[Array | None]:
         """See :meth:`Door.predict`."""
         assert isinstance(hit, RowHit)
-        return hit.source.predict_row(0, added)
+        return hit.source.predict_row(hit.place, added)
 
-    def _hit(self, table: ImpactTable, place: int) -> RowHit:
-        row = table.rows[place]
-        own = ImpactTableSource(_part(table, [place]), self.model, discrepancy=self._discrepancy, remarks=False)
-        group = row.condition or row.object_name if own.is_oblique(0) else ""
-        return RowHit(
-            name=_name(row.number),
-            stamp=float(row.number) if row.time is None else row.time,
-            timed=row.time is not None,
-            condition=", ".join(filter(None, (row.object_name, row.condition))) if row.condition else "",
-            layout="impacts",
-            group=group,
-            features=own.signals,
-            measured=own.measured[0],
-            noise=np.zeros(own.measured.shape[1]) if own.noise is None else own.noise[0],
-            discrepancy=np.diag(own.map_discrepancy_of(0)),
-            source=own,
-        )
+    def _hits(self, table: ImpactTable, places: Sequence[int]) -> list[RowHit]:
+        """Hits of some rows; those for which the map has no solution are left out, with the reason."""
+        if not places:
+            return []
+        try:
+            own = ImpactTableSource(_part(table, places), self.model, discrepancy=self._discrepancy, remarks=False)
+        except InputError as error:
+            if len(places) == 1:
+                self.skipped[_name(table.rows[places[0]].number)] = str(error)
+                return []
+            half = len(places) // 2
+            return [*self._hits(table, places[:half]), *self._hits(table, places[half:])]
+        return [_hit(own, place) for place in range(len(places))]
+
+
+def _hit(own: ImpactTableSource, place: int) -> RowHit:
+    """One row of a source."""
+    row = own.table.rows[place]
+    group = row.condition or row.object_name if own.is_oblique(place) else ""
+    return RowHit(
+        name=_name(row.number),
+        stamp=float(row.number) if row.time is None else row.time,
+        timed=row.time is not None,
+        condition=", ".join(filter(None, (row.object_name, row.condition))) if row.condition else "",
+        layout="impacts",
+        group=group,
+        features=own.signals,
+        measured=own.measured[place],
+        noise=np.zeros(own.measured.shape[1]) if own.noise is None else own.noise[place],
+        discrepancy=np.diag(own.map_discrepancy_of(place)),
+        source=own,
+        place=place,
+    )
 
 
 def _name(number: int) -> str:
@@ -225,6 +282,17 @@ class BagDoor(Door):
             if number % READ_AT_ONCE == 0 or number == len(fresh):
                 self._progress(number, len(fresh))
         return sorted(found, key=lambda hit: (hit.stamp, hit.name))
+
+    def recalled(self, names: Sequence[str], known: Sequence[str]) -> dict[str, Hit]:
+        """See :meth:`Door.recalled`."""
+        self._known = {self._directory / name for name in known}
+        found: dict[str, Hit] = {}
+        for name in dict.fromkeys(names):
+            run = read_trial(self._directory / name)
+            if not isinstance(run, MeasuredRun):
+                raise InputError(f"this trial, which the state knows, cannot be read: {run[1]}", file=run[0])
+            found[name] = self._hit(run, self._directory / name)
+        return found
 
     def source(self, hits: Sequence[Hit]) -> Source:
         """See :meth:`Door.source`."""

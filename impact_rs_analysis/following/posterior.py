@@ -261,7 +261,7 @@ def _solve(factor: Array, right: Array) -> Array:
 
 def quantile_of_chi_square(freedom: int, share: float = ODD) -> float:
     """Quantile above which a share of chi square lies."""
-    return float(scipy.stats.chi2.isf(share, freedom))
+    return float(scipy.special.chdtri(freedom, share))
 
 
 def weight_of(innovation: Array, covariance: Array, inflation: float = 1.0) -> tuple[float, float]:
