@@ -212,9 +212,7 @@ class ChangeTest:
             # Where a bound holds, t turns the smaller gain into a smaller ratio in the same proportion.
             ratio = unbounded if free <= 0.0 else unbounded - (free - gain) * min(1.0, max(unbounded, 1.0) / free)
             if best is None or ratio > best.log_ratio:
-                early = bounded(
-                    information[place] - information[0] + prior, score[place] - score[0], lower, upper
-                )
+                early = bounded(information[place] - information[0] + prior, score[place] - score[0], lower, upper)
                 confirmed = float(score[0] @ early - 0.5 * early @ information[0] @ early) > 0.0
                 if confirmed:
                     best = Explanation(name, start, eta, ratio)

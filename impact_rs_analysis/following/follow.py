@@ -104,7 +104,6 @@ class Follower:
         self._plans: dict[bytes, tuple[Array, list[Added]]] = {}
         self._last: dict[str, Hit] = {}
         self.active: tuple[int, ...] = ()
-        self._instants = 0
         self._announced: list[str] = []
         self.calibration = Calibration()
         self.candidate: Candidate | None = None
@@ -113,7 +112,7 @@ class Follower:
     @property
     def watching(self) -> bool:
         """Whether the scatter is known, so that changes are looked for."""
-        return self.candidate is not None
+        return bool(self._scatter)
 
     def arrived(self) -> Iterable[HitDocument]:
         """Take the hits that have arrived since the last call, in time order.
@@ -135,12 +134,13 @@ class Follower:
             self._names.append(hit.name)
             self._last[hit.condition] = hit
         self._last[""] = instant[-1]
-        if not self.watching:
-            self._first += instant
-            if self._enough:
-                self._begin()
-            return [self._learning(hit) for hit in instant]
-        return self._watch(instant)
+        documents = self._watch([hit for hit in instant if hit.layout in self._scatter])
+        unknown = [hit for hit in instant if hit.layout not in self._scatter]
+        self._first += unknown
+        for layout in dict.fromkeys(hit.layout for hit in unknown):
+            if self._enough(layout):
+                self._begin(layout)
+        return [documents[hit.name] if hit.name in documents else _learning(hit) for hit in instant]
 
     @property
     def likeliest(self) -> Hypothesis:
@@ -205,7 +205,9 @@ class Follower:
             InputError: Nothing is followed yet.
         """
         if self.candidate is None:
-            raise InputError(f"too few hits to follow a model: {len(self._names)} of {self._learnt} that teach the scatter")
+            raise InputError(
+                f"too few hits to follow a model: {len(self._names)} of {self._learnt} that teach the scatter"
+            )
         found, values = self.model, self._values(self.likeliest)
         known = {one.parameter: one for one in self.followed()}
         for effect, part in self.candidate.parts:
@@ -228,7 +230,11 @@ class Follower:
         hypotheses = []
         for number, one in enumerate(self.hypotheses):
             own = one.posterior
-            arrays |= {f"point{number}": one.point, f"information{number}": own.information, f"vector{number}": own.vector}
+            arrays |= {
+                f"point{number}": one.point,
+                f"information{number}": own.information,
+                f"vector{number}": own.vector,
+            }
             hypotheses.append(
                 {
                     "followed": own.followed,
@@ -238,7 +244,7 @@ class Follower:
                     "effect": one.effect,
                 }
             )
-        for number, (layout, scatter) in enumerate(self._scatter.items()):
+        for number, scatter in enumerate(self._scatter.values()):
             arrays |= {f"whiten{number}": scatter.whiten, f"sigma{number}": scatter.sigma}
         document = {
             "model": self.model.digest,
@@ -284,53 +290,51 @@ class Follower:
                 posterior.add([replace(e, weight=weight) for e, weight in evidence if e is not None])
             self.hypotheses.append(Hypothesis(point, posterior, one["log_weight"], one["effect"]))
 
-    @property
-    def _enough(self) -> bool:
-        """Whether the first hits teach the scatter."""
-        if len(self._first) < self._learnt:
+    def _enough(self, layout: str) -> bool:
+        """Whether the first hits of a layout teach its scatter."""
+        own = [hit for hit in self._first if hit.layout == layout]
+        if len(self._names) < self._learnt or len(own) < self._learnt // 2:
             return False
-        for layout in {hit.layout for hit in self._first}:
-            own = [hit for hit in self._first if hit.layout == layout]
-            _, freedom = deviations_of([hit.measured for hit in own], [hit.condition for hit in own])
-            if freedom < min(LEAST_FREEDOM, self._learnt - 2):
-                return False
-        return True
+        _, freedom = deviations_of([hit.measured for hit in own], [hit.condition for hit in own])
+        return freedom >= min(LEAST_FREEDOM, self._learnt // 2 - 1)
 
-    def _learning(self, hit: Hit) -> HitDocument:
-        return HitDocument(
-            name=hit.name, stamp=hit.stamp, condition=hit.condition, error=None, of_model=None, evidence=None,
-            milliseconds=0.0,
-        )  # fmt: skip
+    def _begin(self, layout: str) -> None:
+        """Learn the scatter of a layout from its first hits, and begin to watch it."""
+        first = [hit for hit in self._first if hit.layout == layout]
+        self._first = [hit for hit in self._first if hit.layout != layout]
+        if self.candidate is None:
+            source = self.door.source(first)
+            self._deviations, self._stated = self.consider(source, source.proportion)
+        assert self.candidate is not None
+        known, point = self.active if self.hypotheses else (), self._start
+        self._look_at(range(point.size))
+        found = [(hit, one) for hit in first if (one := self._linearised(hit, point)) is not None]
+        if len(found) < 0.5 * len(first):
+            raise InputError(f"model {self.model.name!r} predicts {len(found)} of the first {len(first)} hits")
+        residuals = [(hit, hit.measured - predicted) for hit, (predicted, _) in found]
+        jacobians = [jacobian for _, (_, jacobian) in found]
+        self._limits[layout] = self.door.limits(first, layout)
+        self._scatter[layout], freedom = _scatter(residuals, self._limits[layout])
+        calibration, freedom = self.calibration, max(freedom, 2)
+        calibration.freedom = float(freedom) if not self.hypotheses else min(calibration.freedom, float(freedom))
+        moving = np.max([np.max(np.abs(jacobian), axis=0) for jacobian in jacobians], axis=0) > 0.0
+        self._look_at(sorted({*known, *np.flatnonzero(moving).tolist()}))
+        if not self.hypotheses:
+            stated = [number for number in self._stated if number in self.active]
+            self.hypotheses = [Hypothesis(point, Posterior.of(stated, self._deviations[stated]))]
+        for hypothesis in self.hypotheses:
+            evidence = [e for hit, _ in found if (e := self._evidence(hit, hypothesis.point)) is not None]
+            hypothesis.posterior.make_room((one.hit.group, one.patterns.shape[1]) for one in evidence)
+            hypothesis.posterior.believe(evidence)
+        self._calibrate(layout, residuals, jacobians)
 
-    def _begin(self) -> None:
-        """Learn the scatter from the first hits, and begin to watch."""
-        source = self.door.source(self._first)
-        point, deviations, followed = self.consider(source, source.proportion)
-        residuals, jacobians = [], []
-        for hit in self._first:
-            predicted = self._linearised(hit, point)
-            if predicted is None:
-                continue
-            residuals.append((hit, hit.measured - predicted[0]))
-            jacobians.append(predicted[1])
-        if len(residuals) < 0.5 * len(self._first):
-            raise InputError(f"model {self.model.name!r} predicts {len(residuals)} of the first {len(self._first)} hits")
-        self._learn(residuals)
-        moving = np.max([np.max(np.abs(jacobian), axis=0) for jacobian in jacobians], axis=0)
-        self.active = tuple(int(number) for number in np.flatnonzero(moving > 0.0))
+    def _look_at(self, parameters: Sequence[int]) -> None:
+        """Take sensitivities to these parameters alone from now on."""
+        self.active = tuple(parameters)
         self._plans.clear()
-        followed = [number for number in followed if number in self.active]
-        posterior = Posterior.of(followed, deviations[followed])
-        self.hypotheses = [Hypothesis(point, posterior)]
-        for _, together in groupby((hit for hit, _ in residuals), key=lambda hit: hit.stamp):
-            evidence = [one for hit in together if (one := self._evidence(hit, point)) is not None]
-            posterior.make_room((one.hit.group, one.patterns.shape[1]) for one in evidence)
-            posterior.add(evidence)
-        posterior.believe_before(len(posterior.window))
-        self._calibrate(residuals, jacobians)
-        self._first = []
+        self._jacobians.clear()
 
-    def consider(self, source: Source, proportion: Proportion) -> tuple[Array, Array, list[int]]:
+    def consider(self, source: Source, proportion: Proportion) -> tuple[Array, list[int]]:
         """Choose effects and their parameters.
 
         Args:
@@ -338,8 +342,8 @@ class Follower:
             proportion: Size of what was measured, to which ranges and scales are in proportion.
 
         Returns:
-            Believed values ``(p,)``, their standard deviations in scales ``(p,)``, and the numbers of those that the
-            model states with an interval.
+            Standard deviations of the parameters in scales, ``(p,)``, and the numbers of those that the model states
+            with an interval.
         """
         known = [item.name for item in self._believed]
         library = source.model.known_effects
@@ -362,39 +366,24 @@ class Follower:
         self._start, self._joints, self.proportion = point, source.joints, proportion
         self.active = tuple(range(point.size))
         self.candidate = replace(candidate, point=point)
-        return point, deviations, followed
+        return deviations, followed
 
-    def _learn(self, residuals: Sequence[tuple[Hit, Array]]) -> None:
-        """Scatter of every layout."""
-        freedom, first = 0, [hit for hit, _ in residuals]
-        for layout in {hit.layout for hit in first}:
-            own = [(hit, residual) for hit, residual in residuals if hit.layout == layout]
-            self._limits[layout] = self.door.limits(first, layout)
-            scatter, degrees = _scatter(own, self._limits[layout])
-            self._scatter[layout] = scatter
-            freedom = degrees if not freedom else min(freedom, degrees)
-        self.calibration.freedom = float(max(freedom, 2))
-
-    def _calibrate(self, residuals: Sequence[tuple[Hit, Array]], jacobians: Sequence[Array]) -> None:
+    def _calibrate(self, layout: str, residuals: Sequence[tuple[Hit, Array]], jacobians: Sequence[Array]) -> None:
         """Variance of the scores: of every first hit by the scatter of the others."""
         test = self._test(self.hypotheses[0])
-        square, expected = 0.0, 0.0
-        for layout in self._scatter:
-            own = [n for n, (hit, _) in enumerate(residuals) if hit.layout == layout]
-            for left in own:
-                others = [residuals[n] for n in own if n != left]
-                hit, residual = residuals[left]
-                alike = [value for one, value in others if one.condition == hit.condition] or [v for _, v in others]
-                scatter, _ = _scatter(others, self._limits[layout])
-                deviation = (residual - np.mean(alike, axis=0)) / math.sqrt(1.0 + 1.0 / len(alike))
-                whitened = scatter.whiten @ deviation
-                square, expected = square + float(whitened @ whitened), expected + whitened.size
-                jacobian = scatter.whiten @ jacobians[left]
-                for name, places in test.effects.items():
-                    columns = jacobian[:, [test.active[place] for place in places]]
-                    basis, values, _ = np.linalg.svd(columns, full_matrices=False)
-                    basis = basis[:, values > 1e-6 * max(float(values[0]), 1e-300)]
-                    self.calibration.add(name, float(np.sum(np.square(basis.T @ whitened))), float(basis.shape[1]))
+        square, expected = self.calibration.whole
+        for left, (hit, residual) in enumerate(residuals):
+            others = [one for n, one in enumerate(residuals) if n != left]
+            alike = [value for one, value in others if one.condition == hit.condition] or [v for _, v in others]
+            scatter, _ = _scatter(others, self._limits[layout])
+            whitened = scatter.whiten @ (residual - np.mean(alike, axis=0)) / math.sqrt(1.0 + 1.0 / len(alike))
+            square, expected = square + float(whitened @ whitened), expected + whitened.size
+            jacobian = scatter.whiten @ jacobians[left]
+            for name, places in test.effects.items():
+                columns = jacobian[:, [test.active[place] for place in places]]
+                basis, values, _ = np.linalg.svd(columns, full_matrices=False)
+                basis = basis[:, values > 1e-6 * max(float(values[0]), 1e-300)]
+                self.calibration.add(name, float(np.sum(np.square(basis.T @ whitened))), float(basis.shape[1]))
         self.calibration.whole = square, expected
 
     def _test(self, hypothesis: Hypothesis) -> ChangeTest:
@@ -403,11 +392,11 @@ class Follower:
             replace(self.candidate, point=hypothesis.point), self.active, self.calibration, self._mean_time
         )
 
-    def _watch(self, instant: Sequence[Hit]) -> list[HitDocument]:
-        """Predict, update and test."""
+    def _watch(self, fresh: Sequence[Hit]) -> dict[str, HitDocument]:
+        """Predict, update and test; what each hit taught, by its name."""
+        if not fresh:
+            return {}
         begun = time.perf_counter()
-        self._instants += 1
-        fresh = [hit for hit in instant if hit.layout in self._scatter]
         errors: dict[str, tuple[float, float, bool]] = {}
         best = self.likeliest
         for hypothesis in self.hypotheses:
@@ -430,25 +419,22 @@ class Follower:
             if taken:
                 hypothesis.posterior.add(taken)
         resolved = self._weigh()
-        statistic, change = self._tested(instant)
-        spent = 1e3 * (time.perf_counter() - begun) / max(len(instant), 1)
-        documents = []
-        for number, hit in enumerate(instant):
-            error = errors.get(hit.name)
-            last = number == len(instant) - 1
-            documents.append(
-                HitDocument(
-                    name=hit.name,
-                    stamp=hit.stamp,
-                    condition=hit.condition,
-                    error=None if error is None else error[0],
-                    of_model=None if error is None else error[1],
-                    evidence=statistic / math.log(10.0),
-                    odd=error is not None and error[2],
-                    change=change if last else None,
-                    resolved=resolved if last else "",
-                    milliseconds=spent,
-                )
+        statistic, change = self._tested(fresh)
+        spent = 1e3 * (time.perf_counter() - begun) / len(fresh)
+        documents = {}
+        for hit in fresh:
+            error, last = errors.get(hit.name), hit is fresh[-1]
+            documents[hit.name] = HitDocument(
+                name=hit.name,
+                stamp=hit.stamp,
+                condition=hit.condition,
+                error=None if error is None else error[0],
+                of_model=None if error is None else error[1],
+                evidence=statistic / math.log(10.0),
+                odd=error is not None and error[2],
+                change=change if last else None,
+                resolved=resolved if last else "",
+                milliseconds=spent,
             )
         return documents
 
@@ -611,7 +597,9 @@ class Follower:
         if 0 < len(free) < len(self.hypotheses):
             return f"a free motion tells them apart: {' and '.join(free)} would show there"
         if condition:
-            return f"hits like these hardly tell them apart ({condition}: {size:.1f} standard deviations); hit otherwise"
+            return (
+                f"hits like these hardly tell them apart ({condition}: {size:.1f} standard deviations); hit otherwise"
+            )
         return "hits like these hardly tell them apart; hit otherwise"
 
     def _seen_free(self, name: str) -> bool:
@@ -665,6 +653,19 @@ class Follower:
         return predicted, jacobian
 
 
+def _learning(hit: Hit) -> HitDocument:
+    """A hit that teaches the scatter."""
+    return HitDocument(
+        name=hit.name,
+        stamp=hit.stamp,
+        condition=hit.condition,
+        error=None,
+        of_model=None,
+        evidence=None,
+        milliseconds=0.0,
+    )
+
+
 def _scatter(residuals: Sequence[tuple[Hit, Array]], limits: Array) -> tuple[Scatter, int]:
     """Scatter of hits of one layout, and its degrees of freedom."""
     deviations, freedom = deviations_of([value for _, value in residuals], [hit.condition for hit, _ in residuals])
@@ -707,4 +708,3 @@ def _in_words(effect: str, parameters: Sequence[Followed]) -> str:
         unit = "" if one.unit == "-" else f" {one.unit}"
         texts.append(f"{one.parameter.partition('.')[2]} {sign}{value}{unit} [{low}, {high}]")
     return f"{effect}: {', '.join(texts)}"
-

@@ -26,6 +26,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 import scipy
+from numpy.typing import NDArray
 
 from impact_rs_analysis.following.hits import Hit
 from impact_rs_sim.robot import Array
@@ -59,7 +60,7 @@ class Evidence:
 class _Sums:
     """Contribution of one instant: blocks of the normal equations at some columns of the state."""
 
-    columns: Array
+    columns: NDArray[np.int_]
     state: Array
     cross: Array
     jacobian: Array
@@ -109,15 +110,16 @@ class Posterior:
 
     @property
     def _solved(self) -> tuple[Array, Array]:
-        if self._total is None:
+        total = self._total
+        if total is None:
             information, vector = self.information.copy(), self.vector.copy()
             for sums in self._sums:
                 for one in sums:
                     information[np.ix_(one.columns, one.columns)] += one.state
                     vector[one.columns] += one.score_state
-            factor = np.linalg.cholesky(information) if len(vector) else information
-            self._total = factor, _solve(factor, vector)
-        return self._total
+            factor = np.asarray(np.linalg.cholesky(information))
+            total = self._total = factor, _solve(factor, vector)
+        return total
 
     def solve(self, columns: Array) -> Array:
         """L^-1 of some columns, ``(n, m)``."""
@@ -139,7 +141,7 @@ class Posterior:
             self.groups[group] = slice(size, size + count)
             self._total = None
 
-    def observation(self, evidence: Evidence) -> tuple[Array, Array]:
+    def observation(self, evidence: Evidence) -> tuple[NDArray[np.int_], Array]:
         """Columns of the state that a hit depends on, ``(m,)``, and H at them, ``(F, m)``."""
         own = self.groups[evidence.hit.group]
         columns = np.concatenate((np.arange(len(self.followed)), np.arange(own.start, own.stop)))
@@ -161,12 +163,21 @@ class Posterior:
         while len(self.window) > WINDOW:
             self._believe()
 
+    def believe(self, evidence: Iterable[Evidence]) -> None:
+        """Take hits that are older than the window."""
+        for one in evidence:
+            self._take(self._sums_of(one))
+        self._total = None
+
+    def _take(self, one: _Sums) -> None:
+        self.information[np.ix_(one.columns, one.columns)] += one.state
+        self.vector[one.columns] += one.score_state
+
     def _believe(self) -> None:
         """Move the oldest instant of the window into what is believed."""
         self.window.pop(0)
         for one in self._sums.pop(0):
-            self.information[np.ix_(one.columns, one.columns)] += one.state
-            self.vector[one.columns] += one.score_state
+            self._take(one)
 
     def believe_before(self, start: int) -> None:
         """Believe the instants of the window before one of them."""
@@ -228,13 +239,10 @@ class Posterior:
         stay = np.array([*kept, *range(old, len(self.vector))], dtype=int)
         information, vector = self.information, self.vector
         if forgotten:
-            gone = np.linalg.solve(
-                information[np.ix_(forgotten, forgotten)],
-                np.column_stack((information[np.ix_(forgotten, stay)], vector[forgotten])),
-            )
-            coupling = information[np.ix_(stay, forgotten)]
-            information = information[np.ix_(stay, stay)] - coupling @ gone[:, :-1]
-            vector = vector[stay] - coupling @ gone[:, -1]
+            coupling = information[stay][:, forgotten]
+            gone = np.linalg.solve(information[forgotten][:, forgotten], coupling.T)
+            vector = vector[stay] - gone.T @ vector[forgotten]
+            information = information[stay][:, stay] - coupling @ gone
         names = [self.followed[n] for n in kept]
         order = [*names, *fresh]
         size, new = len(vector), len(fresh)

@@ -29,7 +29,7 @@ def save_state(follower: Follower, path: Path) -> None:
     document, arrays = follower.saved()
     text = json.dumps({"version": VERSION, **document})
     with whole(path) as aside, aside.open("wb") as file:
-        np.savez_compressed(file, **{TEXT: np.array(text)}, **arrays)
+        np.savez_compressed(file, allow_pickle=False, **{TEXT: np.array(text), **arrays})
 
 
 def restore_state(follower: Follower, path: Path) -> int:
@@ -56,8 +56,8 @@ def restore_state(follower: Follower, path: Path) -> int:
         raise InputError(f"a state file of version {version}, expected {VERSION}; remove it to begin anew", file=path)
     if document["model"] != follower.model.digest:
         raise InputError(
-            f"the state of another model (digest {document['model']}, here {follower.model.digest}); name its model, or "
-            "remove the file to begin anew",
+            f"the state of another model (digest {document['model']}, here {follower.model.digest}); name its model "
+            "or remove the file to begin anew",
             file=path,
         )
     try:
