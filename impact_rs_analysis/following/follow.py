@@ -38,7 +38,7 @@ from impact_rs_analysis.following.document import (
     Prediction,
 )
 from impact_rs_analysis.following.hits import Door, Hit
-from impact_rs_analysis.following.posterior import WIDE, Evidence, Posterior, log_density, weight_of
+from impact_rs_analysis.following.posterior import WIDE, WINDOW, Evidence, Posterior, log_density, weight_of
 from impact_rs_analysis.following.scatter import Scatter, deviations_of, scatter_of
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.model import Model, ModelEffect, ParameterValue
@@ -51,9 +51,27 @@ LEAST_FREEDOM = 10  # of the scatter: its standard deviations are known to 22 % 
 MOST = 4  # hypotheses at a time
 RULED_OUT = 1e-3  # probability below which a hypothesis is dropped
 RULED_IN = 0.95  # probability from which the cause is said to be known
-STEPS = 3  # of Gauss-Newton about an explanation
+STEPS = 4  # of Gauss-Newton about an explanation
+NEAR = 0.1  # parameter scales; a shorter step ends it
 APART = 2.0  # standard deviations between predictions; one hit then tells explanations apart
 NORMAL_95 = 1.96
+WALL_CLOCK = 1e9  # s since 1970; an earlier stamp counts from another moment
+MOST_NAMED = 3  # parameters of an effect in a sentence, those that are surest
+
+
+@dataclass(frozen=True)
+class Origin:
+    """What was known when an effect changed.
+
+    Attributes:
+        past: Posterior of all hits before, with an empty window.
+        numbers: Parameters of the effect.
+        old: Their values before, ``(p_e,)``.
+    """
+
+    past: Posterior
+    numbers: tuple[int, ...]
+    old: Array
 
 
 @dataclass
@@ -65,12 +83,14 @@ class Hypothesis:
         posterior: State of its parameters.
         log_weight: Logarithm of its probability.
         effect: Effect that changed last; empty: none did.
+        origin: What that change started from; None: none did, or it is older than the window.
     """
 
     point: Array
     posterior: Posterior
     log_weight: float = 0.0
     effect: str = ""
+    origin: Origin | None = None
 
 
 class Follower:
@@ -235,10 +255,17 @@ class Follower:
                 f"information{number}": own.information,
                 f"vector{number}": own.vector,
             }
+            origin = None
+            if one.origin is not None:
+                past = one.origin.past
+                arrays |= {f"past{number}": past.information, f"past_vector{number}": past.vector}
+                arrays[f"old{number}"] = one.origin.old
+                origin = {"followed": past.followed, "groups": _ends(past), "numbers": one.origin.numbers}
             hypotheses.append(
                 {
+                    "origin": origin,
                     "followed": own.followed,
-                    "groups": {group: (part.start, part.stop) for group, part in own.groups.items()},
+                    "groups": _ends(own),
                     "window": [[(e.hit.name, e.weight) for e in instant] for instant in own.window],
                     "log_weight": one.log_weight,
                     "effect": one.effect,
@@ -282,13 +309,16 @@ class Follower:
         self.calibration = Calibration(**{**document["calibration"], "whole": tuple(document["calibration"]["whole"])})
         self.hypotheses = []
         for number, one in enumerate(document["hypotheses"]):
-            groups = {group: slice(*ends) for group, ends in one["groups"].items()}
-            followed, point = tuple(one["followed"]), arrays[f"point{number}"]
-            posterior = Posterior(followed, arrays[f"information{number}"], arrays[f"vector{number}"], groups)
+            point = arrays[f"point{number}"]
+            posterior = _posterior(one, arrays[f"information{number}"], arrays[f"vector{number}"])
+            origin = None
+            if (own := one["origin"]) is not None:
+                past = _posterior(own, arrays[f"past{number}"], arrays[f"past_vector{number}"])
+                origin = Origin(past, tuple(own["numbers"]), arrays[f"old{number}"])
             for instant in one["window"]:
                 evidence = [(self._evidence(hits[name], point), weight) for name, weight in instant]
                 posterior.add([replace(e, weight=weight) for e, weight in evidence if e is not None])
-            self.hypotheses.append(Hypothesis(point, posterior, one["log_weight"], one["effect"]))
+            self.hypotheses.append(Hypothesis(point, posterior, one["log_weight"], one["effect"], origin))
 
     def _enough(self, layout: str) -> bool:
         """Whether the first hits of a layout teach its scatter."""
@@ -418,6 +448,8 @@ class Follower:
                     errors[hit.name] = size, math.sqrt(float(np.mean(np.square(evidence.residual)))), weight < 1.0
             if taken:
                 hypothesis.posterior.add(taken)
+            if len(hypothesis.posterior.window) == WINDOW:
+                hypothesis.origin = None
         resolved = self._weigh()
         statistic, change = self._tested(fresh)
         spent = 1e3 * (time.perf_counter() - begun) / len(fresh)
@@ -460,6 +492,11 @@ class Follower:
             return 0.0, None
         test = self._test(best)
         statistic, ratios, starts = test.statistics(best.posterior)
+        if statistic >= test.threshold and best.origin is not None:  # or is it its linearisation?
+            refined = self._refined(best)
+            self.hypotheses[self.hypotheses.index(best)] = best = refined
+            test = self._test(best)
+            statistic, ratios, starts = test.statistics(best.posterior)
         if statistic >= test.threshold and (found := test.change(best.posterior, ratios, starts)):
             change = self._changed(best, test, found[:MOST], statistic, instant[-1])
             return statistic, change
@@ -485,8 +522,8 @@ class Follower:
         causes = []
         old = self._values(before)
         for one, share, hypothesis in zip(found, shares, hypotheses, strict=True):
-            numbers = [test.active[place] for place in test.effects[one.effect]]
-            parameters = self._followed(hypothesis, numbers, old)
+            part = test.candidate.part(one.effect)
+            parameters = self._followed(hypothesis, range(part.start, part.stop), old)
             start = window[one.start][0].hit
             causes.append(
                 Cause(
@@ -515,35 +552,56 @@ class Follower:
     def _about(self, before: Hypothesis, one: Explanation) -> Hypothesis:
         """An explanation, linearised about its estimate."""
         assert self.candidate is not None
-        own = self.candidate
-        part = own.part(one.effect)
-        numbers = [n for n in range(part.start, part.stop) if n in self.active]
-        past = _copy(before.posterior)
-        hits = past.window[one.start :]
-        past.believe_before(one.start)
-        old = self._values(before)[numbers]
-        followed = tuple(dict.fromkeys((*before.posterior.followed, *numbers)))
+        part = self.candidate.part(one.effect)
+        numbers = list(range(part.start, part.stop))
+        seen = [n for n in numbers if n in self.active]
         point = before.point.copy()
-        lower, upper = own.lower[numbers], own.upper[numbers]
-        point[numbers] = np.clip(old + own.scale[numbers] * one.change, lower, upper)
-        posterior = past
-        for _ in range(STEPS):
-            shift = (old - point[numbers]) / own.scale[numbers]
-            posterior = past.refollowed(followed, numbers, shift)
+        old = self._values(before)[numbers]
+        point[numbers] = old
+        point[seen] += self.candidate.scale[seen] * one.change
+        past = _copy(before.posterior)
+        hits = [[e.hit for e in instant] for instant in past.window[one.start :]]
+        past.believe_before(one.start)
+        past.forget_window()
+        if len(seen) < len(numbers):  # what changed shows shapes that nothing depended on before
+            self._look_at(sorted({*self.active, *numbers}))
+        return self._fitted(Origin(past, tuple(numbers), old), hits, point, one.effect)
+
+    def _fitted(self, origin: Origin, hits: Sequence[Sequence[Hit]], point: Array, effect: str) -> Hypothesis:
+        """Gauss-Newton on the hits since a change, with the parameters of its effect free."""
+        assert self.candidate is not None
+        own, numbers = self.candidate, list(origin.numbers)
+        scale, lower, upper = own.scale[numbers], own.lower[numbers], own.upper[numbers]
+        followed = tuple(dict.fromkeys((*origin.past.followed, *numbers)))
+        point = point.copy()
+        point[numbers] = np.clip(point[numbers], lower, upper)
+        for step in range(STEPS):
+            posterior = origin.past.refollowed(followed, numbers, (origin.old - point[numbers]) / scale)
             for instant in hits:
-                evidence = [e for hit in instant if (e := self._evidence(hit.hit, point)) is not None]
-                weighed = []
-                for e in evidence:
-                    innovation, covariance = posterior.innovation(e)
-                    weighed.append(replace(e, weight=weight_of(innovation, covariance, self.calibration.of_hits)[0]))
+                evidence = [e for hit in instant if (e := self._evidence(hit, point)) is not None]
+                posterior.make_room((e.hit.group, e.patterns.shape[1]) for e in evidence)
+                weighed = [replace(e, weight=self._weight(posterior, e)) for e in evidence]
                 if weighed:
                     posterior.add(weighed)
             place = [posterior.followed.index(n) for n in numbers]
-            there = np.clip(point[numbers] + own.scale[numbers] * posterior.mean[place], lower, upper)
-            if np.all(np.abs(there - point[numbers]) < 0.1 * own.scale[numbers]):
+            there = np.clip(point[numbers] + scale * posterior.mean[place], lower, upper)
+            if step == STEPS - 1 or np.all(np.abs(there - point[numbers]) < NEAR * scale):
                 break
             point[numbers] = there
-        return Hypothesis(point, posterior, effect=one.effect)
+        return Hypothesis(point, posterior, effect=effect, origin=origin)
+
+    def _weight(self, posterior: Posterior, evidence: Evidence) -> float:
+        """Weight of a hit."""
+        return weight_of(*posterior.innovation(evidence), self.calibration.of_hits)[0]
+
+    def _refined(self, hypothesis: Hypothesis) -> Hypothesis:
+        """The hypothesis, linearised about what the hits since its change say by now."""
+        if hypothesis.origin is None:
+            return hypothesis
+        hits = [[e.hit for e in instant] for instant in hypothesis.posterior.window]
+        found = self._fitted(hypothesis.origin, hits, self._values(hypothesis), hypothesis.effect)
+        found.log_weight = hypothesis.log_weight
+        return found
 
     def _values(self, hypothesis: Hypothesis) -> Array:
         """Believed values of all parameters, ``(p,)``."""
@@ -678,6 +736,17 @@ def _same(model: Model, item: ModelEffect) -> bool:
     return model.effect_of(item).parameters == model.known_effects[item.name].parameters
 
 
+def _ends(posterior: Posterior) -> dict[str, tuple[int, int]]:
+    """Columns of the groups of a posterior, for the state."""
+    return {group: (part.start, part.stop) for group, part in posterior.groups.items()}
+
+
+def _posterior(document: Mapping[str, Any], information: Array, vector: Array) -> Posterior:
+    """A posterior of the state, with an empty window."""
+    groups = {group: slice(*ends) for group, ends in document["groups"].items()}
+    return Posterior(tuple(document["followed"]), information, vector, groups)
+
+
 def _copy(posterior: Posterior) -> Posterior:
     """A copy that can be changed."""
     return replace(
@@ -692,13 +761,17 @@ def _copy(posterior: Posterior) -> Posterior:
 
 
 def _when(hit: Hit) -> str:
-    """When a hit was, for the reader."""
-    return time.strftime("%Y-%m-%d %H:%M:%S", time.localtime(hit.stamp)) if hit.timed else hit.name
+    """When a hit was, for the reader: the wall clock, or its name."""
+    if not hit.timed or hit.stamp < WALL_CLOCK:
+        return hit.name
+    return f"{time.strftime('%Y-%m-%d %H:%M:%S', time.localtime(hit.stamp))} ({hit.name})"
 
 
 def _in_words(effect: str, parameters: Sequence[Followed]) -> str:
     """A change of an effect's parameters in words: those that moved for certain, else the one that moved most."""
     sure = [p for p in parameters if not p.ci95[0] <= p.estimate - p.change <= p.ci95[1]]
+    more = f" and {len(sure) - MOST_NAMED} more" if len(sure) > MOST_NAMED else ""
+    sure = sorted(sure, key=lambda p: -abs(p.change) / max(p.ci95[1] - p.ci95[0], 1e-300))[:MOST_NAMED]
     shown = sure or sorted(parameters, key=lambda p: -abs(p.change) / max(p.ci95[1] - p.ci95[0], 1e-300))[:1]
     texts = []
     for one in shown:
@@ -707,4 +780,4 @@ def _in_words(effect: str, parameters: Sequence[Followed]) -> str:
         sign = "" if value.startswith("-") else "+"
         unit = "" if one.unit == "-" else f" {one.unit}"
         texts.append(f"{one.parameter.partition('.')[2]} {sign}{value}{unit} [{low}, {high}]")
-    return f"{effect}: {', '.join(texts)}"
+    return f"{effect}: {', '.join(texts)}{more}"

@@ -183,6 +183,13 @@ class Posterior:
         """Believe the instants of the window before one of them."""
         for _ in range(start):
             self._believe()
+        self._total = None
+
+    def forget_window(self) -> None:
+        """Leave the instants of the window out."""
+        self.window.clear()
+        self._sums.clear()
+        self._total = None
 
     def _sums_of(self, one: Evidence) -> _Sums:
         columns, observed = self.observation(one)
