@@ -24,6 +24,7 @@ COMMANDS: dict[str, Command] = {  # in the order of the help
         explaining.IMPACTS,
         explaining.COMPARE,
         explaining.DIAGNOSE,
+        explaining.FOLLOW,
         explaining.DISCOVER,
         explaining.ADD,
         explaining.HISTORY,
