@@ -12,7 +12,7 @@ from impact_rs_analysis.design.discrimination import Discrimination
 from impact_rs_analysis.design.hypotheses import Decision, which_effect
 from impact_rs_analysis.design.possible_trials import NO_ENVELOPE, Envelope, PossibleTrial, possible_trials
 from impact_rs_analysis.design.rehearsal import Rehearsal, Rehearsed, rehearse
-from impact_rs_analysis.design.selection import Counts, chosen
+from impact_rs_analysis.design.selection import Counts, chosen, missing_conditions
 from impact_rs_analysis.evidence.measured_runs import Runs
 from impact_rs_analysis.evidence.replay_cache import Progress, ReplayCache
 from impact_rs_sim.effects.base import SINGLE_IMPACT, Joints
@@ -60,6 +60,7 @@ def design(
     Raises:
         InputError: No such scenario, too small a budget, no trial within the limits, or nothing to decide.
     """
+    missing_conditions(budget, 0 if runs is None else len(runs.conditions))  # refused before minutes of simulation
     trials = possible_trials(scenarios, envelope)
     rehearsal = rehearse(model, trials, ReplayCache(map_tasks, progress), envelope, runs, seed)
     decision = decision_of(rehearsal, decide)

@@ -36,13 +36,7 @@ def chosen(method: Method, counts: Discrimination, trials: Sequence[Rehearsed], 
     Raises:
         InputError: The budget is too small for a diagnosis, or too few conditions can be planned.
     """
-    missing = max(CONDITIONS - len(counts.measured), 0)
-    if budget < max(REPEATS * missing, 1):
-        raise InputError(
-            f"{budget} trial(s) are too few: a diagnosis needs {CONDITIONS} conditions with {REPEATS} trials each, "
-            f"{missing} of them to come; expected at least {max(REPEATS * missing, 1)}, or --runs with earlier trials",
-            key="--budget",
-        )
+    missing = missing_conditions(budget, len(counts.measured))
     if len(trials) < max(missing, 1):
         raise InputError(
             f"{len(trials)} condition(s) can be planned within the limits, at least {max(missing, 1)} are needed; name "
@@ -54,6 +48,27 @@ def chosen(method: Method, counts: Discrimination, trials: Sequence[Rehearsed], 
     if method == "fixed":
         return _fixed(by_name, counts.measured, budget)
     return _greedy(by_name, counts, budget, missing)
+
+
+def missing_conditions(budget: int, measured: int) -> int:
+    """Number of new conditions that a plan must have.
+
+    Args:
+        budget: Largest number of trials.
+        measured: Number of conditions measured so far.
+
+    Raises:
+        InputError: The budget is too small for them.
+    """
+    missing = max(CONDITIONS - measured, 0)
+    least = max(REPEATS * missing, 1)
+    if budget < least:
+        raise InputError(
+            f"{budget} trial(s) are too few: a diagnosis needs {CONDITIONS} conditions with {REPEATS} trials each, "
+            f"{missing} of them to come; expected at least {least}, or --runs with earlier trials",
+            key="--budget",
+        )
+    return missing
 
 
 def _greedy(trials: Sequence[Rehearsed], counts: Discrimination, budget: int, missing: int) -> Counts:
