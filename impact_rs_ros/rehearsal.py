@@ -362,6 +362,8 @@ def rehearse(
         say: Called with a line about what is rehearsed now.
     """
     found = Checklist(profile.name)
+    for name, arm in plan.arms.items():
+        found.log.append(f"{name} starts at [{', '.join(f'{value:.4f}' for value in arm.initial)}]")
     say("arming and trial")
     _rehearse_trial(plan, profile, reflexes, seed, found)
     if not found.failure:

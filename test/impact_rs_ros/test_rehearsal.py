@@ -38,7 +38,9 @@ def passed() -> Checklist:
 
 def test_a_careful_push_arms_runs_and_passes_every_line(passed: Checklist) -> None:
     assert passed.passed, passed.to_json()
-    assert passed.log[0].startswith("armed: jitter 0.000 ms, oldest state 0.200 ms")
+    start = ", ".join(f"{value:.4f}" for value in PLAN.arms["arm"].initial)
+    assert passed.log[0] == f"arm starts at [{start}]"
+    assert passed.log[1].startswith("armed: jitter 0.000 ms, oldest state 0.200 ms")
     assert any(line.startswith("trial over: OK") for line in passed.log)
     assert passed.unknown == []
     assert margin_of(passed, "age of a state").value == pytest.approx(FRANKA.state_latency, rel=1e-6)
