@@ -22,7 +22,7 @@ from impact_rs_analysis.measure.design_study import (
     MEASURES,
     PADS,
     ROBOTS,
-    Question,
+    DesignQuestion,
     problems_of,
     stances_of,
     values_by,
@@ -39,7 +39,7 @@ def main() -> None:
     parser.add_argument("--poses", type=int, default=100, help="poses per robot")
     parser.add_argument("--pads", nargs="+", default=list(PADS), choices=PADS, help="pads")
     options = parser.parse_args()
-    question = Question(load_scenario("push"), "cat_food", pads=tuple(options.pads))
+    question = DesignQuestion(load_scenario("push"), "cat_food", pads=tuple(options.pads))
     found: dict[str, list[tuple[str, list[float]]]] = defaultdict(list)
     start, failed = time.perf_counter(), 0
     for robot in ROBOTS:

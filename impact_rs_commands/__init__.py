@@ -28,6 +28,7 @@ COMMANDS: dict[str, Command] = {  # in the order of the help
         explaining.DISCOVER,
         explaining.ADD,
         explaining.HISTORY,
+        explaining.EVIDENCE,
         predicting.EFFECTS,
         measuring.BLIND,
         measuring.FRICTION,

@@ -526,6 +526,64 @@ impact-rs export --mjcf push.xml --drake push.sdf --model push_1.yaml --scenario
     ),
 )  # fmt: skip
 
+EVIDENCE = Command(
+    name="evidence",
+    summary="exchange what was found with other laboratories",
+    about="""\
+Pack what was found for other laboratories, check a package, or merge packages of several laboratories.
+
+pack writes one JSON file: the model, its diagnosis, the SHA-256 of every file of the measurements, versions, and who
+measured which robot and object. check tests that nothing was changed, and with --data that the measurements are those.
+merge pools every parameter by a random-effects meta-analysis, names laboratories that do not agree with the others, and
+says whether a parameter is shared or differs by robot, object or laboratory.""",
+    examples="""\
+impact-rs evidence pack diagnosis.json --data runs --laboratory north --robot franka_fer --object cat_food -o north.json
+impact-rs evidence check north.json --data runs
+impact-rs evidence merge north.json south.json west.json -o merged.json""",
+    output="pack: a file. check: what holds; exit code 1 if a check fails. merge: a table, and a file of everything.",
+    units="those of the parameters.",
+    actions=(
+        Command(
+            name="evidence pack",
+            summary="one file with model, diagnosis and digests of the measurements",
+            function="pack",
+            options=(
+                argument("diagnosis", "what diagnose has written", kind="diagnosis", metavar="FILE.json"),
+                MODEL._replace(help="model that was diagnosed"),
+                option(
+                    "--data", kind="folder", required=True, metavar="PATH", help="folder or file that was diagnosed"
+                ),
+                option("--laboratory", required=True, metavar="NAME", help="who measured"),
+                option("--robot", required=True, metavar="NAME", help="which robot; others with the same compare"),
+                option("--object", required=True, metavar="NAME", help="which object; none in free motion"),
+                option("--note", default="", metavar="TEXT", help="remarks for others", otherwise="none"),
+                output("new_file", "file of the package", "FILE.json", required=True),
+                JSON,
+            ),
+        ),
+        Command(
+            name="evidence check",
+            summary="whether a package, and its measurements, are as packed",
+            function="check",
+            options=(
+                argument("package", "package of evidence", kind="file", metavar="FILE.json"),
+                option("--data", kind="folder", metavar="PATH", help="folder or file of the measurements"),
+                JSON,
+            ),
+        ),
+        Command(
+            name="evidence merge",
+            summary="what several packages say together",
+            function="merge",
+            options=(
+                argument("packages", "packages of evidence", kind="file", many=True, metavar="FILE.json"),
+                output("new_file", "file of the result", "FILE.json"),
+                JSON,
+            ),
+        ),
+    ),
+)  # fmt: skip
+
 WORKBENCH = Command(
     name="workbench",
     summary="run the loop on a page in the browser",

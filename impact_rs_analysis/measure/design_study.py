@@ -127,7 +127,7 @@ class Design:
 
 
 @dataclass(frozen=True)
-class Question:
+class DesignQuestion:
     """What is asked of every design.
 
     Attributes:
@@ -175,7 +175,7 @@ class DesignStudy:
         places: Random places that were tried, by robot.
     """
 
-    question: Question
+    question: DesignQuestion
     designs: tuple[Design, ...]
     failed: Mapping[str, str]
     places: Mapping[str, int]
@@ -196,7 +196,7 @@ class DesignStudy:
 
 
 def study_designs(
-    question: Question,
+    question: DesignQuestion,
     robots: Sequence[str] = ROBOTS,
     poses: int = 100,
     map_tasks: Map = map,
@@ -231,7 +231,7 @@ def study_designs(
     return DesignStudy(question, tuple(designs), failed, places)
 
 
-def stances_of(robot: str, question: Question, poses: int) -> tuple[list[Stance], int]:
+def stances_of(robot: str, question: DesignQuestion, poses: int) -> tuple[list[Stance], int]:
     """Random poses in which a robot reaches the speed, and the number of places that were tried.
 
     Raises:
@@ -255,7 +255,7 @@ def stances_of(robot: str, question: Question, poses: int) -> tuple[list[Stance]
     )
 
 
-def ask(task: tuple[Question, Stance]) -> tuple[list[Design], dict[str, str]]:
+def ask(task: tuple[DesignQuestion, Stance]) -> tuple[list[Design], dict[str, str]]:
     """All designs of one robot in one pose, and why some have no answer."""
     question, stance = task
     designs, failed = [], {}
@@ -271,7 +271,7 @@ def ask(task: tuple[Question, Stance]) -> tuple[list[Design], dict[str, str]]:
     return designs, failed
 
 
-def problems_of(question: Question, stance: Stance) -> Iterator[tuple[str, str, ImpactProblem]]:
+def problems_of(question: DesignQuestion, stance: Stance) -> Iterator[tuple[str, str, ImpactProblem]]:
     """Motor inertia, pad and impact problem of every design of one robot in one pose."""
     facts = load_facts(stance.robot)
     template = Physics.nominal(question.scenario, question.object_name)
@@ -346,7 +346,7 @@ def values_by(engine_name: str, problem: ImpactProblem) -> dict[str, float]:
         engine.close()
 
 
-def _measured(problem: ImpactProblem, question: Question) -> dict[str, Estimate]:
+def _measured(problem: ImpactProblem, question: DesignQuestion) -> dict[str, Estimate]:
     """The measures of a problem with their intervals."""
     models = problem.physics.robot_models()
     nominal = values_by(DEFAULT_ENGINE, problem)
@@ -412,7 +412,7 @@ def _velocity(model: RobotModel, q: Array, speed: float) -> Array:
     return np.asarray(np.linalg.pinv(model.jacobian(q)) @ np.append(speed * NORMAL, np.zeros(3)))
 
 
-def _effector(question: Question, pad: str) -> EndEffector:
+def _effector(question: DesignQuestion, pad: str) -> EndEffector:
     """The end effector of the scenario's first arm with another pad."""
     robot = next(iter(question.scenario.robots.values()))
     return replace(robot.end_effector.build(), pad_size=PADS[pad].size)

@@ -7,7 +7,7 @@ import argparse
 
 from rich.table import Table
 
-from impact_rs_analysis.measure.design_study import LEVEL, MEASURES, DesignStudy, Question, study_designs
+from impact_rs_analysis.measure.design_study import LEVEL, MEASURES, DesignQuestion, DesignStudy, study_designs
 from impact_rs_analysis.report.design_page import write_design_study
 from impact_rs_cli.arguments import started
 from impact_rs_cli.terminal import Terminal, output_folder
@@ -19,7 +19,7 @@ SHOWN = 8  # designs of the table; all are in the file
 def run(args: argparse.Namespace, terminal: Terminal) -> int:
     """Run the command."""
     scenario = load_scenario(args.scenario)
-    question = Question(
+    question = DesignQuestion(
         scenario,
         args.object or next(iter(scenario.objects)),
         args.speed,

@@ -14,9 +14,9 @@ import pytest
 from impact_rs_analysis.measure.design_study import (
     MEASURES,
     Design,
+    DesignQuestion,
     DesignStudy,
     Estimate,
-    Question,
     problems_of,
     stances_of,
     study_designs,
@@ -26,7 +26,7 @@ from impact_rs_analysis.report.design_page import design_table, write_design_stu
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.scenario import load_scenario
 
-QUESTION = Question(load_scenario("push"), "cat_food", pads=("narrow", "bouncy"), draws=8)
+QUESTION = DesignQuestion(load_scenario("push"), "cat_food", pads=("narrow", "bouncy"), draws=8)
 
 
 @pytest.fixture(scope="module")
