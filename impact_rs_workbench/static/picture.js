@@ -30,13 +30,20 @@ export class Impact {
     Object.assign(this, {node, scene, key: null, newest: null, drawing: false});
   }
 
+  // Ask for a scene before its answer is there.
+  ahead(scenario, object) {
+    this.coming = {key: JSON.stringify([scenario, object]), scene: this.scene(scenario, object)};
+    this.coming.scene.catch(() => {}); // said where it is drawn
+  }
+
   async draw(scenario, object, moment) {
     const key = JSON.stringify([scenario, object]);
     this.newest = moment;
     if (this.key === key) { this.soon(); return; }
     this.key = key;
     this.ready = false;
-    const [found] = await Promise.all([this.scene(scenario, object), threeD()]);
+    if (this.coming?.key !== key) this.ahead(scenario, object);
+    const [found] = await Promise.all([this.coming.scene, threeD()]);
     if (this.key !== key) return; // another one was asked for meanwhile
     if (!this.picture) {
       this.node.replaceChildren(place());

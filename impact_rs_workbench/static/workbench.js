@@ -336,6 +336,7 @@ const predict = {
 
   objectChosen() {
     this.values = {};
+    this.impact.ahead(this.scenario.value, this.object.value);
     const all = this.found.sliders[this.object.value];
     this.over = all[0].key;
     const made = (slider) => {
@@ -1094,10 +1095,18 @@ const laboratory = {
     this.wanted = null;
     fill(this.scenario, plain(state.workspace.scenarios), this.scenario.value || 'push');
     if (this.folder.value && this.folder.value !== this.looked) this.look();
+    else if (this.offered === this.looked && !this.found.table) this.addRows(found.find((lab) => lab.path === this.looked));
+  },
+
+  // Recordings that have come since; what is filled in stays.
+  addRows(lab) {
+    const there = new Set([...this.rows.children].map((row) => row.dataset.recording));
+    for (const name of lab?.recordings ?? []) if (!there.has(name)) this.rows.append(this.row(name, this.objects));
   },
 
   async look() {
     const folder = this.looked = this.folder.value;
+    this.offered = null;
     this.lab = state.workspace.laboratories.find((lab) => lab.path === folder);
     this.message.show();
     this.body.replaceChildren(reading(folder));
@@ -1107,7 +1116,7 @@ const laboratory = {
       const [found, {objects}] = await Promise.all([ask(`/api/laboratory?${query({path: folder, scenario: name})}`),
         ask(`/api/scenario?${query({name})}`)]);
       if (this.looked !== folder || this.scenario.value !== name) return; // another one was chosen meanwhile
-      this.found = found;
+      Object.assign(this, {found, objects, offered: folder});
       this.arms = Object.entries(found.arms).map(([arm, given]) => this.arm(arm, given));
       this.pose = this.signal(OBJECT_POSE, this.arms[0], found.object_pose);
       this.world = h('input', {type: 'checkbox', id: 'lab-world'});
