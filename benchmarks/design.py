@@ -2,9 +2,8 @@
 """Designed campaigns against fixed and random ones: ``./run python -m benchmarks.design -o DIR``.
 
 Every blind campaign of the matrix is measured in three ways with the same hidden effect: the fixed campaign of
-``blind make`` (18 trials), and half as many trials by design and at random. Each is diagnosed and scored. Where the
-fixed campaign ends in a tie, ``TIE_BUDGET`` further trials are proposed by design and at random, and all trials
-together are diagnosed again.
+``blind make`` (18 trials), and half as many trials by design and at random. Each is diagnosed and scored. Where one
+ends in a tie, ``TIE_BUDGET`` further trials are proposed by design and at random, and all are diagnosed again.
 """
 
 from __future__ import annotations
@@ -118,33 +117,51 @@ def run(planner: Planner, entry: Entry, directory: Path, map_tasks: Map) -> Row:
         pass
     began = time.perf_counter()
     fixed = diagnosed(directory / "fixed.json", partial(read_runs, directory / RUNS, map_tasks), map_tasks)
-    row: dict[str, Any] = {"name": entry.name, "kind": entry.kind, "fixed": judged(directory, fixed)}
+    found = {"fixed": (directory / RUNS, fixed)}
     for method in METHODS:
         plan = planner.first(directory / f"{method}.yaml", method, 1000 + entry.seed)
         record(plan, directory / method, directory, map_tasks)
-        found = diagnosed(directory / f"{method}.json", partial(read_runs, directory / method, map_tasks), map_tasks)
-        row[method] = judged(directory, found)
-    row["ties"] = {}
-    decide = left_open(fixed, load_model("nominal"))
-    if fixed.confusable and decide is not None:
-        before = read_runs(directory / RUNS, map_tasks)
-        for method in METHODS:
-            plan = planner.next(directory / f"tie_{method}.yaml", method, 2000 + entry.seed, before, decide)
-            record(plan, directory / f"tie_{method}", directory, map_tasks)
-            found = diagnosed(
-                directory / f"tie_{method}.json",
-                partial(together, before, directory / f"tie_{method}", map_tasks),
-                map_tasks,
-            )
-            row["ties"][method] = judged(directory, found) | {
-                "split": not set(map(frozenset, found.confusable)) & set(map(frozenset, fixed.confusable))
-                and not found.confusable,
-                "said": min((pair.after for pair in plan.pairs), default=1.0),
-            }
+        read = partial(read_runs, directory / method, map_tasks)
+        found[method] = directory / method, diagnosed(directory / f"{method}.json", read, map_tasks)
+    row: dict[str, Any] = {way: judged(directory, document) for way, (_, document) in found.items()}
+    row["ties"] = [
+        split(planner, directory, way, method, entry.seed, before, document, map_tasks)
+        for way, (before, document) in found.items()
+        if document.confusable
+        for method in METHODS
+    ]
+    verdicts = ", ".join(f"{way} {document.verdict}" for way, (_, document) in found.items())
     return row | {
+        "name": entry.name,
+        "kind": entry.kind,
         "correct": row["design"]["correct"],
-        "verdict": f"fixed {fixed.verdict}, design {row['design']['verdict']}, random {row['random']['verdict']}",
+        "verdict": verdicts,
         "seconds": time.perf_counter() - began,
+    }
+
+
+def split(
+    planner: Planner,
+    directory: Path,
+    way: str,
+    method: Method,
+    seed: int,
+    runs: Path,
+    tied: DiagnosisDocument,
+    map_tasks: Map,
+) -> dict[str, Any]:
+    """Whether the first proposal after a tie splits it."""
+    decide = left_open(tied, load_model("nominal"))
+    assert decide is not None
+    name, before = f"{way}_tie_{method}", read_runs(runs, map_tasks)
+    plan = planner.next(directory / f"{name}.yaml", method, 2000 + seed, before, decide)
+    record(plan, directory / name, directory, map_tasks)
+    after = diagnosed(directory / f"{name}.json", partial(together, before, directory / name, map_tasks), map_tasks)
+    return judged(directory, after) | {
+        "way": way,
+        "method": method,
+        "split": not after.confusable,
+        "said": min((pair.after for pair in plan.pairs), default=1.0),
     }
 
 
@@ -168,10 +185,10 @@ def scoreboard(rows: Sequence[Row]) -> str:
         lines.append(f"{way}: same effects named as by the fixed campaign {share(same)}; no worse {share(no_worse)}")
     worse = [row["name"] for row in rows if row["random"]["correct"] and not row["design"]["correct"]]
     lines.append(f"random right and design wrong: {', '.join(worse) or 'none'}")
-    for way in METHODS:
-        tied = [row["ties"][way] for row in rows if row["ties"]]
+    for method in METHODS:
+        tied = [one for row in rows for one in row["ties"] if one["method"] == method]
         lines.append(
-            f"ties, {TIE_BUDGET} further trials, {way}: split {share([one['split'] for one in tied])}, "
+            f"ties, {TIE_BUDGET} further trials, {method}: split {share([one['split'] for one in tied])}, "
             f"right {share([one['correct'] for one in tied])}"
         )
     return "\n".join(lines)
@@ -184,6 +201,8 @@ def main() -> None:
     options = parser.parse_args()
     entries = matrix(options.seeds, 0, NULLS)
     order = np.random.default_rng(0).permutation(len(entries))  # those that are done in time are a sample
+    there = [(options.output / entry.name / "fixed.json").exists() for entry in entries]
+    order = sorted(order, key=lambda number: not there[number])  # fixed campaigns that exist are used first
     planners: dict[int, Planner] = {}
 
     def one(entry: Entry, directory: Path, map_tasks: Map) -> Row:

@@ -409,6 +409,48 @@ accelerations of the end effector [m/s^2, rad/s^2] and of joint 1 [rad/s^2], ove
     ),
 )  # fmt: skip
 
+REHEARSE = Command(
+    name="rehearse",
+    summary="the cell against a stand-in of your robot's driver",
+    about="""\
+Rehearse a trial of a real robot: the cell arms, leads and leaves a simulated robot behind a stand-in of its driver.
+
+Arming, cell, controller, brake and watchdog are those that a robot meets; the driver has the joint names, rate,
+gravity convention, latencies and torque rate of its profile, and time is simulated. The checklist holds joint torques,
+torque rates, joint velocities, external torques and forces (against the thresholds of the robot's reflexes), the
+distance to joint limits, and the time to stop when the cell dies just before the hit, each with its margin.
+
+The middleware, ros2_control and a machine that keeps time are not rehearsed. Exit code 1: not armed, ended early, or a
+margin is negative.""",
+    examples="""\
+impact-rs rehearse push_fr3
+impact-rs rehearse push_fr3 juice 2 --reflex-torque 80 --reflex-force 250
+impact-rs rehearse my_push.yaml --driver ros2_control --json""",
+    output="what the cell would log, and the checklist.",
+    units="s, rad, rad/s, N m, N m/s, N; prismatic joints in m, m/s, N and N/s.",
+    options=(
+        SCENARIO,
+        optional(OBJECT)._replace(otherwise="the first of the scenario"),
+        optional(CASE)._replace(otherwise="the first of the scenario"),
+        option(
+            "--driver", choices=("franka_ros2", "ur_robot_driver", "lbr_fri_ros2_stack", "ros2_control"),
+            help="profile of the driver", otherwise="that of the scenario's robot",
+        ),
+        option(
+            "--reflex-torque", kind="number", least=0.0, metavar="NM", unit="N m",
+            help="external torque at which a joint stops the robot", otherwise="those of the robot facts",
+        ),
+        option(
+            "--reflex-force", kind="number", least=0.0, metavar="N", unit="N",
+            help="external force at the end effector at which the robot stops itself",
+            otherwise="that of the robot facts",
+        ),
+        SETTINGS,
+        SEED,
+        JSON,
+    ),
+)  # fmt: skip
+
 UP = Command(
     name="up",
     summary="start the ROS 2 nodes",

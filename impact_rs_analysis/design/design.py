@@ -12,7 +12,7 @@ from impact_rs_analysis.design.discrimination import Discrimination
 from impact_rs_analysis.design.hypotheses import Decision, which_effect
 from impact_rs_analysis.design.possible_trials import NO_ENVELOPE, Envelope, PossibleTrial, possible_trials
 from impact_rs_analysis.design.rehearsal import Rehearsal, Rehearsed, rehearse
-from impact_rs_analysis.design.selection import Counts, chosen
+from impact_rs_analysis.design.selection import Counts, chosen, missing_conditions
 from impact_rs_analysis.evidence.measured_runs import Runs
 from impact_rs_analysis.evidence.replay_cache import Progress, ReplayCache
 from impact_rs_sim.effects.base import SINGLE_IMPACT, Joints
@@ -60,6 +60,7 @@ def design(
     Raises:
         InputError: No such scenario, too small a budget, no trial within the limits, or nothing to decide.
     """
+    missing_conditions(budget, 0 if runs is None else len(runs.conditions))  # refused before minutes of simulation
     trials = possible_trials(scenarios, envelope)
     rehearsal = rehearse(model, trials, ReplayCache(map_tasks, progress), envelope, runs, seed)
     decision = decision_of(rehearsal, decide)
@@ -89,7 +90,7 @@ def planned(
     can_run = [trial for trial in trials if trial.trial is not None]
     counts = Discrimination(decision, trials)
     picked = chosen(method, counts, can_run, budget, seed)
-    before = counts.total(counts.measured)
+    before = counts.total(counts.counted)
     after = counts.total(counts.with_more(picked))
     pairs = _pairs(decision, counts.probabilities(before), counts.probabilities(after))
     words = {name: _buys(counts, decision, after, picked, name) for name in picked}
@@ -157,7 +158,7 @@ def _campaigns(trials: dict[str, Rehearsed], picked: Counts, words: dict[str, st
 
 def _buys(counts: Discrimination, decision: Decision, total: Array, picked: Counts, name: str) -> str:
     """What the trials of one condition add to all others of the plan."""
-    there, repeats = counts.measured.get(name, 0), picked[name]
+    there, repeats = counts.counted.get(name, 0), picked[name]
     without = counts.added(total, name, there + repeats, there)
     trial = counts.trial(name)
     times = f"{repeats} x {name if trial is None else trial.what}"

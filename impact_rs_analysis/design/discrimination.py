@@ -81,9 +81,14 @@ class Discrimination:
         """How a condition is run; None: it cannot be planned."""
         return self._trials[name].trial
 
+    @cached_property
+    def counted(self) -> dict[str, int]:
+        """Repeats before the plan whose information is not yet in estimates; all where there are none."""
+        return self.measured if self.decision.aim == "effects" else {}
+
     def with_more(self, picked: Mapping[str, int]) -> dict[str, int]:
-        """Repeats by condition with further ones."""
-        return {name: self.measured.get(name, 0) + picked.get(name, 0) for name in {**self.measured, **picked}}
+        """Counted repeats by condition with further ones."""
+        return {name: self.counted.get(name, 0) + picked.get(name, 0) for name in {**self.counted, **picked}}
 
     def total(self, counts: Mapping[str, int]) -> Array:
         """Inner products summed over conditions with so many repeats."""

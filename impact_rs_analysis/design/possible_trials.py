@@ -117,7 +117,8 @@ def _of_variant(
     for name, case in own.items():
         for item in scenario.objects:
             hit = "there and back" if scenario.excursion is not None else f"{scenario.name} of {item}"
-            words = f"{hit} at {_speed(case):.2g} m/s ({name}){aside}"
+            pose = name if name in scenario.cases else f"pose of {name.removesuffix(_suffix(_speed(case)))}"
+            words = f"{hit} at {_speed(case):.2g} m/s{aside} ({pose})"
             own_case = None if name in scenario.cases else case
             yield PossibleTrial(path, settings, own_case, TrialSpec.of(varied, item, name), words)
 
@@ -145,7 +146,10 @@ def _variants(scenario: Scenario) -> Iterator[tuple[dict[str, Any], str]]:
     side = _beside(scenario)
     if side is not None:
         place, distance = side
-        yield {"name": f"{scenario.name}_beside", "object_position": place}, f", {1e3 * distance:.0f} mm beside"
+        yield (
+            {"name": f"{scenario.name}_beside", "object_position": place},
+            f", {1e3 * distance:.0f} mm beside the centre",
+        )
 
 
 def _beside(scenario: Scenario) -> tuple[list[float], float] | None:
@@ -185,10 +189,15 @@ def _cases(scenario: Scenario, fastest: float) -> dict[str, Case]:
             if round(speed, 4) not in has:
                 other = _at_speed(case, speed / _speed(case))
                 if _in_time(scenario, other):
-                    found[f"{name}_{1e3 * speed:.0f}mm_s"] = other.model_copy(
+                    found[f"{name}{_suffix(speed)}"] = other.model_copy(
                         update={"label": f"{case.label} at {speed:.2g} m/s"}
                     )
     return found
+
+
+def _suffix(speed: float) -> str:
+    """End of the name of a case at another speed [m/s]."""
+    return f"_{1e3 * speed:.0f}mm_s"
 
 
 def _in_time(scenario: Scenario, case: Case) -> bool:

@@ -28,6 +28,7 @@ from impact_rs_sim.errors import InputError
 from impact_rs_sim.model import Model
 from impact_rs_sim.robot import Array
 from impact_rs_sim.seeds import seed_of
+from impact_rs_trials.runs import label_of
 from impact_rs_trials.spec import TrialSpec
 
 NOISY_TRIALS, NOISY_REPEATS = 3, 3  # per family of trials: six degrees of freedom of the scatter
@@ -150,7 +151,11 @@ def rehearse(
         run
         for run in store.spread(
             _simulated,
-            [_Task(spec, model, NO_ENVELOPE, seed_of(seed, str(n))) for spec in noisy for n in range(NOISY_REPEATS)],
+            [
+                _Task(spec, model, NO_ENVELOPE, seed_of(seed, f"{label_of(spec)} {repeat}"))
+                for spec in noisy
+                for repeat in range(NOISY_REPEATS)
+            ],
             "scatter on the twin",
         )
         if isinstance(run, MeasuredRun)
@@ -185,7 +190,7 @@ class _Task:
 
 def _simulated(task: _Task) -> MeasuredRun | tuple[str, str]:
     """The trial as if measured; its name and why it is no proposal, where it is none."""
-    name = f"{task.spec.scenario.name}/{task.spec.object}/{task.spec.case}"
+    name = label_of(task.spec)
     try:
         physics = with_effects(task.model, task.spec.scene.physics, ())
         run, verdict = rehearsed(task.spec, physics, seed=task.seed)

@@ -36,13 +36,7 @@ def chosen(method: Method, counts: Discrimination, trials: Sequence[Rehearsed], 
     Raises:
         InputError: The budget is too small for a diagnosis, or too few conditions can be planned.
     """
-    missing = max(CONDITIONS - len(counts.measured), 0)
-    if budget < max(REPEATS * missing, 1):
-        raise InputError(
-            f"{budget} trial(s) are too few: a diagnosis needs {CONDITIONS} conditions with {REPEATS} trials each, "
-            f"{missing} of them to come; expected at least {max(REPEATS * missing, 1)}",
-            key="--budget",
-        )
+    missing = missing_conditions(budget, len(counts.measured))
     if len(trials) < max(missing, 1):
         raise InputError(
             f"{len(trials)} condition(s) can be planned within the limits, at least {max(missing, 1)} are needed; name "
@@ -56,17 +50,38 @@ def chosen(method: Method, counts: Discrimination, trials: Sequence[Rehearsed], 
     return _greedy(by_name, counts, budget, missing)
 
 
+def missing_conditions(budget: int, measured: int) -> int:
+    """Number of new conditions that a plan must have.
+
+    Args:
+        budget: Largest number of trials.
+        measured: Number of conditions measured so far.
+
+    Raises:
+        InputError: The budget is too small for them.
+    """
+    missing = max(CONDITIONS - measured, 0)
+    least = max(REPEATS * missing, 1)
+    if budget < least:
+        raise InputError(
+            f"{budget} trial(s) are too few: a diagnosis needs {CONDITIONS} conditions with {REPEATS} trials each, "
+            f"{missing} of them to come; expected at least {least}, or --runs with earlier trials",
+            key="--budget",
+        )
+    return missing
+
+
 def _greedy(trials: Sequence[Rehearsed], counts: Discrimination, budget: int, missing: int) -> Counts:
     names = [trial.name for trial in trials]
     measured = counts.measured
     picked: Counts = {}
-    total = counts.total(measured)
+    total = counts.total(counts.counted)
     here = counts.utility(total)
     left = budget
     while left > 0:
         best: tuple[float, str, int] | None = None
         for name, cost in _options(names, measured, picked, left, missing):
-            before = measured.get(name, 0) + picked.get(name, 0)
+            before = counts.counted.get(name, 0) + picked.get(name, 0)
             gain = (counts.utility(counts.added(total, name, before, before + cost)) - here) / cost
             if best is None or gain > best[0] * (1.0 + 1e-9):
                 best = gain, name, cost
@@ -127,11 +142,12 @@ def most_telling(counts: Discrimination, trials: Sequence[Rehearsed]) -> tuple[R
     Returns:
         The trial and its gain [-]; None without trials.
     """
-    before = counts.total(counts.measured)
+    before = counts.total(counts.counted)
     known = counts.gains(before)[0][0][0]
     best: tuple[Rehearsed, float] | None = None
     for trial in sorted(trials, key=lambda one: one.name):
-        after = counts.added(before, trial.name, trial.repeats, trial.repeats + 1)
+        there = counts.counted.get(trial.name, 0)
+        after = counts.added(before, trial.name, there, there + 1)
         gain = float(counts.gains(after)[0][0][0] - known)
         if best is None or gain > best[1]:
             best = trial, gain

@@ -66,7 +66,7 @@ def _show(plan: ExperimentPlan, terminal: Terminal) -> None:
         table.add_column(name, overflow="fold", **settings)  # type: ignore[arg-type]
     for campaign in plan.campaigns:
         for one in campaign.conditions:
-            table.add_row(str(one.trials), one.what, one.buys)
+            table.add_row(str(one.trials), one.what, one.buys.removeprefix(f"{one.trials} x {one.what} "))
     terminal.say(table)
     if plan.pairs:
         pairs = Table(title="Probability of the right decision, least certain first")

@@ -149,3 +149,14 @@ def test_a_further_trial_never_informs_less() -> None:
         repeats = {name: int(rng.integers(0, 4)) for name in "abc"}
         more = {name: count + int(rng.integers(0, 2)) for name, count in repeats.items()}
         assert counts.utility(counts.total(more)) >= counts.utility(counts.total(repeats)) - 1e-12
+
+
+def test_what_estimates_contain_is_not_counted_again() -> None:
+    """Two tied explanations were fitted to the trials so far; of a library without estimates those still inform."""
+    trials = [trial("a", [[0.9], [0.0]], [np.ones((1, 1)), np.ones((1, 1))], repeats=4)]
+    tied = Discrimination(estimated_pair(1), trials)
+    open_pair = Decision.between([Hypothesis(AS_IS), Hypothesis("mass", varied=((("m", (1.0,)),),))], "effects")
+    fresh = Discrimination(open_pair, [trial("a", np.zeros((2, 1)), [np.zeros((0, 1)), np.ones((1, 1))], repeats=4)])
+    assert tied.measured == fresh.measured == {"a": 4}
+    assert tied.probabilities(tied.total(tied.counted))[0] == 0.5
+    assert fresh.probabilities(fresh.total(fresh.counted))[0] > 0.6
