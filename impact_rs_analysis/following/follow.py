@@ -445,7 +445,7 @@ class Follower:
                 taken.append(replace(evidence, weight=weight))
                 size = math.sqrt(float(np.mean(np.square(innovation))))
                 if hypothesis is best:
-                    errors[hit.name] = size, math.sqrt(float(np.mean(np.square(evidence.residual)))), weight < 1.0
+                    errors[hit.name] = size, self._error_of_model(hit, evidence), weight < 1.0
             if taken:
                 hypothesis.posterior.add(taken)
             if len(hypothesis.posterior.window) == WINDOW:
@@ -469,6 +469,13 @@ class Follower:
                 milliseconds=spent,
             )
         return documents
+
+    def _error_of_model(self, hit: Hit, evidence: Evidence) -> float:
+        """Error of the model as it was given, in standard deviations of a hit, rms over the features."""
+        assert self.candidate is not None
+        (given,) = self.door.predict(hit, [replace(self.candidate, point=self._start).split(self._start)])
+        off = evidence.residual if given is None else self._scatter[hit.layout].whiten @ (hit.measured - given)
+        return math.sqrt(float(np.mean(np.square(off))))
 
     def _weigh(self) -> str:
         """Drop hypotheses that are ruled out; what is now known for certain."""
