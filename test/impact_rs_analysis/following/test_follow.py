@@ -12,9 +12,9 @@ import pytest
 from impact_table_cases import arm_table, write_csv
 
 from impact_rs_analysis.evidence.replay_cache import ReplayCache
-from impact_rs_analysis.following.document import Change, HitDocument
 from impact_rs_analysis.following.follow import Follower
 from impact_rs_analysis.following.hits import BagDoor, TableDoor
+from impact_rs_analysis.following.lessons import Change, HitDocument
 from impact_rs_analysis.following.state import restore_state, save_state
 from impact_rs_sim.effects import library
 from impact_rs_sim.errors import InputError
