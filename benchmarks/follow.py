@@ -32,9 +32,9 @@ import numpy as np
 import pinocchio as pin
 
 from impact_rs_analysis.following.change import Explanation
-from impact_rs_analysis.following.document import HitDocument
 from impact_rs_analysis.following.follow import Follower
 from impact_rs_analysis.following.hits import Hit, TableDoor
+from impact_rs_analysis.following.lessons import HitDocument
 from impact_rs_control.closed_loop import make_plant, run_closed_loop, without_garbage_collection
 from impact_rs_sim.effects import library
 from impact_rs_sim.model import load_model

@@ -337,13 +337,13 @@ class ImpactTableSource(Source):
         """One of the physics with effects; None: no positive inertia. Those that were asked for last are kept."""
         key = place, added
         if key not in self._altered:
-            physics: Physics | None = self._worlds[place]
+            physics = self._worlds[place]
             try:
                 for name, values in added:
                     physics = self._effects[name].apply_vector(physics, np.array(values))
+                self._altered[key] = physics
             except NotABody:
-                physics = None
-            self._altered[key] = physics
+                self._altered[key] = None
             while len(self._altered) > ALTERED:
                 self._altered.popitem(last=False)
         self._altered.move_to_end(key)

@@ -204,7 +204,7 @@ class ChangeTest:
         for place, start in enumerate(starts):
             if start == last:
                 continue
-            total = information[place] + prior
+            total = _positive(information[place]) + prior
             eta = bounded(total, score[place], lower, upper)
             gain = float(score[place] @ eta - 0.5 * eta @ total @ eta) / inflation
             free = float(score[place] @ np.linalg.solve(total, score[place])) / (2.0 * inflation)
@@ -212,7 +212,8 @@ class ChangeTest:
             # Where a bound holds, t turns the smaller gain into a smaller ratio in the same proportion.
             ratio = unbounded if free <= 0.0 else unbounded - (free - gain) * min(1.0, max(unbounded, 1.0) / free)
             if best is None or ratio > best.log_ratio:
-                early = bounded(information[place] - information[0] + prior, score[place] - score[0], lower, upper)
+                earlier = _positive(information[place] - information[0]) + prior
+                early = bounded(earlier, score[place] - score[0], lower, upper)
                 confirmed = float(score[0] @ early - 0.5 * early @ information[0] @ early) > 0.0
                 if confirmed:
                     best = Explanation(name, start, eta, ratio)
@@ -226,6 +227,12 @@ class ChangeTest:
         scale = own.scale[list(numbers)]
         lower = np.minimum((own.lower[list(numbers)] - at) / scale, -1e-9)
         return lower, np.maximum((own.upper[list(numbers)] - at) / scale, 1e-9)
+
+
+def _positive(matrix: Array) -> Array:
+    """The nearest symmetric matrix without negative eigenvalues: differences of informations may have some."""
+    values, vectors = np.linalg.eigh(0.5 * (matrix + matrix.T))
+    return np.asarray((vectors * np.maximum(values, 0.0)) @ vectors.T)
 
 
 def _log_sum(values: Array) -> float:

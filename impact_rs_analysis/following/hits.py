@@ -171,10 +171,12 @@ class TableDoor(Door):
 
     def source(self, hits: Sequence[Hit]) -> Source:
         """See :meth:`Door.source`."""
-        assert self._table is not None
+        table = self._table
+        assert table is not None
         wanted = {hit.name for hit in hits}
-        places = [place for place, row in enumerate(self._table.rows) if _name(row.number) in wanted]
-        return ImpactTableSource(_part(self._table, places), self.model, discrepancy=self._discrepancy)
+        places = [place for place, row in enumerate(table.rows) if _name(row.number) in wanted]
+        places.sort(key=lambda place: table.rows[place].object_name)  # the first row stands for the object
+        return ImpactTableSource(_part(table, places), self.model, discrepancy=self._discrepancy)
 
     def predict(self, hit: Hit, added: Sequence[Added]) -> list[Array | None]:
         """See :meth:`Door.predict`."""
