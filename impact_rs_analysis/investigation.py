@@ -67,6 +67,7 @@ from impact_rs_trials.spec import TrialSpec
 SETTINGS, ROUNDS, ENDING, LOG = "investigation.yaml", "rounds", "ending.json", "log.md"
 FIRST, CHECK, MORE = 8, 2, 4  # trials of the first round, of one that tries a new model, and of any other
 LOUD = 1.5  # times the noise, of an error that is not nothing, however few trials it comes from
+FALL = 0.7  # of the held-out error of the round before, below which trials and no law are missing
 MOST_DISCOVERIES = 2  # each takes minutes
 EXPLAINED, LAW, MISSES_NOTHING, UNDECIDED = "EXPLAINED", "LAW-HOLDS", NOTHING, "UNDECIDED"
 CANNOT = "I cannot tell"  # the words of UNDECIDED
@@ -377,7 +378,8 @@ class Investigation:
         if sum(one.discovery is not None for one in rounds) >= MOST_DISCOVERIES:
             return False
         before = rounds[-2].basis if len(rounds) > 1 else None
-        return (before is not None and before.calls_for_a_law) or self.budget <= measured(rounds)
+        again = before is not None and before.calls_for_a_law and not _falls(before, now)
+        return again or self.budget <= measured(rounds)
 
     def _model(self, name: str) -> Model:
         return load_model(name if name == self.settings.model else self.directory / name)
@@ -394,6 +396,11 @@ def holds(document: DiagnosisDocument) -> bool:
 def _loud(document: DiagnosisDocument) -> bool:
     """Whether an error is far beyond the noise, although too few repeats do not show it for certain."""
     return document.held_out_error_before > LOUD * document.noise_floor
+
+
+def _falls(before: DiagnosisDocument, now: DiagnosisDocument) -> bool:
+    """Whether more trials leave clearly less unexplained: then estimates are short of trials, and no law is missing."""
+    return bool(now.named) and now.held_out_error_after < FALL * before.held_out_error_after
 
 
 def _settled(settings: Settings, here: Round) -> bool:

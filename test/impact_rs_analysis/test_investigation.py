@@ -266,6 +266,20 @@ def test_what_no_effect_explains_is_first_measured_again_and_then_a_law_is_looke
     assert first.discovery is None and second.discovery is not None
 
 
+def test_no_law_is_looked_for_while_more_trials_explain_more(start: Start, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A friction of many parameters: partly explained with 8 and 12 trials, with 16 wholly."""
+    monkeypatch.setattr(investigation, "discover", lambda *_: pytest.fail("the library explains it"))
+    rest = {8: 17.5, 12: 5.3}
+
+    def answer(model: Model, trials: int) -> DiagnosisDocument:
+        if model.effects or trials not in rest:
+            return friction_then_nothing(model, trials)
+        return said(f"PARTLY{{{FRICTION}}}", FRICTION, held_out_error_before=25.8, held_out_error_after=rest[trials])
+
+    investigation_, _ = start(answer)
+    assert investigation_.run().effects == (FRICTION,)
+
+
 DRAG = FormulaSpec.model_validate(
     {
         "name": "end_effector_drag",
