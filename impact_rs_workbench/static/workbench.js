@@ -1095,7 +1095,7 @@ const laboratory = {
     this.wanted = null;
     fill(this.scenario, plain(state.workspace.scenarios), this.scenario.value || 'push');
     if (this.folder.value && this.folder.value !== this.looked) this.look();
-    else if (this.offered === this.looked && !this.found.table) this.addRows(found.find((lab) => lab.path === this.looked));
+    else if (this.offered && this.offered === this.looked && !this.found.table) this.addRows(found.find((lab) => lab.path === this.looked));
   },
 
   // Recordings that have come since; what is filled in stays.

@@ -339,6 +339,8 @@ def test_a_recorded_trial_opens_in_3d_with_one_click(page: Page, folder: Path) -
         arg=(before or {})["x"],
     )
     accessible(page)
+    page.set_viewport_size({"width": 1280, "height": 1100})
+    page.get_by_role("button", name="Impact", exact=True).click()
     picture(page, "workbench_trial", folder)
 
 
@@ -378,7 +380,9 @@ def test_runs_are_chosen_filtered_and_pinned_over_each_other(page: Page, reporte
     page.locator("#overlay-runs-filter").fill("")
     expect(rows).to_have_count(count)
     page.select_option("#overlay-signal", "Velocity of the end effector, y")
+    page.set_viewport_size({"width": 1280, "height": 1100})
     picture(page, "workbench_overlay", reported)
+    page.set_viewport_size(DESK)
     page.locator("#tab-overlay-models").click()
     models = len(list(reported.rglob("compare.html")))
     expect(page.locator("#overlay-models-plot .scatterlayer .trace")).to_have_count(1 + min(models, 3))  # and measured
