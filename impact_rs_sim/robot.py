@@ -133,6 +133,25 @@ class SigmoidFriction(Schema):
     c: Vector = Field(description="shift of the sigmoid per joint [rad/s], prismatic [m/s]")
 
 
+class Reflexes(Schema):
+    """What stops the robot by itself at a hit, or shall not be exceeded there; what is absent is not known."""
+
+    source: str = Field("", description="where the thresholds come from, and how they are changed")
+    external_torque_Nm: PositiveVector | None = Field(
+        None, description="external joint torque at which the robot stops itself, per joint [N m], prismatic [N]"
+    )
+    external_force_N: Annotated[float, Field(gt=0.0)] | None = Field(
+        None, description="external force at the end effector at which the robot stops itself [N]"
+    )
+    velocity_jump_rad_s: PositiveVector | None = Field(
+        None,
+        description="largest joint velocity jump that the gears are trusted with [rad/s], prismatic [m/s]",
+    )
+    observer_gain: Annotated[float, Field(gt=0.0)] = Field(
+        500.0, description="rate of the filter of external torques and forces [1/s]"
+    )
+
+
 class Colours(Schema):
     """Colours of the simple shapes in which viewers show an arm; without influence on the physics."""
 
@@ -159,6 +178,7 @@ class RobotFacts(Schema):
     joint_stiffness_typical_Nm_per_rad: PositiveVector | None = Field(
         None, description="order of magnitude of the joint stiffness [N m/rad], prismatic [N/m]"
     )
+    reflexes: Reflexes | None = omitted(None, description="what stops the robot by itself at a hit")
     joint_torque_loop: bool = omitted(
         True, description="whether the joints have torque sensors and a loop about them; without: drive.type rigid"
     )
@@ -170,6 +190,9 @@ class RobotFacts(Schema):
             "links": len(self.links),
             **{f"limits.{name}": len(getattr(self.limits, name)) for name in Limits.model_fields},
         }
+        for name in ("external_torque_Nm", "velocity_jump_rad_s"):
+            if self.reflexes is not None and (values := getattr(self.reflexes, name)) is not None:
+                lengths[f"reflexes.{name}"] = len(values)
         for name, length in lengths.items():
             if length != count:
                 raise ValueError(f"{name} has {length} entries, expected one per joint ({count})")

@@ -311,7 +311,7 @@ def answer_of(
     """
     if pads is None:
         pads = touching_pads(problem, models)
-    system, terms = change(problem, _possible(problem, amounts)).touching_terms(models, pads)
+    system, terms = change(problem, possible(problem, amounts)).touching_terms(models, pads)
     impulses, _ = solve_contacts(terms)
     velocity = system.velocity + terms.response @ impulses.ravel()
     if not terms.residual(impulses, velocity).largest <= _LAWFUL:
@@ -377,7 +377,7 @@ def _differences(usual: tuple[str, ...], there: tuple[str, ...]) -> list[str]:
     return found
 
 
-def _possible(problem: ImpactProblem, amounts: Mapping[str, float]) -> dict[str, float]:
+def possible(problem: ImpactProblem, amounts: Mapping[str, float]) -> dict[str, float]:
     """Amounts that leave masses, inertias and friction positive, and restitution between 0 and 1."""
     physics, object_ = problem.physics, problem.physics.object
     least = {"object.mass": -0.99 * object_.mass, "pad_friction": -physics.pad_friction}
