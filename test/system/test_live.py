@@ -131,7 +131,7 @@ def _picture_at_impact(page: Page, graph: FakeGraph, scene: Scene) -> None:
 
     def tell() -> None:
         graph.object(np.append(scene.object.position, quaternion_of(scene.object.rotation)))
-        graph.force_on_pad("arm", (0.0, -120.0, 0.0))
+        graph.force_on_pad("arm", (0.0, 120.0, 0.0))
         graph.joints("arm", q, 1.0)
 
     told_until(page, tell, "arm_end_effector", scene.physics.robot_model("arm").placement(q).translation)
