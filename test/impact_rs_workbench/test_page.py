@@ -254,9 +254,9 @@ def test_the_loop_by_mouse_names_the_effect_and_the_error_falls(page: Page, fold
     start(page, "Compare")
     page.locator("#compare-result .plot .nsewdrag").last.click()
     expect(page.locator("#signal .scatterlayer .trace")).to_have_count(3)  # measured, model, residual
-    page.set_viewport_size({"width": 1280, "height": 1400})
+    page.set_viewport_size({"width": 1280, "height": 950})
     page.mouse.move(0, 0)
-    page.locator("#compare-result .answer").evaluate("node => node.scrollIntoView({behavior: 'instant'})")
+    page.locator("#compare-result .clickable").last.evaluate("node => node.scrollIntoView({behavior: 'instant'})")
     page.screenshot(path=pictures(folder) / "workbench_compare.png", animations="disabled")
     page.set_viewport_size(DESK)
 
