@@ -138,6 +138,55 @@ a table with a row per object and case; with -o limits.html, limits.json and lim
     ),
 )  # fmt: skip
 
+STUDY_DESIGN = Command(
+    name="study-design",
+    summary="rank robots, poses, motor inertias and pads by what a hit does",
+    about="""\
+Predict the hit of every combination of robot, random pose, motor inertia and pad, and rank them: impulse on the object,
+largest joint jump over the joint's velocity limit, and sensitivity of the object's velocity to motor inertia. Every
+value has an interval from the uncertainties of the scenario, and every rank the range that the intervals leave.
+
+The pad comes square to a box that stands free, with the smallest joint velocity. Drives that robot facts lack are
+scaled from a Franka arm. Pads: wide (0.10 x 0.10 m), narrow (0.05 x 0.10 m), bouncy (wide, restitution 0.3).""",
+    examples="""\
+impact-rs study-design -o design
+impact-rs study-design -o design --robots franka_fr3 ur5e --poses 50 --rank-by sensitivity
+impact-rs study-design -o design --scenario my_push.yaml --object parcel --speed 0.3""",
+    output="the first designs; in DIR a page with pictures and designs.csv with all of them.",
+    units="impulse in N s, the rest has none; speeds in m/s.",
+    options=(
+        output("new_folder", "folder of page and table", required=True),
+        option(
+            "--robots", kind="robot", many=True, metavar="ROBOT", help=ROBOT_TEXT,
+            default=("franka_fer", "franka_fr3", "kinova_gen3", "kuka_iiwa7", "ur5e", "ur10e"),
+        ),
+        option("--poses", kind="whole", default=100, least=1, metavar="N", help="random poses per robot"),
+        option(
+            "--motor-inertia", many=True, choices=("reduced", "rotor"), default=("reduced", "rotor"),
+            help="B_theta with a torque loop, B_rho without",
+        ),
+        option(
+            "--pads", many=True, choices=("wide", "narrow", "bouncy"), default=("wide", "narrow", "bouncy"),
+            help="pads",
+        ),
+        option(
+            "--scenario", kind="scenario", default="push", metavar="NAME",
+            help="scenario with end effector, object and uncertainties",
+        ),
+        option("--object", kind="object", metavar="NAME", help="object that is hit", otherwise="the first one"),
+        option("--speed", kind="number", default=0.5, metavar="V", unit="m/s", help="speed of the pad before the hit"),
+        option(
+            "--rank-by", choices=("impulse", "joint_jump", "sensitivity"), default="impulse",
+            help="measure of the table that is printed",
+        ),
+        option("--draws", kind="whole", default=20, least=2, metavar="N", help="draws from the uncertainties"),
+        option("--seed", kind="whole", default=0, least=0, metavar="N", help="seed of poses and draws"),
+        *JOBS,
+        JSON,
+    ),
+    module="study_design",
+)  # fmt: skip
+
 EFFECTS = Command(
     name="effects",
     summary="list the library of physical effects",

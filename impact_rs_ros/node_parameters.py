@@ -218,6 +218,15 @@ PARAMETERS: dict[str, tuple[NodeParameter, ...]] = {
             (0.1, 60.0),
         ),
     ),
+    "identify": (
+        *COMMON,
+        NodeParameter("runs", "", "Folder of finished trials that is looked at; empty: impacts names a table"),
+        NodeParameter("impacts", "", "Table of impacts that is looked at, a row for each; empty: runs names a folder"),
+        NodeParameter("impacts_scenario", "", "Scenario of the arms in that table; empty: each row is one free body"),
+        NodeParameter("model", "nominal", "Name or path of the model that is followed"),
+        NodeParameter("state", "", "State file, so that a node that is started again goes on; empty: none"),
+        NodeParameter("poll_period", 0.5, "Time between two looks for finished trials", "s", (0.05, 60.0)),
+    ),
     "experiment": (
         *COMMON,
         DATA_ROOT,

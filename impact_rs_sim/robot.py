@@ -61,6 +61,10 @@ def joined_units(units: Iterable[str]) -> str:
     return " or ".join(dict.fromkeys(units))
 
 
+Share = Annotated[float, Field(ge=0.0, le=1.0)]
+Share3 = tuple[Share, Share, Share]
+
+
 class JointOrigin(Schema):
     """Placement of a joint in the previous link, and its type: rotation about its own +z, or translation along it."""
 
@@ -148,6 +152,15 @@ class Reflexes(Schema):
     )
 
 
+class Colours(Schema):
+    """Colours of the simple shapes in which viewers show an arm; without influence on the physics."""
+
+    shell: Share3 = Field((0.92, 0.92, 0.94), description="tubes and housings, red green blue from 0 to 1 [-]")
+    joint: Share3 = Field(
+        (0.25, 0.27, 0.3), description="rings of the joints and the foot, red green blue from 0 to 1 [-]"
+    )
+
+
 class RobotFacts(Schema):
     """Public facts about an arm (``config/robots/*.yaml``)."""
 
@@ -157,6 +170,7 @@ class RobotFacts(Schema):
     limits: Limits = Field(description="hardware limits")
     links: tuple[Link, ...] = Field(min_length=1, description="link inertials")
     base_meshes: tuple[Mesh, ...] = omitted((), description="what viewers show of the base; none: a simple shape")
+    colours: Colours = omitted(Colours(), description="of the simple shapes in viewers")
     friction: SigmoidFriction | None = Field(None, description="identified joint friction")
     reflected_rotor_inertia_other_source_kg_m2: PositiveVector | None = Field(
         None, description="reflected rotor inertia per joint from another source [kg m^2], prismatic [kg]"

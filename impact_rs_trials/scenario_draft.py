@@ -8,10 +8,11 @@ Jacobian, and the used share of speed and torque. The best poses are simulated i
 
 from __future__ import annotations
 
+import itertools
 import re
 import tempfile
 import textwrap
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
@@ -109,13 +110,10 @@ def draft(facts_name: str, facts: RobotFacts, kind: Kind, report: Report = lambd
     shipped = load_scenario(kind)
     effector = next(iter(shipped.robots.values())).end_effector
     model = RobotModel(facts, replace(effector.build(), mount_yaw=0.0))
-    rng = np.random.default_rng(SEED)
-    shoulder = model.link_placements(np.zeros(model.joint_count))["link2"].translation
-    reach = max(float(np.linalg.norm(model.placement(q).translation - shoulder)) for q in random_positions(model))
     starts = []
-    for number in range(POSES):
+    for number, start in enumerate(itertools.islice(upright_poses(model, SEED), POSES)):
         report("poses", number, POSES)
-        if (start := _random_pose(model, reach, float(shoulder[2]), rng)) is not None:
+        if start is not None:
             starts.append(start)
     drive = assumed_drive(facts, model.end_effector, shipped.timing.drive_period)
     motors = np.array(drive.get("motor_inertia_reduced", drive["motor_inertia_rotor"]))
@@ -145,6 +143,20 @@ def draft(facts_name: str, facts: RobotFacts, kind: Kind, report: Report = lambd
                     return Draft(_explained(text, choices), scenario, speed, len(failures), choices)
     why = f"; the last that was simulated: {failures[-1]}" if failures else ""
     raise Infeasible(f"no pose of {facts_name} among {POSES} works for a {kind}{why}")
+
+
+def upright_poses(model: RobotModel, seed: int) -> Iterator[Pose | None]:
+    """Endless random poses with the pad upright and its normal along -y; None where a random place is out of reach.
+
+    Args:
+        model: The arm.
+        seed: Same seed, same poses.
+    """
+    rng = np.random.default_rng(seed)
+    shoulder = model.link_placements(np.zeros(model.joint_count))["link2"].translation
+    reach = max(float(np.linalg.norm(model.placement(q).translation - shoulder)) for q in random_positions(model))
+    while True:
+        yield _random_pose(model, reach, float(shoulder[2]), rng)
 
 
 def _random_pose(model: RobotModel, reach: float, shoulder: float, rng: np.random.Generator) -> Pose | None:
