@@ -29,8 +29,8 @@ from benchmarks.foreign.discrepancy import OBLIQUE, SQUARE, oblique
 from benchmarks.foreign.laboratory import DAMPING, STIFFNESS
 from impact_rs_analysis.evidence.map_discrepancy import NO_MAP_DISCREPANCY, measured_map_discrepancy
 from impact_rs_analysis.evidence.simulated_trials import quiet
-from impact_rs_analysis.limits.hit_bounds import Thresholds
 from impact_rs_analysis.limits.drawn_hits import PEAK_SHARES, WINDOW, Hits, drawn, drawn_springs, quantities, touching
+from impact_rs_analysis.limits.hit_bounds import Thresholds
 from impact_rs_analysis.limits.poses import moved
 from impact_rs_analysis.limits.speed import HIGHEST, SpeedLimit, speed_limit
 from impact_rs_sim.errors import Infeasible

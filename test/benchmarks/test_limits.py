@@ -10,8 +10,8 @@ pytest.importorskip("mujoco")
 
 from benchmarks.limits import Outcome, hit, summary  # noqa: E402
 from impact_rs_analysis.evidence.map_discrepancy import JOINTS, NO_MAP_DISCREPANCY, measured_map_discrepancy
-from impact_rs_analysis.limits.hit_bounds import Thresholds
 from impact_rs_analysis.limits.drawn_hits import Hits, drawn, touching
+from impact_rs_analysis.limits.hit_bounds import Thresholds
 from impact_rs_sim.proportion import reach_of
 from impact_rs_sim.scenario import load_scenario
 from impact_rs_sim.scene import Scene

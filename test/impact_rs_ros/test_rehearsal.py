@@ -11,8 +11,8 @@ import pytest
 
 from impact_rs_cli.main import main
 from impact_rs_ros import cell_rehearsal
-from impact_rs_ros.driver_profiles import PROFILES, profile_of
 from impact_rs_ros.cell_rehearsal import Checklist, ExternalTorque, Margin, VirtualTime, rehearse
+from impact_rs_ros.driver_profiles import PROFILES, profile_of
 from impact_rs_ros.robot_states import joint_names
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.robot import Reflexes
