@@ -99,7 +99,11 @@ def _check(args: argparse.Namespace) -> None:
 def _table(name: str, found: list[SpeedLimit]) -> Table:
     """The table for the terminal."""
     known = [kind for kind in KINDS if kind not in found[0].unknown]
-    table = Table(title=escape(f"{name}: closing speed [m/s] up to which all bounds hold with {LEVEL:.0%}"))
+    table = Table(
+        title=escape(f"{name}: closing speed [m/s] up to which all bounds hold with {LEVEL:.0%}"),
+        pad_edge=False,
+        collapse_padding=True,
+    )
     for heading in ("object", "case"):
         table.add_column(heading, no_wrap=True)
     for heading in ("planned", "allowed", "half", *known):
