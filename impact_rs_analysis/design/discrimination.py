@@ -37,9 +37,9 @@ from functools import cached_property
 import numpy as np
 import scipy
 
+from impact_rs_analysis.design.forecast import ForecastTrial
 from impact_rs_analysis.design.hypotheses import Decision
 from impact_rs_analysis.design.possible_trials import PossibleTrial
-from impact_rs_analysis.design.rehearsal import Rehearsed
 from impact_rs_analysis.evidence.cluster import Cluster
 from impact_rs_sim.robot import Array
 
@@ -57,7 +57,7 @@ class Discrimination:
         trials: Every trial that may be counted.
     """
 
-    def __init__(self, decision: Decision, trials: Sequence[Rehearsed]) -> None:
+    def __init__(self, decision: Decision, trials: Sequence[ForecastTrial]) -> None:
         self.decision = decision
         self._trials = {trial.name: trial for trial in trials}
         groups: dict[str, int] = {}
@@ -168,7 +168,7 @@ class Discrimination:
         )
         total[np.ix_(columns, columns)] += sign * self._product(trial, repeats)
 
-    def _product(self, trial: Rehearsed, repeats: int) -> Array:
+    def _product(self, trial: ForecastTrial, repeats: int) -> Array:
         """Inner products of the columns of one condition."""
         key = trial.name, repeats
         if key not in self._products:

@@ -10,9 +10,9 @@ import numpy as np
 
 from impact_rs_analysis.design.design import Decide
 from impact_rs_analysis.design.discrimination import Discrimination
+from impact_rs_analysis.design.forecast import forecast_of
 from impact_rs_analysis.design.hypotheses import Decision, Hypothesis, estimated
 from impact_rs_analysis.design.possible_trials import PossibleTrial, trials_of
-from impact_rs_analysis.design.rehearsal import rehearse
 from impact_rs_analysis.design.selection import most_telling
 from impact_rs_analysis.diagnosis.document import DiagnosisDocument, NextExperiment
 from impact_rs_analysis.diagnosis.verdicts import Findings
@@ -44,7 +44,7 @@ def next_experiment(found: Findings, known: dict[str, Effect]) -> NextExperiment
         for name, fit in ((tie.instead_of, found.chosen), (tie.name, tie.fit))
     ]
     decision = Decision.between(both, "rivals")
-    trials = rehearse(source.model, _own_trials(source.runs), source.store, runs=source.runs).under(decision)
+    trials = forecast_of(source.model, _own_trials(source.runs), source.store, runs=source.runs).under(decision)
     best = most_telling(Discrimination(decision, trials), trials)
     if best is None:
         return None
