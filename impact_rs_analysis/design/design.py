@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 
 from impact_rs_analysis.design.discrimination import Discrimination
+from impact_rs_analysis.design.explanations import Decision, which_effect
 from impact_rs_analysis.design.forecast import Forecast, ForecastTrial, forecast_of
-from impact_rs_analysis.design.hypotheses import Decision, which_effect
 from impact_rs_analysis.design.possible_trials import NO_ENVELOPE, Envelope, PossibleTrial, possible_trials
 from impact_rs_analysis.design.selection import Counts, chosen, missing_conditions
 from impact_rs_analysis.evidence.measured_runs import Runs
@@ -111,8 +111,8 @@ def _pairs(decision: Decision, before: Array, after: Array) -> list[PlannedPair]
     """Probabilities of the right decision, least certain first."""
     rows = [
         PlannedPair(
-            first=decision.hypotheses[i].name,
-            second=decision.hypotheses[j].name,
+            first=decision.explanations[i].name,
+            second=decision.explanations[j].name,
             before=round(float(was), 4),
             after=round(float(now), 4),
         )
@@ -168,7 +168,7 @@ def _buys(counts: Discrimination, decision: Decision, total: Array, picked: Coun
     now, less = counts.probabilities(total), counts.probabilities(without)
     best = int(np.argmax(now - less))
     i, j = decision.pairs[best]
-    first, second = decision.hypotheses[i].name, decision.hypotheses[j].name
+    first, second = decision.explanations[i].name, decision.explanations[j].name
     return f"{times} distinguish {first} from {second} with {_percent(now[best])}, without them {_percent(less[best])}"
 
 
@@ -176,7 +176,7 @@ def _summary(decision: Decision, pairs: Sequence[PlannedPair], picked: Counts, i
     """What the plan buys, in a sentence."""
     trials = f"{sum(picked.values())} trials of {len(picked)} conditions"
     if decision.aim == "parameters":
-        return f"{trials}: {information:.2g} nat of information on the parameters of {decision.hypotheses[0].name}"
+        return f"{trials}: {information:.2g} nat of information on the parameters of {decision.explanations[0].name}"
     sure = [pair for pair in pairs if pair.after >= SURE]
     open_pairs = [pair for pair in pairs if pair.after < SURE]
     if len(pairs) <= LISTED:

@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from impact_rs_analysis.design.hypotheses import Decision, Hypothesis
+from impact_rs_analysis.design.explanations import Decision, Explanation
 from impact_rs_analysis.design.possible_trials import NO_ENVELOPE, Envelope, PossibleTrial
 from impact_rs_analysis.evidence.cluster import Added, Cluster
 from impact_rs_analysis.evidence.discrepancy import measured_discrepancy
@@ -78,7 +78,7 @@ class Forecast:
         wanted: list[tuple[int, Added]] = []
         for number, item in enumerate(source.clusters):
             wanted.append((number, ()))
-            for one in decision.hypotheses:
+            for one in decision.explanations:
                 if _shown(one, item, known):
                     wanted += [(number, added) for added in (one.centre, *one.varied)]
         found = dict(zip(wanted, source.predict(wanted, "predictions"), strict=True))
@@ -90,7 +90,7 @@ class Forecast:
                 _columns(one, base, item, {added: found[number, added] for added in (one.centre, *one.varied)})
                 if _shown(one, item, known)
                 else np.zeros((1 + len(one.varied), base.size))
-                for one in decision.hypotheses
+                for one in decision.explanations
             ]
             kept = [rows for rows in columns if rows is not None]
             if len(kept) == len(columns):  # without an impact there is nothing to compare
@@ -107,7 +107,7 @@ class Forecast:
         return predicted
 
 
-def _columns(one: Hypothesis, base: Array, item: Cluster, found: Mapping[Added, Array | None]) -> Array | None:
+def _columns(one: Explanation, base: Array, item: Cluster, found: Mapping[Added, Array | None]) -> Array | None:
     """Scaled change of the features by the centre, then by every deviation, ``(1 + p, F)``; None without an impact."""
     centre = found[one.centre]
     moved = [row for row in (found[added] for added in one.varied) if row is not None]
@@ -226,6 +226,6 @@ def _noisy(found: Sequence[MeasuredRun], repeated: Sequence[MeasuredRun]) -> lis
     return chosen
 
 
-def _shown(one: Hypothesis, item: Cluster, known: Mapping[str, Effect]) -> bool:
+def _shown(one: Explanation, item: Cluster, known: Mapping[str, Effect]) -> bool:
     """Whether an explanation changes features of a cluster."""
     return any(known[name].seen_in(item.contact) for name in one.effects)

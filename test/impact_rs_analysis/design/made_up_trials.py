@@ -7,8 +7,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from impact_rs_analysis.design.explanations import Decision, Explanation
 from impact_rs_analysis.design.forecast import ForecastTrial
-from impact_rs_analysis.design.hypotheses import Decision, Hypothesis
 from impact_rs_analysis.design.possible_trials import PossibleTrial
 from impact_rs_analysis.evidence.cluster import Cluster, Feature
 from impact_rs_sim.robot import Array
@@ -51,5 +51,5 @@ def trial(
 def estimated_pair(parameters: int = 0, aim: Aim = "rivals") -> Decision:
     """Two explanations with estimates, of so many uncertain parameters each."""
     one = (("mass", (1.0,)),)
-    pair = [Hypothesis(name, one, tuple(one for _ in range(parameters))) for name in ("first", "second")]
+    pair = [Explanation(name, one, tuple(one for _ in range(parameters))) for name in ("first", "second")]
     return Decision.between(pair, aim)

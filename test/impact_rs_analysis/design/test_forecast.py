@@ -8,8 +8,8 @@ import pytest
 
 from impact_rs_analysis.design.design import planned
 from impact_rs_analysis.design.discrimination import Discrimination
+from impact_rs_analysis.design.explanations import Decision, Explanation, estimated, which_effect
 from impact_rs_analysis.design.forecast import Forecast, forecast_of
-from impact_rs_analysis.design.hypotheses import Decision, Hypothesis, estimated, which_effect
 from impact_rs_analysis.design.possible_trials import Envelope, PossibleTrial, possible_trials
 from impact_rs_analysis.evidence.measured_runs import read_runs
 from impact_rs_analysis.evidence.replay_cache import ReplayCache
@@ -59,8 +59,8 @@ def test_a_speed_beyond_the_joints_and_a_force_beyond_the_cell_are_refused() -> 
 
 
 def test_a_heavier_object_shows_in_pushes_alone_and_leaves_less_speed(forecast: Forecast) -> None:
-    mass = Hypothesis("heavier", (("object_mass", (1.2,)),))
-    trials = {trial.name: trial for trial in forecast.under(Decision.between([Hypothesis("as is"), mass], "rivals"))}
+    mass = Explanation("heavier", (("object_mass", (1.2,)),))
+    trials = {trial.name: trial for trial in forecast.under(Decision.between([Explanation("as is"), mass], "rivals"))}
     assert not trials["excite/none/fast"].centres.any()
     push = trials["push/juice/case_2"]
     moved = {
