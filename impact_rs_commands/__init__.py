@@ -11,6 +11,8 @@ COMMANDS: dict[str, Command] = {  # in the order of the help
     for command in (
         measuring.DEMO,
         predicting.MAP,
+        measuring.DESIGN,
+        predicting.LIMITS,
         measuring.TRIAL,
         measuring.CAMPAIGN,
         explaining.ANALYZE,
@@ -22,6 +24,7 @@ COMMANDS: dict[str, Command] = {  # in the order of the help
         explaining.IMPACTS,
         explaining.COMPARE,
         explaining.DIAGNOSE,
+        explaining.FOLLOW,
         explaining.DISCOVER,
         explaining.ADD,
         explaining.HISTORY,
@@ -32,6 +35,7 @@ COMMANDS: dict[str, Command] = {  # in the order of the help
         predicting.ROBOT,
         predicting.SCENARIO_DRAFT,
         explaining.PAPER,
+        measuring.REHEARSE,
         measuring.UP,
         explaining.WORKBENCH,
     )

@@ -262,6 +262,58 @@ m/s.""",
     ),
 )  # fmt: skip
 
+FOLLOW = Command(
+    name="follow",
+    summary="learn from every impact, and say when something has changed",
+    about="""\
+Follow a model from hit to hit: trials of a folder in the order in which they were recorded, or impacts of a table.
+
+The first hits teach the scatter. Then each hit is predicted before it is looked at, updates the believed parameters of
+the model with their intervals, and is tested for a change of any effect of the library: another object or tool, a worn
+surface, a joint that warms up. A change is announced with its first hit, its evidence, and all effects that explain it;
+where there are several, with what decides between them. At most one alarm in 10,000 hits is false where noise is as the
+first hits show it (--mean-time).
+
+With --live the command waits for further trials or rows until Ctrl-C. With --state a later run goes on where this one
+ended. Column 'time [s]' of a table says when its rows were measured; without it they are in order.""",
+    examples="""\
+impact-rs follow campaigns/day/runs --model model_2.yaml --state follow.npz -o model_now.yaml
+impact-rs follow campaigns/day/runs --live --state follow.npz
+
+# impacts of an arm, and of one free body, from a table
+impact-rs follow --impacts pushes.csv --scenario push
+impact-rs follow --impacts tosses.csv --json""",
+    output="""\
+a line for every change and every odd hit, the believed parameters, and the prediction of the next hit; with -o the
+followed model as a file.""",
+    units="beside each number; prediction errors are multiples of the standard deviation of a hit.",
+    options=(
+        RUNS,
+        MODEL,
+        output("new_file", "file for the followed model", "MODEL.yaml", label="file of the followed model"),
+        option("--live", kind="switch", help="wait for further trials or rows until Ctrl-C"),
+        option(
+            "--state", kind="new_file", metavar="FILE.npz", label="state file", otherwise="none",
+            help="state file: read where it exists, so that the command goes on, and written after every hit",
+        ),
+        option(
+            "--learn", kind="whole", least=5, default=20, metavar="N", label="hits that teach the scatter",
+            advanced=True, help="hits that teach the scatter before changes are looked for",
+        ),
+        option(
+            "--mean-time", kind="number", default=10000.0, metavar="N", label="hits to a false alarm", advanced=True,
+            help="mean number of hits to a false alarm, at least",
+        ),
+        option(
+            "--effects", kind="effect", many=True, metavar="NAME", help="look for changes of only these effects",
+            otherwise="all", label="only these effects",
+        ),
+        *(one for one in SOURCE if one.name in ("impacts", "scenario", "contact_tolerance", "no_discrepancy")),
+        JSON,
+    ),
+    resumable=True,
+)  # fmt: skip
+
 DISCOVER = Command(
     name="discover",
     summary="look for a law that the library of effects does not have",

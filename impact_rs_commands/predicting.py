@@ -4,7 +4,19 @@
 from __future__ import annotations
 
 from impact_rs_commands.declaration import Command, argument, option
-from impact_rs_commands.shared import CASE, JOBS, JSON, OBJECT, SCENARIO, SETTINGS, contact, optional, output
+from impact_rs_commands.shared import (
+    CASE,
+    CASES,
+    JOBS,
+    JSON,
+    OBJECT,
+    OBJECTS,
+    SCENARIO,
+    SETTINGS,
+    contact,
+    optional,
+    output,
+)
 
 ROBOT_TEXT = "name of a robot in config/robots, or path of its YAML file"
 
@@ -65,6 +77,62 @@ contact laws; --json adds joints and contacts; with --table the file of -o.""",
         SETTINGS,
         option("--table", kind="file", metavar="FILE", help="many problems: a .csv or .parquet table of impacts"),
         output("new_file", "file for the answers of --table", "FILE"),
+        *JOBS,
+        JSON,
+    ),
+)  # fmt: skip
+
+LIMITS = Command(
+    name="limits",
+    summary="how fast the arms may hit",
+    about="""\
+Say how fast the arms of a scenario may hit, object by object and case by case.
+
+The highest closing speed at which all bounds hold in 99 % of the draws of what is not known exactly: the uncertainties
+of the scenario, stiffness and damping of joints and pads, and the discrepancy of the impact map and of the twin.
+Bounds are joint velocity jumps, joint velocities, joint torques, and what the robot's own reflexes compare with their
+thresholds: external joint torques and the external force. Those of reflexes stand in the robot facts (section
+reflexes) or are given here; a kind without a bound is named, and limits nothing.
+
+--places N moves the hit to N x N places around that of the scenario, for a map of the speed limit.""",
+    examples="""\
+impact-rs limits push_fr3
+impact-rs limits push_fr3 --objects juice --cases 2 --reflex-torque 80 --reflex-force 200
+impact-rs limits push_iiwa7 --jump 0.5 --places 5 --span 0.1 -o limits/iiwa7""",
+    output="""\
+a table with a row per object and case; with -o limits.html, limits.json and limits.csv.""",
+    units="speeds of closing along the pad's normal, m/s; joints in rad/s and N m, prismatic joints in m/s and N.",
+    options=(
+        SCENARIO,
+        OBJECTS,
+        CASES,
+        option(
+            "--jump", kind="number", least=0.0, metavar="RAD_S", unit="rad/s", help="largest joint velocity jump",
+            otherwise="that of the robot facts",
+        ),
+        option(
+            "--reflex-torque", kind="number", least=0.0, metavar="NM", unit="N m",
+            help="external torque at which a joint stops the robot", otherwise="those of the robot facts",
+        ),
+        option(
+            "--reflex-force", kind="number", least=0.0, metavar="N", unit="N",
+            help="external force at the end effector at which the robot stops itself",
+            otherwise="that of the robot facts",
+        ),
+        option(
+            "--places", kind="whole", least=0, most=25, default=0, metavar="N",
+            help="also N x N places around that of the scenario, with the object and the case that allow least",
+        ),
+        option(
+            "--span", kind="number", least=0.0, default=0.1, metavar="M", unit="m",
+            help="how far these places reach along x and z, either way",
+        ),
+        option(
+            "--draws", kind="whole", least=20, default=200, metavar="N", advanced=True,
+            help="draws of what is not known exactly",
+        ),
+        SETTINGS,
+        output("new_folder", "folder for the page and the tables", label="folder of the page"),
         *JOBS,
         JSON,
     ),

@@ -76,7 +76,8 @@ ROBOT = (
     NodeParameter(
         "joints",
         "{arm}_joint{number}",
-        "Pattern of the robot's joint names: {arm} is the name of the arm in the scenario, {number} counts from 1",
+        "Pattern of the robot's joint names: {arm} is the name of the arm in the scenario, {number} counts from "
+        "1; or all names, base to tip, with commas between them",
     ),
     NodeParameter(
         "robot_adds_gravity",
@@ -217,6 +218,15 @@ PARAMETERS: dict[str, tuple[NodeParameter, ...]] = {
             (0.1, 60.0),
         ),
     ),
+    "identify": (
+        *COMMON,
+        NodeParameter("runs", "", "Folder of finished trials that is looked at; empty: impacts names a table"),
+        NodeParameter("impacts", "", "Table of impacts that is looked at, a row for each; empty: runs names a folder"),
+        NodeParameter("impacts_scenario", "", "Scenario of the arms in that table; empty: each row is one free body"),
+        NodeParameter("model", "nominal", "Name or path of the model that is followed"),
+        NodeParameter("state", "", "State file, so that a node that is started again goes on; empty: none"),
+        NodeParameter("poll_period", 0.5, "Time between two looks for finished trials", "s", (0.05, 60.0)),
+    ),
     "experiment": (
         *COMMON,
         DATA_ROOT,
@@ -288,8 +298,8 @@ def complaint_about(kind: str, name: str, wanted: Any) -> str:
     known = next((parameter for parameter in PARAMETERS[kind] if parameter.name == name), None)
     if known is None:
         return ""
-    if name == "joints" and "{number}" not in wanted:
-        return f"joints {wanted!r}: expected {{number}} in it"
+    if name == "joints" and "{number}" not in wanted and "," not in wanted:
+        return f"joints {wanted!r}: expected {{number}} in it, or all names with commas between them"
     if known.choices and wanted not in (*known.choices, *known.former):
         return f"{name} {wanted!r}: expected {' or '.join(known.choices)}"
     if name in ("config_root", "data_root") and not Path(wanted or ".").is_dir():
@@ -300,6 +310,11 @@ def complaint_about(kind: str, name: str, wanted: Any) -> str:
         except InputError as error:
             return f"scenario: {error}"
     return ""
+
+
+def defaults_of(kind: str) -> dict[str, Any]:
+    """Default values of all parameters of a node, by name."""
+    return {parameter.name: parameter.default for parameter in PARAMETERS[kind]}
 
 
 def value(node: Node, name: str) -> Any:

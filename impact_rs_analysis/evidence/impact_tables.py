@@ -83,6 +83,7 @@ LEAST_CONDITIONS = 3  # with repeats; with fewer, blocks are used
 LEAST_REPEATS = 3  # degrees of freedom of the pure error
 RELEVANT = 0.005  # of the closing speed; 5 mm/s at 1 m/s, the resolution of body velocities by motion capture
 LEAST_SCALE = 1e-6  # m/s; a model with smaller residuals is exact
+ALTERED = 1024  # physics with effects that were tried last
 KEPT = 128_000_000  # bytes of predictions of the whole table, with effects that were tried last
 TELLING = 0.8  # of what the model leaves; scatter of neighbours above it says nothing
 DECIDES = 0.2  # of what the model leaves; contacts that move predictions by more may decide
@@ -132,6 +133,7 @@ class ImpactTableSource(Source):
         model: The model.
         each_arm: Whether arms of one kind have parameters of their own.
         discrepancy: Of the rigid map, for arms; None: as measured.
+        remarks: Whether to look for remarks.
 
     Attributes:
         predicted: u^+ of the model in the axes of the features, ``(rows, nv)`` [rad/s, m/s].
@@ -149,7 +151,12 @@ class ImpactTableSource(Source):
     least_change = 0.0  # relevance limits decide; rows are independent, unlike samples of a torque
 
     def __init__(
-        self, table: ImpactTable, model: Model, each_arm: bool = False, discrepancy: MapDiscrepancy | None = None
+        self,
+        table: ImpactTable,
+        model: Model,
+        each_arm: bool = False,
+        discrepancy: MapDiscrepancy | None = None,
+        remarks: bool = True,
     ) -> None:
         model = with_per_arm_parameters(model, [row.physics for row in table.rows], each_arm)
         self.table, self.model = table, model
@@ -169,8 +176,9 @@ class ImpactTableSource(Source):
         self.size_is = SIZE_REPEATED if self.repeated else SIZE_ALONE
         self._impacts = MeasuredImpacts([row.impact for row in table.rows], self._of_rows(self._worlds))
         self._known: OrderedDict[bytes, Array] = OrderedDict()
+        self._altered: OrderedDict[tuple[int, Added], Physics | None] = OrderedDict()
         self._judge(_entries(table, joints=table.joints, body=True))
-        self.remarks = tuple(self._remarks())
+        self.remarks = tuple(self._remarks()) if remarks else ()
 
     def _judge(self, seen: slice) -> None:
         """Compare some of the entries of the rows."""
@@ -303,6 +311,54 @@ class ImpactTableSource(Source):
             row = self.table.rows[unsolved[0]]
             raise InputError("no velocities obey the contact laws", file=self.table.path, key=f"row {row.number}")
         return found
+
+    def predict_row(self, row: int, added: Sequence[Added]) -> list[Array | None]:
+        """u^+ of one row for the model with each of some sets of effects, solved together, ``(nv,)`` [rad/s, m/s].
+
+        Args:
+            row: Position of the row.
+            added: Sets of effects.
+
+        Returns:
+            None where the effects give a body without positive inertia, or no velocities obey the laws.
+        """
+        found: dict[int, Array] = {}
+        each = [self._world_with(self._world_of[row], effects) for effects in added]
+        worlds = {number: physics for number, physics in enumerate(each) if physics is not None}
+        if worlds:
+            physics_of = list(worlds.values())
+            impact = self.table.rows[row].impact
+            velocity, _ = MeasuredImpacts([impact] * len(physics_of), physics_of).solve(physics_of)
+            turned = _turned(velocity, np.broadcast_to(self._axes[row], (len(velocity), 3, 3)))[:, self._seen]
+            found = dict(zip(worlds, turned, strict=True))
+        return [None if n not in found or np.isnan(found[n]).any() else found[n] for n in range(len(added))]
+
+    def _world_with(self, place: int, added: Added) -> Physics | None:
+        """One of the physics with effects; None: no positive inertia. Those that were asked for last are kept."""
+        key = place, added
+        if key not in self._altered:
+            physics = self._worlds[place]
+            try:
+                for name, values in added:
+                    physics = self._effects[name].apply_vector(physics, np.array(values))
+                self._altered[key] = physics
+            except NotABody:
+                self._altered[key] = None
+            while len(self._altered) > ALTERED:
+                self._altered.popitem(last=False)
+        self._altered.move_to_end(key)
+        return self._altered[key]
+
+    def map_discrepancy_of(self, row: int) -> Array:
+        """Discrepancy of the rigid map of the entries of a row that are compared, ``(F,)``."""
+        if not self.table.arms:
+            return np.zeros(len(self.signals))
+        world, speed = self._worlds[self._world_of[row]], float(self._impacts.closing_speeds[row])
+        return self._map_discrepancy.of(self._all_signals, world, speed, self._kinds[row])[self._seen]
+
+    def is_oblique(self, row: int) -> bool:
+        """Whether the hit of a row is oblique."""
+        return self._kinds[row] == "oblique"
 
     def size(self) -> float:
         """See :meth:`Source.size`; without repeats, root mean square over the rows of d of the module [m/s]."""

@@ -44,6 +44,7 @@ from impact_rs_sim.scene import ArmState, BodyState
 FRICTION, RESTITUTION = "friction", "restitution"  # what tables call the two numbers of a contact
 PAD_REACH = 0.02  # m, between pad and object; measured poses are off by less, and beyond it nothing was hit
 SUPPORT_REACH = 0.005  # m, between object and support; beyond it the object is in the air
+_MODELS = 64  # rigid-body models of arms, some ten effects on the links each way
 _KEPT = 8  # kinematics of all impacts with one set of links; 0.8 kB an impact
 
 
@@ -136,7 +137,7 @@ class MeasuredImpacts:
         distinct = {id(one): one for one in physics}
         key = (name, *(_links_of(one.arms[name]) for one in distinct.values()))
         if key not in self._arms:
-            models = {number: one.robot_model(name) for number, one in distinct.items()}
+            models = {number: _models.of(one, name) for number, one in distinct.items()}
             found = [
                 tuple(np.array(part) for part in (inertia, jacobian, place.translation, place.rotation))
                 for impact, one in zip(self._impacts, physics, strict=True)
@@ -223,6 +224,27 @@ class MeasuredImpacts:
         impulses, _ = solve_contacts(terms)
         velocity = np.asarray(system.velocity + terms.response @ impulses.ravel())
         return velocity if terms.residual(impulses, velocity).largest <= ExactEngine.tolerance else nothing
+
+
+class _Models:
+    """Rigid-body models that were asked for last: to make one takes a hundred times as long as to use it."""
+
+    def __init__(self) -> None:
+        self._kept: OrderedDict[tuple[object, ...], tuple[object, RobotModel]] = OrderedDict()
+
+    def of(self, physics: Physics, name: str) -> RobotModel:
+        """The rigid-body model of one arm."""
+        arm = physics.arms[name]
+        key = (_links_of(arm), physics.gravity.tobytes())
+        if key not in self._kept:
+            self._kept[key] = (arm.facts, physics.robot_model(name))  # facts alive, for the key has their id
+            while len(self._kept) > _MODELS:
+                self._kept.popitem(last=False)
+        self._kept.move_to_end(key)
+        return self._kept[key][1]
+
+
+_models = _Models()
 
 
 def _links_of(arm: ArmPhysics) -> tuple[object, ...]:

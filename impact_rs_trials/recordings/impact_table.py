@@ -83,6 +83,7 @@ from impact_rs_trials.recordings.table_columns import require
 
 SUFFIXES = (".csv", ".parquet")
 FACTORS: dict[str, dict[str, float]] = {  # from the unit of a header to SI
+    "s": {"s": 1.0, "ms": 1e-3},
     "m": {"m": 1.0, "mm": 1e-3},
     "m/s": {"m/s": 1.0, "mm/s": 1e-3},
     "rad": {"rad": 1.0, "deg": np.pi / 180.0},
@@ -100,6 +101,7 @@ AXES = "xyz"
 MOST_POINTS = 8  # contact points that a row may name
 WIDER = 4.0  # tolerances; points between a quarter of one and so many may touch or not
 TOLERANCE = "contact_tolerance"
+TIME = "time"
 SLIP = 0.75  # likeness from which an unknown column is taken for a slip of the pen
 
 
@@ -117,6 +119,7 @@ class ImpactRow:
         wider: The impact with more contact points, those within ``WIDER`` tolerances; None: there are no more.
         narrower: The impact with fewer, those within a tolerance over ``WIDER`` (no pose is known better than
             ``GAP_TOLERANCE``); None: there are no fewer.
+        time: When it was measured, seconds since 1970 or since any other moment [s]; None: not known.
     """
 
     number: int
@@ -127,6 +130,7 @@ class ImpactRow:
     after: Array
     wider: MeasuredImpact | None = None
     narrower: MeasuredImpact | None = None
+    time: float | None = None
 
 
 @dataclass(frozen=True)
@@ -255,6 +259,7 @@ BODY = {
     "w_noise": "rad/s",
     "dq_noise": "rad/s",
     TOLERANCE: "m",
+    TIME: "s",
     "condition": "",
     "object": "",
 }
@@ -544,7 +549,8 @@ class _Reader:
                 "no impact: the contact does not close; expected a velocity < 0 m/s against the normal",
             )
         condition = self._text(cells, "condition")
-        return ImpactRow(number, condition, object_name, physics, impact, np.concatenate(after), more, fewer)
+        time = self._value(number, cells, TIME) if TIME in self._where else None
+        return ImpactRow(number, condition, object_name, physics, impact, np.concatenate(after), more, fewer, time)
 
     def _rotation(self, number: int, cells: Mapping[str, Any]) -> Array:
         quaternion = self._values(number, cells, ("qx", "qy", "qz", "qw"))

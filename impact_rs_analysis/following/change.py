@@ -1,0 +1,241 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Whether something has changed: a sequential test over effects and moments of change.
+
+Under the hypothesis (e, s) the parameters of effect e moved by eta at instant s, and stayed. With the normal equations
+of the posterior (:mod:`.posterior`), which holds all hits, and sums over the hits from s on
+
+    S = sum J^T (r - H m) = b - A^T m,        I = B - A^T L^-1 A
+
+are score and information of eta once everything that is not certain (other parameters, discrepancy) is fitted too: the
+generalised likelihood ratio of Willsky and Jones (1976) for a linear system. With the prior eta ~ N(0, D^2), D = WIDTH
+parameter scales, and an estimated variance (nu degrees of freedom), the likelihood ratio is that of Student's t,
+
+    LR = det(1 + D I D)^-1/2 [(1 + T_0 / nu) / (1 + T_1 / nu)]^((nu + p) / 2)
+    T_0 = S^T I^-1 S,        T_1 = T_0 - S^T (I + D^-2)^-1 S
+
+whose mean is 1 where nothing changed. So the sum over moments of change, averaged over effects,
+
+    R = mean_e sum_s LR(e, s)
+
+is a Shiryaev-Roberts statistic: R - (number of instants) is a martingale, and the mean number of instants to a false
+alarm at R >= A is at least A (Pollak 1985; 1987). It needs no table of thresholds, reacts within the delay of Page's
+CUSUM (1954) to first order (Lorden 1971), and takes many effects with unequal numbers of parameters without favour.
+
+The variance of each effect's score is checked by what quiet hits say: where they scatter more along an effect than R
+expects, its score counts so much less (:class:`Calibration`). A change needs two instants, the later of which confirms
+what the earlier ones say; a single odd hit is none.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from impact_rs_analysis.diagnosis.candidate import Candidate, bounded
+from impact_rs_analysis.following.posterior import WIDTH, Posterior
+from impact_rs_sim.robot import Array
+
+MEAN_TIME = 10_000.0  # instants to a false alarm, at least, where noise is as believed
+BACK = (1, 2, 3, 4, 5, 6, 8, 11, 15, 21, 29, 40)  # instants since a change that are tried
+TINY = 1e-9  # of the largest information; less is none
+TIED = 0.05  # likelihood over that of the best explanation; those above it are named beside it
+
+
+@dataclass(frozen=True)
+class Explanation:
+    """One effect as the cause of a change.
+
+    Attributes:
+        effect: Name.
+        start: Instant of the window from which on it acts.
+        change: eta, in parameter scales, ``(p_e,)``.
+        log_ratio: Logarithm of its likelihood ratio against no change.
+    """
+
+    effect: str
+    start: int
+    change: Array
+    log_ratio: float
+
+
+@dataclass
+class Calibration:
+    """Variance of every effect's score over what is expected of it, and of whole hits, from quiet hits.
+
+    Attributes:
+        squares: Sum of T_0 of single hits, by effect.
+        ranks: Sum of their expected values.
+        whole: Sum of squared Mahalanobis distances, and of their expected values.
+        freedom: Degrees of freedom of the scatter.
+    """
+
+    squares: dict[str, float] = field(default_factory=dict)
+    ranks: dict[str, float] = field(default_factory=dict)
+    whole: tuple[float, float] = (0.0, 0.0)
+    freedom: float = 1.0
+
+    def add(self, effect: str, square: float, rank: float) -> None:
+        """Take the score of a quiet hit into account."""
+        self.squares[effect] = self.squares.get(effect, 0.0) + square
+        self.ranks[effect] = self.ranks.get(effect, 0.0) + rank
+
+    def of(self, effect: str) -> float:
+        """Factor of the variance of an effect's score, at least 1 [-]."""
+        ranks = self.ranks.get(effect, 0.0)
+        return 1.0 if ranks <= 0.0 else max(1.0, self.squares[effect] / ranks)
+
+    @property
+    def of_hits(self) -> float:
+        """Factor of the variance of whole hits, at least 1 [-]."""
+        square, expected = self.whole
+        return 1.0 if expected <= 0.0 else max(1.0, square / expected)
+
+
+class ChangeTest:
+    """The test, on the posterior of one hypothesis.
+
+    Args:
+        candidate: Effects with their parameters; only names, scales and ranges are used.
+        active: Parameters that some hit depends on, by number.
+        calibration: Of the scores.
+        mean_time: Mean number of instants to a false alarm, at least.
+    """
+
+    def __init__(
+        self, candidate: Candidate, active: Sequence[int], calibration: Calibration, mean_time: float = MEAN_TIME
+    ) -> None:
+        self.candidate, self.calibration, self.mean_time = candidate, calibration, mean_time
+        self.active = tuple(active)
+        places = {number: place for place, number in enumerate(self.active)}
+        self.effects = {
+            effect.name: [places[n] for n in range(part.start, part.stop) if n in places]
+            for effect, part in candidate.parts
+        }
+        self.effects = {name: own for name, own in self.effects.items() if own}
+
+    @property
+    def threshold(self) -> float:
+        """Of the logarithm of R."""
+        return math.log(self.mean_time)
+
+    def statistics(self, posterior: Posterior) -> tuple[float, dict[str, Array], list[int]]:
+        """Logarithm of R, and of LR by effect and moment of change, ``(s,)``, with these moments."""
+        starts = [len(posterior.window) - back for back in BACK if back <= len(posterior.window)]
+        information, score = self._reduced(posterior, starts)
+        found = {
+            name: self._log_ratios(information[:, own][:, :, own], score[:, own], name)
+            for name, own in self.effects.items()
+        }
+        every = np.array(list(found.values()))
+        if not every.size:
+            return -math.inf, found, starts
+        return float(_log_sum(every.ravel())) - math.log(len(found)), found, starts
+
+    def change(self, posterior: Posterior, statistics: dict[str, Array], starts: Sequence[int]) -> list[Explanation]:
+        """Explanations of a change, the best first; none where its last instant does not confirm it.
+
+        Args:
+            posterior: The hits.
+            statistics: Of :meth:`statistics`.
+            starts: The same.
+        """
+        ranked = sorted(statistics, key=lambda name: -float(_log_sum(statistics[name])))
+        found: list[Explanation] = []
+        for name in ranked:
+            if found and float(np.max(statistics[name])) < found[0].log_ratio + math.log(TIED):
+                break
+            explained = self._explained(posterior, name)
+            if explained is not None:
+                found.append(explained)
+                found.sort(key=lambda one: -one.log_ratio)
+        if not found or found[0].log_ratio < self.threshold:
+            return []
+        return [one for one in found if one.log_ratio > found[0].log_ratio + math.log(TIED)]
+
+    def quiet(self, posterior: Posterior) -> dict[str, tuple[float, float]]:
+        """T_0 of the last instant alone, and its expected value, by effect."""
+        information, score = self._reduced(posterior, [len(posterior.window) - 1])
+        found = {}
+        for name, own in self.effects.items():
+            values, vectors = np.linalg.eigh(information[0][np.ix_(own, own)])
+            kept = values > TINY * max(float(values[-1]), 1.0)
+            along = vectors.T @ score[0][own]
+            found[name] = float(np.sum(np.square(along[kept]) / values[kept])), float(kept.sum())
+        return found
+
+    def _reduced(self, posterior: Posterior, starts: Sequence[int]) -> tuple[Array, Array]:
+        """I ``(s, p, p)`` and S ``(s, p)`` of all active parameters."""
+        cross, own, score = posterior.suffixes(starts, self.active)
+        count, size, many = cross.shape
+        solved = posterior.solve(np.swapaxes(cross, 0, 1).reshape(size, count * many)).reshape(size, count, many)
+        information = own - np.einsum("snp,nsq->spq", cross, solved, optimize=True)
+        return information, score - np.einsum("snp,n->sp", cross, posterior.mean)
+
+    def _log_ratios(self, information: Array, score: Array, name: str) -> Array:
+        """Logarithm of LR of one effect, ``(s,)``."""
+        inflation, nu = self.calibration.of(name), self.calibration.freedom
+        values, vectors = np.linalg.eigh(WIDTH**2 / inflation * information)
+        along = np.square(WIDTH / inflation * np.einsum("spq,sp->sq", vectors, score))
+        values = np.maximum(values, 0.0)
+        kept = values > TINY * np.maximum(values[:, -1:], 1.0)
+        # score / sqrt(inflation) is standard where information is; both have been divided by the inflation
+        before = np.sum(np.divide(along, values, out=np.zeros_like(along), where=kept), axis=1)
+        after = np.sum(np.divide(along, values * (1.0 + values), out=np.zeros_like(along), where=kept), axis=1)
+        freedom = nu + kept.sum(axis=1)
+        ratio = np.log1p(before / nu) - np.log1p(after / nu)
+        return np.asarray(0.5 * freedom * ratio - 0.5 * np.sum(np.log1p(values * kept), axis=1))
+
+    def _explained(self, posterior: Posterior, name: str) -> Explanation | None:
+        """An effect within its range from its likeliest moment on; None where the last instant speaks against it."""
+        last = len(posterior.window) - 1
+        if last < 1:
+            return None
+        places, inflation = self.effects[name], self.calibration.of(name)
+        numbers = [self.active[place] for place in places]
+        lower, upper = self._room(posterior, numbers)
+        prior = inflation * np.eye(len(places)) / WIDTH**2
+        starts = list(range(last, -1, -1))
+        information, score = self._reduced(posterior, starts)
+        information, score = information[:, places][:, :, places], score[:, places]
+        best: Explanation | None = None
+        for place, start in enumerate(starts):
+            if start == last:
+                continue
+            total = _positive(information[place]) + prior
+            eta = bounded(total, score[place], lower, upper)
+            gain = float(score[place] @ eta - 0.5 * eta @ total @ eta) / inflation
+            free = float(score[place] @ np.linalg.solve(total, score[place])) / (2.0 * inflation)
+            unbounded = float(self._log_ratios(information[place : place + 1], score[place : place + 1], name)[0])
+            # Where a bound holds, t turns the smaller gain into a smaller ratio in the same proportion.
+            ratio = unbounded if free <= 0.0 else unbounded - (free - gain) * min(1.0, max(unbounded, 1.0) / free)
+            if best is None or ratio > best.log_ratio:
+                earlier = _positive(information[place] - information[0]) + prior
+                early = bounded(earlier, score[place] - score[0], lower, upper)
+                confirmed = float(score[0] @ early - 0.5 * early @ information[0] @ early) > 0.0
+                if confirmed:
+                    best = Explanation(name, start, eta, ratio)
+        return best
+
+    def _room(self, posterior: Posterior, numbers: Sequence[int]) -> tuple[Array, Array]:
+        """Least and largest change of some parameters within their ranges, in scales, ``(p,)`` each."""
+        own = self.candidate
+        now = {number: float(posterior.mean[place]) for place, number in enumerate(posterior.followed)}
+        at = np.array([own.point[n] + own.scale[n] * now.get(n, 0.0) for n in numbers])
+        scale = own.scale[list(numbers)]
+        lower = np.minimum((own.lower[list(numbers)] - at) / scale, -1e-9)
+        return lower, np.maximum((own.upper[list(numbers)] - at) / scale, 1e-9)
+
+
+def _positive(matrix: Array) -> Array:
+    """The nearest symmetric matrix without negative eigenvalues: differences of informations may have some."""
+    values, vectors = np.linalg.eigh(0.5 * (matrix + matrix.T))
+    return np.asarray((vectors * np.maximum(values, 0.0)) @ vectors.T)
+
+
+def _log_sum(values: Array) -> float:
+    """Logarithm of the sum of exponentials."""
+    most = float(np.max(values))
+    return most + math.log(float(np.sum(np.exp(values - most))))

@@ -1,0 +1,789 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Follows a model from hit to hit: learns the scatter, updates the posterior, tests for change, and predicts.
+
+The first hits teach the scatter (:mod:`.scatter`). From then on every instant
+
+1. is predicted by each hypothesis before its outcome is looked at,
+2. updates the posterior of each (:mod:`.posterior`), and its probability by how well it predicted,
+3. is tested for a change, on the likeliest hypothesis (:mod:`.change`).
+
+A change replaces the hypotheses by its explanations, at most ``MOST``: each with the parameters of one effect free,
+linearised anew about their estimate (Gauss-Newton on the hits since the change). Later hits raise or lower them, as in
+multiple-model estimation (Magill 1965), and predictions are their mixture.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import groupby
+from typing import Any
+
+import numpy as np
+import scipy
+
+from impact_rs_analysis.diagnosis.candidate import Candidate
+from impact_rs_analysis.diagnosis.diagnose import effects_for
+from impact_rs_analysis.evidence.cluster import Added
+from impact_rs_analysis.evidence.source import Source
+from impact_rs_analysis.following.change import MEAN_TIME, Calibration, ChangeTest, Explanation
+from impact_rs_analysis.following.hits import Door, Hit
+from impact_rs_analysis.following.lessons import (
+    Cause,
+    Change,
+    Followed,
+    HitDocument,
+    NextHit,
+    Predicted,
+)
+from impact_rs_analysis.following.posterior import WIDE, WINDOW, HitEvidence, Posterior, log_density, weight_of
+from impact_rs_analysis.following.scatter import HitScatter, deviations_of, scatter_of
+from impact_rs_sim.errors import InputError
+from impact_rs_sim.model import Model, ModelEffect, ParameterValue
+from impact_rs_sim.numbers import estimate_text
+from impact_rs_sim.proportion import Proportion
+from impact_rs_sim.robot import Array
+
+LEARNT = 20  # hits that teach the scatter
+LEAST_FREEDOM = 10  # of the scatter: its standard deviations are known to 22 % then
+MOST = 4  # hypotheses at a time
+RULED_OUT = 1e-3  # probability below which a hypothesis is dropped
+RULED_IN = 0.95  # probability from which the cause is said to be known
+STEPS = 4  # of Gauss-Newton about an explanation
+NEAR = 0.1  # parameter scales; a shorter step ends it
+APART = 2.0  # standard deviations between predictions; one hit then decides
+NORMAL_95 = 1.96
+WALL_CLOCK = 1e9  # s since 1970; an earlier stamp counts from another moment
+MOST_NAMED = 3  # parameters of an effect in a sentence, those that are surest
+
+
+@dataclass(frozen=True)
+class Origin:
+    """What was known when an effect changed.
+
+    Attributes:
+        past: Posterior of all hits before, with an empty window.
+        numbers: Parameters of the effect.
+        old: Their values before, ``(p_e,)``.
+    """
+
+    past: Posterior
+    numbers: tuple[int, ...]
+    old: Array
+
+
+@dataclass
+class Hypothesis:
+    """One belief about what the cell is.
+
+    Attributes:
+        point: Values of all parameters about which it is linearised, ``(p,)``.
+        posterior: State of its parameters.
+        log_weight: Logarithm of its probability.
+        effect: Effect that changed last; empty: none did.
+        origin: What that change started from; None: none did, or it is older than the window.
+    """
+
+    point: Array
+    posterior: Posterior
+    log_weight: float = 0.0
+    effect: str = ""
+    origin: Origin | None = None
+
+
+class Follower:
+    """Follows a model through hits.
+
+    Args:
+        door: Gives hits and predictions; its model is replaced by one without the effects that are followed.
+        model: What is believed at the start.
+        only: Effects to look at beside those of the model; None: all that hits can show.
+        learnt: Hits that teach the scatter.
+        mean_time: Mean number of hits to a false alarm, at least.
+    """
+
+    def __init__(
+        self,
+        door: Door,
+        model: Model,
+        only: Sequence[str] | None = None,
+        learnt: int = LEARNT,
+        mean_time: float = MEAN_TIME,
+    ) -> None:
+        self.door, self.model, self._only, self._learnt, self._mean_time = door, model, only, learnt, mean_time
+        self._believed = [item for item in model.effects if _same(model, item)]
+        kept = tuple(item for item in model.effects if item not in self._believed)
+        door.model = model.model_copy(update={"effects": kept})
+        self._first: list[Hit] = []
+        self._scatter: dict[str, HitScatter] = {}
+        self._limits: dict[str, Array] = {}
+        self._names: list[str] = []
+        self._jacobians: dict[tuple[str, bytes], Array] = {}
+        self._plans: dict[bytes, tuple[Array, list[Added]]] = {}
+        self._last: dict[str, Hit] = {}
+        self.active: tuple[int, ...] = ()
+        self._announced: list[str] = []
+        self.calibration = Calibration()
+        self.candidate: Candidate | None = None
+        self.hypotheses: list[Hypothesis] = []
+
+    @property
+    def watching(self) -> bool:
+        """Whether the scatter is known, so that changes are looked for."""
+        return bool(self._scatter)
+
+    def arrived(self) -> Iterable[HitDocument]:
+        """Take the hits that have arrived since the last call, in time order.
+
+        Raises:
+            InputError: The measurements cannot be read, or the model predicts none of the first hits.
+        """
+        for _, together in groupby(self.door.arrived(), key=lambda hit: hit.stamp):
+            yield from self.take(list(together))
+
+    def take(self, instant: Sequence[Hit]) -> list[HitDocument]:
+        """Take simultaneous hits, whose order does not matter.
+
+        Args:
+            instant: Hits with one stamp.
+        """
+        instant = sorted(instant, key=lambda hit: hit.name)
+        for hit in instant:
+            self._names.append(hit.name)
+            self._last[hit.condition] = hit
+        self._last[""] = instant[-1]
+        documents = self._watch([hit for hit in instant if hit.layout in self._scatter])
+        unknown = [hit for hit in instant if hit.layout not in self._scatter]
+        self._first += unknown
+        for layout in dict.fromkeys(hit.layout for hit in unknown):
+            if self._enough(layout):
+                self._begin(layout)
+        return [documents[hit.name] if hit.name in documents else _learning(hit) for hit in instant]
+
+    @property
+    def likeliest(self) -> Hypothesis:
+        """The hypothesis with the largest probability."""
+        return max(self.hypotheses, key=lambda one: one.log_weight)
+
+    def followed(self) -> tuple[Followed, ...]:
+        """Believed parameters, by the likeliest hypothesis."""
+        if self.candidate is None:
+            return ()
+        return self._followed(self.likeliest, self.likeliest.posterior.followed, self._start)
+
+    def prediction(self, condition: str = "") -> NextHit | None:
+        """What the next hit of a condition will measure, if it starts as the last one did; None while learning.
+
+        Args:
+            condition: The condition; empty: that of the last hit.
+        """
+        hit = self._last.get(condition)
+        if hit is None or not self.watching or hit.layout not in self._scatter:
+            return None
+        found = [self._predicted(one, hit) for one in self.hypotheses]
+        shares = self.probabilities()
+        known = [(share, *one) for share, one in zip(shares, found, strict=True) if one is not None]
+        if not known:
+            return None
+        total = sum(share for share, _, _ in known)
+        mean = sum(share * value for share, value, _ in known) / total
+        variance = sum(share * (own + np.square(value - mean)) for share, value, own in known) / total
+        half = scipy.special.stdtrit(self.calibration.freedom, 0.975) * np.sqrt(variance * self.calibration.of_hits)
+        return NextHit(
+            condition=hit.condition,
+            like=hit.name,
+            values=tuple(
+                Predicted(
+                    signal=feature.signal,
+                    index=feature.index,
+                    phase=feature.phase,
+                    bin=feature.bin,
+                    value=float(value),
+                    ci95=(float(value - width), float(value + width)),
+                    unit=feature.unit,
+                )
+                for feature, value, width in zip(hit.features, mean, half, strict=True)
+            ),
+        )
+
+    def probabilities(self) -> Array:
+        """Probability of every hypothesis, ``(h,)``."""
+        weights = np.array([one.log_weight for one in self.hypotheses])
+        weights = np.exp(weights - weights.max())
+        return np.asarray(weights / weights.sum())
+
+    def model_now(self, name: str, parent: str) -> Model:
+        """The model with the parameters that are believed now, by the likeliest hypothesis.
+
+        Args:
+            name: Its name.
+            parent: File of the model that was given.
+
+        Raises:
+            InputError: Nothing is followed yet.
+        """
+        if self.candidate is None:
+            raise InputError(
+                f"too few hits to follow a model: {len(self._names)} of {self._learnt} that teach the scatter"
+            )
+        found, values = self.model, self._values(self.likeliest)
+        known = {one.parameter: one for one in self.followed()}
+        for effect, part in self.candidate.parts:
+            names = [f"{effect.name}.{scalar.name}" for scalar in self.candidate.scalars[part]]
+            if not any(own in known for own in names):
+                continue
+            parameters = {}
+            for own, scalar, value in zip(names, self.candidate.scalars[part], values[part], strict=True):
+                interval = known[own].ci95 if own in known else None
+                parameters[scalar.name] = ParameterValue(estimate=float(value), unit=scalar.unit, ci95=interval)
+            found = found.with_effect(ModelEffect(name=effect.name, parameters=parameters), name, parent)
+        note = f"followed through {len(self._names)} hits, the last of them {self._names[-1]}"
+        return found.model_copy(
+            update={"name": name, "parent": parent, "parent_digest": self.model.digest, "note": note}
+        )
+
+    def saved(self) -> tuple[dict[str, Any], dict[str, Array]]:
+        """All that a later run needs to go on, as a document and arrays (:mod:`.state`)."""
+        arrays: dict[str, Array] = {}
+        hypotheses = []
+        for number, one in enumerate(self.hypotheses):
+            own = one.posterior
+            arrays |= {
+                f"point{number}": one.point,
+                f"information{number}": own.information,
+                f"vector{number}": own.vector,
+            }
+            origin = None
+            if one.origin is not None:
+                past = one.origin.past
+                arrays |= {f"past{number}": past.information, f"past_vector{number}": past.vector}
+                arrays[f"old{number}"] = one.origin.old
+                origin = {"followed": past.followed, "groups": _ends(past), "numbers": one.origin.numbers}
+            hypotheses.append(
+                {
+                    "origin": origin,
+                    "followed": own.followed,
+                    "groups": _ends(own),
+                    "window": [[(e.hit.name, e.weight) for e in instant] for instant in own.window],
+                    "log_weight": one.log_weight,
+                    "effect": one.effect,
+                }
+            )
+        for number, scatter in enumerate(self._scatter.values()):
+            arrays |= {f"whiten{number}": scatter.whiten, f"sigma{number}": scatter.sigma}
+        document = {
+            "model": self.model.digest,
+            "names": self._names,
+            "first": [hit.name for hit in self._first],
+            "last": {condition: hit.name for condition, hit in self._last.items()},
+            "announced": self._announced,
+            "active": self.active,
+            "layouts": list(self._scatter),
+            "calibration": vars(self.calibration),
+            "proportion": None if self.candidate is None else vars(self.proportion),
+            "hypotheses": hypotheses,
+        }
+        return document, arrays
+
+    def restore(self, document: Mapping[str, Any], arrays: Mapping[str, Array]) -> None:
+        """Go on where :meth:`saved` was called.
+
+        Raises:
+            InputError: A hit that the state needs is gone.
+        """
+        windows = [name for h in document["hypotheses"] for instant in h["window"] for name, _ in instant]
+        needed = [*document["first"], *document["last"].values(), *windows]
+        hits = self.door.recalled(needed, document["names"])
+        self._names, self._announced = list(document["names"]), list(document["announced"])
+        self._first = [hits[name] for name in document["first"]]
+        self._last = {condition: hits[name] for condition, name in document["last"].items()}
+        if document["proportion"] is None:
+            return
+        self.consider(self.door.source(list(hits.values())), Proportion(**document["proportion"]))
+        self.active = tuple(document["active"])
+        self._scatter = {
+            layout: HitScatter(arrays[f"whiten{n}"], arrays[f"sigma{n}"])
+            for n, layout in enumerate(document["layouts"])
+        }
+        self.calibration = Calibration(**{**document["calibration"], "whole": tuple(document["calibration"]["whole"])})
+        self.hypotheses = []
+        for number, one in enumerate(document["hypotheses"]):
+            point = arrays[f"point{number}"]
+            posterior = _posterior(one, arrays[f"information{number}"], arrays[f"vector{number}"])
+            origin = None
+            if (own := one["origin"]) is not None:
+                past = _posterior(own, arrays[f"past{number}"], arrays[f"past_vector{number}"])
+                origin = Origin(past, tuple(own["numbers"]), arrays[f"old{number}"])
+            for instant in one["window"]:
+                evidence = [(self._evidence(hits[name], point), weight) for name, weight in instant]
+                posterior.add([replace(e, weight=weight) for e, weight in evidence if e is not None])
+            self.hypotheses.append(Hypothesis(point, posterior, one["log_weight"], one["effect"], origin))
+
+    def _enough(self, layout: str) -> bool:
+        """Whether the first hits of a layout teach its scatter."""
+        own = [hit for hit in self._first if hit.layout == layout]
+        if len(self._names) < self._learnt or len(own) < self._learnt // 2:
+            return False
+        _, freedom = deviations_of([hit.measured for hit in own], [hit.condition for hit in own])
+        return freedom >= min(LEAST_FREEDOM, self._learnt // 2 - 1)
+
+    def _begin(self, layout: str) -> None:
+        """Learn the scatter of a layout from its first hits, and begin to watch it."""
+        first = [hit for hit in self._first if hit.layout == layout]
+        self._first = [hit for hit in self._first if hit.layout != layout]
+        if self.candidate is None:
+            source = self.door.source(first)
+            self._deviations, self._stated = self.consider(source, source.proportion)
+        assert self.candidate is not None
+        known, point = self.active if self.hypotheses else (), self._start
+        self._look_at(range(point.size))
+        found = [(hit, one) for hit in first if (one := self._linearised(hit, point)) is not None]
+        if len(found) < 0.5 * len(first):
+            raise InputError(f"model {self.model.name!r} predicts {len(found)} of the first {len(first)} hits")
+        residuals = [(hit, hit.measured - predicted) for hit, (predicted, _) in found]
+        jacobians = [jacobian for _, (_, jacobian) in found]
+        self._limits[layout] = self.door.limits(first, layout)
+        self._scatter[layout], freedom = _scatter(residuals, self._limits[layout])
+        calibration, freedom = self.calibration, max(freedom, 2)
+        calibration.freedom = float(freedom) if not self.hypotheses else min(calibration.freedom, float(freedom))
+        moving = np.max([np.max(np.abs(jacobian), axis=0) for jacobian in jacobians], axis=0) > 0.0
+        self._look_at(sorted({*known, *np.flatnonzero(moving).tolist()}))
+        if not self.hypotheses:
+            stated = [number for number in self._stated if number in self.active]
+            self.hypotheses = [Hypothesis(point, Posterior.of(stated, self._deviations[stated]))]
+        for hypothesis in self.hypotheses:
+            evidence = [e for hit, _ in found if (e := self._evidence(hit, hypothesis.point)) is not None]
+            hypothesis.posterior.make_room((one.hit.group, one.patterns.shape[1]) for one in evidence)
+            hypothesis.posterior.believe(evidence)
+        self._calibrate(layout, residuals, jacobians)
+
+    def _look_at(self, parameters: Sequence[int]) -> None:
+        """Take sensitivities to these parameters alone from now on."""
+        self.active = tuple(parameters)
+        self._plans.clear()
+        self._jacobians.clear()
+
+    def consider(self, source: Source, proportion: Proportion) -> tuple[Array, list[int]]:
+        """Choose effects and their parameters.
+
+        Args:
+            source: Some hits.
+            proportion: Size of what was measured, to which ranges and scales are in proportion.
+
+        Returns:
+            Standard deviations of the parameters in scales, ``(p,)``, and the numbers of those that the model states
+            with an interval.
+        """
+        known = [item.name for item in self._believed]
+        library = source.model.known_effects
+        names = [effect.name for effect in effects_for(source, self._only)]
+        names += [name for name in known if name not in names]
+        effects = tuple(library[name].in_proportion(proportion) for name in names)
+        candidate = Candidate.of(effects, source)
+        point = candidate.nominal.copy()
+        deviations = np.full(point.size, WIDE)
+        followed: list[int] = []
+        for item in self._believed:
+            part = candidate.part(item.name)
+            for number in range(part.start, part.stop):
+                value = item.parameters[candidate.scalars[number].name]
+                point[number] = value.estimate
+                if value.ci95 is not None:
+                    width = (value.ci95[1] - value.ci95[0]) / (2.0 * NORMAL_95)
+                    deviations[number] = max(width / candidate.scale[number], 1e-6)
+                    followed.append(number)
+        self._start, self._joints, self.proportion = point, source.joints, proportion
+        self.active = tuple(range(point.size))
+        self.candidate = replace(candidate, point=point)
+        return deviations, followed
+
+    def _calibrate(self, layout: str, residuals: Sequence[tuple[Hit, Array]], jacobians: Sequence[Array]) -> None:
+        """Variance of the scores: of every first hit by the scatter of the others."""
+        test = self._test(self.hypotheses[0])
+        square, expected = self.calibration.whole
+        for left, (hit, residual) in enumerate(residuals):
+            others = [one for n, one in enumerate(residuals) if n != left]
+            alike = [value for one, value in others if one.condition == hit.condition] or [v for _, v in others]
+            scatter, _ = _scatter(others, self._limits[layout])
+            whitened = scatter.whiten @ (residual - np.mean(alike, axis=0)) / math.sqrt(1.0 + 1.0 / len(alike))
+            square, expected = square + float(whitened @ whitened), expected + whitened.size
+            jacobian = scatter.whiten @ jacobians[left]
+            for name, places in test.effects.items():
+                columns = jacobian[:, [test.active[place] for place in places]]
+                basis, values, _ = np.linalg.svd(columns, full_matrices=False)
+                basis = basis[:, values > 1e-6 * max(float(values[0]), 1e-300)]
+                self.calibration.add(name, float(np.sum(np.square(basis.T @ whitened))), float(basis.shape[1]))
+        self.calibration.whole = square, expected
+
+    def _test(self, hypothesis: Hypothesis) -> ChangeTest:
+        assert self.candidate is not None
+        return ChangeTest(
+            replace(self.candidate, point=hypothesis.point), self.active, self.calibration, self._mean_time
+        )
+
+    def _watch(self, fresh: Sequence[Hit]) -> dict[str, HitDocument]:
+        """Predict, update and test; what each hit taught, by its name."""
+        if not fresh:
+            return {}
+        begun = time.perf_counter()
+        errors: dict[str, tuple[float, float, bool]] = {}
+        best = self.likeliest
+        for hypothesis in self.hypotheses:
+            taken = []
+            for hit in fresh:
+                evidence = self._evidence(hit, hypothesis.point)
+                if evidence is None:
+                    self.door.skipped[hit.name] = "the model predicts no impact"
+                    continue
+                posterior = hypothesis.posterior
+                posterior.make_room([(hit.group, evidence.patterns.shape[1])])
+                innovation, covariance = posterior.innovation(evidence)
+                inflation = self.calibration.of_hits
+                weight, _ = weight_of(innovation, covariance, inflation)
+                hypothesis.log_weight += log_density(innovation, covariance, inflation, self.calibration.freedom)
+                taken.append(replace(evidence, weight=weight))
+                size = math.sqrt(float(np.mean(np.square(innovation))))
+                if hypothesis is best:
+                    errors[hit.name] = size, self._error_of_model(hit, evidence), weight < 1.0
+            if taken:
+                hypothesis.posterior.add(taken)
+            if len(hypothesis.posterior.window) == WINDOW:
+                hypothesis.origin = None
+        resolved = self._weigh()
+        statistic, change = self._tested(fresh)
+        spent = 1e3 * (time.perf_counter() - begun) / len(fresh)
+        documents = {}
+        for hit in fresh:
+            error, last = errors.get(hit.name), hit is fresh[-1]
+            documents[hit.name] = HitDocument(
+                name=hit.name,
+                stamp=hit.stamp,
+                condition=hit.condition,
+                error=None if error is None else error[0],
+                of_model=None if error is None else error[1],
+                evidence=statistic / math.log(10.0),
+                odd=error is not None and error[2],
+                change=change if last else None,
+                resolved=resolved if last else "",
+                milliseconds=spent,
+            )
+        return documents
+
+    def _error_of_model(self, hit: Hit, evidence: HitEvidence) -> float:
+        """Error of the model as it was given, in standard deviations of a hit, rms over the features."""
+        assert self.candidate is not None
+        (given,) = self.door.predict(hit, [replace(self.candidate, point=self._start).split(self._start)])
+        off = evidence.residual if given is None else self._scatter[hit.layout].whiten @ (hit.measured - given)
+        return math.sqrt(float(np.mean(np.square(off))))
+
+    def _weigh(self) -> str:
+        """Drop hypotheses that are ruled out; what is now known for certain."""
+        several = len(self.hypotheses) > 1
+        shares = self.probabilities()
+        most = float(shares.max())
+        self.hypotheses = [h for h, share in zip(self.hypotheses, shares, strict=True) if share > RULED_OUT]
+        top = max(one.log_weight for one in self.hypotheses)
+        for one in self.hypotheses:
+            one.log_weight -= top
+        if several and most > RULED_IN:
+            self.hypotheses = [self.likeliest]
+            best = self.likeliest
+            return f"it is {best.effect}" if best.effect else ""
+        return ""
+
+    def _tested(self, instant: Sequence[Hit]) -> tuple[float, Change | None]:
+        """Logarithm of the statistic, and the change that it shows."""
+        best = self.likeliest
+        if not best.posterior.window:
+            return 0.0, None
+        test = self._test(best)
+        statistic, ratios, starts = test.statistics(best.posterior)
+        if statistic >= test.threshold and best.origin is not None:  # or is it its linearisation?
+            refined = self._refined(best)
+            self.hypotheses[self.hypotheses.index(best)] = best = refined
+            test = self._test(best)
+            statistic, ratios, starts = test.statistics(best.posterior)
+        if statistic >= test.threshold and (found := test.change(best.posterior, ratios, starts)):
+            change = self._changed(best, test, found[:MOST], statistic, instant[-1])
+            return statistic, change
+        if len(best.posterior.window) > 1 and statistic < 0.5 * test.threshold:
+            for name, (square, rank) in test.quiet(best.posterior).items():
+                self.calibration.add(name, min(square, 9.0 * max(rank, 1.0)), rank)
+            self.calibration.freedom += 1.0
+        return statistic, None
+
+    def _changed(
+        self, before: Hypothesis, test: ChangeTest, found: Sequence[Explanation], statistic: float, hit: Hit
+    ) -> Change:
+        """Replace the hypotheses by the explanations of a change."""
+        window = list(before.posterior.window)
+        first = window[found[0].start][0].hit
+        hypotheses = []
+        for one in found:
+            hypothesis = self._about(before, one)
+            hypothesis.log_weight = one.log_ratio
+            hypotheses.append(hypothesis)
+        self.hypotheses = hypotheses
+        shares = self.probabilities()
+        causes = []
+        old = self._values(before)
+        for one, share, hypothesis in zip(found, shares, hypotheses, strict=True):
+            part = test.candidate.part(one.effect)
+            parameters = self._followed(hypothesis, range(part.start, part.stop), old)
+            start = window[one.start][0].hit
+            causes.append(
+                Cause(
+                    effect=one.effect, share=float(share), since=start.name, parameters=parameters,
+                    words=_in_words(one.effect, parameters),
+                )
+            )  # fmt: skip
+        again = found[0].effect in self._announced
+        self._announced.append(found[0].effect)
+        since = _when(first)
+        apart = self._apart() if len(causes) > 1 else ""
+        words = f"since {since} {' or '.join(cause.words for cause in causes)}"
+        return Change(
+            hit=hit.name,
+            since=first.name,
+            since_time=first.stamp if first.timed else None,
+            hits=sum(len(window[n]) for n in range(found[0].start, len(window))),
+            log10_ratio=found[0].log_ratio / math.log(10.0),
+            false_alarm=math.exp(min(statistic, 300.0)),
+            causes=tuple(causes),
+            again=again,
+            apart=apart,
+            words=f"{words}; {apart}" if apart else words,
+        )
+
+    def _about(self, before: Hypothesis, one: Explanation) -> Hypothesis:
+        """An explanation, linearised about its estimate."""
+        assert self.candidate is not None
+        part = self.candidate.part(one.effect)
+        numbers = list(range(part.start, part.stop))
+        seen = [n for n in numbers if n in self.active]
+        point = before.point.copy()
+        old = self._values(before)[numbers]
+        point[numbers] = old
+        point[seen] += self.candidate.scale[seen] * one.change
+        past = _copy(before.posterior)
+        hits = [[e.hit for e in instant] for instant in past.window[one.start :]]
+        past.believe_before(one.start)
+        past.forget_window()
+        if len(seen) < len(numbers):  # what changed shows shapes that nothing depended on before
+            self._look_at(sorted({*self.active, *numbers}))
+        return self._fitted(Origin(past, tuple(numbers), old), hits, point, one.effect)
+
+    def _fitted(self, origin: Origin, hits: Sequence[Sequence[Hit]], point: Array, effect: str) -> Hypothesis:
+        """Gauss-Newton on the hits since a change, with the parameters of its effect free."""
+        assert self.candidate is not None
+        own, numbers = self.candidate, list(origin.numbers)
+        scale, lower, upper = own.scale[numbers], own.lower[numbers], own.upper[numbers]
+        followed = tuple(dict.fromkeys((*origin.past.followed, *numbers)))
+        point = point.copy()
+        point[numbers] = np.clip(point[numbers], lower, upper)
+        for step in range(STEPS):
+            posterior = origin.past.refollowed(followed, numbers, (origin.old - point[numbers]) / scale)
+            for instant in hits:
+                evidence = [e for hit in instant if (e := self._evidence(hit, point)) is not None]
+                posterior.make_room((e.hit.group, e.patterns.shape[1]) for e in evidence)
+                weighed = [replace(e, weight=self._weight(posterior, e)) for e in evidence]
+                if weighed:
+                    posterior.add(weighed)
+            place = [posterior.followed.index(n) for n in numbers]
+            there = np.clip(point[numbers] + scale * posterior.mean[place], lower, upper)
+            if step == STEPS - 1 or np.all(np.abs(there - point[numbers]) < NEAR * scale):
+                break
+            point[numbers] = there
+        return Hypothesis(point, posterior, effect=effect, origin=origin)
+
+    def _weight(self, posterior: Posterior, evidence: HitEvidence) -> float:
+        """Weight of a hit."""
+        return weight_of(*posterior.innovation(evidence), self.calibration.of_hits)[0]
+
+    def _refined(self, hypothesis: Hypothesis) -> Hypothesis:
+        """The hypothesis, linearised about what the hits since its change say by now."""
+        if hypothesis.origin is None:
+            return hypothesis
+        hits = [[e.hit for e in instant] for instant in hypothesis.posterior.window]
+        found = self._fitted(hypothesis.origin, hits, self._values(hypothesis), hypothesis.effect)
+        found.log_weight = hypothesis.log_weight
+        return found
+
+    def _values(self, hypothesis: Hypothesis) -> Array:
+        """Believed values of all parameters, ``(p,)``."""
+        assert self.candidate is not None
+        values = hypothesis.point.copy()
+        for place, number in enumerate(hypothesis.posterior.followed):
+            values[number] += self.candidate.scale[number] * hypothesis.posterior.mean[place]
+        return np.clip(values, self.candidate.lower, self.candidate.upper)
+
+    def _followed(self, hypothesis: Hypothesis, numbers: Sequence[int], old: Array) -> tuple[Followed, ...]:
+        """Parameters with their intervals and changes."""
+        assert self.candidate is not None
+        own, posterior = self.candidate, hypothesis.posterior
+        values = self._values(hypothesis)
+        covariance = posterior.covariance_of_followed()
+        wide = scipy.special.stdtrit(self.calibration.freedom, 0.975)
+        names = [effect.name for effect, part in own.parts for _ in range(part.start, part.stop)]
+        found = []
+        for number in numbers:
+            place = posterior.followed.index(number)
+            inflation = self.calibration.of(names[number])
+            half = wide * own.scale[number] * math.sqrt(float(covariance[place, place]) * inflation)
+            scalar = own.scalars[number]
+            value = float(values[number])
+            found.append(
+                Followed(
+                    parameter=f"{names[number]}.{scalar.name}",
+                    estimate=value,
+                    ci95=(value - half, value + half),
+                    change=value - float(old[number]),
+                    unit=scalar.unit,
+                )
+            )
+        return tuple(found)
+
+    def _apart(self) -> str:
+        """The condition in which one hit decides best between the explanations."""
+        best: tuple[float, str] = (0.0, "")
+        for condition, hit in self._last.items():
+            if not condition:
+                continue
+            pair = [self._predicted(one, hit) for one in self.hypotheses[:2]]
+            if pair[0] is None or pair[1] is None:
+                continue
+            apart = self._scatter[hit.layout].whiten @ (pair[0][0] - pair[1][0])
+            best = max(best, (float(np.linalg.norm(apart)), condition))
+        size, condition = best
+        free = [one.effect for one in self.hypotheses if self._seen_free(one.effect)]
+        if size > APART:
+            return f"one hit of {condition} decides between them ({size:.1f} standard deviations)"
+        if 0 < len(free) < len(self.hypotheses):
+            return f"a free motion decides between them: {' and '.join(free)} would show there"
+        if condition:
+            return f"hits like these hardly decide between them ({condition}: {size:.1f} standard deviations); hit otherwise"
+        return "hits like these hardly decide between them; hit otherwise"
+
+    def _seen_free(self, name: str) -> bool:
+        assert self.candidate is not None
+        return any(effect.name == name and effect.seen_in(contact=False) for effect in self.candidate.effects)
+
+    def _predicted(self, hypothesis: Hypothesis, hit: Hit) -> tuple[Array, Array] | None:
+        """Mean and variance of what a hit like this one measures, ``(F,)`` each, in its units."""
+        if hit.layout not in self._scatter:
+            return None
+        evidence = self._evidence(hit, hypothesis.point)
+        if evidence is None:
+            return None
+        hypothesis.posterior.make_room([(hit.group, evidence.patterns.shape[1])])
+        innovation, covariance = hypothesis.posterior.innovation(evidence)
+        unwhiten = np.linalg.inv(self._scatter[hit.layout].whiten)
+        return hit.measured - unwhiten @ innovation, np.diag(unwhiten @ covariance @ unwhiten.T)
+
+    def _evidence(self, hit: Hit, point: Array) -> HitEvidence | None:
+        """What a hit says about a point; None without a contact."""
+        found = self._linearised(hit, point)
+        if found is None:
+            return None
+        predicted, jacobian = found
+        whiten = self._scatter[hit.layout].whiten
+        return HitEvidence(hit, whiten @ (hit.measured - predicted), whiten @ jacobian, whiten @ hit.discrepancy.T)
+
+    def _linearised(self, hit: Hit, point: Array) -> tuple[Array, Array] | None:
+        """NextHit ``(F,)`` and sensitivities per scale ``(F, p)`` at a point; None without a contact."""
+        assert self.candidate is not None
+        own = replace(self.candidate, point=point)
+        key = (hit.shared, point.tobytes())
+        if hit.shared and key in self._jacobians:
+            (predicted,) = self.door.predict(hit, [own.split(point)])
+            return None if predicted is None else (predicted, self._jacobians[key])
+        numbers = self.active
+        if (plan := self._plans.get(point.tobytes())) is None:
+            steps = own.steps(self._joints)
+            moved = [point + steps[number] * (np.arange(point.size) == number) for number in numbers]
+            plan = self._plans[point.tobytes()] = steps, [own.split(one) for one in (point, *moved)]
+        steps, points = plan
+        predicted, *others = self.door.predict(hit, points)
+        if predicted is None:
+            return None
+        jacobian = np.zeros((predicted.size, point.size))
+        for number, there in zip(numbers, others, strict=True):
+            if there is not None:
+                jacobian[:, number] = (there - predicted) * own.scale[number] / steps[number]
+        if hit.shared:
+            self._jacobians[key] = jacobian
+        return predicted, jacobian
+
+
+def _learning(hit: Hit) -> HitDocument:
+    """A hit that teaches the scatter."""
+    return HitDocument(
+        name=hit.name,
+        stamp=hit.stamp,
+        condition=hit.condition,
+        error=None,
+        of_model=None,
+        evidence=None,
+        milliseconds=0.0,
+    )
+
+
+def _scatter(residuals: Sequence[tuple[Hit, Array]], limits: Array) -> tuple[HitScatter, int]:
+    """Scatter of hits of one layout, and its degrees of freedom."""
+    deviations, freedom = deviations_of([value for _, value in residuals], [hit.condition for hit, _ in residuals])
+    stated = np.max([hit.noise for hit, _ in residuals], axis=0)
+    return scatter_of(deviations, freedom, stated, limits), freedom
+
+
+def _same(model: Model, item: ModelEffect) -> bool:
+    """Whether an entry has the parameters that the effect of its name has now; older files may have others."""
+    return model.effect_of(item).parameters == model.known_effects[item.name].parameters
+
+
+def _ends(posterior: Posterior) -> dict[str, tuple[int, int]]:
+    """Columns of the groups of a posterior, for the state."""
+    return {group: (part.start, part.stop) for group, part in posterior.groups.items()}
+
+
+def _posterior(document: Mapping[str, Any], information: Array, vector: Array) -> Posterior:
+    """A posterior of the state, with an empty window."""
+    groups = {group: slice(*ends) for group, ends in document["groups"].items()}
+    return Posterior(tuple(document["followed"]), information, vector, groups)
+
+
+def _copy(posterior: Posterior) -> Posterior:
+    """A copy that can be changed."""
+    return replace(
+        posterior,
+        information=posterior.information.copy(),
+        vector=posterior.vector.copy(),
+        groups=dict(posterior.groups),
+        window=list(posterior.window),
+        _sums=list(posterior._sums),
+        _total=None,
+    )
+
+
+def _when(hit: Hit) -> str:
+    """When a hit was, for the reader: the wall clock, or its name."""
+    if not hit.timed or hit.stamp < WALL_CLOCK:
+        return hit.name
+    return f"{time.strftime('%Y-%m-%d %H:%M:%S', time.localtime(hit.stamp))} ({hit.name})"
+
+
+def _in_words(effect: str, parameters: Sequence[Followed]) -> str:
+    """A change of an effect's parameters in words: those that moved for certain, else the one that moved most."""
+    sure = [p for p in parameters if not p.ci95[0] <= p.estimate - p.change <= p.ci95[1]]
+    more = f" and {len(sure) - MOST_NAMED} more" if len(sure) > MOST_NAMED else ""
+    sure = sorted(sure, key=lambda p: -abs(p.change) / max(p.ci95[1] - p.ci95[0], 1e-300))[:MOST_NAMED]
+    shown = sure or sorted(parameters, key=lambda p: -abs(p.change) / max(p.ci95[1] - p.ci95[0], 1e-300))[:1]
+    texts = []
+    for one in shown:
+        half = 0.5 * (one.ci95[1] - one.ci95[0])
+        value, low, high = estimate_text(one.change, (one.change - half, one.change + half))
+        sign = "" if value.startswith("-") else "+"
+        unit = "" if one.unit == "-" else f" {one.unit}"
+        texts.append(f"{one.parameter.partition('.')[2]} {sign}{value}{unit} [{low}, {high}]")
+    return f"{effect}: {', '.join(texts)}{more}"

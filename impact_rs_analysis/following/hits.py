@@ -1,0 +1,324 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Hits in time order: what was measured of each, and what a model with effects predicts of it.
+
+A *hit* is one finished trial (a bag) or one impact (a row of a table). Both doors give the same: features, their model
+discrepancy, and predictions under effects that are added to the model.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from impact_rs_analysis.evidence.cluster import Added, Feature
+from impact_rs_analysis.evidence.discrepancy import Discrepancy
+from impact_rs_analysis.evidence.impact_tables import ImpactTableSource
+from impact_rs_analysis.evidence.map_discrepancy import MapDiscrepancy
+from impact_rs_analysis.evidence.measured_runs import MeasuredRun, Runs, find_bags, read_trial
+from impact_rs_analysis.evidence.replay_cache import Replay, ReplayCache
+from impact_rs_analysis.evidence.replays import ReplaySource, clusters_of, layout_of
+from impact_rs_analysis.evidence.source import Source, with_per_arm_parameters
+from impact_rs_sim.errors import InputError
+from impact_rs_sim.model import Model
+from impact_rs_sim.robot import Array
+from impact_rs_trials.recordings.impact_table import ImpactTable
+
+READ_AT_ONCE = 16  # bags between two reports of progress
+
+
+@dataclass(frozen=True)
+class Hit:
+    """One trial or impact.
+
+    Attributes:
+        name: Name of the bag, or ``row 7``; the same whenever it is read.
+        stamp: When it was measured [s], or the number of its row; hits of one stamp count as simultaneous.
+        timed: Whether the stamp is a time, in seconds since 1970.
+        condition: Hits of one condition are repeats; empty: it repeats nothing.
+        layout: Hits of one layout have the same features and the same scatter.
+        group: Hits of one group share the amplitudes of the model discrepancy.
+        features: Description of the entries.
+        measured: Measured features, ``(F,)``.
+        noise: Standard deviation of each that the measurement itself states; 0: not stated, ``(F,)``.
+        discrepancy: Patterns of the model discrepancy at amplitude 1, ``(k, F)``.
+    """
+
+    name: str
+    stamp: float
+    timed: bool
+    condition: str
+    layout: str
+    group: str
+    features: tuple[Feature, ...]
+    measured: Array
+    noise: Array
+    discrepancy: Array
+
+    @property
+    def shared(self) -> str:
+        """Hits with this in common start alike, so that sensitivities of one serve all; empty: none does."""
+        return ""
+
+
+class Door(ABC):
+    """Hits that come one after the other, and the model that predicts them.
+
+    Attributes:
+        model: The model.
+        skipped: Name and reason of everything that gives no hit.
+    """
+
+    model: Model
+    skipped: dict[str, str]
+
+    @abstractmethod
+    def arrived(self) -> list[Hit]:
+        """Hits that were not given before, in time order.
+
+        Raises:
+            InputError: The measurements cannot be read.
+        """
+
+    @abstractmethod
+    def recalled(self, names: Sequence[str], known: Sequence[str]) -> dict[str, Hit]:
+        """Some hits by name, after a restart.
+
+        Args:
+            names: Hits to read again.
+            known: All hits that were given before, which :meth:`arrived` leaves out from now on.
+
+        Raises:
+            InputError: One of them is gone.
+        """
+
+    def limits(self, first: Sequence[Hit], layout: str) -> Array:
+        """Relevance limits of the features of a layout, ``(F,)``.
+
+        Args:
+            first: Hits from which they follow.
+            layout: The layout.
+        """
+        features = next(hit.features for hit in first if hit.layout == layout)
+        return np.array([feature.relevance_limit for feature in features])
+
+    @abstractmethod
+    def source(self, hits: Sequence[Hit]) -> Source:
+        """Some hits as a source of evidence, which knows robots, ranges of parameters and noticeable changes."""
+
+    @abstractmethod
+    def predict(self, hit: Hit, added: Sequence[Added]) -> list[Array | None]:
+        """Features of a hit under the model with each of some sets of effects, ``(F,)`` each; None: no contact."""
+
+
+@dataclass(frozen=True)
+class RowHit(Hit):
+    """A row of a table.
+
+    Attributes:
+        source: Holds the row among others.
+        place: Its position there.
+    """
+
+    source: ImpactTableSource
+    place: int
+
+
+class TableDoor(Door):
+    """Impacts of a table, in the order of its column ``time``, or of its rows.
+
+    Args:
+        read: Reads the table as it is now.
+        model: The model.
+        discrepancy: Of the rigid map, for arms; None: as measured.
+    """
+
+    def __init__(
+        self, read: Callable[[], ImpactTable], model: Model, discrepancy: MapDiscrepancy | None = None
+    ) -> None:
+        self._read, self._discrepancy = read, discrepancy
+        self._table: ImpactTable | None = None
+        self._known: set[int] = set()
+        self.model, self.skipped = model, {}
+
+    def arrived(self) -> list[Hit]:
+        """See :meth:`Door.arrived`."""
+        table = self._table = self._read()
+        self.model = with_per_arm_parameters(self.model, [row.physics for row in table.rows])
+        fresh = [place for place, row in enumerate(table.rows) if row.number not in self._known]
+        self._known |= {table.rows[place].number for place in fresh}
+        return sorted(self._hits(table, fresh), key=lambda hit: (hit.stamp, hit.name))
+
+    def recalled(self, names: Sequence[str], known: Sequence[str]) -> dict[str, Hit]:
+        """See :meth:`Door.recalled`."""
+        table = self._table = self._read()
+        self.model = with_per_arm_parameters(self.model, [row.physics for row in table.rows])
+        places = {_name(row.number): place for place, row in enumerate(table.rows)}
+        if missing := [name for name in (*names, *known) if name not in places]:
+            raise InputError(f"{missing[0]}, which the state knows, is gone", file=table.path)
+        given = set(known)
+        self._known = {row.number for row in table.rows if _name(row.number) in given}
+        return {hit.name: hit for hit in self._hits(table, [places[name] for name in dict.fromkeys(names)])}
+
+    def limits(self, first: Sequence[Hit], layout: str) -> Array:
+        """See :meth:`Door.limits`; they are shares of the closing speed of all first hits."""
+        source = self.source(first)
+        assert isinstance(source, ImpactTableSource)
+        return np.array([feature.relevance_limit for feature in source.signals])
+
+    def source(self, hits: Sequence[Hit]) -> Source:
+        """See :meth:`Door.source`."""
+        table = self._table
+        assert table is not None
+        wanted = {hit.name for hit in hits}
+        places = [place for place, row in enumerate(table.rows) if _name(row.number) in wanted]
+        places.sort(key=lambda place: table.rows[place].object_name)  # the first row stands for the object
+        return ImpactTableSource(_part(table, places), self.model, discrepancy=self._discrepancy)
+
+    def predict(self, hit: Hit, added: Sequence[Added]) -> list[Array | None]:
+        """See :meth:`Door.predict`."""
+        assert isinstance(hit, RowHit)
+        return hit.source.predict_row(hit.place, added)
+
+    def _hits(self, table: ImpactTable, places: Sequence[int]) -> list[RowHit]:
+        """Hits of some rows; those for which the map has no solution are left out, with the reason."""
+        if not places:
+            return []
+        try:
+            own = ImpactTableSource(_part(table, places), self.model, discrepancy=self._discrepancy, remarks=False)
+        except InputError as error:
+            if len(places) == 1:
+                self.skipped[_name(table.rows[places[0]].number)] = str(error)
+                return []
+            half = len(places) // 2
+            return [*self._hits(table, places[:half]), *self._hits(table, places[half:])]
+        return [_hit(own, place) for place in range(len(places))]
+
+
+def _hit(own: ImpactTableSource, place: int) -> RowHit:
+    """One row of a source."""
+    row = own.table.rows[place]
+    group = row.condition or row.object_name if own.is_oblique(place) else ""
+    return RowHit(
+        name=_name(row.number),
+        stamp=float(row.number) if row.time is None else row.time,
+        timed=row.time is not None,
+        condition=", ".join(filter(None, (row.object_name, row.condition))) if row.condition else "",
+        layout="impacts",
+        group=group,
+        features=own.signals,
+        measured=own.measured[place],
+        noise=np.zeros(own.measured.shape[1]) if own.noise is None else own.noise[place],
+        discrepancy=np.diag(own.map_discrepancy_of(place)),
+        source=own,
+        place=place,
+    )
+
+
+def _name(number: int) -> str:
+    """Name of a row."""
+    return f"row {number}"
+
+
+def _part(table: ImpactTable, places: Sequence[int]) -> ImpactTable:
+    """Some rows of a table, by position."""
+    rows = tuple(table.rows[place] for place in places)
+    return replace(table, rows=rows, noise=None if table.noise is None else table.noise[list(places)])
+
+
+@dataclass(frozen=True)
+class BagHit(Hit):
+    """A bag.
+
+    Attributes:
+        run: What was measured.
+    """
+
+    run: MeasuredRun
+
+    @property
+    def shared(self) -> str:
+        """See :attr:`Hit.shared`: repeats start alike."""
+        return self.condition
+
+
+class BagDoor(Door):
+    """Finished trials of a folder, in the order in which they were recorded.
+
+    Args:
+        directory: The folder.
+        model: The model.
+        store: Makes replays.
+        discrepancy: Of the twin; None: as measured.
+        progress: Called with (done, total) while bags are read.
+    """
+
+    def __init__(
+        self,
+        directory: Path,
+        model: Model,
+        store: ReplayCache,
+        discrepancy: Discrepancy | None = None,
+        progress: Callable[[int, int], None] = lambda *_: None,
+    ) -> None:
+        self._directory, self._store, self._discrepancy, self._progress = directory, store, discrepancy, progress
+        self._known: set[Path] = set()
+        self.model, self.skipped = model, {}
+
+    def arrived(self) -> list[Hit]:
+        """See :meth:`Door.arrived`; bags without a usable trial are named in ``skipped``."""
+        if not self._directory.is_dir():
+            raise InputError("no such folder of trials", file=self._directory)
+        fresh = [path for path in find_bags(self._directory) if path not in self._known]
+        self._known |= set(fresh)
+        found: list[Hit] = []
+        for number, path in enumerate(fresh, start=1):
+            run = read_trial(path)
+            if isinstance(run, MeasuredRun):
+                found.append(self._hit(run, path))
+            else:
+                self.skipped[str(path.relative_to(self._directory))] = run[1]
+            if number % READ_AT_ONCE == 0 or number == len(fresh):
+                self._progress(number, len(fresh))
+        return sorted(found, key=lambda hit: (hit.stamp, hit.name))
+
+    def recalled(self, names: Sequence[str], known: Sequence[str]) -> dict[str, Hit]:
+        """See :meth:`Door.recalled`."""
+        self._known = {self._directory / name for name in known}
+        found: dict[str, Hit] = {}
+        for name in dict.fromkeys(names):
+            run = read_trial(self._directory / name)
+            if not isinstance(run, MeasuredRun):
+                raise InputError(f"this trial, which the state knows, cannot be read: {run[1]}", file=run[0])
+            found[name] = self._hit(run, self._directory / name)
+        return found
+
+    def source(self, hits: Sequence[Hit]) -> Source:
+        """See :meth:`Door.source`."""
+        runs = Runs.of(self._directory, [hit.run for hit in hits if isinstance(hit, BagHit)])
+        return ReplaySource.of(runs, self.model, self._store, self._discrepancy)
+
+    def predict(self, hit: Hit, added: Sequence[Added]) -> list[Array | None]:
+        """See :meth:`Door.predict`."""
+        assert isinstance(hit, BagHit)
+        return self._store([Replay(hit.run.setup, self.model, one) for one in added])
+
+    def _hit(self, run: MeasuredRun, path: Path) -> BagHit:
+        runs = Runs(self._directory, (run,), ())
+        (cluster,), _ = clusters_of(runs, [np.zeros(run.measured.size)], self._discrepancy)
+        return BagHit(
+            name=str(path.relative_to(self._directory)),
+            stamp=path.stat().st_mtime if run.recorded is None else run.recorded,
+            timed=True,
+            condition=run.condition,
+            layout=layout_of(run),
+            group=cluster.alike or cluster.layout,
+            features=run.features,
+            measured=run.measured,
+            noise=np.zeros(run.measured.size),
+            discrepancy=cluster.moved_together * cluster.sigma,
+            run=run,
+        )

@@ -1,0 +1,89 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What is said of every hit and of every change: typed documents."""
+
+from __future__ import annotations
+
+from pydantic import Field
+
+from impact_rs_sim.schema import Schema
+
+
+class Predicted(Schema):
+    """One predicted number of the next hit."""
+
+    signal: str = Field(description="what it is")
+    index: str = Field(description="joint or axis")
+    phase: str = Field(description="phase of the motion")
+    bin: int = Field(0, description="time bin within the phase")
+    value: float = Field(description="predicted, in the unit")
+    ci95: tuple[float, float] = Field(description="95 % interval of what will be measured, in the unit")
+    unit: str = Field(description="unit")
+
+
+class NextHit(Schema):
+    """What the next hit of a condition will measure, if it starts as the last one did."""
+
+    condition: str = Field(description="condition; empty: that of the last hit")
+    like: str = Field(description="hit whose start it is")
+    values: tuple[Predicted, ...] = Field(description="predicted numbers")
+
+
+class Followed(Schema):
+    """Believed value of a parameter."""
+
+    parameter: str = Field(description="EFFECT.PARAMETER")
+    estimate: float = Field(description="believed value, in the unit")
+    ci95: tuple[float, float] = Field(description="95 % interval, in the unit")
+    change: float = Field(description="change against the value before, in the unit")
+    unit: str = Field(description="unit")
+
+
+class Cause(Schema):
+    """One explanation of a change."""
+
+    effect: str = Field(description="name of the effect; empty: none of the library")
+    share: float = Field(description="probability among the explanations that are named")
+    since: str = Field(description="first hit after the change")
+    parameters: tuple[Followed, ...] = Field(description="its parameters that moved")
+    words: str = Field(description="the same in words")
+
+
+class Change(Schema):
+    """A change of the cell."""
+
+    hit: str = Field(description="hit at which it was found")
+    since: str = Field(description="first hit after the change, by the likeliest explanation")
+    since_time: float | None = Field(None, description="when that was, seconds since 1970; null: not known")
+    hits: int = Field(description="hits since then")
+    log10_ratio: float = Field(description="evidence: decimal logarithm of the likelihood ratio against no change")
+    false_alarm: float = Field(description="mean number of hits to a false alarm at this evidence, at least")
+    causes: tuple[Cause, ...] = Field(description="explanations, the likeliest first")
+    again: bool = Field(False, description="whether the likeliest effect was announced before: it drifts")
+    apart: str = Field("", description="what decides between the explanations")
+    words: str = Field(description="the change in a sentence")
+
+
+class HitDocument(Schema):
+    """What a hit taught."""
+
+    name: str = Field(description="the hit")
+    stamp: float = Field(description="its time [s], or the number of its row")
+    condition: str = Field(description="its condition; empty: it repeats nothing")
+    error: float | None = Field(description="prediction error before the hit was seen, in multiples of its standard "
+                                "deviation (rms over the features); null while the scatter is learnt")  # fmt: skip
+    of_model: float | None = Field(description="the same of the model as it was given; null likewise")
+    evidence: float | None = Field(description="log10 of the statistic of the test; null while the scatter is learnt")
+    odd: bool = Field(False, description="whether the hit is beyond what 999 of 1,000 do, and weighs less")
+    change: Change | None = Field(None, description="change that this hit confirms; null: none")
+    resolved: str = Field("", description="explanation that hits have ruled in; empty: none at this hit")
+    milliseconds: float = Field(description="time that its update took [ms]")
+
+
+class FollowDocument(Schema):
+    """All of ``impact-rs follow --json``."""
+
+    model: str = Field(description="name of the model")
+    hits: tuple[HitDocument, ...] = Field(description="hits, in time order")
+    followed: tuple[Followed, ...] = Field(description="believed parameters after the last hit")
+    prediction: NextHit | None = Field(description="of the next hit; null while the scatter is learnt")
+    skipped: dict[str, str] = Field(description="what gave no hit, and why")

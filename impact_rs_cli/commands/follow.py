@@ -1,0 +1,145 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``impact-rs follow``: a model learns from every impact, and says when something has changed."""
+
+from __future__ import annotations
+
+import argparse
+import time
+
+from rich.markup import escape
+from rich.table import Table
+
+from impact_rs_analysis.following.follow import Follower
+from impact_rs_analysis.following.lessons import FollowDocument, HitDocument, NextHit
+from impact_rs_analysis.following.state import restore_state, save_state
+from impact_rs_cli.arguments import number, on_local_runs
+from impact_rs_cli.following import HitsArguments, diagnose_command, door_of
+from impact_rs_cli.parser import PROGRAM
+from impact_rs_cli.terminal import Terminal
+from impact_rs_sim.errors import InputError
+from impact_rs_sim.model import load_model, save_model
+from impact_rs_sim.numbers import estimate_text
+
+POLLED = 0.5  # s, between two looks for new hits
+MOST_SHOWN = 13  # predicted numbers
+
+
+@on_local_runs
+def run(args: argparse.Namespace, terminal: Terminal) -> int:
+    """Run the command."""
+    if args.live and args.json:
+        raise InputError("--live goes on until Ctrl-C and has no JSON document; leave --json out")
+    if not args.mean_time >= 1.0:
+        raise InputError("expected a number of hits >= 1", key="--mean-time", value=args.mean_time)
+    if args.output is not None and args.output.exists():
+        raise InputError("this file exists already; model files are never overwritten", file=args.output)
+    hits = HitsArguments(
+        args.runs, args.impacts, args.scenario, str(args.model), args.contact_tolerance, args.no_discrepancy
+    )
+    model = load_model(args.model)
+    documents: list[HitDocument] = []
+    with terminal.progress("reading hits") as report:
+        door = door_of(hits, model, report)
+        follower = Follower(door, model, args.effects, args.learn, args.mean_time)
+        if args.state is not None and args.state.exists():
+            terminal.say(f"state: goes on after {restore_state(follower, args.state)} hits")
+        documents += follower.arrived()
+    for document in documents:
+        _say(document, hits, terminal)
+    _save(follower, args)
+    if args.live:
+        documents += _live(follower, hits, args, terminal)
+    for name, reason in door.skipped.items():
+        terminal.warn(f"left out: {name}: {reason}")
+    result = FollowDocument(
+        model=model.name,
+        hits=tuple(documents),
+        followed=follower.followed(),
+        prediction=follower.prediction(),
+        skipped=door.skipped,
+    )
+    _show(result, follower, terminal)
+    if args.output is not None:
+        save_model(follower.model_now(args.output.stem, str(args.model)), args.output)
+        terminal.say(f"followed model: {args.output}")
+    terminal.result(result.model_dump(mode="json"))
+    return 0
+
+
+def _save(follower: Follower, args: argparse.Namespace) -> None:
+    if args.state is not None:
+        save_state(follower, args.state)
+
+
+def _live(follower: Follower, hits: HitsArguments, args: argparse.Namespace, terminal: Terminal) -> list[HitDocument]:
+    """Wait for further hits until Ctrl-C."""
+    terminal.say(f"waiting for hits in {hits.where}; Ctrl-C ends")
+    found: list[HitDocument] = []
+    try:
+        while True:
+            fresh = list(follower.arrived())
+            for document in fresh:
+                _say(document, hits, terminal, every=True)
+            if fresh:
+                _save(follower, args)
+                found += fresh
+            time.sleep(POLLED)
+    except KeyboardInterrupt:
+        return found
+
+
+def _say(document: HitDocument, hits: HitsArguments, terminal: Terminal, every: bool = False) -> None:
+    """Say what a hit taught: changes and odd hits, or every hit."""
+    if every and document.error is not None:
+        terminal.say(
+            f"{document.name}: prediction off by {number(document.error)} standard deviations, "
+            f"{document.milliseconds:.1f} ms"
+        )
+    if document.odd and document.change is None and document.error is not None:
+        terminal.say(f"{document.name}: odd, {number(document.error)} standard deviations off; it weighs less")
+    if document.resolved:
+        terminal.say(f"{document.name}: {document.resolved}")
+    if (change := document.change) is not None:
+        again = "drifts on" if change.again else "CHANGE"
+        terminal.say(
+            escape(
+                f"{again} at {change.hit}: {change.words}. Likelihood ratio 10^{change.log10_ratio:.1f} after "
+                f"{change.hits} hits"
+            )
+        )
+        terminal.say(f"  full diagnosis, of hits since then: {diagnose_command(hits)}")
+
+
+def _show(document: FollowDocument, follower: Follower, terminal: Terminal) -> None:
+    known = [hit for hit in document.hits if hit.error is not None]
+    changes = sum(hit.change is not None for hit in known)
+    terminal.say(
+        f"Model {document.model!r} through {len(document.hits)} hits: {changes} change{'' if changes == 1 else 's'}"
+    )
+    if not follower.watching:
+        terminal.say("the scatter is not known yet: more hits, or fewer with --learn")
+        return
+    if document.followed:
+        table = Table(title="Believed parameters", title_justify="left")
+        for heading in ("parameter", "estimate", "95 % interval", "unit"):
+            table.add_column(heading, no_wrap=True)
+        for one in document.followed:
+            estimate, low, high = estimate_text(one.estimate, one.ci95)
+            table.add_row(one.parameter, estimate, f"{low} ... {high}", one.unit.strip("-"))
+        terminal.say(table)
+    if document.prediction is not None:
+        _show_prediction(document.prediction, terminal)
+
+
+def _show_prediction(prediction: NextHit, terminal: Terminal) -> None:
+    what = f" of {prediction.condition}" if prediction.condition else ""
+    table = Table(title=escape(f"Next hit{what}, if it starts as {prediction.like}"), title_justify="left")
+    for heading in ("signal", "", "prediction", "95 % interval", "unit"):
+        table.add_column(heading, no_wrap=True)
+    shown = [value for value in prediction.values if value.phase != "free"]
+    for value in shown[:MOST_SHOWN]:
+        estimate, low, high = estimate_text(value.value, value.ci95)
+        table.add_row(value.signal, value.index, estimate, f"{low} ... {high}", value.unit)
+    terminal.say(table)
+    if len(shown) > MOST_SHOWN:
+        terminal.say(f"and {len(shown) - MOST_SHOWN} more numbers ({PROGRAM} follow --json)")

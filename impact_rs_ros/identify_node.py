@@ -1,0 +1,116 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Publishes what every finished trial teaches: prediction of the next hit, believed parameters, changes.
+
+Topics, each a JSON document in a string (``docs/following.md`` lists their keys), latched:
+
+    ~/prediction   what the next hit will measure, with intervals, and the parameters believed now
+    ~/change       a change of the cell, with its evidence and explanations
+
+How a hit is judged is not known here: the program that starts the node hands it an :class:`Identifier`.
+"""
+
+from __future__ import annotations
+
+import time
+from abc import abstractmethod
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+from std_msgs.msg import String
+
+from impact_rs_ros.process import NodeProgram
+from impact_rs_ros.qos import LATCHED
+from impact_rs_sim.errors import InputError, full_traceback
+from impact_rs_trials.spec import TrialSpec
+
+
+@dataclass(frozen=True)
+class Lesson:
+    """What one hit taught.
+
+    Attributes:
+        line: In a line.
+        change: A change as a JSON document; empty: none.
+        words: The same in words.
+    """
+
+    line: str
+    change: str = ""
+    words: str = ""
+
+
+class Identifier(Protocol):
+    """Follows hits as they arrive."""
+
+    def arrived(self) -> Sequence[Lesson]:
+        """What the hits since the last call taught; raises ``InputError`` where they cannot be read."""
+
+    def prediction(self) -> str:
+        """Prediction of the next hit and the parameters believed, as a JSON document; empty: not yet."""
+
+
+class IdentifyNode(NodeProgram):
+    """Looks for finished trials, and publishes what they teach."""
+
+    kind = "identify"
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._prediction = self.node.create_publisher(String, "~/prediction", LATCHED)
+        self._change = self.node.create_publisher(String, "~/change", LATCHED)
+        self._identifier: Identifier | None = None
+        self._looked = -float("inf")
+        self._hits, self._changes, self._spent = 0, 0, 0.0
+        self._last, self._complaint = "", ""
+
+    @abstractmethod
+    def identifier(self) -> Identifier:
+        """Follows the hits that the parameters name.
+
+        Raises:
+            InputError: A parameter is wrong.
+        """
+
+    def rehearse(self, spec: TrialSpec) -> None:
+        self._identifier = self.identifier()
+
+    def turn(self) -> None:
+        self._look()
+        super().turn()
+
+    def status(self) -> tuple[str, Mapping[str, object]]:
+        numbers = {"hits": self._hits, "changes": self._changes, "last look [s]": round(self._spent, 3)}
+        if self._complaint:
+            return self._complaint, numbers
+        return f"changed: {self._last}" if self._last else "ok", numbers
+
+    def _look(self) -> None:
+        """Take the hits that have arrived, if a look is due."""
+        now = time.monotonic()
+        if self._identifier is None or now - self._looked < self.parameter("poll_period"):
+            return
+        self._looked = now
+        try:
+            lessons = self._identifier.arrived()
+        except InputError as error:
+            if self._complaint != str(error):
+                self.log.warning(f"no hits: {error}")
+            self._complaint = str(error)
+            return
+        except Exception as error:  # no file ends a node
+            self._complaint = f"hits could not be followed: {type(error).__name__}: {error}"
+            self.log.error(full_traceback(error), throttle_duration_sec=5.0)
+            return
+        self._complaint = ""
+        for lesson in lessons:
+            self._hits += 1
+            self.log.info(lesson.line)
+            if lesson.change:
+                self._changes += 1
+                self._last = lesson.words
+                self.log.warning(f"changed {lesson.words}")
+                self._change.publish(String(data=lesson.change))
+        if lessons and (text := self._identifier.prediction()):
+            self._prediction.publish(String(data=text))
+        self._spent = time.monotonic() - now
