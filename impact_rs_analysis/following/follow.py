@@ -663,7 +663,8 @@ class Follower:
         if 0 < len(free) < len(self.hypotheses):
             return f"a free motion decides between them: {' and '.join(free)} would show there"
         if condition:
-            return f"hits like these hardly decide between them ({condition}: {size:.1f} standard deviations); hit otherwise"
+            size_words = f"{condition}: {size:.1f} standard deviations"
+            return f"hits like these hardly decide between them ({size_words}); hit otherwise"
         return "hits like these hardly decide between them; hit otherwise"
 
     def _seen_free(self, name: str) -> bool:
