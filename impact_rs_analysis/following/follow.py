@@ -663,7 +663,7 @@ class Follower:
         if 0 < len(free) < len(self.hypotheses):
             return f"a free motion decides between them: {' and '.join(free)} would show there"
         if condition:
-            return f"hits like these hardly decide between them ({condition}: {size:.1f} standard deviations); hit otherwise"
+            return f"hits like these hardly decide ({condition}: {size:.1f} standard deviations); hit otherwise"
         return "hits like these hardly decide between them; hit otherwise"
 
     def _seen_free(self, name: str) -> bool:
