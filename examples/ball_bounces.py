@@ -9,8 +9,9 @@ The data (Gossard, Tebbe, Ziegler and Zell 2023) are 232 flights, tracked at som
 time and centre of the ball, ``t;x;y;z`` in s and m, z up; ``index.csv`` holds the spin before the bounce in rad/s. The
 spin after it was not measured, so velocities alone are compared.
 
-Drag and spin bend the flight (Magnus force), so that not g but a steady acceleration is fitted, over 0.1 s on either
-side. The parabolas of the height meet in the bounce.
+The data do not say in which frame the spin is. Of the 24 turns of the axes one explains best both the Magnus
+acceleration in flight (c w x v with c = 0.0010, as positive as lift is) and the direction in which the table pushes the
+ball, against its slip: (x, z, -y), the frame of a camera that looks along y.
 """
 
 from __future__ import annotations
@@ -101,7 +102,8 @@ def write_table(
         raise InputError(f"no archive of flights with an index.csv ({error})", file=archive) from None
     rows, left_out = [], Counter[str]()
     for row in spins:
-        spin = np.array([float(row[f"{axis}_spin"]) for axis in "xyz"])
+        x, y, z = (float(row[f"{axis}_spin"]) for axis in "xyz")
+        spin = np.array([x, z, -y])  # from the frame of the camera, which looks along y of the table
         flight = np.array([[float(cell) for cell in line.split(";")] for line in flights[row["traj_file"]].split()])
         flight = flight[np.diff(flight[:, 0], prepend=-np.inf) > 0.0]  # some stamps stand twice
         found = bounce(flight[:, 0], flight[:, 1:])

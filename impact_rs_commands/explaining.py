@@ -11,6 +11,7 @@ from impact_rs_commands.shared import (
     NO_BROWSER,
     RUNS,
     RUNS_TEXT,
+    SCENARIO_TEXT,
     SOURCE,
     contact,
     output,
@@ -472,33 +473,116 @@ impact-rs show --live --namespace cell_a --no-browser""",
 
 EXPORT = Command(
     name="export",
-    summary="write a campaign into one Parquet or HDF5 file",
+    summary="write a campaign as a table, or a model for another simulator",
     about="""\
-Write a campaign into one file: .parquet has a row per trial, .h5 (or .hdf5) has every measured signal.
+Write a campaign into one file for other tools, or a scenario with a model as files of other simulators.
 
-A name without suffix is a folder of .parquet files that are read as one table, with the same rows. It grows with its
-campaign: run the same command again, also while the campaign runs, and it reads only new or repeated trials. Rows stay
-when their bags are removed.
+CAMPAIGN -o FILE: .parquet has a row per trial, .h5 (or .hdf5) has every measured signal. A name without suffix is a
+folder of .parquet files that are read as one table, with the same rows. It grows with its campaign: run the same
+command again, also while the campaign runs, and it reads only new or repeated trials. Rows stay when their bags are
+removed.
 
 A row holds scenario, object, case, scale, repeat, seed, outcome, predicted and reference velocity, net feedback and
 impact times. In HDF5 every trial is a group, with a group per arm (joint states, motor states, commands, controller
 state) and one for the object. Ground truth of the simulated plant is not exported. Unreadable bags
-are listed and left out.
+are listed and left out. Needs pyarrow for Parquet and h5py for HDF5 (both are in the extra "export").
 
-Needs pyarrow for Parquet and h5py for HDF5 (both are in the extra "export").""",
+--mjcf, --drake, --urdf, --usd-params: the scene at its impact with what --model says of it. Masses, centres of mass,
+inertias, motor inertia (armature), joint friction, friction, restitution or stiffness and damping of the pads, as far
+as a format has them. The head of a file says how its numbers follow, and what it cannot hold.""",
     examples="""\
 impact-rs export campaigns/push -o push.parquet
 impact-rs export s3://bucket/push -o push.h5
-impact-rs export campaigns/push -o push_rows     # folder: push_rows/part-00000.parquet, ...""",
-    output="how many trials were written, and one file or a folder of files.",
-    units="a column name ends with its unit; datasets have an attribute units.",
+impact-rs export campaigns/push -o push_rows     # folder: push_rows/part-00000.parquet, ...
+impact-rs export --mjcf push.xml --scenario push --object cat_food --case 2
+impact-rs export --mjcf push.xml --drake push.sdf --model push_1.yaml --scenario push --object cat_food --case 2""",
+    output="how many trials were written, and one file or a folder of files; or a file for each simulator, and what it "
+    "does not hold.",
+    units="a column name ends with its unit; datasets have an attribute units; models are in SI.",
     options=(
-        argument("campaign", RUNS_TEXT, kind="runs", url=True, metavar="CAMPAIGN"),
-        output("new_file", ".parquet, .h5, .hdf5, or a folder", "FILE", required=True),
+        argument("campaign", RUNS_TEXT, kind="runs", url=True, metavar="CAMPAIGN", required=False),
+        output("new_file", "for CAMPAIGN: .parquet, .h5, .hdf5, or a folder", "FILE"),
+        option("--mjcf", kind="new_file", metavar="FILE.xml", help="MuJoCo model"),
+        option("--drake", kind="new_file", metavar="FILE.sdf", help="world of SDFormat with the elements of Drake"),
+        option("--urdf", kind="new_file", metavar="FILE.urdf", help="URDF of arms, support and object"),
+        option(
+            "--usd-params", kind="new_file", metavar="FILE.usda",
+            help="layer of USD with masses, materials and armatures, over a robot imported from --urdf",
+        ),
+        option("--scenario", kind="scenario", metavar="NAME", help=f"scene of the model: {SCENARIO_TEXT}"),
+        option("--object", kind="object", metavar="NAME", help="object of the scene"),
+        option("--case", kind="case", metavar="NAME", help="case of the scene"),
+        MODEL,
+        option(
+            "--motor-inertia", choices=("reduced", "rotor", "zero"), default="reduced",
+            help="motor inertia of the exported arm: B_theta with the torque loop, B_rho without, or none",
+        ),
+        option(
+            "--pads", choices=("rigid", "compliant"), default="rigid",
+            help="rigid: with the restitution of the impact map; compliant: with stiffness and damping of the pads",
+        ),
         *JOBS,
         JSON,
     ),
-)
+)  # fmt: skip
+
+EVIDENCE = Command(
+    name="evidence",
+    summary="exchange what was found with other laboratories",
+    about="""\
+Pack what was found for other laboratories, check a package, or merge packages of several laboratories.
+
+pack writes one JSON file: the model, its diagnosis, the SHA-256 of every file of the measurements, versions, and who
+measured which robot and object. check tests that nothing was changed, and with --data that the measurements are those.
+merge pools every parameter by a random-effects meta-analysis, names laboratories that do not agree with the others, and
+says whether a parameter is shared or differs by robot, object or laboratory.""",
+    examples="""\
+impact-rs evidence pack diagnosis.json --data runs --laboratory north --robot franka_fer --object cat_food -o north.json
+impact-rs evidence check north.json --data runs
+impact-rs evidence merge north.json south.json west.json -o merged.json""",
+    output="pack: a file. check: what holds; exit code 1 if a check fails. merge: a table, and a file of everything.",
+    units="those of the parameters.",
+    actions=(
+        Command(
+            name="evidence pack",
+            summary="one file with model, diagnosis and digests of the measurements",
+            function="pack",
+            options=(
+                argument("diagnosis", "what diagnose has written", kind="diagnosis", metavar="FILE.json"),
+                MODEL._replace(help="model that was diagnosed"),
+                option(
+                    "--data", kind="folder", required=True, metavar="PATH", help="folder or file that was diagnosed"
+                ),
+                option("--laboratory", required=True, metavar="NAME", help="who measured"),
+                option("--robot", required=True, metavar="NAME", help="which robot; others with the same compare"),
+                option("--object", required=True, metavar="NAME", help="which object; none in free motion"),
+                option("--note", default="", metavar="TEXT", help="remarks for others", otherwise="none"),
+                output("new_file", "file of the package", "FILE.json", required=True),
+                JSON,
+            ),
+        ),
+        Command(
+            name="evidence check",
+            summary="whether a package, and its measurements, are as packed",
+            function="check",
+            options=(
+                argument("package", "package of evidence", kind="file", metavar="FILE.json"),
+                option("--data", kind="folder", metavar="PATH", help="folder or file of the measurements"),
+                JSON,
+            ),
+        ),
+        Command(
+            name="evidence merge",
+            summary="what several packages say together",
+            function="merge",
+            options=(
+                argument("packages", "packages of evidence", kind="file", many=True, metavar="FILE.json"),
+                output("new_file", "file of the result", "FILE.json"),
+                JSON,
+            ),
+        ),
+    ),
+)  # fmt: skip
 
 WORKBENCH = Command(
     name="workbench",

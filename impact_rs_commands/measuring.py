@@ -9,6 +9,7 @@ from impact_rs_commands.shared import (
     CASES,
     JOBS,
     JSON,
+    MODEL,
     NAMESPACE,
     OBJECT,
     OBJECTS,
@@ -18,6 +19,7 @@ from impact_rs_commands.shared import (
     SETTINGS,
     WITHOUT,
     contact,
+    optional,
     output,
 )
 
@@ -77,6 +79,7 @@ CAMPAIGN = Command(
     summary="run many trials, or continue a campaign",
     about="""\
 Run all trials of a scenario, or a selection of them, and record one bag each. Conditions alternate in random order.
+With --plan the trials of a plan (impact-rs design) run instead, in a folder of DIR for every scenario.
 
 To continue an interrupted campaign, run the same command again: finished bags stay, a half-written one is run again.
 Trials run in parallel worker processes; results do not depend on their number (--jobs). With --scheduler they run on
@@ -87,12 +90,17 @@ impact-rs campaign push -o campaigns/quick --objects cat_food --cases 2 --scales
 impact-rs campaign grab -o campaigns/firm --set control.clamp_force=90
 impact-rs campaign push -o s3://bucket/push --scheduler tcp://10.0.0.1:8786
 impact-rs campaign push -o campaigns/mine --via nodes --without plant
+impact-rs campaign --plan plan.yaml -o campaigns/planned
 impact-rs analyze campaigns/push""",
     output="how many trials are there and how they ended; in DIR a manifest and one bag per trial.",
     units="scales have none (post-impact reference velocity over predicted velocity).",
     options=(
-        SCENARIO,
+        optional(SCENARIO),
         output("new_folder", "folder of the campaign, or URL", required=True, url=True, label="folder of the campaign"),
+        option(
+            "--plan", kind="file", metavar="FILE.yaml", label="plan of trials", advanced=True,
+            help="run the trials of a plan (impact-rs design) instead of a scenario",
+        ),
         OBJECTS,
         CASES,
         option(
@@ -126,6 +134,73 @@ impact-rs analyze campaigns/push""",
         JSON,
     ),
     resumable=True,
+)  # fmt: skip
+
+DESIGN = Command(
+    name="design",
+    summary="plan the most informative trials",
+    about="""\
+Plan the trials that distinguish explanations best, within a budget.
+
+Every trial that the cell can run (scenario, object, case, further speeds, beside the object's centre, free motions) is
+simulated with the model by the compiled twin, in closed loop and within the limits of joints and torques, and
+replayed under every explanation. Chosen is what raises the probability of the right decision most:
+
+  without --after   which effect is missing, if any: all effects of the library against each other
+  with --after      which of the tied effects of a diagnosis is there; without ties, how large the effects found are
+
+--runs names the trials measured so far: their scatter counts, and their information. The plan says what each
+condition adds. The probability is that of a likelihood-ratio test between two explanations; a diagnosis asks for more
+(docs/design.md).""",
+    examples="""\
+impact-rs design --budget 18 -o plan.yaml
+impact-rs campaign --plan plan.yaml -o campaigns/first
+impact-rs diagnose campaigns/first -o diagnosis.json
+
+impact-rs design --after diagnosis.json --runs campaigns/first --budget 6 -o plan_2.yaml
+impact-rs campaign --plan plan_2.yaml -o campaigns/second
+
+impact-rs design --scenarios my_push.yaml my_excite.yaml --speed 0.4 --force 200 --budget 12 -o plan.yaml""",
+    output="what the plan decides, and what each condition adds; with -o a YAML file for impact-rs campaign --plan.",
+    units="speeds in m/s, forces in N, probabilities in percent, information in nat.",
+    options=(
+        MODEL,
+        option(
+            "--after", kind="diagnosis", metavar="FILE.json", label="diagnosis",
+            help="diagnosis of this model, whose open decision the plan is for",
+        ),
+        option(
+            "--runs", kind="runs", metavar="DIR", label="trials so far", help="trials measured so far",
+            otherwise="none",
+        ),
+        option(
+            "--budget", kind="whole", least=1, most=1000, required=True, metavar="N", help="largest number of trials"
+        ),
+        output("new_file", "file for the plan", "FILE.yaml", label="file of the plan"),
+        option(
+            "--scenarios", kind="scenario", many=True, metavar="SCENARIO", default=("push", "excite"),
+            help="scenarios that the cell can run",
+        ),
+        option(
+            "--speed", kind="number", metavar="V", unit="m/s", label="largest approach speed", advanced=True,
+            help="largest approach speed", otherwise="that of the fastest case of each scenario",
+        ),
+        option(
+            "--force", kind="number", metavar="F", unit="N", label="largest contact force", advanced=True,
+            help="largest contact force, in the mean over 4 ms", otherwise="any",
+        ),
+        option(
+            "--method", choices=("design", "random", "fixed"), default="design", advanced=True,
+            help="design: the most informative; for comparison random conditions, or fixed: the cases of the files in "
+            "equal shares",
+        ),
+        SEED._replace(
+            help="seed of the planned trials, and of random conditions", default=None,
+            otherwise="0; with --runs or --after one that they have not",
+        ),
+        *JOBS,
+        JSON,
+    ),
 )  # fmt: skip
 
 STUDY = Command(
@@ -258,6 +333,48 @@ accelerations of the end effector [m/s^2, rad/s^2] and of joint 1 [rad/s^2], ove
                 JSON,
             ),
         ),
+    ),
+)  # fmt: skip
+
+REHEARSE = Command(
+    name="rehearse",
+    summary="the cell against a stand-in of your robot's driver",
+    about="""\
+Rehearse a trial of a real robot: the cell arms, leads and leaves a simulated robot behind a stand-in of its driver.
+
+Arming, cell, controller, brake and watchdog are those that a robot meets; the driver has the joint names, rate,
+gravity convention, latencies and torque rate of its profile, and time is simulated. The checklist holds joint torques,
+torque rates, joint velocities, external torques and forces (against the thresholds of the robot's reflexes), the
+distance to joint limits, and the time to stop when the cell dies just before the hit, each with its margin.
+
+The middleware, ros2_control and a machine that keeps time are not rehearsed. Exit code 1: not armed, ended early, or a
+margin is negative.""",
+    examples="""\
+impact-rs rehearse push_fr3
+impact-rs rehearse push_fr3 juice 2 --reflex-torque 80 --reflex-force 250
+impact-rs rehearse my_push.yaml --driver ros2_control --json""",
+    output="what the cell would log, and the checklist.",
+    units="s, rad, rad/s, N m, N m/s, N; prismatic joints in m, m/s, N and N/s.",
+    options=(
+        SCENARIO,
+        optional(OBJECT)._replace(otherwise="the first of the scenario"),
+        optional(CASE)._replace(otherwise="the first of the scenario"),
+        option(
+            "--driver", choices=("franka_ros2", "ur_robot_driver", "lbr_fri_ros2_stack", "ros2_control"),
+            help="profile of the driver", otherwise="that of the scenario's robot",
+        ),
+        option(
+            "--reflex-torque", kind="number", least=0.0, metavar="NM", unit="N m",
+            help="external torque at which a joint stops the robot", otherwise="those of the robot facts",
+        ),
+        option(
+            "--reflex-force", kind="number", least=0.0, metavar="N", unit="N",
+            help="external force at the end effector at which the robot stops itself",
+            otherwise="that of the robot facts",
+        ),
+        SETTINGS,
+        SEED,
+        JSON,
     ),
 )  # fmt: skip
 

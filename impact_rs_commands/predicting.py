@@ -4,7 +4,19 @@
 from __future__ import annotations
 
 from impact_rs_commands.declaration import Command, argument, option
-from impact_rs_commands.shared import CASE, JOBS, JSON, OBJECT, SCENARIO, SETTINGS, contact, optional, output
+from impact_rs_commands.shared import (
+    CASE,
+    CASES,
+    JOBS,
+    JSON,
+    OBJECT,
+    OBJECTS,
+    SCENARIO,
+    SETTINGS,
+    contact,
+    optional,
+    output,
+)
 
 ROBOT_TEXT = "name of a robot in config/robots, or path of its YAML file"
 
@@ -68,6 +80,111 @@ contact laws; --json adds joints and contacts; with --table the file of -o.""",
         *JOBS,
         JSON,
     ),
+)  # fmt: skip
+
+LIMITS = Command(
+    name="limits",
+    summary="how fast the arms may hit",
+    about="""\
+Say how fast the arms of a scenario may hit, object by object and case by case.
+
+The highest closing speed at which all bounds hold in 99 % of the draws of what is not known exactly: the uncertainties
+of the scenario, stiffness and damping of joints and pads, and the discrepancy of the impact map and of the twin.
+Bounds are joint velocity jumps, joint velocities, joint torques, and what the robot's own reflexes compare with their
+thresholds: external joint torques and the external force. Those of reflexes stand in the robot facts (section
+reflexes) or are given here; a kind without a bound is named, and limits nothing.
+
+--places N moves the hit to N x N places around that of the scenario, for a map of the speed limit.""",
+    examples="""\
+impact-rs limits push_fr3
+impact-rs limits push_fr3 --objects juice --cases 2 --reflex-torque 80 --reflex-force 200
+impact-rs limits push_iiwa7 --jump 0.5 --places 5 --span 0.1 -o limits/iiwa7""",
+    output="""\
+a table with a row per object and case; with -o limits.html, limits.json and limits.csv.""",
+    units="speeds of closing along the pad's normal, m/s; joints in rad/s and N m, prismatic joints in m/s and N.",
+    options=(
+        SCENARIO,
+        OBJECTS,
+        CASES,
+        option(
+            "--jump", kind="number", least=0.0, metavar="RAD_S", unit="rad/s", help="largest joint velocity jump",
+            otherwise="that of the robot facts",
+        ),
+        option(
+            "--reflex-torque", kind="number", least=0.0, metavar="NM", unit="N m",
+            help="external torque at which a joint stops the robot", otherwise="those of the robot facts",
+        ),
+        option(
+            "--reflex-force", kind="number", least=0.0, metavar="N", unit="N",
+            help="external force at the end effector at which the robot stops itself",
+            otherwise="that of the robot facts",
+        ),
+        option(
+            "--places", kind="whole", least=0, most=25, default=0, metavar="N",
+            help="also N x N places around that of the scenario, with the object and the case that allow least",
+        ),
+        option(
+            "--span", kind="number", least=0.0, default=0.1, metavar="M", unit="m",
+            help="how far these places reach along x and z, either way",
+        ),
+        option(
+            "--draws", kind="whole", least=20, default=200, metavar="N", advanced=True,
+            help="draws of what is not known exactly",
+        ),
+        SETTINGS,
+        output("new_folder", "folder for the page and the tables", label="folder of the page"),
+        *JOBS,
+        JSON,
+    ),
+)  # fmt: skip
+
+STUDY_DESIGN = Command(
+    name="study-design",
+    summary="rank robots, poses, motor inertias and pads by what a hit does",
+    about="""\
+Predict the hit of every combination of robot, random pose, motor inertia and pad, and rank them: impulse on the object,
+largest joint jump over the joint's velocity limit, and sensitivity of the object's velocity to motor inertia. Every
+value has an interval from the uncertainties of the scenario, and every rank a range.
+
+The pad comes square to a box that stands free, with the smallest joint velocity. Drives that robot facts lack are
+scaled from a Franka arm. Pads: wide (0.10 x 0.10 m), narrow (0.05 x 0.10 m), bouncy (wide, restitution 0.3).""",
+    examples="""\
+impact-rs study-design -o design
+impact-rs study-design -o design --robots franka_fr3 ur5e --poses 50 --rank-by sensitivity
+impact-rs study-design -o design --scenario my_push.yaml --object parcel --speed 0.3""",
+    output="the first designs; in DIR a page with pictures and designs.csv with all of them.",
+    units="impulse in N s, the rest has none; speeds in m/s.",
+    options=(
+        output("new_folder", "folder of page and table", required=True),
+        option(
+            "--robots", kind="robot", many=True, metavar="ROBOT", help=ROBOT_TEXT,
+            default=("franka_fer", "franka_fr3", "kinova_gen3", "kuka_iiwa7", "ur5e", "ur10e"),
+        ),
+        option("--poses", kind="whole", default=100, least=1, metavar="N", help="random poses per robot"),
+        option(
+            "--motor-inertia", many=True, choices=("reduced", "rotor"), default=("reduced", "rotor"),
+            help="B_theta with a torque loop, B_rho without",
+        ),
+        option(
+            "--pads", many=True, choices=("wide", "narrow", "bouncy"), default=("wide", "narrow", "bouncy"),
+            help="pads",
+        ),
+        option(
+            "--scenario", kind="scenario", default="push", metavar="NAME",
+            help="scenario with end effector, object and uncertainties",
+        ),
+        option("--object", kind="object", metavar="NAME", help="object that is hit", otherwise="the first one"),
+        option("--speed", kind="number", default=0.5, metavar="V", unit="m/s", help="speed of the pad before the hit"),
+        option(
+            "--rank-by", choices=("impulse", "joint_jump", "sensitivity"), default="impulse",
+            help="measure of the table that is printed",
+        ),
+        option("--draws", kind="whole", default=20, least=2, metavar="N", help="draws from the uncertainties"),
+        option("--seed", kind="whole", default=0, least=0, metavar="N", help="seed of poses and draws"),
+        *JOBS,
+        JSON,
+    ),
+    module="study_design",
 )  # fmt: skip
 
 EFFECTS = Command(

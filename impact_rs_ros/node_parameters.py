@@ -76,7 +76,8 @@ ROBOT = (
     NodeParameter(
         "joints",
         "{arm}_joint{number}",
-        "Pattern of the robot's joint names: {arm} is the name of the arm in the scenario, {number} counts from 1",
+        "Pattern of the robot's joint names: {arm} is the name of the arm in the scenario, {number} counts from "
+        "1; or all names, base to tip, with commas between them",
     ),
     NodeParameter(
         "robot_adds_gravity",
@@ -297,8 +298,8 @@ def complaint_about(kind: str, name: str, wanted: Any) -> str:
     known = next((parameter for parameter in PARAMETERS[kind] if parameter.name == name), None)
     if known is None:
         return ""
-    if name == "joints" and "{number}" not in wanted:
-        return f"joints {wanted!r}: expected {{number}} in it"
+    if name == "joints" and "{number}" not in wanted and "," not in wanted:
+        return f"joints {wanted!r}: expected {{number}} in it, or all names with commas between them"
     if known.choices and wanted not in (*known.choices, *known.former):
         return f"{name} {wanted!r}: expected {' or '.join(known.choices)}"
     if name in ("config_root", "data_root") and not Path(wanted or ".").is_dir():
@@ -309,6 +310,11 @@ def complaint_about(kind: str, name: str, wanted: Any) -> str:
         except InputError as error:
             return f"scenario: {error}"
     return ""
+
+
+def defaults_of(kind: str) -> dict[str, Any]:
+    """Default values of all parameters of a node, by name."""
+    return {parameter.name: parameter.default for parameter in PARAMETERS[kind]}
 
 
 def value(node: Node, name: str) -> Any:

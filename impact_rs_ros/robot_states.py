@@ -49,16 +49,25 @@ def joint_names(pattern: str, arms: Mapping[str, int]) -> dict[str, list[str]]:
     """Names that the robot gives the joints of its arms, base to tip.
 
     Args:
-        pattern: With ``{arm}`` and ``{number}``, which counts from 1.
+        pattern: With ``{arm}`` and ``{number}``, which counts from 1; or all names of an arm, base to tip, with commas
+            between them, and ``{arm}`` in each where there are several arms.
         arms: Number of joints by name of the arm in the scenario.
 
     Raises:
-        InputError: Two joints would have one name.
+        InputError: Two joints would have one name, or there is not one name per joint.
     """
-    joints = {
-        arm: [pattern.replace("{arm}", arm).replace("{number}", str(number + 1)) for number in range(count)]
-        for arm, count in arms.items()
-    }
+    joints = {}
+    for arm, count in arms.items():
+        own = (
+            [name.strip().replace("{arm}", arm) for name in pattern.split(",")] if "," in pattern else [pattern] * count
+        )
+        if len(own) != count:
+            raise InputError(
+                f"{len(own)} names, expected one per joint of {arm} ({count})", key="joints", value=pattern
+            )
+        joints[arm] = [
+            name.replace("{arm}", arm).replace("{number}", str(number)) for number, name in enumerate(own, start=1)
+        ]
     names = [name for own in joints.values() for name in own]
     if len(set(names)) < len(names):
         missing = "{number}" if any(len(set(own)) < len(own) for own in joints.values()) else "{arm}"

@@ -3,8 +3,8 @@
 
 The file holds one JSON document, replaced as a whole: the stage (``what``), the steps ``done`` of ``total``, start and
 last update of the stage (``since``, ``at``, seconds of the wall clock), and the steps done by an earlier run of the
-command (``first``). While explanations are compared, ``ranking`` holds them with their remaining error, the smallest
-first.
+command (``first``). ``stages`` holds the seconds of all stages so far, by name. While explanations
+are compared, ``ranking`` holds them with their remaining error, the smallest first.
 """
 
 from __future__ import annotations
@@ -31,6 +31,7 @@ class ProgressFile:
         self._what: str | None = None
         self._since = self._at = 0.0
         self._first = 0
+        self._stages: dict[str, float] = {}
         self._ranking: dict[str, float] = {}
 
     def rank(self, name: str, error: float) -> None:
@@ -49,12 +50,19 @@ class ProgressFile:
             return
         now = time.time()
         if what != self._what:
+            if self._what is not None:
+                self._stages[self._what] = self._seconds(now)
             self._what, self._since, self._first = what, now, done
         elif done != total and now - self._at < PERIOD:
             return
         self._at = now
         ranking = sorted(self._ranking.items(), key=lambda entry: entry[1])
         document = {"what": what, "done": done, "total": total, "first": self._first, "since": self._since, "at": now}
+        document["stages"] = self._stages | {what: self._seconds(now)}
         document["ranking"] = ranking
         with suppress(InputError):  # a full disk must not stop a command because of its progress
             write_whole(self._path, json.dumps(document))
+
+    def _seconds(self, now: float) -> float:
+        """Seconds of the stage, those of earlier times included."""
+        return self._stages.get(self._what or "", 0.0) + now - self._since

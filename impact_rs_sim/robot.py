@@ -61,6 +61,10 @@ def joined_units(units: Iterable[str]) -> str:
     return " or ".join(dict.fromkeys(units))
 
 
+Share = Annotated[float, Field(ge=0.0, le=1.0)]
+Share3 = tuple[Share, Share, Share]
+
+
 class JointOrigin(Schema):
     """Placement of a joint in the previous link, and its type: rotation about its own +z, or translation along it."""
 
@@ -129,6 +133,34 @@ class SigmoidFriction(Schema):
     c: Vector = Field(description="shift of the sigmoid per joint [rad/s], prismatic [m/s]")
 
 
+class Reflexes(Schema):
+    """What stops the robot by itself at a hit, or shall not be exceeded there; what is absent is not known."""
+
+    source: str = Field("", description="where the thresholds come from, and how they are changed")
+    external_torque_Nm: PositiveVector | None = Field(
+        None, description="external joint torque at which the robot stops itself, per joint [N m], prismatic [N]"
+    )
+    external_force_N: Annotated[float, Field(gt=0.0)] | None = Field(
+        None, description="external force at the end effector at which the robot stops itself [N]"
+    )
+    velocity_jump_rad_s: PositiveVector | None = Field(
+        None,
+        description="largest joint velocity jump that the gears are trusted with [rad/s], prismatic [m/s]",
+    )
+    observer_gain: Annotated[float, Field(gt=0.0)] = Field(
+        500.0, description="rate of the filter of external torques and forces [1/s]"
+    )
+
+
+class Colours(Schema):
+    """Colours of the simple shapes in which viewers show an arm; without influence on the physics."""
+
+    shell: Share3 = Field((0.92, 0.92, 0.94), description="tubes and housings, red green blue from 0 to 1 [-]")
+    joint: Share3 = Field(
+        (0.25, 0.27, 0.3), description="rings of the joints and the foot, red green blue from 0 to 1 [-]"
+    )
+
+
 class RobotFacts(Schema):
     """Public facts about an arm (``config/robots/*.yaml``)."""
 
@@ -138,6 +170,7 @@ class RobotFacts(Schema):
     limits: Limits = Field(description="hardware limits")
     links: tuple[Link, ...] = Field(min_length=1, description="link inertials")
     base_meshes: tuple[Mesh, ...] = omitted((), description="what viewers show of the base; none: a simple shape")
+    colours: Colours = omitted(Colours(), description="of the simple shapes in viewers")
     friction: SigmoidFriction | None = Field(None, description="identified joint friction")
     reflected_rotor_inertia_other_source_kg_m2: PositiveVector | None = Field(
         None, description="reflected rotor inertia per joint from another source [kg m^2], prismatic [kg]"
@@ -145,6 +178,7 @@ class RobotFacts(Schema):
     joint_stiffness_typical_Nm_per_rad: PositiveVector | None = Field(
         None, description="order of magnitude of the joint stiffness [N m/rad], prismatic [N/m]"
     )
+    reflexes: Reflexes | None = omitted(None, description="what stops the robot by itself at a hit")
     joint_torque_loop: bool = omitted(
         True, description="whether the joints have torque sensors and a loop about them; without: drive.type rigid"
     )
@@ -156,6 +190,9 @@ class RobotFacts(Schema):
             "links": len(self.links),
             **{f"limits.{name}": len(getattr(self.limits, name)) for name in Limits.model_fields},
         }
+        for name in ("external_torque_Nm", "velocity_jump_rad_s"):
+            if self.reflexes is not None and (values := getattr(self.reflexes, name)) is not None:
+                lengths[f"reflexes.{name}"] = len(values)
         for name, length in lengths.items():
             if length != count:
                 raise ValueError(f"{name} has {length} entries, expected one per joint ({count})")

@@ -3,7 +3,7 @@
 
 Links are ``base``, ``link1`` ... ``linkN`` and ``end_effector``; joints are ``joint1`` ... ``jointN``. Only the pad has
 a collision shape: arm against scene is out of scope, and a self-collision of coarse shapes would be a
-force that no real robot feels. Visual shapes are plain cylinders between joint origins.
+force that no real robot feels. Visual shapes are meshes, or the simple ones of :mod:`impact_rs_sim.link_shapes`.
 """
 
 from __future__ import annotations
@@ -15,7 +15,8 @@ from xml.etree import ElementTree as Xml
 import numpy as np
 import pinocchio as pin
 
-from impact_rs_sim.robot import Array, EndEffector, Mesh, RobotFacts
+from impact_rs_sim.link_shapes import Shape, link_shapes
+from impact_rs_sim.robot import Array, Colours, EndEffector, Mesh, RobotFacts
 
 WORLD = "world"  # the inertial frame A
 _FIXED = (1.0, np.zeros(3), 0.01 * np.eye(3))  # of links fixed to the world; Bullet warns where an inertial is absent
@@ -40,18 +41,31 @@ def _inertial(link: Xml.Element, mass: float, com: Array, inertia: Array) -> Non
 
 
 def _visual(link: Xml.Element, start: Array, end: Array, radius: float, colour: str) -> None:
+    """A cylinder, or with equal ends a ball."""
     span = end - start
     length = float(np.linalg.norm(span))
-    if length < 1e-6:
-        return
-    rotation = pin.Quaternion.FromTwoVectors(np.array([0.0, 0.0, 1.0]), span / length).matrix()
     visual = Xml.SubElement(link, "visual")
+    rotation = np.eye(3) if length == 0.0 else _turn(span / length)
     rpy = pin.rpy.matrixToRpy(rotation)
     Xml.SubElement(visual, "origin", xyz=_text((start + end) / 2.0), rpy=_text(rpy))
     geometry = Xml.SubElement(visual, "geometry")
-    Xml.SubElement(geometry, "cylinder", radius=repr(radius), length=repr(length))
+    if length == 0.0:
+        Xml.SubElement(geometry, "sphere", radius=repr(radius))
+    else:
+        Xml.SubElement(geometry, "cylinder", radius=repr(radius), length=repr(length))
     material = Xml.SubElement(visual, "material", name=f"colour_{colour.replace(' ', '_')}")
     Xml.SubElement(material, "color", rgba=colour)
+
+
+def _turn(axis: Array) -> Array:
+    """Rotation of z to an axis, ``(3, 3)``."""
+    return np.asarray(pin.Quaternion.FromTwoVectors(np.array([0.0, 0.0, 1.0]), axis).matrix())
+
+
+def _simple(link: Xml.Element, shapes: Iterable[Shape], colours: Colours) -> None:
+    for shape in shapes:
+        colour = colours.shell if shape.colour == "shell" else colours.joint
+        _visual(link, shape.start, shape.end, shape.radius, f"{_text(colour)} 1")
 
 
 def _meshes(link: Xml.Element, meshes: tuple[Mesh, ...]) -> bool:
@@ -87,9 +101,9 @@ def write_urdf(
     robot = Xml.Element("robot", name=name)
     base = Xml.SubElement(robot, "link", name=f"{prefix}base")
     _inertial(base, *_FIXED)
+    shapes, colours = link_shapes(facts), facts.colours
     if not (meshes and _meshes(base, facts.base_meshes)):
-        _visual(base, np.zeros(3), np.array([0.0, 0.0, 0.14]), 0.09, "0.92 0.92 0.94 1")
-        _visual(base, np.zeros(3), np.array(facts.joints[0].xyz), 0.06, "0.92 0.92 0.94 1")
+        _simple(base, shapes[0], colours)
     limits = facts.limits
     previous, carrier = "base", base
     for index, (origin, inertials) in enumerate(zip(facts.joints, facts.links, strict=True)):
@@ -116,10 +130,7 @@ def write_urdf(
         link = Xml.SubElement(robot, "link", name=f"{prefix}{link_name}")
         _inertial(link, inertials.mass, np.array(inertials.com), inertials.inertia_matrix)
         if not (meshes and _meshes(link, inertials.meshes)):
-            axis = np.array([0.0, 0.0, 0.065])
-            _visual(link, -axis, axis, 0.055, "0.25 0.27 0.30 1")
-            following = facts.joints[index + 1].xyz if index + 1 < facts.joint_count else facts.flange.xyz
-            _visual(link, np.zeros(3), np.array(following), 0.045, "0.92 0.92 0.94 1")
+            _simple(link, shapes[index + 1], colours)
         previous, carrier = link_name, link
 
     mount = Xml.SubElement(robot, "joint", name=f"{prefix}end_effector_mount", type="fixed")

@@ -29,7 +29,7 @@ from impact_rs_control.plan import check_scale
 from impact_rs_sim.errors import InputError, full_traceback
 from impact_rs_sim.mechanics import Simulator
 from impact_rs_sim.scenario import load_scenario
-from impact_rs_sim.schema import PositiveVector, Schema, parse_yaml, validate
+from impact_rs_sim.schema import PositiveVector, Schema, omitted, parse_yaml, validate
 from impact_rs_trials.bags.reader import BagError, TrialBag
 from impact_rs_trials.bags.record import record_trial
 from impact_rs_trials.bags.trial_info import OUTCOMES, VIA, Outcome, TrialInfo, TrialKey
@@ -49,6 +49,17 @@ Order = Literal["random", "listed"]
 logger = logging.getLogger(__name__)
 
 
+class PlannedTrials(Schema):
+    """One condition of a plan, with its repeats."""
+
+    object: str = Field(description="name of the object")
+    case: str = Field(description="full name of the case")
+    scale: float = Field(1.0, gt=0.0, description="post-impact reference over prediction [-]")
+    trials: int = Field(ge=1, description="repeats")
+    what: str = Field("", description="the trial in words")
+    buys: str = Field("", description="what these trials add, in words")
+
+
 class Manifest(Schema):
     """What a campaign folder holds (``manifest.yaml``)."""
 
@@ -66,6 +77,9 @@ class Manifest(Schema):
         description="random: repeat by repeat, conditions in random order, drawn from the seed; listed: condition by "
         "condition",
     )
+    planned: tuple[PlannedTrials, ...] = omitted(
+        (), description="the conditions of a plan, each with its own repeats; none: every object, case and scale"
+    )
 
     @model_validator(mode="after")
     def _every_trial_has_a_bag_of_its_own(self) -> Self:
@@ -77,6 +91,12 @@ class Manifest(Schema):
     @property
     def keys(self) -> list[TrialKey]:
         """Every trial of the campaign, condition by condition."""
+        if self.planned:
+            return [
+                TrialKey(one.object, one.case, one.scale, repeat)
+                for one in self.planned
+                for repeat in range(one.trials)
+            ]
         return [
             TrialKey(name, case, scale, repeat)
             for name in self.objects
@@ -91,12 +111,14 @@ class Manifest(Schema):
         if self.order == "listed":
             return self.keys
         rng = np.random.default_rng(self.seed)
-        conditions = [key for key in self.keys if key.repeat == 0]
-        return [
+        keys = self.keys
+        conditions, wanted = [key for key in keys if key.repeat == 0], set(keys)
+        shuffled = [
             replace(conditions[number], repeat=repeat)
-            for repeat in range(self.trials)
+            for repeat in range(1 + max(key.repeat for key in keys))
             for number in rng.permutation(len(conditions))
         ]
+        return [key for key in shuffled if key in wanted]
 
     def trial(self, key: TrialKey) -> Trial:
         """One trial, with all that is needed to run it anywhere.

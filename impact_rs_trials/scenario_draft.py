@@ -8,9 +8,11 @@ Jacobian, and the used share of speed and torque. The best poses are simulated i
 
 from __future__ import annotations
 
+import itertools
 import re
 import tempfile
-from collections.abc import Callable, Sequence
+import textwrap
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
@@ -18,7 +20,7 @@ from typing import Any, Literal
 import numpy as np
 import pinocchio as pin
 
-from impact_rs_sim.assumed_drive import assumed_drive
+from impact_rs_sim.assumed_drive import REDUCED, ROTOR_INERTIA, assumed_drive
 from impact_rs_sim.errors import Infeasible, InputError
 from impact_rs_sim.paths import config_directory
 from impact_rs_sim.robot import Array, JointUnits, RobotFacts, joined_units
@@ -71,12 +73,14 @@ class Draft:
         scenario: The same, read.
         speed: Share of the shipped scenario's speeds.
         tried: Poses that were simulated before this one worked.
+        choices: What was chosen and why, by key of the scenario; the head of ``text`` says the same.
     """
 
     text: str
     scenario: Scenario
     speed: float
     tried: int
+    choices: Mapping[str, str]
 
 
 class _TooEarly(Infeasible):
@@ -106,13 +110,10 @@ def draft(facts_name: str, facts: RobotFacts, kind: Kind, report: Report = lambd
     shipped = load_scenario(kind)
     effector = next(iter(shipped.robots.values())).end_effector
     model = RobotModel(facts, replace(effector.build(), mount_yaw=0.0))
-    rng = np.random.default_rng(SEED)
-    shoulder = model.link_placements(np.zeros(model.joint_count))["link2"].translation
-    reach = max(float(np.linalg.norm(model.placement(q).translation - shoulder)) for q in random_positions(model))
     starts = []
-    for number in range(POSES):
+    for number, start in enumerate(itertools.islice(upright_poses(model, SEED), POSES)):
         report("poses", number, POSES)
-        if (start := _random_pose(model, reach, float(shoulder[2]), rng)) is not None:
+        if start is not None:
             starts.append(start)
     drive = assumed_drive(facts, model.end_effector, shipped.timing.drive_period)
     motors = np.array(drive.get("motor_inertia_reduced", drive["motor_inertia_rotor"]))
@@ -133,9 +134,29 @@ def draft(facts_name: str, facts: RobotFacts, kind: Kind, report: Report = lambd
                     failures.append(str(error))
                     break
                 else:
-                    return Draft(text, scenario, speed, len(failures))
+                    search = (
+                        f"of {POSES} random places {len(starts)} could be reached with the pad upright, and "
+                        f"{sum(one.score > 0.0 for one in rated)} kept clear of all limits on their way; this one has "
+                        f"score {pose.score:.2f} of 1, and {failures_text(failures)}"
+                    )
+                    choices = choices_of(facts, kind, model, pose, speed, threshold, search)
+                    return Draft(_explained(text, choices), scenario, speed, len(failures), choices)
     why = f"; the last that was simulated: {failures[-1]}" if failures else ""
     raise Infeasible(f"no pose of {facts_name} among {POSES} works for a {kind}{why}")
+
+
+def upright_poses(model: RobotModel, seed: int) -> Iterator[Pose | None]:
+    """Endless random poses with the pad upright and its normal along -y; None where a random place is out of reach.
+
+    Args:
+        model: The arm.
+        seed: Same seed, same poses.
+    """
+    rng = np.random.default_rng(seed)
+    shoulder = model.link_placements(np.zeros(model.joint_count))["link2"].translation
+    reach = max(float(np.linalg.norm(model.placement(q).translation - shoulder)) for q in random_positions(model))
+    while True:
+        yield _random_pose(model, reach, float(shoulder[2]), rng)
 
 
 def _random_pose(model: RobotModel, reach: float, shoulder: float, rng: np.random.Generator) -> Pose | None:
@@ -247,7 +268,7 @@ def scenario_text(
         head = head.replace(line, f"object_position: [{mirrored[0]:.4f}, {mirrored[1]:.4f}]  # m")
     drive = assumed_drive(facts, model.end_effector, float(plain["timing"]["drive_period"]))
     lines = [
-        f"# Made by impact-rs scenario new for {facts_name}: pose and drive were found, the rest is that of {kind}.",
+        f"# Made by impact-rs scenario new for {facts_name}, with pose and drive found and the rest from {kind}:",
         "# SI units everywhere; the inertial frame has z up (REP-103).",
         "# The drive is an assumption, scaled from a Franka arm: replace it by the numbers of your robot, then run",
         f"# impact-rs robot check {facts_name} --scenario THIS_FILE",
@@ -273,6 +294,74 @@ def scenario_text(
             "",
         ]
     )
+
+
+def failures_text(failures: Sequence[str]) -> str:
+    """What was simulated before a draft worked, in words."""
+    if not failures:
+        return "its trials ended well at once"
+    return f"{len(failures)} attempt{'s' * (len(failures) > 1)} before it failed, the last with {failures[-1]}"
+
+
+def choices_of(
+    facts: RobotFacts, kind: Kind, model: RobotModel, pose: Pose, speed: float, threshold: float, search: str
+) -> dict[str, str]:
+    """What a draft chose and why, by key of the scenario.
+
+    Args:
+        facts: The robot.
+        kind: Which shipped scenario the draft is made like.
+        model: The arm with its end effector.
+        pose: Where it hits.
+        speed: Share of the shipped scenario's speeds.
+        threshold: Threshold of the detection over the shipped one.
+        search: How the pose was found, in words.
+    """
+    published = facts.reflected_rotor_inertia_other_source_kg_m2 is not None
+    rotor = (
+        "B_rho as the robot facts state it"
+        if published
+        else f"B_rho assumed, {ROTOR_INERTIA:.4f} kg m^2 per N m of torque limit"
+    )
+    loop = (
+        f"B_theta = {REDUCED:.2f} B_rho assumed"
+        if facts.joint_torque_loop
+        else "rigid, as the robot facts know no torque loop"
+    )
+    revolute = np.array([joint.type == "revolute" for joint in facts.joints])
+    margins = np.minimum(pose.q - model.position_min, model.position_max - pose.q)
+    nearest = int(np.argmin(margins / np.where(revolute, COMFORTABLE["revolute"], COMFORTABLE["prismatic"])))
+    found = {
+        "end_effector": f"that of {kind}, not yours: replace mass, centre, inertia and length",
+        "drive": f"{rotor}; {loop}; stiffness from the torque limits of a Franka arm, as far as the torque loop is "
+        "stable; damping against the resonance of the joint: replace all four by the numbers of your robot",
+        "impact": f"{search}; joint {nearest + 1} is nearest to its limit there, "
+        f"{margins[nearest]:.2f} {facts.units[nearest].position} away",
+        "support.height": "half the height of the tallest object below the pad, which then hits the middle of a face",
+        "cases": f"velocities of {kind}"
+        + (f" times {speed:g}: the joints are too slow for more" if speed < 1.0 else ", which these joints can follow")
+        + ("; joint_1 holds the posture that seven joints leave open" if facts.joint_count > 6 else ""),
+        "control.detection.threshold": f"that of {kind}"
+        + (
+            f" times {threshold:g}: with less a trial took its own motion for an impact"
+            if threshold > 1.0
+            else f"; trials run at 1/{QUIET:g} of it saw no impact too early"
+        ),
+    }
+    if kind == "excite":
+        del found["support.height"]
+    return found | {"all other keys": f"those of {kind}, word for word"}
+
+
+def _explained(text: str, choices: Mapping[str, str]) -> str:
+    """A scenario file with its choices in its head."""
+    first, rest = text.split("\n", 1)
+    lines = [
+        line
+        for key, why in choices.items()
+        for line in textwrap.wrap(f"{key}: {why}.", 116, initial_indent="# * ", subsequent_indent="#   ")
+    ]
+    return "\n".join([first, *lines, rest])
 
 
 def _sections(text: str, starts: Sequence[str]) -> list[str]:

@@ -21,6 +21,7 @@ from impact_rs_commands.declaration import NAMED, READ, WRITTEN, Command, Option
 from impact_rs_sim.errors import InputError, did_you_mean
 from impact_rs_sim.schema import Schema, validate
 from impact_rs_trials.campaign import make_manifest
+from impact_rs_trials.experiment_plan import read_plan
 from impact_rs_workbench.jobs import Order
 from impact_rs_workbench.workspace import NOMINAL, Workspace
 
@@ -149,6 +150,11 @@ def _writes(workspace: Workspace, command: Command, given: Mapping[str, Any]) ->
 
 def _check_campaign(workspace: Workspace, given: Mapping[str, Any]) -> None:
     """What the command checks first."""
+    if given["plan"] is not None:
+        read_plan(workspace.existing(given["plan"]))
+        return
+    if given["scenario"] is None:
+        raise InputError("expected a scenario, or a plan", key="scenario")
     scenario = workspace.scenario_path(given["scenario"])
     make_manifest(scenario, given["objects"], given["cases"], given["scales"], given["trials"], given["seed"])
 

@@ -27,6 +27,7 @@ from typing import Any
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.files import write_whole
 from impact_rs_sim.progress import VARIABLE
+from impact_rs_workbench.remaining import STAGES, Remaining, remaining, shown
 
 RECORD, PROGRESS, OUTPUT = "job.json", "progress.json", "output.txt"
 MOST = 10  # candidate effects that a running diagnosis shows
@@ -101,6 +102,7 @@ class Jobs:
     _jobs: dict[int, Job] = field(default_factory=dict)
     _processes: dict[int, subprocess.Popen[bytes]] = field(default_factory=dict)
     _waiting: dict[int, threading.Thread] = field(default_factory=dict)
+    _shown: dict[int, Remaining] = field(default_factory=dict)
     _lock: threading.RLock = field(default_factory=threading.RLock)
 
     def __post_init__(self) -> None:
@@ -241,17 +243,29 @@ class Jobs:
         write_whole(self._folder(job.number) / RECORD, json.dumps(asdict(job), indent=2))
 
     def _progress(self, job: Job) -> dict[str, Any] | None:
-        """Progress of a job, with the remaining time of its stage [s] where that can be estimated."""
-        if not job.runs:
+        """Progress of a job: its stage, and of the whole job the share that is done and the remaining time."""
+        if not job.runs or (found := self._stages(job)) is None:
             return None
+        whole = shown(self._shown.get(job.number), remaining(found, self._usual(job.step), time.time()))
+        self._shown[job.number] = whole
+        stage = {name: found[name] for name in ("what", "done", "total")}
+        return stage | {"share": whole.share, "left": whole.left, "ranking": found["ranking"][:MOST]}
+
+    def _stages(self, job: Job) -> dict[str, Any] | None:
+        """The progress file of a job; None: it has none yet."""
         try:
             found: dict[str, Any] = json.loads((self._folder(job.number) / PROGRESS).read_text(encoding="utf-8"))
         except (OSError, ValueError):
             return None
-        done, total, spent = found["done"], found["total"], found["at"] - found["since"]
-        own = done - found["first"]  # what an earlier run of the command had done took no time of this one
-        left = None if not total or own <= 0 else spent / own * (total - done)
-        return {"what": found["what"], "done": done, "total": total, "left": left, "ranking": found["ranking"][:MOST]}
+        return found
+
+    def _usual(self, step: str) -> dict[str, float]:
+        """Seconds of the stages of the last job of a command that was done."""
+        done = [job for job in self._jobs.values() if job.step == step and job.exit_code == 0]
+        for job in sorted(done, key=lambda job: -job.number):
+            if stages := (self._stages(job) or {}).get("stages"):
+                return dict(stages)
+        return STAGES.get(step, {})
 
 
 def _shared(writes: Sequence[Path], others: Sequence[str]) -> Path | None:

@@ -8,7 +8,7 @@ moves, and along a band, it comes from a few draws, always the same ones, so tha
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any, Literal
 
@@ -16,13 +16,15 @@ import numpy as np
 from pydantic import Field
 
 from impact_rs_analysis.report.figures import MODEL_STYLE
+from impact_rs_analysis.report.scene_3d import scene_data
 from impact_rs_commands.predicting import MAP
 from impact_rs_control.plan import LARGEST_SCALE
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.impact_map import ImpactMapError, ImpactProblem, predict_impact
 from impact_rs_sim.impact_map.uncertainty import LEVEL, UncertainPrediction, interval_of_draws, predict
 from impact_rs_sim.impact_map.uniqueness import uniqueness_of
-from impact_rs_sim.physics import MOTOR_INERTIA_MODELS
+from impact_rs_sim.physics import MOTOR_INERTIA_MODELS, Physics
+from impact_rs_sim.rotations import quaternion_of
 from impact_rs_sim.scenario import Scenario, Uncertainties, load_scenario
 from impact_rs_sim.scene import Scene
 from impact_rs_sim.schema import Schema
@@ -130,10 +132,16 @@ def _yaml(value: Setting) -> str:
     return f"{value:.6g}" if isinstance(value, float) else f"[{', '.join(f'{one:.6g}' for one in value)}]"
 
 
-def answer(scenario: Scenario, question: Question) -> dict[str, Any]:
+def answer(scenario: Scenario, question: Question, stopped: Callable[[], bool] = lambda: False) -> dict[str, Any]:
     """Velocities before and after with their intervals, impulses, and the shares of the sources.
 
+    Args:
+        scenario: The scenario.
+        question: The question.
+        stopped: Whether the answer is no longer wanted.
+
     Raises:
+        Stopped: ``stopped`` said so.
         InputError: The scenario has no such object, case, arm or value, or the question has no answer.
         ImpactMapError: No answer was found.
     """
@@ -148,7 +156,7 @@ def answer(scenario: Scenario, question: Question) -> dict[str, Any]:
         if question.moving:
             names, low, high = interval_of_draws(problem, stated, scene.models, MOVING_DRAWS)
         else:
-            uncertain = predict(problem, stated, scene.models)
+            uncertain = predict(problem, stated, scene.models, stopped=stopped)
             names, low, high = uncertain.names, uncertain.low, uncertain.high
         ends = dict(zip(names, zip(low.tolist(), high.tolist(), strict=True), strict=True))
     except (InputError, ImpactMapError) as error:  # velocities are known all the same
@@ -172,6 +180,7 @@ def answer(scenario: Scenario, question: Question) -> dict[str, Any]:
         "rows": rows,
         "arm": arm,
         "impulses": {name: impulse.tolist() for name, impulse in impulses.items()},
+        "moment": _moment(scene, rows),
         "budget": _budget(uncertain, f"{arm}.velocity.{scenario.axis}"),
         "interval": None
         if uncertain is None
@@ -180,6 +189,38 @@ def answer(scenario: Scenario, question: Question) -> dict[str, Any]:
         "residual": found.residual.largest,
         "note": note,
     }
+
+
+def _moment(scene: Scene, rows: list[dict[str, Any]]) -> dict[str, Any]:
+    """The impact as the picture shows it: where joints and object are, and velocities with the ends of intervals."""
+    jumps = []
+    for body in (*scene.arms, *(() if scene.scenario.excursion is not None else ("object",))):
+        own = [row for row in rows if row["body"] == body]
+        known = all(row["low"] is not None for row in own)
+        jumps.append(
+            {
+                "arm": None if body == "object" else body,
+                "before": [row["before"] for row in own],
+                "after": [row["after"] for row in own],
+                "low": [row["low"] for row in own] if known else None,
+                "high": [row["high"] for row in own] if known else None,
+            }
+        )
+    pose = (*scene.object.position.tolist(), *quaternion_of(scene.object.rotation).tolist())
+    return {
+        "joints": np.concatenate([arm.position for arm in scene.arms.values()]).tolist(),
+        "object": pose,
+        "jumps": jumps,
+    }
+
+
+def scene_of(path: str, object_name: str) -> dict[str, Any]:
+    """Arms, support and object of a scenario as the picture draws them.
+
+    Raises:
+        InputError: There is no such scenario or object.
+    """
+    return scene_data(Physics.nominal(load_scenario(path), object_name))
 
 
 def _row(body: str, axis: str, ante: float, post: float, ends: Ends, main: bool) -> dict[str, Any]:

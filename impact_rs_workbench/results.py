@@ -10,16 +10,24 @@ from typing import Any
 
 from impact_rs_analysis.diagnosis.compare import ComparisonDocument
 from impact_rs_analysis.diagnosis.discovery_document import is_discovery
-from impact_rs_analysis.diagnosis.document import read_document
+from impact_rs_analysis.diagnosis.document import DiagnosisDocument, read_document
+from impact_rs_analysis.diagnosis.scoring import score
 from impact_rs_analysis.evidence.levels import Cell
+from impact_rs_analysis.evidence.measured_runs import runs_digest
 from impact_rs_analysis.report.comparison import comparison_in_words, on_scale, where_part
 from impact_rs_analysis.report.labels import phase_text, place_text, tag_of
 from impact_rs_analysis.report.page import number_text, p_text, quantity_text
 from impact_rs_analysis.report.plots import effects_plot
+from impact_rs_analysis.report.trial import trial_page
+from impact_rs_commands.measuring import BLIND
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.numbers import estimate_text
 from impact_rs_sim.schema import validate
-from impact_rs_workbench.workspace import read_json
+from impact_rs_trials.bags.reader import BagError, TrialBag
+from impact_rs_trials.blind import RUNS, TRUTH
+from impact_rs_trials.store import is_bag
+from impact_rs_workbench.forms import seen
+from impact_rs_workbench.workspace import Workspace, read_json
 
 
 def comparison(folder: Path) -> dict[str, Any]:
@@ -58,6 +66,107 @@ def comparison(folder: Path) -> dict[str, Any]:
         ],
         "remarks": list(document.remarks),
     }
+
+
+def trials(folder: Path) -> list[str]:
+    """Names of the trials in a folder, in order.
+
+    Raises:
+        InputError: It is no folder.
+    """
+    if not folder.is_dir():
+        raise InputError("expected the folder of a campaign", file=folder)
+    return sorted(path.name for path in folder.iterdir() if is_bag(path))
+
+
+def trial(path: Path) -> dict[str, Any]:
+    """A recorded trial in 3D and over time.
+
+    Raises:
+        InputError: It is no trial, or it cannot be read.
+    """
+    try:
+        page = trial_page(TrialBag.open(path))
+    except BagError as error:
+        raise InputError(error.reason, file=path) from None
+    return {
+        "title": page.title,
+        "facts": [f"{term}: {text}" for term, text in page.facts],
+        "replay": page.replay.data,
+        "plots": [{"title": plot.title, "figure": json.loads(str(plot.figure.to_json()))} for plot in page.plots],
+    }
+
+
+def reveal(workspace: Workspace, path: str) -> dict[str, Any]:
+    """What a campaign hid, beside what a diagnosis of its runs found.
+
+    Args:
+        workspace: The folder.
+        path: The campaign, of which the newest diagnosis counts; or a diagnosis.
+
+    Raises:
+        InputError: There is no such pair.
+    """
+    given, contents = workspace.existing(path), workspace.contents()
+    if given.is_dir() and path not in contents.blinds:
+        raise InputError(f"no practice campaign: there is no {TRUTH} beside {RUNS}", file=given)
+    stamps = contents.stamps
+    newest_first = sorted((one.path for one in contents.diagnoses), key=lambda name: -stamps.get(name, 0.0))
+    campaigns = [given] if given.is_dir() else [workspace.existing(name) for name in contents.blinds]
+    files = [workspace.existing(name) for name in newest_first] if given.is_dir() else [given]
+    for campaign in campaigns:
+        digest = runs_digest(campaign / RUNS)
+        for file in files:
+            document = read_document(file)
+            if document.runs.digest == digest:
+                return _revealed(campaign, file, document)
+    if given.is_dir():
+        raise InputError("its runs have no diagnosis yet; diagnose them first", file=given)
+    raise InputError(
+        "a diagnosis of other runs than those of a practice campaign; nothing is hidden in them", file=given
+    )
+
+
+def _revealed(campaign: Path, file: Path, document: DiagnosisDocument) -> dict[str, Any]:
+    found = score(campaign, document, file)
+    truth = json.loads((campaign / TRUTH).read_text(encoding="utf-8"))
+    rows = []
+    for effect in truth["effects"]:
+        measured = document.effect(effect["name"])
+        for name, hidden in effect["parameters"].items():
+            estimate = None if measured is None else measured.parameters.get(name)
+            low, high = (None, None) if estimate is None else estimate.interval
+            value = None if estimate is None else estimate.estimate
+            row = {"name": name, "unit": hidden["unit"], "hidden": hidden["value"]}
+            rows.append(row | {"estimate": value, "low": low, "high": high})
+    words = BLIND.actions[1].words({"directory": seen(campaign), "diagnosis": seen(file)})
+    return {"correct": found.correct, "truth": found.truth, "named": found.named, "parameters": rows, "words": words}
+
+
+def estimates(workspace: Workspace) -> list[dict[str, Any]]:
+    """Every estimate of a parameter in the diagnoses of the folder, the oldest first."""
+    contents = workspace.contents()
+    found = []
+    for one in sorted(contents.diagnoses, key=lambda one: contents.stamps.get(one.path, 0.0)):
+        document = read_document(workspace.existing(one.path))
+        for effect in document.effects:
+            for name, value in effect.parameters.items():
+                low, high = value.interval
+                found.append(
+                    {
+                        "parameter": f"{effect.name}: {name}",
+                        "unit": value.unit,
+                        "estimate": value.estimate,
+                        "low": low,
+                        "high": high,
+                        "diagnosis": one.path,
+                        "model": one.model,
+                        "verdict": effect.verdict,
+                        "named": effect.name in document.named,
+                        "when": contents.stamps.get(one.path, 0.0),
+                    }
+                )
+    return found
 
 
 def nearest_signal(cell: Cell) -> str:

@@ -21,10 +21,11 @@ from starlette.responses import FileResponse, HTMLResponse, JSONResponse, PlainT
 from starlette.routing import Route
 from starlette.types import ASGIApp
 
-from impact_rs_analysis.report.page import PLOTLY
+from impact_rs_analysis.report.page import BUNDLE, PLOTLY, TEMPLATES
 from impact_rs_commands.predicting import EFFECTS
 from impact_rs_sim.errors import InputError, shortened
 from impact_rs_sim.impact_map import ImpactMapError
+from impact_rs_sim.impact_map.uncertainty import Stopped
 from impact_rs_sim.scenario import load_scenario
 from impact_rs_sim.schema import validate
 from impact_rs_trials.store import Folder, owned
@@ -38,7 +39,10 @@ from impact_rs_workbench.recording_description import Description, PreviewReques
 from impact_rs_workbench.request_guard import FILE_POLICY, Guard
 from impact_rs_workbench.workspace import HIDDEN, Workspace
 
-STATIC = {"workbench.css": "text/css", "workbench.js": "text/javascript"}
+SCRIPTS = ("workbench.js", "explain.js", "figures.js", "overlay.js", "picture.js", "tools.js")
+LIBRARIES = {"plotly.js": PLOTLY, "three.js": BUNDLE / "three.min.js", "replay.js": TEMPLATES / "replay.js"}
+STATIC = {"workbench.css": "text/css", **dict.fromkeys(SCRIPTS, "text/javascript")}
+KEPT = {"cache-control": "max-age=86400"}  # libraries of others, which do not change
 SHOWN_FILES = {".html": "text/html", ".json": "application/json", ".yaml": "text/plain", ".csv": "text/plain"}
 LARGEST_REQUEST = 1_000_000  # bytes
 LOOKED_AT = 0.25  # s, between two looks at running jobs
@@ -72,16 +76,30 @@ class Workbench:
         """What can be chosen in a scenario."""
         return prediction.describe(name, self.workspace.scenario_path(name))
 
+    def scene(self, name: str, object_name: str) -> dict[str, Any]:
+        """A scenario with one of its objects, as the picture draws it."""
+        return prediction.scene_of(self.workspace.scenario_path(name), object_name)
+
     def predict(self, question: Question) -> dict[str, Any]:
-        """One prediction, with the command that gives it."""
+        """One prediction, with the command that gives it; ``superseded`` where another question was asked meanwhile."""
         scenario = load_scenario(self.workspace.scenario_path(question.scenario))
         settings = prediction.settings_of(scenario, question)
         self._asked += 1
+        asked = self._asked
         with self._map:
-            found = prediction.answer(scenario, question)
+            try:
+                found = prediction.answer(scenario, question, lambda: self._asked != asked)
+            except Stopped:
+                return {"superseded": True}
         name = named(self.workspace, question.scenario)
         words = prediction.map_arguments(name, question, settings)
         return found | {"command": self.command(words)}
+
+    def impact(self, question: Question) -> dict[str, Any]:
+        """The impact as a picture shows it; no other question gives way to it."""
+        scenario = load_scenario(self.workspace.scenario_path(question.scenario))
+        with self._map:
+            return prediction.answer(scenario, question.model_copy(update={"moving": True}))
 
     def sweep(self, question: Question, key: str) -> dict[str, Any]:
         """Predictions over a slider; ``superseded`` where a slider has moved meanwhile, which comes first."""
@@ -141,8 +159,13 @@ def _routes(workbench: Workbench) -> list[Route]:
         Route("/api/forms", _got(lambda _: {name: form_of(command) for name, command in FORMS.items()})),
         Route("/api/workspace", _got(lambda _: workbench.state())),
         Route("/api/scenario", _got(lambda given: workbench.scenario(given.get("name", "")))),
+        Route("/api/scene", _got(lambda given: workbench.scene(given.get("name", ""), given.get("object", "")))),
         Route("/api/comparison", _got(lambda given: results.comparison(workspace.existing(given.get("path", ""))))),
         Route("/api/diagnosis", _got(lambda given: results.diagnosis(workspace.existing(given.get("path", ""))))),
+        Route("/api/reveal", _got(lambda given: _revealed(workbench, given.get("path", "")))),
+        Route("/api/estimates", _got(lambda _: results.estimates(workspace))),
+        Route("/api/trials", _got(lambda given: results.trials(workspace.existing(given.get("path", ""))))),
+        Route("/api/trial", _got(lambda given: results.trial(workspace.existing(given.get("path", ""))))),
         Route(
             "/api/laboratory",
             _got(lambda given: recording_description.look(workspace, given.get("path", ""), given.get("scenario", ""))),
@@ -151,6 +174,7 @@ def _routes(workbench: Workbench) -> list[Route]:
         Route("/api/jobs/{number}/log", _got(lambda given: {"log": jobs.log(_job(given))})),
         Route("/api/events", _events(workbench)),
         Route("/api/predict", _posted(lambda data: workbench.predict(_question(data))), methods=["POST"]),
+        Route("/api/impact", _posted(lambda data: workbench.impact(_question(data))), methods=["POST"]),
         Route("/api/sweep", _posted(sweep), methods=["POST"]),
         Route("/api/laboratory/preview", _posted(preview), methods=["POST"]),
         Route("/api/laboratory", _posted(lambda data: _described(workbench, data)), methods=["POST"]),
@@ -165,6 +189,11 @@ def _routes(workbench: Workbench) -> list[Route]:
 
 def _command(workbench: Workbench, data: Any) -> dict[str, str]:
     return {"command": workbench.command(list(order_of(data, workbench.workspace).arguments))}
+
+
+def _revealed(workbench: Workbench, path: str) -> dict[str, Any]:
+    found = results.reveal(workbench.workspace, path)
+    return found | {"command": workbench.command(found.pop("words"))}
 
 
 def _described(workbench: Workbench, data: Any) -> dict[str, Any]:
@@ -252,8 +281,10 @@ async def _page(request: Request) -> Response:
 
 async def _static(request: Request) -> Response:
     name = request.path_params["name"]
-    if name == "plotly.js":
-        return FileResponse(PLOTLY, media_type="text/javascript", headers={"cache-control": "max-age=86400"})
+    if name in LIBRARIES:
+        return FileResponse(
+            LIBRARIES[name], media_type="text/javascript", headers=KEPT if LIBRARIES[name].parent == BUNDLE else {}
+        )
     if name not in STATIC:
         return PlainTextResponse("There is no such file.", 404)
     text = (files(__package__) / "static" / name).read_text(encoding="utf-8")

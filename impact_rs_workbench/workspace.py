@@ -21,6 +21,7 @@ from impact_rs_sim.errors import InputError, did_you_mean, shortened
 from impact_rs_sim.model import Model, load_model
 from impact_rs_sim.paths import config_directory
 from impact_rs_sim.schema import load_mapping, validate
+from impact_rs_trials.blind import RUNS, TRUTH
 from impact_rs_trials.campaign import MANIFEST, Manifest
 from impact_rs_trials.recordings.experiment import Experiment
 from impact_rs_trials.recordings.sources import FILE_SUFFIXES
@@ -151,6 +152,7 @@ class Contents:
         reports: Pages of reports.
         scenarios: Scenarios, those that come with impact_rs first.
         formulas: Files of effects as formulas.
+        blinds: Campaigns with a hidden effect.
         stamps: When models, diagnoses and reports were written [s of the wall clock].
     """
 
@@ -162,6 +164,7 @@ class Contents:
     reports: tuple[str, ...]
     scenarios: tuple[str, ...]
     formulas: tuple[str, ...]
+    blinds: tuple[str, ...]
     stamps: dict[str, float]
 
 
@@ -221,6 +224,7 @@ class Workspace:
         """What is there now; files that are none of ours are left out."""
         campaigns, laboratories, models, diagnoses, reports, scenarios, formulas = [], [], [], [], [], [], []
         scores: list[dict[str, Any]] = []
+        blinds = []
         for folder, files, bags in self._folders():
             ours = [name for name in bags if _is_ours(folder / name)]
             if MANIFEST in files:
@@ -229,6 +233,8 @@ class Workspace:
                 campaigns.append(Campaign(self.name(folder), "", len(ours), len(ours)))
             elif (found := self._laboratory(folder, files, bags)) is not None:
                 laboratories.append(found)
+            if TRUTH in files and (folder / RUNS).is_dir():
+                blinds.append(self.name(folder))
             for file in files:
                 path = folder / file
                 if file.endswith((".yaml", ".yml")):
@@ -255,6 +261,7 @@ class Workspace:
             reports=tuple(reports),
             scenarios=(*sorted(file.stem for file in shipped.glob("*.yaml")), *scenarios),
             formulas=tuple(formulas),
+            blinds=tuple(blinds),
             stamps=self._stamps([*reports, *(one.path for one in diagnoses), *(one.path for one in models)]),
         )
 

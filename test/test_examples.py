@@ -142,7 +142,8 @@ def test_flights_of_balls_become_a_table_of_their_bounces(tmp_path: Path, capsys
             f"{t:.4f};{x};{y};{z}" for t, (x, y, z) in zip(times, seen, strict=True)
         )
         spin = before[3:] if number else np.array([2000.0, 0.0, 0.0])  # faster than any spin that was measured
-        index.append(f"{number},{','.join(map(str, spin))}")
+        of_camera = (spin[0], -spin[2], spin[1])  # x to the right, y down, and it looks along y of the table
+        index.append(f"{number},{','.join(map(str, of_camera))}")
         truth.append((before, after))
     with zipfile.ZipFile(tmp_path / "flights.zip", "w") as archive:
         for name, text in {**flights, "index.csv": "\n".join(index)}.items():

@@ -16,10 +16,14 @@ from typing import Any
 from xml.etree import ElementTree
 
 import pytest
+import yaml
 from catkin_pkg.package import parse_package
 
+from impact_rs_ros.driver_profiles import PROFILES
 from impact_rs_ros.middleware import CHOICES, PROFILE, set_middleware
 from impact_rs_ros.node_processes import NODES
+from impact_rs_ros.robot_states import joint_names
+from impact_rs_sim.scenario import load_scenario
 
 ROOT = Path(__file__).resolve().parent.parent
 INTERFACES = sorted(
@@ -135,7 +139,8 @@ def launch_file(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
     def action(kind: str) -> Any:
         return lambda *inputs, **keys: SimpleNamespace(kind=kind, inputs=inputs, **keys)
 
-    actions = ("DeclareLaunchArgument", "EmitEvent", "LogInfo", "OpaqueFunction", "RegisterEventHandler")
+    actions = ("DeclareLaunchArgument", "EmitEvent", "IncludeLaunchDescription", "LogInfo", "OpaqueFunction")
+    actions += ("RegisterEventHandler",)
     substitutions = {"LaunchConfiguration": lambda name: Configuration(name=name), "PathJoinSubstitution": "/".join}
     stand_ins: dict[str, dict[str, Any]] = {
         "launch": {"LaunchContext": dict, "LaunchDescription": list, "LaunchDescriptionEntity": object},
@@ -143,6 +148,7 @@ def launch_file(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
         "launch.event_handlers": {"OnProcessExit": SimpleNamespace},
         "launch.events": {"matches_action": lambda action: action},
         "launch.events.process": {"ProcessExited": SimpleNamespace, "ShutdownProcess": SimpleNamespace},
+        "launch.launch_description_sources": {"PythonLaunchDescriptionSource": list},
         "launch.substitutions": substitutions,
         "launch_ros": {},
         "launch_ros.actions": {"Node": action("Node")},
@@ -153,6 +159,31 @@ def launch_file(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
         vars(module).update(content)
         monkeypatch.setitem(sys.modules, name, module)
     return runpy.run_path(str(ROOT / "launch" / "impact_rs.launch.py"))
+
+
+def test_the_launch_file_of_an_fr3_starts_driver_watchdog_and_cell_with_the_same_names(
+    launch_file: dict[str, Any],
+) -> None:
+    """Its modules stand in as for the other launch file; the controllers are those of its joints and its rate."""
+    del launch_file
+    file = runpy.run_path(str(ROOT / "launch" / "fr3.launch.py"))
+    entities = file["generate_launch_description"]()
+    nodes = {node.executable: node for node in entities if node.kind == "Node" and node.package == "impact_rs"}
+    assert set(nodes) == {"watchdog", "cell"}
+    assert nodes["watchdog"].remappings == nodes["cell"].remappings == [file["STATES"], file["COMMANDS"]]
+    profile = PROFILES["franka_ros2"]
+    assert (file["STATES"][1], file["COMMANDS"][1]) == (profile.states, profile.commands)
+    (own,) = nodes["cell"].parameters
+    assert own["watchdog"] and own["joints"] == profile.joints
+    spawned = [node.arguments for node in entities if node.kind == "Node" and node.executable == "spawner"]
+    assert spawned == [["joint_trajectory_controller"], ["effort_controller", "--inactive"]]
+    content = yaml.safe_load((ROOT / "config" / "drivers" / "fr3_controllers.yaml").read_text())["/**"]
+    manager, names = content["controller_manager"]["ros__parameters"], joint_names(profile.joints, {"arm": 7})["arm"]
+    assert manager["update_rate"] * load_scenario("push_fr3").timing.control_period == 1.0
+    for name in ("effort_controller", "joint_trajectory_controller"):
+        assert "type" in manager[name]
+        assert content[name]["ros__parameters"]["joints"] == names
+    assert list(content["joint_trajectory_controller"]["ros__parameters"]["gains"]) == names
 
 
 PARAMETERS = str(ROOT / "config" / "nodes.yaml")

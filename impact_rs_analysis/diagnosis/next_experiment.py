@@ -1,28 +1,33 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The next best experiment: where the predictions of two explanations differ most."""
+"""The next experiment: what a diagnosis leaves open, and the most informative trial."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import replace
 
 import numpy as np
 
-from impact_rs_analysis.diagnosis.document import NextExperiment
+from impact_rs_analysis.design.design import Decide
+from impact_rs_analysis.design.discrimination import Discrimination
+from impact_rs_analysis.design.explanations import Decision, Explanation, estimated
+from impact_rs_analysis.design.forecast import forecast_of
+from impact_rs_analysis.design.possible_trials import PossibleTrial, trials_of
+from impact_rs_analysis.design.selection import most_telling
+from impact_rs_analysis.diagnosis.document import DiagnosisDocument, NextExperiment
 from impact_rs_analysis.diagnosis.verdicts import Findings
-from impact_rs_analysis.evidence.cluster import Added
-from impact_rs_analysis.evidence.measured_runs import MeasuredRun, Runs
-from impact_rs_analysis.evidence.replay_cache import Replay, with_effects
-from impact_rs_analysis.evidence.replays import ReplaySource, layout_of
-from impact_rs_analysis.evidence.simulated_trials import simulated
+from impact_rs_analysis.evidence.measured_runs import Runs
+from impact_rs_analysis.evidence.replays import ReplaySource
 from impact_rs_sim.effects import Effect
+from impact_rs_sim.effects.base import Joints
 from impact_rs_sim.errors import InputError
-from impact_rs_sim.robot import Array
+from impact_rs_sim.model import Model
+from impact_rs_sim.physics import Physics
 from impact_rs_sim.scenario import load_scenario
-from impact_rs_trials.runs import label_of
-from impact_rs_trials.spec import TrialSpec
 
 COMPANION = "excite"
+NORMAL = 1.959964  # half width of a 95 % interval over the standard deviation
+WIDEST = 10.0  # parameter scales; an interval that is wider, or unknown, says nothing of where the truth is
 
 
 def next_experiment(found: Findings, known: dict[str, Effect]) -> NextExperiment | None:
@@ -34,71 +39,91 @@ def next_experiment(found: Findings, known: dict[str, Effect]) -> NextExperiment
     if tie is None or found.chosen is None:
         return None
     assert isinstance(source, ReplaySource)
-    first, second = (fit.candidate.split(fit.estimate) for fit in (found.chosen, tie.fit))
-    best: tuple[float, MeasuredRun] | None = None
-    for run in _possible(source, first):
-        pair = source.store([Replay(run.setup, source.model, added) for added in (first, second)], "next experiment")
-        if pair[0] is None or pair[1] is None:
-            continue
-        # Twice the expected log likelihood ratio of one more trial.
-        gain = float(np.sum(np.square((pair[0] - pair[1]) / _sigma(source, run))))
-        if best is None or gain > best[0]:
-            best = (gain, run)
+    both = [
+        Explanation(name, fit.candidate.split(fit.estimate))
+        for name, fit in ((tie.instead_of, found.chosen), (tie.name, tie.fit))
+    ]
+    decision = Decision.between(both, "rivals")
+    trials = forecast_of(source.model, _own_trials(source.runs), source.store, runs=source.runs).under(decision)
+    best = most_telling(Discrimination(decision, trials), trials)
     if best is None:
         return None
-    gain, run = best
-    measured = run.condition in source.runs.conditions
-    what = f"measure {run.condition} more often" if measured else f"measure {run.condition}"
+    trial, gain = best
+    scenario, item, case = trial.cluster.place
+    what = f"measure {trial.name} more often" if trial.repeats else f"measure {trial.name}"
     return NextExperiment(
         splits=(tie.instead_of, tie.name),
-        scenario=run.place[0],
-        object=run.place[1],
-        case=run.place[2],
+        scenario=scenario,
+        object=item,
+        case=case,
         expected_information=gain,
-        already_measured=measured,
+        already_measured=bool(trial.repeats),
         advice=f"{what}: {tie.instead_of} and {tie.name} differ most there",
     )
 
 
-def _possible(source: ReplaySource, added: Added) -> list[MeasuredRun]:
-    """The measured runs, and every other condition of these scenarios and of free motion, simulated.
+def left_open(document: DiagnosisDocument, model: Model) -> Decide | None:
+    """What a diagnosis leaves to be decided, for a plan of trials.
+
+    Ties: which of the effects that predict unseen data equally well is there, each with the other effects found.
+    Without ties: how large the effects found are. Without effects: which effect is missing (None).
 
     Args:
-        source: The measured runs.
-        added: Effects in the simulation of trials that were not measured.
+        document: The diagnosis.
+        model: The diagnosed model.
+
+    Raises:
+        InputError: The diagnosis is one of another model.
     """
-    found = [group[0] for group in source.conditions]
-    known = set(source.runs.conditions)
-    for spec in _specs(source.runs):
-        if label_of(spec) in known:
-            continue
-        with suppress(InputError):  # a pose out of reach or a trial without contact is no proposal
-            physics = with_effects(source.model, spec.scene.physics, added)
-            found.append(MeasuredRun.of(simulated(spec, physics)))
-    return found
+    if document.model.digest != model.digest:
+        raise InputError(
+            f"this is a diagnosis of model {document.model.name!r}, not of {model.name!r}; give the diagnosed model"
+        )
+    if not document.named:
+        return None
+    known = {effect.name for effect in document.effects if effect.parameters}
+    ties = dict.fromkeys(
+        (name, rival)
+        for name in document.named
+        for rival in document.effect(name).rivals  # type: ignore[union-attr]
+        if rival in known
+    )
+
+    def decide(model: Model, joints: Joints, worlds: Sequence[Physics]) -> Decision:
+        effects = model.known_effects
+
+        def explanation(name: str, names: Sequence[str]) -> Explanation:
+            centre: list[tuple[str, tuple[float, ...]]] = []
+            deviations, bounds = {}, {}
+            for one in names:
+                scalars = effects[one].scalars(joints)
+                values = document.effect(one).parameters  # type: ignore[union-attr]
+                centre.append((one, tuple(values[scalar.name].estimate for scalar in scalars)))
+                widths = [np.diff(values[scalar.name].interval)[0] / (2.0 * NORMAL) for scalar in scalars]
+                deviations[one] = np.minimum(widths, [WIDEST * scalar.scale for scalar in scalars])
+                bounds[one] = effects[one].bounds_in(worlds)
+            return estimated(name, tuple(centre), deviations, bounds)
+
+        found = "+".join(document.named)
+        first = explanation(found, document.named)
+        if not ties:
+            return Decision("parameters", (first,))
+        others = []
+        for name, rival in ties:
+            names = tuple(dict.fromkeys(rival if one == name else one for one in document.named))
+            others.append(explanation("+".join(names), names))
+        return Decision("rivals", (first, *others), tuple((0, 1 + number) for number in range(len(others))))
+
+    return decide
 
 
-def _specs(runs: Runs) -> list[TrialSpec]:
-    """All trials of the scenarios of native trials; none of a laboratory's runs, whose controller is unknown."""
-    specs = {run.spec.scenario.name: run.spec for run in runs.runs if run.spec is not None}
-    if specs and COMPANION not in specs:
+def _own_trials(runs: Runs) -> list[PossibleTrial]:
+    """All trials of the scenarios of native runs as they stand, and of free motion; none of other controllers' runs."""
+    scenarios = {run.spec.scenario.name: run.spec.scenario for run in runs.runs if run.spec is not None}
+    if scenarios and COMPANION not in scenarios:
         with suppress(InputError):
-            scenario = load_scenario(COMPANION)
-            specs[COMPANION] = TrialSpec.of(scenario, next(iter(scenario.objects)), next(iter(scenario.cases)))
-    return [
-        replace(spec, object=object_name, case=case, scale=1.0)
-        for spec in specs.values()
-        for object_name in spec.scenario.objects
-        for case in spec.scenario.cases
-    ]
-
-
-def _sigma(source: ReplaySource, run: MeasuredRun) -> Array:
-    """Scale of a run's features: that of measured runs of its layout, else the relevance limits."""
-    for item in source.clusters:
-        if item.layout == layout_of(run):
-            return item.sigma
-    return np.array([feature.relevance_limit for feature in run.features])
+            scenarios[COMPANION] = load_scenario(COMPANION)
+    return [trial for name, own in scenarios.items() for trial in trials_of(name, own) if trial.of_file]
 
 
 def _of_recordings(found: Findings, known: dict[str, Effect]) -> NextExperiment:

@@ -305,7 +305,7 @@ class ReplaySource(Source):
     def measure_again(self, added: Added, like: Sequence[Cluster]) -> list[Cluster] | None:
         """See :meth:`Source.measure_again`; every run is replayed from its own start."""
         groups = [self.conditions[self._numbers[item.name]] for item in like]
-        tasks = [self._replay(run, added) for group in groups for run in group]
+        tasks = [self._replay(run, self._of_trials(added)) for group in groups for run in group]
         found = self.store(tasks, "every run again")
         if any(values is None for values in found):
             return None

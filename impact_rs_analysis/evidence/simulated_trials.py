@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Closed-loop simulation of a trial that was not measured, by controller and twin, without noise and scatter.
 
-Used to propose experiments (:mod:`impact_rs_analysis.diagnosis.next_experiment`); measured trials are replayed instead.
+Used to propose experiments (:mod:`impact_rs_analysis.design`); measured trials are replayed instead.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ from impact_rs_sim.mechanics import Simulator
 from impact_rs_sim.physics import Physics
 from impact_rs_sim.plant import Plant
 from impact_rs_sim.scenario import Scenario
+from impact_rs_trials.bags.outcome import Verdict, Witness, judge
 from impact_rs_trials.runs import Run, run_of_trial, signals_of_ticks
 from impact_rs_trials.spec import TrialSpec
 
@@ -43,12 +44,20 @@ def observed_until(plan: TrialPlan) -> float:
 
 
 def simulated(spec: TrialSpec, physics: Physics, simulator: Simulator = "twin") -> Run:
-    """A simulated trial without noise and scatter.
+    """A simulated trial without noise and scatter, as :func:`simulated_and_judged`."""
+    return simulated_and_judged(spec, physics, simulator)[0]
+
+
+def simulated_and_judged(
+    spec: TrialSpec, physics: Physics, simulator: Simulator = "twin", seed: int | None = None
+) -> tuple[Run, Verdict]:
+    """A simulated trial, and how it ends: within the limits of joints and torques or not.
 
     Args:
         spec: Plan of the trial.
         physics: Physics of the model.
         simulator: What moves arms and object.
+        seed: Seed of noise and scatter; None: there are none.
 
     Raises:
         InputError: There is no such trial, or the physics is not valid.
@@ -56,18 +65,28 @@ def simulated(spec: TrialSpec, physics: Physics, simulator: Simulator = "twin") 
     plan = spec.plan
     scene = plan.scene
     initial = {name: arm.initial for name, arm in plan.arms.items()}
-    plant = Plant.for_trial(quiet(scene.scenario), physics, initial, scene.object, seed=0, simulator=simulator)
-    return observed(spec, plant)
+    scenario = quiet(scene.scenario) if seed is None else scene.scenario
+    plant = Plant.for_trial(scenario, physics, initial, scene.object, seed=seed or 0, simulator=simulator)
+    witness = Witness(plan)
+    return observed(spec, plant, witness), judge(plan, witness.record())
 
 
-def observed(spec: TrialSpec, plant: RobotCell) -> Run:
-    """A trial on a plant up to the end of its last window; closes the plant."""
+def observed(spec: TrialSpec, plant: RobotCell, witness: Witness | None = None) -> Run:
+    """A trial on a plant up to the end of its last window; closes the plant.
+
+    Args:
+        spec: The trial.
+        plant: Where it runs.
+        witness: Sees every tick.
+    """
     plan = spec.plan
     ticks, until = [], observed_until(plan)
     try:
         with without_garbage_collection():
             for tick in run_closed_loop(plan, plant):
                 ticks.append(tick)
+                if witness is not None:
+                    witness.see(tick)
                 if tick.measurement.time >= until:
                     break
     finally:

@@ -27,11 +27,20 @@ if TYPE_CHECKING:  # the figures of an analysis need nothing of a diagnosis
 GREY, GRID, ZERO = "#BBBBBB", "#E6E6E6", "#999999"
 TAG_COLOURS = {Tag.GOOD: GREEN, Tag.MAYBE: ORANGE, Tag.NO: GREY}
 DASHES = {"solid": "solid", "dashed": "dash", "none": "solid"}
-SIGNED = [[0.0, "#B2182B"], [0.25, "#EF8A62"], [0.5, "#F7F7F7"], [0.75, "#67A9CF"], [1.0, "#2166AC"]]
+# Of heat maps, over the same range in every report: 2 times repeatability is nearly white, 10 dark, more the darkest.
+DARKEST = 10.0  # times repeatability
+SIGNED = [
+    [0.0, "#B2182B"],
+    [0.2, "#EF8A62"],
+    [0.4, "#F7EFEC"],
+    [0.5, "#F7F7F7"],
+    [0.6, "#ECF2F6"],
+    [0.8, "#67A9CF"],
+    [1.0, "#2166AC"],
+]
 MOST_EFFECTS = 12
 DECADE = 10.0  # ratio of largest to smallest, from which an axis is logarithmic
 NOTICEABLE = 2.0  # times repeatability, from which a place is shown
-DARKEST = (3.0, 20.0)  # times repeatability; the darkest colour lies in this range
 
 _AXIS = {
     "automargin": True,
@@ -252,10 +261,8 @@ def where_plots(cells: Sequence[Cell], by_phase: bool) -> list[tuple[str, go.Fig
         by_phase: Whether a map has a column per phase, as of recordings; else there is a map per phase with a column
             per object and case.
     """
-    largest = max((cell.times_noise for cell in cells), default=0.0)
-    top = min(max(largest, DARKEST[0]), DARKEST[1])
     if by_phase:
-        drawn = _heat_map(cells, [(phase_text(cell.phase), cell) for cell in cells], top)
+        drawn = _heat_map(cells, [(phase_text(cell.phase), cell) for cell in cells])
         title = "By joint and motion" if all(cell.signal == "torque" for cell in cells) else "By signal"
         return [] if drawn is None else [(title, drawn)]
     several = len({cell.scenario for cell in cells}) > 1
@@ -263,7 +270,7 @@ def where_plots(cells: Sequence[Cell], by_phase: bool) -> list[tuple[str, go.Fig
     for phase in sorted({cell.phase for cell in cells}, key=_order_of_phase):
         own = [cell for cell in cells if cell.phase == phase]
         places = [(place_text(cell, several), cell) for cell in own]
-        drawn = _heat_map(own, sorted(places, key=lambda entry: entry[0]), top)
+        drawn = _heat_map(own, sorted(places, key=lambda entry: entry[0]))
         if drawn is not None:
             found.append((phase_text(phase), drawn))
     return found
@@ -280,7 +287,7 @@ def _arm_first(row: tuple[str, str]) -> tuple[bool, str, tuple[str, str]]:
     return not arm, arm, row
 
 
-def _heat_map(cells: Sequence[Cell], columns: Sequence[tuple[str, Cell]], top: float) -> go.Figure | None:
+def _heat_map(cells: Sequence[Cell], columns: Sequence[tuple[str, Cell]]) -> go.Figure | None:
     """Rows are signals by joint or axis, without those below ``NOTICEABLE`` everywhere; None if no row remains."""
     shown = {(cell.signal, cell.index) for cell in cells if cell.times_noise > NOTICEABLE}
     if not shown:
@@ -296,8 +303,8 @@ def _heat_map(cells: Sequence[Cell], columns: Sequence[tuple[str, Cell]], top: f
             y=[_plain(f"{signal} {index}") for signal, index in rows],
             text=[["" if c is None else quantity_text(c.error, c.unit) for c in row] for row in found],
             hovertemplate="%{y}<br>%{x}<br>%{z:.1f} × repeatability<br>%{text}<extra></extra>",
-            zmin=-top,
-            zmax=top,
+            zmin=-DARKEST,
+            zmax=DARKEST,
             colorscale=SIGNED,
             colorbar={"orientation": "h", "thickness": 8, "y": 0, "yanchor": "top", "ypad": 6, "outlinewidth": 0},
             xgap=1,

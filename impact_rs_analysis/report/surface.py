@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Simplified meshes of a robot for a page, from STL files of its URDF.
+"""Simplified meshes of a robot for a page, from STL, DAE and OBJ files of its URDF.
 
 Vertices that share a cell of a grid become one, their mean (Rossignac and Borrel 1993); the cells grow until few
-enough triangles are left.
+enough triangles are left. As viewers of ROS 2 do, a DAE file is read in its own unit of length, and its ``up_axis`` is
+ignored.
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from urllib.parse import unquote, urlparse
 
+import coal
 import numpy as np
 from numpy.typing import NDArray
 
@@ -24,6 +26,8 @@ FINEST = 64  # initial number of cells along the longest side
 COARSER = 0.8  # factor on the number of cells of the next try
 LARGEST_FILE = 50_000_000  # bytes
 HEADER, RECORD = 84, 50  # bytes, of a binary STL
+LOADED = (".dae", ".obj")  # by coal, which comes with Pinocchio
+UNIT = re.compile(rb"""<unit\b[^>]*\bmeter\s*=\s*["']([^"']+)""")  # of a DAE file [m]
 VERTEX = re.compile(rb"vertex\s+(\S+)\s+(\S+)\s+(\S+)")
 
 
@@ -42,7 +46,7 @@ class Surface:
 
 @functools.lru_cache(maxsize=64)
 def surface_of(address: str) -> Surface | None:
-    """The mesh at a ``file://`` or ``package://`` address; None without a readable STL file.
+    """The mesh at a ``file://`` or ``package://`` address; None without a readable file.
 
     Packages are looked for where ROS 2 installs them, by ``AMENT_PREFIX_PATH``.
     """
@@ -50,8 +54,8 @@ def surface_of(address: str) -> Surface | None:
     try:
         if path is None or not path.is_file() or path.stat().st_size > LARGEST_FILE:
             return None
-        corners = _corners(path.read_bytes())
-    except (OSError, ValueError):
+        corners = _loaded(path) if path.suffix.lower() in LOADED else _corners(path.read_bytes())
+    except (OSError, ValueError, RuntimeError):  # coal raises the latter two
         return None
     return _coarse(corners) if corners.size and np.isfinite(corners).all() else None
 
@@ -77,6 +81,16 @@ def _corners(data: bytes) -> Array:
     if not data.lstrip().startswith(b"solid"):
         return np.zeros((0, 3, 3))
     return np.array([[float(word) for word in found] for found in VERTEX.findall(data)]).reshape(-1, 3, 3)
+
+
+def _loaded(path: Path) -> Array:
+    """Corners of the triangles of a DAE or OBJ file, ``(f, 3, 3)`` [m]."""
+    mesh = coal.MeshLoader().load(str(path), np.ones(3))
+    triangles = (mesh.tri_indices(row) for row in range(mesh.num_tris))
+    faces = [[triangle[corner] for corner in range(3)] for triangle in triangles]
+    found = UNIT.search(path.read_bytes()) if path.suffix.lower() == ".dae" else None
+    size = 1.0 if found is None else float(found[1])
+    return size * np.asarray(mesh.vertices()).reshape(-1, 3)[np.array(faces, dtype=int).reshape(-1, 3)]
 
 
 def _coarse(corners: Array) -> Surface:

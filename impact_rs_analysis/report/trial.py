@@ -82,8 +82,18 @@ def write_trial(bag: TrialBag, path: Path) -> Path:
         path: The page; an earlier one is replaced.
 
     Raises:
+        BagError: As :func:`trial_page`.
+        InputError: As :func:`trial_page`, or the page cannot be written.
+    """
+    return _write(trial_page(bag), path)
+
+
+def trial_page(bag: TrialBag) -> TrialPage:
+    """Content of the page of a recorded trial; ``/truth`` is not read.
+
+    Raises:
         BagError: An arm's joint states are missing or damaged.
-        InputError: The scenario in the bag cannot be read, or the page cannot be written.
+        InputError: The scenario in the bag cannot be read.
     """
     track, info = track_of_bag(bag), bag.info
     facts = (
@@ -96,7 +106,7 @@ def write_trial(bag: TrialBag, path: Path) -> Path:
         ("Outcome", f"{bag.outcome}: {bag.reason}"),
         ("Impact", "none was detected" if track.impact is None else f"detected at {track.impact:.3f} s"),
     )
-    return _write(f"Trial {bag.path.name}", facts, (), track, path)
+    return _page(f"Trial {bag.path.name}", facts, (), track)
 
 
 def write_run(run: Run, path: Path, beside: Track | None = None, model: str = "") -> Path:
@@ -128,13 +138,18 @@ def write_run(run: Run, path: Path, beside: Track | None = None, model: str = ""
         facts.append(("Impact", found))
     if beside is not None:
         facts.append(("Model", f"{model}, from the measured state at the begin of every window; the rest is left out"))
-    return _write(f"Run {run.name}", tuple(facts), run.remarks, track, path)
+    return _write(_page(f"Run {run.name}", tuple(facts), run.remarks, track), path)
 
 
-def _write(title: str, facts: tuple[tuple[str, str], ...], notes: tuple[str, ...], track: Track, path: Path) -> Path:
+def _write(page: TrialPage, path: Path) -> Path:
+    write_whole(path, render("trial.html.j2", page, replay=True))
+    return path
+
+
+def _page(title: str, facts: tuple[tuple[str, str], ...], notes: tuple[str, ...], track: Track) -> TrialPage:
     replay = ReplayPart.of([track])
     assert replay is not None and track.measured is not None
-    page = TrialPage(
+    return TrialPage(
         title=title,
         facts=facts,
         notes=notes,
@@ -149,8 +164,6 @@ def _write(title: str, facts: tuple[tuple[str, str], ...], notes: tuple[str, ...
         replay=replay,
         plots=tuple(trial_plots(track)),
     )
-    write_whole(path, render("trial.html.j2", page, replay=True))
-    return path
 
 
 def trial_plots(track: Track) -> list[Plot]:

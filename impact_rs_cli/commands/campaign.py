@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import argparse
+import itertools
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import nullcontext
@@ -13,6 +14,7 @@ from impact_rs_cli.parser import PROGRAM
 from impact_rs_cli.terminal import Terminal, output_folder
 from impact_rs_ros.names import full_namespace
 from impact_rs_sim.errors import InputError
+from impact_rs_sim.mechanics import Simulator
 from impact_rs_sim.scenario import load_scenario
 from impact_rs_trials.campaign import (
     FAILURES,
@@ -24,6 +26,7 @@ from impact_rs_trials.campaign import (
     still_to_run,
     wrong_outcomes,
 )
+from impact_rs_trials.experiment_plan import SCENARIO_FILE, ExperimentPlan, manifests_of, read_plan
 from impact_rs_trials.store import Folder, Store, open_store, owned
 from impact_rs_trials.varied_settings import with_sensitivity
 from impact_rs_trials.workers import Workforce
@@ -45,36 +48,36 @@ def run(args: argparse.Namespace, terminal: Terminal) -> int:
         raise InputError("--namespace goes with --via nodes only: trials inside this program have no ROS names")
     store = open_store(args.output)
     workforce = workforce_of(args)
-    manifest = make_manifest(
-        args.scenario,
-        args.objects,
-        args.cases,
-        args.scales,
-        args.trials,
-        args.seed,
-        settings_of(args),
-        args.plant,
-        args.order,
-    )
-    check_robots(load_scenario(args.scenario).with_settings(settings_of(args)), terminal)
-    campaigns: Mapping[Store, Manifest] = {store: manifest}
-    if args.sensitivity:
-        if not isinstance(store, Folder):
-            raise InputError("--sensitivity needs a folder of this machine; expected a path", file=args.output)
-        campaigns = with_sensitivity(store, manifest)
+    plan = plan_of(args)
+    campaigns = {store: manifest_of(args)} if plan is None else {}
+    for manifest in campaigns.values() if plan is None else manifests_of(plan).values():
+        check_robots(load_scenario(manifest.scenario).with_settings(manifest.settings), terminal)
+    if args.sensitivity and not isinstance(store, Folder):
+        raise InputError("--sensitivity needs a folder of this machine; expected a path", file=args.output)
     with output_folder(store.path) if isinstance(store, Folder) else nullcontext():
-        nodes = args.via == "nodes"
-        if nodes:
-            reports = through_nodes(store, manifest, args.namespace, args.without, terminal.warn)
+        if plan is not None:
+            campaigns = planned_campaigns(plan, store, args.plant)
+        every: Mapping[Store, Manifest] = campaigns
+        if args.sensitivity and isinstance(store, Folder):
+            every = with_sensitivity(store, campaigns[store])
+        reports: Iterator[tuple[Store, TrialReport]]
+        if args.via == "nodes":
+            reports = itertools.chain.from_iterable(
+                through_nodes(place, manifest, args.namespace, args.without, terminal.warn)
+                for place, manifest in campaigns.items()
+            )
         else:
-            reports = owned_campaigns(store, campaigns, workforce)
-        ran = follow(reports, campaigns, terminal)
+            reports = owned_campaigns(store, every, workforce)
+        ran = follow(reports, every, terminal)
     outcomes = Counter(report.outcome for report in ran)
-    done = len({key.name for key in manifest.keys} & store.names())  # counts bags, independent of the reports
+    wanted = sum(len(manifest.keys) for manifest in campaigns.values())
+    done = sum(  # counts bags, independent of the reports
+        len({key.name for key in manifest.keys} & place.names()) for place, manifest in campaigns.items()
+    )
     terminal.result(
         {
             "directory": args.output,
-            "trials": len(manifest.keys),
+            "trials": wanted,
             "present": done,
             "ran": len(ran),
             "outcomes": dict(outcomes),
@@ -90,11 +93,68 @@ def run(args: argparse.Namespace, terminal: Terminal) -> int:
     )
     warn_wrong(ran, terminal)
     terminal.say(
-        f"{done} of {len(manifest.keys)} trials are there ({counted(ran) or 'none had to be run'})",
-        f"next: {PROGRAM} analyze {args.output}",
+        f"{done} of {wanted} trials are there ({counted(ran) or 'none had to be run'})",
+        f"next: {PROGRAM} {'analyze' if args.plan is None else 'diagnose'} {args.output}",
     )
     none_is_ok = bool(ran) and not outcomes["OK"]
-    return 1 if done < len(manifest.keys) or outcomes["ABORTED"] or none_is_ok else 0
+    return 1 if done < wanted or outcomes["ABORTED"] or none_is_ok else 0
+
+
+def manifest_of(args: argparse.Namespace) -> Manifest:
+    """The campaign of a scenario.
+
+    Raises:
+        InputError: There is no scenario, or as :func:`make_manifest`.
+    """
+    if args.scenario is None:
+        raise InputError("nothing to run; expected a SCENARIO, or --plan FILE.yaml")
+    return make_manifest(
+        args.scenario,
+        args.objects,
+        args.cases,
+        args.scales,
+        args.trials,
+        args.seed,
+        settings_of(args),
+        args.plant,
+        args.order,
+    )
+
+
+def plan_of(args: argparse.Namespace) -> ExperimentPlan | None:
+    """The plan of ``--plan``; None without one.
+
+    Raises:
+        InputError: The plan cannot be used, or another option says what to run.
+    """
+    if args.plan is None:
+        return None
+    given = {
+        "SCENARIO": args.scenario,
+        "--objects": args.objects,
+        "--cases": args.cases,
+        "--scales": args.scales,
+        "--trials": args.trials,
+        "--seed": args.seed or None,
+        "--set": args.settings or None,
+        "--sensitivity": args.sensitivity or None,
+    }
+    if also := [name for name, value in given.items() if value is not None]:
+        raise InputError(f"{also[0]} and --plan exclude each other: the plan says what to run")
+    return read_plan(args.plan)
+
+
+def planned_campaigns(plan: ExperimentPlan, store: Store, plant: Simulator) -> dict[Store, Manifest]:
+    """The campaigns of a plan, each in a folder of the store.
+
+    Raises:
+        InputError: A scenario cannot be read, or its file cannot be written.
+    """
+    if not isinstance(store, Folder):
+        found = manifests_of(plan, plant)
+        return {open_store(f"{store}/{folder}"): manifest for folder, manifest in found.items()}
+    found = manifests_of(plan, plant, lambda campaign: store.path / campaign.folder / SCENARIO_FILE)
+    return {Folder(store.path / folder): manifest for folder, manifest in found.items()}
 
 
 def counted(reports: Iterable[TrialReport]) -> str:

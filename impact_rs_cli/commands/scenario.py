@@ -28,7 +28,15 @@ def new(args: argparse.Namespace, terminal: Terminal) -> int:
         found = draft(name, facts, args.kind, report)
     with output_folder(args.output.parent):
         write_whole(args.output, found.text)
-    terminal.result({"file": str(args.output), "speed_share": found.speed, "poses_simulated": found.tried + 1})
+    terminal.result(
+        {
+            "file": str(args.output),
+            "speed_share": found.speed,
+            "poses_simulated": found.tried + 1,
+            "choices": dict(found.choices),
+        }
+    )
+    terminal.say("choices, which the head of the file repeats:", *(f"  {k}: {why}" for k, why in found.choices.items()))
     if found.speed < 1.0:
         terminal.say(f"at {100.0 * found.speed:.0f} % of the shipped speeds, which are too fast for these joints")
     terminal.say(f"{args.output}: next: {PROGRAM} campaign {args.output} -o campaigns/{args.output.stem}")

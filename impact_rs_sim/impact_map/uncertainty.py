@@ -21,7 +21,7 @@ of B, or move several parameters together, such as a mass with its moments.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -45,6 +45,10 @@ MEETS_SUPPORT = ("the object presses on its support", "the object does not press
 _TAILS = ((1.0 - LEVEL) / 2.0, (1.0 + LEVEL) / 2.0)
 _NORMAL = 1.959964  # 97.5 % quantile of the normal distribution
 _LAWFUL = 1e-5  # m/s, residual of a draw that counts
+
+
+class Stopped(Exception):
+    """The caller no longer wants the prediction."""
 
 
 @dataclass(frozen=True)
@@ -186,6 +190,7 @@ def predict(
     models: Mapping[str, RobotModel] | None = None,
     draws: int = DRAWS,
     seed: int = 0,
+    stopped: Callable[[], bool] = lambda: False,
 ) -> UncertainPrediction:
     """Predict with intervals.
 
@@ -195,8 +200,10 @@ def predict(
         models: Rigid-body models by arm, where the caller has them already.
         draws: From all uncertainties; a quarter as many of every source where the interval is that of the draws.
         seed: Of the draws.
+        stopped: Asked before every draw: whether the answer is no longer wanted.
 
     Raises:
+        Stopped: ``stopped`` said so.
         InputError: The problem is refused, or its law of restitution is Poisson's.
         ImpactMapError: No answer was found.
     """
@@ -210,7 +217,7 @@ def predict(
     nominal, usual = answer_of(problem, models, {})
     slopes = dict(zip((one.name for one in found.parameters), found.of_velocities().T, strict=True))
     rng = np.random.default_rng(seed)
-    sample, states_of, lost = _sample(problem, models, sources, draws, rng)
+    sample, states_of, lost = _sample(problem, models, sources, draws, rng, stopped)
     switched = float(np.mean([one != usual for one in states_of])) if states_of else 0.0
     if len(sample) < 2:
         raise ImpactMapError(f"of {draws} draws from the stated uncertainties {lost} have no answer")
@@ -227,7 +234,7 @@ def predict(
         low, high = _ends(sample, nominal)
         deviation = np.std(sample, axis=0)
         for source in sources:
-            alone, _, _ = _sample(problem, models, (source,), max(draws // 4, 2), rng)
+            alone, _, _ = _sample(problem, models, (source,), max(draws // 4, 2), rng, stopped)
             variances[source.name] = np.var(alone, axis=0) if len(alone) > 1 else np.zeros_like(nominal)
     total = np.maximum(np.sum(list(variances.values()), axis=0), 1e-300)
     return UncertainPrediction(
@@ -278,18 +285,33 @@ def interval_of_draws(
     return velocity_names(problem), low, high
 
 
+def touching_pads(problem: ImpactProblem, models: Mapping[str, RobotModel]) -> frozenset[str]:
+    """Arms whose pads touch where nothing is changed."""
+    return frozenset({contact.partner for contact in change(problem, {}).contacts(models)} & problem.arms.keys())
+
+
 def answer_of(
-    problem: ImpactProblem, models: Mapping[str, RobotModel], amounts: Mapping[str, float]
+    problem: ImpactProblem,
+    models: Mapping[str, RobotModel],
+    amounts: Mapping[str, float],
+    pads: frozenset[str] | None = None,
 ) -> tuple[Array, tuple[str, ...]]:
     """All velocities ``(k,)`` with parameters changed, and the partner and state of every contact point.
 
     Pads that touch where nothing is changed come on until they touch, wherever the changed poses leave them.
 
+    Args:
+        problem: The problem.
+        models: Rigid-body models by arm.
+        amounts: Changes by name of the parameter.
+        pads: :func:`touching_pads`, where the caller has them already.
+
     Raises:
         ImpactMapError: No answer was found.
     """
-    pads = {contact.partner for contact in change(problem, {}).contacts(models)}
-    system, terms = change(problem, _possible(problem, amounts)).touching_terms(models, pads & problem.arms.keys())
+    if pads is None:
+        pads = touching_pads(problem, models)
+    system, terms = change(problem, possible(problem, amounts)).touching_terms(models, pads)
     impulses, _ = solve_contacts(terms)
     velocity = system.velocity + terms.response @ impulses.ravel()
     if not terms.residual(impulses, velocity).largest <= _LAWFUL:
@@ -305,12 +327,16 @@ def _sample(
     sources: Sequence[UncertaintySource],
     count: int,
     rng: np.random.Generator,
+    stopped: Callable[[], bool] = lambda: False,
 ) -> tuple[Array, list[tuple[str, ...]], int]:
     """Velocities of draws ``(n, k)``, partner and state of their contact points, and how many draws have no answer."""
     sample, found = [], []
+    pads = touching_pads(problem, models)
     for _ in range(count):
+        if stopped():
+            raise Stopped
         try:
-            velocities, there = answer_of(problem, models, draw(sources, rng))
+            velocities, there = answer_of(problem, models, draw(sources, rng), pads)
         except ImpactMapError:
             continue
         sample.append(velocities)
@@ -351,7 +377,7 @@ def _differences(usual: tuple[str, ...], there: tuple[str, ...]) -> list[str]:
     return found
 
 
-def _possible(problem: ImpactProblem, amounts: Mapping[str, float]) -> dict[str, float]:
+def possible(problem: ImpactProblem, amounts: Mapping[str, float]) -> dict[str, float]:
     """Amounts that leave masses, inertias and friction positive, and restitution between 0 and 1."""
     physics, object_ = problem.physics, problem.physics.object
     least = {"object.mass": -0.99 * object_.mass, "pad_friction": -physics.pad_friction}

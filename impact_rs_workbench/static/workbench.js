@@ -1,132 +1,11 @@
 // SPDX-License-Identifier: Apache-2.0
 // The page of the workbench. It shows what the server reads from files and stores nothing itself.
 
-const $ = (id) => document.getElementById(id);
-const state = {workspace: null, jobs: [], step: 'predict', chosen: null};
-
-// ---- small tools ---------------------------------------------------------------------------------------------------
-
-function h(tag, attributes = {}, ...children) {
-  const node = document.createElement(tag);
-  for (const [name, value] of Object.entries(attributes)) {
-    if (name.startsWith('on')) node.addEventListener(name.slice(2), value);
-    else if (value === true) node.setAttribute(name, '');
-    else if (value !== false && value !== null && value !== undefined) node.setAttribute(name, value);
-  }
-  node.append(...children.flat().filter((child) => child !== null && child !== undefined && child !== ''));
-  return node;
-}
-
-async function ask(path, body) {
-  const options = body === undefined ? {} :
-    {method: 'POST', headers: {'content-type': 'application/json'}, body: JSON.stringify(body)};
-  const answer = await fetch(path, options);
-  const data = answer.headers.get('content-type')?.startsWith('application/json') ?
-    await answer.json() : {error: await answer.text()};
-  if (!answer.ok) throw new Error(data.error);
-  return data;
-}
-
-const query = (values) => new URLSearchParams(values).toString();
-const tidy = (text) => text.replace('-', '−');
-const number = (value, digits = 3) => value === null || value === undefined ? '–' : tidy(String(Number(Number(value).toPrecision(digits))));
-const fixed = (value, digits = 3) => value === null ? '–' : tidy((Number(value.toFixed(digits)) + 0).toFixed(digits)); // + 0: no −0.000
-const unit = (text) => !text || text === '-' ? '' : ` ${text}`;
-const slug = (text) => text.replace(/[^A-Za-z0-9]+/g, '_').replace(/^_|_$/g, '');
-const stem = (path) => path.split('/').pop().replace(/\.[a-z]+$/, '');
-
-function seconds(value) {
-  if (value === null || value === undefined) return '';
-  return value < 90 ? `${Math.max(1, Math.round(value))} s left` : `${Math.round(value / 60)} min left`;
-}
-
-function later(wait, work) {
-  let timer = 0;
-  return (...given) => { clearTimeout(timer); timer = setTimeout(() => work(...given), wait); };
-}
-
-// Fills a list of choices and keeps what was chosen.
-function fill(select, options, wanted) {
-  const before = wanted ?? select.value;
-  const content = (all) => JSON.stringify([...all].map((one) => [one.value, one.text]));
-  const same = content(select.options) === content(options);
-  if (!same) select.replaceChildren(...options.map((one) => new Option(one.text, one.value)));
-  if (options.some((one) => one.value === before)) select.value = before;
-}
-
-// Replaces changed items only: a button that is replaced while the pointer is down gets no click.
-function refill(node, items) {
-  const before = [...node.children];
-  items.forEach((item, index) => {
-    if (!before[index]) node.append(item); else if (!before[index].isEqualNode(item)) before[index].replaceWith(item);
-  });
-  for (const item of before.slice(items.length)) item.remove();
-}
-
-const plain = (values) => values.map((value) => ({value, text: value}));
-
-function labelled(text, control, attributes = {}) {
-  return h('label', attributes, h('span', {}, text), control);
-}
-
-function commandLine(text) {
-  const copied = h('button', {type: 'button', onclick: async () => {
-    await navigator.clipboard.writeText(text);
-    copied.textContent = 'copied';
-  }}, 'copy');
-  return h('div', {class: 'command'}, h('code', {}, text), copied);
-}
-
-// The message below a form: the command that it makes, or the error in its input.
-function messageArea() {
-  const node = h('div', {class: 'message', 'aria-live': 'polite'});
-  return {
-    node,
-    // The message belongs to an earlier question: it stays in place, so that nothing jumps, and is greyed out.
-    wait() { node.setAttribute('aria-busy', 'true'); },
-    show(...items) { node.removeAttribute('aria-busy'); node.replaceChildren(...items); },
-    command(text) { this.show(commandLine(text)); },
-    error(text) { this.show(h('p', {class: 'error', role: 'alert'}, text)); },
-  };
-}
-
-// ---- figures -------------------------------------------------------------------------------------------------------
-
-const darkScheme = matchMedia('(prefers-color-scheme: dark)');
-const IN_THE_DARK = {'#0072b2': '#56b4e9', '#d55e00': '#ff9142', '#009e73': '#2fcf9f', '#000000': '#f0f0f0',
-  '#555555': '#b0b8bd', '#1a1a1a': '#eceff1', '#777777': '#b0b8bd'};
-
-function seen(colour) {
-  return darkScheme.matches && typeof colour === 'string' ? IN_THE_DARK[colour.toLowerCase()] ?? colour : colour;
-}
-
-// A figure follows the width of its place and keeps its height: Plotly's own `responsive` forgets the height that a
-// figure asks for, and what stands below it is covered.
-const widths = new ResizeObserver((seen_) => {
-  for (const {target: node, contentRect: {width}} of seen_) {
-    if (!node.data || width <= 0 || Math.abs(width - node.layout.width) < 1) continue;
-    if (node.redrawn) node.redrawn(); else Plotly.relayout(node, {width}); // what else changes with the width
-  }
-});
-
-// A figure of the reports in the colours of this page.
-function draw(node, figure, config = {}) {
-  const style = getComputedStyle(document.documentElement);
-  const ink = style.getPropertyValue('--ink').trim(), grid = style.getPropertyValue('--grid').trim();
-  const data = figure.data.map((trace) => ({
-    ...trace,
-    ...(trace.line ? {line: {...trace.line, color: seen(trace.line.color)}} : {}),
-    ...(trace.marker && typeof trace.marker.color === 'string' ?
-      {marker: {...trace.marker, color: seen(trace.marker.color)}} : {}),
-  }));
-  const axes = Object.fromEntries(['xaxis', 'yaxis', 'xaxis2', 'yaxis2'].filter((name) => figure.layout[name] || !name.endsWith('2'))
-    .map((name) => [name, {...figure.layout[name], gridcolor: grid, zerolinecolor: grid, color: ink}]));
-  const layout = {...figure.layout, ...axes, paper_bgcolor: 'rgba(0,0,0,0)', plot_bgcolor: 'rgba(0,0,0,0)', autosize: false,
-    width: node.clientWidth || 600, height: figure.layout.height ?? 450, // hidden, it has no width yet
-    font: {...figure.layout.font, color: ink, family: 'system-ui, sans-serif'}};
-  widths.observe(node);
-  return Plotly.react(node, data, layout, {displaylogo: false, displayModeBar: false, ...config});
-}
+import {LEADS, TERMS, TERMS_OF} from './explain.js';
+import {cursor, darkScheme, draw, seen} from './figures.js';
+import {overlay} from './overlay.js';
+import {Impact, replayIn} from './picture.js';
+import {$, arrowKeys, ask, commandLine, fill, fit, fitAll, fixed, h, inFolder, labelled, later, messageArea, number, plain, query, refill, seconds, slug, state, stem, unit} from './tools.js';
 
 // ---- explanations ------------------------------------------------------------------------------------------------
 
@@ -152,11 +31,33 @@ const ABOUT = {
   add: {title: 'A better model', text: 'The parent model with one more effect and its estimate. Model files are never overwritten and name their ' +
     'parent. An effect of your own is an arithmetic formula.',
     units: 'beside each parameter', page: 'diagnosis.md'},
+  overlay: {title: 'Overlay', text: 'Runs lie over each other with their impacts at time 0. A pinned run stays chosen and on top, whatever ' +
+    'the filter says. Estimates have their 95 % intervals.', units: 'beside each axis', page: 'workbench.md'},
   history: {title: 'History', text: 'How the error fell from model to model: with the parameters of the file, and held out, where ' +
     'fitting noise does not help.', units: 'multiples of repeatability', page: 'diagnosis.md'},
 };
 
-function showAbout({title, text, equation, units, page, command, facts = [], actions = []}) {
+function drawing(markup) {
+  const made = document.createElement('template');
+  made.innerHTML = markup;
+  return made.content;
+}
+
+const termsOf = (step) => TERMS_OF[step].map((key) => h('figure', {class: 'term'}, drawing(TERMS[key].svg),
+  h('figcaption', {}, h('b', {}, TERMS[key].name), `: ${TERMS[key].text}`)));
+
+// The first two lines of a step: what it is; what it says, and what comes next.
+const said = Object.fromEntries(Object.keys(LEADS).map((step) => [step, h('span', {'data-says': step}, LEADS[step].empty)]));
+
+function lead(step) {
+  const {what, next, step: following} = LEADS[step];
+  return h('div', {class: 'lead'}, h('p', {}, what), h('p', {}, said[step], ' Next: ',
+    h('a', {href: `#${following}`}, next), '.'));
+}
+
+function says(step, text) { said[step].textContent = text || LEADS[step].empty; }
+
+function showAbout({title, text, equation, units, page, command, facts = [], actions = [], terms = []}) {
   $('right').replaceChildren(
     h('h2', {}, title), text ? h('p', {}, text) : '',
     equation ? h('p', {}, ...equation.split('\n').flatMap((line) => [h('code', {}, line), h('br')])) : '',
@@ -165,7 +66,7 @@ function showAbout({title, text, equation, units, page, command, facts = [], act
     command ? h('p', {class: 'note'}, 'In a terminal: ', h('code', {}, command)) : '',
     actions.length ? h('div', {class: 'actions'}, ...actions) : '',
     page ? h('p', {}, h('a', {href: `#manual/${page}`, onclick: (event) => { event.preventDefault(); openManual(page); }},
-      'In the manual')) : '',
+      'In the manual')) : '', ...terms,
   );
 }
 
@@ -288,13 +189,14 @@ function commandForm(command, label, {offers = [], first = 'scenario', suggest =
   };
   const nodes = (advanced) => all.filter(({one}) => one.advanced === advanced).sort((a, b) => place(a) - place(b)).map(({node}) => node);
   const further = nodes(true);
-  const node = h('form', {novalidate: true, oninput: refresh, onchange: refresh, onsubmit: async (event) => {
+  const reply = replyArea();
+  const node = h('form', {novalidate: true, oninput: refresh, onchange: refresh, onsubmit: (event) => {
     event.preventDefault();
-    try { keepJob(await ask('/api/jobs', body())); } catch (error) { message.error(error.message); }
+    reply.start(body());
   }}, h('div', {class: 'fields'}, ...nodes(false)),
   further.length ? h('details', {class: 'more'}, h('summary', {}, 'More options'), h('div', {class: 'fields'}, ...further)) : '',
-  h('div', {class: 'actions'}, button), message.node); // below the button, which must not move while it is clicked
-  return {node, refresh, message, value, control: (name) => fields[name].control,
+  h('div', {class: 'actions'}, button, reply.node), message.node); // below the button, which must not move while it is clicked
+  return {node, refresh, message, value, fields, control: (name) => fields[name].control,
     offer: (name, choices, wanted) => fields[name].offer(choices, wanted),
     choose(name, wanted) { offerAll(); typed.add(name); fields[name].set(wanted); refresh(); },
     update() { offerAll(); refresh(); }};
@@ -325,7 +227,38 @@ function keepJob(job) {
   if (!state.jobs.some((other) => other.number === job.number)) showJobs([{...job, progress: null}, ...state.jobs]);
 }
 
+// What became of a click, beside the button: the state of the job that it started, or why there is none.
+const replies = new Map(); // by number of the job
+
+function replyArea() {
+  const node = h('output', {class: 'reply'});
+  const show = (text, kind = '') => { node.className = `reply ${kind}`; node.textContent = inFolder(text); };
+  return {
+    node, show,
+    async start(body) {
+      show('starting …');
+      try {
+        const job = await ask('/api/jobs', body);
+        replies.set(job.number, show);
+        keepJob(job);
+      } catch (error) { show(error.message, 'error'); }
+    },
+  };
+}
+
+function answerBeside(job) {
+  replies.get(job.number)?.(`Job ${job.number}: ${stateText(job)}`, job.ended === null ? '' : job.exit_code ? 'error' : 'good');
+}
+
+// A button that starts a job, with its reply.
+function jobButton(text, body, attributes = {}) {
+  const reply = replyArea();
+  return [h('button', {type: 'button', ...attributes, onclick: () => reply.start(body())}, text), reply.node];
+}
+
 // ---- predict ----------------------------------------------------------------------------------------------------------
+
+const sceneOf = (name, object) => ask(`/api/scene?${query({name, object})}`);
 
 const predict = {
   scenarios: {}, values: {}, over: 'speed', wanted: null, busy: false, sweep: null, question: null, sweepNumber: 0,
@@ -337,6 +270,8 @@ const predict = {
     this.inertia = h('select', {id: 'predict-inertia', onchange: () => this.anew()},
       new Option('B_θ (reduced)', 'reduced'), new Option('B_ρ (whole rotor)', 'rotor'), new Option('B = 0 (none)', 'zero'));
     this.arm = h('select', {id: 'predict-arm', onchange: () => this.anew()});
+    this.scene = h('div', {class: 'scene', id: 'predict-scene'});
+    this.impact = new Impact(this.scene, sceneOf);
     this.sliders = h('div', {class: 'sliders', id: 'sliders'});
     this.known = h('div', {class: 'sliders'});
     this.plot = h('div', {class: 'plot', id: 'predict-plot', role: 'img', 'aria-label': 'Velocity after the impact'});
@@ -351,11 +286,11 @@ const predict = {
       h('div', {}, h('h3', {}, 'Sources of the interval'), this.budget));
     this.plot.redrawn = () => { if (this.answer) this.paint(); };
     return h('section', {},
-      h('h2', {}, 'Predict the velocities just after the impact'),
+      h('h2', {}, 'Predict the velocities just after the impact'), lead('predict'),
       h('div', {class: 'fields'}, labelled('scenario', this.scenario), labelled('object', this.object),
         labelled('case', this.case), labelled('motor inertia', this.inertia), labelled('arm in the figure', this.arm, {hidden: true})),
-      this.sliders,
-      h('details', {}, h('summary', {}, 'Uncertainty of the inputs (95 %, relative)'), this.known),
+      h('div', {class: 'beside'}, this.scene, h('div', {}, this.sliders,
+        h('details', {}, h('summary', {}, 'Uncertainty of the inputs (95 %)'), this.known))),
       this.plot, this.message.node, this.numbers,
       h('div', {class: 'actions'}, h('button', {type: 'button', onclick: () => this.reset()}, 'Reset sliders'),
         h('button', {type: 'button', onclick: () => this.measure()}, 'Measure this')));
@@ -396,10 +331,12 @@ const predict = {
     if (this.plot.data) { Plotly.purge(this.plot); this.plot.replaceChildren(); }
   },
 
-  anew() { this.clear(); this.again(); },
+  // A new question: velocities first, with an interval from few draws, and the full interval behind them.
+  anew() { this.clear(); this.again(true); this.again(false, true); },
 
   objectChosen() {
     this.values = {};
+    this.impact.ahead(this.scenario.value, this.object.value);
     const all = this.found.sliders[this.object.value];
     this.over = all[0].key;
     const made = (slider) => {
@@ -431,23 +368,36 @@ const predict = {
   reset() { this.objectChosen(); },
 
   // Latest wins: while one answer is under way, only the newest question waits.
-  async again(moving = false) {
+  async again(moving = false, behind = false) {
+    if (behind) { this.behind = true; return; }
+    this.behind = false;
     this.wanted = {scenario: this.scenario.value, object: this.object.value, case: this.case.value, arm: this.arm.value,
       motor_inertia: this.inertia.value, values: {...this.values}, moving};
     this.message.wait();
     this.numbers.setAttribute('aria-busy', 'true');
-    if (this.busy) return;
+    if (this.busy) { // velocities of a new question come before the full interval of an earlier one
+      if (this.flight) this.flight.abort();
+      return;
+    }
     this.busy = true;
     while (this.wanted) {
       const question = this.wanted;
       this.wanted = null;
       try {
-        const answer = await ask('/api/predict', question);
+        this.flight = question.moving ? null : new AbortController();
+        const answer = await ask('/api/predict', question, this.flight?.signal);
+        if (answer.superseded) { this.wanted ??= await this.afterOthers(question); continue; } // by another tab
         if (this.wanted && !this.same(question, this.wanted)) continue; // the answer to an earlier question
         this.question = question;
         this.show(answer, question);
+        if (this.behind && !this.wanted) {
+          this.behind = false;
+          await new Promise((painted) => requestAnimationFrame(() => setTimeout(painted)));
+          this.wanted ??= {...question, moving: false};
+        }
       } catch (error) {
         if (this.wanted) continue;
+        if (error.name === 'AbortError') continue;
         this.clear();
         this.numbers.removeAttribute('aria-busy');
         this.facts.textContent = '';
@@ -457,6 +407,9 @@ const predict = {
     this.busy = false;
     if (this.question && !this.question.moving) this.sweepAgain();
   },
+
+  // The same question once more, a little later.
+  afterOthers(question) { return new Promise((again) => setTimeout(() => again(question), 300)); },
 
   // Whether two questions differ in sliders alone.
   same(one, other) {
@@ -489,8 +442,16 @@ const predict = {
     this.budget.classList.toggle('stale', answer.moving); // too few draws for shares
     if (!answer.moving) this.budget.replaceChildren(...answer.budget.slice(0, 7).map((one) => h('li', {}, h('span', {}, one.source),
       h('i', {style: `width: ${(100 * one.share).toFixed(1)}%`}), h('span', {}, `${Math.round(100 * one.share)} %`))));
-    this.place(question.moving);
-    requestAnimationFrame(() => { this.plot.dataset.shown = JSON.stringify(question.values); });
+    const main = answer.rows.filter((row) => row.main), shown = (row) => `${row.body} ${fixed(row.before, 2)} → ${fixed(row.after, 2)} m/s`;
+    this.impact.draw(question.scenario, question.object, answer.moment).catch((error) => { this.scene.textContent = error.message; });
+    says('predict', `${main.map(shown).join(', ')}, along ${answer.axis}.`);
+    const drawn = Boolean(this.plot.data);
+    if (drawn) this.place(question.moving);
+    requestAnimationFrame(() => { // numbers are painted before the library of the figures comes
+      if (this.answer !== answer) return;
+      if (!drawn) this.place(question.moving);
+      this.plot.dataset.shown = JSON.stringify(question.values);
+    });
   },
 
   // The row of the figure's body.
@@ -510,7 +471,7 @@ const predict = {
 
   place(moving) {
     const drawn = this.sweep?.slider.key === this.over && this.plot.dataset.over === this.over;
-    if (moving && drawn) Plotly.relayout(this.plot, {shapes: this.marks()}); else this.paint();
+    if (moving && drawn && this.plot.data) Plotly.relayout(this.plot, {shapes: this.marks()}); else this.paint();
   },
 
   // The impact map over one slider, with markers of the current values.
@@ -551,21 +512,50 @@ const predict = {
 const measure = {
   build() {
     this.parts = {campaign: this.campaign(), trial: this.trial(), blind: this.blind()};
-    const names = {campaign: 'Campaign', trial: 'Single trial', blind: 'Practise: a hidden effect', laboratory: 'Laboratory folder'};
+    this.parts.recorded = recorded.build();
+    const names = {campaign: 'Campaign', trial: 'Single trial', recorded: 'Recorded trials', blind: 'Practise', laboratory: 'Laboratory'};
     this.parts.laboratory = laboratory.build();
     this.tabs = Object.entries(names).map(([name, text]) => h('button', {type: 'button', role: 'tab', id: `tab-${name}`,
       'aria-controls': `part-${name}`, onclick: () => this.show(name)}, text));
+    arrowKeys(this.tabs);
     const panels = Object.entries(this.parts).map(([name, part]) => h('div', {role: 'tabpanel', id: `part-${name}`,
       'aria-labelledby': `tab-${name}`, 'data-part': name}, part));
-    this.node = h('section', {}, h('h2', {}, 'Measure'), h('div', {class: 'tabs', role: 'tablist'}, ...this.tabs), ...panels);
+    this.scene = h('div', {class: 'scene', id: 'measure-scene'});
+    this.impact = new Impact(this.scene, sceneOf);
+    for (const form of [this.form, this.trialForm]) form.node.addEventListener('change', () => this.picture());
+    this.node = h('section', {}, h('h2', {}, 'Measure'), lead('measure'), h('div', {class: 'tabs', role: 'tablist'}, ...this.tabs),
+      this.place = h('div', {}, h('div', {}, ...panels), this.scene));
     this.show('campaign');
     return this.node;
   },
 
   show(name) {
     for (const panel of this.node.querySelectorAll('[data-part]')) panel.hidden = panel.dataset.part !== name;
-    for (const tab of this.tabs) tab.setAttribute('aria-selected', String(tab.id === `tab-${name}`));
-    showAbout(ABOUT[name === 'laboratory' ? name : 'measure']);
+    for (const tab of this.tabs) {
+      tab.setAttribute('aria-selected', String(tab.id === `tab-${name}`));
+      tab.tabIndex = tab.id === `tab-${name}` ? 0 : -1; // the arrow keys lead on from here
+    }
+    requestAnimationFrame(fitAll);
+    this.scene.hidden = !['campaign', 'trial'].includes(name);
+    this.place.className = this.scene.hidden ? '' : 'beside';
+    if (name === 'recorded' && state.workspace) recorded.update();
+    if (state.workspace) this.picture();
+    showAbout({...ABOUT[name === 'laboratory' ? name : 'measure'], terms: name === 'laboratory' ? [] : termsOf('measure')});
+  },
+
+  // The impact that the form asks for, as the nominal model predicts it.
+  async picture() {
+    if (this.scene.hidden || state.step !== 'measure') return;
+    const form = this.node.querySelector('[data-part=trial]').hidden ? this.form : this.trialForm;
+    const one = (value) => Array.isArray(value) ? value[0] : value;
+    const question = {scenario: form.value('scenario'), object: one(form.value('objects' in form.fields ? 'objects' : 'object')),
+      case: one(form.value('cases' in form.fields ? 'cases' : 'case'))};
+    if (!form.found || !question.object || !question.case) return;
+    const key = this.pictured = JSON.stringify(question);
+    try {
+      const {moment} = await ask('/api/impact', question);
+      if (this.pictured === key) await this.impact.draw(question.scenario, question.object, moment);
+    } catch (error) { if (this.pictured === key) this.scene.title = error.message; }
   },
 
   campaign() {
@@ -588,6 +578,7 @@ const measure = {
       form.offer('cases', chosen(Object.entries(found.cases), only.case));
       form.offer('scales', found.scales.map((scale) => ({value: scale, text: `${scale}`, on: true}))); // an estimate needs several
       counted();
+      this.picture();
     });
     return h('div', {}, form.node, count);
   },
@@ -599,6 +590,7 @@ const measure = {
       form.control('scale').max = found.largest_scale;
       form.offer('object', Object.entries(found.objects).map(([value, one]) => ({value, text: one.label})));
       form.offer('case', Object.entries(found.cases).map(([value, text]) => ({value, text})));
+      this.picture();
     });
     return form.node;
   },
@@ -606,8 +598,22 @@ const measure = {
   blind() {
     const form = this.blindForm = commandForm('blind make', 'Make the campaign',
       {suggest: {seed: () => 7, output: () => `blind_${form.value('seed')}`}});
-    return h('div', {}, h('p', {class: 'note'}, 'The plant has one hidden effect; find it with Compare and Diagnose. ' +
-      'truth.json beside the trials names it.'), form.node);
+    this.made = h('div', {id: 'practice'});
+    return h('div', {}, h('p', {class: 'note'}, 'The plant has one hidden effect. Make a campaign, diagnose it, then reveal what was hidden: ' +
+      'until then nothing reads truth.json.'), form.node, this.made);
+  },
+
+  // Practice campaigns: diagnose one, and reveal what it hid.
+  practice() {
+    const found = state.workspace.blinds;
+    if (JSON.stringify(found) === this.practised) return;
+    this.practised = JSON.stringify(found);
+    this.made.replaceChildren(...(found.length ? [h('h3', {}, 'Practice campaigns')] : []), ...found.map((path) => {
+      const answer = h('div', {});
+      return h('div', {'data-practice': path}, h('div', {class: 'actions'}, h('code', {}, path),
+        h('button', {type: 'button', onclick: () => { go('diagnose'); diagnose.form.choose('runs', `${path}/runs`); }}, 'Diagnose'),
+        h('button', {type: 'button', onclick: () => reveal(path, answer)}, 'Reveal')), answer);
+    }));
   },
 
   update() {
@@ -617,9 +623,70 @@ const measure = {
     if (first) for (const form of [this.form, this.trialForm]) form.offer('scenario', plain(state.workspace.scenarios), 'push');
     for (const form of [this.form, this.trialForm, this.blindForm]) form.update();
     laboratory.update();
+    recorded.update();
+    this.practice();
     if (wanted) this.form.choose('scenario', wanted.scenario);
     if (first || wanted) this.choose(wanted ?? {});
     if (first) this.chooseTrial();
+  },
+};
+
+// ---- recorded trials ----------------------------------------------------------------------------------------------------
+
+// Trials of a campaign: a click opens one in 3D, above its signals. While a campaign runs, its newest trial is followed.
+const recorded = {
+  build() {
+    this.campaign = h('select', {id: 'recorded-campaign', onchange: () => this.list()});
+    this.follow = h('input', {type: 'checkbox', id: 'recorded-follow', checked: true});
+    this.none = emptyNote('No trials yet.');
+    this.trials = h('ul', {class: 'chips', id: 'recorded-trials'});
+    this.shown = h('div', {id: 'recorded-shown'});
+    return h('div', {}, this.none, h('div', {class: 'fields'}, labelled('campaign', this.campaign),
+      h('label', {class: 'tick'}, this.follow, 'follow the newest while it runs')), this.trials, this.shown);
+  },
+
+  update() {
+    const found = state.workspace.campaigns.filter((one) => !one.error && one.present);
+    this.none.hidden = found.length > 0;
+    this.campaign.closest('.fields').hidden = !found.length;
+    fill(this.campaign, found.map((one) => ({value: one.path, text: `${one.path} (${one.present} of ${one.trials})`})), this.wanted);
+    this.wanted = undefined;
+    const key = `${this.campaign.value} ${found.find((one) => one.path === this.campaign.value)?.present}`;
+    if (found.length && key !== this.listed) { this.listed = key; this.list(); }
+  },
+
+  async list() {
+    const path = this.campaign.value;
+    const names = await ask(`/api/trials?${query({path})}`);
+    if (path !== this.campaign.value) return;
+    const fresh = names.filter((name) => !(this.names ?? names).includes(name));
+    const same = this.path === path;
+    Object.assign(this, {names, path});
+    refill(this.trials, names.map((name) => h('li', {}, h('button', {type: 'button', 'data-trial': name,
+      'aria-pressed': String(this.open_ === `${path}/${name}`), onclick: () => this.open(`${path}/${name}`)}, name.replaceAll('__', ' ')))));
+    if (same && fresh.length && this.follow.checked) this.open(`${path}/${fresh.at(-1)}`);
+  },
+
+  async open(path) {
+    this.open_ = path;
+    for (const button of this.trials.querySelectorAll('button')) {
+      button.setAttribute('aria-pressed', String(path === `${this.path}/${button.dataset.trial}`));
+    }
+    this.shown.replaceChildren(reading(path));
+    try {
+      const found = await ask(`/api/trial?${query({path})}`);
+      if (path !== this.open_) return;
+      const replay = h('div', {id: 'recorded-replay'});
+      const plots = found.plots.map(({title, figure}) => ({title, figure, node: h('div', {class: 'plot', role: 'img', 'aria-label': title})}));
+      this.shown.replaceChildren(h('h3', {}, found.title), replay, ...plots.flatMap(({title, node}) => [h('h3', {}, title), node]),
+        ...found.facts.map((text) => h('p', {class: 'note'}, text)));
+      await Promise.all(plots.map(({figure, node}) => draw(node, figure)));
+      const made = await replayIn(replay, found.replay, {onSeek: (time) => { for (const {node} of plots) cursor(node, time); }});
+      for (const {node} of plots) {
+        node.on('plotly_click', ({points: [point]}) => made.seek(point.x));
+        cursor(node, made.time);
+      }
+    } catch (error) { if (path === this.open_) this.shown.replaceChildren(h('p', {class: 'error', role: 'alert'}, inFolder(error.message))); }
   },
 };
 
@@ -656,7 +723,7 @@ const compare = {
     this.report = h('select', {id: 'compare-report', onchange: () => this.open()});
     this.result = h('div', {id: 'compare-result'});
     this.none = emptyNote('No measurements yet: run a campaign first, or practise on one with a hidden effect.');
-    return h('section', {}, h('h2', {}, 'Compare model and measurement'), this.none, this.form.node,
+    return h('section', {}, h('h2', {}, 'Compare model and measurement'), lead('compare'), this.none, this.form.node,
       labelled('report', this.report), this.result);
   },
 
@@ -686,6 +753,7 @@ const compare = {
   show(found, path) {
     this.signal = h('div', {id: 'signal'});
     this.frame = wholeReport(path, false);
+    this.replay = replayOf(path);
     const choose = h('select', {'aria-label': 'place', id: 'cell', onchange: () => this.openSignal(found.cells[choose.value], path)},
       ...found.cells.slice(0, 60).map((cell, index) => new Option(`${cell.row}, ${cell.column} ${cell.map ? `(${cell.map})` : ''}: ${cell.error}, ` +
         `${cell.times} ×`, index)));
@@ -693,32 +761,34 @@ const compare = {
       const node = h('div', {class: 'plot clickable', role: 'img', 'aria-label': `Where the model fails: ${title}`});
       return {title, figure, node};
     });
+    says('compare', `${found.model}: score ${number(found.score)}, where ${number(found.floor)} is noise.`);
     this.result.replaceChildren(h('p', {class: 'answer'}, h('b', {}, `Score ${number(found.score)}`), found.headline),
       maps.length ? h('p', {class: 'note'}, 'Measured minus model, in multiples of repeatability. Click on a cell to see its signal over time.') : '',
       ...maps.flatMap(({title, node}) => [h('h3', {}, title), node]),
-      found.cells.length ? labelled('or choose a place, the worst first', choose) : '', this.signal, ...this.frame,
+      found.cells.length ? labelled('or choose a place, the worst first', choose) : '', this.signal, this.replay.node, ...this.frame,
       ...found.remarks.map((text) => h('p', {class: 'note'}, `Note: ${text}`)));
     for (const {title, figure, node} of maps) {
-      draw(node, figure);
-      node.on('plotly_click', ({points: [point]}) => {
+      draw(node, figure).then(() => node.on('plotly_click', ({points: [point]}) => {
         const index = found.cells.findIndex((cell) => cell.row === point.y && cell.column === point.x && (!cell.map || cell.map === title));
         if (index < 0) return;
         choose.value = index;
         node.after(this.signal);
         this.openSignal(found.cells[index], path);
-      });
+      }));
     }
+  },
+
+  // Signals over time, and runs in 3D, from the report's own page.
+  async read(path) {
+    if (this.tracksOf === `${path} ${this.stamp}`) return;
+    this.tracksOf = `${path} ${this.stamp}`;
+    const page = await pageOf(path), plot = page.getElementById('tracks'), data = page.getElementById('tracks-data');
+    this.tracks = plot && data ? {sets: JSON.parse(data.textContent), figure: JSON.parse(page.getElementById(plot.dataset.tracks).textContent)} : null;
   },
 
   // The signal that shows a cell best, measured and predicted, from the data of the report's own page.
   async openSignal(cell, path) {
-    if (this.tracksOf !== `${path} ${this.stamp}`) {
-      const page = new DOMParser().parseFromString(await (await fetch(`/files/${path}`)).text(), 'text/html');
-      const plot = page.getElementById('tracks'), data = page.getElementById('tracks-data');
-      this.tracks = plot && data ? {sets: JSON.parse(data.textContent),
-        figure: JSON.parse(page.getElementById(plot.dataset.tracks).textContent)} : null;
-      this.tracksOf = `${path} ${this.stamp}`;
-    }
+    await this.read(path);
     if (!this.tracks) { this.signal.replaceChildren(emptyNote('This report has no signals over time.')); return; }
     const {sets, figure} = this.tracks;
     const set = sets.find((one) => one.label.startsWith(cell.set)) ?? sets[0];
@@ -735,18 +805,41 @@ const compare = {
       h('p', {class: 'note'}, `${cell.row} differs by ${cell.error}, ${cell.times} × repeatability; this signal shows it best. Dotted: start of the impact.`),
       plot);
     draw(plot, {data, layout});
-    // The report beside it goes to the same place and moment, its replay included.
-    this.frame.find((node) => node.tagName === 'DETAILS')?.querySelector('iframe')?.contentWindow
-      .postMessage({set: set.label, signal: signal.name, time: set.impact}, '*');
+    this.replay.show(set.label, set.impact);
     this.signal.scrollIntoView({block: 'nearest'});
   },
 };
+
+const pageOf = async (path) => new DOMParser().parseFromString(await (await fetch(`/files/${path}`)).text(), 'text/html');
+
+// The runs of a report in 3D: measured, and the model as a ghost. `show` goes to a run and a moment.
+function replayOf(path) {
+  const choose = h('select', {'aria-label': 'run in 3D'}), place = h('div', {});
+  const node = h('div', {class: 'replays', hidden: true}, h('h3', {}, 'In 3D, beside the model'), choose, place);
+  const ready = (async () => {
+    const data = (await pageOf(path)).getElementById('replay-data');
+    if (!data) return null;
+    node.hidden = false;
+    const runs = JSON.parse(data.textContent), made = await replayIn(place, runs);
+    choose.replaceChildren(...runs.runs.map((run, number_) => new Option(run.label, number_)));
+    choose.hidden = runs.runs.length < 2;
+    choose.addEventListener('change', () => made.show(Number(choose.value)));
+    return {runs: runs.runs, made};
+  })().catch((error) => { place.textContent = error.message; return null; });
+  return {node, async show(label, time) {
+    const found = await ready, number_ = found?.runs.findIndex((run) => run.label === label) ?? -1;
+    if (number_ < 0) return;
+    choose.value = number_;
+    if (found.made.number !== number_) found.made.show(number_);
+    if (time !== null) found.made.seek(time);
+  }};
+}
 
 // A report of the folder, sandboxed as if from another site, so that its scripts cannot act here.
 function wholeReport(path, open) {
   const stamp = state.workspace.stamps[path] ?? '';
   const frame = () => h('iframe', {src: `/files/${path}?${stamp}`, title: `report ${path}`, sandbox: 'allow-scripts allow-popups'});
-  const details = h('details', {open}, h('summary', {}, 'The whole report, with its replay'));
+  const details = h('details', {open}, h('summary', {}, 'The whole report'));
   if (open) details.append(frame());
   details.addEventListener('toggle', () => { if (details.open && !details.querySelector('iframe')) details.append(frame()); });
   return [h('p', {}, h('a', {href: `/files/${path}`, target: '_blank', rel: 'noopener'}, `Open ${path} by itself`)), details];
@@ -761,7 +854,7 @@ const diagnose = {
     this.file = h('select', {id: 'diagnose-file', onchange: () => this.open()});
     this.progress = h('div', {});
     this.result = h('div', {id: 'diagnose-result'});
-    return h('section', {}, h('h2', {}, 'Find out what the model lacks'), this.form.node, this.progress,
+    return h('section', {}, h('h2', {}, 'Find out what the model lacks'), lead('diagnose'), this.form.node, this.progress,
       labelled('diagnosis', this.file), this.result);
   },
 
@@ -778,8 +871,7 @@ const diagnose = {
   jobs() {
     const job = state.jobs.find((one) => one.arguments[0] === 'diagnose' && one.ended === null);
     const ranking = job?.progress?.ranking ?? [];
-    this.progress.replaceChildren(...(job ? [h('p', {role: 'status'}, progressText(job)),
-      h('progress', {max: job.progress?.total || 1, ...(job.progress?.total ? {value: job.progress.done} : {})}),
+    this.progress.replaceChildren(...(job ? [h('p', {role: 'status'}, progressText(job)), progressBar(job),
       ranking.length ? h('p', {class: 'note'}, 'So far: held-out error with each effect, the smaller the better.') : '',
       ranking.length ? h('ol', {class: 'bars'}, ...ranking.map(([name, error]) => h('li', {},
         h('span', {}, name), h('i', {style: `width: ${Math.min(100, 100 * error / ranking[ranking.length - 1][1]).toFixed(1)}%`}),
@@ -805,6 +897,7 @@ const diagnose = {
       h('td', {}, `${number(effect.before)} → ${number(effect.after)}`), h('td', {}, effect.p),
       h('td', {}, effect.tag === 'no' ? '' : h('button', {type: 'button', onclick: () => add.start(this.opened, effect.name)}, 'Add'))));
     const named = found.effects.filter((effect) => found.named.includes(effect.name));
+    says('diagnose', `${found.model}: ${found.verdict}.`);
     this.result.replaceChildren(h('p', {class: 'answer', id: 'verdict'}, h('b', {}, found.verdict), found.summary),
       ...named.map((effect) => h('div', {class: 'scroll'}, h('h3', {}, effect.name), h('table', {}, h('thead', {}, h('tr', {},
         ...['parameter', 'estimate', '95 % interval', 'unit'].map((text) => h('th', {scope: 'col'}, text)))), h('tbody', {},
@@ -815,7 +908,9 @@ const diagnose = {
       found.left.length ? h('div', {}, h('h3', {}, 'Unexplained'), h('ul', {}, ...found.left.map((one) => h('li', {},
         `${one.what} (${one.phase}): ${one.value}, ${one.times} × repeatability; relevance limit ${one.floor}`)))) : '',
       found.calls_for_a_law ? this.law(found) : '',
+      state.workspace.blinds.length ? this.revealed() : '',
       found.next ? this.next(found.next) : '',
+      replayOf(this.opened.replace(/[^/]*$/, found.report)).node,
       ...wholeReport(this.opened.replace(/[^/]*$/, found.report), false),
       ...found.remarks.map((text) => h('p', {class: 'note'}, `Note: ${text}`)));
     if (found.figure) draw(plot, found.figure); else plot.remove();
@@ -827,25 +922,42 @@ const diagnose = {
     const given = FORMS.discover.fields.map((one) => one.name).filter((name) => FORMS.diagnose.fields.some((one) => one.name === name));
     return h('div', {class: 'answer', id: 'law'}, h('b', {}, 'A law that the library does not have'),
       h('p', {}, 'Formulas of a grammar may explain what remains; where none holds, a curve describes it.'),
-      h('div', {class: 'actions'}, h('button', {type: 'button', class: 'primary', onclick: async () => {
-        try {
-          keepJob(await ask('/api/jobs', {command: 'discover', ...Object.fromEntries(given.map((name) => [name, this.form.value(name)])),
-            model, effects: null, report: place.slice(0, -1) || '.', output: `${place}discovery.json`}));
-        } catch (error) { showAbout({title: 'A law', text: error.message}); }
-      }}, 'Look for a law')));
+      h('div', {class: 'actions'}, ...jobButton('Look for a law', () => ({command: 'discover',
+        ...Object.fromEntries(given.map((name) => [name, this.form.value(name)])),
+        model, effects: null, report: place.slice(0, -1) || '.', output: `${place}discovery.json`}), {class: 'primary'})));
+  },
+
+  revealed() {
+    const answer = h('div', {id: 'revealed'}), path = this.opened;
+    return h('div', {}, h('div', {class: 'actions'}, h('button', {type: 'button', id: 'reveal', onclick: () => reveal(path, answer)},
+      'Reveal what was hidden'), h('span', {class: 'note'}, 'of a practice campaign')), answer);
   },
 
   next(experiment) {
-    const run = experiment.scenario ? [h('button', {type: 'button', class: 'primary', onclick: async () => {
-      try {
-        keepJob(await ask('/api/jobs', {command: 'campaign', scenario: experiment.scenario,
-          output: `${nextFolder(this.form.value('runs'))}/next_${slug(experiment.scenario)}_${slug(experiment.object ?? '')}`,
-          objects: experiment.object ? [experiment.object] : null, cases: experiment.case ? [experiment.case] : null, scales: [1], trials: 3}));
-      } catch (error) { showAbout({title: 'Next experiment', text: error.message}); }
-    }}, 'Run it')] : [];
+    const run = experiment.scenario ? jobButton('Run it', () => ({command: 'campaign', scenario: experiment.scenario,
+      output: `${nextFolder(this.form.value('runs'))}/next_${slug(experiment.scenario)}_${slug(experiment.object ?? '')}`,
+      objects: experiment.object ? [experiment.object] : null, cases: experiment.case ? [experiment.case] : null, scales: [1], trials: 3}),
+    {class: 'primary'}) : [];
     return h('div', {class: 'answer'}, h('b', {}, 'Next experiment'), h('p', {}, experiment.advice), h('div', {class: 'actions'}, ...run));
   },
 };
+
+// What a practice campaign hid, beside what its diagnosis found. `path`: the campaign, or the diagnosis.
+async function reveal(path, node) {
+  node.replaceChildren(reading(path));
+  try {
+    const found = await ask(`/api/reveal?${query({path})}`);
+    const list = (names) => names.join(' + ') || 'nothing';
+    node.replaceChildren(h('div', {class: 'answer', 'data-correct': String(found.correct)},
+      h('b', {class: found.correct ? 'good' : 'error'}, found.correct ? '✓ right' : '✗ wrong'),
+      `Hidden: ${list(found.truth)}. Named: ${list(found.named)}.`,
+      found.parameters.length ? h('div', {class: 'scroll'}, h('table', {}, h('thead', {}, h('tr', {}, ...['parameter', 'hidden', 'estimate', '95 % interval', 'inside'].map((text) =>
+        h('th', {scope: 'col'}, text)))), h('tbody', {}, ...found.parameters.map((one) => h('tr', {}, h('td', {}, `${one.name}${unit(one.unit) ? ` [${one.unit}]` : ''}`),
+        h('td', {}, number(one.hidden)), h('td', {}, number(one.estimate)), h('td', {}, one.low === null ? '–' : `${number(one.low)} … ${number(one.high)}`),
+        h('td', {}, one.low === null ? '–' : one.low <= one.hidden && one.hidden <= one.high ? '✓' : '✗')))))) : ''),
+    commandLine(found.command));
+  } catch (error) { node.replaceChildren(h('p', {class: 'error', role: 'alert'}, inFolder(error.message))); }
+}
 
 // Further trials are written beside the measured ones, so that the same RUNS contains them.
 const nextFolder = (runs) => state.workspace.campaigns.some((one) => one.path === runs && one.scenario) ?
@@ -871,7 +983,7 @@ const add = {
     this.text.value = EXAMPLE;
     this.checked = h('div', {id: 'formula-check', 'aria-live': 'polite'});
     this.name = h('input', {value: 'formulas/mine.yaml', id: 'formula-file'});
-    return h('section', {}, h('h2', {}, 'A better model'), h('h3', {}, 'Add a diagnosed effect'), this.note, this.form.node,
+    return h('section', {}, h('h2', {}, 'A better model'), lead('add'), h('h3', {}, 'Add a diagnosed effect'), this.note, this.form.node,
       h('h3', {}, 'Your own effect'), h('p', {class: 'note'}, 'A formula, checked while you write. Save it to use it in Diagnose.'),
       this.text, this.checked, h('div', {class: 'fields'}, labelled('file', this.name)),
       h('div', {class: 'actions'}, this.save = h('button', {type: 'button', onclick: () => this.keep()}, 'Save the formulas')));
@@ -942,7 +1054,7 @@ const history_ = {
   build() {
     this.form = runsForm('history', 'Show the history', {model: newestModel});
     this.result = h('div', {id: 'history-result'});
-    return h('section', {}, h('h2', {}, 'How the error fell'), this.form.node, this.result);
+    return h('section', {}, h('h2', {}, 'How the error fell'), lead('history'), this.form.node, this.result);
   },
 
   update() {
@@ -985,10 +1097,18 @@ const laboratory = {
     this.wanted = null;
     fill(this.scenario, plain(state.workspace.scenarios), this.scenario.value || 'push');
     if (this.folder.value && this.folder.value !== this.looked) this.look();
+    else if (this.offered && this.offered === this.looked && !this.found.table) this.addRows(found.find((lab) => lab.path === this.looked));
+  },
+
+  // Recordings that have come since; what is filled in stays.
+  addRows(lab) {
+    const there = new Set([...this.rows.children].map((row) => row.dataset.recording));
+    for (const name of lab?.recordings ?? []) if (!there.has(name)) this.rows.append(this.row(name, this.objects));
   },
 
   async look() {
     const folder = this.looked = this.folder.value;
+    this.offered = null;
     this.lab = state.workspace.laboratories.find((lab) => lab.path === folder);
     this.message.show();
     this.body.replaceChildren(reading(folder));
@@ -998,7 +1118,7 @@ const laboratory = {
       const [found, {objects}] = await Promise.all([ask(`/api/laboratory?${query({path: folder, scenario: name})}`),
         ask(`/api/scenario?${query({name})}`)]);
       if (this.looked !== folder || this.scenario.value !== name) return; // another one was chosen meanwhile
-      this.found = found;
+      Object.assign(this, {found, objects, offered: folder});
       this.arms = Object.entries(found.arms).map(([arm, given]) => this.arm(arm, given));
       this.pose = this.signal(OBJECT_POSE, this.arms[0], found.object_pose);
       this.world = h('input', {type: 'checkbox', id: 'lab-world'});
@@ -1053,7 +1173,7 @@ const laboratory = {
     const value = () => source.value === '' ? null : {...streams[source.value].source,
       unit: units.length > 1 ? slides.map((one) => unitOf(one ? 'slide' : 'turn')) : units[0].select.value};
     let asked = 0;
-    const clear = (text, kind) => { line.className = kind; line.textContent = text; plot.replaceChildren(); Plotly.purge(plot); };
+    const clear = (text, kind) => { line.className = kind; line.textContent = text; if (plot.data) Plotly.purge(plot); plot.replaceChildren(); };
     const show = async () => {
       const mine = ++asked;
       if (source.value === '') { clear('', 'note'); return; }
@@ -1129,8 +1249,17 @@ const newest = (kind, path) => state.workspace[kind].find((one) => one.path === 
 
 function showFolder() {
   const {campaigns, laboratories, models, diagnoses} = state.workspace;
+  const count = (number_, what) => `${number_} ${what}${number_ === 1 ? '' : 's'}`;
+  const trials = campaigns.reduce((sum, one) => sum + one.present, 0), held = models.filter((one) => one.score);
+  says('measure', campaigns.length + laboratories.length ? `${count(trials, 'trial')} in ${count(campaigns.length, 'campaign')}` +
+    `${laboratories.length ? `, and ${count(laboratories.length, 'folder')} of a laboratory` : ''}.` : '');
+  says('add', models.length > 1 ? `${count(models.length, 'model')}; the newest is ${models.find((one) => one.path === newestModel()).name}.` : '');
+  says('overlay', trials ? `${count(trials, 'trial')}, ${count(models.length, 'model')} and ${count(diagnoses.length, 'diagnosis').replace('diagnosiss', 'diagnoses')} to choose from.` : '');
+  says('history', held.length ? `${held.map((one) => `${one.name} ${number(one.score.held_out ?? one.score.fit)}`).join(', ')} ` +
+    `(noise ${number(held[0].score.floor)}).` : '');
   const or = (items, text) => items.length ? items : [h('li', {class: 'quiet'}, text)];
-  $('root').textContent = state.workspace.root;
+  $('root').textContent = state.workspace.root.split('/').pop();
+  $('root').title = state.workspace.root;
   const focused = document.activeElement?.dataset?.entry;
   refill($('campaigns'), or(campaigns.map((one) => entry(`campaign ${one.path}`, one.path,
     [one.error || `${one.scenario ? `${one.scenario}, ` : ''}${one.present} of ${one.trials} trials`],
@@ -1152,13 +1281,16 @@ function showFolder() {
 }
 
 function chooseCampaign(one) {
+  if (one.present && !one.error) {
+    recorded.wanted = one.path;
+    go('measure');
+    measure.show('recorded');
+  }
   const use = (step, form) => h('button', {type: 'button', onclick: () => { go(step); form.choose('runs', one.path); }}, step === 'compare' ? 'Compare' : 'Diagnose');
   showAbout({...ABOUT.measure, title: one.path, facts: [one.error || `${one.present} of ${one.trials} trials are recorded.`,
     one.present < one.trials ? 'Run the same command again to continue.' : ''].filter(Boolean),
   actions: [use('compare', compare.form), use('diagnose', diagnose.form),
-    h('button', {type: 'button', onclick: async () => {
-      try { keepJob(await ask('/api/jobs', {command: 'analyze', directory: one.path})); } catch (error) { showAbout({title: one.path, text: error.message}); }
-    }}, 'Analyze')]});
+    ...jobButton('Analyze', () => ({command: 'analyze', directory: one.path}))]});
 }
 
 function chooseLaboratory(path) {
@@ -1178,14 +1310,15 @@ function chooseModel(one) {
 // ---- jobs -----------------------------------------------------------------------------------------------------------------
 
 function progressText(job) {
-  const {what = job.arguments[0], done = 0, total = null, left = null} = job.progress ?? {};
-  return [job.stopping ? 'stopping' : what, total ? `${done} of ${total}` : '', seconds(left)].filter(Boolean).join(', ');
+  const {what = job.arguments[0], done = 0, total = null, left = null, share = null} = job.progress ?? {};
+  return [job.stopping ? 'stopping' : what, total ? `${done} of ${total}` : '', share === null ? '' : `${Math.round(100 * share)} % of the job`,
+    seconds(left)].filter(Boolean).join(', ');
 }
 
 function stateText(job) {
   if (job.ended === null) return progressText(job);
   if (job.exit_code === 0) return `✓ done in ${Math.max(1, Math.round(job.ended - job.started))} s`;
-  return `${job.exit_code === 130 ? '■ stopped' : '✗ failed'}: ${job.line}`;
+  return inFolder(`${job.exit_code === 130 ? '■ stopped' : '✗ failed'}: ${job.line}`);
 }
 
 const opened = new Map(); // of jobs whose output is looked at, by their numbers
@@ -1198,12 +1331,18 @@ async function showOutput(number_) {
   if (shown) shown.textContent = opened.get(number_);
 }
 
+// Of the whole job, not of its stage.
+const progressBar = (job) => h('progress', {max: 1, 'aria-label': `progress of job ${job.number}`,
+  ...(Number.isFinite(job.progress?.share) ? {value: job.progress.share} : {})});
+
 function jobRow(job) {
-  const act = (what) => async () => { try { await ask(`/api/jobs/${job.number}/${what}`, {}); } catch (error) {
-    showAbout({title: `Job ${job.number}`, text: error.message});
-  } };
-  const bar = job.ended === null ? h('progress', {max: job.progress?.total || 1, 'aria-label': `progress of job ${job.number}`,
-    ...(job.progress?.total ? {value: job.progress.done} : {})}) : '';
+  const act = (what) => async ({target}) => {
+    const reply = target.parentElement.querySelector('.reply');
+    reply.textContent = {stop: 'stopping …', again: 'starting …'}[what];
+    try { keepJob(await ask(`/api/jobs/${job.number}/${what}`, {})); if (what === 'again') reply.textContent = 'started above'; }
+    catch (error) { reply.textContent = inFolder(error.message); }
+  };
+  const bar = job.ended === null ? progressBar(job) : '';
   const look = ({target}) => {
     if (!opened.delete(job.number)) { opened.set(job.number, ''); showOutput(job.number); }
     target.closest('li').querySelector('pre').hidden = !opened.has(job.number);
@@ -1213,16 +1352,32 @@ function jobRow(job) {
     h('div', {class: 'buttons'}, job.ended === null ? h('button', {type: 'button', disabled: job.stopping, onclick: act('stop')}, 'Stop') :
       h('button', {type: 'button', onclick: act('again')}, job.exit_code ? 'Continue' : 'Again'),
     h('button', {type: 'button', onclick: look}, 'Output'),
-    h('button', {type: 'button', onclick: () => navigator.clipboard.writeText(job.command)}, 'Copy')),
+    h('button', {type: 'button', onclick: () => navigator.clipboard.writeText(job.command)}, 'Copy'), h('output', {class: 'reply'}, job.stopping ? 'stopping …' : '')),
     h('pre', {hidden: !opened.has(job.number), tabindex: 0}, opened.get(job.number) ?? ''));
 }
 
 const MOST_JOBS = 8;
 
+// The drawer at the lower edge: closed, it shows the job that runs, or the last one.
+function drawer(jobs) {
+  const running = jobs.filter((job) => job.ended === null), job = running[0] ?? jobs[0];
+  const more = running.length > 1 ? ` and ${running.length - 1} more` : '';
+  const line = job ? `job ${job.number}, ${job.arguments[0]}: ${stateText(job)}${more}` : 'none yet';
+  $('jobs-line').replaceChildren(h('span', {}, line), ...(running.length ? [progressBar(job)] : []));
+}
+
+function openDrawer(open) {
+  $('jobs-toggle').setAttribute('aria-expanded', String(open));
+  $('job-list').hidden = !open;
+}
+$('jobs-toggle').addEventListener('click', () => openDrawer($('job-list').hidden));
+
 function showJobs(jobs) {
   const before = new Map(state.jobs.map((job) => [job.number, JSON.stringify(job)]));
   state.jobs = jobs;
   const list = $('job-list'), shown = jobs.slice(0, MOST_JOBS);
+  for (const job of jobs) answerBeside(job);
+  drawer(jobs);
   if (!jobs.length) { list.replaceChildren(h('li', {class: 'quiet'}, 'None yet. Jobs that you start appear here; they continue when this page is closed.')); return; }
   for (const item of [...list.children]) if (!shown.some((job) => String(job.number) === item.dataset.job)) item.remove();
   shown.forEach((job, index) => {
@@ -1260,7 +1415,7 @@ function finished(job) {
 // ---- the page ---------------------------------------------------------------------------------------------------------------
 
 const STEPS = {predict: ['Predict', predict], measure: ['Measure', measure], compare: ['Compare', compare],
-  diagnose: ['Diagnose', diagnose], add: ['Add', add], history: ['History', history_]};
+  diagnose: ['Diagnose', diagnose], add: ['Add', add], history: ['History', history_], overlay: ['Overlay', overlay]};
 const panels = {};
 
 function go(step) {
@@ -1270,8 +1425,9 @@ function go(step) {
   for (const button of $('steps').querySelectorAll('button')) {
     if (button.dataset.step === step) button.setAttribute('aria-current', 'step'); else button.removeAttribute('aria-current');
   }
-  showAbout(ABOUT[step]);
+  showAbout({...ABOUT[step], terms: termsOf(step)});
   if (state.workspace) STEPS[step][1].update();
+  requestAnimationFrame(fitAll);
 }
 
 function listen() {
@@ -1289,6 +1445,7 @@ function listen() {
 for (const [name, [text, part]] of Object.entries(STEPS)) {
   $('steps').append(h('li', {}, h('button', {type: 'button', 'data-step': name, onclick: () => go(name)}, text)));
   panels[name] = part.build();
+  if (part === overlay) panels[name].firstChild.after(lead(name));
   $('middle').append(panels[name]);
 }
 const asked = location.hash.slice(1);
@@ -1296,3 +1453,4 @@ go(STEPS[asked] ? asked : 'predict');
 addEventListener('hashchange', () => { const step = location.hash.slice(1); if (STEPS[step] && step !== state.step) go(step); });
 darkScheme.addEventListener('change', () => { if (predict.answer) predict.paint(); });
 listen();
+window.impact_rs = {predict, recorded}; // for the browser's console

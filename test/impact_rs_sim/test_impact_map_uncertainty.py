@@ -11,6 +11,7 @@ from impact_rs_sim.impact_map.derivatives import differentiate
 from impact_rs_sim.impact_map.perturbation import change
 from impact_rs_sim.impact_map.problem import ImpactProblem
 from impact_rs_sim.impact_map.uncertainty import (
+    Stopped,
     _switches,
     answer_of,
     draw,
@@ -171,3 +172,10 @@ def test_contacts_that_switch_are_said_in_words() -> None:
         "arm hits the object and sticks or slides otherwise than in the prediction": pytest.approx(1 / 3),
     }
     assert _switches(usual, [usual] * 3) == {}
+
+
+def test_a_prediction_that_nobody_waits_for_ends_at_its_next_draw() -> None:
+    asked = []
+    with pytest.raises(Stopped):
+        predict(PROBLEM, load_scenario("push").uncertainty, MODELS, stopped=lambda: asked.append(1) or len(asked) > 3)
+    assert len(asked) == 4

@@ -36,6 +36,18 @@ def test_a_draft_for_six_joints_is_a_valid_file_whose_trials_ran(six_joints: Dra
     assert all(check.outcome == "ok" for check in check_drives(UR5E, scenario))
 
 
+def test_a_draft_says_why_it_chose_what_it_chose(six_joints: Draft) -> None:
+    """In its head as in its choices: the pose with the joint nearest to its limit, the drive, and the posture."""
+    head = six_joints.text[: six_joints.text.index("\nname:")].replace("\n#   ", " ")
+    assert all(f"# * {key}: {why}." in head for key, why in six_joints.choices.items())
+    model = RobotModel(UR5E, empty_flange())
+    q = np.array(six_joints.scenario.robots["arm"].impact.joint_guess)
+    nearest = int(np.argmin(np.minimum(q - model.position_min, model.position_max - q)))
+    assert f"joint {nearest + 1} is nearest to its limit there" in six_joints.choices["impact"]
+    assert "rigid" in six_joints.choices["drive"]
+    assert "posture" not in six_joints.choices["cases"]
+
+
 def test_six_joints_follow_their_references_without_a_posture_task(six_joints: Draft, tmp_path):
     """Before the hit the pad is where it shall be, within two millimetres at half a metre per second."""
     plan = TrialSpec.of(six_joints.scenario, "parcel", "case_1").plan

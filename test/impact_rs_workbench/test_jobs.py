@@ -16,6 +16,7 @@ from starlette.testclient import TestClient
 
 from impact_rs_sim.errors import InputError
 from impact_rs_workbench.jobs import LOST, Job, Jobs, Order
+from impact_rs_workbench.remaining import Remaining, remaining, shown
 from impact_rs_workbench.server import Workbench
 
 CAMPAIGN = {"command": "campaign", "scenario": "push", "objects": ["cat_food"], "cases": ["case_2"], "scales": [1.0]}
@@ -106,11 +107,34 @@ def test_the_time_left_of_a_resumed_job_is_that_of_what_it_does_itself(jobs: Job
     jobs.folder.mkdir()
     job = Job(1, "measure", "impact-rs campaign", ("campaign",), (), 0.0)
     (jobs.folder / "0001").mkdir()
-    told = {"what": "trials", "done": 7, "total": 10, "first": 6, "since": 100.0, "at": 105.0, "ranking": []}
-    (jobs.folder / "0001" / "progress.json").write_text(json.dumps(told))
-    assert jobs._progress(job) == {"what": "trials", "done": 7, "total": 10, "left": 15.0, "ranking": []}
-    (jobs.folder / "0001" / "progress.json").write_text(json.dumps(told | {"done": 6}))
+    found = {"what": "trials", "done": 7, "total": 10, "first": 6, "since": 100.0, "at": 105.0, "ranking": []}
+    (jobs.folder / "0001" / "progress.json").write_text(json.dumps(found))
+    expected = {"what": "trials", "done": 7, "total": 10, "share": 0.7, "left": 15.0, "ranking": []}
+    assert jobs._progress(job) == expected
+    (jobs.folder / "0001" / "progress.json").write_text(json.dumps(found | {"done": 6}))
     assert (jobs._progress(job) or {})["left"] is None
+
+
+USUAL = {"reading": 10.0, "fit": 30.0}
+
+
+def told(what: str, done: int, total: int, stages: dict[str, float]) -> dict[str, Any]:
+    return {"what": what, "done": done, "total": total, "first": 0, "since": 0.0, "at": stages[what], "stages": stages}
+
+
+def test_a_job_of_several_stages_counts_as_a_whole() -> None:
+    """A quarter of the usual time, then a job that is twice as slow as the usual one."""
+    half = remaining(told("reading", 5, 10, {"reading": 5.0}), USUAL, 5.0)
+    assert (half.left, half.share) == (35.0, 5.0 / 40.0)
+    slow = remaining(told("fit", 1, 4, {"reading": 20.0, "fit": 15.0}), USUAL, 35.0)
+    assert (slow.left, slow.share) == (45.0, 35.0 / 80.0)
+
+
+def test_the_time_left_falls_from_look_to_look_unless_it_was_far_wrong() -> None:
+    first = Remaining(0.0, 0.5, 30.0)
+    assert shown(first, Remaining(1.0, 0.4, 32.0)) == Remaining(1.0, 0.5, 29.0)
+    assert shown(first, Remaining(1.0, 0.6, 20.0)) == Remaining(1.0, 0.6, 20.0)
+    assert shown(first, Remaining(1.0, 0.6, 90.0)) == Remaining(1.0, 0.6, 90.0)
 
 
 def test_a_job_killed_by_a_signal_has_the_exit_code_of_a_shell(jobs: Jobs, tmp_path: Path) -> None:

@@ -26,10 +26,11 @@ from impact_rs_trials.bags import topics
 
 BROWSER = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
 pytestmark = pytest.mark.skipif(BROWSER is None, reason="no chromium or chrome on this machine")
+HIDDEN_FRICTION = 0.18  # of the support, in the campaign of the fixtures
 SLOW = 300_000.0  # ms, for a job on a machine with other work
 expect.set_options(timeout=60_000.0)
 DESK: ViewportSize = {"width": 1280, "height": 800}
-STEPS = ("predict", "measure", "compare", "diagnose", "add", "history")
+STEPS = ("predict", "measure", "compare", "diagnose", "add", "history", "overlay")
 IMAGES = Path(__file__).resolve().parents[2] / "docs" / "images"
 
 
@@ -106,11 +107,15 @@ def start(page: Page, label: str, state: str | int = 0) -> None:
     expect(jobs.first).to_have_attribute("data-state", str(state), timeout=SLOW)
 
 
+def pictures(folder: Path) -> Path:
+    """Where pictures go: into the manual where IMPACT_RS_PICTURES is set, else beside the workbench."""
+    return IMAGES if os.environ.get("IMPACT_RS_PICTURES") else folder.parent
+
+
 def picture(page: Page, name: str, folder: Path) -> None:
-    """A picture of the manual: into its folder where IMPACT_RS_PICTURES is set, else beside the workbench."""
-    target = IMAGES if os.environ.get("IMPACT_RS_PICTURES") else folder.parent
-    page.evaluate("scrollTo(0, 0)")
-    page.screenshot(path=target / f"{name}.png", animations="disabled")
+    """A picture of the manual."""
+    page.evaluate("scrollTo({top: 0, behavior: 'instant'})")
+    page.screenshot(path=pictures(folder) / f"{name}.png", animations="disabled")
 
 
 def accessible(page: Page) -> None:
@@ -134,6 +139,84 @@ def test_a_step_fits_every_screen_and_is_accessible(
     for width in (360, 820, 1280):
         one_page.set_viewport_size({"width": width, "height": 800})
         expect(one_page.locator("html")).to_have_js_property("scrollWidth", width)
+
+
+def test_the_first_two_lines_say_what_a_step_is_and_what_comes_next(one_page: Page) -> None:
+    for step, following in zip(STEPS, (*STEPS[1:], STEPS[0]), strict=True):
+        go(one_page, step)
+        lines = one_page.locator("main > section:visible h2 + .lead p")
+        expect(lines).to_have_count(2)
+        assert all(line.inner_text() for line in lines.all())
+        lines.locator("a").click()
+        expect(one_page.locator(f"[data-step={following}]")).to_have_attribute("aria-current", "step")
+    go(one_page, "predict")
+    expect(one_page.locator("#right figure.term svg")).to_have_count(2)
+
+
+@pytest.mark.parametrize("width", [360, 820, 1280])
+def test_no_list_cuts_off_what_is_chosen(one_page: Page, width: int) -> None:
+    """It is as wide as its text, or the text stands below it in full."""
+    cut_off = """() => [...document.querySelectorAll('main label > select')].filter((node) => {
+        const pen = document.createElement('canvas').getContext('2d'), text = node.selectedOptions[0]?.text ?? '';
+        pen.font = getComputedStyle(node).font;
+        const shown = node.parentElement.querySelector('small')?.textContent ?? '';
+        return node.offsetWidth > 0 && pen.measureText(text).width + 30 > node.clientWidth && shown !== text;
+    }).map((node) => node.id)"""
+    one_page.set_viewport_size({"width": width, "height": 800})
+    for step in STEPS:
+        go(one_page, step)
+        one_page.wait_for_function(f"() => !({cut_off})().length")
+    one_page.set_viewport_size(DESK)
+
+
+def test_jobs_are_in_sight_on_a_phone(one_page: Page) -> None:
+    one_page.set_viewport_size({"width": 360, "height": 640})
+    for step in STEPS:
+        go(one_page, step)
+        expect(one_page.locator("#jobs-toggle")).to_be_in_viewport()
+    one_page.locator("#jobs-toggle").click()
+    expect(one_page.locator("#job-list")).to_be_visible()
+    one_page.locator("#jobs-toggle").click()
+    expect(one_page.locator("#job-list")).to_be_hidden()
+    one_page.set_viewport_size(DESK)
+
+
+def test_arrow_keys_go_from_tab_to_tab(one_page: Page) -> None:
+    go(one_page, "measure", "campaign")
+    one_page.locator("#tab-campaign").focus()
+    for key, tab in (
+        ("ArrowRight", "trial"),
+        ("End", "laboratory"),
+        ("ArrowRight", "campaign"),
+        ("ArrowLeft", "laboratory"),
+    ):
+        one_page.keyboard.press(key)
+        expect(one_page.locator(f"#tab-{tab}")).to_be_focused()
+        expect(one_page.locator(f"#part-{tab}")).to_be_visible()
+    one_page.keyboard.press("Home")
+
+
+def test_arrows_in_3d_are_the_velocities_of_the_table(page: Page) -> None:
+    """Before and after of the arm in proportion, and the latter follows a slider."""
+    lengths = """() => {
+        const length = ({head, headLength, root}) => root.visible ? head.position.y + head.scale.y * headLength / 2 : 0;
+        return impact_rs.predict.impact.picture.arrows.map((one) => [length(one.before), length(one.after)]);
+    }"""
+    expect(page.locator("#predict-scene")).to_have_attribute("data-shown", '["push","cat_food"]')
+    before, after = (
+        abs(float(page.locator("#predict-table tr.main td").nth(i).inner_text().replace("−", "-"))) for i in (1, 2)
+    )
+    arm, item = page.evaluate(lengths)
+    assert arm[1] / arm[0] == pytest.approx(after / before, rel=0.02)
+    assert item[0] == 0.0  # the object rests
+    page.locator("[data-key='contact.restitution']").focus()
+    for _ in range(100):
+        page.keyboard.press("ArrowRight")
+    expect(page.locator("#predict-plot")).to_have_attribute("data-shown", '{"contact.restitution":0.5}')
+    page.wait_for_function(
+        f"([arm, item]) => {{ const now = ({lengths})(); return now[0][1] < arm[1] && now[1][1] > item[1]; }}",
+        arg=[arm, item],
+    )
 
 
 def test_every_control_has_a_name_and_the_manual_opens_by_keyboard(one_page: Page) -> None:
@@ -171,7 +254,11 @@ def test_the_loop_by_mouse_names_the_effect_and_the_error_falls(page: Page, fold
     start(page, "Compare")
     page.locator("#compare-result .plot .nsewdrag").last.click()
     expect(page.locator("#signal .scatterlayer .trace")).to_have_count(3)  # measured, model, residual
-    picture(page, "workbench_compare", folder)
+    page.set_viewport_size({"width": 1280, "height": 950})
+    page.mouse.move(0, 0)
+    page.locator("#compare-result .clickable").last.evaluate("node => node.scrollIntoView({behavior: 'instant'})")
+    page.screenshot(path=pictures(folder) / "workbench_compare.png", animations="disabled")
+    page.set_viewport_size(DESK)
 
     command = go(page, "diagnose")
     page.select_option("#diagnose-runs", "blind/runs")
@@ -224,6 +311,91 @@ def test_a_figure_keeps_its_height_when_the_window_is_resized(page: Page, report
     if step == "diagnose":
         page.locator("#ranking button").first.click()
         expect(page.locator("[data-step=add]")).to_have_attribute("aria-current", "step")
+
+
+def test_a_replay_of_a_report_stands_in_the_page_and_goes_to_the_chosen_place(page: Page, reported: Path) -> None:
+    go(page, "compare")
+    page.select_option("#compare-report", "reports/seen/compare.html")
+    replay = page.locator("#compare-result .replays")
+    expect(replay.locator("canvas")).to_be_visible()
+    assert page.locator("#compare-result details[open] iframe").count() == 0
+    page.locator("#compare-result .plot .nsewdrag").last.click()
+    expect(page.locator("#signal .scatterlayer .trace")).to_have_count(3)
+    expect(replay.locator(".replay-time")).to_contain_text(re.compile("[0-9] s"))
+    larger = replay.get_by_label("size of what the model does differently")
+    larger.select_option("10")
+    replay.screenshot(path=pictures(reported) / "replay.png", animations="disabled")
+
+
+def test_a_recorded_trial_opens_in_3d_with_one_click(page: Page, folder: Path) -> None:
+    page.locator("[data-entry='campaign blind/runs/push']").click()
+    trial = page.locator("#recorded-trials button").first
+    name = trial.get_attribute("data-trial") or ""
+    trial.click()
+    expect(page.locator("#recorded-shown h3").first).to_contain_text(name)
+    expect(page.locator("#recorded-replay canvas")).to_be_visible()
+    expect(page.locator("#recorded-shown .plot .cursor").first).to_be_visible()
+    before = page.locator("#recorded-shown .plot .cursor").first.bounding_box()
+    page.locator("#recorded-replay input[type=range]").focus()
+    page.keyboard.press("Home")
+    page.wait_for_function(
+        "(left) => document.querySelector('#recorded-shown .plot .cursor').getBoundingClientRect().left < left",
+        arg=(before or {})["x"],
+    )
+    accessible(page)
+    page.set_viewport_size({"width": 1280, "height": 1100})
+    page.get_by_role("button", name="Impact", exact=True).click()
+    picture(page, "workbench_trial", folder)
+
+
+def test_what_a_practice_campaign_hid_is_revealed_beside_the_estimate(page: Page, reported: Path) -> None:
+    """Right for its own diagnosis; and a campaign without a diagnosis says what to do."""
+    hidden = {"name": "support_friction", "parameters": {"friction": {"value": HIDDEN_FRICTION, "unit": "-"}}}
+    truth = {"kind": "single", "effects": [hidden], "outside": None}
+    (reported / "blind" / "truth.json").write_text(json.dumps(truth))
+    (reported / "later" / "runs").mkdir(parents=True, exist_ok=True)
+    (reported / "later" / "truth.json").write_text(json.dumps(truth))
+    go(page, "measure", "blind")
+    page.locator("[data-practice=blind]").get_by_role("button", name="Reveal").click()
+    expect(page.locator("[data-practice=blind] [data-correct]")).to_have_attribute("data-correct", "true")
+    expect(page.locator("[data-practice=blind] tbody tr")).to_have_count(1)
+    expect(page.locator("[data-practice=blind] .command")).to_contain_text("blind score")
+    page.locator("[data-practice=later]").get_by_role("button", name="Reveal").click()
+    expect(page.locator("[data-practice=later] .error")).to_contain_text("diagnose them first")
+    accessible(page)
+    shutil.rmtree(reported / "later")
+    (reported / "blind" / "truth.json").unlink()
+
+
+def test_runs_are_chosen_filtered_and_pinned_over_each_other(page: Page, reported: Path) -> None:
+    go(page, "overlay")
+    plot, rows = page.locator("#overlay-plot"), page.locator("#overlay-runs-list li[data-key]")
+    expect(plot.locator(".scatterlayer .trace")).to_have_count(3)
+    count = rows.count()
+    page.locator("#overlay-runs-filter").fill("juice r1")
+    expect(rows).to_have_count(1)
+    page.locator("#part-overlay-runs").get_by_role("button", name="Choose none").click()
+    rows.locator("button").click()  # pinned, and thereby chosen
+    expect(plot.locator(".scatterlayer .trace")).to_have_count(1)
+    page.locator("#overlay-runs-filter").fill("parcel")
+    page.locator("#part-overlay-runs").get_by_role("button", name="Choose all below").click()
+    expect(plot.locator(".scatterlayer .trace")).to_have_count(3)
+    expect(rows.first).to_contain_text("juice")
+    page.locator("#overlay-runs-filter").fill("")
+    expect(rows).to_have_count(count)
+    page.select_option("#overlay-signal", "Velocity of the end effector, y")
+    page.set_viewport_size({"width": 1280, "height": 1100})
+    picture(page, "workbench_overlay", reported)
+    page.set_viewport_size(DESK)
+    page.locator("#tab-overlay-models").click()
+    models = len(list(reported.rglob("compare.html")))
+    expect(page.locator("#overlay-models-plot .scatterlayer .trace")).to_have_count(1 + min(models, 3))  # and measured
+    page.locator("#tab-overlay-estimates").click()
+    expect(page.locator("#overlay-estimates .scatterlayer .trace").first).to_be_attached()
+    expect(page.locator("#overlay-parameter")).to_have_value(
+        re.compile("support_friction")
+    )  # what was named comes first
+    accessible(page)
 
 
 def test_what_no_effect_explains_is_looked_for_as_a_law_by_a_button(page: Page, reported: Path) -> None:
@@ -464,6 +636,9 @@ def test_a_job_that_fails_shows_its_one_line(page: Page, folder: Path) -> None:
     expect(command).to_contain_text("campaigns/taken")
     start(page, "Start the campaign", 2)
     expect(page.locator("#job-list .state").first).to_contain_text("campaigns/taken")
+    beside = page.locator("#part-campaign .actions .reply")
+    expect(beside).to_contain_text("campaigns/taken")
+    assert str(folder) not in beside.inner_text()  # paths are those of the folder
 
 
 @pytest.mark.timeout(600)
@@ -480,6 +655,7 @@ def test_a_running_job_is_seen_by_other_tabs_and_stopped_there(page: Page) -> No
     other.goto(page.url)
     expect(other.locator("#job-list > li").first).to_have_attribute("data-state", "running")
     expect(other.locator("#part-campaign .command code")).to_contain_text("impact-rs campaign")  # nothing moves now
+    other.locator("#jobs-toggle").click()
     other.locator("#job-list > li").first.get_by_role("button", name="Stop").hover()
     other.mouse.down()
     done = other.locator("#job-list progress").first.get_attribute("value") or ""

@@ -210,3 +210,29 @@ def test_a_prediction_is_that_of_the_command_it_shows(client: TestClient, capfd:
     assert row["after"] == pytest.approx(printed["post"]["end_effector_twist"]["arm"][1], rel=1e-9)
     interval = printed["uncertainty"]["interval"]["arm.velocity.y"]
     assert [row["low"], row["high"]] == pytest.approx([interval["low"], interval["high"]])
+
+
+def test_the_impact_is_drawn_where_it_is_predicted(client: TestClient) -> None:
+    """Joints and object of the scenario, velocities of the table, and intervals about them."""
+    question = {"scenario": "push", "object": "cat_food", "case": "case_2", "moving": True}
+    found = client.post("/api/predict", json=question).json()
+    scene = client.get("/api/scene", params={"name": "push", "object": "cat_food"}).json()
+    arm, item = found["moment"]["jumps"]
+    assert len(found["moment"]["joints"]) == len([joint for joint in scene["joints"] if "column" in joint])
+    assert (arm["arm"], item["arm"]) == ("arm", None)
+    for body, jump in (("arm", arm), ("object", item)):
+        rows = [row for row in found["rows"] if row["body"] == body]
+        assert jump["after"] == [row["after"] for row in rows]
+        assert all(
+            low <= value <= high for low, value, high in zip(jump["low"], jump["after"], jump["high"], strict=True)
+        )
+    assert client.post("/api/impact", json=question).json()["moment"] == found["moment"]
+
+
+def test_a_trial_that_is_none_is_refused_in_one_line(client: TestClient, tmp_path: Path) -> None:
+    (tmp_path / "empty").mkdir()
+    assert client.get("/api/trials", params={"path": "empty"}).json() == []
+    for path in ("empty", "../x", "nothing"):
+        answer = client.get("/api/trial", params={"path": path})
+        assert (answer.status_code, "\n" in answer.json()["error"]) == (400, False)
+    assert "truth.json" in client.get("/api/reveal", params={"path": "empty"}).json()["error"]

@@ -10,10 +10,15 @@
 //   live.show(scene);   live.update({time, joints, object, forces});   // scene: report/scene_3d.py
 //
 // shows the newest state of running nodes.
+//
+//   const picture = new ImpactPicture(element);
+//   picture.show(scene);   picture.update({joints, object, jumps});
+//
+// shows one moment, the impact, with the velocities before and after it and their intervals.
 // Lengths are in m, times in s, z is up. Needs THREE, of three.min.js.
 'use strict';
 
-const {ImpactReplay, ImpactLive} = (function () {
+const {ImpactReplay, ImpactLive, ImpactPicture} = (function () {
   const GHOST = '#0072B2', FORCE = '#D55E00', BEFORE = '#E69F00', AFTER = '#009E73', OBJECT = '#C2995F';
   const LONGEST_ARROW = 0.25, SHORTEST_ARROW = 0.01;
   const SLOW_MOTION = 100;
@@ -184,11 +189,12 @@ const {ImpactReplay, ImpactLive} = (function () {
       if (this.scene) {
         this.scene.traverse((node) => [node.geometry, node.material].forEach((part) => part && part.dispose()));
       }
+      const dark = matchMedia('(prefers-color-scheme: dark)').matches;
       this.scene = new THREE.Scene();
-      this.scene.background = new THREE.Color('#F4F6F8');
+      this.scene.background = new THREE.Color(dark ? '#1D2327' : '#F4F6F8');
       const sun = new THREE.DirectionalLight('#FFFFFF', 1.8);
       sun.position.set(1, -2, 4);
-      const grid = new THREE.GridHelper(3, 12, '#C9CFD6', '#DFE3E8').rotateX(Math.PI / 2);
+      const grid = new THREE.GridHelper(3, 12, dark ? '#46525A' : '#C9CFD6', dark ? '#323B41' : '#DFE3E8').rotateX(Math.PI / 2);
       this.scene.add(new THREE.HemisphereLight('#FFFFFF', '#8A929C', 1.8), sun, grid, ...roots);
     }
 
@@ -585,5 +591,89 @@ const {ImpactReplay, ImpactLive} = (function () {
     }
   }
 
-  return {ImpactReplay: Replay, ImpactLive: Live};
+  // The interval of an arrow's tip: a bar between its ends.
+  class Interval {
+    constructor(colour) {
+      const material = new THREE.MeshBasicMaterial({color: colour, depthTest: false, transparent: true, opacity: 0.45});
+      this.root = new THREE.Mesh(new THREE.CylinderGeometry(0.016, 0.016, 1, 16), material);
+      this.root.renderOrder = 1;
+    }
+
+    set(low, high) {
+      const along = high.clone().sub(low), length = along.length();
+      this.root.visible = length > 1e-4;
+      if (!this.root.visible) return;
+      this.root.position.copy(low).addScaledVector(along, 0.5);
+      this.root.quaternion.setFromUnitVectors(new THREE.Vector3(0, 1, 0), along.divideScalar(length));
+      this.root.scale.y = Math.max(length, 0.004);
+    }
+  }
+
+  // One moment: bodies where they are, velocities before and after the impact with their intervals.
+  class Picture extends Stage {
+    constructor(parent) {
+      super(parent);
+      parent.append(this.canvas, this.legend);
+      this.clear();
+      this.open();
+    }
+
+    show(scene) {
+      this.arms = scene.arms;
+      this.size = scene.object;
+      this.measured = new Bodies(scene, false);
+      this.arrows = [];
+      this.moment = this.most = null;
+      this.clear(this.measured.root);
+      this.canvas.setAttribute('aria-label', `${this.arms.join(' and ')} at the impact in 3D, with velocities`);
+    }
+
+    // Joints of all arms side by side [rad], pose of the object, and by body: arm (null: the object), velocities before and
+    // after and the ends of the interval [m/s], null where there is none.
+    update(moment) {
+      const first = this.moment === null;
+      this.moment = moment;
+      this.measured.place(moment.joints, moment.object);
+      const hands = this.measured.positions(), vector = (values) => new THREE.Vector3(...values);
+      const fastest = Math.max(1e-9, ...moment.jumps.flatMap((jump) => [jump.before, jump.after]).map((one) => Math.hypot(...one)));
+      // The scale stays while a slider moves, so that arrows grow with velocities.
+      if (this.most === null || fastest > 2 * this.most) this.most = [0.1, 0.2, 0.5, 1, 2, 5, 10].find((one) => one >= fastest) || fastest;
+      const scale = LONGEST_ARROW / this.most;
+      while (this.arrows.length < moment.jumps.length) {
+        const own = {before: new Arrow(BEFORE, 0.006), after: new Arrow(AFTER, 0.006), interval: new Interval(AFTER)};
+        this.arrows.push(own);
+        this.scene.add(own.before.root, own.interval.root, own.after.root);
+      }
+      moment.jumps.forEach((jump, place) => {
+        const own = this.arrows[place];
+        const start = jump.arm === null ? vector(moment.object) : vector(hands[`${jump.arm}_end_effector`]);
+        if (jump.arm === null && this.size) start.z += this.size[2] / 2;
+        const at = (when) => start.clone().setZ(start.z + ABOVE[when]);
+        own.before.set(at('before'), vector(jump.before).multiplyScalar(scale));
+        own.after.set(at('after'), vector(jump.after).multiplyScalar(scale));
+        if (jump.low) {
+          const [low, high] = [jump.low, jump.high].map((end) => at('after').addScaledVector(vector(end), scale));
+          own.interval.set(low, high);
+        } else own.interval.root.visible = false;
+      });
+      this.explain([[BEFORE, `before the impact (${(100 * LONGEST_ARROW).toFixed(0)} cm: ${this.most} m/s)`],
+        [AFTER, 'after it, with its 95 % interval']]);
+      if (first) this.fit(); else this.draw();
+    }
+
+    fit() {
+      if (!this.renderer || !this.moment) return;
+      const bounds = new THREE.Box3();
+      Object.entries(this.measured.links).forEach(([name, link]) => {
+        if (name === 'support' || name === 'world') return;
+        link.children.filter((child) => child.isMesh).forEach((child) => bounds.expandByObject(child, true));
+      });
+      if (this.measured.object.visible) bounds.expandByObject(this.measured.object, true);
+      const moving = this.moment.jumps.find((jump) => Math.hypot(...jump.before) > 0);
+      this.frame(bounds, this.measured, this.arms, new THREE.Vector3(...(moving ? moving.before : [0, 1, 0])));
+      this.draw();
+    }
+  }
+
+  return {ImpactReplay: Replay, ImpactLive: Live, ImpactPicture: Picture};
 })();

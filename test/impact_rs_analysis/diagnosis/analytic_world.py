@@ -158,6 +158,13 @@ class AnalyticSource(Source):
             for number, rows in enumerate(self._measured)
         )
 
+    def spoil(self, number: int, change: Array) -> None:
+        """Add ``change``, ``(F,)``, to what was measured in a cluster [scaled]."""
+        item = self.clusters[number]
+        self._measured[number] = self._measured[number] + change * item.sigma
+        spoiled = replace(item, residuals=item.residuals + change)
+        self.clusters = (*self.clusters[:number], spoiled, *self.clusters[number + 1 :])
+
     def predict(self, wanted: Sequence[tuple[int, Added]], what: str) -> list[Array | None]:
         self.asked.extend(wanted)
         return [features(number, added) for number, added in wanted]
@@ -166,6 +173,35 @@ class AnalyticSource(Source):
         return [
             replace(item, residuals=(self._measured[int(item.name)] - features(int(item.name), added)) / item.sigma)
             for item in like
+        ]
+
+
+class Slipping(AnalyticSource):
+    """Clusters in which ``straight`` throws every repeat to another side, and none on the mean; arguments as above."""
+
+    SIDES = (0.6, -0.3, -0.3)
+
+    def __init__(self, seed: int, truth: Added) -> None:
+        super().__init__(seed, truth)
+        self._measured = [rows + self._slipped(number, truth) for number, rows in enumerate(self._measured)]
+        self.clusters = tuple(
+            replace(item, residuals=rows / item.sigma) for item, rows in zip(self.clusters, self._measured, strict=True)
+        )
+
+    def _slipped(self, cluster: int, added: Added) -> Array:
+        """Of every repeat, ``(3, F)``."""
+        size = sum(values[0] for name, values in added if name == "straight")
+        return size * np.outer(self.SIDES, direction(cluster, 60))
+
+    def predict(self, wanted: Sequence[tuple[int, Added]], what: str) -> list[Array | None]:
+        pairs = zip(wanted, super().predict(wanted, what), strict=True)
+        return [values + self._slipped(number, added)[0] for (number, added), values in pairs if values is not None]
+
+    def measure_again(self, added: Added, like: Sequence[Cluster]) -> list[Cluster] | None:
+        again = super().measure_again(added, like) or []
+        return [
+            replace(item, residuals=item.residuals - self._slipped(int(item.name), added) / item.sigma)
+            for item in again
         ]
 
 

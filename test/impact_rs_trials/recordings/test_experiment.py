@@ -93,7 +93,7 @@ def test_a_wrong_header_is_refused(tmp_path: Path, header: str, complaint: str) 
 @pytest.mark.parametrize(
     ("text", "complaint"),
     [
-        ("scenario: psh\n", "scenario = 'psh': no scenario 'psh'; known scenarios: excite, grab, push"),
+        ("scenario: psh\n", "scenario = 'psh': no scenario 'psh'; known scenarios: excite, grab, grab_fr3, push, "),
         ("scenario: push.yaml\n", "no scenario '"),
         ("{scenario: push, mapping: joint_sate}\n", "mapping = 'joint_sate': no mapping 'joint_sate'; did you mean"),
         ("{scenario: push, maping: joint_state}\n", "maping: unknown key; did you mean 'mapping'?"),

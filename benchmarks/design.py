@@ -1,0 +1,216 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Designed campaigns against fixed and random ones: ``./run python -m benchmarks.design -o DIR``.
+
+Every blind campaign of the matrix is measured in three ways with the same hidden effect: the fixed campaign of
+``blind make`` (18 trials), and half as many trials by design and at random. Each is diagnosed and scored. Where one
+ends in a tie, ``TIE_BUDGET`` further trials are proposed by design and at random, and all are diagnosed again.
+"""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import asdict
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from benchmarks.blind import matrix
+from benchmarks.board import Entry, Row, arguments, run_board, share
+from impact_rs_analysis.design.design import Decide, decision_of, planned
+from impact_rs_analysis.design.forecast import Forecast, forecast_of
+from impact_rs_analysis.design.possible_trials import possible_trials
+from impact_rs_analysis.diagnosis.diagnose import diagnose
+from impact_rs_analysis.diagnosis.document import DiagnosisDocument, read_document, write_document
+from impact_rs_analysis.diagnosis.next_experiment import left_open
+from impact_rs_analysis.diagnosis.scoring import held_against_truth
+from impact_rs_analysis.evidence.measured_runs import Runs, read_runs
+from impact_rs_analysis.evidence.replay_cache import ReplayCache
+from impact_rs_analysis.evidence.replays import ReplaySource
+from impact_rs_sim.model import load_model
+from impact_rs_trials.blind import RUNS, SCENARIOS, TRUTH, BlindTask, Hidden, make, run_task
+from impact_rs_trials.experiment_plan import ExperimentPlan, Method, manifests_of, read_plan, write_plan
+from impact_rs_trials.workers import Map
+
+BUDGET = 9  # half of the fixed campaign
+TIE_BUDGET = 4
+NULLS = 8
+METHODS: tuple[Method, ...] = ("design", "random")
+
+
+def hidden_of(directory: Path) -> tuple[tuple[Hidden, ...], str | None, float]:
+    """What ``blind make`` hides in a campaign, for further trials on the same plant."""
+    truth = json.loads((directory / TRUTH).read_text(encoding="utf-8"))
+    hidden = tuple(
+        Hidden(item["name"], tuple(one["value"] for one in item["parameters"].values()), item["magnitude"])
+        for item in truth["effects"]
+    )
+    return hidden, truth["outside"], truth["outside_magnitude"]
+
+
+def record(plan: ExperimentPlan, directory: Path, truth: Path, map_tasks: Map) -> None:
+    """Run a plan on the plant of a blind campaign; bags that exist are kept."""
+    hidden, outside, magnitude = hidden_of(truth)
+    directory.mkdir(parents=True, exist_ok=True)
+    tasks = [
+        BlindTask(str(directory.absolute()), manifest.trial(key), hidden, outside, magnitude)
+        for manifest in manifests_of(plan).values()
+        for key in manifest.in_order
+    ]
+    for _ in map_tasks(run_task, tasks):
+        pass
+
+
+def together(before: Runs, directory: Path, map_tasks: Map) -> Runs:
+    """Earlier runs and those of another folder; repeats of a condition have the features that all of them have."""
+    return Runs.of(before.directory, [*before.runs, *read_runs(directory, map_tasks).runs])
+
+
+def diagnosed(document: Path, read: Callable[[], Runs], map_tasks: Map) -> DiagnosisDocument:
+    """Diagnosis by the nominal model; one that exists is kept."""
+    if not document.exists():
+        source = ReplaySource.of(read(), load_model("nominal"), ReplayCache(map_tasks))
+        write_document(diagnose(source, source.model), document)
+    return read_document(document)
+
+
+class Planner:
+    """Plans of the nominal model, simulated once for all campaigns."""
+
+    def __init__(self, map_tasks: Map) -> None:
+        self._map = map_tasks
+        self._first: Forecast | None = None
+        self._designed: ExperimentPlan | None = None
+        self._trials = possible_trials(SCENARIOS)
+
+    def first(self, path: Path, method: Method, seed: int) -> ExperimentPlan:
+        """The plan of a campaign from nothing; designed ones are equal but for their seed."""
+        if not path.exists():
+            write_plan(self._plan(method, seed), path)
+        return read_plan(path)
+
+    def _plan(self, method: Method, seed: int) -> ExperimentPlan:
+        if method == "design" and self._designed is not None:
+            return self._designed.model_copy(update={"seed": seed})
+        if self._first is None:
+            self._first = forecast_of(load_model("nominal"), self._trials, ReplayCache(self._map))
+        plan = planned(self._first, decision_of(self._first), BUDGET, method, seed)
+        if method == "design":
+            self._designed = plan
+        return plan
+
+    def next(self, path: Path, method: Method, seed: int, runs: Runs, decide: Decide) -> ExperimentPlan:
+        """The plan after a diagnosis with a tie."""
+        if not path.exists():
+            model = load_model("nominal")
+            forecast = forecast_of(model, self._trials, ReplayCache(self._map), runs=runs, seed=seed)
+            write_plan(planned(forecast, decision_of(forecast, decide), TIE_BUDGET, method, seed), path)
+        return read_plan(path)
+
+
+def run(planner: Planner, entry: Entry, directory: Path, map_tasks: Map) -> Row:
+    """Measure, diagnose and score one campaign in all ways; what exists is kept."""
+    for _ in make(directory, entry.seed, map_tasks, entry.kind, entry.effect, "small", entry.magnitude):
+        pass
+    began = time.perf_counter()
+    fixed = diagnosed(directory / "fixed.json", partial(read_runs, directory / RUNS, map_tasks), map_tasks)
+    found = {"fixed": (directory / RUNS, fixed)}
+    for method in METHODS:
+        plan = planner.first(directory / f"{method}.yaml", method, 1000 + entry.seed)
+        record(plan, directory / method, directory, map_tasks)
+        read = partial(read_runs, directory / method, map_tasks)
+        found[method] = directory / method, diagnosed(directory / f"{method}.json", read, map_tasks)
+    row: dict[str, Any] = {way: judged(directory, document) for way, (_, document) in found.items()}
+    row["ties"] = [
+        split(planner, directory, way, method, entry.seed, before, document, map_tasks)
+        for way, (before, document) in found.items()
+        if document.confusable
+        for method in METHODS
+    ]
+    verdicts = ", ".join(f"{way} {document.verdict}" for way, (_, document) in found.items())
+    return row | {
+        "name": entry.name,
+        "kind": entry.kind,
+        "correct": row["design"]["correct"],
+        "verdict": verdicts,
+        "seconds": time.perf_counter() - began,
+    }
+
+
+def split(
+    planner: Planner,
+    directory: Path,
+    way: str,
+    method: Method,
+    seed: int,
+    runs: Path,
+    tied: DiagnosisDocument,
+    map_tasks: Map,
+) -> dict[str, Any]:
+    """Whether the first proposal after a tie splits it."""
+    decide = left_open(tied, load_model("nominal"))
+    assert decide is not None
+    name, before = f"{way}_tie_{method}", read_runs(runs, map_tasks)
+    plan = planner.next(directory / f"{name}.yaml", method, 2000 + seed, before, decide)
+    record(plan, directory / name, directory, map_tasks)
+    after = diagnosed(directory / f"{name}.json", partial(together, before, directory / name, map_tasks), map_tasks)
+    return judged(directory, after) | {
+        "way": way,
+        "method": method,
+        "split": not after.confusable,
+        "said": min((pair.after for pair in plan.pairs), default=1.0),
+    }
+
+
+def judged(directory: Path, document: DiagnosisDocument) -> dict[str, Any]:
+    """A diagnosis against the truth."""
+    return asdict(held_against_truth(directory, document)) | {
+        "verdict": document.verdict,
+        "trials": document.runs.trials,
+        "confusable": [list(group) for group in document.confusable],
+    }
+
+
+def scoreboard(rows: Sequence[Row]) -> str:
+    """The figures, against their goals."""
+    ways = ("fixed", *METHODS)
+    lines = [f"right: {way:7s} {share([row[way]['correct'] for row in rows])}" for way in ways]
+    lines += [f"headline: {way:7s} {share([row[way]['headline'] for row in rows])}" for way in ways]
+    for way in METHODS:
+        same = [set(row[way]["named"]) == set(row["fixed"]["named"]) for row in rows]
+        no_worse = [row[way]["correct"] or not row["fixed"]["correct"] for row in rows]
+        lines.append(f"{way}: same effects named as by the fixed campaign {share(same)}; no worse {share(no_worse)}")
+    worse = [row["name"] for row in rows if row["random"]["correct"] and not row["design"]["correct"]]
+    lines.append(f"random right and design wrong: {', '.join(worse) or 'none'}")
+    for method in METHODS:
+        tied = [one for row in rows for one in row["ties"] if one["method"] == method]
+        lines.append(
+            f"ties, {TIE_BUDGET} further trials, {method}: split {share([one['split'] for one in tied])}, "
+            f"right {share([one['correct'] for one in tied])}"
+        )
+    return "\n".join(lines)
+
+
+def main() -> None:
+    """Run the board."""
+    parser = arguments(__doc__)
+    parser.add_argument("--seeds", type=int, default=1, help="campaigns of every effect and magnitude")
+    options = parser.parse_args()
+    entries = matrix(options.seeds, 0, NULLS)
+    order = np.random.default_rng(0).permutation(len(entries))  # those that are done in time are a sample
+    there = [(options.output / entry.name / "fixed.json").exists() for entry in entries]
+    order = sorted(order, key=lambda number: not there[number])  # fixed campaigns that exist are used first
+    planners: dict[int, Planner] = {}
+
+    def one(entry: Entry, directory: Path, map_tasks: Map) -> Row:
+        planner = planners.setdefault(id(map_tasks), Planner(map_tasks))
+        return run(planner, entry, directory, map_tasks)
+
+    print(scoreboard(run_board([entries[number] for number in order], options, one)))
+
+
+if __name__ == "__main__":
+    main()

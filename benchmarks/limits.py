@@ -1,0 +1,230 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Speed limits against hits in MuJoCo: ``./run python -m benchmarks.limits -o FILE.json`` (needs the extra ``peers``).
+
+A condition is a scenario, an object, a case, a place of the hit, and thresholds, all drawn at random. ``impact-rs
+limits`` says how fast the arm may hit there. Then arms whose parameters are drawn from the stated uncertainties hit in
+the MuJoCo cell, carried by the nominal model (``--impedance``: led by an impedance controller that knows nothing of
+impacts). A *missed* limit is a hit at an allowed speed that exceeds a bound, a *needless* refusal one at a refused
+speed that exceeds none. Closing speeds are uniform between 0 and twice the middle speed, up to which the bounds hold in
+half of the draws.
+
+``--calibrate`` measures how far largest values of MuJoCo lie from those of the twin, on the pushes of
+:mod:`benchmarks.foreign.discrepancy`, which the benchmark does not use: ``PEAK_SHARES``.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import time
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import pinocchio as pin
+
+from benchmarks.foreign.cell import MujocoCell
+from benchmarks.foreign.discrepancy import OBLIQUE, SQUARE, oblique
+from benchmarks.foreign.laboratory import DAMPING, STIFFNESS
+from impact_rs_analysis.evidence.map_discrepancy import NO_MAP_DISCREPANCY, measured_map_discrepancy
+from impact_rs_analysis.evidence.simulated_trials import quiet
+from impact_rs_analysis.limits.drawn_hits import PEAK_SHARES, WINDOW, Hits, drawn, drawn_springs, quantities, touching
+from impact_rs_analysis.limits.hit_bounds import Thresholds
+from impact_rs_analysis.limits.poses import moved
+from impact_rs_analysis.limits.speed import HIGHEST, SpeedLimit, speed_limit
+from impact_rs_sim.errors import Infeasible
+from impact_rs_sim.impact_map.uncertainty import draw, possible, sources_of
+from impact_rs_sim.physics import Physics
+from impact_rs_sim.robot import Array
+from impact_rs_sim.scenario import load_scenario
+from impact_rs_sim.scene import ArmMotion, ArmState, BodyState, Scene
+
+SCENARIOS = ("push_fr3", "push_ur5e", "push_iiwa7", "push")
+JUMP_MEAN = (0.005, 0.015)  # s after the touch, as config/map_discrepancy.yaml has it
+PLACES = 0.08  # m, that the hit is moved at most along x and z
+JUMPS, TORQUES, FORCES = (0.2, 1.0), (15.0, 80.0), (40.0, 300.0)  # rad/s, N m, N: thresholds are drawn from these
+NO_BOUND = 1e9  # N m, N
+
+
+def hit(
+    scene: Scene, physics: Physics, arms: Mapping[str, ArmState], body: BodyState, impedance: bool = False
+) -> Array:
+    """Quantities of one hit in MuJoCo, ``(k,)``.
+
+    Args:
+        scene: What controller and observer of the robot believe.
+        physics: The truth.
+        arms: States of the arms when their pads touch.
+        body: State of the object.
+        impedance: Whether a Cartesian impedance follows the motion before the hit, and pushes on; else the arm has the
+            torque that carries it, as in the interim mode of reference spreading, whose velocity feedback is off.
+    """
+    timing = scene.scenario.timing
+    period = timing.drive_period
+    fast = quiet(scene.scenario)
+    fast = fast.model_copy(
+        update={"timing": timing.model_copy(update={"control_period": period, "duration": WINDOW + period})}
+    )
+    cell = MujocoCell(fast, physics, {name: arm.position for name, arm in arms.items()}, body, seed=0)
+    starts = {}
+    for name, arm in arms.items():
+        for joint, speed in enumerate(arm.velocity, start=1):
+            for what in ("joint", "motor"):
+                cell.data.qvel[cell.model.joint(f"{name}/{what}{joint}").dofadr[0]] = speed
+        placement = scene.models[name].placement(arm.position)
+        starts[name] = placement, scene.models[name].jacobian(arm.position)[:3] @ arm.velocity
+    rows: dict[str, list[ArmMotion]] = {name: [] for name in arms}
+    ticks = round(WINDOW / period)
+    for tick in range(ticks + 1):
+        now, torques = tick * period, {}
+        measured = cell.measure().arms
+        for name, one in measured.items():
+            rows[name].append(ArmMotion(one.position, one.velocity, one.torque, one.position, one.velocity))
+            model, (placement, velocity) = scene.models[name], starts[name]
+            terms, here = model.terms(one.position, one.velocity), model.placement(one.position)
+            off = placement.translation + now * velocity - here.translation
+            turn = here.rotation @ pin.log3(here.rotation.T @ placement.rotation)
+            wanted = np.concatenate((velocity, np.zeros(3))) - terms.jacobian @ one.velocity
+            force = STIFFNESS * np.concatenate((off, turn)) + DAMPING * wanted
+            torques[name] = terms.bias + (terms.jacobian.T @ force if impedance else 0.0)
+        if tick < ticks:
+            cell.step(torques)
+    signals, jump, times = {}, {}, np.arange(ticks + 1) * period
+    after = (times >= JUMP_MEAN[0]) & (times <= JUMP_MEAN[1])
+    for name, row in rows.items():
+        stacked = [np.array([getattr(one, field) for one in row]) for field in ("position", "velocity", "torque")]
+        signals[name] = ArmMotion(*stacked, stacked[0], stacked[1])
+        jump[name] = stacked[1][after].mean(axis=0) - arms[name].velocity
+    return quantities(scene, times, signals, jump)
+
+
+def calibrated() -> dict[str, float]:
+    """Rms of the logarithm of largest values in MuJoCo over those of the twin, by kind."""
+    found: dict[str, list[float]] = {kind: [] for kind in PEAK_SHARES}
+    scenes = [Scene.resolve(load_scenario(name), item, case) for name, item, case in SQUARE]
+    scenes += [
+        Scene.resolve(oblique(load_scenario(name), case, *how), item, case) for name, item, case, *how in OBLIQUE
+    ]
+    for scene in scenes:
+        hits = Hits(scene, Thresholds(), NO_MAP_DISCREPANCY)
+        problem = touching(scene)
+        twin = hits.values(1.0)[0]
+        mujoco = hit(scene, *drawn(problem, scene.models, {}, scene.physics.arms))
+        for kind in PEAK_SHARES:
+            own = np.array(hits.bounds.kinds) == kind
+            largest = own & (twin >= 0.3 * twin[own].max())
+            found[kind] += np.log(mujoco[largest] / twin[largest]).tolist()
+            print(
+                f"{scene.object_name:9s} {scene.case_name} {kind:7s}", np.log(mujoco[largest] / twin[largest]).round(3)
+            )
+    return {kind: float(np.sqrt(np.mean(np.square(values)))) for kind, values in found.items()}
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """One hit.
+
+    Attributes:
+        condition: Number of the condition.
+        speed: Closing speed [m/s].
+        limit: What was said to be allowed [m/s].
+        middle: Up to which the bounds hold in half of the draws [m/s].
+        worst: Largest quantity over its bound in MuJoCo [-].
+        kind: Its kind.
+    """
+
+    condition: int
+    speed: float
+    limit: float
+    middle: float
+    worst: float
+    kind: str
+
+    @property
+    def missed(self) -> bool:
+        """Allowed, and a bound was exceeded."""
+        return self.speed <= self.limit and self.worst > 1.0
+
+    @property
+    def needless(self) -> bool:
+        """Refused, and no bound was exceeded."""
+        return self.speed > self.limit and self.worst <= 1.0
+
+
+def condition(number: int, draws: int, reflexes: bool = True) -> tuple[Hits, SpeedLimit]:
+    """A condition and what is said of it; without thresholds of reflexes jumps, speeds and torques bound the speed."""
+    rng = np.random.default_rng(1000 + number)
+    while True:
+        scenario = load_scenario(SCENARIOS[number % len(SCENARIOS)])
+        item, case = (str(rng.choice(list(names))) for names in (scenario.objects, scenario.cases))
+        x, z = rng.uniform(-PLACES, PLACES, 2)
+        jump, torque, force = (float(rng.uniform(*ends)) for ends in (JUMPS, TORQUES, FORCES))
+        limits = Thresholds(jump, torque, force) if reflexes else Thresholds(jump, NO_BOUND, NO_BOUND)
+        try:
+            scene = Scene.resolve(moved(scenario, x, z), item, case)
+        except Infeasible:
+            continue
+        hits = Hits(scene, limits, measured_map_discrepancy(), draws=draws, seed=number)
+        found = speed_limit(hits)
+        if 0.0 < found.middle < HIGHEST * hits.speed:
+            return hits, found
+
+
+def outcomes(number: int, count: int, draws: int, impedance: bool = False, reflexes: bool = True) -> list[Outcome]:
+    """Hits of one condition."""
+    hits, limit = condition(number, draws, reflexes)
+    scene = hits.scene
+    problem = touching(scene)
+    sources = sources_of(problem, scene.scenario.uncertainty)
+    rng = np.random.default_rng(10_000 + number)
+    found = []
+    for _ in range(count):
+        amounts = possible(problem, draw(sources, rng))
+        springs = {name: drawn_springs(arm, rng) for name, arm in scene.physics.arms.items()}
+        physics, arms, body = drawn(problem, scene.models, amounts, springs)
+        speed = float(rng.uniform(0.02, 2.0)) * limit.middle
+        moving = {name: replace(arm, velocity=speed / hits.speed * arm.velocity) for name, arm in arms.items()}
+        ratios = hit(scene, physics, moving, body, impedance) / hits.bounds.values
+        worst = int(np.argmax(ratios))
+        found.append(Outcome(number, speed, limit.speed, limit.middle, float(ratios[worst]), hits.bounds.kinds[worst]))
+    return found
+
+
+def main() -> None:
+    """Measure and print."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--calibrate", action="store_true", help="measure PEAK_SHARES instead")
+    parser.add_argument("--impedance", action="store_true", help="an impedance controller leads the arm")
+    parser.add_argument("--no-reflexes", action="store_true", help="without thresholds of external torque and force")
+    parser.add_argument("--conditions", type=int, default=40)
+    parser.add_argument("--first", type=int, default=0, help="number of the first condition")
+    parser.add_argument("--hits", type=int, default=26, help="of every condition")
+    parser.add_argument("--draws", type=int, default=200, help="of every speed limit")
+    parser.add_argument("-o", "--output", type=Path, help="file for all hits, JSON")
+    options = parser.parse_args()
+    if options.calibrate:
+        print({kind: round(value, 3) for kind, value in calibrated().items()})
+        return
+    began, found = time.perf_counter(), []
+    for number in range(options.first, options.first + options.conditions):
+        found += outcomes(number, options.hits, options.draws, options.impedance, not options.no_reflexes)
+        print(summary(found), f"{time.perf_counter() - began:.0f} s", flush=True)
+        if options.output is not None:
+            options.output.write_text(json.dumps([asdict(one) for one in found], indent=1) + "\n")
+
+
+def summary(found: list[Outcome]) -> str:
+    """Figures of all hits so far."""
+    missed, needless = sum(one.missed for one in found), sum(one.needless for one in found)
+    safe, allowed = sum(one.worst <= 1.0 for one in found), sum(one.speed <= one.limit for one in found)
+    worst = max((one.worst for one in found if one.speed <= one.limit), default=0.0)
+    return (
+        f"{len(found)} hits, {allowed} allowed, {safe} within all bounds: {missed} missed (largest allowed hit "
+        f"{worst:.2f} of its bound), {needless} needless refusals ({needless / len(found):.1%} of all, "
+        f"{needless / max(safe, 1):.1%} of those within all bounds)"
+    )
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,192 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Design: from a model and a budget to a plan of trials, with what it buys."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+
+from impact_rs_analysis.design.discrimination import Discrimination
+from impact_rs_analysis.design.explanations import Decision, which_effect
+from impact_rs_analysis.design.forecast import Forecast, ForecastTrial, forecast_of
+from impact_rs_analysis.design.possible_trials import NO_ENVELOPE, Envelope, PossibleTrial, possible_trials
+from impact_rs_analysis.design.selection import Counts, chosen, missing_conditions
+from impact_rs_analysis.evidence.measured_runs import Runs
+from impact_rs_analysis.evidence.replay_cache import Progress, ReplayCache
+from impact_rs_sim.effects.base import SINGLE_IMPACT, Joints
+from impact_rs_sim.model import Model
+from impact_rs_sim.physics import Physics
+from impact_rs_sim.robot import Array
+from impact_rs_trials.campaign import PlannedTrials
+from impact_rs_trials.experiment_plan import ExperimentPlan, Method, PlannedCampaign, PlannedPair
+from impact_rs_trials.workers import Map
+
+SURE = 0.95  # probability of the right decision above which a pair counts as distinguished
+MOST_PAIRS = 20  # listed in a plan, least certain first
+LISTED = 3  # pairs named in a sentence
+
+Decide = Callable[[Model, Joints, Sequence[Physics]], Decision]
+
+
+def design(
+    model: Model,
+    scenarios: Sequence[str],
+    budget: int,
+    map_tasks: Map,
+    decide: Decide | None = None,
+    runs: Runs | None = None,
+    method: Method = "design",
+    envelope: Envelope = NO_ENVELOPE,
+    seed: int = 0,
+    progress: Progress | None = None,
+) -> ExperimentPlan:
+    """The most informative trials for the coming decision.
+
+    Args:
+        model: What predicts them.
+        scenarios: Names or paths of what the cell can run.
+        budget: Largest number of trials.
+        map_tasks: Parallel map.
+        decide: What shall be decided, from the model with the parameters of the arms at hand, their joints and all
+            physics; None: which effect is missing, of all that the model lacks.
+        runs: Trials measured so far; their scatter counts, and their information.
+        method: How trials are chosen.
+        envelope: Of the cell.
+        seed: Of the planned trials, and of a random choice. Another plan for the same folder needs another seed.
+        progress: Called with (what, done, total).
+
+    Raises:
+        InputError: No such scenario, too small a budget, no trial within the limits, or nothing to decide.
+    """
+    missing_conditions(budget, 0 if runs is None else len(runs.conditions))  # refused before minutes of simulation
+    trials = possible_trials(scenarios, envelope)
+    forecast = forecast_of(model, trials, ReplayCache(map_tasks, progress), envelope, runs, seed)
+    decision = decision_of(forecast, decide)
+    return planned(forecast, decision, budget, method, seed)
+
+
+def decision_of(forecast: Forecast, decide: Decide | None = None) -> Decision:
+    """What shall be decided, see :func:`design`."""
+    source = forecast.source
+    if decide is not None:
+        return decide(source.model, source.joints, source.worlds)
+    present = {item.name for item in source.model.effects}
+    effects = [
+        effect.in_proportion(source.proportion)
+        for name, effect in source.model.known_effects.items()
+        if name not in present and not effect.calibrates and effect.phases != SINGLE_IMPACT
+    ]
+    return which_effect(effects, source.joints, source.worlds)
+
+
+def planned(
+    forecast: Forecast, decision: Decision, budget: int, method: Method = "design", seed: int = 0
+) -> ExperimentPlan:
+    """A plan from simulated trials; arguments and errors as :func:`design`."""
+    model = forecast.source.model
+    trials = forecast.under(decision)
+    can_run = [trial for trial in trials if trial.trial is not None]
+    counts = Discrimination(decision, trials)
+    picked = chosen(method, counts, can_run, budget, seed)
+    before = counts.total(counts.counted)
+    after = counts.total(counts.with_more(picked))
+    pairs = _pairs(decision, counts.probabilities(before), counts.probabilities(after))
+    words = {name: _buys(counts, decision, after, picked, name) for name in picked}
+    return ExperimentPlan(
+        model=model.name,
+        model_digest=model.digest,
+        aim=decision.aim,
+        method=method,
+        budget=budget,
+        seed=seed,
+        summary=_summary(decision, pairs, picked, counts.information(after) if decision.aim == "parameters" else 0.0),
+        pairs=tuple(pairs[:MOST_PAIRS]),
+        campaigns=_campaigns({trial.name: trial for trial in can_run}, picked, words),
+    )
+
+
+def _pairs(decision: Decision, before: Array, after: Array) -> list[PlannedPair]:
+    """Probabilities of the right decision, least certain first."""
+    rows = [
+        PlannedPair(
+            first=decision.explanations[i].name,
+            second=decision.explanations[j].name,
+            before=round(float(was), 4),
+            after=round(float(now), 4),
+        )
+        for (i, j), was, now in zip(decision.pairs, before, after, strict=True)
+    ]
+    return sorted(rows, key=lambda pair: pair.after)
+
+
+def _campaigns(trials: dict[str, ForecastTrial], picked: Counts, words: dict[str, str]) -> tuple[PlannedCampaign, ...]:
+    """The chosen trials by variant of a scenario, each with the cases that it uses."""
+    groups: dict[str, list[tuple[PossibleTrial, str]]] = {}
+    for name in picked:
+        trial = trials[name].trial
+        assert trial is not None
+        groups.setdefault(trial.spec.scenario.name, []).append((trial, name))
+    found = []
+    for folder, own in groups.items():
+        first = own[0][0]
+        settings: dict[str, Any] = dict(first.settings)
+        for trial, _ in own:
+            if trial.own_case is not None:
+                settings[f"cases.{trial.spec.case}"] = trial.own_case.model_dump(mode="json")
+        found.append(
+            PlannedCampaign(
+                folder=folder,
+                scenario=first.scenario,
+                settings=settings,
+                conditions=tuple(
+                    PlannedTrials(
+                        object=trial.spec.object,
+                        case=trial.spec.case,
+                        scale=trial.spec.scale,
+                        trials=picked[name],
+                        what=trial.what,
+                        buys=words[name],
+                    )
+                    for trial, name in own
+                ),
+            )
+        )
+    return tuple(found)
+
+
+def _buys(counts: Discrimination, decision: Decision, total: Array, picked: Counts, name: str) -> str:
+    """What the trials of one condition add to all others of the plan."""
+    there, repeats = counts.counted.get(name, 0), picked[name]
+    without = counts.added(total, name, there + repeats, there)
+    trial = counts.trial(name)
+    times = f"{repeats} x {name if trial is None else trial.what}"
+    if decision.aim == "parameters":
+        gained = counts.information(total) - counts.information(without)
+        return f"{times} add {gained:.2g} nat of information on the parameters"
+    now, less = counts.probabilities(total), counts.probabilities(without)
+    best = int(np.argmax(now - less))
+    i, j = decision.pairs[best]
+    first, second = decision.explanations[i].name, decision.explanations[j].name
+    return f"{times} distinguish {first} from {second} with {_percent(now[best])}, without them {_percent(less[best])}"
+
+
+def _summary(decision: Decision, pairs: Sequence[PlannedPair], picked: Counts, information: float) -> str:
+    """What the plan buys, in a sentence."""
+    trials = f"{sum(picked.values())} trials of {len(picked)} conditions"
+    if decision.aim == "parameters":
+        return f"{trials}: {information:.2g} nat of information on the parameters of {decision.explanations[0].name}"
+    sure = [pair for pair in pairs if pair.after >= SURE]
+    open_pairs = [pair for pair in pairs if pair.after < SURE]
+    if len(pairs) <= LISTED:
+        said = "; ".join(f"{pair.first} from {pair.second} with {_percent(pair.after)}" for pair in pairs)
+        return f"{trials} distinguish {said}"
+    listed = ", ".join(f"{pair.first} from {pair.second} ({_percent(pair.after)})" for pair in open_pairs[:LISTED])
+    rest = f"; least certain: {listed}" if listed else ""
+    return f"{trials} distinguish {len(sure)} of {len(pairs)} pairs of explanations with {SURE:.0%} or more{rest}"
+
+
+def _percent(value: float) -> str:
+    """A probability in percent, never said to be certain."""
+    return f"{min(100.0 * value, 99.9):.3g} %"

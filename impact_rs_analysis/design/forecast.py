@@ -1,0 +1,231 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Forecast: possible trials run on the twin, their scatter, and their features under every explanation.
+
+A trial is simulated in closed loop with the model, once as planned, and judged as a measured one: what exceeds a limit
+of joints or torques, misses or tips over is no proposal. Its replays under the explanations are what the diagnosis
+would look at. Scatter is that of the trials measured so far, else that of trials simulated with the scenario's noise.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from impact_rs_analysis.design.explanations import Decision, Explanation
+from impact_rs_analysis.design.possible_trials import NO_ENVELOPE, Envelope, PossibleTrial
+from impact_rs_analysis.evidence.cluster import Added, Cluster
+from impact_rs_analysis.evidence.discrepancy import measured_discrepancy
+from impact_rs_analysis.evidence.measured_runs import MeasuredRun, Runs
+from impact_rs_analysis.evidence.replay_cache import Replay, ReplayCache, with_effects
+from impact_rs_analysis.evidence.replays import ReplaySource, clusters_of
+from impact_rs_analysis.evidence.simulated_trials import simulated_and_judged
+from impact_rs_analysis.evidence.source import with_per_arm_parameters
+from impact_rs_sim.effects import Effect
+from impact_rs_sim.errors import InputError
+from impact_rs_sim.model import Model
+from impact_rs_sim.robot import Array
+from impact_rs_sim.seeds import seed_of
+from impact_rs_trials.runs import label_of
+from impact_rs_trials.spec import TrialSpec
+
+NOISY_TRIALS, NOISY_REPEATS = 3, 3  # per family of trials: six degrees of freedom of the scatter
+PROPER = ("OK", "DROPPED")  # a forecast ends before an object is lifted
+
+
+@dataclass(frozen=True)
+class ForecastTrial:
+    """A possible trial with its predictions.
+
+    Attributes:
+        name: Name of its condition.
+        trial: How to run it; None: a condition that was measured and cannot be planned again.
+        cluster: Scale, scatter and discrepancy of its features.
+        centres: Change of the features by each explanation's centre, scaled, ``(h, F)`` [-].
+        spreads: The same by one standard deviation of each parameter, ``(p, F)`` by explanation [-].
+        repeats: How often it was measured.
+    """
+
+    name: str
+    trial: PossibleTrial | None
+    cluster: Cluster
+    centres: Array
+    spreads: tuple[Array, ...]
+    repeats: int = 0
+
+
+@dataclass(frozen=True)
+class Forecast:
+    """Simulated trials, ready for predictions.
+
+    Attributes:
+        source: Possible and measured trials as if all were measured.
+        trials: Possible trials by condition.
+        repeats: How often a condition was measured.
+        refused: Trials beyond limits, with the reason.
+    """
+
+    source: ReplaySource
+    trials: dict[str, PossibleTrial]
+    repeats: dict[str, int]
+    refused: tuple[tuple[str, str], ...]
+
+    def under(self, decision: Decision) -> list[ForecastTrial]:
+        """Every trial under the explanations of a decision."""
+        source, known = self.source, self.source.model.known_effects
+        wanted: list[tuple[int, Added]] = []
+        for number, item in enumerate(source.clusters):
+            wanted.append((number, ()))
+            for one in decision.explanations:
+                if _shown(one, item, known):
+                    wanted += [(number, added) for added in (one.centre, *one.varied)]
+        found = dict(zip(wanted, source.predict(wanted, "predictions"), strict=True))
+        predicted = []
+        for number, item in enumerate(source.clusters):
+            base = found[number, ()]
+            assert base is not None  # the source keeps no other
+            columns = [
+                _columns(one, base, item, {added: found[number, added] for added in (one.centre, *one.varied)})
+                if _shown(one, item, known)
+                else np.zeros((1 + len(one.varied), base.size))
+                for one in decision.explanations
+            ]
+            kept = [rows for rows in columns if rows is not None]
+            if len(kept) == len(columns):  # without an impact there is nothing to compare
+                predicted.append(
+                    ForecastTrial(
+                        name=item.name,
+                        trial=self.trials.get(item.name),
+                        cluster=item,
+                        centres=np.array([rows[0] for rows in kept]),
+                        spreads=tuple(rows[1:] for rows in kept),
+                        repeats=self.repeats.get(item.name, 0),
+                    )
+                )
+        return predicted
+
+
+def _columns(one: Explanation, base: Array, item: Cluster, found: Mapping[Added, Array | None]) -> Array | None:
+    """Scaled change of the features by the centre, then by every deviation, ``(1 + p, F)``; None without an impact."""
+    centre = found[one.centre]
+    moved = [row for row in (found[added] for added in one.varied) if row is not None]
+    if centre is None or len(moved) < len(one.varied):
+        return None
+    return np.array([centre - base, *(row - centre for row in moved)]) / item.sigma
+
+
+def forecast_of(
+    model: Model,
+    trials: Sequence[PossibleTrial],
+    store: ReplayCache,
+    envelope: Envelope = NO_ENVELOPE,
+    runs: Runs | None = None,
+    seed: int = 0,
+) -> Forecast:
+    """Simulate trials with a model, and their scatter.
+
+    Args:
+        model: The model.
+        trials: The possible trials.
+        store: Makes replays, and spreads simulations.
+        envelope: Of the cell.
+        runs: Trials measured so far; their scatter counts, and their information.
+        seed: Seed of the simulated scatter.
+
+    Raises:
+        InputError: No trial is within the limits, or the model is not valid.
+    """
+    there = {} if runs is None else runs.conditions
+    tasks = [_Task(trial.spec, model, envelope) for trial in trials if trial.name not in there]
+    results = store.spread(_simulated, tasks, "trials on the twin")
+    found = [run for run in results if isinstance(run, MeasuredRun)]
+    refused = tuple(run for run in results if not isinstance(run, MeasuredRun))
+    measured = () if runs is None else runs.runs
+    if not found and not measured:
+        first = f", the first because: {refused[0][1]}" if refused else ""
+        raise InputError(f"none of {len(trials)} trials is within the limits{first}")
+    noisy = _noisy(found, [run for group in there.values() for run in group[:2] if len(group) > 1])
+    repeated = [
+        run
+        for run in store.spread(
+            _simulated,
+            [
+                _Task(spec, model, NO_ENVELOPE, seed_of(seed, f"{label_of(spec)} {repeat}"))
+                for spec in noisy
+                for repeat in range(NOISY_REPEATS)
+            ],
+            "scatter on the twin",
+        )
+        if isinstance(run, MeasuredRun)
+    ]
+    alike = {run.condition: run.features for run in found}
+    repeated = [run for run in repeated if run.features == alike[run.condition]]
+    scattered = {run.condition for run in repeated}
+    every = [*measured, *repeated, *(run for run in found if run.condition not in scattered)]
+    joined = Runs(Path() if runs is None else runs.directory, tuple(every), ())
+    model = with_per_arm_parameters(model, [run.setup.physics for run in every])
+    predicted = store([Replay(run.setup, model.containing(())) for run in every], "replays of the model")
+    kept = [(run, row) for run, row in zip(every, predicted, strict=True) if row is not None]
+    joined = replace(joined, runs=tuple(run for run, _ in kept))
+    discrepancy = measured_discrepancy()
+    clusters, _ = clusters_of(joined, [run.measured - row for run, row in kept], discrepancy)
+    source = ReplaySource(joined, model, store, clusters, discrepancy)
+    return Forecast(
+        source,
+        {trial.name: trial for trial in trials},
+        {name: len(group) for name, group in there.items()},
+        refused,
+    )
+
+
+@dataclass(frozen=True)
+class _Task:
+    spec: TrialSpec
+    model: Model
+    envelope: Envelope
+    seed: int | None = None
+
+
+def _simulated(task: _Task) -> MeasuredRun | tuple[str, str]:
+    """The trial as if measured; its name and why it is no proposal, where it is none."""
+    name = label_of(task.spec)
+    try:
+        physics = with_effects(task.model, task.spec.scene.physics, ())
+        run, verdict = simulated_and_judged(task.spec, physics, seed=task.seed)
+        if verdict.outcome not in PROPER:
+            return name, f"{verdict.outcome}: {verdict.reason}"
+        found = MeasuredRun.of(run)
+    except InputError as error:  # out of reach, or no contact
+        return name, str(error)
+    force = max(
+        (
+            abs(value)
+            for feature, value in zip(found.features, found.measured, strict=True)
+            if feature.phase == "impact" and feature.unit == "N"
+        ),
+        default=0.0,
+    )
+    if task.envelope.force is not None and force > task.envelope.force:
+        return name, f"contact force {force:.0f} N, limit {task.envelope.force:g} N"
+    return found
+
+
+def _noisy(found: Sequence[MeasuredRun], repeated: Sequence[MeasuredRun]) -> list[TrialSpec]:
+    """Trials whose scatter is simulated: some of each family of which no repeat was measured."""
+    known = {run.family for run in repeated}
+    groups: dict[tuple[object, ...], list[TrialSpec]] = {}
+    for run in found:
+        if run.family not in known and run.spec is not None:
+            groups.setdefault(run.family, []).append(run.spec)
+    chosen = []
+    for specs in groups.values():
+        places = np.unique(np.linspace(0, len(specs) - 1, NOISY_TRIALS).round().astype(int))
+        chosen += [specs[place] for place in places]
+    return chosen
+
+
+def _shown(one: Explanation, item: Cluster, known: Mapping[str, Effect]) -> bool:
+    """Whether an explanation changes features of a cluster."""
+    return any(known[name].seen_in(item.contact) for name in one.effects)

@@ -1,0 +1,247 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Trials that a cell can run: cases of scenarios at further speeds, beside the centre of the object, on other ways.
+
+A variant of a scenario is the scenario with some settings, as in ``impact-rs campaign --set``. What is beyond reach or
+limits is found out by a forecast (:mod:`impact_rs_analysis.design.forecast`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from impact_rs_sim.errors import InputError
+from impact_rs_sim.scenario import Case, CaseRobot, Scenario, load_scenario
+from impact_rs_trials.runs import label_of
+from impact_rs_trials.spec import TrialSpec
+
+SLOWER = 0.5  # of the slowest case: sticking and Stribeck friction show there
+BESIDE = 0.15  # of the width of the narrowest object, from its centre: it turns, and the pad still hits a face
+HORIZONTAL = 1e-6  # of a pad's normal along z; steeper pads have no side
+
+
+@dataclass(frozen=True)
+class Envelope:
+    """What the cell allows beyond the limits of the robot's facts, which always hold.
+
+    Attributes:
+        speed: Largest approach speed [m/s]; None: that of the fastest case of each scenario.
+        force: Largest mean contact force over some milliseconds [N]; None: any.
+    """
+
+    speed: float | None = None
+    force: float | None = None
+
+    def __post_init__(self) -> None:
+        for key, value, unit in (("speed", self.speed, "m/s"), ("force", self.force, "N")):
+            if value is not None and not value > 0.0:
+                raise InputError(f"expected a limit > 0 {unit}", key=key, value=value)
+
+
+NO_ENVELOPE = Envelope()
+
+
+@dataclass(frozen=True)
+class PossibleTrial:
+    """A trial that may be planned.
+
+    Attributes:
+        scenario: Name or path of the scenario file.
+        settings: What the variant has instead of the file's values, without the case.
+        own_case: The case, where the file does not have it.
+        spec: The trial.
+        what: The trial in words.
+    """
+
+    scenario: str
+    settings: Mapping[str, Any] = field(hash=False)
+    own_case: Case | None = field(hash=False)
+    spec: TrialSpec
+    what: str
+
+    @property
+    def name(self) -> str:
+        """Name of its condition."""
+        return label_of(self.spec)
+
+    @property
+    def of_file(self) -> bool:
+        """Whether the scenario file has it as it stands."""
+        return not self.settings and self.own_case is None
+
+
+def possible_trials(scenarios: Sequence[str], envelope: Envelope = NO_ENVELOPE) -> list[PossibleTrial]:
+    """Every trial that may be planned, sorted by name.
+
+    Args:
+        scenarios: Names or paths.
+        envelope: Of the cell.
+
+    Raises:
+        InputError: There is no such scenario, or two have one name.
+    """
+    found: dict[str, PossibleTrial] = {}
+    names: dict[str, str] = {}
+    for path in dict.fromkeys(scenarios):
+        scenario = load_scenario(path)
+        if scenario.name in names:
+            raise InputError(f"scenarios {names[scenario.name]!r} and {path!r} have one name, {scenario.name!r}")
+        names[scenario.name] = path
+        found |= {trial.name: trial for trial in trials_of(path, scenario, envelope)}
+    return [found[name] for name in sorted(found)]
+
+
+def trials_of(path: str, scenario: Scenario, envelope: Envelope = NO_ENVELOPE) -> Iterator[PossibleTrial]:
+    """Every trial of one scenario that may be planned.
+
+    Args:
+        path: Its name or path.
+        scenario: What is there.
+        envelope: Of the cell.
+    """
+    for settings, aside in _variants(scenario):
+        yield from _of_variant(path, scenario, settings, aside, envelope)
+
+
+def _of_variant(
+    path: str, scenario: Scenario, settings: Mapping[str, Any], aside: str, envelope: Envelope
+) -> Iterator[PossibleTrial]:
+    """Trials of a variant: every object and case, at every speed within the limit."""
+    fastest = max(map(_speed, scenario.cases.values())) if envelope.speed is None else envelope.speed
+    own = {name: case for name, case in _cases(scenario, fastest).items() if _speed(case) <= fastest * (1.0 + 1e-9)}
+    added = {f"cases.{name}": case.model_dump(mode="json") for name, case in own.items() if name not in scenario.cases}
+    varied = scenario.with_settings({**settings, **added})
+    for name, case in own.items():
+        for item in scenario.objects:
+            hit = "there and back" if scenario.excursion is not None else f"{scenario.name} of {item}"
+            pose = name if name in scenario.cases else f"pose of {name.removesuffix(_suffix(_speed(case)))}"
+            words = f"{hit} at {_speed(case):.2g} m/s{aside} ({pose})"
+            own_case = None if name in scenario.cases else case
+            yield PossibleTrial(path, settings, own_case, TrialSpec.of(varied, item, name), words)
+
+
+def _variants(scenario: Scenario) -> Iterator[tuple[dict[str, Any], str]]:
+    """Settings and words of the variants of a scenario; the scenario itself is the first."""
+    yield {}, ""
+    if scenario.friction_compensation is not None:
+        return
+    if scenario.excursion is not None:
+        start, end = np.array(scenario.excursion.start), np.array(scenario.excursion.end)
+        way = end - start
+        along = np.eye(3)[scenario.axis_index]
+        mirrored = start + 2.0 * (way @ along) * along - way
+        if not np.allclose(mirrored, end):
+            yield (
+                {
+                    "name": f"{scenario.name}_mirrored",
+                    "excursion.end": _rounded(mirrored),
+                    "excursion.twist": -scenario.excursion.twist,
+                },
+                ", mirrored",
+            )
+        return
+    side = _beside(scenario)
+    if side is not None:
+        place, distance = side
+        yield (
+            {"name": f"{scenario.name}_beside", "object_position": place},
+            f", {1e3 * distance:.0f} mm beside the centre",
+        )
+
+
+def _beside(scenario: Scenario) -> tuple[list[float], float] | None:
+    """Where the object stands for a hit beside its centre, and how far that is [m]; None where it cannot be set."""
+    if len(scenario.robots) > 1 or scenario.object_position is not None:
+        return None
+    name, robot = next(iter(scenario.robots.items()))
+    if robot.impact.joint_position is not None:
+        return None
+    placement = scenario.impact_placement(name, next(iter(scenario.objects)))
+    normal = placement.rotation[:, 2]
+    if abs(normal[2]) > HORIZONTAL:
+        return None
+    side = np.cross([0.0, 0.0, 1.0], normal)
+    sizes = [np.array(item.size) for item in scenario.objects.values()]
+    distance = BESIDE * min(float(np.abs(side) @ size) for size in sizes)
+    depth = float(np.mean([np.abs(normal) @ size for size in sizes])) / 2.0
+    centre = placement.translation + depth * normal + distance * side
+    return _rounded(centre[:2]), distance
+
+
+def _cases(scenario: Scenario, fastest: float) -> dict[str, Case]:
+    """The cases of a scenario, and each of its poses at further speeds: slower than all, those of others, the limit."""
+    found = dict(scenario.cases)
+    if scenario.friction_compensation is not None:  # identified for these cases alone
+        return found
+    speeds = sorted({round(_speed(case), 4) for case in scenario.cases.values()})
+    wanted = [SLOWER * speeds[0], *speeds]
+    if fastest > speeds[-1]:
+        wanted.append(fastest)
+    poses: dict[str, tuple[str, Case, set[float]]] = {}
+    for name, case in scenario.cases.items():
+        pose = poses.setdefault(_pose(case), (name, case, set()))
+        pose[2].add(round(_speed(case), 4))
+    for name, case, has in poses.values():
+        for speed in wanted:
+            if round(speed, 4) not in has:
+                other = _at_speed(case, speed / _speed(case))
+                if _in_time(scenario, other):
+                    found[f"{name}{_suffix(speed)}"] = other.model_copy(
+                        update={"label": f"{case.label} at {speed:.2g} m/s"}
+                    )
+    return found
+
+
+def _suffix(speed: float) -> str:
+    """End of the name of a case at another speed [m/s]."""
+    return f"_{1e3 * speed:.0f}mm_s"
+
+
+def _in_time(scenario: Scenario, case: Case) -> bool:
+    """Whether a way there and back ends within the trial."""
+    ends = [scenario.excursion_end(robot) for robot in case.robots.values()] if scenario.excursion is not None else []
+    return all(end <= scenario.timing.duration for end in ends)
+
+
+def _speed(case: Case) -> float:
+    """Largest approach speed of the arms [m/s]."""
+    return max(float(np.linalg.norm(robot.ante_velocity)) for robot in case.robots.values())
+
+
+def _pose(case: Case) -> str:
+    """What two cases have in common that differ in speed alone."""
+    speed = _speed(case) or 1.0
+    return repr(
+        [
+            (
+                name,
+                _rounded(np.array(robot.ante_velocity) / speed),
+                robot.held,
+                robot.joint_1_velocity and round(robot.joint_1_velocity / speed, 6),
+            )
+            for name, robot in sorted(case.robots.items())
+        ]
+    )
+
+
+def _at_speed(case: Case, factor: float) -> Case:
+    """The case with all velocities times a factor."""
+
+    def scaled(robot: CaseRobot) -> CaseRobot:
+        turning = robot.joint_1_velocity
+        return robot.model_copy(
+            update={
+                "ante_velocity": tuple(_rounded(factor * np.array(robot.ante_velocity))),
+                "joint_1_velocity": None if turning is None else factor * turning,
+            }
+        )
+
+    return case.model_copy(update={"robots": {name: scaled(robot) for name, robot in case.robots.items()}})
+
+
+def _rounded(values: np.ndarray) -> list[float]:
+    """To a tenth of a millimetre and less, so that files stay readable."""
+    return [round(float(value), 5) + 0.0 for value in values]

@@ -1,0 +1,156 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Choice of trials within a budget: greedy, random, or the cases of the scenarios as they stand.
+
+Greedy: the next choice is the one with the largest gain of utility per trial. A condition that was not measured costs
+two trials at first, because without a repeat it has no scatter of its own. The first conditions of a campaign are
+distinct, because a diagnosis holds conditions out. More budget never informs less.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+
+import numpy as np
+
+from impact_rs_analysis.design.discrimination import Discrimination
+from impact_rs_analysis.design.forecast import ForecastTrial
+from impact_rs_sim.errors import InputError
+from impact_rs_trials.experiment_plan import Method
+
+REPEATS = 2  # of a new condition: one alone has no scatter
+CONDITIONS = 3  # of a campaign, so that the diagnosis can hold each out and has repeats enough
+
+Counts = dict[str, int]
+
+
+def chosen(
+    method: Method, counts: Discrimination, trials: Sequence[ForecastTrial], budget: int, seed: int = 0
+) -> Counts:
+    """Further repeats by condition, in the order of the choice.
+
+    Args:
+        method: How they are chosen.
+        counts: Information of the trials.
+        trials: Those that can be planned.
+        budget: Largest number.
+        seed: Of a random choice.
+
+    Raises:
+        InputError: The budget is too small for a diagnosis, or too few conditions can be planned.
+    """
+    missing = missing_conditions(budget, len(counts.measured))
+    if len(trials) < max(missing, 1):
+        raise InputError(
+            f"{len(trials)} condition(s) can be planned within the limits, at least {max(missing, 1)} are needed; name "
+            "further scenarios, or raise a limit"
+        )
+    by_name = sorted(trials, key=lambda trial: trial.name)
+    if method == "random":
+        return _random(by_name, counts.measured, budget, missing, np.random.default_rng(seed))
+    if method == "fixed":
+        return _fixed(by_name, counts.measured, budget)
+    return _greedy(by_name, counts, budget, missing)
+
+
+def missing_conditions(budget: int, measured: int) -> int:
+    """Number of new conditions that a plan must have.
+
+    Args:
+        budget: Largest number of trials.
+        measured: Number of conditions measured so far.
+
+    Raises:
+        InputError: The budget is too small for them.
+    """
+    missing = max(CONDITIONS - measured, 0)
+    least = max(REPEATS * missing, 1)
+    if budget < least:
+        raise InputError(
+            f"{budget} trial(s) are too few: a diagnosis needs {CONDITIONS} conditions with {REPEATS} trials each, "
+            f"{missing} of them to come; expected at least {least}, or --runs with earlier trials",
+            key="--budget",
+        )
+    return missing
+
+
+def _greedy(trials: Sequence[ForecastTrial], counts: Discrimination, budget: int, missing: int) -> Counts:
+    names = [trial.name for trial in trials]
+    measured = counts.measured
+    picked: Counts = {}
+    total = counts.total(counts.counted)
+    here = counts.utility(total)
+    left = budget
+    while left > 0:
+        best: tuple[float, str, int] | None = None
+        for name, cost in _options(names, measured, picked, left, missing):
+            before = counts.counted.get(name, 0) + picked.get(name, 0)
+            gain = (counts.utility(counts.added(total, name, before, before + cost)) - here) / cost
+            if best is None or gain > best[0] * (1.0 + 1e-9):
+                best = gain, name, cost
+        if best is None:
+            break
+        _, name, cost = best
+        picked[name] = picked.get(name, 0) + cost
+        left -= cost
+        total = counts.total(counts.with_more(picked))
+        here = counts.utility(total)
+    return picked
+
+
+def _options(
+    names: Sequence[str], measured: Mapping[str, int], picked: Mapping[str, int], left: int, missing: int
+) -> Iterator[tuple[str, int]]:
+    """Conditions that may be chosen next, with their number of trials."""
+    new = sum(name not in measured for name in picked)
+    for name in names:
+        known = name in measured or name in picked
+        if new < missing and known:
+            continue
+        cost = 1 if known else REPEATS
+        if cost <= left:
+            yield name, cost
+
+
+def _random(
+    trials: Sequence[ForecastTrial], measured: Mapping[str, int], budget: int, missing: int, rng: np.random.Generator
+) -> Counts:
+    names = [trial.name for trial in trials]
+    picked: Counts = {}
+    left = budget
+    while options := list(_options(names, measured, picked, left, missing)):
+        name, cost = options[rng.integers(len(options))]
+        picked[name] = picked.get(name, 0) + cost
+        left -= cost
+    return picked
+
+
+def _fixed(trials: Sequence[ForecastTrial], measured: Mapping[str, int], budget: int) -> Counts:
+    """Cases as the scenario files have them, in equal shares; with too few trials for all, spread over them."""
+    own = [trial for trial in trials if trial.trial is not None and trial.trial.of_file] or list(trials)
+    least = 1 if all(trial.name in measured for trial in own) else REPEATS
+    many = min(len(own), budget // least)
+    places = np.unique(np.linspace(0, len(own) - 1, many).round().astype(int))
+    each, more = divmod(budget, len(places))
+    return {own[place].name: each + (number < more) for number, place in enumerate(places)}
+
+
+def most_telling(counts: Discrimination, trials: Sequence[ForecastTrial]) -> tuple[ForecastTrial, float] | None:
+    """The one further trial with the largest gain in squared distance between two estimated explanations.
+
+    Args:
+        counts: Information of the trials about the only pair of a decision.
+        trials: Those to choose from.
+
+    Returns:
+        The trial and its gain [-]; None without trials.
+    """
+    before = counts.total(counts.counted)
+    known = counts.gains(before)[0][0][0]
+    best: tuple[ForecastTrial, float] | None = None
+    for trial in sorted(trials, key=lambda one: one.name):
+        there = counts.counted.get(trial.name, 0)
+        after = counts.added(before, trial.name, there, there + 1)
+        gain = float(counts.gains(after)[0][0][0] - known)
+        if best is None or gain > best[1]:
+            best = trial, gain
+    return best

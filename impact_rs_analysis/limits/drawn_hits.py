@@ -1,0 +1,326 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a hit does to an arm, for many draws of what is not known exactly.
+
+The joint velocity jump is that of the rigid impact map (:mod:`impact_rs_sim.impact_map`); for a frictionless hit it is
+proportional to the approach speed. Largest velocities, torques and external torques come from the compiled twin
+(:mod:`impact_rs_sim.twin`): drives with springs and a pad that yields, which the rigid map does not know. The twin runs
+from the touch of the pads on, with the torque that carries the arms there, for ``WINDOW``; feedback of a controller
+hardly acts in that time.
+
+A draw changes everything that the scenario states as uncertain, the stiffness of joints and pads, and what map and twin
+are known to differ by from other simulators:
+
+    jump    + share v_n / l  n     (``config/map_discrepancy.yaml``; v_n closing speed, l reach)
+    others  times exp(share n)     (``PEAK_SHARES``)                       with n standard normal.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+import scipy
+
+from impact_rs_analysis.evidence.ante_impact import obliqueness_of
+from impact_rs_analysis.evidence.map_discrepancy import JOINTS, HitKind, MapDiscrepancy
+from impact_rs_analysis.evidence.replays import SQUARE
+from impact_rs_analysis.limits.hit_bounds import Bounds, Thresholds, bounds_of
+from impact_rs_sim.drive import DriveStart
+from impact_rs_sim.errors import InputError
+from impact_rs_sim.impact_map import ImpactMapError, ImpactProblem
+from impact_rs_sim.impact_map.contacts import SUPPORT, meetings
+from impact_rs_sim.impact_map.perturbation import change
+from impact_rs_sim.impact_map.uncertainty import answer_of, draw, possible, sources_of
+from impact_rs_sim.physics import ArmPhysics, Physics
+from impact_rs_sim.proportion import reach_of
+from impact_rs_sim.robot import Array, Reflexes
+from impact_rs_sim.robot_model import RobotModel
+from impact_rs_sim.scenario import Uncertainties
+from impact_rs_sim.scene import ArmMotion, ArmState, BodyState, Scene
+from impact_rs_sim.twin import TwinJob, simulate
+
+DRAWS = 200  # of a speed limit: two of them may lie above it
+WINDOW = 0.035  # s, from the touch on; a spring of a joint swings back within it
+GAP = 1e-4  # m, between pad and object at the start
+STIFFNESS = 0.2  # of joints and pads, relative: half the width of a 95 % interval; assumed
+DAMPING = 0.3  # likewise
+NORMAL = 1.959964  # 97.5 % quantile of the normal distribution
+# Standard deviation of the logarithm of largest values in MuJoCo over those of the twin with the same parameters, in
+# 18 pushes: benchmarks/limits.py --calibrate
+PEAK_SHARES: Mapping[str, float] = {"speed": 0.02, "torque": 0.02, "reflex": 0.03, "force": 0.02}
+
+
+@dataclass(frozen=True)
+class DrawnHit:
+    """One draw of a hit, at the speed of the scene.
+
+    Attributes:
+        physics: Parameters of the twin.
+        arms: States of the arms when their pads touch.
+        object: State of the object.
+        jump: Joint velocity jump by the map with its discrepancy, of all arms, ``(n,)``; nan: the map has no answer.
+        factors: Of the quantities, for the discrepancy of the twin, ``(k,)`` [-].
+    """
+
+    physics: Physics
+    arms: Mapping[str, ArmState]
+    object: BodyState
+    jump: Array
+    factors: Array
+
+
+class Hits:
+    """Hits of one scene at any speed, with one set of draws.
+
+    Args:
+        scene: Arms, object, case.
+        thresholds: In the place of those of the robot facts.
+        discrepancy: Of the map from simulators.
+        stated: What is uncertain; None: as the scenario states.
+        draws: Number of draws; 0: the nominal hit alone, without discrepancies.
+        seed: Of the draws.
+
+    Attributes:
+        scene: The scene.
+        bounds: Bounds of all quantities.
+        speed: Closing speed of the fastest pad in the scene [m/s].
+        kind: Kind of the hit.
+    """
+
+    def __init__(
+        self,
+        scene: Scene,
+        thresholds: Thresholds,
+        discrepancy: MapDiscrepancy,
+        stated: Uncertainties | None = None,
+        draws: int = 0,
+        seed: int = 0,
+    ) -> None:
+        self.scene = scene
+        self.bounds: Bounds = bounds_of(scene.physics, thresholds)
+        self._problem = problem = touching(scene)
+        closing = closing_speeds(scene.physics, scene.arms, problem.object, scene.models)
+        self.speed = max(closing.values())
+        self.kind: HitKind = (
+            "oblique" if obliqueness_of(scene.physics, scene.arms, problem.object) > SQUARE else "square"
+        )
+        share = sum(one.share for one in discrepancy.entries if (one.kind, one.signal) == (self.kind, JOINTS))
+        spread = [
+            np.full(arm.facts.joint_count, share * closing[name] / reach_of(arm.facts))
+            for name, arm in scene.physics.arms.items()
+        ]
+        kinds = self.bounds.kinds
+        peak_shares = np.array([PEAK_SHARES.get(kind, 0.0) for kind in kinds])
+        rng = np.random.default_rng(seed)
+        sources = sources_of(problem, scene.scenario.uncertainty if stated is None else stated)
+        self._draws: list[DrawnHit] = []
+        for _ in range(max(draws, 1)):
+            amounts = possible(problem, draw(sources, rng) if draws else {})
+            noise = rng.standard_normal(len(kinds)) if draws else np.zeros(len(kinds))
+            springs = {name: drawn_springs(arm, rng) if draws else arm for name, arm in scene.physics.arms.items()}
+            off = np.concatenate(spread) * noise[np.array(kinds) == "jump"]
+            physics, arms, body = drawn(problem, scene.models, amounts, springs)
+            jump = self._jump(amounts) + off
+            self._draws.append(DrawnHit(physics, arms, body, jump, np.exp(noise * peak_shares)))
+
+    @property
+    def rest(self) -> Array:
+        """Quantities over their bounds at speed 0, ``(draws, k)`` [-]: torques that carry the arms, else 0."""
+        found = np.zeros((len(self._draws), len(self.bounds.names)))
+        for row, one in enumerate(self._draws):
+            weights = [one.physics.robot_model(name).gravity_torque(arm.position) for name, arm in one.arms.items()]
+            found[row, np.array(self.bounds.kinds) == "torque"] = np.abs(np.concatenate(weights))
+        return found / self.bounds.values
+
+    def ratios(self, scale: float) -> Array:
+        """Quantities over their bounds at a multiple of the scene's speed, ``(draws, k)`` [-]; nan: no answer."""
+        return self.values(scale) / self.bounds.values
+
+    def values(self, scale: float) -> Array:
+        """Quantities at a multiple of the scene's speed in their units, ``(draws, k)``; nan: no answer."""
+        period = self.scene.scenario.timing.drive_period
+        jobs = [twin_job(one.physics, _scaled(one.arms, scale), one.object, period) for one in self._draws]
+        rows = []
+        for one, job, result in zip(self._draws, jobs, simulate(jobs), strict=True):
+            jump, at = {}, 0
+            for name, arm in one.arms.items():
+                jump[name] = scale * one.jump[at : at + arm.position.size]
+                at += arm.position.size
+            rows.append(quantities(self.scene, job.time, result.arms, jump) * one.factors)
+        return np.array(rows)
+
+    def _jump(self, amounts: Mapping[str, float]) -> Array:
+        """Joint velocity jumps by the map with parameters changed, of all arms, ``(n,)``; nan: no answer."""
+        before = np.concatenate([state.velocity for state in change(self._problem, amounts).problem.arms.values()])
+        try:
+            after, _ = answer_of(self._problem, self.scene.models, amounts)
+        except ImpactMapError:
+            return np.full(before.size, np.nan)
+        return np.asarray(after[: before.size] - before)
+
+
+def quantities(scene: Scene, time: Array, arms: Mapping[str, ArmMotion], jump: Mapping[str, Array]) -> Array:
+    """Quantities of a hit from its signals, in the order of :class:`Bounds`, ``(k,)``.
+
+    Args:
+        scene: What the robot believes: its observer has this model.
+        time: Times of the samples from the touch on, evenly spaced, ``(m,)`` [s].
+        arms: Signals by arm, ``(m, n)``.
+        jump: Joint velocity jump by arm, ``(n,)`` [rad/s].
+    """
+    found: list[Array] = []
+    for name, arm in arms.items():
+        model, facts = scene.models[name], scene.physics.arms[name].facts
+        gain = (facts.reflexes or Reflexes()).observer_gain
+        external = observed(model, scene.arms[name].position, time, arm, gain)
+        jacobian = model.jacobian(scene.arms[name].position)[:3]
+        force = np.linalg.norm(np.linalg.lstsq(jacobian.T, external.T, rcond=None)[0], axis=0)
+        signals = (arm.velocity, arm.torque, external)
+        found += [np.abs(jump[name]), *(np.abs(signal).max(axis=0) for signal in signals), force.max(keepdims=True)]
+    return np.concatenate(found)
+
+
+def observed(model: RobotModel, position: Array, time: Array, arm: ArmMotion, gain: float) -> Array:
+    """External joint torques by a momentum observer that was settled at the first sample, ``(m, n)`` [N m].
+
+    The configuration hardly changes during a hit: M and the weight are those of its begin.
+    """
+    period = float(time[1] - time[0])
+    momentum = (arm.velocity - arm.velocity[0]) @ model.mass_matrix(position)
+    carried = np.vstack((np.zeros_like(momentum[:1]), np.cumsum(arm.torque[:-1] - arm.torque[0], axis=0))) * period
+    filter_ = ([gain, -gain], [1.0, gain * period - 1.0])
+    return np.asarray(scipy.signal.lfilter(*filter_, momentum - carried, axis=0))
+
+
+def closing_speeds(
+    physics: Physics, arms: Mapping[str, ArmState], body: BodyState, models: Mapping[str, RobotModel]
+) -> dict[str, float]:
+    """Speed at which every pad comes to the object along the normal [m/s]."""
+    return {name: speed for name, (_, speed) in _approach(physics, arms, body, models).items()}
+
+
+def touching(scene: Scene) -> ImpactProblem:
+    """The nominal impact with every pad moved along its way until it touches the object, as a tilted one needs."""
+    problem = ImpactProblem.at_nominal_impact(scene)
+    arms = _moved(problem.arms, _approach(scene.physics, problem.arms, problem.object, scene.models), 0.0)
+    return replace(problem, arms=arms)
+
+
+def _moved(
+    arms: Mapping[str, ArmState], approach: Mapping[str, tuple[float, float]], gap: float
+) -> dict[str, ArmState]:
+    """Arms on their way at a distance of their pads from the object [m]."""
+    return {
+        name: replace(arms[name], position=arms[name].position + (separation - gap) / speed * arms[name].velocity)
+        for name, (separation, speed) in approach.items()
+    }
+
+
+def _approach(
+    physics: Physics, arms: Mapping[str, ArmState], body: BodyState, models: Mapping[str, RobotModel]
+) -> dict[str, tuple[float, float]]:
+    """Distance [m] and closing speed [m/s] of every pad.
+
+    Raises:
+        InputError: A pad does not come to the object.
+    """
+    placements = {name: models[name].placement(state.position) for name, state in arms.items()}
+    found = {}
+    for one in meetings(physics, body, placements):
+        if one.partner == SUPPORT:
+            continue
+        state = arms[one.partner]
+        speed = float(one.normal @ models[one.partner].jacobian(state.position)[:3] @ state.velocity)
+        if speed <= 0.0:
+            raise InputError(
+                f"arm {one.partner!r} does not come to the object; expected a case in which the pad hits it"
+            )
+        found[one.partner] = (one.separation, speed)
+    return found
+
+
+def drawn(
+    problem: ImpactProblem,
+    models: Mapping[str, RobotModel],
+    amounts: Mapping[str, float],
+    arms: Mapping[str, ArmPhysics],
+) -> tuple[Physics, dict[str, ArmState], BodyState]:
+    """Physics and states of a drawn hit, for a simulator; pads are moved along their way until they touch.
+
+    Args:
+        problem: The hit of the scene.
+        models: Its rigid-body models by arm.
+        amounts: Changes of parameters of the map; contact points stay where the pads are.
+        arms: Arms with the springs of the draw.
+    """
+    changed = change(problem, amounts)
+    made = {}
+    for name, arm in arms.items():
+        factor = 1.0 + changed.link_inertia.get(name, 0.0)
+        share = changed.problem.motor_inertia[name] / problem.motor_inertia[name]
+        links = tuple(
+            link.model_copy(update={"mass": factor * link.mass, "inertia": tuple(factor * np.array(link.inertia))})
+            for link in arm.facts.links
+        )
+        hand = arm.end_effector
+        made[name] = replace(
+            arm,
+            facts=arm.facts.model_copy(update={"links": links}),
+            end_effector=replace(hand, mass=factor * hand.mass, inertia=factor * hand.inertia),
+            motor_inertia_reduced=share * arm.motor_inertia_reduced,
+            motor_inertia_rotor=share * arm.motor_inertia_rotor,
+        )
+    physics, body = replace(changed.problem.physics, arms=made), changed.problem.object
+    states = _moved(changed.problem.arms, _approach(physics, changed.problem.arms, body, models), GAP)
+    return physics, states, body
+
+
+def twin_job(physics: Physics, arms: Mapping[str, ArmState], body: BodyState, period: float) -> TwinJob:
+    """A hit of the twin: arms in motion at the object, with the torque that keeps them in motion.
+
+    Args:
+        physics: Parameters.
+        arms: States of the arms when their pads touch.
+        body: State of the object.
+        period: Of the torque loop [s].
+    """
+    ticks = round(WINDOW / period)
+    torque, starts = {}, {}
+    for name, arm in arms.items():
+        bias = physics.robot_model(name).terms(arm.position, arm.velocity).bias.copy()
+        torque[name], starts[name] = bias[None], DriveStart(bias, np.zeros_like(bias))
+    return TwinJob(
+        physics=physics,
+        arms=arms,
+        drives=starts,
+        torque=torque,
+        acting={name: np.zeros(ticks, dtype=np.int32) for name in arms},
+        time=np.linspace(0.0, ticks * period, ticks + 1),
+        period=period,
+        object=body,
+    )
+
+
+def _scaled(arms: Mapping[str, ArmState], scale: float) -> dict[str, ArmState]:
+    """The same states at a multiple of their velocities."""
+    return {name: replace(arm, velocity=scale * arm.velocity) for name, arm in arms.items()}
+
+
+def drawn_springs(arm: ArmPhysics, rng: np.random.Generator) -> ArmPhysics:
+    """An arm with drawn stiffness and damping of joints and pad."""
+
+    def factor(width: float, size: int = 1) -> Array:
+        return np.maximum(1.0 + width / NORMAL * rng.standard_normal(size), 0.1)
+
+    joints = arm.stiffness.size
+    stiffness = arm.stiffness * factor(STIFFNESS, joints)
+    damping = arm.damping * factor(DAMPING, joints)
+    pad, pad_damping = float(factor(STIFFNESS)[0]), float(factor(DAMPING)[0])
+    return replace(
+        arm,
+        stiffness=stiffness,
+        damping=damping,
+        pad_stiffness=None if arm.pad_stiffness is None else pad * arm.pad_stiffness,
+        pad_damping=pad_damping * arm.pad_damping,
+    )

@@ -1,0 +1,123 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a robot bears at a hit: bounds of its facts, in one vector with the names of their quantities.
+
+========== ================================================= =========================================
+kind       quantity                                          bound
+========== ================================================= =========================================
+jump       joint velocity, 5 to 15 ms after minus before     ``reflexes.velocity_jump_rad_s``
+speed      largest joint velocity                            ``limits.velocity_rad_s``
+torque     largest joint torque, gravity included            ``limits.torque_Nm``
+reflex     largest external joint torque, filtered           ``reflexes.external_torque_Nm``
+force      largest external force at E, filtered             ``reflexes.external_force_N``
+========== ================================================= =========================================
+
+The robot has no force sensor at its pad: it sees a hit through its joints. A momentum observer (De Luca et al. 2006),
+
+    r = k_o (M dq - M dq_0 - int (tau_J - tau_J0 + r) dt),
+
+is what reflexes compare with thresholds; it is the external torque J^T f behind a low-pass filter of the rate k_o. The
+external force is that at the origin of E which explains r best, (J_v^T)^+ r.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from impact_rs_sim.physics import Physics
+from impact_rs_sim.robot import Array, Reflexes, RobotFacts
+
+KINDS = ("jump", "speed", "torque", "reflex", "force")
+WORDS = {
+    "jump": "joint velocity jump",
+    "speed": "joint velocity",
+    "torque": "joint torque",
+    "reflex": "external joint torque",
+    "force": "external force",
+}
+
+
+@dataclass(frozen=True)
+class Thresholds:
+    """Values in the place of those of the robot facts.
+
+    Attributes:
+        velocity_jump: Of every joint [rad/s]; None: that of the facts.
+        external_torque: Of every joint [N m]; None: those of the facts.
+        external_force: [N]; None: that of the facts.
+    """
+
+    velocity_jump: float | None = None
+    external_torque: float | None = None
+    external_force: float | None = None
+
+
+OF_THE_FACTS = Thresholds()
+
+
+@dataclass(frozen=True)
+class Bounds:
+    """Bounds of all quantities of a scene.
+
+    Attributes:
+        names: ``arm joint 2 torque`` ..., in the order of :func:`impact_rs_analysis.limits.drawn_hits.peaks`.
+        kinds: Kind of each, of ``KINDS``.
+        units: Unit of each.
+        values: Largest value that is borne, ``(k,)``; inf: none is known.
+    """
+
+    names: tuple[str, ...]
+    kinds: tuple[str, ...]
+    units: tuple[str, ...]
+    values: Array
+
+    @property
+    def unknown(self) -> tuple[str, ...]:
+        """Kinds without any bound, which a speed limit does not see."""
+        known = {kind for kind, value in zip(self.kinds, self.values, strict=True) if np.isfinite(value)}
+        return tuple(kind for kind in KINDS if kind not in known)
+
+
+def bounds_of(physics: Physics, thresholds: Thresholds = OF_THE_FACTS) -> Bounds:
+    """Bounds of the arms of a scene."""
+    names: list[str] = []
+    kinds: list[str] = []
+    units: list[str] = []
+    values: list[float] = []
+    for arm, one in physics.arms.items():
+        joints = one.facts.units
+        of_kind = _values(one.facts, thresholds)
+        unit = {"jump": "velocity", "speed": "velocity", "torque": "effort", "reflex": "effort"}
+        for kind in KINDS[:-1]:
+            for number, own in enumerate(joints, start=1):
+                names.append(f"{arm} joint {number} {WORDS[kind]}")
+                units.append(str(getattr(own, unit[kind])))
+            kinds += [kind] * len(joints)
+            values += of_kind[kind]
+        names.append(f"{arm} {WORDS['force']}")
+        kinds.append("force")
+        units.append("N")
+        values += of_kind["force"]
+    return Bounds(tuple(names), tuple(kinds), tuple(units), np.array(values))
+
+
+def _values(facts: RobotFacts, thresholds: Thresholds) -> Mapping[str, list[float]]:
+    """Bounds of one arm by kind."""
+    count = facts.joint_count
+    own = facts.reflexes or Reflexes()
+
+    def of(given: float | None, stated: tuple[float, ...] | None) -> list[float]:
+        if given is not None:
+            return [given] * count
+        return [np.inf] * count if stated is None else list(stated)
+
+    force = thresholds.external_force if thresholds.external_force is not None else own.external_force_N
+    return {
+        "jump": of(thresholds.velocity_jump, own.velocity_jump_rad_s),
+        "speed": list(facts.limits.velocity_rad_s),
+        "torque": list(facts.limits.torque_Nm),
+        "reflex": of(thresholds.external_torque, own.external_torque_Nm),
+        "force": [np.inf if force is None else force],
+    }

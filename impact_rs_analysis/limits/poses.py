@@ -1,0 +1,99 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Speed limits of a scenario: of its objects and cases, and of other places of the same hit."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from impact_rs_analysis.evidence.map_discrepancy import measured_map_discrepancy
+from impact_rs_analysis.limits.drawn_hits import DRAWS, Hits
+from impact_rs_analysis.limits.hit_bounds import OF_THE_FACTS, Thresholds
+from impact_rs_analysis.limits.speed import SpeedLimit, speed_limit
+from impact_rs_sim.errors import Infeasible, InputError
+from impact_rs_sim.impact_map import ImpactMapError
+from impact_rs_sim.scenario import Scenario
+from impact_rs_sim.scene import Scene
+
+
+def moved(scenario: Scenario, x: float, z: float) -> Scenario:
+    """The scenario with its hit somewhere else: pads, object and support are moved, and the arms stay.
+
+    Args:
+        scenario: The scenario.
+        x: Along the x axis of the inertial frame [m].
+        z: Upwards [m].
+
+    Raises:
+        InputError: Joints say where an arm hits, and no place.
+    """
+    robots = {}
+    for name, robot in scenario.robots.items():
+        if robot.impact.position is None:
+            raise InputError(
+                "joint_position says where this arm hits; expected position, pad_normal, pad_up and joint_guess, which "
+                "can be moved",
+                key=f"robots.{name}.impact",
+            )
+        own = robot.impact.position
+        place = (own[0] + x, own[1], own[2] + z)
+        robots[name] = robot.model_copy(update={"impact": robot.impact.model_copy(update={"position": place})})
+    update: dict[str, object] = {
+        "robots": robots,
+        "support": scenario.support.model_copy(update={"height": scenario.support.height + z}),
+    }
+    if scenario.object_position is not None:
+        update["object_position"] = (scenario.object_position[0] + x, scenario.object_position[1])
+    return scenario.model_copy(update=update)
+
+
+@dataclass(frozen=True)
+class LimitTask:
+    """One speed limit to find.
+
+    Attributes:
+        scenario: The scenario.
+        object_name: Object.
+        case_name: Case.
+        x: How far the hit is moved along x [m].
+        z: How far it is moved upwards [m].
+        thresholds: In the place of those of the robot facts.
+        draws: Of what is not known exactly.
+    """
+
+    scenario: Scenario
+    object_name: str
+    case_name: str
+    x: float = 0.0
+    z: float = 0.0
+    thresholds: Thresholds = OF_THE_FACTS
+    draws: int = DRAWS
+
+
+@dataclass(frozen=True)
+class PlacedLimit:
+    """A speed limit and where it holds.
+
+    Attributes:
+        x: How far the hit is moved along x [m].
+        z: How far it is moved upwards [m].
+        limit: The limit; None: there is none.
+        reason: Why there is none; empty: there is one.
+    """
+
+    x: float
+    z: float
+    limit: SpeedLimit | None
+    reason: str = ""
+
+
+def limit_of(task: LimitTask) -> PlacedLimit:
+    """The speed limit of a task; a place that the arm does not reach has none."""
+    scenario = moved(task.scenario, task.x, task.z) if task.x or task.z else task.scenario
+    try:
+        scene = Scene.resolve(scenario, task.object_name, task.case_name)
+        hits = Hits(scene, task.thresholds, measured_map_discrepancy(), draws=task.draws)
+        return PlacedLimit(task.x, task.z, speed_limit(hits))
+    except (Infeasible, ImpactMapError) as error:
+        if not (task.x or task.z):
+            raise
+        return PlacedLimit(task.x, task.z, None, str(error))

@@ -1,0 +1,167 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The highest approach speed at which all bounds of a robot hold in at least 99 % of the draws.
+
+With y_kd(v) the quantity k of the draw d at the closing speed v and b_k its bound, it is the largest v with
+
+    Q_0.99 over d of  max_k y_kd(v) / b_k  <=  1,
+
+and of a kind of quantities alone the same with the maximum over those. Between the speeds that were simulated y is
+interpolated linearly, and beyond the last one extrapolated: hits are nearly proportional to their speed. The search
+ends where the speed differs by less than 1 % from one that was simulated.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from impact_rs_analysis.limits.drawn_hits import Hits
+from impact_rs_analysis.limits.hit_bounds import KINDS
+from impact_rs_sim.impact_map import ImpactMapError
+from impact_rs_sim.robot import Array
+
+LEVEL = 0.99
+CLOSE = 0.01  # relative change of the speed that ends the search
+ROUNDS = 5  # speeds that are simulated at most
+HIGHEST = 20.0  # times the speed of the scene; no bound was found that matters
+LEAST_ANSWERS = 0.9  # share of the draws that need an answer
+
+
+@dataclass(frozen=True)
+class SpeedLimit:
+    """How fast an arm may hit in one scene.
+
+    Attributes:
+        object_name: Object.
+        case_name: Case.
+        planned: Closing speed of the scenario [m/s].
+        speed: Highest closing speed at which all bounds hold with ``LEVEL`` [m/s]; 0: they do not hold at rest.
+        middle: Highest speed at which they hold in half of the draws [m/s].
+        by_kind: The same as ``speed`` for each kind of quantities alone [m/s]; inf: beyond every speed of interest.
+        binding: Quantity that is nearest to its bound there.
+        unknown: Kinds without any bound.
+        draws: Draws with an answer.
+    """
+
+    object_name: str
+    case_name: str
+    planned: float
+    speed: float
+    middle: float
+    by_kind: Mapping[str, float]
+    binding: str
+    unknown: tuple[str, ...]
+    draws: int
+
+    @property
+    def allowed(self) -> bool:
+        """Whether the speed of the scenario is allowed."""
+        return self.planned <= self.speed
+
+    def to_json(self) -> dict[str, object]:
+        """As JSON; speeds beyond every interest are null."""
+        return {
+            "object": self.object_name,
+            "case": self.case_name,
+            "planned_m_s": self.planned,
+            "limit_m_s": _finite(self.speed),
+            "half_m_s": _finite(self.middle),
+            "by_kind_m_s": {kind: _finite(speed) for kind, speed in self.by_kind.items()},
+            "binding": self.binding,
+            "allowed": self.allowed,
+            "without_bound": list(self.unknown),
+            "draws": self.draws,
+            "level": LEVEL,
+        }
+
+
+def speed_limit(hits: Hits) -> SpeedLimit:
+    """The highest approach speed of a scene.
+
+    Raises:
+        ImpactMapError: Too few draws have an answer.
+    """
+    curve = _Curve(hits)
+    everything = tuple(range(len(hits.bounds.names)))
+    scale = 1.0
+    for _ in range(ROUNDS):
+        curve.add(scale)
+        found = curve.limit(everything, LEVEL)
+        if found in (0.0, HIGHEST) or abs(found - scale) <= CLOSE * scale:
+            break
+        scale = found
+    of_kind = {
+        kind: curve.limit(tuple(k for k in everything if hits.bounds.kinds[k] == kind), LEVEL)
+        for kind in KINDS
+        if kind not in hits.bounds.unknown
+    }
+    scene = hits.scene
+
+    def speed(scale: float) -> float:
+        return float("inf") if scale >= HIGHEST else scale * hits.speed
+
+    return SpeedLimit(
+        object_name=scene.object_name,
+        case_name=scene.case_name,
+        planned=hits.speed,
+        speed=speed(found),
+        middle=speed(curve.limit(everything, 0.5)),
+        by_kind={kind: speed(value) for kind, value in of_kind.items()},
+        binding=hits.bounds.names[curve.worst(found)],
+        unknown=hits.bounds.unknown,
+        draws=curve.draws,
+    )
+
+
+class _Curve:
+    """Quantities over their bounds at some speeds, and between them."""
+
+    def __init__(self, hits: Hits) -> None:
+        self._hits = hits
+        self._known = {0.0: hits.rest}
+
+    def add(self, scale: float) -> None:
+        """Simulate one more speed."""
+        self._known[scale] = self._hits.ratios(scale)
+        self._usable = np.all([np.isfinite(rows).all(axis=1) for rows in self._known.values()], axis=0)
+        if self.draws < LEAST_ANSWERS * self._usable.size:
+            raise ImpactMapError(f"of {self._usable.size} draws of the hit only {self.draws} have an answer")
+
+    @property
+    def draws(self) -> int:
+        """Draws with an answer at every speed."""
+        return int(self._usable.sum())
+
+    def at(self, scale: float) -> Array:
+        """Quantities over their bounds, ``(draws, k)``."""
+        scales = sorted(self._known)
+        place = int(np.clip(np.searchsorted(scales, scale), 1, len(scales) - 1))
+        low, high = scales[place - 1], scales[place]
+        share = (scale - low) / (high - low)
+        return np.asarray(((1.0 - share) * self._known[low] + share * self._known[high])[self._usable])
+
+    def quantile(self, scale: float, which: tuple[int, ...], level: float) -> float:
+        """Quantile over the draws of the largest of some ratios."""
+        return float(np.quantile(self.at(scale)[:, which].max(axis=1), level, method="higher"))
+
+    def limit(self, which: tuple[int, ...], level: float) -> float:
+        """Largest scale at which the quantile is at most 1, by bisection; 0: not even at rest; HIGHEST: beyond."""
+        if self.quantile(0.0, which, level) > 1.0:
+            return 0.0
+        if self.quantile(HIGHEST, which, level) <= 1.0:
+            return HIGHEST
+        low, high = 0.0, HIGHEST
+        while high - low > 1e-4 * high:
+            middle = 0.5 * (low + high)
+            low, high = (middle, high) if self.quantile(middle, which, level) <= 1.0 else (low, middle)
+        return low
+
+    def worst(self, scale: float) -> int:
+        """Number of the quantity whose quantile is largest."""
+        return int(np.argmax(np.quantile(self.at(min(scale, HIGHEST)), LEVEL, axis=0)))
+
+
+def _finite(value: float) -> float | None:
+    return value if np.isfinite(value) else None

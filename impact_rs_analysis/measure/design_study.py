@@ -1,0 +1,429 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Design study: which robot, pose, motor inertia and pad hits how (outlook of the paper).
+
+Every design is one impact problem: an arm in a random pose, its pad square before a box that stands free, at the same
+ante-impact speed along the pad's normal n, with the smallest joint velocity. Its answer by the impact map gives
+
+    impulse        n^T m (v_c^+ - v_c^-)                        of the object, v_c of its centre of mass [N s]
+    joint jump     max_i |dq_i^+ - dq_i^-| / dq_i,max           over the limit of the joint's velocity [-]
+    sensitivity    (v^+(1.05 B) - v^+(0.95 B)) / (0.1 v^+)     of the object's velocity v^+ to motor inertia [-]
+
+Intervals are those of draws from the uncertainties of a scenario (:mod:`impact_rs_sim.impact_map.uncertainty`): the
+value of the nominal design, and Student's t times the deviation of the draws. Every draw orders all designs once, with
+the same object and the same errors of setting up, for these are common to them; a rank has the range of these orders.
+"""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import scipy
+
+from impact_rs_sim.assumed_drive import assumed_drive
+from impact_rs_sim.errors import InputError
+from impact_rs_sim.impact_map import DEFAULT_ENGINE, ENGINES, Engine, ImpactMapError, ImpactProblem
+from impact_rs_sim.impact_map.perturbation import change
+from impact_rs_sim.impact_map.uncertainty import answer_of, draw, sources_of
+from impact_rs_sim.physics import JointFriction, Physics
+from impact_rs_sim.robot import Array, EndEffector, load_facts
+from impact_rs_sim.robot_model import RobotModel
+from impact_rs_sim.scenario import Scenario
+from impact_rs_sim.scene import ArmState, BodyState
+from impact_rs_trials.scenario_draft import NORMAL, upright_poses
+from impact_rs_trials.workers import Map
+
+ROBOTS = ("franka_fer", "franka_fr3", "kinova_gen3", "kuka_iiwa7", "ur5e", "ur10e")
+MOTOR_INERTIAS = ("reduced", "rotor")
+STEP = 0.05  # of B, relative
+LEVEL = 0.95
+ARM = "arm"
+MOST_TRIES = 60  # random places per pose that is wanted
+
+
+@dataclass(frozen=True)
+class PadDesign:
+    """A pad.
+
+    Attributes:
+        size: Width, height and thickness [m].
+        friction: Between pad and object [-].
+        restitution: Of the impact [-].
+    """
+
+    size: tuple[float, float, float]
+    friction: float
+    restitution: float
+
+
+PADS = {
+    "wide": PadDesign((0.10, 0.10, 0.02), 0.5, 0.0),
+    "narrow": PadDesign((0.05, 0.10, 0.02), 0.5, 0.0),
+    "bouncy": PadDesign((0.10, 0.10, 0.02), 0.5, 0.3),
+}
+
+
+@dataclass(frozen=True)
+class Measure:
+    """What designs are ranked by.
+
+    Attributes:
+        label: What it is called.
+        unit: Its unit.
+    """
+
+    label: str
+    unit: str
+
+
+MEASURES = {
+    "impulse": Measure("impulse on the object", "N s"),
+    "joint_jump": Measure("largest joint jump over the joint's velocity limit", "-"),
+    "sensitivity": Measure("sensitivity of the object's velocity to motor inertia", "-"),
+}
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """A value with its interval.
+
+    Attributes:
+        value: Of the nominal design.
+        low: Lower end at ``LEVEL``.
+        high: Upper end.
+        draws: Values of the draws; nan where one has no answer.
+    """
+
+    value: float
+    low: float
+    high: float
+    draws: tuple[float, ...]
+
+
+@dataclass(frozen=True)
+class Design:
+    """One design with its answers.
+
+    Attributes:
+        robot: Name of the robot.
+        pose: Number of the pose of this robot.
+        position: Joint positions, base to tip [rad], prismatic [m].
+        motor_inertia: ``reduced`` or ``rotor``; an arm without torque loop has ``rotor`` alone.
+        pad: Name of the pad.
+        measures: By name, as in :data:`MEASURES`.
+    """
+
+    robot: str
+    pose: int
+    position: tuple[float, ...]
+    motor_inertia: str
+    pad: str
+    measures: Mapping[str, Estimate]
+
+    @property
+    def name(self) -> str:
+        """Short name."""
+        return f"{self.robot}/{self.pose}/{self.motor_inertia}/{self.pad}"
+
+
+@dataclass(frozen=True)
+class DesignQuestion:
+    """What is asked of every design.
+
+    Attributes:
+        scenario: Its end effector, object and uncertainties.
+        object_name: Object that is hit.
+        speed: Ante-impact speed of the pad [m/s].
+        motor_inertias: Which motor inertias.
+        pads: Names of pads.
+        draws: From the uncertainties.
+        seed: Of poses and draws.
+    """
+
+    scenario: Scenario
+    object_name: str
+    speed: float = 0.5
+    motor_inertias: tuple[str, ...] = MOTOR_INERTIAS
+    pads: tuple[str, ...] = tuple(PADS)
+    draws: int = 20
+    seed: int = 0
+
+
+@dataclass(frozen=True)
+class Stance:
+    """A pose of a robot.
+
+    Attributes:
+        robot: Its name.
+        number: Number of the pose.
+        position: q, ``(n,)`` [rad].
+    """
+
+    robot: str
+    number: int
+    position: Array
+
+
+@dataclass(frozen=True)
+class DesignStudy:
+    """All designs.
+
+    Attributes:
+        question: What was asked.
+        designs: With answers, in the order of robots and poses.
+        failed: Reason by name of the design, where the map has no answer.
+        places: Random places that were tried, by robot.
+    """
+
+    question: DesignQuestion
+    designs: tuple[Design, ...]
+    failed: Mapping[str, str]
+    places: Mapping[str, int]
+
+    def ranked(self, measure: str) -> list[tuple[Design, int, int]]:
+        """Designs by falling value, each with the ends of its rank at ``LEVEL`` over the draws."""
+        found = [design.measures[measure] for design in self.designs]
+        values = np.array([one.value for one in found])
+        draws = np.array([one.draws for one in found])
+        drawn = np.where(np.isnan(draws), values[:, None], draws)
+        ranks = scipy.stats.rankdata(-drawn, method="min", axis=0)
+        tails = ((1.0 - LEVEL) / 2.0, (1.0 + LEVEL) / 2.0)
+        best, worst = np.quantile(ranks, tails, axis=1, method="nearest").astype(int)
+        order = np.argsort(-values, kind="stable")
+        return [(self.designs[index], int(best[index]), int(worst[index])) for index in order]
+
+
+def study_designs(
+    question: DesignQuestion,
+    robots: Sequence[str] = ROBOTS,
+    poses: int = 100,
+    map_tasks: Map = map,
+    report: Callable[[str, int, int], None] = lambda *_: None,
+) -> DesignStudy:
+    """Ask every robot in every pose.
+
+    Args:
+        question: What is asked.
+        robots: Names of robots, or paths of their facts.
+        poses: Random poses per robot.
+        map_tasks: Parallel map.
+        report: Called with (what, done, total).
+
+    Raises:
+        InputError: No such robot or object, or too few poses that the robot reaches fast enough.
+    """
+    question.scenario.object(question.object_name)
+    stances: list[Stance] = []
+    places = {}
+    wanted = [(robot, question, poses) for robot in robots]
+    for number, (robot, (own, tried)) in enumerate(zip(robots, map_tasks(_stand, wanted), strict=True), start=1):
+        places[robot] = tried
+        stances += own
+        report("poses", number, len(robots))
+    designs: list[Design] = []
+    failed: dict[str, str] = {}
+    tasks = [(question, stance) for stance in stances]
+    for done, (answers, wrong) in enumerate(map_tasks(ask, tasks), start=1):
+        designs += answers
+        failed |= wrong
+        report("designs", done * len(question.pads), len(tasks) * len(question.pads))
+    return DesignStudy(question, tuple(designs), failed, places)
+
+
+def stances_of(robot: str, question: DesignQuestion, poses: int) -> tuple[list[Stance], int]:
+    """Random poses in which a robot reaches the speed, and the number of places that were tried.
+
+    Raises:
+        InputError: No such robot, it has fewer than six joints, or too few of its poses are fast enough.
+    """
+    facts = load_facts(robot)
+    if facts.joint_count < 6:
+        raise InputError(f"{robot} has {facts.joint_count} joints; a pad that is held upright needs six")
+    model = RobotModel(facts, replace(_effector(question, "wide"), mount_yaw=0.0))
+    found: list[Stance] = []
+    for tried, pose in enumerate(upright_poses(model, question.seed), start=1):
+        if pose is not None and np.all(np.abs(_velocity(model, pose.q, question.speed)) <= model.velocity_max):
+            found.append(Stance(robot, len(found) + 1, pose.q))
+        if len(found) == poses:
+            return found, tried
+        if tried >= MOST_TRIES * poses:
+            break
+    raise InputError(
+        f"{robot} reaches {question.speed:g} m/s in {len(found)} of {tried} random places, expected {poses}; give a "
+        "lower --speed or fewer --poses"
+    )
+
+
+def _stand(task: tuple[str, DesignQuestion, int]) -> tuple[list[Stance], int]:
+    """:func:`stances_of`, for a parallel map."""
+    return stances_of(*task)
+
+
+def ask(task: tuple[DesignQuestion, Stance]) -> tuple[list[Design], dict[str, str]]:
+    """All designs of one robot in one pose, and why some have no answer."""
+    question, stance = task
+    designs, failed = [], {}
+    for motor_inertia, pad, problem in problems_of(question, stance):
+        name = f"{stance.robot}/{stance.number}/{motor_inertia}/{pad}"
+        try:
+            measures = _measured(problem, question)
+        except (InputError, ImpactMapError) as error:
+            failed[name] = str(error)
+            continue
+        position = tuple(stance.position.tolist())
+        designs.append(Design(stance.robot, stance.number, position, motor_inertia, pad, measures))
+    return designs, failed
+
+
+def problems_of(question: DesignQuestion, stance: Stance) -> Iterator[tuple[str, str, ImpactProblem]]:
+    """Motor inertia, pad and impact problem of every design of one robot in one pose."""
+    facts = load_facts(stance.robot)
+    template = Physics.nominal(question.scenario, question.object_name)
+    arm = next(iter(template.arms.values()))
+    for pad_name in question.pads:
+        pad, effector = PADS[pad_name], replace(_effector(question, pad_name), mount_yaw=0.0)
+        drive = _drive(stance.robot, effector, question.scenario.timing.drive_period)
+        rotor = np.array(drive["motor_inertia_rotor"])
+        reduced = np.array(drive.get("motor_inertia_reduced", drive["motor_inertia_rotor"]))
+        model = RobotModel(facts, effector)
+        placement = model.placement(stance.position)
+        own = replace(
+            arm,
+            facts=facts,
+            base=model.base,
+            end_effector=effector,
+            motor_inertia_rotor=rotor,
+            motor_inertia_reduced=reduced,
+            stiffness=np.array(drive["stiffness"]),
+            damping=np.array(drive["damping"]),
+            friction=JointFriction.none(facts.joint_count),
+            torque_offset=np.zeros(facts.joint_count),
+            torque_gain=np.ones(facts.joint_count),
+            impact_position=placement.translation,
+        )
+        physics = replace(
+            template,
+            arms={ARM: own},
+            support_height=None,
+            pad_friction=pad.friction,
+            restitution=pad.restitution,
+        )
+        middle = placement.translation + NORMAL * (0.5 * float(np.abs(NORMAL) @ template.object.size))
+        state = ArmState(stance.position, _velocity(model, stance.position, question.speed))
+        for motor_inertia in question.motor_inertias:
+            if motor_inertia == "reduced" and not facts.joint_torque_loop:
+                continue
+            yield (
+                motor_inertia,
+                pad_name,
+                ImpactProblem(
+                    physics=physics,
+                    arms={ARM: state},
+                    object=BodyState(middle, np.eye(3), np.zeros(6)),
+                    motor_inertia={ARM: own.motor_inertia(motor_inertia)},
+                    restitution=pad.restitution,
+                ),
+            )
+
+
+def values_by(engine_name: str, problem: ImpactProblem) -> dict[str, float]:
+    """The measures of one problem without uncertainties, by an engine of the impact map.
+
+    Args:
+        engine_name: ``exact`` or ``bullet``.
+        problem: The problem.
+
+    Raises:
+        InputError: The problem is refused.
+        ImpactMapError: It has no answer.
+    """
+    engine: Engine = ENGINES[engine_name](problem.physics)
+
+    def solve(scale: float) -> Array:
+        motors = {name: scale * values for name, values in problem.motor_inertia.items()}
+        answer = engine.solve(replace(problem, motor_inertia=motors))
+        return np.concatenate((*answer.joint_velocity.values(), answer.object_twist))
+
+    try:
+        return _values(problem, *(solve(scale) for scale in (1.0, 1.0 + STEP, 1.0 - STEP)))
+    finally:
+        engine.close()
+
+
+def _measured(problem: ImpactProblem, question: DesignQuestion) -> dict[str, Estimate]:
+    """The measures of a problem with their intervals."""
+    models = problem.physics.robot_models()
+    nominal = values_by(DEFAULT_ENGINE, problem)
+    sources = sources_of(problem, question.scenario.uncertainty)
+    found = np.full((question.draws, len(nominal)), np.nan)
+    for number in range(question.draws):
+        amounts: dict[str, float] = {}
+        for index, source in enumerate(
+            sources
+        ):  # each by itself, so that designs with more joints have the same object
+            for name, amount in draw((source,), np.random.default_rng((question.seed, number, index))).items():
+                amounts[name] = amounts.get(name, 0.0) + amount
+        try:
+            found[number] = list(_drawn(problem, models, amounts).values())
+        except ImpactMapError:
+            continue
+    answered = found[~np.isnan(found[:, 0])]
+    if len(answered) < 2:
+        raise ImpactMapError(f"{len(answered)} of {question.draws} draws have an answer, expected two or more")
+    half = scipy.stats.t.ppf(0.5 + LEVEL / 2.0, len(answered) - 1) * np.std(answered, axis=0, ddof=1)
+    return {
+        name: Estimate(value, value - width, value + width, tuple(column))
+        for (name, value), width, column in zip(nominal.items(), half.tolist(), found.T.tolist(), strict=True)
+    }
+
+
+def _drawn(problem: ImpactProblem, models: Mapping[str, RobotModel], amounts: dict[str, float]) -> dict[str, float]:
+    """The measures with parameters changed."""
+    motors = problem.motor_inertia[ARM]
+    names = [f"{ARM}.motor_inertia.{joint + 1}" for joint in range(motors.size)]
+
+    def solve(step: float) -> Array:
+        moved = {
+            name: amounts.get(name, 0.0) + step * (float(value) + amounts.get(name, 0.0))
+            for name, value in zip(names, motors, strict=True)
+        }
+        velocities, _ = answer_of(problem, models, {**amounts, **moved})
+        return np.concatenate((velocities[: motors.size], velocities[-6:]))
+
+    more, less = solve(STEP), solve(-STEP)
+    return _values(change(problem, amounts).problem, 0.5 * (more + less), more, less)
+
+
+def _values(problem: ImpactProblem, answer: Array, more: Array, less: Array) -> dict[str, float]:
+    """The measures from velocities of joints and object, ``(n + 6,)``, with B, with more and with less."""
+    state, object_ = problem.arms[ARM], problem.physics.object
+    offset = problem.object.rotation @ object_.com_offset
+
+    def speed(velocities: Array) -> float:
+        return float(NORMAL @ (velocities[-6:-3] + np.cross(velocities[-3:], offset)))
+
+    limits = np.array(problem.physics.arms[ARM].facts.limits.velocity_rad_s)
+    return {
+        "impulse": object_.mass * speed(answer),
+        "joint_jump": float(np.max(np.abs(answer[:-6] - state.velocity) / limits)),
+        "sensitivity": (speed(more) - speed(less)) / (2.0 * STEP * speed(answer)),
+    }
+
+
+@functools.lru_cache(maxsize=64)
+def _drive(robot: str, effector: EndEffector, period: float) -> dict[str, list[float]]:
+    """The drive of a robot as published, or scaled from another's."""
+    return assumed_drive(load_facts(robot), effector, period)
+
+
+def _velocity(model: RobotModel, q: Array, speed: float) -> Array:
+    """Smallest joint velocity with which the pad comes along its normal without turning, ``(n,)`` [rad/s]."""
+    return np.asarray(np.linalg.pinv(model.jacobian(q)) @ np.append(speed * NORMAL, np.zeros(3)))
+
+
+def _effector(question: DesignQuestion, pad: str) -> EndEffector:
+    """The end effector of the scenario's first arm with another pad."""
+    robot = next(iter(question.scenario.robots.values()))
+    return replace(robot.end_effector.build(), pad_size=PADS[pad].size)

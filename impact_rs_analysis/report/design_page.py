@@ -1,0 +1,163 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Page and table of a design study: what every design does, and which are ahead."""
+
+from __future__ import annotations
+
+import csv
+import io
+from dataclasses import dataclass
+from pathlib import Path
+
+import plotly.graph_objects as go
+
+from impact_rs_analysis.measure.design_study import LEVEL, MEASURES, Design, DesignStudy
+from impact_rs_analysis.report.figures import BLACK, BLUE, GREEN, ORANGE, PURPLE, RED, SKY
+from impact_rs_analysis.report.page import Plot, render, write_files
+from impact_rs_analysis.report.plots import TEMPLATE
+
+COLOURS = (BLUE, ORANGE, GREEN, RED, PURPLE, SKY, BLACK)
+SHOWN = 15  # designs of a table
+SYMBOLS = ("circle", "diamond", "square", "cross", "x")
+
+
+@dataclass(frozen=True)
+class DesignPage:
+    """Content of ``design_study.html.j2``.
+
+    Attributes:
+        title: Heading.
+        summary: What was asked, in a sentence.
+        plots: The figures.
+        tables: By measure: its label with unit, and rows of design, value, interval and ranks.
+        failed: Designs without an answer, with the reason.
+    """
+
+    title: str
+    summary: str
+    plots: tuple[Plot, ...]
+    tables: dict[str, list[tuple[str, ...]]]
+    failed: dict[str, str]
+
+
+def write_design_study(study: DesignStudy, directory: Path) -> Path:
+    """Write ``design_study.html`` and ``designs.csv``, a row per design.
+
+    Returns:
+        The page.
+
+    Raises:
+        InputError: They cannot be written.
+    """
+    question = study.question
+    robots = list(dict.fromkeys(design.robot for design in study.designs))
+    page = DesignPage(
+        title="Design study",
+        summary=f"{len(study.designs)} designs of {len(robots)} robots hit {question.object_name} of "
+        f"{question.scenario.name} at {question.speed:g} m/s, square and free of support. Intervals of {LEVEL:.0%}: "
+        f"{question.draws} draws from the uncertainties of the scenario. Poses are random.",
+        plots=(
+            Plot(
+                "hits",
+                _hits(study, robots),
+                caption="Each point is a design: colour is the robot, form the pad; open: B<sub>θ</sub>, filled: "
+                "B<sub>ρ</sub>. Further up it hits harder, further left the joints bear it better.",
+                zoom=True,
+            ),
+            Plot(
+                "sensitivity",
+                _sensitivity(study, robots),
+                caption="By how many percent the object is faster for one percent more motor inertia in all joints. "
+                "A pose with a large value shows which motor inertia a robot has.",
+            ),
+        ),
+        tables={
+            f"{measure.label} [{measure.unit}]": [
+                (design.name, *_texts(design, name), f"{best} to {worst}")
+                for design, best, worst in study.ranked(name)[:SHOWN]
+            ]
+            for name, measure in MEASURES.items()
+        },
+        failed=dict(study.failed),
+    )
+    files = {"design_study.html": render("design_study.html.j2", page), "designs.csv": design_table(study)}
+    return write_files(directory, files)[0]
+
+
+def design_table(study: DesignStudy) -> str:
+    """All designs as CSV: value, interval and ranks of every measure; headers are name and unit."""
+    ranks = {
+        name: {design.name: (number, best, worst) for number, (design, best, worst) in enumerate(study.ranked(name), 1)}
+        for name in MEASURES
+    }
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    head = ["robot", "pose", "motor_inertia", "pad", "joint_positions [rad, m]"]
+    for name, measure in MEASURES.items():
+        head += [f"{name}{end} [{measure.unit}]" for end in ("", "_low", "_high")]
+        head += [f"{name}_rank{end}" for end in ("", "_best", "_worst")]
+    writer.writerow(head)
+    for design in study.designs:
+        row: list[object] = [design.robot, design.pose, design.motor_inertia, design.pad]
+        row.append(" ".join(f"{value:.6g}" for value in design.position))
+        for name in MEASURES:
+            found = design.measures[name]
+            row += [f"{value:.6g}" for value in (found.value, found.low, found.high)]
+            row += [*ranks[name][design.name]]
+        writer.writerow(row)
+    return text.getvalue()
+
+
+def _texts(design: Design, measure: str) -> tuple[str, str]:
+    found = design.measures[measure]
+    return f"{found.value:.3g}", f"[{found.low:.3g}, {found.high:.3g}]"
+
+
+def _hits(study: DesignStudy, robots: list[str]) -> go.Figure:
+    """Impulse over joint jump."""
+    traces = []
+    for number, robot in enumerate(robots):
+        own = [design for design in study.designs if design.robot == robot]
+        pads = list(study.question.pads)
+        symbols = [
+            SYMBOLS[pads.index(design.pad) % len(SYMBOLS)] + ("-open" if design.motor_inertia == "reduced" else "")
+            for design in own
+        ]
+        traces.append(
+            go.Scatter(
+                x=[round(design.measures["joint_jump"].value, 5) for design in own],
+                y=[round(design.measures["impulse"].value, 5) for design in own],
+                text=[design.name for design in own],
+                mode="markers",
+                marker={"color": COLOURS[number % len(COLOURS)], "symbol": symbols, "size": 6},
+                name=robot,
+            )
+        )
+    figure = go.Figure(traces, layout={"template": TEMPLATE})
+    return figure.update_layout(
+        height=520,
+        xaxis={"title": {"text": "largest joint jump over the joint's velocity limit [-]"}},
+        yaxis={"title": {"text": "impulse on the object [N s]"}},
+    )
+
+
+def _sensitivity(study: DesignStudy, robots: list[str]) -> go.Figure:
+    """Sensitivities by robot and motor inertia."""
+    traces = []
+    for number, kind in enumerate(study.question.motor_inertias):
+        own = [design for design in study.designs if design.motor_inertia == kind]
+        traces.append(
+            go.Box(
+                x=[design.robot for design in own],
+                y=[round(design.measures["sensitivity"].value, 6) for design in own],
+                name={"reduced": "B_theta", "rotor": "B_rho"}[kind],
+                marker={"color": COLOURS[number]},
+                boxpoints=False,
+            )
+        )
+    figure = go.Figure(traces, layout={"template": TEMPLATE})
+    return figure.update_layout(
+        height=380,
+        boxmode="group",
+        xaxis={"title": {"text": "robot"}, "categoryorder": "array", "categoryarray": robots},
+        yaxis={"title": {"text": "sensitivity to motor inertia [-]"}},
+    )

@@ -1,0 +1,149 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Page of speed limits: allowed and planned speeds, what limits them, and a map over places of the hit."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import plotly.graph_objects as go
+
+from impact_rs_analysis.limits.hit_bounds import KINDS, WORDS
+from impact_rs_analysis.limits.poses import PlacedLimit
+from impact_rs_analysis.limits.speed import LEVEL, SpeedLimit
+from impact_rs_analysis.report.figures import BLACK, BLUE, GREEN, ORANGE, RED
+from impact_rs_analysis.report.page import Plot, render, write_files
+from impact_rs_analysis.report.plots import GREY, TEMPLATE
+from impact_rs_sim.scenario import Scenario
+
+COLOURS = {"jump": BLUE, "speed": GREEN, "torque": ORANGE, "reflex": RED, "force": GREY}
+
+
+@dataclass(frozen=True)
+class SpeedLimitPage:
+    """Content of ``speed_limits.html.j2``.
+
+    Attributes:
+        title: Heading.
+        answer: What the page says, in a sentence.
+        limits: Rows of the table.
+        kinds: Kinds of bounds that are known, with their names.
+        unknown: Names of the others.
+        plots: Figures.
+    """
+
+    title: str
+    answer: str
+    limits: tuple[SpeedLimit, ...]
+    kinds: dict[str, str]
+    unknown: tuple[str, ...]
+    plots: tuple[Plot, ...]
+
+
+def write_limits(
+    scenario: Scenario, limits: Sequence[SpeedLimit], places: Sequence[PlacedLimit], directory: Path
+) -> Path:
+    """Write ``limits.html``, ``limits.json`` and ``limits.csv``.
+
+    Args:
+        scenario: The scenario.
+        limits: Of its objects and cases.
+        places: Of other places of the hit, row by row upwards; empty: none.
+        directory: Folder of the report.
+
+    Returns:
+        The page.
+
+    Raises:
+        InputError: It cannot be written.
+    """
+    plots = [Plot("limits", limits_plot(limits), "Allowed closing speed by kind of bound; line: planned.")]
+    if places:
+        caption = (
+            "Allowed closing speed where the hit is moved along x and z, with pad, object and support; empty: the arm "
+            "cannot hit there. 0, 0 is the place of the scenario."
+        )
+        plots.append(Plot("places", places_plot(places), caption, "Over places of the hit"))
+    slow = [one for one in limits if not one.allowed]
+    least = min(limits, key=lambda one: one.speed)
+    answer = (
+        f"{len(limits) - len(slow)} of {len(limits)} planned hits are allowed. The least is {least.speed:.3f} m/s "
+        f"({least.object_name}, {least.case_name}; {least.binding})."
+    )
+    page = SpeedLimitPage(
+        title=f"How fast may {scenario.name} hit?",
+        answer=answer,
+        limits=tuple(limits),
+        kinds={kind: WORDS[kind] for kind in KINDS if kind not in limits[0].unknown},
+        unknown=tuple(WORDS[kind] for kind in limits[0].unknown),
+        plots=tuple(plots),
+    )
+    files = {
+        "limits.html": render("speed_limits.html.j2", page),
+        "limits.json": json.dumps(limits_document(scenario, limits, places), indent=2, allow_nan=False) + "\n",
+        "limits.csv": _csv(limits, places),
+    }
+    return write_files(directory, files)[0]
+
+
+def limits_document(scenario: Scenario, limits: Sequence[SpeedLimit], places: Sequence[PlacedLimit]) -> dict[str, Any]:
+    """Speed limits as JSON."""
+    return {
+        "scenario": scenario.name,
+        "level": LEVEL,
+        "limits": [one.to_json() for one in limits],
+        "places": [
+            {
+                "x_m": one.x,
+                "z_m": one.z,
+                "limit": None if one.limit is None else one.limit.to_json(),
+                **({"reason": one.reason} if one.reason else {}),
+            }
+            for one in places
+        ],
+    }
+
+
+def limits_plot(limits: Sequence[SpeedLimit]) -> go.Figure:
+    """Bars of the allowed speed by kind of bound, with the planned speed."""
+    names = [f"{one.object_name}, {one.case_name}" for one in limits]
+    figure = go.Figure(layout={"template": TEMPLATE, "barmode": "group"})
+    for kind in KINDS:
+        if kind in limits[0].by_kind:
+            speeds = [one.to_json()["by_kind_m_s"][kind] for one in limits]  # type: ignore[index]
+            figure.add_bar(x=names, y=speeds, name=WORDS[kind], marker={"color": COLOURS[kind]})
+    planned = [one.planned for one in limits]
+    marker = {"symbol": "line-ew-open", "size": 30, "color": BLACK}
+    figure.add_scatter(x=names, y=planned, mode="markers", name="planned", marker=marker)
+    return figure.update_layout(height=400, yaxis={"title": {"text": "closing speed [m/s]"}, "rangemode": "tozero"})
+
+
+def places_plot(places: Sequence[PlacedLimit]) -> go.Figure:
+    """Map of the allowed speed over places of the hit."""
+    x, z = (sorted({getattr(one, axis) for one in places}) for axis in ("x", "z"))
+    speeds = {(one.x, one.z): one.limit.to_json()["limit_m_s"] for one in places if one.limit is not None}
+    rows = [[speeds.get((along, up)) for along in x] for up in z]
+    heat = go.Heatmap(x=x, y=z, z=rows, colorscale="Viridis", zmin=0.0, colorbar={"title": {"text": "m/s"}})
+    return go.Figure([heat], layout={"template": TEMPLATE}).update_layout(
+        height=420, xaxis={"title": {"text": "x [m]"}}, yaxis={"title": {"text": "z [m]"}}
+    )
+
+
+def _csv(limits: Sequence[SpeedLimit], places: Sequence[PlacedLimit]) -> str:
+    """All limits as a table, a row each."""
+    text = io.StringIO()
+    kinds = [f"{kind} [m/s]" for kind in KINDS]
+    table = csv.writer(text, lineterminator="\n")
+    table.writerow(["object", "case", "x [m]", "z [m]", "planned [m/s]", "limit [m/s]", *kinds, "nearest bound"])
+    rows = [(0.0, 0.0, one) for one in limits]
+    rows += [(one.x, one.z, one.limit) for one in places if one.limit is not None]
+    for x, z, one in rows:
+        speeds = [one.planned, one.speed, *(one.by_kind.get(kind, float("inf")) for kind in KINDS)]
+        numbers = ["" if speed == float("inf") else f"{speed:.4f}" for speed in speeds]
+        table.writerow([one.object_name, one.case_name, f"{x:g}", f"{z:g}", *numbers, one.binding])
+    return text.getvalue()

@@ -1,0 +1,238 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A package of evidence: what one laboratory found in one set of measurements, for others to check and to merge.
+
+One JSON file holds the model that was diagnosed, the diagnosis, the digest of every file of the measurements, versions,
+and who measured what. Measurements stay where they are. A seal, the digest of everything else, reveals changes by
+accident; it is no signature.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import platform
+from collections.abc import Callable
+from dataclasses import dataclass
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+from pydantic import Field
+
+from impact_rs_analysis.diagnosis.document import LARGEST, DiagnosisDocument
+from impact_rs_sim.errors import InputError
+from impact_rs_sim.files import write_whole
+from impact_rs_sim.model import Model, check_model
+from impact_rs_sim.schema import Schema, read_text, validate
+from impact_rs_sim.version import git_revision, package_version
+
+LIBRARIES = ("numpy", "scipy", "pin")
+BLOCK = 1 << 20  # bytes that are read at a time
+
+
+class FileDigest(Schema):
+    """One file of the measurements."""
+
+    path: str = Field(description="path in the folder of the measurements, with /")
+    size: int = Field(ge=0, description="bytes")
+    sha256: str = Field(pattern=r"^[0-9a-f]{64}$", description="SHA-256 of its content")
+
+
+class EvidencePackage(Schema):
+    """``*.evidence.json``."""
+
+    format: int = Field(1, ge=1, le=1, description="version of this format")
+    laboratory: str = Field(min_length=1, description="who measured")
+    robot: str = Field(min_length=1, description="which robot: kind, and the one of several")
+    object: str = Field(min_length=1, description="which object was hit; 'none' in free motion")
+    note: str = Field("", description="remarks of the laboratory")
+    versions: dict[str, str] = Field(description="versions of program and libraries")
+    model: Model = Field(description="model that was diagnosed")
+    diagnosis: DiagnosisDocument = Field(description="the diagnosis")
+    data: tuple[FileDigest, ...] = Field(description="files of the measurements")
+    seal: str = Field("", description="SHA-256 of all of the above")
+
+    @property
+    def name(self) -> str:
+        """Laboratory, robot and object."""
+        return f"{self.laboratory}: {self.robot}, {self.object}"
+
+    def sealed(self) -> EvidencePackage:
+        """The package with the seal of its present content."""
+        return self.model_copy(update={"seal": self._digest()})
+
+    @property
+    def intact(self) -> bool:
+        """Whether the seal is that of the content."""
+        return self.seal == self._digest()
+
+    def _digest(self) -> str:
+        content = self.model_dump(mode="json", exclude={"seal"})
+        return hashlib.sha256(json.dumps(content, sort_keys=True, separators=(",", ":")).encode()).hexdigest()
+
+
+@dataclass(frozen=True)
+class PackageCheck:
+    """Result of one check of a package.
+
+    Attributes:
+        what: What was checked.
+        passed: Whether it holds.
+        found: What was found, in words.
+    """
+
+    what: str
+    passed: bool
+    found: str
+
+
+def make_package(
+    diagnosis: DiagnosisDocument,
+    model: Model,
+    data: Path,
+    laboratory: str,
+    robot: str,
+    object_name: str,
+    note: str = "",
+    progress: Callable[[int, int], None] = lambda *_: None,
+) -> EvidencePackage:
+    """A sealed package.
+
+    Args:
+        diagnosis: What was found.
+        model: The model that was diagnosed.
+        data: Folder or file of the measurements.
+        laboratory: Who measured.
+        robot: Which robot.
+        object_name: Which object.
+        note: Remarks.
+        progress: Called with the number of files read, and of all files.
+
+    Raises:
+        InputError: The diagnosis is of another model, or there are no measurements.
+    """
+    _check_model(diagnosis, model)
+    return EvidencePackage(
+        laboratory=laboratory,
+        robot=robot,
+        object=object_name,
+        note=note,
+        versions={
+            "impact_rs": package_version(),
+            "git_revision": git_revision(),
+            "python": platform.python_version(),
+            **{name: version(name) for name in LIBRARIES},
+        },
+        model=model,
+        diagnosis=diagnosis,
+        data=digests_of(data, progress),
+    ).sealed()
+
+
+def _check_model(diagnosis: DiagnosisDocument, model: Model) -> None:
+    if diagnosis.model.digest != model.digest:
+        raise InputError(
+            f"the diagnosis is of model {diagnosis.model.name!r} (digest {diagnosis.model.digest}), not of "
+            f"{model.name!r} (digest {model.digest}); give the model that was diagnosed"
+        )
+
+
+def digests_of(data: Path, progress: Callable[[int, int], None] = lambda *_: None) -> tuple[FileDigest, ...]:
+    """Digests of a file, or of all files below a folder but hidden ones.
+
+    Raises:
+        InputError: There is no file, or one cannot be read.
+    """
+    if data.is_file():
+        root, files = data.parent, [data]
+    else:
+        root = data
+        files = sorted(
+            path
+            for path in data.rglob("*")
+            if path.is_file() and not any(part.startswith(".") for part in path.relative_to(data).parts)
+        )
+    if not files:
+        raise InputError("no measurements here; expected the file or folder that was diagnosed", file=data)
+    found = []
+    for number, path in enumerate(files, start=1):
+        digest = hashlib.sha256()
+        try:
+            with path.open("rb") as file:
+                while block := file.read(BLOCK):
+                    digest.update(block)
+            size = path.stat().st_size
+        except OSError as error:
+            raise InputError(f"cannot be read: {error.strerror or error}", file=path) from None
+        found.append(FileDigest(path=path.relative_to(root).as_posix(), size=size, sha256=digest.hexdigest()))
+        progress(number, len(files))
+    return tuple(found)
+
+
+def write_package(package: EvidencePackage, path: Path) -> None:
+    """Write a package; an earlier one is replaced.
+
+    Raises:
+        InputError: It cannot be written.
+    """
+    write_whole(path, json.dumps(package.model_dump(mode="json"), indent=1, allow_nan=False) + "\n")
+
+
+def read_package(path: Path) -> EvidencePackage:
+    """Read a package; nothing is checked but its form.
+
+    Raises:
+        InputError: The file is missing or no package.
+    """
+    try:
+        data: Any = json.loads(read_text(path, LARGEST))
+    except json.JSONDecodeError as error:
+        raise InputError(f"not valid JSON at line {error.lineno}: {error.msg}", file=path) from None
+    except RecursionError:
+        raise InputError("no package of evidence: nested too deeply", file=path) from None
+    if not isinstance(data, dict) or "seal" not in data:
+        raise InputError("no package of evidence; expected one that impact-rs evidence pack has written", file=path)
+    package = validate(EvidencePackage, data, path)
+    check_model(package.model, path)
+    return package
+
+
+def check_package(
+    package: EvidencePackage, data: Path | None, progress: Callable[[int, int], None] = lambda *_: None
+) -> list[PackageCheck]:
+    """PackageCheck a package, with its measurements where they are at hand.
+
+    Args:
+        package: The package.
+        data: Folder or file of the measurements; None: not at hand.
+        progress: As of :func:`digests_of`.
+
+    Raises:
+        InputError: The measurements cannot be read.
+    """
+    checks = [PackageCheck("seal", package.intact, "as packed" if package.intact else "the content was changed")]
+    same = package.model.digest == package.diagnosis.model.digest
+    found = package.model.digest if same else f"{package.model.digest}, diagnosed: {package.diagnosis.model.digest}"
+    checks.append(PackageCheck("model is the one diagnosed", same, found))
+    known = {effect.name for effect in package.diagnosis.effects}
+    unknown = [name for name in package.diagnosis.named if name not in known]
+    checks.append(
+        PackageCheck(
+            "named effects have estimates", not unknown, ", ".join(unknown or package.diagnosis.named) or "none named"
+        )
+    )
+    if data is not None:
+        there = {one.path: one.sha256 for one in digests_of(data, progress)}
+        wanted = {one.path: one.sha256 for one in package.data}
+        wrong = {
+            "missing": sorted(wanted.keys() - there.keys()),
+            "not in the package": sorted(there.keys() - wanted.keys()),
+            "changed": sorted(path for path in wanted.keys() & there.keys() if wanted[path] != there[path]),
+        }
+        words = "; ".join(
+            f"{what}: {', '.join(paths[:3])}{' ...' if len(paths) > 3 else ''}"
+            for what, paths in wrong.items()
+            if paths
+        )
+        checks.append(PackageCheck("measurements", not words, words or f"{len(wanted)} files as packed"))
+    return checks

@@ -1,0 +1,131 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Random-effects meta-analysis of one parameter: estimates y_i with standard errors s_i of k studies.
+
+    y_i = mu + u_i + e_i,   u_i ~ N(0, tau^2),   e_i ~ N(0, s_i^2)
+
+    w_i   = 1 / s_i^2,  W = sum w_i,  m = sum w_i y_i / W
+    Q     = sum w_i (y_i - m)^2                                          heterogeneity; chi^2 (k - 1) at tau = 0
+    tau^2 = max(0, (Q - (k - 1)) / (W - sum w_i^2 / W))                  DerSimonian and Laird 1986
+    mu    = sum w*_i y_i / W*,  w*_i = 1 / (s_i^2 + tau^2)
+    var   = sum w*_i (y_i - mu)^2 / ((k - 1) W*), Student's t of k - 1   Hartung 1999, Knapp and Hartung 2003
+
+An odd study has a large studentised residual from the others (Viechtbauer and Cheung 2010),
+
+    r = (y - mu) / sqrt(s^2 + tau^2 + 1 / W*)                            where the others differ (p of Q <= 0.05)
+    r = (y - m) / sqrt(h^2 (s^2 + 1 / W))                                where they do not
+
+with mu, tau, W* of the others. tau of a few studies is known poorly, and 0 by chance as often as not; h^2 >= 1 is the
+mean of Q / (k - 1) over all parameters in which the others do not differ, with the degrees of freedom of Student's t.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import scipy
+
+from impact_rs_sim.robot import Array
+
+LEVEL = 0.95
+DIFFER = 0.05  # p of Q, up to which tau of the others is taken for a residual
+
+
+@dataclass(frozen=True)
+class Pooled:
+    """What studies say together.
+
+    Attributes:
+        mean: mu.
+        low: Lower end of its interval at ``LEVEL``.
+        high: Upper end.
+        tau: Standard deviation between studies.
+        q: Heterogeneity Q.
+        p_value: p of Q where there is no deviation between studies; 1 of a single study.
+        studies: k.
+    """
+
+    mean: float
+    low: float
+    high: float
+    tau: float
+    q: float
+    p_value: float
+    studies: int
+
+    @property
+    def inconsistency(self) -> float:
+        """I^2, share of the variance of the estimates that is due to deviations between studies [-]."""
+        return max(0.0, (self.q - (self.studies - 1)) / self.q) if self.q > 0.0 else 0.0
+
+
+def pool(values: Sequence[float], errors: Sequence[float]) -> Pooled:
+    """Mean of all studies with its interval; of a single study its own.
+
+    Args:
+        values: y, k numbers.
+        errors: s > 0, k numbers.
+    """
+    y, s = np.asarray(values, dtype=float), np.asarray(errors, dtype=float)
+    count = y.size
+    if count == 1:
+        half = float(scipy.stats.norm.ppf(0.5 + LEVEL / 2.0) * s[0])
+        return Pooled(float(y[0]), float(y[0]) - half, float(y[0]) + half, 0.0, 0.0, 1.0, 1)
+    q, tau = _heterogeneity(y, s)
+    weight = 1.0 / (s**2 + tau**2)
+    mean = float(weight @ y / weight.sum())
+    variance = float(weight @ (y - mean) ** 2 / ((count - 1) * weight.sum()))
+    half = float(scipy.stats.t.ppf(0.5 + LEVEL / 2.0, count - 1) * np.sqrt(variance))
+    p_value = float(scipy.stats.chi2.sf(q, count - 1))
+    return Pooled(mean, mean - half, mean + half, tau, q, p_value, count)
+
+
+def residual(
+    value: float, error: float, others: Sequence[float], errors: Sequence[float], dispersion: float = 1.0
+) -> float:
+    """Studentised residual of a study from others [-]; nan with fewer than two others.
+
+    Args:
+        value: y of the study.
+        error: Its s.
+        others: y of the others.
+        errors: Their s.
+        dispersion: h^2.
+    """
+    y, s = np.asarray(others, dtype=float), np.asarray(errors, dtype=float)
+    if y.size < 2:
+        return float("nan")
+    _, tau, differ = heterogeneity(others, errors)
+    weight = 1.0 / (s**2 + tau**2) if differ else 1.0 / s**2
+    variance = error**2 + 1.0 / weight.sum()
+    variance = variance + tau**2 if differ else max(dispersion, 1.0) * variance
+    return float((value - weight @ y / weight.sum()) / np.sqrt(variance))
+
+
+def heterogeneity(values: Sequence[float], errors: Sequence[float]) -> tuple[float, float, bool]:
+    """Q, tau, and whether studies differ."""
+    q, tau = _heterogeneity(np.asarray(values, dtype=float), np.asarray(errors, dtype=float))
+    return q, tau, len(values) > 1 and float(scipy.stats.chi2.sf(q, len(values) - 1)) <= DIFFER
+
+
+def within_groups(values: Sequence[float], errors: Sequence[float], groups: Sequence[str]) -> tuple[float, int]:
+    """Heterogeneity within groups of studies, and its degrees of freedom."""
+    y, s, names = np.asarray(values, dtype=float), np.asarray(errors, dtype=float), np.asarray(groups)
+    q, freedom = 0.0, 0
+    for name in np.unique(names):
+        own = names == name
+        if own.sum() > 1:
+            q += _heterogeneity(y[own], s[own])[0]
+            freedom += int(own.sum()) - 1
+    return q, freedom
+
+
+def _heterogeneity(y: Array, s: Array) -> tuple[float, float]:
+    """Q and tau."""
+    weight = 1.0 / s**2
+    total = weight.sum()
+    mean = weight @ y / total
+    q = float(weight @ (y - mean) ** 2)
+    spread = total - (weight @ weight) / total
+    return q, float(np.sqrt(max(0.0, (q - (y.size - 1)) / spread))) if y.size > 1 else 0.0

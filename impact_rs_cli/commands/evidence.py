@@ -1,0 +1,90 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``impact-rs evidence``: packages of evidence that laboratories exchange, their check, and what they say together."""
+
+from __future__ import annotations
+
+import argparse
+import json
+
+from rich.table import Table
+
+from impact_rs_analysis.diagnosis.document import read_document
+from impact_rs_analysis.sharing.evidence_package import check_package, make_package, read_package, write_package
+from impact_rs_analysis.sharing.merged_evidence import MergedEvidence, merge_packages
+from impact_rs_cli.parser import PROGRAM
+from impact_rs_cli.terminal import Terminal, output_folder
+from impact_rs_sim.errors import InputError
+from impact_rs_sim.files import write_whole
+from impact_rs_sim.model import load_model
+from impact_rs_sim.numbers import estimate_in_line
+
+MOST_LEFT_OUT = 8  # that are shown; all are in the JSON document
+
+
+def pack(args: argparse.Namespace, terminal: Terminal) -> int:
+    """Pack a diagnosis with its model and the digests of its measurements."""
+    diagnosis, model = read_document(args.diagnosis), load_model(args.model)
+    with output_folder(args.output.parent), terminal.progress("digests") as report_progress:
+        package = make_package(
+            diagnosis, model, args.data, args.laboratory, args.robot, args.object, args.note, report_progress
+        )
+        write_package(package, args.output)
+    terminal.result({"file": str(args.output), "seal": package.seal, "files": len(package.data)})
+    terminal.say(
+        f"{args.output}: {package.name}; {diagnosis.verdict}; {len(package.data)} files of measurements, "
+        f"seal {package.seal[:16]}",
+        f"next, in another laboratory: {PROGRAM} evidence check {args.output.name} --data FOLDER",
+    )
+    return 0
+
+
+def check(args: argparse.Namespace, terminal: Terminal) -> int:
+    """Check a package; exit code 1 if a check fails."""
+    package = read_package(args.package)
+    with terminal.progress("digests") as report_progress:
+        checks = check_package(package, args.data, report_progress)
+    terminal.say(f"{package.name}: {package.diagnosis.verdict}", package.diagnosis.summary)
+    for one in checks:
+        terminal.say(f"  {'passed' if one.passed else 'FAILED'}  {one.what}: {one.found}")
+    if args.data is None:
+        terminal.say(f"  the {len(package.data)} files of measurements were not checked; --data does")
+    versions = ", ".join(f"{name} {value}" for name, value in package.versions.items() if value)
+    terminal.say(f"  packed with {versions}")
+    passed = all(one.passed for one in checks)
+    terminal.result({"package": package.name, "passed": passed, "checks": [vars(one) for one in checks]})
+    return 0 if passed else 1
+
+
+def merge(args: argparse.Namespace, terminal: Terminal) -> int:
+    """Merge packages."""
+    merged = merge_packages([read_package(path) for path in args.packages])
+    document = merged.model_dump(mode="json")
+    if args.output is not None:
+        if args.output.is_dir():
+            raise InputError("this is a folder; name a file, for example merged.json", file=args.output)
+        with output_folder(args.output.parent):
+            write_whole(args.output, json.dumps(document, indent=2, allow_nan=False) + "\n")
+    _show(merged, terminal)
+    terminal.result(document)
+    if args.output is not None:
+        terminal.say(f"merged: {args.output}")
+    return 0
+
+
+def _show(merged: MergedEvidence, terminal: Terminal) -> None:
+    table = Table(title=f"{len(merged.packages)} packages of evidence")
+    for heading in ("parameter", "together, 95 % interval", "packages", "I^2", "belongs to"):
+        table.add_column(heading, overflow="fold")
+    for one in merged.parameters:
+        whole = f"{estimate_in_line(one.pooled.estimate, one.pooled.ci95)} {one.unit}"
+        groups = "".join(f"\n{label}: {estimate_in_line(own.estimate, own.ci95)}" for label, own in one.groups.items())
+        belongs = " or ".join(one.belongs_to)
+        count = f"{one.pooled.packages} of {len(one.contributions)}"
+        table.add_row(f"{one.effect}.{one.parameter}", whole, count, f"{one.inconsistency:.0%}", belongs + groups)
+    terminal.say(table)
+    for laboratory, where in merged.odd.items():
+        terminal.say(f"ODD: {laboratory} does not agree with the others in {', '.join(where)}; left out there")
+    for text in merged.left_out[:MOST_LEFT_OUT]:
+        terminal.say(f"left out: {text}")
+    if len(merged.left_out) > MOST_LEFT_OUT:
+        terminal.say(f"left out: {len(merged.left_out) - MOST_LEFT_OUT} more; --json lists all")

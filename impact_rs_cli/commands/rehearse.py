@@ -1,0 +1,90 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``impact-rs rehearse``: the cell against a stand-in of a robot's driver."""
+
+from __future__ import annotations
+
+import argparse
+import math
+
+from rich.table import Table
+
+from impact_rs_cli.arguments import check_robots, settings_of
+from impact_rs_cli.terminal import Terminal
+from impact_rs_ros.cell_rehearsal import Checklist, rehearse
+from impact_rs_ros.driver_profiles import profile_of
+from impact_rs_sim.errors import InputError
+from impact_rs_sim.robot import Reflexes, RobotFacts
+from impact_rs_sim.scenario import load_scenario
+from impact_rs_trials.spec import TrialSpec
+
+PHASES = 2
+
+
+def run(args: argparse.Namespace, terminal: Terminal) -> int:
+    """Run the command; 1 if the trial was not armed or ended early, or a margin is negative."""
+    for name in ("reflex_torque", "reflex_force"):
+        value = getattr(args, name)
+        if value is not None and not 0.0 < value < math.inf:
+            raise InputError(f"argument --{name.replace('_', '-')}: expected a number above 0, got {value:g}")
+    scenario = load_scenario(args.scenario).with_settings(settings_of(args))
+    check_robots(scenario, terminal)
+    profile = profile_of(scenario, args.driver)
+    item = next(iter(scenario.objects)) if args.object is None else args.object
+    case = next(iter(scenario.cases)) if args.case is None else args.case
+    plan = TrialSpec.of(scenario, item, case).plan
+    reflexes = {
+        name: _reflexes(arm.facts, args.reflex_torque, args.reflex_force)
+        for name, arm in plan.scene.physics.arms.items()
+    }
+    done = 0
+    with terminal.stages() as report:
+
+        def say(what: str) -> None:
+            nonlocal done
+            report(what, done, PHASES)
+            done += 1
+
+        found = rehearse(plan, profile, reflexes, args.seed, say)
+    terminal.result({"scenario": scenario.name, "object": item, "case": plan.scene.case_name} | found.to_json())
+    terminal.say(
+        f"{scenario.name}, {item}, {plan.scene.case_name}, against a stand-in of {profile.name} ({profile.source})",
+        f"cell: joints {profile.joints_of(plan.arms)}, states on {profile.states}, torques on {profile.commands}",
+        *found.log,
+        _table(found),
+        *(f"not checked: {line}" for line in found.unknown),
+    )
+    if found.failure:
+        terminal.warn(f"the trial failed: {found.failure}")
+    if beyond := [one.name for one in found.margins if one.margin < 0.0]:
+        terminal.warn(f"beyond its bound: {', '.join(beyond)}")
+    terminal.say("rehearsal passed" if found.passed else "rehearsal failed: do not run this on the robot")
+    return 0 if found.passed else 1
+
+
+def _reflexes(facts: RobotFacts, torque: float | None, force: float | None) -> Reflexes:
+    """Thresholds of the robot facts, or of the command line."""
+    own = facts.reflexes or Reflexes()
+    update: dict[str, object] = {}
+    if torque is not None:
+        update["external_torque_Nm"] = (torque,) * facts.joint_count
+    if force is not None:
+        update["external_force_N"] = force
+    return own.model_copy(update=update)
+
+
+def _table(found: Checklist) -> Table:
+    """The checklist for the terminal."""
+    table = Table(title="checklist")
+    table.add_column("measured")
+    for heading in ("value", "bound", "margin"):
+        table.add_column(heading, justify="right")
+    table.add_column("unit")
+    table.add_column("where")
+    table.add_column("")
+    for one in found.margins:
+        sign = "≥" if one.at_least else "≤"
+        verdict = "ok" if one.margin >= 0.0 else "BEYOND"
+        table.add_row(
+            one.name, f"{one.value:.4g}", f"{sign} {one.bound:.4g}", f"{one.margin:.4g}", one.unit, one.where, verdict
+        )
+    return table

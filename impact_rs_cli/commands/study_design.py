@@ -1,0 +1,79 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``impact-rs study-design``: robots, poses, motor inertias and pads, ranked by what a hit does."""
+
+from __future__ import annotations
+
+import argparse
+
+from rich.table import Table
+
+from impact_rs_analysis.measure.design_study import LEVEL, MEASURES, DesignQuestion, DesignStudy, study_designs
+from impact_rs_analysis.report.design_page import write_design_study
+from impact_rs_cli.arguments import started
+from impact_rs_cli.terminal import Terminal, output_folder
+from impact_rs_sim.scenario import load_scenario
+
+SHOWN = 8  # designs of the table; all are in the file
+
+
+def run(args: argparse.Namespace, terminal: Terminal) -> int:
+    """Run the command."""
+    scenario = load_scenario(args.scenario)
+    question = DesignQuestion(
+        scenario,
+        args.object or next(iter(scenario.objects)),
+        args.speed,
+        tuple(dict.fromkeys(args.motor_inertia)),
+        tuple(dict.fromkeys(args.pads)),
+        args.draws,
+        args.seed,
+    )
+    with output_folder(args.output), started(args) as map_tasks, terminal.stages() as report_progress:
+        study = study_designs(question, tuple(dict.fromkeys(args.robots)), args.poses, map_tasks, report_progress)
+        page = write_design_study(study, args.output)
+    _show(study, args.rank_by, terminal)
+    terminal.result(_document(study))
+    for name, reason in list(study.failed.items())[:SHOWN]:
+        terminal.warn(f"no answer for {name}: {reason}")
+    terminal.say(f"report: {page.resolve()}", f"table: {(args.output / 'designs.csv').resolve()}")
+    return 0
+
+
+def _show(study: DesignStudy, measure: str, terminal: Terminal) -> None:
+    """The first designs by one measure."""
+    what = MEASURES[measure]
+    table = Table(title=f"Most {what.label} of {len(study.designs)} designs")
+    for heading in ("robot/pose/motor inertia/pad", f"[{what.unit}]", f"{LEVEL:.0%} interval", "rank"):
+        table.add_column(heading, no_wrap=True)
+    for design, best, worst in study.ranked(measure)[:SHOWN]:
+        found = design.measures[measure]
+        interval = f"{found.low:.3g} ... {found.high:.3g}"
+        table.add_row(design.name, f"{found.value:.3g}", interval, f"{best} to {worst}")
+    terminal.say(table)
+
+
+def _document(study: DesignStudy) -> dict[str, object]:
+    """The study as JSON: the three orders, each with values and intervals."""
+    return {
+        "scenario": study.question.scenario.name,
+        "object": study.question.object_name,
+        "speed_m_s": study.question.speed,
+        "draws": study.question.draws,
+        "seed": study.question.seed,
+        "places": dict(study.places),
+        "failed": dict(study.failed),
+        "ranked": {
+            name: [
+                {
+                    "design": design.name,
+                    "value": design.measures[name].value,
+                    "low": design.measures[name].low,
+                    "high": design.measures[name].high,
+                    "best_rank": best,
+                    "worst_rank": worst,
+                }
+                for design, best, worst in study.ranked(name)
+            ]
+            for name in MEASURES
+        },
+    }

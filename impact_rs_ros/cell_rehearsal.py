@@ -1,0 +1,548 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A rehearsal: the cell arms, runs and leaves a trial against a stand-in of a robot's driver, and margins are measured.
+
+The code that a robot meets is the real one: :class:`~impact_rs_ros.arming.Arming`,
+:class:`~impact_rs_ros.cell_trial.CellTrial`, :class:`~impact_rs_ros.effort_arms.EffortArms`,
+:class:`~impact_rs_ros.watchdog_node.Watchdog` and the controller, with serialized messages between them. Driver, wires
+and time are simulated: time passes event by event, so that a rehearsal is the same on a slow machine, and a state or a
+torque is late by exactly the latency of the driver's profile. The middleware, ros2_control and a kernel that keeps time
+are not part of it.
+
+In a second run the cell falls silent just before the hit, as after ``kill -9``, and the watchdog brakes the arms.
+"""
+
+from __future__ import annotations
+
+import heapq
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import asdict, dataclass, field
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+from rclpy.serialization import serialize_message
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Float64MultiArray
+
+from impact_rs_control.controller import Controller
+from impact_rs_control.plan import TrialPlan
+from impact_rs_ros.arming import Arming, ArmingLimits
+from impact_rs_ros.cell_trial import CellTrial, TrialLimits
+from impact_rs_ros.driver_profiles import DriverProfile
+from impact_rs_ros.effort_arms import REST, EffortArms, arms_of, rest_until
+from impact_rs_ros.node_parameters import defaults_of
+from impact_rs_ros.robot_states import STATES, joint_names
+from impact_rs_ros.watchdog_node import Watchdog
+from impact_rs_sim.errors import InputError
+from impact_rs_sim.plant import Plant
+from impact_rs_sim.robot import Array, Reflexes
+from impact_rs_sim.robot_model import RobotModel
+from impact_rs_sim.sensors import ArmMeasurement
+from impact_rs_trials.bags import topics
+from impact_rs_trials.bags.streams import StreamMaker
+
+BEGAN = 1_700_000_000  # s, what the driver's clock shows at the start
+LIFETIME = 8.0  # s of simulated time, for which the plant draws its noise
+COMPUTING = 0.0003  # s, that the controller takes for a torque; assumed
+LOOKS = 0.002  # s, between two looks of the watchdog
+DIES = 0.02  # s before the nominal impact, when the cell falls silent
+STOPPING = 1.5  # s, in which arms must rest after that; as the test of the watchdog node asks
+ROUNDING = 1e-6  # of a bound
+SETTLING = 1.0  # s, that the arms may take to rest after a trial
+
+
+@dataclass(frozen=True)
+class Margin:
+    """One line of the checklist.
+
+    Attributes:
+        name: What was measured.
+        value: The largest value, of ``at least`` the smallest.
+        bound: What it is held against.
+        unit: Unit of both.
+        where: Joint, time or remark.
+        at_least: Whether the bound is a lower one.
+    """
+
+    name: str
+    value: float
+    bound: float
+    unit: str
+    where: str
+    at_least: bool = False
+
+    @property
+    def margin(self) -> float:
+        """How far the value is from the bound, in the unit; negative: beyond. Rounding errors are none."""
+        left = self.value - self.bound if self.at_least else self.bound - self.value
+        return 0.0 if abs(left) <= ROUNDING * abs(self.bound) else left
+
+    def to_json(self) -> dict[str, object]:
+        """As JSON."""
+        return asdict(self) | {"margin": self.margin}
+
+
+@dataclass
+class Checklist:
+    """What a rehearsal found.
+
+    Attributes:
+        driver: Name of the driver's profile.
+        log: Lines that the cell would log, and what happened.
+        margins: The checklist.
+        unknown: What could not be checked, and why.
+        failure: Why the trial was not armed or ended early; empty: it ran to its end.
+    """
+
+    driver: str
+    log: list[str] = field(default_factory=list)
+    margins: list[Margin] = field(default_factory=list)
+    unknown: list[str] = field(default_factory=list)
+    failure: str = ""
+
+    @property
+    def passed(self) -> bool:
+        """Whether the trial ran, and no margin is negative."""
+        return not self.failure and all(one.margin >= 0.0 for one in self.margins)
+
+    def to_json(self) -> dict[str, object]:
+        """As JSON."""
+        return {
+            "driver": self.driver,
+            "passed": self.passed,
+            "failure": self.failure,
+            "log": self.log,
+            "margins": [one.to_json() for one in self.margins],
+            "not_checked": self.unknown,
+        }
+
+
+class VirtualTime:
+    """Time that passes from event to event; also the clock of the robot's stamps."""
+
+    known = True
+
+    def __init__(self) -> None:
+        self.time = 0.0
+        self._events: list[tuple[float, int, Callable[[], None]]] = []
+        self._count = 0
+
+    def __call__(self) -> float:
+        return self.time
+
+    def now(self) -> int:
+        """Time of stamps [ns]."""
+        return BEGAN * 10**9 + round(1e9 * self.time)
+
+    def steady(self) -> float:
+        """Time of which differences are taken [s]."""
+        return self.time
+
+    def saw(self, stamp: int) -> None:
+        """Nothing to learn: this clock is the driver's."""
+
+    def at(self, when: float, event: Callable[[], None]) -> None:
+        """An event at ``when`` [s]; those of one moment happen in the order in which they were given."""
+        self._count += 1
+        heapq.heappush(self._events, (when, self._count, event))
+
+    def pass_until(self, until: float, stop: Callable[[], bool]) -> None:
+        """Let events happen until ``until`` [s], or until one of them makes ``stop`` true."""
+        while self._events and self._events[0][0] <= until:
+            self.time, _, event = heapq.heappop(self._events)
+            event()
+            if stop():
+                return
+        self.time = max(self.time, until)
+
+
+class VirtualInbox:
+    """Inbox of the cell: time passes while it waits."""
+
+    def __init__(self, clock: VirtualTime) -> None:
+        self._clock = clock
+        self.waiting: list[tuple[str, bytes]] = []
+
+    def wait(self, timeout: float) -> None:
+        """Wait for a message, ``timeout`` [s] at most."""
+        if not self.waiting:
+            self._clock.pass_until(self._clock.time + timeout, lambda: bool(self.waiting))
+
+    def take(self) -> Iterator[tuple[str, bytes]]:
+        """The messages that have come."""
+        while self.waiting:
+            yield self.waiting.pop(0)
+
+
+class VirtualOutbox:
+    """Outbox of the cell: the controller behind it answers the states of all arms after ``COMPUTING``."""
+
+    due = False
+
+    def __init__(self, plan: TrialPlan, clock: VirtualTime, inbox: VirtualInbox) -> None:
+        self._controller = Controller(plan)
+        self._clock, self._inbox = clock, inbox
+        self._streams = {arm: StreamMaker(plan).joint_command(arm) for arm in plan.arms}
+        self._arm_of = {topics.joint_states(arm): arm for arm in plan.arms}
+        self._gathered: dict[str, ArmMeasurement] = {}
+        self.failed = 0
+
+    def now(self, topic: str, tick: int, sample: Any) -> bytes:
+        """A state goes to the controller."""
+        self._gathered[self._arm_of[topic]] = sample
+        if len(self._gathered) == len(self._arm_of):
+            gathered, self._gathered = self._gathered, {}
+            self._clock.at(self._clock.time + COMPUTING, lambda: self._answer(tick, gathered))
+        return b""
+
+    def _answer(self, tick: int, measured: Mapping[str, ArmMeasurement]) -> None:
+        for arm, command in self._controller.update(tick, dict(measured)).items():
+            self._inbox.waiting.append((topics.joint_command(arm), self._streams[arm].one(tick, command)))
+
+    def repeat(self, topic: str, data: bytes) -> None:
+        """Nothing gets lost here."""
+
+    def later(self, topic: str, message: Any) -> None:
+        """No one listens."""
+
+    def flush(self) -> None:
+        """Nothing waits."""
+
+
+class ExternalTorque:
+    """External joint torque as a robot estimates it: a momentum observer, as in :mod:`impact_rs_control.detection`.
+
+    Args:
+        model: What the robot believes.
+        gain: Rate of the filter [1/s].
+        period: Between two measurements [s].
+    """
+
+    def __init__(self, model: RobotModel, gain: float, period: float) -> None:
+        self._model, self._gain, self._period = model, gain, period
+        self._passed: Array | None = None
+        self.torque = np.zeros(model.joint_count)
+        self.force = 0.0
+
+    def update(self, measured: ArmMeasurement) -> None:
+        """Take a measurement; ``torque`` ``(n,)`` [N m] and ``force`` [N] are the estimates then."""
+        model, q, dq = self._model, measured.position, measured.velocity
+        terms = model.terms(q, dq)
+        momentum = terms.mass_matrix @ dq
+        if self._passed is None:
+            self._passed = momentum.copy()
+        self.torque = self._gain * (momentum - self._passed)
+        coriolis = pin.computeCoriolisMatrix(model.pinocchio, model.data, q, dq)
+        drift = measured.torque + coriolis.T @ dq - model.gravity_torque(q) + self.torque
+        self._passed = self._passed + self._period * drift
+        jacobian = model.jacobian(q)[:3]
+        self.force = float(np.linalg.norm(np.linalg.lstsq(jacobian.T, self.torque, rcond=None)[0]))
+
+
+class StandIn:
+    """A driver with effort controllers, and the robot behind it, which Bullet moves.
+
+    Its brakes are on until it is sent torques; then it steps once a period, with the last torque that has come.
+
+    Args:
+        plan: The trial; the arms stand where it starts.
+        profile: The driver.
+        clock: Its clock.
+        seed: Of noise and scatter.
+    """
+
+    def __init__(self, plan: TrialPlan, profile: DriverProfile, clock: VirtualTime, seed: int) -> None:
+        scene, self.profile, self.clock = plan.scene, profile, clock
+        self.models, timing = scene.models, scene.scenario.timing
+        self.period = timing.control_period if profile.period is None else profile.period
+        lasting = scene.scenario.model_copy(
+            update={"timing": timing.model_copy(update={"duration": LIFETIME, "control_period": self.period})}
+        )
+        initial = {name: arm.initial for name, arm in plan.arms.items()}
+        self.plant = Plant.for_trial(lasting, scene.physics, initial, scene.object, seed)
+        self.joints = joint_names(
+            profile.joints_of(plan.arms), {arm: model.joint_count for arm, model in scene.models.items()}
+        )
+        self.listeners: list[Callable[[bytes], None]] = []
+        self.seen: list[Callable[[], None]] = []
+        self.commands: dict[str, Array] = {}
+        self._held: dict[str, Array] = {}
+        self._next = 0.0
+        self.measured: dict[str, ArmMeasurement] = self.plant.measure().arms
+        self.rates: dict[str, Array] = {arm: np.zeros(model.joint_count) for arm, model in self.models.items()}
+        clock.at(0.0, self._tick)
+
+    def command(self, arm: str, torque: Array) -> None:
+        """A torque is on its way to the effort controller of an arm."""
+        sent = torque.copy()
+
+        def arrives() -> None:
+            self.commands[arm] = sent
+
+        self.clock.at(self.clock.time + self.profile.command_latency, arrives)
+
+    def _tick(self) -> None:
+        """A period ends: the robot moves on with the torque it had, and its state is published."""
+        if len(self._held) == len(self.models):
+            gravity = {
+                arm: model.gravity_torque(self.measured[arm].position) if self.profile.adds_gravity else 0.0
+                for arm, model in self.models.items()
+            }
+            self.plant.step({arm: np.asarray(torque + gravity[arm]) for arm, torque in self._held.items()})
+        for arm, torque in self.commands.items():
+            if arm in self._held:
+                self.rates[arm] = np.abs(torque - self._held[arm]) / self.period
+            self._held[arm] = torque
+        self.measured = self.plant.measure().arms
+        for see in self.seen:
+            see()
+        message = JointState(name=[name for names in self.joints.values() for name in names])
+        for arm in self.joints:
+            measured = self.measured[arm]
+            for target, values in (
+                (message.position, measured.position),
+                (message.velocity, measured.velocity),
+                (message.effort, measured.torque),
+            ):
+                target.extend(values.tolist())
+        message.header.stamp.sec, message.header.stamp.nanosec = divmod(self.clock.now(), 10**9)
+        data = bytes(serialize_message(message))
+        for listener in self.listeners:
+            self.clock.at(self.clock.time + self.profile.state_latency, lambda listener=listener: listener(data))  # type: ignore[misc]
+        self._next += self.period
+        self.clock.at(self._next, self._tick)
+
+
+class _Extremes:
+    """Largest and smallest of what the stand-in shows."""
+
+    def __init__(self, stand_in: StandIn, reflexes: Mapping[str, Reflexes]) -> None:
+        self._robot = stand_in
+        self._observers = {
+            arm: ExternalTorque(model, reflexes[arm].observer_gain, stand_in.period)
+            for arm, model in stand_in.models.items()
+        }
+        self.largest: dict[tuple[str, str], tuple[Array, Array]] = {}
+        stand_in.seen.append(self._see)
+
+    def _see(self) -> None:
+        for arm, measured in self._robot.measured.items():
+            model, observer = self._robot.models[arm], self._observers[arm]
+            observer.update(measured)
+            distance = np.minimum(measured.position - model.position_min, model.position_max - measured.position)
+            for what, values in (
+                ("torque", np.abs(measured.torque)),
+                ("velocity", np.abs(measured.velocity)),
+                ("rate", self._robot.rates[arm]),
+                ("distance", -distance),
+                ("external", np.abs(observer.torque)),
+                ("force", np.array([observer.force])),
+            ):
+                known, when = self.largest.setdefault(
+                    (arm, what), (np.full(values.size, -np.inf), np.zeros(values.size))
+                )
+                higher = values > known
+                known[higher], when[higher] = values[higher], self._robot.clock.time
+
+
+def rehearse(
+    plan: TrialPlan,
+    profile: DriverProfile,
+    reflexes: Mapping[str, Reflexes],
+    seed: int = 0,
+    say: Callable[[str], None] = lambda line: None,
+) -> Checklist:
+    """Rehearse a trial; a failure of the trial is part of the result.
+
+    Args:
+        plan: The trial.
+        profile: The driver.
+        reflexes: Thresholds of the robot's own reflexes, by arm.
+        seed: Of noise and scatter.
+        say: Called with a line about what is rehearsed now.
+    """
+    found = Checklist(profile.name)
+    for name, arm in plan.arms.items():
+        found.log.append(f"{name} starts at [{', '.join(f'{value:.4f}' for value in arm.initial)}]")
+    say("arming and trial")
+    _rehearse_trial(plan, profile, reflexes, seed, found)
+    if not found.failure:
+        say("the cell dies before the hit")
+        _rehearse_death(plan, profile, seed, found)
+    return found
+
+
+class _Cell:
+    """The cell, armed, at a stand-in."""
+
+    def __init__(self, plan: TrialPlan, profile: DriverProfile, seed: int) -> None:
+        self.plan, self.clock = plan, VirtualTime()
+        self.robot = StandIn(plan, profile, self.clock, seed)
+        self.inbox = VirtualInbox(self.clock)
+        self.outbox = VirtualOutbox(plan, self.clock, self.inbox)
+        parameters = defaults_of("cell") | {
+            "joints": profile.joints_of(plan.arms),
+            "robot_adds_gravity": profile.adds_gravity,
+            "torque_rate_limit": profile.torque_rate,
+        }
+        self.parameters = parameters
+        self.arms = self._arms(self._send)
+        self.robot.listeners.append(lambda data: self.inbox.waiting.append((STATES, data)))
+        self.watchdog: Watchdog | None = None
+        self.alive = True
+
+    def _arms(self, send: Callable[[str, Array], None]) -> EffortArms:
+        return arms_of(self.plan, self.parameters.__getitem__, self.clock, send)
+
+    def _send(self, arm: str, torque: Array) -> None:
+        if not self.alive:
+            return
+        self.robot.command(arm, torque)
+        if self.watchdog is not None:
+            data = bytes(serialize_message(Float64MultiArray(data=torque.tolist())))
+            self.watchdog.heard(arm, data, self.clock.steady())
+
+    def watch(self) -> Watchdog:
+        """Start a watchdog beside the cell."""
+        watchdog = self.watchdog = Watchdog(self._arms(self.robot.command), defaults_of("watchdog")["command_timeout"])
+        self.robot.listeners.append(lambda data: _read(watchdog, data))
+
+        def look() -> None:
+            watchdog.look(self.clock.steady())
+            if watchdog.braking:
+                watchdog.arms.rest()
+            self.clock.at(self.clock.time + LOOKS, look)
+
+        self.clock.at(0.0, look)
+        return watchdog
+
+    def arm(self) -> str:
+        """Arm as the node does; what was found.
+
+        Raises:
+            InputError: It is not armed.
+        """
+        limits = ArmingLimits(self.parameters["start_tolerance"], self.parameters["arm_jitter_limit"])
+        arming = Arming(self.plan, self.arms, None, self.inbox, limits, None, self.clock)  # type: ignore[arg-type]
+        return arming.look() + arming.hold()
+
+    def trial(self) -> CellTrial:
+        """The trial, begun."""
+        names = ("state_timeout", "answer_timeout", "late_torque_share", "start_tolerance")
+        limits = TrialLimits(**{name: self.parameters[name] for name in names})
+        trial = CellTrial(self.plan, self.arms, limits, None, self.inbox, self.outbox, self.clock)  # type: ignore[arg-type]
+        trial.begin()
+        return trial
+
+
+def _read(watchdog: Watchdog, data: bytes) -> None:
+    watchdog.arms.states.read(data)
+
+
+def _rehearse_trial(
+    plan: TrialPlan, profile: DriverProfile, reflexes: Mapping[str, Reflexes], seed: int, found: Checklist
+) -> None:
+    """Arm, run the trial to its end, and leave it."""
+    cell = _Cell(plan, profile, seed)
+    extremes = _Extremes(cell.robot, reflexes)
+    try:
+        found.log.append(f"armed: {cell.arm()}")
+        trial = cell.trial()
+        while not trial.over:
+            trial.work(cell.clock.time + 0.1)
+        found.failure = trial.failure
+        ended = cell.clock.time
+        while not cell.arms.held and cell.clock.time < ended + SETTLING:
+            rest_until(cell.arms, cell.inbox, cell.clock.time + cell.robot.period, cell.clock)  # type: ignore[arg-type]
+        found.log.append(
+            f"trial over: {trial.failure or trial.end()}; the arms rest {cell.clock.time - ended:.2f} s later"
+            if cell.arms.held
+            else f"trial over: {trial.failure or trial.end()}; the arms did not come to rest"
+        )
+        found.log.append(f"{cell.arms.limited} torques were spread over several periods, as torque_rate_limit asks")
+        _, status = trial.status()
+        found.margins += [
+            Margin("age of a state", cell.arms.states.oldest, cell.parameters["state_timeout"], "s", ""),
+            Margin(
+                "answer of the controller", float(str(status["slowest_answer [s]"])),
+                cell.parameters["answer_timeout"], "s", f"{COMPUTING:g} s of it assumed for computing",
+            ),
+            Margin("rest after the trial", cell.clock.time - ended, SETTLING, "s", ""),
+        ]  # fmt: skip
+    except InputError as error:
+        found.failure = str(error)
+        found.log.append(f"refused: {error}")
+    finally:
+        cell.robot.plant.close()
+    _margins(cell.robot, extremes, reflexes, found)
+
+
+def _margins(robot: StandIn, extremes: _Extremes, reflexes: Mapping[str, Reflexes], found: Checklist) -> None:
+    """Margins of everything that the stand-in has seen."""
+    for arm, model in robot.models.items():
+        units, count = model.facts.units, model.joint_count
+        own = reflexes[arm]
+        rows: list[tuple[str, str, Array | None, list[str]]] = [
+            ("joint torque", "torque", model.torque_max, [unit.effort for unit in units]),
+            ("torque rate", "rate", np.full(count, robot.profile.torque_rate), [f"{unit.effort}/s" for unit in units]),
+            ("joint velocity", "velocity", model.velocity_max, [unit.velocity for unit in units]),
+            (
+                "external joint torque", "external",
+                None if own.external_torque_Nm is None else np.array(own.external_torque_Nm),
+                [unit.effort for unit in units],
+            ),
+            (
+                "external force",
+                "force",
+                None if own.external_force_N is None else np.array([own.external_force_N]),
+                ["N"],
+            ),
+        ]  # fmt: skip
+        for name, what, bound, unit in rows:
+            if (arm, what) not in extremes.largest:
+                continue
+            values, when = extremes.largest[arm, what]
+            if bound is None:
+                worst = int(np.argmax(values))
+                found.unknown.append(f"{arm} {name}: up to {values[worst]:.4g} {unit[worst]}, no threshold is known")
+                continue
+            worst = int(np.argmax(values / bound))
+            joint = "" if what == "force" else f"joint {worst + 1}, "
+            where = f"{joint}at {when[worst]:.3f} s"
+            found.margins.append(Margin(f"{arm} {name}", float(values[worst]), float(bound[worst]), unit[worst], where))
+        values, when = extremes.largest.get((arm, "distance"), (np.zeros(0), np.zeros(0)))
+        if values.size:
+            worst = int(np.argmax(values))
+            where = f"joint {worst + 1}, at {when[worst]:.3f} s"
+            margin = Margin(
+                f"{arm} distance to joint limits", -float(values[worst]), 0.0, units[worst].position, where, True
+            )
+            found.margins.append(margin)
+
+
+def _rehearse_death(plan: TrialPlan, profile: DriverProfile, seed: int, found: Checklist) -> None:
+    """The cell falls silent before the hit; the watchdog brakes the arms."""
+    cell = _Cell(plan, profile, seed)
+    try:
+        watchdog = cell.watch()
+        cell.arm()
+        trial = cell.trial()
+        dies = round(1e9 * (plan.scene.scenario.timing.nominal_impact - DIES))
+        while not trial.over and trial.now < dies:
+            trial.work(cell.clock.time + cell.robot.period)
+        cell.alive = False
+        died = cell.clock.time
+        fastest = max(float(np.abs(one.velocity).max()) for one in cell.robot.measured.values())
+        rested = died
+        while cell.clock.time < died + STOPPING + 0.5:
+            cell.inbox.wait(cell.robot.period)
+            cell.inbox.waiting.clear()
+            if any(np.abs(one.velocity).max() > REST for one in cell.robot.measured.values()):
+                rested = cell.clock.time
+        found.log.append(
+            f"cell silent at {fastest:.2f} rad/s: the watchdog {'brakes' if watchdog.braking else 'does nothing'}; "
+            f"the arms rest after {rested - died:.2f} s"
+        )
+        found.margins.append(Margin("time to stop when the cell dies", rested - died, STOPPING, "s", "by the watchdog"))
+    finally:
+        cell.robot.plant.close()

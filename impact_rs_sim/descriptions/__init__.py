@@ -1,0 +1,79 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A scene and its model as files of other simulators: a format is one module that writes one file.
+
+A module has ``HELD``, the quantities that its format can hold, and ``write(scene)``, which returns the file and how its
+numbers follow from those of the scene. Both, and what the format cannot hold, stand in comments at its head.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from impact_rs_sim.descriptions import drake, mjcf, urdf_scene, usd_physics
+from impact_rs_sim.descriptions.exported_scene import PADS, ExportedQuantity, ExportedScene
+
+__all__ = ["FORMATS", "PADS", "DescriptionFormat", "ExportedScene", "ExportedQuantity", "Written"]
+
+
+@dataclass(frozen=True)
+class Written:
+    """A file.
+
+    Attributes:
+        text: The file, comments included.
+        remarks: How its numbers follow from those of the scene.
+        left_out: What it does not hold.
+    """
+
+    text: str
+    remarks: tuple[str, ...]
+    left_out: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class DescriptionFormat:
+    """A format.
+
+    Attributes:
+        label: What it is called.
+        suffixes: How names of its files end.
+        held: Quantities that it can hold.
+        body: Writes the file without comments.
+        xml: Whether it is XML; else its comments begin with ``#``.
+    """
+
+    label: str
+    suffixes: tuple[str, ...]
+    held: frozenset[ExportedQuantity]
+    body: Callable[[ExportedScene], tuple[str, list[str]]]
+    xml: bool = True
+
+    def write(self, scene: ExportedScene) -> Written:
+        """A scene in this format."""
+        body, remarks = self.body(scene)
+        left_out = scene.left_out(self.held)
+        said = [
+            scene.title,
+            *scene.source,
+            "",
+            "How the numbers follow from those of the scene:",
+            *(f"* {remark}" for remark in remarks),
+            "",
+            "Not in this file:" if left_out else "Nothing is left out.",
+            *(f"* {one}" for one in left_out),
+        ]
+        if self.xml:
+            comment = "\n".join(said).replace("--", "- -")  # XML allows no double hyphen in a comment
+            text = f'<?xml version="1.0"?>\n<!--\n{comment}\n-->\n{body}\n'
+        else:
+            text = "#usda 1.0\n" + "".join(f"# {line}".rstrip() + "\n" for line in said) + body
+        return Written(text, tuple(remarks), tuple(left_out))
+
+
+FORMATS: dict[str, DescriptionFormat] = {
+    "mjcf": DescriptionFormat("MuJoCo model", (".xml", ".mjcf"), mjcf.HELD, mjcf.write),
+    "drake": DescriptionFormat("SDFormat world for Drake", (".sdf",), drake.HELD, drake.write),
+    "urdf": DescriptionFormat("URDF", (".urdf",), urdf_scene.HELD, urdf_scene.write),
+    "usd_params": DescriptionFormat("USD layer", (".usda",), usd_physics.HELD, usd_physics.write, xml=False),
+}

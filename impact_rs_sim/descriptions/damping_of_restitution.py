@@ -1,0 +1,65 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Damping with which a compliant contact has a given restitution, for simulators that have no restitution.
+
+Spring and damper ``m x'' = -k x - c x'``, which part when the force is 0 (Schwager and Pöschel 2007), with
+``zeta = c / (2 sqrt(k m))`` and ``s = sqrt(|1 - zeta^2|)``:
+
+    e = exp(-(zeta / s) atan2(2 zeta s, 2 zeta^2 - 1))                zeta < 1
+    e = exp(-2)                                                       zeta = 1
+    e = exp(-(zeta / s) ln((zeta + s) / (zeta - s)))                  zeta > 1
+
+Spring and damper of Hunt and Crossley (1975), ``m x'' = -k x (1 + d x')``: the integral of ``v dv / (1 + d v)`` from v
+to -e v vanishes, so that
+
+    d v (1 + e) = ln((1 + d v) / (1 - d v e))
+"""
+
+from __future__ import annotations
+
+import math
+
+import scipy
+
+LEAST = 1e-3  # the smallest restitution that damping is chosen for; 0 would need an infinite one
+
+
+def restitution_of(damping_ratio: float) -> float:
+    """Restitution of spring and damper with ``damping_ratio`` zeta >= 0 [-]."""
+    zeta = damping_ratio
+    if zeta == 0.0:
+        return 1.0
+    if abs(zeta - 1.0) < 1e-9:
+        return math.exp(-2.0)
+    root = math.sqrt(abs(1.0 - zeta * zeta))
+    if zeta < 1.0:
+        return math.exp(-zeta / root * math.atan2(2.0 * zeta * root, 2.0 * zeta * zeta - 1.0))
+    return math.exp(-zeta / root * 2.0 * math.log(zeta + root))
+
+
+def damping_ratio_of(restitution: float) -> float:
+    """Damping ratio zeta of a spring with a damper that returns ``restitution`` in [0, 1] [-].
+
+    Below :data:`LEAST` it is that of :data:`LEAST`.
+    """
+    if restitution >= 1.0:
+        return 0.0
+    e = max(restitution, LEAST)
+    return float(scipy.optimize.brentq(lambda zeta: restitution_of(zeta) - e, 1e-9, 1e3, xtol=1e-12))
+
+
+def dissipation_of(restitution: float, speed: float) -> float:
+    """Hunt-Crossley dissipation d with ``restitution`` in [0, 1] at a closing ``speed`` > 0 [m/s]; d is in s/m.
+
+    Below :data:`LEAST` it is that of :data:`LEAST`.
+    """
+    if restitution >= 1.0:
+        return 0.0
+    e = max(restitution, LEAST)
+
+    def missing(product: float) -> float:
+        return product * (1.0 + e) - math.log((1.0 + product) / (1.0 - product * e))
+
+    low, high = 1.0 - e, (1.0 - 1e-12) / e  # missing is positive behind 0, its other root, and falls to -inf at 1 / e
+    if missing(high) > 0.0:
+        return high / speed
+    return float(scipy.optimize.brentq(missing, low, high, xtol=1e-13)) / speed

@@ -1,0 +1,276 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What is written for another simulator: a scene at its impact, with what a model says of it.
+
+The exported arm has rigid joints and the motor inertia B that the user chose: ``(M + B) ddq + h = tau + J^T f`` (paper
+eq. EOM_motor_mod without elasticity). Joint friction is that of the same equation; where the torque loop is off
+(B_rho), the motors feel ``B_rho B_theta^-1 tau_fric``. The contact is either ``rigid``, with the restitution of the
+impact map, or ``compliant``, with the stiffness and damping of the pad, from which its restitution follows.
+
+Physics that a format cannot hold are listed, never dropped: a format names the :class:`ExportedQuantity` that it holds,
+and :meth:`ExportedScene.left_out` says the rest.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from enum import Enum
+
+import numpy as np
+
+from impact_rs_sim.descriptions.damping_of_restitution import restitution_of
+from impact_rs_sim.errors import InputError
+from impact_rs_sim.impact_map.problem import ImpactProblem, check_physics
+from impact_rs_sim.model import Model
+from impact_rs_sim.physics import ArmPhysics, Physics
+from impact_rs_sim.robot import Array, joined_units
+from impact_rs_sim.robot_model import STANDARD_GRAVITY
+from impact_rs_sim.scene import ArmState, BodyState, Scene
+from impact_rs_sim.version import package_version
+
+PADS = ("rigid", "compliant")
+RIGID_SUPPORT = 1.5e6  # 1/s^2, stiffness of a rigid support over the mass of the object
+
+
+class ExportedQuantity(Enum):
+    """What a format may hold beyond kinematics and inertias; the value is what it is called where it is left out."""
+
+    MOTOR_INERTIA = "motor inertia B"
+    COULOMB_FRICTION = "Coulomb friction of the joints"
+    VISCOUS_FRICTION = "viscous friction of the joints"
+    TORQUE_OFFSET = "offset of the commanded torque"
+    TORQUE_GAIN = "gain of the commanded torque"
+    CONTACT_FRICTION = "friction of pads and support"
+    RESTITUTION = "restitution of the contact"
+    PAD_COMPLIANCE = "stiffness and damping of the pads"
+    ROLLING = "resistance to rolling"
+    SUPPORT_COMPLIANCE = "compliance of the support"
+    GRAVITY = "direction of gravity"
+    PAD_TILT = "tilt of the pads"
+
+
+@dataclass(frozen=True)
+class ExportedScene:
+    """A scene at its impact.
+
+    Attributes:
+        title: Scenario, object and case.
+        physics: Nominal physics with the effects of the model.
+        arms: State just before the impact, by arm.
+        object: Pose and twist of the object.
+        motor_inertia: Diagonal of B by arm, ``(n,)`` [kg m^2].
+        motor_inertia_name: ``reduced``, ``rotor`` or ``zero``.
+        pads: One of :data:`PADS`.
+        source: Where the numbers come from: model, scenario, version.
+    """
+
+    title: str
+    physics: Physics
+    arms: dict[str, ArmState]
+    object: BodyState
+    motor_inertia: dict[str, Array]
+    motor_inertia_name: str
+    pads: str
+    source: tuple[str, ...]
+
+    @staticmethod
+    def of(scene: Scene, model: Model, motor_inertia: str = "reduced", pads: str = "rigid") -> ExportedScene:
+        """A scene with the effects of a model.
+
+        Raises:
+            InputError: The model does not fit the arms, there is no such motor inertia, an arm has no compliant pad,
+                or the physics are those of no body.
+        """
+        physics = model.apply(scene.physics)
+        check_physics(physics)
+        problem = ImpactProblem.at_nominal_impact(replace(scene, physics=physics), motor_inertia)
+        for name, arm in physics.arms.items():
+            if pads == "compliant" and arm.pad_stiffness is None:
+                raise InputError(
+                    "the pad is rigid, expected a stiffness [N/m] for --pads compliant",
+                    file=scene.scenario.name,
+                    key=f"robots.{name}.end_effector.pad.stiffness",
+                )
+        return ExportedScene(
+            title=f"{scene.scenario.name} {scene.object_name} {scene.case_name}",
+            physics=physics,
+            arms=problem.arms,
+            object=problem.object,
+            motor_inertia=problem.motor_inertia,
+            motor_inertia_name=motor_inertia,
+            pads=pads,
+            source=(
+                f"scenario {scene.scenario.name}, object {scene.object_name}, case {scene.case_name}",
+                f"model {model.name} (digest {model.digest}): "
+                + (", ".join(effect.name for effect in model.effects) or "no effect beyond the nominal values"),
+                f"written by impact-rs {package_version()}".rstrip(),
+            ),
+        )
+
+    @property
+    def restitution(self) -> float:
+        """Restitution of a single impact: that of the impact map, and what single impacts have beyond it [-]."""
+        return min(1.0, self.physics.restitution + self.physics.bounce)
+
+    @property
+    def standing_height(self) -> float | None:
+        """Height of the support's surface before the object's weight presses it down [m]; None: no support."""
+        physics = self.physics
+        if physics.support_height is None:
+            return None
+        return physics.support_height - float(physics.gravity[2]) * physics.object.mass * physics.support_compliance
+
+    def friction(self, name: str) -> tuple[Array, Array]:
+        """Coulomb and viscous friction of the rigid joints of an arm, ``(n,)`` each [N m], [N m s/rad].
+
+        The friction of Gaz et al. counts as Coulomb friction of half the height of its sigmoid.
+        """
+        arm = self.physics.arms[name]
+        coulomb = arm.friction.coulomb.copy()
+        if arm.friction.sigmoid is not None:
+            coulomb = coulomb + np.array(arm.friction.sigmoid.a) / 2.0
+        shaping = np.ones_like(coulomb)
+        if self.motor_inertia_name == "rotor":
+            shaping = arm.motor_inertia_rotor / arm.motor_inertia_reduced
+        return shaping * coulomb, shaping * arm.friction.viscous
+
+    def closing_speed(self, name: str) -> float:
+        """Speed at which the pad of an arm comes to the object, along its axis [m/s]."""
+        return max(float(self._axis(name) @ (self._jacobian(name) @ self.arms[name].velocity)), 0.0)
+
+    def impact_mass(self, name: str) -> float:
+        """Mass that a pad and the object have against each other along the pad's axis, square to its middle [kg].
+
+        ``1 / m = n^T J (M + B)^-1 J^T n + 1 / m_object``
+        """
+        model, state = self.physics.robot_model(name), self.arms[name]
+        inertia = model.mass_matrix(state.position) + np.diag(self.motor_inertia[name])
+        row = self._axis(name) @ self._jacobian(name)
+        return float(1.0 / (row @ np.linalg.solve(inertia, row) + 1.0 / self.physics.object.mass))
+
+    def restitution_of_pad(self, name: str) -> float:
+        """Restitution of a square impact of a pad: the scene's, or what stiffness and damping of the pad give [-]."""
+        arm = self.physics.arms[name]
+        if self.pads == "rigid" or arm.pad_stiffness is None:
+            return self.restitution
+        return restitution_of(arm.pad_damping / (2.0 * math.sqrt(arm.pad_stiffness * self.impact_mass(name))))
+
+    @property
+    def support_contact(self) -> tuple[float, float]:
+        """Stiffness and damping of the whole support under the object [N/m, N s/m].
+
+        The model's compliance where it has one; else so stiff that the object sinks in by micrometres. Damping is half
+        the critical one.
+        """
+        compliance, mass = self.physics.support_compliance, self.physics.object.mass
+        stiffness = 1.0 / compliance if compliance else RIGID_SUPPORT * mass
+        return stiffness, math.sqrt(stiffness * mass)
+
+    def left_out(self, held: frozenset[ExportedQuantity]) -> list[str]:
+        """What a file does not hold whose format holds ``held``, in words."""
+        said = [text for name, arm in self.physics.arms.items() for text in self._of_arm(name, arm, held)]
+        return [*dict.fromkeys((*said, *self._of_scene(held)))]
+
+    def _of_arm(self, name: str, arm: ArmPhysics, held: frozenset[ExportedQuantity]) -> Iterator[str]:
+        units = arm.facts.units
+        yield (
+            f"{name}: elasticity of the joints, K = {_list(arm.stiffness)} {joined_units(u.stiffness for u in units)}, "
+            f"D = {_list(arm.damping)} {joined_units(u.damping for u in units)}; the joints of this file are rigid"
+        )
+        efforts = joined_units(unit.effort for unit in units)
+        inertia = self.motor_inertia[name]
+        coulomb, viscous = self.friction(name)
+        friction = arm.friction
+        unheld = {
+            ExportedQuantity.MOTOR_INERTIA: (
+                inertia.any(),
+                f"{_list(inertia)} {joined_units(u.inertia for u in units)}",
+            ),
+            ExportedQuantity.COULOMB_FRICTION: (coulomb.any(), f"{_list(coulomb)} {efforts}"),
+            ExportedQuantity.VISCOUS_FRICTION: (
+                viscous.any(),
+                f"{_list(viscous)} {joined_units(u.damping for u in units)}",
+            ),
+            ExportedQuantity.TORQUE_OFFSET: (arm.torque_offset.any(), f"{_list(arm.torque_offset)} {efforts}"),
+            ExportedQuantity.TORQUE_GAIN: ((arm.torque_gain != 1.0).any(), f"{_list(arm.torque_gain)}"),
+        }
+        for quantity, (there, values) in unheld.items():
+            if there and quantity not in held:
+                yield f"{name}: {quantity.value}, {values}"
+        if friction.stribeck.any():
+            yield (
+                f"{name}: Stribeck friction, {_list(friction.stribeck)} {efforts} above Coulomb friction at rest, gone "
+                f"at {_list(friction.stribeck_velocity)} {joined_units(u.velocity for u in units)}"
+            )
+        if friction.sigmoid is not None:
+            yield (
+                f"{name}: course of the identified friction (Gaz et al. 2019) near rest, and its asymmetry; half the "
+                "height of its sigmoid counts as Coulomb friction"
+            )
+        if arm.pad_stiffness is not None and (self.pads == "rigid" or ExportedQuantity.PAD_COMPLIANCE not in held):
+            why = "; the pads of this file are rigid (--pads rigid)" if ExportedQuantity.PAD_COMPLIANCE in held else ""
+            yield f"{name}: stiffness and damping of the pad, {arm.pad_stiffness:g} N/m, {arm.pad_damping:g} N s/m{why}"
+        for what, value, unit in (
+            ("delay of the commanded torque", arm.actuation_delay, "s"),
+            ("yield of the pad along its face", arm.pad_shear_compliance, "m/N"),
+            ("creep of the pad along its face", arm.pad_creep, "m/(s N)"),
+            ("delay of the recorded torque", arm.torque_delay, "s"),
+        ):
+            if value:
+                yield f"{name}: {what}, {value:g} {unit}"
+        for load in arm.loads:
+            yield f"{name}: a load from outside the arm, {_named(load)}"
+
+    def _of_scene(self, held: frozenset[ExportedQuantity]) -> Iterator[str]:
+        physics = self.physics
+        tilts = {
+            name: arm.end_effector.pad_tilt for name, arm in physics.arms.items() if any(arm.end_effector.pad_tilt)
+        }
+        level = np.allclose(physics.gravity, STANDARD_GRAVITY, rtol=0.0, atol=1e-12)
+        unheld = {
+            ExportedQuantity.GRAVITY: "" if level else f"{_list(physics.gravity)} m/s^2",
+            ExportedQuantity.PAD_TILT: ", ".join(
+                f"{name} {roll:g}, {pitch:g} rad" for name, (roll, pitch) in tilts.items()
+            ),
+            ExportedQuantity.CONTACT_FRICTION: f"pads {physics.pad_friction:g}, support {physics.support_friction:g}",
+            ExportedQuantity.RESTITUTION: f"{self.restitution:g}" if self.pads == "rigid" else "",
+            ExportedQuantity.ROLLING: f"lever {physics.rolling_arm:g} m" if physics.rolling_arm else "",
+            ExportedQuantity.SUPPORT_COMPLIANCE: f"{physics.support_compliance:g} m/N"
+            if physics.support_compliance
+            else "",
+        }
+        for quantity, values in unheld.items():
+            if values and quantity not in held:
+                yield f"{quantity.value}, {values}"
+        if self.pads == "compliant" and self.restitution:
+            yield f"restitution {self.restitution:g}; it follows from stiffness and damping of the pads"
+        if self.restitution and physics.restitution_law != "newton":
+            yield f"restitution law of {physics.restitution_law.capitalize()}; compliant contacts have their own"
+        for law in physics.contact_laws:
+            yield f"a law of the contact, {_named(law)}"
+        for load in physics.object_loads:
+            yield f"a load on the object, {_named(load)}"
+
+    def _axis(self, name: str) -> Array:
+        """The way the pad looks, in A, ``(3,)``."""
+        placement = self.physics.robot_model(name).placement(self.arms[name].position)
+        return np.asarray((placement * self.physics.arms[name].end_effector.pad_placement).rotation[:, 2])
+
+    def _jacobian(self, name: str) -> Array:
+        """Linear part of the Jacobian of E, ``(3, n)``."""
+        return self.physics.robot_model(name).jacobian(self.arms[name].position)[:3]
+
+
+def _list(values: Array) -> str:
+    """Values, or the one that all are."""
+    texts = [f"{value:.6g}" for value in values]
+    return texts[0] if len(set(texts)) == 1 else "[" + ", ".join(texts) + "]"
+
+
+def _named(law: object) -> str:
+    """What a law is called, with its numbers."""
+    name, numbers = getattr(law, "name", None), getattr(law, "numbers", None)
+    if name is None or numbers is None:
+        return repr(law)
+    return f"{name} with " + ", ".join(f"{key} = {value:g}" for key, value in numbers.items())

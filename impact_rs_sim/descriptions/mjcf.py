@@ -1,0 +1,251 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A scene as a MuJoCo model (MJCF).
+
+* B is ``armature``, Coulomb friction ``frictionloss``, viscous friction ``damping``. Offset and gain of the commanded
+  torque are those of the actuators.
+* A contact of MuJoCo accelerates as ``a = -b v - k r`` where it alone acts (MuJoCo documentation, "Computation",
+  solver parameters). Of a rigid pad ``solref`` is a time constant T = 2 / b and a damping ratio, from which the
+  restitution follows (:mod:`impact_rs_sim.descriptions.damping_of_restitution`).
+* Of a compliant pad and of the support ``solref`` is negative, and has N/m and N s/m. A contact of MuJoCo adds a mass
+  m to what it touches (its regularisation is R = 1 / m), and an impedance ``d = w m / (1 + w m)``, with the inverse
+  weight w of both bodies, means this mass. A stiffness K and a damping C are then ``-(1 - d) w K`` and
+  ``-(1 - d) w C``, those of the face shared by its corners. The added masses are small against those that meet.
+* MuJoCo's friction cones are convex: a point that slides at v is pushed away from its partner at a share of ``mu v``.
+  Under a sliding object a slow friction (``solreffriction``) on a small mass keeps it down. At rigid pads it stays.
+"""
+
+from __future__ import annotations
+
+from xml.etree import ElementTree as Xml
+
+import numpy as np
+import pinocchio as pin
+
+from impact_rs_sim.descriptions.damping_of_restitution import damping_ratio_of, restitution_of
+from impact_rs_sim.descriptions.exported_scene import ExportedQuantity, ExportedScene
+from impact_rs_sim.impact_map.contacts import SUPPORT, SUPPORT_THICKNESS
+from impact_rs_sim.physics import ArmPhysics
+from impact_rs_sim.robot import Array
+from impact_rs_sim.rotations import quaternion_of
+
+HELD = frozenset(ExportedQuantity)
+STEP = 5e-5  # s
+MARGIN = 1e-5  # m; points that are no further off touch
+STEPS_OF_BOUNCE = 10.0  # of a rigid contact that bounces, over the angle by which it swings; MuJoCo needs two at least
+LEAST_RATIO = 1e-3  # damping ratio of a contact with the restitution 1, which MuJoCo does not take as 0
+RIGID = 0.9999  # impedance of a rigid contact; MuJoCo takes no more
+VIRTUAL_MASS = 0.005  # that a corner of a compliant pad adds, over the mass of the impact
+VIRTUAL_MASS_SUPPORT = 0.02  # that a corner of the object on its support adds, over the mass of the object
+CORNERS = 4  # points in which a face touches
+FRICTION_RATE = 1e4  # 1/s, of the friction of a compliant pad
+FRICTION_RATE_SUPPORT = 300.0  # 1/s, of the friction of the support
+FRICTION_STIFFNESS = 1e4  # regularisation of the normal force over that of friction
+
+
+def write(scene: ExportedScene) -> tuple[str, list[str]]:
+    """The model, and how its numbers follow from those of the scene.
+
+    Bodies, joints and actuators are ``ARM_link1`` ..., ``ARM_joint1`` ...; the free body is ``object``; the keyframe
+    ``impact`` is the state just before the impact.
+    """
+    root = Xml.Element("mujoco", model=scene.title.replace(" ", "_"))
+    Xml.SubElement(root, "compiler", angle="radian", autolimits="false", balanceinertia="false")
+    Xml.SubElement(
+        root,
+        "option",
+        timestep=_text(STEP),
+        gravity=_text(*scene.physics.gravity),
+        integrator="implicitfast",
+        cone="elliptic",
+        solver="Newton",
+        impratio=_text(FRICTION_STIFFNESS),
+        iterations="100",
+        ls_iterations="200",  # the line search of rigid pads on a yielding support needs more than the default of 50
+        tolerance="1e-12",
+    )
+    world = Xml.SubElement(root, "worldbody")
+    actuators = Xml.Element("actuator")
+    for name, arm in scene.physics.arms.items():
+        _arm(world, actuators, scene, name, arm)
+    _object(world, scene)
+    remarks = [*_contacts(root, scene), *_remarks(scene)]
+    root.append(actuators)
+    key = Xml.SubElement(Xml.SubElement(root, "keyframe"), "key", name="impact")
+    state = scene.object
+    positions = [*(arm.position for arm in scene.arms.values()), state.position, _quaternion(state.rotation)]
+    spin = state.rotation.T @ state.twist[3:]
+    velocities = [*(arm.velocity for arm in scene.arms.values()), state.twist[:3], spin]
+    key.set("qpos", _text(*np.concatenate(positions)))
+    key.set("qvel", _text(*np.concatenate(velocities)))
+    Xml.indent(root)
+    return Xml.tostring(root, encoding="unicode"), remarks
+
+
+def _remarks(scene: ExportedScene) -> list[str]:
+    inertia = {"reduced": "B_theta", "rotor": "B_rho", "zero": "0"}[scene.motor_inertia_name]
+    return [
+        f"armature is the motor inertia B = {inertia}; frictionloss and damping are Coulomb and viscous joint friction",
+        "an actuator takes the commanded joint torque; biasprm and gainprm are its offset and gain",
+        "the keyframe 'impact' is the state just before the impact",
+    ]
+
+
+def _arm(world: Xml.Element, actuators: Xml.Element, scene: ExportedScene, name: str, arm: ArmPhysics) -> None:
+    facts, hand, limits = arm.facts, arm.end_effector, arm.facts.limits
+    coulomb, viscous = scene.friction(name)
+    body = _body(world, f"{name}_base", arm.base.translation, arm.base.rotation)
+    for index, (origin, link) in enumerate(zip(facts.joints, facts.links, strict=True)):
+        joint_name = f"{name}_joint{index + 1}"
+        body = _body(body, f"{name}_link{index + 1}", np.array(origin.xyz), pin.rpy.rpyToMatrix(*origin.rpy))
+        _inertial(body, link.mass, np.array(link.com), link.inertia_matrix)
+        Xml.SubElement(
+            body,
+            "joint",
+            name=joint_name,
+            type="slide" if origin.type == "prismatic" else "hinge",
+            axis="0 0 1",
+            limited="true",
+            range=_text(limits.position_min_rad[index], limits.position_max_rad[index]),
+            armature=_text(scene.motor_inertia[name][index]),
+            frictionloss=_text(coulomb[index]),
+            damping=_text(viscous[index]),
+        )
+        torque = limits.torque_Nm[index]
+        Xml.SubElement(
+            actuators,
+            "general",
+            name=joint_name,
+            joint=joint_name,
+            biastype="affine",
+            gainprm=_text(arm.torque_gain[index]),
+            biasprm=_text(arm.torque_offset[index], 0.0, 0.0),
+            forcelimited="true",
+            forcerange=_text(-torque, torque),
+        )
+    place = np.array(facts.flange.xyz) + facts.flange.rotation @ [0.0, 0.0, hand.length]
+    turn = facts.flange.rotation @ pin.rpy.rpyToMatrix(0.0, 0.0, hand.mount_yaw)
+    body = _body(body, f"{name}_end_effector", place, turn)
+    _inertial(body, hand.mass, hand.com, hand.inertia)
+    Xml.SubElement(body, "site", name=f"{name}_E")
+    pad = hand.pad_placement
+    _box(body, name, np.array(hand.pad_size), pad.translation, pad.rotation)
+
+
+def _object(world: Xml.Element, scene: ExportedScene) -> None:
+    physics, object_ = scene.physics, scene.physics.object
+    body = _body(world, "object", scene.object.position, scene.object.rotation)
+    Xml.SubElement(body, "freejoint", name="object")
+    _inertial(body, object_.mass, object_.com_offset, np.diag(object_.inertia))
+    _box(body, "object", object_.size, np.zeros(3), np.eye(3))
+    height = scene.standing_height
+    if height is not None:
+        size = np.array([*physics.support_size, SUPPORT_THICKNESS])
+        _box(world, SUPPORT, size, np.array([0.0, 0.0, height - SUPPORT_THICKNESS / 2.0]), np.eye(3))
+
+
+def _contacts(root: Xml.Element, scene: ExportedScene) -> list[str]:
+    """Contact pairs; returns how their numbers came about."""
+    physics, contact, said = scene.physics, Xml.SubElement(root, "contact"), []
+    lightness = 1.0 / physics.object.mass
+    ratio = max(damping_ratio_of(scene.restitution), LEAST_RATIO)
+    for name, arm in physics.arms.items():
+        pair = _pair(contact, name, physics.pad_friction, physics.rolling_arm)
+        if scene.pads == "rigid" or arm.pad_stiffness is None:
+            pair.set("solref", _text(STEP * max(2.0, STEPS_OF_BOUNCE / ratio), ratio))
+            pair.set("solimp", _text(RIGID, RIGID, 1e-3, 0.5, 2.0))
+            said.append(
+                f"{name}: solref is (time constant [s], damping ratio); the ratio {ratio:.4g} has the restitution "
+                f"{restitution_of(ratio):.3g} of a single impact (the model's: {scene.restitution:g})"
+            )
+            continue
+        weight = _inverse_weight(scene, name) + lightness
+        virtual = VIRTUAL_MASS * scene.impact_mass(name)
+        law = (arm.pad_stiffness, arm.pad_damping)
+        impedance = _set_law(pair, law, virtual, weight, FRICTION_RATE)
+        said.append(
+            f"{name}: solref is -(1 - d) w K / {CORNERS}, -(1 - d) w C / {CORNERS}: the pad's K = {law[0]:g} N/m and "
+            f"C = {law[1]:g} N s/m are shared by {CORNERS} corners, d = {impedance:.4g} is the impedance and "
+            f"w = {weight:.5g} 1/kg the inverse weight of both bodies; a square impact has the restitution "
+            f"{scene.restitution_of_pad(name):.3g}"
+        )
+    if physics.support_height is not None:
+        pair = _pair(contact, SUPPORT, physics.support_friction, physics.rolling_arm)
+        virtual = VIRTUAL_MASS_SUPPORT * physics.object.mass
+        _set_law(pair, scene.support_contact, virtual, lightness, FRICTION_RATE_SUPPORT)
+        said.append("support: {:.6g} N/m and {:.6g} N s/m under the whole object".format(*scene.support_contact))
+    said.append(
+        "friction is convex in MuJoCo: where a point slides at v, its partner is pushed off at up to mu v, and the "
+        "jump differs from that of Coulomb friction"
+    )
+    return said
+
+
+def _pair(contact: Xml.Element, partner: str, friction: float, rolling_arm: float) -> Xml.Element:
+    """Friction between the object and a partner; all others pass through each other."""
+    return Xml.SubElement(
+        contact,
+        "pair",
+        name=f"object_{partner}",
+        geom1=partner,
+        geom2="object",
+        condim="6" if rolling_arm else "3",
+        friction=_text(friction, friction, 0.0, rolling_arm, rolling_arm),
+        margin=_text(MARGIN),
+    )
+
+
+def _set_law(
+    pair: Xml.Element, law: tuple[float, float], virtual_mass: float, weight: float, friction_rate: float
+) -> float:
+    """Give a pair stiffness and damping of the whole face [N/m, N s/m]; returns the impedance."""
+    impedance = weight * virtual_mass / (1.0 + weight * virtual_mass)
+    pair.set("solref", _text(*(-(1.0 - impedance) * weight / CORNERS * value for value in law)))
+    pair.set("solreffriction", _text(-1e-9, -impedance * friction_rate))
+    pair.set("solimp", _text(impedance, impedance, 1e-3, 0.5, 2.0))
+    return impedance
+
+
+def _inverse_weight(scene: ExportedScene, name: str) -> float:
+    """MuJoCo's ``body_invweight0`` of an end effector: mean of ``diag(J M^-1 J^T)``, J of its centre of mass [1/kg].
+
+    In the configuration in which all joints are at 0.
+    """
+    arm, model = scene.physics.arms[name], scene.physics.robot_model(name)
+    zero = np.zeros(arm.facts.joint_count)
+    jacobian = model.jacobian(zero)
+    lever = model.placement(zero).rotation @ arm.end_effector.com
+    linear = jacobian[:3] - pin.skew(lever) @ jacobian[3:]
+    inertia = model.mass_matrix(zero) + np.diag(scene.motor_inertia[name])
+    return float(np.trace(linear @ np.linalg.solve(inertia, linear.T)) / 3.0)
+
+
+def _body(parent: Xml.Element, name: str, place: Array, rotation: Array) -> Xml.Element:
+    return Xml.SubElement(parent, "body", name=name, pos=_text(*place), quat=_text(*_quaternion(rotation)))
+
+
+def _inertial(body: Xml.Element, mass: float, com: Array, inertia: Array) -> None:
+    entries = [inertia[index] for index in ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))]
+    Xml.SubElement(body, "inertial", pos=_text(*com), mass=_text(mass), fullinertia=_text(*entries))
+
+
+def _box(body: Xml.Element, name: str, size: Array, place: Array, rotation: Array) -> None:
+    Xml.SubElement(
+        body,
+        "geom",
+        name=name,
+        type="box",
+        size=_text(*(size / 2.0)),
+        pos=_text(*place),
+        quat=_text(*_quaternion(rotation)),
+        contype="0",
+        conaffinity="0",
+    )
+
+
+def _quaternion(rotation: Array) -> Array:
+    """w, x, y, z, ``(4,)``."""
+    return np.roll(quaternion_of(rotation), 1)
+
+
+def _text(*values: float) -> str:
+    return " ".join(repr(float(value)) for value in values)

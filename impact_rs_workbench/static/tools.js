@@ -1,0 +1,139 @@
+// SPDX-License-Identifier: Apache-2.0
+// Small tools of the page: nodes, requests, numbers as text, lists of choices, messages.
+
+export const $ = (id) => document.getElementById(id);
+export const state = {workspace: null, jobs: [], step: 'predict', chosen: null};
+
+export function h(tag, attributes = {}, ...children) {
+  const node = document.createElement(tag);
+  for (const [name, value] of Object.entries(attributes)) {
+    if (name.startsWith('on')) node.addEventListener(name.slice(2), value);
+    else if (value === true) node.setAttribute(name, '');
+    else if (value !== false && value !== null && value !== undefined) node.setAttribute(name, value);
+  }
+  node.append(...children.flat().filter((child) => child !== null && child !== undefined && child !== ''));
+  return node;
+}
+
+export async function ask(path, body, signal) {
+  const options = body === undefined ? {} :
+    {method: 'POST', headers: {'content-type': 'application/json'}, body: JSON.stringify(body), signal};
+  const answer = await fetch(path, options);
+  const data = answer.headers.get('content-type')?.startsWith('application/json') ?
+    await answer.json() : {error: await answer.text()};
+  if (!answer.ok) throw new Error(data.error);
+  return data;
+}
+
+export const query = (values) => new URLSearchParams(values).toString();
+const tidy = (text) => text.replace('-', '−');
+export const number = (value, digits = 3) => value === null || value === undefined ? '–' : tidy(String(Number(Number(value).toPrecision(digits))));
+export const fixed = (value, digits = 3) => value === null ? '–' : tidy((Number(value.toFixed(digits)) + 0).toFixed(digits)); // + 0: no −0.000
+export const unit = (text) => !text || text === '-' ? '' : ` ${text}`;
+export const slug = (text) => text.replace(/[^A-Za-z0-9]+/g, '_').replace(/^_|_$/g, '');
+export const stem = (path) => path.split('/').pop().replace(/\.[a-z]+$/, '');
+
+// A path as it is seen from the folder of the workbench; in the middle of a text, too.
+export const inFolder = (text) => state.workspace ? text.replaceAll(`${state.workspace.root}/`, '').replaceAll(state.workspace.root, '.') : text;
+
+export function seconds(value) {
+  if (value === null || value === undefined) return '';
+  return value < 90 ? `${Math.max(1, Math.round(value))} s left` : `${Math.round(value / 60)} min left`;
+}
+
+export function later(wait, work) {
+  let timer = 0;
+  return (...given) => { clearTimeout(timer); timer = setTimeout(() => work(...given), wait); };
+}
+
+// Fills a list of choices and keeps what was chosen.
+export function fill(select, options, wanted) {
+  const before = wanted ?? select.value;
+  const content = (all) => JSON.stringify([...all].map((one) => [one.value, one.text]));
+  const same = content(select.options) === content(options);
+  if (!same) select.replaceChildren(...options.map((one) => new Option(one.text, one.value)));
+  if (options.some((one) => one.value === before)) select.value = before;
+  fit(select);
+}
+
+// A list is as wide as its longest choice needs; where the page is too narrow, what is cut off stands below it.
+const pen = document.createElement('canvas').getContext('2d');
+const ARROW = 44; // px, of a list beside its text
+
+export function fit(select) {
+  const label = select.closest('label');
+  if (!label || !select.isConnected) return;
+  pen.font = getComputedStyle(select).font;
+  const wide = (text) => pen.measureText(text).width + ARROW;
+  const longest = Math.max(0, ...[...select.options].map((one) => wide(one.text)));
+  label.classList.toggle('long', longest > 170 && longest <= 350);
+  label.classList.toggle('wide', longest > 350);
+  const text = select.selectedOptions[0]?.text ?? '', cut = select.clientWidth > 0 && wide(text) > select.clientWidth;
+  let whole = label.querySelector('small');
+  if (!cut) { whole?.remove(); return; }
+  if (!whole) label.append(whole = h('small', {class: 'whole'}));
+  whole.textContent = text;
+}
+
+export function fitAll() { for (const select of document.querySelectorAll('label > select')) fit(select); }
+addEventListener('resize', () => requestAnimationFrame(fitAll));
+document.addEventListener('change', ({target}) => { if (target.tagName === 'SELECT') fit(target); });
+
+// Replaces changed items only: a button that is replaced while the pointer is down gets no click.
+export function refill(node, items) {
+  const before = [...node.children];
+  items.forEach((item, index) => {
+    if (!before[index]) node.append(item); else if (!before[index].isEqualNode(item)) before[index].replaceWith(item);
+  });
+  for (const item of before.slice(items.length)) item.remove();
+}
+
+export const plain = (values) => values.map((value) => ({value, text: value}));
+
+export function labelled(text, control, attributes = {}) {
+  return h('label', attributes, h('span', {}, text), control);
+}
+
+export function commandLine(text) {
+  const copied = h('button', {type: 'button', onclick: async () => {
+    await navigator.clipboard.writeText(text);
+    copied.textContent = 'copied';
+  }}, 'copy');
+  return h('div', {class: 'command'}, h('code', {}, text), copied);
+}
+
+// The message below a form: the command that it makes, or the error in its input.
+export function messageArea() {
+  const node = h('div', {class: 'message', 'aria-live': 'polite'});
+  return {
+    node,
+    // The message belongs to an earlier question: it stays in place, so that nothing jumps, and is greyed out.
+    wait() { node.setAttribute('aria-busy', 'true'); },
+    show(...items) { node.removeAttribute('aria-busy'); node.replaceChildren(...items); },
+    command(text) { this.show(commandLine(text)); },
+    error(text) { this.show(h('p', {class: 'error', role: 'alert'}, inFolder(text))); },
+  };
+}
+
+// Arrow keys, Home and End go from tab to tab and open it.
+export function arrowKeys(tabs) {
+  for (const [place, tab] of tabs.entries()) {
+    tab.addEventListener('keydown', (event) => {
+      const to = {ArrowRight: place + 1, ArrowLeft: place - 1, Home: 0, End: tabs.length - 1}[event.key];
+      if (to === undefined) return;
+      event.preventDefault();
+      const next = tabs[(to + tabs.length) % tabs.length];
+      next.click();
+      next.focus();
+    });
+  }
+}
+
+// A script of the server, once it has run.
+export const load = (address) => new Promise((done, failed) => {
+  const script = document.createElement('script');
+  script.src = address;
+  script.onload = done;
+  script.onerror = () => failed(new Error(`${address} cannot be loaded`));
+  document.head.append(script);
+});

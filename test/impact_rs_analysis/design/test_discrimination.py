@@ -1,0 +1,162 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Expected discrimination against closed forms, and against likelihood ratios of simulated measurements."""
+
+import numpy as np
+import pytest
+import scipy
+from made_up_trials import DISCREPANCY, SCATTER, estimated_pair, trial
+
+from impact_rs_analysis.design.discrimination import ALONE, WIDE, Discrimination, probability, variance
+from impact_rs_analysis.design.explanations import AS_IS, Decision, Explanation
+
+
+def gain(counts: Discrimination, **repeats: int) -> float:
+    return float(counts.gains(counts.total(repeats))[0][0][0])
+
+
+def test_the_distance_is_that_of_the_predictions_over_what_blurs_them() -> None:
+    counts = Discrimination(estimated_pair(), [trial("a", [[0.3, -0.4], [0.0, 0.1]])])
+    blur = SCATTER**2 / 3 + (1.0 - SCATTER**2 - DISCREPANCY**2) + DISCREPANCY**2
+    assert gain(counts, a=3) == pytest.approx((0.3**2 + 0.5**2) / blur)
+
+
+def test_repeats_average_scatter_and_not_the_discrepancy_of_the_simulation() -> None:
+    item = trial("a", [[0.3], [0.0]]).cluster
+    assert variance(item, 1)[0] == pytest.approx(1.0)
+    assert variance(item, 10**6)[0] == pytest.approx(1.0 - SCATTER**2, rel=1e-4)
+
+
+@pytest.mark.parametrize("repeats", [1, 4])
+def test_the_likelier_explanation_is_right_as_often_as_said(repeats: int) -> None:
+    """Measurements drawn from the model of the module, judged by their likelihood with the full covariance."""
+    rng = np.random.default_rng(2)
+    trials = [
+        trial(
+            name,
+            rng.normal(size=(2, 6)) * 0.4,
+            [0.3 * rng.normal(size=(2, 6)) for _ in range(2)],
+            np.array([[DISCREPANCY, -DISCREPANCY] * 3]),
+        )
+        for name in "ab"
+    ]
+    counts = Discrimination(estimated_pair(2), trials)
+    said = counts.probabilities(counts.total({"a": repeats, "b": repeats}))[0]
+
+    patterns = np.sqrt(1.0 - ALONE) * np.hstack([one.cluster.patterns for one in trials])
+    spreads = [np.hstack([one.spreads[h] for one in trials]) for h in range(2)]
+    blur = np.diag(np.hstack([variance(one.cluster, repeats) for one in trials]))
+    covariance = blur + patterns.T @ patterns + sum(rows.T @ rows for rows in spreads)
+    centres = np.hstack([one.centres for one in trials])
+    draws = rng.multivariate_normal(np.zeros(12), covariance, size=20_000)
+    way = np.linalg.solve(covariance, centres[0] - centres[1])
+    right = np.mean((draws + centres[0] - centres.mean(axis=0)) @ way > 0.0)
+    assert right == pytest.approx(said, abs=0.01)
+    assert 0.55 < said < 0.99
+
+
+def test_a_rival_whose_parameters_can_imitate_it_is_not_distinguished() -> None:
+    difference = np.array([0.4, -0.2, 0.3])
+    far = Discrimination(estimated_pair(), [trial("a", [difference, np.zeros(3)])])
+    none = np.zeros((1, 3))
+    near = Discrimination(estimated_pair(1), [trial("a", [difference, np.zeros(3)], [none, 30.0 * difference[None]])])
+    assert gain(near, a=5) < 0.01 * gain(far, a=5)
+
+
+def test_a_difference_along_the_discrepancy_counts_less_than_one_across_it() -> None:
+    along = np.array([[DISCREPANCY, DISCREPANCY]])
+    counts = [
+        Discrimination(estimated_pair(), [trial("a", [way, [0.0, 0.0]], patterns=along)])
+        for way in ([0.5, 0.5], [0.5, -0.5])
+    ]
+    assert gain(counts[0], a=20) < 0.7 * gain(counts[1], a=20)
+
+
+def test_conditions_share_the_amplitude_of_their_discrepancy() -> None:
+    """Where the explanations differ with opposite sign in two conditions, the shared error cancels."""
+    along = np.array([[DISCREPANCY, DISCREPANCY]])
+    same, opposite = (
+        Discrimination(
+            estimated_pair(),
+            [
+                trial("a", [[0.5, 0.5], [0.0, 0.0]], patterns=along),
+                trial("b", [[sign * 0.5, sign * 0.5], [0.0, 0.0]], patterns=along),
+            ],
+        )
+        for sign in (1.0, -1.0)
+    )
+    assert gain(same, a=4, b=4) < 0.8 * gain(opposite, a=4, b=4)
+
+
+def test_without_estimates_the_rival_is_fitted_anew() -> None:
+    """What least squares leave of one effect's change, the other fitted in a wide range."""
+    first, second = np.array([[0.6, 0.0, 0.3]]), np.array([[0.5, 0.1, 0.0]])
+    decision = Decision.between(
+        [Explanation("first", varied=((("a", (1.0,)),),)), Explanation("second", varied=((("b", (1.0,)),),))], "effects"
+    )
+    one = trial("a", np.zeros((2, 3)), [first, second])
+    counts = Discrimination(decision, [one])
+    blur = variance(one.cluster, 2)
+    expected = []
+    for own, other in ((first, second), (second, first)):
+        rows = np.vstack([other.T / np.sqrt(blur)[:, None], [[1.0 / WIDE]]])
+        target = np.append(own[0] / np.sqrt(blur), 0.0)
+        share = np.linalg.lstsq(rows, target, rcond=None)[0]
+        expected.append(np.sum(np.square(target - rows @ share)))
+    found = counts.gains(counts.total({"a": 2}))[0]
+    assert [float(ways[0]) for ways in found] == pytest.approx(expected)
+    assert counts.probabilities(counts.total({"a": 2}))[0] == pytest.approx(probability(np.array(min(expected))))
+
+
+def test_of_an_effect_with_parameters_that_look_like_another_only_half_are_recognised() -> None:
+    visible, alike = np.array([[30.0, 0.0]]), np.array([[0.0, 30.0]])
+    decision = Decision.between(
+        [
+            Explanation("friction", varied=((("f", (1.0, 0.0)),), (("f", (0.0, 1.0)),))),
+            Explanation("offset", varied=((("o", (1.0,)),),)),
+        ],
+        "effects",
+    )
+    counts = Discrimination(decision, [trial("a", np.zeros((2, 2)), [np.vstack((visible, alike)), alike])])
+    assert counts.probabilities(counts.total({"a": 5}))[0] == pytest.approx(0.5, abs=0.05)
+
+
+def test_nothing_is_known_before_the_first_trial() -> None:
+    decision = Decision.between([Explanation(AS_IS), Explanation("mass", varied=((("m", (1.0,)),),))], "effects")
+    counts = Discrimination(decision, [trial("a", np.zeros((2, 1)), [np.zeros((0, 1)), np.ones((1, 1))])])
+    assert counts.probabilities(counts.total({}))[0] == 0.5
+    assert counts.probabilities(counts.total({"a": 2}))[0] > 0.6
+
+
+def test_the_information_on_parameters_is_that_of_least_squares() -> None:
+    rows = np.array([[0.7, 0.2, 0.0], [0.1, 0.4, 0.5]])
+    one = Explanation("mass", (("m", (1.0,)),), ((("m", (1.1,)),), (("m", (1.0,)),)))
+    made = trial("a", np.zeros((1, 3)), [rows])
+    counts = Discrimination(Decision("parameters", (one,)), [made])
+    weighed = rows / variance(made.cluster, 3) @ rows.T
+    assert counts.utility(counts.total({"a": 3})) == pytest.approx(
+        0.5 * np.linalg.slogdet(np.eye(2) + weighed)[1], rel=1e-9
+    )
+
+
+def test_a_further_trial_never_informs_less() -> None:
+    rng = np.random.default_rng(5)
+    patterns = DISCREPANCY * scipy.linalg.orth(rng.normal(size=(4, 2))).T
+    trials = [
+        trial(name, rng.normal(size=(2, 4)), [rng.normal(size=(2, 4)) for _ in range(2)], patterns) for name in "abc"
+    ]
+    counts = Discrimination(estimated_pair(2), trials)
+    for _ in range(30):
+        repeats = {name: int(rng.integers(0, 4)) for name in "abc"}
+        more = {name: count + int(rng.integers(0, 2)) for name, count in repeats.items()}
+        assert counts.utility(counts.total(more)) >= counts.utility(counts.total(repeats)) - 1e-12
+
+
+def test_what_estimates_contain_is_not_counted_again() -> None:
+    """Two tied explanations were fitted to the trials so far; of a library without estimates those still inform."""
+    trials = [trial("a", [[0.9], [0.0]], [np.ones((1, 1)), np.ones((1, 1))], repeats=4)]
+    tied = Discrimination(estimated_pair(1), trials)
+    open_pair = Decision.between([Explanation(AS_IS), Explanation("mass", varied=((("m", (1.0,)),),))], "effects")
+    fresh = Discrimination(open_pair, [trial("a", np.zeros((2, 1)), [np.zeros((0, 1)), np.ones((1, 1))], repeats=4)])
+    assert tied.measured == fresh.measured == {"a": 4}
+    assert tied.probabilities(tied.total(tied.counted))[0] == 0.5
+    assert fresh.probabilities(fresh.total(fresh.counted))[0] > 0.6

@@ -1,0 +1,121 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Trials simulated on the twin, and what a plan makes of them."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from impact_rs_analysis.design.design import planned
+from impact_rs_analysis.design.discrimination import Discrimination
+from impact_rs_analysis.design.explanations import Decision, Explanation, estimated, which_effect
+from impact_rs_analysis.design.forecast import Forecast, forecast_of
+from impact_rs_analysis.design.possible_trials import Envelope, PossibleTrial, possible_trials
+from impact_rs_analysis.evidence.measured_runs import read_runs
+from impact_rs_analysis.evidence.replay_cache import ReplayCache
+from impact_rs_sim.effects import library
+from impact_rs_sim.errors import InputError
+from impact_rs_sim.model import load_model
+
+WANTED = (
+    "excite/none/fast",
+    "push/juice/case_1",
+    "push/juice/case_2",
+    "push/juice/case_3_700mm_s",
+    "push_beside/juice/case_2",
+)
+
+
+def some(names: tuple[str, ...] = WANTED) -> list[PossibleTrial]:
+    return [trial for trial in possible_trials(["push", "excite"]) if trial.name in names]
+
+
+@pytest.fixture(scope="module")
+def forecast() -> Forecast:
+    return forecast_of(load_model("nominal"), some(), ReplayCache(map))
+
+
+def between(forecast: Forecast, *names: str) -> Decision:
+    effects = [library()[name] for name in names]
+    return which_effect(effects, forecast.source.joints, forecast.source.worlds)
+
+
+def test_what_the_arm_cannot_do_is_no_proposal(forecast: Forecast) -> None:
+    assert [name for name, _ in forecast.refused] == ["push/juice/case_3_700mm_s"]
+    decision = between(forecast, "object_mass")
+    assert "push/juice/case_3_700mm_s" not in [trial.name for trial in forecast.under(decision)]
+    plan = planned(forecast, decision, 12)
+    assert plan.trials == 12
+    assert "case_3_700mm_s" not in [one.case for campaign in plan.campaigns for one in campaign.conditions]
+
+
+def test_a_speed_beyond_the_joints_and_a_force_beyond_the_cell_are_refused() -> None:
+    fast = [t for t in possible_trials(["excite"], Envelope(speed=3.0)) if t.own_case is not None]
+    assert fast
+    with pytest.raises(InputError, match="within the limits.*(LIMIT|INFEASIBLE|DIVERGED|limit)"):
+        forecast_of(load_model("nominal"), fast[:1], ReplayCache(map))
+    with pytest.raises(InputError, match="contact force .* limit 1 N"):
+        forecast_of(load_model("nominal"), some(("push/juice/case_2",)), ReplayCache(map), Envelope(force=1.0))
+
+
+def test_a_heavier_object_shows_in_pushes_alone_and_leaves_less_speed(forecast: Forecast) -> None:
+    mass = Explanation("heavier", (("object_mass", (1.2,)),))
+    trials = {trial.name: trial for trial in forecast.under(Decision.between([Explanation("as is"), mass], "rivals"))}
+    assert not trials["excite/none/fast"].centres.any()
+    push = trials["push/juice/case_2"]
+    moved = {
+        (f.signal, f.index): change
+        for f, change in zip(push.cluster.features, push.centres[1], strict=True)
+        if f.phase == "impact" and f.bin == 0
+    }
+    assert moved["object velocity", "y"] > 0.0  # it goes along -y
+    assert moved["end-effector velocity", "y"] > 0.0
+
+
+def test_friction_and_offset_are_distinguished_by_a_motion_there_and_back(forecast: Forecast) -> None:
+    decision = between(forecast, "joint_coulomb_friction", "torque_offset")
+    counts = Discrimination(decision, forecast.under(decision))
+    pair = decision.pairs.index((1, 2))
+    push, excite = (
+        counts.probabilities(counts.total({name: 4}))[pair] for name in ("push/juice/case_2", "excite/none/fast")
+    )
+    assert excite > push + 0.03
+
+
+def test_noise_of_the_scenario_is_the_scatter_of_a_plan(forecast: Forecast) -> None:
+    for item in forecast.source.clusters:
+        assert np.all(item.pure > 0.0)
+        assert 0.05 < np.sqrt(np.mean(np.square(item.pure))) < 1.0
+
+
+def test_trials_measured_so_far_count(forecast: Forecast, hidden_campaign: Path) -> None:
+    runs = read_runs(hidden_campaign, map)
+    again = forecast_of(load_model("nominal"), some(), ReplayCache(map), runs=runs)
+    assert sum(again.repeats.values()) == len(runs.runs)
+    decision = between(again, "object_mass", "support_friction")
+    counts = Discrimination(decision, again.under(decision))
+    assert counts.measured == {name: len(group) for name, group in runs.conditions.items()}
+    before = counts.probabilities(counts.total(counts.measured))
+    assert np.all(before >= 0.5) and np.any(before > 0.6)
+    plan = planned(again, decision, 2)
+    assert plan.trials == 2
+    assert all(pair.after >= pair.before for pair in plan.pairs)
+
+
+def test_an_estimate_keeps_its_deviations_within_its_bounds(forecast: Forecast) -> None:
+    one = estimated(
+        "friction", (("support_friction", (0.05,)),), {"support_friction": np.array([0.1])},
+        {"support_friction": (np.array([0.0]), np.array([1.0]))},
+    )  # fmt: skip
+    assert one.varied == (((("support_friction", (pytest.approx(0.15),))),),)
+    known = estimated("known", one.centre, {"support_friction": np.zeros(1)}, {"support_friction": (np.zeros(1),) * 2})
+    assert known.varied == ()
+
+
+def test_the_plan_says_what_each_condition_adds(forecast: Forecast) -> None:
+    decision = between(forecast, "joint_coulomb_friction", "torque_offset")
+    plan = planned(forecast, decision, 8)
+    conditions = [one for campaign in plan.campaigns for one in campaign.conditions]
+    assert all(f"{one.trials} x {one.what}" in one.buys and "without them" in one.buys for one in conditions)
+    assert any("there and back" in one.what for one in conditions)
+    assert [pair.after for pair in plan.pairs] == sorted(pair.after for pair in plan.pairs)

@@ -1,0 +1,66 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Trials that a cell can run, from its scenarios and its envelope."""
+
+import numpy as np
+import pytest
+
+from impact_rs_analysis.design.possible_trials import Envelope, PossibleTrial, possible_trials
+from impact_rs_sim.errors import InputError
+from impact_rs_sim.scenario import load_scenario
+
+
+def speed(trial: PossibleTrial) -> float:
+    robots = trial.spec.scenario.case(trial.spec.case).robots.values()
+    return max(float(np.linalg.norm(robot.ante_velocity)) for robot in robots)
+
+
+def test_no_trial_is_faster_than_the_scenario_or_the_envelope() -> None:
+    assert max(speed(trial) for trial in possible_trials(["push"])) == pytest.approx(0.7)
+    slow = possible_trials(["push", "excite"], Envelope(speed=0.45))
+    assert slow and max(map(speed, slow)) <= 0.45 + 1e-9
+    assert max(speed(trial) for trial in possible_trials(["push"], Envelope(speed=0.9))) == pytest.approx(0.9)
+
+
+def test_another_speed_keeps_pose_and_direction() -> None:
+    trials = [trial for trial in possible_trials(["push"]) if trial.own_case is not None]
+    assert trials
+    for trial in trials:
+        case = trial.spec.scenario.case(trial.spec.case)
+        name = trial.spec.case.rsplit("_", 2)[0]
+        own, other = case.robots["arm"], load_scenario("push").case(name).robots["arm"]
+        assert own.held == other.held
+        assert np.cross(own.ante_velocity, other.ante_velocity) == pytest.approx(0.0, abs=1e-6)
+
+
+def test_a_hit_beside_the_centre_is_one_and_keeps_the_face_in_the_plane_of_the_pad() -> None:
+    by_name = {trial.name: trial for trial in possible_trials(["push"])}
+    for item, half in (("parcel", 0.09), ("juice", 0.065)):
+        scene = by_name[f"push_beside/{item}/case_1"].spec.scene
+        pad = scene.models["arm"].placement(scene.arms["arm"].position).translation
+        assert abs(scene.object.position[0] - pad[0]) == pytest.approx(0.15 * 0.20, abs=1e-5)
+        assert pad[1] - scene.object.position[1] == pytest.approx(half, abs=1e-6)
+
+
+def test_a_way_there_and_back_ends_within_the_trial() -> None:
+    trials = possible_trials(["excite"])
+    scenario = load_scenario("excite")
+    for trial in trials:
+        for robot in trial.spec.scenario.case(trial.spec.case).robots.values():
+            assert scenario.excursion_end(robot) <= scenario.timing.duration
+    assert {trial.spec.scenario.name for trial in trials} == {"excite", "excite_mirrored"}
+
+
+def test_every_condition_has_a_name_of_its_own() -> None:
+    trials = possible_trials(["push", "excite", "grab"])
+    assert len({trial.name for trial in trials}) == len(trials) > 40
+    assert [trial.name for trial in trials] == sorted(trial.name for trial in trials)
+    assert sum(trial.of_file for trial in trials) == 9 + 2 + len(load_scenario("grab").objects) * len(
+        load_scenario("grab").cases
+    )
+
+
+def test_an_envelope_without_room_is_refused() -> None:
+    with pytest.raises(InputError, match="speed"):
+        Envelope(speed=0.0)
+    with pytest.raises(InputError, match="force"):
+        Envelope(force=float("nan"))

@@ -1,0 +1,186 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Speed limits obey the physics of hits: closed forms, and what makes an arm hit slower."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from impact_rs_analysis.evidence.map_discrepancy import NO_MAP_DISCREPANCY, measured_map_discrepancy
+from impact_rs_analysis.limits.drawn_hits import Hits, observed
+from impact_rs_analysis.limits.hit_bounds import Thresholds, bounds_of
+from impact_rs_analysis.limits.poses import LimitTask, limit_of, moved
+from impact_rs_analysis.limits.speed import SpeedLimit, speed_limit
+from impact_rs_cli.main import main
+from impact_rs_sim.errors import InputError
+from impact_rs_sim.impact_map import ImpactProblem, compute_impact_map
+from impact_rs_sim.scenario import Uncertainties, load_scenario
+from impact_rs_sim.scene import ArmMotion, Scene
+
+FRICTIONLESS = {"contact.friction": 0.0, "support.friction": 0.0}
+EXACT = Uncertainties(**dict.fromkeys(Uncertainties.model_fields, 0.0))
+DRAWS = 40
+
+
+def scene_of(item: str = "cat_food", **settings: Any) -> Scene:
+    return Scene.resolve(load_scenario("push").with_settings(settings), item, "case_1")
+
+
+def limit(scene: Scene, thresholds: Thresholds, draws: int = 0, wider: float = 0.0) -> SpeedLimit:
+    """Without draws: of the nominal hit; ``wider``: half the widths of the scenario times this."""
+    stated = EXACT.model_copy(update={key: wider * width for key, width in scene.scenario.uncertainty})
+    return speed_limit(Hits(scene, thresholds, NO_MAP_DISCREPANCY, stated, draws))
+
+
+def test_the_jump_of_a_frictionless_hit_is_proportional_and_the_limit_is_bound_over_slope() -> None:
+    """The slope comes from the impact map itself: the largest jump of a joint over the closing speed."""
+    scene = scene_of(**FRICTIONLESS)
+    (state,) = scene.arms.values()
+    (after,) = compute_impact_map(ImpactProblem.at_nominal_impact(scene)).joint_velocity.values()
+    hits = Hits(scene, Thresholds(), NO_MAP_DISCREPANCY)
+    slope = np.abs(after - state.velocity).max() / hits.speed
+    assert hits.speed == pytest.approx(0.5)  # m/s, along the normal
+    for bound in (0.1, 0.2, 0.4):
+        assert limit(scene, Thresholds(velocity_jump=bound)).by_kind["jump"] == pytest.approx(bound / slope, rel=1e-3)
+    jumps = np.array(hits.bounds.kinds) == "jump"
+    np.testing.assert_allclose(hits.values(3.0)[0, jumps], 3.0 * hits.values(1.0)[0, jumps], rtol=1e-9)
+
+
+def test_a_harder_gear_allows_more_and_a_heavier_object_less() -> None:
+    thresholds = Thresholds(velocity_jump=0.3, external_torque=40.0, external_force=150.0)
+    parcel, juice = (limit(scene_of(item), thresholds) for item in ("parcel", "juice"))
+    for kind in ("jump", "reflex", "force"):
+        assert juice.by_kind[kind] < 0.9 * parcel.by_kind[kind], kind
+    assert juice.speed < parcel.speed
+    twice = limit(scene_of("juice"), Thresholds(0.6, 80.0, 300.0))
+    assert twice.by_kind["jump"] == pytest.approx(2.0 * juice.by_kind["jump"], rel=1e-3)
+    assert 1.5 < twice.by_kind["force"] / juice.by_kind["force"] < 2.5  # the support's friction does not double
+
+
+def test_a_wider_uncertainty_allows_less() -> None:
+    thresholds = Thresholds(velocity_jump=0.3, external_torque=40.0)
+    exact, stated, wide = (
+        limit(scene_of(), thresholds, draws, wider) for draws, wider in ((0, 0.0), (DRAWS, 1.0), (DRAWS, 3.0))
+    )
+    for kind in ("jump", "reflex"):
+        assert wide.by_kind[kind] < stated.by_kind[kind] < exact.by_kind[kind], kind
+    assert stated.speed < stated.middle
+
+
+def test_the_discrepancy_of_the_map_lowers_the_limit_of_the_jump() -> None:
+    scene, thresholds = scene_of(), Thresholds(velocity_jump=0.3)
+    with_it, without = (
+        speed_limit(Hits(scene, thresholds, found, EXACT, DRAWS)).by_kind["jump"]
+        for found in (measured_map_discrepancy(), NO_MAP_DISCREPANCY)
+    )
+    assert with_it < 0.97 * without
+
+
+def test_the_approach_itself_respects_the_speed_limits_of_joints() -> None:
+    scene = scene_of()
+    (state,), (model,) = scene.arms.values(), scene.models.values()
+    found = limit(scene, Thresholds())
+    assert 0.9 * found.planned < found.by_kind["speed"]
+    assert found.by_kind["speed"] <= found.planned / np.abs(state.velocity / model.velocity_max).max() * 1.001
+
+
+def test_an_arm_that_cannot_carry_itself_may_not_hit_at_all() -> None:
+    scenario = load_scenario("push")
+    facts = scenario.robots["arm"].robot_facts
+    weak = facts.limits.model_copy(update={"torque_Nm": tuple(0.05 * torque for torque in facts.limits.torque_Nm)})
+    arm = scenario.robots["arm"].model_copy(update={"facts": facts.model_copy(update={"limits": weak})})
+    found = limit(Scene.resolve(scenario.model_copy(update={"robots": {"arm": arm}}), "juice", "1"), Thresholds())
+    assert found.speed == found.by_kind["torque"] == 0.0
+    assert "joint torque" in found.binding
+
+
+def test_the_observer_sees_an_external_torque_behind_its_filter() -> None:
+    """A torque tau_ext from 5 ms on, links that it alone accelerates: r = tau_ext (1 - exp(-k t))."""
+    (model,) = scene_of().models.values()
+    q, gain, period = np.array(load_scenario("push").robots["arm"].impact.joint_guess), 500.0, 2.5e-4
+    external = np.linspace(-20.0, 30.0, model.joint_count)
+    time = np.arange(200) * period
+    since = np.maximum(time - 0.005, 0.0)[:, None]
+    velocity = since * np.linalg.solve(model.mass_matrix(q), external)
+    torque = np.tile(model.gravity_torque(q), (200, 1))
+    seen = observed(model, q, time, ArmMotion(velocity, velocity, torque, velocity, velocity), gain)
+    expected = external * (1.0 - np.exp(-gain * since))
+    np.testing.assert_allclose(seen, expected, atol=0.07 * np.abs(external).max())  # one period of 1/k is 12 %
+    np.testing.assert_allclose(seen[-1], external, rtol=1e-3)
+
+
+def test_joint_torque_alone_is_no_external_torque() -> None:
+    """A motor that accelerates the links: M dq = int (tau_J - tau_J0), and the observer sees nothing."""
+    (model,) = scene_of().models.values()
+    q, period = np.array(load_scenario("push").robots["arm"].impact.joint_guess), 2.5e-4
+    time = np.arange(100) * period
+    driven = np.sin(200.0 * time)[:, None] * np.ones(model.joint_count)
+    passed = np.vstack((np.zeros_like(driven[:1]), np.cumsum(driven[:-1], axis=0))) * period
+    velocity = passed @ np.linalg.inv(model.mass_matrix(q))
+    motion = ArmMotion(velocity, velocity, model.gravity_torque(q) + driven, velocity, velocity)
+    assert np.abs(observed(model, q, time, motion, 500.0)).max() < 1e-9
+
+
+def test_thresholds_of_the_robot_file_are_taken_and_what_it_lacks_is_named() -> None:
+    fr3 = Scene.resolve(load_scenario("push_fr3"), "parcel", "1")
+    found = bounds_of(fr3.physics)
+    assert found.unknown == ("jump",)
+    assert found.values[list(found.kinds).index("reflex")] == 35.0  # N m, joint 1
+    assert bounds_of(scene_of().physics).unknown == ("jump", "reflex", "force")
+    assert bounds_of(fr3.physics, Thresholds(0.5, 80.0, 200.0)).unknown == ()
+
+
+def test_a_hit_is_moved_with_its_object_and_support_and_out_of_reach_has_no_limit() -> None:
+    scenario = load_scenario("push")
+    before, after = (Scene.resolve(one, "juice", "1") for one in (scenario, moved(scenario, 0.05, -0.03)))
+    np.testing.assert_allclose(after.object.position - before.object.position, [0.05, 0.0, -0.03], atol=1e-9)
+    far = limit_of(LimitTask(scenario, "juice", "1", x=2.0, draws=20))
+    assert far.limit is None
+    assert "nearest pose" in far.reason
+
+
+def test_two_arms_have_one_limit_and_bounds_of_both() -> None:
+    scene = Scene.resolve(load_scenario("grab"), "parcel", "1")
+    hits = Hits(scene, Thresholds(velocity_jump=0.5), NO_MAP_DISCREPANCY)
+    assert {name.split()[0] for name in hits.bounds.names} == {"left", "right"}
+    assert 0.0 < speed_limit(hits).by_kind["jump"] < 2.0
+
+
+def test_the_command_writes_page_table_and_document(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    line = ["limits", "push_fr3", "--objects", "juice", "--cases", "1", "--draws", "20", "--jobs", "1", "--json"]
+    assert main([*line, "--places", "2", "--jump", "0.5", "-o", str(tmp_path / "out")]) == 0
+    document = json.loads(capsys.readouterr().out)
+    assert json.loads((tmp_path / "out" / "limits.json").read_text()) == document
+    (found,) = document["limits"]
+    assert found["without_bound"] == []
+    assert found["limit_m_s"] <= min(found["by_kind_m_s"].values()) + 1e-3
+    assert len(document["places"]) == 4
+    rows = (tmp_path / "out" / "limits.csv").read_text().splitlines()
+    assert rows[0].startswith("object,case,x [m],z [m],planned [m/s],limit [m/s],jump [m/s]")
+    assert len(rows) == 2 + sum(place["limit"] is not None for place in document["places"])
+    page = (tmp_path / "out" / "limits.html").read_text()
+    assert "How fast may push_fr3 hit?" in page and f"{found['limit_m_s']:.3f}" in page
+
+
+@pytest.mark.parametrize(
+    ("line", "said"),
+    [
+        (["push", "--jump", "-1"], "argument --jump: expected a number above 0, got -1"),
+        (["push", "--places", "99"], "argument --places: expected 0 to 25"),
+        (["excite"], "object_gap"),
+        (["push", "--objects", "brick"], "has no object 'brick'"),
+    ],
+)
+def test_a_mistake_is_one_line(line: list[str], said: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["limits", *line]) == 2
+    assert said in capsys.readouterr().err
+
+
+def test_a_pad_that_goes_away_from_the_object_is_refused() -> None:
+    scenario = load_scenario("push").with_settings({"cases.case_1.robots.arm.ante_velocity": [0.0, 0.3, 0.0]})
+    with pytest.raises(InputError, match="arm 'arm' does not come to the object"):
+        Hits(Scene.resolve(scenario, "juice", "1"), Thresholds(), NO_MAP_DISCREPANCY)

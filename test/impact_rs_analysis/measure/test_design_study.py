@@ -1,0 +1,120 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The design study orders designs as momentum does, and says how sure the order is."""
+
+from __future__ import annotations
+
+import csv
+import io
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from impact_rs_analysis.measure.design_study import (
+    MEASURES,
+    Design,
+    DesignQuestion,
+    DesignStudy,
+    Estimate,
+    problems_of,
+    stances_of,
+    study_designs,
+    values_by,
+)
+from impact_rs_analysis.report.design_page import design_table, write_design_study
+from impact_rs_sim.errors import InputError
+from impact_rs_sim.scenario import load_scenario
+
+QUESTION = DesignQuestion(load_scenario("push"), "cat_food", pads=("narrow", "bouncy"), draws=8)
+
+
+@pytest.fixture(scope="module")
+def study() -> DesignStudy:
+    return study_designs(QUESTION, ("franka_fer", "ur5e"), poses=2)
+
+
+def of(study: DesignStudy, robot: str, motor_inertia: str, pad: str) -> list[Design]:
+    return [one for one in study.designs if (one.robot, one.motor_inertia, one.pad) == (robot, motor_inertia, pad)]
+
+
+def test_heavier_motors_and_bouncing_pads_give_more_impulse(study: DesignStudy) -> None:
+    for less, more in (
+        (("reduced", "narrow"), ("rotor", "narrow")),
+        (("reduced", "narrow"), ("reduced", "bouncy")),
+    ):
+        pairs = zip(of(study, "franka_fer", *less), of(study, "franka_fer", *more), strict=True)
+        assert all(one.measures["impulse"].value < two.measures["impulse"].value for one, two in pairs)
+
+
+def test_sensitivity_is_the_share_of_the_motors_in_the_effective_mass() -> None:
+    """A plastic hit without friction by a pad that is nearly a point: v+ = v- m / (m + m_o).
+
+    With ``1 / m = n^T J (M + B)^-1 J^T n``.
+    """
+    (stance,), _ = stances_of("franka_fer", QUESTION, 1)
+    motor_inertia, _, problem = next(problems_of(QUESTION, stance))
+    assert motor_inertia == "reduced"
+    arm = problem.physics.arms["arm"]
+    point = replace(arm, end_effector=replace(arm.end_effector, pad_size=(1e-4, 1e-4, 0.02)))
+    problem = replace(problem, physics=replace(problem.physics, arms={"arm": point}, pad_friction=0.0))
+    model, state, motors = problem.physics.robot_model("arm"), problem.arms["arm"], problem.motor_inertia["arm"]
+    row = -model.jacobian(state.position)[1]
+
+    def speed(scale: float) -> float:
+        inertia = model.mass_matrix(state.position) + np.diag(scale * motors)
+        mass = 1.0 / (row @ np.linalg.solve(inertia, row))
+        return float(mass / (mass + problem.physics.object.mass))
+
+    wanted = (speed(1.05) - speed(0.95)) / (0.1 * speed(1.0))
+    found = values_by("exact", problem)
+    assert found["sensitivity"] == pytest.approx(wanted, rel=5e-3)
+    assert found["impulse"] == pytest.approx(problem.physics.object.mass * 0.5 * speed(1.0), rel=1e-3)
+
+
+def test_an_arm_without_torque_loop_has_its_rotors_alone(study: DesignStudy) -> None:
+    assert {one.motor_inertia for one in study.designs if one.robot == "ur5e"} == {"rotor"}
+
+
+def test_bullet_agrees_about_a_design() -> None:
+    (stance,), _ = stances_of("kuka_iiwa7", QUESTION, 1)
+    _, _, problem = next(problems_of(QUESTION, stance))
+    exact, bullet = (values_by(engine, problem) for engine in ("exact", "bullet"))
+    assert bullet["impulse"] == pytest.approx(exact["impulse"], rel=0.01)
+
+
+def test_same_seed_same_study(study: DesignStudy) -> None:
+    again = study_designs(QUESTION, ("franka_fer",), poses=2)
+    assert again.designs == tuple(one for one in study.designs if one.robot == "franka_fer")
+
+
+def test_ranks_have_the_range_of_the_draws() -> None:
+    """The object's mass is common to all: intervals overlap, and yet two designs change places in one draw alone."""
+
+    def design(number: int, value: float, draws: tuple[float, ...]) -> Design:
+        own = Estimate(value, value - 5.0, value + 5.0, draws)
+        return Design("robot", number, (0.0,), "rotor", "wide", dict.fromkeys(MEASURES, own))
+
+    designs = (design(1, 9.0, (7.0, 12.0)), design(2, 8.0, (6.0, 10.0)), design(3, 10.0, (8.0, 11.0)))
+    ranked = DesignStudy(QUESTION, designs, {}, {}).ranked("impulse")
+    assert [(found.pose, best, worst) for found, best, worst in ranked] == [(3, 1, 2), (1, 1, 2), (2, 3, 3)]
+
+
+def test_designs_share_the_object_of_a_draw(study: DesignStudy) -> None:
+    """A heavier object takes more impulse from every arm: draws of different robots go together."""
+    one, two = (of(study, robot, "rotor", "narrow")[0].measures["impulse"].draws for robot in ("franka_fer", "ur5e"))
+    assert np.corrcoef(one, two)[0, 1] > 0.5
+
+
+def test_table_holds_every_design_and_the_page_is_written(study: DesignStudy, tmp_path: Path) -> None:
+    rows = list(csv.DictReader(io.StringIO(design_table(study))))
+    assert len(rows) == len(study.designs)
+    assert float(rows[0]["impulse [N s]"]) == pytest.approx(study.designs[0].measures["impulse"].value, rel=1e-4)
+    page = write_design_study(study, tmp_path / "report")
+    assert "franka_fer" in page.read_text(encoding="utf-8")
+    assert (tmp_path / "report" / "designs.csv").is_file()
+
+
+def test_a_speed_that_no_pose_reaches_is_an_error() -> None:
+    with pytest.raises(InputError, match="lower --speed"):
+        stances_of("ur5e", replace(QUESTION, speed=50.0), 1)

@@ -1,0 +1,93 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Models out and evidence in, on the command line; and every mistake in one line."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import pytest
+from evidence_packages import diagnosis_of
+
+from impact_rs_analysis.diagnosis.document import write_document
+from impact_rs_cli.main import main
+
+Document = Callable[..., dict[str, Any]]
+Refused = Callable[..., str]
+SCENE = ("--scenario", "push", "--object", "cat_food", "--case", "2")
+
+
+def test_a_scene_is_written_for_every_simulator(tmp_path: Path, document: Document) -> None:
+    files = {flag: tmp_path / f"push{end}" for flag, end in (
+        ("mjcf", ".xml"), ("drake", ".sdf"), ("urdf", ".urdf"), ("usd-params", ".usda"),
+    )}  # fmt: skip
+    flags = [word for flag, path in files.items() for word in (f"--{flag}", path)]
+    found = document("export", *flags, *SCENE)
+    assert set(found) == {"mjcf", "drake", "urdf", "usd_params"}
+    assert mujoco.MjModel.from_xml_path(str(files["mjcf"])).nu == 7
+    assert any("motor inertia B" in text for text in found["urdf"]["left_out"])
+    assert not any("motor inertia B" in text for text in found["mjcf"]["left_out"])
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (("export",), "nothing to write"),
+        (("export", "--mjcf", "OUT.xml"), "--scenario is missing"),
+        (("export", "--mjcf", "OUT.txt", *SCENE), "ends with .xml or .mjcf"),
+        (("export", "RUNS", "--mjcf", "OUT.xml", *SCENE), "run the command twice"),
+        (("export", "--mjcf", "OUT.xml", *SCENE[:2], "--object", "cat", "--case", "2"), "no object 'cat'"),
+    ],
+)
+def test_an_export_that_cannot_be_is_refused(
+    words: tuple[str, ...], said: str, tmp_path: Path, refused: Refused
+) -> None:
+    assert said in refused(*(word.replace("OUT", str(tmp_path / "out")) for word in words))
+    assert not list(tmp_path.iterdir())
+
+
+def test_evidence_is_packed_checked_and_merged(tmp_path: Path, document: Document, refused: Refused) -> None:
+    runs = tmp_path / "runs"
+    runs.mkdir()
+    (runs / "one.csv").write_text("1\n", encoding="utf-8")
+    packages = []
+    for laboratory, value in (("north", 1.0), ("south", 1.05), ("west", 0.98), ("middle", 1.01), ("east", 2.0)):
+        diagnosis, package = tmp_path / f"{laboratory}_diagnosis.json", tmp_path / f"{laboratory}.json"
+        write_document(diagnosis_of({"law": (value, 0.1)}), diagnosis)
+        who = ("--laboratory", laboratory, "--robot", "arm", "--object", "box")
+        assert document("evidence", "pack", diagnosis, "--data", runs, *who, "-o", package)["files"] == 1
+        packages.append(package)
+    assert document("evidence", "check", packages[0], "--data", runs)["passed"]
+    merged = document("evidence", "merge", *packages, "-o", tmp_path / "merged.json")
+    assert list(merged["odd"]) == ["east"]
+    assert (tmp_path / "merged.json").is_file()
+    (runs / "one.csv").write_text("2\n", encoding="utf-8")
+    assert not document("evidence", "check", packages[0], "--data", runs, code=1)["passed"]
+    assert "expected two or more" in refused("evidence", "merge", packages[0])
+    assert "no package of evidence" in refused("evidence", "check", tmp_path / "merged.json")
+
+
+def test_the_odd_laboratory_is_said_in_words(tmp_path: Path, capfd: pytest.CaptureFixture) -> None:
+    runs = tmp_path / "runs"
+    runs.mkdir()
+    (runs / "one.csv").write_text("1\n", encoding="utf-8")
+    words = ["evidence", "merge"]
+    for laboratory, value in (("north", 1.0), ("south", 1.05), ("west", 0.98), ("middle", 1.01), ("east", 2.0)):
+        diagnosis = tmp_path / "diagnosis.json"
+        write_document(diagnosis_of({"law": (value, 0.1)}), diagnosis)
+        who = ["--laboratory", laboratory, "--robot", "arm", "--object", "box"]
+        package = str(tmp_path / f"{laboratory}.json")
+        assert main(["evidence", "pack", str(diagnosis), "--data", str(runs), *who, "-o", package]) == 0
+        words.append(package)
+    capfd.readouterr()
+    assert main(words) == 0
+    assert "ODD: east does not agree with the others in law.size" in capfd.readouterr().out
+
+
+def test_designs_are_ranked_in_a_table_and_a_page(tmp_path: Path, document: Document) -> None:
+    words = ("study-design", "-o", tmp_path / "design", "--robots", "ur5e", "--poses", "2", "--pads", "narrow")
+    found = document(*words, "--draws", "4", "--jobs", "1")
+    assert len(found["ranked"]["impulse"]) == 2
+    assert {path.name for path in (tmp_path / "design").iterdir()} == {"design_study.html", "designs.csv"}
