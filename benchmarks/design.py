@@ -21,8 +21,8 @@ import numpy as np
 from benchmarks.blind import matrix
 from benchmarks.board import Entry, Row, arguments, run_board, share
 from impact_rs_analysis.design.design import Decide, decision_of, planned
+from impact_rs_analysis.design.forecast import Forecast, forecast_of
 from impact_rs_analysis.design.possible_trials import possible_trials
-from impact_rs_analysis.design.rehearsal import Rehearsal, rehearse
 from impact_rs_analysis.diagnosis.diagnose import diagnose
 from impact_rs_analysis.diagnosis.document import DiagnosisDocument, read_document, write_document
 from impact_rs_analysis.diagnosis.next_experiment import left_open
@@ -78,11 +78,11 @@ def diagnosed(document: Path, read: Callable[[], Runs], map_tasks: Map) -> Diagn
 
 
 class Planner:
-    """Plans of the nominal model, rehearsed once for all campaigns."""
+    """Plans of the nominal model, simulated once for all campaigns."""
 
     def __init__(self, map_tasks: Map) -> None:
         self._map = map_tasks
-        self._first: Rehearsal | None = None
+        self._first: Forecast | None = None
         self._designed: ExperimentPlan | None = None
         self._trials = possible_trials(SCENARIOS)
 
@@ -96,7 +96,7 @@ class Planner:
         if method == "design" and self._designed is not None:
             return self._designed.model_copy(update={"seed": seed})
         if self._first is None:
-            self._first = rehearse(load_model("nominal"), self._trials, ReplayCache(self._map))
+            self._first = forecast_of(load_model("nominal"), self._trials, ReplayCache(self._map))
         plan = planned(self._first, decision_of(self._first), BUDGET, method, seed)
         if method == "design":
             self._designed = plan
@@ -106,8 +106,8 @@ class Planner:
         """The plan after a diagnosis with a tie."""
         if not path.exists():
             model = load_model("nominal")
-            rehearsal = rehearse(model, self._trials, ReplayCache(self._map), runs=runs, seed=seed)
-            write_plan(planned(rehearsal, decision_of(rehearsal, decide), TIE_BUDGET, method, seed), path)
+            forecast = forecast_of(model, self._trials, ReplayCache(self._map), runs=runs, seed=seed)
+            write_plan(planned(forecast, decision_of(forecast, decide), TIE_BUDGET, method, seed), path)
         return read_plan(path)
 
 

@@ -323,10 +323,11 @@ def main() -> None:
     rng = np.random.default_rng(arguments.seed)
     pool = pool_of(arguments.pool, arguments.each)
     with tempfile.TemporaryDirectory() as folder:
-        result = {
-            "changed": changed_days(pool, arguments.changed, rng, Path(folder)),
-            "quiet": quiet_days(pool["quiet"], arguments.quiet, arguments.length, rng, Path(folder)),
-        }
+        result: dict[str, Any] = {}
+        if arguments.changed:
+            result["changed"] = changed_days(pool, arguments.changed, rng, Path(folder))
+        if arguments.quiet:
+            result["quiet"] = quiet_days(pool["quiet"], arguments.quiet, arguments.length, rng, Path(folder))
         if arguments.drift:
             result["drift"] = drifting_day(arguments.drift, rng, Path(folder))
     text = json.dumps(result, indent=2)

@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 
 from impact_rs_analysis.design.discrimination import Discrimination
-from impact_rs_analysis.design.hypotheses import Decision, which_effect
+from impact_rs_analysis.design.explanations import Decision, which_effect
+from impact_rs_analysis.design.forecast import Forecast, ForecastTrial, forecast_of
 from impact_rs_analysis.design.possible_trials import NO_ENVELOPE, Envelope, PossibleTrial, possible_trials
-from impact_rs_analysis.design.rehearsal import Rehearsal, Rehearsed, rehearse
 from impact_rs_analysis.design.selection import Counts, chosen, missing_conditions
 from impact_rs_analysis.evidence.measured_runs import Runs
 from impact_rs_analysis.evidence.replay_cache import Progress, ReplayCache
@@ -62,14 +62,14 @@ def design(
     """
     missing_conditions(budget, 0 if runs is None else len(runs.conditions))  # refused before minutes of simulation
     trials = possible_trials(scenarios, envelope)
-    rehearsal = rehearse(model, trials, ReplayCache(map_tasks, progress), envelope, runs, seed)
-    decision = decision_of(rehearsal, decide)
-    return planned(rehearsal, decision, budget, method, seed)
+    forecast = forecast_of(model, trials, ReplayCache(map_tasks, progress), envelope, runs, seed)
+    decision = decision_of(forecast, decide)
+    return planned(forecast, decision, budget, method, seed)
 
 
-def decision_of(rehearsal: Rehearsal, decide: Decide | None = None) -> Decision:
+def decision_of(forecast: Forecast, decide: Decide | None = None) -> Decision:
     """What shall be decided, see :func:`design`."""
-    source = rehearsal.source
+    source = forecast.source
     if decide is not None:
         return decide(source.model, source.joints, source.worlds)
     present = {item.name for item in source.model.effects}
@@ -82,11 +82,11 @@ def decision_of(rehearsal: Rehearsal, decide: Decide | None = None) -> Decision:
 
 
 def planned(
-    rehearsal: Rehearsal, decision: Decision, budget: int, method: Method = "design", seed: int = 0
+    forecast: Forecast, decision: Decision, budget: int, method: Method = "design", seed: int = 0
 ) -> ExperimentPlan:
-    """A plan from rehearsed trials; arguments and errors as :func:`design`."""
-    model = rehearsal.source.model
-    trials = rehearsal.under(decision)
+    """A plan from simulated trials; arguments and errors as :func:`design`."""
+    model = forecast.source.model
+    trials = forecast.under(decision)
     can_run = [trial for trial in trials if trial.trial is not None]
     counts = Discrimination(decision, trials)
     picked = chosen(method, counts, can_run, budget, seed)
@@ -111,8 +111,8 @@ def _pairs(decision: Decision, before: Array, after: Array) -> list[PlannedPair]
     """Probabilities of the right decision, least certain first."""
     rows = [
         PlannedPair(
-            first=decision.hypotheses[i].name,
-            second=decision.hypotheses[j].name,
+            first=decision.explanations[i].name,
+            second=decision.explanations[j].name,
             before=round(float(was), 4),
             after=round(float(now), 4),
         )
@@ -121,7 +121,7 @@ def _pairs(decision: Decision, before: Array, after: Array) -> list[PlannedPair]
     return sorted(rows, key=lambda pair: pair.after)
 
 
-def _campaigns(trials: dict[str, Rehearsed], picked: Counts, words: dict[str, str]) -> tuple[PlannedCampaign, ...]:
+def _campaigns(trials: dict[str, ForecastTrial], picked: Counts, words: dict[str, str]) -> tuple[PlannedCampaign, ...]:
     """The chosen trials by variant of a scenario, each with the cases that it uses."""
     groups: dict[str, list[tuple[PossibleTrial, str]]] = {}
     for name in picked:
@@ -168,7 +168,7 @@ def _buys(counts: Discrimination, decision: Decision, total: Array, picked: Coun
     now, less = counts.probabilities(total), counts.probabilities(without)
     best = int(np.argmax(now - less))
     i, j = decision.pairs[best]
-    first, second = decision.hypotheses[i].name, decision.hypotheses[j].name
+    first, second = decision.explanations[i].name, decision.explanations[j].name
     return f"{times} distinguish {first} from {second} with {_percent(now[best])}, without them {_percent(less[best])}"
 
 
@@ -176,7 +176,7 @@ def _summary(decision: Decision, pairs: Sequence[PlannedPair], picked: Counts, i
     """What the plan buys, in a sentence."""
     trials = f"{sum(picked.values())} trials of {len(picked)} conditions"
     if decision.aim == "parameters":
-        return f"{trials}: {information:.2g} nat of information on the parameters of {decision.hypotheses[0].name}"
+        return f"{trials}: {information:.2g} nat of information on the parameters of {decision.explanations[0].name}"
     sure = [pair for pair in pairs if pair.after >= SURE]
     open_pairs = [pair for pair in pairs if pair.after < SURE]
     if len(pairs) <= LISTED:

@@ -37,9 +37,9 @@ from functools import cached_property
 import numpy as np
 import scipy
 
-from impact_rs_analysis.design.hypotheses import Decision
+from impact_rs_analysis.design.explanations import Decision
+from impact_rs_analysis.design.forecast import ForecastTrial
 from impact_rs_analysis.design.possible_trials import PossibleTrial
-from impact_rs_analysis.design.rehearsal import Rehearsed
 from impact_rs_analysis.evidence.cluster import Cluster
 from impact_rs_sim.robot import Array
 
@@ -57,7 +57,7 @@ class Discrimination:
         trials: Every trial that may be counted.
     """
 
-    def __init__(self, decision: Decision, trials: Sequence[Rehearsed]) -> None:
+    def __init__(self, decision: Decision, trials: Sequence[ForecastTrial]) -> None:
         self.decision = decision
         self._trials = {trial.name: trial for trial in trials}
         groups: dict[str, int] = {}
@@ -66,9 +66,11 @@ class Discrimination:
         ends = np.cumsum([0, *groups.values()])
         self._groups = {name: slice(ends[n], ends[n + 1]) for n, name in enumerate(groups)}
         self._patterns = int(ends[-1])
-        self._centres = [self._patterns + n for n in range(len(decision.hypotheses))]
-        edges = self._patterns + len(self._centres) + np.cumsum([0, *(len(one.varied) for one in decision.hypotheses)])
-        self._spreads = [np.arange(edges[n], edges[n + 1]) for n in range(len(decision.hypotheses))]
+        self._centres = [self._patterns + n for n in range(len(decision.explanations))]
+        edges = (
+            self._patterns + len(self._centres) + np.cumsum([0, *(len(one.varied) for one in decision.explanations)])
+        )
+        self._spreads = [np.arange(edges[n], edges[n + 1]) for n in range(len(decision.explanations))]
         self._size = int(edges[-1])
         self._products: dict[tuple[str, int], Array] = {}
 
@@ -116,7 +118,7 @@ class Discrimination:
         left = [np.diag(_fitted(inner, rows - offset, WIDE)) for rows in self._spreads]
         found = []
         for i, j in self.decision.pairs:
-            first, second = self.decision.hypotheses[i], self.decision.hypotheses[j]
+            first, second = self.decision.explanations[i], self.decision.explanations[j]
             if first.estimated or second.estimated:
                 own = np.concatenate((self._spreads[i], self._spreads[j])) - offset
                 way = np.zeros(len(inner))
@@ -168,7 +170,7 @@ class Discrimination:
         )
         total[np.ix_(columns, columns)] += sign * self._product(trial, repeats)
 
-    def _product(self, trial: Rehearsed, repeats: int) -> Array:
+    def _product(self, trial: ForecastTrial, repeats: int) -> Array:
         """Inner products of the columns of one condition."""
         key = trial.name, repeats
         if key not in self._products:

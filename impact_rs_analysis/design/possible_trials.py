@@ -2,7 +2,7 @@
 """Trials that a cell can run: cases of scenarios at further speeds, beside the centre of the object, on other ways.
 
 A variant of a scenario is the scenario with some settings, as in ``impact-rs campaign --set``. What is beyond reach or
-limits is found out by a rehearsal (:mod:`impact_rs_analysis.design.rehearsal`).
+limits is found out by a forecast (:mod:`impact_rs_analysis.design.forecast`).
 """
 
 from __future__ import annotations

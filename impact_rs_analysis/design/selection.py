@@ -13,7 +13,7 @@ from collections.abc import Iterator, Mapping, Sequence
 import numpy as np
 
 from impact_rs_analysis.design.discrimination import Discrimination
-from impact_rs_analysis.design.rehearsal import Rehearsed
+from impact_rs_analysis.design.forecast import ForecastTrial
 from impact_rs_sim.errors import InputError
 from impact_rs_trials.experiment_plan import Method
 
@@ -23,7 +23,9 @@ CONDITIONS = 3  # of a campaign, so that the diagnosis can hold each out and has
 Counts = dict[str, int]
 
 
-def chosen(method: Method, counts: Discrimination, trials: Sequence[Rehearsed], budget: int, seed: int = 0) -> Counts:
+def chosen(
+    method: Method, counts: Discrimination, trials: Sequence[ForecastTrial], budget: int, seed: int = 0
+) -> Counts:
     """Further repeats by condition, in the order of the choice.
 
     Args:
@@ -71,7 +73,7 @@ def missing_conditions(budget: int, measured: int) -> int:
     return missing
 
 
-def _greedy(trials: Sequence[Rehearsed], counts: Discrimination, budget: int, missing: int) -> Counts:
+def _greedy(trials: Sequence[ForecastTrial], counts: Discrimination, budget: int, missing: int) -> Counts:
     names = [trial.name for trial in trials]
     measured = counts.measured
     picked: Counts = {}
@@ -110,7 +112,7 @@ def _options(
 
 
 def _random(
-    trials: Sequence[Rehearsed], measured: Mapping[str, int], budget: int, missing: int, rng: np.random.Generator
+    trials: Sequence[ForecastTrial], measured: Mapping[str, int], budget: int, missing: int, rng: np.random.Generator
 ) -> Counts:
     names = [trial.name for trial in trials]
     picked: Counts = {}
@@ -122,7 +124,7 @@ def _random(
     return picked
 
 
-def _fixed(trials: Sequence[Rehearsed], measured: Mapping[str, int], budget: int) -> Counts:
+def _fixed(trials: Sequence[ForecastTrial], measured: Mapping[str, int], budget: int) -> Counts:
     """Cases as the scenario files have them, in equal shares; with too few trials for all, spread over them."""
     own = [trial for trial in trials if trial.trial is not None and trial.trial.of_file] or list(trials)
     least = 1 if all(trial.name in measured for trial in own) else REPEATS
@@ -132,7 +134,7 @@ def _fixed(trials: Sequence[Rehearsed], measured: Mapping[str, int], budget: int
     return {own[place].name: each + (number < more) for number, place in enumerate(places)}
 
 
-def most_telling(counts: Discrimination, trials: Sequence[Rehearsed]) -> tuple[Rehearsed, float] | None:
+def most_telling(counts: Discrimination, trials: Sequence[ForecastTrial]) -> tuple[ForecastTrial, float] | None:
     """The one further trial with the largest gain in squared distance between two estimated explanations.
 
     Args:
@@ -144,7 +146,7 @@ def most_telling(counts: Discrimination, trials: Sequence[Rehearsed]) -> tuple[R
     """
     before = counts.total(counts.counted)
     known = counts.gains(before)[0][0][0]
-    best: tuple[Rehearsed, float] | None = None
+    best: tuple[ForecastTrial, float] | None = None
     for trial in sorted(trials, key=lambda one: one.name):
         there = counts.counted.get(trial.name, 0)
         after = counts.added(before, trial.name, there, there + 1)

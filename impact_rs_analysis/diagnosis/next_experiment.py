@@ -10,9 +10,9 @@ import numpy as np
 
 from impact_rs_analysis.design.design import Decide
 from impact_rs_analysis.design.discrimination import Discrimination
-from impact_rs_analysis.design.hypotheses import Decision, Hypothesis, estimated
+from impact_rs_analysis.design.explanations import Decision, Explanation, estimated
+from impact_rs_analysis.design.forecast import forecast_of
 from impact_rs_analysis.design.possible_trials import PossibleTrial, trials_of
-from impact_rs_analysis.design.rehearsal import rehearse
 from impact_rs_analysis.design.selection import most_telling
 from impact_rs_analysis.diagnosis.document import DiagnosisDocument, NextExperiment
 from impact_rs_analysis.diagnosis.verdicts import Findings
@@ -40,11 +40,11 @@ def next_experiment(found: Findings, known: dict[str, Effect]) -> NextExperiment
         return None
     assert isinstance(source, ReplaySource)
     both = [
-        Hypothesis(name, fit.candidate.split(fit.estimate))
+        Explanation(name, fit.candidate.split(fit.estimate))
         for name, fit in ((tie.instead_of, found.chosen), (tie.name, tie.fit))
     ]
     decision = Decision.between(both, "rivals")
-    trials = rehearse(source.model, _own_trials(source.runs), source.store, runs=source.runs).under(decision)
+    trials = forecast_of(source.model, _own_trials(source.runs), source.store, runs=source.runs).under(decision)
     best = most_telling(Discrimination(decision, trials), trials)
     if best is None:
         return None
@@ -92,7 +92,7 @@ def left_open(document: DiagnosisDocument, model: Model) -> Decide | None:
     def decide(model: Model, joints: Joints, worlds: Sequence[Physics]) -> Decision:
         effects = model.known_effects
 
-        def hypothesis(name: str, names: Sequence[str]) -> Hypothesis:
+        def explanation(name: str, names: Sequence[str]) -> Explanation:
             centre: list[tuple[str, tuple[float, ...]]] = []
             deviations, bounds = {}, {}
             for one in names:
@@ -105,13 +105,13 @@ def left_open(document: DiagnosisDocument, model: Model) -> Decide | None:
             return estimated(name, tuple(centre), deviations, bounds)
 
         found = "+".join(document.named)
-        first = hypothesis(found, document.named)
+        first = explanation(found, document.named)
         if not ties:
             return Decision("parameters", (first,))
         others = []
         for name, rival in ties:
             names = tuple(dict.fromkeys(rival if one == name else one for one in document.named))
-            others.append(hypothesis("+".join(names), names))
+            others.append(explanation("+".join(names), names))
         return Decision("rivals", (first, *others), tuple((0, 1 + number) for number in range(len(others))))
 
     return decide

@@ -356,10 +356,6 @@ class ImpactTableSource(Source):
         world, speed = self._worlds[self._world_of[row]], float(self._impacts.closing_speeds[row])
         return self._map_discrepancy.of(self._all_signals, world, speed, self._kinds[row])[self._seen]
 
-    def is_oblique(self, row: int) -> bool:
-        """Whether the hit of a row is oblique."""
-        return self._kinds[row] == "oblique"
-
     def size(self) -> float:
         """See :meth:`Source.size`; without repeats, root mean square over the rows of d of the module [m/s]."""
         if self.repeated:

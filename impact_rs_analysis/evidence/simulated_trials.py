@@ -44,11 +44,11 @@ def observed_until(plan: TrialPlan) -> float:
 
 
 def simulated(spec: TrialSpec, physics: Physics, simulator: Simulator = "twin") -> Run:
-    """A simulated trial without noise and scatter, as :func:`rehearsed`."""
-    return rehearsed(spec, physics, simulator)[0]
+    """A simulated trial without noise and scatter, as :func:`simulated_and_judged`."""
+    return simulated_and_judged(spec, physics, simulator)[0]
 
 
-def rehearsed(
+def simulated_and_judged(
     spec: TrialSpec, physics: Physics, simulator: Simulator = "twin", seed: int | None = None
 ) -> tuple[Run, Verdict]:
     """A simulated trial, and how it ends: within the limits of joints and torques or not.

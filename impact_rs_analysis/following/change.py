@@ -53,12 +53,14 @@ class Explanation:
         start: Instant of the window from which on it acts.
         change: eta, in parameter scales, ``(p_e,)``.
         log_ratio: Logarithm of its likelihood ratio against no change.
+        gain: Fall of the sum of squared whitened residuals that it promises, to first order.
     """
 
     effect: str
     start: int
     change: Array
     log_ratio: float
+    gain: float = 0.0
 
 
 @dataclass
@@ -216,7 +218,7 @@ class ChangeTest:
                 early = bounded(earlier, score[place] - score[0], lower, upper)
                 confirmed = float(score[0] @ early - 0.5 * early @ information[0] @ early) > 0.0
                 if confirmed:
-                    best = Explanation(name, start, eta, ratio)
+                    best = Explanation(name, start, eta, ratio, 2.0 * inflation * gain)
         return best
 
     def _room(self, posterior: Posterior, numbers: Sequence[int]) -> tuple[Array, Array]:

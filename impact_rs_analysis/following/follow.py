@@ -52,6 +52,9 @@ MOST = 4  # hypotheses at a time
 RULED_OUT = 1e-3  # probability below which a hypothesis is dropped
 RULED_IN = 0.95  # probability from which the cause is said to be known
 STEPS = 4  # of Gauss-Newton about an explanation
+KEPT = 0.5  # of the promised fall of the residuals; an explanation with less is none
+SPEAKING = 0.25  # of the hits since a change; without those that speak for it most it must still hold
+LEAST_GAIN = 4.0  # fall of the squares of the others, of one parameter two standard deviations
 NEAR = 0.1  # parameter scales; a shorter step ends it
 APART = 2.0  # standard deviations between predictions; one hit then decides
 NORMAL_95 = 1.96
@@ -506,8 +509,9 @@ class Follower:
             test = self._test(best)
             statistic, ratios, starts = test.statistics(best.posterior)
         if statistic >= test.threshold and (found := test.change(best.posterior, ratios, starts)):
-            change = self._changed(best, test, found[:MOST], statistic, instant[-1])
-            return statistic, change
+            held = [(one, hypothesis) for one in found[:MOST] if (hypothesis := self._held(best, one)) is not None]
+            if held and held[0][0].log_ratio >= test.threshold:
+                return statistic, self._changed(best, test, held, statistic, instant[-1])
         if len(best.posterior.window) > 1 and statistic < 0.5 * test.threshold:
             for name, (square, rank) in test.quiet(best.posterior).items():
                 self.calibration.add(name, min(square, 9.0 * max(rank, 1.0)), rank)
@@ -515,16 +519,19 @@ class Follower:
         return statistic, None
 
     def _changed(
-        self, before: Hypothesis, test: ChangeTest, found: Sequence[Explanation], statistic: float, hit: Hit
+        self,
+        before: Hypothesis,
+        test: ChangeTest,
+        held: Sequence[tuple[Explanation, Hypothesis]],
+        statistic: float,
+        hit: Hit,
     ) -> Change:
         """Replace the hypotheses by the explanations of a change."""
         window = list(before.posterior.window)
+        found, hypotheses = [one for one, _ in held], [hypothesis for _, hypothesis in held]
         first = window[found[0].start][0].hit
-        hypotheses = []
-        for one in found:
-            hypothesis = self._about(before, one)
+        for one, hypothesis in held:
             hypothesis.log_weight = one.log_ratio
-            hypotheses.append(hypothesis)
         self.hypotheses = hypotheses
         shares = self.probabilities()
         causes = []
@@ -556,6 +563,26 @@ class Follower:
             apart=apart,
             words=f"{words}; {apart}" if apart else words,
         )
+
+    def _held(self, before: Hypothesis, one: Explanation) -> Hypothesis | None:
+        """An explanation, linearised anew; None where it does not keep what it promised, or few hits speak for it.
+
+        A contact that grips does not change with more friction, though it does with much less. And of hits that are odd
+        now and then, in the same way, two make no change: without the quarter that speaks for it most, the other hits
+        must still speak for it.
+        """
+        fitted = self._about(before, one)
+        past = before.posterior
+        gains = []
+        hits = {e.hit.name: e for instant in past.window[one.start :] for e in instant}
+        for instant in fitted.posterior.window:
+            for evidence in instant:
+                old = hits[evidence.hit.name]
+                first, second = past.rest(old), fitted.posterior.rest(evidence)
+                gains.append(old.weight * float(first @ first - second @ second))
+        most = math.ceil(len(gains) * SPEAKING)
+        rest = sum(sorted(gains)[:-most]) / self.calibration.of(one.effect)
+        return fitted if sum(gains) > KEPT * one.gain and rest > LEAST_GAIN else None
 
     def _about(self, before: Hypothesis, one: Explanation) -> Hypothesis:
         """An explanation, linearised about its estimate."""
@@ -663,7 +690,7 @@ class Follower:
         if 0 < len(free) < len(self.hypotheses):
             return f"a free motion decides between them: {' and '.join(free)} would show there"
         if condition:
-            return f"hits like these hardly decide between them ({condition}: {size:.1f} standard deviations); hit otherwise"
+            return f"hits like these hardly decide ({condition}: {size:.1f} standard deviations); hit otherwise"
         return "hits like these hardly decide between them; hit otherwise"
 
     def _seen_free(self, name: str) -> bool:

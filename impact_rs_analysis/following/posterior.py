@@ -155,6 +155,11 @@ class Posterior:
         covariance = np.eye(observed.shape[0]) + observed @ self.solve(own)[columns]
         return evidence.residual - observed @ self.mean[columns], covariance
 
+    def rest(self, evidence: HitEvidence) -> Array:
+        """Residual of a hit that the state leaves, ``(F,)`` [-]."""
+        columns, observed = self.observation(evidence)
+        return np.asarray(evidence.residual - observed @ self.mean[columns])
+
     def add(self, instant: Sequence[HitEvidence]) -> None:
         """Take an instant into the window, and believe the oldest of a full one."""
         self.window.append(tuple(instant))

@@ -7,9 +7,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from impact_rs_analysis.design.hypotheses import Decision, Hypothesis
+from impact_rs_analysis.design.explanations import Decision, Explanation
+from impact_rs_analysis.design.forecast import ForecastTrial
 from impact_rs_analysis.design.possible_trials import PossibleTrial
-from impact_rs_analysis.design.rehearsal import Rehearsed
 from impact_rs_analysis.evidence.cluster import Cluster, Feature
 from impact_rs_sim.robot import Array
 from impact_rs_sim.scenario import load_scenario
@@ -26,7 +26,7 @@ def trial(
     patterns: Array | None = None,
     repeats: int = 0,
     discrepancy: float = DISCREPANCY,
-) -> Rehearsed:
+) -> ForecastTrial:
     """A trial with scaled features under explanations."""
     rows = np.atleast_2d(np.array(centres, dtype=float))
     count = rows.shape[1]
@@ -45,11 +45,11 @@ def trial(
     )
     own = tuple(spreads) if len(spreads) else tuple(np.zeros((0, count)) for _ in rows)
     spec = TrialSpec.of(load_scenario("push"), "parcel", "case_1")
-    return Rehearsed(name, PossibleTrial("push", {}, None, spec, name), cluster, rows, own, repeats)
+    return ForecastTrial(name, PossibleTrial("push", {}, None, spec, name), cluster, rows, own, repeats)
 
 
 def estimated_pair(parameters: int = 0, aim: Aim = "rivals") -> Decision:
     """Two explanations with estimates, of so many uncertain parameters each."""
     one = (("mass", (1.0,)),)
-    pair = [Hypothesis(name, one, tuple(one for _ in range(parameters))) for name in ("first", "second")]
+    pair = [Explanation(name, one, tuple(one for _ in range(parameters))) for name in ("first", "second")]
     return Decision.between(pair, aim)

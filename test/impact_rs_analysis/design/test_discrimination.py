@@ -7,7 +7,7 @@ import scipy
 from made_up_trials import DISCREPANCY, SCATTER, estimated_pair, trial
 
 from impact_rs_analysis.design.discrimination import ALONE, WIDE, Discrimination, probability, variance
-from impact_rs_analysis.design.hypotheses import AS_IS, Decision, Hypothesis
+from impact_rs_analysis.design.explanations import AS_IS, Decision, Explanation
 
 
 def gain(counts: Discrimination, **repeats: int) -> float:
@@ -91,7 +91,7 @@ def test_without_estimates_the_rival_is_fitted_anew() -> None:
     """What least squares leave of one effect's change, the other fitted in a wide range."""
     first, second = np.array([[0.6, 0.0, 0.3]]), np.array([[0.5, 0.1, 0.0]])
     decision = Decision.between(
-        [Hypothesis("first", varied=((("a", (1.0,)),),)), Hypothesis("second", varied=((("b", (1.0,)),),))], "effects"
+        [Explanation("first", varied=((("a", (1.0,)),),)), Explanation("second", varied=((("b", (1.0,)),),))], "effects"
     )
     one = trial("a", np.zeros((2, 3)), [first, second])
     counts = Discrimination(decision, [one])
@@ -111,8 +111,8 @@ def test_of_an_effect_with_parameters_that_look_like_another_only_half_are_recog
     visible, alike = np.array([[30.0, 0.0]]), np.array([[0.0, 30.0]])
     decision = Decision.between(
         [
-            Hypothesis("friction", varied=((("f", (1.0, 0.0)),), (("f", (0.0, 1.0)),))),
-            Hypothesis("offset", varied=((("o", (1.0,)),),)),
+            Explanation("friction", varied=((("f", (1.0, 0.0)),), (("f", (0.0, 1.0)),))),
+            Explanation("offset", varied=((("o", (1.0,)),),)),
         ],
         "effects",
     )
@@ -121,7 +121,7 @@ def test_of_an_effect_with_parameters_that_look_like_another_only_half_are_recog
 
 
 def test_nothing_is_known_before_the_first_trial() -> None:
-    decision = Decision.between([Hypothesis(AS_IS), Hypothesis("mass", varied=((("m", (1.0,)),),))], "effects")
+    decision = Decision.between([Explanation(AS_IS), Explanation("mass", varied=((("m", (1.0,)),),))], "effects")
     counts = Discrimination(decision, [trial("a", np.zeros((2, 1)), [np.zeros((0, 1)), np.ones((1, 1))])])
     assert counts.probabilities(counts.total({}))[0] == 0.5
     assert counts.probabilities(counts.total({"a": 2}))[0] > 0.6
@@ -129,7 +129,7 @@ def test_nothing_is_known_before_the_first_trial() -> None:
 
 def test_the_information_on_parameters_is_that_of_least_squares() -> None:
     rows = np.array([[0.7, 0.2, 0.0], [0.1, 0.4, 0.5]])
-    one = Hypothesis("mass", (("m", (1.0,)),), ((("m", (1.1,)),), (("m", (1.0,)),)))
+    one = Explanation("mass", (("m", (1.0,)),), ((("m", (1.1,)),), (("m", (1.0,)),)))
     made = trial("a", np.zeros((1, 3)), [rows])
     counts = Discrimination(Decision("parameters", (one,)), [made])
     weighed = rows / variance(made.cluster, 3) @ rows.T
@@ -155,7 +155,7 @@ def test_what_estimates_contain_is_not_counted_again() -> None:
     """Two tied explanations were fitted to the trials so far; of a library without estimates those still inform."""
     trials = [trial("a", [[0.9], [0.0]], [np.ones((1, 1)), np.ones((1, 1))], repeats=4)]
     tied = Discrimination(estimated_pair(1), trials)
-    open_pair = Decision.between([Hypothesis(AS_IS), Hypothesis("mass", varied=((("m", (1.0,)),),))], "effects")
+    open_pair = Decision.between([Explanation(AS_IS), Explanation("mass", varied=((("m", (1.0,)),),))], "effects")
     fresh = Discrimination(open_pair, [trial("a", np.zeros((2, 1)), [np.zeros((0, 1)), np.ones((1, 1))], repeats=4)])
     assert tied.measured == fresh.measured == {"a": 4}
     assert tied.probabilities(tied.total(tied.counted))[0] == 0.5

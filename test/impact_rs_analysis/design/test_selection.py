@@ -8,7 +8,7 @@ import pytest
 from made_up_trials import estimated_pair, trial
 
 from impact_rs_analysis.design.discrimination import Discrimination
-from impact_rs_analysis.design.rehearsal import Rehearsed
+from impact_rs_analysis.design.forecast import ForecastTrial
 from impact_rs_analysis.design.selection import CONDITIONS, REPEATS, Counts, chosen, most_telling
 from impact_rs_analysis.diagnosis.thresholds import LEAST_CLUSTERS, LEAST_FREEDOM
 from impact_rs_sim.errors import InputError
@@ -17,7 +17,7 @@ from impact_rs_trials.experiment_plan import Method
 SPEEDS = ("at_0250", "at_0300", "at_0500", "at_0700", "at_0900")
 
 
-def differing_at(speed: str, measured: int = 0) -> list[Rehearsed]:
+def differing_at(speed: str, measured: int = 0) -> list[ForecastTrial]:
     """Trials at five speeds; the explanations differ at one of them only."""
     return [
         trial(name, [[0.5 * (name == speed), 0.0], [0.0, 0.0]], repeats=measured if number < 3 else 0)
@@ -25,14 +25,14 @@ def differing_at(speed: str, measured: int = 0) -> list[Rehearsed]:
     ]
 
 
-def random_trials(seed: int) -> list[Rehearsed]:
+def random_trials(seed: int) -> list[ForecastTrial]:
     rng = np.random.default_rng(seed)
     return [
         trial(name, 0.5 * rng.normal(size=(2, 3)), [0.3 * rng.normal(size=(1, 3)) for _ in range(2)]) for name in SPEEDS
     ]
 
 
-def choice(trials: list[Rehearsed], budget: int, method: Method = "design", seed: int = 0) -> Counts:
+def choice(trials: list[ForecastTrial], budget: int, method: Method = "design", seed: int = 0) -> Counts:
     parameters = len(trials[0].spreads[0])
     return chosen(method, Discrimination(estimated_pair(parameters), trials), trials, budget, seed)
 

@@ -54,7 +54,7 @@ def test_a_tie_leaves_open_which_of_both_is_there(document: DiagnosisDocument, w
     decision = decide(load_model("nominal"), world.joints, [world])
     assert decision.aim == "rivals"
     assert decision.pairs == ((0, 1),)
-    first, second = decision.hypotheses
+    first, second = decision.explanations
     found = document.effects[0]
     (parameter,) = found.parameters.values()
     assert first.centre == ((found.name, (parameter.estimate,)),)
@@ -92,8 +92,8 @@ def test_without_a_tie_the_size_is_open(document: DiagnosisDocument, world: Phys
     assert decide is not None
     decision = decide(load_model("nominal"), world.joints, [world])
     assert decision.aim == "parameters"
-    assert decision.hypotheses[0].effects == set(document.named)
-    assert len(decision.hypotheses[0].varied) == 1
+    assert decision.explanations[0].effects == set(document.named)
+    assert len(decision.explanations[0].varied) == 1
 
 
 def test_an_unknown_interval_is_as_wide_as_the_prior_and_not_infinite(
@@ -106,7 +106,7 @@ def test_an_unknown_interval_is_as_wide_as_the_prior_and_not_infinite(
     )
     decide = left_open(open_ended, load_model("nominal"))
     assert decide is not None
-    ((_, (moved,)),) = decide(load_model("nominal"), world.joints, [world]).hypotheses[1].varied[0]
+    ((_, (moved,)),) = decide(load_model("nominal"), world.joints, [world]).explanations[1].varied[0]
     assert np.isfinite(moved) and moved != 1.3
 
 

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Rehearsal: possible trials run on the twin, their scatter, and their features under every explanation.
+"""Forecast: possible trials run on the twin, their scatter, and their features under every explanation.
 
 A trial is simulated in closed loop with the model, once as planned, and judged as a measured one: what exceeds a limit
 of joints or torques, misses or tips over is no proposal. Its replays under the explanations are what the diagnosis
-would look at. Scatter is that of the trials measured so far, else that of trials rehearsed with the scenario's noise.
+would look at. Scatter is that of the trials measured so far, else that of trials simulated with the scenario's noise.
 """
 
 from __future__ import annotations
@@ -14,14 +14,14 @@ from pathlib import Path
 
 import numpy as np
 
-from impact_rs_analysis.design.hypotheses import Decision, Hypothesis
+from impact_rs_analysis.design.explanations import Decision, Explanation
 from impact_rs_analysis.design.possible_trials import NO_ENVELOPE, Envelope, PossibleTrial
 from impact_rs_analysis.evidence.cluster import Added, Cluster
 from impact_rs_analysis.evidence.discrepancy import measured_discrepancy
 from impact_rs_analysis.evidence.measured_runs import MeasuredRun, Runs
 from impact_rs_analysis.evidence.replay_cache import Replay, ReplayCache, with_effects
 from impact_rs_analysis.evidence.replays import ReplaySource, clusters_of
-from impact_rs_analysis.evidence.simulated_trials import rehearsed
+from impact_rs_analysis.evidence.simulated_trials import simulated_and_judged
 from impact_rs_analysis.evidence.source import with_per_arm_parameters
 from impact_rs_sim.effects import Effect
 from impact_rs_sim.errors import InputError
@@ -32,11 +32,11 @@ from impact_rs_trials.runs import label_of
 from impact_rs_trials.spec import TrialSpec
 
 NOISY_TRIALS, NOISY_REPEATS = 3, 3  # per family of trials: six degrees of freedom of the scatter
-PROPER = ("OK", "DROPPED")  # a rehearsal ends before an object is lifted
+PROPER = ("OK", "DROPPED")  # a forecast ends before an object is lifted
 
 
 @dataclass(frozen=True)
-class Rehearsed:
+class ForecastTrial:
     """A possible trial with its predictions.
 
     Attributes:
@@ -57,7 +57,7 @@ class Rehearsed:
 
 
 @dataclass(frozen=True)
-class Rehearsal:
+class Forecast:
     """Simulated trials, ready for predictions.
 
     Attributes:
@@ -72,13 +72,13 @@ class Rehearsal:
     repeats: dict[str, int]
     refused: tuple[tuple[str, str], ...]
 
-    def under(self, decision: Decision) -> list[Rehearsed]:
+    def under(self, decision: Decision) -> list[ForecastTrial]:
         """Every trial under the explanations of a decision."""
         source, known = self.source, self.source.model.known_effects
         wanted: list[tuple[int, Added]] = []
         for number, item in enumerate(source.clusters):
             wanted.append((number, ()))
-            for one in decision.hypotheses:
+            for one in decision.explanations:
                 if _shown(one, item, known):
                     wanted += [(number, added) for added in (one.centre, *one.varied)]
         found = dict(zip(wanted, source.predict(wanted, "predictions"), strict=True))
@@ -90,12 +90,12 @@ class Rehearsal:
                 _columns(one, base, item, {added: found[number, added] for added in (one.centre, *one.varied)})
                 if _shown(one, item, known)
                 else np.zeros((1 + len(one.varied), base.size))
-                for one in decision.hypotheses
+                for one in decision.explanations
             ]
             kept = [rows for rows in columns if rows is not None]
             if len(kept) == len(columns):  # without an impact there is nothing to compare
                 predicted.append(
-                    Rehearsed(
+                    ForecastTrial(
                         name=item.name,
                         trial=self.trials.get(item.name),
                         cluster=item,
@@ -107,7 +107,7 @@ class Rehearsal:
         return predicted
 
 
-def _columns(one: Hypothesis, base: Array, item: Cluster, found: Mapping[Added, Array | None]) -> Array | None:
+def _columns(one: Explanation, base: Array, item: Cluster, found: Mapping[Added, Array | None]) -> Array | None:
     """Scaled change of the features by the centre, then by every deviation, ``(1 + p, F)``; None without an impact."""
     centre = found[one.centre]
     moved = [row for row in (found[added] for added in one.varied) if row is not None]
@@ -116,14 +116,14 @@ def _columns(one: Hypothesis, base: Array, item: Cluster, found: Mapping[Added, 
     return np.array([centre - base, *(row - centre for row in moved)]) / item.sigma
 
 
-def rehearse(
+def forecast_of(
     model: Model,
     trials: Sequence[PossibleTrial],
     store: ReplayCache,
     envelope: Envelope = NO_ENVELOPE,
     runs: Runs | None = None,
     seed: int = 0,
-) -> Rehearsal:
+) -> Forecast:
     """Simulate trials with a model, and their scatter.
 
     Args:
@@ -172,7 +172,7 @@ def rehearse(
     discrepancy = measured_discrepancy()
     clusters, _ = clusters_of(joined, [run.measured - row for run, row in kept], discrepancy)
     source = ReplaySource(joined, model, store, clusters, discrepancy)
-    return Rehearsal(
+    return Forecast(
         source,
         {trial.name: trial for trial in trials},
         {name: len(group) for name, group in there.items()},
@@ -193,7 +193,7 @@ def _simulated(task: _Task) -> MeasuredRun | tuple[str, str]:
     name = label_of(task.spec)
     try:
         physics = with_effects(task.model, task.spec.scene.physics, ())
-        run, verdict = rehearsed(task.spec, physics, seed=task.seed)
+        run, verdict = simulated_and_judged(task.spec, physics, seed=task.seed)
         if verdict.outcome not in PROPER:
             return name, f"{verdict.outcome}: {verdict.reason}"
         found = MeasuredRun.of(run)
@@ -226,6 +226,6 @@ def _noisy(found: Sequence[MeasuredRun], repeated: Sequence[MeasuredRun]) -> lis
     return chosen
 
 
-def _shown(one: Hypothesis, item: Cluster, known: Mapping[str, Effect]) -> bool:
+def _shown(one: Explanation, item: Cluster, known: Mapping[str, Effect]) -> bool:
     """Whether an explanation changes features of a cluster."""
     return any(known[name].seen_in(item.contact) for name in one.effects)

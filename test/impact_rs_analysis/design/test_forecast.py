@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Trials rehearsed on the twin, and what a plan makes of them."""
+"""Trials simulated on the twin, and what a plan makes of them."""
 
 from pathlib import Path
 
@@ -8,9 +8,9 @@ import pytest
 
 from impact_rs_analysis.design.design import planned
 from impact_rs_analysis.design.discrimination import Discrimination
-from impact_rs_analysis.design.hypotheses import Decision, Hypothesis, estimated, which_effect
+from impact_rs_analysis.design.explanations import Decision, Explanation, estimated, which_effect
+from impact_rs_analysis.design.forecast import Forecast, forecast_of
 from impact_rs_analysis.design.possible_trials import Envelope, PossibleTrial, possible_trials
-from impact_rs_analysis.design.rehearsal import Rehearsal, rehearse
 from impact_rs_analysis.evidence.measured_runs import read_runs
 from impact_rs_analysis.evidence.replay_cache import ReplayCache
 from impact_rs_sim.effects import library
@@ -31,20 +31,20 @@ def some(names: tuple[str, ...] = WANTED) -> list[PossibleTrial]:
 
 
 @pytest.fixture(scope="module")
-def rehearsal() -> Rehearsal:
-    return rehearse(load_model("nominal"), some(), ReplayCache(map))
+def forecast() -> Forecast:
+    return forecast_of(load_model("nominal"), some(), ReplayCache(map))
 
 
-def between(rehearsal: Rehearsal, *names: str) -> Decision:
+def between(forecast: Forecast, *names: str) -> Decision:
     effects = [library()[name] for name in names]
-    return which_effect(effects, rehearsal.source.joints, rehearsal.source.worlds)
+    return which_effect(effects, forecast.source.joints, forecast.source.worlds)
 
 
-def test_what_the_arm_cannot_do_is_no_proposal(rehearsal: Rehearsal) -> None:
-    assert [name for name, _ in rehearsal.refused] == ["push/juice/case_3_700mm_s"]
-    decision = between(rehearsal, "object_mass")
-    assert "push/juice/case_3_700mm_s" not in [trial.name for trial in rehearsal.under(decision)]
-    plan = planned(rehearsal, decision, 12)
+def test_what_the_arm_cannot_do_is_no_proposal(forecast: Forecast) -> None:
+    assert [name for name, _ in forecast.refused] == ["push/juice/case_3_700mm_s"]
+    decision = between(forecast, "object_mass")
+    assert "push/juice/case_3_700mm_s" not in [trial.name for trial in forecast.under(decision)]
+    plan = planned(forecast, decision, 12)
     assert plan.trials == 12
     assert "case_3_700mm_s" not in [one.case for campaign in plan.campaigns for one in campaign.conditions]
 
@@ -53,14 +53,14 @@ def test_a_speed_beyond_the_joints_and_a_force_beyond_the_cell_are_refused() -> 
     fast = [t for t in possible_trials(["excite"], Envelope(speed=3.0)) if t.own_case is not None]
     assert fast
     with pytest.raises(InputError, match="within the limits.*(LIMIT|INFEASIBLE|DIVERGED|limit)"):
-        rehearse(load_model("nominal"), fast[:1], ReplayCache(map))
+        forecast_of(load_model("nominal"), fast[:1], ReplayCache(map))
     with pytest.raises(InputError, match="contact force .* limit 1 N"):
-        rehearse(load_model("nominal"), some(("push/juice/case_2",)), ReplayCache(map), Envelope(force=1.0))
+        forecast_of(load_model("nominal"), some(("push/juice/case_2",)), ReplayCache(map), Envelope(force=1.0))
 
 
-def test_a_heavier_object_shows_in_pushes_alone_and_leaves_less_speed(rehearsal: Rehearsal) -> None:
-    mass = Hypothesis("heavier", (("object_mass", (1.2,)),))
-    trials = {trial.name: trial for trial in rehearsal.under(Decision.between([Hypothesis("as is"), mass], "rivals"))}
+def test_a_heavier_object_shows_in_pushes_alone_and_leaves_less_speed(forecast: Forecast) -> None:
+    mass = Explanation("heavier", (("object_mass", (1.2,)),))
+    trials = {trial.name: trial for trial in forecast.under(Decision.between([Explanation("as is"), mass], "rivals"))}
     assert not trials["excite/none/fast"].centres.any()
     push = trials["push/juice/case_2"]
     moved = {
@@ -72,9 +72,9 @@ def test_a_heavier_object_shows_in_pushes_alone_and_leaves_less_speed(rehearsal:
     assert moved["end-effector velocity", "y"] > 0.0
 
 
-def test_friction_and_offset_are_distinguished_by_a_motion_there_and_back(rehearsal: Rehearsal) -> None:
-    decision = between(rehearsal, "joint_coulomb_friction", "torque_offset")
-    counts = Discrimination(decision, rehearsal.under(decision))
+def test_friction_and_offset_are_distinguished_by_a_motion_there_and_back(forecast: Forecast) -> None:
+    decision = between(forecast, "joint_coulomb_friction", "torque_offset")
+    counts = Discrimination(decision, forecast.under(decision))
     pair = decision.pairs.index((1, 2))
     push, excite = (
         counts.probabilities(counts.total({name: 4}))[pair] for name in ("push/juice/case_2", "excite/none/fast")
@@ -82,15 +82,15 @@ def test_friction_and_offset_are_distinguished_by_a_motion_there_and_back(rehear
     assert excite > push + 0.03
 
 
-def test_noise_of_the_scenario_is_the_scatter_of_a_plan(rehearsal: Rehearsal) -> None:
-    for item in rehearsal.source.clusters:
+def test_noise_of_the_scenario_is_the_scatter_of_a_plan(forecast: Forecast) -> None:
+    for item in forecast.source.clusters:
         assert np.all(item.pure > 0.0)
         assert 0.05 < np.sqrt(np.mean(np.square(item.pure))) < 1.0
 
 
-def test_trials_measured_so_far_count(rehearsal: Rehearsal, hidden_campaign: Path) -> None:
+def test_trials_measured_so_far_count(forecast: Forecast, hidden_campaign: Path) -> None:
     runs = read_runs(hidden_campaign, map)
-    again = rehearse(load_model("nominal"), some(), ReplayCache(map), runs=runs)
+    again = forecast_of(load_model("nominal"), some(), ReplayCache(map), runs=runs)
     assert sum(again.repeats.values()) == len(runs.runs)
     decision = between(again, "object_mass", "support_friction")
     counts = Discrimination(decision, again.under(decision))
@@ -102,7 +102,7 @@ def test_trials_measured_so_far_count(rehearsal: Rehearsal, hidden_campaign: Pat
     assert all(pair.after >= pair.before for pair in plan.pairs)
 
 
-def test_an_estimate_keeps_its_deviations_within_its_bounds(rehearsal: Rehearsal) -> None:
+def test_an_estimate_keeps_its_deviations_within_its_bounds(forecast: Forecast) -> None:
     one = estimated(
         "friction", (("support_friction", (0.05,)),), {"support_friction": np.array([0.1])},
         {"support_friction": (np.array([0.0]), np.array([1.0]))},
@@ -112,9 +112,9 @@ def test_an_estimate_keeps_its_deviations_within_its_bounds(rehearsal: Rehearsal
     assert known.varied == ()
 
 
-def test_the_plan_says_what_each_condition_adds(rehearsal: Rehearsal) -> None:
-    decision = between(rehearsal, "joint_coulomb_friction", "torque_offset")
-    plan = planned(rehearsal, decision, 8)
+def test_the_plan_says_what_each_condition_adds(forecast: Forecast) -> None:
+    decision = between(forecast, "joint_coulomb_friction", "torque_offset")
+    plan = planned(forecast, decision, 8)
     conditions = [one for campaign in plan.campaigns for one in campaign.conditions]
     assert all(f"{one.trials} x {one.what}" in one.buys and "without them" in one.buys for one in conditions)
     assert any("there and back" in one.what for one in conditions)

@@ -27,7 +27,7 @@ AS_IS = "the model as it is"
 
 
 @dataclass(frozen=True)
-class Hypothesis:
+class Explanation:
     """An explanation.
 
     Attributes:
@@ -57,20 +57,20 @@ class Decision:
 
     Attributes:
         aim: ``rivals``: which of the estimated explanations is right; ``effects``: which effect is missing, if any;
-            ``parameters``: how large the effects of the only hypothesis are.
-        hypotheses: The explanations.
+            ``parameters``: how large the effects of the only explanation are.
+        explanations: The explanations.
         pairs: Numbers of those that are to be distinguished; none for parameters.
     """
 
     aim: Aim
-    hypotheses: tuple[Hypothesis, ...]
+    explanations: tuple[Explanation, ...]
     pairs: tuple[tuple[int, int], ...] = ()
 
     @staticmethod
-    def between(hypotheses: Sequence[Hypothesis], aim: Aim) -> Decision:
+    def between(explanations: Sequence[Explanation], aim: Aim) -> Decision:
         """Every explanation against every other one."""
-        count = len(hypotheses)
-        return Decision(aim, tuple(hypotheses), tuple((i, j) for i in range(count) for j in range(i + 1, count)))
+        count = len(explanations)
+        return Decision(aim, tuple(explanations), tuple((i, j) for i in range(count) for j in range(i + 1, count)))
 
 
 def which_effect(effects: Sequence[Effect], joints: Joints, worlds: Sequence[Physics]) -> Decision:
@@ -87,16 +87,16 @@ def which_effect(effects: Sequence[Effect], joints: Joints, worlds: Sequence[Phy
     noticed = [noticeable(effect, joints, worlds) for effect in effects if effect.phases != SINGLE_IMPACT]
     if not noticed:
         raise InputError("no effect is left to look for: the model has all that trials show")
-    return Decision.between([Hypothesis(AS_IS), *noticed], "effects")
+    return Decision.between([Explanation(AS_IS), *noticed], "effects")
 
 
-def noticeable(effect: Effect, joints: Joints, worlds: Sequence[Physics]) -> Hypothesis:
+def noticeable(effect: Effect, joints: Joints, worlds: Sequence[Physics]) -> Explanation:
     """An effect of a noticeable size: one scale of each parameter, its shapes in the middle of their grids."""
     scalars = effect.scalars(joints)
     lower, upper = effect.bounds_in(worlds)
     at = np.array([s.grid[len(s.grid) // 2] if s.shape and s.grid else s.nominal for s in scalars])
     steps = np.array([s.scale for s in scalars])
-    return Hypothesis(
+    return Explanation(
         effect.name,
         varied=tuple(
             ((effect.name, tuple(map(float, moved))),)
@@ -108,7 +108,7 @@ def noticeable(effect: Effect, joints: Joints, worlds: Sequence[Physics]) -> Hyp
 
 def estimated(
     name: str, centre: Added, deviations: Mapping[str, Array], bounds: Mapping[str, tuple[Array, Array]]
-) -> Hypothesis:
+) -> Explanation:
     """An explanation with estimates.
 
     Args:
@@ -125,7 +125,7 @@ def estimated(
                 own = list(centre)
                 own[number] = (effect, tuple(map(float, moved)))
                 varied.append(tuple(own))
-    return Hypothesis(name, centre, tuple(varied))
+    return Explanation(name, centre, tuple(varied))
 
 
 def _moved(at: Array, steps: Array, lower: Array, upper: Array) -> list[Array]:
