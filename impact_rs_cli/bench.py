@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from impact_rs_analysis.design.design import design
-from impact_rs_analysis.design.hypotheses import Decision, which_effect
+from impact_rs_analysis.design.explanations import Decision, which_effect
 from impact_rs_analysis.design.possible_trials import NO_ENVELOPE, Envelope
 from impact_rs_analysis.diagnosis.document import DiagnosisDocument
 from impact_rs_analysis.diagnosis.next_experiment import left_open
