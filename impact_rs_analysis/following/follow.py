@@ -28,7 +28,7 @@ from impact_rs_analysis.diagnosis.candidate import Candidate
 from impact_rs_analysis.diagnosis.diagnose import effects_for
 from impact_rs_analysis.evidence.cluster import Added
 from impact_rs_analysis.evidence.source import Source
-from impact_rs_analysis.following.change import MEAN_TIME, Calibration, ChangeTest, ChangeExplanation
+from impact_rs_analysis.following.change import MEAN_TIME, Calibration, ChangeExplanation, ChangeTest
 from impact_rs_analysis.following.hits import Door, Hit
 from impact_rs_analysis.following.lessons import (
     Cause,
