@@ -31,10 +31,10 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
-from impact_rs_analysis.following.change import Explanation
-from impact_rs_analysis.following.document import HitDocument
+from impact_rs_analysis.following.change import ChangedEffect
 from impact_rs_analysis.following.follow import Follower
 from impact_rs_analysis.following.hits import Hit, TableDoor
+from impact_rs_analysis.following.lessons import HitDocument
 from impact_rs_control.closed_loop import make_plant, run_closed_loop, without_garbage_collection
 from impact_rs_sim.effects import library
 from impact_rs_sim.model import load_model
@@ -259,7 +259,7 @@ def offline_errors(follower: Follower, base: Any, effect: str, values: Array, hi
     numbers = [n for n in range(part.start, part.stop) if n in follower.active]
     scale, nominal = follower.candidate.scale[part], follower.candidate.nominal[part]
     start = [(values - nominal)[n - part.start] / scale[n - part.start] for n in numbers]
-    fitted = follower._about(window, Explanation(effect, 0, np.array(start), 0.0))
+    fitted = follower._about(window, ChangedEffect(effect, 0, np.array(start), 0.0))
     return [rms(fitted.posterior.innovation(follower._evidence(hit, fitted.point))[0]) for hit in hits], frozen
 
 
@@ -323,10 +323,11 @@ def main() -> None:
     rng = np.random.default_rng(arguments.seed)
     pool = pool_of(arguments.pool, arguments.each)
     with tempfile.TemporaryDirectory() as folder:
-        result = {
-            "changed": changed_days(pool, arguments.changed, rng, Path(folder)),
-            "quiet": quiet_days(pool["quiet"], arguments.quiet, arguments.length, rng, Path(folder)),
-        }
+        result: dict[str, Any] = {}
+        if arguments.changed:
+            result["changed"] = changed_days(pool, arguments.changed, rng, Path(folder))
+        if arguments.quiet:
+            result["quiet"] = quiet_days(pool["quiet"], arguments.quiet, arguments.length, rng, Path(folder))
         if arguments.drift:
             result["drift"] = drifting_day(arguments.drift, rng, Path(folder))
     text = json.dumps(result, indent=2)

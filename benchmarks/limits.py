@@ -29,8 +29,8 @@ from benchmarks.foreign.discrepancy import OBLIQUE, SQUARE, oblique
 from benchmarks.foreign.laboratory import DAMPING, STIFFNESS
 from impact_rs_analysis.evidence.map_discrepancy import NO_MAP_DISCREPANCY, measured_map_discrepancy
 from impact_rs_analysis.evidence.simulated_trials import quiet
+from impact_rs_analysis.limits.drawn_hits import PEAK_SHARES, WINDOW, Hits, drawn, drawn_springs, quantities, touching
 from impact_rs_analysis.limits.hit_bounds import Thresholds
-from impact_rs_analysis.limits.hits import PEAK_SHARES, WINDOW, Hits, drawn, drawn_springs, quantities, touching
 from impact_rs_analysis.limits.poses import moved
 from impact_rs_analysis.limits.speed import HIGHEST, SpeedLimit, speed_limit
 from impact_rs_sim.errors import Infeasible
@@ -44,6 +44,7 @@ SCENARIOS = ("push_fr3", "push_ur5e", "push_iiwa7", "push")
 JUMP_MEAN = (0.005, 0.015)  # s after the touch, as config/map_discrepancy.yaml has it
 PLACES = 0.08  # m, that the hit is moved at most along x and z
 JUMPS, TORQUES, FORCES = (0.2, 1.0), (15.0, 80.0), (40.0, 300.0)  # rad/s, N m, N: thresholds are drawn from these
+NO_BOUND = 1e9  # N m, N
 
 
 def hit(
@@ -151,14 +152,15 @@ class Outcome:
         return self.speed > self.limit and self.worst <= 1.0
 
 
-def condition(number: int, draws: int) -> tuple[Hits, SpeedLimit]:
-    """A condition and what is said of it."""
+def condition(number: int, draws: int, reflexes: bool = True) -> tuple[Hits, SpeedLimit]:
+    """A condition and what is said of it; without thresholds of reflexes jumps, speeds and torques bound the speed."""
     rng = np.random.default_rng(1000 + number)
     while True:
         scenario = load_scenario(SCENARIOS[number % len(SCENARIOS)])
         item, case = (str(rng.choice(list(names))) for names in (scenario.objects, scenario.cases))
         x, z = rng.uniform(-PLACES, PLACES, 2)
-        limits = Thresholds(rng.uniform(*JUMPS), rng.uniform(*TORQUES), rng.uniform(*FORCES))
+        jump, torque, force = (float(rng.uniform(*ends)) for ends in (JUMPS, TORQUES, FORCES))
+        limits = Thresholds(jump, torque, force) if reflexes else Thresholds(jump, NO_BOUND, NO_BOUND)
         try:
             scene = Scene.resolve(moved(scenario, x, z), item, case)
         except Infeasible:
@@ -169,9 +171,9 @@ def condition(number: int, draws: int) -> tuple[Hits, SpeedLimit]:
             return hits, found
 
 
-def outcomes(number: int, count: int, draws: int, impedance: bool = False) -> list[Outcome]:
+def outcomes(number: int, count: int, draws: int, impedance: bool = False, reflexes: bool = True) -> list[Outcome]:
     """Hits of one condition."""
-    hits, limit = condition(number, draws)
+    hits, limit = condition(number, draws, reflexes)
     scene = hits.scene
     problem = touching(scene)
     sources = sources_of(problem, scene.scenario.uncertainty)
@@ -194,6 +196,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--calibrate", action="store_true", help="measure PEAK_SHARES instead")
     parser.add_argument("--impedance", action="store_true", help="an impedance controller leads the arm")
+    parser.add_argument("--no-reflexes", action="store_true", help="without thresholds of external torque and force")
     parser.add_argument("--conditions", type=int, default=40)
     parser.add_argument("--first", type=int, default=0, help="number of the first condition")
     parser.add_argument("--hits", type=int, default=26, help="of every condition")
@@ -205,7 +208,7 @@ def main() -> None:
         return
     began, found = time.perf_counter(), []
     for number in range(options.first, options.first + options.conditions):
-        found += outcomes(number, options.hits, options.draws, options.impedance)
+        found += outcomes(number, options.hits, options.draws, options.impedance, not options.no_reflexes)
         print(summary(found), f"{time.perf_counter() - began:.0f} s", flush=True)
         if options.output is not None:
             options.output.write_text(json.dumps([asdict(one) for one in found], indent=1) + "\n")

@@ -7,8 +7,8 @@ import json
 from collections.abc import Sequence
 from pathlib import Path
 
-from impact_rs_analysis.following.document import HitDocument
 from impact_rs_analysis.following.follow import Follower
+from impact_rs_analysis.following.lessons import HitDocument
 from impact_rs_analysis.following.state import restore_state, save_state
 from impact_rs_cli.following import HitsArguments, diagnose_command, door_of
 from impact_rs_ros.identify_node import Identifier, IdentifyNode, Lesson

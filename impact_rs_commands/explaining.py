@@ -271,7 +271,7 @@ Follow a model from hit to hit: trials of a folder in the order in which they we
 The first hits teach the scatter. Then each hit is predicted before it is looked at, updates the believed parameters of
 the model with their intervals, and is tested for a change of any effect of the library: another object or tool, a worn
 surface, a joint that warms up. A change is announced with its first hit, its evidence, and all effects that explain it;
-where there are several, with what tells them apart. At most one alarm in 10,000 hits is false where noise is as the
+where there are several, with what decides between them. At most one alarm in 10,000 hits is false where noise is as the
 first hits show it (--mean-time).
 
 With --live the command waits for further trials or rows until Ctrl-C. With --state a later run goes on where this one

@@ -144,7 +144,7 @@ STUDY_DESIGN = Command(
     about="""\
 Predict the hit of every combination of robot, random pose, motor inertia and pad, and rank them: impulse on the object,
 largest joint jump over the joint's velocity limit, and sensitivity of the object's velocity to motor inertia. Every
-value has an interval from the uncertainties of the scenario, and every rank the range that the intervals leave.
+value has an interval from the uncertainties of the scenario, and every rank a range.
 
 The pad comes square to a box that stands free, with the smallest joint velocity. Drives that robot facts lack are
 scaled from a Franka arm. Pads: wide (0.10 x 0.10 m), narrow (0.05 x 0.10 m), bouncy (wide, restitution 0.3).""",

@@ -337,13 +337,13 @@ class ImpactTableSource(Source):
         """One of the physics with effects; None: no positive inertia. Those that were asked for last are kept."""
         key = place, added
         if key not in self._altered:
-            physics: Physics | None = self._worlds[place]
+            physics = self._worlds[place]
             try:
                 for name, values in added:
                     physics = self._effects[name].apply_vector(physics, np.array(values))
+                self._altered[key] = physics
             except NotABody:
-                physics = None
-            self._altered[key] = physics
+                self._altered[key] = None
             while len(self._altered) > ALTERED:
                 self._altered.popitem(last=False)
         self._altered.move_to_end(key)
@@ -355,10 +355,6 @@ class ImpactTableSource(Source):
             return np.zeros(len(self.signals))
         world, speed = self._worlds[self._world_of[row]], float(self._impacts.closing_speeds[row])
         return self._map_discrepancy.of(self._all_signals, world, speed, self._kinds[row])[self._seen]
-
-    def is_oblique(self, row: int) -> bool:
-        """Whether the hit of a row is oblique."""
-        return self._kinds[row] == "oblique"
 
     def size(self) -> float:
         """See :meth:`Source.size`; without repeats, root mean square over the rows of d of the module [m/s]."""

@@ -45,7 +45,7 @@ TIED = 0.05  # likelihood over that of the best explanation; those above it are 
 
 
 @dataclass(frozen=True)
-class Explanation:
+class ChangedEffect:
     """One effect as the cause of a change.
 
     Attributes:
@@ -53,12 +53,14 @@ class Explanation:
         start: Instant of the window from which on it acts.
         change: eta, in parameter scales, ``(p_e,)``.
         log_ratio: Logarithm of its likelihood ratio against no change.
+        gain: Fall of the sum of squared whitened residuals that it promises, to first order.
     """
 
     effect: str
     start: int
     change: Array
     log_ratio: float
+    gain: float = 0.0
 
 
 @dataclass
@@ -134,7 +136,7 @@ class ChangeTest:
             return -math.inf, found, starts
         return float(_log_sum(every.ravel())) - math.log(len(found)), found, starts
 
-    def change(self, posterior: Posterior, statistics: dict[str, Array], starts: Sequence[int]) -> list[Explanation]:
+    def change(self, posterior: Posterior, statistics: dict[str, Array], starts: Sequence[int]) -> list[ChangedEffect]:
         """Explanations of a change, the best first; none where its last instant does not confirm it.
 
         Args:
@@ -143,7 +145,7 @@ class ChangeTest:
             starts: The same.
         """
         ranked = sorted(statistics, key=lambda name: -float(_log_sum(statistics[name])))
-        found: list[Explanation] = []
+        found: list[ChangedEffect] = []
         for name in ranked:
             if found and float(np.max(statistics[name])) < found[0].log_ratio + math.log(TIED):
                 break
@@ -188,7 +190,7 @@ class ChangeTest:
         ratio = np.log1p(before / nu) - np.log1p(after / nu)
         return np.asarray(0.5 * freedom * ratio - 0.5 * np.sum(np.log1p(values * kept), axis=1))
 
-    def _explained(self, posterior: Posterior, name: str) -> Explanation | None:
+    def _explained(self, posterior: Posterior, name: str) -> ChangedEffect | None:
         """An effect within its range from its likeliest moment on; None where the last instant speaks against it."""
         last = len(posterior.window) - 1
         if last < 1:
@@ -200,11 +202,11 @@ class ChangeTest:
         starts = list(range(last, -1, -1))
         information, score = self._reduced(posterior, starts)
         information, score = information[:, places][:, :, places], score[:, places]
-        best: Explanation | None = None
+        best: ChangedEffect | None = None
         for place, start in enumerate(starts):
             if start == last:
                 continue
-            total = information[place] + prior
+            total = _positive(information[place]) + prior
             eta = bounded(total, score[place], lower, upper)
             gain = float(score[place] @ eta - 0.5 * eta @ total @ eta) / inflation
             free = float(score[place] @ np.linalg.solve(total, score[place])) / (2.0 * inflation)
@@ -212,10 +214,11 @@ class ChangeTest:
             # Where a bound holds, t turns the smaller gain into a smaller ratio in the same proportion.
             ratio = unbounded if free <= 0.0 else unbounded - (free - gain) * min(1.0, max(unbounded, 1.0) / free)
             if best is None or ratio > best.log_ratio:
-                early = bounded(information[place] - information[0] + prior, score[place] - score[0], lower, upper)
+                earlier = _positive(information[place] - information[0]) + prior
+                early = bounded(earlier, score[place] - score[0], lower, upper)
                 confirmed = float(score[0] @ early - 0.5 * early @ information[0] @ early) > 0.0
                 if confirmed:
-                    best = Explanation(name, start, eta, ratio)
+                    best = ChangedEffect(name, start, eta, ratio, 2.0 * inflation * gain)
         return best
 
     def _room(self, posterior: Posterior, numbers: Sequence[int]) -> tuple[Array, Array]:
@@ -226,6 +229,12 @@ class ChangeTest:
         scale = own.scale[list(numbers)]
         lower = np.minimum((own.lower[list(numbers)] - at) / scale, -1e-9)
         return lower, np.maximum((own.upper[list(numbers)] - at) / scale, 1e-9)
+
+
+def _positive(matrix: Array) -> Array:
+    """The nearest symmetric matrix without negative eigenvalues: differences of informations may have some."""
+    values, vectors = np.linalg.eigh(0.5 * (matrix + matrix.T))
+    return np.asarray((vectors * np.maximum(values, 0.0)) @ vectors.T)
 
 
 def _log_sum(values: Array) -> float:

@@ -28,18 +28,18 @@ from impact_rs_analysis.diagnosis.candidate import Candidate
 from impact_rs_analysis.diagnosis.diagnose import effects_for
 from impact_rs_analysis.evidence.cluster import Added
 from impact_rs_analysis.evidence.source import Source
-from impact_rs_analysis.following.change import MEAN_TIME, Calibration, ChangeTest, Explanation
-from impact_rs_analysis.following.document import (
+from impact_rs_analysis.following.change import MEAN_TIME, Calibration, ChangedEffect, ChangeTest
+from impact_rs_analysis.following.hits import Door, Hit
+from impact_rs_analysis.following.lessons import (
     Cause,
     Change,
     Followed,
     HitDocument,
+    NextHit,
     Predicted,
-    Prediction,
 )
-from impact_rs_analysis.following.hits import Door, Hit
-from impact_rs_analysis.following.posterior import WIDE, WINDOW, Evidence, Posterior, log_density, weight_of
-from impact_rs_analysis.following.scatter import Scatter, deviations_of, scatter_of
+from impact_rs_analysis.following.posterior import WIDE, WINDOW, HitEvidence, Posterior, log_density, weight_of
+from impact_rs_analysis.following.scatter import HitScatter, deviations_of, scatter_of
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.model import Model, ModelEffect, ParameterValue
 from impact_rs_sim.numbers import estimate_text
@@ -52,8 +52,11 @@ MOST = 4  # hypotheses at a time
 RULED_OUT = 1e-3  # probability below which a hypothesis is dropped
 RULED_IN = 0.95  # probability from which the cause is said to be known
 STEPS = 4  # of Gauss-Newton about an explanation
+KEPT = 0.5  # of the promised fall of the residuals; an explanation with less is none
+SPEAKING = 0.25  # of the hits since a change; without those that speak for it most it must still hold
+LEAST_GAIN = 4.0  # fall of the squares of the others, of one parameter two standard deviations
 NEAR = 0.1  # parameter scales; a shorter step ends it
-APART = 2.0  # standard deviations between predictions; one hit then tells explanations apart
+APART = 2.0  # standard deviations between predictions; one hit then decides
 NORMAL_95 = 1.96
 WALL_CLOCK = 1e9  # s since 1970; an earlier stamp counts from another moment
 MOST_NAMED = 3  # parameters of an effect in a sentence, those that are surest
@@ -117,7 +120,7 @@ class Follower:
         kept = tuple(item for item in model.effects if item not in self._believed)
         door.model = model.model_copy(update={"effects": kept})
         self._first: list[Hit] = []
-        self._scatter: dict[str, Scatter] = {}
+        self._scatter: dict[str, HitScatter] = {}
         self._limits: dict[str, Array] = {}
         self._names: list[str] = []
         self._jacobians: dict[tuple[str, bytes], Array] = {}
@@ -173,7 +176,7 @@ class Follower:
             return ()
         return self._followed(self.likeliest, self.likeliest.posterior.followed, self._start)
 
-    def prediction(self, condition: str = "") -> Prediction | None:
+    def prediction(self, condition: str = "") -> NextHit | None:
         """What the next hit of a condition will measure, if it starts as the last one did; None while learning.
 
         Args:
@@ -191,7 +194,7 @@ class Follower:
         mean = sum(share * value for share, value, _ in known) / total
         variance = sum(share * (own + np.square(value - mean)) for share, value, own in known) / total
         half = scipy.special.stdtrit(self.calibration.freedom, 0.975) * np.sqrt(variance * self.calibration.of_hits)
-        return Prediction(
+        return NextHit(
             condition=hit.condition,
             like=hit.name,
             values=tuple(
@@ -304,7 +307,8 @@ class Follower:
         self.consider(self.door.source(list(hits.values())), Proportion(**document["proportion"]))
         self.active = tuple(document["active"])
         self._scatter = {
-            layout: Scatter(arrays[f"whiten{n}"], arrays[f"sigma{n}"]) for n, layout in enumerate(document["layouts"])
+            layout: HitScatter(arrays[f"whiten{n}"], arrays[f"sigma{n}"])
+            for n, layout in enumerate(document["layouts"])
         }
         self.calibration = Calibration(**{**document["calibration"], "whole": tuple(document["calibration"]["whole"])})
         self.hypotheses = []
@@ -445,7 +449,7 @@ class Follower:
                 taken.append(replace(evidence, weight=weight))
                 size = math.sqrt(float(np.mean(np.square(innovation))))
                 if hypothesis is best:
-                    errors[hit.name] = size, math.sqrt(float(np.mean(np.square(evidence.residual)))), weight < 1.0
+                    errors[hit.name] = size, self._error_of_model(hit, evidence), weight < 1.0
             if taken:
                 hypothesis.posterior.add(taken)
             if len(hypothesis.posterior.window) == WINDOW:
@@ -469,6 +473,13 @@ class Follower:
                 milliseconds=spent,
             )
         return documents
+
+    def _error_of_model(self, hit: Hit, evidence: HitEvidence) -> float:
+        """Error of the model as it was given, in standard deviations of a hit, rms over the features."""
+        assert self.candidate is not None
+        (given,) = self.door.predict(hit, [replace(self.candidate, point=self._start).split(self._start)])
+        off = evidence.residual if given is None else self._scatter[hit.layout].whiten @ (hit.measured - given)
+        return math.sqrt(float(np.mean(np.square(off))))
 
     def _weigh(self) -> str:
         """Drop hypotheses that are ruled out; what is now known for certain."""
@@ -498,8 +509,9 @@ class Follower:
             test = self._test(best)
             statistic, ratios, starts = test.statistics(best.posterior)
         if statistic >= test.threshold and (found := test.change(best.posterior, ratios, starts)):
-            change = self._changed(best, test, found[:MOST], statistic, instant[-1])
-            return statistic, change
+            held = [(one, hypothesis) for one in found[:MOST] if (hypothesis := self._held(best, one)) is not None]
+            if held and held[0][0].log_ratio >= test.threshold:
+                return statistic, self._changed(best, test, held, statistic, instant[-1])
         if len(best.posterior.window) > 1 and statistic < 0.5 * test.threshold:
             for name, (square, rank) in test.quiet(best.posterior).items():
                 self.calibration.add(name, min(square, 9.0 * max(rank, 1.0)), rank)
@@ -507,16 +519,19 @@ class Follower:
         return statistic, None
 
     def _changed(
-        self, before: Hypothesis, test: ChangeTest, found: Sequence[Explanation], statistic: float, hit: Hit
+        self,
+        before: Hypothesis,
+        test: ChangeTest,
+        held: Sequence[tuple[ChangedEffect, Hypothesis]],
+        statistic: float,
+        hit: Hit,
     ) -> Change:
         """Replace the hypotheses by the explanations of a change."""
         window = list(before.posterior.window)
+        found, hypotheses = [one for one, _ in held], [hypothesis for _, hypothesis in held]
         first = window[found[0].start][0].hit
-        hypotheses = []
-        for one in found:
-            hypothesis = self._about(before, one)
+        for one, hypothesis in held:
             hypothesis.log_weight = one.log_ratio
-            hypotheses.append(hypothesis)
         self.hypotheses = hypotheses
         shares = self.probabilities()
         causes = []
@@ -549,7 +564,27 @@ class Follower:
             words=f"{words}; {apart}" if apart else words,
         )
 
-    def _about(self, before: Hypothesis, one: Explanation) -> Hypothesis:
+    def _held(self, before: Hypothesis, one: ChangedEffect) -> Hypothesis | None:
+        """An explanation, linearised anew; None where it does not keep what it promised, or few hits speak for it.
+
+        A contact that grips does not change with more friction, though it does with much less. And of hits that are odd
+        now and then, in the same way, two make no change: without the quarter that speaks for it most, the other hits
+        must still speak for it.
+        """
+        fitted = self._about(before, one)
+        past = before.posterior
+        gains = []
+        hits = {e.hit.name: e for instant in past.window[one.start :] for e in instant}
+        for instant in fitted.posterior.window:
+            for evidence in instant:
+                old = hits[evidence.hit.name]
+                first, second = past.rest(old), fitted.posterior.rest(evidence)
+                gains.append(old.weight * float(first @ first - second @ second))
+        most = math.ceil(len(gains) * SPEAKING)
+        rest = sum(sorted(gains)[:-most]) / self.calibration.of(one.effect)
+        return fitted if sum(gains) > KEPT * one.gain and rest > LEAST_GAIN else None
+
+    def _about(self, before: Hypothesis, one: ChangedEffect) -> Hypothesis:
         """An explanation, linearised about its estimate."""
         assert self.candidate is not None
         part = self.candidate.part(one.effect)
@@ -590,7 +625,7 @@ class Follower:
             point[numbers] = there
         return Hypothesis(point, posterior, effect=effect, origin=origin)
 
-    def _weight(self, posterior: Posterior, evidence: Evidence) -> float:
+    def _weight(self, posterior: Posterior, evidence: HitEvidence) -> float:
         """Weight of a hit."""
         return weight_of(*posterior.innovation(evidence), self.calibration.of_hits)[0]
 
@@ -638,7 +673,7 @@ class Follower:
         return tuple(found)
 
     def _apart(self) -> str:
-        """The condition in which one hit tells the explanations apart best."""
+        """The condition in which one hit decides best between the explanations."""
         best: tuple[float, str] = (0.0, "")
         for condition, hit in self._last.items():
             if not condition:
@@ -651,14 +686,12 @@ class Follower:
         size, condition = best
         free = [one.effect for one in self.hypotheses if self._seen_free(one.effect)]
         if size > APART:
-            return f"one hit of {condition} tells them apart ({size:.1f} standard deviations)"
+            return f"one hit of {condition} decides between them ({size:.1f} standard deviations)"
         if 0 < len(free) < len(self.hypotheses):
-            return f"a free motion tells them apart: {' and '.join(free)} would show there"
+            return f"a free motion decides between them: {' and '.join(free)} would show there"
         if condition:
-            return (
-                f"hits like these hardly tell them apart ({condition}: {size:.1f} standard deviations); hit otherwise"
-            )
-        return "hits like these hardly tell them apart; hit otherwise"
+            return f"hits like these hardly decide ({condition}: {size:.1f} standard deviations); hit otherwise"
+        return "hits like these hardly decide between them; hit otherwise"
 
     def _seen_free(self, name: str) -> bool:
         assert self.candidate is not None
@@ -676,17 +709,17 @@ class Follower:
         unwhiten = np.linalg.inv(self._scatter[hit.layout].whiten)
         return hit.measured - unwhiten @ innovation, np.diag(unwhiten @ covariance @ unwhiten.T)
 
-    def _evidence(self, hit: Hit, point: Array) -> Evidence | None:
+    def _evidence(self, hit: Hit, point: Array) -> HitEvidence | None:
         """What a hit says about a point; None without a contact."""
         found = self._linearised(hit, point)
         if found is None:
             return None
         predicted, jacobian = found
         whiten = self._scatter[hit.layout].whiten
-        return Evidence(hit, whiten @ (hit.measured - predicted), whiten @ jacobian, whiten @ hit.discrepancy.T)
+        return HitEvidence(hit, whiten @ (hit.measured - predicted), whiten @ jacobian, whiten @ hit.discrepancy.T)
 
     def _linearised(self, hit: Hit, point: Array) -> tuple[Array, Array] | None:
-        """Prediction ``(F,)`` and sensitivities per scale ``(F, p)`` at a point; None without a contact."""
+        """NextHit ``(F,)`` and sensitivities per scale ``(F, p)`` at a point; None without a contact."""
         assert self.candidate is not None
         own = replace(self.candidate, point=point)
         key = (hit.shared, point.tobytes())
@@ -724,7 +757,7 @@ def _learning(hit: Hit) -> HitDocument:
     )
 
 
-def _scatter(residuals: Sequence[tuple[Hit, Array]], limits: Array) -> tuple[Scatter, int]:
+def _scatter(residuals: Sequence[tuple[Hit, Array]], limits: Array) -> tuple[HitScatter, int]:
     """Scatter of hits of one layout, and its degrees of freedom."""
     deviations, freedom = deviations_of([value for _, value in residuals], [hit.condition for hit, _ in residuals])
     stated = np.max([hit.noise for hit, _ in residuals], axis=0)

@@ -40,7 +40,8 @@ class Hit:
         timed: Whether the stamp is a time, in seconds since 1970.
         condition: Hits of one condition are repeats; empty: it repeats nothing.
         layout: Hits of one layout have the same features and the same scatter.
-        group: Hits of one group share the amplitudes of the model discrepancy.
+        group: Hits of one group share the amplitudes of the model discrepancy: a condition has its own, since a misfit
+            that is taken for that of another condition would look like a change where conditions alternate.
         features: Description of the entries.
         measured: Measured features, ``(F,)``.
         noise: Standard deviation of each that the measurement itself states; 0: not stated, ``(F,)``.
@@ -171,10 +172,12 @@ class TableDoor(Door):
 
     def source(self, hits: Sequence[Hit]) -> Source:
         """See :meth:`Door.source`."""
-        assert self._table is not None
+        table = self._table
+        assert table is not None
         wanted = {hit.name for hit in hits}
-        places = [place for place, row in enumerate(self._table.rows) if _name(row.number) in wanted]
-        return ImpactTableSource(_part(self._table, places), self.model, discrepancy=self._discrepancy)
+        places = [place for place, row in enumerate(table.rows) if _name(row.number) in wanted]
+        places.sort(key=lambda place: table.rows[place].object_name)  # the first row stands for the object
+        return ImpactTableSource(_part(table, places), self.model, discrepancy=self._discrepancy)
 
     def predict(self, hit: Hit, added: Sequence[Added]) -> list[Array | None]:
         """See :meth:`Door.predict`."""
@@ -199,14 +202,14 @@ class TableDoor(Door):
 def _hit(own: ImpactTableSource, place: int) -> RowHit:
     """One row of a source."""
     row = own.table.rows[place]
-    group = row.condition or row.object_name if own.is_oblique(place) else ""
+    condition = ", ".join(filter(None, (row.object_name, row.condition))) if row.condition else ""
     return RowHit(
         name=_name(row.number),
         stamp=float(row.number) if row.time is None else row.time,
         timed=row.time is not None,
-        condition=", ".join(filter(None, (row.object_name, row.condition))) if row.condition else "",
+        condition=condition,
         layout="impacts",
-        group=group,
+        group=condition,
         features=own.signals,
         measured=own.measured[place],
         noise=np.zeros(own.measured.shape[1]) if own.noise is None else own.noise[place],
@@ -313,7 +316,7 @@ class BagDoor(Door):
             timed=True,
             condition=run.condition,
             layout=layout_of(run),
-            group=cluster.alike or cluster.layout,
+            group=f"{cluster.layout}: {run.condition}",
             features=run.features,
             measured=run.measured,
             noise=np.zeros(run.measured.size),

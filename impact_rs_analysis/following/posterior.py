@@ -38,7 +38,7 @@ ODD = 1e-3  # share of hits beyond the quantile at which they lose weight
 
 
 @dataclass(frozen=True)
-class Evidence:
+class HitEvidence:
     """What one hit says, whitened.
 
     Attributes:
@@ -77,14 +77,14 @@ class Posterior:
         information: L before the window, ``(n, n)``.
         vector: h before the window, ``(n,)``.
         groups: Columns of the discrepancy amplitudes, by group of hits.
-        window: Evidence by instant, oldest first.
+        window: HitEvidence by instant, oldest first.
     """
 
     followed: tuple[int, ...]
     information: Array
     vector: Array
     groups: dict[str, slice] = field(default_factory=dict)
-    window: list[tuple[Evidence, ...]] = field(default_factory=list)
+    window: list[tuple[HitEvidence, ...]] = field(default_factory=list)
     _sums: list[list[_Sums]] = field(default_factory=list)
     _total: tuple[Array, Array] | None = None
 
@@ -141,13 +141,13 @@ class Posterior:
             self.groups[group] = slice(size, size + count)
             self._total = None
 
-    def observation(self, evidence: Evidence) -> tuple[NDArray[np.int_], Array]:
+    def observation(self, evidence: HitEvidence) -> tuple[NDArray[np.int_], Array]:
         """Columns of the state that a hit depends on, ``(m,)``, and H at them, ``(F, m)``."""
         own = self.groups[evidence.hit.group]
         columns = np.concatenate((np.arange(len(self.followed)), np.arange(own.start, own.stop)))
         return columns, np.hstack((evidence.jacobian[:, list(self.followed)], evidence.patterns))
 
-    def innovation(self, evidence: Evidence) -> tuple[Array, Array]:
+    def innovation(self, evidence: HitEvidence) -> tuple[Array, Array]:
         """Residual that the state leaves, ``(F,)``, and its covariance, ``(F, F)``, whitened [-]."""
         columns, observed = self.observation(evidence)
         own = np.zeros((len(self.vector), observed.shape[0]))
@@ -155,7 +155,12 @@ class Posterior:
         covariance = np.eye(observed.shape[0]) + observed @ self.solve(own)[columns]
         return evidence.residual - observed @ self.mean[columns], covariance
 
-    def add(self, instant: Sequence[Evidence]) -> None:
+    def rest(self, evidence: HitEvidence) -> Array:
+        """Residual of a hit that the state leaves, ``(F,)`` [-]."""
+        columns, observed = self.observation(evidence)
+        return np.asarray(evidence.residual - observed @ self.mean[columns])
+
+    def add(self, instant: Sequence[HitEvidence]) -> None:
         """Take an instant into the window, and believe the oldest of a full one."""
         self.window.append(tuple(instant))
         self._sums.append([self._sums_of(one) for one in instant])
@@ -163,7 +168,7 @@ class Posterior:
         while len(self.window) > WINDOW:
             self._believe()
 
-    def believe(self, evidence: Iterable[Evidence]) -> None:
+    def believe(self, evidence: Iterable[HitEvidence]) -> None:
         """Take hits that are older than the window."""
         for one in evidence:
             self._take(self._sums_of(one))
@@ -191,7 +196,7 @@ class Posterior:
         self._sums.clear()
         self._total = None
 
-    def _sums_of(self, one: Evidence) -> _Sums:
+    def _sums_of(self, one: HitEvidence) -> _Sums:
         columns, observed = self.observation(one)
         weighed, residual = one.weight * observed.T, one.residual
         return _Sums(
@@ -250,6 +255,7 @@ class Posterior:
             gone = np.linalg.solve(information[forgotten][:, forgotten], coupling.T)
             vector = vector[stay] - gone.T @ vector[forgotten]
             information = information[stay][:, stay] - coupling @ gone
+            information = 0.5 * (information + information.T)
         names = [self.followed[n] for n in kept]
         order = [*names, *fresh]
         size, new = len(vector), len(fresh)

@@ -21,7 +21,7 @@ LEAST = 1e-9  # of the largest standard deviation of the same unit; a feature th
 
 
 @dataclass(frozen=True)
-class Scatter:
+class HitScatter:
     """Covariance of the hits of one layout.
 
     Attributes:
@@ -33,7 +33,7 @@ class Scatter:
     sigma: Array
 
 
-def scatter_of(deviations: Array, freedom: int, stated: Array, limits: Array) -> Scatter:
+def scatter_of(deviations: Array, freedom: int, stated: Array, limits: Array) -> HitScatter:
     """Scatter of hits, from their deviations.
 
     Args:
@@ -51,7 +51,7 @@ def scatter_of(deviations: Array, freedom: int, stated: Array, limits: Array) ->
     floor = LEAST * float(diagonal.max() or 1.0)
     covariance = covariance + np.diag(np.where(diagonal < floor, floor, 0.0))
     whiten = np.linalg.inv(np.linalg.cholesky(covariance))
-    return Scatter(whiten, np.sqrt(np.diag(covariance)))
+    return HitScatter(whiten, np.sqrt(np.diag(covariance)))
 
 
 def _shrunk(scaled: Array, freedom: int) -> Array:

@@ -62,7 +62,7 @@ class Bounds:
     """Bounds of all quantities of a scene.
 
     Attributes:
-        names: ``arm joint 2 torque`` ..., in the order of :func:`impact_rs_analysis.limits.hits.peaks`.
+        names: ``arm joint 2 torque`` ..., in the order of :func:`impact_rs_analysis.limits.drawn_hits.peaks`.
         kinds: Kind of each, of ``KINDS``.
         units: Unit of each.
         values: Largest value that is borne, ``(k,)``; inf: none is known.

@@ -6,8 +6,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from impact_rs_analysis.evidence.map_discrepancy import measured_map_discrepancy
+from impact_rs_analysis.limits.drawn_hits import DRAWS, Hits
 from impact_rs_analysis.limits.hit_bounds import OF_THE_FACTS, Thresholds
-from impact_rs_analysis.limits.hits import DRAWS, Hits
 from impact_rs_analysis.limits.speed import SpeedLimit, speed_limit
 from impact_rs_sim.errors import Infeasible, InputError
 from impact_rs_sim.impact_map import ImpactMapError

@@ -17,8 +17,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from impact_rs_analysis.limits.drawn_hits import Hits
 from impact_rs_analysis.limits.hit_bounds import KINDS
-from impact_rs_analysis.limits.hits import Hits
 from impact_rs_sim.impact_map import ImpactMapError
 from impact_rs_sim.robot import Array
 

@@ -8,9 +8,9 @@ ante-impact speed along the pad's normal n, with the smallest joint velocity. It
     joint jump     max_i |dq_i^+ - dq_i^-| / dq_i,max           over the limit of the joint's velocity [-]
     sensitivity    (v^+(1.05 B) - v^+(0.95 B)) / (0.1 v^+)     of the object's velocity v^+ to motor inertia [-]
 
-Intervals are those of draws from the uncertainties of a scenario (:mod:`impact_rs_sim.impact_map.uncertainty`):
-the value of the nominal design, and Student's t times the deviation of the draws. A rank has the range that these
-intervals leave: designs whose intervals lie above are ahead, designs whose intervals lie below are behind.
+Intervals are those of draws from the uncertainties of a scenario (:mod:`impact_rs_sim.impact_map.uncertainty`): the
+value of the nominal design, and Student's t times the deviation of the draws. Every draw orders all designs once, with
+the same object and the same errors of setting up, for these are common to them; a rank has the range of these orders.
 """
 
 from __future__ import annotations
@@ -93,11 +93,13 @@ class Estimate:
         value: Of the nominal design.
         low: Lower end at ``LEVEL``.
         high: Upper end.
+        draws: Values of the draws; nan where one has no answer.
     """
 
     value: float
     low: float
     high: float
+    draws: tuple[float, ...]
 
 
 @dataclass(frozen=True)
@@ -181,18 +183,16 @@ class DesignStudy:
     places: Mapping[str, int]
 
     def ranked(self, measure: str) -> list[tuple[Design, int, int]]:
-        """Designs by falling value, each with the best and the worst rank that the intervals allow."""
-        values = [design.measures[measure] for design in self.designs]
-        low, high = (np.sort([getattr(value, end) for value in values]) for end in ("low", "high"))
-        order = sorted(range(len(values)), key=lambda index: -values[index].value)
-        return [
-            (
-                self.designs[index],
-                1 + len(values) - int(np.searchsorted(low, values[index].high, side="right")),
-                len(values) - int(np.searchsorted(high, values[index].low, side="left")),
-            )
-            for index in order
-        ]
+        """Designs by falling value, each with the ends of its rank at ``LEVEL`` over the draws."""
+        found = [design.measures[measure] for design in self.designs]
+        values = np.array([one.value for one in found])
+        draws = np.array([one.draws for one in found])
+        drawn = np.where(np.isnan(draws), values[:, None], draws)
+        ranks = scipy.stats.rankdata(-drawn, method="min", axis=0)
+        tails = ((1.0 - LEVEL) / 2.0, (1.0 + LEVEL) / 2.0)
+        best, worst = np.quantile(ranks, tails, axis=1, method="nearest").astype(int)
+        order = np.argsort(-values, kind="stable")
+        return [(self.designs[index], int(best[index]), int(worst[index])) for index in order]
 
 
 def study_designs(
@@ -217,10 +217,11 @@ def study_designs(
     question.scenario.object(question.object_name)
     stances: list[Stance] = []
     places = {}
-    for number, robot in enumerate(robots):
-        report("poses", number, len(robots))
-        own, places[robot] = stances_of(robot, question, poses)
+    wanted = [(robot, question, poses) for robot in robots]
+    for number, (robot, (own, tried)) in enumerate(zip(robots, map_tasks(_stand, wanted), strict=True), start=1):
+        places[robot] = tried
         stances += own
+        report("poses", number, len(robots))
     designs: list[Design] = []
     failed: dict[str, str] = {}
     tasks = [(question, stance) for stance in stances]
@@ -253,6 +254,11 @@ def stances_of(robot: str, question: DesignQuestion, poses: int) -> tuple[list[S
         f"{robot} reaches {question.speed:g} m/s in {len(found)} of {tried} random places, expected {poses}; give a "
         "lower --speed or fewer --poses"
     )
+
+
+def _stand(task: tuple[str, DesignQuestion, int]) -> tuple[list[Stance], int]:
+    """:func:`stances_of`, for a parallel map."""
+    return stances_of(*task)
 
 
 def ask(task: tuple[DesignQuestion, Stance]) -> tuple[list[Design], dict[str, str]]:
@@ -351,20 +357,25 @@ def _measured(problem: ImpactProblem, question: DesignQuestion) -> dict[str, Est
     models = problem.physics.robot_models()
     nominal = values_by(DEFAULT_ENGINE, problem)
     sources = sources_of(problem, question.scenario.uncertainty)
-    rng = np.random.default_rng(question.seed)
-    found: list[list[float]] = []
-    for _ in range(question.draws):
-        amounts = draw(sources, rng)
+    found = np.full((question.draws, len(nominal)), np.nan)
+    for number in range(question.draws):
+        amounts: dict[str, float] = {}
+        for index, source in enumerate(
+            sources
+        ):  # each by itself, so that designs with more joints have the same object
+            for name, amount in draw((source,), np.random.default_rng((question.seed, number, index))).items():
+                amounts[name] = amounts.get(name, 0.0) + amount
         try:
-            found.append(list(_drawn(problem, models, amounts).values()))
+            found[number] = list(_drawn(problem, models, amounts).values())
         except ImpactMapError:
             continue
-    if len(found) < 2:
-        raise ImpactMapError(f"{len(found)} of {question.draws} draws have an answer, expected two or more")
-    half = scipy.stats.t.ppf(0.5 + LEVEL / 2.0, len(found) - 1) * np.std(found, axis=0, ddof=1)
+    answered = found[~np.isnan(found[:, 0])]
+    if len(answered) < 2:
+        raise ImpactMapError(f"{len(answered)} of {question.draws} draws have an answer, expected two or more")
+    half = scipy.stats.t.ppf(0.5 + LEVEL / 2.0, len(answered) - 1) * np.std(answered, axis=0, ddof=1)
     return {
-        name: Estimate(value, value - width, value + width)
-        for (name, value), width in zip(nominal.items(), half.tolist(), strict=True)
+        name: Estimate(value, value - width, value + width, tuple(column))
+        for (name, value), width, column in zip(nominal.items(), half.tolist(), found.T.tolist(), strict=True)
     }
 
 

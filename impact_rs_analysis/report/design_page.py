@@ -60,7 +60,7 @@ def write_design_study(study: DesignStudy, directory: Path) -> Path:
                 "hits",
                 _hits(study, robots),
                 caption="Each point is a design: colour is the robot, form the pad; open: B<sub>θ</sub>, filled: "
-                "B<sub>ρ</sub>. Above and left: gentle to the object, hard for the joints.",
+                "B<sub>ρ</sub>. Further up it hits harder, further left the joints bear it better.",
                 zoom=True,
             ),
             Plot(

@@ -4,9 +4,10 @@
 A parameter of an effect is pooled over all packages that estimate it (:mod:`impact_rs_analysis.sharing.meta_analysis`);
 a standard error is the 95 % interval over 2 x 1.96.
 
-First odd laboratories are looked for: studentised leave-one-out residuals whose p value, times the number of residuals
-looked at (Bonferroni), is below ``ODD``, of laboratories whose robot and object others have measured as well. They are
-left out of that parameter and named, and the search goes on without them, as long as three packages are left.
+First odd laboratories are looked for: studentised residuals from all other laboratories whose p value, times the number
+of residuals looked at (Bonferroni), is below ``ODD``, of laboratories whose robot and object others have measured as
+well. They are left out of that parameter and named, and the search goes on without them, as long as three packages are
+left.
 
 Then the heterogeneity Q that is left is divided by robot, object and laboratory. A parameter *belongs* to what leaves
 none within its groups: Q within them is not significant, Q between them is. A robot or object that one laboratory alone
@@ -26,7 +27,7 @@ from pydantic import Field
 
 from impact_rs_analysis.diagnosis.document import UNIDENTIFIABLE
 from impact_rs_analysis.sharing.evidence_package import EvidencePackage
-from impact_rs_analysis.sharing.meta_analysis import pool, residuals, within_groups
+from impact_rs_analysis.sharing.meta_analysis import heterogeneity, pool, residual, within_groups
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.schema import Schema
 
@@ -195,23 +196,57 @@ def _without_odd(
 ) -> tuple[dict[tuple[str, str], list[int]], dict[tuple[str, str], dict[int, float]]]:
     """Indices of studies that agree, and of odd ones with their residuals, by parameter."""
     kept = {key: list(range(len(own))) for key, own in studies.items()}
-    looked_at = sum(len(own) for own in studies.values() if len(own) >= LEAST)
+    looked_at = sum(len(own) for own in studies.values() if len(own) > LEAST)
     odd: dict[tuple[str, str], dict[int, float]] = defaultdict(dict)
+    laboratories = sorted({study.package.laboratory for own in studies.values() for study in own})
+    while True:
+        found = []
+        for laboratory in laboratories:
+            dispersion, freedom = _dispersion(studies, kept, laboratory)
+            for key, own in studies.items():
+                if len(kept[key]) <= LEAST:
+                    continue
+                for index in kept[key]:
+                    if own[index].package.laboratory == laboratory and _alone(own, kept[key], index):
+                        size = _residual(own, kept[key], index, dispersion)
+                        p_value = 2.0 * float(scipy.stats.t.sf(abs(size), max(freedom, 1))) * looked_at
+                        found.append((p_value, key, index, size))
+        if not found or (worst := min(found, key=lambda one: (one[0], -abs(one[3]))))[0] >= ODD:
+            return kept, odd
+        _, key, index, size = worst
+        kept[key].remove(index)
+        odd[key][index] = size
+
+
+def _dispersion(
+    studies: Mapping[tuple[str, str], list[_Study]], kept: Mapping[tuple[str, str], list[int]], laboratory: str
+) -> tuple[float, int]:
+    """Mean square deviation of the other laboratories over their errors, with its degrees of freedom.
+
+    Parameters in which they differ are left out.
+    """
+    total, freedom = 0.0, 0
     for key, own in studies.items():
-        while len(kept[key]) > LEAST:
-            found = residuals(*_numbers(own, kept[key]))
-            worst = int(np.argmax(np.abs(found)))
-            p_value = 2.0 * float(scipy.stats.norm.sf(abs(found[worst]))) * looked_at
-            if p_value >= ODD or not _alone(own, kept[key], worst):
-                break
-            odd[key][kept[key].pop(worst)] = float(found[worst])
-    return kept, odd
+        others = [index for index in kept[key] if own[index].package.laboratory != laboratory]
+        if len(others) < 2:
+            continue
+        q, _, _ = heterogeneity(*_numbers(own, others))
+        if float(scipy.stats.chi2.sf(q, len(others) - 1)) > DIFFERENT:
+            total, freedom = total + q, freedom + len(others) - 1
+    return (total / freedom if freedom else 1.0), freedom
+
+
+def _residual(own: Sequence[_Study], kept: Sequence[int], index: int, dispersion: float = 1.0) -> float:
+    """Studentised residual of a study from those of other laboratories; nan where they are fewer than two."""
+    study = own[index]
+    others = [other for other in kept if own[other].package.laboratory != study.package.laboratory]
+    return residual(study.value, study.error, *_numbers(own, others), dispersion)
 
 
 def _alone(own: Sequence[_Study], kept: Sequence[int], worst: int) -> bool:
     """Whether nothing but the laboratory sets a study apart: another one has its robot, and its object."""
-    study = own[kept[worst]]
-    others = [own[index] for position, index in enumerate(kept) if position != worst]
+    study = own[worst]
+    others = [own[index] for index in kept if own[index].package.laboratory != study.package.laboratory]
     return all(any(other.label(factor) == study.label(factor) for other in others) for factor in ("robot", "object"))
 
 
@@ -229,7 +264,7 @@ def _merged(own: Sequence[_Study], kept: Sequence[int], odd: Mapping[int, float]
         belongs_to = _belongs_to(own, kept, pooled.q) or (UNCLEAR,)
         if belongs_to != (UNCLEAR,):
             groups = _groups(own, kept, belongs_to[0])
-    left = dict(zip(kept, residuals(values, errors).tolist(), strict=True))
+    left = {index: _residual(own, kept, index) for index in kept}
     contributions = [
         Contribution(
             laboratory=study.package.laboratory,

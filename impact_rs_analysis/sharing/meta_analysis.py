@@ -9,12 +9,13 @@
     mu    = sum w*_i y_i / W*,  w*_i = 1 / (s_i^2 + tau^2)
     var   = sum w*_i (y_i - mu)^2 / ((k - 1) W*), Student's t of k - 1   Hartung 1999, Knapp and Hartung 2003
 
-An odd study has a large studentised leave-one-out residual (Viechtbauer and Cheung 2010),
+An odd study has a large studentised residual from the others (Viechtbauer and Cheung 2010),
 
-    r_i = (y_i - mu_(-i)) / sqrt(s_i^2 + tau_(-i)^2 + 1 / W*_(-i))
+    r = (y - mu) / sqrt(s^2 + tau^2 + 1 / W*)                            where the others differ (p of Q <= 0.05)
+    r = (y - m) / sqrt(h^2 (s^2 + 1 / W))                                where they do not
 
-with mu, tau and W* of the others, and p values of the normal distribution; how many were looked at is the caller's to
-correct.
+with mu, tau, W* of the others. tau of a few studies is known poorly, and 0 by chance as often as not; h^2 >= 1 is the
+mean of Q / (k - 1) over all parameters in which the others do not differ, with the degrees of freedom of Student's t.
 """
 
 from __future__ import annotations
@@ -28,6 +29,7 @@ import scipy
 from impact_rs_sim.robot import Array
 
 LEVEL = 0.95
+DIFFER = 0.05  # p of Q, up to which tau of the others is taken for a residual
 
 
 @dataclass(frozen=True)
@@ -79,19 +81,32 @@ def pool(values: Sequence[float], errors: Sequence[float]) -> Pooled:
     return Pooled(mean, mean - half, mean + half, tau, q, p_value, count)
 
 
-def residuals(values: Sequence[float], errors: Sequence[float]) -> Array:
-    """Studentised leave-one-out residuals, ``(k,)`` [-]; nan with fewer than three studies."""
-    y, s = np.asarray(values, dtype=float), np.asarray(errors, dtype=float)
-    found = np.full(y.size, np.nan)
-    if y.size < 3:
-        return found
-    for index in range(y.size):
-        others = np.arange(y.size) != index
-        _, tau = _heterogeneity(y[others], s[others])
-        weight = 1.0 / (s[others] ** 2 + tau**2)
-        mean = weight @ y[others] / weight.sum()
-        found[index] = (y[index] - mean) / np.sqrt(s[index] ** 2 + tau**2 + 1.0 / weight.sum())
-    return found
+def residual(
+    value: float, error: float, others: Sequence[float], errors: Sequence[float], dispersion: float = 1.0
+) -> float:
+    """Studentised residual of a study from others [-]; nan with fewer than two others.
+
+    Args:
+        value: y of the study.
+        error: Its s.
+        others: y of the others.
+        errors: Their s.
+        dispersion: h^2.
+    """
+    y, s = np.asarray(others, dtype=float), np.asarray(errors, dtype=float)
+    if y.size < 2:
+        return float("nan")
+    _, tau, differ = heterogeneity(others, errors)
+    weight = 1.0 / (s**2 + tau**2) if differ else 1.0 / s**2
+    variance = error**2 + 1.0 / weight.sum()
+    variance = variance + tau**2 if differ else max(dispersion, 1.0) * variance
+    return float((value - weight @ y / weight.sum()) / np.sqrt(variance))
+
+
+def heterogeneity(values: Sequence[float], errors: Sequence[float]) -> tuple[float, float, bool]:
+    """Q, tau, and whether studies differ."""
+    q, tau = _heterogeneity(np.asarray(values, dtype=float), np.asarray(errors, dtype=float))
+    return q, tau, len(values) > 1 and float(scipy.stats.chi2.sf(q, len(values) - 1)) <= DIFFER
 
 
 def within_groups(values: Sequence[float], errors: Sequence[float], groups: Sequence[str]) -> tuple[float, int]:

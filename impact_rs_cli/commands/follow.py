@@ -9,8 +9,8 @@ import time
 from rich.markup import escape
 from rich.table import Table
 
-from impact_rs_analysis.following.document import FollowDocument, HitDocument, Prediction
 from impact_rs_analysis.following.follow import Follower
+from impact_rs_analysis.following.lessons import FollowDocument, HitDocument, NextHit
 from impact_rs_analysis.following.state import restore_state, save_state
 from impact_rs_cli.arguments import number, on_local_runs
 from impact_rs_cli.following import HitsArguments, diagnose_command, door_of
@@ -131,7 +131,7 @@ def _show(document: FollowDocument, follower: Follower, terminal: Terminal) -> N
         _show_prediction(document.prediction, terminal)
 
 
-def _show_prediction(prediction: Prediction, terminal: Terminal) -> None:
+def _show_prediction(prediction: NextHit, terminal: Terminal) -> None:
     what = f" of {prediction.condition}" if prediction.condition else ""
     table = Table(title=escape(f"Next hit{what}, if it starts as {prediction.like}"), title_justify="left")
     for heading in ("signal", "", "prediction", "95 % interval", "unit"):

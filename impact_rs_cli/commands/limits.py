@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import argparse
 import math
+from collections import Counter
 
 import numpy as np
 from rich.markup import escape
@@ -64,6 +65,8 @@ def run(args: argparse.Namespace, terminal: Terminal) -> int:
         f"{slow} of {len(found)} planned hits are too fast" if slow else "all planned hits are allowed",
         "half: a bound is exceeded in half of the draws; the other columns count the bounds of one kind alone",
     )
+    for binding, count in Counter(one.binding for one in found).most_common():
+        terminal.say(f"nearest bound of {count} of {len(found)}: {binding}")
     for kind in found[0].unknown:
         terminal.warn(f"no bound of the {WORDS[kind]} is known: it limits nothing here (robot facts, section reflexes)")
     if places:
@@ -96,12 +99,15 @@ def _check(args: argparse.Namespace) -> None:
 def _table(name: str, found: list[SpeedLimit]) -> Table:
     """The table for the terminal."""
     known = [kind for kind in KINDS if kind not in found[0].unknown]
-    table = Table(title=escape(f"{name}: closing speed [m/s] up to which all bounds hold with {LEVEL:.0%}"))
+    table = Table(
+        title=escape(f"{name}: closing speed [m/s] up to which all bounds hold with {LEVEL:.0%}"),
+        pad_edge=False,
+        collapse_padding=True,
+    )
     for heading in ("object", "case"):
-        table.add_column(heading)
+        table.add_column(heading, no_wrap=True)
     for heading in ("planned", "allowed", "half", *known):
-        table.add_column(heading, justify="right")
-    table.add_column("nearest bound")
+        table.add_column(heading, justify="right", no_wrap=True)
     for one in found:
         table.add_row(
             one.object_name,
@@ -110,7 +116,6 @@ def _table(name: str, found: list[SpeedLimit]) -> Table:
             _speed(one.speed),
             _speed(one.middle),
             *(_speed(one.by_kind[kind]) for kind in known),
-            one.binding,
         )
     return table
 

@@ -10,8 +10,8 @@ from rich.table import Table
 
 from impact_rs_cli.arguments import check_robots, settings_of
 from impact_rs_cli.terminal import Terminal
+from impact_rs_ros.cell_rehearsal import Checklist, rehearse
 from impact_rs_ros.driver_profiles import profile_of
-from impact_rs_ros.rehearsal import Checklist, rehearse
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.robot import Reflexes, RobotFacts
 from impact_rs_sim.scenario import load_scenario

@@ -227,7 +227,7 @@ class MeasuredImpacts:
 
 
 class _Models:
-    """Rigid-body models that were asked for last: to make one takes a hundred times as long as to use it."""
+    """Rigid-body models of the links that were asked for last: to make one takes much longer than to use it."""
 
     def __init__(self) -> None:
         self._kept: OrderedDict[tuple[object, ...], tuple[object, RobotModel]] = OrderedDict()

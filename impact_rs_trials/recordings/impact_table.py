@@ -39,6 +39,7 @@ column                                      unit      what it is
 ``B1`` ``B2`` ...                           kg m^2    motor inertia that is assumed; absent: B_theta of the scenario
 ``object``                                            name of the scenario's object; absent: its only one
 ``condition``                                         rows of one condition are repeats of each other
+``time``                                    s         when the row was measured, from any moment on
 ``contact_tolerance``                       m         how much further off than the nearest a point may be that touches,
                                                       where the geometry says which do: pose noise times the width
 ``v_noise`` ``w_noise`` ``dq_noise``        m/s or    standard deviation of a measured change of velocity, where it is

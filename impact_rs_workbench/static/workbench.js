@@ -445,9 +445,11 @@ const predict = {
     const main = answer.rows.filter((row) => row.main), shown = (row) => `${row.body} ${fixed(row.before, 2)} → ${fixed(row.after, 2)} m/s`;
     this.impact.draw(question.scenario, question.object, answer.moment).catch((error) => { this.scene.textContent = error.message; });
     says('predict', `${main.map(shown).join(', ')}, along ${answer.axis}.`);
+    const drawn = Boolean(this.plot.data);
+    if (drawn) this.place(question.moving);
     requestAnimationFrame(() => { // numbers are painted before the library of the figures comes
       if (this.answer !== answer) return;
-      this.place(question.moving);
+      if (!drawn) this.place(question.moving);
       this.plot.dataset.shown = JSON.stringify(question.values);
     });
   },
@@ -1095,7 +1097,7 @@ const laboratory = {
     this.wanted = null;
     fill(this.scenario, plain(state.workspace.scenarios), this.scenario.value || 'push');
     if (this.folder.value && this.folder.value !== this.looked) this.look();
-    else if (this.offered === this.looked && !this.found.table) this.addRows(found.find((lab) => lab.path === this.looked));
+    else if (this.offered && this.offered === this.looked && !this.found.table) this.addRows(found.find((lab) => lab.path === this.looked));
   },
 
   // Recordings that have come since; what is filled in stays.

@@ -53,7 +53,7 @@ def test_evidence_is_packed_checked_and_merged(tmp_path: Path, document: Documen
     runs.mkdir()
     (runs / "one.csv").write_text("1\n", encoding="utf-8")
     packages = []
-    for laboratory, value in (("north", 1.0), ("south", 1.05), ("west", 0.98), ("east", 2.0)):
+    for laboratory, value in (("north", 1.0), ("south", 1.05), ("west", 0.98), ("middle", 1.01), ("east", 2.0)):
         diagnosis, package = tmp_path / f"{laboratory}_diagnosis.json", tmp_path / f"{laboratory}.json"
         write_document(diagnosis_of({"law": (value, 0.1)}), diagnosis)
         who = ("--laboratory", laboratory, "--robot", "arm", "--object", "box")
@@ -74,7 +74,7 @@ def test_the_odd_laboratory_is_said_in_words(tmp_path: Path, capfd: pytest.Captu
     runs.mkdir()
     (runs / "one.csv").write_text("1\n", encoding="utf-8")
     words = ["evidence", "merge"]
-    for laboratory, value in (("north", 1.0), ("south", 1.05), ("west", 0.98), ("east", 2.0)):
+    for laboratory, value in (("north", 1.0), ("south", 1.05), ("west", 0.98), ("middle", 1.01), ("east", 2.0)):
         diagnosis = tmp_path / "diagnosis.json"
         write_document(diagnosis_of({"law": (value, 0.1)}), diagnosis)
         who = ["--laboratory", laboratory, "--robot", "arm", "--object", "box"]

@@ -23,6 +23,7 @@ from impact_rs_ros.process import NodeProgram
 from impact_rs_ros.recorder_node import RecorderNode
 
 ROOT = Path(__file__).resolve().parents[2]
+ALONE = "identify"  # started by itself, with the same file
 
 
 def example() -> dict[str, dict[str, object]]:
@@ -30,12 +31,14 @@ def example() -> dict[str, dict[str, object]]:
     sections = yaml.safe_load((ROOT / "config" / "nodes.yaml").read_text())
     common = sections.pop("/**")["ros__parameters"]
     own = {name.removeprefix("/**/"): section["ros__parameters"] for name, section in sections.items()}
-    assert set(own) <= set(NODES)
+    assert set(own) <= {*NODES, ALONE}
     writes = {"recorder", "experiment"}  # who has the one parameter that not all have in common
-    shared = {name: {key: common[key] for key in common if key != "data_root" or name in writes} for name in NODES}
+    shared = {
+        name: {key: common[key] for key in common if key != "data_root" or name in writes} for name in (*NODES, ALONE)
+    }
     real = yaml.safe_load((ROOT / "config" / "cell.yaml").read_text())
     cell, watchdog = (shared["plant"] | real[f"/**/{name}"]["ros__parameters"] for name in ("plant", "watchdog"))
-    return {name: shared[name] | own.get(name, {}) for name in NODES} | {"cell": cell, "watchdog": watchdog}
+    return {name: shared[name] | own.get(name, {}) for name in shared} | {"cell": cell, "watchdog": watchdog}
 
 
 def test_the_example_files_hold_every_parameter_at_its_default() -> None:

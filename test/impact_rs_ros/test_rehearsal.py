@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from impact_rs_cli.main import main
-from impact_rs_ros import rehearsal
+from impact_rs_ros import cell_rehearsal
+from impact_rs_ros.cell_rehearsal import Checklist, ExternalTorque, Margin, VirtualTime, rehearse
 from impact_rs_ros.driver_profiles import PROFILES, profile_of
-from impact_rs_ros.rehearsal import Checklist, ExternalTorque, Margin, VirtualTime, rehearse
 from impact_rs_ros.robot_states import joint_names
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.robot import Reflexes
@@ -44,7 +44,7 @@ def test_a_careful_push_arms_runs_and_passes_every_line(passed: Checklist) -> No
     assert any(line.startswith("trial over: OK") for line in passed.log)
     assert passed.unknown == []
     assert margin_of(passed, "age of a state").value == pytest.approx(FRANKA.state_latency, rel=1e-6)
-    assert margin_of(passed, "answer of the controller").value == pytest.approx(rehearsal.COMPUTING, rel=1e-3)
+    assert margin_of(passed, "answer of the controller").value == pytest.approx(cell_rehearsal.COMPUTING, rel=1e-3)
     assert margin_of(passed, "torque rate").value <= FRANKA.torque_rate * (1.0 + 1e-9)
     assert 0.0 < margin_of(passed, "distance to joint limits").margin < np.pi
 

@@ -114,7 +114,7 @@ def pictures(folder: Path) -> Path:
 
 def picture(page: Page, name: str, folder: Path) -> None:
     """A picture of the manual."""
-    page.evaluate("scrollTo(0, 0)")
+    page.evaluate("scrollTo({top: 0, behavior: 'instant'})")
     page.screenshot(path=pictures(folder) / f"{name}.png", animations="disabled")
 
 
@@ -254,7 +254,11 @@ def test_the_loop_by_mouse_names_the_effect_and_the_error_falls(page: Page, fold
     start(page, "Compare")
     page.locator("#compare-result .plot .nsewdrag").last.click()
     expect(page.locator("#signal .scatterlayer .trace")).to_have_count(3)  # measured, model, residual
-    picture(page, "workbench_compare", folder)
+    page.set_viewport_size({"width": 1280, "height": 950})
+    page.mouse.move(0, 0)
+    page.locator("#compare-result .clickable").last.evaluate("node => node.scrollIntoView({behavior: 'instant'})")
+    page.screenshot(path=pictures(folder) / "workbench_compare.png", animations="disabled")
+    page.set_viewport_size(DESK)
 
     command = go(page, "diagnose")
     page.select_option("#diagnose-runs", "blind/runs")
@@ -339,6 +343,8 @@ def test_a_recorded_trial_opens_in_3d_with_one_click(page: Page, folder: Path) -
         arg=(before or {})["x"],
     )
     accessible(page)
+    page.set_viewport_size({"width": 1280, "height": 1100})
+    page.get_by_role("button", name="Impact", exact=True).click()
     picture(page, "workbench_trial", folder)
 
 
@@ -378,7 +384,9 @@ def test_runs_are_chosen_filtered_and_pinned_over_each_other(page: Page, reporte
     page.locator("#overlay-runs-filter").fill("")
     expect(rows).to_have_count(count)
     page.select_option("#overlay-signal", "Velocity of the end effector, y")
+    page.set_viewport_size({"width": 1280, "height": 1100})
     picture(page, "workbench_overlay", reported)
+    page.set_viewport_size(DESK)
     page.locator("#tab-overlay-models").click()
     models = len(list(reported.rglob("compare.html")))
     expect(page.locator("#overlay-models-plot .scatterlayer .trace")).to_have_count(1 + min(models, 3))  # and measured

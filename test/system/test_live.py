@@ -3,11 +3,13 @@
 
 from __future__ import annotations
 
+import os
 import shutil
 import signal
 import sys
 import time
 from collections.abc import Callable, Iterator
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -15,10 +17,14 @@ from fake_graph import FakeGraph, fake_graph
 from playwright.sync_api import Page, expect, sync_playwright
 from processes import Running, running
 
+from impact_rs_sim.rotations import quaternion_of
+from impact_rs_sim.scene import Scene
+
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
 SOFTWARE = ("--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader")
 needs_browser = pytest.mark.skipif(CHROMIUM is None, reason="no chromium or chrome on this machine")
 pytestmark = pytest.mark.timeout(300)
+IMAGES = Path(__file__).resolve().parents[2] / "docs" / "images"
 expect.set_options(timeout=60_000.0)
 
 
@@ -114,7 +120,23 @@ def _push(page: Page, graph: FakeGraph) -> None:
     assert seen == pytest.approx(place[:3])
     arrow = page.evaluate("window.impact_rs.live.forces[0].root.localToWorld(new THREE.Vector3(0, 1, 0)).toArray()")
     assert np.subtract(arrow, model.placement(q).translation) == pytest.approx([0.0, 0.6, 0.8], abs=1e-6)
+    if os.environ.get("IMPACT_RS_PICTURES"):
+        _picture_at_impact(page, graph, scene)
     expect(page.locator("#status")).to_contain_text("at rest until the next trial", ignore_case=True)
+
+
+def _picture_at_impact(page: Page, graph: FakeGraph, scene: Scene) -> None:
+    """The picture of the manual: arm and object where they meet."""
+    q = scene.arms["arm"].position
+
+    def tell() -> None:
+        graph.object(np.append(scene.object.position, quaternion_of(scene.object.rotation)))
+        graph.force_on_pad("arm", (0.0, 120.0, 0.0))
+        graph.joints("arm", q, 1.0)
+
+    told_until(page, tell, "arm_end_effector", scene.physics.robot_model("arm").placement(q).translation)
+    page.locator("canvas").dblclick()
+    page.screenshot(path=IMAGES / "live.png", animations="disabled")
 
 
 def _grab(page: Page, graph: FakeGraph) -> None:

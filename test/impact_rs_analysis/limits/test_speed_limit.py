@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 from impact_rs_analysis.evidence.map_discrepancy import NO_MAP_DISCREPANCY, measured_map_discrepancy
+from impact_rs_analysis.limits.drawn_hits import Hits, observed
 from impact_rs_analysis.limits.hit_bounds import Thresholds, bounds_of
-from impact_rs_analysis.limits.hits import Hits, observed
 from impact_rs_analysis.limits.poses import LimitTask, limit_of, moved
 from impact_rs_analysis.limits.speed import SpeedLimit, speed_limit
 from impact_rs_cli.main import main

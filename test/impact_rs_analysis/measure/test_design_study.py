@@ -88,16 +88,22 @@ def test_same_seed_same_study(study: DesignStudy) -> None:
     assert again.designs == tuple(one for one in study.designs if one.robot == "franka_fer")
 
 
-def test_ranks_have_the_range_that_intervals_leave() -> None:
-    """Of 10, 9 and 1 with a half width of 2 the first two may change places, the third may not."""
+def test_ranks_have_the_range_of_the_draws() -> None:
+    """The object's mass is common to all: intervals overlap, and yet two designs change places in one draw alone."""
 
-    def design(number: int, value: float) -> Design:
-        own = Estimate(value, value - 2.0, value + 2.0)
+    def design(number: int, value: float, draws: tuple[float, ...]) -> Design:
+        own = Estimate(value, value - 5.0, value + 5.0, draws)
         return Design("robot", number, (0.0,), "rotor", "wide", dict.fromkeys(MEASURES, own))
 
-    study = DesignStudy(QUESTION, (design(1, 9.0), design(2, 1.0), design(3, 10.0)), {}, {})
-    ranked = [(found.pose, best, worst) for found, best, worst in study.ranked("impulse")]
-    assert ranked == [(3, 1, 2), (1, 1, 2), (2, 3, 3)]
+    designs = (design(1, 9.0, (7.0, 12.0)), design(2, 8.0, (6.0, 10.0)), design(3, 10.0, (8.0, 11.0)))
+    ranked = DesignStudy(QUESTION, designs, {}, {}).ranked("impulse")
+    assert [(found.pose, best, worst) for found, best, worst in ranked] == [(3, 1, 2), (1, 1, 2), (2, 3, 3)]
+
+
+def test_designs_share_the_object_of_a_draw(study: DesignStudy) -> None:
+    """A heavier object takes more impulse from every arm: draws of different robots go together."""
+    one, two = (of(study, robot, "rotor", "narrow")[0].measures["impulse"].draws for robot in ("franka_fer", "ur5e"))
+    assert np.corrcoef(one, two)[0, 1] > 0.5
 
 
 def test_table_holds_every_design_and_the_page_is_written(study: DesignStudy, tmp_path: Path) -> None:

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import scipy
 
-from impact_rs_analysis.sharing.meta_analysis import pool, residuals, within_groups
+from impact_rs_analysis.sharing.meta_analysis import pool, residual, within_groups
 
 
 def test_equal_errors_give_the_mean_and_students_interval() -> None:
@@ -30,9 +30,14 @@ def test_a_precise_study_counts_more() -> None:
     assert pool([1.0, 2.0], [0.1, 10.0]).mean == pytest.approx(1.0, abs=0.01)
 
 
-def test_residual_of_a_study_leaves_it_out_of_the_mean() -> None:
-    """Three others at 0 with s = 1: r = 6 / sqrt(1 + 1/3)."""
-    assert residuals([0.0, 0.0, 0.0, 6.0], [1.0] * 4)[3] == pytest.approx(6.0 / np.sqrt(4.0 / 3.0))
+def test_residual_of_a_study_is_from_the_mean_of_the_others() -> None:
+    """Three others at 0 with s = 1: r = 6 / sqrt(1 + 1/3), and half of it where all scatter twice as much."""
+    assert residual(6.0, 1.0, [0.0] * 3, [1.0] * 3) == pytest.approx(6.0 / np.sqrt(4.0 / 3.0))
+    assert residual(6.0, 1.0, [0.0] * 3, [1.0] * 3, 4.0) == pytest.approx(3.0 / np.sqrt(4.0 / 3.0))
+
+
+def test_residual_is_small_where_the_others_differ_as_much() -> None:
+    assert abs(residual(6.0, 1.0, [0.0, 5.0, -5.0], [1.0] * 3)) < 1.5
 
 
 def test_heterogeneity_within_groups_ignores_differences_between_them() -> None:

@@ -20,7 +20,7 @@ class Predicted(Schema):
     unit: str = Field(description="unit")
 
 
-class Prediction(Schema):
+class NextHit(Schema):
     """What the next hit of a condition will measure, if it starts as the last one did."""
 
     condition: str = Field(description="condition; empty: that of the last hit")
@@ -59,7 +59,7 @@ class Change(Schema):
     false_alarm: float = Field(description="mean number of hits to a false alarm at this evidence, at least")
     causes: tuple[Cause, ...] = Field(description="explanations, the likeliest first")
     again: bool = Field(False, description="whether the likeliest effect was announced before: it drifts")
-    apart: str = Field("", description="what tells the explanations apart")
+    apart: str = Field("", description="what decides between the explanations")
     words: str = Field(description="the change in a sentence")
 
 
@@ -85,5 +85,5 @@ class FollowDocument(Schema):
     model: str = Field(description="name of the model")
     hits: tuple[HitDocument, ...] = Field(description="hits, in time order")
     followed: tuple[Followed, ...] = Field(description="believed parameters after the last hit")
-    prediction: Prediction | None = Field(description="of the next hit; null while the scatter is learnt")
+    prediction: NextHit | None = Field(description="of the next hit; null while the scatter is learnt")
     skipped: dict[str, str] = Field(description="what gave no hit, and why")
