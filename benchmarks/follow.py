@@ -31,7 +31,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
-from impact_rs_analysis.following.change import Explanation
+from impact_rs_analysis.following.change import ChangeExplanation
 from impact_rs_analysis.following.follow import Follower
 from impact_rs_analysis.following.hits import Hit, TableDoor
 from impact_rs_analysis.following.lessons import HitDocument
@@ -259,7 +259,7 @@ def offline_errors(follower: Follower, base: Any, effect: str, values: Array, hi
     numbers = [n for n in range(part.start, part.stop) if n in follower.active]
     scale, nominal = follower.candidate.scale[part], follower.candidate.nominal[part]
     start = [(values - nominal)[n - part.start] / scale[n - part.start] for n in numbers]
-    fitted = follower._about(window, Explanation(effect, 0, np.array(start), 0.0))
+    fitted = follower._about(window, ChangeExplanation(effect, 0, np.array(start), 0.0))
     return [rms(fitted.posterior.innovation(follower._evidence(hit, fitted.point))[0]) for hit in hits], frozen
 
 

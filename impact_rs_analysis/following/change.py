@@ -45,7 +45,7 @@ TIED = 0.05  # likelihood over that of the best explanation; those above it are 
 
 
 @dataclass(frozen=True)
-class Explanation:
+class ChangeExplanation:
     """One effect as the cause of a change.
 
     Attributes:
@@ -136,7 +136,9 @@ class ChangeTest:
             return -math.inf, found, starts
         return float(_log_sum(every.ravel())) - math.log(len(found)), found, starts
 
-    def change(self, posterior: Posterior, statistics: dict[str, Array], starts: Sequence[int]) -> list[Explanation]:
+    def change(
+        self, posterior: Posterior, statistics: dict[str, Array], starts: Sequence[int]
+    ) -> list[ChangeExplanation]:
         """Explanations of a change, the best first; none where its last instant does not confirm it.
 
         Args:
@@ -145,7 +147,7 @@ class ChangeTest:
             starts: The same.
         """
         ranked = sorted(statistics, key=lambda name: -float(_log_sum(statistics[name])))
-        found: list[Explanation] = []
+        found: list[ChangeExplanation] = []
         for name in ranked:
             if found and float(np.max(statistics[name])) < found[0].log_ratio + math.log(TIED):
                 break
@@ -190,7 +192,7 @@ class ChangeTest:
         ratio = np.log1p(before / nu) - np.log1p(after / nu)
         return np.asarray(0.5 * freedom * ratio - 0.5 * np.sum(np.log1p(values * kept), axis=1))
 
-    def _explained(self, posterior: Posterior, name: str) -> Explanation | None:
+    def _explained(self, posterior: Posterior, name: str) -> ChangeExplanation | None:
         """An effect within its range from its likeliest moment on; None where the last instant speaks against it."""
         last = len(posterior.window) - 1
         if last < 1:
@@ -202,7 +204,7 @@ class ChangeTest:
         starts = list(range(last, -1, -1))
         information, score = self._reduced(posterior, starts)
         information, score = information[:, places][:, :, places], score[:, places]
-        best: Explanation | None = None
+        best: ChangeExplanation | None = None
         for place, start in enumerate(starts):
             if start == last:
                 continue
@@ -218,7 +220,7 @@ class ChangeTest:
                 early = bounded(earlier, score[place] - score[0], lower, upper)
                 confirmed = float(score[0] @ early - 0.5 * early @ information[0] @ early) > 0.0
                 if confirmed:
-                    best = Explanation(name, start, eta, ratio, 2.0 * inflation * gain)
+                    best = ChangeExplanation(name, start, eta, ratio, 2.0 * inflation * gain)
         return best
 
     def _room(self, posterior: Posterior, numbers: Sequence[int]) -> tuple[Array, Array]:

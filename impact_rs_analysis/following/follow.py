@@ -28,7 +28,7 @@ from impact_rs_analysis.diagnosis.candidate import Candidate
 from impact_rs_analysis.diagnosis.diagnose import effects_for
 from impact_rs_analysis.evidence.cluster import Added
 from impact_rs_analysis.evidence.source import Source
-from impact_rs_analysis.following.change import MEAN_TIME, Calibration, ChangeTest, Explanation
+from impact_rs_analysis.following.change import MEAN_TIME, Calibration, ChangeExplanation, ChangeTest
 from impact_rs_analysis.following.hits import Door, Hit
 from impact_rs_analysis.following.lessons import (
     Cause,
@@ -522,7 +522,7 @@ class Follower:
         self,
         before: Hypothesis,
         test: ChangeTest,
-        held: Sequence[tuple[Explanation, Hypothesis]],
+        held: Sequence[tuple[ChangeExplanation, Hypothesis]],
         statistic: float,
         hit: Hit,
     ) -> Change:
@@ -564,7 +564,7 @@ class Follower:
             words=f"{words}; {apart}" if apart else words,
         )
 
-    def _held(self, before: Hypothesis, one: Explanation) -> Hypothesis | None:
+    def _held(self, before: Hypothesis, one: ChangeExplanation) -> Hypothesis | None:
         """An explanation, linearised anew; None where it does not keep what it promised, or few hits speak for it.
 
         A contact that grips does not change with more friction, though it does with much less. And of hits that are odd
@@ -584,7 +584,7 @@ class Follower:
         rest = sum(sorted(gains)[:-most]) / self.calibration.of(one.effect)
         return fitted if sum(gains) > KEPT * one.gain and rest > LEAST_GAIN else None
 
-    def _about(self, before: Hypothesis, one: Explanation) -> Hypothesis:
+    def _about(self, before: Hypothesis, one: ChangeExplanation) -> Hypothesis:
         """An explanation, linearised about its estimate."""
         assert self.candidate is not None
         part = self.candidate.part(one.effect)
