@@ -24,7 +24,7 @@ def clone(tmp_path: Path) -> Path:
         (tmp_path / name).touch()
     (tmp_path / ".venv" / ".impact_rs_root").write_text(f"{tmp_path.resolve()}\n")
     uv = 'echo "$@" > "$(dirname "$0")/asked"\n[ -z "$REFUSED" ] || { echo "error: no route to $REFUSED"; exit 7; }\n'
-    for name, text in (("python", "exit 0\n"), ("uv", uv)):
+    for name, text in (("python", "exit 0\n"), ("impact-rs", "exit 0\n"), ("uv", uv)):
         (binaries / name).write_text(f"#!/bin/sh\n{text}")
         (binaries / name).chmod(0o755)
     return tmp_path
@@ -34,9 +34,9 @@ def asked(clone: Path) -> list[str]:
     return (clone / ".venv" / "bin" / "asked").read_text().split()
 
 
-def sync(clone: Path, **environment: str) -> subprocess.CompletedProcess[str]:
+def sync(clone: Path, command: str = "sync", **environment: str) -> subprocess.CompletedProcess[str]:
     return subprocess.run(
-        [clone / "run", "sync"],
+        [clone / "run", command],
         capture_output=True,
         text=True,
         timeout=60,
@@ -67,3 +67,15 @@ def test_an_outage_is_reported_by_uv_and_the_next_call_tries_again(clone: Path) 
     assert done.stderr.splitlines()[-1] == "error: no route to pypi.org"
     assert "installed in" not in done.stderr
     assert sync(clone).returncode == 0
+
+
+def test_what_tests_need_is_installed_when_they_are_called(clone: Path) -> None:
+    assert sync(clone, "demo").returncode == 0
+    assert "--extra export" in " ".join(asked(clone))
+    added = sync(clone, "test")
+    assert "--extra test" in " ".join(asked(clone)) and "adding what tests and developers use" in added.stderr
+    for command in ("demo", "test", "python"):
+        assert "installing" not in sync(clone, command).stderr
+    os.utime(clone / "uv.lock", (4e9, 4e9))
+    assert "installed in" in sync(clone, "demo").stderr
+    assert "--extra test" in " ".join(asked(clone))  # an environment for tests stays one
