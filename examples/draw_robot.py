@@ -9,6 +9,7 @@ bag is any trial of ours; the default is one of those that examples/campaign.py 
 """
 
 import sys
+from itertools import pairwise
 from pathlib import Path
 from xml.etree import ElementTree as Xml
 
@@ -24,7 +25,7 @@ from impact_rs_trials.bags.types import typestore
 
 BAG = Path("campaigns/example/cat_food__case_2__s1.000__r0")
 PICTURE = Path("robot.png")
-SIDES = 16  # of a cylinder
+SIDES = 16  # of a cylinder or a sphere
 
 
 def main(path: Path = BAG, picture: Path = PICTURE) -> int:
@@ -86,18 +87,29 @@ def origin(visual: Xml.Element) -> pin.SE3:
 
 
 def faces_of(shape: Xml.Element) -> list[np.ndarray]:
-    """Corners of the faces of a box or a cylinder, ``(k, 3)`` each [m]."""
+    """Corners of the faces of a box, a cylinder or a sphere, ``(k, 3)`` each [m]."""
+    if shape.tag == "sphere":
+        radius, height = float(shape.get("radius")), np.linspace(-np.pi / 2.0, np.pi / 2.0, SIDES // 2 + 1)
+        rings = [_ring(SIDES, 0.0, np.full(2, radius * np.cos(h)), radius * np.sin(h)) for h in height]
+        return [face for low, high in pairwise(rings) for face in _sides(low, high)]
     if shape.tag == "box":
-        half, count, start = numbers(shape.get("size")) / 2.0, 4, np.pi / 4.0
-        round_about = np.sqrt(2.0) * half[:2]
+        half = numbers(shape.get("size")) / 2.0
+        bottom, top = (_ring(4, np.pi / 4.0, np.sqrt(2.0) * half[:2], z) for z in (-half[2], half[2]))
     else:
-        half, count, start = np.array([0.0, 0.0, float(shape.get("length")) / 2.0]), SIDES, 0.0
-        round_about = np.full(2, float(shape.get("radius")))
+        radius, half_length = float(shape.get("radius")), float(shape.get("length")) / 2.0
+        bottom, top = (_ring(SIDES, 0.0, np.full(2, radius), z) for z in (-half_length, half_length))
+    return [top, bottom, *_sides(bottom, top)]
+
+
+def _ring(count: int, start: float, radii: np.ndarray, z: float) -> np.ndarray:
+    """Points on an ellipse at a height, ``(count, 3)`` [m]."""
     angles = start + 2.0 * np.pi * np.arange(count) / count
-    ring = np.column_stack((np.cos(angles), np.sin(angles))) * round_about
-    top, bottom = (np.column_stack((ring, np.full(count, z))) for z in (half[2], -half[2]))
-    sides = [np.array([bottom[i - 1], bottom[i], top[i], top[i - 1]]) for i in range(count)]
-    return [top, bottom, *sides]
+    return np.column_stack((radii * np.column_stack((np.cos(angles), np.sin(angles))), np.full(count, z)))
+
+
+def _sides(low: np.ndarray, high: np.ndarray) -> list[np.ndarray]:
+    """Faces between two rings, ``(4, 3)`` each [m]."""
+    return [np.array([low[i - 1], low[i], high[i], high[i - 1]]) for i in range(len(low))]
 
 
 if __name__ == "__main__":
