@@ -124,4 +124,18 @@ def _type(option: Option) -> Callable[[str], Any]:
         return lambda text: dict(option.former).get(text, text)
     if option.kind in (*READ, *WRITTEN) and not option.url:
         return Path
-    return {"whole": int, "number": float}.get(option.kind, str)
+    read: Callable[[str], Any] = {"whole": int, "number": float}.get(option.kind, str)
+    return read if option.least is None else _from(option.least, read)
+
+
+def _from(least: float, read: Callable[[str], float]) -> Callable[[str], float]:
+    """``read``, which refuses numbers below the least one."""
+
+    def checked(text: str) -> float:
+        value = read(text)
+        if not value >= least:
+            raise argparse.ArgumentTypeError(f"expected at least {least:g}, got {text}")
+        return value
+
+    checked.__name__ = read.__name__  # argparse names it where a text is no number
+    return checked

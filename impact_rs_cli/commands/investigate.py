@@ -31,7 +31,6 @@ from impact_rs_trials.store import Folder, owned
 from impact_rs_trials.workers import Map
 
 REPORT = "report"
-LEAST = 6  # trials; a diagnosis needs three conditions with a repeat each
 
 
 def run(args: argparse.Namespace, terminal: Terminal) -> int:
@@ -64,10 +63,6 @@ def settings_of(args: argparse.Namespace) -> Settings:
     """
     model = load_model(args.model)
     check_effects(model, args.effects)
-    if args.budget < LEAST:
-        raise InputError(
-            f"argument --budget: expected at least {LEAST} trials, three conditions twice, got {args.budget}"
-        )
     if args.blind is None and (args.kind != "single" or args.effect is not None):
         raise InputError("--kind and --effect say what --blind SEED hides; give it, too")
     if args.blind is not None and args.via == "cell":

@@ -92,8 +92,6 @@ def _check(args: argparse.Namespace) -> None:
         raise InputError(f"argument --span: expected a number above 0 [m], got {args.span:g}")
     if not 0 <= args.places <= 25:
         raise InputError(f"argument --places: expected 0 to 25, got {args.places}")
-    if args.draws < 20:
-        raise InputError(f"argument --draws: expected at least 20, got {args.draws}")
 
 
 def _table(name: str, found: list[SpeedLimit]) -> Table:

@@ -95,7 +95,7 @@ def test_what_cannot_be_asked_is_refused_before_anything_is_written(refused: Ref
     envelope = tmp_path / "envelope.yaml"
     envelope.write_text("scenarios: [push]\nspeed: 0.6\nimpulse: 2.0\nforce: 3\n")
     for line, message in {
-        "investigate D --budget 5": "expected at least 6 trials",
+        "investigate D --budget 5": "argument --budget: expected at least 6, got 5",
         "investigate D --kind pair": "say what --blind SEED hides",
         "investigate D --blind 3 --via cell --envelope E": "a cell has its own",
         "investigate D --blind 3 --kind outside --via nodes": "the plant node knows effects of the library",

@@ -163,7 +163,7 @@ def test_names_and_files_that_are_not_there(
     for line, message in {
         "compare T": "no usable trials",
         "compare RUNS --model /nowhere.yaml": "cannot be read",
-        "compare RUNS --jobs 0": "jobs = 0",
+        "compare RUNS --jobs 0": "argument --jobs: expected at least 1, got 0",
         "diagnose RUNS --effects suport_friction": "did you mean 'support_friction'",
         "diagnose RUNS --model M2 --effects support_friction": "already",
         "add base_tilt --from D -o new/m.yaml": "no effect 'base_tilt'",
