@@ -11,6 +11,7 @@ from impact_rs_commands.shared import (
     JSON,
     OBJECT,
     OBJECTS,
+    REFLEXES,
     SCENARIO,
     SETTINGS,
     contact,
@@ -110,15 +111,7 @@ a table with a row per object and case; with -o limits.html, limits.json and lim
             "--jump", kind="number", least=0.0, metavar="RAD_S", unit="rad/s", help="largest joint velocity jump",
             otherwise="that of the robot facts",
         ),
-        option(
-            "--reflex-torque", kind="number", least=0.0, metavar="NM", unit="N m",
-            help="external torque at which a joint stops the robot", otherwise="those of the robot facts",
-        ),
-        option(
-            "--reflex-force", kind="number", least=0.0, metavar="N", unit="N",
-            help="external force at the end effector at which the robot stops itself",
-            otherwise="that of the robot facts",
-        ),
+        *REFLEXES,
         option(
             "--places", kind="whole", least=0, most=25, default=0, metavar="N",
             help="also N x N places around that of the scenario, with the object and the case that allow least",

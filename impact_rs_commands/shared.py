@@ -16,6 +16,17 @@ CASE = argument("case", "name of a case of the scenario; 2 is short for case_2",
 OBJECTS = option("--objects", kind="object", many=True, metavar="NAME", help="objects", otherwise="all of the scenario")
 CASES = option("--cases", kind="case", many=True, metavar="NAME", help="cases", otherwise="all of the scenario")
 SEED = option("--seed", kind="whole", default=0, least=0, metavar="N", help="seed of scatter and noise")
+REFLEXES = (  # what stops a robot by itself
+    option(
+        "--reflex-torque", kind="number", least=0.0, metavar="NM", unit="N m",
+        help="external torque at which a joint stops the robot", otherwise="those of the robot facts",
+    ),
+    option(
+        "--reflex-force", kind="number", least=0.0, metavar="N", unit="N",
+        help="external force at the end effector at which the robot stops itself",
+        otherwise="that of the robot facts",
+    ),
+)  # fmt: skip
 JSON = option("--json", kind="json", help="print one JSON document on standard output, nothing else")
 MODEL = option(
     "--model", kind="model", default="nominal", metavar="FILE", help="model file", otherwise="the nominal model"
