@@ -36,7 +36,7 @@ from impact_rs_trials.workers import Map
 
 MAGNITUDE = 4.0  # parameter scales, of an effect that should be seen; as the pairs of the board of diagnoses
 LAW_MAGNITUDE = 4.0
-LAWS = ("object_quadratic_drag", "motor6_ripple", "end_effector_cable", "motor4_stop")
+LAWS = ("object_quadratic_drag", "motor4_ripple", "end_effector_cable", "motor4_stop")
 VISIBLE = 2.0  # times the noise, of the error of the first model
 FIXED = sum(repeats for _, repeats in specs("small"))  # trials of the fixed campaign
 
