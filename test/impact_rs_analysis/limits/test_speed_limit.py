@@ -169,7 +169,7 @@ def test_the_command_writes_page_table_and_document(tmp_path: Path, capsys: pyte
 @pytest.mark.parametrize(
     ("line", "said"),
     [
-        (["push", "--jump", "-1"], "argument --jump: expected a number above 0, got -1"),
+        (["push", "--jump", "0"], "argument --jump: expected a number above 0, got 0"),
         (["push", "--places", "99"], "argument --places: expected 0 to 25"),
         (["excite"], "object_gap"),
         (["push", "--objects", "brick"], "has no object 'brick'"),
