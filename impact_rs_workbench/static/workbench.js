@@ -448,7 +448,7 @@ const predict = {
     const drawn = Boolean(this.plot.data);
     if (drawn) this.place(question.moving);
     requestAnimationFrame(() => { // numbers are painted before the library of the figures comes
-      if (this.answer !== answer) return;
+      if (this.answer !== answer || this.numbers.hasAttribute('aria-busy')) return; // of an earlier question
       if (!drawn) this.place(question.moving);
       this.plot.dataset.shown = JSON.stringify(question.values);
     });
