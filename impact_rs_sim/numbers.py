@@ -1,10 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Text of estimates with intervals: as many digits as the width of the interval justifies."""
+"""Estimates with intervals, and their text: as many digits as the width of the interval justifies."""
 
 from __future__ import annotations
 
 import math
 
+NORMAL_95 = 1.959964  # half the width of a 95 % interval over the standard deviation, normal distribution
 PLAIN = (1e-4, 1e6)  # sizes that are written without an exponent
 MOST_DIGITS = 15  # a float has no more
 LEAST_DECIMALS = 3  # of a speed with its half interval, m/s

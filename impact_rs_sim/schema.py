@@ -10,6 +10,7 @@ what was expected; of several mistakes the first is spelled out.
 
 from __future__ import annotations
 
+import json
 import re
 from collections.abc import Callable
 from difflib import get_close_matches
@@ -205,6 +206,23 @@ def read_text(path: str | Path, most: int = LARGEST_TEXT) -> str:
     if len(data) > most:
         raise InputError(f"is larger than {most} bytes", file=path)
     return text
+
+
+def read_json(path: str | Path, what: str, most: int = LARGEST_TEXT) -> Any:
+    """Content of a JSON file.
+
+    Args:
+        path: The file.
+        what: What it should be, for the message.
+        most: Bytes that it may have.
+    """
+    text = read_text(path, most)
+    try:
+        return json.loads(text)
+    except json.JSONDecodeError as error:
+        raise InputError(f"not valid JSON at line {error.lineno}: {error.msg}", file=path) from None
+    except (RecursionError, ValueError) as error:  # nested too deeply, or a number of thousands of digits
+        raise InputError(f"not {what}: {shortened(str(error))}", file=path) from None
 
 
 def validate(schema: type[SchemaType], data: Any, file: str | Path | None, context: str | None = None) -> SchemaType:

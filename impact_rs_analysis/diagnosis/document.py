@@ -18,9 +18,9 @@ from impact_rs_analysis.evidence.cluster import TIMES, ErrorUnit
 from impact_rs_analysis.evidence.discrepancy import DiscrepancyDocument
 from impact_rs_analysis.evidence.levels import RecordingDocument
 from impact_rs_sim.effects.formula import FormulaSpec
-from impact_rs_sim.errors import InputError, shortened
+from impact_rs_sim.errors import InputError
 from impact_rs_sim.files import write_whole
-from impact_rs_sim.schema import Schema, read_text, validate
+from impact_rs_sim.schema import Schema, read_json, validate
 
 LARGEST = 50_000_000  # bytes; a diagnosis usually has about ten thousand
 NOTHING = "NOTHING-MISSING"
@@ -327,14 +327,7 @@ def read_document(path: Path) -> DiagnosisDocument:
     Raises:
         InputError: The file is missing or no diagnosis.
     """
-    try:
-        data = json.loads(read_text(path, LARGEST))
-    except json.JSONDecodeError as error:
-        raise InputError(f"not valid JSON at line {error.lineno}: {error.msg}", file=path) from None
-    except (RecursionError, ValueError) as error:  # nested too deeply, or a number of thousands of digits
-        if isinstance(error, InputError):
-            raise
-        raise InputError(f"not a diagnosis: {shortened(str(error))}", file=path) from None
+    data = read_json(path, "a diagnosis", LARGEST)
     if not isinstance(data, dict):
         raise InputError("no diagnosis", file=path)
     if "laws" in data:  # a discovery holds the diagnosis that it comes from

@@ -55,7 +55,7 @@ class Evidence:
 
     @cached_property
     def null(self) -> NullDistribution:
-        """NullDistribution distribution of the residuals under noise alone."""
+        """Distribution of statistics of the residuals under noise alone."""
         return (RotationNull if self.source.repeated else SignFlipNull)(self.clusters)
 
     @cached_property

@@ -22,11 +22,11 @@ from impact_rs_sim.effects import Effect
 from impact_rs_sim.effects.base import Joints
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.model import Model
+from impact_rs_sim.numbers import NORMAL_95
 from impact_rs_sim.physics import Physics
 from impact_rs_sim.scenario import load_scenario
 
 COMPANION = "excite"
-NORMAL = 1.959964  # half width of a 95 % interval over the standard deviation
 WIDEST = 10.0  # parameter scales; an interval that is wider, or unknown, says nothing of where the truth is
 
 
@@ -81,13 +81,8 @@ def left_open(document: DiagnosisDocument, model: Model) -> Decide | None:
         )
     if not document.named:
         return None
-    known = {effect.name for effect in document.effects if effect.parameters}
-    ties = dict.fromkeys(
-        (name, rival)
-        for name in document.named
-        for rival in document.effect(name).rivals  # type: ignore[union-attr]
-        if rival in known
-    )
+    found = {effect.name: effect for effect in document.effects if effect.parameters}
+    ties = dict.fromkeys((name, rival) for name in document.named for rival in found[name].rivals if rival in found)
 
     def decide(model: Model, joints: Joints, worlds: Sequence[Physics]) -> Decision:
         effects = model.known_effects
@@ -97,15 +92,14 @@ def left_open(document: DiagnosisDocument, model: Model) -> Decide | None:
             deviations, bounds = {}, {}
             for one in names:
                 scalars = effects[one].scalars(joints)
-                values = document.effect(one).parameters  # type: ignore[union-attr]
+                values = found[one].parameters
                 centre.append((one, tuple(values[scalar.name].estimate for scalar in scalars)))
-                widths = [np.diff(values[scalar.name].interval)[0] / (2.0 * NORMAL) for scalar in scalars]
+                widths = [np.diff(values[scalar.name].interval)[0] / (2.0 * NORMAL_95) for scalar in scalars]
                 deviations[one] = np.minimum(widths, [WIDEST * scalar.scale for scalar in scalars])
                 bounds[one] = effects[one].bounds_in(worlds)
             return estimated(name, tuple(centre), deviations, bounds)
 
-        found = "+".join(document.named)
-        first = explanation(found, document.named)
+        first = explanation("+".join(document.named), document.named)
         if not ties:
             return Decision("parameters", (first,))
         others = []

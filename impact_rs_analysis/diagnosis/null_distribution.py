@@ -306,7 +306,7 @@ def _contrasts(count: int) -> Array:
 
 
 class RotationNull(NullDistribution):
-    """NullDistribution from repeats, see the module; arguments as for :class:`NullDistribution`."""
+    """Null distribution from repeats, see the module; arguments as for :class:`NullDistribution`."""
 
     @cached_property
     def _layouts(self) -> list[_Rows]:
@@ -507,7 +507,7 @@ class RotationNull(NullDistribution):
 
 
 class SignFlipNull(NullDistribution):
-    """NullDistribution from stretches of recordings, see the module; arguments as for :class:`NullDistribution`."""
+    """Null distribution from stretches of recordings, see the module; arguments as for :class:`NullDistribution`."""
 
     LEAST = 12  # blocks: 2^11 patterns of signs resolve p = 0.0005
 

@@ -73,6 +73,7 @@ from impact_rs_sim.impact_map.measured import MeasuredImpact, MeasuredImpacts, r
 from impact_rs_sim.model import Model
 from impact_rs_sim.physics import Physics
 from impact_rs_sim.proportion import Proportion
+from impact_rs_sim.recent import Recent
 from impact_rs_sim.robot import Array
 from impact_rs_trials.recordings.impact_checks import doubts_of
 from impact_rs_trials.recordings.impact_table import WIDER, ImpactTable
@@ -176,7 +177,7 @@ class ImpactTableSource(Source):
         self.size_is = SIZE_REPEATED if self.repeated else SIZE_ALONE
         self._impacts = MeasuredImpacts([row.impact for row in table.rows], self._of_rows(self._worlds))
         self._known: OrderedDict[bytes, Array] = OrderedDict()
-        self._altered: OrderedDict[tuple[int, Added], Physics | None] = OrderedDict()
+        self._altered = Recent[Physics | None](ALTERED)
         self._judge(_entries(table, joints=table.joints, body=True))
         self.remarks = tuple(self._remarks()) if remarks else ()
 
@@ -334,20 +335,18 @@ class ImpactTableSource(Source):
         return [None if n not in found or np.isnan(found[n]).any() else found[n] for n in range(len(added))]
 
     def _world_with(self, place: int, added: Added) -> Physics | None:
-        """One of the physics with effects; None: no positive inertia. Those that were asked for last are kept."""
-        key = place, added
-        if key not in self._altered:
+        """One of the physics with effects; None: no positive inertia."""
+
+        def changed() -> Physics | None:
             physics = self._worlds[place]
             try:
                 for name, values in added:
                     physics = self._effects[name].apply_vector(physics, np.array(values))
-                self._altered[key] = physics
             except NotABody:
-                self._altered[key] = None
-            while len(self._altered) > ALTERED:
-                self._altered.popitem(last=False)
-        self._altered.move_to_end(key)
-        return self._altered[key]
+                return None
+            return physics
+
+        return self._altered.of((place, added), changed)
 
     def map_discrepancy_of(self, row: int) -> Array:
         """Discrepancy of the rigid map of the entries of a row that are compared, ``(F,)``."""

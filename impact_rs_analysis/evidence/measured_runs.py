@@ -5,12 +5,11 @@ from __future__ import annotations
 
 import hashlib
 import sys
-from collections import OrderedDict
-from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from pathlib import Path
-from typing import Generic, TypeVar
+from typing import TypeVar
 
 import numpy as np
 
@@ -21,6 +20,7 @@ from impact_rs_analysis.evidence.replay import Window, free_starts, replays, win
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.physics import Physics
 from impact_rs_sim.proportion import Proportion
+from impact_rs_sim.recent import Recent
 from impact_rs_sim.robot import Array
 from impact_rs_sim.robot_model import RobotModel
 from impact_rs_trials.bags.checksums import says_so, unsealed_words
@@ -229,23 +229,7 @@ def _within(signals: Signals, window: Window) -> Signals:
     )
 
 
-class _Recent(Generic[Made]):
-    """Cache of the results that a process made last."""
-
-    def __init__(self) -> None:
-        self._kept: OrderedDict[Hashable, Made] = OrderedDict()
-
-    def of(self, key: Hashable, make: Callable[[], Made]) -> Made:
-        """The result for a key, made if missing."""
-        if key not in self._kept:
-            self._kept[key] = make()
-            if len(self._kept) > KEPT:
-                self._kept.popitem(last=False)
-        self._kept.move_to_end(key)
-        return self._kept[key]
-
-
-_models = _Recent[RobotModel]()
+_models = Recent[RobotModel](KEPT)
 
 
 @dataclass(frozen=True)

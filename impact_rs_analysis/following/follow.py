@@ -38,11 +38,19 @@ from impact_rs_analysis.following.lessons import (
     NextHit,
     Predicted,
 )
-from impact_rs_analysis.following.posterior import WIDE, WINDOW, HitEvidence, Posterior, log_density, weight_of
+from impact_rs_analysis.following.posterior import (
+    WIDE,
+    WINDOW,
+    HitEvidence,
+    Posterior,
+    log_density,
+    squared_distance,
+    weight_of,
+)
 from impact_rs_analysis.following.scatter import HitScatter, deviations_of, scatter_of
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.model import Model, ModelEffect, ParameterValue
-from impact_rs_sim.numbers import estimate_text
+from impact_rs_sim.numbers import NORMAL_95, estimate_text
 from impact_rs_sim.proportion import Proportion
 from impact_rs_sim.robot import Array
 
@@ -57,7 +65,6 @@ SPEAKING = 0.25  # of the hits since a change; without those that speak for it m
 LEAST_GAIN = 4.0  # fall of the squares of the others, of one parameter two standard deviations
 NEAR = 0.1  # parameter scales; a shorter step ends it
 APART = 2.0  # standard deviations between predictions; one hit then decides
-NORMAL_95 = 1.96
 WALL_CLOCK = 1e9  # s since 1970; an earlier stamp counts from another moment
 MOST_NAMED = 3  # parameters of an effect in a sentence, those that are surest
 
@@ -443,9 +450,9 @@ class Follower:
                 posterior = hypothesis.posterior
                 posterior.make_room([(hit.group, evidence.patterns.shape[1])])
                 innovation, covariance = posterior.innovation(evidence)
-                inflation = self.calibration.of_hits
-                weight, _ = weight_of(innovation, covariance, inflation)
-                hypothesis.log_weight += log_density(innovation, covariance, inflation, self.calibration.freedom)
+                distance = squared_distance(innovation, covariance, self.calibration.of_hits)
+                weight = weight_of(distance, innovation.size)
+                hypothesis.log_weight += log_density(distance, covariance, self.calibration.freedom)
                 taken.append(replace(evidence, weight=weight))
                 size = math.sqrt(float(np.mean(np.square(innovation))))
                 if hypothesis is best:
@@ -594,7 +601,7 @@ class Follower:
         old = self._values(before)[numbers]
         point[numbers] = old
         point[seen] += self.candidate.scale[seen] * one.change
-        past = _copy(before.posterior)
+        past = before.posterior.copy()
         hits = [[e.hit for e in instant] for instant in past.window[one.start :]]
         past.believe_before(one.start)
         past.forget_window()
@@ -627,7 +634,8 @@ class Follower:
 
     def _weight(self, posterior: Posterior, evidence: HitEvidence) -> float:
         """Weight of a hit."""
-        return weight_of(*posterior.innovation(evidence), self.calibration.of_hits)[0]
+        innovation, covariance = posterior.innovation(evidence)
+        return weight_of(squared_distance(innovation, covariance, self.calibration.of_hits), innovation.size)
 
     def _refined(self, hypothesis: Hypothesis) -> Hypothesis:
         """The hypothesis, linearised about what the hits since its change say by now."""
@@ -719,7 +727,7 @@ class Follower:
         return HitEvidence(hit, whiten @ (hit.measured - predicted), whiten @ jacobian, whiten @ hit.discrepancy.T)
 
     def _linearised(self, hit: Hit, point: Array) -> tuple[Array, Array] | None:
-        """NextHit ``(F,)`` and sensitivities per scale ``(F, p)`` at a point; None without a contact."""
+        """Predicted features ``(F,)`` and sensitivities per scale ``(F, p)`` at a point; None without a contact."""
         assert self.candidate is not None
         own = replace(self.candidate, point=point)
         key = (hit.shared, point.tobytes())
@@ -778,19 +786,6 @@ def _posterior(document: Mapping[str, Any], information: Array, vector: Array) -
     """A posterior of the state, with an empty window."""
     groups = {group: slice(*ends) for group, ends in document["groups"].items()}
     return Posterior(tuple(document["followed"]), information, vector, groups)
-
-
-def _copy(posterior: Posterior) -> Posterior:
-    """A copy that can be changed."""
-    return replace(
-        posterior,
-        information=posterior.information.copy(),
-        vector=posterior.vector.copy(),
-        groups=dict(posterior.groups),
-        window=list(posterior.window),
-        _sums=list(posterior._sums),
-        _total=None,
-    )
 
 
 def _when(hit: Hit) -> str:

@@ -147,16 +147,14 @@ class TableDoor(Door):
 
     def arrived(self) -> list[Hit]:
         """See :meth:`Door.arrived`."""
-        table = self._table = self._read()
-        self.model = with_per_arm_parameters(self.model, [row.physics for row in table.rows])
+        table = self._reread()
         fresh = [place for place, row in enumerate(table.rows) if row.number not in self._known]
         self._known |= {table.rows[place].number for place in fresh}
         return sorted(self._hits(table, fresh), key=lambda hit: (hit.stamp, hit.name))
 
     def recalled(self, names: Sequence[str], known: Sequence[str]) -> dict[str, Hit]:
         """See :meth:`Door.recalled`."""
-        table = self._table = self._read()
-        self.model = with_per_arm_parameters(self.model, [row.physics for row in table.rows])
+        table = self._reread()
         places = {_name(row.number): place for place, row in enumerate(table.rows)}
         if missing := [name for name in (*names, *known) if name not in places]:
             raise InputError(f"{missing[0]}, which the state knows, is gone", file=table.path)
@@ -183,6 +181,12 @@ class TableDoor(Door):
         """See :meth:`Door.predict`."""
         assert isinstance(hit, RowHit)
         return hit.source.predict_row(hit.place, added)
+
+    def _reread(self) -> ImpactTable:
+        """The table as it is now, with a model for its arms."""
+        table = self._table = self._read()
+        self.model = with_per_arm_parameters(self.model, [row.physics for row in table.rows])
+        return table
 
     def _hits(self, table: ImpactTable, places: Sequence[int]) -> list[RowHit]:
         """Hits of some rows; those for which the map has no solution are left out, with the reason."""

@@ -22,7 +22,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import scipy
@@ -77,7 +77,7 @@ class Posterior:
         information: L before the window, ``(n, n)``.
         vector: h before the window, ``(n,)``.
         groups: Columns of the discrepancy amplitudes, by group of hits.
-        window: HitEvidence by instant, oldest first.
+        window: Evidence by instant, oldest first.
     """
 
     followed: tuple[int, ...]
@@ -233,6 +233,18 @@ class Posterior:
                 kept.append(now.copy())
         return np.array(found[0]), np.array(found[1]), np.array(found[2])
 
+    def copy(self) -> Posterior:
+        """A copy that can be changed."""
+        return replace(
+            self,
+            information=self.information.copy(),
+            vector=self.vector.copy(),
+            groups=dict(self.groups),
+            window=list(self.window),
+            _sums=list(self._sums),
+            _total=None,
+        )
+
     def covariance_of_followed(self) -> Array:
         """Covariance of the parameters followed, in parameter scales, ``(f, f)``."""
         count = len(self.followed)
@@ -280,34 +292,29 @@ def _solve(factor: Array, right: Array) -> Array:
     return np.asarray(scipy.linalg.cho_solve((factor, True), right, check_finite=False))
 
 
-def quantile_of_chi_square(freedom: int, share: float = ODD) -> float:
-    """Quantile above which a share of chi square lies."""
-    return float(scipy.special.chdtri(freedom, share))
-
-
-def weight_of(innovation: Array, covariance: Array, inflation: float = 1.0) -> tuple[float, float]:
-    """Weight of a hit, and its squared Mahalanobis distance over what is expected of it [-].
+def squared_distance(innovation: Array, covariance: Array, inflation: float = 1.0) -> float:
+    """Squared Mahalanobis distance of a hit [-].
 
     Args:
         innovation: Whitened, ``(F,)``.
         covariance: Its covariance, ``(F, F)``.
         inflation: Variance of hits over that of the covariance.
     """
-    distance = float(innovation @ np.linalg.solve(covariance, innovation)) / inflation
-    limit = quantile_of_chi_square(innovation.size)
-    return min(1.0, limit / max(distance, 1e-300)), distance / innovation.size
+    return float(innovation @ np.linalg.solve(covariance, innovation)) / inflation
 
 
-def log_density(innovation: Array, covariance: Array, inflation: float, freedom: float) -> float:
+def weight_of(distance: float, size: int) -> float:
+    """Weight of a hit with a squared distance and so many features [-]."""
+    return min(1.0, float(scipy.special.chdtri(size, ODD)) / max(distance, 1e-300))
+
+
+def log_density(distance: float, covariance: Array, freedom: float) -> float:
     """Logarithm of the density of a hit, up to a constant: Student's t, for its scale is estimated.
 
     Args:
-        innovation: Whitened, ``(F,)``.
+        distance: Squared distance of the hit.
         covariance: Its covariance, ``(F, F)``.
-        inflation: Variance of hits over that of the covariance.
         freedom: Degrees of freedom of the scatter.
     """
-    size = innovation.size
-    distance = float(innovation @ np.linalg.solve(covariance, innovation)) / inflation
     _, determinant = np.linalg.slogdet(covariance)
-    return -0.5 * float(determinant) - 0.5 * (freedom + size) * math.log1p(distance / freedom)
+    return -0.5 * float(determinant) - 0.5 * (freedom + len(covariance)) * math.log1p(distance / freedom)

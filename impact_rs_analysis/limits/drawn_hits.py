@@ -32,6 +32,7 @@ from impact_rs_sim.impact_map import ImpactMapError, ImpactProblem
 from impact_rs_sim.impact_map.contacts import SUPPORT, meetings
 from impact_rs_sim.impact_map.perturbation import change
 from impact_rs_sim.impact_map.uncertainty import answer_of, draw, possible, sources_of
+from impact_rs_sim.numbers import NORMAL_95
 from impact_rs_sim.physics import ArmPhysics, Physics
 from impact_rs_sim.proportion import reach_of
 from impact_rs_sim.robot import Array, Reflexes
@@ -45,7 +46,6 @@ WINDOW = 0.035  # s, from the touch on; a spring of a joint swings back within i
 GAP = 1e-4  # m, between pad and object at the start
 STIFFNESS = 0.2  # of joints and pads, relative: half the width of a 95 % interval; assumed
 DAMPING = 0.3  # likewise
-NORMAL = 1.959964  # 97.5 % quantile of the normal distribution
 # Standard deviation of the logarithm of largest values in MuJoCo over those of the twin with the same parameters, in
 # 18 pushes: benchmarks/limits.py --calibrate
 PEAK_SHARES: Mapping[str, float] = {"speed": 0.02, "torque": 0.02, "reflex": 0.03, "force": 0.02}
@@ -311,7 +311,7 @@ def drawn_springs(arm: ArmPhysics, rng: np.random.Generator) -> ArmPhysics:
     """An arm with drawn stiffness and damping of joints and pad."""
 
     def factor(width: float, size: int = 1) -> Array:
-        return np.maximum(1.0 + width / NORMAL * rng.standard_normal(size), 0.1)
+        return np.maximum(1.0 + width / NORMAL_95 * rng.standard_normal(size), 0.1)
 
     joints = arm.stiffness.size
     stiffness = arm.stiffness * factor(STIFFNESS, joints)

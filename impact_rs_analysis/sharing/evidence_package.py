@@ -15,7 +15,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any
 
 from pydantic import Field
 
@@ -23,7 +22,7 @@ from impact_rs_analysis.diagnosis.document import LARGEST, DiagnosisDocument
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.files import write_whole
 from impact_rs_sim.model import Model, check_model
-from impact_rs_sim.schema import Schema, read_text, validate
+from impact_rs_sim.schema import Schema, read_json, validate
 from impact_rs_sim.version import git_revision, package_version
 
 LIBRARIES = ("numpy", "scipy", "pin")
@@ -184,12 +183,7 @@ def read_package(path: Path) -> EvidencePackage:
     Raises:
         InputError: The file is missing or no package.
     """
-    try:
-        data: Any = json.loads(read_text(path, LARGEST))
-    except json.JSONDecodeError as error:
-        raise InputError(f"not valid JSON at line {error.lineno}: {error.msg}", file=path) from None
-    except RecursionError:
-        raise InputError("no package of evidence: nested too deeply", file=path) from None
+    data = read_json(path, "a package of evidence", LARGEST)
     if not isinstance(data, dict) or "seal" not in data:
         raise InputError("no package of evidence; expected one that impact-rs evidence pack has written", file=path)
     package = validate(EvidencePackage, data, path)
@@ -200,7 +194,7 @@ def read_package(path: Path) -> EvidencePackage:
 def check_package(
     package: EvidencePackage, data: Path | None, progress: Callable[[int, int], None] = lambda *_: None
 ) -> list[PackageCheck]:
-    """PackageCheck a package, with its measurements where they are at hand.
+    """Check a package, with its measurements where they are at hand.
 
     Args:
         package: The package.

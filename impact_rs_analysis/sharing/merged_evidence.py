@@ -29,6 +29,7 @@ from impact_rs_analysis.diagnosis.document import UNIDENTIFIABLE
 from impact_rs_analysis.sharing.evidence_package import EvidencePackage
 from impact_rs_analysis.sharing.meta_analysis import heterogeneity, pool, residual, within_groups
 from impact_rs_sim.errors import InputError
+from impact_rs_sim.numbers import NORMAL_95
 from impact_rs_sim.schema import Schema
 
 ODD = 0.05  # family-wise, over all residuals of a merge
@@ -37,7 +38,6 @@ FACTORS = ("robot", "object", "laboratory")
 SHARED = "shared"
 UNCLEAR = "unclear"
 LEAST = 3  # packages of a parameter without which none is called odd
-NORMAL = 1.959964  # 97.5 % quantile of the normal distribution
 
 
 class MergedEstimate(Schema):
@@ -177,7 +177,7 @@ def _studies(
                     left_out.append(f"{package.name}: {effect.name}.{name}: {reason}")
                     continue
                 assert value.ci95 is not None
-                error = (value.ci95[1] - value.ci95[0]) / (2.0 * NORMAL)
+                error = (value.ci95[1] - value.ci95[0]) / (2.0 * NORMAL_95)
                 study = _Study(package, effect.name, name, value.unit, value.estimate, error, effect.verdict)
                 found[effect.name, name].append(study)
     result = {}
@@ -271,7 +271,7 @@ def _merged(own: Sequence[_Study], kept: Sequence[int], odd: Mapping[int, float]
             robot=study.package.robot,
             object=study.package.object,
             estimate=study.value,
-            ci95=(study.value - NORMAL * study.error, study.value + NORMAL * study.error),
+            ci95=(study.value - NORMAL_95 * study.error, study.value + NORMAL_95 * study.error),
             verdict=study.verdict,
             residual=None if np.isnan(r := odd.get(index, left.get(index, np.nan))) else r,
             odd=index in odd,

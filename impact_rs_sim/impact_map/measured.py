@@ -15,7 +15,6 @@ mass cancels: H, and with it L, grows with the mass, and u^+ stays.
 
 from __future__ import annotations
 
-from collections import OrderedDict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
@@ -37,7 +36,8 @@ from impact_rs_sim.impact_map.exact import RULES, SOLVED, Compiled, ExactEngine
 from impact_rs_sim.impact_map.laws import ContactTerms, System, build_system
 from impact_rs_sim.impact_map.problem import ImpactMapError, ImpactProblem, Residual
 from impact_rs_sim.physics import ArmPhysics, ContactCondition, Physics
-from impact_rs_sim.robot import Array
+from impact_rs_sim.recent import Recent
+from impact_rs_sim.robot import Array, RobotFacts
 from impact_rs_sim.robot_model import RobotModel
 from impact_rs_sim.scene import ArmState, BodyState
 
@@ -110,7 +110,7 @@ class MeasuredImpacts:
         self._partner = np.array(
             [self._names.index(p.partner) if p.partner in self._names else len(self._names) for p in points]
         )
-        self._arms: OrderedDict[tuple[object, ...], tuple[object, tuple[Array, ...]]] = OrderedDict()
+        self._arms = Recent[tuple[list[RobotFacts], tuple[Array, ...]]](_KEPT)
         self._closing, self._slip = self._approach(physics)
 
     @property
@@ -136,19 +136,18 @@ class MeasuredImpacts:
         """M, J, and origin and axes of frame E of one arm at all impacts; kept for some sets of links."""
         distinct = {id(one): one for one in physics}
         key = (name, *(_links_of(one.arms[name]) for one in distinct.values()))
-        if key not in self._arms:
-            models = {number: _models.of(one, name) for number, one in distinct.items()}
+
+        def made() -> tuple[list[RobotFacts], tuple[Array, ...]]:
+            models = {number: _model_of(one, name) for number, one in distinct.items()}
             found = [
                 tuple(np.array(part) for part in (inertia, jacobian, place.translation, place.rotation))
                 for impact, one in zip(self._impacts, physics, strict=True)
                 for inertia, jacobian, place in [models[id(one)].at_impact(impact.arms[name].position)]
             ]
             facts = [one.arms[name].facts for one in distinct.values()]  # alive, for the key has their ids
-            self._arms[key] = (facts, tuple(np.array(parts) for parts in zip(*found, strict=True)))
-            while len(self._arms) > _KEPT:
-                self._arms.popitem(last=False)
-        self._arms.move_to_end(key)
-        return self._arms[key][1]
+            return facts, tuple(np.array(parts) for parts in zip(*found, strict=True))
+
+        return self._arms.of(key, made)[1]
 
     def contacts(self, physics: Sequence[Physics]) -> ContactCondition:
         """State and laws of all contact points, impact by impact, ``(M,)`` each."""
@@ -226,25 +225,15 @@ class MeasuredImpacts:
         return velocity if terms.residual(impulses, velocity).largest <= ExactEngine.tolerance else nothing
 
 
-class _Models:
-    """Rigid-body models of the links that were asked for last: to make one takes much longer than to use it."""
-
-    def __init__(self) -> None:
-        self._kept: OrderedDict[tuple[object, ...], tuple[object, RobotModel]] = OrderedDict()
-
-    def of(self, physics: Physics, name: str) -> RobotModel:
-        """The rigid-body model of one arm."""
-        arm = physics.arms[name]
-        key = (_links_of(arm), physics.gravity.tobytes())
-        if key not in self._kept:
-            self._kept[key] = (arm.facts, physics.robot_model(name))  # facts alive, for the key has their id
-            while len(self._kept) > _MODELS:
-                self._kept.popitem(last=False)
-        self._kept.move_to_end(key)
-        return self._kept[key][1]
+# To make one takes a hundred times as long as to use it. Facts are kept alive, because the key has their id.
+_models = Recent[tuple[RobotFacts, RobotModel]](_MODELS)
 
 
-_models = _Models()
+def _model_of(physics: Physics, name: str) -> RobotModel:
+    """The rigid-body model of one arm."""
+    arm = physics.arms[name]
+    key = _links_of(arm), physics.gravity.tobytes()
+    return _models.of(key, lambda: (arm.facts, physics.robot_model(name)))[1]
 
 
 def _links_of(arm: ArmPhysics) -> tuple[object, ...]:

@@ -33,6 +33,7 @@ from impact_rs_sim.impact_map.derivatives import differentiate_safely, velocity_
 from impact_rs_sim.impact_map.laws import states
 from impact_rs_sim.impact_map.perturbation import AXES, change
 from impact_rs_sim.impact_map.problem import ImpactMapError, ImpactProblem, check_problem
+from impact_rs_sim.numbers import NORMAL_95
 from impact_rs_sim.robot import Array
 from impact_rs_sim.robot_model import RobotModel
 from impact_rs_sim.scenario import Uncertainties
@@ -43,7 +44,6 @@ LEVEL = 0.95
 HITS = ("hits the object", "does not hit the object")
 MEETS_SUPPORT = ("the object presses on its support", "the object does not press on its support")
 _TAILS = ((1.0 - LEVEL) / 2.0, (1.0 + LEVEL) / 2.0)
-_NORMAL = 1.959964  # 97.5 % quantile of the normal distribution
 _LAWFUL = 1e-5  # m/s, residual of a draw that counts
 
 
@@ -102,7 +102,7 @@ class UncertainPrediction:
         """Interval at ``LEVEL`` of a weighted sum of velocities, by their names."""
         weight = np.array([weights.get(name, 0.0) for name in self.names])
         if self.method == "linear":
-            half = _NORMAL * float(np.linalg.norm(weight @ self.factors))
+            half = NORMAL_95 * float(np.linalg.norm(weight @ self.factors))
             value = float(weight @ self.nominal)
             return value - half, value + half
         low, high = _ends(self.sample @ weight, weight @ self.nominal)
@@ -112,7 +112,7 @@ class UncertainPrediction:
 def sources_of(problem: ImpactProblem, stated: Uncertainties) -> tuple[UncertaintySource, ...]:
     """All uncertainties stated in a scenario, as changes of the parameters of a problem."""
     object_ = problem.physics.object
-    stated = Uncertainties(**{name: width / _NORMAL for name, width in stated})
+    stated = Uncertainties(**{name: width / NORMAL_95 for name, width in stated})
 
     def apart(names: Sequence[str], sigma: float) -> tuple[Mapping[str, float], ...]:
         return tuple({name: sigma} for name in names)
@@ -229,7 +229,7 @@ def predict(
     method = "linear" if found.smooth and switched <= SWITCHES else "monte_carlo"
     if method == "linear":
         deviation = np.sqrt(np.sum(list(variances.values()), axis=0))
-        low, high = nominal - _NORMAL * deviation, nominal + _NORMAL * deviation
+        low, high = nominal - NORMAL_95 * deviation, nominal + NORMAL_95 * deviation
     else:
         low, high = _ends(sample, nominal)
         deviation = np.std(sample, axis=0)

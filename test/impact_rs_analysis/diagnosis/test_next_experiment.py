@@ -10,7 +10,7 @@ import pytest
 
 from impact_rs_analysis.diagnosis.candidate import Candidate
 from impact_rs_analysis.diagnosis.document import DiagnosisDocument, EffectDocument, EstimateDocument, read_document
-from impact_rs_analysis.diagnosis.next_experiment import NORMAL, left_open, next_experiment
+from impact_rs_analysis.diagnosis.next_experiment import left_open, next_experiment
 from impact_rs_analysis.diagnosis.verdicts import Findings
 from impact_rs_analysis.evidence.measured_runs import read_runs
 from impact_rs_analysis.evidence.replay_cache import ReplayCache
@@ -18,6 +18,7 @@ from impact_rs_analysis.evidence.replays import ReplaySource
 from impact_rs_sim.effects import library
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.model import Model, ModelEffect, ParameterValue, load_model
+from impact_rs_sim.numbers import NORMAL_95
 from impact_rs_sim.physics import Physics
 from impact_rs_sim.scenario import load_scenario
 
@@ -60,7 +61,7 @@ def test_a_tie_leaves_open_which_of_both_is_there(document: DiagnosisDocument, w
     assert first.centre == ((found.name, (parameter.estimate,)),)
     assert second.centre == (("object_mass", (1.3,)),)
     ((_, (moved,)),) = second.varied[0]
-    assert moved - 1.3 == pytest.approx(0.2 / NORMAL)
+    assert moved - 1.3 == pytest.approx(0.2 / NORMAL_95)
 
 
 @pytest.mark.timeout(600)
