@@ -70,7 +70,6 @@ LOUD = 1.5  # times the noise, of an error that is not nothing, however few tria
 FALL = 0.7  # of the held-out error of the round before, below which trials and no law are missing
 MOST_DISCOVERIES = 2  # each takes minutes
 EXPLAINED, LAW, MISSES_NOTHING, UNDECIDED = "EXPLAINED", "LAW-HOLDS", NOTHING, "UNDECIDED"
-CANNOT = "I cannot tell"  # the words of UNDECIDED
 
 
 class BlindChoice(Schema):
@@ -93,6 +92,11 @@ class Settings(Schema):
     effects: tuple[str, ...] = Field((), description="effects to consider; none: the library")
     blind: BlindChoice | None = Field(None, description="what the plant hides; null: nothing on purpose")
     envelope: CellEnvelope | None = Field(None, description="which trials may run; null: all that can be planned")
+
+    @property
+    def where(self) -> str:
+        """Where trials run, in words."""
+        return {"inprocess": "in this program", "nodes": "through the ROS 2 nodes", "cell": "on a real cell"}[self.via]
 
 
 class ImpactPrediction(Schema):
@@ -702,7 +706,7 @@ def ending_of(settings: Settings, rounds: Sequence[Round]) -> Ending:
         EXPLAINED: f"Missing: {' and '.join(names)}.",
         LAW: f"Missing, by a law that holds: {' and '.join(names)}.",
         MISSES_NOTHING: "Nothing is missing.",
-        UNDECIDED: f"{CANNOT} which effect is missing"
+        UNDECIDED: "I cannot tell which effect is missing"
         + (f"; possible: {', '.join(candidates)}." if candidates else "."),
     }[last.verdict]
     return Ending(
@@ -719,7 +723,7 @@ def ending_of(settings: Settings, rounds: Sequence[Round]) -> Ending:
 
 def log_of(settings: Settings, rounds: Sequence[Round]) -> str:
     """The story of an investigation, in Markdown."""
-    asked = f"Scenarios {', '.join(settings.scenarios)}; first model {settings.model}; trials run via {settings.via}."
+    asked = f"Scenarios {', '.join(settings.scenarios)}; first model {settings.model}; trials run {settings.where}."
     if settings.blind is not None:
         asked += f" The plant hides what seed {settings.blind.seed} draws ({settings.blind.kind})."
     lines = ["# Investigation", "", asked, ""]

@@ -118,15 +118,15 @@ def test_the_time_left_of_a_resumed_job_is_that_of_what_it_does_itself(jobs: Job
 USUAL = {"reading": 10.0, "fit": 30.0}
 
 
-def told(what: str, done: int, total: int, stages: dict[str, float]) -> dict[str, Any]:
+def reported(what: str, done: int, total: int, stages: dict[str, float]) -> dict[str, Any]:
     return {"what": what, "done": done, "total": total, "first": 0, "since": 0.0, "at": stages[what], "stages": stages}
 
 
 def test_a_job_of_several_stages_counts_as_a_whole() -> None:
     """A quarter of the usual time, then a job that is twice as slow as the usual one."""
-    half = remaining(told("reading", 5, 10, {"reading": 5.0}), USUAL, 5.0)
+    half = remaining(reported("reading", 5, 10, {"reading": 5.0}), USUAL, 5.0)
     assert (half.left, half.share) == (35.0, 5.0 / 40.0)
-    slow = remaining(told("fit", 1, 4, {"reading": 20.0, "fit": 15.0}), USUAL, 35.0)
+    slow = remaining(reported("fit", 1, 4, {"reading": 20.0, "fit": 15.0}), USUAL, 35.0)
     assert (slow.left, slow.share) == (45.0, 35.0 / 80.0)
 
 
