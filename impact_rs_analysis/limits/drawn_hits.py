@@ -31,7 +31,7 @@ from impact_rs_sim.errors import InputError
 from impact_rs_sim.impact_map import ImpactMapError, ImpactProblem
 from impact_rs_sim.impact_map.contacts import SUPPORT, meetings
 from impact_rs_sim.impact_map.perturbation import change
-from impact_rs_sim.impact_map.uncertainty import answer_of, draw, possible, sources_of
+from impact_rs_sim.impact_map.uncertainty import answer_of, draw, possible, sources_of, touching_pads
 from impact_rs_sim.numbers import NORMAL_95
 from impact_rs_sim.physics import ArmPhysics, Physics
 from impact_rs_sim.proportion import reach_of
@@ -100,6 +100,7 @@ class Hits:
         self.scene = scene
         self.bounds: Bounds = bounds_of(scene.physics, thresholds)
         self._problem = problem = touching(scene)
+        self._pads = touching_pads(problem, scene.models)
         closing = closing_speeds(scene.physics, scene.arms, problem.object, scene.models)
         self.speed = max(closing.values())
         self.kind: HitKind = (
@@ -154,7 +155,7 @@ class Hits:
         """Joint velocity jumps by the map with parameters changed, of all arms, ``(n,)``; nan: no answer."""
         before = np.concatenate([state.velocity for state in change(self._problem, amounts).problem.arms.values()])
         try:
-            after, _ = answer_of(self._problem, self.scene.models, amounts)
+            after, _ = answer_of(self._problem, self.scene.models, amounts, self._pads)
         except ImpactMapError:
             return np.full(before.size, np.nan)
         return np.asarray(after[: before.size] - before)

@@ -26,7 +26,7 @@ from impact_rs_sim.assumed_drive import assumed_drive
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.impact_map import DEFAULT_ENGINE, ENGINES, Engine, ImpactMapError, ImpactProblem
 from impact_rs_sim.impact_map.perturbation import change
-from impact_rs_sim.impact_map.uncertainty import answer_of, draw, sources_of
+from impact_rs_sim.impact_map.uncertainty import answer_of, draw, sources_of, touching_pads
 from impact_rs_sim.physics import JointFriction, Physics
 from impact_rs_sim.robot import Array, EndEffector, load_facts
 from impact_rs_sim.robot_model import RobotModel
@@ -356,17 +356,16 @@ def _measured(problem: ImpactProblem, question: DesignQuestion) -> dict[str, Est
     """The measures of a problem with their intervals."""
     models = problem.physics.robot_models()
     nominal = values_by(DEFAULT_ENGINE, problem)
-    sources = sources_of(problem, question.scenario.uncertainty)
+    sources, pads = sources_of(problem, question.scenario.uncertainty), touching_pads(problem, models)
     found = np.full((question.draws, len(nominal)), np.nan)
     for number in range(question.draws):
         amounts: dict[str, float] = {}
-        for index, source in enumerate(
-            sources
-        ):  # each by itself, so that designs with more joints have the same object
+        # Each source by itself, so that designs with more joints have the same object.
+        for index, source in enumerate(sources):
             for name, amount in draw((source,), np.random.default_rng((question.seed, number, index))).items():
                 amounts[name] = amounts.get(name, 0.0) + amount
         try:
-            found[number] = list(_drawn(problem, models, amounts).values())
+            found[number] = list(_drawn(problem, models, pads, amounts).values())
         except ImpactMapError:
             continue
     answered = found[~np.isnan(found[:, 0])]
@@ -379,7 +378,9 @@ def _measured(problem: ImpactProblem, question: DesignQuestion) -> dict[str, Est
     }
 
 
-def _drawn(problem: ImpactProblem, models: Mapping[str, RobotModel], amounts: dict[str, float]) -> dict[str, float]:
+def _drawn(
+    problem: ImpactProblem, models: Mapping[str, RobotModel], pads: frozenset[str], amounts: dict[str, float]
+) -> dict[str, float]:
     """The measures with parameters changed."""
     motors = problem.motor_inertia[ARM]
     names = [f"{ARM}.motor_inertia.{joint + 1}" for joint in range(motors.size)]
@@ -389,7 +390,7 @@ def _drawn(problem: ImpactProblem, models: Mapping[str, RobotModel], amounts: di
             name: amounts.get(name, 0.0) + step * (float(value) + amounts.get(name, 0.0))
             for name, value in zip(names, motors, strict=True)
         }
-        velocities, _ = answer_of(problem, models, {**amounts, **moved})
+        velocities, _ = answer_of(problem, models, {**amounts, **moved}, pads)
         return np.concatenate((velocities[: motors.size], velocities[-6:]))
 
     more, less = solve(STEP), solve(-STEP)
