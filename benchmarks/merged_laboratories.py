@@ -20,8 +20,9 @@ from rich.table import Table
 
 from impact_rs_analysis.diagnosis.document import DiagnosisDocument
 from impact_rs_analysis.sharing.evidence_package import EvidencePackage, FileDigest
-from impact_rs_analysis.sharing.merged_evidence import NORMAL, MergedEvidence, merge_packages
+from impact_rs_analysis.sharing.merged_evidence import MergedEvidence, merge_packages
 from impact_rs_sim.model import load_model
+from impact_rs_sim.numbers import NORMAL_95
 
 PARAMETERS = ("law_1", "law_2", "law_3", "law_4")
 MODEL = load_model("nominal")
@@ -39,7 +40,11 @@ def package(laboratory: str, robot: str, values: list[float], errors: list[float
             "name": name,
             "verdict": "CONFIRMED",
             "parameters": {
-                "size": {"estimate": value, "ci95": [value - NORMAL * error, value + NORMAL * error], "unit": "N m"}
+                "size": {
+                    "estimate": value,
+                    "ci95": [value - NORMAL_95 * error, value + NORMAL_95 * error],
+                    "unit": "N m",
+                }
             },
             "held_out_error_before": 2.0,
             "held_out_error_after": 1.0,
