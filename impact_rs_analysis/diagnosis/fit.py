@@ -23,6 +23,7 @@ STRAIGHT = 0.75  # of the predicted gain; below, sensitivities of a candidate of
 FEW = 4  # parameters
 ENOUGH = 0.02  # of the error; a fit that gains less in a step has converged
 NEAR_STEPS = (0.3, 0.1)  # shares of the steps of finite differences, as a fit comes near its optimum
+HALVES = (1.0, 0.5, 0.25)  # shares of a step that are tried
 SHORTEST_LESSON = 0.5  # parameter scales; shorter steps update no sensitivities
 NEAR = 0.1  # parameter scales; a correction below this does not depend on where a trial starts
 MOST_LOOKS = 4
@@ -430,21 +431,42 @@ def has_shape_parameter(candidate: Candidate) -> bool:
 
 
 def refine_again(fitted: Fit) -> Fit:
-    """Continue with new sensitivities while that helps, where secant updates do not reach them.
+    """Continue a poor fit with sensitivities of every point, while that helps.
 
-    They do not where a parameter had zero sensitivity at the start, hardly along a shape parameter, and badly where
-    an object bounces in a measured motion, which effects of few parameters describe: that shows in a poor fit.
+    Secant updates do not reach a parameter that had zero sensitivity at the start, and go astray where parameters act
+    through each other, as the size of friction and the speed at which it fades do. Finite differences shrink: whole
+    steps see past joints and contacts that stick, and mislead near the optimum.
     """
-    candidate = fitted.candidate
-    of_motion = fitted.evidence.source.of_motion and candidate.point.size <= FEW and fitted.poor
-    if not (candidate.unseen or has_shape_parameter(candidate) or of_motion):
-        return fitted
     for share in NEAR_STEPS:
-        moved = evaluate_at(fitted.candidate, fitted.estimate, fitted.evidence)
-        if moved is None:
-            break
-        fitted = refine(_relinearised(moved, fitted.evidence, share), fitted.evidence)
+        for _ in range(STEPS):
+            further = _gauss_newton(fitted, share) if fitted.poor else None
+            if further is None:
+                break
+            fitted = further
     return fitted
+
+
+def _gauss_newton(fitted: Fit, share: float) -> Fit | None:
+    """The fit one step further, with sensitivities of the point where it is; None if the error hardly falls."""
+    evidence, candidate = fitted.evidence, fitted.candidate
+    here = min(
+        (moved for moved in (candidate, evaluate_at(candidate, fitted.estimate, evidence)) if moved is not None),
+        key=lambda moved: _error_at(moved, evidence),
+    )
+    fresh = Fit.of(_relinearised(here, evidence, share), evidence)
+    if fresh.converged:
+        return None
+    for fraction in HALVES:
+        point = here.point + fraction * (fresh.estimate - here.point)
+        moved = evaluate_at(fresh.candidate, point, evidence)
+        if moved is not None and _error_at(moved, evidence) < (1.0 - ENOUGH) * _error_at(here, evidence):
+            return Fit.of(moved, evidence)
+    return None
+
+
+def _error_at(candidate: Candidate, evidence: Evidence) -> float:
+    """Mean square error at the candidate's point [-]."""
+    return float(np.mean(evidence.problem(candidate).errors(np.zeros_like(candidate.point))))
 
 
 def look_elsewhere(fitted: Fit) -> Fit:
@@ -466,7 +488,7 @@ def look_elsewhere(fitted: Fit) -> Fit:
                     places.append(moved)
         if not places:
             break
-        errors = [float(np.mean(evidence.problem(moved).errors(np.zeros_like(moved.point)))) for moved in places]
+        errors = [_error_at(moved, evidence) for moved in places]
         if min(errors) >= fitted.misfit:
             break
         again = refine(_relinearised(places[int(np.argmin(errors))], evidence), evidence)
@@ -497,7 +519,7 @@ def measure_again(fitted: Fit, near: bool = False) -> Fit:
         fresh = replace(candidate, point=point, origin=added, offsets=nothing)
         if look == 0 and not near:
             fresh = linearise(fresh, clusters, like.numbers, like.source, "final sensitivities", NEAR_STEPS[0]) or fresh
-        fitted = refine(fresh, evidence)
+        fitted = refine_again(refine(fresh, evidence))
         if np.all(np.abs(fitted.estimate - point) < NEAR * candidate.scale):
             break
     return fitted
