@@ -333,14 +333,19 @@ class Problem:
         self.total = self.information.sum(axis=0) + np.diag(self._prior)
         self._total_score = self.scores.sum(axis=0) + self._nominal * self._prior
 
-    def solve(self, without: Sequence[int] = ()) -> Array:
-        """Change from the candidate's point in parameter scales, ``(p,)``; ``without`` leaves clusters out."""
+    def solve(self, without: Sequence[int] = (), within: float = np.inf) -> Array:
+        """Change from the candidate's point in parameter scales, ``(p,)``.
+
+        Args:
+            without: Clusters that are left out.
+            within: Largest change of a parameter, in scales.
+        """
         information, score = self.total, self._total_score
         if len(without) > 0:
             chosen = list(without)
             information = information - self.information[chosen].sum(axis=0)
             score = score - self.scores[chosen].sum(axis=0)
-        return bounded(information, score, self._lower, self._upper)
+        return bounded(information, score, np.maximum(self._lower, -within), np.minimum(self._upper, within))
 
     def errors(self, change: Array, clusters: Sequence[int] | None = None) -> Array:
         """Mean square scaled error per cluster at a change from the point, ``(c,)`` [-]."""
