@@ -353,7 +353,7 @@ class Search:
         """Given effects fitted together; None where one of them changes nothing."""
         if any(name not in self.singles for name in names):
             return None
-        joined = reduce(Candidate.beside, (self.singles[name] for name in names))
+        joined = reduce(Candidate.beside, (self._best_shape(self.singles[name]) for name in names))
         return look_elsewhere(refine_again(self._refined(joined, self.evidence)))
 
     def _refined(self, start: Candidate, evidence: Evidence, give_up: float = np.inf) -> Fit:
