@@ -29,20 +29,65 @@ hypothesis.settings.register_profile("impact_rs", deadline=None)
 hypothesis.settings.load_profile("impact_rs")
 
 
+WAITING = 2  # processes more than cores: those that test nodes and pages wait for them half of the time
+GRAPH = "nodes that share a graph"
+OTHER_NODES = "other nodes"
+SHARING = ("nodes_", "one_impact_map", "impact_map_node", "node_parameters")  # test_*: use the graph below
+SECONDS = {  # of a scope, roughly: what takes long begins first, so that no process is left with it at the end
+    GRAPH: 200.0,
+    OTHER_NODES: 200.0,
+    "test_page.py": 150.0,
+    "test_rehearsal.py": 30.0,
+    "test_metamorphic.py": 30.0,
+    "test_follow.py": 30.0,
+    "test_tables_of_tosses.py": 20.0,
+    "test_tables_of_balls.py": 20.0,
+    "test_impact_tables.py": 20.0,
+    "test_discover.py": 20.0,
+    "test_discover_in_recordings.py": 20.0,
+    "test_recordings_of_few_joints.py": 20.0,
+    "test_recordings_that_calibrate.py": 20.0,
+    "test_diagnosis_of_recordings.py": 20.0,
+    "test_cli_investigate.py": 20.0,
+    "test_cli_loop.py": 20.0,
+    "test_cli_edges.py": 15.0,
+    "test_jobs.py": 15.0,
+    "test_raw_damage.py": 10.0,
+    "test_workers.py": 10.0,
+}
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_auto_num_workers(config: pytest.Config) -> int:
+    """``-n auto``: some processes more than cores."""
+    del config
+    return len(os.sched_getaffinity(0)) + WAITING
+
+
 @pytest.hookimpl(optionalhook=True)  # colcon tests without pytest-xdist, one package at a time
 def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
-    """Where several processes test (``-n``), a file stays together, for its fixtures are dear, and so do all nodes.
+    """Where several processes test (``-n``), a file stays together, for its fixtures are dear, and so do nodes.
 
-    A graph of nodes takes more than one core, and what it waits for is wall time: there is one of them at a time.
+    A graph of nodes takes more than one core, and what it waits for is wall time: there are few of them at a time.
     """
     from xdist.scheduler import LoadFileScheduling
+    from xdist.workermanage import WorkerController
 
-    class NodesTogether(LoadFileScheduling):
+    class LongestFirst(LoadFileScheduling):
         def _split_scope(self, nodeid: str) -> str:
             file = super()._split_scope(nodeid)
-            return "nodes" if file.startswith(("test/system/", "test/impact_rs_ros/")) else file
+            if not file.startswith(("test/system/", "test/impact_rs_ros/")) or file.endswith("test_rehearsal.py"):
+                return file
+            return GRAPH if Path(file).name.removeprefix("test_").startswith(SHARING) else OTHER_NODES
 
-    return NodesTogether(config, log)
+        def _assign_work_unit(self, node: WorkerController) -> None:
+            self.workqueue.move_to_end(max(self.workqueue, key=self._seconds), last=False)
+            super()._assign_work_unit(node)
+
+        def _seconds(self, scope: str) -> float:
+            return SECONDS.get(scope.rpartition("/")[2], 0.05 * len(self.workqueue[scope]))
+
+    return LongestFirst(config, log)
 
 
 @pytest.fixture(scope="session")
