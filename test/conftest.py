@@ -30,7 +30,7 @@ hypothesis.settings.register_profile("impact_rs", deadline=None)
 hypothesis.settings.load_profile("impact_rs")
 
 
-WAITING = 2  # processes more than cores: those that test nodes and pages wait for them half of the time
+WAITING = 1  # processes more than cores: those that test nodes and pages wait for them half of the time
 GRAPH = "nodes that share a graph"
 OTHER_NODES = "other nodes"
 SHARING = ("nodes_", "one_impact_map", "impact_map_node", "node_parameters")  # test_*: use the graph below
@@ -60,7 +60,7 @@ SECONDS = {  # of a scope, roughly: what takes long begins first, so that no pro
 
 @pytest.hookimpl(optionalhook=True)
 def pytest_xdist_auto_num_workers(config: pytest.Config) -> int:
-    """``-n auto``: some processes more than cores."""
+    """``-n auto``: more than cores."""
     del config
     return len(os.sched_getaffinity(0)) + WAITING
 
