@@ -53,8 +53,21 @@ SECONDS = {  # of a scope, roughly: what takes long begins first, so that no pro
     "test_cli_loop.py": 20.0,
     "test_cli_edges.py": 15.0,
     "test_jobs.py": 15.0,
+    "test_arms_of_different_kinds.py": 15.0,
+    "test_null_distribution.py": 10.0,
+    "test_laboratory.py": 10.0,
+    "test_motion_difference.py": 10.0,
     "test_raw_damage.py": 10.0,
     "test_workers.py": 10.0,
+    "test_cli_design.py": 5.0,
+    "test_recovery.py": 5.0,
+    "test_body_impacts.py": 5.0,
+    "test_shipped_scenarios.py": 5.0,
+    "test_examples.py": 5.0,
+    "test_forecast.py": 5.0,
+    "test_real.py": 5.0,
+    "test_arms.py": 5.0,
+    "test_study.py": 5.0,
 }
 
 
