@@ -543,7 +543,7 @@ class Search:
 
 def _changed(columns: Sequence[Array]) -> int:
     """Number of features over all clusters that a sensitivity changes."""
-    return sum(int(np.count_nonzero(np.abs(column) > UNCHANGED)) for column in columns)
+    return int(np.count_nonzero(np.abs(np.concatenate(columns)) > UNCHANGED)) if columns else 0
 
 
 def _in_the_limit(fitted: Fit, name: str) -> bool:

@@ -78,16 +78,23 @@ def opened(browser: Browser, address: str) -> Iterator[Page]:
     assert elsewhere == errors == []
 
 
-@pytest.fixture
-def page(browser: Browser, address: tuple[str, Path]) -> Iterator[Page]:
-    with opened(browser, address[0]) as made:
-        yield made
-
-
 @pytest.fixture(scope="module")
 def one_page(browser: Browser, address: tuple[str, Path]) -> Iterator[Page]:
     with opened(browser, address[0]) as made:
         yield made
+
+
+@pytest.fixture
+def page(one_page: Page, address: tuple[str, Path]) -> Iterator[Page]:
+    """The page as it begins; a new window would start a process and compile its libraries again."""
+    one_page.evaluate("() => { localStorage.clear(); sessionStorage.clear(); }")
+    one_page.goto("about:blank")
+    one_page.set_viewport_size(DESK)
+    one_page.emulate_media(color_scheme="light")
+    one_page.goto(address[0])
+    expect(one_page.locator("#predict-plot")).to_have_attribute("data-shown", re.compile("."))
+    yield one_page
+    one_page.unroute_all()
 
 
 def go(page: Page, step: str, tab: str = "") -> Locator:
