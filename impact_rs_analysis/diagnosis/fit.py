@@ -21,10 +21,11 @@ from impact_rs_sim.robot import Array
 STEPS = 6
 ENOUGH = 0.02  # of the error; a fit that gains less in a step has converged
 NEAR_STEPS = (1.0, 0.3)  # shares of the steps of finite differences, as a fit comes near its optimum
-TRUST = 4.0  # parameter scales that a parameter may move in the first step
+TRUST = 4.0  # parameter scales that a parameter may move at first where the whole step does not do what it promised
 WIDER = 4.0  # times as far after a step that kept its promise, and as much less after one that did not lower the error
-SHORTER = 3  # steps that are tried
+SHORTER = 4  # steps that are tried
 STRAIGHT = 0.75  # of the gain that was predicted: the promise
+LINEAR = 0.95  # of the same, for a step of any length
 NEAR = 0.1  # parameter scales; a correction below this does not depend on where a trial starts
 MOST_LOOKS = 4
 DOUBLINGS = 8  # of the half width of an interval
@@ -345,7 +346,7 @@ def refine(candidate: Candidate, evidence: Evidence, give_up: float = np.inf) ->
     Args:
         candidate: Start, linearised.
         evidence: The residuals to explain.
-        give_up: A fit whose held-out error exceeds this after the first step stops.
+        give_up: A fit stops that is not expected to get below this mean square error after the first step [-].
     """
     return _beyond_bounds(lambda start: _refine(start, evidence, give_up), candidate)
 
@@ -363,38 +364,46 @@ def _beyond_bounds(fit: Callable[[Candidate], Fit], start: Candidate) -> Fit:
 
 def _refine(candidate: Candidate, evidence: Evidence, give_up: float) -> Fit:
     """Steps with the sensitivities of the start (chord method), within the bounds of the candidate."""
-    error, trust = _error_at(candidate, evidence), TRUST
+    trust, unseen = np.inf, candidate.unseen
     for number in range(STEPS):
-        if number >= 1 and error > give_up:
+        straight = Fit.of(candidate, evidence)
+        if straight.converged or (number >= 1 and (unseen or straight.misfit > give_up)):
             break
-        moved, trust = _moved(candidate, evidence, trust)
-        if moved is None:
+        further, trust = _moved(candidate, evidence, trust)
+        if further is None:  # sensitivities that promise what simulations do not keep
+            candidate = _relinearised(candidate, evidence, NEAR_STEPS[-1])
             break
-        before, error, candidate = error, _error_at(moved, evidence), moved
-        if before - error < ENOUGH * error or candidate.unseen:
-            break
+        candidate = further
     return Fit.of(candidate, evidence)
 
 
 def _moved(candidate: Candidate, evidence: Evidence, trust: float) -> tuple[Candidate | None, float]:
     """The candidate where its sensitivities put the optimum, and how far they are trusted then (trust region).
 
-    No parameter moves by more than ``trust`` scales: of many, one that the sensitivities misjudge would get to where it
-    changes nothing any more, as friction does in which a joint sticks, while the others lower the error. None if no
-    step lowers it.
+    No parameter moves by more than ``trust`` scales, unless features are linear: of many, one that the sensitivities
+    misjudge would get to where it changes nothing any more, as friction does in which a joint sticks, while the others
+    lower the error. Where nothing changes nearby, the whole step is taken. None if no step lowers the error by
+    ``ENOUGH``, or by what it promised.
     """
     problem, error = evidence.problem(candidate), _error_at(candidate, evidence)
+    far: Candidate | None = None
     for _ in range(SHORTER):
         step = problem.solve(within=trust)
-        if np.max(np.abs(step)) < 1e-6:
+        length = float(np.max(np.abs(step)))
+        if length < 1e-6:
             break
         moved = evaluate_at(candidate, candidate.point + step * candidate.scale, evidence)
         gained = -np.inf if moved is None else error - _error_at(moved, evidence)
-        if gained > 0.0:
-            kept = gained > STRAIGHT * (error - float(np.mean(problem.errors(step))))
-            return moved, WIDER * trust if kept else trust
-        trust = min(trust, float(np.max(np.abs(step)))) / WIDER
-    return None, trust
+        promised = error - float(np.mean(problem.errors(step)))
+        unbounded = np.isinf(trust) and length > TRUST
+        if gained > (LINEAR if unbounded else STRAIGHT) * promised:
+            return moved, WIDER * trust
+        if gained > ENOUGH * error:
+            if not unbounded:
+                return moved, max(length, TRUST)
+            far = moved
+        trust = min(trust / WIDER, length / WIDER, TRUST)
+    return far, TRUST if far is not None else trust
 
 
 def _relinearised(candidate: Candidate, evidence: Evidence, share: float = 1.0) -> Candidate:
@@ -420,16 +429,16 @@ def refine_again(fitted: Fit) -> Fit:
 
 
 def _descended(fitted: Fit) -> Fit:
-    """Gauss-Newton steps within the bounds of the candidate."""
+    """Gauss-Newton steps within the bounds of the candidate, with sensitivities of the last point."""
     evidence, candidate = fitted.evidence, fitted.candidate
     for share in NEAR_STEPS:
-        trust = TRUST
+        trust = np.inf
         for _ in range(STEPS):
-            fresh = _relinearised(candidate, evidence, share)
-            if Fit.of(fresh, evidence).converged:
-                break
-            moved, trust = _moved(fresh, evidence, trust)
-            if moved is None or _error_at(moved, evidence) > (1.0 - ENOUGH) * _error_at(fresh, evidence):
+            candidate = _relinearised(candidate, evidence, share)
+            moved = None
+            if not Fit.of(candidate, evidence).converged:
+                moved, trust = _moved(candidate, evidence, trust)
+            if moved is None:
                 break
             candidate = moved
     return Fit.of(candidate, evidence)
