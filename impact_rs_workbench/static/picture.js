@@ -9,7 +9,7 @@ const LIBRARIES = ['/static/three.js', '/static/replay.js'];
 let loading = null;
 
 // The libraries, once.
-function threeD() {
+export function threeD() {
   loading ??= LIBRARIES.reduce((before, address) => before.then(() => load(address)), Promise.resolve());
   return loading;
 }

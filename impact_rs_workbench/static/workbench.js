@@ -3,6 +3,7 @@
 
 import {LEADS, TERMS, TERMS_OF} from './explain.js';
 import {cursor, darkScheme, draw, erase, seen} from './figures.js';
+import {live, watchable} from './live_view.js';
 import {overlay} from './overlay.js';
 import {Impact, replayIn} from './picture.js';
 import {$, arrowKeys, ask, commandLine, fill, fit, fitAll, fixed, h, inFolder, labelled, messageArea, number, plain, query, Questions, refill, seconds, slug, state, stem, unit} from './tools.js';
@@ -520,7 +521,8 @@ const measure = {
   build() {
     this.parts = {campaign: this.campaign(), trial: this.trial(), blind: this.blind()};
     this.parts.recorded = recorded.build();
-    const names = {campaign: 'Campaign', trial: 'Single trial', recorded: 'Recorded trials', blind: 'Practise', laboratory: 'Laboratory'};
+    this.parts.live = live.build();
+    const names = {campaign: 'Campaign', trial: 'Single trial', recorded: 'Recorded trials', live: 'Live', blind: 'Practise', laboratory: 'Laboratory'};
     this.parts.laboratory = laboratory.build();
     this.tabs = Object.entries(names).map(([name, text]) => h('button', {type: 'button', role: 'tab', id: `tab-${name}`,
       'aria-controls': `part-${name}`, onclick: () => this.show(name)}, text));
@@ -546,8 +548,21 @@ const measure = {
     this.scene.hidden = !['campaign', 'trial'].includes(name);
     this.place.className = this.scene.hidden ? '' : 'beside';
     if (name === 'recorded' && state.workspace) recorded.update();
+    this.look();
     if (state.workspace) this.picture();
     showAbout({...ABOUT[name === 'laboratory' ? name : 'measure'], terms: name === 'laboratory' ? [] : termsOf('measure')});
+  },
+
+  // Nodes are watched while their tab is in sight.
+  look() { live.show(state.step === 'measure' && !this.node.querySelector('[data-part=live]').hidden); },
+
+  // Where the trials of a job are seen.
+  watch(job) {
+    const folder = inFolder(job.writes[0] ?? '');
+    go('measure');
+    this.show(watchable(job) ?? 'recorded');
+    recorded.wanted = state.workspace.campaigns.find((one) => `${one.path}/`.startsWith(`${folder}/`))?.path;
+    recorded.update();
   },
 
   // The impact that the form asks for, as the nominal model predicts it.
@@ -1377,6 +1392,7 @@ function jobRow(job) {
     h('div', {}, h('code', {}, job.command)), h('div', {class: `state ${job.ended !== null && job.exit_code ? 'error' : ''}`}, stateText(job), bar),
     h('div', {class: 'buttons'}, job.ended === null ? h('button', {type: 'button', disabled: job.stopping, onclick: act('stop')}, 'Stop') :
       h('button', {type: 'button', onclick: act('again')}, job.exit_code ? 'Continue' : 'Again'),
+    watchable(job) ? h('button', {type: 'button', onclick: () => measure.watch(job)}, 'Watch') : '',
     h('button', {type: 'button', onclick: look}, 'Output'),
     h('button', {type: 'button', onclick: () => navigator.clipboard.writeText(job.command)}, 'Copy'), h('output', {class: 'reply'}, job.stopping ? 'stopping …' : '')),
     h('pre', {hidden: !opened.has(job.number), tabindex: 0}, opened.get(job.number)?.text ?? ''));
@@ -1426,6 +1442,7 @@ function showJobs(jobs) {
     if (job.ended !== null && item) finished(job);
   });
   if (state.workspace) diagnose.jobs();
+  live.jobs((job) => measure.watch(job));
 }
 
 // Selects the result of a finished job in the step that shows it.
@@ -1452,6 +1469,7 @@ function go(step) {
     if (button.dataset.step === step) button.setAttribute('aria-current', 'step'); else button.removeAttribute('aria-current');
   }
   showAbout({...ABOUT[step], terms: termsOf(step)});
+  measure.look();
   if (state.workspace) STEPS[step][1].update();
   requestAnimationFrame(fitAll);
 }
@@ -1479,4 +1497,4 @@ go(STEPS[asked] ? asked : 'predict');
 addEventListener('hashchange', () => { const step = location.hash.slice(1); if (STEPS[step] && step !== state.step) go(step); });
 darkScheme.addEventListener('change', () => { if (predict.answer) predict.paint(); });
 listen();
-window.impact_rs = {predict, recorded}; // for the browser's console
+window.impact_rs = {predict, recorded, nodes: live}; // for the browser's console
