@@ -168,6 +168,10 @@ def _routes(workbench: Workbench) -> list[Route]:
         Route("/api/comparison", _got(lambda given: results.comparison(workspace.existing(given.get("path", ""))))),
         Route("/api/diagnosis", _got(lambda given: results.diagnosis(workspace.existing(given.get("path", ""))))),
         Route("/api/reveal", _got(lambda given: _revealed(workbench, given.get("path", "")))),
+        Route("/api/plan", _got(lambda given: results.plan(workspace.existing(given.get("path", ""))))),
+        Route(
+            "/api/investigation", _got(lambda given: results.investigation(workspace.existing(given.get("path", ""))))
+        ),
         Route("/api/estimates", _got(lambda _: results.estimates(workspace))),
         Route("/api/trials", _got(lambda given: results.trials(workspace.existing(given.get("path", ""))))),
         Route("/api/trial", _got(lambda given: results.trial(workspace.existing(given.get("path", ""))))),

@@ -19,6 +19,9 @@ const ABOUT = {
     'post-impact references below and above the prediction. Run an interrupted campaign again to continue it.',
     equation: 'a_fb,net = ∫ a_fb dt from T_nom − 0.1 s to T_nom + 0.6 s', units: 'none for scales (reference over prediction)',
     page: 'bags.md'},
+  design: {title: 'A plan of trials', text: 'Trials that the cell can run are simulated under every explanation. Chosen are those that raise the ' +
+    'probability of the right decision most. With a diagnosis the plan splits its ties; without one it looks for the missing effect.',
+    units: 'probabilities in percent', page: 'design.md'},
   laboratory: {title: 'Runs of another controller', text: 'A robot that pushes a box with its own controller: joint states, torque, ' +
     'and motion capture of the box are enough. Each run has a twin: an open-loop simulation driven by the recorded torque.',
     units: 'the mapping names the unit of each signal', page: 'your_data.md'},
@@ -36,6 +39,9 @@ const ABOUT = {
     'the filter says. Estimates have their 95 % intervals.', units: 'beside each axis', page: 'workbench.md'},
   history: {title: 'History', text: 'How the error fell from model to model: with the parameters of the file, and held out, where ' +
     'fitting noise does not help.', units: 'multiples of repeatability', page: 'diagnosis.md'},
+  investigate: {title: 'Investigation', text: 'Each round designs trials, predicts and measures them, compares, diagnoses, and adds the missing ' +
+    'effect. It ends when nothing is missing, a law holds, or the trials are spent; it says where it cannot decide. The same folder goes on.',
+    units: 'multiples of repeatability', page: 'investigation.md'},
 };
 
 function drawing(markup) {
@@ -519,10 +525,10 @@ const measure = {
   questions: new Questions(), // of the picture
 
   build() {
-    this.parts = {campaign: this.campaign(), trial: this.trial(), blind: this.blind()};
+    this.parts = {campaign: this.campaign(), trial: this.trial(), design: design.build(), blind: this.blind()};
     this.parts.recorded = recorded.build();
     this.parts.live = live.build();
-    const names = {campaign: 'Campaign', trial: 'Single trial', recorded: 'Recorded trials', live: 'Live', blind: 'Practise', laboratory: 'Laboratory'};
+    const names = {campaign: 'Campaign', trial: 'Single trial', design: 'Design', recorded: 'Recorded trials', live: 'Live', blind: 'Practise', laboratory: 'Laboratory'};
     this.parts.laboratory = laboratory.build();
     this.tabs = Object.entries(names).map(([name, text]) => h('button', {type: 'button', role: 'tab', id: `tab-${name}`,
       'aria-controls': `part-${name}`, onclick: () => this.show(name)}, text));
@@ -550,7 +556,8 @@ const measure = {
     if (name === 'recorded' && state.workspace) recorded.update();
     this.look();
     if (state.workspace) this.picture();
-    showAbout({...ABOUT[name === 'laboratory' ? name : 'measure'], terms: name === 'laboratory' ? [] : termsOf('measure')});
+    const own = ['laboratory', 'design'].includes(name);
+    showAbout({...ABOUT[own ? name : 'measure'], terms: own ? [] : termsOf('measure')});
   },
 
   // Nodes are watched while their tab is in sight.
@@ -644,6 +651,7 @@ const measure = {
     this.asked = true;
     if (first) for (const form of [this.form, this.trialForm]) form.offer('scenario', plain(state.workspace.scenarios), 'push');
     for (const form of [this.form, this.trialForm, this.blindForm]) form.update();
+    design.update();
     laboratory.update();
     recorded.update();
     this.practice();
@@ -652,6 +660,66 @@ const measure = {
     if (first) this.chooseTrial();
   },
 };
+
+// ---- design of trials ---------------------------------------------------------------------------------------------------
+
+// The first name that no file of the folder has.
+function free(name, used) {
+  let count = 1;
+  while (used.includes(name(count))) count += 1;
+  return name(count);
+}
+
+const design = {
+  questions: new Questions(),
+
+  build() {
+    this.form = commandForm('design', 'Plan the trials', {first: 'budget', suggest: {budget: () => 18, runs: () => '',
+      output: () => free((count) => `plans/plan_${count}.yaml`, state.workspace?.plans ?? [])}});
+    this.file = h('select', {id: 'design-file', onchange: () => this.open()});
+    this.result = h('div', {id: 'design-result'});
+    return h('div', {}, h('p', {class: 'note'}, 'Which trials decide most, before they run.'), this.form.node, labelled('plan', this.file), this.result);
+  },
+
+  // For what a diagnosis leaves open.
+  after(diagnosis, runs) {
+    go('measure');
+    measure.show('design');
+    this.form.choose('after', diagnosis);
+    if (runs) this.form.choose('runs', runs);
+  },
+
+  update() {
+    this.form.update();
+    const {plans, stamps} = state.workspace;
+    fill(this.file, plain(plans), this.wanted && plans.includes(this.wanted) ? this.wanted : undefined);
+    this.file.parentElement.hidden = !plans.length;
+    if (this.file.value && (this.file.value !== this.opened || stamps[this.file.value] !== this.stamp)) this.open();
+    if (this.wanted === this.file.value) this.wanted = null;
+  },
+
+  async open() {
+    const path = this.opened = this.file.value, turn = this.questions.begin();
+    this.stamp = state.workspace.stamps[path];
+    this.result.replaceChildren(reading(path));
+    try { this.show(await turn.ask(`/api/plan?${query({path})}`), path); } catch (error) { this.result.replaceChildren(mistake(error)); }
+  },
+
+  show(found, path) {
+    const percent = (value) => `${(100 * value).toFixed(1)} %`;
+    this.result.replaceChildren(h('p', {class: 'answer'}, h('b', {}, `${found.trials} trials`), found.summary),
+      h('div', {class: 'actions'}, ...jobButton('Run the plan', () => ({command: 'campaign', plan: path, output: `campaigns/${stem(path)}`}), {class: 'primary'})),
+      table('planned', ['trials', 'condition', 'what they add'], found.conditions.map((one) => [one.trials, one.what, one.adds])),
+      ...(found.pairs.length ? [h('h3', {}, 'Probability of the right decision, the least certain first'), table('pairs', ['explanation', 'against', 'before', 'after'],
+        found.pairs.map((one) => [one.first, one.second, percent(one.before), percent(one.after)]))] : []));
+  },
+};
+
+const mistake = (error) => h('p', {class: 'error', role: 'alert'}, inFolder(error.message));
+
+// Rows of texts and numbers.
+const table = (id, heads, rows) => h('div', {class: 'scroll'}, h('table', {id}, h('thead', {}, h('tr', {}, ...heads.map((text) => h('th', {scope: 'col', class: 'text'}, text)))),
+  h('tbody', {}, ...rows.map((cells) => h('tr', {}, ...cells.map((text) => h('td', {class: 'text'}, String(text))))))));
 
 // ---- recorded trials ----------------------------------------------------------------------------------------------------
 
@@ -972,7 +1040,8 @@ const diagnose = {
       output: `${nextFolder(this.form.value('runs'))}/next_${slug(experiment.scenario)}_${slug(experiment.object ?? '')}`,
       objects: experiment.object ? [experiment.object] : null, cases: experiment.case ? [experiment.case] : null, scales: [1], trials: 3}),
     {class: 'primary'}) : [];
-    return h('div', {class: 'answer'}, h('b', {}, 'Next experiment'), h('p', {}, experiment.advice), h('div', {class: 'actions'}, ...run));
+    return h('div', {class: 'answer'}, h('b', {}, 'Next experiment'), h('p', {}, experiment.advice), h('div', {class: 'actions'}, ...run,
+      h('button', {type: 'button', id: 'design-next', onclick: () => design.after(this.opened, this.form.value('runs'))}, 'Design more trials')));
   },
 };
 
@@ -1054,13 +1123,8 @@ const add = {
     } catch (error) { this.note.textContent = error.message; }
   },
 
-  // A file that is none yet.
-  next() {
-    const used = new Set(state.workspace?.models.map((model) => model.path));
-    let count = 2;
-    while (used.has(`models/model_${count}.yaml`)) count += 1;
-    return `models/model_${count}.yaml`;
-  },
+  // A file that is none yet; the first model is the nominal one.
+  next() { return free((count) => `models/model_${count + 1}.yaml`, (state.workspace?.models ?? []).map((model) => model.path)); },
 
   start(file, effect) { this.wanted = {file, effect}; go('add'); },
 
@@ -1092,15 +1156,11 @@ const history_ = {
   build() {
     this.form = runsForm('history', 'Show the history', {model: newestModel});
     this.result = h('div', {id: 'history-result'});
-    this.investigations = h('p', {id: 'investigations'});
-    return h('section', {}, h('h2', {}, 'How the error fell'), lead('history'), this.form.node, this.investigations, this.result);
+    return h('section', {}, h('h2', {}, 'How the error fell'), lead('history'), this.form.node, this.result);
   },
 
   update() {
     this.form.update();
-    const pages = state.workspace.reports.filter((path) => path.endsWith('investigation.html'));
-    this.investigations.replaceChildren(...pages.map((path) =>
-      h('a', {href: `/files/${path}`, target: '_blank', rel: 'noopener'}, `Investigation ${path}: models and trials`)));
     const found = state.workspace.reports.filter((path) => path.endsWith('history.html'));
     const newest = found.sort((a, b) => state.workspace.stamps[b] - state.workspace.stamps[a])[0];
     const key = newest && `${newest} ${state.workspace.stamps[newest]}`;
@@ -1110,6 +1170,49 @@ const history_ = {
     }
   },
 };
+
+// ---- investigate ----------------------------------------------------------------------------------------------------------
+
+const investigate = {
+  questions: new Questions(),
+
+  build() {
+    this.form = commandForm('investigate', 'Investigate', {first: 'budget',
+      suggest: {directory: () => free((count) => `investigations/${count}`, state.workspace ? this.folders() : [])}});
+    this.file = h('select', {id: 'investigate-file', onchange: () => this.open()});
+    this.result = h('div', {id: 'investigate-result'});
+    return h('section', {}, h('h2', {}, 'Let the loop run by itself'), lead('investigate'), this.form.node,
+      labelled('investigation', this.file), this.result);
+  },
+
+  // Folders of investigations, by their pages.
+  folders() { return state.workspace.reports.filter((path) => path.endsWith(PAGE)).map((path) => path.slice(0, -PAGE.length)); },
+
+  update() {
+    this.form.update();
+    const found = this.folders();
+    fill(this.file, plain(found), this.wanted && found.includes(this.wanted) ? this.wanted : undefined);
+    this.file.parentElement.hidden = !found.length;
+    const stamp = state.workspace.stamps[`${this.file.value}${PAGE}`];
+    if (this.file.value && (this.file.value !== this.opened || stamp !== this.stamp)) this.open();
+    if (this.wanted === this.file.value) this.wanted = null;
+  },
+
+  async open() {
+    const path = this.opened = this.file.value, turn = this.questions.begin();
+    this.stamp = state.workspace.stamps[`${path}${PAGE}`];
+    this.result.replaceChildren(reading(path));
+    try {
+      const {ending, rounds, trials} = await turn.ask(`/api/investigation?${query({path})}`);
+      const so_far = `${trials} trial${trials === 1 ? '' : 's'} in ${rounds} round${rounds === 1 ? '' : 's'}`;
+      says('investigate', `${path}: ${ending ? ending.verdict : 'not at its end'}, after ${so_far}.`);
+      this.result.replaceChildren(h('p', {class: 'answer', id: 'ending'}, h('b', {}, ending ? ending.verdict : 'goes on'), ending ? ending.summary : `${so_far} so far.`),
+        ...wholeReport(`${path}${PAGE}`, true));
+    } catch (error) { this.result.replaceChildren(mistake(error)); }
+  },
+};
+
+const PAGE = '/report/investigation.html';
 
 // ---- laboratory -----------------------------------------------------------------------------------------------------------
 
@@ -1449,6 +1552,8 @@ function showJobs(jobs) {
 function finished(job) {
   const made = job.writes.map((path) => path.replace(`${state.workspace.root}/`, ''));
   if (job.exit_code !== 0) return;
+  if (job.arguments[0] === 'design') design.wanted = made[0];
+  if (job.arguments[0] === 'investigate') investigate.wanted = made[0];
   if (job.arguments[0] === 'compare') compare.wanted = `${made[0]}/compare.html`;
   if (job.arguments[0] === 'analyze') compare.wanted = `${made[0]}/report.html`;
   if (['diagnose', 'discover'].includes(job.arguments[0])) diagnose.wanted = made.find((path) => path.endsWith('.json'));
@@ -1458,7 +1563,8 @@ function finished(job) {
 // ---- the page ---------------------------------------------------------------------------------------------------------------
 
 const STEPS = {predict: ['Predict', predict], measure: ['Measure', measure], compare: ['Compare', compare],
-  diagnose: ['Diagnose', diagnose], add: ['Add', add], history: ['History', history_], overlay: ['Overlay', overlay]};
+  diagnose: ['Diagnose', diagnose], add: ['Add', add], history: ['History', history_], overlay: ['Overlay', overlay],
+  investigate: ['Investigate', investigate]};
 const panels = {};
 
 function go(step) {

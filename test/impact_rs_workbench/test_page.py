@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Literal
 
 import pytest
+import yaml
 from axe_playwright_python.sync_playwright import Axe
 from mixed_grab import FILE
 from playwright.sync_api import Browser, Locator, Page, Route, ViewportSize, expect, sync_playwright
@@ -30,7 +31,7 @@ HIDDEN_FRICTION = 0.18  # of the support, in the campaign of the fixtures
 SLOW = 300_000.0  # ms, for a job on a machine with other work
 expect.set_options(timeout=60_000.0)
 DESK: ViewportSize = {"width": 1280, "height": 800}
-STEPS = ("predict", "measure", "compare", "diagnose", "add", "history", "overlay")
+STEPS = ("predict", "measure", "compare", "diagnose", "add", "history", "overlay", "investigate")
 FRAMES = (
     "(count) => new Promise((done) => { const next = () => count-- ? requestAnimationFrame(next) : done(); next(); })"
 )
@@ -452,6 +453,52 @@ def test_what_no_effect_explains_is_looked_for_as_a_law_by_a_button(page: Page, 
     order = asked.value.post_data_json
     assert (order["command"], order["runs"]) == ("discover", "blind/runs")
     assert (order["report"], order["output"]) == ("reports/open", "reports/open/discovery.json")
+
+
+@pytest.mark.timeout(600)
+def test_trials_are_designed_shown_and_run_by_a_button(page: Page, folder: Path) -> None:
+    command = go(page, "measure", "design")
+    expect(command).to_contain_text("impact-rs design --budget 18 -o workbench/plans/plan_1.yaml")
+    page.locator("#design-budget").fill("0")
+    expect(page.locator("#part-design .message .error")).to_contain_text("budget = 0: expected greater than or equal to 1")
+    page.locator("#design-budget").fill("6")
+    page.locator("#design-scenarios").fill("push pusch")
+    expect(page.locator("#part-design .message .error")).to_contain_text("did you mean 'push'")
+    page.locator("#design-scenarios").fill("push")
+    expect(command).to_contain_text("--budget 6 -o workbench/plans/plan_1.yaml --scenarios push")
+    start(page, "Plan the trials")
+    expect(page.locator("#design-output")).to_have_value("plans/plan_2.yaml")  # what is there is not written over
+    planned = yaml.safe_load((folder / "plans" / "plan_1.yaml").read_text())
+    rows = page.locator("#planned tbody tr")
+    expect(rows).to_have_count(sum(len(one["conditions"]) for one in planned["campaigns"]))
+    assert sum(int(row.locator("td").first.inner_text()) for row in rows.all()) == 6
+    expect(page.locator("#pairs tbody tr").first).to_contain_text(planned["pairs"][0]["first"])
+    accessible(page)
+    picture(page, "workbench_design", folder)
+    page.route("**/api/jobs", lambda route: route.abort())
+    with page.expect_request("**/api/jobs") as asked:
+        page.get_by_role("button", name="Run the plan").click()
+    order = asked.value.post_data_json
+    assert order == {"command": "campaign", "plan": "plans/plan_1.yaml", "output": "campaigns/plan_1"}
+
+
+@pytest.mark.timeout(600)
+def test_an_investigation_is_followed_stopped_and_can_go_on(page: Page, folder: Path) -> None:
+    command = go(page, "investigate")
+    expect(command).to_contain_text("impact-rs investigate workbench/investigations/1")
+    expect(page.locator("#investigate-budget")).to_have_attribute("min", "6")
+    page.locator("#investigate-blind").fill("7")
+    page.locator("#investigate-budget").fill("8")
+    expect(command).to_contain_text("--budget 8 --blind 7")
+    start(page, "Investigate", "running")
+    expect(page.locator("#ending")).to_contain_text("goes on", timeout=SLOW)
+    expect(page.frame_locator("#investigate-result iframe").locator("h1")).to_be_visible()
+    page.locator("#jobs-toggle").click()
+    job = page.locator("#job-list > li").first
+    job.get_by_role("button", name="Stop").click()
+    expect(job).to_have_attribute("data-state", "130")
+    expect(job.get_by_role("button", name="Continue")).to_be_visible()
+    assert (folder / "investigations" / "1" / "investigation.yaml").exists()
 
 
 def test_a_campaign_is_offered_counted_and_refused_on_the_page(page: Page) -> None:
