@@ -23,7 +23,9 @@ from mixed_grab import FILE
 from playwright.sync_api import Browser, Locator, Page, Route, ViewportSize, expect, sync_playwright
 
 from impact_rs_cli.main import main
+from impact_rs_sim.scenario import load_scenario
 from impact_rs_trials.bags import topics
+from impact_rs_trials.experiment_plan import write_scenario
 
 BROWSER = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
 pytestmark = pytest.mark.skipif(BROWSER is None, reason="no chromium or chrome on this machine")
@@ -457,15 +459,18 @@ def test_what_no_effect_explains_is_looked_for_as_a_law_by_a_button(page: Page, 
 
 @pytest.mark.timeout(600)
 def test_trials_are_designed_shown_and_run_by_a_button(page: Page, folder: Path) -> None:
-    command = go(page, "measure", "design")
+    push = load_scenario("push")
+    one = {name: dict([next(iter(getattr(push, name).items()))]) for name in ("objects", "cases")}
+    write_scenario(push.model_copy(update=one), folder / "small.yaml")
+    command, mistake = go(page, "measure", "design"), page.locator("#part-design .message .error")
     expect(command).to_contain_text("impact-rs design --budget 18 -o workbench/plans/plan_1.yaml")
     page.locator("#design-budget").fill("0")
-    expect(page.locator("#part-design .message .error")).to_contain_text("budget = 0: expected greater than or equal to 1")
+    expect(mistake).to_contain_text("budget = 0: expected greater than or equal to 1")
     page.locator("#design-budget").fill("6")
     page.locator("#design-scenarios").fill("push pusch")
-    expect(page.locator("#part-design .message .error")).to_contain_text("did you mean 'push'")
-    page.locator("#design-scenarios").fill("push")
-    expect(command).to_contain_text("--budget 6 -o workbench/plans/plan_1.yaml --scenarios push")
+    expect(mistake).to_contain_text("did you mean 'push'")
+    page.locator("#design-scenarios").fill("small.yaml")
+    expect(command).to_contain_text("--budget 6 -o workbench/plans/plan_1.yaml --scenarios workbench/small.yaml")
     start(page, "Plan the trials")
     expect(page.locator("#design-output")).to_have_value("plans/plan_2.yaml")  # what is there is not written over
     planned = yaml.safe_load((folder / "plans" / "plan_1.yaml").read_text())
@@ -474,6 +479,7 @@ def test_trials_are_designed_shown_and_run_by_a_button(page: Page, folder: Path)
     assert sum(int(row.locator("td").first.inner_text()) for row in rows.all()) == 6
     expect(page.locator("#pairs tbody tr").first).to_contain_text(planned["pairs"][0]["first"])
     accessible(page)
+    page.set_viewport_size({"width": 1280, "height": 1100})
     picture(page, "workbench_design", folder)
     page.route("**/api/jobs", lambda route: route.abort())
     with page.expect_request("**/api/jobs") as asked:
