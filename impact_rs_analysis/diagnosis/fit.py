@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Fit of a candidate by simulation: Gauss-Newton with secant updates of the sensitivities (Broyden)."""
+"""Fit of a candidate by simulation: Gauss-Newton steps with finite differences, within bounds."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -19,11 +19,10 @@ from impact_rs_analysis.evidence.source import Source
 from impact_rs_sim.robot import Array
 
 STEPS = 6
-STRAIGHT = 0.75  # of the predicted gain; below, sensitivities of a candidate of few parameters are computed anew
-FEW = 4  # parameters
 ENOUGH = 0.02  # of the error; a fit that gains less in a step has converged
-NEAR_STEPS = (0.3, 0.1)  # shares of the steps of finite differences, as a fit comes near its optimum
-SHORTEST_LESSON = 0.5  # parameter scales; shorter steps update no sensitivities
+NEAR_STEPS = (1.0, 0.3)  # shares of the steps of finite differences, as a fit comes near its optimum
+SHORTER = (1.0, 0.3, 0.1)  # shares of a step, of which the first is taken that lowers the error
+LONGER = (2.0, 4.0, 8.0)  # shares of a step that lowered the error by more than it promised
 NEAR = 0.1  # parameter scales; a correction below this does not depend on where a trial starts
 MOST_LOOKS = 4
 DOUBLINGS = 8  # of the half width of an interval
@@ -337,85 +336,74 @@ class Fit:
 
 
 def refine(candidate: Candidate, evidence: Evidence, give_up: float = np.inf) -> Fit:
-    """Fit by repeated simulation; where it ends at a bound that is not one of physics, it goes on beyond.
+    """Fit by repeated simulation with the sensitivities of the start, see :func:`refine_again`.
+
+    Where it ends at a bound that is not one of physics, it goes on beyond.
 
     Args:
         candidate: Start, linearised.
         evidence: The residuals to explain.
         give_up: A fit whose held-out error exceeds this after the first step stops.
     """
-    fitted = _refine(candidate, evidence, give_up)
+    return _beyond_bounds(lambda start: _refine(start, evidence, give_up), candidate)
+
+
+def _beyond_bounds(fit: Callable[[Candidate], Fit], start: Candidate) -> Fit:
+    """A fit; where it ends at a bound that is not one of physics, it goes on with a wider range."""
+    fitted = fit(start)
     for _ in range(WIDENINGS):
-        wider = fitted.candidate.widened(fitted.at_bound, evidence.source) if np.any(fitted.at_bound) else None
+        wider = fitted.candidate.widened(fitted.at_bound, fitted.evidence.source) if np.any(fitted.at_bound) else None
         if wider is None:
             break
-        fitted = _refine(wider, evidence, give_up)
+        fitted = fit(wider)
     return fitted
 
 
 def _refine(candidate: Candidate, evidence: Evidence, give_up: float) -> Fit:
-    """:func:`refine` within the bounds of the candidate."""
-    best = Fit.of(candidate, evidence)
-    nothing = np.zeros_like(best.change)
-    best_error = float(np.mean(best.problem.errors(nothing)))
-    point, fraction = best.estimate, 1.0
+    """Steps with the sensitivities of the start (chord method), within the bounds of the candidate."""
+    error = _error_at(candidate, evidence)
     for number in range(STEPS):
-        if number >= 1 and best_error > give_up:
+        if number >= 1 and error > give_up:
             break
-        step = fraction * (point - candidate.point)
-        if np.max(np.abs(step / candidate.scale)) < 1e-6:
-            break
-        expected = best_error - float(np.mean(best.problem.errors(step / candidate.scale)))
-        moved = evaluate_at(candidate, candidate.point + step, evidence)
+        moved = _moved(candidate, evidence)
         if moved is None:
-            fraction /= 3.0
-            continue
-        tried = Fit.of(_broyden(candidate, moved), evidence)
-        error = float(np.mean(tried.problem.errors(nothing)))
-        if error < best_error:
-            gained = best_error - error
-            bent = gained < STRAIGHT * expected or fraction < 1.0
-            if bent and candidate.point.size <= FEW:
-                tried = _afresh(tried)
-            candidate, best, best_error, fraction = tried.candidate, tried, error, 1.0
-            point = best.estimate
-            if gained < ENOUGH * best_error:
-                break
-        elif fraction < 1.0:
             break
-        else:
-            point, fraction = candidate.point + step, _turning_point(candidate, moved, evidence)
-            candidate = replace(candidate, jacobians=tried.candidate.jacobians)
-            best = Fit.of(candidate, evidence)
+        before, error, candidate = error, _error_at(moved, evidence), moved
+        if before - error < ENOUGH * error:
+            break
+    return Fit.of(candidate, evidence)
+
+
+def _moved(candidate: Candidate, evidence: Evidence) -> Candidate | None:
+    """The candidate evaluated where its sensitivities put the optimum, or on the way; None if the error does not fall.
+
+    A step that lowers the error by more than it promised is doubled: too large sensitivities make it too short.
+    """
+    fit = Fit.of(candidate, evidence)
+    step = fit.estimate - candidate.point
+    if np.max(np.abs(step / candidate.scale)) < 1e-6:
+        return None
+    before = _error_at(candidate, evidence)
+    best, error = _first_better(candidate, step, SHORTER, before, evidence)
+    if best is not None and before - error > before - fit.misfit:
+        for share in LONGER:
+            further, there = _first_better(candidate, step, (share,), error, evidence)
+            if further is None:
+                break
+            best, error = further, there
     return best
 
 
-def _turning_point(before: Candidate, after: Candidate, evidence: Evidence) -> float:
-    """Share of an overshooting step at which the error is least, between 0.05 and 0.9.
-
-    Along the step, t from 0 to 1, features change by d k t / (1 + (k - 1) t), with d the change over the whole step and
-    k the slope at its start (from the sensitivities) over d. This is exact for features that vary with the inverse of a
-    parameter, as deflection varies with stiffness. Least squares gives t.
-    """
-    step = (after.point - before.point) / before.scale
-    rows = [
-        (item.count, jacobian @ step, there - here, item.mean - here)
-        for item, jacobian, here, there in zip(
-            evidence.clusters, before.jacobians, before.offsets, after.offsets, strict=True
-        )
-    ]
-    size = sum(count * float(moved @ moved) for count, _, moved, _ in rows)
-    slope = sum(count * float(tangent @ moved) for count, tangent, moved, _ in rows)
-    wanted = sum(count * float(rest @ moved) for count, _, moved, rest in rows)
-    if not 0.0 < wanted < size or slope <= 0.0:
-        return 1.0 / 3.0
-    k, g = slope / size, wanted / size
-    return float(np.clip(g / (k - (k - 1.0) * g), 0.05, 0.9))
-
-
-def _afresh(fitted: Fit) -> Fit:
-    """The fit with new sensitivities at its point: secant updates fail across contact changes."""
-    return Fit.of(_relinearised(fitted.candidate, fitted.evidence), fitted.evidence)
+def _first_better(
+    candidate: Candidate, step: Array, shares: Sequence[float], error: float, evidence: Evidence
+) -> tuple[Candidate | None, float]:
+    """The candidate evaluated after the first share of a step that has a smaller error, and that error."""
+    for share in shares:
+        point = np.clip(candidate.point + share * step, candidate.lower, candidate.upper)
+        moved = evaluate_at(candidate, point, evidence)
+        if moved is not None and (there := _error_at(moved, evidence)) < error:
+            return moved, there
+    return None, error
 
 
 def _relinearised(candidate: Candidate, evidence: Evidence, share: float = 1.0) -> Candidate:
@@ -430,21 +418,40 @@ def has_shape_parameter(candidate: Candidate) -> bool:
 
 
 def refine_again(fitted: Fit) -> Fit:
-    """Continue with new sensitivities while that helps, where secant updates do not reach them.
+    """Continue with sensitivities of every point, while the error falls (Gauss-Newton).
 
-    They do not where a parameter had zero sensitivity at the start, hardly along a shape parameter, and badly where
-    an object bounces in a measured motion, which effects of few parameters describe: that shows in a poor fit.
+    Sensitivities of the start do not reach a parameter that changes nothing there, and mislead where parameters act
+    through each other, as the size of friction and the speed at which it fades do. Finite differences shrink: whole
+    steps see past joints and contacts that stick, and are too coarse near the optimum.
     """
-    candidate = fitted.candidate
-    of_motion = fitted.evidence.source.of_motion and candidate.point.size <= FEW and fitted.poor
-    if not (candidate.unseen or has_shape_parameter(candidate) or of_motion):
-        return fitted
+    evidence = fitted.evidence
+    return _beyond_bounds(lambda start: _descended(Fit.of(start, evidence)), fitted.candidate)
+
+
+def _descended(fitted: Fit) -> Fit:
+    """Gauss-Newton steps within the bounds of the candidate."""
     for share in NEAR_STEPS:
-        moved = evaluate_at(fitted.candidate, fitted.estimate, fitted.evidence)
-        if moved is None:
-            break
-        fitted = refine(_relinearised(moved, fitted.evidence, share), fitted.evidence)
+        for _ in range(STEPS):
+            further = _gauss_newton(fitted, share)
+            if further is None:
+                break
+            fitted = further
     return fitted
+
+
+def _gauss_newton(fitted: Fit, share: float) -> Fit | None:
+    """The fit one step further, with sensitivities of the point where it is; None if the error hardly falls."""
+    evidence = fitted.evidence
+    fresh = _relinearised(fitted.candidate, evidence, share)
+    moved = None if Fit.of(fresh, evidence).converged else _moved(fresh, evidence)
+    if moved is None or _error_at(moved, evidence) > (1.0 - ENOUGH) * _error_at(fresh, evidence):
+        return None
+    return Fit.of(moved, evidence)
+
+
+def _error_at(candidate: Candidate, evidence: Evidence) -> float:
+    """Mean square error at the candidate's point [-]."""
+    return float(np.mean(evidence.problem(candidate).errors(np.zeros_like(candidate.point))))
 
 
 def look_elsewhere(fitted: Fit) -> Fit:
@@ -466,7 +473,7 @@ def look_elsewhere(fitted: Fit) -> Fit:
                     places.append(moved)
         if not places:
             break
-        errors = [float(np.mean(evidence.problem(moved).errors(np.zeros_like(moved.point)))) for moved in places]
+        errors = [_error_at(moved, evidence) for moved in places]
         if min(errors) >= fitted.misfit:
             break
         again = refine(_relinearised(places[int(np.argmin(errors))], evidence), evidence)
@@ -495,8 +502,9 @@ def measure_again(fitted: Fit, near: bool = False) -> Fit:
         evidence = replace(like, clusters=tuple(clusters))
         nothing = tuple(np.zeros_like(item.sigma) for item in clusters)
         fresh = replace(candidate, point=point, origin=added, offsets=nothing)
-        if look == 0 and not near:
-            fresh = linearise(fresh, clusters, like.numbers, like.source, "final sensitivities", NEAR_STEPS[0]) or fresh
+        if look > 0 or not near:
+            share = NEAR_STEPS[min(look + 1, len(NEAR_STEPS) - 1)]
+            fresh = linearise(fresh, clusters, like.numbers, like.source, "final sensitivities", share) or fresh
         fitted = refine(fresh, evidence)
         if np.all(np.abs(fitted.estimate - point) < NEAR * candidate.scale):
             break
@@ -515,18 +523,3 @@ def evaluate_at(candidate: Candidate, point: Array, evidence: Evidence) -> Candi
         return None
     offsets = tuple(np.asarray(change) / item.sigma for change, item in zip(changes, evidence.clusters, strict=True))
     return replace(candidate, point=point, offsets=offsets)
-
-
-def _broyden(before: Candidate, after: Candidate) -> Candidate:
-    """Secant update (Broyden): sensitivities that reproduce the last step and otherwise change least.
-
-    Short steps are ignored: features jump a little when an impact falls into another control tick.
-    """
-    step = (after.point - before.point) / before.scale
-    if np.max(np.abs(step)) < SHORTEST_LESSON:
-        return replace(after, jacobians=before.jacobians)
-    jacobians = tuple(
-        jacobian + np.outer(there - here - jacobian @ step, step) / (step @ step)
-        for jacobian, here, there in zip(before.jacobians, before.offsets, after.offsets, strict=True)
-    )
-    return replace(after, jacobians=jacobians)

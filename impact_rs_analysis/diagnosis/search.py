@@ -318,11 +318,15 @@ class Search:
             p_values = self.p_values(chosen)
             evidence = self.evidence if chosen is None else chosen.evidence
             before = self._unexplained(chosen)
-            likely = [
+            possible = [
                 group
                 for group in self._groups(() if chosen is None else chosen.candidate.names, names)
-                if group not in self.ruled_out and (p_values[group] < SIGNIFICANT or not decidable)
+                if group not in self.ruled_out
             ]
+            likely = [group for group in possible if p_values[group] < SIGNIFICANT or not decidable]
+            # Sensitivities at nominal may not show what an effect does further on: then fits and hold-out decide.
+            if not likely and chosen is None and self.lacking and self.source.repeated:
+                likely = sorted(possible, key=lambda group: p_values[group])[:SHORTLIST]
             apart = {name for group in likely for name in group.split("+")}
             self._starts |= {n: self._best_shape(self.singles[n]) for n in apart if n not in self._starts}
             linear = sorted((self.beside(chosen, group) for group in likely), key=lambda entry: entry.score)

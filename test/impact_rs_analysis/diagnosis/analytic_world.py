@@ -49,6 +49,10 @@ EFFECTS = {
         effect("fading", (parameter("e"), parameter("rate", 1.0, True, 0.01, (0.1, 1.0, 10.0)))),
         effect("sticking", (parameter("h"),)),
         effect("local", (parameter("everywhere"), parameter("in_one_place"))),
+        effect(
+            "sizes_and_rate", (*(parameter(f"size{n}") for n in range(4)), parameter("common_rate", 1.0, True, 0.01))
+        ),
+        effect("rippled", (parameter("r"),)),
         effect("dry", (parameter("f", lower=0.0), parameter("fade", 1.0, True, 0.01, (0.1, 1.0, 10.0)))),
     )
 }
@@ -95,6 +99,11 @@ def features(cluster: int, added: Added) -> Array:
             result += np.sign(first) * max(abs(first) - 6.0, 0.0) * along(34)
         elif name == "local":
             result += first * along(40) + (second * along(41) if cluster == 0 else 0.0)
+        elif name == "sizes_and_rate":  # as friction of the joints that fades at a common speed
+            faded = np.exp(-values[-1] * along_track)
+            result += sum(value * faded * along(70 + joint) for joint, value in enumerate(values[:-1]))
+        elif name == "rippled":  # as an object that touches once more or once less
+            result += (first + 0.2 * np.sin(12.0 * first)) * along(80)
         elif name == "outside":
             result += first * along(5)
     for _, values in (one for one in added if one[0] == "dry"):  # takes its part of whatever drives, and no more
