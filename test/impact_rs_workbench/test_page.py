@@ -140,10 +140,10 @@ def go(page: Page, step: str, tab: str = "") -> Locator:
 
 def start(page: Page, label: str, state: str | int = 0) -> None:
     """Start a job with the button of the step, and wait until it is in a state; 0: done."""
-    jobs = page.locator("#job-list > li[data-job]")
-    count = jobs.count()
+    jobs = page.locator("#job-list > li[data-job]")  # the newest first, and no more than some
+    last = int(jobs.first.get_attribute("data-job") or 0) if jobs.count() else 0
     page.locator("main form:visible").get_by_role("button", name=label, exact=True).click()
-    expect(jobs).to_have_count(count + 1)
+    expect(jobs.first).to_have_attribute("data-job", str(last + 1))
     expect(jobs.first).to_have_attribute("data-state", str(state), timeout=SLOW)
 
 
