@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import fcntl
 import os
+import shutil
 import sys
 import tempfile
 from collections.abc import Callable, Iterator
@@ -29,32 +30,115 @@ hypothesis.settings.register_profile("impact_rs", deadline=None)
 hypothesis.settings.load_profile("impact_rs")
 
 
+WAITING = 1  # processes more than cores: those that test nodes and pages wait for them half of the time
+GRAPH = "nodes that share a graph"
+OTHER_NODES = "other nodes"
+SHARING = ("nodes_", "one_impact_map", "impact_map_node", "node_parameters")  # test_*: use the graph below
+SECONDS = {  # of a scope, roughly: what takes long begins first, so that no process is left with it at the end
+    GRAPH: 200.0,
+    OTHER_NODES: 200.0,
+    "test_page.py": 150.0,
+    "test_rehearsal.py": 30.0,
+    "test_metamorphic.py": 30.0,
+    "test_follow.py": 30.0,
+    "test_tables_of_tosses.py": 20.0,
+    "test_tables_of_balls.py": 20.0,
+    "test_impact_tables.py": 20.0,
+    "test_discover.py": 20.0,
+    "test_discover_in_recordings.py": 20.0,
+    "test_recordings_of_few_joints.py": 20.0,
+    "test_recordings_that_calibrate.py": 20.0,
+    "test_diagnosis_of_recordings.py": 20.0,
+    "test_cli_investigate.py": 20.0,
+    "test_cli_loop.py": 20.0,
+    "test_cli_edges.py": 15.0,
+    "test_jobs.py": 15.0,
+    "test_arms_of_different_kinds.py": 15.0,
+    "test_null_distribution.py": 10.0,
+    "test_laboratory.py": 10.0,
+    "test_motion_difference.py": 10.0,
+    "test_raw_damage.py": 10.0,
+    "test_workers.py": 10.0,
+    "test_cli_design.py": 5.0,
+    "test_recovery.py": 5.0,
+    "test_body_impacts.py": 5.0,
+    "test_shipped_scenarios.py": 5.0,
+    "test_examples.py": 5.0,
+    "test_forecast.py": 5.0,
+    "test_real.py": 5.0,
+    "test_arms.py": 5.0,
+    "test_study.py": 5.0,
+}
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_auto_num_workers(config: pytest.Config) -> int:
+    """``-n auto``: more than cores."""
+    del config
+    return len(os.sched_getaffinity(0)) + WAITING
+
+
 @pytest.hookimpl(optionalhook=True)  # colcon tests without pytest-xdist, one package at a time
 def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
-    """Where several processes test (``-n``), a file stays together, for its fixtures are dear, and so do all nodes.
+    """Where several processes test (``-n``), a file stays together, for its fixtures are dear, and so do nodes.
 
-    A graph of nodes takes more than one core, and what it waits for is wall time: there is one of them at a time.
+    A graph of nodes takes more than one core, and what it waits for is wall time: there are few of them at a time.
     """
     from xdist.scheduler import LoadFileScheduling
+    from xdist.workermanage import WorkerController
 
-    class NodesTogether(LoadFileScheduling):
+    class LongestFirst(LoadFileScheduling):
         def _split_scope(self, nodeid: str) -> str:
             file = super()._split_scope(nodeid)
-            return "nodes" if file.startswith(("test/system/", "test/impact_rs_ros/")) else file
+            if not file.startswith(("test/system/", "test/impact_rs_ros/")) or file.endswith("test_rehearsal.py"):
+                return file
+            return GRAPH if Path(file).name.removeprefix("test_").startswith(SHARING) else OTHER_NODES
 
-    return NodesTogether(config, log)
+        def _assign_work_unit(self, node: WorkerController) -> None:
+            self.workqueue.move_to_end(max(self.workqueue, key=self._seconds), last=False)
+            super()._assign_work_unit(node)
+
+        def _seconds(self, scope: str) -> float:
+            return SECONDS.get(scope.rpartition("/")[2], 0.05 * len(self.workqueue[scope]))
+
+    return LongestFirst(config, log)
+
+
+MadeOnce = Callable[[str, Callable[[Path], None]], Path]
 
 
 @pytest.fixture(scope="session")
-def push_campaign(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def made_once(tmp_path_factory: pytest.TempPathFactory) -> MadeOnce:
+    """Folders by name that the processes of a test run share: the first one makes it, the others wait for it."""
+    base = tmp_path_factory.getbasetemp()
+    shared = (base.parent if "PYTEST_XDIST_WORKER" in os.environ else base) / "shared"
+    shared.mkdir(exist_ok=True)
+
+    def folder(name: str, make: Callable[[Path], None]) -> Path:
+        path, partial = shared / name, shared / f".{name}"
+        with open(shared / f"{name}.lock", "w") as lock:
+            fcntl.flock(lock, fcntl.LOCK_EX)
+            if not path.exists():
+                shutil.rmtree(partial, ignore_errors=True)
+                partial.mkdir()
+                make(partial)
+                partial.rename(path)
+        return path
+
+    return folder
+
+
+@pytest.fixture(scope="session")
+def push_campaign(made_once: MadeOnce) -> Path:
     """A small campaign, run once: cat food, case 2, three scales. Tests copy it before they change it."""
     from impact_rs_trials.campaign import make_manifest, run_campaign
 
-    directory = tmp_path_factory.mktemp("campaigns") / "push"
-    manifest = make_manifest("push", ["cat_food"], ["case_2"], [0.8, 1.0, 1.2], trials=1)
-    reports = list(run_campaign(directory, manifest))
-    assert [report.outcome for report in reports] == ["OK"] * 3
-    return directory
+    def run(folder: Path) -> None:
+        manifest = make_manifest("push", ["cat_food"], ["case_2"], [0.8, 1.0, 1.2], trials=1)
+        reports = list(run_campaign(folder / "push", manifest))
+        assert [report.outcome for report in reports] == ["OK"] * 3
+
+    return made_once("push_campaign", run) / "push"
 
 
 def rewrite_bag(
@@ -129,17 +213,20 @@ def graph(domain_ids: Callable[[], int], tmp_path_factory: pytest.TempPathFactor
 
 
 @pytest.fixture(scope="session")
-def mixed_trial(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def mixed_trial(made_once: MadeOnce) -> Path:
     """Bag of a trial in which arms of different kinds clamp a parcel."""
     from mixed_grab import MIXED
     from trials import recorded
 
     from impact_rs_trials.spec import TrialSpec
 
-    path = tmp_path_factory.mktemp("mixed") / "parcel__case_1__s1.000__r0"
-    verdict = recorded(TrialSpec.of(MIXED, "parcel", "case_1").plan, path)
-    assert verdict.outcome == "OK", verdict.reason
-    return path
+    name = "parcel__case_1__s1.000__r0"
+
+    def run(folder: Path) -> None:
+        verdict = recorded(TrialSpec.of(MIXED, "parcel", "case_1").plan, folder / name)
+        assert verdict.outcome == "OK", verdict.reason
+
+    return made_once("mixed_trial", run) / name
 
 
 HIDDEN_FRICTION = 0.18  # more friction of the support than the scenario says
@@ -147,7 +234,7 @@ CONSIDERED = ["support_friction"]  # few, because every effect costs twin rollou
 
 
 @pytest.fixture(scope="session")
-def hidden_campaign(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def hidden_campaign(made_once: MadeOnce) -> Path:
     """Six trials of a plant whose support is rougher than stated: two objects and a free motion, twice each."""
     from impact_rs_control.plan import plan_trial
     from impact_rs_sim.scenario import load_scenario
@@ -156,26 +243,30 @@ def hidden_campaign(tmp_path_factory: pytest.TempPathFactory) -> Path:
     from impact_rs_trials.bags.trial_info import TrialInfo, TrialKey
     from impact_rs_trials.blind import Hidden, hide
 
-    directory = tmp_path_factory.mktemp("hidden") / "runs"
-    hidden = [Hidden("support_friction", (HIDDEN_FRICTION,), 6.0)]
-    for scenario, item, case in (("push", "parcel", "case_1"), ("push", "juice", "case_1"), ("excite", "none", "fast")):
-        plan = plan_trial(Scene.resolve(load_scenario(scenario), item, case))
-        for repeat in range(2):
-            key = TrialKey(item, case, 1.0, repeat)
-            info = TrialInfo.of(plan, key, key.seed(3), "inprocess")
-            verdict, _ = record_trial(plan, info, directory / scenario / key.name, hide(plan.scene.physics, hidden))
-            assert verdict.outcome == "OK", verdict.reason
-    return directory
+    conditions = ("push", "parcel", "case_1"), ("push", "juice", "case_1"), ("excite", "none", "fast")
+
+    def run(folder: Path) -> None:
+        hidden = [Hidden("support_friction", (HIDDEN_FRICTION,), 6.0)]
+        for scenario, item, case in conditions:
+            plan = plan_trial(Scene.resolve(load_scenario(scenario), item, case))
+            for repeat in range(2):
+                key = TrialKey(item, case, 1.0, repeat)
+                info, path = TrialInfo.of(plan, key, key.seed(3), "inprocess"), folder / "runs" / scenario / key.name
+                verdict, _ = record_trial(plan, info, path, hide(plan.scene.physics, hidden))
+                assert verdict.outcome == "OK", verdict.reason
+
+    return made_once("hidden_campaign", run) / "runs"
 
 
 @pytest.fixture(scope="session")
-def diagnosed(hidden_campaign: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def diagnosed(hidden_campaign: Path, made_once: MadeOnce) -> Path:
     """Diagnosis of ``hidden_campaign`` by the command line, for the effect that is hidden alone."""
     from impact_rs_cli.main import main
 
-    path = tmp_path_factory.mktemp("diagnosis") / "diagnosis.json"
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("XDG_CACHE_HOME", str(path.parent / "cache"))  # nothing from earlier runs
-        arguments = ["-o", str(path), "--effects", *CONSIDERED, "--jobs", "1"]  # more processes only start
-        assert main(["diagnose", str(hidden_campaign), *arguments]) == 0
-    return path
+    def run(folder: Path) -> None:
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setenv("XDG_CACHE_HOME", str(folder / "cache"))  # nothing from earlier runs
+            arguments = ["-o", str(folder / "diagnosis.json"), "--effects", *CONSIDERED]
+            assert main(["diagnose", str(hidden_campaign), *arguments, "--jobs", "1"]) == 0  # more only start
+
+    return made_once("diagnosis", run) / "diagnosis.json"

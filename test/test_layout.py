@@ -6,6 +6,7 @@ import dataclasses
 import inspect
 from collections import Counter, defaultdict
 from collections.abc import Iterator
+from functools import cache
 from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
@@ -39,6 +40,7 @@ def graph() -> grimp.ImportGraph:
     return grimp.build_graph(*PACKAGES, "impact_msgs_py", include_external_packages=True, cache_dir=None)
 
 
+@cache
 def tree(path: Path) -> ast.Module:
     return ast.parse(path.read_text(encoding="utf-8"), str(path))
 

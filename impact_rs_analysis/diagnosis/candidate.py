@@ -314,7 +314,8 @@ class Problem:
                 for item, jacobian, target in zip(clusters, candidate.jacobians, self.targets, strict=True)
             ]
         )
-        self._powers = np.array([float(np.mean(np.square(target))) for target in self.targets])
+        self._counts = np.array([item.count * target.size for item, target in zip(clusters, self.targets, strict=True)])
+        self._powers = np.array([target @ target / target.size for target in self.targets])
         scale = candidate.scale
         self._lower = (candidate.lower - candidate.point) / scale
         self._upper = np.maximum((candidate.upper - candidate.point) / scale, self._lower + 1e-9)
@@ -333,21 +334,24 @@ class Problem:
         self.total = self.information.sum(axis=0) + np.diag(self._prior)
         self._total_score = self.scores.sum(axis=0) + self._nominal * self._prior
 
-    def solve(self, without: Sequence[int] = ()) -> Array:
-        """Change from the candidate's point in parameter scales, ``(p,)``; ``without`` leaves clusters out."""
+    def solve(self, without: Sequence[int] = (), within: float = np.inf) -> Array:
+        """Change from the candidate's point in parameter scales, ``(p,)``.
+
+        Args:
+            without: Clusters that are left out.
+            within: Largest change of a parameter, in scales.
+        """
         information, score = self.total, self._total_score
         if len(without) > 0:
             chosen = list(without)
             information = information - self.information[chosen].sum(axis=0)
             score = score - self.scores[chosen].sum(axis=0)
-        return bounded(information, score, self._lower, self._upper)
+        return bounded(information, score, np.maximum(self._lower, -within), np.minimum(self._upper, within))
 
-    def errors(self, change: Array, clusters: Sequence[int] | None = None) -> Array:
-        """Mean square scaled error per cluster at a change from the point, ``(c,)`` [-]."""
-        chosen = np.arange(len(self.clusters)) if clusters is None else np.asarray(clusters)
-        counts = np.array([self.clusters[c].count * self.targets[c].size for c in chosen])
-        gain = self.scores[chosen] @ change * 2.0 - np.einsum("p,cpq,q->c", change, self.information[chosen], change)
-        return np.maximum(self._powers[chosen] - gain / counts, 0.0)
+    def errors(self, change: Array) -> Array:
+        """Mean square scaled error per cluster, ``(c,)`` [-], at a change from the point, ``(p,)`` or ``(c, p)``."""
+        gains = np.sum((2.0 * self.scores - (self.information @ change[..., None])[..., 0]) * change, axis=-1)
+        return np.maximum(self._powers - gains / self._counts, 0.0)
 
     def rest(self, change: Array) -> list[Array]:
         """Mean residuals after a change from the point, ``(F,)`` per cluster [-]."""
@@ -365,17 +369,23 @@ class Problem:
     def left_out(self) -> Array:
         """Estimates without one cluster each, as changes in parameter scales, ``(c, p)``."""
         neighbours = self._neighbours or [()] * len(self.clusters)
-        return np.array([self.solve((c, *neighbours[c])) for c in range(len(self.clusters))])
+        return self._solved_without([[c, *neighbours[c]] for c in range(len(self.clusters))])
+
+    def _solved_without(self, left_out: Sequence[Sequence[int]]) -> Array:
+        """:meth:`solve` without some clusters, for every such choice, ``(k, p)``; most ends lie within the bounds."""
+        informations = np.array([self.total - self.information[chosen].sum(axis=0) for chosen in left_out])
+        scores = np.array([self._total_score - self.scores[chosen].sum(axis=0) for chosen in left_out])
+        return bounded(informations, scores, self._lower, self._upper)
 
     @cached_property
     def held_out(self) -> Array:
         """Mean square scaled error of every cluster, predicted from all others, ``(c,)`` [-]."""
-        return np.array([self.errors(change, [c])[0] for c, change in enumerate(self.left_out)])
+        return self.errors(self.left_out)
 
     def jackknife(self) -> Array:
         """Standard errors from leaving one cluster out, in parameter scales, ``(p,)``."""
         count = len(self.clusters)
-        alone = np.array([self.solve((c,)) for c in range(count)]) if self._neighbours else self.left_out
+        alone = self._solved_without([[c] for c in range(count)]) if self._neighbours else self.left_out
         spread = np.square(alone - alone.mean(axis=0)).sum(axis=0)
         return np.asarray(np.sqrt((count - 1) / count * spread))
 
@@ -436,11 +446,13 @@ class Problem:
 
 
 def bounded(information: Array, score: Array, lower: Array, upper: Array) -> Array:
-    """Minimise ``b^T information b / 2 - score^T b`` within bounds, ``(p,)``."""
-    change = np.linalg.solve(information, score)
-    if np.all(change >= lower - 1e-12) and np.all(change <= upper + 1e-12):
-        return np.asarray(change)
-    root = np.linalg.cholesky(information).T
-    return np.asarray(
-        scipy.optimize.lsq_linear(root, np.linalg.solve(root.T, score), bounds=(lower, upper), method="bvls").x
-    )
+    """Minimise ``b^T information b / 2 - score^T b`` within bounds; of several problems, ``(k, p)``, every one."""
+    change = np.linalg.solve(information, score[..., None])[..., 0]
+    beyond = ~np.all((change >= lower - 1e-12) & (change <= upper + 1e-12), axis=-1)
+    if change.shape[-1] == 1:
+        return np.where(beyond[..., None], np.clip(change, lower, upper), change)
+    for place in map(tuple, np.argwhere(beyond)):
+        root = np.linalg.cholesky(information[place]).T
+        target = np.linalg.solve(root.T, score[place])
+        change[place] = scipy.optimize.lsq_linear(root, target, bounds=(lower, upper), method="bvls").x
+    return np.asarray(change)

@@ -21,13 +21,15 @@ from impact_rs_sim.robot import Array
 STEPS = 6
 ENOUGH = 0.02  # of the error; a fit that gains less in a step has converged
 NEAR_STEPS = (1.0, 0.3)  # shares of the steps of finite differences, as a fit comes near its optimum
-SHORTER = (1.0, 0.3, 0.1)  # shares of a step, of which the first is taken that lowers the error
-LONGER = (2.0, 4.0, 8.0)  # shares of a step that lowered the error by more than it promised
+TRUST = 4.0  # parameter scales that a parameter may move in the first step
+WIDER = 4.0  # times as far after a step that kept its promise, and as much less after one that did not lower the error
+SHORTER = 3  # steps that are tried
+STRAIGHT = 0.75  # of the gain that was predicted: the promise
 NEAR = 0.1  # parameter scales; a correction below this does not depend on where a trial starts
 MOST_LOOKS = 4
 DOUBLINGS = 8  # of the half width of an interval
 BENT = 0.5  # of the rise of the squares in a straight model; below, an end of an interval lies further out
-POOR = 1.5  # times the expected squared error; a fit below it needs no other start
+POOR = 1.0  # times the expected squared error; a fit below it needs no other start
 WIDENINGS = 4  # of the range of a parameter, to sixteen times its declared width
 HOPELESS = 3.0  # times the squared error of the best fit; a fit above it is dropped
 
@@ -361,49 +363,38 @@ def _beyond_bounds(fit: Callable[[Candidate], Fit], start: Candidate) -> Fit:
 
 def _refine(candidate: Candidate, evidence: Evidence, give_up: float) -> Fit:
     """Steps with the sensitivities of the start (chord method), within the bounds of the candidate."""
-    error = _error_at(candidate, evidence)
+    error, trust = _error_at(candidate, evidence), TRUST
     for number in range(STEPS):
         if number >= 1 and error > give_up:
             break
-        moved = _moved(candidate, evidence)
+        moved, trust = _moved(candidate, evidence, trust)
         if moved is None:
             break
         before, error, candidate = error, _error_at(moved, evidence), moved
-        if before - error < ENOUGH * error:
+        if before - error < ENOUGH * error or candidate.unseen:
             break
     return Fit.of(candidate, evidence)
 
 
-def _moved(candidate: Candidate, evidence: Evidence) -> Candidate | None:
-    """The candidate evaluated where its sensitivities put the optimum, or on the way; None if the error does not fall.
+def _moved(candidate: Candidate, evidence: Evidence, trust: float) -> tuple[Candidate | None, float]:
+    """The candidate where its sensitivities put the optimum, and how far they are trusted then (trust region).
 
-    A step that lowers the error by more than it promised is doubled: too large sensitivities make it too short.
+    No parameter moves by more than ``trust`` scales: of many, one that the sensitivities misjudge would get to where it
+    changes nothing any more, as friction does in which a joint sticks, while the others lower the error. None if no
+    step lowers it.
     """
-    fit = Fit.of(candidate, evidence)
-    step = fit.estimate - candidate.point
-    if np.max(np.abs(step / candidate.scale)) < 1e-6:
-        return None
-    before = _error_at(candidate, evidence)
-    best, error = _first_better(candidate, step, SHORTER, before, evidence)
-    if best is not None and before - error > before - fit.misfit:
-        for share in LONGER:
-            further, there = _first_better(candidate, step, (share,), error, evidence)
-            if further is None:
-                break
-            best, error = further, there
-    return best
-
-
-def _first_better(
-    candidate: Candidate, step: Array, shares: Sequence[float], error: float, evidence: Evidence
-) -> tuple[Candidate | None, float]:
-    """The candidate evaluated after the first share of a step that has a smaller error, and that error."""
-    for share in shares:
-        point = np.clip(candidate.point + share * step, candidate.lower, candidate.upper)
-        moved = evaluate_at(candidate, point, evidence)
-        if moved is not None and (there := _error_at(moved, evidence)) < error:
-            return moved, there
-    return None, error
+    problem, error = evidence.problem(candidate), _error_at(candidate, evidence)
+    for _ in range(SHORTER):
+        step = problem.solve(within=trust)
+        if np.max(np.abs(step)) < 1e-6:
+            break
+        moved = evaluate_at(candidate, candidate.point + step * candidate.scale, evidence)
+        gained = -np.inf if moved is None else error - _error_at(moved, evidence)
+        if gained > 0.0:
+            kept = gained > STRAIGHT * (error - float(np.mean(problem.errors(step))))
+            return moved, WIDER * trust if kept else trust
+        trust = min(trust, float(np.max(np.abs(step)))) / WIDER
+    return None, trust
 
 
 def _relinearised(candidate: Candidate, evidence: Evidence, share: float = 1.0) -> Candidate:
@@ -430,23 +421,18 @@ def refine_again(fitted: Fit) -> Fit:
 
 def _descended(fitted: Fit) -> Fit:
     """Gauss-Newton steps within the bounds of the candidate."""
+    evidence, candidate = fitted.evidence, fitted.candidate
     for share in NEAR_STEPS:
+        trust = TRUST
         for _ in range(STEPS):
-            further = _gauss_newton(fitted, share)
-            if further is None:
+            fresh = _relinearised(candidate, evidence, share)
+            if Fit.of(fresh, evidence).converged:
                 break
-            fitted = further
-    return fitted
-
-
-def _gauss_newton(fitted: Fit, share: float) -> Fit | None:
-    """The fit one step further, with sensitivities of the point where it is; None if the error hardly falls."""
-    evidence = fitted.evidence
-    fresh = _relinearised(fitted.candidate, evidence, share)
-    moved = None if Fit.of(fresh, evidence).converged else _moved(fresh, evidence)
-    if moved is None or _error_at(moved, evidence) > (1.0 - ENOUGH) * _error_at(fresh, evidence):
-        return None
-    return Fit.of(moved, evidence)
+            moved, trust = _moved(fresh, evidence, trust)
+            if moved is None or _error_at(moved, evidence) > (1.0 - ENOUGH) * _error_at(fresh, evidence):
+                break
+            candidate = moved
+    return Fit.of(candidate, evidence)
 
 
 def _error_at(candidate: Candidate, evidence: Evidence) -> float:

@@ -506,6 +506,14 @@ class RotationNull(NullDistribution):
         return np.asarray(inverse @ meat @ inverse)
 
 
+@lru_cache(maxsize=4)  # one search asks for two
+def _signs(draws: int, blocks: int) -> Array:
+    """Signs of blocks in draws of the null distribution, ``(draws, blocks)``."""
+    found = np.random.default_rng(0).choice([-1.0, 1.0], size=(draws, blocks))
+    found.flags.writeable = False
+    return found
+
+
 class SignFlipNull(NullDistribution):
     """Null distribution from stretches of recordings, see the module; arguments as for :class:`NullDistribution`."""
 
@@ -526,16 +534,6 @@ class SignFlipNull(NullDistribution):
             f"{self.LEAST} needed"
         )
 
-    def _signs(self, draws: int) -> Array:
-        """Signs of the blocks in draws of the null distribution, ``(draws, blocks)``."""
-        if draws not in self._known_signs:
-            self._known_signs[draws] = np.random.default_rng(0).choice([-1.0, 1.0], size=(draws, len(self.clusters)))
-        return self._known_signs[draws]
-
-    @cached_property
-    def _known_signs(self) -> dict[int, Array]:
-        return {}
-
     def p_values(self, effects: Sequence[Sequence[Array]], fitted: Sequence[Array] = ()) -> list[float]:
         """See :meth:`NullDistribution.p_values`."""
         return [self._p_value(jacobians, fitted) for jacobians in effects]
@@ -549,7 +547,7 @@ class SignFlipNull(NullDistribution):
         observed = float(np.sum(np.square(scores.sum(axis=0))))
         share = 1.0
         for draws in (DRAWS, MANY_DRAWS):
-            null = np.sum(np.square(self._signs(draws) @ scores), axis=1)
+            null = np.sum(np.square(_signs(draws, len(self.clusters)) @ scores), axis=1)
             share = rarity_in_the_tail(observed, null)
             if _beyond(observed, null) >= FEW_BEYOND:
                 break

@@ -353,7 +353,7 @@ class Search:
         """Given effects fitted together; None where one of them changes nothing."""
         if any(name not in self.singles for name in names):
             return None
-        joined = reduce(Candidate.beside, (self.singles[name] for name in names))
+        joined = reduce(Candidate.beside, (self._best_shape(self.singles[name]) for name in names))
         return look_elsewhere(refine_again(self._refined(joined, self.evidence)))
 
     def _refined(self, start: Candidate, evidence: Evidence, give_up: float = np.inf) -> Fit:
@@ -543,7 +543,7 @@ class Search:
 
 def _changed(columns: Sequence[Array]) -> int:
     """Number of features over all clusters that a sensitivity changes."""
-    return sum(int(np.count_nonzero(np.abs(column) > UNCHANGED)) for column in columns)
+    return int(np.count_nonzero(np.abs(np.concatenate(columns)) > UNCHANGED)) if columns else 0
 
 
 def _in_the_limit(fitted: Fit, name: str) -> bool:

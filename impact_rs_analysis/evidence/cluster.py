@@ -133,10 +133,12 @@ class Cluster:
             calibrations=None if self.calibrations is None else self.calibrations[:, rows],
         )
 
-    @property
+    @cached_property
     def mean(self) -> Array:
-        """Mean over the repeats, ``(F,)`` [-]."""
-        return np.asarray(self.residuals.mean(axis=0))
+        """Mean over the repeats, ``(F,)`` [-]; not to be written to."""
+        found = np.asarray(self.residuals.mean(axis=0))
+        found.flags.writeable = False
+        return found
 
     @property
     def error(self) -> float:

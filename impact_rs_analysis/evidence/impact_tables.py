@@ -33,7 +33,6 @@ contact points where they may decide (:meth:`ImpactTableSource.views`).
 from __future__ import annotations
 
 import copy
-from collections import OrderedDict
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -176,14 +175,15 @@ class ImpactTableSource(Source):
         self.size_unit = TIMES if self.repeated else self.residual_unit
         self.size_is = SIZE_REPEATED if self.repeated else SIZE_ALONE
         self._impacts = MeasuredImpacts([row.impact for row in table.rows], self._of_rows(self._worlds))
-        self._known: OrderedDict[bytes, Array] = OrderedDict()
         self._altered = Recent[Physics | None](ALTERED)
+        self._known = Recent[Array](max(1, KEPT // self._all_worth.nbytes))
         self._judge(_entries(table, joints=table.joints, body=True))
         self.remarks = tuple(self._remarks()) if remarks else ()
 
     def _judge(self, seen: slice) -> None:
         """Compare some of the entries of the rows."""
         self._seen = seen
+        self._featured = Recent[list[Array | None]](ALTERED)
         self.signals, self.worth = self._all_signals[seen], self._all_worth[:, seen]
         self.measured = _turned(np.array([row.after for row in self.table.rows]), self._axes)[:, seen]
         self.noise = None if self.table.noise is None else self.table.noise[:, seen]
@@ -277,12 +277,8 @@ class ImpactTableSource(Source):
     def predict(self, wanted: Sequence[tuple[int, Added]], what: str) -> list[Array | None]:
         """See :meth:`Source.predict`."""
         del what
-        answers = {added: self._answers(added) for added in dict.fromkeys(added for _, added in wanted)}
-        found: list[Array | None] = []
-        for number, added in wanted:
-            rows = self._rows(number, answers[added])
-            found.append(None if rows is None else rows.mean(axis=0) if self.repeated else rows.ravel())
-        return found
+        found = {added: self._features(added) for added in dict.fromkeys(added for _, added in wanted)}
+        return [found[added][number] for number, added in wanted]
 
     def measure_again(self, added: Added, like: Sequence[Cluster]) -> list[Cluster] | None:
         """See :meth:`Source.measure_again`; every repeat starts from its own state."""
@@ -413,6 +409,16 @@ class ImpactTableSource(Source):
         rows = None if answers is None else answers[list(self._groups[number].rows)]
         return None if rows is None or np.isnan(rows).any() else rows
 
+    def _features(self, added: Added) -> list[Array | None]:
+        """:meth:`predict` of every cluster; the diagnosis asks for the same effects again and again."""
+
+        def made() -> list[Array | None]:
+            answers = self._answers(added)
+            found = [self._rows(number, answers) for number in range(len(self._groups))]
+            return [rows if rows is None else rows.mean(axis=0) if self.repeated else rows.ravel() for rows in found]
+
+        return self._featured.of(added, made)
+
     def _answers(self, added: Added) -> Array | None:
         """u^+ of all rows as features, ``(rows, nv)``, nan where there is none; None: no positive inertia.
 
@@ -425,13 +431,8 @@ class ImpactTableSource(Source):
         except NotABody:
             return None
         key = b"".join(_what_the_map_knows(physics) for physics in worlds)
-        if key not in self._known:
-            velocity, _ = self._impacts.solve(self._of_rows(worlds))
-            self._known[key] = _turned(velocity, self._axes)
-            while sum(values.nbytes for values in self._known.values()) > KEPT:
-                self._known.popitem(last=False)
-        self._known.move_to_end(key)
-        return self._known[key][:, self._seen]
+        solved = self._known.of(key, lambda: _turned(self._impacts.solve(self._of_rows(worlds))[0], self._axes))
+        return solved[:, self._seen]
 
     @cached_property
     def _kinds(self) -> list[HitKind]:

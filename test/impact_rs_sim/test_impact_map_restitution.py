@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -63,18 +64,19 @@ def energy(inertia: np.ndarray, velocity: np.ndarray) -> float:
 def routh(terms: ContactTerms, restitution: float) -> np.ndarray:
     """u^+ by integrating Darboux's equations over the normal impulse in small steps, sliding or sticking."""
     rows, response = terms.jacobian[[0, 2]], terms.response[:, [0, 2]]
-    operator = rows @ response
-    tangent, normal = rows @ terms.before
-    mu, total, compressed = float(terms.friction[0]), np.zeros(2), None
-    step = 1e-5 * -normal / operator[1, 1]
-    while compressed is None or total[1] < (1.0 + restitution) * compressed:
-        wanted = -operator[0, 1] / operator[0, 0]  # tangential impulse per normal one that keeps a point at rest
-        moving = -np.sign(tangent) * mu if abs(tangent) > 2.0 * step else float(np.clip(wanted, -mu, mu))
-        total += step * np.array([moving, 1.0])
-        tangent, normal = rows @ terms.before + operator @ total
+    (of_tangent, coupled), (_, of_normal) = (rows @ response).tolist()
+    tangent, normal = (rows @ terms.before).tolist()
+    mu, along, total, compressed = float(terms.friction[0]), 0.0, 0.0, None
+    step = 1e-5 * -normal / of_normal
+    resting = min(max(-coupled / of_tangent, -mu), mu)  # tangential impulse per normal one that keeps a point at rest
+    while compressed is None or total < (1.0 + restitution) * compressed:
+        share = -math.copysign(mu, tangent) if abs(tangent) > 2.0 * step else resting
+        along, total = along + step * share, total + step
+        tangent += step * (of_tangent * share + coupled)
+        normal += step * (coupled * share + of_normal)
         if compressed is None and normal >= 0.0:
-            compressed = total[1]
-    return np.asarray(terms.before + response @ total)
+            compressed = total
+    return np.asarray(terms.before + response @ [along, total])
 
 
 @pytest.mark.parametrize("law", ["newton", "poisson"])

@@ -41,12 +41,13 @@ IMAGES = Path(__file__).resolve().parents[2] / "docs" / "images"
 
 
 class Held:
-    """Answers of the server that come late."""
+    """Answers of the server that come late; without a pattern none."""
 
     def __init__(self, page: Page, pattern: str) -> None:
         self._routes: list[Route] = []
         self._page, self._pattern = page, pattern
-        page.route(pattern, lambda route: self._routes.append(route))
+        if pattern:  # a route ends the cache of the browser
+            page.route(pattern, lambda route: self._routes.append(route))
 
     def wait_for(self, count: int) -> None:
         """Until so many questions were asked."""
@@ -107,7 +108,7 @@ def opened(browser: Browser, address: str, late: str = "") -> Iterator[tuple[Pag
         "request", lambda sent: None if sent.url.startswith((home, "data:", "blob:")) else elsewhere.append(sent.url)
     )
     made.on("pageerror", lambda error: errors.append(str(error)))
-    held = Held(made, f"**/{late or 'none'}")
+    held = Held(made, late and f"**/{late}")
     made.goto(address)
     if late:
         held.wait_for(1)
@@ -118,16 +119,23 @@ def opened(browser: Browser, address: str, late: str = "") -> Iterator[tuple[Pag
     assert elsewhere == errors == []
 
 
-@pytest.fixture
-def page(browser: Browser, address: tuple[str, Path]) -> Iterator[Page]:
-    with opened(browser, address[0]) as (made, _):
-        yield made
-
-
 @pytest.fixture(scope="module")
 def one_page(browser: Browser, address: tuple[str, Path]) -> Iterator[Page]:
     with opened(browser, address[0]) as (made, _):
         yield made
+
+
+@pytest.fixture
+def page(one_page: Page, address: tuple[str, Path]) -> Iterator[Page]:
+    """The page as it begins; a new window would start a process and compile its libraries again."""
+    one_page.evaluate("() => { localStorage.clear(); sessionStorage.clear(); }")
+    one_page.goto("about:blank")
+    one_page.set_viewport_size(DESK)
+    one_page.emulate_media(color_scheme="light")
+    one_page.goto(address[0])
+    expect(one_page.locator("#predict-plot")).to_have_attribute("data-shown", re.compile("."))
+    yield one_page
+    one_page.unroute_all()
 
 
 def go(page: Page, step: str, tab: str = "") -> Locator:

@@ -66,6 +66,18 @@ class Attempts:
         return 0
 
 
+def counted_restarts(graph: Graph, monkeypatch: pytest.MonkeyPatch) -> list[list[str]]:
+    """What was lost at every restart, which starts no more than that: tests of lost nodes start all of them."""
+    found: list[list[str]] = []
+
+    def restart() -> None:
+        found.append(graph.replace_lost())
+        assert not graph._await_ours()
+
+    monkeypatch.setattr(graph, "restart", restart)
+    return found
+
+
 @pytest.mark.parametrize(
     ("victim", "kind"),
     [("plant", "SIGKILL"), ("controller", "SIGKILL"), ("recorder", "SIGSTOP"), ("experiment", "SIGSTOP")],
@@ -106,21 +118,24 @@ def test_a_bag_that_was_closed_before_the_answer_was_lost_is_kept(
         assert call(wanted).outcome == "OK"
         raise GraphError("no answer")
 
+    restarts = counted_restarts(graph, monkeypatch)
     monkeypatch.setattr(graph, "call_trial", unheard)
     report = run_trial(graph, tmp_path, manifest, manifest.keys[0])
     assert (report.outcome, report.message) == ("OK", f"no answer; {SECOND_START}")
+    assert len(restarts) == 1
 
 
 def test_without_the_impact_map_a_trial_goes_on(
     graph: Graph, tmp_path: Path, short: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     attempts = Attempts(graph, tmp_path, graph.processes["impact_map"].kill)
+    restarts = counted_restarts(graph, monkeypatch)
     monkeypatch.setattr(graph, "call_trial", attempts)
     manifest = one_trial(short)
     report = run_trial(graph, tmp_path, manifest, manifest.keys[0])
     assert (report.outcome, len(attempts.ended)) == ("OK", 1)
     assert report.message.startswith("node impact_map was killed (SIGKILL)")
-    assert graph.lost() == {}
+    assert (len(restarts), graph.lost()) == (1, {})
 
 
 def test_a_silent_experiment_node_ends_before_the_trial_is_repeated(
@@ -188,7 +203,9 @@ def test_a_second_node_of_one_name_is_named_and_no_trial_runs(graph: Graph, tmp_
     assert after.outcome == "OK", after.message
 
 
-def test_why_a_trial_failed_stands_in_its_campaign(graph: Graph, tmp_path: Path, short: str) -> None:
+def test_why_a_trial_failed_stands_in_its_campaign(
+    graph: Graph, tmp_path: Path, short: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
     grows = FormulaParameter(unit="N m", nominal=0.0, lower=0.0, upper=1.0, scale=0.1)
     spec = FormulaSpec(
         name="drag", sentence="It bursts.", joint_torque={"joint2": "c * exp(exp(20))"}, parameters={"c": grows}
@@ -197,7 +214,9 @@ def test_why_a_trial_failed_stands_in_its_campaign(graph: Graph, tmp_path: Path,
     bursts = Model(name="m", formulas=(spec,), effects=(ModelEffect(name="drag", parameters={"c": value}),))
     manifest = one_trial(short)
     key = manifest.keys[0]
+    restarts = counted_restarts(graph, monkeypatch)
     report = run_trial(graph, tmp_path, manifest, key, plant_model=bursts)
+    assert len(restarts) == 1
     assert report.outcome == "ABORTED"
     assert "blows up" in report.message
     assert "node experiment wrote:\n[WARN]" in report.trace

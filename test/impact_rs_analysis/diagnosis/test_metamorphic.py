@@ -132,10 +132,9 @@ def test_the_same_with_repeats(cubes: Path, of_cubes: DiagnosisDocument, removed
     assert_alike(of_cubes, diagnosed(cubes, [name for name in OF_CUBES if name != removed]))
 
 
-@pytest.mark.parametrize("seed", [0, 1])
-def test_the_order_of_rows_does_not_matter(cubes: Path, of_cubes: DiagnosisDocument, tmp_path: Path, seed: int) -> None:
+def test_the_order_of_rows_does_not_matter(cubes: Path, of_cubes: DiagnosisDocument, tmp_path: Path) -> None:
     def mixed(header: list[str], rows: list[list[str]]) -> Table:
-        return header, [rows[k] for k in np.random.default_rng(seed).permutation(len(rows))]
+        return header, [rows[k] for k in np.random.default_rng(0).permutation(len(rows))]
 
     assert_alike(of_cubes, diagnosed(changed(cubes, tmp_path, mixed), OF_CUBES))
 
@@ -201,7 +200,7 @@ def spun(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, DiagnosisDocum
     return path, document
 
 
-@pytest.mark.parametrize(("mass", "length", "time"), [(50.0, 1.0, 1.0), (1.0, 30.0, 1.0), (1.0, 1.0, 100.0)])
+@pytest.mark.parametrize(("mass", "length", "time"), [(50.0, 30.0, 1.0), (1.0, 1.0, 100.0)])
 def test_units_do_not_matter(
     spun: tuple[Path, DiagnosisDocument], tmp_path: Path, mass: float, length: float, time: float
 ) -> None:
@@ -221,7 +220,7 @@ def test_units_do_not_matter_where_bodies_have_edges_and_rows_repeats(
     assert_alike(of_cubes, again, share=0.02)
 
 
-@pytest.mark.parametrize("assumed", [0.0, 0.5, 1.0])
+@pytest.mark.parametrize("assumed", [0.0, 1.0])  # less and more than there is
 def test_the_restitution_that_is_assumed_does_not_matter(tmp_path: Path, assumed: float) -> None:
     """A row of cubes with e = 0.3 and mu = 0.2, believed to bounce otherwise."""
     rows = cube_rows(cube(0.2, 0.3), 60)

@@ -98,7 +98,7 @@ def test_the_law_of_a_contact_is_named_with_its_numbers(
             assert found.estimate == pytest.approx(value, abs=max(1.5 * (high - low) / 2.0, 1e-6)), (effect, name)
 
 
-@pytest.mark.parametrize("friction", [0.0, 0.1, 0.3, 0.7, 1.0])
+@pytest.mark.parametrize("friction", [0.0, 0.1, 1.0])  # none, less and more than there is
 def test_the_friction_that_is_assumed_does_not_matter(tmp_path: Path, friction: float) -> None:
     document = of_balls(tmp_path / "balls.csv", Racket(lambda v: 0.53, 0.212), friction, 0.0)
     assert set(document.named) == {"restitution", "support_friction"}

@@ -33,7 +33,7 @@ def test_the_map_solves_a_corner_as_one_does_by_hand(tmp_path: Path, assumed: fl
     np.testing.assert_allclose(source.predicted_with(truth), source.measured, atol=1e-6)
 
 
-@pytest.mark.parametrize("assumed", [0.0, 0.1, 0.3, 0.7, 1.0])
+@pytest.mark.parametrize("assumed", [0.0, 0.1, 1.0])  # none, less and more than there is
 def test_the_friction_that_is_assumed_of_tosses_does_not_matter(tmp_path: Path, assumed: float) -> None:
     source = ImpactTableSource(read_impact_table(toss_table(tmp_path / "tosses.csv", assumed)), NOMINAL)
     document = diagnose(source, NOMINAL)
