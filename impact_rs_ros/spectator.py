@@ -165,13 +165,16 @@ class Spectator:
                 self._with(object=_seen(message.pose))
         else:
             signals = joint_signals(data)
-            position = signals.values[0]
+            position, velocity, _ = signals.values
             names = names_of(signals)
             if position.size != len(names) or not np.isfinite(position).all():
                 return
             positions = dict(zip(names, position.tolist(), strict=True))
             stamp = None if topic == STATES else 1e-9 * signals.stamp
             self._with(positions=self._known.positions | positions, time=stamp)
+            if velocity.size == len(names) and np.isfinite(velocity).all():
+                moving = dict(zip(names, velocity.tolist(), strict=True))
+                self._with(velocities=self._known.velocities | moving)
             self._heard = time.monotonic()
 
 

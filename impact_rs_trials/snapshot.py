@@ -28,6 +28,7 @@ class Snapshot:
         complaint: Why the published trial cannot be shown; empty: it can.
         time: Trial time of the positions [s]; None: unknown.
         positions: Joint positions by their names in the URDF [rad, m].
+        velocities: Joint velocities by the same names [rad/s, m/s]; empty where they are not published.
         object: Position of the object's centre in A [m] and quaternion x y z w, ``(7,)``; None: unknown.
         forces: By arm, true force of the arm on the object, axes of A, ``(3,)`` [N]; empty where it is not published.
     """
@@ -41,5 +42,6 @@ class Snapshot:
     complaint: str = ""
     time: float | None = None
     positions: dict[str, float] = field(default_factory=dict)
+    velocities: dict[str, float] = field(default_factory=dict)
     object: Array | None = None
     forces: dict[str, Array] = field(default_factory=dict)

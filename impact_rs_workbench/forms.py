@@ -19,6 +19,7 @@ from pydantic import AfterValidator, Field, create_model
 from impact_rs_commands import explaining, measuring
 from impact_rs_commands.declaration import NAMED, READ, WRITTEN, Command, Option
 from impact_rs_sim.errors import InputError, did_you_mean
+from impact_rs_sim.scenario import load_scenario
 from impact_rs_sim.schema import Schema, validate
 from impact_rs_trials.campaign import make_manifest
 from impact_rs_trials.experiment_plan import read_plan
@@ -31,6 +32,8 @@ FORMS: dict[str, Command] = {
         measuring.CAMPAIGN,
         measuring.TRIAL,
         measuring.BLIND.actions[0],
+        measuring.DESIGN,
+        measuring.INVESTIGATE,
         explaining.ANALYZE,
         explaining.COMPARE,
         explaining.DIAGNOSE,
@@ -165,8 +168,16 @@ def _check_trial(workspace: Workspace, given: Mapping[str, Any]) -> None:
     make_manifest(scenario, [given["object"]], [given["case"]], [given["scale"]], 1, given["seed"])
 
 
+def _check_scenarios(workspace: Workspace, given: Mapping[str, Any]) -> None:
+    """What the command checks first."""
+    for name in given["scenarios"] or ():
+        load_scenario(workspace.scenario_path(name))
+
+
 CHECKS: dict[str, Callable[[Workspace, Mapping[str, Any]], None]] = {
     "campaign": _check_campaign,
+    "design": _check_scenarios,
+    "investigate": _check_scenarios,
     "trial": _check_trial,
 }
 

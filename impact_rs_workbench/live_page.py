@@ -7,7 +7,7 @@ import asyncio
 import json
 import logging
 from collections.abc import AsyncIterator, Callable
-from contextlib import asynccontextmanager
+from contextlib import AbstractContextManager, AsyncExitStack, asynccontextmanager
 from dataclasses import dataclass
 from importlib.resources import files
 from typing import Any, Protocol
@@ -28,11 +28,13 @@ from impact_rs_workbench.request_guard import Guard
 
 PERIOD = 0.04  # s, between two looks at the graph
 PATIENCE = 0.25  # s, after which an idle stream checks whether it has to end
+LINGER = 2.0  # s, that a graph is watched after the last page has left
 STATIC = {
     "page.css": STYLE,
     "three.min.js": BUNDLE / "three.min.js",
     "replay.js": TEMPLATES / "replay.js",
 }
+SCRIPTS = ("live.js", "show.js")
 
 
 log = logging.getLogger(__name__)
@@ -43,6 +45,9 @@ class Lookout(Protocol):
 
     def look(self) -> Snapshot:
         """The newest snapshot; returns at once."""
+
+
+Sources = Callable[[str], AbstractContextManager[Lookout]]
 
 
 @dataclass(frozen=True)
@@ -132,8 +137,11 @@ def drawn_scene(snapshot: Snapshot) -> DrawnScene:
 
 
 def state_of(snapshot: Snapshot, scene: DrawnScene) -> dict[str, Any] | None:
-    """Positions of all bodies; None until the joints of every arm are known."""
-    known = snapshot.positions
+    """Positions of all bodies; None until the joints of every arm are known.
+
+    ``velocities`` of joints and ``forces`` of arms are None until all of them are.
+    """
+    known, moving = snapshot.positions, snapshot.velocities
     if not scene.joints or not (any if snapshot.physics is None else all)(name in known for name in scene.joints):
         return None
     forces = None
@@ -142,6 +150,7 @@ def state_of(snapshot: Snapshot, scene: DrawnScene) -> dict[str, Any] | None:
     return {
         "time": snapshot.time,
         "joints": [known.get(name, 0.0) for name in scene.joints],
+        "velocities": [moving[name] for name in scene.joints] if moving.keys() >= set(scene.joints) else None,
         "object": None if snapshot.object is None else snapshot.object.tolist(),
         "forces": forces,
     }
@@ -159,6 +168,68 @@ def status_text(snapshot: Snapshot, scene: DrawnScene, program: str) -> str:
         "over": f"at rest until the next trial; this is the last state of {title}",
         "gone": f"the nodes have ended; this is the last state of {title}. Waiting",
     }[snapshot.situation]
+
+
+@dataclass
+class _Watched:
+    """A graph that pages look at: its view, how many pages there are, and what ends it."""
+
+    view: LiveView
+    end: AsyncExitStack
+    pages: int = 0
+
+
+class Watch:
+    """Graphs, each watched once however many pages look at it, and only as long as one does.
+
+    Args:
+        source: Context manager of a source of snapshots, by namespace.
+        program: How a terminal calls ``impact-rs``.
+    """
+
+    def __init__(self, source: Sources, program: str) -> None:
+        self._source, self._program = source, program
+        self._watched: dict[str, _Watched] = {}
+        self._lock = asyncio.Lock()
+        self._leaving: set[asyncio.Task[None]] = set()
+
+    async def enter(self, namespace: str, ended: Ended) -> LiveView:
+        """A page begins to look; :meth:`leave` ends it.
+
+        Raises:
+            InputError: ROS does not allow such a namespace.
+        """
+        async with self._lock:
+            if namespace not in self._watched:
+                self._watched[namespace] = await self._open(namespace, ended)
+            self._watched[namespace].pages += 1
+            return self._watched[namespace].view
+
+    def leave(self, namespace: str) -> None:
+        """A page looks no longer; callable while its request is cancelled, which lets nothing be awaited."""
+        self._watched[namespace].pages -= 1
+        task = asyncio.create_task(self._close(namespace))
+        self._leaving.add(task)
+        task.add_done_callback(self._leaving.discard)
+
+    async def _open(self, namespace: str, ended: Ended) -> _Watched:
+        watching = self._source(namespace)
+        source = await run_in_threadpool(watching.__enter__)
+        end = AsyncExitStack()
+        end.push_async_callback(run_in_threadpool, watching.__exit__, None, None, None)
+        view = LiveView(source, self._program, lambda _: None, ended)
+        following = asyncio.create_task(view.follow())
+        following.add_done_callback(_log_failure)
+        end.callback(following.cancel)
+        return _Watched(view, end)
+
+    async def _close(self, namespace: str) -> None:
+        await asyncio.sleep(LINGER)  # the page is only being loaded again
+        async with self._lock:
+            found = self._watched.get(namespace)
+            if found is not None and not found.pages:
+                del self._watched[namespace]
+                await found.end.aclose()
 
 
 def application(view: LiveView, token: str, port: int) -> ASGIApp:
@@ -198,7 +269,7 @@ async def _static(request: Request) -> Response:
     kind = "text/css" if name.endswith(".css") else "text/javascript"
     if name in STATIC:
         return FileResponse(STATIC[name], media_type=kind)
-    if name == "live.js":
+    if name in SCRIPTS:
         return Response((files(__package__) / "static" / name).read_text(encoding="utf-8"), media_type=kind)
     return PlainTextResponse("There is no such file.", 404)
 

@@ -14,6 +14,7 @@ from impact_rs_analysis.diagnosis.document import DiagnosisDocument, read_docume
 from impact_rs_analysis.diagnosis.scoring import score
 from impact_rs_analysis.evidence.levels import Cell
 from impact_rs_analysis.evidence.measured_runs import runs_digest
+from impact_rs_analysis.investigation import ending_of, measured, read_rounds, read_settings
 from impact_rs_analysis.report.comparison import comparison_in_words, on_scale, where_part
 from impact_rs_analysis.report.labels import phase_text, place_text, tag_of
 from impact_rs_analysis.report.page import number_text, p_text, quantity_text
@@ -25,9 +26,12 @@ from impact_rs_sim.numbers import estimate_text
 from impact_rs_sim.schema import validate
 from impact_rs_trials.bags.reader import BagError, TrialBag
 from impact_rs_trials.blind import RUNS, TRUTH
+from impact_rs_trials.experiment_plan import read_plan
 from impact_rs_trials.store import is_bag
 from impact_rs_workbench.forms import seen
 from impact_rs_workbench.workspace import Workspace, read_json
+
+MOST_PAIRS = 8  # of explanations, the least certain first
 
 
 def comparison(folder: Path) -> dict[str, Any]:
@@ -94,6 +98,41 @@ def trial(path: Path) -> dict[str, Any]:
         "facts": [f"{term}: {text}" for term, text in page.facts],
         "replay": page.replay.data,
         "plots": [{"title": plot.title, "figure": json.loads(str(plot.figure.to_json()))} for plot in page.plots],
+    }
+
+
+def plan(path: Path) -> dict[str, Any]:
+    """A plan of trials: what each condition adds, and what is decided by all of them.
+
+    Raises:
+        InputError: It is no plan, or one of scenarios that are not there.
+    """
+    found = read_plan(path)
+    planned = [one for campaign in found.campaigns for one in campaign.conditions]
+    return {
+        "summary": found.summary,
+        "trials": found.trials,
+        "conditions": [
+            {"trials": one.trials, "what": one.what, "adds": one.buys.removeprefix(f"{one.trials} x {one.what} ")}
+            for one in planned
+        ],
+        "pairs": [pair.model_dump() for pair in found.pairs[:MOST_PAIRS]],
+    }
+
+
+def investigation(folder: Path) -> dict[str, Any]:
+    """How an investigation ended, or how far it is.
+
+    Raises:
+        InputError: There is no investigation in the folder.
+    """
+    settings = read_settings(folder)
+    rounds = read_rounds(folder, settings)
+    over = bool(rounds) and rounds[-1].decision is not None and rounds[-1].decision.action == "end"
+    return {
+        "ending": ending_of(settings, rounds).model_dump(mode="json") if over else None,
+        "rounds": len(rounds),
+        "trials": measured(rounds),
     }
 
 

@@ -33,13 +33,16 @@ from impact_rs_workbench import formula_editor, manual, prediction, recording_de
 from impact_rs_workbench.forms import FORMS, form_of, named, order_of, seen
 from impact_rs_workbench.formula_editor import FormulaText
 from impact_rs_workbench.jobs import Jobs
+from impact_rs_workbench.live_page import Sources, Watch
 from impact_rs_workbench.local import Ended, listening, serve_locally
 from impact_rs_workbench.prediction import Question
 from impact_rs_workbench.recording_description import Description, PreviewRequest
 from impact_rs_workbench.request_guard import FILE_POLICY, Guard
 from impact_rs_workbench.workspace import HIDDEN, Workspace
 
-SCRIPTS = ("workbench.js", "explain.js", "figures.js", "overlay.js", "picture.js", "tools.js")
+SCRIPTS = (
+    "workbench.js", "explain.js", "figures.js", "live.js", "live_view.js", "overlay.js", "picture.js", "tools.js"
+)  # fmt: skip
 LIBRARIES = {"plotly.js": PLOTLY, "three.js": BUNDLE / "three.min.js", "replay.js": TEMPLATES / "replay.js"}
 STATIC = {"workbench.css": "text/css", **dict.fromkeys(SCRIPTS, "text/javascript")}
 KEPT = {"cache-control": "max-age=86400"}  # libraries of others, which do not change
@@ -58,11 +61,13 @@ class Workbench:
     Args:
         root: Its folder.
         program: How a terminal calls ``impact-rs``.
+        nodes: Source of snapshots of running nodes, by namespace.
     """
 
-    def __init__(self, root: Path, program: str) -> None:
+    def __init__(self, root: Path, program: str, nodes: Sources) -> None:
         self.workspace = Workspace(root)
         self.program = program
+        self.watch = Watch(nodes, program)
         self.jobs = Jobs(self.workspace.root / HIDDEN / "jobs", program)
         self.ended: Ended = lambda: False  # whether streams are to end
         self._asked = 0  # predictions so far
@@ -163,6 +168,10 @@ def _routes(workbench: Workbench) -> list[Route]:
         Route("/api/comparison", _got(lambda given: results.comparison(workspace.existing(given.get("path", ""))))),
         Route("/api/diagnosis", _got(lambda given: results.diagnosis(workspace.existing(given.get("path", ""))))),
         Route("/api/reveal", _got(lambda given: _revealed(workbench, given.get("path", "")))),
+        Route("/api/plan", _got(lambda given: results.plan(workspace.existing(given.get("path", ""))))),
+        Route(
+            "/api/investigation", _got(lambda given: results.investigation(workspace.existing(given.get("path", ""))))
+        ),
         Route("/api/estimates", _got(lambda _: results.estimates(workspace))),
         Route("/api/trials", _got(lambda given: results.trials(workspace.existing(given.get("path", ""))))),
         Route("/api/trial", _got(lambda given: results.trial(workspace.existing(given.get("path", ""))))),
@@ -173,6 +182,7 @@ def _routes(workbench: Workbench) -> list[Route]:
         Route("/api/jobs", _got(lambda _: jobs.all())),
         Route("/api/jobs/{number}/log", _got(lambda given: {"log": jobs.log(_job(given))})),
         Route("/api/events", _events(workbench)),
+        Route("/api/live", _live(workbench)),
         Route("/api/predict", _posted(lambda data: workbench.predict(_question(data))), methods=["POST"]),
         Route("/api/impact", _posted(lambda data: workbench.impact(_question(data))), methods=["POST"]),
         Route("/api/sweep", _posted(sweep), methods=["POST"]),
@@ -346,12 +356,35 @@ def _events(workbench: Workbench) -> Endpoint:
     return endpoint
 
 
-def serve(root: Path, program: str, port: int, browser: bool, say: Callable[[str], None]) -> None:
+def _live(workbench: Workbench) -> Endpoint:
+    """Server-sent events of running nodes in a namespace, as :mod:`impact_rs_workbench.live_page` has them."""
+
+    async def endpoint(request: Request) -> Response:
+        namespace = request.query_params.get("namespace", "")
+        try:
+            view = await workbench.watch.enter(namespace, workbench.ended)
+        except InputError as error:
+            return _mistake(str(error))
+
+        async def stream() -> AsyncIterator[str]:
+            try:
+                async for text in view.stream(request):
+                    yield text
+            finally:
+                workbench.watch.leave(namespace)
+
+        return StreamingResponse(stream(), media_type="text/event-stream")
+
+    return endpoint
+
+
+def serve(root: Path, program: str, nodes: Sources, port: int, browser: bool, say: Callable[[str], None]) -> None:
     """Serve the workbench of a folder until Ctrl-C.
 
     Args:
         root: The folder; made if it does not exist.
         program: How a terminal calls ``impact-rs``.
+        nodes: Source of snapshots of running nodes, by namespace.
         port: Port; 0: any that is free.
         browser: Whether to open a browser.
         say: Prints the address.
@@ -361,7 +394,7 @@ def serve(root: Path, program: str, port: int, browser: bool, say: Callable[[str
     """
     root.mkdir(parents=True, exist_ok=True)
     with listening(port) as listener, owned(Folder(root / HIDDEN), "workbench"):
-        workbench = Workbench(root, program)
+        workbench = Workbench(root, program, nodes)
 
         def make(token: str, number: int, ended: Ended) -> ASGIApp:
             workbench.ended = ended

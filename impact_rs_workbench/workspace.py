@@ -153,6 +153,7 @@ class Contents:
         scenarios: Scenarios, those that come with impact_rs first.
         formulas: Files of effects as formulas.
         blinds: Campaigns with a hidden effect.
+        plans: Plans of trials.
         stamps: When models, diagnoses and reports were written [s of the wall clock].
     """
 
@@ -165,6 +166,7 @@ class Contents:
     scenarios: tuple[str, ...]
     formulas: tuple[str, ...]
     blinds: tuple[str, ...]
+    plans: tuple[str, ...]
     stamps: dict[str, float]
 
 
@@ -224,7 +226,7 @@ class Workspace:
         """What is there now; files that are none of ours are left out."""
         campaigns, laboratories, models, diagnoses, reports, scenarios, formulas = [], [], [], [], [], [], []
         scores: list[dict[str, Any]] = []
-        blinds = []
+        blinds, plans = [], []
         for folder, files, bags in self._folders():
             ours = [name for name in bags if _is_ours(folder / name)]
             if MANIFEST in files:
@@ -245,6 +247,8 @@ class Workspace:
                         scenarios.append(self.name(path))
                     elif kind == "formulas":
                         formulas.append(self.name(path))
+                    elif kind == "plan":
+                        plans.append(self.name(path))
                 elif file in ("compare.json", "history.json"):
                     scores += _scores(path)
                 elif file.endswith(".json") and (diagnosis := self._diagnosis(path)) is not None:
@@ -262,7 +266,8 @@ class Workspace:
             scenarios=(*sorted(file.stem for file in shipped.glob("*.yaml")), *scenarios),
             formulas=tuple(formulas),
             blinds=tuple(blinds),
-            stamps=self._stamps([*reports, *(one.path for one in diagnoses), *(one.path for one in models)]),
+            plans=tuple(plans),
+            stamps=self._stamps([*reports, *plans, *(one.path for one in diagnoses), *(one.path for one in models)]),
         )
 
     def _stamps(self, names: list[str]) -> dict[str, float]:
@@ -363,7 +368,7 @@ def _is_ours(bag: Path) -> bool:
 
 @once
 def _kind_of_yaml(path: Path) -> str | None:
-    """``model``, ``scenario`` or ``formulas`` by the keys that nothing else has; None: something else."""
+    """``model``, ``scenario``, ``formulas`` or ``plan`` by the keys that nothing else has; None: something else."""
     try:
         keys = load_mapping(path).keys()
     except InputError:
@@ -372,6 +377,8 @@ def _kind_of_yaml(path: Path) -> str | None:
         return "scenario"
     if keys == {"effects"}:
         return "formulas"
+    if {"aim", "budget", "campaigns"} <= keys:
+        return "plan"
     if "name" in keys and keys & {"effects", "parent"} and keys <= set(Model.model_fields):
         return "model"
     return None

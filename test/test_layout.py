@@ -122,6 +122,7 @@ def test_imports_stand_at_the_top_of_modules(package: str) -> None:
     live = {
         ("impact_rs_cli/commands/show.py", "impact_rs_cli.live_graph"),
         ("impact_rs_cli/commands/investigate.py", "impact_rs_cli.node_benches"),
+        ("impact_rs_cli/commands/workbench.py", "impact_rs_ros.spectator"),
     }
     assert late <= live | {("impact_rs_cli/commands/campaign.py", module) for module in nodes}
 

@@ -4,10 +4,12 @@
 from __future__ import annotations
 
 import argparse
+from contextlib import AbstractContextManager
 
 from impact_rs_cli.parser import PROGRAM
 from impact_rs_cli.terminal import Terminal
 from impact_rs_sim.errors import InputError
+from impact_rs_workbench.live_page import Lookout
 from impact_rs_workbench.server import serve
 
 
@@ -19,5 +21,12 @@ def run(args: argparse.Namespace, terminal: Terminal) -> int:
     def announce(address: str) -> None:
         terminal.say(f"workbench of {args.directory}: {address}", "Ctrl-C ends it and stops running jobs")
 
-    serve(args.directory, PROGRAM, args.port, not args.no_browser, announce)
+    serve(args.directory, PROGRAM, _nodes, args.port, not args.no_browser, announce)
     return 0
+
+
+def _nodes(namespace: str) -> AbstractContextManager[Lookout]:
+    """The running nodes of a namespace, watched."""
+    from impact_rs_ros.spectator import Spectator  # ROS 2, once a page looks at nodes
+
+    return Spectator.watching(namespace)

@@ -16,7 +16,9 @@ export const LEADS = {
   history: {what: 'The error from model to model: it falls where an effect was missing.', empty: 'No history yet.',
     next: 'see estimates and runs over each other', step: 'overlay'},
   overlay: {what: 'Runs over each other, and the estimate of a parameter from diagnosis to diagnosis.',
-    empty: 'Nothing is recorded yet.', next: 'predict with what was found', step: 'predict'},
+    empty: 'Nothing is recorded yet.', next: 'let the loop run by itself', step: 'investigate'},
+  investigate: {what: 'The whole loop by itself: trials, comparison, diagnosis and better model, round after round.',
+    empty: 'Nothing is investigated yet.', next: 'predict with what was found', step: 'predict'},
 };
 
 // Sketches are 220 x 92; colours are those of the page.
@@ -50,4 +52,5 @@ export const TERMS = {
 
 // The terms of a step, in the order in which they are met.
 export const TERMS_OF = {predict: ['motor_inertia', 'settled'], measure: ['reference', 'net_feedback'],
-  compare: ['settled'], diagnose: ['net_feedback', 'motor_inertia'], add: [], history: [], overlay: ['reference']};
+  compare: ['settled'], diagnose: ['net_feedback', 'motor_inertia'], add: [], history: [], overlay: ['reference'],
+  investigate: ['net_feedback', 'reference']};

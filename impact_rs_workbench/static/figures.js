@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Figures of the reports in the colours and widths of the page.
 
-import {h, load} from './tools.js';
+import {h, load, Questions} from './tools.js';
 
 let loading = null;
 
@@ -25,9 +25,24 @@ const widths = new ResizeObserver((seen_) => {
   }
 });
 
-// A figure of the reports in the colours of this page.
+const questions = new WeakMap(); // of every place of a figure
+
+function begin(node) {
+  if (!questions.has(node)) questions.set(node, new Questions());
+  return questions.get(node).begin();
+}
+
+// An empty place: nor does a figure come that still waits for the library.
+export function erase(node) {
+  begin(node);
+  if (node.data) Plotly.purge(node);
+  node.replaceChildren();
+}
+
+// A figure of the reports in the colours of this page; of several for one place, the newest.
 export async function draw(node, figure, config = {}) {
-  await plotly();
+  const turn = begin(node);
+  await turn.of(plotly());
   const style = getComputedStyle(document.documentElement);
   const ink = style.getPropertyValue('--ink').trim(), grid = style.getPropertyValue('--grid').trim();
   const data = figure.data.map((trace) => ({
@@ -42,7 +57,7 @@ export async function draw(node, figure, config = {}) {
     width: node.clientWidth || 600, height: figure.layout.height ?? 450, // hidden, it has no width yet
     font: {...figure.layout.font, color: ink, family: 'system-ui, sans-serif'}};
   widths.observe(node);
-  return Plotly.react(node, data, layout, {displaylogo: false, displayModeBar: false, ...config});
+  return turn.of(Plotly.react(node, data, layout, {displaylogo: false, displayModeBar: false, ...config}));
 }
 
 // A line at the time that the replay shows.

@@ -1,10 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
-// The page of running nodes: receives scene and state, and draws the newest state once per frame.
-'use strict';
-(function () {
-  const live = new ImpactLive(document.getElementById('live'));
-  const status = document.getElementById('status'), lost = document.getElementById('lost');
-  const events = new EventSource('/api/events');
+/* global ImpactLive */
+// Running nodes in 3D: receives scene, status and state, and draws the newest state once per frame. Needs replay.js and its library.
+
+// `status` is given each status line, `scene` each new scene, `state` each state; `lost` whether the server is gone.
+export function watch(address, node, {status, lost, scene = () => {}, state = () => {}}) {
+  const live = new ImpactLive(node), events = new EventSource(address);
   let newest = null, drawing = false;
 
   function draw() {
@@ -12,20 +12,23 @@
     if (newest && live.measured) live.update(newest);
   }
 
-  events.addEventListener('scene', (event) => {
+  events.addEventListener('scene', ({data}) => {
     newest = null;
-    live.show(JSON.parse(event.data));
+    const found = JSON.parse(data);
+    live.show(found);
+    scene(found);
   });
-  events.addEventListener('status', (event) => {
-    const text = JSON.parse(event.data);
-    status.textContent = `${text[0].toUpperCase()}${text.slice(1)}.`;
+  events.addEventListener('status', ({data}) => {
+    const text = JSON.parse(data);
+    status(`${text[0].toUpperCase()}${text.slice(1)}.`);
   });
-  events.addEventListener('state', (event) => {
-    newest = JSON.parse(event.data);
+  events.addEventListener('state', ({data}) => {
+    newest = JSON.parse(data);
+    if (newest) state(newest);
     if (!drawing) requestAnimationFrame(draw);
     drawing = true;
   });
-  events.addEventListener('open', () => { lost.hidden = true; });
-  events.addEventListener('error', () => { lost.hidden = false; });
-  window.impact_rs = {live, events};  // for the browser's console
-})();
+  events.addEventListener('open', () => lost(false));
+  events.addEventListener('error', () => lost(true));
+  return {live, events};
+}

@@ -2,7 +2,7 @@
 // Runs, models and estimates over each other: choose, filter, pin.
 
 import {draw} from './figures.js';
-import {ask, arrowKeys, fill, h, inFolder, labelled, number, plain, query, state} from './tools.js';
+import {ask, arrowKeys, fill, h, inFolder, labelled, number, plain, query, Questions, state} from './tools.js';
 
 const COLOURS = ['#0072B2', '#D55E00', '#009E73', '#CC79A7', '#E69F00', '#56B4E9', '#555555', '#7A5195', '#003F5C', '#BC5090'];
 const FIRST = 3; // runs that are chosen at first
@@ -77,9 +77,22 @@ function abscissae(trace) {
 
 const failed = (node) => (error) => node.replaceChildren(h('p', {class: 'error', role: 'alert'}, inFolder(error.message)));
 
+// Answers by key; what has failed is asked for again.
+class Known extends Map {
+  of(key, make) {
+    if (!this.has(key)) {
+      this.set(key, make());
+      this.get(key).catch(() => this.delete(key));
+    }
+    return this.get(key);
+  }
+}
+
 // Recorded trials over each other, with their impacts at time 0.
 const runs = {
-  known: new Map(), // promises of what the server says of a trial, by its path
+  known: new Known(), // what the server says of a trial, by its path
+  lists: new Questions(),
+  questions: new Questions(),
 
   build() {
     this.choice = new Choice('overlay-runs', () => this.draw());
@@ -94,22 +107,19 @@ const runs = {
     const key = campaigns.map((one) => `${one.path} ${one.present}`).join();
     if (key === this.key) return;
     this.key = key;
-    const found = await Promise.all(campaigns.map(async ({path}) => (await ask(`/api/trials?${query({path})}`)).map((name) =>
-      ({key: `${path}/${name}`, text: `${path}: ${name.replaceAll('__', ' ')}`, last: name.startsWith('none__') ? 1 : 0})))); // free motion
-    this.choice.offer(found.flat());
-  },
-
-  of(path) {
-    if (!this.known.has(path)) this.known.set(path, ask(`/api/trial?${query({path})}`));
-    return this.known.get(path);
+    const turn = this.lists.begin();
+    try {
+      const found = await Promise.all(campaigns.map(async ({path}) => (await turn.ask(`/api/trials?${query({path})}`)).map((name) =>
+        ({key: `${path}/${name}`, text: `${path}: ${name.replaceAll('__', ' ')}`, last: name.startsWith('none__') ? 1 : 0})))); // free motion
+      this.choice.offer(found.flat());
+    } catch (error) { failed(this.note)(error); }
   },
 
   async draw() {
-    const mine = this.asked = (this.asked ?? 0) + 1, chosen = this.choice.selected();
+    const turn = this.questions.begin(), chosen = this.choice.selected();
     this.note.textContent = chosen.length ? `Reading ${chosen.length} run${chosen.length === 1 ? '' : 's'} …` : '';
     try {
-      const found = await Promise.all(chosen.map(({key}) => this.of(key)));
-      if (mine !== this.asked) return;
+      const found = await turn.of(Promise.all(chosen.map(({key: path}) => this.known.of(path, () => ask(`/api/trial?${query({path})}`)))));
       const curves = found.map((one) => Object.fromEntries(one.plots.flatMap(({title, figure}) => figure.data.filter((trace) => trace.name)
         .map((trace) => [`${title}, ${trace.name}`, {...abscissae(trace), axis: figure.layout.yaxis.title.text}]))));
       const names = [...new Set(curves.flatMap((one) => Object.keys(one)))];
@@ -127,13 +137,14 @@ const runs = {
         xaxis: {title: {text: 'time since the impact [s]'}}, yaxis: {title: {text: `${name} ${unit}`}, automargin: true},
         legend: {orientation: 'h', yref: 'container', y: 0, yanchor: 'bottom', x: 0, entrywidth: 1, entrywidthmode: 'fraction'}}}, {displayModeBar: 'hover'});
       this.plot.dataset.shown = chosen.map((one) => one.key).join();
-    } catch (error) { if (mine === this.asked) failed(this.note)(error); }
+    } catch (error) { failed(this.note)(error); }
   },
 };
 
 // Predictions of models on one measured run: each comparison in the folder is a model with its measurements.
 const models = {
-  known: new Map(),
+  known: new Known(),
+  questions: new Questions(),
 
   build() {
     this.choice = new Choice('overlay-models', () => this.draw());
@@ -149,23 +160,17 @@ const models = {
     this.choice.offer(found.map((path) => ({key: `${path}?${state.workspace.stamps[path]}`, path, text: path.replace(/\/?compare\.html$/, '')})));
   },
 
-  of({key, path}) {
-    if (!this.known.has(key)) {
-      this.known.set(key, (async () => {
-        const [text, summary] = await Promise.all([fetch(`/files/${path}`).then((answer) => answer.text()),
-          ask(`/api/comparison?${query({path: path.replace(/\/?compare\.html$/, '') || '.'})}`)]);
-        const data = new DOMParser().parseFromString(text, 'text/html').getElementById('tracks-data');
-        return {sets: data ? JSON.parse(data.textContent) : [], ...summary};
-      })());
-    }
-    return this.known.get(key);
+  async read(path) {
+    const [text, summary] = await Promise.all([fetch(`/files/${path}`).then((answer) => answer.text()),
+      ask(`/api/comparison?${query({path: path.replace(/\/?compare\.html$/, '') || '.'})}`)]);
+    const data = new DOMParser().parseFromString(text, 'text/html').getElementById('tracks-data');
+    return {sets: data ? JSON.parse(data.textContent) : [], ...summary};
   },
 
   async draw() {
-    const mine = this.asked = (this.asked ?? 0) + 1, chosen = this.choice.selected();
+    const turn = this.questions.begin(), chosen = this.choice.selected();
     try {
-      const found = await Promise.all(chosen.map((one) => this.of(one)));
-      if (mine !== this.asked) return;
+      const found = await turn.of(Promise.all(chosen.map(({key, path}) => this.known.of(key, () => this.read(path)))));
       fill(this.run, plain([...new Set(found.flatMap((one) => one.sets.map((set) => set.label)))]));
       const sets = found.map((one) => one.sets.find((set) => set.label === this.run.value));
       fill(this.signal, plain([...new Set(sets.flatMap((set) => set?.signals.map((one) => one.name) ?? []))]));
@@ -188,12 +193,14 @@ const models = {
         xaxis: {title: {text: 'time [s]'}}, yaxis: {title: {text: `${this.signal.value}${unit}`}, automargin: true},
         legend: {orientation: 'h', yref: 'container', y: 0, yanchor: 'bottom', x: 0, entrywidth: 1, entrywidthmode: 'fraction'}}}, {displayModeBar: 'hover'});
       this.plot.dataset.shown = chosen.map((one) => one.text).join();
-    } catch (error) { if (mine === this.asked) failed(this.note)(error); }
+    } catch (error) { failed(this.note)(error); }
   },
 };
 
 // The estimate of one parameter, diagnosis after diagnosis.
 const estimates = {
+  questions: new Questions(),
+
   build() {
     this.parameter = h('select', {id: 'overlay-parameter', onchange: () => this.draw()});
     this.plot = h('div', {class: 'plot', id: 'overlay-estimates', role: 'img', 'aria-label': 'Estimates of a parameter'});
@@ -206,7 +213,7 @@ const estimates = {
     if (key === this.key) return;
     this.key = key;
     try {
-      this.found = await ask('/api/estimates');
+      this.found = await this.questions.begin().ask('/api/estimates');
       const count = (name) => this.found.filter((one) => one.parameter === name).length, named = new Set(this.found.filter((one) => one.named).map((one) => one.parameter));
       const names = [...new Set(this.found.map((one) => one.parameter))].sort((a, b) => named.has(b) - named.has(a) || count(b) - count(a));
       fill(this.parameter, names.map((name) => ({value: name, text: `${name} (${count(name)})`})));

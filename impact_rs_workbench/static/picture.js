@@ -3,13 +3,13 @@
 // Scenes in 3D: the impact of a scenario with an answer of the impact map, and recorded trials. replay.js draws; it and its
 // library come when they are first needed, behind the first numbers.
 
-import {load} from './tools.js';
+import {load, Questions} from './tools.js';
 
 const LIBRARIES = ['/static/three.js', '/static/replay.js'];
 let loading = null;
 
 // The libraries, once.
-function threeD() {
+export function threeD() {
   loading ??= LIBRARIES.reduce((before, address) => before.then(() => load(address)), Promise.resolve());
   return loading;
 }
@@ -27,7 +27,7 @@ export async function replayIn(node, data, options) {
 // The impact of a scenario. `scene` gets the scene of a scenario and an object; the newest answer is drawn once per frame.
 export class Impact {
   constructor(node, scene) {
-    Object.assign(this, {node, scene, key: null, newest: null, drawing: false});
+    Object.assign(this, {node, scene, key: null, newest: null, drawing: false, questions: new Questions()});
   }
 
   // Ask for a scene before its answer is there.
@@ -40,11 +40,14 @@ export class Impact {
     const key = JSON.stringify([scenario, object]);
     this.newest = moment;
     if (this.key === key) { this.soon(); return; }
+    const turn = this.questions.begin();
     this.key = key;
     this.ready = false;
     if (this.coming?.key !== key) this.ahead(scenario, object);
-    const [found] = await Promise.all([this.coming.scene, threeD()]);
-    if (this.key !== key) return; // another one was asked for meanwhile
+    const [found] = await turn.of(Promise.all([this.coming.scene, threeD()])).catch((error) => {
+      this.key = this.coming = null; // asked for again by the next answer
+      throw error;
+    });
     if (!this.picture) {
       this.node.replaceChildren(place());
       this.picture = new ImpactPicture(this.node.firstChild);

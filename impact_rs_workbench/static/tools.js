@@ -16,13 +16,28 @@ export function h(tag, attributes = {}, ...children) {
 }
 
 export async function ask(path, body, signal) {
-  const options = body === undefined ? {} :
+  const options = body === undefined ? {signal} :
     {method: 'POST', headers: {'content-type': 'application/json'}, body: JSON.stringify(body), signal};
   const answer = await fetch(path, options);
   const data = answer.headers.get('content-type')?.startsWith('application/json') ?
     await answer.json() : {error: await answer.text()};
   if (!answer.ok) throw new Error(data.error);
   return data;
+}
+
+// The questions of one view. `begin` starts a new one and returns its turn. What a turn waits for (an answer, an error, a frame, a
+// pause) comes through while it is the newest, and never afterwards: nothing late is painted. What an earlier turn has asked for is aborted.
+export class Questions {
+  begin() {
+    this.flight?.abort();
+    const flight = this.flight = new AbortController();
+    const of = (promise) => new Promise((done, failed) => {
+      const through = (way) => (value) => { if (this.flight === flight) way(value); };
+      promise.then(through(done), through(failed));
+    });
+    const frame = () => of(new Promise(requestAnimationFrame)), pause = (wait) => of(new Promise((over) => setTimeout(over, wait)));
+    return {of, frame, pause, ask: (path, body) => of(ask(path, body, flight.signal)), painted: () => frame().then(() => pause(0))};
+  }
 }
 
 export const query = (values) => new URLSearchParams(values).toString();
@@ -39,11 +54,6 @@ export const inFolder = (text) => state.workspace ? text.replaceAll(`${state.wor
 export function seconds(value) {
   if (value === null || value === undefined) return '';
   return value < 90 ? `${Math.max(1, Math.round(value))} s left` : `${Math.round(value / 60)} min left`;
-}
-
-export function later(wait, work) {
-  let timer = 0;
-  return (...given) => { clearTimeout(timer); timer = setTimeout(() => work(...given), wait); };
 }
 
 // Fills a list of choices and keeps what was chosen.

@@ -2,10 +2,11 @@
 // The page of the workbench. It shows what the server reads from files and stores nothing itself.
 
 import {LEADS, TERMS, TERMS_OF} from './explain.js';
-import {cursor, darkScheme, draw, seen} from './figures.js';
+import {cursor, darkScheme, draw, erase, seen} from './figures.js';
+import {live, watchable} from './live_view.js';
 import {overlay} from './overlay.js';
 import {Impact, replayIn} from './picture.js';
-import {$, arrowKeys, ask, commandLine, fill, fit, fitAll, fixed, h, inFolder, labelled, later, messageArea, number, plain, query, refill, seconds, slug, state, stem, unit} from './tools.js';
+import {$, arrowKeys, ask, commandLine, fill, fit, fitAll, fixed, h, inFolder, labelled, messageArea, number, plain, query, Questions, refill, seconds, slug, state, stem, unit} from './tools.js';
 
 // ---- explanations ------------------------------------------------------------------------------------------------
 
@@ -18,6 +19,9 @@ const ABOUT = {
     'post-impact references below and above the prediction. Run an interrupted campaign again to continue it.',
     equation: 'a_fb,net = ∫ a_fb dt from T_nom − 0.1 s to T_nom + 0.6 s', units: 'none for scales (reference over prediction)',
     page: 'bags.md'},
+  design: {title: 'A plan of trials', text: 'Trials that the cell can run are simulated under every explanation. Chosen are those that raise the ' +
+    'probability of the right decision most. With a diagnosis the plan splits its ties; without one it looks for the missing effect.',
+    units: 'probabilities in percent', page: 'design.md'},
   laboratory: {title: 'Runs of another controller', text: 'A robot that pushes a box with its own controller: joint states, torque, ' +
     'and motion capture of the box are enough. Each run has a twin: an open-loop simulation driven by the recorded torque.',
     units: 'the mapping names the unit of each signal', page: 'your_data.md'},
@@ -35,6 +39,9 @@ const ABOUT = {
     'the filter says. Estimates have their 95 % intervals.', units: 'beside each axis', page: 'workbench.md'},
   history: {title: 'History', text: 'How the error fell from model to model: with the parameters of the file, and held out, where ' +
     'fitting noise does not help.', units: 'multiples of repeatability', page: 'diagnosis.md'},
+  investigate: {title: 'Investigation', text: 'Each round designs trials, predicts and measures them, compares, diagnoses, and adds the missing ' +
+    'effect. It ends when nothing is missing, a law holds, or the trials are spent; it says where it cannot decide. The same folder goes on.',
+    units: 'multiples of repeatability', page: 'investigation.md'},
 };
 
 function drawing(markup) {
@@ -70,10 +77,12 @@ function showAbout({title, text, equation, units, page, command, facts = [], act
   );
 }
 
+const manual = new Questions();
+
 async function openManual(name) {
   const [page, anchor] = name.split('#');
   try {
-    const {html} = await ask(`/manual/${page}`);
+    const {html} = await manual.begin().ask(`/manual/${page}`);
     const article = $('manual-page');
     article.innerHTML = html;
     for (const image of article.querySelectorAll('img')) image.src = `/manual/${image.getAttribute('src')}`;
@@ -151,20 +160,21 @@ function commandForm(command, label, {offers = [], first = 'scenario', suggest =
   const fields = Object.fromEntries(FORMS[command].fields.map((one) => [one.name,
     {one, ...fieldOf(one, `${command.split(' ')[0]}-${one.name}`, offers.includes(one.name))}]));
   const message = messageArea(), button = h('button', {class: 'primary', type: 'submit'}, label);
-  const typed = new Set(), all = Object.values(fields);
-  let asked = 0, before = null; // number of the newest question: late answers to earlier ones are dropped
+  const typed = new Set(), all = Object.values(fields), questions = new Questions();
+  let before = null;
   const value = (name) => fields[name].value();
   const body = () => ready() ? {command, ...Object.fromEntries(all.map((field) => [field.one.name, field.value()]))} : null;
-  const check = later(150, async () => {
-    const content = body(), number = ++asked;
+  const check = async () => {
+    const turn = questions.begin();
+    await turn.pause(150);
+    const content = body();
     if (!content) { message.show(); button.disabled = true; return; }
     try {
-      const {command: line} = await ask('/api/command', content);
-      if (number !== asked) return;
+      const {command: line} = await turn.ask('/api/command', content);
       message.command(line);
       button.disabled = false;
-    } catch (error) { if (number === asked) { message.error(error.message); button.disabled = true; } }
-  });
+    } catch (error) { message.error(error.message); button.disabled = true; }
+  };
   const refresh = () => {
     for (const [name, make] of Object.entries(suggest)) {
       if (!typed.has(name) && !fields[name].node.contains(document.activeElement)) fields[name].set(make());
@@ -204,20 +214,18 @@ function commandForm(command, label, {offers = [], first = 'scenario', suggest =
 
 const sentence = (text) => `${text.charAt(0).toUpperCase()}${text.slice(1)}.`;
 
-// Offers what the chosen scenario has: `offer` is given it. The latest choice wins.
+// Offers what the chosen scenario has: `offer` is given it.
 function followScenario(form, offer) {
-  let asked = 0;
+  const questions = new Questions();
   const choose = async (only = {}) => {
-    const mine = ++asked;
+    const turn = questions.begin();
     form.found = null;
     form.refresh();
     try {
-      const found = await ask(`/api/scenario?${query({name: form.value('scenario')})}`);
-      if (mine !== asked) return;
-      form.found = found;
+      const found = form.found = await turn.ask(`/api/scenario?${query({name: form.value('scenario')})}`);
       offer(found, only);
       form.refresh();
-    } catch (error) { if (mine === asked) form.message.error(error.message); }
+    } catch (error) { form.message.error(error.message); }
   };
   form.control('scenario').addEventListener('change', () => choose());
   return choose;
@@ -231,15 +239,19 @@ function keepJob(job) {
 const replies = new Map(); // by number of the job
 
 function replyArea() {
-  const node = h('output', {class: 'reply'});
+  const node = h('output', {class: 'reply'}), questions = new Questions();
+  let answered = null; // number of the job
   const show = (text, kind = '') => { node.className = `reply ${kind}`; node.textContent = inFolder(text); };
   return {
     node, show,
     async start(body) {
+      const turn = questions.begin();
+      replies.delete(answered);
       show('starting …');
       try {
-        const job = await ask('/api/jobs', body);
-        replies.set(job.number, show);
+        const job = await turn.of(ask('/api/jobs', body)); // which is not aborted
+        answered = job.number;
+        replies.set(answered, show);
         keepJob(job);
       } catch (error) { show(error.message, 'error'); }
     },
@@ -261,7 +273,10 @@ function jobButton(text, body, attributes = {}) {
 const sceneOf = (name, object) => ask(`/api/scene?${query({name, object})}`);
 
 const predict = {
-  scenarios: {}, values: {}, over: 'speed', wanted: null, busy: false, sweep: null, question: null, sweepNumber: 0,
+  values: {}, over: 'speed', wanted: null, busy: false, moving: false, sweep: null, question: null,
+  scenarios: new Questions(),
+  questions: new Questions(), // what is chosen above the sliders
+  refinements: new Questions(), // of where the sliders rest
 
   build() {
     this.scenario = h('select', {id: 'predict-scenario', onchange: () => this.choose()});
@@ -302,39 +317,46 @@ const predict = {
   },
 
   async choose() {
-    const name = this.chosen = this.scenario.value;
+    const name = this.chosen = this.scenario.value, turn = this.scenarios.begin();
+    this.found = null; // what is chosen meanwhile is asked with its answer
     this.clear();
     try {
-      const found = await ask(`/api/scenario?${query({name})}`);
-      if (name !== this.scenario.value) return; // another one was chosen meanwhile
-      this.found = found;
+      const found = this.found = await turn.ask(`/api/scenario?${query({name})}`);
       fill(this.object, Object.entries(found.objects).map(([value, one]) => ({value, text: `${one.label}, ${one.mass} kg`})),
         this.object.value || 'cat_food');
       fill(this.case, Object.entries(found.cases).map(([value, text]) => ({value, text})), this.case.value || 'case_2');
       fill(this.arm, plain(Object.keys(found.arms)));
       this.arm.parentElement.hidden = this.arm.options.length < 2;
       this.objectChosen();
-    } catch (error) { if (name === this.scenario.value) this.message.error(error.message); }
+    } catch (error) { this.failed(error); }
   },
 
-  // The question has changed: no answer to the earlier one stays under the new headings.
+  // The question has changed: no answer to the earlier one stays under the new headings, or comes later.
   clear() {
-    this.sweep = this.answer = this.question = null;
-    this.sweepNumber += 1;
+    this.refinements.begin();
+    this.sweep = this.answer = this.question = this.wanted = null;
+    this.busy = this.moving = false;
     this.message.show();
     this.table.replaceChildren();
     this.budget.replaceChildren();
     this.facts.textContent = 'Computing …';
     delete this.plot.dataset.shown;
-    delete this.plot.dataset.over;
     this.plot.style.minHeight = `${this.plot.offsetHeight}px`; // what is below stays where it is
-    if (this.plot.data) { Plotly.purge(this.plot); this.plot.replaceChildren(); }
+    erase(this.plot);
+    this.turn = this.questions.begin();
   },
 
-  // A new question: velocities first, with an interval from few draws, and the full interval behind them.
-  anew() { this.clear(); this.again(true); this.again(false, true); },
+  failed(error) {
+    this.clear();
+    this.numbers.removeAttribute('aria-busy');
+    this.facts.textContent = '';
+    this.message.error(error.message);
+  },
+
+  anew() { this.clear(); this.again(); },
 
   objectChosen() {
+    if (!this.found) return;
     this.values = {};
     this.impact.ahead(this.scenario.value, this.object.value);
     const all = this.found.sliders[this.object.value];
@@ -345,17 +367,18 @@ const predict = {
         value: slider.value, 'data-key': slider.key, title: slider.meaning, 'aria-label': `${slider.label} [${slider.unit}]`});
       input.value = slider.value;
       const label = h('label', {}, h('span', {}, slider.label), output, input);
-      const moved = (moving) => {
+      const moved = () => {
         const value = Number(input.value);
         this.values[slider.key] = value;
         label.classList.add('moved');
         output.textContent = `${number(value)}${unit(slider.unit)}`;
-        if (slider.known && this.sweep) { this.sweep = {...this.sweep, low: [], high: []}; this.plot.dataset.over = ''; }
+        if (slider.known && this.sweep) { this.sweep = {...this.sweep, low: [], high: []}; }
         if (this.over !== slider.key && !slider.known) { this.over = slider.key; this.sweep = null; }
-        this.again(moving);
+        this.moving = true;
+        this.again();
       };
-      input.addEventListener('input', () => moved(true));
-      input.addEventListener('change', () => moved(false));
+      input.addEventListener('input', moved);
+      input.addEventListener('change', () => this.rest());
       input.addEventListener('focus', () => showAbout({title: slider.label, text: slider.meaning, page: slider.page,
         facts: [`Scenario: ${number(slider.value)}${unit(slider.unit)}; key ${slider.key}.`], equation: ABOUT.predict.equation}));
       return label;
@@ -367,64 +390,55 @@ const predict = {
 
   reset() { this.objectChosen(); },
 
-  // Latest wins: while one answer is under way, only the newest question waits.
-  async again(moving = false, behind = false) {
-    if (behind) { this.behind = true; return; }
-    this.behind = false;
+  // Velocities, with an interval from few draws. One question is under way at a time, and only the newest waits.
+  async again() {
+    if (!this.found) return;
+    this.refinements.begin();
     this.wanted = {scenario: this.scenario.value, object: this.object.value, case: this.case.value, arm: this.arm.value,
-      motor_inertia: this.inertia.value, values: {...this.values}, moving};
+      motor_inertia: this.inertia.value, values: {...this.values}, moving: true};
     this.message.wait();
     this.numbers.setAttribute('aria-busy', 'true');
-    if (this.busy) { // velocities of a new question come before the full interval of an earlier one
-      if (this.flight) this.flight.abort();
-      return;
-    }
+    if (this.busy) return;
     this.busy = true;
+    const {turn} = this;
     while (this.wanted) {
       const question = this.wanted;
       this.wanted = null;
       try {
-        this.flight = question.moving ? null : new AbortController();
-        const answer = await ask('/api/predict', question, this.flight?.signal);
-        if (answer.superseded) { this.wanted ??= await this.afterOthers(question); continue; } // by another tab
-        if (this.wanted && !this.same(question, this.wanted)) continue; // the answer to an earlier question
+        this.show(await turn.ask('/api/predict', question), question);
         this.question = question;
-        this.show(answer, question);
-        if (this.behind && !this.wanted) {
-          this.behind = false;
-          await new Promise((painted) => requestAnimationFrame(() => setTimeout(painted)));
-          this.wanted ??= {...question, moving: false};
-        }
-      } catch (error) {
-        if (this.wanted) continue;
-        if (error.name === 'AbortError') continue;
-        this.clear();
-        this.numbers.removeAttribute('aria-busy');
-        this.facts.textContent = '';
-        this.message.error(error.message);
-      }
+      } catch (error) { if (!this.wanted) this.failed(error); }
     }
     this.busy = false;
-    if (this.question && !this.question.moving) this.sweepAgain();
+    if (!this.moving) this.refine();
   },
 
-  // The same question once more, a little later.
-  afterOthers(question) { return new Promise((again) => setTimeout(() => again(question), 300)); },
-
-  // Whether two questions differ in sliders alone.
-  same(one, other) {
-    return ['scenario', 'object', 'case', 'arm', 'motor_inertia'].every((name) => one[name] === other[name]);
+  // A slider was let go.
+  rest() {
+    this.moving = false;
+    if (!this.busy) this.refine();
   },
 
-  async sweepAgain() {
-    const number_ = ++this.sweepNumber;
+  // What takes longer: the interval of many draws with its budget, and then the curves over a slider.
+  async refine() {
+    if (!this.question) return;
+    const turn = this.refinements.begin(), question = {...this.question, moving: false};
+    await turn.painted();
     try {
-      const found = await ask('/api/sweep', {...this.question, moving: false, over: this.over});
-      if (number_ !== this.sweepNumber || this.busy) return;
-      if (found.superseded) { this.sweepAgain(); return; } // by another tab
-      this.sweep = found;
-      this.paint();
-    } catch (error) { this.message.error(error.message); }
+      this.show(await this.undisturbed(turn, '/api/predict', question), question);
+      await turn.painted();
+      this.sweep = await this.undisturbed(turn, '/api/sweep', {...question, over: this.over});
+      this.place(question);
+    } catch (error) { this.failed(error); }
+  },
+
+  // An answer that no question of another tab has stopped.
+  async undisturbed(turn, path, question) {
+    for (;;) {
+      const answer = await turn.ask(path, question);
+      if (!answer.superseded) return answer;
+      await turn.pause(300);
+    }
   },
 
   show(answer, question) {
@@ -443,15 +457,9 @@ const predict = {
     if (!answer.moving) this.budget.replaceChildren(...answer.budget.slice(0, 7).map((one) => h('li', {}, h('span', {}, one.source),
       h('i', {style: `width: ${(100 * one.share).toFixed(1)}%`}), h('span', {}, `${Math.round(100 * one.share)} %`))));
     const main = answer.rows.filter((row) => row.main), shown = (row) => `${row.body} ${fixed(row.before, 2)} → ${fixed(row.after, 2)} m/s`;
-    this.impact.draw(question.scenario, question.object, answer.moment).catch((error) => { this.scene.textContent = error.message; });
+    this.turn.of(this.impact.draw(question.scenario, question.object, answer.moment)).catch((error) => { this.scene.textContent = error.message; });
     says('predict', `${main.map(shown).join(', ')}, along ${answer.axis}.`);
-    const drawn = Boolean(this.plot.data);
-    if (drawn) this.place(question.moving);
-    requestAnimationFrame(() => { // numbers are painted before the library of the figures comes
-      if (this.answer !== answer || this.numbers.hasAttribute('aria-busy')) return; // of an earlier question
-      if (!drawn) this.place(question.moving);
-      this.plot.dataset.shown = JSON.stringify(question.values);
-    });
+    this.place(question);
   },
 
   // The row of the figure's body.
@@ -469,16 +477,25 @@ const predict = {
 
   slider() { return this.found.sliders[this.object.value].find((one) => one.key === this.over); },
 
-  place(moving) {
-    const drawn = this.sweep?.slider.key === this.over && this.plot.dataset.over === this.over;
-    if (moving && drawn && this.plot.data) Plotly.relayout(this.plot, {shapes: this.marks()}); else this.paint();
+  async place(question) {
+    const {turn} = this;
+    if (!this.plot.data) await turn.frame(); // numbers are painted before the library of the figures comes
+    await turn.of(question.moving && this.onlyMarksMove() ? Plotly.relayout(this.plot, {shapes: this.marks()}) : this.paint());
+    this.plot.dataset.shown = JSON.stringify(question.values);
+  },
+
+  // Whether the figure has the axes and curves of the answer, and room for its markers: they move ten times faster alone.
+  onlyMarksMove() {
+    if (!this.plot.data || this.painted.over !== this.over || this.painted.sweep !== this.sweep) return false;
+    const [low, high] = this.plot.layout.yaxis.range;
+    return this.marks().every(({yanchor, y0, y1}) => (yanchor === undefined ? [y0, y1] : [yanchor]).every((one) => low <= one && one <= high));
   },
 
   // The impact map over one slider, with markers of the current values.
   paint() {
+    this.painted = {over: this.over, sweep: this.sweep};
     const slider = this.slider(), key = slider.key, row = this.row();
     const lines = this.sweep?.slider.key === key ? this.sweep : null;
-    this.plot.dataset.over = lines ? key : '';
     const data = [];
     if (lines) {
       data.push({x: [...lines.x, ...[...lines.x].reverse()], y: [...lines.high, ...[...lines.low].reverse()], fill: 'toself',
@@ -494,7 +511,7 @@ const predict = {
       data.push({x: [null], y: [null], mode: 'markers', name, marker: {color: colour, size: 11}});
     }
     const below = 52 + 19 * Math.ceil(7 / Math.max(1, Math.floor((this.plot.clientWidth - 72) / 190))); // of the legend
-    draw(this.plot, {data, layout: {height: 250 + below, margin: {l: 60, r: 12, t: 10, b: below}, hovermode: 'closest', shapes: this.marks(),
+    return draw(this.plot, {data, layout: {height: 250 + below, margin: {l: 60, r: 12, t: 10, b: below}, hovermode: 'closest', shapes: this.marks(),
       xaxis: {title: {text: `${slider.label} [${slider.unit}]`, standoff: 8}, range: [slider.low, slider.high], zeroline: false},
       yaxis: {title: {text: `v<sub>${this.answer.axis}</sub> after the impact [m/s]`}, zeroline: true, automargin: true},
       legend: {orientation: 'h', yref: 'container', y: 0, yanchor: 'bottom', x: 0, xanchor: 'left', font: {size: 11}}}});
@@ -510,10 +527,13 @@ const predict = {
 // ---- measure ------------------------------------------------------------------------------------------------------------
 
 const measure = {
+  questions: new Questions(), // of the picture
+
   build() {
-    this.parts = {campaign: this.campaign(), trial: this.trial(), blind: this.blind()};
+    this.parts = {campaign: this.campaign(), trial: this.trial(), design: design.build(), blind: this.blind()};
     this.parts.recorded = recorded.build();
-    const names = {campaign: 'Campaign', trial: 'Single trial', recorded: 'Recorded trials', blind: 'Practise', laboratory: 'Laboratory'};
+    this.parts.live = live.build();
+    const names = {campaign: 'Campaign', trial: 'Single trial', design: 'Design', recorded: 'Recorded trials', live: 'Live', blind: 'Practise', laboratory: 'Laboratory'};
     this.parts.laboratory = laboratory.build();
     this.tabs = Object.entries(names).map(([name, text]) => h('button', {type: 'button', role: 'tab', id: `tab-${name}`,
       'aria-controls': `part-${name}`, onclick: () => this.show(name)}, text));
@@ -539,23 +559,37 @@ const measure = {
     this.scene.hidden = !['campaign', 'trial'].includes(name);
     this.place.className = this.scene.hidden ? '' : 'beside';
     if (name === 'recorded' && state.workspace) recorded.update();
+    this.look();
     if (state.workspace) this.picture();
-    showAbout({...ABOUT[name === 'laboratory' ? name : 'measure'], terms: name === 'laboratory' ? [] : termsOf('measure')});
+    const own = ['laboratory', 'design'].includes(name);
+    showAbout({...ABOUT[own ? name : 'measure'], terms: own ? [] : termsOf('measure')});
+  },
+
+  // Nodes are watched while their tab is in sight.
+  look() { live.show(state.step === 'measure' && !this.node.querySelector('[data-part=live]').hidden); },
+
+  // Where the trials of a job are seen.
+  watch(job) {
+    const folder = inFolder(job.writes[0] ?? '');
+    go('measure');
+    this.show(watchable(job) ?? 'recorded');
+    recorded.wanted = state.workspace.campaigns.find((one) => `${one.path}/`.startsWith(`${folder}/`))?.path;
+    recorded.update();
   },
 
   // The impact that the form asks for, as the nominal model predicts it.
   async picture() {
+    const turn = this.questions.begin();
     if (this.scene.hidden || state.step !== 'measure') return;
     const form = this.node.querySelector('[data-part=trial]').hidden ? this.form : this.trialForm;
     const one = (value) => Array.isArray(value) ? value[0] : value;
     const question = {scenario: form.value('scenario'), object: one(form.value('objects' in form.fields ? 'objects' : 'object')),
       case: one(form.value('cases' in form.fields ? 'cases' : 'case'))};
     if (!form.found || !question.object || !question.case) return;
-    const key = this.pictured = JSON.stringify(question);
     try {
-      const {moment} = await ask('/api/impact', question);
-      if (this.pictured === key) await this.impact.draw(question.scenario, question.object, moment);
-    } catch (error) { if (this.pictured === key) this.scene.title = error.message; }
+      const {moment} = await turn.ask('/api/impact', question);
+      await turn.of(this.impact.draw(question.scenario, question.object, moment));
+    } catch (error) { this.scene.title = error.message; }
   },
 
   campaign() {
@@ -622,6 +656,7 @@ const measure = {
     this.asked = true;
     if (first) for (const form of [this.form, this.trialForm]) form.offer('scenario', plain(state.workspace.scenarios), 'push');
     for (const form of [this.form, this.trialForm, this.blindForm]) form.update();
+    design.update();
     laboratory.update();
     recorded.update();
     this.practice();
@@ -631,10 +666,73 @@ const measure = {
   },
 };
 
+// ---- design of trials ---------------------------------------------------------------------------------------------------
+
+// The first name that no file of the folder has.
+function free(name, used) {
+  let count = 1;
+  while (used.includes(name(count))) count += 1;
+  return name(count);
+}
+
+const design = {
+  questions: new Questions(),
+
+  build() {
+    this.form = commandForm('design', 'Plan the trials', {first: 'budget', suggest: {budget: () => 18, runs: () => '',
+      output: () => free((count) => `plans/plan_${count}.yaml`, state.workspace?.plans ?? [])}});
+    this.file = h('select', {id: 'design-file', onchange: () => this.open()});
+    this.result = h('div', {id: 'design-result'});
+    return h('div', {}, h('p', {class: 'note'}, 'Which trials decide most, before they run.'), this.form.node, labelled('plan', this.file), this.result);
+  },
+
+  // For what a diagnosis leaves open.
+  after(diagnosis, runs) {
+    go('measure');
+    measure.show('design');
+    this.form.choose('after', diagnosis);
+    if (runs) this.form.choose('runs', runs);
+  },
+
+  update() {
+    this.form.update();
+    const {plans, stamps} = state.workspace;
+    fill(this.file, plain(plans), this.wanted && plans.includes(this.wanted) ? this.wanted : undefined);
+    this.file.parentElement.hidden = !plans.length;
+    if (this.file.value && (this.file.value !== this.opened || stamps[this.file.value] !== this.stamp)) this.open();
+    if (this.wanted === this.file.value) this.wanted = null;
+  },
+
+  async open() {
+    const path = this.opened = this.file.value, turn = this.questions.begin();
+    this.stamp = state.workspace.stamps[path];
+    this.result.replaceChildren(reading(path));
+    try { this.show(await turn.ask(`/api/plan?${query({path})}`), path); } catch (error) { this.result.replaceChildren(mistake(error)); }
+  },
+
+  show(found, path) {
+    const percent = (value) => `${(100 * value).toFixed(1)} %`;
+    this.result.replaceChildren(h('p', {class: 'answer'}, h('b', {}, `${found.trials} trials`), found.summary),
+      h('div', {class: 'actions'}, ...jobButton('Run the plan', () => ({command: 'campaign', plan: path, output: `campaigns/${stem(path)}`}), {class: 'primary'})),
+      table('planned', ['trials', 'condition', 'what they add'], found.conditions.map((one) => [one.trials, one.what, one.adds])),
+      ...(found.pairs.length ? [h('h3', {}, 'Probability of the right decision, the least certain first'), table('pairs', ['explanation', 'against', 'before', 'after'],
+        found.pairs.map((one) => [one.first, one.second, percent(one.before), percent(one.after)]))] : []));
+  },
+};
+
+const mistake = (error) => h('p', {class: 'error', role: 'alert'}, inFolder(error.message));
+
+// Rows of texts and numbers.
+const table = (id, heads, rows) => h('div', {class: 'scroll'}, h('table', {id}, h('thead', {}, h('tr', {}, ...heads.map((text) => h('th', {scope: 'col', class: 'text'}, text)))),
+  h('tbody', {}, ...rows.map((cells) => h('tr', {}, ...cells.map((text) => h('td', {class: 'text'}, String(text))))))));
+
 // ---- recorded trials ----------------------------------------------------------------------------------------------------
 
 // Trials of a campaign: a click opens one in 3D, above its signals. While a campaign runs, its newest trial is followed.
 const recorded = {
+  lists: new Questions(),
+  questions: new Questions(), // of the opened trial
+
   build() {
     this.campaign = h('select', {id: 'recorded-campaign', onchange: () => this.list()});
     this.follow = h('input', {type: 'checkbox', id: 'recorded-follow', checked: true});
@@ -656,9 +754,9 @@ const recorded = {
   },
 
   async list() {
-    const path = this.campaign.value;
-    const names = await ask(`/api/trials?${query({path})}`);
-    if (path !== this.campaign.value) return;
+    const path = this.campaign.value, turn = this.lists.begin();
+    let names;
+    try { names = await turn.ask(`/api/trials?${query({path})}`); } catch (error) { this.failed(error); return; }
     const fresh = names.filter((name) => !(this.names ?? names).includes(name));
     const same = this.path === path;
     Object.assign(this, {names, path});
@@ -673,21 +771,23 @@ const recorded = {
       button.setAttribute('aria-pressed', String(path === `${this.path}/${button.dataset.trial}`));
     }
     this.shown.replaceChildren(reading(path));
+    const turn = this.questions.begin();
     try {
-      const found = await ask(`/api/trial?${query({path})}`);
-      if (path !== this.open_) return;
+      const found = await turn.ask(`/api/trial?${query({path})}`);
       const replay = h('div', {id: 'recorded-replay'});
       const plots = found.plots.map(({title, figure}) => ({title, figure, node: h('div', {class: 'plot', role: 'img', 'aria-label': title})}));
       this.shown.replaceChildren(h('h3', {}, found.title), replay, ...plots.flatMap(({title, node}) => [h('h3', {}, title), node]),
         ...found.facts.map((text) => h('p', {class: 'note'}, text)));
-      await Promise.all(plots.map(({figure, node}) => draw(node, figure)));
-      const made = await replayIn(replay, found.replay, {onSeek: (time) => { for (const {node} of plots) cursor(node, time); }});
+      await turn.of(Promise.all(plots.map(({figure, node}) => draw(node, figure))));
+      const made = await turn.of(replayIn(replay, found.replay, {onSeek: (time) => { for (const {node} of plots) cursor(node, time); }}));
       for (const {node} of plots) {
         node.on('plotly_click', ({points: [point]}) => made.seek(point.x));
         cursor(node, made.time);
       }
-    } catch (error) { if (path === this.open_) this.shown.replaceChildren(h('p', {class: 'error', role: 'alert'}, inFolder(error.message))); }
+    } catch (error) { this.failed(error); }
   },
+
+  failed(error) { this.shown.replaceChildren(h('p', {class: 'error', role: 'alert'}, inFolder(error.message))); },
 };
 
 // ---- compare ------------------------------------------------------------------------------------------------------------
@@ -718,6 +818,9 @@ const reading = (path) => h('p', {class: 'note', role: 'status'}, `Reading ${pat
 const emptyNote = (text) => h('p', {class: 'note'}, text);
 
 const compare = {
+  questions: new Questions(), // of the report
+  signals: new Questions(), // of a place in it
+
   build() {
     this.form = runsForm('compare', 'Compare');
     this.report = h('select', {id: 'compare-report', onchange: () => this.open()});
@@ -739,21 +842,21 @@ const compare = {
   },
 
   async open() {
-    const path = this.opened = this.report.value;
+    const path = this.opened = this.report.value, turn = this.questions.begin();
+    this.signals.begin();
     this.stamp = state.workspace.stamps[path];
     this.result.replaceChildren(reading(path));
     if (path.endsWith('report.html')) { this.result.replaceChildren(...wholeReport(path, true)); return; }
     try {
       const folder = path.replace(/\/?compare\.html$/, '') || '.';
-      const found = await ask(`/api/comparison?${query({path: folder})}`);
-      if (path === this.opened) this.show(found, path);
-    } catch (error) { if (path === this.opened) this.result.replaceChildren(h('p', {class: 'error', role: 'alert'}, error.message)); }
+      this.show(await turn.ask(`/api/comparison?${query({path: folder})}`), path, turn);
+    } catch (error) { this.result.replaceChildren(h('p', {class: 'error', role: 'alert'}, error.message)); }
   },
 
-  show(found, path) {
+  show(found, path, turn) {
     this.signal = h('div', {id: 'signal'});
     this.frame = wholeReport(path, false);
-    this.replay = replayOf(path);
+    this.replay = replayOf(path, turn);
     const choose = h('select', {'aria-label': 'place', id: 'cell', onchange: () => this.openSignal(found.cells[choose.value], path)},
       ...found.cells.slice(0, 60).map((cell, index) => new Option(`${cell.row}, ${cell.column} ${cell.map ? `(${cell.map})` : ''}: ${cell.error}, ` +
         `${cell.times} ×`, index)));
@@ -778,19 +881,24 @@ const compare = {
     }
   },
 
-  // Signals over time, and runs in 3D, from the report's own page.
-  async read(path) {
-    if (this.tracksOf === `${path} ${this.stamp}`) return;
-    this.tracksOf = `${path} ${this.stamp}`;
-    const page = await pageOf(path), plot = page.getElementById('tracks'), data = page.getElementById('tracks-data');
-    this.tracks = plot && data ? {sets: JSON.parse(data.textContent), figure: JSON.parse(page.getElementById(plot.dataset.tracks).textContent)} : null;
+  // Signals over time, from the report's own page, which is read once.
+  tracks(path) {
+    const key = `${path} ${this.stamp}`;
+    if (this.tracksOf !== key) {
+      this.tracksOf = key;
+      this.tracksRead = pageOf(path).then((page) => {
+        const plot = page.getElementById('tracks'), data = page.getElementById('tracks-data');
+        return plot && data ? {sets: JSON.parse(data.textContent), figure: JSON.parse(page.getElementById(plot.dataset.tracks).textContent)} : null;
+      });
+    }
+    return this.tracksRead;
   },
 
   // The signal that shows a cell best, measured and predicted, from the data of the report's own page.
   async openSignal(cell, path) {
-    await this.read(path);
-    if (!this.tracks) { this.signal.replaceChildren(emptyNote('This report has no signals over time.')); return; }
-    const {sets, figure} = this.tracks;
+    const found = await this.signals.begin().of(this.tracks(path));
+    if (!found) { this.signal.replaceChildren(emptyNote('This report has no signals over time.')); return; }
+    const {sets, figure} = found;
     const set = sets.find((one) => one.label.startsWith(cell.set)) ?? sets[0];
     const signal = set.signals.find((one) => one.name === cell.signal) ?? set.signals[0];
     const time = floats(set.time), measured = floats(signal.measured), predicted = floats(signal.predicted);
@@ -813,11 +921,11 @@ const compare = {
 const pageOf = async (path) => new DOMParser().parseFromString(await (await fetch(`/files/${path}`)).text(), 'text/html');
 
 // The runs of a report in 3D: measured, and the model as a ghost. `show` goes to a run and a moment.
-function replayOf(path) {
+function replayOf(path, turn) {
   const choose = h('select', {'aria-label': 'run in 3D'}), place = h('div', {});
   const node = h('div', {class: 'replays', hidden: true}, h('h3', {}, 'In 3D, beside the model'), choose, place);
   const ready = (async () => {
-    const data = (await pageOf(path)).getElementById('replay-data');
+    const data = (await turn.of(pageOf(path))).getElementById('replay-data');
     if (!data) return null;
     node.hidden = false;
     const runs = JSON.parse(data.textContent), made = await replayIn(place, runs);
@@ -848,6 +956,8 @@ function wholeReport(path, open) {
 // ---- diagnose -----------------------------------------------------------------------------------------------------------
 
 const diagnose = {
+  questions: new Questions(),
+
   build() {
     this.form = runsForm('diagnose', 'Diagnose', {report: () => this.form.folder(),
       output: () => `${this.form.value('report') ?? this.form.folder()}/diagnosis.json`});
@@ -879,18 +989,15 @@ const diagnose = {
   },
 
   async open() {
-    const path = this.opened = this.file.value;
+    const path = this.opened = this.file.value, turn = this.questions.begin();
     this.stamp = state.workspace.stamps[path];
     this.result.replaceChildren(reading(path));
     try {
-      const found = await ask(`/api/diagnosis?${query({path})}`);
-      if (path === this.opened) this.show(found);
-    } catch (error) {
-      if (path === this.opened) this.result.replaceChildren(h('p', {class: 'error', role: 'alert'}, error.message));
-    }
+      this.show(await turn.ask(`/api/diagnosis?${query({path})}`), turn);
+    } catch (error) { this.result.replaceChildren(h('p', {class: 'error', role: 'alert'}, error.message)); }
   },
 
-  show(found) {
+  show(found, turn) {
     const plot = h('div', {class: 'plot', role: 'img', 'aria-label': 'Held-out error by effect'});
     const rows = found.effects.slice(0, 12).map((effect) => h('tr', {class: effect.tag === 'good' ? 'main' : ''},
       h('td', {title: effect.sentence}, effect.name), h('td', {class: 'text'}, effect.verdict),
@@ -910,7 +1017,7 @@ const diagnose = {
       found.calls_for_a_law ? this.law(found) : '',
       state.workspace.blinds.length ? this.revealed() : '',
       found.next ? this.next(found.next) : '',
-      replayOf(this.opened.replace(/[^/]*$/, found.report)).node,
+      replayOf(this.opened.replace(/[^/]*$/, found.report), turn).node,
       ...wholeReport(this.opened.replace(/[^/]*$/, found.report), false),
       ...found.remarks.map((text) => h('p', {class: 'note'}, `Note: ${text}`)));
     if (found.figure) draw(plot, found.figure); else plot.remove();
@@ -938,7 +1045,8 @@ const diagnose = {
       output: `${nextFolder(this.form.value('runs'))}/next_${slug(experiment.scenario)}_${slug(experiment.object ?? '')}`,
       objects: experiment.object ? [experiment.object] : null, cases: experiment.case ? [experiment.case] : null, scales: [1], trials: 3}),
     {class: 'primary'}) : [];
-    return h('div', {class: 'answer'}, h('b', {}, 'Next experiment'), h('p', {}, experiment.advice), h('div', {class: 'actions'}, ...run));
+    return h('div', {class: 'answer'}, h('b', {}, 'Next experiment'), h('p', {}, experiment.advice), h('div', {class: 'actions'}, ...run,
+      h('button', {type: 'button', id: 'design-next', onclick: () => design.after(this.opened, this.form.value('runs'))}, 'Design more trials')));
   },
 };
 
@@ -974,12 +1082,15 @@ const EXAMPLE = `effects:
 `;
 
 const add = {
+  questions: new Questions(), // of the diagnosis
+  texts: new Questions(), // of the formula
+
   build() {
     const form = this.form = commandForm('add', 'Add the effect', {offers: ['effect'], first: 'source', ready: () => this.parent && form.value('effect'),
       suggest: {model: () => this.parent ?? 'nominal', output: () => this.next()}});
     form.control('source').addEventListener('change', () => this.choose());
     this.note = h('p', {class: 'note'});
-    this.text = h('textarea', {id: 'formula', spellcheck: 'false', 'aria-label': 'effect as a formula, in YAML', oninput: later(150, () => this.check())});
+    this.text = h('textarea', {id: 'formula', spellcheck: 'false', 'aria-label': 'effect as a formula, in YAML', oninput: () => this.check()});
     this.text.value = EXAMPLE;
     this.checked = h('div', {id: 'formula-check', 'aria-live': 'polite'});
     this.name = h('input', {value: 'formulas/mine.yaml', id: 'formula-file'});
@@ -999,7 +1110,7 @@ const add = {
   },
 
   async choose() {
-    const path = this.opened = this.form.value('source');
+    const path = this.opened = this.form.value('source'), turn = this.questions.begin();
     if (!path) return;
     this.stamp = state.workspace.stamps[path];
     this.parent = null; // of the earlier diagnosis
@@ -1007,8 +1118,7 @@ const add = {
     this.note.textContent = `Reading ${path} …`;
     this.form.refresh();
     try {
-      const found = await ask(`/api/diagnosis?${query({path})}`);
-      if (path !== this.opened) return;
+      const found = await turn.ask(`/api/diagnosis?${query({path})}`);
       this.parent = state.workspace.models.find((model) => model.digest === found.digest)?.path ?? null;
       this.note.textContent = this.parent ? `Diagnosis of ${found.model}: ${found.summary}` : `The diagnosed model ${found.model} is not in this folder.`;
       const order = [...found.effects].sort((a, b) => found.named.includes(b.name) - found.named.includes(a.name));
@@ -1018,19 +1128,16 @@ const add = {
     } catch (error) { this.note.textContent = error.message; }
   },
 
-  // A file that is none yet.
-  next() {
-    const used = new Set(state.workspace?.models.map((model) => model.path));
-    let count = 2;
-    while (used.has(`models/model_${count}.yaml`)) count += 1;
-    return `models/model_${count}.yaml`;
-  },
+  // A file that is none yet; the first model is the nominal one.
+  next() { return free((count) => `models/model_${count + 1}.yaml`, (state.workspace?.models ?? []).map((model) => model.path)); },
 
   start(file, effect) { this.wanted = {file, effect}; go('add'); },
 
   async check() {
+    const turn = this.texts.begin();
+    await turn.pause(150);
     try {
-      const {effects} = await ask('/api/formulas/check', {text: this.text.value});
+      const {effects} = await turn.ask('/api/formulas/check', {text: this.text.value});
       this.checked.replaceChildren(...effects.map((effect) => h('div', {}, h('p', {class: 'good'}, `✓ ${effect.name}: ${effect.sentence}`),
         h('ul', {}, ...effect.lines.map((line) => h('li', {}, line))))));
       this.save.disabled = false;
@@ -1042,7 +1149,7 @@ const add = {
 
   async keep() {
     try {
-      const {command} = await ask('/api/formulas', {path: this.name.value, text: this.text.value});
+      const {command} = await this.texts.begin().of(ask('/api/formulas', {path: this.name.value, text: this.text.value}));
       this.checked.replaceChildren(h('p', {class: 'good'}, `Saved as ${this.name.value}.`), commandLine(command));
     } catch (error) { this.checked.replaceChildren(h('p', {class: 'error', role: 'alert'}, error.message)); }
   },
@@ -1054,15 +1161,11 @@ const history_ = {
   build() {
     this.form = runsForm('history', 'Show the history', {model: newestModel});
     this.result = h('div', {id: 'history-result'});
-    this.investigations = h('p', {id: 'investigations'});
-    return h('section', {}, h('h2', {}, 'How the error fell'), lead('history'), this.form.node, this.investigations, this.result);
+    return h('section', {}, h('h2', {}, 'How the error fell'), lead('history'), this.form.node, this.result);
   },
 
   update() {
     this.form.update();
-    const pages = state.workspace.reports.filter((path) => path.endsWith('investigation.html'));
-    this.investigations.replaceChildren(...pages.map((path) =>
-      h('a', {href: `/files/${path}`, target: '_blank', rel: 'noopener'}, `Investigation ${path}: models and trials`)));
     const found = state.workspace.reports.filter((path) => path.endsWith('history.html'));
     const newest = found.sort((a, b) => state.workspace.stamps[b] - state.workspace.stamps[a])[0];
     const key = newest && `${newest} ${state.workspace.stamps[newest]}`;
@@ -1073,6 +1176,49 @@ const history_ = {
   },
 };
 
+// ---- investigate ----------------------------------------------------------------------------------------------------------
+
+const investigate = {
+  questions: new Questions(),
+
+  build() {
+    this.form = commandForm('investigate', 'Investigate', {first: 'budget',
+      suggest: {directory: () => free((count) => `investigations/${count}`, state.workspace ? this.folders() : [])}});
+    this.file = h('select', {id: 'investigate-file', onchange: () => this.open()});
+    this.result = h('div', {id: 'investigate-result'});
+    return h('section', {}, h('h2', {}, 'Let the loop run by itself'), lead('investigate'), this.form.node,
+      labelled('investigation', this.file), this.result);
+  },
+
+  // Folders of investigations, by their pages.
+  folders() { return state.workspace.reports.filter((path) => path.endsWith(PAGE)).map((path) => path.slice(0, -PAGE.length)); },
+
+  update() {
+    this.form.update();
+    const found = this.folders();
+    fill(this.file, plain(found), this.wanted && found.includes(this.wanted) ? this.wanted : undefined);
+    this.file.parentElement.hidden = !found.length;
+    const stamp = state.workspace.stamps[`${this.file.value}${PAGE}`];
+    if (this.file.value && (this.file.value !== this.opened || stamp !== this.stamp)) this.open();
+    if (this.wanted === this.file.value) this.wanted = null;
+  },
+
+  async open() {
+    const path = this.opened = this.file.value, turn = this.questions.begin();
+    this.stamp = state.workspace.stamps[`${path}${PAGE}`];
+    this.result.replaceChildren(reading(path));
+    try {
+      const {ending, rounds, trials} = await turn.ask(`/api/investigation?${query({path})}`);
+      const so_far = `${trials} trial${trials === 1 ? '' : 's'} in ${rounds} round${rounds === 1 ? '' : 's'}`;
+      says('investigate', `${path}: ${ending ? ending.verdict : 'not at its end'}, after ${so_far}.`);
+      this.result.replaceChildren(h('p', {class: 'answer', id: 'ending'}, h('b', {}, ending ? ending.verdict : 'goes on'), ending ? ending.summary : `${so_far} so far.`),
+        ...wholeReport(`${path}${PAGE}`, true));
+    } catch (error) { this.result.replaceChildren(mistake(error)); }
+  },
+};
+
+const PAGE = '/report/investigation.html';
+
 // ---- laboratory -----------------------------------------------------------------------------------------------------------
 
 const ARM_SIGNALS = [{name: 'position', text: 'joint position'}, {name: 'velocity', text: 'joint velocity'},
@@ -1080,6 +1226,8 @@ const ARM_SIGNALS = [{name: 'position', text: 'joint position'}, {name: 'velocit
 const OBJECT_POSE = {name: 'object_pose', text: 'pose of the object', optional: true};
 
 const laboratory = {
+  questions: new Questions(),
+
   build() {
     this.folder = h('select', {id: 'lab-folder', onchange: () => this.look()});
     this.scenario = h('select', {id: 'lab-scenario', onchange: () => this.look()});
@@ -1111,7 +1259,7 @@ const laboratory = {
   },
 
   async look() {
-    const folder = this.looked = this.folder.value;
+    const folder = this.looked = this.folder.value, turn = this.turn = this.questions.begin();
     this.offered = null;
     this.lab = state.workspace.laboratories.find((lab) => lab.path === folder);
     this.message.show();
@@ -1119,9 +1267,8 @@ const laboratory = {
     if (this.lab.error) this.message.error(this.lab.error);
     try {
       const name = this.scenario.value;
-      const [found, {objects}] = await Promise.all([ask(`/api/laboratory?${query({path: folder, scenario: name})}`),
-        ask(`/api/scenario?${query({name})}`)]);
-      if (this.looked !== folder || this.scenario.value !== name) return; // another one was chosen meanwhile
+      const [found, {objects}] = await Promise.all([turn.ask(`/api/laboratory?${query({path: folder, scenario: name})}`),
+        turn.ask(`/api/scenario?${query({name})}`)]);
       Object.assign(this, {found, objects, offered: folder});
       this.arms = Object.entries(found.arms).map(([arm, given]) => this.arm(arm, given));
       this.pose = this.signal(OBJECT_POSE, this.arms[0], found.object_pose);
@@ -1141,7 +1288,6 @@ const laboratory = {
           'Write experiment.yaml and mapping')));
       for (const one of [...this.arms.flatMap((arm) => arm.signals), this.pose]) one.show();
     } catch (error) {
-      if (this.looked !== folder) return;
       this.message.error(error.message);
       this.body.replaceChildren();
     }
@@ -1176,15 +1322,14 @@ const laboratory = {
     const unitOf = (how) => (units.find((one) => one.how === how) ?? units[0]).select.value;
     const value = () => source.value === '' ? null : {...streams[source.value].source,
       unit: units.length > 1 ? slides.map((one) => unitOf(one ? 'slide' : 'turn')) : units[0].select.value};
-    let asked = 0;
-    const clear = (text, kind) => { line.className = kind; line.textContent = text; if (plot.data) Plotly.purge(plot); plot.replaceChildren(); };
+    const questions = new Questions();
+    const clear = (text, kind) => { line.className = kind; line.textContent = text; erase(plot); };
     const show = async () => {
-      const mine = ++asked;
+      const turn = questions.begin();
       if (source.value === '') { clear('', 'note'); return; }
       try {
-        const seen_ = await ask('/api/laboratory/preview', {path: this.found.path, scenario: this.scenario.value, arm: arm.name, signal: signal.name,
+        const seen_ = await turn.ask('/api/laboratory/preview', {path: this.found.path, scenario: this.scenario.value, arm: arm.name, signal: signal.name,
           source: value(), position: arm.signals?.[0].value() ?? value(), joints: arm.joints(), command_includes_gravity: arm.gravity.checked});
-        if (mine !== asked) return;
         const ranges = seen_.ranges.map((one) => `from ${number(one.low)} to ${number(one.high)} ${one.unit}`).join(', ');
         line.className = seen_.wrong ? 'error' : 'note';
         line.textContent = seen_.wrong || `${seen_.place}; ${seen_.samples} samples at ${number(seen_.rate)} Hz; ${ranges}`;
@@ -1194,7 +1339,7 @@ const laboratory = {
         layout: {height: 170, margin: {l: 50, r: second ? 50 : 10, t: 6, b: 34}, showlegend: false, xaxis: {title: {text: 'time [s]'}},
           yaxis: {title: {text: seen_.ranges.find((one) => one.unit !== second).unit}},
           ...(second ? {yaxis2: {title: {text: second}, overlaying: 'y', side: 'right', tickmode: 'auto', showgrid: false}} : {})}});
-      } catch (error) { if (mine === asked) clear(error.message, 'error'); }
+      } catch (error) { clear(error.message, 'error'); }
     };
     // All signals of an arm have the clock of its joint positions.
     const changed = () => { if (signal.name === 'position') for (const one of arm.signals) one.show(); else show(); };
@@ -1225,9 +1370,9 @@ const laboratory = {
     const chosen = (arm) => Object.fromEntries(arm.signals.map((one) => [one.name, one.value()]).filter(([, value]) => value));
     const folder = this.folder.value;
     try {
-      const done = await ask('/api/laboratory', {path: folder, scenario: this.scenario.value, object_pose: this.pose.value(),
+      const done = await this.turn.of(ask('/api/laboratory', {path: folder, scenario: this.scenario.value, object_pose: this.pose.value(),
         world_from_hits: this.world.checked, runs, arms: Object.fromEntries(this.arms.map((arm) => [arm.name,
-          {joints: arm.joints(), command_includes_gravity: arm.gravity.checked, signals: chosen(arm)}]))});
+          {joints: arm.joints(), command_includes_gravity: arm.gravity.checked, signals: chosen(arm)}]))}));
       this.message.show(h('p', {class: 'good', id: 'lab-written'}, `Written: ${done.written.join(', ')}.`),
         ...done.remarks.map((remark) => h('p', {class: 'note'}, `Note: ${remark}`)), h('p', {}, 'Next:'), commandLine(done.command),
         h('div', {class: 'actions'}, h('button', {type: 'button', onclick: () => { compare.form.chooseSoon(folder); go('compare'); }}, 'Compare')));
@@ -1328,11 +1473,11 @@ function stateText(job) {
 const opened = new Map(); // of jobs whose output is looked at, by their numbers
 
 async function showOutput(number_) {
-  const {log} = await ask(`/api/jobs/${number_}/log`);
-  if (!opened.has(number_)) return; // closed meanwhile
-  opened.set(number_, log || 'nothing printed yet');
+  const output = opened.get(number_);
+  const {log} = await output.questions.begin().ask(`/api/jobs/${number_}/log`);
+  output.text = log || 'nothing printed yet';
   const shown = $('job-list').querySelector(`[data-job="${number_}"] pre`);
-  if (shown) shown.textContent = opened.get(number_);
+  if (shown) shown.textContent = output.text;
 }
 
 // Of the whole job, not of its stage.
@@ -1348,16 +1493,17 @@ function jobRow(job) {
   };
   const bar = job.ended === null ? progressBar(job) : '';
   const look = ({target}) => {
-    if (!opened.delete(job.number)) { opened.set(job.number, ''); showOutput(job.number); }
+    if (!opened.delete(job.number)) { opened.set(job.number, {text: '', questions: new Questions()}); showOutput(job.number); }
     target.closest('li').querySelector('pre').hidden = !opened.has(job.number);
   };
   return h('li', {'data-job': job.number, 'data-state': job.ended === null ? 'running' : job.exit_code},
     h('div', {}, h('code', {}, job.command)), h('div', {class: `state ${job.ended !== null && job.exit_code ? 'error' : ''}`}, stateText(job), bar),
     h('div', {class: 'buttons'}, job.ended === null ? h('button', {type: 'button', disabled: job.stopping, onclick: act('stop')}, 'Stop') :
       h('button', {type: 'button', onclick: act('again')}, job.exit_code ? 'Continue' : 'Again'),
+    watchable(job) ? h('button', {type: 'button', onclick: () => measure.watch(job)}, 'Watch') : '',
     h('button', {type: 'button', onclick: look}, 'Output'),
     h('button', {type: 'button', onclick: () => navigator.clipboard.writeText(job.command)}, 'Copy'), h('output', {class: 'reply'}, job.stopping ? 'stopping …' : '')),
-    h('pre', {hidden: !opened.has(job.number), tabindex: 0}, opened.get(job.number) ?? ''));
+    h('pre', {hidden: !opened.has(job.number), tabindex: 0}, opened.get(job.number)?.text ?? ''));
 }
 
 const MOST_JOBS = 8;
@@ -1404,12 +1550,15 @@ function showJobs(jobs) {
     if (job.ended !== null && item) finished(job);
   });
   if (state.workspace) diagnose.jobs();
+  live.jobs((job) => measure.watch(job));
 }
 
 // Selects the result of a finished job in the step that shows it.
 function finished(job) {
   const made = job.writes.map((path) => path.replace(`${state.workspace.root}/`, ''));
   if (job.exit_code !== 0) return;
+  if (job.arguments[0] === 'design') design.wanted = made[0];
+  if (job.arguments[0] === 'investigate') investigate.wanted = made[0];
   if (job.arguments[0] === 'compare') compare.wanted = `${made[0]}/compare.html`;
   if (job.arguments[0] === 'analyze') compare.wanted = `${made[0]}/report.html`;
   if (['diagnose', 'discover'].includes(job.arguments[0])) diagnose.wanted = made.find((path) => path.endsWith('.json'));
@@ -1419,7 +1568,8 @@ function finished(job) {
 // ---- the page ---------------------------------------------------------------------------------------------------------------
 
 const STEPS = {predict: ['Predict', predict], measure: ['Measure', measure], compare: ['Compare', compare],
-  diagnose: ['Diagnose', diagnose], add: ['Add', add], history: ['History', history_], overlay: ['Overlay', overlay]};
+  diagnose: ['Diagnose', diagnose], add: ['Add', add], history: ['History', history_], overlay: ['Overlay', overlay],
+  investigate: ['Investigate', investigate]};
 const panels = {};
 
 function go(step) {
@@ -1430,6 +1580,7 @@ function go(step) {
     if (button.dataset.step === step) button.setAttribute('aria-current', 'step'); else button.removeAttribute('aria-current');
   }
   showAbout({...ABOUT[step], terms: termsOf(step)});
+  measure.look();
   if (state.workspace) STEPS[step][1].update();
   requestAnimationFrame(fitAll);
 }
@@ -1457,4 +1608,4 @@ go(STEPS[asked] ? asked : 'predict');
 addEventListener('hashchange', () => { const step = location.hash.slice(1); if (STEPS[step] && step !== state.step) go(step); });
 darkScheme.addEventListener('change', () => { if (predict.answer) predict.paint(); });
 listen();
-window.impact_rs = {predict, recorded}; // for the browser's console
+window.impact_rs = {predict, recorded, nodes: live}; // for the browser's console

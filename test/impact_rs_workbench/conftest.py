@@ -7,12 +7,14 @@ import contextlib
 import signal
 import sys
 from collections.abc import Callable, Iterator
+from contextlib import nullcontext
 from pathlib import Path
 
 import pytest
 from processes import running
 from starlette.testclient import TestClient
 
+from impact_rs_trials.snapshot import Snapshot
 from impact_rs_workbench.request_guard import Guard
 from impact_rs_workbench.server import Workbench, application
 
@@ -28,11 +30,18 @@ def interruptible() -> Iterator[None]:
     signal.signal(signal.SIGINT, before)
 
 
+class NoNodes:
+    """No nodes."""
+
+    def look(self) -> Snapshot:
+        return Snapshot("absent", "nowhere")
+
+
 @pytest.fixture
 def workbench(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Workbench]:
     """A workbench of ``tmp_path``, whose jobs end with the test."""
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path.parent / "cache"))
-    made = Workbench(tmp_path, "impact-rs")
+    made = Workbench(tmp_path, "impact-rs", lambda _: nullcontext(NoNodes()))
     yield made
     made.jobs.close()
 

@@ -105,6 +105,6 @@ def test_nobody_without_the_key_is_told_anything() -> None:
         )  # fmt: skip
     assert stranger.get("/", params={"token": TOKEN}).status_code == 303
     assert "default-src 'none'" in stranger.get("/").headers["content-security-policy"]
-    for name in ("page.css", "three.min.js", "replay.js", "live.js"):
+    for name in ("page.css", "three.min.js", "replay.js", "live.js", "show.js"):
         assert stranger.get(f"/static/{name}").status_code == 200, name
     assert stranger.get("/static/live.html").status_code == 404

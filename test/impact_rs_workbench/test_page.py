@@ -17,12 +17,15 @@ from pathlib import Path
 from typing import Literal
 
 import pytest
+import yaml
 from axe_playwright_python.sync_playwright import Axe
 from mixed_grab import FILE
 from playwright.sync_api import Browser, Locator, Page, Route, ViewportSize, expect, sync_playwright
 
 from impact_rs_cli.main import main
+from impact_rs_sim.scenario import load_scenario
 from impact_rs_trials.bags import topics
+from impact_rs_trials.experiment_plan import write_scenario
 
 BROWSER = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
 pytestmark = pytest.mark.skipif(BROWSER is None, reason="no chromium or chrome on this machine")
@@ -30,8 +33,39 @@ HIDDEN_FRICTION = 0.18  # of the support, in the campaign of the fixtures
 SLOW = 300_000.0  # ms, for a job on a machine with other work
 expect.set_options(timeout=60_000.0)
 DESK: ViewportSize = {"width": 1280, "height": 800}
-STEPS = ("predict", "measure", "compare", "diagnose", "add", "history", "overlay")
+STEPS = ("predict", "measure", "compare", "diagnose", "add", "history", "overlay", "investigate")
+FRAMES = (
+    "(count) => new Promise((done) => { const next = () => count-- ? requestAnimationFrame(next) : done(); next(); })"
+)
 IMAGES = Path(__file__).resolve().parents[2] / "docs" / "images"
+
+
+class Held:
+    """Answers of the server that come late; without a pattern none."""
+
+    def __init__(self, page: Page, pattern: str) -> None:
+        self._routes: list[Route] = []
+        self._page, self._pattern = page, pattern
+        if pattern:  # a route ends the cache of the browser
+            page.route(pattern, lambda route: self._routes.append(route))
+
+    def wait_for(self, count: int) -> None:
+        """Until so many questions were asked."""
+        while len(self._routes) < count:
+            self._page.evaluate("1")  # hears of requests meanwhile
+
+    def let_go(self) -> None:
+        """Answer every question, and let the page paint."""
+        for route in self._routes:
+            route.fulfill(response=route.fetch())
+        self._routes.clear()
+        self._page.unroute(self._pattern)
+        self._page.evaluate(FRAMES, 6)
+
+    def answer_last_of(self, count: int) -> None:
+        """Answer the last question alone, once so many were asked."""
+        self.wait_for(count)
+        self._routes.pop().continue_()
 
 
 @pytest.fixture(scope="module")
@@ -59,8 +93,11 @@ def folder(address: tuple[str, Path]) -> Path:
 
 
 @contextmanager
-def opened(browser: Browser, address: str) -> Iterator[Page]:
-    """A page that asks no other server for anything and throws no error."""
+def opened(browser: Browser, address: str, late: str = "") -> Iterator[tuple[Page, Held]]:
+    """A page that asks no other server for anything and throws no error.
+
+    ``late``: what it asks for at first and does not get; without it, the page has shown a prediction.
+    """
     context = browser.new_context(viewport=DESK)
     made = context.new_page()
     made.set_default_timeout(60_000.0)
@@ -71,16 +108,20 @@ def opened(browser: Browser, address: str) -> Iterator[Page]:
         "request", lambda sent: None if sent.url.startswith((home, "data:", "blob:")) else elsewhere.append(sent.url)
     )
     made.on("pageerror", lambda error: errors.append(str(error)))
+    held = Held(made, late and f"**/{late}")
     made.goto(address)
-    expect(made.locator("#predict-plot")).to_have_attribute("data-shown", re.compile("."))
-    yield made
+    if late:
+        held.wait_for(1)
+    else:
+        expect(made.locator("#predict-plot")).to_have_attribute("data-shown", re.compile("."))
+    yield made, held
     context.close()
     assert elsewhere == errors == []
 
 
 @pytest.fixture(scope="module")
 def one_page(browser: Browser, address: tuple[str, Path]) -> Iterator[Page]:
-    with opened(browser, address[0]) as made:
+    with opened(browser, address[0]) as (made, _):
         yield made
 
 
@@ -107,10 +148,10 @@ def go(page: Page, step: str, tab: str = "") -> Locator:
 
 def start(page: Page, label: str, state: str | int = 0) -> None:
     """Start a job with the button of the step, and wait until it is in a state; 0: done."""
-    jobs = page.locator("#job-list > li[data-job]")
-    count = jobs.count()
+    jobs = page.locator("#job-list > li[data-job]")  # the newest first, and no more than some
+    last = int(jobs.first.get_attribute("data-job") or 0) if jobs.count() else 0
     page.locator("main form:visible").get_by_role("button", name=label, exact=True).click()
-    expect(jobs).to_have_count(count + 1)
+    expect(jobs.first).to_have_attribute("data-job", str(last + 1))
     expect(jobs.first).to_have_attribute("data-state", str(state), timeout=SLOW)
 
 
@@ -424,6 +465,56 @@ def test_what_no_effect_explains_is_looked_for_as_a_law_by_a_button(page: Page, 
     assert (order["report"], order["output"]) == ("reports/open", "reports/open/discovery.json")
 
 
+@pytest.mark.timeout(600)
+def test_trials_are_designed_shown_and_run_by_a_button(page: Page, folder: Path) -> None:
+    push = load_scenario("push")
+    one = {name: dict([next(iter(getattr(push, name).items()))]) for name in ("objects", "cases")}
+    write_scenario(push.model_copy(update=one), folder / "small.yaml")
+    command, mistake = go(page, "measure", "design"), page.locator("#part-design .message .error")
+    expect(command).to_contain_text("impact-rs design --budget 18 -o workbench/plans/plan_1.yaml")
+    page.locator("#design-budget").fill("0")
+    expect(mistake).to_contain_text("budget = 0: expected greater than or equal to 1")
+    page.locator("#design-budget").fill("6")
+    page.locator("#design-scenarios").fill("push pusch")
+    expect(mistake).to_contain_text("did you mean 'push'")
+    page.locator("#design-scenarios").fill("small.yaml")
+    expect(command).to_contain_text("--budget 6 -o workbench/plans/plan_1.yaml --scenarios workbench/small.yaml")
+    start(page, "Plan the trials")
+    expect(page.locator("#design-output")).to_have_value("plans/plan_2.yaml")  # what is there is not written over
+    planned = yaml.safe_load((folder / "plans" / "plan_1.yaml").read_text())
+    rows = page.locator("#planned tbody tr")
+    expect(rows).to_have_count(sum(len(one["conditions"]) for one in planned["campaigns"]))
+    assert sum(int(row.locator("td").first.inner_text()) for row in rows.all()) == 6
+    expect(page.locator("#pairs tbody tr").first).to_contain_text(planned["pairs"][0]["first"])
+    accessible(page)
+    page.set_viewport_size({"width": 1280, "height": 1100})
+    picture(page, "workbench_design", folder)
+    page.route("**/api/jobs", lambda route: route.abort())
+    with page.expect_request("**/api/jobs") as asked:
+        page.get_by_role("button", name="Run the plan").click()
+    order = asked.value.post_data_json
+    assert order == {"command": "campaign", "plan": "plans/plan_1.yaml", "output": "campaigns/plan_1"}
+
+
+@pytest.mark.timeout(600)
+def test_an_investigation_is_followed_stopped_and_can_go_on(page: Page, folder: Path) -> None:
+    command = go(page, "investigate")
+    expect(command).to_contain_text("impact-rs investigate workbench/investigations/1")
+    expect(page.locator("#investigate-budget")).to_have_attribute("min", "6")
+    page.locator("#investigate-blind").fill("7")
+    page.locator("#investigate-budget").fill("8")
+    expect(command).to_contain_text("--budget 8 --blind 7")
+    start(page, "Investigate", "running")
+    expect(page.locator("#ending")).to_contain_text("goes on", timeout=SLOW)
+    expect(page.frame_locator("#investigate-result iframe").locator("h1")).to_be_visible()
+    page.locator("#jobs-toggle").click()
+    job = page.locator("#job-list > li").first
+    job.get_by_role("button", name="Stop").click()
+    expect(job).to_have_attribute("data-state", "130")
+    expect(job.get_by_role("button", name="Continue")).to_be_visible()
+    assert (folder / "investigations" / "1" / "investigation.yaml").exists()
+
+
 def test_a_campaign_is_offered_counted_and_refused_on_the_page(page: Page) -> None:
     command, campaign = go(page, "measure"), page.locator("#part-campaign")
     expect(command).to_contain_text("--scales 0.8 0.9 1 1.1 1.2 --trials 2")
@@ -459,28 +550,6 @@ def test_a_prediction_becomes_a_campaign_at_the_first_click(page: Page) -> None:
     expect(command).to_contain_text(re.compile("campaign push -o .*push_juice --objects juice --cases case_3"))
 
 
-class Held:
-    """Answers of the server that are kept back."""
-
-    def __init__(self, page: Page, pattern: str) -> None:
-        self._routes: list[Route] = []
-        page.route(pattern, lambda route: self._routes.append(route))
-        self._page, self._pattern = page, pattern
-
-    def let_go(self) -> None:
-        """Answer every question."""
-        for route in self._routes:
-            route.continue_()
-        self._routes.clear()
-        self._page.unroute(self._pattern)
-
-    def answer_last_of(self, count: int) -> None:
-        """Answer the last question alone, once so many were asked."""
-        while len(self._routes) < count:
-            self._page.evaluate("1")  # hears of requests meanwhile
-        self._routes.pop().continue_()
-
-
 def test_a_new_question_hides_numbers_and_command_of_the_last_one(page: Page) -> None:
     table, command = page.locator("#predict-table tbody tr"), page.locator("main > section:visible .command")
     expect(command).to_contain_text("cat_food")
@@ -500,6 +569,94 @@ def test_a_new_question_hides_numbers_and_command_of_the_last_one(page: Page) ->
     expect(command).to_contain_text("contact.restitution")
 
 
+@pytest.mark.parametrize("late", ["static/plotly.js", "api/predict", "api/sweep", "api/scene?*"])
+def test_a_late_answer_of_an_earlier_question_paints_nothing(
+    browser: Browser, address: tuple[str, Path], late: str
+) -> None:
+    """Whatever it is that comes when the page waits for another scenario already."""
+    with opened(browser, address[0], late) as (page, held):
+        waiting = Held(page, "**/api/scenario?*")
+        page.select_option("#predict-scenario", "grab")
+        waiting.wait_for(1)
+        held.let_go()
+        for painted in (
+            "#predict-table tbody tr",
+            "#predict-plot .scatterlayer",
+            "#predict-plot[data-shown]",
+            ".command",
+        ):
+            expect(page.locator(f"section:visible {painted}")).to_have_count(0)
+        waiting.let_go()
+        expect(page.locator("section:visible .command")).to_contain_text("map grab")
+        expect(page.locator("#predict-plot .scatterlayer .trace")).to_have_count(7)
+        expect(page.locator("#predict-scene")).to_have_attribute("data-shown", re.compile("grab"))
+
+
+def test_a_slider_moves_while_the_questions_of_another_tab_come_first(page: Page) -> None:
+    expect(page.locator("#predict-plot .scatterlayer .trace")).to_have_count(7)  # nothing is asked any more
+    stopped: list[Route] = []
+
+    def answer(route: Route) -> None:
+        if route.request.post_data_json["moving"] or stopped:
+            route.continue_()
+        else:
+            route.fulfill(json={"superseded": True})
+            stopped.append(route)
+
+    page.route("**/api/predict", answer)
+    page.locator("[data-key='contact.restitution']").focus()
+    page.keyboard.press("ArrowRight")
+    while not stopped:
+        page.evaluate("1")
+    page.evaluate(FRAMES, 2)
+    page.keyboard.press("ArrowRight")
+    expect(page.locator("#predict-plot")).to_have_attribute("data-shown", '{"contact.restitution":0.01}')
+    expect(page.locator("#predict-facts")).to_contain_text("200 draws")
+
+
+def test_the_newest_text_is_checked_whatever_answer_comes_last(page: Page) -> None:
+    go(page, "add")
+    text, check = page.locator("#formula"), page.locator("#formula-check")
+    expect(check.locator(".good")).to_be_visible()
+    good = text.input_value()
+    held = Held(page, "**/api/formulas/check")
+    for count, content in enumerate((good.replace("N s/m", "N m"), good), start=1):
+        text.fill(content)
+        held.wait_for(count)
+    held.answer_last_of(2)
+    expect(check.locator(".good")).to_be_visible()
+    held.let_go()
+    expect(check.locator(".error")).to_have_count(0)
+
+
+def test_the_newest_page_of_the_manual_is_open_whatever_answer_comes_last(page: Page) -> None:
+    held = Held(page, "**/manual/*.md")
+    for count, step in enumerate(("predict", "measure"), start=1):
+        go(page, step)
+        page.get_by_role("link", name="In the manual").click()
+        held.wait_for(count)
+    held.answer_last_of(2)
+    expect(page.locator("#manual h1")).to_have_text("Bags")
+    held.let_go()
+    expect(page.locator("#manual h1")).to_have_text("Bags")
+
+
+def test_the_newest_place_of_a_comparison_has_its_signal(page: Page, reported: Path) -> None:
+    """Also where it is chosen while the signals of the report are still being read."""
+    go(page, "compare")
+    page.select_option("#compare-report", "reports/seen/compare.html")
+    expect(page.locator("#compare-result .replays canvas")).to_be_visible()
+    held = Held(page, "**/files/**")
+    places = page.locator("#cell option")
+    for index in (0, 1):
+        page.select_option("#cell", str(index))
+    held.wait_for(1)
+    expect(page.locator("#signal")).to_be_empty()
+    held.let_go()
+    expect(page.locator("#signal .scatterlayer .trace")).to_have_count(3)
+    expect(page.locator("#signal .note")).to_contain_text((places.nth(1).text_content() or "").partition(",")[0])
+
+
 def test_a_form_shows_the_command_of_its_newest_content_alone(page: Page) -> None:
     """And its button stays where it is, whatever the length of the command."""
     command, trials = go(page, "measure"), page.locator("#campaign-trials")
@@ -513,9 +670,7 @@ def test_a_form_shows_the_command_of_its_newest_content_alone(page: Page) -> Non
     held.answer_last_of(3)
     expect(command).to_contain_text("--trials 8")
     expect(command).to_be_visible()
-    with page.expect_response("**/api/command"):
-        held.let_go()
-    page.evaluate("() => fetch('/api/jobs').then((answer) => answer.json())")  # behind it in the queue
+    held.let_go()
     assert "--trials 8" in command.inner_text()
     page.locator("#campaign-output").fill("campaigns/" + 60 * "long_")  # a command of several lines
     expect(command).to_contain_text("long_long")

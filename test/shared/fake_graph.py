@@ -45,10 +45,12 @@ class FakeGraph:
         self.say(topics.TRIAL_INFO, topics.TRIAL_INFO_TYPE, message, latched=True)
         return spec
 
-    def joints(self, arm: str, position: np.ndarray, time: float) -> None:
-        """Publish where the joints of an arm are, in another order than they have."""
+    def joints(self, arm: str, position: np.ndarray, time: float, velocity: np.ndarray | None = None) -> None:
+        """Publish where the joints of an arm are and how fast, in another order than they have."""
         names = [f"{arm}_joint{number + 1}" for number in range(position.size)]
         message = JointState(name=names[::-1], position=position[::-1].tolist())
+        if velocity is not None:
+            message.velocity = velocity[::-1].tolist()
         message.header.stamp.sec, message.header.stamp.nanosec = divmod(round(time * 1e9), 10**9)
         self.say(topics.joint_states(arm), topics.JOINT_STATE, message)
 

@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 from fake_graph import FakeGraph, fake_graph
 from playwright.sync_api import Page, expect, sync_playwright
-from processes import Running, running
+from processes import Running, running, until
 
 from impact_rs_sim.rotations import quaternion_of
 from impact_rs_sim.scene import Scene
@@ -74,20 +74,93 @@ def page(shown: tuple[Running, str]) -> Iterator[Page]:
     assert wrong == []
 
 
-HAND = """(name) => { const {live} = window.impact_rs;
-  return live.state && live.measured.links[name] ? live.measured.positions()[name] : null; }"""
+HAND = """(name) => { const live = window.impact_rs.live;
+  return live?.state && live.measured.links[name] ? live.measured.positions()[name] : null; }"""
 
 
-def told_until(page: Page, tell: Callable[[], None], name: str, expected: np.ndarray) -> None:
+def told_until(page: Page, tell: Callable[[], None], name: str, expected: np.ndarray, where: str = "") -> None:
     """Tell again and again, for nobody waits for a spectator, until a link is seen where it should be."""
+    hand = HAND.replace("impact_rs.", f"impact_rs.{where}")
     deadline = time.monotonic() + 60.0
     while True:
         tell()
-        found = page.evaluate(HAND, name)
+        found = page.evaluate(hand, name)
         if found is not None and np.allclose(found, expected, atol=1e-6):
             return
         assert time.monotonic() < deadline, (found, expected)
         page.evaluate("new Promise(requestAnimationFrame)")
+
+
+@pytest.fixture
+def workbench(domain: int, tmp_path: Path) -> Iterator[Page]:
+    """The step *Measure* of a workbench, which throws no error."""
+    command = [sys.executable, "-m", "impact_rs_cli.main", "workbench", str(tmp_path / "bench"), "--no-browser"]
+    errors: list[str] = []
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    with running(command, {"ROS_DOMAIN_ID": str(domain)}, signal.SIGINT) as process, sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path=CHROMIUM, args=SOFTWARE)
+        page = browser.new_page(viewport={"width": 1280, "height": 1100})
+        page.on("pageerror", lambda error: errors.append(str(error)))
+        page.goto(process.address())
+        page.locator("[data-step=measure]").click()
+        yield page
+    signal.signal(signal.SIGINT, before)
+    assert errors == []
+
+
+@needs_browser
+def test_trials_of_a_job_are_watched_while_they_run(workbench: Page) -> None:
+    page = workbench
+    page.locator("#part-campaign summary").click()
+    page.locator("#campaign-via").select_option("nodes")
+    page.locator("#campaign-namespace").fill("cell_b")
+    expect(page.locator("#part-campaign .command code")).to_contain_text("--via nodes --namespace cell_b")
+    page.get_by_role("button", name="Start the campaign").click()
+    page.locator("#jobs-toggle").click()
+    job = page.locator("#job-list li").first
+    job.get_by_role("button", name="Watch").click()
+    page.locator("#jobs-toggle").click()
+    expect(page.locator("#live-namespace")).to_have_value("cell_b")
+    expect(page.locator("#live-status")).to_contain_text("Now: push, ")
+    page.wait_for_function("() => document.querySelector('#live-velocity').data?.[0]?.x.at(-1) > 1.2", timeout=60_000.0)
+    if os.environ.get("IMPACT_RS_PICTURES"):
+        page.screenshot(path=IMAGES / "workbench_live.png", animations="disabled")
+    page.locator("#jobs-toggle").click()
+    job.get_by_role("button", name="Stop").click()
+    expect(job).not_to_have_attribute("data-state", "running")
+
+
+@needs_browser
+def test_running_nodes_are_seen_in_the_workbench_with_their_signals(workbench: Page, domain: int) -> None:
+    """Watched while the tab is in sight, and no longer."""
+    page = workbench
+    with fake_graph(domain, "/cell_a") as graph:
+        page.locator("#tab-live").click()
+        expect(page.locator("#live-status")).to_contain_text("No graph runs in ROS domain")
+        page.locator("#live-namespace").fill("cell a")
+        page.keyboard.press("Tab")
+        expect(page.locator("#live-status.error")).to_contain_text("cell a")
+        page.locator("#live-namespace").fill("cell_a")
+        page.keyboard.press("Tab")
+        scene = graph.trial("push").scene
+        expect(page.locator("#live-status")).to_contain_text("nothing has moved yet")
+        model, q, speed = scene.physics.robot_model("arm"), np.linspace(-0.3, 0.3, 7), np.linspace(0.1, 0.7, 7)
+        time = 0.0
+
+        def tell() -> None:
+            nonlocal time
+            time += 0.01
+            graph.force_on_pad("arm", (0.0, -30.0, -40.0))
+            graph.joints("arm", q, time, speed)
+
+        told_until(page, tell, "arm_end_effector", model.placement(q).translation, "nodes.watched?.")
+        newest = "() => document.querySelector('#live-velocity').data.map((one) => one.y.at(-1))"
+        expect(page.locator("#live-velocity .scatterlayer .trace")).to_have_count(7)
+        assert page.evaluate(newest) == pytest.approx(speed)
+        until(lambda: page.locator("#live-force .scatterlayer .trace").count(), tell)
+        assert page.evaluate(newest.replace("velocity", "force")) == pytest.approx([50.0])
+        page.locator("[data-step=predict]").click()
+        until(lambda: graph.node.count_subscribers("/cell_a/arm/joint_states") == 0, lambda: page.evaluate("1"))
 
 
 @needs_browser

@@ -656,8 +656,9 @@ const {ImpactReplay, ImpactLive, ImpactPicture} = (function () {
           own.interval.set(low, high);
         } else own.interval.root.visible = false;
       });
-      this.explain([[BEFORE, `before the impact (${(100 * LONGEST_ARROW).toFixed(0)} cm: ${this.most} m/s)`],
+      if (this.explained !== this.most) this.explain([[BEFORE, `before the impact (${(100 * LONGEST_ARROW).toFixed(0)} cm: ${this.most} m/s)`],
         [AFTER, 'after it, with its 95 % interval']]);
+      this.explained = this.most;
       if (first) this.fit(); else this.draw();
     }
 

@@ -1,0 +1,11 @@
+// SPDX-License-Identifier: Apache-2.0
+// The page of impact-rs show --live.
+
+import {watch} from './live.js';
+
+const place = (id) => document.getElementById(id);
+
+window.impact_rs = watch('/api/events', place('live'), { // for the browser's console
+  status(text) { place('status').textContent = text; },
+  lost(is) { place('lost').hidden = !is; },
+});
