@@ -70,7 +70,7 @@ class Workbench:
         self.watch = Watch(nodes, program)
         self.jobs = Jobs(self.workspace.root / HIDDEN / "jobs", program)
         self.ended: Ended = lambda: False  # whether streams are to end
-        self._asked = 0  # predictions so far
+        self._asked = 0  # predictions for sliders that move, so far
         self._map = threading.Lock()  # the impact map keeps engines warm and answers one question at a time
 
     def state(self) -> dict[str, Any]:
@@ -86,10 +86,13 @@ class Workbench:
         return prediction.scene_of(self.workspace.scenario_path(name), object_name)
 
     def predict(self, question: Question) -> dict[str, Any]:
-        """One prediction, with the command that gives it; ``superseded`` where another question was asked meanwhile."""
+        """One prediction, with the command that gives it; ``superseded`` where a slider has moved meanwhile.
+
+        Other questions wait for their turn: those of two windows would stop each other for ever.
+        """
         scenario = load_scenario(self.workspace.scenario_path(question.scenario))
         settings = prediction.settings_of(scenario, question)
-        self._asked += 1
+        self._asked += question.moving
         asked = self._asked
         with self._map:
             try:

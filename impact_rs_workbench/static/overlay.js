@@ -97,7 +97,7 @@ const runs = {
   build() {
     this.choice = new Choice('overlay-runs', () => this.draw());
     this.signal = h('select', {id: 'overlay-signal', onchange: () => this.draw()});
-    this.plot = h('div', {class: 'plot', id: 'overlay-plot', role: 'img', 'aria-label': 'Runs over each other'});
+    this.plot = h('div', {class: 'plot', id: 'overlay-plot', role: 'figure', 'aria-label': 'Runs over each other'});
     this.note = h('p', {class: 'note'});
     return h('div', {}, this.choice.node, labelled('signal', this.signal), this.note, this.plot);
   },
@@ -150,7 +150,7 @@ const models = {
     this.choice = new Choice('overlay-models', () => this.draw());
     this.run = h('select', {id: 'overlay-run', onchange: () => this.draw()});
     this.signal = h('select', {id: 'overlay-model-signal', onchange: () => this.draw()});
-    this.plot = h('div', {class: 'plot', id: 'overlay-models-plot', role: 'img', 'aria-label': 'Models over each other'});
+    this.plot = h('div', {class: 'plot', id: 'overlay-models-plot', role: 'figure', 'aria-label': 'Models over each other'});
     this.note = h('div', {});
     return h('div', {}, this.choice.node, h('div', {class: 'fields'}, labelled('run', this.run), labelled('signal', this.signal)), this.note, this.plot);
   },

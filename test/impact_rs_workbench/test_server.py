@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import json
 import shlex
+import threading
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -130,6 +131,28 @@ def test_a_figure_gives_way_to_a_slider_that_has_moved_meanwhile(
     assert len(workbench.sweep(question, "speed")["x"]) == prediction.SWEEP_POINTS
     monkeypatch.setattr(prediction, "sweep", moved)
     assert workbench.sweep(question, "speed") == {"superseded": True}
+
+
+@pytest.mark.parametrize("moving", [False, True])
+def test_a_prediction_gives_way_to_a_slider_and_to_no_other_window(
+    workbench: Workbench, monkeypatch: pytest.MonkeyPatch, moving: bool
+) -> None:
+    question = Question.model_validate(QUESTION)
+    answer = prediction.answer
+
+    def meanwhile(*given: Any) -> Any:
+        """A prediction during which another window asks, and waits for its turn."""
+        monkeypatch.setattr(prediction, "answer", answer)
+        other = threading.Thread(target=workbench.predict, args=(question.model_copy(update={"moving": moving}),))
+        other.start()
+        others.append(other)
+        other.join(0.2)
+        return answer(*given)
+
+    others: list[threading.Thread] = []
+    monkeypatch.setattr(prediction, "answer", meanwhile)
+    assert ("rows" in workbench.predict(question)) is not moving
+    others[0].join()
 
 
 def test_formulas_replace_formulas_and_nothing_else(client: TestClient, tmp_path: Path) -> None:
