@@ -487,7 +487,7 @@ def measure_again(fitted: Fit, near: bool = False) -> Fit:
         fitted: The fit.
         near: Whether its sensitivities are those at an optimum already.
     """
-    like = fitted.evidence
+    like, best, least = fitted.evidence, fitted, np.inf
     for look in range(MOST_LOOKS):
         candidate, point = fitted.candidate, fitted.estimate
         added = candidate.split(point)
@@ -497,6 +497,11 @@ def measure_again(fitted: Fit, near: bool = False) -> Fit:
         evidence = replace(like, clusters=tuple(clusters))
         nothing = tuple(np.zeros_like(item.sigma) for item in clusters)
         fresh = replace(candidate, point=point, origin=added, offsets=nothing)
+        problem = evidence.problem(fresh)
+        error = float(np.mean(problem.errors(np.zeros_like(point))))
+        if error > (1.0 + ENOUGH) * least:  # the last correction led to where contacts are others
+            return best
+        best, least = Fit(fresh, evidence, problem, np.zeros_like(point)), error
         if look > 0 or not near:
             share = NEAR_STEPS[min(look + 1, len(NEAR_STEPS) - 1)]
             fresh = linearise(fresh, clusters, like.numbers, like.source, "final sensitivities", share) or fresh
