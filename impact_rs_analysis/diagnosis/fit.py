@@ -30,7 +30,6 @@ NEAR = 0.1  # parameter scales; a correction below this does not depend on where
 MOST_LOOKS = 4
 DOUBLINGS = 8  # of the half width of an interval
 BENT = 0.5  # of the rise of the squares in a straight model; below, an end of an interval lies further out
-POOR = 1.0  # times the expected squared error; a fit below it needs no other start
 WIDENINGS = 4  # of the range of a parameter, to sixteen times its declared width
 HOPELESS = 3.0  # times the squared error of the best fit; a fit above it is dropped
 
@@ -311,15 +310,19 @@ class Fit:
         return float(np.mean(self.problem.errors(self.change)))
 
     @property
+    def error_at_point(self) -> float:
+        """Mean square error where the candidate was simulated, all clusters [-]."""
+        return float(np.mean(self.problem.errors(np.zeros_like(self.change))))
+
+    @property
     def converged(self) -> bool:
         """Whether the linear fit gains little over the candidate's point."""
-        here = float(np.mean(self.problem.errors(np.zeros_like(self.change))))
-        return here - self.misfit < ENOUGH * here
+        return self.error_at_point - self.misfit < ENOUGH * self.error_at_point
 
     @property
     def poor(self) -> bool:
         """Whether more than noise and discrepancy is left, so that the fit may have missed the optimum."""
-        return self.misfit > POOR * float(self.evidence.expected.mean())
+        return self.misfit > float(self.evidence.expected.mean())
 
     @cached_property
     def rest(self) -> list[Array]:
@@ -364,37 +367,36 @@ def _beyond_bounds(fit: Callable[[Candidate], Fit], start: Candidate) -> Fit:
 
 def _refine(candidate: Candidate, evidence: Evidence, give_up: float) -> Fit:
     """Steps with the sensitivities of the start (chord method), within the bounds of the candidate."""
-    trust, unseen = np.inf, candidate.unseen
+    fitted, trust, unseen = Fit.of(candidate, evidence), np.inf, candidate.unseen
     for number in range(STEPS):
-        straight = Fit.of(candidate, evidence)
-        if straight.converged or (number >= 1 and (unseen or straight.misfit > give_up)):
+        if fitted.converged or (number >= 1 and (unseen or fitted.misfit > give_up)):
             break
-        further, trust = _moved(candidate, evidence, trust)
-        if further is None:  # sensitivities that promise what simulations do not keep
-            candidate = _relinearised(candidate, evidence, NEAR_STEPS[-1])
-            break
-        candidate = further
-    return Fit.of(candidate, evidence)
+        moved, trust = _moved(fitted, trust)
+        if moved is None:  # the sensitivities promise what simulations do not keep
+            return Fit.of(_relinearised(fitted.candidate, evidence, NEAR_STEPS[-1]), evidence)
+        fitted = moved
+    return fitted
 
 
-def _moved(candidate: Candidate, evidence: Evidence, trust: float) -> tuple[Candidate | None, float]:
-    """The candidate where its sensitivities put the optimum, and how far they are trusted then (trust region).
+def _moved(fitted: Fit, trust: float) -> tuple[Fit | None, float]:
+    """The fit simulated where its sensitivities put the optimum, and how far they are trusted then (trust region).
 
     No parameter moves by more than ``trust`` scales, unless features are linear: of many, one that the sensitivities
     misjudge would get to where it changes nothing any more, as friction does in which a joint sticks, while the others
     lower the error. Where nothing changes nearby, the whole step is taken. None if no step lowers the error by
     ``ENOUGH``, or by what it promised.
     """
-    problem, error = evidence.problem(candidate), _error_at(candidate, evidence)
-    far: Candidate | None = None
+    candidate, error = fitted.candidate, fitted.error_at_point
+    far: Fit | None = None
     for _ in range(SHORTER):
-        step = problem.solve(within=trust)
+        step = fitted.problem.solve(within=trust)
         length = float(np.max(np.abs(step)))
         if length < 1e-6:
             break
-        moved = evaluate_at(candidate, candidate.point + step * candidate.scale, evidence)
-        gained = -np.inf if moved is None else error - _error_at(moved, evidence)
-        promised = error - float(np.mean(problem.errors(step)))
+        there = evaluate_at(candidate, candidate.point + step * candidate.scale, fitted.evidence)
+        moved = None if there is None else Fit.of(there, fitted.evidence)
+        gained = -np.inf if moved is None else error - moved.error_at_point
+        promised = error - float(np.mean(fitted.problem.errors(step)))
         unbounded = np.isinf(trust) and length > TRUST
         if gained > (LINEAR if unbounded else STRAIGHT) * promised:
             return moved, WIDER * trust
@@ -425,28 +427,23 @@ def refine_again(fitted: Fit) -> Fit:
     steps see past joints and contacts that stick, and are too coarse near the optimum.
     """
     evidence = fitted.evidence
-    return _beyond_bounds(lambda start: _descended(Fit.of(start, evidence)), fitted.candidate)
+    return _beyond_bounds(lambda start: _descended(start, evidence), fitted.candidate)
 
 
-def _descended(fitted: Fit) -> Fit:
+def _descended(candidate: Candidate, evidence: Evidence) -> Fit:
     """Gauss-Newton steps within the bounds of the candidate, with sensitivities of the last point."""
-    evidence, candidate = fitted.evidence, fitted.candidate
+    fitted = Fit.of(candidate, evidence)
     for share in NEAR_STEPS:
         trust = np.inf
         for _ in range(STEPS):
-            candidate = _relinearised(candidate, evidence, share)
-            moved = None
-            if not Fit.of(candidate, evidence).converged:
-                moved, trust = _moved(candidate, evidence, trust)
+            fitted = Fit.of(_relinearised(fitted.candidate, evidence, share), evidence)
+            if fitted.converged:
+                break
+            moved, trust = _moved(fitted, trust)
             if moved is None:
                 break
-            candidate = moved
-    return Fit.of(candidate, evidence)
-
-
-def _error_at(candidate: Candidate, evidence: Evidence) -> float:
-    """Mean square error at the candidate's point [-]."""
-    return float(np.mean(evidence.problem(candidate).errors(np.zeros_like(candidate.point))))
+            fitted = moved
+    return fitted
 
 
 def look_elsewhere(fitted: Fit) -> Fit:
@@ -468,7 +465,7 @@ def look_elsewhere(fitted: Fit) -> Fit:
                     places.append(moved)
         if not places:
             break
-        errors = [_error_at(moved, evidence) for moved in places]
+        errors = [Fit.of(moved, evidence).error_at_point for moved in places]
         if min(errors) >= fitted.misfit:
             break
         again = refine(_relinearised(places[int(np.argmin(errors))], evidence), evidence)
@@ -487,7 +484,8 @@ def measure_again(fitted: Fit, near: bool = False) -> Fit:
         fitted: The fit.
         near: Whether its sensitivities are those at an optimum already.
     """
-    like, best, least = fitted.evidence, fitted, np.inf
+    like = fitted.evidence
+    best: Fit | None = None  # at a point that was simulated, without a correction
     for look in range(MOST_LOOKS):
         candidate, point = fitted.candidate, fitted.estimate
         added = candidate.split(point)
@@ -497,13 +495,12 @@ def measure_again(fitted: Fit, near: bool = False) -> Fit:
         evidence = replace(like, clusters=tuple(clusters))
         nothing = tuple(np.zeros_like(item.sigma) for item in clusters)
         fresh = replace(candidate, point=point, origin=added, offsets=nothing)
-        problem = evidence.problem(fresh)
-        error = float(np.mean(problem.errors(np.zeros_like(point))))
-        if error > (1.0 + ENOUGH) * least:  # the last correction led to where contacts are others
+        here = Fit(fresh, evidence, evidence.problem(fresh), np.zeros_like(point))
+        if best is not None and here.misfit > (1.0 + ENOUGH) * best.misfit:  # contacts are others where it led
             return best
-        best, least = Fit(fresh, evidence, problem, np.zeros_like(point)), error
+        best = here
         if look > 0 or not near:
-            share = NEAR_STEPS[min(look + 1, len(NEAR_STEPS) - 1)]
+            share = NEAR_STEPS[-1]
             fresh = linearise(fresh, clusters, like.numbers, like.source, "final sensitivities", share) or fresh
         fitted = refine(fresh, evidence)
         if np.all(np.abs(fitted.estimate - point) < NEAR * candidate.scale):
