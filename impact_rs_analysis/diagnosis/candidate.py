@@ -11,6 +11,7 @@ held-out error: the error on clusters that were left out of the fit.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -52,6 +53,8 @@ class Candidate:
         offsets: Per cluster, scaled features at ``point`` minus those at ``origin``, ``(F,)`` each.
         jacobians: Per cluster, scaled features per parameter scale, ``(F, p)`` each.
         origin: Effects added to the model when the residuals were computed.
+        share: Of the steps of the parameters, with which the sensitivities at ``point`` were computed; infinite: they
+            are those of another point.
     """
 
     effects: tuple[Effect, ...]
@@ -63,6 +66,7 @@ class Candidate:
     offsets: tuple[Array, ...] = ()
     jacobians: tuple[Array, ...] = ()
     origin: Added = ()
+    share: float = math.inf
 
     @staticmethod
     def of(effects: tuple[Effect, ...], source: Source, point: Array | None = None, origin: Added = ()) -> Candidate:
@@ -222,6 +226,7 @@ class Candidate:
             offsets=tuple(a + b for a, b in zip(self.offsets, other.offsets, strict=True)),
             jacobians=tuple(np.hstack((a, b)) for a, b in zip(self.jacobians, other.jacobians, strict=True)),
             origin=self.origin,
+            share=max(self.share, other.share),
         )
 
 
@@ -280,7 +285,7 @@ def linearise(
                 jacobian[:, index] = (there - here) / item.sigma * candidate.scale[index] / (share * steps[index])
         offsets.append((here - base) / item.sigma)
         jacobians.append(jacobian)
-    return replace(candidate, offsets=tuple(offsets), jacobians=tuple(jacobians))
+    return replace(candidate, offsets=tuple(offsets), jacobians=tuple(jacobians), share=share)
 
 
 class Problem:

@@ -373,7 +373,7 @@ def _refine(candidate: Candidate, evidence: Evidence, give_up: float) -> Fit:
             break
         moved, trust = _moved(fitted, trust)
         if moved is None:  # the sensitivities promise what simulations do not keep
-            return Fit.of(_relinearised(fitted.candidate, evidence, NEAR_STEPS[-1]), evidence)
+            return replace(fitted, change=np.zeros_like(fitted.change))
         fitted = moved
     return fitted
 
@@ -411,7 +411,7 @@ def _moved(fitted: Fit, trust: float) -> tuple[Fit | None, float]:
 def _relinearised(candidate: Candidate, evidence: Evidence, share: float = 1.0) -> Candidate:
     """New sensitivities at the candidate's point."""
     fresh = linearise(candidate, evidence.clusters, evidence.numbers, evidence.source, "new sensitivities", share)
-    return candidate if fresh is None else replace(candidate, jacobians=fresh.jacobians)
+    return candidate if fresh is None else replace(candidate, jacobians=fresh.jacobians, share=share)
 
 
 def has_shape_parameter(candidate: Candidate) -> bool:
@@ -436,7 +436,8 @@ def _descended(candidate: Candidate, evidence: Evidence) -> Fit:
     for share in NEAR_STEPS:
         trust = np.inf
         for _ in range(STEPS):
-            fitted = Fit.of(_relinearised(fitted.candidate, evidence, share), evidence)
+            if fitted.candidate.share > share:
+                fitted = Fit.of(_relinearised(fitted.candidate, evidence, share), evidence)
             if fitted.converged:
                 break
             moved, trust = _moved(fitted, trust)
@@ -519,4 +520,5 @@ def evaluate_at(candidate: Candidate, point: Array, evidence: Evidence) -> Candi
     if any(change is None for change in changes):
         return None
     offsets = tuple(np.asarray(change) / item.sigma for change, item in zip(changes, evidence.clusters, strict=True))
-    return replace(candidate, point=point, offsets=offsets)
+    stays = np.array_equal(point, candidate.point)
+    return replace(candidate, point=point, offsets=offsets, share=candidate.share if stays else np.inf)

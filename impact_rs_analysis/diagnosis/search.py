@@ -215,13 +215,13 @@ class Search:
         free = self.evidence.before_contact
         if free is None or free.null.freedom < LEAST_FREEDOM:
             return set()
-        found = set()
+        alone = {}
         for name, candidate in self.singles.items():
             there = self.evidence.seen_before_contact(candidate)
-            several = sum(not scalar.shape for scalar in candidate.scalars) > 1
-            if several and there.seen and free.problem(there).p_value(free.null, slice(None)) > NOTHING:
-                found.add(name)
-        return found
+            if sum(not scalar.shape for scalar in candidate.scalars) > 1 and there.seen:
+                alone[name] = there.jacobians
+        p_values = free.null.p_values(list(alone.values()))
+        return {name for name, p_value in zip(alone, p_values, strict=True) if p_value > NOTHING}
 
     def _start(self, name: str) -> Candidate:
         """Start of the fit of an effect alone."""
@@ -416,7 +416,7 @@ class Search:
             return None
         top = min(proposal.score for proposal in found)
         for number, proposal in enumerate(found):
-            if proposal.score <= HOPELESS * top:
+            if proposal.score <= HOPELESS * top and proposal.candidate.names not in self._known:
                 found[number] = self._kept(look_elsewhere(refine_again(proposal)))
         first = 0 if chosen is None else chosen.change.size
         before = self._unexplained(chosen)
