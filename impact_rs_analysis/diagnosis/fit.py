@@ -18,7 +18,7 @@ from impact_rs_analysis.evidence.cluster import Cluster, size_of
 from impact_rs_analysis.evidence.source import Source
 from impact_rs_sim.robot import Array
 
-STEPS = 6
+STEPS, MORE_STEPS = 6, 12  # of trials, whose simulations are dear, and of recordings and tables
 ENOUGH = 0.02  # of the error; a fit that gains less in a step has converged
 NEAR_STEPS = (1.0, 0.3)  # shares of the steps of finite differences, as a fit comes near its optimum
 TRUST = 4.0  # parameter scales that a parameter may move at first where the whole step does not do what it promised
@@ -368,7 +368,7 @@ def _beyond_bounds(fit: Callable[[Candidate], Fit], start: Candidate) -> Fit:
 def _refine(candidate: Candidate, evidence: Evidence, give_up: float) -> Fit:
     """Steps with the sensitivities of the start (chord method), within the bounds of the candidate."""
     fitted, trust, unseen = Fit.of(candidate, evidence), np.inf, candidate.unseen
-    for number in range(STEPS):
+    for number in range(_steps(evidence)):
         if fitted.converged or (number >= 1 and (unseen or fitted.misfit > give_up)):
             break
         moved, trust = _moved(fitted, trust)
@@ -376,6 +376,11 @@ def _refine(candidate: Candidate, evidence: Evidence, give_up: float) -> Fit:
             return replace(fitted, change=np.zeros_like(fitted.change))
         fitted = moved
     return fitted
+
+
+def _steps(evidence: Evidence) -> int:
+    """Number of steps of a fit, at most."""
+    return STEPS if evidence.source.repeated else MORE_STEPS
 
 
 def _moved(fitted: Fit, trust: float) -> tuple[Fit | None, float]:
@@ -435,7 +440,7 @@ def _descended(candidate: Candidate, evidence: Evidence) -> Fit:
     fitted = Fit.of(candidate, evidence)
     for share in NEAR_STEPS:
         trust = np.inf
-        for _ in range(STEPS):
+        for _ in range(_steps(evidence)):
             if fitted.candidate.share > share:
                 fitted = Fit.of(_relinearised(fitted.candidate, evidence, share), evidence)
             if fitted.converged:
@@ -503,10 +508,17 @@ def measure_again(fitted: Fit, near: bool = False) -> Fit:
         if look > 0 or not near:
             share = NEAR_STEPS[-1]
             fresh = linearise(fresh, clusters, like.numbers, like.source, "final sensitivities", share) or fresh
-        fitted = refine(fresh, evidence)
+        fitted = _confirmed(refine(fresh, evidence))
         if np.all(np.abs(fitted.estimate - point) < NEAR * candidate.scale):
             break
     return fitted
+
+
+def _confirmed(fitted: Fit) -> Fit:
+    """The fit with its last correction only where a simulation confirms it: a valley of the error may be curved."""
+    there = evaluate_at(fitted.candidate, fitted.estimate, fitted.evidence)
+    better = there is not None and Fit.of(there, fitted.evidence).error_at_point <= fitted.error_at_point
+    return fitted if better else replace(fitted, change=np.zeros_like(fitted.change))
 
 
 def evaluate_at(candidate: Candidate, point: Array, evidence: Evidence) -> Candidate | None:

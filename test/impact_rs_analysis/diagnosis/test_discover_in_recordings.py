@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from joint_recordings import write_npz
-from slender_arm import UPRIGHT, mapping_of, slender_arm, swung
+from slender_arm import ARM, UPRIGHT, mapping_of, slender_arm, swung, with_effects
 
 from impact_rs_analysis.diagnosis.compare import ComparisonDocument, compare
 from impact_rs_analysis.diagnosis.discover import discover
@@ -40,6 +40,7 @@ Torque = Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray]
 
 RIPPLE, RATE = 0.4, 5.0  # N m, 1/rad
 OF_LOAD = 0.06  # of the transmitted torque
+ANCHOR, LENGTH, PULL = np.array([0.9, 0.0, 0.9]), 0.7, 20.0  # m, m, N/m
 STEP, AT, WIDTH = 0.5, 0.15, 0.08  # N m, rad, rad
 
 
@@ -67,6 +68,18 @@ def recorded(folder: Path, law: Torque) -> tuple[Path, Mapping]:
     clean = swung(mapping, {}, 0.0)["effort"]
     columns["effort"] += np.array(COULOMB) * np.tanh(columns["velocity"] / 0.005)
     columns["effort"][:, 1] += law(columns["position"][:, 1], columns["velocity"][:, 1], clean[:, 1])
+    return write_npz(folder / "run.npz", columns), mapping
+
+
+def recorded_with_cable(folder: Path) -> tuple[Path, Mapping]:
+    """The same pendulum, its end tied to a point by a cable that is taut two thirds of the time."""
+    mapping = mapping_of(folder, slender_arm(("revolute",) * 2, UPRIGHT))
+    columns, model = swung(mapping, {}, NOISE), with_effects(mapping, {}).robot_model(ARM)
+    for row, q in enumerate(columns["position"]):
+        away = model.placement(q).translation - ANCHOR
+        distance = np.linalg.norm(away)
+        force = -PULL * max(distance - LENGTH, 0.0) * away / distance
+        columns["effort"][row] -= model.jacobian(q)[:3].T @ force
     return write_npz(folder / "run.npz", columns), mapping
 
 
@@ -110,6 +123,26 @@ def test_friction_of_the_load_is_found_alone(tmp_path: Path) -> None:
     low, high = document.laws[0].parameters["c"].ci95
     assert low <= OF_LOAD <= high and high - low < 0.5 * OF_LOAD
     assert document.diagnosis.named == ("joint_coulomb_friction", "motor2_load_on_friction_linear")
+
+
+def test_a_cable_to_a_point_is_found_with_its_end_and_its_length(tmp_path: Path) -> None:
+    """The arm moves in a plane: how far across it the end lies is not determined, nor, by that, its length."""
+    path, mapping = recorded_with_cable(tmp_path)
+    recordings, grammar = read_recordings(path, mapping), load_grammar()
+    places = {name: grammar.places[name] for name in ("end_effector_cable", "end_effector_drag")}
+    document = discover(
+        lambda changed: RecordingSource.of(recordings, mapping, changed),
+        load_model("nominal"),
+        grammar.model_copy(update={"places": places}),
+        ["joint_coulomb_friction"],
+    )
+    law = document.laws[0]
+    assert (document.verdict, law.name) == (FOUND, "end_effector_cable_above")
+    assert law.formula == ("-(c * max(|(x, y, z) - anchor| - start, 0) / |(x, y, z) - anchor|) * ((x, y, z) - anchor)")
+    numbers = {name: value.estimate for name, value in law.parameters.items()}
+    assert numbers["c"] == pytest.approx(PULL, rel=0.05)
+    assert numbers["anchor_x"] == pytest.approx(ANCHOR[0], abs=0.05)
+    assert law.held_out_error_after < 0.1 * law.held_out_error_before
 
 
 def test_nothing_is_proposed_where_only_friction_acts(tmp_path: Path) -> None:

@@ -79,6 +79,17 @@ def test_friction_at_a_surface_opposes_sliding() -> None:
             assert all(parameter.shape or parameter.lower == 0.0 for parameter in one.spec.parameters.values())
 
 
+@pytest.mark.parametrize("body", ["", "object_"])
+def test_a_cable_pulls_towards_its_end_beyond_its_length_alone(body: str) -> None:
+    one = law(f"{body or 'end_effector_'}cable_above")
+    end, away = np.array([0.3, -0.2, 0.5]), np.array([0.6, 0.0, 0.8])
+    numbers = {"c": 30.0, "start": 0.4, **{f"anchor_{axis}": value for axis, value in zip("xyz", end, strict=True)}}
+    for distance, pull in ((0.3, 0.0), (0.4, 0.0), (0.5, 3.0), (0.9, 15.0)):
+        place = {f"{body}{axis}": value for axis, value in zip("xyz", end + distance * away, strict=True)}
+        force = evaluated(one.formula[1], {**place, **numbers})
+        assert list(force.values()) == pytest.approx(list(-pull * away))
+
+
 def test_a_form_is_what_it_says() -> None:
     """Closed forms of some laws, and the units of their amplitudes."""
     cube, drag, cable = law("motor4_velocity_cube"), law("object_drag_square"), law("end_effector_y_y_above")
