@@ -148,6 +148,7 @@ class Twin {
 
   // Formulas: how every partner is touched, and force and moment about its centre of mass that act on the object.
   bool pushes_;
+  Memory memory_;                   // of those of the object
   std::vector<Touching> touching_;  // by arm, then the support
   std::vector<double> symbols_;     // of the object
   Vector force_{}, moment_{};

@@ -7,6 +7,7 @@ TwinArm::TwinArm(const ArmModel& model, const ArmStart& start, double period)
     : q(start.position),
       dq(start.velocity),
       model_(model),
+      memory_(fresh_memory(model.formulas)),
       period_(period),
       links_(model.links),
       drive_(model.drive),
@@ -53,11 +54,12 @@ void TwinArm::load() {
   const Vector& place = end();
   Vector force{};
   if (model_.pull) force = model_.pull->force + -model_.pull->stiffness * (place - model_.pull->place);
-  for (const FormulaLoad& load : model_.formulas) {
+  for (std::size_t i = 0; i < model_.formulas.size(); ++i) {
+    const FormulaLoad& load = model_.formulas[i];
     if (load.acts == Acts::on_end_effector) {
-      force[load.index] += load.at(symbols);
+      force[load.index] += value(i);
     } else if (load.acts == Acts::on_link || load.acts == Acts::on_motor) {
-      (load.acts == Acts::on_link ? on_links_ : on_motors_)[load.index] += load.at(symbols);
+      (load.acts == Acts::on_link ? on_links_ : on_motors_)[load.index] += value(i);
     }
   }
   for (int i = 0; i < n; ++i) on_links_[i] += dot(axis(i).linear + cross(axis(i).angular, place), force);

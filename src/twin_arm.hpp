@@ -104,6 +104,9 @@ class TwinArm {
   const Pad& pad() const { return model_.pad; }
   const std::vector<FormulaLoad>& formulas() const { return model_.formulas; }
 
+  // A formula's value now; std::runtime_error where it is not finite.
+  double value(std::size_t formula) { return model_.formulas[formula].at(symbols, memory_[formula]); }
+
   std::vector<double> q, dq;
   std::vector<double> mass, driving;  // of equations()
   std::vector<double> symbols;  // of formulas
@@ -117,6 +120,7 @@ class TwinArm {
   void deliver(double begin);
 
   const ArmModel& model_;
+  Memory memory_;
   double period_;
   Chain links_;
   Drive drive_;
