@@ -18,7 +18,7 @@ import ast
 import functools
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import pinocchio as pin
@@ -56,6 +56,8 @@ class TwinJob:
         joint_torque: Whether the torques are measured joint torques, without motors and torque loop: each is tau_J at
             the end of its period, and the links receive tau_J + D K^-1 dtau_J (paper eq. EOM_link).
         refinement: Steps in a period of the torque loop in which a pad meets the object.
+        before: By arm, samples before the start that formulas with memory look back on: time, q, dq and tau_J,
+            ``(m, 1 + 3 n)``; without any, what was before is taken for steady.
     """
 
     physics: Physics
@@ -68,6 +70,7 @@ class TwinJob:
     object: BodyState | None = None
     joint_torque: bool = False
     refinement: int = REFINEMENT
+    before: Mapping[str, Array] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -124,18 +127,19 @@ def simulate(jobs: Sequence[TwinJob], threads: int = 1) -> list[Result]:
 
 def _prepared(model: _kernel.Twin, job: TwinJob) -> _kernel.TwinTask:
     """A job in the form of the kernel."""
-    arms = [arm_start(job.arms[name], job.drives[name]) for name in job.physics.arms]
+    arms = [arm_start(job.arms[name], job.drives[name], job.before.get(name)) for name in job.physics.arms]
     driving = [(job.torque[name], job.acting[name]) for name in job.physics.arms]
     ticks = len(job.time) - 1
     substeps = len(driving[0][1]) // ticks if ticks else 1
     return model, arms, None if job.object is None else box_start(job.object), job.time, substeps, driving
 
 
-def arm_start(state: ArmState, drive: DriveStart) -> _kernel.TwinArmStart:
-    """Initial state of an arm in the form of the kernel."""
+def arm_start(state: ArmState, drive: DriveStart, before: Array | None = None) -> _kernel.TwinArmStart:
+    """Initial state of an arm in the form of the kernel; ``before`` as in :attr:`TwinJob.before`."""
     earlier = drive.earlier or ((BEFORE_ALL, drive.torque),)
     times, values = np.array([time for time, _ in earlier]), np.array([torque for _, torque in earlier])
-    return state.position, state.velocity, drive.torque, drive.torque_rate, times, values
+    samples = np.zeros((0, 1 + 3 * state.position.size)) if before is None else before
+    return state.position, state.velocity, drive.torque, drive.torque_rate, times, values, samples
 
 
 def box_start(state: BodyState) -> _kernel.TwinBoxStart:

@@ -88,21 +88,25 @@ Twin::Twin(const TwinModel& model, const TwinStart& start)
       softened_(model.arms.size()) {
   arms_.reserve(model.arms.size());
   for (std::size_t i = 0; i < model.arms.size(); ++i) arms_.emplace_back(model.arms[i], start.arms[i], model.period);
-  if (!has_box_) return;
-  for (const ArmModel& arm : model.arms)
+  if (has_box_) place(*start.box);
+  look_around(0.0);
+  for (std::size_t i = 0; i < arms_.size(); ++i) arms_[i].look_back(start.arms[i].before);
+}
+
+void Twin::place(const BoxStart& box) {
+  for (const ArmModel& arm : model_.arms)
     for (const FormulaLoad& load : arm.formulas)
       pushes_ = pushes_ || load.acts == Acts::on_pad || load.acts == Acts::along_pad;
-  const BoxStart& box = *start.box;
   rotation_ = box.rotation;
-  const Vector lever = rotation_ * model.box.offset;
+  const Vector lever = rotation_ * model_.box.offset;
   centre_ = box.centre + lever;
   angular_ = box.angular;
   velocity_ = box.velocity + cross(angular_, lever);
   momentum_ = inertia() * angular_;
   // At rest on a support that does not let it slide, the box stays where it is until it is touched.
-  const Vector& g = model.gravity;
-  awake_ = !(model.support && is_zero(box.velocity) && is_zero(box.angular) &&
-             std::hypot(g[0], g[1]) < -g[2] * model.support->friction);
+  const Vector& g = model_.gravity;
+  awake_ = !(model_.support && is_zero(box.velocity) && is_zero(box.angular) &&
+             std::hypot(g[0], g[1]) < -g[2] * model_.support->friction);
 }
 
 Matrix Twin::inertia() const {

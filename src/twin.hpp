@@ -102,6 +102,7 @@ class Twin {
   const TwinReport& report() const { return report_; }
 
  private:
+  void place(const BoxStart& box);
   void load(double time);
   void period(double time);
   bool look();  // contact points now; whether a pad meets the object faster than a step of a period resolves

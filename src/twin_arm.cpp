@@ -44,6 +44,27 @@ void TwinArm::look_around() {
   for (const auto* values : {&q, &dq, &drive_.elastic}) joint = std::copy(values->begin(), values->end(), joint);
 }
 
+void TwinArm::look_back(const std::vector<double>& samples) {
+  bool remembers = false;
+  for (const FormulaLoad& load : model_.formulas) remembers = remembers || load.formula.lags() > 0;
+  if (!remembers) return;
+  const std::size_t n = q.size();
+  const std::vector<double> now[] = {q, dq, drive_.elastic};
+  std::vector<double>* const values[] = {&q, &dq, &drive_.elastic};
+  for (auto sample = samples.begin(); sample != samples.end();) {
+    symbols[of_time] = *sample++;
+    for (auto* own : values) {
+      std::copy_n(sample, n, own->begin());
+      sample += n;
+    }
+    look();
+    look_around();
+    for (std::size_t i = 0; i < model_.formulas.size(); ++i)
+      if (model_.formulas[i].formula.lags() > 0) value(i);
+  }
+  for (int i = 0; i < 3; ++i) *values[i] = now[i];
+}
+
 void TwinArm::load() {
   if (!model_.pull && model_.formulas.empty() && !model_.python) return;
   const int n = joints();

@@ -58,6 +58,7 @@ struct Command {
 struct ArmStart {
   std::vector<double> position, velocity, torque, torque_rate;  // q, dq, tau_J, dtau_J
   std::deque<Command> earlier;  // commands before the start, one or more; the first acts from ever
+  std::vector<double> before;   // time, q, dq and tau_J of samples before the start, in the order of time
 };
 
 // Shear of a pad against its flange, in axes of the last joint.
@@ -75,6 +76,9 @@ class TwinArm {
 
   // Values of the symbols of formulas: those of the arm now, beside those of time, object and contact as they are.
   void look_around();
+
+  // What formulas remember of samples before the start, while the symbols of the scene are as they are.
+  void look_back(const std::vector<double>& samples);
 
   // Loads that hold until they are computed again; std::runtime_error where a formula is not finite.
   void load();

@@ -219,6 +219,26 @@ def test_a_formula_with_memory_acts_as_its_python_form(physics: Physics) -> None
     assert np.max(np.abs(away)) > 0.01
 
 
+def test_a_window_remembers_what_was_before_it(physics: Physics) -> None:
+    """A simulation that begins in the middle of another, with its samples before, goes on as that one."""
+    laws = {"joint_torque": {"joint5": "-c * (q5 - lag(q5, 0.05))", "joint1": "lag(t * vx, 0.1)"}}
+    believed = formula(**laws, motor_torque={}, end_effector_force={}).apply_vector(physics, np.array([0.0, 900.0]))
+    one, middle = stretch(believed), TICKS // 2
+    whole = job(believed, one, joint_torque=True)
+    path, torque = alone(whole).arms["arm"], one.torque[: SUBSTEPS * middle][-2:]
+    rest = Stretch(
+        ArmState(path.position[middle], path.velocity[middle]),
+        DriveStart(torque[1], (torque[1] - torque[0]) / PERIOD),
+        one.torque[SUBSTEPS * middle :],
+        whole.time[middle],
+    )
+    samples = np.column_stack((whole.time, path.position, path.velocity, path.torque))[:middle]
+    cut = job(believed, rest, joint_torque=True)
+    ends = [alone(replace(cut, before=before)).arms["arm"].velocity[-1] for before in ({"arm": samples}, {})]
+    close(ends[0], path.velocity[-1])
+    assert np.max(np.abs(ends[1] - path.velocity[-1])) > 1e-3
+
+
 def test_a_formula_that_blows_up_ends_its_own_job_only(physics: Physics) -> None:
     effect = formula(joint_torque={"joint1": "c * sqrt(0.2045 - t)"}, motor_torque={}, end_effector_force={})
     bad = effect.apply_vector(physics, np.array([0.0, 1.0]))
