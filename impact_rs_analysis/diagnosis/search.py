@@ -422,7 +422,7 @@ class Search:
         before = self._unexplained(chosen)
         found = [entry for entry in found if entry.evidence.gains(before, entry.problem.left_out_rest)]
         if not self.source.repeated:
-            found = [proposal for proposal in found if noticeable(proposal, first)]
+            found = [proposal for proposal in found if noticeable(proposal, slice(first, None))]
         if not found:
             return None
         best = min(found, key=lambda proposal: proposal.score)
@@ -434,12 +434,13 @@ class Search:
         return min((entry for entry in found if entry.score <= best.score * math.exp(TIE)), key=cost)
 
     def _without_the_superfluous(self, chosen: Fit) -> Fit:
-        """The fit without effects that later ones made redundant."""
+        """The fit without effects that later ones made redundant; in recordings, where they made them unnoticeable."""
         for name in chosen.candidate.names:
             if len(chosen.candidate.effects) == 1:
                 break
             fitted = self.without(chosen, name)
-            if fitted is not None and fitted.score <= chosen.score:
+            unseen = not self.source.repeated and not noticeable(chosen, chosen.candidate.part(name))
+            if fitted is not None and (unseen or fitted.score <= chosen.score):
                 return self._without_the_superfluous(fitted)
         return chosen
 
@@ -588,8 +589,8 @@ def moves_enough(fitted: Fit, part: slice = slice(None)) -> bool:
     return False
 
 
-def noticeable(fitted: Fit, first: int = 0) -> bool:
-    """Whether the interval of some parameter, from number ``first`` on, lies beyond the least change of the source.
+def noticeable(fitted: Fit, part: slice = slice(None)) -> bool:
+    """Whether the interval of some parameter lies beyond the least change of the source.
 
     An estimate at a bound of physics counts, such as no friction. One at the end of a range does not: its interval is
     invalid. Calibrations are taken as exact here: whether the model lacks something is another question than how much.
@@ -597,7 +598,7 @@ def noticeable(fitted: Fit, first: int = 0) -> bool:
     candidate = fitted.candidate
     distance = np.abs(fitted.estimate - candidate.nominal) / candidate.scale - fitted.half_widths_of_noise
     own = np.array([not scalar.shape for scalar in candidate.scalars]) & ~fitted.at_end_of_range
-    return bool(np.any((distance > fitted.evidence.source.least_change)[first:] & own[first:]))
+    return bool(np.any((distance > fitted.evidence.source.least_change)[part] & own[part]))
 
 
 def adjusted(p_values: Mapping[str, float], tests: int = 0) -> dict[str, float]:
