@@ -102,9 +102,7 @@ class BulletLoads:
             found["since_contact"] = time - self._first[arm]
         return found
 
-    def push(
-        self, time: float, links: Mapping[str, ArmState], torques: Mapping[str, Array], memory: Memory
-    ) -> None:
+    def push(self, time: float, links: Mapping[str, ArmState], torques: Mapping[str, Array], memory: Memory) -> None:
         """Apply the loads over the next step of the world.
 
         Args:

@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 from impact_rs_sim import _kernel
 from impact_rs_sim.bullet_world import check_body
 from impact_rs_sim.drive import Drive, DriveStart
-from impact_rs_sim.effects.formula import JOINT_SYMBOL, Formula, FormulaLoad, FormulaObjectLoad
+from impact_rs_sim.effects.formula import JOINT_SYMBOL, LAG, Formula, FormulaLoad, FormulaObjectLoad
 from impact_rs_sim.effects.surroundings import Spring
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.physics import ArmPhysics, Load, Physics
@@ -36,6 +36,7 @@ from impact_rs_sim.scene import ArmMotion, ArmState, BodyState
 
 # What formulas beyond those of joints and end effector act on: `Acts` in src/twin_formula.hpp.
 ON_PAD, ALONG_PAD, ON_OBJECT, TURNING_OBJECT, ON_SUPPORT, ALONG_SUPPORT = range(3, 9)
+LAG_FROM = "lag_from"  # a lag with a start, in `Formula::NAMES` of src/twin_formula.hpp
 REFINEMENT = 2  # steps in a period of the torque loop in which a pad meets the object
 BEFORE_ALL = -1e9  # s, since when a command without a time was desired
 
@@ -345,7 +346,7 @@ def _postfix(text: str, joints: int) -> tuple[list[int], list[float | str]]:
         elif isinstance(node, ast.Call) and isinstance(node.func, ast.Name):
             for argument in node.args:
                 visit(argument)
-            put(node.func.id)
+            put(LAG_FROM if node.func.id == LAG and len(node.args) > 2 else node.func.id)
 
     def symbol(name: str) -> None:
         joint = JOINT_SYMBOL.fullmatch(name)

@@ -26,11 +26,11 @@ constexpr const char* SYMBOLS[of_joints] = {
 
 // First-order lag: impact_rs_sim/memory.py.
 struct Lag {
-  double time = 0.0, input = 0.0, value = 0.0;  // of the last evaluation
+  double time = 0.0, input = 0.0, rate = 0.0, value = 0.0;  // of the last evaluation; rate: 1 over the constant
   bool begun = false;
 
-  // Its value after a step to `now` [s] with the time constant `constant` [s].
-  double step(double now, double u, double constant);
+  // Its value after a step to `now` [s] with the time constant `constant` [s]; at the first evaluation `start`.
+  double step(double now, double u, double constant, double start);
 };
 
 class Formula {
@@ -38,13 +38,13 @@ class Formula {
   // The first two take the number that follows them: of a constant or a symbol.
   enum Operation : int {
     constant, symbol,
-    add, subtract, multiply, divide, power, minimum, maximum, lag,
+    add, subtract, multiply, divide, power, minimum, maximum, lag, lag_from,
     negate, sine, cosine, tangent, exponential, logarithm, root, hyperbolic, absolute, sign
   };
   // Their names in impact_rs_sim/twin.py: those of Python's syntax tree and functions.
   static constexpr const char* NAMES[] = {
       "constant", "symbol",
-      "Add", "Sub", "Mult", "Div", "Pow", "min", "max", "lag",
+      "Add", "Sub", "Mult", "Div", "Pow", "min", "max", "lag", "lag_from",
       "USub", "sin", "cos", "tan", "exp", "log", "sqrt", "tanh", "abs", "sign"};
   static constexpr int DEEPEST = 64;
 

@@ -47,14 +47,17 @@ class QuantityShape(Schema):
         """The same as a parameter of a formula, whose noticeable change is a tenth of a usual value."""
         usual = float(np.exp(np.mean(np.log(self.starts))))
         return FormulaParameter(
-            unit=self.unit, nominal=self.starts[0], lower=self.lower, upper=self.upper, scale=0.1 * usual, shape=True
-        )
+            unit=self.unit, nominal=self.starts[0], lower=self.lower, upper=self.upper, scale=0.1 * usual, shape=True,
+            grid=self.starts,
+        )  # fmt: skip
 
 
 class Quantity(Schema):
     """What a law depends on."""
 
-    formula: str = Field(description="in symbols of formulas; {joint} is the joint of the place, {before} the one before")
+    formula: str = Field(
+        description="in symbols of formulas; {joint} is the joint of the place, {before} the one before"
+    )
     unit: str = Field(description="unit")
     typical: float = Field(gt=0.0, description="its size, where it was not measured, in its unit")
     words: str = Field(description="what it is, in a sentence")

@@ -434,15 +434,26 @@ class Search:
         return min((entry for entry in found if entry.score <= best.score * math.exp(TIE)), key=cost)
 
     def _without_the_superfluous(self, chosen: Fit) -> Fit:
-        """The fit without effects that later ones made redundant; in recordings, where they made them unnoticeable."""
+        """The fit without effects that later ones made redundant; in recordings, if they would not be added now."""
         for name in chosen.candidate.names:
             if len(chosen.candidate.effects) == 1:
                 break
             fitted = self.without(chosen, name)
-            unseen = not self.source.repeated and not noticeable(chosen, chosen.candidate.part(name))
-            if fitted is not None and (unseen or fitted.score <= chosen.score):
+            if fitted is not None and (fitted.score <= chosen.score or not self._worth(name, chosen, fitted)):
                 return self._without_the_superfluous(fitted)
         return chosen
+
+    def _worth(self, name: str, chosen: Fit, without: Fit) -> bool:
+        """Whether an effect would be added to the others in recordings: noticeable, with a gain, and significant."""
+        part, evidence = chosen.candidate.part(name), chosen.evidence
+        if self.source.repeated:
+            return True
+        if not noticeable(chosen, part) or not evidence.gains(
+            without.problem.left_out_rest, chosen.problem.left_out_rest
+        ):
+            return False
+        own = [jacobian[:, part] for jacobian in chosen.candidate.jacobians]
+        return without.left.null.p_value(own, without.candidate.jacobians) < SIGNIFICANT
 
     def without(self, chosen: Fit, name: str) -> Fit | None:
         """The other chosen effects, fitted again; None where they cannot be simulated."""
@@ -510,6 +521,8 @@ class Search:
             best = min(simpler, key=lambda rival: (known[rival.name].complexity(joints), rival.fit.score))
             # The replaced effect may have explained more, which is missing now.
             chosen = self._extend(self._measured_again(best.fit)) or chosen
+            if not self.source.repeated:
+                chosen = self._without_the_superfluous(chosen)
             rivals = self.rivals(chosen)
         return chosen, rivals
 

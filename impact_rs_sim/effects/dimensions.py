@@ -89,7 +89,7 @@ def _given_to(function: str, given: list[Unit], text: str) -> Unit:
     if function == LAG:
         if given[1] not in (None, BASE["s"]):
             raise InputError(f"formula {text!r}: the time constant of {LAG} is in s, got {text_of(given[1] or NUMBER)}")
-        return given[0]
+        return _alike(given[0], given[2], text) if len(given) > 2 else given[0]
     if function == "sqrt":
         return None if given[0] is None else times(NUMBER, given[0], Fraction(1, 2))
     if function == "sign":

@@ -39,8 +39,8 @@ Where formulas act:
 
 Symbols: :data:`SYMBOLS`; ``q1`` ... ``dq1`` ... ``tau1`` ... of the joints [rad, rad/s, N m]; ``pi``; and the named
 parameters. Formulas of object and support have those of time, object and support, and ``normal_force`` and
-``since_contact`` of all pads together. Functions: see :data:`FUNCTIONS`, and ``lag(u, T)``, the memory of
-:mod:`impact_rs_sim.memory`, with a time constant T [s] that may depend on the state. The text is parsed into a syntax tree of which
+``since_contact`` of all pads together. Functions: see :data:`FUNCTIONS`, and ``lag(u, T)`` or ``lag(u, T, start)``,
+the memory of :mod:`impact_rs_sim.memory`, with a time constant T [s] that may depend on the state. The text is parsed into a syntax tree of which
 only arithmetic is accepted; nothing is ever evaluated as Python. Whether an arm has the joints that a formula names is
 known when the effect meets the arm, not before.
 """
@@ -51,7 +51,7 @@ import ast
 import math
 import operator
 import re
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Self
@@ -82,7 +82,7 @@ FUNCTIONS: dict[str, tuple[int, Callable[..., Value]]] = {
     "min": (2, np.minimum),
     "max": (2, np.maximum),
 }
-LAG = "lag"  # of its first argument, with its second as time constant; see impact_rs_sim/memory.py
+LAG = "lag"  # of its first argument, with its second as time constant, from its third on; impact_rs_sim/memory.py
 _BINARY: dict[type[ast.operator], Callable[[Value, Value], Value]] = {
     ast.Add: operator.add,
     ast.Sub: operator.sub,
@@ -205,30 +205,32 @@ def _compile(node: ast.AST, symbols: frozenset[str], text: str) -> Expression:
         known = [*FUNCTIONS, LAG]
         if node.func.id not in known:
             raise InputError(f"formula {text!r}: unknown function {node.func.id!r}; known: {', '.join(known)}")
-        count, function = FUNCTIONS.get(node.func.id, (2, np.positive))
+        if node.func.id == LAG:
+            return _lag([_compile(argument, symbols, text) for argument in node.args], text)
+        count, function = FUNCTIONS[node.func.id]
         if len(node.args) != count:
             raise InputError(f"formula {text!r}: {node.func.id} takes {count} argument(s)")
         arguments = [_compile(argument, symbols, text) for argument in node.args]
-        if node.func.id == LAG:
-            return _lag(arguments[0], arguments[1], text)
         return lambda values, memory: function(*(argument(values, memory) for argument in arguments))
     raise InputError(f"formula {text!r}: only arithmetic is understood, not {type(node).__name__}")
 
 
-def _lag(quantity: Expression, constant: Expression, text: str) -> Expression:
+def _lag(arguments: Sequence[Expression], text: str) -> Expression:
     """The lag of a quantity, with a memory of its own."""
+    if len(arguments) not in (2, 3):
+        raise InputError(f"formula {text!r}: {LAG} takes a quantity, a time constant and, if it has one, a start")
     key = object()
 
     def lag(values: Symbols, memory: Memory | None) -> Value:
-        value, own, time = quantity(values, memory), constant(values, memory), values.get("t")
+        given, time = [argument(values, memory) for argument in arguments], values.get("t")
         if isinstance(time, np.ndarray) and time.ndim:
-            return lag_along(time, value, own)
+            return lag_along(time, *given)
         if memory is None or time is None:
             raise InputError(
                 f"formula {text!r}: {LAG}() depends on what was before, and a single state has no past; "
                 "it acts in trials and recordings"
             )
-        return memory.lag(key, float(time), float(value), float(own))
+        return memory.lag(key, float(time), *map(float, given))
 
     return lag
 

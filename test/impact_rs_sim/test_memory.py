@@ -54,11 +54,7 @@ def test_its_limits_are_the_quantity_and_its_start(constant: float, follows: boo
     np.testing.assert_allclose(stepped(time, u, constant), u if follows else 2.0, atol=1e-6)
 
 
-@given(
-    st.lists(
-        st.tuples(st.floats(1e-4, 1.0), st.floats(-5.0, 5.0), st.floats(0.0, 10.0)), min_size=1, max_size=20
-    )
-)
+@given(st.lists(st.tuples(st.floats(1e-4, 1.0), st.floats(-5.0, 5.0), st.floats(0.0, 10.0)), min_size=1, max_size=20))
 def test_many_samples_at_once_are_those_one_after_another(rows: list[tuple[float, float, float]]) -> None:
     """With a time constant that changes as well."""
     length, u, constant = (np.array(column) for column in zip(*rows, strict=True))
@@ -99,5 +95,17 @@ def test_memories_are_apart() -> None:
 def test_a_single_state_has_no_past() -> None:
     with pytest.raises(InputError, match=r"lag\(\) depends on what was before.*acts in trials and recordings"):
         FORMULA({"t": 0.1, "u": 1.0, "T": T})
-    with pytest.raises(InputError, match=r"lag takes 2 argument"):
-        Formula("lag(u)", {"u"})
+    for text in ("lag(u)", "lag(u, 1, 2, 3)"):
+        with pytest.raises(InputError, match=r"lag takes a quantity, a time constant and"):
+            Formula(text, {"u"})
+
+
+def test_a_lag_may_start_cold() -> None:
+    """z = u (1 - exp(-t/T)) from 0, in one step after another and along samples."""
+    time = np.arange(0.0, 1.0, 0.05)
+    cold = Formula("lag(u, T, 0)", {"u", "T"})
+    expected = -3.0 * np.expm1(-time / T)
+    np.testing.assert_allclose(cold({"t": time, "u": 3.0, "T": T}), expected, atol=1e-12)
+    memory = Memory()
+    one = [cold({"t": now, "u": 3.0, "T": T}, memory) for now in time.tolist()]
+    np.testing.assert_allclose(one, expected, atol=1e-12)

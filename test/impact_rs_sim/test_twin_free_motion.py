@@ -204,7 +204,7 @@ def test_a_formula_acts_as_its_python_form(physics: Physics) -> None:
 def test_a_formula_with_memory_acts_as_its_python_form(physics: Physics) -> None:
     """A Maxwell element, friction of Dahl, and a lag of a lag; two simulations of one physics share nothing."""
     laws = {
-        "joint_torque": {"joint5": "-40 * c * (q5 - lag(q5, 0.02)) + lag(lag(x * dq2, 0.01), 0.03)"},
+        "joint_torque": {"joint5": "-40 * c * (q5 - lag(q5, 0.02)) + lag(lag(x * dq2, 0.01), 0.03, z / 2)"},
         "motor_torque": {"joint2": "-c * lag(sign(dq2), 0.003 / max(abs(dq2), 1e-6))"},
         "end_effector_force": {"y": "-drag * lag(vy, 0.05)"},
     }
