@@ -118,9 +118,9 @@ class BulletLoads:
             self._world.push(None, place, wrench[:3], wrench[3:])
             if support is None and not load.remembers:
                 continue
-            forces = load.support_force(scene, memory)
+            at_support = load.support_force(scene, memory)
             if support is not None:
-                self._world.push(None, support.place, support.load(*forces))
+                self._world.push(None, support.place, support.load(*at_support))
         for name, arm in self._physics.arms.items():
             pad, link, model = self._touching[name], links[name], self._models[name]
             loads = [load for load in arm.loads if pad is not None or load.remembers]

@@ -11,8 +11,8 @@ import numpy as np
 from impact_rs_sim.bullet_loads import BulletLoads
 from impact_rs_sim.bullet_world import BulletWorld
 from impact_rs_sim.drive import Drive, DriveStart
-from impact_rs_sim.memory import Memory
 from impact_rs_sim.mechanics import Mechanics
+from impact_rs_sim.memory import Memory
 from impact_rs_sim.physics import Physics
 from impact_rs_sim.robot import Array
 from impact_rs_sim.scene import ArmMotion, ArmState, BodyState

@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Memory of formulas: the first-order lag z of a quantity u with a time constant T,
+"""Memory of formulas: first-order lags.
+
+A lag z of a quantity u with a time constant T obeys
 
     T dz/dt = u - z.
 

@@ -15,8 +15,8 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 import pinocchio as pin
 
-from impact_rs_sim.memory import Memory
 from impact_rs_sim.errors import InputError
+from impact_rs_sim.memory import Memory
 from impact_rs_sim.robot import Array, EndEffector, JointType, RobotFacts, SigmoidFriction
 from impact_rs_sim.robot_model import STANDARD_GRAVITY, RobotModel
 from impact_rs_sim.scenario import Scenario

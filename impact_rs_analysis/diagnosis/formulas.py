@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 
 from impact_rs_sim.effects.formula import FormulaEffect
-from impact_rs_sim.memory import Memory
 from impact_rs_sim.errors import InputError
+from impact_rs_sim.memory import Memory
 from impact_rs_sim.scenario import load_scenario
 from impact_rs_sim.scene import Scene
 

@@ -39,10 +39,10 @@ Where formulas act:
 
 Symbols: :data:`SYMBOLS`; ``q1`` ... ``dq1`` ... ``tau1`` ... of the joints [rad, rad/s, N m]; ``pi``; and the named
 parameters. Formulas of object and support have those of time, object and support, and ``normal_force`` and
-``since_contact`` of all pads together. Functions: see :data:`FUNCTIONS`, and ``lag(u, T)`` or ``lag(u, T, start)``,
-the memory of :mod:`impact_rs_sim.memory`, with a time constant T [s] that may depend on the state. The text is parsed into a syntax tree of which
-only arithmetic is accepted; nothing is ever evaluated as Python. Whether an arm has the joints that a formula names is
-known when the effect meets the arm, not before.
+``since_contact`` of all pads together. Functions: see :data:`FUNCTIONS`; and ``lag(u, T)`` or ``lag(u, T, start)``, the
+memory of :mod:`impact_rs_sim.memory`, with a time constant T [s] that may depend on the state. The text is parsed into
+a syntax tree of which only arithmetic is accepted; nothing is ever evaluated as Python. Whether an arm has the joints
+that a formula names is known when the effect meets the arm, not before.
 """
 
 from __future__ import annotations
@@ -60,8 +60,8 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from impact_rs_sim.effects.base import SINGLE_IMPACT, Effect, Parameter, Values, digest, number
-from impact_rs_sim.memory import Memory, lag_along
 from impact_rs_sim.errors import InputError
+from impact_rs_sim.memory import Memory, lag_along
 from impact_rs_sim.physics import ContactCondition, ContactLaw, Load, LoadState, ObjectLoad, Physics
 from impact_rs_sim.robot import Array
 from impact_rs_sim.schema import Schema, load, omitted
