@@ -445,12 +445,10 @@ class Search:
 
     def _worth(self, name: str, chosen: Fit, without: Fit) -> bool:
         """Whether an effect would be added to the others in recordings: noticeable, with a gain, and significant."""
-        part, evidence = chosen.candidate.part(name), chosen.evidence
         if self.source.repeated:
             return True
-        if not noticeable(chosen, part) or not evidence.gains(
-            without.problem.left_out_rest, chosen.problem.left_out_rest
-        ):
+        part, rests = chosen.candidate.part(name), [fit.problem.left_out_rest for fit in (without, chosen)]
+        if not noticeable(chosen, part) or not chosen.evidence.gains(*rests):
             return False
         own = [jacobian[:, part] for jacobian in chosen.candidate.jacobians]
         return without.left.null.p_value(own, without.candidate.jacobians) < SIGNIFICANT
