@@ -46,6 +46,7 @@ STEP, AT, WIDTH = 0.5, 0.15, 0.08  # N m, rad, rad
 DAMPER, RELAXATION = 1.0, 0.14  # N m s/rad, s
 SLIDING, BREAKAWAY = 0.6, 0.04  # N m, rad
 FADING, WARMING = 0.6, 3.0  # N m s/rad, s
+ECCENTRIC = 0.4  # N m/rad
 
 
 def ripple(q: np.ndarray, dq: np.ndarray, tau: np.ndarray) -> np.ndarray:
@@ -85,6 +86,11 @@ def fading(q: np.ndarray, dq: np.ndarray, tau: np.ndarray) -> np.ndarray:
     """Friction that falls as the joint warms up."""
     warmth = integrated(lambda v, w: (np.abs(v) - w) / WARMING, dq)
     return -FADING * warmth * np.tanh(dq / 0.02)
+
+
+def eccentric(q: np.ndarray, dq: np.ndarray, tau: np.ndarray) -> np.ndarray:
+    """Friction that depends on the position."""
+    return ECCENTRIC * q * np.tanh(dq / 0.02)
 
 
 def driven(q: np.ndarray, dq: np.ndarray, tau: np.ndarray) -> np.ndarray:
@@ -154,9 +160,10 @@ def test_friction_of_the_load_is_found_alone(tmp_path: Path) -> None:
         (maxwell, "motor2_relaxing_velocity_linear", {"c": DAMPER, "relaxation": RELAXATION}, 0.15),
         (dahl, "motor2_presliding_linear", {"c": SLIDING, "breakaway": BREAKAWAY}, 0.15),
         (fading, "motor2_recent_motion_linear", {"c": FADING, "warming": WARMING}, 0.8),
+        (eccentric, "motor2_position_while_moving_linear", {"c": -ECCENTRIC}, 0.15),
     ],
 )
-def test_a_law_with_memory_is_found_alone_with_its_numbers(
+def test_a_law_with_memory_or_of_a_product_is_found_alone_with_its_numbers(
     tmp_path: Path, law: Torque, name: str, numbers: dict[str, float], width: float
 ) -> None:
     """Truths are integrated by another method, and none of them is a start of the fits."""
@@ -165,7 +172,7 @@ def test_a_law_with_memory_is_found_alone_with_its_numbers(
     assert document.diagnosis.named == ("joint_coulomb_friction", name)
     for key, truth in numbers.items():
         low, high = document.laws[0].parameters[key].ci95
-        assert low <= truth <= high and high - low < width * truth, key
+        assert low <= truth <= high and high - low < width * abs(truth), key
     assert document.laws[0].held_out_error_after < 0.5 * document.laws[0].held_out_error_before
 
 
