@@ -199,7 +199,7 @@ def _with_first(document: DiscoveryDocument, curve: CurveDocument) -> DiscoveryD
 
 def _band(law: Law, found: LawDocument, at: Array) -> tuple[Array, Array]:
     """Force of a law and half width of its band, ``(k,)`` each: the squares of changes at interval ends."""
-    sign = -1.0 if law.opposes and not law.quantity.along else 1.0
+    sign = -1.0 if law.opposes and not law.quantity.vector(AXES[0]) else 1.0
     numbers = {name: value.estimate for name, value in found.parameters.items()}
     said, squares = sign * law.force(at, numbers), np.zeros_like(at)
     for name, value in found.parameters.items():
@@ -395,7 +395,7 @@ def _law(diagnosis: DiagnosisDocument, law: Law, ranges: Mapping[str, Range], la
         name=law.spec.name,
         sentence=law.spec.sentence,
         place=f"{place}{where}",
-        formula=_in_one_line(rows, law.quantity.along),
+        formula=_in_one_line(rows, law),
         parameters={
             name: NumberDocument(estimate=value.estimate, ci95=value.ci95, unit=value.unit)
             for name, value in effect.parameters.items()
@@ -413,12 +413,16 @@ def _law(diagnosis: DiagnosisDocument, law: Law, ranges: Mapping[str, Range], la
     )
 
 
-def _in_one_line(rows: Mapping[str, str], along: str) -> str:
-    """Formulas by joint or axis; those along a velocity as one with a vector."""
-    if along and len(rows) == len(AXES):
-        vector = f"({', '.join(f'{along}{axis}' for axis in AXES)})"
-        return rows[AXES[0]].replace(f"{along}{AXES[0]}", vector)
-    return "; ".join(rows.values())
+def _in_one_line(rows: Mapping[str, str], law: Law) -> str:
+    """Formulas by joint or axis; those along a vector as one."""
+    vector, of_place = law.quantity.vector, law.quantity.of_place
+    if not vector(AXES[0]) or len(rows) != len(AXES):
+        return "; ".join(rows.values())
+    if not of_place:
+        return rows[AXES[0]].replace(vector(AXES[0]), f"({', '.join(map(vector, AXES))})")
+    factor = rows[AXES[0]].removesuffix(f" * {vector(AXES[0])}").replace(f"({law.symbol})", law.symbol)
+    place = ", ".join(of_place.format(axis=axis) for axis in AXES)
+    return f"{factor} * (({place}) - anchor)".replace(law.symbol, f"|({place}) - anchor|")
 
 
 PLACES_OF = {

@@ -31,6 +31,7 @@ WIDEST = 300.0  # amplitudes, in noticeable ones
 KNOTS = (5, 9)  # of a free curve; more where they predict better
 MOST_WAVES, HIGHEST = 24, 80.0  # starts of a wave number, and the largest of them in the unit of the quantity
 LEAST_SPAN = 1e-3  # of the typical size; a quantity that hardly moves still has a range
+REACH = 4.0  # typical distances; how far an anchor may lie from where its fit starts
 NARROWEST = 0.01  # width, in ranges of the quantity
 
 
@@ -62,8 +63,18 @@ class Quantity(Schema):
     typical: float = Field(gt=0.0, description="its size, where it was not measured, in its unit")
     words: str = Field(description="what it is, in a sentence")
     opposes: bool = Field(False, description="whether a force that dissipates has the opposite sign")
-    along: str = Field("", description="the velocity that it is the size of, without its axis; empty: none")
+    along: str = Field("", description="the vector that it is the size of, with {axis} for an axis; empty: none")
+    of_place: str = Field(
+        "",
+        description="the place whose distance from a point it is, with {axis}; anchor_x, ... of the point are shapes",
+    )
     shapes: dict[str, QuantityShape] = Field({}, description="numbers in its formula, by name")
+
+    def vector(self, axis: str) -> str:
+        """A component of the vector that it is the size of, as a formula; empty: it is none."""
+        return (
+            f"({self.of_place} - anchor_{{axis}})".format(axis=axis) if self.of_place else self.along.format(axis=axis)
+        )
 
 
 class Number(Schema):
@@ -84,7 +95,7 @@ class Form(Schema):
     """How a law depends on its quantity u."""
 
     law: str = Field(description="formula of u, the middle of its range, and the parameters")
-    along: str = Field("", description="the same over u, for a force along a velocity; empty: there is none")
+    along: str = Field("", description="the same over u, for a force along a vector; empty: there is none")
     numbers: dict[str, Number] = Field(min_length=1, description="its parameters")
     restores: bool = Field(False, description="whether it has the sign of a spring")
     words: str = Field(description="what it is, in a sentence")
@@ -94,7 +105,7 @@ class Place(Schema):
     """What a law acts on."""
 
     formula: str = Field(description="key of a formula effect")
-    each: Literal["joint", "axis", "velocity", "once"] = Field("once", description="what there is one law of")
+    each: Literal["joint", "axis", "vector", "once"] = Field("once", description="what there is one law of")
     unit: str = Field(description="unit of the force or torque")
     noticeable: float = Field(gt=0.0, description="amplitude at which it matters, in the unit")
     words: str = Field(description="what it is, in a sentence")
@@ -244,13 +255,19 @@ def _law(
 ) -> Law:
     symbol = _symbol(quantity, where)
     low, high = ranges.get(symbol, (-quantity.typical if quantity.opposes else 0.0, quantity.typical))
+    anchors: list[dict[str, float]] = [{}]
+    if quantity.of_place:
+        centre, half = _region(quantity, ranges)
+        anchors = _anchors(centre, quantity.typical)
+        low, high = max(quantity.typical - half, 0.0), quantity.typical + half
     high = max(high, low + LEAST_SPAN * quantity.typical)
     size = max(abs(low), abs(high))
     middle = (low + high) / 2.0
     profile = form.law.replace("- middle", f"- {middle:.3g}" if middle > 0.0 else f"+ {-middle:.3g}")
     opposes = (quantity.opposes or form.restores) and not place.against
     bounded = quantity.opposes or form.restores or place.against
-    parameters, starts = {}, {}
+    parameters: dict[str, FormulaParameter] = {}
+    starts: dict[str, list[float]] = {}
     for name, item in form.numbers.items():
         if item.shape:
             starts[name] = _starts(item, low, high)
@@ -266,9 +283,16 @@ def _law(
     parameters |= {name: inner.parameter for name, inner in quantity.shapes.items()}
     starts |= {name: list(inner.starts) for name, inner in quantity.shapes.items()}
     formula: dict[str, str] | str
-    if place.each == "velocity":
+    if quantity.of_place:
+        for name, value in anchors[0].items():
+            reach = REACH * quantity.typical
+            parameters[name] = FormulaParameter(
+                unit=quantity.unit, nominal=value, lower=value - reach, upper=value + reach,
+                scale=0.1 * quantity.typical, shape=True,
+            )  # fmt: skip
+    if place.each == "vector":
         factor = _inserted(form.along, symbol)
-        formula = {axis: f"-({factor}) * {quantity.along}{axis}" for axis in AXES}
+        formula = {axis: f"-({factor}) * {quantity.vector(axis)}" for axis in AXES}
     else:
         text = _inserted(profile, symbol)
         text = f"-({text})" if opposes else text
@@ -288,7 +312,7 @@ def _law(
     )
     check_units(spec)
     FormulaEffect(spec)
-    every = [dict(zip(starts, values, strict=True)) for values in product(*starts.values())]
+    own = [dict(zip(starts, values, strict=True)) for values in product(*starts.values())]
     return Law(
         spec=spec,
         place=place_name,
@@ -298,11 +322,11 @@ def _law(
         form=form_name,
         profile=profile,
         needs=place.needs,
-        starts=tuple(every),
+        starts=tuple(anchor | shape for anchor in anchors for shape in own),
         words=words,
         unit=place.unit,
         noticeable=place.noticeable,
-        opposes=opposes or place.each == "velocity",
+        opposes=opposes or place.each == "vector",
     )
 
 
@@ -312,6 +336,22 @@ def _symbol(quantity: Quantity, where: str) -> str:
         return quantity.formula
     number = int(where.removeprefix("joint"))
     return quantity.formula.replace("{joint}", str(number)).replace("{before}", str(number - 1))
+
+
+def _region(quantity: Quantity, ranges: Mapping[str, Range]) -> tuple[Array, float]:
+    """Middle of the places from which a distance is measured, ``(3,)``, and half of the longest side [m]."""
+    default = (-quantity.typical / 2.0, quantity.typical / 2.0)
+    sides = [ranges.get(quantity.of_place.format(axis=axis), default) for axis in AXES]
+    ends = np.array(sides)
+    return ends.mean(axis=1), float(np.max(ends[:, 1] - ends[:, 0])) / 2.0
+
+
+def _anchors(middle: Array, distance: float) -> list[dict[str, float]]:
+    """Points from which the fit of an anchor starts: at a distance to either side along every axis."""
+    found = []
+    for place in (middle + side * distance * row for row in np.eye(3) for side in (-1.0, 1.0)):
+        found.append({f"anchor_{axis}": float(value) for axis, value in zip(AXES, place, strict=True)})
+    return found
 
 
 def curve_of(law: Law, domain: Range, count: int = KNOTS[0], absolute: bool = True) -> Law:
@@ -333,12 +373,12 @@ def curve_of(law: Law, domain: Range, count: int = KNOTS[0], absolute: bool = Tr
     profile = " + ".join(f"f{n} * max(0, 1 - abs(u - {knot:.4g}) / {width:.4g})" for n, knot in enumerate(knots))
     profile = profile.replace("u - -", "u + ")
     text = _inserted(profile, law.symbol)
-    along = law.quantity.along
+    vector = law.quantity.vector
     rows: dict[str, str] | str
     if isinstance(table, str):
         rows = text
-    elif along:
-        rows = {axis: f"-({text}) * {along}{axis} / max({law.symbol}, {0.01 * high:.2g})" for axis in table}
+    elif vector(AXES[0]):
+        rows = {axis: f"-({text}) * {vector(axis)} / max({law.symbol}, {0.01 * high:.2g})" for axis in table}
     else:
         rows = dict.fromkeys(table, text)
     most = WIDEST * law.noticeable
@@ -361,7 +401,7 @@ def curve_of(law: Law, domain: Range, count: int = KNOTS[0], absolute: bool = Tr
 
 def _name(place_name: str, place: Place, quantity: str, form: str, number: str) -> str:
     """Name of a law: ``motor4_velocity_cube``, ``end_effector_y_above_x``, ``object_drag_square``."""
-    if place.each == "velocity":
+    if place.each == "vector":
         return f"{place_name}_{form}"
     where = {"joint": number, "axis": f"_{number}"}.get(place.each, "")
     return f"{place_name}{where}_{quantity.removeprefix(f'{place_name}_')}_{form}"

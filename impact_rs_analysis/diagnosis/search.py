@@ -33,6 +33,8 @@ from impact_rs_analysis.diagnosis.fit import (
 from impact_rs_analysis.diagnosis.thresholds import (
     LEAST_FREEDOM,
     LEAST_GAIN,
+    LONG_LIST,
+    MANY,
     MOST_EFFECTS,
     MOST_TESTED,
     NOTHING,
@@ -45,6 +47,7 @@ from impact_rs_analysis.evidence.cluster import Added
 from impact_rs_sim.effects import Effect
 from impact_rs_sim.robot import Array
 
+SHAPED = 8  # leaders whose shapes are looked at before fits by simulation
 PAIRS = 2  # fitted jointly after effects were found one by one
 AMONG = 10  # effects from which pairs are formed
 MORE = 1.5  # times as many features as at nominal; where a secant changes so many, contacts are in another mode
@@ -289,7 +292,7 @@ class Search:
         raw = dict.fromkeys(fits, 1.0)
         null = (self.evidence if chosen is None else chosen.left).null
         first = 0 if chosen is None else chosen.candidate.point.size
-        tested = sorted(fits, key=lambda group: fits[group].score)[:MOST_TESTED]
+        tested = sorted(fits, key=lambda group: fits[group].misfit)[:MOST_TESTED]
         found = [fits[group].candidate.jacobians for group in tested]
         own_part = [[jacobian[:, first:] for jacobian in jacobians] for jacobians in found]
         fitted = () if chosen is None else chosen.candidate.jacobians
@@ -329,7 +332,7 @@ class Search:
                 likely = sorted(possible, key=lambda group: p_values[group])[:SHORTLIST]
             apart = {name for group in likely for name in group.split("+")}
             self._starts |= {n: self._best_shape(self.singles[n]) for n in apart if n not in self._starts}
-            linear = sorted((self.beside(chosen, group) for group in likely), key=lambda entry: entry.score)
+            linear = self._with_shapes([self.beside(chosen, group) for group in likely])
             for entry in linear:
                 self._report_progress(entry)
             # Small effects are linear: a proposal without gain in the linear fit has none by simulation.
@@ -338,12 +341,26 @@ class Search:
             # Where residuals are no larger than noise, no more than relevant effects are looked for.
             if self.source.repeated and chosen is None and not all(map(moves_enough, linear)) and not self.lacking:
                 linear = [entry for entry in linear if moves_enough(entry)]
-            best = self._best(linear[:SHORTLIST], chosen)
+            best = self._best(linear[: LONG_LIST if len(possible) > MANY else SHORTLIST], chosen)
             if best is None:
                 break
             chosen = self._measured_again(best)
             self._look_beside(chosen)
         return chosen
+
+    def _with_shapes(self, linear: Sequence[Fit]) -> list[Fit]:
+        """Linear fits, best first; the leaders with unseen shapes are linearised again where the fit puts amplitudes.
+
+        The length of a cable changes nothing while it does not pull. At a length from which a fit starts it pulls in
+        few conditions, and predicts the others worse than what is wrong everywhere.
+        """
+        found = {entry.candidate.names: entry for entry in linear}
+        unsure = [entry for entry in linear if any(entry.candidate.scalars[i].shape for i in entry.candidate.unseen)]
+        for entry in sorted(unsure, key=lambda entry: entry.misfit)[:SHAPED]:
+            there = self._linearised(replace(entry.candidate, point=entry.estimate), entry.evidence)
+            if there is not None and (seen := Fit.of(there, entry.evidence)).score < entry.score:
+                found[entry.candidate.names] = seen
+        return sorted(found.values(), key=lambda entry: entry.score)
 
     def _unexplained(self, chosen: Fit | None) -> list[Array]:
         """Mean residuals of every cluster, predicted by the chosen effects from all others, ``(F,)`` each [-]."""
@@ -414,7 +431,8 @@ class Search:
             self._report_progress(found[-1])
         if not found:
             return None
-        top = min(proposal.score for proposal in found)
+        found = sorted(found, key=lambda proposal: proposal.score)[:SHORTLIST]
+        top = found[0].score
         for number, proposal in enumerate(found):
             if proposal.score <= HOPELESS * top and proposal.candidate.names not in self._known:
                 found[number] = self._kept(look_elsewhere(refine_again(proposal)))
@@ -422,36 +440,30 @@ class Search:
         before = self._unexplained(chosen)
         found = [entry for entry in found if entry.evidence.gains(before, entry.problem.left_out_rest)]
         if not self.source.repeated:
-            found = [proposal for proposal in found if noticeable(proposal, slice(first, None))]
+            found = [proposal for proposal in found if noticeable(proposal, first)]
         if not found:
             return None
-        best = min(found, key=lambda proposal: proposal.score)
-        joints, known = self.source.joints, 0 if chosen is None else len(chosen.candidate.effects)
+        limit = min(proposal.score for proposal in found) * math.exp(TIE)
+        return min((fit for fit in found if fit.score <= limit), key=lambda fit: (self._cost(fit), fit.score))
 
-        def cost(entry: Fit) -> tuple[int, float]:
-            return sum(effect.complexity(joints) for effect in entry.candidate.effects[known:]), entry.score
+    def _cost(self, fitted: Fit) -> int:
+        """Number of parameters, fewer for effects that say more of them (:meth:`Effect.complexity`)."""
+        return sum(effect.complexity(self.source.joints) for effect in fitted.candidate.effects)
 
-        return min((entry for entry in found if entry.score <= best.score * math.exp(TIE)), key=cost)
+    def _without_the_superfluous(self, chosen: Fit, within: float = 0.0) -> Fit:
+        """The fit without effects that the others make redundant.
 
-    def _without_the_superfluous(self, chosen: Fit) -> Fit:
-        """The fit without effects that later ones made redundant; in recordings, if they would not be added now."""
+        Args:
+            chosen: The fit.
+            within: Log ratio of scores up to which a fit without an effect is as good.
+        """
         for name in chosen.candidate.names:
             if len(chosen.candidate.effects) == 1:
                 break
             fitted = self.without(chosen, name)
-            if fitted is not None and (fitted.score <= chosen.score or not self._worth(name, chosen, fitted)):
-                return self._without_the_superfluous(fitted)
+            if fitted is not None and fitted.score <= chosen.score * math.exp(within):
+                return self._without_the_superfluous(fitted, within)
         return chosen
-
-    def _worth(self, name: str, chosen: Fit, without: Fit) -> bool:
-        """Whether an effect would be added to the others in recordings: noticeable, with a gain, and significant."""
-        if self.source.repeated:
-            return True
-        part, rests = chosen.candidate.part(name), [fit.problem.left_out_rest for fit in (without, chosen)]
-        if not noticeable(chosen, part) or not chosen.evidence.gains(*rests):
-            return False
-        own = [jacobian[:, part] for jacobian in chosen.candidate.jacobians]
-        return without.left.null.p_value(own, without.candidate.jacobians) < SIGNIFICANT
 
     def without(self, chosen: Fit, name: str) -> Fit | None:
         """The other chosen effects, fitted again; None where they cannot be simulated."""
@@ -503,24 +515,18 @@ class Search:
 
         A constant vertical force is attributed to a payload rather than to a spring or to gains of all joints.
         """
-        joints = self.source.joints
-        known = {name: single.effects[0] for name, single in self.singles.items()}
         rivals = self.rivals(chosen)
         for _ in range(MOST_EFFECTS):
-            simpler = [
-                rival
-                for rival in rivals
-                if rival.tied
-                and rival.fit.score <= chosen.score * math.exp(TIE)
-                and known[rival.name].complexity(joints) < known[rival.instead_of].complexity(joints)
-            ]
+            tied_ones = [rival.fit for rival in rivals if rival.tied]
+            if len(chosen.candidate.names) > 1:  # what takes the place of one may explain the others as well
+                tied_ones += [self._without_the_superfluous(fitted, TIE) for fitted in tied_ones]
+            limit = chosen.score * math.exp(TIE)
+            simpler = [fit for fit in tied_ones if fit.score <= limit and self._cost(fit) < self._cost(chosen)]
             if not simpler:
                 break
-            best = min(simpler, key=lambda rival: (known[rival.name].complexity(joints), rival.fit.score))
+            best = min(simpler, key=lambda fit: (self._cost(fit), fit.score))
             # The replaced effect may have explained more, which is missing now.
-            chosen = self._extend(self._measured_again(best.fit)) or chosen
-            if not self.source.repeated:
-                chosen = self._without_the_superfluous(chosen)
+            chosen = self._extend(self._measured_again(best)) or chosen
             rivals = self.rivals(chosen)
         return chosen, rivals
 
@@ -600,8 +606,8 @@ def moves_enough(fitted: Fit, part: slice = slice(None)) -> bool:
     return False
 
 
-def noticeable(fitted: Fit, part: slice = slice(None)) -> bool:
-    """Whether the interval of some parameter lies beyond the least change of the source.
+def noticeable(fitted: Fit, first: int = 0) -> bool:
+    """Whether the interval of some parameter, from number ``first`` on, lies beyond the least change of the source.
 
     An estimate at a bound of physics counts, such as no friction. One at the end of a range does not: its interval is
     invalid. Calibrations are taken as exact here: whether the model lacks something is another question than how much.
@@ -609,7 +615,7 @@ def noticeable(fitted: Fit, part: slice = slice(None)) -> bool:
     candidate = fitted.candidate
     distance = np.abs(fitted.estimate - candidate.nominal) / candidate.scale - fitted.half_widths_of_noise
     own = np.array([not scalar.shape for scalar in candidate.scalars]) & ~fitted.at_end_of_range
-    return bool(np.any((distance > fitted.evidence.source.least_change)[part] & own[part]))
+    return bool(np.any((distance > fitted.evidence.source.least_change)[first:] & own[first:]))
 
 
 def adjusted(p_values: Mapping[str, float], tests: int = 0) -> dict[str, float]:

@@ -23,3 +23,5 @@ MOST_TESTED = (
     40  # effects with a p-value in every round, more than the library has; the others count as tested, with p = 1
 )
 SHORTLIST = 5  # candidates fitted by simulation in every round; in tests the true one was always among them
+MANY = 40  # candidates; among more of them, as among laws, the true one may be further down
+LONG_LIST = 20  # of so many instead: a strong drag was the thirteenth of 57 by its slope at nominal
