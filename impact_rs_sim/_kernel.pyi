@@ -388,8 +388,8 @@ class Twin:
         formulas: Sequence[TwinFormula],
     ) -> None: ...
 
-TwinArmStart = tuple[Array, Array, Array, Array, Array, Array]
-"""q, dq, tau_J, dtau_J, and times [s] and values of earlier commands."""
+TwinArmStart = tuple[Array, Array, Array, Array, Array, Array, Array]
+"""q, dq, tau_J, dtau_J, times [s] and values of earlier commands, and samples before the start: time, q, dq, tau_J."""
 TwinBoxStart = tuple[Array, Array, Array]
 """Position, axes and twist of the object."""
 TwinTask = tuple[

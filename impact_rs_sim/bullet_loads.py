@@ -15,6 +15,7 @@ import numpy as np
 
 from impact_rs_sim.bullet_world import BulletWorld
 from impact_rs_sim.effects.formula import AXES, SLOW
+from impact_rs_sim.memory import Memory
 from impact_rs_sim.physics import LoadState, Physics
 from impact_rs_sim.robot import Array
 from impact_rs_sim.robot_model import RobotModel
@@ -101,24 +102,29 @@ class BulletLoads:
             found["since_contact"] = time - self._first[arm]
         return found
 
-    def push(self, time: float, links: Mapping[str, ArmState], torques: Mapping[str, Array]) -> None:
+    def push(self, time: float, links: Mapping[str, ArmState], torques: Mapping[str, Array], memory: Memory) -> None:
         """Apply the loads over the next step of the world.
 
         Args:
             time: Since the start of the trial [s].
             links: Joint states by arm.
             torques: tau_J by arm, ``(n,)`` [N m].
+            memory: Of the loads in this simulation.
         """
         scene, place = self.scene(time, None, links), self._world.object_state().position
         support = self._touching[None]
         for load in self._physics.object_loads:
-            wrench = load.wrench(scene)
+            wrench = load.wrench(scene, memory)
             self._world.push(None, place, wrench[:3], wrench[3:])
+            if support is None and not load.remembers:
+                continue
+            at_support = load.support_force(scene, memory)
             if support is not None:
-                self._world.push(None, support.place, support.load(*load.support_force(scene)))
+                self._world.push(None, support.place, support.load(*at_support))
         for name, arm in self._physics.arms.items():
             pad, link, model = self._touching[name], links[name], self._models[name]
-            if pad is None:
+            loads = [load for load in arm.loads if pad is not None or load.remembers]
+            if not loads:
                 continue
             state = LoadState(
                 time=time,
@@ -129,9 +135,10 @@ class BulletLoads:
                 impact_position=arm.impact_position,
                 joint_torque=torques[name],
                 scene=self.scene(time, name, links),
+                memory=memory.part(name),
             )
-            for own in arm.loads:
-                if (forces := own.pad_force(state)) is not None:
+            for own in loads:
+                if (forces := own.pad_force(state)) is not None and pad is not None:
                     self._world.push(None, pad.place, pad.load(*forces))
                     self._world.push(name, pad.place, -pad.load(*forces))
 

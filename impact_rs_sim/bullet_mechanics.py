@@ -12,6 +12,7 @@ from impact_rs_sim.bullet_loads import BulletLoads
 from impact_rs_sim.bullet_world import BulletWorld
 from impact_rs_sim.drive import Drive, DriveStart
 from impact_rs_sim.mechanics import Mechanics
+from impact_rs_sim.memory import Memory
 from impact_rs_sim.physics import Physics
 from impact_rs_sim.robot import Array
 from impact_rs_sim.scene import ArmMotion, ArmState, BodyState
@@ -60,6 +61,7 @@ class BulletMechanics(Mechanics):
 
     def start(self, arms: Mapping[str, ArmState], drives: Mapping[str, DriveStart], object_: BodyState) -> None:
         """See :meth:`Mechanics.start`."""
+        self._memory = Memory()
         self.world.set_object(object_)
         if self._may_sleep and _rests(self.physics, object_):
             self.world.rest_object()
@@ -94,7 +96,7 @@ class BulletMechanics(Mechanics):
             if self._loads.any:
                 torques = {name: drive.elastic_torque for name, drive in drives.items()}
                 moment = time + number * next(iter(drives.values())).period
-                self._loads.push(moment, links, torques)
+                self._loads.push(moment, links, torques, self._memory)
             for name, torque in desired.items():
                 drive = drives[name]
                 link_torque = drive.transmission_torque
@@ -117,7 +119,14 @@ class BulletMechanics(Mechanics):
         reads = any(load.reads_scene for load in self.physics.arms[name].loads)
         scene = self._loads.scene(time, name, self.links) if reads else None
         on_links, on_motors = self.physics.load_torques(
-            name, self._models[name], time, link.position, link.velocity, self.drives[name].elastic_torque, scene
+            name,
+            self._models[name],
+            time,
+            link.position,
+            link.velocity,
+            self.drives[name].elastic_torque,
+            scene,
+            self._memory.part(name),
         )
         self.drives[name].load(on_motors)
         return on_links

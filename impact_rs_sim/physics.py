@@ -16,6 +16,7 @@ import numpy as np
 import pinocchio as pin
 
 from impact_rs_sim.errors import InputError
+from impact_rs_sim.memory import Memory
 from impact_rs_sim.robot import Array, EndEffector, JointType, RobotFacts, SigmoidFriction
 from impact_rs_sim.robot_model import STANDARD_GRAVITY, RobotModel
 from impact_rs_sim.scenario import Scenario
@@ -84,6 +85,7 @@ class LoadState:
         impact_position: Where E is at the nominal impact, ``(3,)`` [m].
         joint_torque: tau_J, ``(n,)`` [N m]; None: not known, and 0 in formulas.
         scene: Symbols of object and contact by name, in SI units; those that are missing are 0.
+        memory: Of the arm's loads in this simulation; None: there is none, or there are samples.
     """
 
     time: float | Array
@@ -94,6 +96,7 @@ class LoadState:
     impact_position: Array
     joint_torque: Array | None = None
     scene: Mapping[str, float] = field(default_factory=dict)
+    memory: Memory | None = None
 
     @property
     def samples(self) -> Iterator[LoadState]:
@@ -115,16 +118,22 @@ class LoadState:
 class ObjectLoad(ABC):
     """A load on the object, or between it and its support, from outside the model."""
 
+    @property
+    def remembers(self) -> bool:
+        """Whether what acts at the support depends on what was before: it is evaluated without touch as well."""
+        return False
+
     @abstractmethod
-    def wrench(self, scene: Mapping[str, float]) -> Array:
+    def wrench(self, scene: Mapping[str, float], memory: Memory) -> Array:
         """Force at the middle of the object and moment, axes of A, ``(6,)`` [N, N m].
 
         Args:
             scene: Symbols of time and object by name, in SI units.
+            memory: Of the loads on the object in this simulation.
         """
 
     @abstractmethod
-    def support_force(self, scene: Mapping[str, float]) -> tuple[float, float]:
+    def support_force(self, scene: Mapping[str, float], memory: Memory) -> tuple[float, float]:
         """Normal force on the object away from the support, and force against its sliding [N]."""
 
 
@@ -133,12 +142,18 @@ class Load:
 
     Attributes:
         touches: Whether it acts between pad and object.
+        remembers: Whether what acts there depends on what was before: it is evaluated without touch as well.
         reads_scene: Whether it depends on :attr:`LoadState.scene`.
         vectorised: Whether it takes many samples at once; if not, it is called for each.
     """
 
     @property
     def touches(self) -> bool:
+        """See the class."""
+        return False
+
+    @property
+    def remembers(self) -> bool:
         """See the class."""
         return False
 
@@ -446,6 +461,7 @@ class Physics:
         velocity: Array,
         torque: Array | None = None,
         scene: Mapping[str, float] | None = None,
+        memory: Memory | None = None,
     ) -> tuple[Array, Array]:
         """Torques of the loads of one arm.
 
@@ -457,6 +473,7 @@ class Physics:
             velocity: dq, ``(n,)`` [rad/s].
             torque: tau_J, ``(n,)`` [N m]; None: not known.
             scene: Symbols of object and contact; None: there is neither.
+            memory: Of its loads in this simulation; None: a single state.
 
         Returns:
             Torque on the links and torque on the motors, ``(n,)`` each [N m].
@@ -471,5 +488,6 @@ class Physics:
             impact_position=self.arms[arm].impact_position,
             joint_torque=torque,
             scene=scene or {},
+            memory=memory,
         )
         return self.arms[arm].load_torques(state, jacobian)

@@ -18,7 +18,7 @@ import ast
 import functools
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import pinocchio as pin
@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 from impact_rs_sim import _kernel
 from impact_rs_sim.bullet_world import check_body
 from impact_rs_sim.drive import Drive, DriveStart
-from impact_rs_sim.effects.formula import JOINT_SYMBOL, Formula, FormulaLoad, FormulaObjectLoad
+from impact_rs_sim.effects.formula import JOINT_SYMBOL, LAG, Formula, FormulaLoad, FormulaObjectLoad
 from impact_rs_sim.effects.surroundings import Spring
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.physics import ArmPhysics, Load, Physics
@@ -36,6 +36,7 @@ from impact_rs_sim.scene import ArmMotion, ArmState, BodyState
 
 # What formulas beyond those of joints and end effector act on: `Acts` in src/twin_formula.hpp.
 ON_PAD, ALONG_PAD, ON_OBJECT, TURNING_OBJECT, ON_SUPPORT, ALONG_SUPPORT = range(3, 9)
+LAG_FROM = "lag_from"  # a lag with a start, in `Formula::NAMES` of src/twin_formula.hpp
 REFINEMENT = 2  # steps in a period of the torque loop in which a pad meets the object
 BEFORE_ALL = -1e9  # s, since when a command without a time was desired
 
@@ -56,6 +57,8 @@ class TwinJob:
         joint_torque: Whether the torques are measured joint torques, without motors and torque loop: each is tau_J at
             the end of its period, and the links receive tau_J + D K^-1 dtau_J (paper eq. EOM_link).
         refinement: Steps in a period of the torque loop in which a pad meets the object.
+        before: By arm, samples before the start that formulas with memory look back on: time, q, dq and tau_J,
+            ``(m, 1 + 3 n)``; without any, what was before is taken for steady.
     """
 
     physics: Physics
@@ -68,6 +71,7 @@ class TwinJob:
     object: BodyState | None = None
     joint_torque: bool = False
     refinement: int = REFINEMENT
+    before: Mapping[str, Array] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -124,18 +128,19 @@ def simulate(jobs: Sequence[TwinJob], threads: int = 1) -> list[Result]:
 
 def _prepared(model: _kernel.Twin, job: TwinJob) -> _kernel.TwinTask:
     """A job in the form of the kernel."""
-    arms = [arm_start(job.arms[name], job.drives[name]) for name in job.physics.arms]
+    arms = [arm_start(job.arms[name], job.drives[name], job.before.get(name)) for name in job.physics.arms]
     driving = [(job.torque[name], job.acting[name]) for name in job.physics.arms]
     ticks = len(job.time) - 1
     substeps = len(driving[0][1]) // ticks if ticks else 1
     return model, arms, None if job.object is None else box_start(job.object), job.time, substeps, driving
 
 
-def arm_start(state: ArmState, drive: DriveStart) -> _kernel.TwinArmStart:
-    """Initial state of an arm in the form of the kernel."""
+def arm_start(state: ArmState, drive: DriveStart, before: Array | None = None) -> _kernel.TwinArmStart:
+    """Initial state of an arm in the form of the kernel; ``before`` as in :attr:`TwinJob.before`."""
     earlier = drive.earlier or ((BEFORE_ALL, drive.torque),)
     times, values = np.array([time for time, _ in earlier]), np.array([torque for _, torque in earlier])
-    return state.position, state.velocity, drive.torque, drive.torque_rate, times, values
+    samples = np.zeros((0, 1 + 3 * state.position.size)) if before is None else before
+    return state.position, state.velocity, drive.torque, drive.torque_rate, times, values, samples
 
 
 def box_start(state: BodyState) -> _kernel.TwinBoxStart:
@@ -341,7 +346,7 @@ def _postfix(text: str, joints: int) -> tuple[list[int], list[float | str]]:
         elif isinstance(node, ast.Call) and isinstance(node.func, ast.Name):
             for argument in node.args:
                 visit(argument)
-            put(node.func.id)
+            put(LAG_FROM if node.func.id == LAG and len(node.args) > 2 else node.func.id)
 
     def symbol(name: str) -> None:
         joint = JOINT_SYMBOL.fullmatch(name)

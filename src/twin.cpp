@@ -82,26 +82,31 @@ Twin::Twin(const TwinModel& model, const TwinStart& start)
       pad_forces_(model.arms.size()),
       guesses_(model.arms.size() + 1),
       pushes_(has_box_ && !model.formulas.empty()),
+      memory_(fresh_memory(model.formulas)),
       touching_(model.arms.size() + 1),
       symbols_(of_joints, 0.0),
       softened_(model.arms.size()) {
   arms_.reserve(model.arms.size());
   for (std::size_t i = 0; i < model.arms.size(); ++i) arms_.emplace_back(model.arms[i], start.arms[i], model.period);
-  if (!has_box_) return;
-  for (const ArmModel& arm : model.arms)
+  if (has_box_) place(*start.box);
+  look_around(0.0);
+  for (std::size_t i = 0; i < arms_.size(); ++i) arms_[i].look_back(start.arms[i].before);
+}
+
+void Twin::place(const BoxStart& box) {
+  for (const ArmModel& arm : model_.arms)
     for (const FormulaLoad& load : arm.formulas)
       pushes_ = pushes_ || load.acts == Acts::on_pad || load.acts == Acts::along_pad;
-  const BoxStart& box = *start.box;
   rotation_ = box.rotation;
-  const Vector lever = rotation_ * model.box.offset;
+  const Vector lever = rotation_ * model_.box.offset;
   centre_ = box.centre + lever;
   angular_ = box.angular;
   velocity_ = box.velocity + cross(angular_, lever);
   momentum_ = inertia() * angular_;
   // At rest on a support that does not let it slide, the box stays where it is until it is touched.
-  const Vector& g = model.gravity;
-  awake_ = !(model.support && is_zero(box.velocity) && is_zero(box.angular) &&
-             std::hypot(g[0], g[1]) < -g[2] * model.support->friction);
+  const Vector& g = model_.gravity;
+  awake_ = !(model_.support && is_zero(box.velocity) && is_zero(box.angular) &&
+             std::hypot(g[0], g[1]) < -g[2] * model_.support->friction);
 }
 
 Matrix Twin::inertia() const {
@@ -192,10 +197,12 @@ void Twin::push(double time) {
   };
   const Touching& support = touching_.back();
   Vector at_middle{};
-  for (const FormulaLoad& load : model_.formulas) {
-    const bool at_support = load.acts == Acts::on_support || load.acts == Acts::along_support;
-    if (at_support && support.force <= 0.0) continue;
-    const double value = load.at(symbols_);
+  for (std::size_t i = 0; i < model_.formulas.size(); ++i) {
+    const FormulaLoad& load = model_.formulas[i];
+    const bool lost = (load.acts == Acts::on_support || load.acts == Acts::along_support) && support.force <= 0.0;
+    if (lost && load.formula.lags() == 0) continue;
+    const double value = load.at(symbols_, memory_[i]);
+    if (lost) continue;
     if (load.acts == Acts::on_object) {
       at_middle[load.index] += value;
     } else if (load.acts == Acts::turning_object) {
@@ -208,11 +215,16 @@ void Twin::push(double time) {
   moment_ = moment_ + cross(vector(&symbols_[of_object_place]) - centre_, at_middle);
   for (std::size_t i = 0; i < arms_.size(); ++i) {
     const Touching& pad = touching_[i];
-    if (pad.force <= 0.0) continue;
-    arms_[i].look_around();
-    for (const FormulaLoad& load : arms_[i].formulas()) {
+    const std::vector<FormulaLoad>& loads = arms_[i].formulas();
+    bool looked = false;
+    for (std::size_t k = 0; k < loads.size(); ++k) {
+      const FormulaLoad& load = loads[k];
       if (load.acts != Acts::on_pad && load.acts != Acts::along_pad) continue;
-      const double value = load.at(arms_[i].symbols);
+      if (pad.force <= 0.0 && load.formula.lags() == 0) continue;
+      if (!looked) arms_[i].look_around();
+      looked = true;
+      const double value = arms_[i].value(k);
+      if (pad.force <= 0.0) continue;
       const bool along = load.acts == Acts::along_pad;
       arms_[i].push(pad.place, -1.0 * at_surface(pad, along ? 0.0 : value, along ? value : 0.0));
     }
@@ -551,7 +563,8 @@ void Twin::touch_step(double kick, double time) {
     if (!solution.solved) report_.failed.push_back(time);
   }
   partners_before_ = partners_;
-  for (Touching& touching : touching_) touching.force = 0.0;
+  for (Touching& touching : touching_)
+    touching.force = touching.penetration = touching.closing = touching.slip = 0.0;
   for (auto& guesses : guesses_) guesses.clear();
   for (std::size_t k = 0; k < partners_.size(); ++k) {
     const Partner& partner = solver.partners[k];

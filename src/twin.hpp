@@ -102,6 +102,7 @@ class Twin {
   const TwinReport& report() const { return report_; }
 
  private:
+  void place(const BoxStart& box);
   void load(double time);
   void period(double time);
   bool look();  // contact points now; whether a pad meets the object faster than a step of a period resolves
@@ -148,6 +149,7 @@ class Twin {
 
   // Formulas: how every partner is touched, and force and moment about its centre of mass that act on the object.
   bool pushes_;
+  Memory memory_;                   // of those of the object
   std::vector<Touching> touching_;  // by arm, then the support
   std::vector<double> symbols_;     // of the object
   Vector force_{}, moment_{};

@@ -7,6 +7,7 @@ TwinArm::TwinArm(const ArmModel& model, const ArmStart& start, double period)
     : q(start.position),
       dq(start.velocity),
       model_(model),
+      memory_(fresh_memory(model.formulas)),
       period_(period),
       links_(model.links),
       drive_(model.drive),
@@ -43,6 +44,27 @@ void TwinArm::look_around() {
   for (const auto* values : {&q, &dq, &drive_.elastic}) joint = std::copy(values->begin(), values->end(), joint);
 }
 
+void TwinArm::look_back(const std::vector<double>& samples) {
+  bool remembers = false;
+  for (const FormulaLoad& load : model_.formulas) remembers = remembers || load.formula.lags() > 0;
+  if (!remembers) return;
+  const std::size_t n = q.size();
+  const std::vector<double> now[] = {q, dq, drive_.elastic};
+  std::vector<double>* const values[] = {&q, &dq, &drive_.elastic};
+  for (auto sample = samples.begin(); sample != samples.end();) {
+    symbols[of_time] = *sample++;
+    for (auto* own : values) {
+      std::copy_n(sample, n, own->begin());
+      sample += n;
+    }
+    look();
+    look_around();
+    for (std::size_t i = 0; i < model_.formulas.size(); ++i)
+      if (model_.formulas[i].formula.lags() > 0) value(i);
+  }
+  for (int i = 0; i < 3; ++i) *values[i] = now[i];
+}
+
 void TwinArm::load() {
   if (!model_.pull && model_.formulas.empty() && !model_.python) return;
   const int n = joints();
@@ -53,11 +75,12 @@ void TwinArm::load() {
   const Vector& place = end();
   Vector force{};
   if (model_.pull) force = model_.pull->force + -model_.pull->stiffness * (place - model_.pull->place);
-  for (const FormulaLoad& load : model_.formulas) {
+  for (std::size_t i = 0; i < model_.formulas.size(); ++i) {
+    const FormulaLoad& load = model_.formulas[i];
     if (load.acts == Acts::on_end_effector) {
-      force[load.index] += load.at(symbols);
+      force[load.index] += value(i);
     } else if (load.acts == Acts::on_link || load.acts == Acts::on_motor) {
-      (load.acts == Acts::on_link ? on_links_ : on_motors_)[load.index] += load.at(symbols);
+      (load.acts == Acts::on_link ? on_links_ : on_motors_)[load.index] += value(i);
     }
   }
   for (int i = 0; i < n; ++i) on_links_[i] += dot(axis(i).linear + cross(axis(i).angular, place), force);

@@ -58,6 +58,7 @@ struct Command {
 struct ArmStart {
   std::vector<double> position, velocity, torque, torque_rate;  // q, dq, tau_J, dtau_J
   std::deque<Command> earlier;  // commands before the start, one or more; the first acts from ever
+  std::vector<double> before;   // time, q, dq and tau_J of samples before the start, in the order of time
 };
 
 // Shear of a pad against its flange, in axes of the last joint.
@@ -75,6 +76,9 @@ class TwinArm {
 
   // Values of the symbols of formulas: those of the arm now, beside those of time, object and contact as they are.
   void look_around();
+
+  // What formulas remember of samples before the start, while the symbols of the scene are as they are.
+  void look_back(const std::vector<double>& samples);
 
   // Loads that hold until they are computed again; std::runtime_error where a formula is not finite.
   void load();
@@ -104,6 +108,9 @@ class TwinArm {
   const Pad& pad() const { return model_.pad; }
   const std::vector<FormulaLoad>& formulas() const { return model_.formulas; }
 
+  // A formula's value now; std::runtime_error where it is not finite.
+  double value(std::size_t formula) { return model_.formulas[formula].at(symbols, memory_[formula]); }
+
   std::vector<double> q, dq;
   std::vector<double> mass, driving;  // of equations()
   std::vector<double> symbols;  // of formulas
@@ -117,6 +124,7 @@ class TwinArm {
   void deliver(double begin);
 
   const ArmModel& model_;
+  Memory memory_;
   double period_;
   Chain links_;
   Drive drive_;

@@ -17,18 +17,38 @@ Formula::Formula(std::vector<int> code, std::vector<double> constants, int joint
       const int limit = operation == constant ? static_cast<int>(constants_.size()) : of_joints + 3 * joints;
       if (++i == code_.size() || code_[i] < 0 || code_[i] >= limit) throw std::invalid_argument("formula: unknown symbol");
     }
-    depth += operation <= symbol ? 1 : operation <= maximum ? -1 : 0;
+    lags_ += operation == lag || operation == lag_from;
+    depth += operation <= symbol ? 1 : operation <= lag ? -1 : operation == lag_from ? -2 : 0;
     if (depth < 1 || depth > DEEPEST) throw std::invalid_argument("formula: too deep, or without operands");
   }
   if (depth != 1) throw std::invalid_argument("formula: not one value");
 }
 
-double Formula::operator()(const std::vector<double>& symbols) const {
+double Lag::step(double now, double u, double constant, double start) {
+  if (begun && now <= time) return value;
+  const double own = constant <= 0.0 ? std::numeric_limits<double>::infinity() : 1.0 / constant;
+  if (begun) {
+    const double ratio = 0.5 * (now - time) * (rate + own);
+    const double passed = ratio > 0.0 ? -std::expm1(-ratio) / ratio : 1.0;
+    value = u - (u - input) * passed + (value - input) * std::exp(-ratio);
+  } else {
+    value = start;
+  }
+  time = now;
+  input = u;
+  rate = own;
+  begun = true;
+  return value;
+}
+
+double Formula::operator()(const std::vector<double>& symbols, std::vector<Lag>& memory) const {
   double values[DEEPEST];
   int top = -1;
+  auto next = memory.begin();
   for (std::size_t i = 0; i < code_.size(); ++i) {
     const auto operation = static_cast<Operation>(code_[i]);
-    if (operation >= add && operation <= maximum) --top;
+    if (operation >= add && operation <= lag) --top;
+    if (operation == lag_from) top -= 2;
     if (operation <= symbol) ++top;
     double& a = values[top];
     switch (operation) {
@@ -41,6 +61,8 @@ double Formula::operator()(const std::vector<double>& symbols) const {
       case power: a = std::pow(a, values[top + 1]); break;
       case minimum: a = std::min(a, values[top + 1]); break;
       case maximum: a = std::max(a, values[top + 1]); break;
+      case lag: a = (next++)->step(symbols[of_time], a, values[top + 1], a); break;
+      case lag_from: a = (next++)->step(symbols[of_time], a, values[top + 1], values[top + 2]); break;
       case negate: a = -a; break;
       case sine: a = std::sin(a); break;
       case cosine: a = std::cos(a); break;
@@ -57,14 +79,20 @@ double Formula::operator()(const std::vector<double>& symbols) const {
   return values[0];
 }
 
-double FormulaLoad::at(const std::vector<double>& symbols) const {
-  const double value = formula(symbols);
+double FormulaLoad::at(const std::vector<double>& symbols, std::vector<Lag>& memory) const {
+  const double value = formula(symbols, memory);
   if (std::isnan(value)) {
     char when[32];
     std::snprintf(when, sizeof when, "%.3f", symbols[of_time]);
     throw std::runtime_error("effect '" + effect + "' blows up at t = " + when + " s");
   }
   return value;
+}
+
+Memory fresh_memory(const std::vector<FormulaLoad>& formulas) {
+  Memory memory;
+  for (const FormulaLoad& load : formulas) memory.emplace_back(load.formula.lags());
+  return memory;
 }
 
 }  // namespace impact_rs

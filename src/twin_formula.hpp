@@ -24,28 +24,40 @@ constexpr const char* SYMBOLS[of_joints] = {
     "object_x", "object_y", "object_z", "object_vx", "object_vy", "object_vz", "object_wx", "object_wy", "object_wz",
     "object_speed", "normal_force", "penetration", "closing", "slip", "since_contact", "support_force", "support_slip"};
 
+// First-order lag: impact_rs_sim/memory.py.
+struct Lag {
+  double time = 0.0, input = 0.0, rate = 0.0, value = 0.0;  // of the last evaluation; rate: 1 over the constant
+  bool begun = false;
+
+  // Its value after a step to `now` [s] with the time constant `constant` [s]; at the first evaluation `start`.
+  double step(double now, double u, double constant, double start);
+};
+
 class Formula {
  public:
   // The first two take the number that follows them: of a constant or a symbol.
   enum Operation : int {
     constant, symbol,
-    add, subtract, multiply, divide, power, minimum, maximum,
+    add, subtract, multiply, divide, power, minimum, maximum, lag, lag_from,
     negate, sine, cosine, tangent, exponential, logarithm, root, hyperbolic, absolute, sign
   };
   // Their names in impact_rs_sim/twin.py: those of Python's syntax tree and functions.
   static constexpr const char* NAMES[] = {
       "constant", "symbol",
-      "Add", "Sub", "Mult", "Div", "Pow", "min", "max",
+      "Add", "Sub", "Mult", "Div", "Pow", "min", "max", "lag", "lag_from",
       "USub", "sin", "cos", "tan", "exp", "log", "sqrt", "tanh", "abs", "sign"};
   static constexpr int DEEPEST = 64;
 
   // `code` is valid for an arm of `joints` joints, else std::invalid_argument.
   Formula(std::vector<int> code, std::vector<double> constants, int joints);
 
-  // Its value for these symbols; NaN where any part of it is not finite.
-  double operator()(const std::vector<double>& symbols) const;
+  // Its value for these symbols; NaN where any part of it is not finite. `memory` has a place for each of its lags.
+  double operator()(const std::vector<double>& symbols, std::vector<Lag>& memory) const;
+
+  int lags() const { return lags_; }
 
  private:
+  int lags_ = 0;
   std::vector<int> code_;
   std::vector<double> constants_;
 };
@@ -62,7 +74,11 @@ struct FormulaLoad {
   Formula formula;
 
   // Its value [N or N m]; std::runtime_error where it is not finite.
-  double at(const std::vector<double>& symbols) const;
+  double at(const std::vector<double>& symbols, std::vector<Lag>& memory) const;
 };
+
+// What the lags of formulas remember in one simulation, by formula.
+using Memory = std::vector<std::vector<Lag>>;
+Memory fresh_memory(const std::vector<FormulaLoad>& formulas);
 
 }  // namespace impact_rs

@@ -18,7 +18,7 @@ using PullOfPython = std::tuple<Numbers, double, Numbers>;
 using FormulaOfPython = std::tuple<std::string, int, int, std::vector<int>, std::vector<double>>;
 using BoxOfPython = std::tuple<double, Numbers, Numbers, Numbers>;
 using SupportOfPython = std::tuple<double, double, double, double, double>;
-using ArmStartOfPython = std::tuple<Numbers, Numbers, Numbers, Numbers, Numbers, Numbers>;
+using ArmStartOfPython = std::tuple<Numbers, Numbers, Numbers, Numbers, Numbers, Numbers, Numbers>;
 using BoxStartOfPython = std::tuple<Numbers, Numbers, Numbers>;
 using DrivingOfPython = std::tuple<Numbers, Rows>;
 using JobOfPython = std::tuple<const TwinModel*, std::vector<ArmStartOfPython>, std::optional<BoxStartOfPython>, Numbers,
@@ -101,13 +101,14 @@ TwinModel model_of(const std::vector<const ArmModel*>& arms, const BoxOfPython& 
 }
 
 ArmStart arm_start_of(const ArmStartOfPython& given, py::ssize_t n) {
-  const auto& [q, dq, torque, rate, times, earlier] = given;
+  const auto& [q, dq, torque, rate, times, earlier, before] = given;
   if (times.size() == 0) throw py::value_error("earlier: expected one command or more");
   const double* row = checked(earlier, n * times.size(), "earlier");
+  if (before.size() % (1 + 3 * n) != 0) throw py::value_error("before: expected time, q, dq and torque in every row");
   std::deque<Command> commands;
   for (py::ssize_t i = 0; i < times.size(); ++i, row += n) commands.push_back({times.data()[i], {row, row + n}});
   return {copied(q, n, "position"), copied(dq, n, "velocity"), copied(torque, n, "torque"), copied(rate, n, "torque rate"),
-          std::move(commands)};
+          std::move(commands), copied(before, before.size(), "before")};
 }
 
 TwinStart start_of(const TwinModel& model, const std::vector<ArmStartOfPython>& arms,

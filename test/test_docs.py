@@ -21,7 +21,7 @@ from joint_recordings import swinging
 from impact_rs_analysis.evidence.torque_balance import TorqueBalance, prepare
 from impact_rs_cli.main import parser
 from impact_rs_commands import COMMANDS
-from impact_rs_sim.effects.formula import CONTACT_SYMBOLS, FUNCTIONS, SYMBOLS, Formula, FormulaFile, FormulaSpec
+from impact_rs_sim.effects.formula import CONTACT_SYMBOLS, FUNCTIONS, LAG, SYMBOLS, Formula, FormulaFile, FormulaSpec
 from impact_rs_sim.model import Model
 from impact_rs_sim.paths import config_directory
 from impact_rs_sim.robot import RobotFacts
@@ -183,6 +183,7 @@ def test_symbols_and_functions_of_a_formula_are_those_of_the_code() -> None:
     named = {name for row in table("diagnosis.md", "In a formula") for name in re.findall(r"`(\w+)`", row[0])}
     assert named - {"q1", "q2", "dq1", "dq2", "tau1", "tau2", "pi"} == {
         *FUNCTIONS,
+        LAG,
         *SYMBOLS,
         *CONTACT_SYMBOLS,
         "parameters",

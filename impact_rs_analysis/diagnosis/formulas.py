@@ -10,6 +10,7 @@ import numpy as np
 
 from impact_rs_sim.effects.formula import FormulaEffect
 from impact_rs_sim.errors import InputError
+from impact_rs_sim.memory import Memory
 from impact_rs_sim.scenario import load_scenario
 from impact_rs_sim.scene import Scene
 
@@ -33,6 +34,6 @@ def try_out(effects: Iterable[FormulaEffect], file: str | Path) -> None:
         for vector in (effect.nominal(joints), effect.nominal(joints) + step):
             try:
                 physics = effect.apply_vector(scene.physics, vector)
-                physics.load_torques(name, scene.models[name], 0.0, arm.position, arm.velocity)
+                physics.load_torques(name, scene.models[name], 0.0, arm.position, arm.velocity, memory=Memory())
             except InputError as error:
                 raise InputError(error.message, file=file) from None

@@ -11,6 +11,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import product
 from pathlib import Path
 from typing import Literal
 
@@ -34,10 +35,30 @@ REACH = 4.0  # typical distances; how far an anchor may lie from where its fit s
 NARROWEST = 0.01  # width, in ranges of the quantity
 
 
+class QuantityShape(Schema):
+    """A number in the formula of a quantity, as a time constant."""
+
+    unit: str = Field(description="unit")
+    starts: tuple[float, ...] = Field(min_length=1, description="values from which fits start, above 0, in its unit")
+    lower: float = Field(description="smallest value that makes sense")
+    upper: float = Field(description="largest value that makes sense")
+
+    @property
+    def parameter(self) -> FormulaParameter:
+        """The same as a parameter of a formula, whose noticeable change is a tenth of a usual value."""
+        usual = float(np.exp(np.mean(np.log(self.starts))))
+        return FormulaParameter(
+            unit=self.unit, nominal=self.starts[0], lower=self.lower, upper=self.upper, scale=0.1 * usual, shape=True,
+            grid=self.starts,
+        )  # fmt: skip
+
+
 class Quantity(Schema):
     """What a law depends on."""
 
-    formula: str = Field(description="in symbols of formulas; {joint} is the joint of the place")
+    formula: str = Field(
+        description="in symbols of formulas; {joint} is the joint of the place, {before} the one before"
+    )
     unit: str = Field(description="unit")
     typical: float = Field(gt=0.0, description="its size, where it was not measured, in its unit")
     words: str = Field(description="what it is, in a sentence")
@@ -47,6 +68,7 @@ class Quantity(Schema):
         "",
         description="the place whose distance from a point it is, with {axis}; anchor_x, ... of the point are shapes",
     )
+    shapes: dict[str, QuantityShape] = Field({}, description="numbers in its formula, by name")
 
     def vector(self, axis: str) -> str:
         """A component of the vector that it is the size of, as a formula; empty: it is none."""
@@ -210,6 +232,8 @@ def laws_of(grammar: Grammar, ranges: Mapping[str, Range], joints: int) -> Itera
             quantity = grammar.quantities[quantity_name]
             for form_name in forms:
                 for where in _wheres(place, joints):
+                    if where == "joint1" and "{before}" in quantity.formula:
+                        continue
                     yield _law(name, place, quantity_name, quantity, form_name, grammar.forms[form_name], where, ranges)
 
 
@@ -229,7 +253,7 @@ def _law(
     where: str,
     ranges: Mapping[str, Range],
 ) -> Law:
-    symbol = quantity.formula.replace("{joint}", where.removeprefix("joint"))
+    symbol = _symbol(quantity, where)
     low, high = ranges.get(symbol, (-quantity.typical if quantity.opposes else 0.0, quantity.typical))
     anchors: list[dict[str, float]] = [{}]
     if quantity.of_place:
@@ -256,6 +280,8 @@ def _law(
             upper=WIDEST * scale,
             scale=scale,
         )
+    parameters |= {name: inner.parameter for name, inner in quantity.shapes.items()}
+    starts |= {name: list(inner.starts) for name, inner in quantity.shapes.items()}
     formula: dict[str, str] | str
     if quantity.of_place:
         for name, value in anchors[0].items():
@@ -286,7 +312,7 @@ def _law(
     )
     check_units(spec)
     FormulaEffect(spec)
-    own = [{name: value} for name, values in starts.items() for value in values] or [{}]
+    own = [dict(zip(starts, values, strict=True)) for values in product(*starts.values())]
     return Law(
         spec=spec,
         place=place_name,
@@ -302,6 +328,14 @@ def _law(
         noticeable=place.noticeable,
         opposes=opposes or place.each == "vector",
     )
+
+
+def _symbol(quantity: Quantity, where: str) -> str:
+    """The formula of a quantity at a joint or along an axis."""
+    if not where.startswith("joint"):
+        return quantity.formula
+    number = int(where.removeprefix("joint"))
+    return quantity.formula.replace("{joint}", str(number)).replace("{before}", str(number - 1))
 
 
 def _region(quantity: Quantity, ranges: Mapping[str, Range]) -> tuple[Array, float]:

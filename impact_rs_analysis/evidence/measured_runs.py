@@ -73,7 +73,7 @@ class Setup:
                 drive = window.drives[name]
                 arrays += [arm.position, arm.velocity, drive.torque, drive.torque_rate]
                 arrays += [np.append(moment, torque) for moment, torque in drive.earlier]
-                arrays += [window.torque[name], window.acting[name].astype(float)]
+                arrays += [window.torque[name], window.acting[name].astype(float), window.before.get(name, np.zeros(0))]
             text += [hashlib.sha256(np.ascontiguousarray(array).tobytes()).hexdigest() for array in arrays]
         return hashlib.sha256("\n".join(text).encode()).hexdigest()
 

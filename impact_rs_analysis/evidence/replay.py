@@ -18,7 +18,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 import pinocchio as pin
@@ -39,6 +39,7 @@ BEFORE_IMPACT = 0.02  # s, from the begin of the window about the impact to the 
 AFTER_IMPACT = 0.4  # s, from the impact to the end of that window
 FIT = 0.008  # s, half width of the local fit for the start; ends before the impact begins
 RESTING = 25  # samples of the object before the impact, averaged for its pose
+MOST_BEFORE = 60  # samples before the start that formulas with memory look back on, from the begin of the run
 EARLIER = 0.03  # s before the start, whose commands a delayed actuation may still deliver
 
 
@@ -56,6 +57,7 @@ class Window:
         torque: By arm, driving torques in the order in which they act, ``(m, n)`` [N m].
         acting: By arm, row of ``torque`` in every period of the torque loop, ``((k - 1) s,)``.
         seen: Times at which the object was tracked, ``(m,)`` [s].
+        before: By arm, samples from the begin of the run to the start (:attr:`TwinJob.before`).
     """
 
     contact: bool
@@ -67,6 +69,7 @@ class Window:
     torque: dict[str, Array]
     acting: dict[str, NDArray[np.int32]]
     seen: Array
+    before: dict[str, Array] = field(default_factory=dict)
 
     @property
     def substeps(self) -> int:
@@ -144,10 +147,12 @@ def _window(run: Run, start: float, end: float, box: BodyState, number: int | No
     ticks = time[first : last + 1]
     substeps = max(1, round(run.period / run.drive_period))
     grid = (ticks[:-1, None] + np.arange(substeps) * (run.period / substeps)).ravel()
-    arms, drives, torques, acting = {}, {}, {}, {}
+    arms, drives, torques, acting, before = {}, {}, {}, {}, {}
+    rows = np.arange(first - 1, -1, -max(1, math.ceil(first / MOST_BEFORE)))[::-1]
     for name, arm in run.signals.arms.items():
         q, dq = _joint_fit(time, arm.position, arm.velocity, ticks[0])
         torque, rate = _slope_fit(time, arm.torque, ticks[0])
+        before[name] = np.column_stack((time[rows], arm.position[rows], arm.velocity[rows], arm.torque[rows]))
         arms[name] = ArmState(q, dq)
         earlier: tuple[tuple[float, Array], ...] = ()
         if run.commanded:
@@ -162,7 +167,7 @@ def _window(run: Run, start: float, end: float, box: BodyState, number: int | No
         drives[name] = DriveStart(torque, rate, earlier)
     tracked = run.signals.object_time
     seen = tracked[contact & (tracked >= ticks[0] - 1e-9) & (tracked <= ticks[-1] + 1e-9)]
-    return Window(contact, number or 0, ticks, arms, drives, box, torques, acting, seen)
+    return Window(contact, number or 0, ticks, arms, drives, box, torques, acting, seen, before)
 
 
 def _held(sent: Array, values: Array, grid: Array, period: float) -> tuple[Array, NDArray[np.int32]]:
@@ -276,6 +281,7 @@ def _job(window: Window, physics: Physics, drive_period: float, drive: DriveName
         period=drive_period,
         object=window.object if window.contact else None,
         joint_torque=drive == "joint torque",
+        before=window.before,
     )
 
 

@@ -11,7 +11,7 @@ from __future__ import annotations
 import ast
 from fractions import Fraction
 
-from impact_rs_sim.effects.formula import CONTACT_SYMBOLS, FUNCTIONS, JOINT_SYMBOL, SYMBOLS, FormulaSpec
+from impact_rs_sim.effects.formula import CONTACT_SYMBOLS, FUNCTIONS, JOINT_SYMBOL, LAG, SYMBOLS, FormulaSpec
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.units import BASE, FORCE, NUMBER, TORQUE, Dimension, dimension_of, of, text_of, times
 
@@ -86,6 +86,10 @@ def _combined(node: ast.BinOp, known: dict[str, Dimension], text: str) -> Unit:
 def _given_to(function: str, given: list[Unit], text: str) -> Unit:
     if function in SAME:
         return _alike(given[0], given[-1], text)
+    if function == LAG:
+        if given[1] not in (None, BASE["s"]):
+            raise InputError(f"formula {text!r}: the time constant of {LAG} is in s, got {text_of(given[1] or NUMBER)}")
+        return _alike(given[0], given[2], text) if len(given) > 2 else given[0]
     if function == "sqrt":
         return None if given[0] is None else times(NUMBER, given[0], Fraction(1, 2))
     if function == "sign":

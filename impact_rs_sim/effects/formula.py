@@ -39,9 +39,10 @@ Where formulas act:
 
 Symbols: :data:`SYMBOLS`; ``q1`` ... ``dq1`` ... ``tau1`` ... of the joints [rad, rad/s, N m]; ``pi``; and the named
 parameters. Formulas of object and support have those of time, object and support, and ``normal_force`` and
-``since_contact`` of all pads together. Functions: see :data:`FUNCTIONS`. The text is parsed into a syntax tree of which
-only arithmetic is accepted; nothing is ever evaluated as Python. Whether an arm has the joints that a formula names is
-known when the effect meets the arm, not before.
+``since_contact`` of all pads together. Functions: see :data:`FUNCTIONS`; and ``lag(u, T)`` or ``lag(u, T, start)``, the
+memory of :mod:`impact_rs_sim.memory`, with a time constant T [s] that may depend on the state. The text is parsed into
+a syntax tree of which only arithmetic is accepted; nothing is ever evaluated as Python. Whether an arm has the joints
+that a formula names is known when the effect meets the arm, not before.
 """
 
 from __future__ import annotations
@@ -50,7 +51,7 @@ import ast
 import math
 import operator
 import re
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Self
@@ -60,6 +61,7 @@ from pydantic import Field, model_validator
 
 from impact_rs_sim.effects.base import SINGLE_IMPACT, Effect, Parameter, Values, digest, number
 from impact_rs_sim.errors import InputError
+from impact_rs_sim.memory import Memory, lag_along
 from impact_rs_sim.physics import ContactCondition, ContactLaw, Load, LoadState, ObjectLoad, Physics
 from impact_rs_sim.robot import Array
 from impact_rs_sim.schema import Schema, load, omitted
@@ -80,6 +82,7 @@ FUNCTIONS: dict[str, tuple[int, Callable[..., Value]]] = {
     "min": (2, np.minimum),
     "max": (2, np.maximum),
 }
+LAG = "lag"  # of its first argument, with its second as time constant, from its third on; impact_rs_sim/memory.py
 _BINARY: dict[type[ast.operator], Callable[[Value, Value], Value]] = {
     ast.Add: operator.add,
     ast.Sub: operator.sub,
@@ -121,7 +124,7 @@ PLACES = (
 LONGEST = 1000  # characters; a physical law is shorter, a curve of nine knots takes 600
 
 Symbols = Mapping[str, Value]
-Expression = Callable[[Symbols], Value]
+Expression = Callable[[Symbols, Memory | None], Value]
 
 
 class Formula:
@@ -135,6 +138,7 @@ class Formula:
 
     Attributes:
         names: Symbols that stand in it.
+        remembers: Whether it depends on what was before.
 
     Raises:
         InputError: The text does not parse, names an unknown symbol or function, or is no arithmetic.
@@ -143,11 +147,20 @@ class Formula:
     def __init__(self, text: str, symbols: Iterable[str]) -> None:
         self.text, self.symbols = text, frozenset(symbols)
         self._function = _parse(text, self.symbols)
-        self.names = self.symbols & set(re.findall(r"[A-Za-z_]\w*", text))
+        words = set(re.findall(r"[A-Za-z_]\w*", text))
+        self.names, self.remembers = self.symbols & words, LAG in words
 
-    def __call__(self, values: Symbols) -> Value:
-        """Value of the formula where its symbols have these values: numbers, or arrays of samples."""
-        return self._function(values)
+    def __call__(self, values: Symbols, memory: Memory | None = None) -> Value:
+        """Value of the formula.
+
+        Args:
+            values: Of its symbols: numbers, or arrays of samples in the order of time.
+            memory: What its lags remember; of samples they need none.
+
+        Raises:
+            InputError: It remembers, and there is a single state without a memory.
+        """
+        return self._function(values, memory)
 
     def __reduce__(self) -> tuple[type[Formula], tuple[str, frozenset[str]]]:
         """See the class."""
@@ -172,31 +185,54 @@ def _parse(text: str, symbols: frozenset[str]) -> Expression:
 def _compile(node: ast.AST, symbols: frozenset[str], text: str) -> Expression:
     if isinstance(node, ast.Constant) and isinstance(node.value, (int, float)) and not isinstance(node.value, bool):
         value = float(node.value)
-        return lambda _: value
+        return lambda *_: value
     if isinstance(node, ast.Name):
         name = node.id
         if name == "pi":
-            return lambda _: math.pi
+            return lambda *_: math.pi
         if name not in symbols:
             raise InputError(f"formula {text!r}: unknown symbol {name!r}; known: {', '.join(sorted(symbols))}")
-        return lambda values: values[name]
+        return lambda values, _: values[name]
     if isinstance(node, ast.UnaryOp) and isinstance(node.op, (ast.USub, ast.UAdd)):
         inner = _compile(node.operand, symbols, text)
         sign = -1.0 if isinstance(node.op, ast.USub) else 1.0
-        return lambda values: sign * inner(values)
+        return lambda values, memory: sign * inner(values, memory)
     if isinstance(node, ast.BinOp) and type(node.op) in _BINARY:
         left, right = _compile(node.left, symbols, text), _compile(node.right, symbols, text)
         combine = _BINARY[type(node.op)]
-        return lambda values: combine(left(values), right(values))
+        return lambda values, memory: combine(left(values, memory), right(values, memory))
     if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and not node.keywords:
-        if node.func.id not in FUNCTIONS:
-            raise InputError(f"formula {text!r}: unknown function {node.func.id!r}; known: {', '.join(FUNCTIONS)}")
+        known = [*FUNCTIONS, LAG]
+        if node.func.id not in known:
+            raise InputError(f"formula {text!r}: unknown function {node.func.id!r}; known: {', '.join(known)}")
+        if node.func.id == LAG:
+            return _lag([_compile(argument, symbols, text) for argument in node.args], text)
         count, function = FUNCTIONS[node.func.id]
         if len(node.args) != count:
             raise InputError(f"formula {text!r}: {node.func.id} takes {count} argument(s)")
         arguments = [_compile(argument, symbols, text) for argument in node.args]
-        return lambda values: function(*(argument(values) for argument in arguments))
+        return lambda values, memory: function(*(argument(values, memory) for argument in arguments))
     raise InputError(f"formula {text!r}: only arithmetic is understood, not {type(node).__name__}")
+
+
+def _lag(arguments: Sequence[Expression], text: str) -> Expression:
+    """The lag of a quantity, with a memory of its own."""
+    if len(arguments) not in (2, 3):
+        raise InputError(f"formula {text!r}: {LAG} takes a quantity, a time constant and, if it has one, a start")
+    key = object()
+
+    def lag(values: Symbols, memory: Memory | None) -> Value:
+        given, time = [argument(values, memory) for argument in arguments], values.get("t")
+        if isinstance(time, np.ndarray) and time.ndim:
+            return lag_along(time, *given)
+        if memory is None or time is None:
+            raise InputError(
+                f"formula {text!r}: {LAG}() depends on what was before, and a single state has no past; "
+                "it acts in trials and recordings"
+            )
+        return memory.lag(key, float(time), *map(float, given))
+
+    return lag
 
 
 class FormulaParameter(Schema):
@@ -278,7 +314,7 @@ class FormulaEffect(Effect):
             Parameter(name, p.unit, p.nominal, p.lower, p.upper, p.scale, p.meaning, shape=p.shape, grid=p.grid)
             for name, p in spec.parameters.items()
         )
-        taken = FUNCTIONS.keys() | SYMBOLS.keys() | {"pi"}
+        taken = FUNCTIONS.keys() | SYMBOLS.keys() | {"pi", LAG}
         clash = [name for name in spec.parameters if name in taken or JOINT_SYMBOL.fullmatch(name)]
         if clash:
             raise InputError(f"effect {spec.name!r}: {sorted(clash)} cannot be parameter names")
@@ -324,7 +360,15 @@ class FormulaEffect(Effect):
         clash = sorted({*CONTACT_SYMBOLS} & self.spec.parameters.keys())
         if clash:
             raise InputError(f"effect {self.name!r}: {clash} cannot be parameter names")
-        return Formula(text, {*CONTACT_SYMBOLS, *self.spec.parameters})
+        formula = Formula(text, {*CONTACT_SYMBOLS, *self.spec.parameters})
+        if formula.remembers:
+            raise InputError(
+                f"effect {self.name!r}: a single impact has no past, so its coefficients cannot use {LAG}(); "
+                "contact_normal and contact_tangential can, in trials",
+                key="contact",
+                value=text,
+            )
+        return formula
 
     def _parse_object(self, text: str) -> Formula:
         return Formula(text, {*OF_OBJECT, *self.spec.parameters})
@@ -413,7 +457,7 @@ class FormulaContact(ContactLaw):
         return replace(contact, **changed)
 
 
-def _evaluated(effect: str, table: dict[int, Formula], size: int, symbols: Symbols) -> Array:
+def _evaluated(effect: str, table: dict[int, Formula], size: int, symbols: Symbols, memory: Memory | None) -> Array:
     """Values of formulas by number, 0 where there is none, ``(..., size)`` with an axis of samples in front if any.
 
     Raises:
@@ -424,7 +468,9 @@ def _evaluated(effect: str, table: dict[int, Formula], size: int, symbols: Symbo
     for index, expression in table.items():
         try:
             with np.errstate(all="ignore"):
-                result[..., index] = expression(symbols)
+                result[..., index] = expression(symbols, memory)
+        except InputError as error:
+            raise InputError(f"effect {effect!r}: {error.message}") from None
         except (ArithmeticError, ValueError, TypeError) as error:
             raise InputError(f"effect {effect!r} blows up at t = {time.min():.3f} s: {error}") from None
         if not np.isfinite(result[..., index]).all():
@@ -450,6 +496,11 @@ class FormulaLoad(Load):
         return bool(self.pad)
 
     @property
+    def remembers(self) -> bool:
+        """See :class:`Load`; of what acts between pad and object."""
+        return any(formula.remembers for formula in self.pad.values())
+
+    @property
     def reads_scene(self) -> bool:
         """See :class:`Load`."""
         tables = (self.torque, self.motor, self.force)
@@ -468,7 +519,7 @@ class FormulaLoad(Load):
         values |= dict(zip(AXES, state.position.T, strict=True))
         values |= {f"v{axis}": value for axis, value in zip(AXES, state.velocity.T, strict=True)}
         values["speed"] = np.linalg.norm(state.velocity, axis=-1)
-        return _evaluated(self.name, table, size, values)
+        return _evaluated(self.name, table, size, values, state.memory and state.memory.part(id(self)))
 
     def joint_torque(self, state: LoadState) -> Array | None:
         """Torque on the links, ``(n,)`` [N m]."""
@@ -499,15 +550,23 @@ class FormulaObjectLoad(ObjectLoad):
     support: dict[int, Formula]
     numbers: dict[str, float]
 
-    def wrench(self, scene: Symbols) -> Array:
-        """See :meth:`ObjectLoad.wrench`."""
-        return _evaluated(self.name, self.free, 6, {**dict.fromkeys(OF_OBJECT, 0.0), **scene, **self.numbers})
+    @property
+    def remembers(self) -> bool:
+        """See :class:`ObjectLoad`."""
+        return any(formula.remembers for formula in self.support.values())
 
-    def support_force(self, scene: Symbols) -> tuple[float, float]:
+    def wrench(self, scene: Symbols, memory: Memory) -> Array:
+        """See :meth:`ObjectLoad.wrench`."""
+        return self._evaluate(self.free, 6, scene, memory)
+
+    def support_force(self, scene: Symbols, memory: Memory) -> tuple[float, float]:
         """See :meth:`ObjectLoad.support_force`."""
-        values = {**dict.fromkeys(OF_OBJECT, 0.0), **scene, **self.numbers}
-        normal, against = _evaluated(self.name, self.support, 2, values).tolist()
+        normal, against = self._evaluate(self.support, 2, scene, memory).tolist()
         return normal, against
+
+    def _evaluate(self, table: dict[int, Formula], size: int, scene: Symbols, memory: Memory) -> Array:
+        symbols = {**dict.fromkeys(OF_OBJECT, 0.0), **scene, **self.numbers}
+        return _evaluated(self.name, table, size, symbols, memory.part(id(self)))
 
 
 def load_formulas(path: str | Path) -> dict[str, FormulaEffect]:

@@ -186,6 +186,11 @@ IN_THE_PLANT: list[tuple[float, dict[str, Any]]] = [
     (400.0, {"object_force": {"y": "c * since_contact"}}),
     (0.3, {"joint_torque": {"joint4": "c * normal_force"}}),
     (0.1, {"motor_torque": {"joint2": "-c * tau2"}}),
+    (100.0, {"contact_normal": "c * lag(closing, 0.001)"}),
+    (1e4, {"contact_normal": "c * (penetration - lag(penetration, 0.02))"}),
+    (0.5, {"support_tangential": "c * lag(support_force * support_slip, 0.01)"}),
+    (20.0, {"object_force": {"y": "-c * lag(object_vy, 0.01)"}}),
+    (0.3, {"joint_torque": {"joint4": "c * lag(normal_force, 0.01)"}}),
 ]
 
 
@@ -201,6 +206,20 @@ def test_a_law_changes_a_push_in_the_plant_as_in_the_twin(c: float, formulas: di
     assert size > 5e-3
     # A normal force acts while the pads touch, which begins and ends in another step.
     assert np.linalg.norm(changes[0] - changes[1]) < (0.13 if "contact_normal" in formulas else 0.06) * size
+
+
+def test_a_second_trial_of_the_plant_begins_without_memory() -> None:
+    found = Scene.resolve(load_scenario("push"), "juice", "case_1")
+    physics = with_law(found.physics, 5.0, joint_torque={"joint4": "-c * lag(dq4, 1)"})
+    arms, drives, torque = starts(found)
+    plant, ends = BulletMechanics.load(physics, PERIOD), []
+    for time in (0.0, 7.0):
+        plant.start(arms, drives, found.object)
+        for tick in range(5):
+            plant.step(torque, SUBSTEPS, time + tick * PERIOD * SUBSTEPS)
+        ends.append(plant.arm("arm").velocity)
+    plant.close()
+    np.testing.assert_allclose(ends[0], ends[1], atol=1e-9)
 
 
 TICKS, SUBSTEPS, BEFORE = 30, 4, 0.01  # until 20 ms after contact: a box that bounces meets the pad again later

@@ -14,6 +14,7 @@ from impact_rs_sim.bullet_mechanics import BulletMechanics
 from impact_rs_sim.drive import Drive, DriveStart
 from impact_rs_sim.effects.formula import FormulaEffect, FormulaSpec
 from impact_rs_sim.errors import InputError
+from impact_rs_sim.memory import Memory
 from impact_rs_sim.model import load_model
 from impact_rs_sim.physics import Load, LoadState, Physics
 from impact_rs_sim.robot import Array
@@ -71,13 +72,13 @@ def stepped(physics: Physics, one: Stretch, joint_torque: bool = False) -> ArmMo
     drive, q, dq = Drive(arm, PERIOD), one.arm.position, one.arm.velocity
     drive.start(one.arm, one.drive)
     tau, rate = one.drive.torque, one.drive.torque_rate
-    rows = []
+    rows, memory = [], Memory()
     for number, torque in enumerate(one.torque):
         if number % SUBSTEPS == 0:
             time = one.time + number * PERIOD
             state = (tau, q + tau / arm.stiffness, dq + rate / arm.stiffness)
             rows.append((q, dq, *(state if joint_torque else (drive.elastic_torque, drive.position, drive.velocity))))
-            on_links, on_motors = physics.load_torques("arm", model, time, q, dq)
+            on_links, on_motors = physics.load_torques("arm", model, time, q, dq, memory=memory)
             drive.load(on_motors)
         if joint_torque:
             rate, tau = (torque - tau) / PERIOD, torque
@@ -198,6 +199,44 @@ def test_a_formula_acts_as_its_python_form(physics: Physics) -> None:
     believed = formula().apply_vector(physics, np.array([5.0, 0.3]))
     one = stretch(believed)
     same(alone(job(believed, one)).arms["arm"], stepped(believed, one))
+
+
+def test_a_formula_with_memory_acts_as_its_python_form(physics: Physics) -> None:
+    """A Maxwell element, friction of Dahl, and a lag of a lag; two simulations of one physics share nothing."""
+    laws = {
+        "joint_torque": {"joint5": "-40 * c * (q5 - lag(q5, 0.02)) + lag(lag(x * dq2, 0.01), 0.03, z / 2)"},
+        "motor_torque": {"joint2": "-c * lag(sign(dq2), 0.003 / max(abs(dq2), 1e-6))"},
+        "end_effector_force": {"y": "-drag * lag(vy, 0.05)"},
+    }
+    believed = formula(**laws).apply_vector(physics, np.array([20.0, 2.0]))
+    one, other = stretch(believed), stretch(believed, 1)
+    results = simulate([job(believed, one), job(believed, other), job(believed, one)])
+    same(results[0].arms["arm"], stepped(believed, one))
+    same(results[1].arms["arm"], stepped(believed, other))
+    np.testing.assert_array_equal(results[0].arms["arm"].velocity, results[2].arms["arm"].velocity)
+    without = formula(**laws).apply_vector(physics, np.array([0.0, 0.0]))
+    away = results[0].arms["arm"].velocity[-1] - alone(job(without, one)).arms["arm"].velocity[-1]
+    assert np.max(np.abs(away)) > 0.01
+
+
+def test_a_window_remembers_what_was_before_it(physics: Physics) -> None:
+    """A simulation that begins in the middle of another, with its samples before, goes on as that one."""
+    laws = {"joint_torque": {"joint5": "-c * (q5 - lag(q5, 0.05))", "joint1": "lag(t * vx, 0.1)"}}
+    believed = formula(**laws, motor_torque={}, end_effector_force={}).apply_vector(physics, np.array([0.0, 900.0]))
+    one, middle = stretch(believed), TICKS // 2
+    whole = job(believed, one, joint_torque=True)
+    path, torque = alone(whole).arms["arm"], one.torque[: SUBSTEPS * middle][-2:]
+    rest = Stretch(
+        ArmState(path.position[middle], path.velocity[middle]),
+        DriveStart(torque[1], (torque[1] - torque[0]) / PERIOD),
+        one.torque[SUBSTEPS * middle :],
+        whole.time[middle],
+    )
+    samples = np.column_stack((whole.time, path.position, path.velocity, path.torque))[:middle]
+    cut = job(believed, rest, joint_torque=True)
+    ends = [alone(replace(cut, before=before)).arms["arm"].velocity[-1] for before in ({"arm": samples}, {})]
+    close(ends[0], path.velocity[-1])
+    assert np.max(np.abs(ends[1] - path.velocity[-1])) > 1e-3
 
 
 def test_a_formula_that_blows_up_ends_its_own_job_only(physics: Physics) -> None:

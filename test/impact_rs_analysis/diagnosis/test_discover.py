@@ -4,8 +4,10 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from impact_rs_analysis.diagnosis.discover import discover
@@ -17,8 +19,10 @@ from impact_rs_analysis.evidence.replay_cache import ReplayCache
 from impact_rs_analysis.evidence.replays import ReplaySource
 from impact_rs_cli.main import main
 from impact_rs_control.plan import plan_trial
+from impact_rs_sim.effects.formula import FormulaEffect, FormulaSpec
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.model import load_model
+from impact_rs_sim.physics import Physics
 from impact_rs_sim.scenario import load_scenario
 from impact_rs_sim.scene import Scene
 from impact_rs_sim.unmodelled import LAWS
@@ -30,7 +34,25 @@ BESIDE = ("object_mass", "support_friction", "restitution")  # few, because ever
 AMPLITUDE = 4.0
 
 
-def recorded(directory: Path, law: str | None, hidden: list[Hidden]) -> Path:
+RELAXING = FormulaEffect(
+    FormulaSpec.model_validate(
+        {
+            "name": "seal",
+            "sentence": "A seal yields and creeps.",
+            "motor_torque": {"joint4": "-c * lag(dq4, relaxation)"},
+            "parameters": {
+                "c": {"unit": "N m s/rad", "lower": 0, "upper": 50, "scale": 1},
+                "relaxation": {"unit": "s", "lower": 0, "upper": 5, "scale": 0.1},
+            },
+        }
+    )
+)
+DAMPER, RELAXATION = 0.3, 0.12  # N m s/rad, s
+
+
+def recorded(
+    directory: Path, law: str | None, hidden: list[Hidden], element: Callable[[Physics], Physics] = lambda own: own
+) -> Path:
     """Pushes of two boxes at two speeds, twice each."""
     for item in ("parcel", "juice"):
         for case in ("case_1", "case_2"):
@@ -39,7 +61,8 @@ def recorded(directory: Path, law: str | None, hidden: list[Hidden]) -> Path:
                 key = TrialKey(item, case, 1.0, repeat)
                 info = TrialInfo.of(plan, key, key.seed(5), "inprocess")
                 extension = None if law is None else LAWS[law](AMPLITUDE, repeat)
-                record_trial(plan, info, directory / key.name, hide(plan.scene.physics, hidden), extension)
+                physics = element(hide(plan.scene.physics, hidden))
+                record_trial(plan, info, directory / key.name, physics, extension)
     return directory
 
 
@@ -49,9 +72,18 @@ def drags() -> Grammar:
     return grammar.model_copy(update={"places": {"object_drag": grammar.places["object_drag"]}})
 
 
-def found_in(runs: Path) -> DiscoveryDocument:
+def found_in(runs: Path, grammar: Grammar | None = None, beside: Sequence[str] = BESIDE) -> DiscoveryDocument:
     read, store = read_runs(runs, map), ReplayCache(map)
-    return discover(lambda model: ReplaySource.of(read, model, store), load_model("nominal"), drags(), BESIDE)
+    nominal = load_model("nominal")
+    return discover(lambda model: ReplaySource.of(read, model, store), nominal, grammar or drags(), beside)
+
+
+def of_motors(*quantities: str) -> Grammar:
+    """Laws of some quantities on the motors alone."""
+    grammar = load_grammar()
+    motor = grammar.places["motor"]
+    laws = {name: forms for name, forms in motor.laws.items() if name in quantities}
+    return grammar.model_copy(update={"places": {"motor": motor.model_copy(update={"laws": laws})}})
 
 
 @pytest.fixture(scope="module")
@@ -71,6 +103,18 @@ def test_a_quadratic_drag_is_found_with_its_amplitude(drag: tuple[Path, Discover
     assert law.held_out_error_before > 5.0 > 2.0 > law.held_out_error_after
     assert "object_drag_linear" not in law.tied_with
     assert law.valid is not None and 0.2 < law.valid.high < 0.8
+
+
+def test_a_law_with_memory_is_found_in_replays_of_short_windows(tmp_path: Path) -> None:
+    """A Maxwell element on motor 4 of the plant, 7 times repeatability, among friction of other forms."""
+    runs = recorded(tmp_path / "runs", None, [], lambda own: RELAXING.apply_vector(own, np.array([DAMPER, RELAXATION])))
+    grammar = of_motors("velocity", "relaxing_velocity", "presliding", "load_velocity")
+    document = found_in(runs, grammar, ("joint_coulomb_friction", "joint_viscous_friction"))
+    assert (document.verdict, document.diagnosis.named) == (FOUND, ("motor4_relaxing_velocity_linear",))
+    for name, truth in (("c", DAMPER), ("relaxation", RELAXATION)):
+        low, high = document.laws[0].parameters[name].ci95
+        assert low <= truth <= high and high - low < 0.2 * truth, name
+    assert document.laws[0].held_out_error_before > 5.0 > 1.0 > document.laws[0].held_out_error_after
 
 
 def test_the_law_becomes_part_of_a_model_that_anyone_can_read(

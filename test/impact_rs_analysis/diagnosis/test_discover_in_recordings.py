@@ -12,8 +12,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import scipy
 from joint_recordings import write_npz
 from slender_arm import ARM, UPRIGHT, mapping_of, slender_arm, swung, with_effects
+from slender_arm import RATE as SAMPLED
 
 from impact_rs_analysis.diagnosis.compare import ComparisonDocument, compare
 from impact_rs_analysis.diagnosis.discover import discover
@@ -42,6 +44,10 @@ RIPPLE, RATE = 0.4, 5.0  # N m, 1/rad
 OF_LOAD = 0.06  # of the transmitted torque
 ANCHOR, LENGTH, PULL = np.array([0.9, 0.0, 0.9]), 0.7, 20.0  # m, m, N/m
 STEP, AT, WIDTH = 0.5, 0.15, 0.08  # N m, rad, rad
+DAMPER, RELAXATION = 1.0, 0.14  # N m s/rad, s
+SLIDING, BREAKAWAY = 0.6, 0.04  # N m, rad
+FADING, WARMING = 0.6, 3.0  # N m s/rad, s
+ECCENTRIC = 0.4  # N m/rad
 
 
 def ripple(q: np.ndarray, dq: np.ndarray, tau: np.ndarray) -> np.ndarray:
@@ -55,6 +61,42 @@ def friction_of_load(q: np.ndarray, dq: np.ndarray, tau: np.ndarray) -> np.ndarr
 def step(q: np.ndarray, dq: np.ndarray, tau: np.ndarray) -> np.ndarray:
     """A cable that tips over: no form of the grammar has a step away from 0."""
     return -STEP * np.tanh((q - AT) / WIDTH)
+
+
+def integrated(rate: Callable[[float, float], float], dq: np.ndarray) -> np.ndarray:
+    """A force from 0 with a rate that depends on velocity and force, by SciPy's Runge-Kutta method."""
+    time = np.arange(dq.size) / SAMPLED
+    velocity = scipy.interpolate.CubicSpline(time, dq)
+    way = scipy.integrate.solve_ivp(
+        lambda t, f: rate(velocity(t), f), (0.0, time[-1]), [0.0], t_eval=time, max_step=0.01, rtol=1e-8
+    )
+    return np.asarray(way.y[0])
+
+
+def maxwell(q: np.ndarray, dq: np.ndarray, tau: np.ndarray) -> np.ndarray:
+    """A spring of DAMPER / RELAXATION in series with a damper."""
+    return integrated(lambda v, f: (DAMPER * v - f) / RELAXATION, dq)
+
+
+def dahl(q: np.ndarray, dq: np.ndarray, tau: np.ndarray) -> np.ndarray:
+    """Friction that begins elastically (Dahl 1968): loading and unloading differ, at any speed."""
+    return integrated(lambda v, f: (SLIDING * v - np.abs(v) * f) / BREAKAWAY, dq)
+
+
+def fading(q: np.ndarray, dq: np.ndarray, tau: np.ndarray) -> np.ndarray:
+    """Friction that falls as the joint warms up."""
+    warmth = integrated(lambda v, w: (np.abs(v) - w) / WARMING, dq)
+    return -FADING * warmth * np.tanh(dq / 0.02)
+
+
+def eccentric(q: np.ndarray, dq: np.ndarray, tau: np.ndarray) -> np.ndarray:
+    """Friction that depends on the position."""
+    return ECCENTRIC * q * np.tanh(dq / 0.02)
+
+
+def driven(q: np.ndarray, dq: np.ndarray, tau: np.ndarray) -> np.ndarray:
+    """A Maxwell element of the wrong sign, which gives more than it takes."""
+    return -maxwell(q, dq, tau)
 
 
 def nothing(q: np.ndarray, dq: np.ndarray, tau: np.ndarray) -> np.ndarray:
@@ -143,6 +185,34 @@ def test_a_cable_to_a_point_is_found_with_its_end_and_its_length(tmp_path: Path)
     assert numbers["c"] == pytest.approx(PULL, rel=0.05)
     assert numbers["anchor_x"] == pytest.approx(ANCHOR[0], abs=0.05)
     assert law.held_out_error_after < 0.1 * law.held_out_error_before
+
+
+@pytest.mark.parametrize(
+    ("law", "name", "numbers", "width"),
+    [
+        (maxwell, "motor2_relaxing_velocity_linear", {"c": DAMPER, "relaxation": RELAXATION}, 0.15),
+        (dahl, "motor2_presliding_linear", {"c": SLIDING, "breakaway": BREAKAWAY}, 0.15),
+        (fading, "motor2_recent_motion_linear", {"c": FADING, "warming": WARMING}, 0.8),
+        (eccentric, "motor2_position_while_moving_linear", {"c": -ECCENTRIC}, 0.15),
+    ],
+)
+def test_a_law_with_memory_or_of_a_product_is_found_alone_with_its_numbers(
+    tmp_path: Path, law: Torque, name: str, numbers: dict[str, float], width: float
+) -> None:
+    """Truths are integrated by another method, and none of them is a start of the fits."""
+    document = found_in(tmp_path, law)
+    assert (document.verdict, document.laws[0].name) == (FOUND, name)
+    assert document.diagnosis.named == ("joint_coulomb_friction", name)
+    for key, truth in numbers.items():
+        low, high = document.laws[0].parameters[key].ci95
+        assert low <= truth <= high and high - low < width * abs(truth), key
+    assert document.laws[0].held_out_error_after < 0.5 * document.laws[0].held_out_error_before
+
+
+def test_a_maxwell_element_of_the_wrong_sign_is_none(tmp_path: Path) -> None:
+    document = found_in(tmp_path, driven)
+    assert "motor2_relaxing_velocity_linear" not in document.diagnosis.named
+    assert document.diagnosis.held_out_error_after > 1.5 * NOISE
 
 
 def test_nothing_is_proposed_where_only_friction_acts(tmp_path: Path) -> None:

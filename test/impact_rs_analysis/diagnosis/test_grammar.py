@@ -16,6 +16,7 @@ from impact_rs_analysis.diagnosis.null_distribution import rarity_in_the_tail
 from impact_rs_sim.effects.dimensions import check_units
 from impact_rs_sim.effects.formula import SYMBOLS, Formula
 from impact_rs_sim.errors import InputError
+from impact_rs_sim.memory import Memory
 
 RANGES = {"dq4": (-0.6, 0.8), "q4": (-2.4, -1.6), "object_speed": (0.0, 0.5)}
 SHIPPED = list(laws_of(load_grammar(), RANGES, 7))
@@ -42,7 +43,7 @@ def values(one: Law, amplitude: float, rng: np.random.Generator) -> dict[str, fl
 
 
 def evaluated(table: Mapping[str, str], state: dict[str, float]) -> dict[str, float]:
-    return {key: Formula(text, state)(state) for key, text in table.items()}
+    return {key: Formula(text, state)(state, Memory()) for key, text in table.items()}
 
 
 def test_every_law_has_the_unit_of_its_place_and_a_name_of_its_own() -> None:
@@ -68,6 +69,24 @@ def test_laws_of_a_velocity_take_energy_out(seed: int) -> None:
             power = sum(force * state[f"{body}v{axis}"] for axis, force in evaluated(table, state).items())
             assert power <= 0.0, one.spec.name
     assert seen > 50
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_laws_with_memory_take_energy_out_of_a_motion_from_rest(seed: int) -> None:
+    """A spring inside may give back what it took and no more: a Maxwell element and friction of Dahl are passive."""
+    rng, time, seen = np.random.default_rng(seed), np.arange(0.0, 8.0, 1e-3), 0
+    tones = rng.uniform(1.0, 20.0, 4)[:, None]
+    velocity = rng.uniform(-1.0, 1.0, 4) @ np.sin(tones * time)
+    for one in SHIPPED:
+        text = one.spec.motor_torque.get("joint4", one.spec.joint_torque.get("joint4", ""))
+        if "lag(" not in text or not one.quantity.opposes:
+            continue
+        seen += 1
+        for start in one.starts:
+            values = {"t": time, "dq4": velocity, "c": 1.0, **start}
+            work = np.cumsum(Formula(text, values)(values) * velocity) * 1e-3
+            assert work.max() < 1e-3 and work[-1] < -0.01, one.spec.name
+    assert seen == 3
 
 
 def test_friction_at_a_surface_opposes_sliding() -> None:

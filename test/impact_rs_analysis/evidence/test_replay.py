@@ -12,11 +12,13 @@ import pytest
 from impact_rs_analysis.evidence.discrepancy import measured_discrepancy
 from impact_rs_analysis.evidence.measured_runs import MeasuredRun, Runs
 from impact_rs_analysis.evidence.replays import kind_of
+from impact_rs_analysis.evidence.simulated_trials import simulated
+from impact_rs_sim.effects.formula import FormulaEffect, FormulaSpec
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.robot import Array
 from impact_rs_trials.runs import NONE, Run
 
-from .conftest import COULOMB, onset, replayed, residuals, with_arms, with_friction, with_signals
+from .conftest import COULOMB, EXCITED, onset, replayed, residuals, with_arms, with_friction, with_signals
 
 PERIOD = 2.5e-4  # s, of the torque loop
 MOTOR = ("free", "motor torque balance")
@@ -88,6 +90,33 @@ def test_friction_shows_with_its_torque_and_its_sign_on_the_motor_side(rubbed: R
     assert checked > 20
     assert np.max(np.abs(residuals(rubbed, with_friction(rubbed.physics))[MOTOR])) < 1.0
     assert rms(residuals(by_joint_torque(rubbed))[LINK]) < 0.5  # measured joint torque knows no friction
+
+
+def test_replays_remember_what_was_before_their_windows() -> None:
+    """A Maxwell element of a second on motor 4: windows of a tenth of a second do not see where it began."""
+    element = FormulaSpec.model_validate(
+        {
+            "name": "seal",
+            "sentence": "A seal yields and creeps.",
+            "motor_torque": {"joint4": "-c * lag(dq4, 1)"},
+            "parameters": {"c": {"unit": "N m s/rad", "lower": 0, "upper": 50, "scale": 1}},
+        }
+    )
+    known = FormulaEffect(element).apply_vector(EXCITED.scene.physics, np.array([10.0]))
+    run = simulated(EXCITED, known, "bullet")
+    measured = MeasuredRun.of(run)
+    forgetful = tuple(replace(window, before={}) for window in measured.setup.windows)
+    sizes = []
+    for setup, physics in (
+        (measured.setup, known),
+        (replace(measured.setup, windows=forgetful), known),
+        (measured.setup, EXCITED.scene.physics),
+    ):
+        features = setup.features_of(setup.replayed(physics))
+        own = [f.signal == "motor torque balance" and f.index.endswith("joint4") for f in measured.features]
+        limits = np.array([feature.relevance_limit for feature in measured.features])
+        sizes.append(rms(((measured.measured - features) / limits)[own]))
+    assert sizes[0] < 0.3 and sizes[1] > 3.0 * sizes[0] and sizes[2] > 3.0 * sizes[0], sizes
 
 
 def test_a_heavier_object_takes_more_speed(hit: Run) -> None:

@@ -28,6 +28,9 @@ def spec(formula: str, unit: str, table: str = "joint_torque", key: str = "joint
         ("c * max(vx, vy)", "N s"),
         ("c * exp(-t / t)", "J"),
         ("c * dq1 + c * dq2", "kg m^2/s"),
+        ("c * lag(dq1, 0.2)", "N m s/rad"),
+        ("lag(c * dq1, t, c * dq2)", "N m s/rad"),
+        ("-c * lag(sign(dq1), 0.01 / max(abs(dq1), 1e-6))", "N m"),
     ],
 )
 def test_a_torque_is_a_torque_however_its_unit_is_written(formula: str, unit: str) -> None:
@@ -47,6 +50,8 @@ def test_a_force_at_the_end_effector_is_a_force() -> None:
         ("c + dq1", "N m", "adds or compares N m and s^-1"),
         ("c * max(x, t)", "N", "adds or compares m and s"),
         ("c", "Nm", "'Nm' is not understood"),
+        ("c * lag(q1, x)", "N m", "the time constant of lag is in s, got m"),
+        ("c * lag(dq1, t, q1)", "N m s", "adds or compares s^-1 and -"),
     ],
 )
 def test_units_that_clash_are_named(formula: str, unit: str, expected: str) -> None:

@@ -181,6 +181,25 @@ def test_file_and_place_are_named(tmp_path):
         load_formulas(path)
 
 
+def test_a_single_impact_has_no_memory(tmp_path):
+    path = tmp_path / "mine.yaml"
+    path.write_text(
+        "effects:\n  - {name: worn, sentence: s, contact: {restitution: '-c * lag(v, 1)'},"
+        " parameters: {c: {unit: s/m, lower: 0, upper: 1, scale: 1}}}\n"
+    )
+    with pytest.raises(
+        InputError, match="a single impact has no past.*contact_normal and contact_tangential can"
+    ) as told:
+        load_formulas(path)
+    assert (told.value.key, told.value.value) == ("contact", "-c * lag(v, 1)") and "mine.yaml" in str(told.value)
+
+
+@pytest.mark.parametrize("name", ["lag", "tanh"])
+def test_a_function_is_no_parameter(name):
+    with pytest.raises(InputError, match="cannot be parameter names"):
+        FormulaEffect(spec(end_effector_force={"y": "1"}, parameters={name: PARAMETER}))
+
+
 def test_a_formula_with_a_number_beyond_any_float_is_refused() -> None:
     with pytest.raises(InputError, match="does not parse"):
         FormulaEffect(spec(end_effector_force={"y": f"{'9' * 330} * vy"}))

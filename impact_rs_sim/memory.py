@@ -1,0 +1,86 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Memory of formulas: first-order lags.
+
+A lag z of a quantity u with a time constant T obeys
+
+    T dz/dt = u - z.
+
+From one evaluation to the next u counts as linear in time, and 1/T as its mean. For a constant T the step is exact at
+any length h:
+
+    z_1 = u_1 - (u_1 - u_0) (1 - exp(-r)) / r + (z_0 - u_0) exp(-r),    r = h (1/T_0 + 1/T_1) / 2
+
+so that z lags by T whatever the sampling, is u for T = 0, and stays where it was for an infinite T. The first
+evaluation has z = u, as if what was before had been steady, or a start that is given. ``src/twin_formula.cpp`` takes
+the same step.
+"""
+
+from __future__ import annotations
+
+from itertools import accumulate
+from typing import Any
+
+import numpy as np
+
+from impact_rs_sim.robot import Array
+
+
+class Memory:
+    """What the lags of one simulation remember; a new one knows nothing, as at the start of a trial."""
+
+    def __init__(self) -> None:
+        self._known: dict[object, tuple[float, float, float, float]] = {}
+        self._parts: dict[object, Memory] = {}
+
+    def part(self, owner: object) -> Memory:
+        """The memory of one of several owners: of an arm, or of an effect."""
+        return self._parts.setdefault(owner, Memory())
+
+    def lag(self, key: object, time: float, value: float, constant: float, start: float | None = None) -> float:
+        """A lag after a step to ``time`` [s]; asked again at the same time, what it was.
+
+        Args:
+            key: Which one.
+            time: Now [s].
+            value: u now.
+            constant: T [s].
+            start: z at the first evaluation; None: u.
+        """
+        rate = float(_rate(constant))
+        before, last, slow, lagged = self._known.get(key, (time, value, rate, value if start is None else start))
+        if time > before:
+            kept, passed = _step((time - before) * (slow + rate) / 2.0)
+            lagged = float(value - (value - last) * passed + (lagged - last) * kept)
+        if time > before or key not in self._known:
+            self._known[key] = (time, value, rate, lagged)
+        return lagged
+
+
+def lag_along(time: Array, value: Any, constant: Any, start: Any = None) -> Array:
+    """A lag over samples in the order of time, ``(k,)``.
+
+    Args:
+        time: When they are, ``(k,)`` [s].
+        value: u, a number or ``(k,)``.
+        constant: T, a number or ``(k,)`` [s].
+        start: z at the first sample, a number, or ``(k,)`` of which the first counts; None: u.
+    """
+    u = np.broadcast_to(np.asarray(value, dtype=float), time.shape)
+    rate = np.broadcast_to(_rate(constant), time.shape)
+    kept, passed = _step(np.diff(time) * (rate[1:] + rate[:-1]) / 2.0)
+    added = u[1:] - np.diff(u) * passed - u[:-1] * kept
+    steps = zip(kept.tolist(), added.tolist(), strict=True)
+    first = float(u[0] if start is None else np.broadcast_to(start, time.shape)[0])
+    return np.array(list(accumulate(steps, lambda z, step: step[0] * z + step[1], initial=first)))
+
+
+def _rate(constant: Any) -> Any:
+    """1/T; infinite where T is not positive."""
+    with np.errstate(all="ignore"):
+        return np.where(np.asarray(constant) <= 0.0, np.inf, 1.0 / np.asarray(constant, dtype=float))
+
+
+def _step(ratio: Any) -> tuple[Any, Any]:
+    """exp(-r) and (1 - exp(-r)) / r."""
+    with np.errstate(all="ignore"):
+        return np.exp(-ratio), np.where(ratio > 0.0, -np.expm1(-ratio) / ratio, 1.0)
