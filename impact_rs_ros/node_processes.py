@@ -21,8 +21,8 @@ from impact_rs_sim.scenario import scenario_path
 
 NODES = ("plant", "impact_map", "controller", "recorder", "experiment")
 REFUSED = 2  # exit code of a node with a parameter that is not allowed; to start it again does not help
-STOP_TIMEOUT = 4.0  # s, for all nodes to end after SIGTERM
-CLOSING = 2.5  # s of it, for the experiment node to end its trial
+STOP_TIMEOUT = 10.0  # s, for all nodes to end after SIGTERM
+CLOSING = 6.0  # s of it, for the experiment node to end its trial
 
 
 def ours(without: Sequence[str]) -> list[str]:

@@ -25,6 +25,7 @@ from impact_rs_ros.qos import ALIVE, LEASE, PRESENT
 
 UNKNOWN = "_NODE_NAME_UNKNOWN_"  # the middleware's name of a node of which only a publisher is discovered yet
 GRACE = 1.0  # s; a lease can lapse and be renewed at once when another publisher of the same topic leaves
+LEAVING = 5.0  # s, from a publisher's end to that of its process, on a busy machine; a frozen node's lease lapses
 
 
 def announce(node: Node) -> Publisher:
@@ -47,6 +48,7 @@ class Presence:
         self._alive = dict.fromkeys(names, 0)
         self._since = dict.fromkeys(self._alive, -float("inf"))  # when that changed last, on the monotonic clock [s]
         self._known: set[str] = set()  # names of nodes that were alive at some time
+        self._lapsed = dict.fromkeys(self._alive, False)  # whether a publisher is there whose lease lapsed
         for name in self._alive:
             node.create_subscription(
                 Empty,
@@ -60,6 +62,7 @@ class Presence:
     def _changed(self, name: str, event: QoSLivelinessChangedInfo) -> None:
         if event.alive_count:
             self._known.add(name)
+        self._lapsed[name] = event.not_alive_count > 0
         if event.alive_count != self._alive[name]:
             self._alive[name] = event.alive_count
             self._since[name] = time.monotonic()
@@ -74,8 +77,14 @@ class Presence:
 
     def lost(self, *names: str) -> list[str]:
         """Those of these nodes that were alive and are not any more."""
-        latest = time.monotonic() - GRACE
-        return [name for name in self.absent() if name in names and name in self._known and self._since[name] < latest]
+        now = time.monotonic()
+        return [
+            name
+            for name in self.absent()
+            if name in names
+            and name in self._known
+            and self._since[name] < now - (GRACE if self._lapsed[name] else LEAVING)
+        ]
 
     def duplicates(self) -> dict[str, bool]:
         """Names that several nodes share, and whether that is certain.
