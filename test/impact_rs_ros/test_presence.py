@@ -7,6 +7,7 @@ import os
 import signal
 import subprocess
 import sys
+import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 
@@ -15,7 +16,7 @@ from node_trials import participant
 from processes import until
 from rclpy.executors import SingleThreadedExecutor
 
-from impact_rs_ros.presence import Presence, SubscriptionsMatched
+from impact_rs_ros.presence import GRACE, LEAVING, Presence, SubscriptionsMatched
 
 PROGRAM = """
 import rclpy, sys
@@ -23,7 +24,10 @@ from impact_rs_ros.presence import announce
 rclpy.init()
 node = rclpy.create_node(sys.argv[1], namespace="cell")
 publisher = announce(node)
-rclpy.spin(node)
+try:
+    rclpy.spin(node)
+except KeyboardInterrupt:
+    node.destroy_node()
 """
 
 
@@ -72,6 +76,22 @@ def test_a_frozen_and_a_killed_process_are_lost_and_a_resumed_one_not(watch: Wat
     watch.until(lambda: presence.lost("one"), "not noticed that it was killed")
     presence.forget("one")
     assert presence.lost("one") == []
+
+
+@pytest.mark.parametrize(("ends_by_itself", "after"), [(True, LEAVING), (False, GRACE)])
+def test_a_node_that_takes_its_leave_has_time_to_end(
+    watch: Watch, monkeypatch: pytest.MonkeyPatch, ends_by_itself: bool, after: float
+) -> None:
+    """One whose lease lapses has frozen."""
+    one = watch.start("one")
+    watch.until_alive("one")
+    one.send_signal(signal.SIGINT if ends_by_itself else signal.SIGSTOP)
+    watch.until(lambda: "one" in watch.presence.absent(), "not noticed that it is not alive")
+    now = time.monotonic()
+    for passed, lost in ((after - 0.5, []), (after + 0.5, ["one"])):
+        monkeypatch.setattr(time, "monotonic", lambda passed=passed: now + passed)
+        assert watch.presence.lost("one") == lost
+    monkeypatch.undo()
 
 
 def test_two_nodes_of_one_name_are_duplicates_until_one_leaves(watch: Watch) -> None:
