@@ -315,6 +315,11 @@ class Fit:
         return float(np.mean(self.problem.errors(np.zeros_like(self.change))))
 
     @property
+    def at_point(self) -> Fit:
+        """The fit without its linear correction: the estimate is where the candidate was simulated."""
+        return replace(self, change=np.zeros_like(self.change))
+
+    @property
     def converged(self) -> bool:
         """Whether the linear fit gains little over the candidate's point."""
         return self.error_at_point - self.misfit < ENOUGH * self.error_at_point
@@ -373,7 +378,7 @@ def _refine(candidate: Candidate, evidence: Evidence, give_up: float) -> Fit:
             break
         moved, trust = _moved(fitted, trust)
         if moved is None:  # the sensitivities promise what simulations do not keep
-            return replace(fitted, change=np.zeros_like(fitted.change))
+            return fitted.at_point
         fitted = moved
     return fitted
 
@@ -518,7 +523,7 @@ def _confirmed(fitted: Fit) -> Fit:
     """The fit with its last correction only where a simulation confirms it: a valley of the error may be curved."""
     there = evaluate_at(fitted.candidate, fitted.estimate, fitted.evidence)
     better = there is not None and Fit.of(there, fitted.evidence).error_at_point <= fitted.error_at_point
-    return fitted if better else replace(fitted, change=np.zeros_like(fitted.change))
+    return fitted if better else fitted.at_point
 
 
 def evaluate_at(candidate: Candidate, point: Array, evidence: Evidence) -> Candidate | None:

@@ -447,7 +447,7 @@ class Search:
         return min((fit for fit in found if fit.score <= limit), key=lambda fit: (self._cost(fit), fit.score))
 
     def _cost(self, fitted: Fit) -> int:
-        """Number of parameters, fewer for effects that say more of them (:meth:`Effect.complexity`)."""
+        """Number of parameters of all effects, without shapes (:meth:`Effect.complexity`)."""
         return sum(effect.complexity(self.source.joints) for effect in fitted.candidate.effects)
 
     def _without_the_superfluous(self, chosen: Fit, within: float = 0.0) -> Fit:
@@ -517,11 +517,11 @@ class Search:
         """
         rivals = self.rivals(chosen)
         for _ in range(MOST_EFFECTS):
-            tied_ones = [rival.fit for rival in rivals if rival.tied]
+            alternatives = [rival.fit for rival in rivals if rival.tied]
             if len(chosen.candidate.names) > 1:  # what takes the place of one may explain the others as well
-                tied_ones += [self._without_the_superfluous(fitted, TIE) for fitted in tied_ones]
+                alternatives += [self._without_the_superfluous(fitted, TIE) for fitted in alternatives]
             limit = chosen.score * math.exp(TIE)
-            simpler = [fit for fit in tied_ones if fit.score <= limit and self._cost(fit) < self._cost(chosen)]
+            simpler = [fit for fit in alternatives if fit.score <= limit and self._cost(fit) < self._cost(chosen)]
             if not simpler:
                 break
             best = min(simpler, key=lambda fit: (self._cost(fit), fit.score))

@@ -189,9 +189,11 @@ def test_a_single_impact_has_no_memory(tmp_path):
     )
     with pytest.raises(
         InputError, match="a single impact has no past.*contact_normal and contact_tangential can"
-    ) as told:
+    ) as refused:
         load_formulas(path)
-    assert (told.value.key, told.value.value) == ("contact", "-c * lag(v, 1)") and "mine.yaml" in str(told.value)
+    assert (refused.value.key, refused.value.value) == ("contact", "-c * lag(v, 1)") and "mine.yaml" in str(
+        refused.value
+    )
 
 
 @pytest.mark.parametrize("name", ["lag", "tanh"])
