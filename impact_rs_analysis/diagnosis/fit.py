@@ -266,9 +266,10 @@ class Fit:
 
         Where features bend (a box tips, a contact slips), sensitivities at the estimate are not those at the end of the
         interval. So each end is simulated, with the other parameters moved along (profile of the squares of residuals),
-        and is moved out until the squares rise as much as they would in a straight model.
+        and is moved out until the squares rise as much as they would in a straight model. Bounds of physics cut
+        intervals off; the range of a search does not.
         """
-        candidate, inverse = self.candidate, np.linalg.inv(self.problem.total)
+        candidate, inverse = self._as_wide_as_intervals, np.linalg.inv(self.problem.total)
         half, least = self.half_widths, self._squares_at([self.estimate])[0]
         if not np.isfinite(least):
             least = 0.0  # nothing to compare with: the ends stay where they are
@@ -290,6 +291,18 @@ class Fit:
                 reach[left] *= 2.0
             ends[side] = np.clip(self.estimate + side * reach * candidate.scale, candidate.lower, candidate.upper)
         return np.minimum(ends[-1.0], self.estimate), np.maximum(ends[1.0], self.estimate)
+
+    @property
+    def _as_wide_as_intervals(self) -> Candidate:
+        """The candidate with ranges that hold the intervals, as far as physics and the user let it."""
+        candidate, half = self.candidate, self.half_widths * self.candidate.scale
+        for _ in range(WIDENINGS):
+            beyond = (self.estimate - half < candidate.lower) | (self.estimate + half > candidate.upper)
+            wider = candidate.widened(beyond, self.evidence.source) if np.any(beyond) else None
+            if wider is None:
+                break
+            candidate = wider
+        return candidate
 
     def _squares_at(self, points: Sequence[Array]) -> Array:
         """Sums of squared scaled residuals at other parameters, ``(k,)``; infinite where they cannot be simulated."""

@@ -191,8 +191,11 @@ class RecordingSource(Source):
         """See :meth:`Source.predict`."""
         del what
         found: list[Array | None] = []
+        last: Added | None = None
+        torque: Array | None = None
         for number, added in wanted:
-            torque = self._torque(added)
+            if added is not last:  # most follow each other, and the hash of many numbers is dear
+                last, torque = added, self._torque(added)
             found.append(None if torque is None else torque[self._stretches[number].rows].ravel())
         return found
 

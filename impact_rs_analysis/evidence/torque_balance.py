@@ -167,6 +167,7 @@ class TorqueBalance:
         self.motions, self._at_motor = motions, at_motor
         self._regressors: dict[bytes, list[Array]] = {}
         self._known_states: dict[bytes, list[tuple[LoadState, Array]]] = {}
+        self._kept: tuple[tuple[object, ...], RobotModel] | None = None
 
     def predict(self, physics: Physics) -> Array:
         """Predicted recorded torque, all motions stacked between their edges, ``(k, n)`` [N m]."""
@@ -188,9 +189,17 @@ class TorqueBalance:
             rows.append(_delayed(torque, motion.time, arm.torque_delay))
         return rows
 
+    def _model(self, physics: Physics) -> RobotModel:
+        """Rigid-body model of the arm, kept while effects change other parts of the physics."""
+        arm = physics.arms[ARM]
+        parts = (arm.facts, arm.end_effector, arm.base, physics.gravity)
+        if self._kept is None or any(one is not other for one, other in zip(parts, self._kept[0], strict=True)):
+            self._kept = parts, physics.robot_model(ARM)
+        return self._kept[1]
+
     def _rigid_torques(self, physics: Physics) -> list[Array]:
         """M ddq + h = Y pi, linear in the inertial parameters pi of all links, ``(k, n)`` each [N m]."""
-        model = physics.robot_model(ARM)
+        model = self._model(physics)
         parameters = np.concatenate([inertia.toDynamicParameters() for inertia in list(model.pinocchio.inertias)[1:]])
         key = model.pinocchio.gravity.linear.tobytes()
         if key not in self._regressors:
@@ -218,7 +227,7 @@ class TorqueBalance:
 
     def _states(self, physics: Physics) -> list[tuple[LoadState, Array]]:
         """Arguments of loads of every motion, and the linear part of the Jacobians, ``(k, 3, n)``."""
-        arm, model = physics.arms[ARM], physics.robot_model(ARM)
+        arm, model = physics.arms[ARM], self._model(physics)
         start = np.zeros(arm.facts.joint_count)
         key = np.concatenate((model.placement(start).homogeneous.ravel(), arm.impact_position)).tobytes()
         if key not in self._known_states:

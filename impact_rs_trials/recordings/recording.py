@@ -28,6 +28,7 @@ from impact_rs_trials.recordings.sources import (
     FILE_SUFFIXES,
     SEARCHED_SUFFIXES,
     read_series,
+    run_folders,
     spread_runs,
 )
 from impact_rs_trials.runs import ArmSignals, Run, Signals
@@ -95,11 +96,13 @@ def read_recordings(path: Path, mapping: Mapping) -> list[Run]:
     Raises:
         InputError: A recording cannot be used; the message says what was expected.
     """
-    if mapping.spread and path.is_dir():
-        found = list(spread_runs(path, mapping))
+    if path.is_dir() and all(source.file is not None for source in mapping.signals.values()):
+        found = list(spread_runs(path, mapping)) if mapping.spread else run_folders(path, mapping)
         if not found:
             files = ", ".join(sorted({str(source.file) for source in mapping.signals.values()}))
-            raise InputError(f"no file here is called as signals.NAME.file of the mapping says: {files}", file=path)
+            raise InputError(
+                f"no run here has the files that signals.NAME.file of the mapping names: {files}", file=path
+            )
     else:
         found = find_recordings(path)
     return [piece for item in found for piece in _pieces(item, mapping)]
@@ -110,6 +113,8 @@ def _pieces(path: Path, mapping: Mapping) -> list[Run]:
     recorded = read_series(path, mapping, JOINT_SIGNALS, REQUIRED)
     gaps_said = []
     for name, one in recorded.items():
+        if name not in mapping.signals:  # the velocity, which is made of the position
+            continue
         what = one.place if name == "position" or one.log is not None else f"time of {one.place}"
         gaps_said += _check_time(path, one.time, what, mapping.low_pass)
         if name in REQUIRED:
@@ -237,7 +242,8 @@ def check_arm(path: Path, time: Array, arm: ArmSignals, mapping: Mapping, briefl
         _check_numbers(path, name, time, getattr(arm, name))
     for name in REQUIRED:
         check_limits(path, name, time, getattr(arm, name), mapping, briefly)
-    check_velocity(path, time, arm.position, arm.velocity, mapping)
+    if "velocity" in mapping.signals:
+        check_velocity(path, time, arm.position, arm.velocity, mapping)
 
 
 def _check_numbers(path: Path, name: SignalName, time: Array, values: Array) -> None:
@@ -279,9 +285,10 @@ def check_limits(
         return
     row, joint = np.argwhere(wrong)[0]
     value, unit = values[row, joint], getattr(mapping.facts.units[joint], quantity)
+    stated = name if name in mapping.signals else "position"  # whose derivative it is
     raise InputError(
         f"{name} of joint {joint + 1} is {value:.4g} {unit} at t = {time[row] - time[0]:.3f} s, "
-        f"expected {expected[joint]} {unit} for {mapping.robot}: wrong unit (now {mapping.unit(name, joint)}) or "
+        f"expected {expected[joint]} {unit} for {mapping.robot}: wrong unit (now {mapping.unit(stated, joint)}) or "
         "joints?",
         file=path,
     )
