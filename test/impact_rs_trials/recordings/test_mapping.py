@@ -62,7 +62,7 @@ def test_an_offset_is_added_after_the_factor_in_the_unit() -> None:
 
 def test_a_mapping_without_velocities_is_one_and_without_torques_is_none() -> None:
     assert "velocity" not in mapping(signals=signals("velocity")).signals
-    with pytest.raises(ValidationError, match="signals.torque is missing; position and torque are needed"):
+    with pytest.raises(InputError, match="signals.torque is missing; position and torque are needed"):
         mapping(signals=signals("torque"))
 
 
