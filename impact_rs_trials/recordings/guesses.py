@@ -40,6 +40,7 @@ CLOSE_TORQUE = (0.2, 5.0)  # friction, loads and delays are in the torque as wel
 SURE_TORQUE = (0.5, 2.0)
 TOGETHER = 0.8  # least correlation from which a factor is believed,
 HARDLY = 0.5  # and from which it is assumed
+SURELY, ALIKE = 0.95, 0.1  # correlation, and spread of the factors of joints, of a velocity at another sampling rate
 MOVES = 0.02  # of the data sheet's velocity, rms, from which a joint moves
 NOTICED = 0.3  # of what the largest joint takes by weight and inertia, in proportion to the robot [N m]
 LOOKED_AT = 400  # samples in which the torque is compared
@@ -145,6 +146,16 @@ def unit_of_position(raw: Array, facts: RobotFacts, name: str) -> Guess | None:
             return Guess(written, said, further={"factor_": factor})
         tried.append(turns)
     return None
+
+
+def times_derivative(time: Array, position: Array, raw: Array) -> float | None:
+    """By how much a signal is larger than the derivative of positions ``(k, n)`` in all joints; None: it is another."""
+    at, q = smoothed(time, position)
+    ratio, together = _ratios(np.gradient(q, at, axis=0), smoothed(time, raw)[1])
+    moving = np.ptp(q, axis=0) >= 0.5 * float(np.max(np.ptp(q, axis=0)))
+    usual = float(np.median(ratio[moving]))
+    alike = np.all(np.abs(ratio[moving] / usual - 1.0) < ALIKE) if usual != 0.0 else False
+    return usual if alike and np.all(np.abs(together[moving]) > SURELY) else None
 
 
 def velocity_of(time: Array, position: Array, raw: Array, facts: RobotFacts) -> tuple[float, Guess] | None:

@@ -36,6 +36,7 @@ from impact_rs_trials.recordings.guesses import (
     clock_of,
     pose_of,
     quaternion_order,
+    times_derivative,
     torque_of,
     unit_of_length,
     unit_of_position,
@@ -347,6 +348,8 @@ class _Importer:
         ]
         motions = [motion for place, unit in places for motion in _with_velocity(place, unit, every, facts)]
         moving = bool(motions)
+        if not moving and self._wishes.rate is not None:
+            self._check_rate(self._wishes.rate, places, every)
         if not moving and not any(one.named("velocity") > 0.0 for one in every):
             motions = [_Motion(*place) for place in places if place[0].named("position") >= 0.0]
         if not motions:
@@ -378,6 +381,21 @@ class _Importer:
             signals["velocity"] = self._joint_signal(*motion.velocity, part)
         own = {"joints": list(self._joints(part, motion.position.number, facts.joint_count))}
         return part, own | self._torque(torques, facts, robot, signals, part), signals
+
+    def _check_rate(self, rate: float, places: Sequence[tuple[_Found, Guess]], every: Sequence[_Found]) -> None:
+        """Refuse a sampling rate at which a velocity would be that of another one."""
+        for place, unit in places:
+            motion, time = _Motion(place, unit), place.series.time
+            for other in every:
+                factor = None if other.overlaps(place) else times_derivative(time, motion.places, other.series.at(time))
+                if factor is not None and factor > 0.0:
+                    real = rate * factor
+                    raise InputError(
+                        f"{other.label} is {factor:.3g} times the derivative of {place.label} in all joints, which is "
+                        f"a velocity in rad/s at {real:.4g} Hz, in deg/s at {real * np.pi / 180.0:.4g} Hz",
+                        key="--rate",
+                        value=f"{rate:g}",
+                    )
 
     def _torque(
         self, found: list[tuple[float, _Found, Guess]], facts: RobotFacts, robot: str,

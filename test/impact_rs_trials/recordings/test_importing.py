@@ -242,6 +242,16 @@ def test_velocities_that_were_not_recorded_are_made_of_the_positions(
     assert any("velocities are its derivative, by differences over 20 ms" in remark for remark in run.remarks)
 
 
+def test_a_sampling_rate_that_velocities_contradict_is_refused_with_the_right_one(
+    tmp_path: Path, motion: Columns
+) -> None:
+    names = [*numbered("a"), *numbered("b"), *numbered("c")]
+    file = write(tmp_path / "log.csv", names, [motion["position"], motion["velocity"], motion["effort"]])
+    said = refusal(draft_import, [file], tmp_path / "lab", Wishes(robot="kuka_iiwa7", rate=400.0))
+    assert "b1 … b7 is 0.25 times the derivative of a1 … a7 in all joints" in said
+    assert "velocity in rad/s at 100 Hz" in said and "--rate" in said
+
+
 def test_positions_are_not_taken_for_velocities_that_do_not_fit(tmp_path: Path, motion: Columns) -> None:
     """A signal that is called a velocity and is none: nothing is made of it, or without it."""
     names = ["t", *numbered("q"), *numbered("dq"), *numbered("tau")]
