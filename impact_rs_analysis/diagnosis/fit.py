@@ -30,6 +30,7 @@ NEAR = 0.1  # parameter scales; a correction below this does not depend on where
 MOST_LOOKS = 4
 DOUBLINGS = 8  # of the half width of an interval
 BENT = 0.5  # of the rise of the squares in a straight model; below, an end of an interval lies further out
+SLOW = 0.5  # of the error is left by a step whose sensitivities are those of another place
 WIDENINGS = 4  # of the range of a parameter, to sixteen times its declared width
 HOPELESS = 3.0  # times the squared error of the best fit; a fit above it is dropped
 
@@ -384,7 +385,11 @@ def _beyond_bounds(fit: Callable[[Candidate], Fit], start: Candidate) -> Fit:
 
 
 def _refine(candidate: Candidate, evidence: Evidence, give_up: float) -> Fit:
-    """Steps with the sensitivities of the start (chord method), within the bounds of the candidate."""
+    """Steps within the bounds of the candidate with the sensitivities of the start, or new ones where those are slow.
+
+    The chord method is the cheaper one where features are nearly linear. Where an effect acts far from the start by
+    another law than near it, as a damping that takes most of the velocity, its steps are short.
+    """
     fitted, trust, unseen = Fit.of(candidate, evidence), np.inf, candidate.unseen
     for number in range(_steps(evidence)):
         if fitted.converged or (number >= 1 and (unseen or fitted.misfit > give_up)):
@@ -392,7 +397,9 @@ def _refine(candidate: Candidate, evidence: Evidence, give_up: float) -> Fit:
         moved, trust = _moved(fitted, trust)
         if moved is None:  # the sensitivities promise what simulations do not keep
             return fitted.at_point
-        fitted = moved
+        least = max(SLOW * fitted.error_at_point, float(evidence.expected.mean()))
+        slow = moved.error_at_point > least
+        fitted = Fit.of(_relinearised(moved.candidate, evidence), evidence) if slow else moved
     return fitted
 
 

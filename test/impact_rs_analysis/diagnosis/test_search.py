@@ -291,6 +291,14 @@ def test_the_range_of_a_search_does_not_cut_an_interval_off() -> None:
     assert high - fitted.estimate[0] == pytest.approx(fitted.estimate[0] - low, rel=1e-6)
 
 
+@pytest.mark.parametrize("hidden", [3.0, 30.0])
+def test_a_fit_whose_steps_get_short_looks_at_its_sensitivities_again(hidden: float) -> None:
+    """A damping is an eighth as sensitive at 30 as at 0: steps by the latter end at three quarters of the way."""
+    search = searched(AnalyticSource(10, (("saturated", (hidden,)),)), "saturated")
+    fitted = refine(search.singles["saturated"], search.evidence)
+    assert fitted.estimate[0] == pytest.approx(hidden, rel=0.05)
+
+
 def test_a_range_is_widened_four_times_and_then_said_to_be_reached() -> None:
     search = searched(AnalyticSource(10, (("straight", (5000.0,)),)), "straight")
     fitted = refine(search.singles["straight"], search.evidence)
