@@ -388,7 +388,8 @@ def _refine(candidate: Candidate, evidence: Evidence, give_up: float) -> Fit:
     """Steps within the bounds of the candidate with the sensitivities of the start, or new ones where those are slow.
 
     The chord method is the cheaper one where features are nearly linear. Where an effect acts far from the start by
-    another law than near it, as a damping that takes most of the velocity, its steps are short.
+    another law than near it, as a damping that takes most of the velocity from a trial, its steps are short. In
+    recordings, which are not simulated, slow steps are those of parameters that are hardly determined.
     """
     fitted, trust, unseen = Fit.of(candidate, evidence), np.inf, candidate.unseen
     for number in range(_steps(evidence)):
@@ -398,7 +399,7 @@ def _refine(candidate: Candidate, evidence: Evidence, give_up: float) -> Fit:
         if moved is None:  # the sensitivities promise what simulations do not keep
             return fitted.at_point
         least = max(SLOW * fitted.error_at_point, float(evidence.expected.mean()))
-        slow = moved.error_at_point > least
+        slow = evidence.source.repeated and moved.error_at_point > least
         fitted = Fit.of(_relinearised(moved.candidate, evidence), evidence) if slow else moved
     return fitted
 
