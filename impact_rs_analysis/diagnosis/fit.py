@@ -270,7 +270,7 @@ class Fit:
         and is moved out until the squares rise as much as they would in a straight model. Bounds of physics cut
         intervals off; the range of a search does not.
         """
-        candidate, inverse = self._as_wide_as_intervals, np.linalg.inv(self.problem.total)
+        candidate, inverse = self.with_room, np.linalg.inv(self.problem.total)
         half, least = self.half_widths, self._squares_at([self.estimate])[0]
         if not np.isfinite(least):
             least = 0.0  # nothing to compare with: the ends stay where they are
@@ -294,7 +294,7 @@ class Fit:
         return np.minimum(ends[-1.0], self.estimate), np.maximum(ends[1.0], self.estimate)
 
     @property
-    def _as_wide_as_intervals(self) -> Candidate:
+    def with_room(self) -> Candidate:
         """The candidate with ranges that hold the intervals, as far as physics and the user let it."""
         candidate, half = self.candidate, self.half_widths * self.candidate.scale
         for _ in range(WIDENINGS):

@@ -20,6 +20,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pinocchio as pin
 import scipy
+from numpy.typing import NDArray
 
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.physics import LoadState, Physics
@@ -47,6 +48,7 @@ class Motion:
         torque: Recorded torque, low-passed twice [N m].
         kept: Mask of the samples between the edges.
         noise: Noise of the recorded torque in ``torque``, ``(n,)`` [N m].
+        measured: Whether the torque of a joint was measured, ``(n,)``; one that never changes was not.
         cut_off: Of the low-pass [Hz].
         rate: Of the grid [Hz].
     """
@@ -58,6 +60,7 @@ class Motion:
     torque: Array
     kept: slice
     noise: Array
+    measured: NDArray[np.bool_]
     cut_off: float
     rate: float
 
@@ -115,6 +118,7 @@ def prepare(run: Run, cut_off: float) -> Motion:
         torque=_low_pass(once[::stride], cut_off, rate),
         kept=slice(edge, q.shape[0] - edge),
         noise=noise,
+        measured=np.ptp(arm.torque, axis=0) > 0.0,
         cut_off=cut_off,
         rate=rate,
     )
@@ -165,14 +169,18 @@ class TorqueBalance:
 
     def __init__(self, motions: list[Motion], at_motor: bool = False) -> None:
         self.motions, self._at_motor = motions, at_motor
+        self.joints = np.flatnonzero(np.any([motion.measured for motion in motions], axis=0))
         self._regressors: dict[bytes, list[Array]] = {}
         self._known_states: dict[bytes, list[tuple[LoadState, Array]]] = {}
         self._kept: tuple[tuple[object, ...], RobotModel] | None = None
 
     def predict(self, physics: Physics) -> Array:
-        """Predicted recorded torque, all motions stacked between their edges, ``(k, n)`` [N m]."""
+        """Predicted recorded torque of :attr:`joints`, all motions stacked between their edges, ``(k, m)`` [N m]."""
         return np.concatenate(
-            [torque[motion.kept] for motion, torque in zip(self.motions, self.predicted(physics), strict=True)]
+            [
+                torque[motion.kept][:, self.joints]
+                for motion, torque in zip(self.motions, self.predicted(physics), strict=True)
+            ]
         )
 
     def predicted(self, physics: Physics) -> list[Array]:
@@ -236,15 +244,15 @@ class TorqueBalance:
 
     @property
     def recorded(self) -> Array:
-        """Recorded torque between the edges, ``(k, n)`` [N m]."""
-        return np.concatenate([motion.torque[motion.kept] for motion in self.motions])
+        """Recorded torque of :attr:`joints` between the edges, ``(k, m)`` [N m]."""
+        return np.concatenate([motion.torque[motion.kept][:, self.joints] for motion in self.motions])
 
     @property
     def velocity(self) -> Array:
-        """Joint velocities between the edges, ``(k, n)`` [rad/s]."""
-        return np.concatenate([motion.velocity[motion.kept] for motion in self.motions])
+        """Velocities of :attr:`joints` between the edges, ``(k, m)`` [rad/s]."""
+        return np.concatenate([motion.velocity[motion.kept][:, self.joints] for motion in self.motions])
 
     @property
     def noise(self) -> Array:
-        """Noise of the recorded torque below the cut-off, ``(n,)`` [N m]."""
-        return np.asarray(np.sqrt(np.mean([np.square(motion.noise) for motion in self.motions], axis=0)))
+        """Noise of the recorded torque of :attr:`joints` below the cut-off, ``(m,)`` [N m]."""
+        return np.asarray(np.sqrt(np.mean([np.square(motion.noise[self.joints]) for motion in self.motions], axis=0)))

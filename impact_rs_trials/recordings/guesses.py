@@ -174,7 +174,7 @@ def velocity_of(time: Array, position: Array, raw: Array, facts: RobotFacts) -> 
     for turns, slide in (("rad/s", "m/s"), ("deg/s", "mm/s"), ("mrad/s", "mm/s")):
         per_unit = 1.0 / TURNS["velocity"][turns]
         if CLOSE[0] < usual / per_unit < CLOSE[1] and sure > TOGETHER:
-            signs = np.where(moving & (np.abs(together) > TOGETHER), np.sign(ratio), np.median(np.sign(ratio[moving])))
+            signs = np.where(moving & (np.abs(together) > TOGETHER), np.sign(ratio), _usual_sign(ratio[moving]))
             units = [slide if sliding else turns for sliding in slides]
             said = (
                 f"{_range(ratio[moving] / per_unit)} times the derivative of the position in {turns} "
@@ -228,7 +228,7 @@ def torque_of(
         f"{_range(ratio[shown])} times the torque that weight and inertia of the arm take in joint"
         f"{'s' if np.sum(shown) > 1 else ''} {', '.join(str(joint + 1) for joint in np.flatnonzero(shown))}"
     )
-    signs = np.where(shown, np.sign(ratio), np.sign(np.median(np.sign(ratio[shown]))))
+    signs = np.where(shown, np.sign(ratio), _usual_sign(ratio[shown]))
     further: dict[str, Any] = {} if np.all(signs > 0.0) else {"factor": _signs(signs)}
     if not np.all(shown):
         said += "; the others show nothing and are taken like them"
@@ -280,6 +280,11 @@ def _ratios(expected: Array, measured: Array) -> tuple[Array, Array]:
     product = np.sum(expected * measured, axis=0)
     size = np.sqrt(power * np.maximum(np.sum(measured**2, axis=0), 1e-300))
     return product / power, product / size
+
+
+def _usual_sign(ratio: Array) -> float:
+    """The sign of most; where as many contradict each other, a signal is taken as it is."""
+    return -1.0 if np.sum(np.sign(ratio)) < 0.0 else 1.0
 
 
 def _range(values: Array) -> str:

@@ -49,7 +49,7 @@ def doubts_of_arm(
         if moving and (ratio := _ratio(arm.velocity[:, joint], derived[:, joint])) is not None:
             speeds[joint] = f"is {ratio:.2g} times the derivative of its position, expected 1"
             factors["velocity"][joint] = _remedy(ratio)
-        if contact:
+        if contact or not np.ptp(arm.torque[:, joint]):  # not measured
             continue
         if heavy and (ratio := _ratio(arm.torque[rows, joint], own)) is not None:
             torques[joint] = f"is {ratio:.2g} times the arm's weight, expected 1"

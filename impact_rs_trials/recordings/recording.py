@@ -122,7 +122,7 @@ def _pieces(path: Path, mapping: Mapping) -> list[Run]:
     model = _model(mapping)
     recorded = on_one_clock(path, recorded, mapping, model)
     series, remarks = without_faults(recorded, mapping, model)
-    remarks = [*gaps_said, *remarks]
+    remarks = [*gaps_said, *_unmeasured(path, series["torque"], mapping), *remarks]
     time = series["position"].time
     remarks = list(dict.fromkeys([*(remark for one in series.values() for remark in one.remarks), *remarks]))
     found = []
@@ -149,6 +149,18 @@ def _pieces(path: Path, mapping: Mapping) -> list[Run]:
     if not found:
         raise InputError(f"no piece is long enough: {'; '.join(remarks)}", file=path)
     return found
+
+
+def _unmeasured(path: Path, torque: Series, mapping: Mapping) -> list[str]:
+    """What is said of joints whose torque never changes, which is then left out."""
+    constant = np.ptp(torque.values, axis=0) == 0.0
+    if np.all(constant):
+        raise InputError(f"{torque.place} (torque): no joint's torque ever changes: nothing was measured", file=path)
+    return [
+        f"torque of joint {joint + 1} is {torque.values[0, joint]:.3g} {mapping.facts.units[joint].effort} in all "
+        "samples: it was not measured, and its balance is left out"
+        for joint in np.flatnonzero(constant)
+    ]
 
 
 def _model(mapping: Mapping) -> RobotModel:

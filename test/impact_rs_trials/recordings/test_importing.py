@@ -259,6 +259,21 @@ def test_positions_are_not_taken_for_velocities_that_do_not_fit(tmp_path: Path, 
     assert "no two signals of 7 joints" in refusal(draft_import, [file], tmp_path / "lab", Wishes(robot="kuka_iiwa7"))
 
 
+def test_joints_that_show_nothing_keep_their_sign_where_the_others_contradict_each_other(
+    tmp_path: Path, motion: Columns
+) -> None:
+    """Two joints carry weight, one of them with the other sign; a torque times 0 would be none."""
+    weights = np.abs(motion["effort"]).mean(axis=0)
+    heavy = np.argsort(weights)[-2:]
+    effort = np.random.default_rng(1).standard_normal(motion["effort"].shape)
+    effort[:, heavy] = motion["effort"][:, heavy] * [1.0, -1.0]
+    names = ["t", *numbered("q"), *numbered("dq"), *numbered("tau")]
+    file = write(tmp_path / "log.csv", names, [TIME, motion["position"], motion["velocity"], effort])
+    draft = draft_import([file], tmp_path / "lab", Wishes(robot="kuka_iiwa7"))
+    factor = np.array(load_mapping(described(draft, tmp_path / "lab")).signals["torque"].factor)
+    assert set(np.abs(factor)) == {1.0} and factor[heavy].tolist() == [1.0, -1.0]
+
+
 def test_an_object_alone_needs_no_robot(tmp_path: Path) -> None:
     turn = np.tile([1.0, 0.0, 0.0, 0.0], (TIME.size, 1))
     names = ["time", "pos_x", "pos_y", "pos_z", "quat_w", "quat_x", "quat_y", "quat_z"]
