@@ -527,9 +527,7 @@ class _Importer:
                 self._remarks.append(
                     "no column is its turn: only of a ball that is enough, with the spin that it had (body.spin)"
                 )
-                signals["object_position"] = {
-                    **self._source(part, {"columns": columns}), "unit": length.value, **self._own_layout(part, part, False)
-                }  # fmt: skip
+                signals["object_position"] = {**self._source(part, {"columns": columns}), "unit": length.value}
                 return part
         return None
 
