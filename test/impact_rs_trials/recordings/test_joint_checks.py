@@ -72,8 +72,6 @@ def test_velocities_of_two_joints_in_each_other_s_column_are_named() -> None:
     assert doubts_of_arm(TIME, ArmSignals(coarse, columns["velocity"], columns["effort"]), MAPPING, MODEL) == []
     (doubt,) = doubts_of_arm(TIME, ArmSignals(coarse, mixed, columns["effort"]), MAPPING, MODEL)
     assert re.fullmatch(r"velocity of joint 3 \(.*\), of joint 6 \(.*\) is not .*: columns of other joints\?", doubt)
-        r"velocity of joint 3 \(corr.*\), of joint 6 \(corr.*\) is not .*: columns of other joints\?", doubt
-    )
 
 
 def test_in_contact_torques_say_nothing_of_weight_and_friction() -> None:
