@@ -138,6 +138,8 @@ def measured(args: argparse.Namespace, terminal: Terminal, each_arm: bool = Fals
     tolerance = args.contact_tolerance
     if tolerance is not None and args.impacts is None:
         raise InputError("--contact-tolerance goes with --impacts only: trials are replayed from their poses")
+    if args.covariates and args.impacts is None:
+        raise InputError("--covariates goes with --impacts only: they are columns of the table")
     if tolerance is not None and not tolerance >= 0.0:
         raise InputError("expected a distance >= 0 m", key="--contact-tolerance", value=tolerance)
     if args.impacts is not None:
@@ -150,7 +152,12 @@ def measured(args: argparse.Namespace, terminal: Terminal, each_arm: bool = Fals
         if args.mapping is not None:
             raise InputError("--mapping is for recordings; leave it out with --impacts, whose columns are fixed")
         scenario = None if args.scenario is None else load_scenario(args.scenario)
-        table = read_impact_table(args.impacts, scenario, tolerance=GAP_TOLERANCE if tolerance is None else tolerance)
+        table = read_impact_table(
+            args.impacts,
+            scenario,
+            tolerance=GAP_TOLERANCE if tolerance is None else tolerance,
+            covariates=args.covariates,
+        )
         with started(args) as map_tasks:
             yield Measurements(
                 map_tasks,

@@ -8,6 +8,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from impact_rs_analysis.diagnosis.bounds import NO_BOUNDS, Bounds, bounded
+from impact_rs_analysis.diagnosis.dependence import dependences_of
+from impact_rs_analysis.diagnosis.dependence_verdicts import covariate_documents, dependence_documents
 from impact_rs_analysis.diagnosis.document import (
     TOO_FEW,
     CorrelatedPair,
@@ -77,7 +79,15 @@ def diagnose(
     Raises:
         InputError: Too few conditions for a hold-out.
     """
-    document = _diagnosed(source, model, only, bounds, progress)
+    found = findings_of(source, effects_for(source, only, bounds), progress)
+    judged = None if found.chosen is None else dependences_of(found.chosen)
+    document = document_of(found if judged is None else judged.added_to(found), source, model)
+    document = document.model_copy(
+        update={
+            "covariates": covariate_documents(source),
+            "dependences": () if judged is None else dependence_documents(judged),
+        }
+    )
     views = () if document.verdict == TOO_FEW else source.views()
     document = document.model_copy(update={"views": tuple(_view(view, model, only, bounds) for view in views)})
     summary = " ".join(filter(None, [summary_of(document), doubt_of(document.drift)]))
@@ -86,7 +96,7 @@ def diagnose(
 
 def _view(view: View, model: Model, only: Sequence[str] | None, bounds: Bounds) -> ViewDocument:
     """The verdict on a view of the measurements."""
-    found = _diagnosed(view.source, model, only, bounds)
+    found = document_of(findings_of(view.source, effects_for(view.source, only, bounds)), view.source, model)
     return ViewDocument(
         name=view.name,
         option=view.option,
@@ -95,17 +105,6 @@ def _view(view: View, model: Model, only: Sequence[str] | None, bounds: Bounds) 
         held_out_error_before=found.held_out_error_before,
         held_out_error_after=found.held_out_error_after,
     )
-
-
-def _diagnosed(
-    source: Source,
-    model: Model,
-    only: Sequence[str] | None,
-    bounds: Bounds,
-    progress: ProgressCallback = lambda *_: None,
-) -> DiagnosisDocument:
-    """:func:`diagnose` without other views and summary."""
-    return document_of(findings_of(source, effects_for(source, only, bounds), progress), source, model)
 
 
 def effects_for(source: Source, only: Sequence[str] | None = None, bounds: Bounds = NO_BOUNDS) -> list[Effect]:
@@ -192,8 +191,7 @@ def document_of(found: Findings, source: Source, model: Model) -> DiagnosisDocum
     """
     evidence, known = found.evidence, source.model.known_effects
     verdict = headline(found)
-    before = [item.mean for item in evidence.clusters]
-    after: Sequence[Array] = before if found.hold_out is None else found.hold_out.rest
+    before, after = [item.mean for item in evidence.clusters], found.held_out_rest
     effects = tuple(effect_documents(found, known))
     rivals = {effect.name: effect.rivals for effect in effects}
     drift = drift_of(source.clusters)

@@ -62,8 +62,14 @@ class HoldOut:
     only_fitted: int = 0
 
 
-def folds_of(source: Source) -> list[Fold]:
-    """Folds of a source; empty with too few clusters for a hold-out."""
+def folds_of(source: Source, interleaved: bool = False) -> list[Fold]:
+    """Folds of a source; empty with too few clusters for a hold-out.
+
+    Args:
+        source: Measurements.
+        interleaved: Whether folds of one recording or table take stretches in turn, so that every fold has some of
+            each part of it, and not runs of neighbours.
+    """
     units: dict[str, list[int]] = {}
     for number, item in enumerate(source.clusters):
         units.setdefault(item.unit, []).append(number)
@@ -76,7 +82,8 @@ def folds_of(source: Source) -> list[Fold]:
         return []
     else:
         numbers = np.arange(len(source.clusters))
-        groups = [part.tolist() for part in np.array_split(numbers, FOLDS)]
+        parts = [numbers[start::FOLDS] for start in range(FOLDS)] if interleaved else np.array_split(numbers, FOLDS)
+        groups = [part.tolist() for part in parts]
     result = []
     for held in groups:
         beside = set() if source.repeated or len(units) >= LEAST_CLUSTERS else _neighbours(source, held)

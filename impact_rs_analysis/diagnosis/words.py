@@ -4,18 +4,24 @@
 from __future__ import annotations
 
 from impact_rs_analysis.diagnosis.document import (
+    NO_IMPROVEMENT,
     NONE,
     NOTHING,
     PARTLY,
     SMALL,
     TOO_FEW,
     UNIDENTIFIABLE,
+    DependenceDocument,
     DiagnosisDocument,
+    EstimateDocument,
     ViewDocument,
     explained,
 )
 from impact_rs_analysis.diagnosis.thresholds import SIGNIFICANT
 from impact_rs_analysis.evidence.cluster import TIMES
+from impact_rs_sim.numbers import estimate_in_line
+
+MOST_LEVELS = 6  # in a sentence
 
 
 def summary_of(document: DiagnosisDocument) -> str:
@@ -23,7 +29,7 @@ def summary_of(document: DiagnosisDocument) -> str:
     parts = [view for view in document.views if not view.option]
     turned = [view for view in document.views if view.option and set(view.named) != set(document.named)]
     sentences = [_verdict(document), *(_part(view, document) for view in parts)]
-    return " ".join([*sentences, *(_turn(view) for view in turned)])
+    return " ".join([*sentences, *(_turn(view) for view in turned), *_circumstances(document)])
 
 
 def _part(view: ViewDocument, document: DiagnosisDocument) -> str:
@@ -60,6 +66,65 @@ def _bounds(document: DiagnosisDocument) -> str:
 def _turn(view: ViewDocument) -> str:
     """That the verdict depends on a setting."""
     return f"The verdict turns on which points touch: with {view.name} it is {view.verdict} ({view.option})."
+
+
+def _circumstances(document: DiagnosisDocument) -> list[str]:
+    """What depends on covariates, or that nothing does, and which covariates cannot be told apart."""
+    found = [one for one in document.dependences if one.verdict != NO_IMPROVEMENT]
+    tried = list(dict.fromkeys(one.covariate for one in document.dependences))
+    said = [_dependence(one, document) for one in found]
+    if found and found[0].held_out_error_before is not None and found[0].held_out_error_after is not None:
+        fall = _fall(found[0].held_out_error_before, found[0].held_out_error_after)
+        said.append(f"With {'that' if len(found) == 1 else 'these'} the held-out error goes on to fall: {fall} {_unit(document)}.")
+    if tried and not found:
+        said.append(f"No effect that was found depends on {' or '.join(tried)}.")
+    if still := [one.name for one in document.covariates if not one.tried]:
+        said.append(f"{' and '.join(still)} var{'ies' if len(still) == 1 else 'y'} too little to be judged.")
+    return said + [
+        f"{one.name} goes with {' and '.join(one.goes_with)} (correlation {max(one.goes_with.values()):.2f}): what depends on one may "
+        "depend on the other."
+        for one in document.covariates
+        if one.goes_with and one.name in {own.covariate for own in found}
+    ]
+
+
+def _dependence(one: DependenceDocument, document: DiagnosisDocument) -> str:
+    """How an effect depends on a covariate."""
+    if one.levels:
+        names = list(next(iter(one.levels.values())))
+        text = "; ".join(_by_level(one, name, name if len(names) > 1 else "") for name in names)
+    else:
+        (covariate,) = (item for item in document.covariates if item.name == one.covariate)
+        mean = f"{covariate.mean or 0.0:.4g}{f' {covariate.unit}' if covariate.unit else ''}"
+        text = "; ".join(
+            f"{f'{name} ' if len(one.at_mean) > 1 else ''}{_estimate(own)} at {mean}, {_estimate(one.per_unit[name], True)}"
+            for name, own in one.at_mean.items()
+        )
+    small = ", which is too small to matter" if one.verdict == SMALL else ""
+    rivals = f"; these data cannot distinguish that from {', '.join(one.rivals)}" if one.rivals else ""
+    return f"{one.effect} depends on {one.covariate}{small}: {text}{rivals}."
+
+
+def _by_level(one: DependenceDocument, parameter: str, label: str) -> str:
+    """Estimates of a parameter by level; of many levels the lowest and the highest."""
+    values = {level: parameters[parameter] for level, parameters in one.levels.items()}
+    if len(values) > MOST_LEVELS:
+        ordered = sorted(values, key=lambda level: values[level].estimate)
+        values = {level: values[level] for level in (ordered[0], ordered[-1])}
+    text = ", ".join(f"{_estimate(own)} in {level}" for level, own in values.items())
+    many = f" (lowest and highest of {len(one.levels)})" if len(values) < len(one.levels) else ""
+    return f"{f'{label} ' if label else ''}{text}{many}"
+
+
+def _estimate(own: EstimateDocument, change: bool = False) -> str:
+    """An estimate with its interval and unit; of a change ``per`` something, with its sign."""
+    text = estimate_in_line(own.estimate, own.ci95)
+    if change and own.estimate > 0.0:
+        text = f"+{text}"
+    unit = own.unit.removeprefix("1/") if own.unit.startswith("1/") else own.unit
+    if own.unit.startswith("1/"):
+        return f"{text} per {unit}"
+    return text if unit == "-" else f"{text} {unit}"
 
 
 def _unit(document: DiagnosisDocument) -> str:

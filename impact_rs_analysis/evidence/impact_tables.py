@@ -7,7 +7,9 @@ just before the impact, and ``across`` both. Those of an object are given in x, 
 
 * **Conditions.** With enough repeats a cluster is a condition. Every repeat is predicted from its own ante-impact
   state, and the prediction of a condition is the mean over its repeats, so that its mean residual is linear in the
-  error of the map. The pure error is the scatter of the repeats.
+  error of the map. The pure error is the scatter of the repeats. Rows that were measured under other circumstances
+  (covariates) are no repeats of each other: a condition has a cluster for each level, and for the lower and the upper
+  half of a number. They are held out together.
 * **Blocks.** Without repeats a cluster is a block of neighbouring rows, like a stretch of a recording. The scatter of
   the scores between blocks replaces the pure error. Blocks are held out in runs of neighbours, with a guard on either
   side, because drift from row to row (wear, the person who tosses) would leak into the prediction.
@@ -63,8 +65,9 @@ from impact_rs_analysis.evidence.map_discrepancy import (
 )
 from impact_rs_analysis.evidence.neighbour_noise import noise_of_neighbours
 from impact_rs_analysis.evidence.replays import SQUARE
-from impact_rs_analysis.evidence.source import Identity, Source, View, with_per_arm_parameters
+from impact_rs_analysis.evidence.source import Covariate, Identity, Source, View, with_per_arm_parameters
 from impact_rs_analysis.evidence.tracks import ComparedSignal, Track
+from impact_rs_sim.effects import Effect
 from impact_rs_sim.errors import InputError, NotABody
 from impact_rs_sim.impact_map.contacts import contact_frame
 from impact_rs_sim.impact_map.laws import System
@@ -81,6 +84,7 @@ from impact_rs_trials.workers import Map
 BLOCKS = 24  # at most: of 24 blocks a fold leaves 18 for the search, and the test needs 12
 LEAST_CONDITIONS = 3  # with repeats; with fewer, blocks are used
 LEAST_REPEATS = 3  # degrees of freedom of the pure error
+LEAST_OF_HALF = 2  # rows of a condition on either side of the median of a number
 RELEVANT = 0.005  # of the closing speed; 5 mm/s at 1 m/s, the resolution of body velocities by motion capture
 LEAST_SCALE = 1e-6  # m/s; a model with smaller residuals is exact
 ALTERED = 1024  # physics with effects that were tried last
@@ -177,6 +181,11 @@ class ImpactTableSource(Source):
         self._impacts = MeasuredImpacts([row.impact for row in table.rows], self._of_rows(self._worlds))
         self._altered = Recent[Physics | None](ALTERED)
         self._known = Recent[Array](max(1, KEPT // self._all_worth.nbytes))
+        self.covariates = tuple(
+            self._covariate(name, unit, [row.circumstances[name] for row in table.rows])
+            for name, unit in table.covariates.items()
+        )
+        self.state = (self._covariate("impact speed", "m/s", self._impacts.closing_speeds.tolist()),)
         self._judge(_entries(table, joints=table.joints, body=True))
         self.remarks = tuple(self._remarks()) if remarks else ()
 
@@ -189,6 +198,25 @@ class ImpactTableSource(Source):
         self.noise = None if self.table.noise is None else self.table.noise[:, seen]
         self.predicted = self.predicted_with(())
         self.clusters = self._clusters()
+
+    def _covariate(self, name: str, unit: str, values: Sequence[float | str]) -> Covariate:
+        """A covariate from its values by row."""
+        return Covariate(name, unit, tuple(tuple(values[row] for row in group.rows) for group in self._groups))
+
+    def knowing(self, effects: Sequence[Effect]) -> ImpactTableSource:
+        """See :meth:`Source.knowing`."""
+        found = copy.copy(self)
+        found._effects = self._effects | {effect.name: effect for effect in effects}
+        found._worlds, found._world_of = [], []
+        places: dict[tuple[int, tuple[float | str, ...]], int] = {}
+        for row, world in zip(self.table.rows, self._world_of, strict=True):
+            key = (world, tuple(row.circumstances.values()))
+            if key not in places:
+                places[key] = len(places)
+                found._worlds.append(replace(self._worlds[world], circumstances=row.circumstances))
+            found._world_of.append(places[key])
+        found._altered, found._featured = Recent(ALTERED), Recent(ALTERED)
+        return found
 
     @property
     def discrepancy_document(self) -> DiscrepancyDocument:
@@ -631,10 +659,35 @@ def _conditions(table: ImpactTable) -> list[_Group] | None:
     for number, row in enumerate(table.rows):
         name = ", ".join(filter(None, (row.object_name, row.condition))) if row.condition else f"row {row.number}"
         grouped.setdefault(name, []).append(number)
-    freedom = sum(len(rows) - 1 for rows in grouped.values())
+    parts = [
+        _Group(", ".join([name, *labels]), name, tuple(rows))
+        for name, whole in grouped.items()
+        for labels, rows in _under_like_circumstances(table, whole)
+    ]
+    freedom = sum(len(part.rows) - 1 for part in parts)
     if len(grouped) < LEAST_CONDITIONS or freedom < LEAST_REPEATS:
         return None
-    return [_Group(name, name, tuple(rows)) for name, rows in grouped.items()]
+    return parts
+
+
+def _under_like_circumstances(table: ImpactTable, whole: list[int]) -> list[tuple[list[str], list[int]]]:
+    """Rows of a condition by levels of all covariates, and by halves of numbers; each with what it is, in words."""
+    parts: list[tuple[list[str], list[int]]] = [([], whole)]
+    for name, unit in table.covariates.items():
+        split = []
+        for labels, rows in parts:
+            values = [table.rows[row].circumstances[name] for row in rows]
+            numbers = [value for value in values if isinstance(value, float)]
+            middle = float(np.median(numbers)) if numbers else 0.0
+            own: dict[str, list[int]] = {}
+            for row, value in zip(rows, values, strict=True):
+                half = f"{'up to' if value <= middle else 'above'} {middle:.4g}" if isinstance(value, float) else value
+                own.setdefault(f"{name} {half}{f' {unit}' if numbers and unit else ''}", []).append(row)
+            # Halves of a number are repeats of each other only if several rows are left in both.
+            whole_part = len(own) == 1 or (numbers and min(map(len, own.values())) < LEAST_OF_HALF)
+            split += [(labels, rows)] if whole_part else [([*labels, label], some) for label, some in own.items()]
+        parts = split
+    return parts
 
 
 def _blocks(table: ImpactTable) -> list[_Group]:

@@ -15,6 +15,7 @@ from impact_rs_analysis.evidence.discrepancy import NO_DISCREPANCY, Discrepancy,
 from impact_rs_analysis.evidence.levels import Comparison, RecordingDocument, condition_scores, where_of
 from impact_rs_analysis.evidence.measured_runs import Runs
 from impact_rs_analysis.evidence.tracks import Track
+from impact_rs_sim.effects import Effect
 from impact_rs_sim.effects.base import Joints
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.model import Model
@@ -40,6 +41,26 @@ class Identity:
     digest: str
     count: int
     conditions: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Covariate:
+    """A circumstance under which measurements were made: a number, or the name of a level.
+
+    Attributes:
+        name: Name.
+        unit: Unit of numbers; empty: none is known.
+        values: By cluster, row by row.
+    """
+
+    name: str
+    unit: str
+    values: tuple[tuple[float | str, ...], ...]
+
+    @property
+    def numeric(self) -> bool:
+        """Whether it is a number."""
+        return all(isinstance(value, float) for rows in self.values for value in rows)
 
 
 @dataclass(frozen=True)
@@ -83,6 +104,8 @@ class Source(ABC):
             cannot be distinguished from it.
         least_change: Without repeats, an effect is accepted if the interval of a parameter lies more than so many
             parameter scales from nominal; 0: the relevance limits of the features decide.
+        covariates: Circumstances on which an effect may depend.
+        state: What else measurements differ in and a covariate may go with, such as the impact speed.
     """
 
     kind: Literal["trials", "recordings", "impacts"] = "trials"
@@ -103,6 +126,8 @@ class Source(ABC):
     of_motion: bool = True
     clock: float = 0.0
     least_change: float = 1.0
+    covariates: tuple[Covariate, ...] = ()
+    state: tuple[Covariate, ...] = ()
 
     @property
     def comparison_remarks(self) -> Sequence[str]:
@@ -193,6 +218,14 @@ class Source(ABC):
         """
         found = self.predict([(number, added) for added in (before, after) for number in numbers], what)
         return [difference(a, b) for a, b in zip(found[: len(numbers)], found[len(numbers) :], strict=True)]
+
+    def knowing(self, effects: Sequence[Effect]) -> Source:
+        """The same measurements, predicted with further effects that may depend on covariates.
+
+        Args:
+            effects: By names that the model does not know.
+        """
+        raise NotImplementedError(f"{type(self).__name__} has no covariates")
 
     def views(self) -> tuple[View, ...]:
         """Other ways to look at the measurements, which the diagnosis judges as well."""

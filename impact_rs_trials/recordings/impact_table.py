@@ -46,8 +46,9 @@ column                                      unit      what it is
                                             rad/s     known
 ==========================================  ========  ============================================================
 
-Lengths may also be in mm, masses in g, angles in deg. Other columns are left alone. Cells of a CSV file are separated
-by commas, semicolons or tabs; empty lines and lines that begin with # are skipped.
+Lengths may also be in mm, masses in g, angles in deg. Any column may also be declared a covariate: a circumstance
+under which rows were measured, a number or the name of a level. Other columns are left alone. Cells of a CSV file are
+separated by commas, semicolons or tabs; empty lines and lines that begin with # are skipped.
 """
 
 from __future__ import annotations
@@ -121,6 +122,7 @@ class ImpactRow:
         narrower: The impact with fewer, those within a tolerance over ``WIDER`` (no pose is known better than
             ``GAP_TOLERANCE``); None: there are no fewer.
         time: When it was measured, seconds since 1970 or since any other moment [s]; None: not known.
+        circumstances: Its covariates by name, numbers or names of levels.
     """
 
     number: int
@@ -132,6 +134,7 @@ class ImpactRow:
     wider: MeasuredImpact | None = None
     narrower: MeasuredImpact | None = None
     time: float | None = None
+    circumstances: Mapping[str, float | str] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -151,6 +154,7 @@ class ImpactTable:
             [rad/s, m/s], nan of what was not measured; None: said nowhere.
         assumed: Assumptions where the table has no column, as text.
         unread: Columns that are not used.
+        covariates: Units of the covariates by name; empty where a header says none.
     """
 
     path: Path
@@ -163,10 +167,15 @@ class ImpactTable:
     joints: bool = True
     turning: bool = True
     tolerance: float = GAP_TOLERANCE
+    covariates: Mapping[str, str] = field(default_factory=dict)
 
 
 def read_impact_table(
-    path: Path, scenario: Scenario | None = None, questions: bool = False, tolerance: float = GAP_TOLERANCE
+    path: Path,
+    scenario: Scenario | None = None,
+    questions: bool = False,
+    tolerance: float = GAP_TOLERANCE,
+    covariates: Sequence[str] = (),
 ) -> ImpactTable:
     """Read a table of impacts.
 
@@ -175,13 +184,15 @@ def read_impact_table(
         scenario: Robots, pads and support of rows of arms; None: rows of free bodies.
         questions: Whether the rows ask for the velocities after: their columns may be absent and are not read.
         tolerance: How much further off than the nearest a point may be that touches [m].
+        covariates: Names of the columns that say under which circumstances a row was measured. A column of numbers is
+            a number, in the unit of its header; any other holds names of levels.
 
     Raises:
         InputError: It cannot be read, a column is missing or has another unit, or a row is no impact; the message names
             row and column, what is there, and what was expected.
     """
     header, cells, digest = _read(path)
-    return _Reader(path, header, cells, scenario, questions, tolerance).table(digest)
+    return _Reader(path, header, cells, scenario, questions, tolerance, tuple(covariates)).table(digest)
 
 
 Cells = list[dict[str, Any]]
@@ -237,6 +248,21 @@ def _row(number: int) -> str:
     return f"row {number}"
 
 
+def _name_and_unit(header: str) -> tuple[str, str]:
+    """Name of a column, and its unit in brackets; empty without one."""
+    name, _, unit = header.partition("[")
+    return name.strip(), unit.strip().removesuffix("]").strip()
+
+
+def _numbers(texts: Sequence[str]) -> list[float] | None:
+    """Finite numbers of all cells of a column; None where one is something else."""
+    try:
+        found = [decimal(text) for text in texts]
+    except ValueError:
+        return None
+    return found if np.isfinite(found).all() else None
+
+
 def _triple(stem: str, tail: str = "") -> list[str]:
     return [f"{stem}{axis}{tail}" for axis in AXES]
 
@@ -278,6 +304,7 @@ class _Reader:
         scenario: Of rows of arms.
         questions: Whether velocities after the impact are to be predicted.
         tolerance: How much further off than the nearest a point may be that touches [m].
+        covariates: Names of the columns that say under which circumstances a row was measured.
     """
 
     path: Path
@@ -286,6 +313,7 @@ class _Reader:
     scenario: Scenario | None
     questions: bool = False
     tolerance: float = GAP_TOLERANCE
+    covariates: tuple[str, ...] = ()
     _where: dict[str, str] = field(default_factory=dict)  # header by name of a column
     _factor: dict[str, float] = field(default_factory=dict)
     _unit: dict[str, str] = field(default_factory=dict)
@@ -293,9 +321,14 @@ class _Reader:
 
     def table(self, digest: str) -> ImpactTable:
         """All rows, checked."""
-        unread = self._columns()
+        declared = self._declared()
+        unread = [text for text in self._columns() if text not in declared.values()]
         self._demand()
-        rows = tuple(self._impact(number, cells) for number, cells in enumerate(self.cells, start=1))
+        circumstances = self._circumstances(declared)
+        rows = tuple(
+            replace(self._impact(number, cells), circumstances=own)
+            for number, (cells, own) in enumerate(zip(self.cells, circumstances, strict=True), start=1)
+        )
         noise, assumed = self._noise(rows), self._assumed()
         tolerances = [self._tolerance(number, cells) for number, cells in enumerate(self.cells, start=1)]
         return ImpactTable(
@@ -309,7 +342,33 @@ class _Reader:
             joints=self._joints_after,
             turning=self._turning_after,
             tolerance=float(np.mean(tolerances)),
+            covariates={name: _name_and_unit(text)[1] for name, text in declared.items()},
         )
+
+    def _declared(self) -> dict[str, str]:
+        """Headers of the covariates by their names."""
+        there = {_name_and_unit(text)[0]: text for text in self.header}
+        for name in self.covariates:
+            if name not in there:
+                raise InputError(
+                    f"no column {name!r}{did_you_mean(name, there)}; there are: {', '.join(there)}",
+                    file=self.path,
+                    key="--covariates",
+                )
+        return {name: there[name] for name in self.covariates}
+
+    def _circumstances(self, declared: Mapping[str, str]) -> list[dict[str, float | str]]:
+        """Covariates of every row: numbers where a whole column holds such, else names of levels."""
+        found: list[dict[str, float | str]] = [{} for _ in self.cells]
+        for name, text in declared.items():
+            levels = ["" if cells[text] is None else str(cells[text]).strip() for cells in self.cells]
+            for number, level in enumerate(levels, start=1):
+                if not level:
+                    raise self._wrong(number, f"column {text!r}", None, "this cell is empty; a covariate has a value")
+            values: Sequence[float | str] = _numbers(levels) or levels
+            for own, value in zip(found, values, strict=True):
+                own[name] = value
+        return found
 
     @property
     def _arms(self) -> tuple[str, ...]:
@@ -371,18 +430,18 @@ class _Reader:
             known |= self._with_units(arm, self._of_joints(arm, "B"), "inertia")
         unread = []
         for text in self.header:
-            name, bracket, unit = text.partition("[")
-            name, unit = name.strip(), unit.strip().removesuffix("]").strip()
+            name, unit = _name_and_unit(text)
             if name not in known:
                 unread.append(text)
                 continue
             factors = FACTORS[known[name]]
             if unit not in factors:
-                said = f"unit {unit!r}" if bracket else "no unit"
+                said = f"unit {unit!r}" if "[" in text else "no unit"
                 expected = " or ".join(f"'{name} [{one}]'" for one in factors if one)
                 raise InputError(f"column {text!r} has {said}; expected {expected}", file=self.path)
             self._where[name], self._factor[name], self._unit[name] = text, factors[unit], unit or known[name]
-        joints = [text for text in unread if JOINT_COLUMN.fullmatch(text.partition("[")[0].strip())]
+        undeclared = [text for text in unread if _name_and_unit(text)[0] not in self.covariates]
+        joints = [text for text in undeclared if JOINT_COLUMN.fullmatch(_name_and_unit(text)[0])]
         if joints and self.scenario is None:
             raise InputError(
                 f"column {joints[0]!r} is of an arm; --scenario NAME says which robot, pad and support there were",
@@ -394,8 +453,8 @@ class _Reader:
                 f"column {joints[0]!r} is of no joint of scenario {self._name} ({expected})", file=self.path
             )
         free = [name for name in known if name not in self._where]
-        for text in unread:
-            name = text.partition("[")[0].strip()
+        for text in undeclared:
+            name = _name_and_unit(text)[0]
             if close := get_close_matches(name, free, n=1, cutoff=SLIP):
                 unit = known[close[0]]
                 meant = f"{close[0]} [{unit}]" if unit else close[0]
