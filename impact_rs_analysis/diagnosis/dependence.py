@@ -9,8 +9,9 @@ again beside it. Then clusters are held out, the effects are fitted to the other
 there, and both predict the held-out clusters. A dependence counts if the interval of the change of that error lies
 below 0 and more than half of the folds find it.
 
-Without repeats folds take every sixth block and not runs of neighbours: a session of consecutive rows would otherwise
-be held out as a whole, and nobody can predict a session from others.
+What depends on a covariate was scatter to the search that found the effects, which hides some and lets others pass for
+it. So all effects are searched once more, with the dependent ones in place of themselves; a dependence that this search
+replaces by another effect is none.
 """
 
 from __future__ import annotations
@@ -28,23 +29,22 @@ from impact_rs_analysis.diagnosis.fit import NEAR_STEPS, Evidence, Fit, measure_
 from impact_rs_analysis.diagnosis.hold_out import Fold, folds_of
 from impact_rs_analysis.diagnosis.search import SHORTLIST, Search, adjusted, tied
 from impact_rs_analysis.diagnosis.thresholds import SIGNIFICANT, TIE
-from impact_rs_analysis.diagnosis.verdicts import Findings, change_interval
+from impact_rs_analysis.diagnosis.verdicts import change_interval
 from impact_rs_analysis.evidence.source import Covariate, Source
 from impact_rs_sim.effects import Effect
 from impact_rs_sim.effects.depending import Depending, Levels, Line
 from impact_rs_sim.robot import Array
 
-LEAST_CLUSTERS_OF_LEVEL = 2  # with rows of a level that has a value of its own: one may be held out
-LEAST_ROWS_OF_LEVEL = 3
+LEAST_ROWS_OF_LEVEL = 3  # beside every fold
 LEAST_NUMBERS = 3  # different ones, for a line
 
 
 @dataclass(frozen=True)
-class Chosen:
-    """Effects of a fit, some of which depend on covariates.
+class Choice:
+    """Dependences that a search accepts.
 
     Attributes:
-        fit: The fit.
+        fit: The effects with them.
         pairs: What was accepted, in this order.
         rivals: By accepted pair, pairs that predict as well in its place.
         p_values: By pair, adjusted for all of them; of accepted ones beside those accepted before, of the others beside
@@ -62,44 +62,51 @@ class Dependences:
     """What depends on which covariate.
 
     Attributes:
+        source: The measurements, predicted with all pairs.
         tried: All pairs.
-        chosen: Of all data, as far as the hold-out supports it.
-        dropped: Pairs that it does not support.
+        choice: What the search of all data accepts.
+        pairs: Of these, those that the hold-out supports, and that a search beside all effects does not replace.
+        fit: What that search finds; None: it was not made.
         before: Mean held-out residuals with the effects alone, ``(F,)`` per cluster [-]; empty: nothing was held out.
         after: The same with their dependences.
-        found: Pairs that the search of every fold finds.
+        folds: Pairs that the search of every fold accepts.
     """
 
+    source: Source
     tried: tuple[Depending, ...]
-    chosen: Chosen
-    dropped: tuple[str, ...] = ()
+    choice: Choice
+    pairs: tuple[Depending, ...] = ()
+    fit: Fit | None = None
     before: tuple[Array, ...] = ()
     after: tuple[Array, ...] = ()
-    found: tuple[tuple[str, ...], ...] = ()
+    folds: tuple[tuple[str, ...], ...] = ()
 
-    def added_to(self, found: Findings) -> Findings:
-        """What was found, with the dependences."""
-        if not self.chosen.pairs:
-            return found
-        return replace(found, depending=self.chosen.fit, depending_rest=self.after)
+    def in_place_of(self, effects: Sequence[Effect]) -> list[Effect]:
+        """Effects to consider, those that depend on a covariate in place of themselves."""
+        return [next((pair for pair in self.pairs if pair.effect.name == own.name), own) for own in effects]
+
+    def beside(self, chosen: Fit | None) -> Dependences:
+        """The dependences beside what a search finds with them."""
+        names = () if chosen is None else chosen.candidate.names
+        return replace(self, pairs=tuple(pair for pair in self.pairs if pair.name in names), fit=chosen)
 
 
-def terms_of(covariate: Covariate, clusters: Sequence[int]) -> Levels | Line | None:
+def terms_of(covariate: Covariate, folds: Sequence[Fold]) -> Levels | Line | None:
     """How parameters may depend on a covariate; None: it does not vary enough.
 
     Args:
         covariate: The covariate.
-        clusters: Those that may be looked at, by number.
+        folds: Of a hold-out. A level has values of its own if it was measured beside every fold as well.
     """
-    parts = [covariate.values[number] for number in clusters]
-    every = [value for rows in parts for value in rows]
+    every = [value for rows in covariate.values for value in rows]
     if covariate.numeric:
         numbers = np.array(every, dtype=float)
         return Line(float(numbers.mean()), float(numbers.std())) if len(set(every)) >= LEAST_NUMBERS else None
+    beside = [[value for number in fold.training for value in covariate.values[number]] for fold in folds]
     names = tuple(
         str(name)
         for name in dict.fromkeys(every)
-        if sum(name in rows for rows in parts) >= LEAST_CLUSTERS_OF_LEVEL and every.count(name) >= LEAST_ROWS_OF_LEVEL
+        if beside and min(rows.count(name) for rows in beside) >= LEAST_ROWS_OF_LEVEL
     )
     return Levels(names) if len(names) > 1 else None
 
@@ -111,49 +118,47 @@ def dependences_of(chosen: Fit) -> Dependences | None:
         chosen: The effects that were found, fitted to all clusters.
     """
     source = chosen.evidence.source
-    pairs = _pairs(chosen.candidate.effects, source.covariates, chosen.evidence.numbers)
+    if not source.covariates:
+        return None
+    folds = folds_of(source.knowing(()))
+    terms = {item.name: terms_of(item, folds) for item in source.covariates}
+    effects = chosen.candidate.effects
+    pairs = tuple(
+        Depending(effect, name, own) for (name, own), effect in product(terms.items(), effects) if own is not None
+    )
     if not pairs:
         return None
-    found = _choose(chosen, pairs)
-    folds = folds_of(source, interleaved=True)
-    if not found.pairs:
-        return Dependences(tuple(pairs), found)
-    results = source.spread(partial(_predicted, chosen.candidate.effects), folds, "hold-out of dependences")
+    source = source.knowing(pairs)
+    choice = _choose(replace(chosen, evidence=replace(chosen.evidence, source=source)), pairs)
+    if not choice.pairs:
+        return Dependences(source, pairs, choice)
+    results = source.spread(partial(_predicted, effects, pairs), folds, "hold-out of dependences")
     rest = {number: both for fold, (_, every) in zip(folds, results, strict=True) for number, both in every.items()}
     before, after = zip(*(rest[number] for number in range(len(source.clusters))), strict=True)
-    names = tuple(own for own, _ in results)
+    found = tuple(names for names, _ in results)
     change = change_interval(before, after, chosen.evidence)
-    kept = [] if change is None or change[1] >= 0.0 else [one for one in found.pairs if _common(one.name, found, names)]
-    if len(kept) < len(found.pairs):
-        left = tuple(one.name for one in found.pairs if one not in kept)
-        found = replace(found, fit=_fitted(chosen, kept) if kept else chosen, pairs=tuple(kept))
-        return Dependences(tuple(pairs), found, left, before, after, names)
-    return Dependences(tuple(pairs), found, (), before, after, names)
+    supported = change is not None and change[1] < 0.0
+    kept = tuple(one for one in choice.pairs if supported and _common(one.name, choice, found))
+    return Dependences(source, pairs, choice, kept, None, before, after, found)
 
 
-def _common(name: str, chosen: Chosen, found: Sequence[tuple[str, ...]]) -> bool:
+def _common(name: str, choice: Choice, found: Sequence[tuple[str, ...]]) -> bool:
     """Whether more than half of the folds find a pair, or one that predicts as well in its place."""
-    alike = {name, *chosen.rivals[name]}
+    alike = {name, *choice.rivals[name]}
     return 2 * sum(bool(alike & set(names)) for names in found) > len(found)
 
 
-def _pairs(effects: Sequence[Effect], covariates: Sequence[Covariate], clusters: Sequence[int]) -> list[Depending]:
-    """Every effect with every covariate that varies in some clusters."""
-    terms = {item.name: terms_of(item, clusters) for item in covariates}
-    return [Depending(effect, name, own) for (name, own), effect in product(terms.items(), effects) if own is not None]
-
-
 def _predicted(
-    effects: Sequence[Effect], source: Source, fold: Fold
+    effects: Sequence[Effect], pairs: Sequence[Depending], source: Source, fold: Fold
 ) -> tuple[tuple[str, ...], dict[int, tuple[Array, Array]]]:
     """Pairs that the other clusters show, and the mean residuals of a fold with the effects, without and with them."""
     fitted = Search(effects, Evidence.of(source, fold.training)).fitted([effect.name for effect in effects])
     if fitted is None:
         return (), {number: (source.clusters[number].mean,) * 2 for number in fold.held}
     fitted = measure_again(fitted)
-    chosen = _choose(fitted, _pairs(fitted.candidate.effects, source.covariates, fold.training))
-    ends = [_rest(one, fold.held) for one in (fitted, chosen.fit)]
-    return tuple(one.name for one in chosen.pairs), {n: (a, b) for n, a, b in zip(fold.held, *ends, strict=True)}
+    choice = _choose(fitted, pairs)
+    ends = [_rest(one, fold.held) for one in (fitted, choice.fit)]
+    return tuple(one.name for one in choice.pairs), {n: (a, b) for n, a, b in zip(fold.held, *ends, strict=True)}
 
 
 def _rest(fitted: Fit, held: Sequence[int]) -> list[Array]:
@@ -166,9 +171,8 @@ def _rest(fitted: Fit, held: Sequence[int]) -> list[Array]:
     return found
 
 
-def _choose(fitted: Fit, pairs: Sequence[Depending]) -> Chosen:
-    """Forward choice of pairs; an effect depends on one covariate at most."""
-    fitted = _knowing(fitted, pairs)
+def _choose(fitted: Fit, pairs: Sequence[Depending]) -> Choice:
+    """Forward choice of pairs, beside a fit to a source that knows them; an effect depends on one covariate at most."""
     chosen: list[Depending] = []
     rivals: dict[str, tuple[str, ...]] = {}
     p_values: dict[str, float] = {}
@@ -187,7 +191,7 @@ def _choose(fitted: Fit, pairs: Sequence[Depending]) -> Chosen:
         refined = [refine_again(entry) for entry in sorted(likely, key=lambda entry: entry.score)[:SHORTLIST]]
         refined = [entry for entry in refined if fitted.evidence.gains(before, entry.problem.left_out_rest)]
         if not refined:
-            return Chosen(fitted, tuple(chosen), rivals, p_values)
+            return Choice(fitted, tuple(chosen), rivals, p_values)
         limit = min(entry.score for entry in refined) * math.exp(TIE)
         best = min((one for one in refined if one.score <= limit), key=lambda entry: (_cost(entry), entry.score))
         (own,) = (pair for pair in free if pair.name in best.candidate.names)
@@ -195,22 +199,6 @@ def _choose(fitted: Fit, pairs: Sequence[Depending]) -> Chosen:
         rivals[own.name] = tuple(p.name for p in free for entry in others if p.name in entry.candidate.names)
         chosen.append(own)
         fitted = measure_again(best, near=True)
-
-
-def _fitted(chosen: Fit, pairs: Sequence[Depending]) -> Fit:
-    """The effects with some dependences."""
-    fitted = _knowing(chosen, pairs)
-    for pair in pairs:
-        entry = _depending(fitted, pair)
-        assert entry is not None
-        fitted = measure_again(refine_again(entry), near=True)
-    return fitted
-
-
-def _knowing(fitted: Fit, pairs: Sequence[Depending]) -> Fit:
-    """The fit with a source that knows the pairs."""
-    evidence = replace(fitted.evidence, source=fitted.evidence.source.knowing(pairs))
-    return replace(fitted, evidence=evidence)
 
 
 def _depending(fitted: Fit, pair: Depending) -> Fit | None:

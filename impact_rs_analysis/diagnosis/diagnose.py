@@ -9,7 +9,11 @@ import numpy as np
 
 from impact_rs_analysis.diagnosis.bounds import NO_BOUNDS, Bounds, bounded
 from impact_rs_analysis.diagnosis.dependence import dependences_of
-from impact_rs_analysis.diagnosis.dependence_verdicts import covariate_documents, dependence_documents
+from impact_rs_analysis.diagnosis.dependence_verdicts import (
+    covariate_documents,
+    dependence_documents,
+    with_plain_names,
+)
 from impact_rs_analysis.diagnosis.document import (
     TOO_FEW,
     CorrelatedPair,
@@ -79,13 +83,20 @@ def diagnose(
     Raises:
         InputError: Too few conditions for a hold-out.
     """
-    found = findings_of(source, effects_for(source, only, bounds), progress)
-    judged = None if found.chosen is None else dependences_of(found.chosen)
-    document = document_of(found if judged is None else judged.added_to(found), source, model)
+    effects = effects_for(source, only, bounds)
+    found = findings_of(source, effects, progress)
+    dependences = None if found.chosen is None else dependences_of(found.chosen)
+    if dependences is None or not dependences.pairs:
+        document = document_of(found, source, model)
+    else:
+        # What depends on circumstances was scatter to the first search, which hides effects, or passes for some.
+        again = findings_of(dependences.source, dependences.in_place_of(effects), progress)
+        dependences, pooled = dependences.beside(again.chosen), document_of(found, source, model)
+        document = with_plain_names(document_of(again, dependences.source, model), pooled, dependences.pairs)
     document = document.model_copy(
         update={
             "covariates": covariate_documents(source),
-            "dependences": () if judged is None else dependence_documents(judged),
+            "dependences": () if dependences is None else dependence_documents(dependences),
         }
     )
     views = () if document.verdict == TOO_FEW else source.views()
@@ -189,9 +200,10 @@ def document_of(found: Findings, source: Source, model: Model) -> DiagnosisDocum
         source: What was searched.
         model: The model of the file; that of the source may know further effects.
     """
-    evidence, known = found.evidence, source.model.known_effects
+    evidence, known = found.evidence, source.known_effects
     verdict = headline(found)
-    before, after = [item.mean for item in evidence.clusters], found.held_out_rest
+    before = [item.mean for item in evidence.clusters]
+    after: Sequence[Array] = before if found.hold_out is None else found.hold_out.rest
     effects = tuple(effect_documents(found, known))
     rivals = {effect.name: effect.rivals for effect in effects}
     drift = drift_of(source.clusters)
@@ -275,10 +287,9 @@ def _hold_out(found: HoldOut | None, source: Source) -> HoldOutDocument:
     ):
         what = f"whole recordings, in {count} folds"
     else:
-        what = (
-            f"{len(source.clusters)} {source.pieces} in {count} folds of neighbours; every fold is predicted from "
-            "the others without those that touch it"
-        )
+        neighbours = "of neighbours; every fold is predicted from the others without those that touch it"
+        turn = "that take them in turn"
+        what = f"{len(source.clusters)} {source.pieces} in {count} folds {turn if source.interleaved else neighbours}"
     how = "the whole search is repeated without the held-out data"
     if found.only_fitted:
         how += f", in {found.only_fitted} folds the fit alone, for too few conditions are left to choose from"

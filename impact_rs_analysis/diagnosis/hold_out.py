@@ -8,7 +8,9 @@ simulations; it ends where the other clusters alone lead it. Fits of impacts beg
 from elsewhere mislead where contacts slip. A search needs two clusters that see an effect, to predict one from the
 other; where fewer are left, the fold fits the effects that the search of all clusters found. Conditions are held out
 with all their repeats. Of several recordings whole recordings are held out; of a single one runs of neighbouring
-stretches, without the neighbours on either side.
+stretches, without the neighbours on either side. Where effects depend on covariates (``Source.interleaved``) every
+sixth stretch is held out instead: a session of neighbouring rows would be held out as a whole, and nobody can predict a
+session from the others.
 """
 
 from __future__ import annotations
@@ -62,14 +64,8 @@ class HoldOut:
     only_fitted: int = 0
 
 
-def folds_of(source: Source, interleaved: bool = False) -> list[Fold]:
-    """Folds of a source; empty with too few clusters for a hold-out.
-
-    Args:
-        source: Measurements.
-        interleaved: Whether folds of one recording or table take stretches in turn, so that every fold has some of
-            each part of it, and not runs of neighbours.
-    """
+def folds_of(source: Source) -> list[Fold]:
+    """Folds of a source; empty with too few clusters for a hold-out."""
     units: dict[str, list[int]] = {}
     for number, item in enumerate(source.clusters):
         units.setdefault(item.unit, []).append(number)
@@ -82,11 +78,12 @@ def folds_of(source: Source, interleaved: bool = False) -> list[Fold]:
         return []
     else:
         numbers = np.arange(len(source.clusters))
-        parts = [numbers[start::FOLDS] for start in range(FOLDS)] if interleaved else np.array_split(numbers, FOLDS)
+        parts = [numbers[n::FOLDS] for n in range(FOLDS)] if source.interleaved else np.array_split(numbers, FOLDS)
         groups = [part.tolist() for part in parts]
     result = []
     for held in groups:
-        beside = set() if source.repeated or len(units) >= LEAST_CLUSTERS else _neighbours(source, held)
+        alone = source.repeated or source.interleaved or len(units) >= LEAST_CLUSTERS
+        beside = set() if alone else _neighbours(source, held)
         training = tuple(n for n in range(len(source.clusters)) if n not in held and n not in beside)
         result.append(Fold(tuple(held), training))
     return result

@@ -65,8 +65,6 @@ class Findings:
         p_values: By effect, adjusted: of unchosen ones given the chosen, of chosen ones given the other chosen.
         suspected: Effects that lower the error of all data, and the held-out error by less than its interval.
         unsupported: Which effects of all data the hold-out does not support, and why; empty: none.
-        depending: The accepted fit with what depends on covariates; None: nothing does.
-        depending_rest: Its mean held-out residuals, ``(F,)`` per cluster [-].
     """
 
     search: Search
@@ -76,8 +74,6 @@ class Findings:
     p_values: dict[str, float]
     suspected: tuple[str, ...] = ()
     unsupported: str = ""
-    depending: Fit | None = None
-    depending_rest: tuple[Array, ...] = ()
 
     @property
     def evidence(self) -> Evidence:
@@ -91,22 +87,13 @@ class Findings:
 
     @property
     def unexplained(self) -> list[Array]:
-        """Mean residuals with the chosen effects and their dependences, ``(F,)`` per cluster [-]."""
-        final = self.depending or self.chosen
-        return [item.mean for item in self.evidence.clusters] if final is None else final.rest
-
-    @property
-    def held_out_rest(self) -> Sequence[Array]:
-        """Mean residuals of every cluster predicted from others, ``(F,)`` each [-]; of the model if nothing is held."""
-        if self.depending is not None:
-            return self.depending_rest
-        return [item.mean for item in self.evidence.clusters] if self.hold_out is None else self.hold_out.rest
+        """Mean residuals with the chosen effects, ``(F,)`` per cluster [-]."""
+        return [item.mean for item in self.evidence.clusters] if self.chosen is None else self.chosen.rest
 
     @property
     def held_out_sizes(self) -> tuple[float, float]:
         """Held-out error of the model, and with the effects that searches without the held-out part find."""
-        before = [item.mean for item in self.evidence.clusters]
-        return residual_size(self.evidence, before), residual_size(self.evidence, self.held_out_rest)
+        return _held_out_sizes(self.search, self.hold_out)
 
     def tied_with(self, name: str) -> tuple[str, ...]:
         """Effects that predict as well in place of a chosen one."""
@@ -239,10 +226,12 @@ def lowers(search: Search, held: HoldOut) -> bool:
     return after < before
 
 
-def _held_out_sizes(search: Search, held: HoldOut) -> tuple[float, float]:
+def _held_out_sizes(search: Search, held: HoldOut | None) -> tuple[float, float]:
     """Held-out error of the model, and with what searches without the held-out part find."""
     evidence = search.evidence
-    return residual_size(evidence, [item.mean for item in evidence.clusters]), residual_size(evidence, held.rest)
+    before = [item.mean for item in evidence.clusters]
+    after = before if held is None else held.rest
+    return residual_size(evidence, before), residual_size(evidence, after)
 
 
 def rests_of(evidence: Evidence, rest: Sequence[Array]) -> list[RestDocument]:
@@ -297,8 +286,7 @@ def headline(found: Findings) -> Headline:
     """The overall verdict."""
     evidence, chosen = found.evidence, found.chosen
     before = evidence.lack_of_fit
-    final = found.depending or chosen
-    after = before if final is None else final.lack_of_fit()
+    after = before if chosen is None else chosen.lack_of_fit()
     share = 1.0 - explained(*found.held_out_sizes, noise_size(evidence))
     if evidence.null.shortage is not None:
         return Headline(TOO_FEW, share, before, after)

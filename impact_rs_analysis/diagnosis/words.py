@@ -71,60 +71,62 @@ def _turn(view: ViewDocument) -> str:
 def _circumstances(document: DiagnosisDocument) -> list[str]:
     """What depends on covariates, or that nothing does, and which covariates cannot be told apart."""
     found = [one for one in document.dependences if one.verdict != NO_IMPROVEMENT]
-    tried = list(dict.fromkeys(one.covariate for one in document.dependences))
     said = [_dependence(one, document) for one in found]
     if found and found[0].held_out_error_before is not None and found[0].held_out_error_after is not None:
         fall = _fall(found[0].held_out_error_before, found[0].held_out_error_after)
-        said.append(f"With {'that' if len(found) == 1 else 'these'} the held-out error goes on to fall: {fall} {_unit(document)}.")
-    if tried and not found:
-        said.append(f"No effect that was found depends on {' or '.join(tried)}.")
+        said[-1] += f"{' Together: held-out' if len(found) > 1 else '; held-out'} error {fall} {_unit(document)}"
+    if document.dependences and not found:
+        tried = dict.fromkeys(one.covariate for one in document.dependences)
+        said.append(f"No effect that was found depends on {' or '.join(tried)}")
     if still := [one.name for one in document.covariates if not one.tried]:
-        said.append(f"{' and '.join(still)} var{'ies' if len(still) == 1 else 'y'} too little to be judged.")
-    return said + [
-        f"{one.name} goes with {' and '.join(one.goes_with)} (correlation {max(one.goes_with.values()):.2f}): what depends on one may "
-        "depend on the other."
-        for one in document.covariates
-        if one.goes_with and one.name in {own.covariate for own in found}
-    ]
+        said.append(f"Measured under too few circumstances to be judged: {', '.join(still)}")
+    for one in document.covariates:
+        if one.goes_with and one.name in {own.covariate for own in found}:
+            others = " and ".join(f"{name} (correlation {value:.2f})" for name, value in one.goes_with.items())
+            said.append(f"{one.name} goes with {others}: what depends on one may depend on the other")
+    return [f"{text}." for text in said]
 
 
 def _dependence(one: DependenceDocument, document: DiagnosisDocument) -> str:
     """How an effect depends on a covariate."""
+    several = len(one.at_mean or next(iter(one.levels.values()))) > 1
     if one.levels:
-        names = list(next(iter(one.levels.values())))
-        text = "; ".join(_by_level(one, name, name if len(names) > 1 else "") for name in names)
+        parts = [(name, _by_level(one, name)) for name in next(iter(one.levels.values()))]
     else:
         (covariate,) = (item for item in document.covariates if item.name == one.covariate)
-        mean = f"{covariate.mean or 0.0:.4g}{f' {covariate.unit}' if covariate.unit else ''}"
-        text = "; ".join(
-            f"{f'{name} ' if len(one.at_mean) > 1 else ''}{_estimate(own)} at {mean}, {_estimate(one.per_unit[name], True)}"
+        mean = f"{covariate.mean or 0.0:.4g} {covariate.unit}".strip()
+        parts = [
+            (name, f"{_estimate(own)} at the mean of {mean}, {_change(one.per_unit[name])}")
             for name, own in one.at_mean.items()
-        )
+        ]
+    text = "; ".join(f"{name} {said}" if several else said for name, said in parts)
     small = ", which is too small to matter" if one.verdict == SMALL else ""
     rivals = f"; these data cannot distinguish that from {', '.join(one.rivals)}" if one.rivals else ""
-    return f"{one.effect} depends on {one.covariate}{small}: {text}{rivals}."
+    return f"{one.effect} depends on {one.covariate}{small}: {text}{rivals}"
 
 
-def _by_level(one: DependenceDocument, parameter: str, label: str) -> str:
+def _by_level(one: DependenceDocument, parameter: str) -> str:
     """Estimates of a parameter by level; of many levels the lowest and the highest."""
     values = {level: parameters[parameter] for level, parameters in one.levels.items()}
-    if len(values) > MOST_LEVELS:
-        ordered = sorted(values, key=lambda level: values[level].estimate)
-        values = {level: values[level] for level in (ordered[0], ordered[-1])}
-    text = ", ".join(f"{_estimate(own)} in {level}" for level, own in values.items())
-    many = f" (lowest and highest of {len(one.levels)})" if len(values) < len(one.levels) else ""
-    return f"{f'{label} ' if label else ''}{text}{many}"
+    ordered = sorted(values, key=lambda level: values[level].estimate)
+    many = len(ordered) > MOST_LEVELS
+    text = ", ".join(
+        f"{_estimate(values[level])} in {level}" for level in ([ordered[0], ordered[-1]] if many else values)
+    )
+    return f"{text} (lowest and highest of {len(values)})" if many else text
 
 
-def _estimate(own: EstimateDocument, change: bool = False) -> str:
-    """An estimate with its interval and unit; of a change ``per`` something, with its sign."""
+def _estimate(own: EstimateDocument) -> str:
+    """An estimate with its interval and unit."""
     text = estimate_in_line(own.estimate, own.ci95)
-    if change and own.estimate > 0.0:
-        text = f"+{text}"
-    unit = own.unit.removeprefix("1/") if own.unit.startswith("1/") else own.unit
-    if own.unit.startswith("1/"):
-        return f"{text} per {unit}"
-    return text if unit == "-" else f"{text} {unit}"
+    return text if own.unit == "-" else f"{text} {own.unit}"
+
+
+def _change(own: EstimateDocument) -> str:
+    """A change per unit of a number, with its sign."""
+    unit, _, per = own.unit.rpartition("/")
+    text = f"{'+' if own.estimate > 0.0 else ''}{estimate_in_line(own.estimate, own.ci95)}"
+    return f"{text} per {per}" if unit == "1" else f"{text} {unit} per {per}"
 
 
 def _unit(document: DiagnosisDocument) -> str:

@@ -216,7 +216,13 @@ class ImpactTableSource(Source):
                 found._worlds.append(replace(self._worlds[world], circumstances=row.circumstances))
             found._world_of.append(places[key])
         found._altered, found._featured = Recent(ALTERED), Recent(ALTERED)
+        found.interleaved = True
         return found
+
+    @property
+    def known_effects(self) -> dict[str, Effect]:
+        """See :attr:`Source.known_effects`."""
+        return self._effects
 
     @property
     def discrepancy_document(self) -> DiscrepancyDocument:

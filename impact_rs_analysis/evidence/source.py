@@ -105,6 +105,7 @@ class Source(ABC):
         least_change: Without repeats, an effect is accepted if the interval of a parameter lies more than so many
             parameter scales from nominal; 0: the relevance limits of the features decide.
         covariates: Circumstances on which an effect may depend.
+        interleaved: Whether clusters are held out in turn and not in runs of neighbours.
         state: What else measurements differ in and a covariate may go with, such as the impact speed.
     """
 
@@ -128,6 +129,7 @@ class Source(ABC):
     least_change: float = 1.0
     covariates: tuple[Covariate, ...] = ()
     state: tuple[Covariate, ...] = ()
+    interleaved: bool = False
 
     @property
     def comparison_remarks(self) -> Sequence[str]:
@@ -219,8 +221,13 @@ class Source(ABC):
         found = self.predict([(number, added) for added in (before, after) for number in numbers], what)
         return [difference(a, b) for a, b in zip(found[: len(numbers)], found[len(numbers) :], strict=True)]
 
+    @property
+    def known_effects(self) -> dict[str, Effect]:
+        """Effects that it predicts with, by name."""
+        return self.model.known_effects
+
     def knowing(self, effects: Sequence[Effect]) -> Source:
-        """The same measurements, predicted with further effects that may depend on covariates.
+        """The same measurements, predicted with further effects that may depend on covariates, and held out in turn.
 
         Args:
             effects: By names that the model does not know.

@@ -118,8 +118,7 @@ class Depending(Effect):
             for scalar in (scalar for scalar in own if not scalar.shape):
                 part = replace(scalar, name=f"{scalar.name} {label}")
                 reach = scalar.upper - scalar.lower
-                none = {"nominal": 0.0, "lower": -reach, "upper": reach, "far": ()}
-                found.append(replace(part, **none) if change else part)
+                found.append(replace(part, nominal=0.0, lower=-reach, upper=reach, far=()) if change else part)
         return found + [scalar for scalar in own if scalar.shape]
 
     def spelled(self, joints: Joints) -> list[tuple[str, list[Parameter]]]:
