@@ -1,8 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Dependence: whether an effect that was found depends on a circumstance of the measurement (a covariate).
+"""Dependence: whether an effect depends on a circumstance of the measurement (a covariate).
 
-Every effect found is tried with every covariate: with a value for each level, or, of a number, with a value at its mean
-and a change per standard deviation (:mod:`impact_rs_sim.effects.depending`). A pair is accepted as effects are: the
+Every effect is tried with every covariate, beside the effects that were found: with a value for each level, or, of a
+number, with a value at its mean and a change per standard deviation (:mod:`impact_rs_sim.effects.depending`). Those
+that were not found with one value for all are tried as well: what is more here and less there may be nothing on
+average, or drown in the scatter. A pair is accepted as effects are: the
 score test of what the covariate adds is significant after adjustment for all pairs (Benjamini and Hochberg), the error
 on left-out clusters falls by enough, among equals the one with the fewest parameters is taken, and the rest is tried
 again beside it. Then clusters are held out, the effects are fitted to the others alone, the choice of pairs is repeated
@@ -20,16 +22,15 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from itertools import product
 
 import numpy as np
 
 from impact_rs_analysis.diagnosis.candidate import Candidate, linearise
 from impact_rs_analysis.diagnosis.fit import NEAR_STEPS, Evidence, Fit, measure_again, refine_again
 from impact_rs_analysis.diagnosis.hold_out import Fold, folds_of
-from impact_rs_analysis.diagnosis.search import SHORTLIST, Search, adjusted, tied
+from impact_rs_analysis.diagnosis.search import SHORTLIST, adjusted, tied
 from impact_rs_analysis.diagnosis.thresholds import SIGNIFICANT, TIE
-from impact_rs_analysis.diagnosis.verdicts import change_interval
+from impact_rs_analysis.diagnosis.verdicts import Findings, change_interval
 from impact_rs_analysis.evidence.source import Covariate, Source
 from impact_rs_sim.effects import Effect
 from impact_rs_sim.effects.depending import Depending, Levels, Line
@@ -44,14 +45,14 @@ class Choice:
     """Dependences that a search accepts.
 
     Attributes:
-        fit: The effects with them.
+        fit: The effects with them; None: there are none.
         pairs: What was accepted, in this order.
         rivals: By accepted pair, pairs that predict as well in its place.
         p_values: By pair, adjusted for all of them; of accepted ones beside those accepted before, of the others beside
             all that were accepted.
     """
 
-    fit: Fit
+    fit: Fit | None
     pairs: tuple[Depending, ...]
     rivals: Mapping[str, tuple[str, ...]]
     p_values: Mapping[str, float]
@@ -62,7 +63,7 @@ class Dependences:
     """What depends on which covariate.
 
     Attributes:
-        source: The measurements, predicted with all pairs.
+        source: The measurements, predicted with the pairs that the hold-out supports.
         tried: All pairs.
         choice: What the search of all data accepts.
         pairs: Of these, those that the hold-out supports, and that a search beside all effects does not replace.
@@ -91,13 +92,17 @@ class Dependences:
         return replace(self, pairs=tuple(pair for pair in self.pairs if pair.name in names), fit=chosen)
 
 
-def terms_of(covariate: Covariate, folds: Sequence[Fold]) -> Levels | Line | None:
-    """How parameters may depend on a covariate; None: it does not vary enough.
+def terms_of(source: Source) -> dict[str, Levels | Line | None]:
+    """How parameters may depend on every covariate of a source, by name; None: it does not vary enough.
 
-    Args:
-        covariate: The covariate.
-        folds: Of a hold-out. A level has values of its own if it was measured beside every fold as well.
+    A level has values of its own if it was measured beside every fold of a hold-out as well.
     """
+    folds = folds_of(source) if source.covariates else []
+    return {item.name: _terms(item, folds) for item in source.covariates}
+
+
+def _terms(covariate: Covariate, folds: Sequence[Fold]) -> Levels | Line | None:
+    """See :func:`terms_of`."""
     every = [value for rows in covariate.values for value in rows]
     if covariate.numeric:
         numbers = np.array(every, dtype=float)
@@ -111,35 +116,38 @@ def terms_of(covariate: Covariate, folds: Sequence[Fold]) -> Levels | Line | Non
     return Levels(names) if len(names) > 1 else None
 
 
-def dependences_of(chosen: Fit) -> Dependences | None:
-    """Which of the chosen effects depend on which covariate of their source; None: there is nothing to try.
+def dependences_of(found: Findings) -> Dependences | None:
+    """Which effects depend on which covariate; None: there is nothing to try.
 
     Args:
-        chosen: The effects that were found, fitted to all clusters.
+        found: Of the search with one value for all circumstances.
     """
-    source = chosen.evidence.source
-    if not source.covariates:
+    if not found.evidence.source.covariates or found.evidence.null.shortage is not None:
         return None
-    folds = folds_of(source.knowing(()))
-    terms = {item.name: terms_of(item, folds) for item in source.covariates}
-    effects = chosen.candidate.effects
+    source = found.evidence.source.knowing(())
+    chosen = () if found.chosen is None else found.chosen.candidate.effects
+    others = [single.effects[0] for name, single in found.search.singles.items() if name not in found.names]
     pairs = tuple(
-        Depending(effect, name, own) for (name, own), effect in product(terms.items(), effects) if own is not None
+        Depending(effect, name, terms)
+        for name, terms in terms_of(source).items()
+        for effect in (*chosen, *others)
+        if terms is not None
     )
     if not pairs:
         return None
-    source = source.knowing(pairs)
-    choice = _choose(replace(chosen, evidence=replace(chosen.evidence, source=source)), pairs)
+    evidence, start = Evidence.of(source), np.empty(0) if found.chosen is None else found.chosen.estimate
+    choice = _choose(evidence, _fitted(chosen, start, evidence), pairs)
     if not choice.pairs:
         return Dependences(source, pairs, choice)
-    results = source.spread(partial(_predicted, effects, pairs), folds, "hold-out of dependences")
+    folds = folds_of(source)
+    results = source.spread(partial(_predicted, chosen, start, pairs), folds, "hold-out of dependences")
     rest = {number: both for fold, (_, every) in zip(folds, results, strict=True) for number, both in every.items()}
     before, after = zip(*(rest[number] for number in range(len(source.clusters))), strict=True)
-    found = tuple(names for names, _ in results)
-    change = change_interval(before, after, chosen.evidence)
+    names = tuple(own for own, _ in results)
+    change = change_interval(before, after, evidence)
     supported = change is not None and change[1] < 0.0
-    kept = tuple(one for one in choice.pairs if supported and _common(one.name, choice, found))
-    return Dependences(source, pairs, choice, kept, None, before, after, found)
+    kept = tuple(one for one in choice.pairs if supported and _common(one.name, choice, names))
+    return Dependences(source.knowing(kept), pairs, choice, kept, None, before, after, names)
 
 
 def _common(name: str, choice: Choice, found: Sequence[tuple[str, ...]]) -> bool:
@@ -149,84 +157,102 @@ def _common(name: str, choice: Choice, found: Sequence[tuple[str, ...]]) -> bool
 
 
 def _predicted(
-    effects: Sequence[Effect], pairs: Sequence[Depending], source: Source, fold: Fold
+    effects: Sequence[Effect], start: Array, pairs: Sequence[Depending], source: Source, fold: Fold
 ) -> tuple[tuple[str, ...], dict[int, tuple[Array, Array]]]:
     """Pairs that the other clusters show, and the mean residuals of a fold with the effects, without and with them."""
-    fitted = Search(effects, Evidence.of(source, fold.training)).fitted([effect.name for effect in effects])
-    if fitted is None:
-        return (), {number: (source.clusters[number].mean,) * 2 for number in fold.held}
-    fitted = measure_again(fitted)
-    choice = _choose(fitted, pairs)
-    ends = [_rest(one, fold.held) for one in (fitted, choice.fit)]
+    evidence = Evidence.of(source, fold.training)
+    fitted = _fitted(effects, start, evidence)
+    choice = _choose(evidence, fitted, pairs)
+    ends = [_rest(one, source, fold.held) for one in (fitted, choice.fit)]
     return tuple(one.name for one in choice.pairs), {n: (a, b) for n, a, b in zip(fold.held, *ends, strict=True)}
 
 
-def _rest(fitted: Fit, held: Sequence[int]) -> list[Array]:
-    """Mean residuals of clusters with a fit; with effects that cannot be simulated there, those of the model."""
+def _fitted(effects: Sequence[Effect], start: Array, evidence: Evidence) -> Fit | None:
+    """Effects fitted to some clusters, from a start; None: there are none, or they cannot be simulated."""
+    if not effects:
+        return None
+    candidate = Candidate.of(tuple(effects), evidence.source, start)
+    there = linearise(candidate, evidence.clusters, evidence.numbers, evidence.source, "dependences", NEAR_STEPS[-1])
+    return None if there is None else measure_again(refine_again(Fit.of(there, evidence)), near=True)
+
+
+def _rest(fitted: Fit | None, source: Source, held: Sequence[int]) -> list[Array]:
+    """Mean residuals of clusters with a fit; of the model without one, or where it cannot be simulated."""
+    items = [source.clusters[number] for number in held]
+    if fitted is None:
+        return [item.mean for item in items]
     source, added = fitted.evidence.source, fitted.candidate.split(fitted.estimate)
-    found = []
-    for item in (source.clusters[number] for number in held):
-        predicted = source.measure_again(added, [item])
-        found.append(item.mean if predicted is None else predicted[0].mean)
-    return found
+    found = [source.measure_again(added, [item]) for item in items]
+    return [item.mean if own is None else own[0].mean for item, own in zip(items, found, strict=True)]
 
 
-def _choose(fitted: Fit, pairs: Sequence[Depending]) -> Choice:
-    """Forward choice of pairs, beside a fit to a source that knows them; an effect depends on one covariate at most."""
+def _choose(evidence: Evidence, fitted: Fit | None, pairs: Sequence[Depending]) -> Choice:
+    """Forward choice of pairs beside a fit; an effect depends on one covariate at most."""
     chosen: list[Depending] = []
     rivals: dict[str, tuple[str, ...]] = {}
     p_values: dict[str, float] = {}
     while True:
-        free = [pair for pair in pairs if pair.effect.name in fitted.candidate.names]
-        proposals = {pair.name: entry for pair in free if (entry := _depending(fitted, pair)) is not None}
-        raw = {name: _p_value(fitted, entry) for name, entry in proposals.items()}
+        taken = {pair.effect.name for pair in chosen}
+        free = [pair for pair in pairs if pair.effect.name not in taken]
+        evidence = evidence if fitted is None else fitted.evidence
+        proposals = {p.name: entry for p in free if (entry := _depending(evidence, fitted, p)) is not None}
+        raw = {name: _p_value(evidence, fitted, entry) for name, entry in proposals.items()}
         p_values |= adjusted(raw, len(pairs))
-        decidable, before = fitted.left.null.shortage is None, fitted.problem.left_out_rest
+        before = [item.mean for item in evidence.clusters] if fitted is None else fitted.problem.left_out_rest
         likely = [
             entry
             for name, entry in proposals.items()
-            if (p_values[name] < SIGNIFICANT or not decidable)
-            and fitted.evidence.gains(before, entry.problem.left_out_rest, 0.5)
+            if p_values[name] < SIGNIFICANT and evidence.gains(before, entry.problem.left_out_rest, 0.5)
         ]
         refined = [refine_again(entry) for entry in sorted(likely, key=lambda entry: entry.score)[:SHORTLIST]]
-        refined = [entry for entry in refined if fitted.evidence.gains(before, entry.problem.left_out_rest)]
+        refined = [entry for entry in refined if evidence.gains(before, entry.problem.left_out_rest)]
         if not refined:
             return Choice(fitted, tuple(chosen), rivals, p_values)
         limit = min(entry.score for entry in refined) * math.exp(TIE)
         best = min((one for one in refined if one.score <= limit), key=lambda entry: (_cost(entry), entry.score))
         (own,) = (pair for pair in free if pair.name in best.candidate.names)
-        others = [entry for entry in refined if entry is not best and tied(best, entry)]
+        others = [one for one in refined if one is not best and _cost(one) <= _cost(best) and tied(best, one)]
         rivals[own.name] = tuple(p.name for p in free for entry in others if p.name in entry.candidate.names)
         chosen.append(own)
         fitted = measure_again(best, near=True)
 
 
-def _depending(fitted: Fit, pair: Depending) -> Fit | None:
-    """The linear fit in which an effect depends on a covariate; None where it cannot be simulated."""
-    candidate, evidence = fitted.candidate, fitted.evidence
-    joints = evidence.source.joints
-    effects, points = [], []
-    for effect, part in candidate.parts:
-        own = effect.name == pair.effect.name
-        effects.append(Depending(effect, pair.covariate, pair.terms) if own else effect)
-        points.append(pair.at(fitted.estimate[part], joints) if own else fitted.estimate[part])
-    start = Candidate.of(tuple(effects), evidence.source, np.concatenate(points), candidate.origin)
-    there = linearise(start, evidence.clusters, evidence.numbers, evidence.source, "dependences", NEAR_STEPS[-1])
-    return None if there is None else Fit.of(there, evidence)
+def _depending(evidence: Evidence, fitted: Fit | None, pair: Depending) -> Fit | None:
+    """The linear fit in which an effect depends on a covariate, beside a fit; None where it cannot be simulated."""
+    source, joints = evidence.source.knowing([pair]), evidence.source.joints
+    parts = [] if fitted is None else [(own, fitted.estimate[part]) for own, part in fitted.candidate.parts]
+    present = [own.name for own, _ in parts]
+    if pair.effect.name in present:
+        place = present.index(pair.effect.name)
+        effect, values = parts[place]
+        parts[place] = Depending(effect, pair.covariate, pair.terms), pair.at(values, joints)
+        share = NEAR_STEPS[-1]
+    else:
+        parts.append((pair, pair.nominal(joints)))
+        share = NEAR_STEPS[0]  # whole steps see past contacts that stick
+    origin = () if fitted is None else fitted.candidate.origin
+    start = Candidate.of(tuple(own for own, _ in parts), source, np.concatenate([at for _, at in parts]), origin)
+    there = linearise(start, evidence.clusters, evidence.numbers, source, "dependences", share)
+    return None if there is None else Fit.of(there, replace(evidence, source=source))
 
 
-def _p_value(fitted: Fit, entry: Fit) -> float:
-    """p-value of the effect of a proposal not depending on its covariate, given all effects of the fit."""
-    joints, names = entry.evidence.source.joints, fitted.candidate.names
+def _p_value(evidence: Evidence, fitted: Fit | None, entry: Fit) -> float:
+    """p-value of the effect of a proposal not depending on its covariate, or of its absence where it is not fitted."""
+    joints, names = entry.evidence.source.joints, () if fitted is None else fitted.candidate.names
     pair, part = next(one for one in entry.candidate.parts if one[0].name not in names)
     assert isinstance(pair, Depending)
     own = [jacobian[:, part] for jacobian in entry.candidate.jacobians]
-    others = [np.delete(jacobian, part, axis=1) for jacobian in entry.candidate.jacobians]
-    alike = np.array([pair.at(unit, joints) for unit in np.eye(len(pair.effect.scalars(joints)))]).T
-    amplitudes = np.count_nonzero([not scalar.shape for scalar in pair.effect.scalars(joints)])
-    beyond = slice(amplitudes, len(pair.terms.labels) * amplitudes)  # a change of all levels alike is one of the effect
-    without = [np.hstack((other, jacobian @ alike)) for other, jacobian in zip(others, own, strict=True)]
-    return fitted.left.null.p_value([jacobian[:, beyond] for jacobian in own], without)
+    without = [np.delete(jacobian, part, axis=1) for jacobian in entry.candidate.jacobians]
+    if fitted is None:
+        return evidence.null.p_value(own)
+    if pair.effect.name in names:
+        # A change under all circumstances alike is one of the effect.
+        alike = np.array([pair.at(unit, joints) for unit in np.eye(len(pair.effect.scalars(joints)))]).T
+        amplitudes = np.count_nonzero([not scalar.shape for scalar in pair.effect.scalars(joints)])
+        beyond = slice(amplitudes, len(pair.terms.labels) * amplitudes)
+        without = [np.hstack((other, jacobian @ alike)) for other, jacobian in zip(without, own, strict=True)]
+        own = [jacobian[:, beyond] for jacobian in own]
+    return fitted.left.null.p_value(own, without)
 
 
 def _cost(fitted: Fit) -> int:

@@ -25,7 +25,6 @@ from impact_rs_analysis.diagnosis.document import (
     EstimateDocument,
 )
 from impact_rs_analysis.diagnosis.fit import Fit
-from impact_rs_analysis.diagnosis.hold_out import folds_of
 from impact_rs_analysis.diagnosis.thresholds import SIGNIFICANT
 from impact_rs_analysis.diagnosis.verdicts import clip_p, residual_size
 from impact_rs_analysis.evidence.source import Covariate, Source
@@ -37,10 +36,9 @@ GOES_WITH = 0.9  # canonical correlation; of the variance of one, a fifth is the
 
 def covariate_documents(source: Source) -> tuple[CovariateDocument, ...]:
     """Covariates of a source, and what each goes with."""
-    found, folds = [], folds_of(source.knowing(())) if source.covariates else []
+    found, terms = [], terms_of(source.knowing(())) if source.covariates else {}
     for item in source.covariates:
-        terms = terms_of(item, folds)
-        others = [other for other in (*source.covariates, *source.state) if other is not item]
+        others = [other for other in (*source.covariates, *source.state) if other.name != item.name]
         correlations = {other.name: correlation_of(item, other) for other in others}
         numbers = [float(value) for value in _every(item)] if item.numeric else []
         found.append(
@@ -50,7 +48,7 @@ def covariate_documents(source: Source) -> tuple[CovariateDocument, ...]:
                 levels=() if item.numeric else tuple(sorted({str(value) for value in _every(item)})),
                 mean=float(np.mean(numbers)) if numbers else None,
                 range=(min(numbers), max(numbers)) if numbers else None,
-                tried=terms is not None,
+                tried=terms[item.name] is not None,
                 goes_with={name: value for name, value in correlations.items() if value > GOES_WITH},
             )
         )
@@ -124,12 +122,25 @@ def _accepted(found: Dependences, pair: Depending) -> DependenceDocument:
 
 
 def _refused(found: Dependences, pair: Depending) -> DependenceDocument:
-    p = clip_p(found.choice.p_values[pair.name])
-    reason = "" if p >= SIGNIFICANT else "significant, but it hardly lowers the held-out error"
+    p: float | None = clip_p(found.choice.p_values.get(pair.name, 1.0))
+    verdict, reason = (
+        NO_IMPROVEMENT,
+        "" if p is None or p >= SIGNIFICANT else "significant, but it hardly lowers the held-out error",
+    )
+    if better := [one.covariate for one in found.pairs if one.effect.name == pair.effect.name]:
+        p, reason = None, f"not tried beside {better[0]}, which predicts better"
     if pair in found.choice.pairs:
         reason = "the hold-out does not support it" if found.fit is None else "another effect explains it"
+    rivals = tuple(one.name for one in found.pairs if pair.name in found.choice.rivals[one.name])
+    if rivals:
+        verdict, reason = f"{CONFUSABLE}{{{', '.join(rivals)}}}", "predicts unseen data as well in its place"
     return DependenceDocument(
-        effect=pair.effect.name, covariate=pair.covariate, verdict=NO_IMPROVEMENT, reason=reason, p_value=p
+        effect=pair.effect.name,
+        covariate=pair.covariate,
+        verdict=verdict,
+        reason=reason,
+        rivals=rivals,
+        p_value=p,
     )
 
 

@@ -85,7 +85,7 @@ def diagnose(
     """
     effects = effects_for(source, only, bounds)
     found = findings_of(source, effects, progress)
-    dependences = None if found.chosen is None else dependences_of(found.chosen)
+    dependences = dependences_of(found)
     if dependences is None or not dependences.pairs:
         document = document_of(found, source, model)
     else:
@@ -288,7 +288,7 @@ def _hold_out(found: HoldOut | None, source: Source) -> HoldOutDocument:
         what = f"whole recordings, in {count} folds"
     else:
         neighbours = "of neighbours; every fold is predicted from the others without those that touch it"
-        turn = "that take them in turn"
+        turn = "that take one of every six neighbours"
         what = f"{len(source.clusters)} {source.pieces} in {count} folds {turn if source.interleaved else neighbours}"
     how = "the whole search is repeated without the held-out data"
     if found.only_fitted:

@@ -152,6 +152,16 @@ class DependenceDocument(Schema):
     )
     held_out_error_after: float | None = Field(None, description="the same with all dependences that were found")
 
+    @property
+    def found(self) -> bool:
+        """Whether the effect depends on the covariate, as far as these measurements say."""
+        return bool(self.levels or self.at_mean)
+
+    @property
+    def suspected(self) -> bool:
+        """Whether it may depend on it, but that predicts unseen data no better."""
+        return not self.found and not self.rivals and self.p_value is not None and bool(self.reason)
+
 
 class ModelIdentity(Schema):
     """Which model was diagnosed."""

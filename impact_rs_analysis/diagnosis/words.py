@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 from impact_rs_analysis.diagnosis.document import (
-    NO_IMPROVEMENT,
     NONE,
     NOTHING,
     PARTLY,
@@ -70,14 +69,17 @@ def _turn(view: ViewDocument) -> str:
 
 def _circumstances(document: DiagnosisDocument) -> list[str]:
     """What depends on covariates, or that nothing does, and which covariates cannot be told apart."""
-    found = [one for one in document.dependences if one.verdict != NO_IMPROVEMENT]
+    found = [one for one in document.dependences if one.found]
     said = [_dependence(one, document) for one in found]
     if found and found[0].held_out_error_before is not None and found[0].held_out_error_after is not None:
         fall = _fall(found[0].held_out_error_before, found[0].held_out_error_after)
-        said[-1] += f"{' Together: held-out' if len(found) > 1 else '; held-out'} error {fall} {_unit(document)}"
-    if document.dependences and not found:
+        said[-1] += f"{'. Together: held-out' if len(found) > 1 else '; held-out'} error {fall} {_unit(document)}"
+    said += [
+        f"{one.effect} may depend on {one.covariate}: {one.reason}" for one in document.dependences if one.suspected
+    ]
+    if document.dependences and not said:
         tried = dict.fromkeys(one.covariate for one in document.dependences)
-        said.append(f"No effect that was found depends on {' or '.join(tried)}")
+        said.append(f"No effect depends on {' or '.join(tried)}")
     if still := [one.name for one in document.covariates if not one.tried]:
         said.append(f"Measured under too few circumstances to be judged: {', '.join(still)}")
     for one in document.covariates:

@@ -68,6 +68,7 @@ from impact_rs_analysis.evidence.replays import SQUARE
 from impact_rs_analysis.evidence.source import Covariate, Identity, Source, View, with_per_arm_parameters
 from impact_rs_analysis.evidence.tracks import ComparedSignal, Track
 from impact_rs_sim.effects import Effect
+from impact_rs_sim.effects.depending import Depending
 from impact_rs_sim.errors import InputError, NotABody
 from impact_rs_sim.impact_map.contacts import contact_frame
 from impact_rs_sim.impact_map.laws import System
@@ -82,6 +83,7 @@ from impact_rs_trials.recordings.impact_table import WIDER, ImpactTable
 from impact_rs_trials.workers import Map
 
 BLOCKS = 24  # at most: of 24 blocks a fold leaves 18 for the search, and the test needs 12
+SMALL_BLOCKS = 120  # at most, where effects may depend on covariates
 LEAST_CONDITIONS = 3  # with repeats; with fewer, blocks are used
 LEAST_REPEATS = 3  # degrees of freedom of the pure error
 LEAST_OF_HALF = 2  # rows of a condition on either side of the median of a number
@@ -89,6 +91,7 @@ RELEVANT = 0.005  # of the closing speed; 5 mm/s at 1 m/s, the resolution of bod
 LEAST_SCALE = 1e-6  # m/s; a model with smaller residuals is exact
 ALTERED = 1024  # physics with effects that were tried last
 KEPT = 128_000_000  # bytes of predictions of the whole table, with effects that were tried last
+TOLD_APART = 32  # numbers of a covariate; the mean of a group is within some hundredths of the range
 TELLING = 0.8  # of what the model leaves; scatter of neighbours above it says nothing
 DECIDES = 0.2  # of what the model leaves; contacts that move predictions by more may decide
 GAINED = 1.05  # kinetic energy after over before; rows above it are reported
@@ -181,11 +184,6 @@ class ImpactTableSource(Source):
         self._impacts = MeasuredImpacts([row.impact for row in table.rows], self._of_rows(self._worlds))
         self._altered = Recent[Physics | None](ALTERED)
         self._known = Recent[Array](max(1, KEPT // self._all_worth.nbytes))
-        self.covariates = tuple(
-            self._covariate(name, unit, [row.circumstances[name] for row in table.rows])
-            for name, unit in table.covariates.items()
-        )
-        self.state = (self._covariate("impact speed", "m/s", self._impacts.closing_speeds.tolist()),)
         self._judge(_entries(table, joints=table.joints, body=True))
         self.remarks = tuple(self._remarks()) if remarks else ()
 
@@ -199,25 +197,54 @@ class ImpactTableSource(Source):
         self.predicted = self.predicted_with(())
         self.clusters = self._clusters()
 
+    @property
+    def covariates(self) -> tuple[Covariate, ...]:
+        """See :attr:`Source.covariates`."""
+        rows, units = self.table.rows, self.table.covariates
+        return tuple(self._covariate(name, units[name], [row.circumstances[name] for row in rows]) for name in units)
+
+    @property
+    def state(self) -> tuple[Covariate, ...]:
+        """See :attr:`Source.state`: the impact speed."""
+        return (self._covariate("impact speed", "m/s", self._impacts.closing_speeds.tolist()),)
+
     def _covariate(self, name: str, unit: str, values: Sequence[float | str]) -> Covariate:
         """A covariate from its values by row."""
         return Covariate(name, unit, tuple(tuple(values[row] for row in group.rows) for group in self._groups))
 
-    def knowing(self, effects: Sequence[Effect]) -> ImpactTableSource:
-        """See :meth:`Source.knowing`."""
+    def knowing(self, effects: Sequence[Depending]) -> ImpactTableSource:
+        """See :meth:`Source.knowing`; of many different numbers those that are close are taken as their mean.
+
+        Blocks are small: a session may have few rows, and a test by signs of blocks needs several in each.
+        """
         found = copy.copy(self)
+        if not self.repeated and not self.interleaved:
+            found._groups, found.interleaved = tuple(_blocks(self.table, SMALL_BLOCKS)), True
+            found.clusters = found._clusters()
         found._effects = self._effects | {effect.name: effect for effect in effects}
-        found._worlds, found._world_of = [], []
+        told = {name: self._told(name) for name in dict.fromkeys(effect.covariate for effect in effects)}
         places: dict[tuple[int, tuple[float | str, ...]], int] = {}
-        for row, world in zip(self.table.rows, self._world_of, strict=True):
-            key = (world, tuple(row.circumstances.values()))
-            if key not in places:
-                places[key] = len(places)
-                found._worlds.append(replace(self._worlds[world], circumstances=row.circumstances))
-            found._world_of.append(places[key])
+        found._worlds, found._world_of = [], []
+        for row, world in enumerate(self._world_of):
+            values = tuple(of_rows[row] for of_rows in told.values())
+            if (world, values) not in places:
+                places[world, values] = len(places)
+                before = self._worlds[world]
+                circumstances = {**before.circumstances, **dict(zip(told, values, strict=True))}
+                found._worlds.append(replace(before, circumstances=circumstances))
+            found._world_of.append(places[world, values])
         found._altered, found._featured = Recent(ALTERED), Recent(ALTERED)
-        found.interleaved = True
         return found
+
+    def _told(self, name: str) -> list[float | str]:
+        """A covariate by row; of more than ``TOLD_APART`` different numbers, means of groups of equal size."""
+        values = [row.circumstances[name] for row in self.table.rows]
+        numbers = np.array([value for value in values if isinstance(value, float)])
+        if len(set(values)) <= TOLD_APART or not numbers.size:
+            return values
+        for group in np.array_split(np.argsort(numbers, kind="stable"), TOLD_APART):
+            numbers[group] = numbers[group].mean()
+        return list(numbers.tolist())
 
     @property
     def known_effects(self) -> dict[str, Effect]:
@@ -696,10 +723,10 @@ def _under_like_circumstances(table: ImpactTable, whole: list[int]) -> list[tupl
     return parts
 
 
-def _blocks(table: ImpactTable) -> list[_Group]:
-    """Blocks of neighbouring rows of about equal length, within one unit."""
+def _blocks(table: ImpactTable, most: int = BLOCKS) -> list[_Group]:
+    """Blocks of neighbouring rows of about equal length, ``most`` at most, within one unit."""
     count = len(table.rows)
-    blocks = min(count, BLOCKS)
+    blocks = min(count, most)
     edges = np.arange(blocks + 1) * count // blocks
     found = []
     for low, high in zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True):

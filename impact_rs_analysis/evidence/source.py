@@ -17,6 +17,7 @@ from impact_rs_analysis.evidence.measured_runs import Runs
 from impact_rs_analysis.evidence.tracks import Track
 from impact_rs_sim.effects import Effect
 from impact_rs_sim.effects.base import Joints
+from impact_rs_sim.effects.depending import Depending
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.model import Model
 from impact_rs_sim.physics import Physics
@@ -127,9 +128,17 @@ class Source(ABC):
     of_motion: bool = True
     clock: float = 0.0
     least_change: float = 1.0
-    covariates: tuple[Covariate, ...] = ()
-    state: tuple[Covariate, ...] = ()
     interleaved: bool = False
+
+    @property
+    def covariates(self) -> tuple[Covariate, ...]:
+        """See the class."""
+        return ()
+
+    @property
+    def state(self) -> tuple[Covariate, ...]:
+        """See the class."""
+        return ()
 
     @property
     def comparison_remarks(self) -> Sequence[str]:
@@ -226,8 +235,8 @@ class Source(ABC):
         """Effects that it predicts with, by name."""
         return self.model.known_effects
 
-    def knowing(self, effects: Sequence[Effect]) -> Source:
-        """The same measurements, predicted with further effects that may depend on covariates, and held out in turn.
+    def knowing(self, effects: Sequence[Depending]) -> Source:
+        """The same measurements, predicted with further effects that depend on covariates, and held out in turn.
 
         Args:
             effects: By names that the model does not know.

@@ -102,9 +102,8 @@ class Depending(Effect):
 
     def apply_vector(self, physics: Physics, vector: Array) -> Physics:
         """See :meth:`Effect.apply_vector`; under the circumstances of ``physics``."""
-        weights = self.terms.weights(physics.circumstances[self.covariate])
-        own = np.empty(len(self.effect.scalars(self._joints(physics))))
-        shapes = self._shapes(self._joints(physics))
+        weights, shapes = self.terms.weights(physics.circumstances[self.covariate]), self._shapes(self._joints(physics))
+        own = np.empty(shapes.size)
         ends = weights.size * np.count_nonzero(~shapes)
         own[~shapes] = weights @ np.asarray(vector[:ends], dtype=float).reshape(weights.size, -1)
         own[shapes] = vector[ends:]
