@@ -13,7 +13,8 @@ below 0 and more than half of the folds find it.
 
 What depends on a covariate was scatter to the search that found the effects, which hides some and lets others pass for
 it. So all effects are searched once more, with the dependent ones in place of themselves; a dependence that this search
-replaces by another effect is none.
+replaces by another effect is none. Where it finds neither, because the scatter of repeats holds what depends on a
+number, the dependences stand beside the first search.
 """
 
 from __future__ import annotations
@@ -67,10 +68,11 @@ class Dependences:
         tried: All pairs.
         choice: What the search of all data accepts.
         pairs: Of these, those that the hold-out supports, and that a search beside all effects does not replace.
-        fit: What that search finds; None: it was not made.
+        fit: The effects with them; None: there are none.
         before: Mean held-out residuals with the effects alone, ``(F,)`` per cluster [-]; empty: nothing was held out.
         after: The same with their dependences.
         folds: Pairs that the search of every fold accepts.
+        replaced: Pairs in whose place a search beside all effects finds another one.
     """
 
     source: Source
@@ -81,15 +83,26 @@ class Dependences:
     before: tuple[Array, ...] = ()
     after: tuple[Array, ...] = ()
     folds: tuple[tuple[str, ...], ...] = ()
+    replaced: tuple[str, ...] = ()
 
     def in_place_of(self, effects: Sequence[Effect]) -> list[Effect]:
         """Effects to consider, those that depend on a covariate in place of themselves."""
         return [next((pair for pair in self.pairs if pair.effect.name == own.name), own) for own in effects]
 
-    def beside(self, chosen: Fit | None) -> Dependences:
+    def settled_by(self, found: Findings, again: Findings) -> bool:
+        """Whether a search with the dependences finds them, or other effects in their place.
+
+        Args:
+            found: Of the first search.
+            again: Of the search with the dependences.
+        """
+        own = {pair.name for pair in self.pairs}
+        return own <= set(again.names) or bool(set(again.names) - own - set(found.names))
+
+    def beside(self, chosen: Fit) -> Dependences:
         """The dependences beside what a search finds with them."""
-        names = () if chosen is None else chosen.candidate.names
-        return replace(self, pairs=tuple(pair for pair in self.pairs if pair.name in names), fit=chosen)
+        kept = tuple(pair for pair in self.pairs if pair.name in chosen.candidate.names)
+        return replace(self, pairs=kept, fit=chosen, replaced=tuple(p.name for p in self.pairs if p not in kept))
 
 
 def terms_of(source: Source) -> dict[str, Levels | Line | None]:
@@ -147,7 +160,13 @@ def dependences_of(found: Findings) -> Dependences | None:
     change = change_interval(before, after, evidence)
     supported = change is not None and change[1] < 0.0
     kept = tuple(one for one in choice.pairs if supported and _common(one.name, choice, names))
-    return Dependences(source.knowing(kept), pairs, choice, kept, None, before, after, names)
+    fit = choice.fit
+    if len(kept) < len(choice.pairs):
+        fit = _fitted(chosen, start, evidence)
+        for pair in kept:
+            entry = _depending(evidence if fit is None else fit.evidence, fit, pair)
+            fit = None if entry is None else measure_again(refine_again(entry), near=True)
+    return Dependences(source.knowing(kept), pairs, choice, kept, fit, before, after, names)
 
 
 def _common(name: str, choice: Choice, found: Sequence[tuple[str, ...]]) -> bool:

@@ -130,7 +130,7 @@ def _refused(found: Dependences, pair: Depending) -> DependenceDocument:
     if better := [one.covariate for one in found.pairs if one.effect.name == pair.effect.name]:
         p, reason = None, f"not tried beside {better[0]}, which predicts better"
     if pair in found.choice.pairs:
-        reason = "the hold-out does not support it" if found.fit is None else "another effect explains it"
+        reason = "another effect explains it" if pair.name in found.replaced else "the hold-out does not support it"
     rivals = tuple(one.name for one in found.pairs if pair.name in found.choice.rivals[one.name])
     if rivals:
         verdict, reason = f"{CONFUSABLE}{{{', '.join(rivals)}}}", "predicts unseen data as well in its place"

@@ -86,13 +86,13 @@ def diagnose(
     effects = effects_for(source, only, bounds)
     found = findings_of(source, effects, progress)
     dependences = dependences_of(found)
-    if dependences is None or not dependences.pairs:
-        document = document_of(found, source, model)
-    else:
+    document = document_of(found, source, model)
+    if dependences is not None and dependences.pairs:
         # What depends on circumstances was scatter to the first search, which hides effects, or passes for some.
         again = findings_of(dependences.source, dependences.in_place_of(effects), progress)
-        dependences, pooled = dependences.beside(again.chosen), document_of(found, source, model)
-        document = with_plain_names(document_of(again, dependences.source, model), pooled, dependences.pairs)
+        if dependences.settled_by(found, again) and again.chosen is not None:
+            dependences, pairs = dependences.beside(again.chosen), dependences.pairs
+            document = with_plain_names(document_of(again, dependences.source, model), document, pairs)
     document = document.model_copy(
         update={
             "covariates": covariate_documents(source),
