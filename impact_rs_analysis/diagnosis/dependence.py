@@ -215,8 +215,7 @@ def _choose(evidence: Evidence, fitted: Fit | None, pairs: Sequence[Depending]) 
         free = [pair for pair in pairs if pair.effect.name not in taken]
         evidence = evidence if fitted is None else fitted.evidence
         proposals = {p.name: entry for p in free if (entry := _depending(evidence, fitted, p)) is not None}
-        raw = {name: _p_value(evidence, fitted, entry) for name, entry in proposals.items()}
-        p_values |= adjusted(raw, len(pairs))
+        p_values |= adjusted(_p_values(evidence, fitted, proposals), len(pairs))
         before = [item.mean for item in evidence.clusters] if fitted is None else fitted.problem.left_out_rest
         likely = [
             entry
@@ -255,23 +254,19 @@ def _depending(evidence: Evidence, fitted: Fit | None, pair: Depending) -> Fit |
     return None if there is None else Fit.of(there, replace(evidence, source=source))
 
 
-def _p_value(evidence: Evidence, fitted: Fit | None, entry: Fit) -> float:
-    """p-value of the effect of a proposal not depending on its covariate, or of its absence where it is not fitted."""
-    joints, names = entry.evidence.source.joints, () if fitted is None else fitted.candidate.names
-    pair, part = next(one for one in entry.candidate.parts if one[0].name not in names)
-    assert isinstance(pair, Depending)
-    own = [jacobian[:, part] for jacobian in entry.candidate.jacobians]
-    without = [np.delete(jacobian, part, axis=1) for jacobian in entry.candidate.jacobians]
-    if fitted is None:
-        return evidence.null.p_value(own)
-    if pair.effect.name in names:
-        # A change under all circumstances alike is one of the effect.
-        alike = np.array([pair.at(unit, joints) for unit in np.eye(len(pair.effect.scalars(joints)))]).T
-        amplitudes = np.count_nonzero([not scalar.shape for scalar in pair.effect.scalars(joints)])
-        beyond = slice(amplitudes, len(pair.terms.labels) * amplitudes)
-        without = [np.hstack((other, jacobian @ alike)) for other, jacobian in zip(without, own, strict=True)]
-        own = [jacobian[:, beyond] for jacobian in own]
-    return fitted.left.null.p_value(own, without)
+def _p_values(evidence: Evidence, fitted: Fit | None, proposals: Mapping[str, Fit]) -> dict[str, float]:
+    """p-values of effects not depending on a covariate, or of their absence where they are not fitted."""
+    names, tested = () if fitted is None else fitted.candidate.names, []
+    for entry in proposals.values():
+        pair, part = next(one for one in entry.candidate.parts if one[0].name not in names)
+        assert isinstance(pair, Depending)
+        amplitudes = sum(not scalar.shape for scalar in pair.effect.scalars(evidence.source.joints))
+        # A change under all circumstances alike is one of the effect, which may be fitted.
+        first = part.start + (amplitudes if pair.effect.name in names else 0)
+        last = part.start + len(pair.terms.labels) * amplitudes
+        tested.append([jacobian[:, first:last] for jacobian in entry.candidate.jacobians])
+    null, beside = (evidence.null, ()) if fitted is None else (fitted.left.null, fitted.candidate.jacobians)
+    return dict(zip(proposals, null.p_values(tested, beside), strict=True))
 
 
 def _cost(fitted: Fit) -> int:

@@ -93,6 +93,7 @@ ALTERED = 1024  # physics with effects that were tried last
 KEPT = 128_000_000  # bytes of predictions of the whole table, with effects that were tried last
 TOLD_APART = 32  # numbers of a covariate; the mean of a group is within some hundredths of the range
 TELLING = 0.8  # of what the model leaves; scatter of neighbours above it says nothing
+MOST_SHOWN = 8  # levels of a covariate in a remark
 DECIDES = 0.2  # of what the model leaves; contacts that move predictions by more may decide
 GAINED = 1.05  # kinetic energy after over before; rows above it are reported
 
@@ -281,9 +282,18 @@ class ImpactTableSource(Source):
 
     @property
     def comparison_remarks(self) -> Sequence[str]:
-        """See :attr:`Source.comparison_remarks`; of arms with how far joints and object are off, each alone."""
+        """See :attr:`Source.comparison_remarks`; with how far joints and object are off, and rows by covariate."""
         sizes = ", ".join(f"{name} {part.size():.3g}" for name, part in self._parts().items())
-        return (*self.remarks, *([f"apart: {sizes} {self.size_unit}"] if sizes else []))
+        apart = [f"apart: {sizes} {self.size_unit}"] if sizes else []
+        rest, rows = self.measured - self.predicted, list(range(len(self.table.rows)))
+        for name in self.table.covariates:
+            parts = {
+                label: self._in_energy(rest[own]) for label, own in _by_circumstance(self.table, name, rows).items()
+            }
+            shown = ", ".join(f"{size:.3g} m/s with {label}" for label, size in sorted(parts.items())[:MOST_SHOWN])
+            left = len(parts) - MOST_SHOWN
+            apart.append(f"differences by {name}: {shown}{f' and {left} more' if left > 0 else ''}")
+        return (*self.remarks, *apart)
 
     @cached_property
     def _all_signals(self) -> tuple[Feature, ...]:
@@ -706,21 +716,28 @@ def _conditions(table: ImpactTable) -> list[_Group] | None:
 def _under_like_circumstances(table: ImpactTable, whole: list[int]) -> list[tuple[list[str], list[int]]]:
     """Rows of a condition by levels of all covariates, and by halves of numbers; each with what it is, in words."""
     parts: list[tuple[list[str], list[int]]] = [([], whole)]
-    for name, unit in table.covariates.items():
+    for name in table.covariates:
         split = []
         for labels, rows in parts:
-            values = [table.rows[row].circumstances[name] for row in rows]
-            numbers = [value for value in values if isinstance(value, float)]
-            middle = float(np.median(numbers)) if numbers else 0.0
-            own: dict[str, list[int]] = {}
-            for row, value in zip(rows, values, strict=True):
-                half = f"{'up to' if value <= middle else 'above'} {middle:.4g}" if isinstance(value, float) else value
-                own.setdefault(f"{name} {half}{f' {unit}' if numbers and unit else ''}", []).append(row)
+            own = _by_circumstance(table, name, rows)
+            numbers = isinstance(table.rows[rows[0]].circumstances[name], float)
             # Halves of a number are repeats of each other only if several rows are left in both.
             whole_part = len(own) == 1 or (numbers and min(map(len, own.values())) < LEAST_OF_HALF)
             split += [(labels, rows)] if whole_part else [([*labels, label], some) for label, some in own.items()]
         parts = split
     return parts
+
+
+def _by_circumstance(table: ImpactTable, name: str, rows: Sequence[int]) -> dict[str, list[int]]:
+    """Rows by level of a covariate, or by the halves of a number about its median, each with what it is in words."""
+    values, unit = [table.rows[row].circumstances[name] for row in rows], table.covariates[name]
+    numbers = [value for value in values if isinstance(value, float)]
+    middle = float(np.median(numbers)) if numbers else 0.0
+    found: dict[str, list[int]] = {}
+    for row, value in zip(rows, values, strict=True):
+        half = f"{'up to' if value <= middle else 'above'} {middle:.4g} {unit}" if isinstance(value, float) else value
+        found.setdefault(f"{name} {half}".strip(), []).append(row)
+    return found
 
 
 def _blocks(table: ImpactTable, most: int = BLOCKS) -> list[_Group]:
