@@ -285,11 +285,10 @@ class ImpactTableSource(Source):
         """See :attr:`Source.comparison_remarks`; with how far joints and object are off, and rows by covariate."""
         sizes = ", ".join(f"{name} {part.size():.3g}" for name, part in self._parts().items())
         apart = [f"apart: {sizes} {self.size_unit}"] if sizes else []
-        rest, rows = self.measured - self.predicted, list(range(len(self.table.rows)))
+        squares = np.sum(np.square((self.measured - self.predicted) * self.worth), axis=1)
         for name in self.table.covariates:
-            parts = {
-                label: self._in_energy(rest[own]) for label, own in _by_circumstance(self.table, name, rows).items()
-            }
+            groups = _by_circumstance(self.table, name, range(len(squares)))
+            parts = {label: float(np.sqrt(np.mean(squares[own]))) for label, own in groups.items()}
             shown = ", ".join(f"{size:.3g} m/s with {label}" for label, size in sorted(parts.items())[:MOST_SHOWN])
             left = len(parts) - MOST_SHOWN
             apart.append(f"differences by {name}: {shown}{f' and {left} more' if left > 0 else ''}")
