@@ -92,6 +92,8 @@ MISTAKES = {  # {} is a folder with one file, CUBES a table of impacts
     "diagnose --impacts nowhere.csv": "nowhere.csv: cannot be read: No such file or directory",
     "diagnose --impacts CUBES --scenario push": "no column 'q1 [rad]'",
     "diagnose runs --scenario push": "--scenario goes with --impacts only",
+    "diagnose runs --covariates session": "--covariates goes with --impacts only",
+    "diagnose --impacts CUBES --covariates session": "--covariates: no column 'session'",
     "compare --impacts CUBES --mapping joint_state": "--mapping is for recordings",
     "compare --impacts CUBES --mcap {}/mcap": "--mcap is for trials; for tables of impacts use --json",
     "discover memory://runs": "no bags of trials here",
