@@ -30,15 +30,12 @@ from impact_rs_analysis.diagnosis.candidate import Candidate, linearise
 from impact_rs_analysis.diagnosis.fit import NEAR_STEPS, Evidence, Fit, measure_again, refine_again
 from impact_rs_analysis.diagnosis.hold_out import Fold, folds_of
 from impact_rs_analysis.diagnosis.search import SHORTLIST, adjusted, tied
-from impact_rs_analysis.diagnosis.thresholds import SIGNIFICANT, TIE
+from impact_rs_analysis.diagnosis.thresholds import LEAST_NUMBERS, LEAST_ROWS_OF_LEVEL, SIGNIFICANT, TIE
 from impact_rs_analysis.diagnosis.verdicts import Findings, change_interval
 from impact_rs_analysis.evidence.source import Covariate, Source
 from impact_rs_sim.effects import Effect
-from impact_rs_sim.effects.depending import Depending, Levels, Line
+from impact_rs_sim.effects.depending import Depending, Levels, Slope
 from impact_rs_sim.robot import Array
-
-LEAST_ROWS_OF_LEVEL = 3  # beside every fold
-LEAST_NUMBERS = 3  # different ones, for a line
 
 
 @dataclass(frozen=True)
@@ -105,7 +102,7 @@ class Dependences:
         return replace(self, pairs=kept, fit=chosen, replaced=tuple(p.name for p in self.pairs if p not in kept))
 
 
-def terms_of(source: Source) -> dict[str, Levels | Line | None]:
+def terms_of(source: Source) -> dict[str, Levels | Slope | None]:
     """How parameters may depend on every covariate of a source, by name; None: it does not vary enough.
 
     A level has values of its own if it was measured beside every fold of a hold-out as well.
@@ -114,12 +111,12 @@ def terms_of(source: Source) -> dict[str, Levels | Line | None]:
     return {item.name: _terms(item, folds) for item in source.covariates}
 
 
-def _terms(covariate: Covariate, folds: Sequence[Fold]) -> Levels | Line | None:
+def _terms(covariate: Covariate, folds: Sequence[Fold]) -> Levels | Slope | None:
     """See :func:`terms_of`."""
     every = [value for rows in covariate.values for value in rows]
     if covariate.numeric:
         numbers = np.array(every, dtype=float)
-        return Line(float(numbers.mean()), float(numbers.std())) if len(set(every)) >= LEAST_NUMBERS else None
+        return Slope(float(numbers.mean()), float(numbers.std())) if len(set(every)) >= LEAST_NUMBERS else None
     beside = [[value for number in fold.training for value in covariate.values[number]] for fold in folds]
     names = tuple(
         str(name)

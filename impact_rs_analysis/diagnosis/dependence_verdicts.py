@@ -25,13 +25,11 @@ from impact_rs_analysis.diagnosis.document import (
     EstimateDocument,
 )
 from impact_rs_analysis.diagnosis.fit import Fit
-from impact_rs_analysis.diagnosis.thresholds import SIGNIFICANT
+from impact_rs_analysis.diagnosis.thresholds import GOES_WITH, SIGNIFICANT
 from impact_rs_analysis.diagnosis.verdicts import clip_p, residual_size
 from impact_rs_analysis.evidence.source import Covariate, Source
-from impact_rs_sim.effects.depending import Depending, Levels, Line
+from impact_rs_sim.effects.depending import Depending, Levels, Slope
 from impact_rs_sim.robot import Array
-
-GOES_WITH = 0.9  # canonical correlation; of the variance of one, a fifth is then not that of the other
 
 
 def covariate_documents(source: Source) -> tuple[CovariateDocument, ...]:
@@ -98,7 +96,7 @@ def _accepted(found: Dependences, pair: Depending) -> DependenceDocument:
     elif rivals:
         verdict, reason = f"{CONFUSABLE}{{{', '.join(rivals)}}}", "these predict unseen data as well in its place"
     per_unit: dict[str, EstimateDocument] = {}
-    if isinstance(pair.terms, Line):
+    if isinstance(pair.terms, Slope):
         unit = next(item.unit for item in found.source.covariates if item.name == pair.covariate)
         per_unit = {
             name: _scaled(own, 1.0 / pair.terms.spread, unit or pair.covariate)
@@ -112,7 +110,7 @@ def _accepted(found: Dependences, pair: Depending) -> DependenceDocument:
         p_value=clip_p(found.choice.p_values[pair.name]),
         rivals=rivals,
         levels=estimates if isinstance(pair.terms, Levels) else {},
-        at_mean=estimates[pair.terms.labels[0]] if isinstance(pair.terms, Line) else {},
+        at_mean=estimates[pair.terms.labels[0]] if isinstance(pair.terms, Slope) else {},
         per_unit=per_unit,
         chosen_in_folds=sum(pair.name in names for names in found.folds),
         folds=len(found.folds),

@@ -125,7 +125,8 @@ class CovariateDocument(Schema):
     range: tuple[float, float] | None = Field(None, description="smallest and largest number, in the unit")
     tried: bool = Field(description="whether it varies enough to be tried")
     goes_with: dict[str, float] = Field(
-        {}, description="other covariates, or the impact speed, that it cannot be told from, with the correlation [-]"
+        {},
+        description="other covariates, or the impact speed, that it hardly differs from, with the correlation [-]",
     )
 
 

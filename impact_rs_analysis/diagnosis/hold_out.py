@@ -9,8 +9,8 @@ from elsewhere mislead where contacts slip. A search needs two clusters that see
 other; where fewer are left, the fold fits the effects that the search of all clusters found. Conditions are held out
 with all their repeats. Of several recordings whole recordings are held out; of a single one runs of neighbouring
 stretches, without the neighbours on either side. Where effects depend on covariates (``Source.interleaved``) one
-of every six neighbours is held out instead: a session of neighbouring rows would be held out as a whole, and nobody can
-predict a session from the others.
+of every six neighbours is held out instead: a session of neighbouring rows would be held out as a whole, and no session
+can be predicted from the others.
 """
 
 from __future__ import annotations

@@ -68,7 +68,7 @@ def _turn(view: ViewDocument) -> str:
 
 
 def _circumstances(document: DiagnosisDocument) -> list[str]:
-    """What depends on covariates, or that nothing does, and which covariates cannot be told apart."""
+    """What depends on covariates, or that nothing does, and which covariates go together."""
     found = [one for one in document.dependences if one.found]
     said = [_dependence(one, document) for one in found]
     if found and found[0].held_out_error_before is not None and found[0].held_out_error_after is not None:

@@ -91,7 +91,7 @@ RELEVANT = 0.005  # of the closing speed; 5 mm/s at 1 m/s, the resolution of bod
 LEAST_SCALE = 1e-6  # m/s; a model with smaller residuals is exact
 ALTERED = 1024  # physics with effects that were tried last
 KEPT = 128_000_000  # bytes of predictions of the whole table, with effects that were tried last
-TOLD_APART = 32  # numbers of a covariate; the mean of a group is within some hundredths of the range
+MOST_NUMBERS = 32  # numbers of a covariate; the mean of a group is within some hundredths of the range
 TELLING = 0.8  # of what the model leaves; scatter of neighbours above it says nothing
 MOST_SHOWN = 8  # levels of a covariate in a remark
 DECIDES = 0.2  # of what the model leaves; contacts that move predictions by more may decide
@@ -223,27 +223,27 @@ class ImpactTableSource(Source):
             found._groups, found.interleaved = tuple(_blocks(self.table, SMALL_BLOCKS)), True
             found.clusters = found._clusters()
         found._effects = self._effects | {effect.name: effect for effect in effects}
-        told = {name: self._told(name) for name in dict.fromkeys(effect.covariate for effect in effects)}
+        shown = {name: self._shown(name) for name in dict.fromkeys(effect.covariate for effect in effects)}
         places: dict[tuple[int, tuple[float | str, ...]], int] = {}
         found._worlds, found._world_of = [], []
         for row, world in enumerate(self._world_of):
-            values = tuple(of_rows[row] for of_rows in told.values())
+            values = tuple(of_rows[row] for of_rows in shown.values())
             if (world, values) not in places:
                 places[world, values] = len(places)
                 before = self._worlds[world]
-                circumstances = {**before.circumstances, **dict(zip(told, values, strict=True))}
+                circumstances = {**before.circumstances, **dict(zip(shown, values, strict=True))}
                 found._worlds.append(replace(before, circumstances=circumstances))
             found._world_of.append(places[world, values])
         found._altered, found._featured = Recent(ALTERED), Recent(ALTERED)
         return found
 
-    def _told(self, name: str) -> list[float | str]:
-        """A covariate by row; of more than ``TOLD_APART`` different numbers, means of groups of equal size."""
+    def _shown(self, name: str) -> list[float | str]:
+        """A covariate by row; of more than ``MOST_NUMBERS`` different numbers, means of groups of equal size."""
         values = [row.circumstances[name] for row in self.table.rows]
         numbers = np.array([value for value in values if isinstance(value, float)])
-        if len(set(values)) <= TOLD_APART or not numbers.size:
+        if len(set(values)) <= MOST_NUMBERS or not numbers.size:
             return values
-        for group in np.array_split(np.argsort(numbers, kind="stable"), TOLD_APART):
+        for group in np.array_split(np.argsort(numbers, kind="stable"), MOST_NUMBERS):
             numbers[group] = numbers[group].mean()
         return list(numbers.tolist())
 

@@ -53,7 +53,7 @@ class Levels:
 
 
 @dataclass(frozen=True)
-class Line:
+class Slope:
     """A covariate that is a number, on which parameters depend linearly.
 
     Attributes:
@@ -90,7 +90,7 @@ class Depending(Effect):
         terms: How parameters depend on it.
     """
 
-    def __init__(self, effect: Effect, covariate: str, terms: Levels | Line) -> None:
+    def __init__(self, effect: Effect, covariate: str, terms: Levels | Slope) -> None:
         self.effect, self.covariate, self.terms = effect, covariate, terms
         self.name = f"{effect.name} by {covariate}"
         self.acts_on, self.sentence, self.phases = effect.acts_on, effect.sentence, effect.phases

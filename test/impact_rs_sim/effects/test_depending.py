@@ -10,12 +10,12 @@ import pytest
 from impact_table_cases import cube
 
 from impact_rs_sim.effects import library
-from impact_rs_sim.effects.depending import Depending, Levels, Line
+from impact_rs_sim.effects.depending import Depending, Levels, Slope
 from impact_rs_sim.physics import Physics
 
 FRICTION, TANGENTIAL = library()["support_friction"], library()["tangential_restitution"]
 BY_SESSION = Depending(FRICTION, "session", Levels(("A", "B")))
-BY_TEMPERATURE = Depending(FRICTION, "temperature", Line(mean=20.0, spread=5.0))
+BY_TEMPERATURE = Depending(FRICTION, "temperature", Slope(mean=20.0, spread=5.0))
 
 
 def under(**circumstances: float | str) -> Physics:
