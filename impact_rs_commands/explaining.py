@@ -251,6 +251,13 @@ m/s.""",
             help="ranges of parameters that you know better, in their units, or a YAML file with EFFECT.PARAMETER: "
             "[LOW, HIGH]; they are not widened",
         ),
+        option(
+            "--unsure", kind="text", many=True, default=(), metavar="NAME=LOW:HIGH", advanced=True,
+            label="geometry that is not known well", otherwise="none",
+            help="with --impacts: ranges of what is not known well, in SI units: columns of the body (size_x, radius, "
+            "mass, ixx ...), offset_x ... of the tracked point from the centre, tilt_x and tilt_y of the plane; the "
+            "summary says if the verdict turns on them",
+        ),
         *SOURCE,
         option(
             "--each-arm", kind="switch", label="parameters of every arm separately", advanced=True,

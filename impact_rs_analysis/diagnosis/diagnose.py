@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -35,7 +36,7 @@ from impact_rs_analysis.diagnosis.fit import Evidence, Fit
 from impact_rs_analysis.diagnosis.hold_out import HoldOut, hold_out
 from impact_rs_analysis.diagnosis.next_experiment import next_experiment
 from impact_rs_analysis.diagnosis.search import NOTHING_KNOWN, ProgressCallback, Rival, Search
-from impact_rs_analysis.diagnosis.thresholds import LEAST_CLUSTERS, LEAST_P
+from impact_rs_analysis.diagnosis.thresholds import LEAST_CLUSTERS, LEAST_P, WIDE_TIE
 from impact_rs_analysis.diagnosis.verdicts import (
     MOST_RESTS,
     Findings,
@@ -101,6 +102,7 @@ def diagnose(
     )
     views = () if document.verdict == TOO_FEW else source.views()
     document = document.model_copy(update={"views": tuple(_view(view, model, only, bounds) for view in views)})
+    document = _over_ranges(document)
     summary = " ".join(filter(None, [summary_of(document), doubt_of(document.drift)]))
     return document.model_copy(update={"summary": summary})
 
@@ -115,7 +117,32 @@ def _view(view: View, model: Model, only: Sequence[str] | None, bounds: Bounds) 
         named=found.named,
         held_out_error_before=found.held_out_error_before,
         held_out_error_after=found.held_out_error_after,
+        of=view.of,
+        value=view.value if view.of else None,
+        unit=view.unit,
+        parameters={effect.name: effect.parameters for effect in found.effects if effect.name in found.named},
     )
+
+
+def _over_ranges(document: DiagnosisDocument) -> DiagnosisDocument:
+    """The document with intervals that hold over the ranges of what is not known well, where the data allow it."""
+    views = []
+    for view in document.views:
+        others = [other.held_out_error_after for other in document.views if other.of == view.of]
+        best = min([document.held_out_error_after, *others])
+        allowed = view.held_out_error_after <= best * math.exp(WIDE_TIE / 2.0)
+        views.append(view.model_copy(update={"allowed": allowed}) if view.of else view)
+    effects = []
+    for effect in document.effects:
+        named = [view for view in views if view.of and view.allowed and effect.name in view.parameters]
+        own = [view.parameters[effect.name] for view in named if effect.name in document.named]
+        wider = {}
+        for name, value in effect.parameters.items():
+            ends = [value.interval, *(other[name].interval for other in own)]
+            span = (min(low for low, _ in ends), max(high for _, high in ends))
+            wider[name] = value.model_copy(update={"ci95": span}) if own else value
+        effects.append(effect.model_copy(update={"parameters": wider}))
+    return document.model_copy(update={"effects": tuple(effects), "views": tuple(views)})
 
 
 def effects_for(source: Source, only: Sequence[str] | None = None, bounds: Bounds = NO_BOUNDS) -> list[Effect]:

@@ -303,6 +303,11 @@ class ViewDocument(Schema):
     named: tuple[str, ...] = Field(description="effects that it names")
     held_out_error_before: float = Field(description="held-out error of the model, in error_unit")
     held_out_error_after: float = Field(description="held-out error with the effects named, in error_unit")
+    of: str = Field("", description="what was given another value there; empty: nothing, or the points that touch")
+    value: float | None = Field(None, description="that value, in the unit; null: none")
+    unit: str = Field("", description="unit")
+    parameters: dict[str, dict[str, EstimateDocument]] = Field({}, description="estimates of the effects that it names")
+    allowed: bool = Field(True, description="whether unseen data are predicted as well as with the best value")
 
 
 class DiagnosisDocument(Schema):

@@ -3,6 +3,9 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
+
 from impact_rs_analysis.diagnosis.document import (
     NONE,
     NOTHING,
@@ -16,7 +19,7 @@ from impact_rs_analysis.diagnosis.document import (
     ViewDocument,
     explained,
 )
-from impact_rs_analysis.diagnosis.thresholds import SIGNIFICANT
+from impact_rs_analysis.diagnosis.thresholds import SIGNIFICANT, WIDE_TIE
 from impact_rs_analysis.evidence.cluster import TIMES
 from impact_rs_sim.numbers import estimate_in_line
 
@@ -26,9 +29,11 @@ MOST_LEVELS = 6  # in a sentence
 def summary_of(document: DiagnosisDocument) -> str:
     """Verdict, held-out error and largest residual in two to four sentences, and one for every other view."""
     parts = [view for view in document.views if not view.option]
-    turned = [view for view in document.views if view.option and set(view.named) != set(document.named)]
+    contacts = [view for view in document.views if view.option and not view.of]
+    turned = [view for view in contacts if set(view.named) != set(document.named)]
+    ranges = [_range(name, document) for name in dict.fromkeys(view.of for view in document.views if view.of)]
     sentences = [_verdict(document), *(_part(view, document) for view in parts)]
-    return " ".join([*sentences, *(_turn(view) for view in turned), *_circumstances(document)])
+    return " ".join([*sentences, *(_turn(view) for view in turned), *ranges, *_circumstances(document)])
 
 
 def _part(view: ViewDocument, document: DiagnosisDocument) -> str:
@@ -65,6 +70,44 @@ def _bounds(document: DiagnosisDocument) -> str:
 def _turn(view: ViewDocument) -> str:
     """That the verdict depends on a setting."""
     return f"The verdict turns on which points touch: with {view.name} it is {view.verdict} ({view.option})."
+
+
+def _range(name: str, document: DiagnosisDocument) -> str:
+    """Whether the verdict turns on something that is not known well, over its range."""
+    every = [view for view in document.views if view.of == name]
+    views = [view for view in every if view.allowed]
+    best = min(every, key=lambda view: view.held_out_error_after)
+    if not views:
+        return f"Every other value of {name} that was tried, {_ends(every)}, predicts unseen data worse."
+    text = f"the range of {name} that the data allow, {_ends(views)}" if len(views) < len(every) else ""
+    text = text or f"the whole range of {name}, {_ends(every)}"
+    prefer = ""
+    if best.held_out_error_after * math.exp(WIDE_TIE / 2.0) < document.held_out_error_after:
+        fall = _fall(document.held_out_error_after, best.held_out_error_after)
+        prefer = f" The data prefer {best.name}: held-out error {fall} {_unit(document)}."
+    if turned := [view for view in views if set(view.named) != set(document.named)]:
+        others = ", ".join(f"with {view.value:.4g} {view.unit} it is {view.verdict}" for view in turned)
+        return f"The verdict turns on {name}: {others}.{prefer}"
+    named = [effect for effect in document.effects if effect.name in document.named]
+    spans = []
+    for effect in named:
+        for key, own in effect.parameters.items():
+            values = [own.estimate, *(view.parameters[effect.name][key].estimate for view in views)]
+            label = effect.name if len(effect.parameters) == 1 else f"{effect.name}.{key}"
+            spans.append(f"{label} {_span(values, own.unit)}".removesuffix(" -"))
+    what = "names stay" if len(named) > 1 else "name stays" if named else "verdict stays"
+    return f"The {what} over {text}{': ' if spans else ''}{', '.join(spans)}.{prefer}"
+
+
+def _ends(views: Sequence[ViewDocument]) -> str:
+    """First and last value of a range."""
+    return _span([view.value for view in views if view.value is not None], views[0].unit)
+
+
+def _span(values: Sequence[float], unit: str) -> str:
+    """Smallest and largest of some values."""
+    ends = dict.fromkeys(f"{value:.3g}" for value in (min(values), max(values)))
+    return f"{' to '.join(ends)} {unit}"
 
 
 def _circumstances(document: DiagnosisDocument) -> list[str]:

@@ -234,7 +234,7 @@ class ImpactTableSource(Source):
                 circumstances = {**before.circumstances, **dict(zip(shown, values, strict=True))}
                 found._worlds.append(replace(before, circumstances=circumstances))
             found._world_of.append(places[world, values])
-        found._altered, found._featured = Recent(ALTERED), Recent(ALTERED)
+        found._altered, found._featured = Recent(ALTERED), Recent(max(1, KEPT // 4 // self._all_worth.nbytes))
         return found
 
     def _shown(self, name: str) -> list[float | str]:
@@ -258,12 +258,19 @@ class ImpactTableSource(Source):
         return self._map_discrepancy.document
 
     def views(self) -> tuple[View, ...]:
-        """See :meth:`Source.views`: joints and object of an arm apart, and other contact points where they decide."""
+        """See :meth:`Source.views`.
+
+        Joints and object of an arm apart, other contact points where they decide, and what is not known well.
+        """
         found = [View(name, part) for name, part in self._parts().items()]
         for times in (1.0 / WIDER, WIDER):
             if self._contacts_matter(times):
                 how = f"points within {1e3 * times * self.table.tolerance:g} mm"
                 found.append(View(how, self._with_contacts(times), "--contact-tolerance"))
+        for one in self.table.variants:
+            source = ImpactTableSource(one.table, self.model, discrepancy=self._map_discrepancy, remarks=False)
+            name = f"{one.of} = {one.value:.4g} {one.unit}"
+            found.append(View(name, source, "--unsure", one.of, one.value, one.unit))
         return tuple(found)
 
     @property

@@ -72,11 +72,17 @@ class View:
         name: What is looked at, in words.
         source: The evidence.
         option: Option of the command line whose other value it is; empty: a part of the signals.
+        of: What has another value there; empty: the points that touch.
+        value: That value, in the unit.
+        unit: Unit.
     """
 
     name: str
     source: Source
     option: str = ""
+    of: str = ""
+    value: float = 0.0
+    unit: str = ""
 
 
 class Source(ABC):

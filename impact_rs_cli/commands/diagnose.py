@@ -45,7 +45,7 @@ def run(args: argparse.Namespace, terminal: Terminal) -> int:
     extended = with_formulas(model, args.formulas)
     check_effects(extended, args.effects)
     bounds = read_bounds(args.bounds, extended.known_effects)
-    with measured(args, terminal, args.each_arm) as measurements:
+    with measured(args, terminal, args.each_arm, args.unsure) as measurements:
         document = diagnosis_of(measurements, model, extended, args.effects, terminal, args.output, bounds)
         if args.report is not None:
             with output_folder(args.report):

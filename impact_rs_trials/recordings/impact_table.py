@@ -59,6 +59,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from difflib import get_close_matches
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -104,6 +105,15 @@ MOST_POINTS = 8  # contact points that a row may name
 WIDER = 4.0  # tolerances; points between a quarter of one and so many may touch or not
 TOLERANCE = "contact_tolerance"
 TIME = "time"
+OF_BODY = ("mass", "ixx", "iyy", "izz", "size_x", "size_y", "size_z", "radius")  # columns that may be unsure
+UNSEEN_GEOMETRY = {  # what else may be unsure, 0 in a table: its unit
+    "offset_x": "m",  # of the tracked point from the centre, along the body's own axes
+    "offset_y": "m",
+    "offset_z": "m",
+    "tilt_x": "rad",  # of the plane's normal about x and y of A
+    "tilt_y": "rad",
+}
+SWEPT = (0.25, 0.5, 1.0)  # shares of the way from the assumed value to either end of a range
 SLIP = 0.75  # likeness from which an unknown column is taken for a slip of the pen
 
 
@@ -138,6 +148,23 @@ class ImpactRow:
 
 
 @dataclass(frozen=True)
+class Variant:
+    """A table read with another value of something that is not known well.
+
+    Attributes:
+        of: What it is: a column of the body, or an ``UNSEEN_GEOMETRY``.
+        value: Its value, in the unit; of a column whose rows differ, their mean.
+        unit: Unit.
+        table: The table with it.
+    """
+
+    of: str
+    value: float
+    unit: str
+    table: ImpactTable
+
+
+@dataclass(frozen=True)
 class ImpactTable:
     """A table of impacts.
 
@@ -155,6 +182,7 @@ class ImpactTable:
         assumed: Assumptions where the table has no column, as text.
         unread: Columns that are not used.
         covariates: Units of the covariates by name; empty where a header says none.
+        variants: The table with other values of what is not known well, over its range.
     """
 
     path: Path
@@ -168,6 +196,7 @@ class ImpactTable:
     turning: bool = True
     tolerance: float = GAP_TOLERANCE
     covariates: Mapping[str, str] = field(default_factory=dict)
+    variants: tuple[Variant, ...] = ()
 
 
 def read_impact_table(
@@ -176,6 +205,7 @@ def read_impact_table(
     questions: bool = False,
     tolerance: float = GAP_TOLERANCE,
     covariates: Sequence[str] = (),
+    unsure: Mapping[str, tuple[float, float]] = MappingProxyType({}),
 ) -> ImpactTable:
     """Read a table of impacts.
 
@@ -186,13 +216,28 @@ def read_impact_table(
         tolerance: How much further off than the nearest a point may be that touches [m].
         covariates: Names of the columns that say under which circumstances a row was measured. A column of numbers is
             a number, in the unit of its header; any other holds names of levels.
+        unsure: Ranges of what is not known well, in SI units: of columns of the body, whose rows keep their ratios, or
+            of ``UNSEEN_GEOMETRY``.
 
     Raises:
         InputError: It cannot be read, a column is missing or has another unit, or a row is no impact; the message names
             row and column, what is there, and what was expected.
     """
     header, cells, digest = _read(path)
-    return _Reader(path, header, cells, scenario, questions, tolerance, tuple(covariates)).table(digest)
+    reader = _Reader(path, header, cells, scenario, questions, tolerance, tuple(covariates))
+    table, found = reader.table(digest), []
+    for name, (low, high) in unsure.items():
+        assumed, unit = reader.assumed_geometry(name)
+        values = {assumed + share * (end - assumed) for end in (low, high) for share in SWEPT if end != assumed}
+        for value in sorted(values):
+            try:
+                other = replace(reader, geometry={name: value / assumed if name in OF_BODY else value}).table(digest)
+            except InputError as error:
+                raise InputError(
+                    f"with {name} = {value:.4g} {unit}: {error.message}", file=path, key=error.key
+                ) from None
+            found.append(Variant(name, value, unit, other))
+    return replace(table, variants=tuple(found))
 
 
 Cells = list[dict[str, Any]]
@@ -305,6 +350,7 @@ class _Reader:
         questions: Whether velocities after the impact are to be predicted.
         tolerance: How much further off than the nearest a point may be that touches [m].
         covariates: Names of the columns that say under which circumstances a row was measured.
+        geometry: Factors of columns of the body, and values of ``UNSEEN_GEOMETRY`` [m, rad].
     """
 
     path: Path
@@ -314,6 +360,7 @@ class _Reader:
     questions: bool = False
     tolerance: float = GAP_TOLERANCE
     covariates: tuple[str, ...] = ()
+    geometry: Mapping[str, float] = field(default_factory=dict)
     _where: dict[str, str] = field(default_factory=dict)  # header by name of a column
     _factor: dict[str, float] = field(default_factory=dict)
     _unit: dict[str, str] = field(default_factory=dict)
@@ -344,6 +391,26 @@ class _Reader:
             tolerance=float(np.mean(tolerances)),
             covariates={name: _name_and_unit(text)[1] for name, text in declared.items()},
         )
+
+    def assumed_geometry(self, name: str) -> tuple[float, str]:
+        """What a table that was read assumes of something that may be unsure, and its SI unit.
+
+        Raises:
+            InputError: There is nothing of that name here.
+        """
+        known = [column for column in OF_BODY if column in self._where]
+        known += [own for own in UNSEEN_GEOMETRY if not (self._arms and own.startswith("tilt"))]
+        if not self._turning_after:
+            known = [own for own in known if not own.startswith("offset")]
+        if name not in known:
+            raise InputError(
+                f"nothing called {name!r} can be unsure here{did_you_mean(name, known)}; known: {', '.join(known)}",
+                file=self.path,
+                key="--unsure",
+            )
+        if name in UNSEEN_GEOMETRY:
+            return 0.0, UNSEEN_GEOMETRY[name]
+        return float(np.mean([self._value(n, cells, name) for n, cells in enumerate(self.cells, start=1)])), BODY[name]
 
     def _declared(self) -> dict[str, str]:
         """Headers of the covariates by their names."""
@@ -542,7 +609,7 @@ class _Reader:
             raise InputError(f"expected a number [{unit}]", file=self.path, key=key, value=text) from None
         if not np.isfinite(value):
             raise InputError(f"expected a finite number [{unit}]", file=self.path, key=key, value=value)
-        return value * self._factor[name]
+        return value * self._factor[name] * self.geometry.get(name, 1.0)
 
     def _values(self, number: int, cells: Mapping[str, Any], names: Sequence[str]) -> Array:
         return np.array([self._value(number, cells, name) for name in names])
@@ -563,10 +630,16 @@ class _Reader:
             rotation=self._rotation(number, cells) if "qx" in self._where else np.eye(3),
             twist=self._values(number, cells, [*_triple("v", "_before"), *_triple("w", "_before")]),
         )
-        after = [self._after(number, cells, _triple("v", "_after"))]
         spin = _triple("w", "_after")
-        after.append(self._after(number, cells, spin) if self._turning_after else np.full(len(spin), np.nan))
-        normal = self._normal(number, cells)
+        turning = self._after(number, cells, spin) if self._turning_after else np.full(len(spin), np.nan)
+        after = [self._after(number, cells, _triple("v", "_after")), turning]
+        if any(lever := [self.geometry.get(f"offset_{axis}", 0.0) for axis in AXES]):
+            # v of the centre = v of the tracked point - omega x lever
+            off = body.rotation @ lever
+            moved = np.concatenate((body.twist[:3] - np.cross(body.twist[3:], off), body.twist[3:]))
+            body = BodyState(body.position - off, body.rotation, moved)
+            after[0] = after[0] - np.cross(turning, off)
+        normal = self._tilted(self._normal(number, cells))
         given = self._given_points(number, cells)
         object_name = self._object(number, cells)
         physics, models = self._assumption(number, cells, object_name)
@@ -621,6 +694,13 @@ class _Reader:
             )
         x, y, z, w = quaternion / length
         return np.asarray(pin.Quaternion(w, x, y, z).toRotationMatrix())
+
+    def _tilted(self, normal: Array | None) -> Array | None:
+        """The normal of a plane that is tilted further."""
+        tilt = [self.geometry.get(name, 0.0) for name in ("tilt_x", "tilt_y")]
+        if not any(tilt):
+            return normal
+        return np.asarray(pin.rpy.rpyToMatrix(*tilt, 0.0) @ (UP if normal is None else normal))
 
     def _normal(self, number: int, cells: Mapping[str, Any]) -> Array | None:
         if "nx" not in self._where:
