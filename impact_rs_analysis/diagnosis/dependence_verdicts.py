@@ -143,15 +143,17 @@ def _refused(found: Dependences, pair: Depending) -> DependenceDocument:
 
 
 def with_plain_names(
-    document: DiagnosisDocument, pooled: DiagnosisDocument, pairs: Sequence[Depending]
+    document: DiagnosisDocument, pairs: Sequence[Depending], pooled: DiagnosisDocument | None = None
 ) -> DiagnosisDocument:
-    """A diagnosis in which effects that depend on a covariate have their own names, and their pooled estimates.
+    """A diagnosis in which effects that depend on a covariate have their own names.
 
     Args:
         document: Of a search with the pairs in place of their effects.
-        pooled: Of the search with one value for all circumstances.
         pairs: Effects that depend on a covariate.
+        pooled: Of the search with one value for all circumstances, whose estimates are taken; None: they stay.
     """
+    if not pairs:
+        return document
 
     def plain(item: Any) -> Any:
         if isinstance(item, str):
@@ -163,6 +165,8 @@ def with_plain_names(
         return [plain(value) for value in item] if isinstance(item, list | tuple) else item
 
     found = DiagnosisDocument.model_validate(plain(document.model_dump(mode="python")))
+    if pooled is None:
+        return found
     one = {pair.effect.name: own.parameters for pair in pairs if (own := pooled.effect(pair.effect.name)) is not None}
     effects = tuple(
         effect.model_copy(update={"parameters": one.get(effect.name, effect.parameters)}) for effect in found.effects

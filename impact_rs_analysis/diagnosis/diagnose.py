@@ -9,7 +9,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from impact_rs_analysis.diagnosis.bounds import NO_BOUNDS, Bounds, bounded
-from impact_rs_analysis.diagnosis.dependence import dependences_of
+from impact_rs_analysis.diagnosis.dependence import Dependences, dependences_of
 from impact_rs_analysis.diagnosis.dependence_verdicts import (
     covariate_documents,
     dependence_documents,
@@ -93,23 +93,31 @@ def diagnose(
         again = findings_of(dependences.source, dependences.in_place_of(effects), progress)
         if dependences.settled_by(found, again) and again.chosen is not None:
             dependences, pairs = dependences.beside(again.chosen), dependences.pairs
-            document = with_plain_names(document_of(again, dependences.source, model), document, pairs)
+            document = with_plain_names(document_of(again, dependences.source, model), pairs, document)
     document = document.model_copy(
         update={
             "covariates": covariate_documents(source),
             "dependences": () if dependences is None else dependence_documents(dependences),
         }
     )
-    views = () if document.verdict == TOO_FEW else source.views()
-    document = document.model_copy(update={"views": tuple(_view(view, model, only, bounds) for view in views)})
+    others = [
+        (view, effects_for(view.source, only, bounds))
+        for view in (() if document.verdict == TOO_FEW else source.views())
+    ]
+    document = document.model_copy(
+        update={"views": tuple(_view(view, model, own, dependences) for view, own in others)}
+    )
     document = _over_ranges(document)
     summary = " ".join(filter(None, [summary_of(document), doubt_of(document.drift)]))
     return document.model_copy(update={"summary": summary})
 
 
-def _view(view: View, model: Model, only: Sequence[str] | None, bounds: Bounds) -> ViewDocument:
-    """The verdict on a view of the measurements."""
-    found = document_of(findings_of(view.source, effects_for(view.source, only, bounds)), view.source, model)
+def _view(view: View, model: Model, effects: Sequence[Effect], dependences: Dependences | None) -> ViewDocument:
+    """The verdict on a view of the measurements, with the dependences that were found."""
+    source, pairs = view.source, () if dependences is None else dependences.pairs
+    if dependences is not None and pairs:
+        source, effects = source.knowing(pairs), dependences.in_place_of(effects)
+    found = with_plain_names(document_of(findings_of(source, effects), source, model), pairs)
     return ViewDocument(
         name=view.name,
         option=view.option,
@@ -138,7 +146,7 @@ def _over_ranges(document: DiagnosisDocument) -> DiagnosisDocument:
         own = [view.parameters[effect.name] for view in named if effect.name in document.named]
         wider = {}
         for name, value in effect.parameters.items():
-            ends = [value.interval, *(other[name].interval for other in own)]
+            ends = [value.interval, *(other[name].interval for other in own if name in other)]
             span = (min(low for low, _ in ends), max(high for _, high in ends))
             wider[name] = value.model_copy(update={"ci95": span}) if own else value
         effects.append(effect.model_copy(update={"parameters": wider}))

@@ -74,13 +74,13 @@ def _turn(view: ViewDocument) -> str:
 
 def _range(name: str, document: DiagnosisDocument) -> str:
     """Whether the verdict turns on something that is not known well, over its range."""
-    every = [view for view in document.views if view.of == name]
-    views = [view for view in every if view.allowed]
-    best = min(every, key=lambda view: view.held_out_error_after)
+    whole = [view for view in document.views if view.of == name]
+    views = [view for view in whole if view.allowed]
+    best = min(whole, key=lambda view: view.held_out_error_after)
     if not views:
-        return f"Every other value of {name} that was tried, {_ends(every)}, predicts unseen data worse."
-    text = f"the range of {name} that the data allow, {_ends(views)}" if len(views) < len(every) else ""
-    text = text or f"the whole range of {name}, {_ends(every)}"
+        return f"Every other value of {name} that was tried, {_ends(whole)}, predicts unseen data worse."
+    text = f"the range of {name} that the data allow, {_ends(views)}" if len(views) < len(whole) else ""
+    text = text or f"the whole range of {name}, {_ends(whole)}"
     prefer = ""
     if best.held_out_error_after * math.exp(WIDE_TIE / 2.0) < document.held_out_error_after:
         fall = _fall(document.held_out_error_after, best.held_out_error_after)
@@ -92,7 +92,10 @@ def _range(name: str, document: DiagnosisDocument) -> str:
     spans = []
     for effect in named:
         for key, own in effect.parameters.items():
-            values = [own.estimate, *(view.parameters[effect.name][key].estimate for view in views)]
+            estimates = [view.parameters[effect.name] for view in views]
+            if not all(key in every for every in estimates):  # it depends on circumstances
+                continue
+            values = [own.estimate, *(every[key].estimate for every in estimates)]
             label = effect.name if len(effect.parameters) == 1 else f"{effect.name}.{key}"
             spans.append(f"{label} {_span(values, own.unit)}".removesuffix(" -"))
     what = "names stay" if len(named) > 1 else "name stays" if named else "verdict stays"

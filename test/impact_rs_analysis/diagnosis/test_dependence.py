@@ -9,14 +9,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 from ball_impacts import MASS, RADIUS, TWIST, Racket, bounced, thrown
-from impact_table_cases import write_csv
+from impact_table_cases import arm_table, write_csv
 
 from impact_rs_analysis.diagnosis.dependence_verdicts import correlation_of
 from impact_rs_analysis.diagnosis.diagnose import diagnose
 from impact_rs_analysis.diagnosis.document import CONFIRMED, DependenceDocument, DiagnosisDocument
 from impact_rs_analysis.evidence.impact_tables import ImpactTableSource
+from impact_rs_analysis.evidence.map_discrepancy import NO_MAP_DISCREPANCY
 from impact_rs_analysis.evidence.source import Covariate
 from impact_rs_sim.model import load_model
+from impact_rs_sim.scenario import load_scenario
 from impact_rs_trials.recordings.impact_table import read_impact_table
 
 NOMINAL = load_model(Path("nominal"))
@@ -203,6 +205,20 @@ def test_rows_of_one_condition_in_other_sessions_are_no_repeats(tmp_path: Path) 
     intervals = of_levels(found(document)["restitution", "session"])
     assert intervals["A"][0] < 0.52 < intervals["A"][1] < intervals["B"][0] < 0.61 < intervals["B"][1]
     assert document.error_unit == "times repeatability"
+
+
+def test_an_object_that_was_heavier_in_one_session_is_so_for_joints_and_object_alike(tmp_path: Path) -> None:
+    header, light = arm_table({"object_mass": [1.1]}, 3, seed=1)
+    _, heavy = arm_table({"object_mass": [1.3]}, 3, seed=2)
+    rows = [[*row, session] for session, part in (("A", light), ("B", heavy)) for row in part]
+    table = read_impact_table(
+        write_csv(tmp_path / "pushes.csv", [*header, "session"], rows), load_scenario("push"), covariates=["session"]
+    )
+    source = ImpactTableSource(table, NOMINAL, discrepancy=NO_MAP_DISCREPANCY)
+    document = diagnose(source, NOMINAL, ["object_mass"])
+    intervals = of_levels(found(document)["object_mass", "session"], "scale")
+    assert intervals["A"][0] < 1.1 < intervals["A"][1] < intervals["B"][0] < 1.3 < intervals["B"][1]
+    assert [view.verdict for view in document.views[:2]] == ["object_mass", "object_mass"]  # and no more is missing
 
 
 def test_covariates_that_go_together_are_said(tmp_path: Path) -> None:
