@@ -4,12 +4,13 @@
 Every effect is tried with every covariate, beside the effects that were found: with a value for each level, or, of a
 number, with a value at its mean and a change per standard deviation (:mod:`impact_rs_sim.effects.depending`). Those
 that were not found with one value for all are tried as well: what is more here and less there may be nothing on
-average, or drown in the scatter. A pair is accepted as effects are: the
-score test of what the covariate adds is significant after adjustment for all pairs (Benjamini and Hochberg), the error
-on left-out clusters falls by enough, among equals the one with the fewest parameters is taken, and the rest is tried
-again beside it. Then clusters are held out, the effects are fitted to the others alone, the choice of pairs is repeated
-there, and both predict the held-out clusters. A dependence counts if the interval of the change of that error lies
-below 0 and more than half of the folds find it.
+average, or drown in the scatter.
+
+A pair of an effect and a covariate is accepted as effects are: the score test of what the covariate adds is significant
+after adjustment for all pairs (Benjamini and Hochberg), the error on left-out clusters falls by enough, among equals
+the one with the fewest parameters is taken, and the rest is tried again beside it. Then clusters are held out, the
+effects are fitted to the others alone, the choice of pairs is repeated there, and both predict the held-out clusters. A
+dependence counts if the interval of the change of that error lies below 0 and more than half of the folds find it.
 
 What depends on a covariate was scatter to the search that found the effects, which hides some and lets others pass for
 it. So all effects are searched once more, with the dependent ones in place of themselves; a dependence that this search
@@ -29,7 +30,7 @@ import numpy as np
 from impact_rs_analysis.diagnosis.candidate import Candidate, linearise
 from impact_rs_analysis.diagnosis.fit import NEAR_STEPS, Evidence, Fit, measure_again, refine_again
 from impact_rs_analysis.diagnosis.hold_out import Fold, folds_of
-from impact_rs_analysis.diagnosis.search import SHORTLIST, adjusted, tied
+from impact_rs_analysis.diagnosis.search import SHORTLIST, ProgressCallback, adjusted, tied
 from impact_rs_analysis.diagnosis.thresholds import LEAST_NUMBERS, LEAST_ROWS_OF_LEVEL, SIGNIFICANT, TIE
 from impact_rs_analysis.diagnosis.verdicts import Findings, change_interval
 from impact_rs_analysis.evidence.source import Covariate, Source
@@ -126,11 +127,12 @@ def _terms(covariate: Covariate, folds: Sequence[Fold]) -> Levels | Slope | None
     return Levels(names) if len(names) > 1 else None
 
 
-def dependences_of(found: Findings) -> Dependences | None:
+def dependences_of(found: Findings, progress: ProgressCallback = lambda *_: None) -> Dependences | None:
     """Which effects depend on which covariate; None: there is nothing to try.
 
     Args:
         found: Of the search with one value for all circumstances.
+        progress: Called with fitted effects and their held-out error (:class:`Search`).
     """
     if not found.evidence.source.covariates or found.evidence.null.shortage is not None:
         return None
@@ -146,11 +148,11 @@ def dependences_of(found: Findings) -> Dependences | None:
     if not pairs:
         return None
     evidence, start = Evidence.of(source), np.empty(0) if found.chosen is None else found.chosen.estimate
-    choice = _choose(evidence, _fitted(chosen, start, evidence), pairs)
+    choice = _choose(evidence, _fitted(chosen, start, evidence), pairs, progress)
     if not choice.pairs:
         return Dependences(source, pairs, choice)
     folds = folds_of(source)
-    results = source.spread(partial(_predicted, chosen, start, pairs), folds, "hold-out of dependences")
+    results = source.spread(partial(_predicted, chosen, start, pairs, progress), folds, "hold-out of dependences")
     rest = {number: both for fold, (_, every) in zip(folds, results, strict=True) for number, both in every.items()}
     before, after = zip(*(rest[number] for number in range(len(source.clusters))), strict=True)
     names = tuple(own for own, _ in results)
@@ -173,12 +175,17 @@ def _common(name: str, choice: Choice, found: Sequence[tuple[str, ...]]) -> bool
 
 
 def _predicted(
-    effects: Sequence[Effect], start: Array, pairs: Sequence[Depending], source: Source, fold: Fold
+    effects: Sequence[Effect],
+    start: Array,
+    pairs: Sequence[Depending],
+    progress: ProgressCallback,
+    source: Source,
+    fold: Fold,
 ) -> tuple[tuple[str, ...], dict[int, tuple[Array, Array]]]:
     """Pairs that the other clusters show, and the mean residuals of a fold with the effects, without and with them."""
     evidence = Evidence.of(source, fold.training)
     fitted = _fitted(effects, start, evidence)
-    choice = _choose(evidence, fitted, pairs)
+    choice = _choose(evidence, fitted, pairs, progress)
     ends = [_rest(one, source, fold.held) for one in (fitted, choice.fit)]
     return tuple(one.name for one in choice.pairs), {n: (a, b) for n, a, b in zip(fold.held, *ends, strict=True)}
 
@@ -202,7 +209,7 @@ def _rest(fitted: Fit | None, source: Source, held: Sequence[int]) -> list[Array
     return [item.mean if own is None else own[0].mean for item, own in zip(items, found, strict=True)]
 
 
-def _choose(evidence: Evidence, fitted: Fit | None, pairs: Sequence[Depending]) -> Choice:
+def _choose(evidence: Evidence, fitted: Fit | None, pairs: Sequence[Depending], progress: ProgressCallback) -> Choice:
     """Forward choice of pairs beside a fit; an effect depends on one covariate at most."""
     chosen: list[Depending] = []
     rivals: dict[str, tuple[str, ...]] = {}
@@ -212,6 +219,8 @@ def _choose(evidence: Evidence, fitted: Fit | None, pairs: Sequence[Depending]) 
         free = [pair for pair in pairs if pair.effect.name not in taken]
         evidence = evidence if fitted is None else fitted.evidence
         proposals = {p.name: entry for p in free if (entry := _depending(evidence, fitted, p)) is not None}
+        for entry in proposals.values():
+            progress("+".join(entry.candidate.names), evidence.size(entry.held_out))
         p_values |= adjusted(_p_values(evidence, fitted, proposals), len(pairs))
         before = [item.mean for item in evidence.clusters] if fitted is None else fitted.problem.left_out_rest
         likely = [

@@ -121,10 +121,8 @@ def _accepted(found: Dependences, pair: Depending) -> DependenceDocument:
 
 def _refused(found: Dependences, pair: Depending) -> DependenceDocument:
     p: float | None = clip_p(found.choice.p_values.get(pair.name, 1.0))
-    verdict, reason = (
-        NO_IMPROVEMENT,
-        "" if p is None or p >= SIGNIFICANT else "significant, but it hardly lowers the held-out error",
-    )
+    significant = p is not None and p < SIGNIFICANT
+    verdict, reason = NO_IMPROVEMENT, "significant, but it hardly lowers the held-out error" if significant else ""
     if better := [one.covariate for one in found.pairs if one.effect.name == pair.effect.name]:
         p, reason = None, f"not tried beside {better[0]}, which predicts better"
     if pair in found.choice.pairs:

@@ -86,7 +86,7 @@ def diagnose(
     """
     effects = effects_for(source, only, bounds)
     found = findings_of(source, effects, progress)
-    dependences = dependences_of(found)
+    dependences = dependences_of(found, progress)
     document = document_of(found, source, model)
     if dependences is not None and dependences.pairs:
         # What depends on circumstances was scatter to the first search, which hides effects, or passes for some.
