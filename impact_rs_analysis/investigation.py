@@ -32,7 +32,7 @@ from typing import Any, Literal, Protocol
 import yaml
 from pydantic import Field
 
-from impact_rs_analysis.diagnosis.add import add_effect
+from impact_rs_analysis.diagnosis.add import add_effects
 from impact_rs_analysis.diagnosis.compare import ComparisonDocument, compare
 from impact_rs_analysis.diagnosis.diagnose import diagnose
 from impact_rs_analysis.diagnosis.discover import discover
@@ -368,7 +368,7 @@ class Investigation:
         document = document.model_copy(update={"model": _identity(model)})
         self._say(f"Round {here.number}: {name}: {done.add[index]}")
         output = self.directory / name
-        save_model(add_effect(model, Path(parent), document, source, done.add[index], output, False), output)
+        save_model(add_effects(model, Path(parent), document, source, [done.add[index]], output, False), output)
 
     def _fails(self, here: Round) -> bool:
         """Whether a model with effects does not hold."""

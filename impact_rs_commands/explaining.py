@@ -367,21 +367,24 @@ impact-rs discover lab/ --experiment experiment.yaml --grammar my_terms.yaml -o 
 
 ADD = Command(
     name="add",
-    summary="add a diagnosed effect to a model",
+    summary="add diagnosed effects to a model",
     module="add_effect",
     about="""\
-Write a new model file: the old model and one effect with the parameters of a diagnosis.
+Write a new model file: the old model and effects with the parameters of a diagnosis.
 
 The new file names its parent, so impact-rs history can list all versions. Model files are never overwritten. The
-command refuses a diagnosis of another model, and an effect that the trials do not determine; --force adds an effect
-whose verdict is NO-IMPROVEMENT.""",
+command refuses a diagnosis of another model, and an effect that the trials do not determine; --force adds effects
+whose verdict is NO-IMPROVEMENT. Effects that a diagnosis names together belong together: their parameters were fitted
+together.""",
     examples="""\
 impact-rs add torque_offset --model config/models/nominal.yaml --from diagnosis.json -o model_2.yaml
 impact-rs compare campaigns/blind/runs --model model_2.yaml""",
-    output="the effect with its parameters, and a YAML file.",
+    output="the effects with their parameters, and a YAML file.",
     units="those of the diagnosis and the model file.",
     options=(
-        argument("effect", "name of an effect of the diagnosis", kind="effect", metavar="EFFECT"),
+        argument(
+            "effect", "effects of the diagnosis, by name", kind="effect", metavar="EFFECT", many=True, label="effects"
+        ),
         MODEL._replace(label="model that was diagnosed", advanced=True),
         option(
             "--from", name="source", kind="diagnosis", required=True, metavar="FILE.json", label="diagnosis",
@@ -389,8 +392,8 @@ impact-rs compare campaigns/blind/runs --model model_2.yaml""",
         ),
         output("new_file", "new model file", "FILE.yaml", required=True, label="new model"),
         option(
-            "--force", kind="switch", help="add the effect even if its verdict is NO-IMPROVEMENT",
-            label="add it even if it does not reduce the error",
+            "--force", kind="switch", help="add effects even if their verdict is NO-IMPROVEMENT",
+            label="add them even if they do not reduce the error",
         ),
         JSON,
     ),

@@ -241,6 +241,11 @@ impact-rs robot check my_robot.yaml --scenario my_push.yaml""",
                     "--inertia-at", choices=("centre", "joint"), default="centre",
                     help="where the moments of inertia are about: the centre of mass, as the format says, or the joint",
                 ),
+                option(
+                    "--lock", many=True, default=(), metavar="JOINT=PLACE",
+                    help="joints that were held, and where [rad, m]: torso_lift=0.15 'head_*=0' 'finger*=0.04'; they "
+                    "become fixed, on the chain and beside it",
+                ),
                 option("--source", metavar="TEXT", help="where the numbers come from, with their licence"),
                 JSON,
             ),

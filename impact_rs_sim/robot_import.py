@@ -30,7 +30,7 @@ from impact_rs_sim.robot import UNITS, Array, Flange, JointOrigin, JointType, Li
 from impact_rs_sim.schema import parse_yaml, validate
 from impact_rs_sim.urdf_chain import MOVES_AS, Chain, UrdfTree, child_of
 from impact_rs_sim.urdf_repairs import Limits as GivenLimits
-from impact_rs_sim.urdf_repairs import about_centre, given_limits, looks_about_joint
+from impact_rs_sim.urdf_repairs import about_centre, given_limits, locked_joints, looks_about_joint
 
 FULL_TURN = 2.0 * math.pi  # rad; what a joint without position limits gets to either side
 TYPED: dict[JointType, str] = {"revolute": "", "prismatic": "type: prismatic, "}  # as a file of facts says it
@@ -59,6 +59,7 @@ def import_urdf(
     source: str | None = None,
     limits: Sequence[str] = (),
     inertia_at: Literal["centre", "joint"] = "centre",
+    lock: Sequence[str] = (),
 ) -> ImportedRobot:
     """Facts of the arm from link ``base`` to link ``tip`` of a URDF.
 
@@ -69,14 +70,16 @@ def import_urdf(
         source: Where the numbers come from; None: the file's name.
         limits: Limits in place of those of the URDF (:func:`~impact_rs_sim.urdf_repairs.given_limits`).
         inertia_at: Where its moments of inertia are about: the centre of mass, as the format says, or the joint.
+        lock: Places in which joints are held (:func:`~impact_rs_sim.urdf_repairs.locked_joints`).
 
     Raises:
         InputError: The file is no URDF, has no such chain, or lacks a number that is needed.
     """
     tree = UrdfTree(file)
+    held = _locked(tree, lock)
     chain = tree.chain(base, tip)
     _check_inertials(tree, chain)
-    notes = [*tree.notes, *_moved_inertias(tree, chain, inertia_at)]
+    notes = [*tree.notes, *held, *_moved_inertias(tree, chain, inertia_at)]
     chain = tree.chain(base, tip)
     given = given_limits(limits, [joint.get("name", "") for joint in chain.joints], file)
     try:
@@ -273,6 +276,27 @@ def _limits(
             raise InputError(said, file=tree.file, key=f"{key} {quantity}")
         most.append(value)
     return lower, upper, most[0], most[1]
+
+
+def _locked(tree: UrdfTree, texts: Sequence[str]) -> list[str]:
+    """Joints fixed where the user says that they were held; notes on them."""
+    moving = {joint.get("name", ""): joint for joint in tree.above.values() if joint.get("type") in MOVES_AS}
+    notes = []
+    for name, place in locked_joints(texts, list(moving), tree.file).items():
+        joint, origin = moving[name], moving[name].find("origin")
+        turn = pin.rpy.rpyToMatrix(*tree.numbers(origin, "rpy", 3, "0 0 0", f"joint {name}: origin rpy"))
+        axis, shift = _axis(tree, joint), np.zeros(3)
+        if _type(joint) == "prismatic":
+            shift = turn @ axis * place
+        else:
+            turn = turn @ pin.exp3(axis * place)
+        placed = _placement(np.array(_origin(tree, joint)) + shift, turn)
+        origin = Xml.SubElement(joint, "origin") if origin is None else origin
+        for attribute, values in placed.items():
+            origin.set(attribute, " ".join(repr(value) for value in values))
+        notes.append(f"Joint {name} is held at {place:g} {UNITS[_type(joint)].position}, as given.")
+        joint.set("type", "fixed")
+    return notes
 
 
 def _moved_inertias(tree: UrdfTree, chain: Chain, inertia_at: str) -> list[str]:

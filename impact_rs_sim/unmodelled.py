@@ -273,7 +273,7 @@ LAWS: dict[str, Callable[[float, int], PlantExtension]] = {
     "object_quadratic_drag": _at("object", lambda s, m: -2.0 * m * np.linalg.norm(s.object_v) * s.object_v),
     "object_cubic_drag": _at("object", lambda s, m: -3.0 * m * float(s.object_v @ s.object_v) * s.object_v),
     "object_linear_drag": _at("object", lambda s, m: -1.0 * m * _horizontal(s.object_v)),
-    "object_spring_from_place": _at("object", lambda s, m: _along(1, -1.0 * m * _beyond(-s.object_x[1] - 0.25, 0.0))),
+    "object_spring_from_place": _at("object", lambda s, m: _along(1, m * _beyond(-s.object_x[1] - 0.25, 0.0))),
     "object_growing_force": _at("object", lambda s, m: _along(1, 1.5 * m * s.since)),
     "motor4_ripple": _joint("motor", 4, lambda s, m: 0.1 * m * np.sin(6.0 * s.q[3])),
     "motor2_ripple": _joint("motor", 2, lambda s, m: 0.1 * m * np.sin(20.0 * s.q[1])),

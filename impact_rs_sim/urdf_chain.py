@@ -3,7 +3,7 @@
 
 A URDF is a tree of links. An arm is the way from its base to its tip. Links that are fixed beside this way ride on it
 and belong to it; links beyond the tip do not, for they are what a scenario calls the end effector. Nothing is locked in
-silence: a joint that moves beside the way is refused.
+silence: a joint that moves beside the way is refused, unless the user says where it stands.
 """
 
 from __future__ import annotations
@@ -239,8 +239,8 @@ class UrdfTree:
                 continue
             if joint.get("type") != "fixed":
                 self._fail(
-                    f"this {joint.get('type')} joint moves beside the chain, on link {link!r}; "
-                    "expected fixed, or another --tip",
+                    f"this {joint.get('type')} joint moves beside the chain, on link {link!r}; expected fixed, another "
+                    f"--tip, or --lock {_name(joint)}=0, the place in which it was held [rad or m]",
                     f"joint {_name(joint)}",
                 )
             yield joint

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a URDF lacks or has wrong, and how the user puts it right: limits, and moments of inertia about joints.
+"""What a URDF lacks or has wrong, and how the user puts it right: limits, moments of inertia about joints, held joints.
 
 A URDF states moments of inertia about the centre of mass. Some are written about the joint instead, which is too much
 by Steiner's term,
@@ -14,6 +14,8 @@ say nothing.
 
 from __future__ import annotations
 
+import fnmatch
+import math
 import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -66,6 +68,34 @@ def given_limits(texts: Sequence[str], joints: Sequence[str], file: Path) -> Lim
         for joint in joints if match["joint"] == EVERY else (match["joint"],):
             if match["joint"] != EVERY or (joint, match["quantity"]) not in found:
                 found[joint, match["quantity"]] = numbers
+    return found
+
+
+def locked_joints(texts: Sequence[str], joints: Sequence[str], file: Path) -> dict[str, float]:
+    """Places in which joints are held, by joint [rad or m].
+
+    Args:
+        texts: ``head_1=0.2``, ``head_*=0``; ``*`` matches any text, and a joint by its name goes first.
+        joints: Names of the joints that move.
+        file: The URDF, for messages.
+
+    Raises:
+        InputError: A text says something else, or no joint is called so.
+    """
+    found: dict[str, float] = {}
+    for text in sorted(texts, key=lambda text: EVERY in text):
+        name, _, value = text.rpartition("=")
+        try:
+            place = decimal(value)
+        except ValueError:
+            place = math.nan
+        if not name or not math.isfinite(place):
+            raise InputError("expected JOINT=PLACE, a number in rad or m; * matches any text", key="--lock", value=text)
+        matching = fnmatch.filter(joints, name)
+        if not matching:
+            near = did_you_mean(name, joints)
+            raise InputError(f"no joint {name!r} moves{near}; it has: {', '.join(joints)}", file=file, key="--lock")
+        found = dict.fromkeys(matching, place) | found
     return found
 
 

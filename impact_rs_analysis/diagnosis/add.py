@@ -1,33 +1,41 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A better model: the parent with one diagnosed effect."""
+"""A better model: the parent with diagnosed effects."""
 
 from __future__ import annotations
 
 import os
+from collections.abc import Sequence
 from pathlib import Path
 
 from impact_rs_analysis.diagnosis.document import NO_IMPROVEMENT, TOO_FEW, UNIDENTIFIABLE, DiagnosisDocument
+from impact_rs_sim.effects.formula import FormulaSpec
 from impact_rs_sim.errors import InputError, did_you_mean
 from impact_rs_sim.model import Model, ModelEffect, ParameterValue, check_model
 from impact_rs_sim.paths import config_directory
 
 
-def add_effect(
-    model: Model, model_file: Path, document: DiagnosisDocument, source: Path, name: str, output: Path, force: bool
+def add_effects(
+    model: Model,
+    model_file: Path,
+    document: DiagnosisDocument,
+    source: Path,
+    names: Sequence[str],
+    output: Path,
+    force: bool,
 ) -> Model:
-    """The child model with one diagnosed effect, not yet written.
+    """The child model with diagnosed effects, not yet written; estimates are those of all effects of the diagnosis.
 
     Args:
         model: Parent.
         model_file: Its file.
         document: Diagnosis of the parent.
         source: File of the diagnosis.
-        name: Effect to add.
+        names: Effects to add.
         output: File of the child, to name the parent relative to it.
-        force: Add it even if the diagnosis found no improvement.
+        force: Add them even if the diagnosis found no improvement.
 
     Raises:
-        InputError: The diagnosis is of another model, does not contain the effect, or advises against it.
+        InputError: The diagnosis is of another model, does not contain an effect, or advises against it.
     """
     if document.model.digest != model.digest:
         raise InputError(
@@ -35,6 +43,20 @@ def add_effect(
             f"{model.name!r} (digest {model.digest}) in {model_file}; diagnose that one, or name the model of this one",
             file=source,
         )
+    arms = document.arms or model.arms
+    child, notes = model, []
+    for name in dict.fromkeys(names):
+        item, formulas, note = _diagnosed(child, document, source, name, force)
+        child = child.with_effect(item, output.stem, _parent_name(model_file, output), formulas)
+        notes.append(note)
+    whole = {"note": "; ".join(notes), "arms": arms, "parent_digest": model.digest}
+    return check_model(child.model_copy(update=whole), source)
+
+
+def _diagnosed(
+    model: Model, document: DiagnosisDocument, source: Path, name: str, force: bool
+) -> tuple[ModelEffect, tuple[FormulaSpec, ...], str]:
+    """An effect with its parameters, its formula if it is one, and a note on its verdict."""
     found = document.effect(name)
     if found is None:
         known = [effect.name for effect in document.effects]
@@ -67,13 +89,11 @@ def add_effect(
         key: ParameterValue(estimate=value.estimate, unit=value.unit, ci95=value.ci95)
         for key, value in found.parameters.items()
     }
-    item = ModelEffect(name=name, parameters={**nominal, **estimated})
-    child = model.with_effect(item, output.stem, _parent_name(model_file, output), formulas)
     note = (
         f"{name}: {found.verdict}; held-out error {before:.3g} -> {after:.3g} {document.error_unit} in "
         f"{document.runs.trials} {document.source}"
     )
-    return check_model(child.model_copy(update={"note": note, "arms": arms}), source)
+    return ModelEffect(name=name, parameters={**nominal, **estimated}), formulas, note
 
 
 def _parent_name(model_file: Path, output: Path) -> str:

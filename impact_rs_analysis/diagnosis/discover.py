@@ -217,7 +217,7 @@ def _curves(laws: Iterable[Law], ranges: Mapping[str, Range], offset: bool) -> I
     apart = {(law.place, law.where, law.symbol): law for law in laws if law.symbol in ranges}
     for law in apart.values():
         for count in KNOTS:
-            absolute = not (offset and law.where.startswith("joint"))
+            absolute = not (offset and law.joints)
             yield curve_of(law, ranges[law.symbol], count, absolute)
 
 
@@ -290,9 +290,9 @@ def _where(known: Findings, laws: Iterable[Law]) -> list[str]:
         seen = {joint for joint, size in left.items() if size > max(SEEN, SHARE * max(left.values()))}
         apart: dict[tuple[str, ...], str] = {}  # a torque on a motor and one on its link are the same there
         for law in laws:
-            if law.where in seen:
+            if seen & set(law.joints):
                 apart.setdefault((law.where, law.symbol, law.form), law.spec.name)
-            elif law.needs and not law.where.startswith("joint") and len(seen) > 1:  # a force is felt by several joints
+            elif law.needs and not law.joints and len(seen) > 1:  # a force is felt by several joints
                 apart[law.spec.name,] = law.spec.name
         return list(apart.values())
     sizes: dict[str, dict[str, float]] = {}
@@ -312,7 +312,7 @@ def _where(known: Findings, laws: Iterable[Law]) -> list[str]:
             continue
         signal = sizes.get(law.needs, {})
         largest = max(signal.values(), default=0.0)
-        own_size = signal.get(law.where, 0.0) if law.where.startswith("joint") else largest
+        own_size = max((signal.get(joint, 0.0) for joint in law.joints), default=largest)
         if own_size > max(SEEN, SHARE * largest):
             found.append(law.spec.name)
     return found
@@ -376,9 +376,7 @@ def _summary(verdict: str, laws: Sequence[LawDocument], diagnosis: DiagnosisDocu
         *(law.sentence if law.curved else f"{law.sentence} {law.formula}." for law in laws),
         f"Held-out error: {before:.3g} → {after:.3g} {diagnosis.error_unit}.",
         *(law.tie for law in laws),
-        f"It stands beside {' and '.join(beside)} of the library: add those first, then discover again."
-        if beside
-        else "",
+        f"Beside {' and '.join(beside)} of the library, fitted together: add them together." if beside else "",
     ]
     return " ".join(filter(None, sentences))
 
@@ -388,8 +386,8 @@ def _law(diagnosis: DiagnosisDocument, law: Law, ranges: Mapping[str, Range], la
     assert effect is not None
     key, table = law.formula
     rows = table if isinstance(table, dict) else {"": table}
-    place = PLACES_OF[key]
-    where = f" {law.where.removeprefix('joint')}" if law.where else ""
+    place = PLACES_OF[key] + ("s" if len(law.joints) > 1 else "")
+    where = f" {' and '.join(law.where.removeprefix('joint').split('_'))}" if law.where else ""
     domain = ranges.get(law.symbol)
     return LawDocument(
         name=law.spec.name,
@@ -414,10 +412,10 @@ def _law(diagnosis: DiagnosisDocument, law: Law, ranges: Mapping[str, Range], la
 
 
 def _in_one_line(rows: Mapping[str, str], law: Law) -> str:
-    """Formulas by joint or axis; those along a vector as one."""
+    """Formulas by joint or axis; equal ones, and those along a vector, as one."""
     vector, of_place = law.quantity.vector, law.quantity.of_place
     if not vector(AXES[0]) or len(rows) != len(AXES):
-        return "; ".join(rows.values())
+        return "; ".join(dict.fromkeys(rows.values()))
     if not of_place:
         return rows[AXES[0]].replace(vector(AXES[0]), f"({', '.join(map(vector, AXES))})")
     factor = rows[AXES[0]].removesuffix(f" * {vector(AXES[0])}").replace(f"({law.symbol})", law.symbol)

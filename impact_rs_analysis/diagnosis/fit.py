@@ -30,6 +30,7 @@ NEAR = 0.1  # parameter scales; a correction below this does not depend on where
 MOST_LOOKS = 4
 DOUBLINGS = 8  # of the half width of an interval
 BENT = 0.5  # of the rise of the squares in a straight model; below, an end of an interval lies further out
+SLOW = 0.5  # of the error is left by a step whose sensitivities are those of another place
 WIDENINGS = 4  # of the range of a parameter, to sixteen times its declared width
 HOPELESS = 3.0  # times the squared error of the best fit; a fit above it is dropped
 
@@ -266,9 +267,10 @@ class Fit:
 
         Where features bend (a box tips, a contact slips), sensitivities at the estimate are not those at the end of the
         interval. So each end is simulated, with the other parameters moved along (profile of the squares of residuals),
-        and is moved out until the squares rise as much as they would in a straight model.
+        and is moved out until the squares rise as much as they would in a straight model. Bounds of physics cut
+        intervals off; the range of a search does not.
         """
-        candidate, inverse = self.candidate, np.linalg.inv(self.problem.total)
+        candidate, inverse = self.with_room, np.linalg.inv(self.problem.total)
         half, least = self.half_widths, self._squares_at([self.estimate])[0]
         if not np.isfinite(least):
             least = 0.0  # nothing to compare with: the ends stay where they are
@@ -290,6 +292,18 @@ class Fit:
                 reach[left] *= 2.0
             ends[side] = np.clip(self.estimate + side * reach * candidate.scale, candidate.lower, candidate.upper)
         return np.minimum(ends[-1.0], self.estimate), np.maximum(ends[1.0], self.estimate)
+
+    @property
+    def with_room(self) -> Candidate:
+        """The candidate with ranges that hold the intervals, as far as physics and the user let it."""
+        candidate, half = self.candidate, self.half_widths * self.candidate.scale
+        for _ in range(WIDENINGS):
+            beyond = (self.estimate - half < candidate.lower) | (self.estimate + half > candidate.upper)
+            wider = candidate.widened(beyond, self.evidence.source) if np.any(beyond) else None
+            if wider is None:
+                break
+            candidate = wider
+        return candidate
 
     def _squares_at(self, points: Sequence[Array]) -> Array:
         """Sums of squared scaled residuals at other parameters, ``(k,)``; infinite where they cannot be simulated."""
@@ -371,7 +385,12 @@ def _beyond_bounds(fit: Callable[[Candidate], Fit], start: Candidate) -> Fit:
 
 
 def _refine(candidate: Candidate, evidence: Evidence, give_up: float) -> Fit:
-    """Steps with the sensitivities of the start (chord method), within the bounds of the candidate."""
+    """Steps within the bounds of the candidate with the sensitivities of the start, or new ones where those are slow.
+
+    The chord method is the cheaper one where features are nearly linear. Where an effect acts far from the start by
+    another law than near it, as a damping that takes most of the velocity from a trial, its steps are short. In
+    recordings, which are not simulated, slow steps are those of parameters that are hardly determined.
+    """
     fitted, trust, unseen = Fit.of(candidate, evidence), np.inf, candidate.unseen
     for number in range(_steps(evidence)):
         if fitted.converged or (number >= 1 and (unseen or fitted.misfit > give_up)):
@@ -379,7 +398,9 @@ def _refine(candidate: Candidate, evidence: Evidence, give_up: float) -> Fit:
         moved, trust = _moved(fitted, trust)
         if moved is None:  # the sensitivities promise what simulations do not keep
             return fitted.at_point
-        fitted = moved
+        least = max(SLOW * fitted.error_at_point, float(evidence.expected.mean()))
+        slow = evidence.source.repeated and moved.error_at_point > least
+        fitted = Fit.of(_relinearised(moved.candidate, evidence), evidence) if slow else moved
     return fitted
 
 

@@ -105,7 +105,11 @@ class Place(Schema):
     """What a law acts on."""
 
     formula: str = Field(description="key of a formula effect")
-    each: Literal["joint", "axis", "vector", "once"] = Field("once", description="what there is one law of")
+    each: Literal["joint", "pair", "opposed", "axis", "vector", "once"] = Field(
+        "once",
+        description="what there is one law of; pair: two joints in a row with the same torque, opposed: the second one "
+        "has its reaction",
+    )
     unit: str = Field(description="unit of the force or torque")
     noticeable: float = Field(gt=0.0, description="amplitude at which it matters, in the unit")
     words: str = Field(description="what it is, in a sentence")
@@ -130,7 +134,7 @@ class Law:
     Attributes:
         spec: The formula effect.
         place: Name of its place in the grammar.
-        where: Joint (``joint4``) or axis; empty: none.
+        where: Joint (``joint4``), two of them (``joint4_5``) or axis; empty: none.
         quantity: Its quantity.
         symbol: The same as a formula.
         form: Name of its form.
@@ -141,6 +145,7 @@ class Law:
         unit: Unit of the force or torque.
         noticeable: Amplitude at which it matters, in the unit.
         opposes: Whether the formula is minus the profile.
+        reacts: Whether the second of two joints has the reaction.
         knots: Values of the quantity between which a free curve is straight; empty: it is a law.
     """
 
@@ -157,7 +162,13 @@ class Law:
     unit: str
     noticeable: float
     opposes: bool
+    reacts: bool = False
     knots: tuple[float, ...] = ()
+
+    @property
+    def joints(self) -> tuple[str, ...]:
+        """Joints that it acts on by itself, as ``joint4``; empty: a force, which all may feel."""
+        return _joints(self.where)
 
     @property
     def formula(self) -> tuple[str, dict[str, str] | str]:
@@ -240,6 +251,8 @@ def laws_of(grammar: Grammar, ranges: Mapping[str, Range], joints: int) -> Itera
 def _wheres(place: Place, joints: int) -> Sequence[str]:
     if place.each == "joint":
         return [f"joint{number}" for number in range(1, joints + 1)]
+    if place.each in ("pair", "opposed"):
+        return [f"joint{number}_{number + 1}" for number in range(1, joints)]
     return AXES if place.each == "axis" else ("",)
 
 
@@ -296,9 +309,9 @@ def _law(
     else:
         text = _inserted(profile, symbol)
         text = f"-({text})" if opposes else text
-        formula = {where: text} if where else text
+        formula = _on_joints(text, _joints(where), place.each == "opposed") or ({where: text} if where else text)
     number = where.removeprefix("joint")
-    words = f"{place.words} {number}".strip()
+    words = f"{place.words} {' and '.join(number.split('_'))}".strip()
     spec = FormulaSpec.model_validate(
         {
             "name": _name(place_name, place, quantity_name, form_name, number),
@@ -327,14 +340,27 @@ def _law(
         unit=place.unit,
         noticeable=place.noticeable,
         opposes=opposes or place.each == "vector",
+        reacts=place.each == "opposed",
     )
+
+
+def _joints(where: str) -> tuple[str, ...]:
+    """``joint4``, ``joint5`` of ``joint4_5``."""
+    numbers = where.removeprefix("joint").split("_") if where.startswith("joint") else ()
+    return tuple(f"joint{number}" for number in numbers)
+
+
+def _on_joints(text: str, joints: Sequence[str], reacts: bool) -> dict[str, str]:
+    """A torque on one joint or two, by joint."""
+    reaction = text.removeprefix("-") if text.startswith("-(") else f"-({text})"
+    return {joint: reaction if reacts and place > 0 else text for place, joint in enumerate(joints)}
 
 
 def _symbol(quantity: Quantity, where: str) -> str:
     """The formula of a quantity at a joint or along an axis."""
     if not where.startswith("joint"):
         return quantity.formula
-    number = int(where.removeprefix("joint"))
+    number = int(_joints(where)[-1].removeprefix("joint"))
     return quantity.formula.replace("{joint}", str(number)).replace("{before}", str(number - 1))
 
 
@@ -380,7 +406,7 @@ def curve_of(law: Law, domain: Range, count: int = KNOTS[0], absolute: bool = Tr
     elif vector(AXES[0]):
         rows = {axis: f"-({text}) * {vector(axis)} / max({law.symbol}, {0.01 * high:.2g})" for axis in table}
     else:
-        rows = dict.fromkeys(table, text)
+        rows = _on_joints(text, law.joints, law.reacts) or dict.fromkeys(table, text)
     most = WIDEST * law.noticeable
     force = FormulaParameter(unit=law.unit, lower=-most, upper=most, scale=law.noticeable)
     stem = law.spec.name.removesuffix(f"_{law.form}")
@@ -403,7 +429,7 @@ def _name(place_name: str, place: Place, quantity: str, form: str, number: str) 
     """Name of a law: ``motor4_velocity_cube``, ``end_effector_y_above_x``, ``object_drag_square``."""
     if place.each == "vector":
         return f"{place_name}_{form}"
-    where = {"joint": number, "axis": f"_{number}"}.get(place.each, "")
+    where = f"_{number}" if place.each == "axis" else number
     return f"{place_name}{where}_{quantity.removeprefix(f'{place_name}_')}_{form}"
 
 

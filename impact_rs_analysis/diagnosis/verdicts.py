@@ -464,7 +464,7 @@ def _error_without(found: Findings, name: str) -> float | None:
 
 def _straight(fitted: Fit) -> tuple[Array, Array]:
     """Ends of the 95 % intervals of a linear fit, within the bounds, ``(p,)`` each."""
-    candidate, half = fitted.candidate, fitted.half_widths * fitted.candidate.scale
+    candidate, half = fitted.with_room, fitted.half_widths * fitted.candidate.scale
     return np.maximum(fitted.estimate - half, candidate.lower), np.minimum(fitted.estimate + half, candidate.upper)
 
 
@@ -525,6 +525,8 @@ def _joint(found: Findings, fitted: Fit, index: int) -> tuple[str, float, float 
     p = fitted.problem.p_value(evidence.shifted(shifts).null, [index])
     rest, rest_without = fitted.problem.left_out_rest, without.left_out_rest
     own, own_without = (_of_joint(evidence, values, scalar.arm, joint) for values in (rest, rest_without))
+    if not own.size:  # nothing of the joint was measured
+        return UNIDENTIFIABLE, 1.0, None, None
     error, error_without = float(own.mean()), float(own_without.mean())
     rivals = [
         name

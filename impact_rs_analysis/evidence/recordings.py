@@ -123,7 +123,8 @@ class RecordingSource(Source):
         self.balance = TorqueBalance(list(motions), at_motor)
         self.rest = self.balance.recorded - self.balance.predict(physics)
         self.sigma = np.maximum(np.sqrt(np.mean(np.square(self.rest), axis=0)), 1e-12)
-        self.size_unit = self.residual_unit = joined_units(joint.effort for joint in physics.arms[ARM].facts.units)
+        self._units = [(int(joint), physics.arms[ARM].facts.units[joint]) for joint in self.balance.joints]
+        self.size_unit = self.residual_unit = joined_units(units.effort for _, units in self._units)
         self._stretches = tuple(stretches)
         self._predicted: dict[Added, Array | None] = {}
         self.clusters = tuple(self._cluster(number) for number in range(len(self._stretches)))
@@ -191,8 +192,11 @@ class RecordingSource(Source):
         """See :meth:`Source.predict`."""
         del what
         found: list[Array | None] = []
+        last: Added | None = None
+        torque: Array | None = None
         for number, added in wanted:
-            torque = self._torque(added)
+            if added is not last:  # most follow each other, and the hash of many numbers is dear
+                last, torque = added, self._torque(added)
             found.append(None if torque is None else torque[self._stretches[number].rows].ravel())
         return found
 
@@ -222,8 +226,8 @@ class RecordingSource(Source):
         phases = [[feature.phase for feature in item.features] for item in self.clusters]
         phase = np.concatenate([np.array(row, dtype=object).reshape(-1, self.rest.shape[1]) for row in phases])
         signals, cells = [], []
-        for joint, units in enumerate(self.physics.arms[ARM].facts.units):
-            own = self.rest[:, joint]
+        for column, (joint, units) in enumerate(self._units):
+            own = self.rest[:, column]
             signals.append(
                 SignalLevel(
                     phase="free",
@@ -231,15 +235,15 @@ class RecordingSource(Source):
                     index=f"joint{joint + 1}",
                     error=rounded(root_mean_square(own)),
                     mean=rounded(float(own.mean())),
-                    noise_floor=rounded(float(noise[joint])),
+                    noise_floor=rounded(float(noise[column])),
                     unit=units.effort,
-                    times_noise=rounded(root_mean_square(own) / float(noise[joint])),
+                    times_noise=rounded(root_mean_square(own) / float(noise[column])),
                 )
             )
-            for name in dict.fromkeys(phase[:, joint]):
-                part = own[phase[:, joint] == name]
+            for name in dict.fromkeys(phase[:, column]):
+                part = own[phase[:, column] == name]
                 if part.size >= LEAST_SAMPLES:
-                    cells.append(self._cell(name, joint, part, float(noise[joint])))
+                    cells.append(self._cell(name, joint, part, float(noise[column])))
         every = root_mean_square(np.sqrt(np.mean(np.square(self.rest), axis=0)) / noise)
         level = Level(what=WHAT, times_noise=rounded(every), signals=tuple(signals))
         files: dict[str, list[Array]] = {}
@@ -272,11 +276,10 @@ class RecordingSource(Source):
 
     def joint_sizes(self, rest: Sequence[Array]) -> list[tuple[str, float, float, str]]:
         """See :meth:`Source.joint_sizes`."""
-        units = self.physics.arms[ARM].facts.units
-        sizes = np.sqrt(np.mean(np.square(np.concatenate(rest).reshape(-1, len(units))), axis=0)) * self.sigma
+        sizes = np.sqrt(np.mean(np.square(np.concatenate(rest).reshape(-1, self.sigma.size)), axis=0)) * self.sigma
         return [
-            (f"joint{joint + 1}", float(sizes[joint]), float(self.balance.noise[joint]), unit.effort)
-            for joint, unit in enumerate(units)
+            (f"joint{joint + 1}", float(size), float(noise), units.effort)
+            for (joint, units), size, noise in zip(self._units, sizes, self.balance.noise, strict=True)
         ]
 
     def tracks(self, map_tasks: Map, added: Added = ()) -> tuple[Track, ...]:
@@ -285,7 +288,6 @@ class RecordingSource(Source):
         rests = {"the model": self.rest}
         if added:
             rests = {"the model with what was found": self.rest_with(added), "the model as it is": self.rest}
-        units = [joint.effort for joint in self.physics.arms[ARM].facts.units]
         found = []
         for label, rest in rests.items():
             start = 0
@@ -293,8 +295,8 @@ class RecordingSource(Source):
                 rows = slice(start, start := start + motion.time[motion.kept].size)
                 measured, predicted = self.balance.recorded[rows], (self.balance.recorded - rest)[rows]
                 curves = [
-                    ComparedSignal(f"torque of joint {joint + 1}", unit, measured[:, joint], predicted[:, joint])
-                    for joint, unit in enumerate(units)
+                    ComparedSignal(f"torque of joint {joint + 1}", units.effort, one, other)
+                    for (joint, units), one, other in zip(self._units, measured.T, predicted.T, strict=True)
                 ]
                 name = label if len(self.motions) == 1 else f"{run.path.name}, {label}"
                 found.append(track_of_motion(name, self.physics, motion, curves))
@@ -327,8 +329,7 @@ class RecordingSource(Source):
         stretch = self._stretches[number]
         rest, velocity = self.rest[stretch.rows], self.balance.velocity[stretch.rows]
         phase = np.where(velocity > SLOW, 0, np.where(velocity < -SLOW, 1, 2))
-        units = [joint.effort for joint in self.physics.arms[ARM].facts.units]
-        labels = [[_feature(name, joint, unit) for name in PHASES] for joint, unit in enumerate(units)]
+        labels = [[_feature(name, joint, units.effort) for name in PHASES] for joint, units in self._units]
         sigma = np.broadcast_to(self.sigma, rest.shape).ravel()
         return Cluster(
             name=stretch.name,

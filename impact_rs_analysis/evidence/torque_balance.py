@@ -20,6 +20,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pinocchio as pin
 import scipy
+from numpy.typing import NDArray
 
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.physics import LoadState, Physics
@@ -47,6 +48,7 @@ class Motion:
         torque: Recorded torque, low-passed twice [N m].
         kept: Mask of the samples between the edges.
         noise: Noise of the recorded torque in ``torque``, ``(n,)`` [N m].
+        measured: Whether the torque of a joint was measured, ``(n,)``; one that never changes was not.
         cut_off: Of the low-pass [Hz].
         rate: Of the grid [Hz].
     """
@@ -58,6 +60,7 @@ class Motion:
     torque: Array
     kept: slice
     noise: Array
+    measured: NDArray[np.bool_]
     cut_off: float
     rate: float
 
@@ -115,6 +118,7 @@ def prepare(run: Run, cut_off: float) -> Motion:
         torque=_low_pass(once[::stride], cut_off, rate),
         kept=slice(edge, q.shape[0] - edge),
         noise=noise,
+        measured=np.ptp(arm.torque, axis=0) > 0.0,
         cut_off=cut_off,
         rate=rate,
     )
@@ -165,13 +169,18 @@ class TorqueBalance:
 
     def __init__(self, motions: list[Motion], at_motor: bool = False) -> None:
         self.motions, self._at_motor = motions, at_motor
+        self.joints = np.flatnonzero(np.any([motion.measured for motion in motions], axis=0))
         self._regressors: dict[bytes, list[Array]] = {}
         self._known_states: dict[bytes, list[tuple[LoadState, Array]]] = {}
+        self._kept: tuple[tuple[object, ...], RobotModel] | None = None
 
     def predict(self, physics: Physics) -> Array:
-        """Predicted recorded torque, all motions stacked between their edges, ``(k, n)`` [N m]."""
+        """Predicted recorded torque of :attr:`joints`, all motions stacked between their edges, ``(k, m)`` [N m]."""
         return np.concatenate(
-            [torque[motion.kept] for motion, torque in zip(self.motions, self.predicted(physics), strict=True)]
+            [
+                torque[motion.kept][:, self.joints]
+                for motion, torque in zip(self.motions, self.predicted(physics), strict=True)
+            ]
         )
 
     def predicted(self, physics: Physics) -> list[Array]:
@@ -188,9 +197,17 @@ class TorqueBalance:
             rows.append(_delayed(torque, motion.time, arm.torque_delay))
         return rows
 
+    def _model(self, physics: Physics) -> RobotModel:
+        """Rigid-body model of the arm, kept while effects change other parts of the physics."""
+        arm = physics.arms[ARM]
+        parts = (arm.facts, arm.end_effector, arm.base, physics.gravity)
+        if self._kept is None or any(one is not other for one, other in zip(parts, self._kept[0], strict=True)):
+            self._kept = parts, physics.robot_model(ARM)
+        return self._kept[1]
+
     def _rigid_torques(self, physics: Physics) -> list[Array]:
         """M ddq + h = Y pi, linear in the inertial parameters pi of all links, ``(k, n)`` each [N m]."""
-        model = physics.robot_model(ARM)
+        model = self._model(physics)
         parameters = np.concatenate([inertia.toDynamicParameters() for inertia in list(model.pinocchio.inertias)[1:]])
         key = model.pinocchio.gravity.linear.tobytes()
         if key not in self._regressors:
@@ -218,7 +235,7 @@ class TorqueBalance:
 
     def _states(self, physics: Physics) -> list[tuple[LoadState, Array]]:
         """Arguments of loads of every motion, and the linear part of the Jacobians, ``(k, 3, n)``."""
-        arm, model = physics.arms[ARM], physics.robot_model(ARM)
+        arm, model = physics.arms[ARM], self._model(physics)
         start = np.zeros(arm.facts.joint_count)
         key = np.concatenate((model.placement(start).homogeneous.ravel(), arm.impact_position)).tobytes()
         if key not in self._known_states:
@@ -227,15 +244,15 @@ class TorqueBalance:
 
     @property
     def recorded(self) -> Array:
-        """Recorded torque between the edges, ``(k, n)`` [N m]."""
-        return np.concatenate([motion.torque[motion.kept] for motion in self.motions])
+        """Recorded torque of :attr:`joints` between the edges, ``(k, m)`` [N m]."""
+        return np.concatenate([motion.torque[motion.kept][:, self.joints] for motion in self.motions])
 
     @property
     def velocity(self) -> Array:
-        """Joint velocities between the edges, ``(k, n)`` [rad/s]."""
-        return np.concatenate([motion.velocity[motion.kept] for motion in self.motions])
+        """Velocities of :attr:`joints` between the edges, ``(k, m)`` [rad/s]."""
+        return np.concatenate([motion.velocity[motion.kept][:, self.joints] for motion in self.motions])
 
     @property
     def noise(self) -> Array:
-        """Noise of the recorded torque below the cut-off, ``(n,)`` [N m]."""
-        return np.asarray(np.sqrt(np.mean([np.square(motion.noise) for motion in self.motions], axis=0)))
+        """Noise of the recorded torque of :attr:`joints` below the cut-off, ``(m,)`` [N m]."""
+        return np.asarray(np.sqrt(np.mean([np.square(motion.noise[self.joints]) for motion in self.motions], axis=0)))

@@ -12,7 +12,7 @@ from typing import Any
 
 from pydantic import Field
 
-from impact_rs_analysis.diagnosis.add import add_effect
+from impact_rs_analysis.diagnosis.add import add_effects
 from impact_rs_analysis.diagnosis.document import write_document
 from impact_rs_analysis.diagnosis.history import history
 from impact_rs_analysis.report.comparison import write_comparison
@@ -146,7 +146,7 @@ def walk_the_loop(
         name = document.named[0]
         terminal.say("", f"4. Add it: {model_file}")
         model_file.unlink(missing_ok=True)  # of an earlier run of the demonstration
-        save_model(add_effect(model, Path(MODEL), document, diagnosis_file, name, model_file, False), model_file)
+        save_model(add_effects(model, Path(MODEL), document, diagnosis_file, [name], model_file, False), model_file)
         child = load_model(model_file)
         after = comparison_of(measurements, child, terminal)
         with measurements.progress():

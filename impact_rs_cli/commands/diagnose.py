@@ -55,9 +55,8 @@ def run(args: argparse.Namespace, terminal: Terminal) -> int:
     if args.output is not None:
         terminal.say(f"diagnosis: {args.output}")
         if document.named:
-            terminal.say(
-                f"next: {PROGRAM} add {document.named[0]} --model {args.model} --from {args.output} -o model_2.yaml"
-            )
+            names = " ".join(document.named)
+            terminal.say(f"next: {PROGRAM} add {names} --model {args.model} --from {args.output} -o model_2.yaml")
     if document.calls_for_a_law:
         terminal.say(f"a law that the library does not have: {_discover_command(args)}")
     return 0

@@ -43,9 +43,9 @@ def run(args: argparse.Namespace, terminal: Terminal) -> int:
     if args.output is not None:
         terminal.say(f"discovery: {args.output}")
         if document.laws:
-            terminal.say(
-                f"next: {PROGRAM} add {document.laws[0].name} --model {args.model} --from {args.output} -o model_2.yaml"
-            )
+            named = document.diagnosis.named if document.diagnosis is not None else ()
+            names = " ".join(named or [document.laws[0].name])
+            terminal.say(f"next: {PROGRAM} add {names} --model {args.model} --from {args.output} -o model_2.yaml")
     return 0
 
 

@@ -18,7 +18,7 @@ from impact_rs_sim.scenario import load_scenario
 
 def import_robot(args: argparse.Namespace, terminal: Terminal) -> int:
     """Import and write."""
-    robot = import_urdf(args.urdf, args.base, args.tip, args.source, args.limits, args.inertia_at)
+    robot = import_urdf(args.urdf, args.base, args.tip, args.source, args.limits, args.inertia_at, args.lock)
     with output_folder(args.output.parent):
         save_facts(robot, f"Facts about a robot, made from {args.urdf.name} by impact-rs robot import.", args.output)
     terminal.result({"file": str(args.output), "joints": list(robot.joints), "notes": list(robot.notes)})

@@ -242,7 +242,7 @@ class BagFile:
         if not rows:
             seen = ", ".join(sorted({joint for joints in orders for joint in joints}))
             raise InputError(f"{place}: joint {self._joints[0]} is missing; the messages name {seen}", file=self._path)
-        return kept, np.array(rows) * self._mapping.factor(name)
+        return kept, np.array(rows) * self._mapping.factor(name) + self._mapping.offset(name)
 
     def _field(self, place: str, message: Any, path: str) -> Any:
         """What lies at a path of fields and indices, ``points.0.effort``."""

@@ -210,7 +210,7 @@ def _numbers(message: Any, before: str = "", depth: int = DEEPEST) -> Iterator[t
 
 
 def _in_table(path: Path, layout: TableLayout) -> list[SignalCandidate]:
-    """Columns whose names differ in a number or a part of an arm, those whose cells hold vectors, those of a pose."""
+    """Columns whose names differ in a number, a part of an arm or all but a word, with vectors as cells, of a pose."""
     found = []
     cells = read_columns(path, layout).cells
     columns = list(cells)
@@ -227,17 +227,18 @@ def _in_table(path: Path, layout: TableLayout) -> list[SignalCandidate]:
             continue
         names = [pattern.replace("{joint}", str(number)) for number in range(first, last + 1)]
         source = {"column": pattern} if first == 1 else {"columns": names}
-        found.append(SignalCandidate(f"{names[0]} … {names[-1]}", source, False, _guess(pattern), len(numbers)))
+        found.append(SignalCandidate(f"{names[0]} … {names[-1]}", source, False, guess_of(pattern), len(numbers)))
     for pattern, own in parts.items():
         if len(own) > 1:
             names = sorted(own, key=_base_to_tip)
             label = f"{names[0]} … {names[-1]}"
-            found.append(SignalCandidate(label, {"columns": names}, False, _guess(pattern), len(names)))
+            found.append(SignalCandidate(label, {"columns": names}, False, guess_of(pattern), len(names)))
+    found += [one for one in _alike_but_a_word(columns) if one.label not in {other.label for other in found}]
     for column in columns:
         width = vector_width(cells[column])
         if width > 1:
             pose = width == len(POSE_COLUMNS) and _is_of_an_object(column)
-            guess = OBJECT_POSE if pose else _guess(column)
+            guess = OBJECT_POSE if pose else guess_of(column)
             found.append(SignalCandidate(f"{column} ({width})", {"column": column}, pose, guess, width))
     for column in columns:
         before = column.removesuffix("qw")
@@ -247,13 +248,26 @@ def _in_table(path: Path, layout: TableLayout) -> list[SignalCandidate]:
     return found
 
 
+def _alike_but_a_word(columns: Sequence[str]) -> Iterator[SignalCandidate]:
+    """Columns of joints that have names: ``lift_position``, ``arm_1_position``, ... or ``tau_lift``, ``tau_arm_1``."""
+    for place in (0, -1):
+        groups: dict[str, list[str]] = {}
+        for column in columns:
+            words = [word for word in re.split(r"[\W_]+", column) if word]
+            if len(words) > 1:
+                groups.setdefault(words[place], []).append(column)
+        for word, own in groups.items():
+            if 1 < len(own) <= MOST_WIDE and (guess := guess_of(word)):
+                yield SignalCandidate(f"{own[0]} … {own[-1]}", {"columns": own}, False, guess, len(own))
+
+
 def _in_arrays(path: Path) -> list[SignalCandidate]:
     found = []
     for name, shape in ArrayFile.shapes_of(path).items():
         if len(shape) != 2 or not 1 < shape[1] <= MOST_WIDE:
             continue
         pose = shape[1] == len(POSE_COLUMNS) and _is_of_an_object(name)
-        guess = OBJECT_POSE if pose else _guess(name)
+        guess = OBJECT_POSE if pose else guess_of(name)
         found.append(SignalCandidate(f"{name} ({shape[0]} × {shape[1]})", {"array": name}, pose, guess, shape[1]))
     return found
 
@@ -278,12 +292,12 @@ def _is_of_an_object(name: str) -> bool:
     return "pose" in name.lower() or "object" in name.lower()
 
 
-def _guess(name: str) -> str:
-    """What a name hints at."""
+def guess_of(name: str) -> str:
+    """The signal that a name hints at; empty: none."""
     low = name.lower()
     for part, signal in (("command", "command"), ("cmd", "command"), ("desired", "command"), ("vel", "velocity"),
                          ("dq", "velocity"), ("pos", "position"), ("eff", "torque"), ("tau", "torque"),
-                         ("tor", "torque"), ("q", "position")):  # fmt: skip
+                         ("tor", "torque"), ("q", "position"), ("curr", "torque")):  # fmt: skip
         if part in low:
             return signal
     return ""

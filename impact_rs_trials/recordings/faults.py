@@ -272,7 +272,7 @@ def _torque_unlike_weight(torque: Series, position: Series, mapping: Mapping, mo
     least = np.maximum(RESOLUTIONS * _resolution(values), WEIGHT * np.array(mapping.facts.limits.torque_Nm))
     frozen = np.zeros(values.shape, dtype=bool)
     for joint in range(values.shape[1]):
-        for run in _runs(torque, joint):
+        for run in _runs(torque, joint) if np.ptp(values[:, joint]) > 0.0 else ():  # else it was not measured at all
             rows = np.unique(np.linspace(run.start, run.stop - 1, LEAST_RUN).astype(int))
             weight = [float(model.gravity_torque(q)[joint]) for q in position.at(time[rows])]
             if np.ptp(weight) > least[joint]:

@@ -40,6 +40,7 @@ CLOSE_TORQUE = (0.2, 5.0)  # friction, loads and delays are in the torque as wel
 SURE_TORQUE = (0.5, 2.0)
 TOGETHER = 0.8  # least correlation from which a factor is believed,
 HARDLY = 0.5  # and from which it is assumed
+SURELY, ALIKE = 0.95, 0.1  # correlation, and spread of the factors of joints, of a velocity at another sampling rate
 MOVES = 0.02  # of the data sheet's velocity, rms, from which a joint moves
 NOTICED = 0.3  # of what the largest joint takes by weight and inertia, in proportion to the robot [N m]
 LOOKED_AT = 400  # samples in which the torque is compared
@@ -147,6 +148,16 @@ def unit_of_position(raw: Array, facts: RobotFacts, name: str) -> Guess | None:
     return None
 
 
+def times_derivative(time: Array, position: Array, raw: Array) -> float | None:
+    """By how much a signal is larger than the derivative of positions ``(k, n)`` in all joints; None: it is another."""
+    at, q = smoothed(time, position)
+    ratio, together = _ratios(np.gradient(q, at, axis=0), smoothed(time, raw)[1])
+    moving = np.ptp(q, axis=0) >= 0.5 * float(np.max(np.ptp(q, axis=0)))
+    usual = float(np.median(ratio[moving]))
+    alike = np.all(np.abs(ratio[moving] / usual - 1.0) < ALIKE) if usual != 0.0 else False
+    return usual if alike and np.all(np.abs(together[moving]) > SURELY) else None
+
+
 def velocity_of(time: Array, position: Array, raw: Array, facts: RobotFacts) -> tuple[float, Guess] | None:
     """How surely a signal is the velocity of positions ``(k, n)`` [rad], and its unit and signs; None: it is not."""
     at, q = smoothed(time, position)
@@ -163,7 +174,7 @@ def velocity_of(time: Array, position: Array, raw: Array, facts: RobotFacts) -> 
     for turns, slide in (("rad/s", "m/s"), ("deg/s", "mm/s"), ("mrad/s", "mm/s")):
         per_unit = 1.0 / TURNS["velocity"][turns]
         if CLOSE[0] < usual / per_unit < CLOSE[1] and sure > TOGETHER:
-            signs = np.where(moving & (np.abs(together) > TOGETHER), np.sign(ratio), np.median(np.sign(ratio[moving])))
+            signs = np.where(moving & (np.abs(together) > TOGETHER), np.sign(ratio), _usual_sign(ratio[moving]))
             units = [slide if sliding else turns for sliding in slides]
             said = (
                 f"{_range(ratio[moving] / per_unit)} times the derivative of the position in {turns} "
@@ -217,7 +228,7 @@ def torque_of(
         f"{_range(ratio[shown])} times the torque that weight and inertia of the arm take in joint"
         f"{'s' if np.sum(shown) > 1 else ''} {', '.join(str(joint + 1) for joint in np.flatnonzero(shown))}"
     )
-    signs = np.where(shown, np.sign(ratio), np.sign(np.median(np.sign(ratio[shown]))))
+    signs = np.where(shown, np.sign(ratio), _usual_sign(ratio[shown]))
     further: dict[str, Any] = {} if np.all(signs > 0.0) else {"factor": _signs(signs)}
     if not np.all(shown):
         said += "; the others show nothing and are taken like them"
@@ -269,6 +280,11 @@ def _ratios(expected: Array, measured: Array) -> tuple[Array, Array]:
     product = np.sum(expected * measured, axis=0)
     size = np.sqrt(power * np.maximum(np.sum(measured**2, axis=0), 1e-300))
     return product / power, product / size
+
+
+def _usual_sign(ratio: Array) -> float:
+    """The sign of most; where as many contradict each other, a signal is taken as it is."""
+    return -1.0 if np.sum(np.sign(ratio)) < 0.0 else 1.0
 
 
 def _range(values: Array) -> str:

@@ -9,12 +9,11 @@ what is used.
 
 from __future__ import annotations
 
-import itertools
 import json
 import os
 import re
+from collections.abc import Iterator, Sequence
 from collections.abc import Mapping as AbstractMapping
-from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -30,13 +29,14 @@ from impact_rs_sim.robot_model import RobotModel
 from impact_rs_sim.scenario import load_scenario
 from impact_rs_sim.schema import validate
 from impact_rs_trials.recordings.array_file import ArrayFile
-from impact_rs_trials.recordings.candidates import SignalCandidate, candidates_of, joints_of, vector_width
+from impact_rs_trials.recordings.candidates import SignalCandidate, candidates_of, guess_of, joints_of, vector_width
 from impact_rs_trials.recordings.file_groups import FileGroups, group_files, recordings_in, run_name
 from impact_rs_trials.recordings.guesses import (
     Guess,
     clock_of,
     pose_of,
     quaternion_order,
+    times_derivative,
     torque_of,
     unit_of_length,
     unit_of_position,
@@ -138,6 +138,98 @@ class _Part:
     def is_bag(self) -> bool:
         """Whether it is a bag, whose messages have stamps."""
         return is_bag_folder(self.path) or self.path.suffix in BAG_SUFFIXES
+
+
+@dataclass(frozen=True)
+class _Found:
+    """What may be a signal of the joints, in one of the files."""
+
+    part: _Part
+    number: int
+
+    @property
+    def candidate(self) -> SignalCandidate:
+        """Where it is."""
+        return self.part.candidates[self.number]
+
+    @property
+    def series(self) -> Series:
+        """Its numbers as the file has them."""
+        return self.part.series[self.number]
+
+    @property
+    def label(self) -> str:
+        """Its name, with that of its file if a run has several."""
+        return f"{self.part.pattern}: {self.candidate.label}" if self.part.pattern else self.candidate.label
+
+    def overlaps(self, other: _Found) -> bool:
+        """Whether both have a column in common."""
+        if self.part is not other.part:
+            return False
+        columns = [set(one.candidate.source.get("columns") or ()) for one in (self, other)]
+        return self.number == other.number or bool(columns[0] & columns[1])
+
+    def named(self, signal: str) -> float:
+        """What names of columns, or else of the file, are worth for a signal."""
+        guess = self.candidate.guess or guess_of(self.part.pattern)
+        worth = NAMED if guess == signal else -NAMED if guess else 0.0
+        return worth - NAMED * bool(ASKED_FOR.search(self.label))
+
+
+@dataclass(frozen=True)
+class _Motion:
+    """Positions of the joints, and their velocities where a signal is those."""
+
+    position: _Found
+    unit: Guess
+    velocity: tuple[_Found, str, Guess] | None = None
+    sure: float = 0.0
+
+    @property
+    def score(self) -> float:
+        """How surely it is the motion of the joints."""
+        return (
+            self.sure + self.position.named("position") + (self.velocity[0].named("velocity") if self.velocity else 0.0)
+        )
+
+    @property
+    def places(self) -> Array:
+        """q, ``(k, n)`` [rad, m]."""
+        return np.asarray(self.position.series.values * self.unit.further["factor_"])
+
+    @property
+    def speeds(self) -> Array:
+        """dq, ``(k, n)`` [rad/s, m/s]."""
+        if self.velocity is None:
+            return replace(self.position.series, values=self.places).derivative().values
+        found, _, guess = self.velocity
+        factor = _si(guess, "velocity") * np.asarray(guess.further.get("factor", 1.0))
+        return found.series.at(self.position.series.time) * factor
+
+
+def _with_velocity(place: _Found, unit: Guess, every: Sequence[_Found], facts: RobotFacts) -> Iterator[_Motion]:
+    """Motions whose velocity is a signal."""
+    motion, time = _Motion(place, unit), place.series.time
+    for other in every:
+        if not other.overlaps(place):
+            found = velocity_of(time, motion.places, other.series.at(time), facts)
+            if found is not None:
+                yield _Motion(place, unit, (other, "velocity", found[1]), found[0])
+
+
+def _torques(motion: _Motion, every: Sequence[_Found], model: RobotModel) -> list[tuple[float, _Found, Guess]]:
+    """Signals that go with the torque of a motion, or those whose names say so; how surely, and as what."""
+    time, q, dq = motion.position.series.time, motion.places, motion.speeds
+    taken = [motion.position, *([motion.velocity[0]] if motion.velocity else [])]
+    free = [one for one in every if not any(one.overlaps(other) for other in taken)]
+    found = []
+    for one in free:
+        if one.candidate.guess in ("torque", "command", ""):
+            guess = torque_of(time, q, dq, one.series.at(time), model, one.candidate.label)
+            if guess is not None:
+                found.append((guess[0] + one.named("torque"), one, guess[1]))
+    said = Guess("N m", "nothing but its name: the motion takes too little torque to show it", False)
+    return found or [(0.0, one, said) for one in free if one.named("torque") > 0.0]
 
 
 def draft_import(paths: Sequence[Path], output: Path, wishes: Wishes) -> ImportDraft:
@@ -243,89 +335,81 @@ class _Importer:
         )
 
     def _joint_signals(self, robot: str, facts: RobotFacts) -> tuple[_Part, dict[str, Any], dict[str, dict[str, Any]]]:
-        """Part of the joints, keys of the mapping beside its signals, and the signals."""
-        count = facts.joint_count
-        best: tuple[float, _Part, int, int, Guess, Guess] | None = None
+        """Part of the positions, keys of the mapping beside its signals, and the signals."""
         for part in self._parts:
-            self._read(part, robot, count)
-            for p, v in itertools.permutations(part.series, 2):
-                if (
-                    _overlap(part.candidates[p], part.candidates[v])
-                    or part.series[p].time.size != part.series[v].time.size
-                ):
-                    continue
-                position, velocity = part.series[p], part.series[v]
-                unit = unit_of_position(position.values, facts, part.candidates[p].label)
-                if unit is None or not np.ptp(position.values, axis=0).any():
-                    continue
-                found = velocity_of(position.time, position.values * unit.further["factor_"], velocity.values, facts)
-                if found is None:
-                    continue
-                score = found[0] + _named(part.candidates[p], "position") + _named(part.candidates[v], "velocity")
-                if best is None or score > best[0]:
-                    best = (score, part, p, v, unit, found[1])
-        if best is None:
-            seen = (
-                "; ".join(one.label for part in self._parts for one in part.candidates if one.width == count) or "none"
-            )
+            self._read(part, robot, facts.joint_count)
+        every = [_Found(part, number) for part in self._parts for number in part.series]
+        seen = "; ".join(one.label for one in every) or "none"
+        places = [
+            (one, unit)
+            for one in every
+            if (unit := unit_of_position(one.series.values, facts, one.candidate.label)) is not None
+            and np.ptp(one.series.values, axis=0).any()
+        ]
+        motions = [motion for place, unit in places for motion in _with_velocity(place, unit, every, facts)]
+        moving = bool(motions)
+        if not moving and self._wishes.rate is not None:
+            self._check_rate(self._wishes.rate, places, every)
+        if not moving and not any(one.named("velocity") > 0.0 for one in every):
+            motions = [_Motion(*place) for place in places if place[0].named("position") >= 0.0]
+        if not motions:
             raise InputError(
-                f"no two signals of {count} joints are positions within the limits of {robot} and their derivative; "
-                f"signals as wide as that: {seen}. Another --robot, or a mapping by hand (docs/your_data.md)",
+                f"no two signals of {facts.joint_count} joints are positions within the limits of {robot} and their "
+                f"derivative; signals as wide as that: {seen}. Another --robot, or a mapping by hand "
+                "(docs/your_data.md)",
                 file=self._parts[0].path,
             )
-        _, part, p, v, unit, velocity_guess = best
-        signals = {
-            "position": self._signal(part, p, "position", replace(unit, further={})),
-            "velocity": self._signal(part, v, "velocity", velocity_guess),
-        }
-        own = {"joints": list(self._joints(part, p, count))}
-        q = part.series[p].values * unit.further["factor_"]
-        factor = _si(velocity_guess, "velocity") * np.asarray(velocity_guess.further.get("factor", 1.0))
-        own |= self._torque(part, (p, v), facts, robot, q, part.series[v].values * factor, signals)
-        return part, own, signals
+        motions = [max(motions, key=lambda one: one.score)] if moving else motions
+        model = RobotModel(facts, MountedEndEffector().build(), pin.SE3.Identity())
+        tried = [(motion, _torques(motion, every, model)) for motion in motions]
+        motion, torques = max(
+            tried, key=lambda one: one[0].score + max((score for score, *_ in one[1]), default=-np.inf)
+        )
+        if not torques:
+            raise InputError(
+                f"nothing goes with the torque that weight and inertia of {robot} take in this motion; signals as wide "
+                f"as its joints: {seen}. Another --robot, or a mapping by hand (docs/your_data.md)",
+                file=motion.position.part.path,
+            )
+        part = motion.position.part
+        signals = {"position": self._joint_signal(motion.position, "position", replace(motion.unit, further={}), part)}
+        if motion.velocity is None:
+            self._say(
+                "signals.velocity", "none", "no signal is the derivative of the positions: velocities are made of them"
+            )
+        else:
+            signals["velocity"] = self._joint_signal(*motion.velocity, part)
+        own = {"joints": list(self._joints(part, motion.position.number, facts.joint_count))}
+        return part, own | self._torque(torques, facts, robot, signals, part), signals
+
+    def _check_rate(self, rate: float, places: Sequence[tuple[_Found, Guess]], every: Sequence[_Found]) -> None:
+        """Refuse a sampling rate at which a velocity would be that of another one."""
+        for place, unit in places:
+            motion, time = _Motion(place, unit), place.series.time
+            for other in every:
+                factor = None if other.overlaps(place) else times_derivative(time, motion.places, other.series.at(time))
+                if factor is not None and factor > 0.0:
+                    real = rate * factor
+                    raise InputError(
+                        f"{other.label} is {factor:.3g} times the derivative of {place.label} in all joints, which is "
+                        f"a velocity in rad/s at {real:.4g} Hz, in deg/s at {real * np.pi / 180.0:.4g} Hz",
+                        key="--rate",
+                        value=f"{rate:g}",
+                    )
 
     def _torque(
-        self, part: _Part, taken: tuple[int, int], facts: RobotFacts, robot: str, q: Array, dq: Array,
-        signals: dict[str, dict[str, Any]],
+        self, found: list[tuple[float, _Found, Guess]], facts: RobotFacts, robot: str,
+        signals: dict[str, dict[str, Any]], part: _Part,
     ) -> dict[str, Any]:  # fmt: skip
-        model = RobotModel(facts, MountedEndEffector().build(), pin.SE3.Identity())
-        time = part.series[taken[0]].time
-        found: list[tuple[float, int, Guess]] = []
-        for number, series in part.series.items():
-            one = part.candidates[number]
-            if any(number == other or _overlap(one, part.candidates[other]) for other in taken):
-                continue
-            if series.time.size == time.size and one.guess in ("torque", "command", ""):
-                guess = torque_of(time, q, dq, series.values, model, one.label)
-                if guess is not None:
-                    found.append((guess[0] + _named(one, "torque"), number, guess[1]))
-        if not found:
-            found = [
-                (
-                    0.0,
-                    number,
-                    Guess("N m", "nothing but its name: the motion takes too little torque to show it", False),
-                )
-                for number, series in part.series.items()
-                if part.candidates[number].guess == "torque" and series.time.size == time.size
-            ]
-        if not found:
-            labels = "; ".join(part.candidates[number].label for number in part.series if number not in taken) or "none"
-            raise InputError(
-                f"nothing goes with the torque that weight and inertia of {robot} take in this motion; other signals "
-                f"as wide as its joints: {labels}. Another --robot, or a mapping by hand (docs/your_data.md)",
-                file=part.path,
-            )
-        _, number, best = max(found, key=lambda one: one[0])
-        chosen = part.candidates[number]
-        beside = [part.candidates[other] for _, other, _ in found if other != number]
-        others = [one.label for one in beside if not _overlap(one, chosen)]
+        """The torque of the joints, which is added to the signals; keys of the mapping that go with it."""
+        _, chosen, best = max(found, key=lambda one: one[0])
+        others = [other.label for _, other, _ in found if not other.overlaps(chosen)]
         if others:
             said = f"{best.evidence}; so do {'; '.join(others)}: take the one that was measured"
             best = replace(best, evidence=said, sure=False)
         constant = best.further.get("torque_constant")
         further = {key: value for key, value in best.further.items() if key != "torque_constant"}
-        signals["torque"] = self._signal(part, number, "torque", replace(best, further=further))
+        signals["torque"] = self._joint_signal(chosen, "torque", replace(best, further=further), part)
         at_motor = constant is not None or not facts.joint_torque_loop
         said = "currents are those of motors" if constant is not None else f"joint_torque_loop of {robot} is "
         said += "" if constant is not None else str(facts.joint_torque_loop).lower()
@@ -337,6 +421,11 @@ class _Importer:
             )
             own["torque_constant"] = constant
         return own
+
+    def _joint_signal(self, one: _Found, name: str, guess: Guess, main: _Part) -> dict[str, Any]:
+        """Section of a signal of the joints, with the layout of its file where that is not the one of the positions."""
+        own = self._signal(one.part, one.number, name, guess)
+        return own | self._own_layout(one.part, main, True)
 
     def _joints(self, part: _Part, position: int, count: int) -> tuple[str, ...]:
         one = part.candidates[position]
@@ -368,12 +457,17 @@ class _Importer:
                 part.series[number] = replace(series, time=series.time[rows], values=series.values[rows])
 
     def _windows(self, part: _Part, count: int) -> None:
-        """Neighbouring columns without names."""
-        names = list(part.columns)
-        if not names or names[0] != "c1" or any(one.source.get("columns") for one in part.candidates):
+        """Neighbouring columns without names; columns with names of a file that has but one signal."""
+        names = [name for name, cells in part.columns.items() if vector_width(cells) == 1]
+        numeric = [name for name in names if part.clock is None or name != part.clock.value]
+        if not names or any(one.source.get("columns") for one in part.candidates):
+            return
+        if names[0] != "c1":
+            if len(numeric) == count and not any(one.width == count for one in part.candidates):
+                label = f"{numeric[0]} … {numeric[-1]}"
+                part.candidates.append(SignalCandidate(label, {"columns": numeric}, False, "", count))
             return
         part.candidates[:] = [one for one in part.candidates if "columns" not in one.source and one.width == 1]
-        numeric = [name for name in names if part.clock is None or name != part.clock.value]
         for start in range(len(numeric) - count + 1):
             own = numeric[start : start + count]
             part.candidates.append(SignalCandidate(f"{own[0]} … {own[-1]}", {"columns": own}, False, "", count))
@@ -631,16 +725,6 @@ def _axes(names: Sequence[str]) -> tuple[list[list[str]], list[list[str]]]:
             first = min(quaternion, key=lambda letter: list(names).index(quaternion[letter]))
             turns.append([quaternion[letter] for letter in QUATERNION[first == "w"]])
     return places, turns
-
-
-def _overlap(one: SignalCandidate, other: SignalCandidate) -> bool:
-    return bool(set(one.source.get("columns") or ()) & set(other.source.get("columns") or ()))
-
-
-def _named(one: SignalCandidate, signal: str) -> float:
-    """What the name of a candidate is worth for a signal."""
-    worth = NAMED if one.guess == signal else -NAMED if one.guess else 0.0
-    return worth - NAMED * bool(ASKED_FOR.search(one.label))
 
 
 def _si(guess: Guess, quantity: str) -> Array:

@@ -49,7 +49,7 @@ def doubts_of_arm(
         if moving and (ratio := _ratio(arm.velocity[:, joint], derived[:, joint])) is not None:
             speeds[joint] = f"is {ratio:.2g} times the derivative of its position, expected 1"
             factors["velocity"][joint] = _remedy(ratio)
-        if contact:
+        if contact or not np.ptp(arm.torque[:, joint]):  # not measured
             continue
         if heavy and (ratio := _ratio(arm.torque[rows, joint], own)) is not None:
             torques[joint] = f"is {ratio:.2g} times the arm's weight, expected 1"
@@ -66,7 +66,7 @@ def doubts_of_arm(
 
 def _remarks(name: SignalName, doubts: dict[int, str], factors: Array, mapping: Mapping) -> list[str]:
     """One remark for a signal, with the factors that would put it right."""
-    if not doubts:
+    if not doubts or name not in mapping.signals:
         return []
     every = factors * np.array(mapping.signals[name].factor)
     remedy = f"{every[0]:.3g}" if np.all(every == every[0]) else f"[{', '.join(f'{value:.3g}' for value in every)}]"

@@ -162,7 +162,8 @@ class Laboratory:
                     **place(arm),
                 )
         for one, other in itertools.combinations(mappings, 2):
-            for name in REQUIRED:
+            measured = mappings[one].signals.keys() & mappings[other].signals.keys()
+            for name in (name for name in REQUIRED if name in measured):
                 if _where(mappings[one], one, name) == _where(mappings[other], other, name):
                     raise InputError(
                         f"{name} of arms {one!r} and {other!r} would be the same numbers; expected {{arm}} where the "

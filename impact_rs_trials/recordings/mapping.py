@@ -122,6 +122,11 @@ class SignalSource(Schema):
     factor: float | tuple[float, ...] = Field(
         1.0, description="the numbers are multiplied by this as well, for example -1; of joints also a list of each [-]"
     )
+    offset: float | tuple[float, ...] = Field(
+        0.0,
+        description="then added, in the unit; of joints also a list of each, for example where the robot counts from "
+        "another zero than its facts",
+    )
 
     @property
     def units(self) -> tuple[str, ...]:
@@ -216,8 +221,8 @@ class Mapping(Schema):
         elif not self.joints:
             raise ValueError("joints is missing; expected the names of the joints, base to tip")
         for name in REQUIRED if self.robot != NO_ROBOT else ():
-            if name not in self.signals:
-                raise ValueError(f"signals.{name} is missing; position, velocity and torque are needed")
+            if name not in self.signals and name != "velocity":
+                raise ValueError(f"signals.{name} is missing; position and torque are needed")
         for name, source in self.signals.items():
             units = UNITS[QUANTITY[name]]
             wanted = self.width(name)
@@ -227,9 +232,12 @@ class Mapping(Schema):
             if not isinstance(source.unit, str) and (name not in JOINT_SIGNALS or len(source.unit) != wanted):
                 expected = f"one or {wanted}, one per joint" if name in JOINT_SIGNALS else "one"
                 raise ValueError(f"signals.{name}.unit lists {len(source.unit)} units, expected {expected}")
-            if not isinstance(source.factor, float) and (name not in JOINT_SIGNALS or len(source.factor) != wanted):
-                expected = f"one or {wanted}, one per joint" if name in JOINT_SIGNALS else "one"
-                raise ValueError(f"signals.{name}.factor lists {len(source.factor)} numbers, expected {expected}")
+            for key, own in (("factor", source.factor), ("offset", source.offset)):
+                if not isinstance(own, float) and (name not in JOINT_SIGNALS or len(own) != wanted):
+                    expected = f"one or {wanted}, one per joint" if name in JOINT_SIGNALS else "one"
+                    raise ValueError(f"signals.{name}.{key} lists {len(own)} numbers, expected {expected}")
+            if name not in JOINT_SIGNALS and source.offset != 0.0:
+                raise ValueError(f"signals.{name}.offset is {source.offset:g}, expected none: it is for joints")
             if source.columns is not None and len(source.columns) != wanted:
                 raise ValueError(f"signals.{name}.columns names {len(source.columns)}, expected {wanted}")
             if source.columns is not None and source.column is not None:
@@ -314,14 +322,19 @@ class Mapping(Schema):
 
     def factor(self, signal: SignalName) -> Array:
         """From the numbers in the file to SI, ``()`` or ``(n,)``."""
+        return np.asarray(self._of_unit(signal) * np.asarray(self.signals[signal].factor))
+
+    def offset(self, signal: SignalName) -> Array:
+        """What is added after the factor, in SI units, ``()`` or ``(n,)``."""
+        return np.asarray(self._of_unit(signal) * np.asarray(self.signals[signal].offset))
+
+    def _of_unit(self, signal: SignalName) -> Array:
+        """From the unit of a signal to SI, ``()`` or ``(n,)``."""
         source = self.signals[signal]
         factors = [UNITS[QUANTITY[signal]][unit] for unit in source.units]
         constant = self.torque_constant if source.units[0] in CURRENTS else None
-        return (
-            np.asarray(factors if len(factors) > 1 else factors[0])
-            * np.asarray(source.factor)
-            * np.asarray(1.0 if constant is None else constant)
-        )
+        of_unit = np.asarray(factors if len(factors) > 1 else factors[0])
+        return of_unit * np.asarray(1.0 if constant is None else constant)
 
     def to_si(self, signal: SignalName, values: Array) -> Array:
         """Numbers of a table or array in SI units; quaternions end up in the order x y z w.
@@ -335,7 +348,7 @@ class Mapping(Schema):
             values = np.hstack((values[:, :-4], values[:, -3:], values[:, -4:-3]))
         if signal == "object_pose":
             return np.hstack((values[:, :3] * factor, values[:, 3:]))
-        return values * factor
+        return values * factor + self.offset(signal)
 
 
 def mapping_names() -> list[str]:

@@ -28,6 +28,7 @@ from impact_rs_trials.recordings.sources import (
     FILE_SUFFIXES,
     SEARCHED_SUFFIXES,
     read_series,
+    run_folders,
     spread_runs,
 )
 from impact_rs_trials.runs import ArmSignals, Run, Signals
@@ -95,11 +96,13 @@ def read_recordings(path: Path, mapping: Mapping) -> list[Run]:
     Raises:
         InputError: A recording cannot be used; the message says what was expected.
     """
-    if mapping.spread and path.is_dir():
-        found = list(spread_runs(path, mapping))
+    if path.is_dir() and all(source.file is not None for source in mapping.signals.values()):
+        found = list(spread_runs(path, mapping)) if mapping.spread else run_folders(path, mapping)
         if not found:
             files = ", ".join(sorted({str(source.file) for source in mapping.signals.values()}))
-            raise InputError(f"no file here is called as signals.NAME.file of the mapping says: {files}", file=path)
+            raise InputError(
+                f"no run here has the files that signals.NAME.file of the mapping names: {files}", file=path
+            )
     else:
         found = find_recordings(path)
     return [piece for item in found for piece in _pieces(item, mapping)]
@@ -110,6 +113,8 @@ def _pieces(path: Path, mapping: Mapping) -> list[Run]:
     recorded = read_series(path, mapping, JOINT_SIGNALS, REQUIRED)
     gaps_said = []
     for name, one in recorded.items():
+        if name not in mapping.signals:  # the velocity, which is made of the position
+            continue
         what = one.place if name == "position" or one.log is not None else f"time of {one.place}"
         gaps_said += _check_time(path, one.time, what, mapping.low_pass)
         if name in REQUIRED:
@@ -117,7 +122,7 @@ def _pieces(path: Path, mapping: Mapping) -> list[Run]:
     model = _model(mapping)
     recorded = on_one_clock(path, recorded, mapping, model)
     series, remarks = without_faults(recorded, mapping, model)
-    remarks = [*gaps_said, *remarks]
+    remarks = [*gaps_said, *_unmeasured(path, series["torque"], mapping), *remarks]
     time = series["position"].time
     remarks = list(dict.fromkeys([*(remark for one in series.values() for remark in one.remarks), *remarks]))
     found = []
@@ -144,6 +149,18 @@ def _pieces(path: Path, mapping: Mapping) -> list[Run]:
     if not found:
         raise InputError(f"no piece is long enough: {'; '.join(remarks)}", file=path)
     return found
+
+
+def _unmeasured(path: Path, torque: Series, mapping: Mapping) -> list[str]:
+    """What is said of joints whose torque never changes, which is then left out."""
+    constant = np.ptp(torque.values, axis=0) == 0.0
+    if np.all(constant):
+        raise InputError(f"{torque.place} (torque): no joint's torque ever changes: nothing was measured", file=path)
+    return [
+        f"torque of joint {joint + 1} is {torque.values[0, joint]:.3g} {mapping.facts.units[joint].effort} in all "
+        "samples: it was not measured, and its balance is left out"
+        for joint in np.flatnonzero(constant)
+    ]
 
 
 def _model(mapping: Mapping) -> RobotModel:
@@ -237,7 +254,8 @@ def check_arm(path: Path, time: Array, arm: ArmSignals, mapping: Mapping, briefl
         _check_numbers(path, name, time, getattr(arm, name))
     for name in REQUIRED:
         check_limits(path, name, time, getattr(arm, name), mapping, briefly)
-    check_velocity(path, time, arm.position, arm.velocity, mapping)
+    if "velocity" in mapping.signals:
+        check_velocity(path, time, arm.position, arm.velocity, mapping)
 
 
 def _check_numbers(path: Path, name: SignalName, time: Array, values: Array) -> None:
@@ -279,9 +297,10 @@ def check_limits(
         return
     row, joint = np.argwhere(wrong)[0]
     value, unit = values[row, joint], getattr(mapping.facts.units[joint], quantity)
+    stated = name if name in mapping.signals else "position"  # whose derivative it is
     raise InputError(
         f"{name} of joint {joint + 1} is {value:.4g} {unit} at t = {time[row] - time[0]:.3f} s, "
-        f"expected {expected[joint]} {unit} for {mapping.robot}: wrong unit (now {mapping.unit(name, joint)}) or "
+        f"expected {expected[joint]} {unit} for {mapping.robot}: wrong unit (now {mapping.unit(stated, joint)}) or "
         "joints?",
         file=path,
     )

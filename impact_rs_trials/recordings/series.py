@@ -10,6 +10,8 @@ import numpy as np
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.robot import Array
 
+BASELINE = 0.002  # s, of the differences that give a velocity; short beside a motion, long beside an encoder's steps
+
 
 class MissingSignal(InputError):
     """A signal that the mapping names and the file lacks; readers go on where it is an optional one."""
@@ -69,6 +71,16 @@ class Series:
         said = f"{self.place}: {repeats} of {kept.size} samples have the stamp of the one before; the first is kept"
         log = None if self.log is None else self.log[kept]
         return replace(self, time=self.time[kept], values=self.values[kept], log=log, remarks=(*self.remarks, said))
+
+    def derivative(self) -> Series:
+        """Rate of change, by central differences over :data:`BASELINE` or two sampling periods, ``(k, c)``."""
+        period = float(np.median(np.diff(self.time))) if self.time.size > 1 else BASELINE
+        half, rows = max(1, round(0.5 * BASELINE / max(period, 1e-6))), np.arange(self.time.size)
+        before, after = np.maximum(rows - half, 0), np.minimum(rows + half, self.time.size - 1)
+        with np.errstate(divide="ignore", invalid="ignore"):  # of stamps that repeat, which are refused elsewhere
+            rate = (self.values[after] - self.values[before]) / (self.time[after] - self.time[before])[:, None]
+        said = f"{self.place}: velocities are its derivative, by differences over {2e3 * half * period:.3g} ms"
+        return replace(self, place=f"derivative of {self.place}", values=rate, remarks=(*self.remarks, said))
 
     def at(self, time: Array) -> Array:
         """Interpolated linearly, and held at the ends, ``(m, c)``; the samples themselves at their own stamps."""

@@ -61,6 +61,15 @@ def spread_runs(folder: Path, mapping: Mapping) -> dict[Path, str]:
     return {folder / run: runs[run] for run in sorted(runs, key=natural)}
 
 
+def run_folders(folder: Path, mapping: Mapping) -> list[Path]:
+    """Folders of one run each, with the files that the signals of a mapping lie in: this folder, or those below."""
+    files = sorted({source.file for source in mapping.signals.values() if source.file is not None})
+    found = {place.parent for place in folder.rglob(Path(files[0]).name)}
+    return sorted(
+        (one for one in found if all((one / file).is_file() for file in files)), key=lambda one: natural(str(one))
+    )
+
+
 def natural(name: str) -> list[tuple[bool, int, str]]:
     """Order in which run 9 comes before run 10."""
     return [(part.isdecimal(), int(part) if part.isdecimal() else 0, part) for part in re.split(r"(\d+)", name)]
@@ -78,7 +87,7 @@ def read_series(
     needed: Collection[SignalName],
     names: Names | None = None,
 ) -> dict[SignalName, Series]:
-    """Signals of one run as its files have them.
+    """Signals of one run as its files have them; the velocity is the position's derivative if the mapping has none.
 
     Args:
         path: A file; a folder of a bag; or, where the mapping names files, a folder of those, or the name of a run
@@ -91,7 +100,7 @@ def read_series(
     Raises:
         InputError: A needed signal is missing, or something cannot be used.
     """
-    names = names or Names(run=name_of(path))
+    names, wanted = names or Names(run=name_of(path)), tuple(wanted)
     sources = {name: mapping.signals[name] for name in wanted if name in mapping.signals}
     files: dict[Path, list[SignalName]] = {}
     for name, source in sources.items():
@@ -112,6 +121,8 @@ def read_series(
                 raise InputError(f"{series.place} has no sample", file=file)
             if series.time.size:
                 found[name] = series.without_repeats() if mapping.time.repeated == "keep_first" else series
+    if "velocity" in wanted and "velocity" not in sources and "position" in found:
+        found["velocity"] = found["position"].derivative()
     return found
 
 

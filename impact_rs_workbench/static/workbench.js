@@ -1086,7 +1086,7 @@ const add = {
   texts: new Questions(), // of the formula
 
   build() {
-    const form = this.form = commandForm('add', 'Add the effect', {offers: ['effect'], first: 'source', ready: () => this.parent && form.value('effect'),
+    const form = this.form = commandForm('add', 'Add the effects', {offers: ['effect'], first: 'source', ready: () => this.parent && form.value('effect')?.length,
       suggest: {model: () => this.parent ?? 'nominal', output: () => this.next()}});
     form.control('source').addEventListener('change', () => this.choose());
     this.note = h('p', {class: 'note'});
@@ -1094,7 +1094,7 @@ const add = {
     this.text.value = EXAMPLE;
     this.checked = h('div', {id: 'formula-check', 'aria-live': 'polite'});
     this.name = h('input', {value: 'formulas/mine.yaml', id: 'formula-file'});
-    return h('section', {}, h('h2', {}, 'A better model'), lead('add'), h('h3', {}, 'Add a diagnosed effect'), this.note, this.form.node,
+    return h('section', {}, h('h2', {}, 'A better model'), lead('add'), h('h3', {}, 'Add diagnosed effects'), this.note, this.form.node,
       h('h3', {}, 'Your own effect'), h('p', {class: 'note'}, 'A formula, checked while you write. Save it to use it in Diagnose.'),
       this.text, this.checked, h('div', {class: 'fields'}, labelled('file', this.name)),
       h('div', {class: 'actions'}, this.save = h('button', {type: 'button', onclick: () => this.keep()}, 'Save the formulas')));
@@ -1122,7 +1122,8 @@ const add = {
       this.parent = state.workspace.models.find((model) => model.digest === found.digest)?.path ?? null;
       this.note.textContent = this.parent ? `Diagnosis of ${found.model}: ${found.summary}` : `The diagnosed model ${found.model} is not in this folder.`;
       const order = [...found.effects].sort((a, b) => found.named.includes(b.name) - found.named.includes(a.name));
-      this.form.offer('effect', order.map((one) => ({value: one.name, text: `${one.name}: ${one.verdict}`})), this.wanted?.effect ?? order[0]?.name);
+      const wanted = this.wanted?.effect ? [this.wanted.effect] : found.named.length ? found.named : order.slice(0, 1).map((one) => one.name);
+      this.form.offer('effect', order.map((one) => ({value: one.name, text: `${one.name}: ${one.verdict}`, on: wanted.includes(one.name)})));
       this.wanted = null;
       this.form.refresh();
     } catch (error) { this.note.textContent = error.message; }

@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+import re
+import tempfile
 from dataclasses import replace
 from pathlib import Path
 from xml.etree import ElementTree as Xml
@@ -312,8 +314,55 @@ def test_a_way_that_is_none_is_refused(tmp_path: Path, base: str | None, tip: st
 
 def test_nothing_that_moves_beside_the_chain_is_locked(tmp_path: Path) -> None:
     file = write(tmp_path, *ARM, link("finger"), joint("grip", "upper", "finger", "prismatic"))
-    with pytest.raises(InputError, match="joint grip: this prismatic joint moves beside the chain, on link 'upper'"):
+    with pytest.raises(
+        InputError, match="joint grip: this prismatic joint moves beside the chain, on link 'upper'.*--lock grip=0"
+    ):
         import_urdf(file, tip="fore")
+
+
+@settings(max_examples=20, deadline=None)
+@given(st.floats(-1.5, 1.5), st.floats(-0.2, 0.2), st.floats(-1.5, 1.5))
+def test_a_joint_that_was_held_is_fixed_where_it_stood(turn: float, slide: float, q: float) -> None:
+    """Joints of the way and beside it: the arm left is the whole one with these coordinates."""
+    parts = (
+        *ARM,
+        link("finger"),
+        joint("grip", "upper", "finger", "prismatic"),
+        link("wrist"),
+        joint("roll", "fore", "wrist"),
+    )
+    with tempfile.TemporaryDirectory() as folder:
+        file = write(Path(folder), *parts)
+        whole = pin.buildModelFromXML(file.read_text(encoding="utf-8"))
+        held = import_urdf(file, tip="wrist", lock=[f"[!er]*={turn!r}", f"grip={slide!r}"])  # a name goes before *
+    assert held.joints == ("elbow", "roll")
+    assert f"Joint grip is held at {slide:g} m, as given." in held.notes
+    model = RobotModel(held.facts, weightless(), pin.SE3.Identity())
+    places = {"shoulder": turn, "grip": slide, "elbow": q, "roll": -q}
+    full = np.zeros(whole.nq)
+    for name, place in places.items():
+        full[whole.joints[whole.getJointId(name)].idx_q] = place
+    data = whole.createData()
+    rows = [whole.joints[whole.getJointId(name)].idx_v for name in held.joints]
+    mass = pin.crba(whole, data, full)
+    assert model.mass_matrix(np.array([q, -q])) == pytest.approx(mass[np.ix_(rows, rows)], abs=1e-9)
+    weight = pin.computeGeneralizedGravity(whole, data, full)[rows]
+    assert model.inverse_dynamics(np.array([q, -q]), np.zeros(2), np.zeros(2)) == pytest.approx(weight, abs=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("grap=0", "no joint 'grap' moves; did you mean 'grip'"),
+        ("grip", "--lock = 'grip': expected JOINT=PLACE, a number in rad or m"),
+        ("grip=open", "--lock = 'grip=open': expected JOINT=PLACE"),
+        ("grip=nan", "--lock = 'grip=nan': expected JOINT=PLACE"),
+    ],
+)
+def test_a_lock_that_holds_nothing_is_refused(tmp_path: Path, text: str, message: str) -> None:
+    file = write(tmp_path, *ARM, link("finger"), joint("grip", "upper", "finger", "prismatic"))
+    with pytest.raises(InputError, match=re.escape(message)):
+        import_urdf(file, tip="fore", lock=[text])
 
 
 @pytest.mark.parametrize(

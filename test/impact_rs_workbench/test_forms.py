@@ -100,7 +100,7 @@ def test_a_form_is_the_command_it_shows(client: TestClient, tmp_path: Path) -> N
         effects = {"effects": ["object_mass"]} if name == "diagnose" else {}
         assert asked(client, {"command": name, "output": "out"} | runs | effects) == words
         assert parser().parse_args(words).experiment == tmp_path / "lab" / "experiment.yaml"
-    adding = {"command": "add", "effect": "object_mass", "source": "d.json", "output": "new.yaml"}
+    adding = {"command": "add", "effect": ["object_mass"], "source": "d.json", "output": "new.yaml"}
     added = ["add", "object_mass", "--from", f"{root}/d.json", "-o", f"{root}/new.yaml"]
     assert asked(client, adding) == added
     assert asked(client, adding | {"force": True}) == [*added, "--force"]

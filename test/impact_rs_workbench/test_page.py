@@ -317,8 +317,8 @@ def test_the_loop_by_mouse_names_the_effect_and_the_error_falls(page: Page, fold
     expect(page.locator("#ranking tr.main")).to_contain_text("CONFIRMED")
 
     page.locator("#ranking tr.main button").click()
-    expect(page.locator("#add-effect")).to_have_value("support_friction")
-    start(page, "Add the effect")
+    expect(page.locator("#add-effect input:checked")).to_have_value("support_friction")
+    start(page, "Add the effects")
     expect(page.locator("#models .tree")).to_contain_text("support_friction")
 
     go(page, "history")

@@ -53,6 +53,7 @@ EFFECTS = {
             "sizes_and_rate", (*(parameter(f"size{n}") for n in range(4)), parameter("common_rate", 1.0, True, 0.01))
         ),
         effect("rippled", (parameter("r"),)),
+        effect("saturated", (parameter("u", lower=0.0),)),
         effect("dry", (parameter("f", lower=0.0), parameter("fade", 1.0, True, 0.01, (0.1, 1.0, 10.0)))),
     )
 }
@@ -104,6 +105,8 @@ def features(cluster: int, added: Added) -> Array:
             result += sum(value * faded * along(70 + joint) for joint, value in enumerate(values[:-1]))
         elif name == "rippled":  # as an object that touches once more or once less
             result += (first + 0.2 * np.sin(12.0 * first)) * along(80)
+        elif name == "saturated":  # as a damping that takes most of the velocity
+            result += 30.0 * (1.0 - np.exp(-first / 12.0)) * along(90)
         elif name == "outside":
             result += first * along(5)
     for _, values in (one for one in added if one[0] == "dry"):  # takes its part of whatever drives, and no more

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from mixed_grab import MIXED, with_own
 
-from impact_rs_analysis.diagnosis.add import add_effect
+from impact_rs_analysis.diagnosis.add import add_effects
 from impact_rs_analysis.diagnosis.diagnose import diagnose
 from impact_rs_analysis.diagnosis.document import CONFIRMED, DiagnosisDocument, read_document, write_document
 from impact_rs_analysis.evidence.measured_runs import Runs, read_runs
@@ -67,8 +67,8 @@ def test_the_added_effect_predicts_the_runs(document: DiagnosisDocument, runs: R
     file = tmp_path / "diagnosis.json"
     write_document(document, file)
     nominal, output = load_model("nominal"), tmp_path / "model_2.yaml"
-    child = add_effect(
-        nominal, Path("nominal"), read_document(file), file, "joint_coulomb_friction", output, force=False
+    child = add_effects(
+        nominal, Path("nominal"), read_document(file), file, ["joint_coulomb_friction"], output, force=False
     )
     assert child.arms == {"left": 7, "right": 6}
     before, after = (ReplaySource.of(runs, model, ReplayCache(map)).size() for model in (nominal, child))

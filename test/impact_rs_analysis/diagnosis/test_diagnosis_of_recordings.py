@@ -23,6 +23,7 @@ from impact_rs_analysis.diagnosis.search import Search
 from impact_rs_analysis.evidence.recordings import RecordingSource
 from impact_rs_cli.main import main
 from impact_rs_sim.effects.formula import FormulaParameter, FormulaSpec
+from impact_rs_sim.errors import InputError
 from impact_rs_sim.model import Model
 from impact_rs_sim.robot_model import RobotModel
 from impact_rs_trials.recordings.bag_file import typestore_for
@@ -110,6 +111,25 @@ def test_a_diagnosed_recording_makes_a_better_model(folder: Path, capsys: pytest
     assert scores[0] > 1.3 * offsets and scores[1] == pytest.approx(offsets, rel=0.1)
     assert main(["add", "torque_offset", "--model", model, "--from", diagnosis, "-o", str(folder / "m3.yaml")]) == 2
     assert "not of 'model_2'" in capsys.readouterr().err
+
+
+def test_a_joint_whose_torque_was_not_measured_is_left_out_and_the_others_say_the_same(
+    planted: Columns, folder: Path, tmp_path: Path
+) -> None:
+    """Its friction is not measured; a recording without any torque is refused."""
+    dead = planted | {"effort": planted["effort"] * np.where(np.arange(7) == 2, 0.0, 1.0)}
+    found, whole = diagnosed(tmp_path, dead), read_document(folder / "d.json")
+    assert any("torque of joint 3 is 0 N m in all samples" in remark for remark in found.remarks)
+    assert set(found.named) == {"joint_coulomb_friction", "torque_offset"}
+    others = np.arange(7) != 2
+    for name, parameter in (("joint_coulomb_friction", "coulomb_joint{}"), ("torque_offset", "offset_joint{}")):
+        pairs = zip(estimates(found, name, parameter), estimates(whole, name, parameter), strict=True)
+        assert np.array([one - other for one, other in pairs])[others] == pytest.approx(0.0, abs=0.02)
+        assert effect(found, name).parameters[parameter.format(3)].verdict != "CONFIRMED"
+    assert [joint.joint for joint in found.joints] == [f"joint{n}" for n in (1, 2, 4, 5, 6, 7)]
+    nothing = planted | {"effort": np.zeros_like(planted["effort"])}
+    with pytest.raises(InputError, match="no joint's torque ever changes"):
+        source_of(write_npz(tmp_path / "b.npz", nothing))
 
 
 def test_planted_payload_is_found(tmp_path: Path) -> None:

@@ -48,6 +48,7 @@ DAMPER, RELAXATION = 1.0, 0.14  # N m s/rad, s
 SLIDING, BREAKAWAY = 0.6, 0.04  # N m, rad
 FADING, WARMING = 0.6, 3.0  # N m s/rad, s
 ECCENTRIC = 0.4  # N m/rad
+SHAFT = 0.7  # N m s/rad
 
 
 def ripple(q: np.ndarray, dq: np.ndarray, tau: np.ndarray) -> np.ndarray:
@@ -125,6 +126,15 @@ def recorded_with_cable(folder: Path) -> tuple[Path, Mapping]:
     return write_npz(folder / "run.npz", columns), mapping
 
 
+def recorded_with_shaft(folder: Path, side: float) -> tuple[Path, Mapping]:
+    """The same pendulum with a damped shaft that turns with the sum of both joints, or with their difference."""
+    path, mapping = recorded(folder, nothing)
+    columns = dict(np.load(path))
+    torque = SHAFT * (columns["velocity"] @ [1.0, side])
+    columns["effort"] += torque[:, None] * [1.0, side]
+    return write_npz(folder / "run.npz", columns), mapping
+
+
 def found_in(
     folder: Path, law: Torque, model: Model | None = None, effects: Sequence[str] = LIBRARY_EFFECTS
 ) -> DiscoveryDocument:
@@ -185,6 +195,30 @@ def test_a_cable_to_a_point_is_found_with_its_end_and_its_length(tmp_path: Path)
     assert numbers["c"] == pytest.approx(PULL, rel=0.05)
     assert numbers["anchor_x"] == pytest.approx(ANCHOR[0], abs=0.05)
     assert law.held_out_error_after < 0.1 * law.held_out_error_before
+
+
+@pytest.mark.parametrize(
+    ("side", "name"),
+    [(1.0, "motors1_2_velocity_sum_linear"), (-1.0, "motors_opposed1_2_velocity_difference_linear")],
+)
+def test_a_shaft_that_two_joints_share_is_found_with_its_damping(tmp_path: Path, side: float, name: str) -> None:
+    """As in coupled wrists and parallelograms; the power that it takes is c (dq1 +- dq2)^2."""
+    path, mapping = recorded_with_shaft(tmp_path, side)
+    recordings, grammar = read_recordings(path, mapping), load_grammar()
+    places = {name: grammar.places[name] for name in ("motor", "motors", "motors_opposed")}
+    document = discover(
+        lambda changed: RecordingSource.of(recordings, mapping, changed),
+        load_model("nominal"),
+        grammar.model_copy(update={"places": places}),
+        LIBRARY_EFFECTS,
+    )
+    assert document.diagnosis is not None
+    assert (document.verdict, document.diagnosis.named) == (FOUND, ("joint_coulomb_friction", name))
+    law = document.laws[0]
+    assert law.place == "torque on motors 1 and 2"
+    low, high = law.parameters["c"].ci95
+    assert low <= SHAFT <= high and high - low < 0.15 * SHAFT
+    assert law.held_out_error_after < 0.2 * law.held_out_error_before
 
 
 @pytest.mark.parametrize(

@@ -55,7 +55,7 @@ def test_every_law_has_the_unit_of_its_place_and_a_name_of_its_own() -> None:
 
 @pytest.mark.parametrize("seed", range(20))
 def test_laws_of_a_velocity_take_energy_out(seed: int) -> None:
-    """Torque times joint velocity, force times velocity: never positive, for any state and amplitude."""
+    """Torques times joint velocities, force times velocity: never positive, for any state and amplitude."""
     rng, seen = np.random.default_rng(seed), 0
     for one in SHIPPED:
         if not one.quantity.opposes or one.spec.contact_tangential or one.spec.support_tangential:
@@ -63,8 +63,8 @@ def test_laws_of_a_velocity_take_energy_out(seed: int) -> None:
         assert all(parameter.shape or parameter.lower == 0.0 for parameter in one.spec.parameters.values())
         state, seen = values(one, 1.0, rng), seen + 1
         for table in (one.spec.motor_torque, one.spec.joint_torque):
-            for joint, torque in evaluated(table, state).items():
-                assert torque * state[f"dq{joint.removeprefix('joint')}"] <= 0.0, one.spec.name
+            torques = evaluated(table, state).items()
+            assert sum(torque * state[f"dq{joint.removeprefix('joint')}"] for joint, torque in torques) <= 0.0, one
         for table, body in ((one.spec.end_effector_force, ""), (one.spec.object_force, "object_")):
             power = sum(force * state[f"{body}v{axis}"] for axis, force in evaluated(table, state).items())
             assert power <= 0.0, one.spec.name

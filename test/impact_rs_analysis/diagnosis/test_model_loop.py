@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from impact_rs_analysis.diagnosis.add import add_effect
+from impact_rs_analysis.diagnosis.add import add_effects
 from impact_rs_analysis.diagnosis.document import DiagnosisDocument, read_document
 from impact_rs_analysis.diagnosis.history import versions
 from impact_rs_analysis.diagnosis.scoring import Score, score
@@ -45,7 +45,7 @@ def add(
 ) -> Model:
     """The first effect of the diagnosis added to the nominal model, or to another one."""
     of = (model or load_model("nominal"), Path("nominal") if model is None else file)
-    return add_effect(*of, document, diagnosed, document.effects[0].name, file, force)
+    return add_effects(*of, document, diagnosed, [document.effects[0].name], file, force)
 
 
 def test_the_document_has_its_schema(diagnosed: Path) -> None:

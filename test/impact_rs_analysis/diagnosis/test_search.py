@@ -9,6 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import scipy
 from analytic_world import (
     EFFECTS,
     TIPPING,
@@ -246,10 +247,32 @@ def test_bounds_hold_and_the_optimum_obeys_kuhn_and_tucker() -> None:
         assert np.all(slope[change <= lower + 1e-6] <= 1e-6) and np.all(slope[change >= upper - 1e-6] >= -1e-6)
 
 
+@pytest.mark.parametrize("size", [1, 3, 12])
+def test_several_bounded_problems_end_where_each_of_them_does_alone(size: int) -> None:
+    """Also ill-conditioned ones; beside an independent method (bounded-variable least squares of SciPy)."""
+    rng = np.random.default_rng(size)
+    roots = rng.standard_normal((40, size + 1, size)) * np.logspace(0, -2, size)
+    matrices = np.swapaxes(roots, 1, 2) @ roots + 1e-6 * np.eye(size)
+    scores = rng.standard_normal((40, size)) * 3.0
+    lower, upper = -rng.uniform(0.0, 0.5, size), rng.uniform(0.0, 0.5, size)
+    together = bounded(matrices, scores, lower, upper)
+    for matrix, score, found in zip(matrices, scores, together, strict=True):
+        np.testing.assert_allclose(bounded(matrix, score, lower, upper), found, atol=1e-12)
+        root = np.linalg.cholesky(matrix).T
+        target = np.linalg.solve(root.T, score)
+        other = scipy.optimize.lsq_linear(root, target, bounds=(lower, upper), method="bvls", tol=1e-14).x
+
+        def cost(point: np.ndarray, matrix: np.ndarray = matrix, score: np.ndarray = score) -> float:
+            return float(0.5 * point @ matrix @ point - score @ point)
+
+        assert cost(found) <= cost(other) + 1e-9
+
+
 def test_a_bound_of_physics_is_not_passed() -> None:
     search = searched(AnalyticSource(10, (("one_sided", (-3.0,)),)), "one_sided")
     fitted = refine(search.singles["one_sided"], search.evidence)
     assert fitted.estimate[0] == pytest.approx(0.0, abs=1e-12)
+    assert fitted.interval[0][0] == 0.0
 
 
 @pytest.mark.parametrize("hidden", [-170.0, 170.0, 700.0])
@@ -257,6 +280,23 @@ def test_a_fit_goes_on_beyond_the_range_of_a_parameter_that_is_not_one_of_physic
     search = searched(AnalyticSource(10, (("straight", (hidden,)),)), "straight")
     fitted = refine(search.singles["straight"], search.evidence)
     assert fitted.estimate[0] == pytest.approx(hidden, abs=0.5) and not fitted.at_bound.any()
+
+
+def test_the_range_of_a_search_does_not_cut_an_interval_off() -> None:
+    """Just below the end of the range it is as long to either side."""
+    search = searched(AnalyticSource(10, (("straight", (49.95,)),)), "straight")
+    fitted = refine(search.singles["straight"], search.evidence)
+    low, high = (float(end[0]) for end in fitted.interval)
+    assert fitted.estimate[0] < fitted.candidate.upper[0] == 50.0 < high
+    assert high - fitted.estimate[0] == pytest.approx(fitted.estimate[0] - low, rel=1e-6)
+
+
+@pytest.mark.parametrize("hidden", [3.0, 30.0])
+def test_a_fit_whose_steps_get_short_looks_at_its_sensitivities_again(hidden: float) -> None:
+    """A damping is an eighth as sensitive at 30 as at 0: steps by the latter end at three quarters of the way."""
+    search = searched(AnalyticSource(10, (("saturated", (hidden,)),)), "saturated")
+    fitted = refine(search.singles["saturated"], search.evidence)
+    assert fitted.estimate[0] == pytest.approx(hidden, rel=0.05)
 
 
 def test_a_range_is_widened_four_times_and_then_said_to_be_reached() -> None:

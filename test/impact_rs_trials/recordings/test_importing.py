@@ -196,6 +196,84 @@ def test_a_folder_with_a_file_per_signal_and_run_is_described(tmp_path: Path, mo
     assert any(remark == "left out, for a file is missing: 11 (object_1_hit_{run}.csv)" for remark in later.remarks)
 
 
+JOINTS = ("lift_joint", "arm_1_joint", "arm_2_joint", "elbow", "arm_4_joint", "wrist_a", "wrist_b")
+
+
+def signal_files(folder: Path, motion: Columns, velocity: bool, joint: str = "{joint}") -> Path:
+    """A file per signal, whose columns are called after the joints."""
+    folder.mkdir()
+    for signal, column in (("position", "position"), ("velocity", "velocity"), ("effort", "effort")):
+        if velocity or signal != "velocity":
+            names = ["t", *(joint.format(joint=name, signal=signal) for name in JOINTS)]
+            write(folder / f"robot_{signal}.csv", names, [TIME, motion[column]])
+    return folder
+
+
+@pytest.mark.parametrize("joint", ["{joint}", "- {joint}_{signal}", "{signal}_{joint}"])
+def test_one_run_with_a_file_per_signal_is_read_once(tmp_path: Path, motion: Columns, joint: str) -> None:
+    """Columns of joints that have names, told apart by a word of the names or by those of the files."""
+    folder = signal_files(tmp_path / "run", motion, True, joint)
+    draft = draft_import([folder], tmp_path / "lab", Wishes(robot="kuka_iiwa7"))
+    mapping = load_mapping(described(draft, tmp_path / "lab"))
+    files = {name: source.file for name, source in mapping.signals.items()}
+    assert files == {"position": "robot_position.csv", "velocity": "robot_velocity.csv", "torque": "robot_effort.csv"}
+    check_reading(draft, tmp_path / "lab", folder, motion)
+    for run in ("run_1", "run_2"):
+        (tmp_path / "runs").mkdir(exist_ok=True)
+        signal_files(tmp_path / "runs" / run, motion, True, joint)
+    assert [run.name for run in read_recordings(tmp_path / "runs", mapping)] == ["run_1", "run_2"]
+    (folder / "robot_effort.csv").unlink()
+    assert "no run here has the files" in refusal(read_recordings, folder, mapping)
+
+
+@pytest.mark.parametrize("joint", ["{joint}", "{signal}_{joint}"])
+def test_velocities_that_were_not_recorded_are_made_of_the_positions(
+    tmp_path: Path, motion: Columns, joint: str
+) -> None:
+    folder = signal_files(tmp_path / "run", motion, False, joint)
+    draft = draft_import([folder], tmp_path / "lab", Wishes(robot="kuka_iiwa7"))
+    assert said_of(draft, "signals.velocity").startswith("none no signal is the derivative of the positions")
+    mapping = load_mapping(described(draft, tmp_path / "lab"))
+    assert set(mapping.signals) == {"position", "torque"}
+    (run,) = read_recordings(folder, mapping)
+    arm = run.signals.arms["arm"]
+    np.testing.assert_allclose(arm.velocity[1:-1], motion["velocity"][1:-1], atol=1e-3)
+    np.testing.assert_allclose(arm.torque, motion["effort"], atol=1e-6)
+    assert any("velocities are its derivative, by differences over 20 ms" in remark for remark in run.remarks)
+
+
+def test_a_sampling_rate_that_velocities_contradict_is_refused_with_the_right_one(
+    tmp_path: Path, motion: Columns
+) -> None:
+    names = [*numbered("a"), *numbered("b"), *numbered("c")]
+    file = write(tmp_path / "log.csv", names, [motion["position"], motion["velocity"], motion["effort"]])
+    said = refusal(draft_import, [file], tmp_path / "lab", Wishes(robot="kuka_iiwa7", rate=400.0))
+    assert "b1 … b7 is 0.25 times the derivative of a1 … a7 in all joints" in said
+    assert "velocity in rad/s at 100 Hz" in said and "--rate" in said
+
+
+def test_positions_are_not_taken_for_velocities_that_do_not_fit(tmp_path: Path, motion: Columns) -> None:
+    """A signal that is called a velocity and is none: nothing is made of it, or without it."""
+    names = ["t", *numbered("q"), *numbered("dq"), *numbered("tau")]
+    file = write(tmp_path / "log.csv", names, [TIME, motion["position"], motion["velocity"] ** 2, motion["effort"]])
+    assert "no two signals of 7 joints" in refusal(draft_import, [file], tmp_path / "lab", Wishes(robot="kuka_iiwa7"))
+
+
+def test_joints_that_show_nothing_keep_their_sign_where_the_others_contradict_each_other(
+    tmp_path: Path, motion: Columns
+) -> None:
+    """Two joints carry weight, one of them with the other sign; a torque times 0 would be none."""
+    weights = np.abs(motion["effort"]).mean(axis=0)
+    heavy = np.argsort(weights)[-2:]
+    effort = np.random.default_rng(1).standard_normal(motion["effort"].shape)
+    effort[:, heavy] = motion["effort"][:, heavy] * [1.0, -1.0]
+    names = ["t", *numbered("q"), *numbered("dq"), *numbered("tau")]
+    file = write(tmp_path / "log.csv", names, [TIME, motion["position"], motion["velocity"], effort])
+    draft = draft_import([file], tmp_path / "lab", Wishes(robot="kuka_iiwa7"))
+    factor = np.array(load_mapping(described(draft, tmp_path / "lab")).signals["torque"].factor)
+    assert set(np.abs(factor)) == {1.0} and factor[heavy].tolist() == [1.0, -1.0]
+
+
 def test_an_object_alone_needs_no_robot(tmp_path: Path) -> None:
     turn = np.tile([1.0, 0.0, 0.0, 0.0], (TIME.size, 1))
     names = ["time", "pos_x", "pos_y", "pos_z", "quat_w", "quat_x", "quat_y", "quat_z"]

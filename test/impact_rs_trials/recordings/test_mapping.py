@@ -53,6 +53,19 @@ def test_units_are_turned_into_si(signal: str, keys: dict, factor: float) -> Non
     assert mapping(signals=signals(signal, **keys)).factor(signal) == pytest.approx(factor)
 
 
+def test_an_offset_is_added_after_the_factor_in_the_unit() -> None:
+    """As where an encoder turns the other way and counts from another zero."""
+    zero = [0.0, -90.0, 90.0, 0.0, 0.0, 0.0, 0.0]
+    own = mapping(signals=signals("position", unit="deg", factor=-1.0, offset=zero))
+    np.testing.assert_allclose(own.to_si("position", np.full((1, 7), 30.0)), np.radians([np.array(zero) - 30.0]))
+
+
+def test_a_mapping_without_velocities_is_one_and_without_torques_is_none() -> None:
+    assert "velocity" not in mapping(signals=signals("velocity")).signals
+    with pytest.raises(InputError, match="signals.torque is missing; position and torque are needed"):
+        mapping(signals=signals("torque"))
+
+
 def test_currents_become_torques_by_the_constant_of_each_joint() -> None:
     constants = [10.0, 9.0, 8.0, 7.0, 6.0, 5.0, 4.0]
     own = mapping(signals=signals("torque", unit="mA"), torque_measured_at="motor", torque_constant=constants)
