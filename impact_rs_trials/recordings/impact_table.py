@@ -300,12 +300,11 @@ def _name_and_unit(header: str) -> tuple[str, str]:
 
 
 def _numbers(texts: Sequence[str]) -> list[float] | None:
-    """Finite numbers of all cells of a column; None where one is something else."""
+    """Numbers of all cells of a column; None where one is something else."""
     try:
-        found = [decimal(text) for text in texts]
+        return [decimal(text) for text in texts]
     except ValueError:
         return None
-    return found if np.isfinite(found).all() else None
 
 
 def _triple(stem: str, tail: str = "") -> list[str]:
@@ -415,7 +414,9 @@ class _Reader:
     def _declared(self) -> dict[str, str]:
         """Headers of the covariates by their names."""
         there = {_name_and_unit(text)[0]: text for text in self.header}
-        for name in self.covariates:
+        for place, name in enumerate(self.covariates):
+            if name in self.covariates[:place]:
+                raise InputError(f"column {name!r} is named twice", file=self.path, key="--covariates")
             if name not in there:
                 raise InputError(
                     f"no column {name!r}{did_you_mean(name, there)}; there are: {', '.join(there)}",
@@ -433,6 +434,9 @@ class _Reader:
                 if not level:
                     raise self._wrong(number, f"column {text!r}", None, "this cell is empty; a covariate has a value")
             values: Sequence[float | str] = _numbers(levels) or levels
+            for number, value in enumerate(values, start=1):
+                if isinstance(value, float) and not np.isfinite(value):
+                    raise self._wrong(number, f"column {text!r}", value, "expected a finite number")
             for own, value in zip(found, values, strict=True):
                 own[name] = value
         return found

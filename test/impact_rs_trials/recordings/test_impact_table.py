@@ -303,3 +303,7 @@ def test_a_covariate_that_is_not_there_or_empty_is_refused(tmp_path: Path, cubes
     assert "--covariates: no column 'sesion'; did you mean 'session'?" in said
     said = refusal(lambda: read_impact_table(path, covariates=["session"]))
     assert "row 1, column 'session': this cell is empty" in said
+    path = write(tmp_path / "cubes.csv", [row | {"warmth [K]": 300 if n else "nan"} for n, row in enumerate(cubes)])
+    said = refusal(lambda: read_impact_table(path, covariates=["warmth"]))
+    assert "row 1, column 'warmth [K]' = nan: expected a finite number" in said
+    assert "named twice" in refusal(lambda: read_impact_table(path, covariates=["warmth", "warmth"]))
