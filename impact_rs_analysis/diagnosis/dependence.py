@@ -127,11 +127,14 @@ def _terms(covariate: Covariate, folds: Sequence[Fold]) -> Levels | Slope | None
     return Levels(names) if len(names) > 1 else None
 
 
-def dependences_of(found: Findings, progress: ProgressCallback = lambda *_: None) -> Dependences | None:
+def dependences_of(
+    found: Findings, present: Sequence[Effect] = (), progress: ProgressCallback = lambda *_: None
+) -> Dependences | None:
     """Which effects depend on which covariate; None: there is nothing to try.
 
     Args:
         found: Of the search with one value for all circumstances.
+        present: Effects that the model has already, which may depend on a covariate beyond that.
         progress: Called with fitted effects and their held-out error (:class:`Search`).
     """
     if not found.evidence.source.covariates or found.evidence.null.shortage is not None:
@@ -142,7 +145,7 @@ def dependences_of(found: Findings, progress: ProgressCallback = lambda *_: None
     pairs = tuple(
         Depending(effect, name, terms)
         for name, terms in terms_of(source).items()
-        for effect in (*chosen, *others)
+        for effect in (*chosen, *others, *present)
         if terms is not None
     )
     if not pairs:

@@ -86,9 +86,11 @@ def diagnose(
     """
     effects = effects_for(source, only, bounds)
     found = findings_of(source, effects, progress)
-    dependences = dependences_of(found, progress)
+    present = [item.name for item in source.model.effects]
+    known = [bounded(source.known_effects[name].in_proportion(source.proportion), bounds) for name in present]
+    dependences = dependences_of(found, known, progress)
     document = document_of(found, source, model)
-    if dependences is not None and dependences.pairs:
+    if dependences is not None and dependences.pairs and not {p.effect.name for p in dependences.pairs} & set(present):
         # What depends on circumstances was scatter to the first search, which hides effects, or passes for some.
         again = findings_of(dependences.source, dependences.in_place_of(effects), progress)
         if dependences.settled_by(found, again) and again.chosen is not None:

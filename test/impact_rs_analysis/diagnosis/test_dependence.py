@@ -17,7 +17,7 @@ from impact_rs_analysis.diagnosis.document import CONFIRMED, DependenceDocument,
 from impact_rs_analysis.evidence.impact_tables import ImpactTableSource
 from impact_rs_analysis.evidence.map_discrepancy import NO_MAP_DISCREPANCY
 from impact_rs_analysis.evidence.source import Covariate
-from impact_rs_sim.model import load_model
+from impact_rs_sim.model import Model, ModelEffect, ParameterValue, load_model
 from impact_rs_sim.scenario import load_scenario
 from impact_rs_trials.recordings.impact_table import read_impact_table
 
@@ -187,6 +187,26 @@ def test_what_is_more_in_one_session_and_less_in_another_is_found_where_nothing_
         < 0.61 - 0.565
         < intervals["B"][1]
     )
+
+
+def test_an_effect_that_the_model_has_may_depend_on_a_session_beyond_that(
+    two_sessions: tuple[Path, DiagnosisDocument],
+) -> None:
+    """With mean restitution and friction in the model nothing is missing on average, and no other effect is blamed."""
+    path, _ = two_sessions
+    items = [("restitution", "restitution", 0.565), ("support_friction", "friction", -0.1)]
+    effects = [
+        ModelEffect(name=name, parameters={key: ParameterValue(estimate=value, unit="-")}) for name, key, value in items
+    ]
+    model = Model(name="pooled", effects=tuple(effects))
+    source = ImpactTableSource(read_impact_table(path, covariates=["session"]), model)
+    document = diagnose(source, model)
+    assert not document.named
+    ((pair, one),) = found(document).items()
+    assert pair == ("restitution", "session")
+    intervals = of_levels(one)
+    assert intervals["A"][0] < 0.52 - 0.565 < intervals["A"][1] < 0.0
+    assert 0.0 < intervals["B"][0] < 0.61 - 0.565 < intervals["B"][1]
 
 
 def test_rows_of_one_condition_in_other_sessions_are_no_repeats(tmp_path: Path) -> None:
