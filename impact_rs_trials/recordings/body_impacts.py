@@ -32,7 +32,7 @@ Rows = NDArray[np.signedinteger]
 FEWEST = 5  # samples of flight on a side
 LONGEST_FLIGHT = 0.12  # s, of the samples that are used; longer ones feel drag
 LONGEST = 2  # disturbed differences in a row, over k; a single impact, between two samples or on one, makes no more
-MOST_SKIPPED = 6  # k
+LONGEST_REACH = 0.04  # s, k h: longer than the noise of trackers asks for, shorter than flights between bounces
 NOISE_FACTOR = 4.0  # standard deviations of a second difference from which it is disturbed,
 SHARE_OF_GRAVITY = 0.5  # and at least so much of g
 TOO_NOISY = 0.9  # of g, of the limit beyond which rest looks like flight
@@ -51,6 +51,7 @@ class TrackedBody:
         position: Of the geometric centre, ``(k, 3)`` [m].
         rotation: From its axes, ``(k, 3, 3)``.
         gravity: ``(3,)`` [m/s^2].
+        spin: Angular velocity before impacts that was not tracked, ``(3,)`` [rad/s]; None: the turn was tracked.
     """
 
     run: str
@@ -58,6 +59,7 @@ class TrackedBody:
     position: Array
     rotation: Array
     gravity: Array
+    spin: Array | None = None
 
 
 def impacts_of_bodies(runs: Sequence[TrackedBody], body: Body) -> tuple[list[Impact], list[NoRow]]:
@@ -126,7 +128,8 @@ def breaks(time: Array, height: Array, gravity: float) -> tuple[NDArray[np.bool_
     """
     # Third differences of white noise are sqrt(20 / 6) times as large as second ones, and impacts are few.
     noise = 1.4826 * float(np.median(np.abs(np.diff(_bend(time, height, 1))))) / np.sqrt(20.0 / 6.0)
-    for reach in range(1, min(MOST_SKIPPED, (len(time) - 2) // 4) + 1):
+    most = round(LONGEST_REACH / float(np.median(np.diff(time))))
+    for reach in range(1, min(most, (len(time) - 2) // 4) + 1):
         limit = max(NOISE_FACTOR * noise / reach**2, SHARE_OF_GRAVITY * abs(gravity))
         if limit <= TOO_NOISY * abs(gravity):
             off = np.ones(len(time), dtype=bool)
@@ -161,6 +164,8 @@ def _impact(run: TrackedBody, body: Body, name: str, before: Rows, after: Rows, 
     time = _meeting(ante, post, edge)
     position, rotation, twist = ante.at(time)
     post_twist = post.at(time)[2]
+    if run.spin is not None:
+        twist = np.concatenate((twist[:3], run.spin))
     noise = (float(np.hypot(ante.noise[0], post.noise[0])), float(np.hypot(ante.noise[1], post.noise[1])))
     corners = _corners(position, rotation, body)
     if corners is None:
@@ -189,6 +194,7 @@ def _impact(run: TrackedBody, body: Body, name: str, before: Rows, after: Rows, 
         noise=noise,
         tolerance=2.0 * (ante.scatter[0] + 0.5 * ante.scatter[1] * extent),
         model="free flight",
+        turn_tracked=run.spin is None,
     )
 
 

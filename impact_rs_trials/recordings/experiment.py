@@ -81,6 +81,11 @@ class Body(Schema):
     place: FramePlacement = Field(
         default_factory=FramePlacement, description="its geometric centre and axes in the frame that is tracked"
     )
+    spin: Vector3 | None = Field(
+        None,
+        description="angular velocity before the impacts of a ball whose turn was not tracked, along the axes of the "
+        "tracker; zeros where it was dropped or thrown without spin [rad/s]",
+    )
 
     @property
     def moments(self) -> Array:
@@ -96,6 +101,8 @@ class Body(Schema):
     def _one_shape(self) -> Self:
         if (self.size is None) == (self.radius is None):
             raise ValueError("expected either size, of a box, or radius, of a ball [m]")
+        if self.spin is not None and self.radius is None:
+            raise ValueError("spin is for balls: how a box lands follows from its turn, which must be tracked")
         return self
 
 

@@ -24,6 +24,10 @@ from impact_rs_trials.recordings.series import Names
 from impact_rs_trials.recordings.sources import read_series
 from impact_rs_trials.workers import Map
 
+SPIN = (
+    "the turn of the ball was not tracked: its spin before the impacts is that of body.spin, on which its friction "
+    "depends, and none is compared after them"
+)
 POSE: tuple[SignalName, ...] = ("object_pose", "object_position", "object_quaternion")
 
 
@@ -107,7 +111,8 @@ def _of_bodies(directory: Path, experiment: Experiment, body: Body, map_tasks: M
     conditions = {row.name: row.condition for row in rows}
     named = [_with_condition(impact, conditions) for impact in impacts]
     constants = body_columns(body, plane)
-    return FoundImpacts(tuple(named), (*left_out, *out), len(rows), constants)
+    assumed = () if all(impact.turn_tracked for impact in impacts) else (SPIN,)
+    return FoundImpacts(tuple(named), (*left_out, *out), len(rows), constants, assumed)
 
 
 def _with_condition(impact: Impact, conditions: dict[str, str]) -> Impact:
@@ -131,7 +136,9 @@ def body_columns(body: Body, plane: Plane) -> dict[str, float]:
     }
 
 
-def tracked_body(name: str, time: Array, pose: Array, body: Body, plane: Plane) -> TrackedBody:
+def tracked_body(
+    name: str, time: Array, pose: Array, body: Body, plane: Plane, spin: Array | None = None
+) -> TrackedBody:
     """A run in a frame whose z axis is the normal of the plane and whose plane is z = 0.
 
     Args:
@@ -140,6 +147,7 @@ def tracked_body(name: str, time: Array, pose: Array, body: Body, plane: Plane) 
         pose: Of the tracked frame, place and quaternion x y z w, ``(k, 7)``.
         body: Where its centre is in that frame.
         plane: Where it is in the tracker's world.
+        spin: Angular velocity before impacts in that world, if the turn was not tracked, ``(3,)`` [rad/s].
     """
     normal = np.array(plane.normal) / np.linalg.norm(plane.normal)
     level = pin.Quaternion.FromTwoVectors(normal, np.array([0.0, 0.0, 1.0])).matrix()
@@ -147,20 +155,28 @@ def tracked_body(name: str, time: Array, pose: Array, body: Body, plane: Plane) 
     bodies = [placement * body.place.placement for placement in placements]
     position = np.array([one.translation for one in bodies]) @ level.T - np.array([0.0, 0.0, plane.height])
     rotation = np.array([level @ one.rotation for one in bodies])
-    return TrackedBody(name, time - time[0], position, rotation, level @ np.array(plane.gravity))
+    around = None if spin is None else level @ spin
+    return TrackedBody(name, time - time[0], position, rotation, level @ np.array(plane.gravity), around)
 
 
 def _track(task: tuple[RunRow, Mapping, Body, Plane]) -> TrackedBody | InputError:
     row, mapping, body, plane = task
-    if "object_quaternion" not in mapping.signals and "object_pose" not in mapping.signals:
-        return InputError("the turn of the body was not tracked (object_quaternion): its spin decides how it bounces")
+    turned = "object_quaternion" in mapping.signals or "object_pose" in mapping.signals
+    if not turned and body.spin is None:
+        said = "the turn of the body was not tracked (object_quaternion), and how it bounces depends on its spin"
+        return InputError(f"{said}; of a ball body.spin says it, [0, 0, 0] for one that was dropped without any")
     wanted = [name for name in POSE if name in mapping.signals]
     try:
-        read = with_object(row.path, dict(read_series(row.path, mapping, wanted, wanted, Names(run=row.name))), [])
-        pose = read["object_pose"]
+        read = dict(read_series(row.path, mapping, wanted, wanted, Names(run=row.name)))
+        if not turned:
+            place = read.pop("object_position")
+            upright = np.tile([0.0, 0.0, 0.0, 1.0], (place.time.size, 1))
+            read["object_pose"] = replace(place, values=np.hstack((place.values, upright)))
+        pose = with_object(row.path, read, [])["object_pose"]
         finite = np.isfinite(pose.values).all(axis=1)
         if np.any(np.diff(pose.time) <= 0.0):
             raise InputError("time stamps stand still or run backwards; time.repeated: keep_first keeps one of each")
-        return tracked_body(row.name, pose.time[finite], pose.values[finite], body, plane)
+        spin = None if turned else np.array(body.spin)
+        return tracked_body(row.name, pose.time[finite], pose.values[finite], body, plane, spin)
     except InputError as error:
         return error

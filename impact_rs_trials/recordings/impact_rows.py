@@ -68,6 +68,7 @@ class Impact:
         model: Law that was fitted after the impact.
         arms: Arms by name; empty: a free body.
         outcomes: What was measured later: friction of the support [-], distance [m].
+        turn_tracked: Whether angular velocities were measured; if not, that before is assumed, and none after is known.
     """
 
     run: str
@@ -83,6 +84,7 @@ class Impact:
     model: str
     arms: Mapping[str, ArmInImpact] = field(default_factory=dict)
     outcomes: Mapping[str, float] = field(default_factory=dict)
+    turn_tracked: bool = True
 
 
 def table_text(impacts: Sequence[Impact], constants: Mapping[str, float]) -> str:
@@ -98,13 +100,16 @@ def table_text(impacts: Sequence[Impact], constants: Mapping[str, float]) -> str
     header += ["object"] if impacts[0].object_name else []
     header += POSE
     header += [f"v{axis}_before [m/s]" for axis in "xyz"] + [f"w{axis}_before [rad/s]" for axis in "xyz"]
-    header += [f"v{axis}_after [m/s]" for axis in "xyz"] + [f"w{axis}_after [rad/s]" for axis in "xyz"]
+    header += [f"v{axis}_after [m/s]" for axis in "xyz"]
+    turned = impacts[0].turn_tracked
+    header += [f"w{axis}_after [rad/s]" for axis in "xyz"] if turned else []
     for name, arm in impacts[0].arms.items():
         label = f"{name}." if several else ""
         header += [f"{label}q{joint} [{unit}]" for joint, (unit, _) in enumerate(arm.units, start=1)]
         for tail in ("before", "after"):
             header += [f"{label}dq{joint}_{tail} [{unit}]" for joint, (_, unit) in enumerate(arm.units, start=1)]
-    header += ["v_noise [m/s]", "w_noise [rad/s]", *(["dq_noise [rad/s]"] if impacts[0].arms else [])]
+    header += ["v_noise [m/s]", *(["w_noise [rad/s]"] if turned else [])]
+    header += ["dq_noise [rad/s]"] if impacts[0].arms else []
     header += ["contact_tolerance [m]", *constants, "law after", *outcomes]
     if not any(impact.condition for impact in impacts):
         header.remove("condition")
@@ -112,10 +117,11 @@ def table_text(impacts: Sequence[Impact], constants: Mapping[str, float]) -> str
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(header)
     for impact in impacts:
-        numbers = [*impact.position, *pin.Quaternion(impact.rotation).coeffs(), *impact.before, *impact.after]
+        after = impact.after if turned else impact.after[:3]
+        numbers = [*impact.position, *pin.Quaternion(impact.rotation).coeffs(), *impact.before, *after]
         for arm in impact.arms.values():
             numbers += [*arm.position, *arm.before, *arm.after]
-        numbers += [*impact.noise]
+        numbers += impact.noise if turned else impact.noise[:1]
         if impact.arms:
             numbers.append(float(np.sqrt(np.mean([arm.noise**2 for arm in impact.arms.values()]))))
         numbers += [max(impact.tolerance, GAP_TOLERANCE), *constants.values()]

@@ -513,6 +513,22 @@ class _Importer:
                         section |= self._own_layout(part, joints, with_robot)
                 signals |= found
                 return part
+        return None if with_robot else self._ball(signals)
+
+    def _ball(self, signals: dict[str, dict[str, Any]]) -> _Part | None:
+        """Places of an object whose turn was not tracked, added to the signals; a ball may be one."""
+        for part in self._parts:
+            names = [name for name, cells in part.columns.items() if vector_width(cells) == 1]
+            for columns in _axes(names)[0]:
+                file = open_file(part.path, self._raw_mapping(part, NO_ROBOT, ()), Names(), ("object_position",))
+                place = file.series("object_position", SignalSource(unit="m", columns=tuple(columns))).values
+                length = unit_of_length(place)
+                self._say("signals.object_position", ", ".join(columns), length.evidence)
+                self._remarks.append(
+                    "no column is its turn: only of a ball that is enough, with the spin that it had (body.spin)"
+                )
+                signals["object_position"] = {**self._source(part, {"columns": columns}), "unit": length.value}
+                return part
         return None
 
     def _poses(self, part: _Part, with_robot: bool) -> list[tuple[dict[str, Any], dict[str, Any] | None]]:
@@ -688,6 +704,7 @@ runs: runs.csv
 body:
   # mass: 0.37
   # size: [0.1, 0.1, 0.1]     # of a box; or of a ball: radius: 0.02, shell: true if it is hollow
+  # spin: [0, 0, 0]           # of a ball whose turn was not tracked, before it hits [rad/s]
   # place: {position: [0, 0, 0], rpy: [0, 0, 0]}   # its centre and axes in the tracked frame
 plane: {height: 0.0, normal: [0, 0, 1]}   # ASSUMED: where the plane is in the tracker's world
 """
