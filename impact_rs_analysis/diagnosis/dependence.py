@@ -33,9 +33,9 @@ from impact_rs_analysis.diagnosis.hold_out import Fold, folds_of
 from impact_rs_analysis.diagnosis.search import SHORTLIST, ProgressCallback, adjusted, tied
 from impact_rs_analysis.diagnosis.thresholds import LEAST_NUMBERS, LEAST_ROWS_OF_LEVEL, SIGNIFICANT, TIE
 from impact_rs_analysis.diagnosis.verdicts import Findings, change_interval
-from impact_rs_analysis.evidence.source import Covariate, Source
+from impact_rs_analysis.evidence.source import MOST_AS_NAMES, Covariate, Source
 from impact_rs_sim.effects import Effect
-from impact_rs_sim.effects.depending import Depending, Levels, Slope
+from impact_rs_sim.effects.depending import Depending, Levels, Slope, level_name
 from impact_rs_sim.robot import Array
 
 
@@ -103,28 +103,30 @@ class Dependences:
         return replace(self, pairs=kept, fit=chosen, replaced=tuple(p.name for p in self.pairs if p not in kept))
 
 
-def terms_of(source: Source) -> dict[str, Levels | Slope | None]:
-    """How parameters may depend on every covariate of a source, by name; None: it does not vary enough.
+def terms_of(source: Source) -> dict[str, tuple[Levels | Slope, ...]]:
+    """Ways in which parameters may depend on every covariate of a source, by name; empty: it does not vary enough.
 
-    A level has values of its own if it was measured beside every fold of a hold-out as well.
+    A level has values of its own if it was measured beside every fold of a hold-out as well. A few different numbers
+    may be names, as those of sessions are.
     """
     folds = folds_of(source) if source.covariates else []
     return {item.name: _terms(item, folds) for item in source.covariates}
 
 
-def _terms(covariate: Covariate, folds: Sequence[Fold]) -> Levels | Slope | None:
+def _terms(covariate: Covariate, folds: Sequence[Fold]) -> tuple[Levels | Slope, ...]:
     """See :func:`terms_of`."""
     every = [value for rows in covariate.values for value in rows]
-    if covariate.numeric:
+    different = dict.fromkeys(map(level_name, every))
+    found: list[Levels | Slope] = []
+    if covariate.numeric and len(set(every)) >= LEAST_NUMBERS:
         numbers = np.array(every, dtype=float)
-        return Slope(float(numbers.mean()), float(numbers.std())) if len(set(every)) >= LEAST_NUMBERS else None
-    beside = [[value for number in fold.training for value in covariate.values[number]] for fold in folds]
-    names = tuple(
-        str(name)
-        for name in dict.fromkeys(every)
-        if beside and min(rows.count(name) for rows in beside) >= LEAST_ROWS_OF_LEVEL
-    )
-    return Levels(names) if len(names) > 1 else None
+        found.append(Slope(float(numbers.mean()), float(numbers.std())))
+    if not covariate.numeric or len(different) <= MOST_AS_NAMES:
+        beside = [[level_name(v) for number in fold.training for v in covariate.values[number]] for fold in folds]
+        least = {name: min((rows.count(name) for rows in beside), default=0) for name in different}
+        names = tuple(name for name, rows in least.items() if rows >= LEAST_ROWS_OF_LEVEL)
+        found += [Levels(names)] if len(names) > 1 else []
+    return tuple(found)
 
 
 def dependences_of(
@@ -144,9 +146,9 @@ def dependences_of(
     others = [single.effects[0] for name, single in found.search.singles.items() if name not in found.names]
     pairs = tuple(
         Depending(effect, name, terms)
-        for name, terms in terms_of(source).items()
+        for name, ways in terms_of(source).items()
         for effect in (*chosen, *others, *present)
-        if terms is not None
+        for terms in ways
     )
     if not pairs:
         return None
@@ -161,7 +163,7 @@ def dependences_of(
     names = tuple(own for own, _ in results)
     change = change_interval(before, after, evidence)
     supported = change is not None and change[1] < 0.0
-    kept = tuple(one for one in choice.pairs if supported and _common(one.name, choice, names))
+    kept = tuple(one for one in choice.pairs if supported and _common(one, pairs, choice, names))
     fit = choice.fit
     if len(kept) < len(choice.pairs):
         fit = _fitted(chosen, start, evidence)
@@ -171,9 +173,14 @@ def dependences_of(
     return Dependences(source.knowing(kept), pairs, choice, kept, fit, before, after, names)
 
 
-def _common(name: str, choice: Choice, found: Sequence[tuple[str, ...]]) -> bool:
-    """Whether more than half of the folds find a pair, or one that predicts as well in its place."""
-    alike = {name, *choice.rivals[name]}
+def ways_of(pair: Depending, pairs: Sequence[Depending]) -> set[str]:
+    """Names of all ways in which the effect of a pair may depend on its covariate."""
+    return {one.name for one in pairs if (one.effect.name, one.covariate) == (pair.effect.name, pair.covariate)}
+
+
+def _common(pair: Depending, pairs: Sequence[Depending], choice: Choice, found: Sequence[tuple[str, ...]]) -> bool:
+    """Whether more than half of the folds find a dependence, or one that predicts as well in its place."""
+    alike = ways_of(pair, pairs) | set(choice.rivals[pair.name])
     return 2 * sum(bool(alike & set(names)) for names in found) > len(found)
 
 
@@ -239,7 +246,10 @@ def _choose(evidence: Evidence, fitted: Fit | None, pairs: Sequence[Depending], 
         best = min((one for one in refined if one.score <= limit), key=lambda entry: (_cost(entry), entry.score))
         (own,) = (pair for pair in free if pair.name in best.candidate.names)
         others = [one for one in refined if one is not best and _cost(one) <= _cost(best) and tied(best, one)]
-        rivals[own.name] = tuple(p.name for p in free for entry in others if p.name in entry.candidate.names)
+        ways = ways_of(own, pairs)
+        rivals[own.name] = tuple(
+            p.name for p in free for entry in others if p.name in entry.candidate.names and p.name not in ways
+        )
         chosen.append(own)
         fitted = measure_again(best, near=True)
 

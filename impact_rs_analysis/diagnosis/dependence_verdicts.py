@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from impact_rs_analysis.diagnosis.dependence import Dependences, terms_of
+from impact_rs_analysis.diagnosis.dependence import Dependences, terms_of, ways_of
 from impact_rs_analysis.diagnosis.document import (
     CONFIRMED,
     CONFUSABLE,
@@ -46,7 +46,7 @@ def covariate_documents(source: Source) -> tuple[CovariateDocument, ...]:
                 levels=() if item.numeric else tuple(sorted({str(value) for value in _every(item)})),
                 mean=float(np.mean(numbers)) if numbers else None,
                 range=(min(numbers), max(numbers)) if numbers else None,
-                tried=terms[item.name] is not None,
+                tried=bool(terms[item.name]),
                 goes_with={name: value for name, value in correlations.items() if value > GOES_WITH},
             )
         )
@@ -80,10 +80,11 @@ def _columns(item: Covariate) -> Array:
 
 def dependence_documents(found: Dependences) -> tuple[DependenceDocument, ...]:
     """Verdicts on all pairs of an effect and a covariate, accepted ones first."""
-    return (
-        *(_accepted(found, pair) for pair in found.pairs),
-        *(_refused(found, pair) for pair in found.tried if pair not in found.pairs),
-    )
+    accepted = [_accepted(found, pair) for pair in found.pairs]
+    others = [_refused(found, pair) for pair in found.tried if pair not in found.pairs]
+    likely = sorted(others, key=lambda one: (not one.rivals, 1.0 if one.p_value is None else one.p_value))
+    best = {(one.effect, one.covariate): one for one in reversed([*accepted, *likely])}  # of ways to depend on it
+    return (*accepted, *(one for one in others if best[one.effect, one.covariate] is one))
 
 
 def _accepted(found: Dependences, pair: Depending) -> DependenceDocument:
@@ -112,7 +113,7 @@ def _accepted(found: Dependences, pair: Depending) -> DependenceDocument:
         levels=estimates if isinstance(pair.terms, Levels) else {},
         at_mean=estimates[pair.terms.labels[0]] if isinstance(pair.terms, Slope) else {},
         per_unit=per_unit,
-        chosen_in_folds=sum(pair.name in names for names in found.folds),
+        chosen_in_folds=sum(bool(ways_of(pair, found.tried) & set(names)) for names in found.folds),
         folds=len(found.folds),
         held_out_error_before=residual_size(fitted.evidence, found.before),
         held_out_error_after=residual_size(fitted.evidence, found.after),

@@ -65,10 +65,10 @@ from impact_rs_analysis.evidence.map_discrepancy import (
 )
 from impact_rs_analysis.evidence.neighbour_noise import noise_of_neighbours
 from impact_rs_analysis.evidence.replays import SQUARE
-from impact_rs_analysis.evidence.source import Covariate, Identity, Source, View, with_per_arm_parameters
+from impact_rs_analysis.evidence.source import MOST_AS_NAMES, Covariate, Identity, Source, View, with_per_arm_parameters
 from impact_rs_analysis.evidence.tracks import ComparedSignal, Track
 from impact_rs_sim.effects import Effect
-from impact_rs_sim.effects.depending import Depending
+from impact_rs_sim.effects.depending import Depending, level_name
 from impact_rs_sim.errors import InputError, NotABody
 from impact_rs_sim.impact_map.contacts import contact_frame
 from impact_rs_sim.impact_map.laws import System
@@ -726,9 +726,10 @@ def _under_like_circumstances(table: ImpactTable, whole: list[int]) -> list[tupl
         split = []
         for labels, rows in parts:
             own = _by_circumstance(table, name, rows)
+            halves = len({row.circumstances[name] for row in table.rows}) > MOST_AS_NAMES
             numbers = isinstance(table.rows[rows[0]].circumstances[name], float)
             # Halves of a number are repeats of each other only if several rows are left in both.
-            whole_part = len(own) == 1 or (numbers and min(map(len, own.values())) < LEAST_OF_HALF)
+            whole_part = len(own) == 1 or (numbers and halves and min(map(len, own.values())) < LEAST_OF_HALF)
             split += [(labels, rows)] if whole_part else [([*labels, label], some) for label, some in own.items()]
         parts = split
     return parts
@@ -738,11 +739,14 @@ def _by_circumstance(table: ImpactTable, name: str, rows: Sequence[int]) -> dict
     """Rows by level of a covariate, or by the halves of a number about its median, each with what it is in words."""
     values, unit = [table.rows[row].circumstances[name] for row in rows], table.covariates[name]
     numbers = [value for value in values if isinstance(value, float)]
-    middle = float(np.median(numbers)) if numbers else 0.0
+    many = len({row.circumstances[name] for row in table.rows}) > MOST_AS_NAMES
+    middle = float(np.median(numbers)) if numbers and many else None
     found: dict[str, list[int]] = {}
     for row, value in zip(rows, values, strict=True):
-        half = f"{'up to' if value <= middle else 'above'} {middle:.4g} {unit}" if isinstance(value, float) else value
-        found.setdefault(f"{name} {half}".strip(), []).append(row)
+        label = level_name(value)
+        if isinstance(value, float) and middle is not None:
+            label = f"{'up to' if value <= middle else 'above'} {middle:.4g}"
+        found.setdefault(f"{name} {label} {unit if numbers else ''}".strip(), []).append(row)
     return found
 
 

@@ -25,13 +25,20 @@ from impact_rs_sim.physics import Physics
 from impact_rs_sim.robot import Array
 
 
+def level_name(value: float | str) -> str:
+    """Name of a level, of a number its text."""
+    return value if isinstance(value, str) else f"{value:g}"
+
+
 @dataclass(frozen=True)
 class Levels:
-    """A covariate with names of levels; every level has values of its own.
+    """A covariate with names of levels, which may be numbers; every level has values of its own.
 
     Attributes:
         names: The levels.
     """
+
+    way = "by level of"
 
     names: tuple[str, ...]
 
@@ -47,9 +54,10 @@ class Levels:
 
     def weights(self, value: float | str) -> Array:
         """w under a level, ``(k,)``."""
-        if value not in self.names:
+        level = level_name(value)
+        if level not in self.names:
             return np.full(len(self.names), 1.0 / len(self.names))
-        return np.array([float(name == value) for name in self.names])
+        return np.array([float(name == level) for name in self.names])
 
 
 @dataclass(frozen=True)
@@ -60,6 +68,8 @@ class Slope:
         mean: Over the measurements, in the unit of the covariate.
         spread: Standard deviation, likewise.
     """
+
+    way = "along"
 
     mean: float
     spread: float
@@ -92,7 +102,7 @@ class Depending(Effect):
 
     def __init__(self, effect: Effect, covariate: str, terms: Levels | Slope) -> None:
         self.effect, self.covariate, self.terms = effect, covariate, terms
-        self.name = f"{effect.name} by {covariate}"
+        self.name = f"{effect.name} {terms.way} {covariate}"
         self.acts_on, self.sentence, self.phases = effect.acts_on, effect.sentence, effect.phases
         self.calibrates, self.parameters = effect.calibrates, effect.parameters
 

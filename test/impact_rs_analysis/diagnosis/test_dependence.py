@@ -249,8 +249,29 @@ def test_covariates_that_go_together_are_said(tmp_path: Path) -> None:
     assert "goes with temperature (correlation 0.99" in document.summary or "goes with session" in document.summary
     ((_, one),) = found(document).items()
     assert one.effect == "restitution" and len(one.rivals) == 1
-    assert one.verdict.startswith("CONFUSABLE-WITH{restitution by ")
-    assert "these data cannot distinguish that from restitution by " in document.summary
+    assert one.verdict.startswith("CONFUSABLE-WITH{restitution ")
+    assert "these data cannot distinguish that from restitution " in document.summary
+
+
+def test_numbers_of_sessions_may_be_names(tmp_path: Path) -> None:
+    """Up and down again: no line, with as much in the first session as in the last."""
+
+    def numbered(rng: np.random.Generator, row: int) -> Circumstances:
+        return {"session": row % 3 + 1}
+
+    def law(own: Circumstances) -> Racket:
+        return Racket(lambda speed: 0.61 if own["session"] == 2 else 0.52, 0.2)
+
+    document = diagnosed(made(tmp_path / "balls.csv", law, numbered, names=("session",)), "session")
+    ((pair, one),) = found(document).items()
+    assert (pair, one.verdict, set(one.levels)) == (("restitution", "session"), CONFIRMED, {"1", "2", "3"})
+    assert {level: round(own["restitution"].estimate, 1) for level, own in one.levels.items()} == {
+        "1": 0.5,
+        "2": 0.6,
+        "3": 0.5,
+    }
+    assert len(document.dependences) == len(CONSIDERED)  # a way each
+    assert "in 1, 0.6" in document.summary
 
 
 def test_levels_that_were_measured_too_seldom_are_not_judged(tmp_path: Path) -> None:
