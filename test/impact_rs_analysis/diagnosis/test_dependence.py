@@ -14,6 +14,7 @@ from impact_table_cases import arm_table, write_csv
 from impact_rs_analysis.diagnosis.dependence_verdicts import correlation_of
 from impact_rs_analysis.diagnosis.diagnose import diagnose
 from impact_rs_analysis.diagnosis.document import CONFIRMED, DependenceDocument, DiagnosisDocument
+from impact_rs_analysis.diagnosis.hold_out import folds_of
 from impact_rs_analysis.evidence.impact_tables import ImpactTableSource
 from impact_rs_analysis.evidence.map_discrepancy import NO_MAP_DISCREPANCY
 from impact_rs_analysis.evidence.source import Covariate
@@ -282,6 +283,17 @@ def test_levels_that_were_measured_too_seldom_are_not_judged(tmp_path: Path) -> 
     document = diagnosed(path)
     assert not document.dependences
     assert "Measured under too few circumstances to be judged: session, temperature." in document.summary
+
+
+def test_folds_take_neighbours_in_turn_and_no_session_as_a_whole(tmp_path: Path) -> None:
+    table = read_impact_table(made(tmp_path / "balls.csv", rows=90), covariates=["session"])
+    source = ImpactTableSource(table, NOMINAL).knowing(())
+    folds = folds_of(source)
+    assert sorted(number for fold in folds for number in fold.held) == list(range(90))
+    for fold in folds:
+        assert set(fold.held) | set(fold.training) == set(range(90)) and not set(fold.held) & set(fold.training)
+        assert [number // 6 for number in fold.held] == list(range(15))  # one of six neighbours each
+        assert {source.covariates[0].values[number][0] for number in fold.held} == {"A", "B"}
 
 
 def test_a_diagnosis_without_covariates_says_nothing_of_them(tmp_path: Path) -> None:
