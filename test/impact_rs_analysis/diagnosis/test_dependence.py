@@ -11,7 +11,7 @@ import pytest
 from ball_impacts import MASS, RADIUS, TWIST, Racket, bounced, thrown
 from impact_table_cases import arm_table, write_csv
 
-from impact_rs_analysis.diagnosis.dependence_verdicts import correlation_of
+from impact_rs_analysis.diagnosis.dependence_verdicts import correlation_of, covariate_documents
 from impact_rs_analysis.diagnosis.diagnose import diagnose
 from impact_rs_analysis.diagnosis.document import CONFIRMED, DependenceDocument, DiagnosisDocument
 from impact_rs_analysis.diagnosis.hold_out import folds_of
@@ -252,6 +252,15 @@ def test_covariates_that_go_together_are_said(tmp_path: Path) -> None:
     assert one.effect == "restitution" and len(one.rivals) == 1
     assert one.verdict.startswith("CONFUSABLE-WITH{restitution ")
     assert "these data cannot distinguish that from restitution " in document.summary
+
+
+def test_a_covariate_that_goes_with_the_impact_speed_is_said(tmp_path: Path) -> None:
+    """The velocity along the normal is the impact speed of a ball, with the other sign."""
+    table = read_impact_table(made(tmp_path / "balls.csv", rows=30), covariates=["session", "vz_before"])
+    session, velocity = covariate_documents(ImpactTableSource(table, NOMINAL))
+    assert (session.goes_with, session.levels) == ({}, ("A", "B"))
+    assert velocity.goes_with == pytest.approx({"impact speed": 1.0})
+    assert velocity.unit == "m/s" and velocity.range[1] < 0.0
 
 
 def test_numbers_of_sessions_may_be_names(tmp_path: Path) -> None:
