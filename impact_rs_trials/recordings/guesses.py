@@ -181,8 +181,28 @@ def velocity_of(time: Array, position: Array, raw: Array, facts: RobotFacts) -> 
                 f"(correlation {_range(together[moving])})"
             )
             further = {} if np.all(signs > 0.0) else {"factor": _signs(signs)}
-            return sure, Guess(_common(units), said, True, further, _lag(time, position, raw, moving))
+            remarks = (*_against_each_other(moving, ratio, together), *_lag(time, position, raw, moving))
+            return sure, Guess(_common(units), said, True, further, remarks)
     return None
+
+
+def _against_each_other(moving: NDArray[np.bool_], ratio: Array, together: Array) -> tuple[str, ...]:
+    """Joints whose velocity has another sign than that of the others, or is not the derivative of their position."""
+    apart = np.flatnonzero(moving & (np.abs(together) < HARDLY))
+    other = np.flatnonzero(moving & (np.abs(together) >= HARDLY) & (np.sign(ratio) != _usual_sign(ratio[moving])))
+    said = []
+    if apart.size:
+        said.append(f"velocities of joints {_joints(apart)} are not the derivative of their positions: other columns?")
+    if other.size:
+        said.append(
+            f"velocities of joints {_joints(other)} have another sign than those of the others: their positions or "
+            "their velocities are turned round, which nothing here shows; taken that velocities are"
+        )
+    return tuple(said)
+
+
+def _joints(numbers: NDArray[np.signedinteger]) -> str:
+    return ", ".join(str(number + 1) for number in numbers)
 
 
 def _lag(time: Array, position: Array, raw: Array, moving: NDArray[np.bool_]) -> tuple[str, ...]:

@@ -462,7 +462,7 @@ class _Importer:
         numeric = [name for name in names if part.clock is None or name != part.clock.value]
         if not names or any(one.source.get("columns") for one in part.candidates):
             return
-        if names[0] != "c1":
+        if part.layout.header != 0 and part.path.suffix != ".npy":
             if len(numeric) == count and not any(one.width == count for one in part.candidates):
                 label = f"{numeric[0]} … {numeric[-1]}"
                 part.candidates.append(SignalCandidate(label, {"columns": numeric}, False, "", count))

@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Checks of a recorded arm, joint by joint, that need no friction model: signs and units.
 
-* *Velocity* is the derivative of position: sum dq/dt v / sum (dq/dt)^2 = 1.
+* *Velocity* is the derivative of position: sum dq/dt v / sum (dq/dt)^2 = 1. After moving averages, for encoders are
+  quantised, the two go together at least; where they do not, columns were mixed up.
 * *Torque* carries the arm's weight, which positions alone give: sum g tau / sum g^2 = 1.
 * *Energy*: a torque drives a joint against its friction, so that the power (tau - g) v is rarely negative. Where the
   weight says nothing, as at a vertical axis, the sign of that correlation does.
@@ -16,12 +17,14 @@ import numpy as np
 
 from impact_rs_sim.robot import Array
 from impact_rs_sim.robot_model import RobotModel
+from impact_rs_trials.recordings.guesses import smoothed
 from impact_rs_trials.recordings.mapping import Mapping, SignalName
 from impact_rs_trials.recordings.plausibility import CHECKED, gravity_torques, noticed
 from impact_rs_trials.runs import ArmSignals
 
 RATIO = (0.5, 2.0)
 TOGETHER = 0.8  # least correlation of signals that differ by a factor
+APART = 0.5  # correlation, after moving averages, below which a velocity is not the derivative of its position
 AGAINST = -0.5  # correlation of torque and velocity below which a torque drives nothing
 MOVES = 0.02  # of the data sheet's velocity, rms, from which a joint moves
 
@@ -41,7 +44,10 @@ def doubts_of_arm(
     rows = np.unique(np.linspace(0, time.size - 1, CHECKED).astype(int))
     weight, derived = gravity_torques(model, arm.position[rows]), np.gradient(arm.position, time, axis=0)
     moves = [_rms(own) > MOVES * most for own, most in zip(derived.T, mapping.facts.limits.velocity_rad_s, strict=True)]
+    at, places = smoothed(time, arm.position)
+    slopes, means = np.gradient(places, at, axis=0), smoothed(time, arm.velocity)[1]
     speeds: dict[int, str] = {}
+    mixed = []
     torques: dict[int, str] = {}
     factors = {"velocity": np.ones(len(moves)), "torque": np.ones(len(moves))}
     for joint, moving in enumerate(moves):
@@ -49,6 +55,8 @@ def doubts_of_arm(
         if moving and (ratio := _ratio(arm.velocity[:, joint], derived[:, joint])) is not None:
             speeds[joint] = f"is {ratio:.2g} times the derivative of its position, expected 1"
             factors["velocity"][joint] = _remedy(ratio)
+        if moving and abs(together := _together(means[:, joint], slopes[:, joint])) < APART:
+            mixed.append(f"of joint {joint + 1} (correlation {together:.2f})")
         if contact or not np.ptp(arm.torque[:, joint]):  # not measured
             continue
         if heavy and (ratio := _ratio(arm.torque[rows, joint], own)) is not None:
@@ -58,7 +66,9 @@ def doubts_of_arm(
         if moving and not heavy and against < AGAINST:
             torques[joint] = f"points against its motion (correlation {against:.2f}), as if friction drove it"
             factors["torque"][joint] = -1.0
+    remark = f"velocity {', '.join(mixed)} is not the derivative of its position: columns of other joints?"
     return [
+        *([remark] if mixed and "velocity" in mapping.signals else []),
         *_remarks("velocity", speeds, factors["velocity"], mapping),
         *_remarks("torque", torques, factors["torque"], mapping),
     ]

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -61,6 +62,16 @@ def test_the_sign_of_a_velocity_is_named(joint: int) -> None:
 def test_degrees_per_second_are_named() -> None:
     (doubt,) = doubts({"velocity": (2, 180.0 / np.pi)})
     assert "57 times the derivative" in doubt and "0.0175" in doubt
+
+
+def test_velocities_of_two_joints_in_each_other_s_column_are_named() -> None:
+    """Also beside the steps of an encoder, which alone raise no doubt."""
+    columns = swung()
+    coarse = np.round(columns["position"] / 1e-3) * 1e-3
+    mixed = columns["velocity"][:, [0, 1, 5, 3, 4, 2, 6]]
+    assert doubts_of_arm(TIME, ArmSignals(coarse, columns["velocity"], columns["effort"]), MAPPING, MODEL) == []
+    (doubt,) = doubts_of_arm(TIME, ArmSignals(coarse, mixed, columns["effort"]), MAPPING, MODEL)
+    assert re.fullmatch(r"velocity of joint 3 \(.*\), of joint 6 \(.*\) is not .*: columns of other joints\?", doubt)
 
 
 def test_in_contact_torques_say_nothing_of_weight_and_friction() -> None:
