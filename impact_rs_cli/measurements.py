@@ -4,13 +4,14 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Self
 
 import numpy as np
 
+from impact_rs_analysis.diagnosis.bounds import read_ranges
 from impact_rs_analysis.evidence.cluster import Added
 from impact_rs_analysis.evidence.command_clock import read_laboratory_runs
 from impact_rs_analysis.evidence.discrepancy import NO_DISCREPANCY, Discrepancy
@@ -36,6 +37,7 @@ from impact_rs_trials.recordings.recording import is_foreign, read_recordings
 from impact_rs_trials.workers import Map
 
 DEFAULT_MAPPING = "joint_state"
+EXPECTED_RANGE = "expected NAME=LOW:HIGH, for example size_z=0.09:0.11, or a YAML file"
 NO_MINUS = "--minus goes with recordings of free motion: RUNS and UNLOADED are recordings with one mapping (--mapping)"
 
 
@@ -120,13 +122,16 @@ class Measurements:
 
 
 @contextmanager
-def measured(args: argparse.Namespace, terminal: Terminal, each_arm: bool = False) -> Iterator[Measurements]:
+def measured(
+    args: argparse.Namespace, terminal: Terminal, each_arm: bool = False, unsure: Sequence[str] = ()
+) -> Iterator[Measurements]:
     """Read RUNS and warn of what was left out; the workers end with the context.
 
     Args:
         args: Arguments of the command.
         terminal: Shows warnings and progress.
         each_arm: Whether arms of one kind have parameters of their own.
+        unsure: Ranges of what is not known well of a table of impacts, ``NAME=LOW:HIGH``.
 
     Raises:
         InputError: There is no usable measurement.
@@ -138,6 +143,10 @@ def measured(args: argparse.Namespace, terminal: Terminal, each_arm: bool = Fals
     tolerance = args.contact_tolerance
     if tolerance is not None and args.impacts is None:
         raise InputError("--contact-tolerance goes with --impacts only: trials are replayed from their poses")
+    if unsure and args.impacts is None:
+        raise InputError("--unsure goes with --impacts only; ranges of effects are given with --bounds")
+    if args.covariates and args.impacts is None:
+        raise InputError("--covariates goes with --impacts only: they are columns of the table")
     if tolerance is not None and not tolerance >= 0.0:
         raise InputError("expected a distance >= 0 m", key="--contact-tolerance", value=tolerance)
     if args.impacts is not None:
@@ -150,7 +159,13 @@ def measured(args: argparse.Namespace, terminal: Terminal, each_arm: bool = Fals
         if args.mapping is not None:
             raise InputError("--mapping is for recordings; leave it out with --impacts, whose columns are fixed")
         scenario = None if args.scenario is None else load_scenario(args.scenario)
-        table = read_impact_table(args.impacts, scenario, tolerance=GAP_TOLERANCE if tolerance is None else tolerance)
+        table = read_impact_table(
+            args.impacts,
+            scenario,
+            tolerance=GAP_TOLERANCE if tolerance is None else tolerance,
+            covariates=args.covariates,
+            unsure=read_ranges(unsure, "--unsure", EXPECTED_RANGE),
+        )
         with started(args) as map_tasks:
             yield Measurements(
                 map_tasks,

@@ -225,7 +225,11 @@ impact-rs diagnose recording.db3 --mapping joint_state
 # a table with one row per impact, of one free body on a plane or of an arm and an object (--scenario), is diagnosed
 # on the velocities just after; docs/your_data.md lists its columns
 impact-rs diagnose --impacts tosses.csv -o diagnosis.json
-impact-rs diagnose --impacts pushes.csv --scenario push -o diagnosis.json""",
+impact-rs diagnose --impacts pushes.csv --scenario push -o diagnosis.json
+
+# does an effect depend on the session or on the temperature? does the verdict turn on a size that is not known well?
+impact-rs diagnose --impacts tosses.csv --covariates session temperature -o diagnosis.json
+impact-rs diagnose --impacts tosses.csv --unsure size_z=0.09:0.11 -o diagnosis.json""",
     output="verdict, ranking of the effects, estimates; with -o a JSON file, with --report diagnosis.html.",
     units="""\
 beside each estimate; errors are multiples of repeatability, for recordings N m, for impacts without repeats
@@ -250,6 +254,13 @@ m/s.""",
             label="ranges of parameters", otherwise="in proportion to the robot",
             help="ranges of parameters that you know better, in their units, or a YAML file with EFFECT.PARAMETER: "
             "[LOW, HIGH]; they are not widened",
+        ),
+        option(
+            "--unsure", kind="text", many=True, default=(), metavar="NAME=LOW:HIGH", advanced=True,
+            label="geometry that is not known well", otherwise="none",
+            help="with --impacts: ranges of what is not known well, in SI units: columns of the body (size_x, radius, "
+            "mass, ixx ...), offset_x ... of the tracked point from the centre, tilt_x and tilt_y of the plane; the "
+            "summary says if the verdict turns on them",
         ),
         *SOURCE,
         option(

@@ -97,6 +97,12 @@ SOURCE = (
         help="with --impacts: points touch that are no more than this further off than the nearest",
     ),
     option(
+        "--covariates", kind="text", many=True, default=(), metavar="COLUMN", label="circumstances of the rows",
+        advanced=True, otherwise="none",
+        help="with --impacts: columns that say under which circumstances rows were measured, for example session or "
+        "temperature; diagnose says whether an effect depends on them (numbers: linearly, words: level by level)",
+    ),
+    option(
         "--no-discrepancy", kind="switch", label="assume an exact simulation", advanced=True,
         help="assume that the simulation is exact: ignore the model discrepancy between simulators "
         "(config/discrepancy.yaml), or of the impact map (config/map_discrepancy.yaml)",

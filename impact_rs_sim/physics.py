@@ -338,6 +338,8 @@ class Physics:
         restitution_law: Whose restitution the rigid impact map has, ``newton`` or ``poisson``.
         contact_laws: Further laws of the contact points of a single measured impact, in the order in which they act.
         object_loads: What else acts on the object, and between it and the support.
+        circumstances: Under which it was measured, numbers and names of levels by covariate; an effect may depend on
+            them (:mod:`impact_rs_sim.effects.depending`).
     """
 
     arms: dict[str, ArmPhysics]
@@ -354,6 +356,7 @@ class Physics:
     restitution_law: str = "newton"
     contact_laws: tuple[ContactLaw, ...] = ()
     object_loads: tuple[ObjectLoad, ...] = ()
+    circumstances: Mapping[str, float | str] = field(default_factory=dict)
 
     @staticmethod
     def nominal(scenario: Scenario, object_name: str) -> Physics:

@@ -33,26 +33,42 @@ def read_bounds(texts: Iterable[str], known: Mapping[str, Effect]) -> Bounds:
     Raises:
         InputError: A text or file cannot be read, there is no such parameter, or no range that holds its nominal value.
     """
-    found: dict[str, tuple[float, float]] = {}
-    for text in texts:
-        name, equals, span = text.partition("=")
-        if equals:
-            found[name.strip()] = _span(span.split(":"), text, None)
-            continue
-        for key, values in load_mapping(text).items():
-            found[str(key)] = _span(values if isinstance(values, list) else [values], str(key), text)
+    found = read_ranges(texts, "--bounds", EXPECTED)
     for name, (low, high) in found.items():
         _check(name, low, high, known)
     return found
 
 
-def _span(parts: Sequence[object], key: str, file: str | None) -> tuple[float, float]:
+def read_ranges(texts: Iterable[str], option: str, expected: str) -> dict[str, tuple[float, float]]:
+    """Ranges of a command line by name.
+
+    Args:
+        texts: ``NAME=LOW:HIGH``, or YAML files that map names to ``[LOW, HIGH]``.
+        option: Option that has them, for messages.
+        expected: What it takes, for messages.
+
+    Raises:
+        InputError: A text or file cannot be read, or is no range.
+    """
+    found: dict[str, tuple[float, float]] = {}
+    for text in texts:
+        name, equals, span = text.partition("=")
+        if equals:
+            found[name.strip()] = _span(span.split(":"), text, None, option, expected)
+            continue
+        for key, values in load_mapping(text).items():
+            parts = values if isinstance(values, list) else [values]
+            found[str(key)] = _span(parts, str(key), text, option, expected)
+    return found
+
+
+def _span(parts: Sequence[object], key: str, file: str | None, option: str, expected: str) -> tuple[float, float]:
     """Lower and upper bound of one entry."""
     try:
         low, high = (float(str(part)) for part in parts)
     except ValueError:
         if file is None:
-            raise InputError(EXPECTED, key="--bounds", value=key) from None
+            raise InputError(expected, key=option, value=key) from None
         raise InputError("expected [LOW, HIGH]", file=file, key=key, value=list(parts)) from None
     if not (math.isfinite(low) and math.isfinite(high) and low < high):
         raise InputError(

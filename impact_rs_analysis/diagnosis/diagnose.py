@@ -3,11 +3,18 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
 
 from impact_rs_analysis.diagnosis.bounds import NO_BOUNDS, Bounds, bounded
+from impact_rs_analysis.diagnosis.dependence import Dependences, dependences_of
+from impact_rs_analysis.diagnosis.dependence_verdicts import (
+    covariate_documents,
+    dependence_documents,
+    with_plain_names,
+)
 from impact_rs_analysis.diagnosis.document import (
     TOO_FEW,
     CorrelatedPair,
@@ -29,7 +36,7 @@ from impact_rs_analysis.diagnosis.fit import Evidence, Fit
 from impact_rs_analysis.diagnosis.hold_out import HoldOut, hold_out
 from impact_rs_analysis.diagnosis.next_experiment import next_experiment
 from impact_rs_analysis.diagnosis.search import NOTHING_KNOWN, ProgressCallback, Rival, Search
-from impact_rs_analysis.diagnosis.thresholds import LEAST_CLUSTERS, LEAST_P
+from impact_rs_analysis.diagnosis.thresholds import LEAST_CLUSTERS, LEAST_P, WIDE_TIE
 from impact_rs_analysis.diagnosis.verdicts import (
     MOST_RESTS,
     Findings,
@@ -77,16 +84,42 @@ def diagnose(
     Raises:
         InputError: Too few conditions for a hold-out.
     """
-    document = _diagnosed(source, model, only, bounds, progress)
-    views = () if document.verdict == TOO_FEW else source.views()
-    document = document.model_copy(update={"views": tuple(_view(view, model, only, bounds) for view in views)})
+    effects = effects_for(source, only, bounds)
+    found = findings_of(source, effects, progress)
+    present = [item.name for item in source.model.effects]
+    known = [bounded(source.known_effects[name].in_proportion(source.proportion), bounds) for name in present]
+    dependences = dependences_of(found, known, progress)
+    document = document_of(found, source, model)
+    if dependences is not None and dependences.pairs and not {p.effect.name for p in dependences.pairs} & set(present):
+        # What depends on circumstances was scatter to the first search, which hides effects, or passes for some.
+        again = findings_of(dependences.source, dependences.in_place_of(effects), progress)
+        if dependences.settled_by(found, again) and again.chosen is not None:
+            dependences, pairs = dependences.beside(again.chosen), dependences.pairs
+            document = with_plain_names(document_of(again, dependences.source, model), pairs, document)
+    document = document.model_copy(
+        update={
+            "covariates": covariate_documents(source),
+            "dependences": () if dependences is None else dependence_documents(dependences),
+        }
+    )
+    others = [
+        (view, effects_for(view.source, only, bounds))
+        for view in (() if document.verdict == TOO_FEW else source.views())
+    ]
+    document = document.model_copy(
+        update={"views": tuple(_view(view, model, own, dependences) for view, own in others)}
+    )
+    document = _over_ranges(document)
     summary = " ".join(filter(None, [summary_of(document), doubt_of(document.drift)]))
     return document.model_copy(update={"summary": summary})
 
 
-def _view(view: View, model: Model, only: Sequence[str] | None, bounds: Bounds) -> ViewDocument:
-    """The verdict on a view of the measurements."""
-    found = _diagnosed(view.source, model, only, bounds)
+def _view(view: View, model: Model, effects: Sequence[Effect], dependences: Dependences | None) -> ViewDocument:
+    """The verdict on a view of the measurements, with the dependences that were found."""
+    source, pairs = view.source, () if dependences is None else dependences.pairs
+    if dependences is not None and pairs:
+        source, effects = source.knowing(pairs), dependences.in_place_of(effects)
+    found = with_plain_names(document_of(findings_of(source, effects), source, model), pairs)
     return ViewDocument(
         name=view.name,
         option=view.option,
@@ -94,18 +127,32 @@ def _view(view: View, model: Model, only: Sequence[str] | None, bounds: Bounds) 
         named=found.named,
         held_out_error_before=found.held_out_error_before,
         held_out_error_after=found.held_out_error_after,
+        of=view.of,
+        value=view.value if view.of else None,
+        unit=view.unit,
+        parameters={effect.name: effect.parameters for effect in found.effects if effect.name in found.named},
     )
 
 
-def _diagnosed(
-    source: Source,
-    model: Model,
-    only: Sequence[str] | None,
-    bounds: Bounds,
-    progress: ProgressCallback = lambda *_: None,
-) -> DiagnosisDocument:
-    """:func:`diagnose` without other views and summary."""
-    return document_of(findings_of(source, effects_for(source, only, bounds), progress), source, model)
+def _over_ranges(document: DiagnosisDocument) -> DiagnosisDocument:
+    """The document with intervals that hold over the ranges of what is not known well, where the data allow it."""
+    views = []
+    for view in document.views:
+        others = [other.held_out_error_after for other in document.views if other.of == view.of]
+        best = min([document.held_out_error_after, *others])
+        allowed = view.held_out_error_after <= best * math.exp(WIDE_TIE / 2.0)
+        views.append(view.model_copy(update={"allowed": allowed}) if view.of else view)
+    effects = []
+    for effect in document.effects:
+        named = [view for view in views if view.of and view.allowed and effect.name in view.parameters]
+        own = [view.parameters[effect.name] for view in named if effect.name in document.named]
+        wider = {}
+        for name, value in effect.parameters.items():
+            ends = [value.interval, *(other[name].interval for other in own if name in other)]
+            span = (min(low for low, _ in ends), max(high for _, high in ends))
+            wider[name] = value.model_copy(update={"ci95": span}) if own else value
+        effects.append(effect.model_copy(update={"parameters": wider}))
+    return document.model_copy(update={"effects": tuple(effects), "views": tuple(views)})
 
 
 def effects_for(source: Source, only: Sequence[str] | None = None, bounds: Bounds = NO_BOUNDS) -> list[Effect]:
@@ -190,7 +237,7 @@ def document_of(found: Findings, source: Source, model: Model) -> DiagnosisDocum
         source: What was searched.
         model: The model of the file; that of the source may know further effects.
     """
-    evidence, known = found.evidence, source.model.known_effects
+    evidence, known = found.evidence, source.known_effects
     verdict = headline(found)
     before = [item.mean for item in evidence.clusters]
     after: Sequence[Array] = before if found.hold_out is None else found.hold_out.rest
@@ -277,10 +324,9 @@ def _hold_out(found: HoldOut | None, source: Source) -> HoldOutDocument:
     ):
         what = f"whole recordings, in {count} folds"
     else:
-        what = (
-            f"{len(source.clusters)} {source.pieces} in {count} folds of neighbours; every fold is predicted from "
-            "the others without those that touch it"
-        )
+        neighbours = "of neighbours; every fold is predicted from the others without those that touch it"
+        turn = "that take one of every six neighbours"
+        what = f"{len(source.clusters)} {source.pieces} in {count} folds {turn if source.interleaved else neighbours}"
     how = "the whole search is repeated without the held-out data"
     if found.only_fitted:
         how += f", in {found.only_fitted} folds the fit alone, for too few conditions are left to choose from"

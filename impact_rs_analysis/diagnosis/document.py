@@ -115,6 +115,55 @@ class EffectDocument(Schema):
     chosen_in_folds: int | None = Field(None, description="folds of the hold-out whose search also found it")
 
 
+class CovariateDocument(Schema):
+    """A circumstance of the measurements, on which effects may depend."""
+
+    name: str = Field(description="column")
+    unit: str = Field("", description="unit of numbers")
+    levels: tuple[str, ...] = Field((), description="levels with values of their own; empty: a number")
+    mean: float | None = Field(None, description="mean of numbers, in the unit")
+    range: tuple[float, float] | None = Field(None, description="smallest and largest number, in the unit")
+    tried: bool = Field(description="whether it varies enough to be tried")
+    goes_with: dict[str, float] = Field(
+        {},
+        description="other covariates, or the impact speed, that it hardly differs from, with the correlation [-]",
+    )
+
+
+class DependenceDocument(Schema):
+    """Whether an effect that was found depends on a covariate."""
+
+    effect: str = Field(description="effect")
+    covariate: str = Field(description="covariate")
+    verdict: str = Field(
+        description="CONFIRMED, CONFUSABLE-WITH{...}, PRESENT-BUT-SMALL, or NO-IMPROVEMENT: it does not depend on it"
+    )
+    reason: str = Field("", description="why, in words")
+    p_value: float | None = Field(
+        description="p-value of the effect not depending on it, adjusted for all pairs; null: not tried"
+    )
+    rivals: tuple[str, ...] = Field((), description="dependences that these measurements cannot distinguish from it")
+    levels: dict[str, dict[str, EstimateDocument]] = Field({}, description="estimates by level and parameter")
+    at_mean: dict[str, EstimateDocument] = Field({}, description="estimates at the mean of a number, by parameter")
+    per_unit: dict[str, EstimateDocument] = Field({}, description="their changes per unit of the number, by parameter")
+    chosen_in_folds: int | None = Field(None, description="folds of the hold-out that also found it")
+    folds: int = Field(0, description="folds of the hold-out")
+    held_out_error_before: float | None = Field(
+        None, description="error on unseen clusters with the effects alone; null: not held out"
+    )
+    held_out_error_after: float | None = Field(None, description="the same with all dependences that were found")
+
+    @property
+    def found(self) -> bool:
+        """Whether the effect depends on the covariate, as far as these measurements say."""
+        return bool(self.levels or self.at_mean)
+
+    @property
+    def suspected(self) -> bool:
+        """Whether it may depend on it, but that predicts unseen data no better."""
+        return not self.found and not self.rivals and self.p_value is not None and bool(self.reason)
+
+
 class ModelIdentity(Schema):
     """Which model was diagnosed."""
 
@@ -254,6 +303,11 @@ class ViewDocument(Schema):
     named: tuple[str, ...] = Field(description="effects that it names")
     held_out_error_before: float = Field(description="held-out error of the model, in error_unit")
     held_out_error_after: float = Field(description="held-out error with the effects named, in error_unit")
+    of: str = Field("", description="what was given another value there; empty: nothing, or the points that touch")
+    value: float | None = Field(None, description="that value, in the unit; null: none")
+    unit: str = Field("", description="unit")
+    parameters: dict[str, dict[str, EstimateDocument]] = Field({}, description="estimates of the effects that it names")
+    allowed: bool = Field(True, description="whether unseen data are predicted as well as with the best value")
 
 
 class DiagnosisDocument(Schema):
@@ -298,6 +352,8 @@ class DiagnosisDocument(Schema):
     )
     limits: tuple[LimitDocument, ...] = Field((), description="relevance limits that were used")
     views: tuple[ViewDocument, ...] = Field((), description="verdicts on parts of the signals, or other contact points")
+    covariates: tuple[CovariateDocument, ...] = Field((), description="circumstances that were declared")
+    dependences: tuple[DependenceDocument, ...] = Field((), description="effects found by covariate, found ones first")
     remarks: tuple[str, ...] = Field((), description="remarks for the reader")
     formulas: tuple[FormulaSpec, ...] = Field((), description="user-defined effects that were considered")
     arms: dict[str, int] = Field({}, description="joints of arms with parameters of their own; empty: shared")

@@ -8,7 +8,9 @@ simulations; it ends where the other clusters alone lead it. Fits of impacts beg
 from elsewhere mislead where contacts slip. A search needs two clusters that see an effect, to predict one from the
 other; where fewer are left, the fold fits the effects that the search of all clusters found. Conditions are held out
 with all their repeats. Of several recordings whole recordings are held out; of a single one runs of neighbouring
-stretches, without the neighbours on either side.
+stretches, without the neighbours on either side. Where effects depend on covariates (``Source.interleaved``) one
+of every six neighbours is held out instead: a session of neighbouring rows would be held out as a whole, and no session
+can be predicted from the others.
 """
 
 from __future__ import annotations
@@ -18,6 +20,7 @@ from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
+from numpy.typing import NDArray
 
 from impact_rs_analysis.diagnosis.candidate import Candidate
 from impact_rs_analysis.diagnosis.fit import Evidence
@@ -76,13 +79,22 @@ def folds_of(source: Source) -> list[Fold]:
         return []
     else:
         numbers = np.arange(len(source.clusters))
-        groups = [part.tolist() for part in np.array_split(numbers, FOLDS)]
+        parts = _in_turn(numbers) if source.interleaved else np.array_split(numbers, FOLDS)
+        groups = [part.tolist() for part in parts]
     result = []
     for held in groups:
-        beside = set() if source.repeated or len(units) >= LEAST_CLUSTERS else _neighbours(source, held)
+        alone = source.repeated or source.interleaved or len(units) >= LEAST_CLUSTERS
+        beside = set() if alone else _neighbours(source, held)
         training = tuple(n for n in range(len(source.clusters)) if n not in held and n not in beside)
         result.append(Fold(tuple(held), training))
     return result
+
+
+def _in_turn(numbers: NDArray[np.int_]) -> list[NDArray[np.int_]]:
+    """Numbers in folds, each with one of every few neighbours, by lot: what alternates would be held out as a whole."""
+    rng = np.random.default_rng(0)
+    drawn = np.concatenate([rng.permutation(FOLDS) for _ in range(0, numbers.size, FOLDS)])[: numbers.size]
+    return [numbers[drawn == fold] for fold in range(FOLDS)]
 
 
 def _neighbours(source: Source, held: Sequence[int]) -> set[int]:

@@ -25,3 +25,6 @@ MOST_TESTED = (
 SHORTLIST = 5  # candidates fitted by simulation in every round; in tests the true one was always among them
 MANY = 40  # candidates; among more of them, as among laws, the true one may be further down
 LONG_LIST = 20  # of so many instead: a strong drag was the thirteenth of 57 by its slope at nominal
+LEAST_ROWS_OF_LEVEL = 3  # of a covariate, beside every fold: one row may be an outlier, two do not say which
+LEAST_NUMBERS = 3  # different ones of a covariate: a line through two is a level for each
+GOES_WITH = 0.9  # canonical correlation of covariates; of the variance of one, a fifth is then not that of the other

@@ -3,6 +3,9 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
+
 from impact_rs_analysis.diagnosis.document import (
     NONE,
     NOTHING,
@@ -10,20 +13,27 @@ from impact_rs_analysis.diagnosis.document import (
     SMALL,
     TOO_FEW,
     UNIDENTIFIABLE,
+    DependenceDocument,
     DiagnosisDocument,
+    EstimateDocument,
     ViewDocument,
     explained,
 )
-from impact_rs_analysis.diagnosis.thresholds import SIGNIFICANT
+from impact_rs_analysis.diagnosis.thresholds import SIGNIFICANT, WIDE_TIE
 from impact_rs_analysis.evidence.cluster import TIMES
+from impact_rs_sim.numbers import estimate_in_line
+
+MOST_LEVELS = 6  # in a sentence
 
 
 def summary_of(document: DiagnosisDocument) -> str:
     """Verdict, held-out error and largest residual in two to four sentences, and one for every other view."""
     parts = [view for view in document.views if not view.option]
-    turned = [view for view in document.views if view.option and set(view.named) != set(document.named)]
+    contacts = [view for view in document.views if view.option and not view.of]
+    turned = [view for view in contacts if set(view.named) != set(document.named)]
+    ranges = [_range(name, document) for name in dict.fromkeys(view.of for view in document.views if view.of)]
     sentences = [_verdict(document), *(_part(view, document) for view in parts)]
-    return " ".join([*sentences, *(_turn(view) for view in turned)])
+    return " ".join([*sentences, *(_turn(view) for view in turned), *ranges, *_circumstances(document)])
 
 
 def _part(view: ViewDocument, document: DiagnosisDocument) -> str:
@@ -60,6 +70,111 @@ def _bounds(document: DiagnosisDocument) -> str:
 def _turn(view: ViewDocument) -> str:
     """That the verdict depends on a setting."""
     return f"The verdict turns on which points touch: with {view.name} it is {view.verdict} ({view.option})."
+
+
+def _range(name: str, document: DiagnosisDocument) -> str:
+    """Whether the verdict turns on something that is not known well, over its range."""
+    whole = [view for view in document.views if view.of == name]
+    views = [view for view in whole if view.allowed]
+    best = min(whole, key=lambda view: view.held_out_error_after)
+    if not views:
+        return f"Every other value of {name} that was tried, {_ends(whole)}, predicts unseen data worse."
+    text = f"the range of {name} that the data allow, {_ends(views)}" if len(views) < len(whole) else ""
+    text = text or f"the whole range of {name}, {_ends(whole)}"
+    prefer = ""
+    if best.held_out_error_after * math.exp(WIDE_TIE / 2.0) < document.held_out_error_after:
+        fall = _fall(document.held_out_error_after, best.held_out_error_after)
+        prefer = f" The data prefer {best.name}: held-out error {fall} {_unit(document)}."
+    if turned := [view for view in views if set(view.named) != set(document.named)]:
+        others = ", ".join(f"with {view.value:.4g} {view.unit} it is {view.verdict}" for view in turned)
+        return f"The verdict turns on {name}: {others}.{prefer}"
+    named = [effect for effect in document.effects if effect.name in document.named]
+    spans = []
+    for effect in named:
+        for key, own in effect.parameters.items():
+            estimates = [view.parameters[effect.name] for view in views]
+            if not all(key in every for every in estimates):  # it depends on circumstances
+                continue
+            values = [own.estimate, *(every[key].estimate for every in estimates)]
+            label = effect.name if len(effect.parameters) == 1 else f"{effect.name}.{key}"
+            spans.append(f"{label} {_span(values, own.unit)}".removesuffix(" -"))
+    what = "names stay" if len(named) > 1 else "name stays" if named else "verdict stays"
+    return f"The {what} over {text}{': ' if spans else ''}{', '.join(spans)}.{prefer}"
+
+
+def _ends(views: Sequence[ViewDocument]) -> str:
+    """First and last value of a range."""
+    return _span([view.value for view in views if view.value is not None], views[0].unit)
+
+
+def _span(values: Sequence[float], unit: str) -> str:
+    """Smallest and largest of some values."""
+    ends = dict.fromkeys(f"{value:.3g}" for value in (min(values), max(values)))
+    return f"{' to '.join(ends)} {unit}"
+
+
+def _circumstances(document: DiagnosisDocument) -> list[str]:
+    """What depends on covariates, or that nothing does, and which covariates go together."""
+    found = [one for one in document.dependences if one.found]
+    said = [_dependence(one, document) for one in found]
+    if found and found[0].held_out_error_before is not None and found[0].held_out_error_after is not None:
+        fall = _fall(found[0].held_out_error_before, found[0].held_out_error_after)
+        said[-1] += f"{'. Together: held-out' if len(found) > 1 else '; held-out'} error {fall} {_unit(document)}"
+    said += [
+        f"{one.effect} may depend on {one.covariate}: {one.reason}" for one in document.dependences if one.suspected
+    ]
+    if document.dependences and not said:
+        tried = dict.fromkeys(one.covariate for one in document.dependences)
+        said.append(f"No effect depends on {' or '.join(tried)}")
+    if still := [one.name for one in document.covariates if not one.tried]:
+        said.append(f"Measured under too few circumstances to be judged: {', '.join(still)}")
+    for one in document.covariates:
+        if one.goes_with and one.name in {own.covariate for own in found}:
+            others = " and ".join(f"{name} (correlation {value:.2f})" for name, value in one.goes_with.items())
+            said.append(f"{one.name} goes with {others}: what depends on one may depend on the other")
+    return [f"{text}." for text in said]
+
+
+def _dependence(one: DependenceDocument, document: DiagnosisDocument) -> str:
+    """How an effect depends on a covariate."""
+    several = len(one.at_mean or next(iter(one.levels.values()))) > 1
+    if one.levels:
+        parts = [(name, _by_level(one, name)) for name in next(iter(one.levels.values()))]
+    else:
+        (covariate,) = (item for item in document.covariates if item.name == one.covariate)
+        mean = f"{covariate.mean or 0.0:.4g} {covariate.unit}".strip()
+        parts = [
+            (name, f"{_estimate(own)} at the mean of {mean}, {_change(one.per_unit[name])}")
+            for name, own in one.at_mean.items()
+        ]
+    text = "; ".join(f"{name} {said}" if several else said for name, said in parts)
+    small = ", which is too small to matter" if one.verdict == SMALL else ""
+    rivals = f"; these data cannot distinguish that from {', '.join(one.rivals)}" if one.rivals else ""
+    return f"{one.effect} depends on {one.covariate}{small}: {text}{rivals}"
+
+
+def _by_level(one: DependenceDocument, parameter: str) -> str:
+    """Estimates of a parameter by level; of many levels the lowest and the highest."""
+    values = {level: parameters[parameter] for level, parameters in one.levels.items()}
+    ordered = sorted(values, key=lambda level: values[level].estimate)
+    many = len(ordered) > MOST_LEVELS
+    text = ", ".join(
+        f"{_estimate(values[level])} in {level}" for level in ([ordered[0], ordered[-1]] if many else values)
+    )
+    return f"{text} (lowest and highest of {len(values)})" if many else text
+
+
+def _estimate(own: EstimateDocument) -> str:
+    """An estimate with its interval and unit."""
+    text = estimate_in_line(own.estimate, own.ci95)
+    return text if own.unit == "-" else f"{text} {own.unit}"
+
+
+def _change(own: EstimateDocument) -> str:
+    """A change per unit of a number, with its sign."""
+    unit, _, per = own.unit.rpartition("/")
+    text = f"{'+' if own.estimate > 0.0 else ''}{estimate_in_line(own.estimate, own.ci95)}"
+    return f"{text} per {per}" if unit == "1" else f"{text} {unit} per {per}"
 
 
 def _unit(document: DiagnosisDocument) -> str:

@@ -7,7 +7,9 @@ just before the impact, and ``across`` both. Those of an object are given in x, 
 
 * **Conditions.** With enough repeats a cluster is a condition. Every repeat is predicted from its own ante-impact
   state, and the prediction of a condition is the mean over its repeats, so that its mean residual is linear in the
-  error of the map. The pure error is the scatter of the repeats.
+  error of the map. The pure error is the scatter of the repeats. Rows that were measured under other circumstances
+  (covariates) are no repeats of each other: a condition has a cluster for each level, and for the lower and the upper
+  half of a number. They are held out together.
 * **Blocks.** Without repeats a cluster is a block of neighbouring rows, like a stretch of a recording. The scatter of
   the scores between blocks replaces the pure error. Blocks are held out in runs of neighbours, with a guard on either
   side, because drift from row to row (wear, the person who tosses) would leak into the prediction.
@@ -63,8 +65,10 @@ from impact_rs_analysis.evidence.map_discrepancy import (
 )
 from impact_rs_analysis.evidence.neighbour_noise import noise_of_neighbours
 from impact_rs_analysis.evidence.replays import SQUARE
-from impact_rs_analysis.evidence.source import Identity, Source, View, with_per_arm_parameters
+from impact_rs_analysis.evidence.source import MOST_AS_NAMES, Covariate, Identity, Source, View, with_per_arm_parameters
 from impact_rs_analysis.evidence.tracks import ComparedSignal, Track
+from impact_rs_sim.effects import Effect
+from impact_rs_sim.effects.depending import Depending, level_name
 from impact_rs_sim.errors import InputError, NotABody
 from impact_rs_sim.impact_map.contacts import contact_frame
 from impact_rs_sim.impact_map.laws import System
@@ -79,13 +83,17 @@ from impact_rs_trials.recordings.impact_table import WIDER, ImpactTable
 from impact_rs_trials.workers import Map
 
 BLOCKS = 24  # at most: of 24 blocks a fold leaves 18 for the search, and the test needs 12
+SMALL_BLOCKS = 120  # at most, where effects may depend on covariates
 LEAST_CONDITIONS = 3  # with repeats; with fewer, blocks are used
 LEAST_REPEATS = 3  # degrees of freedom of the pure error
+LEAST_OF_HALF = 2  # rows of a condition on either side of the median of a number
 RELEVANT = 0.005  # of the closing speed; 5 mm/s at 1 m/s, the resolution of body velocities by motion capture
 LEAST_SCALE = 1e-6  # m/s; a model with smaller residuals is exact
 ALTERED = 1024  # physics with effects that were tried last
 KEPT = 128_000_000  # bytes of predictions of the whole table, with effects that were tried last
+MOST_NUMBERS = 32  # numbers of a covariate; the mean of a group is within some hundredths of the range
 TELLING = 0.8  # of what the model leaves; scatter of neighbours above it says nothing
+MOST_SHOWN = 8  # levels of a covariate in a remark
 DECIDES = 0.2  # of what the model leaves; contacts that move predictions by more may decide
 GAINED = 1.05  # kinetic energy after over before; rows above it are reported
 
@@ -191,17 +199,78 @@ class ImpactTableSource(Source):
         self.clusters = self._clusters()
 
     @property
+    def covariates(self) -> tuple[Covariate, ...]:
+        """See :attr:`Source.covariates`."""
+        rows, units = self.table.rows, self.table.covariates
+        return tuple(self._covariate(name, units[name], [row.circumstances[name] for row in rows]) for name in units)
+
+    @property
+    def state(self) -> tuple[Covariate, ...]:
+        """See :attr:`Source.state`: the impact speed."""
+        return (self._covariate("impact speed", "m/s", self._impacts.closing_speeds.tolist()),)
+
+    def _covariate(self, name: str, unit: str, values: Sequence[float | str]) -> Covariate:
+        """A covariate from its values by row."""
+        return Covariate(name, unit, tuple(tuple(values[row] for row in group.rows) for group in self._groups))
+
+    def knowing(self, effects: Sequence[Depending]) -> ImpactTableSource:
+        """See :meth:`Source.knowing`; of many different numbers those that are close are taken as their mean.
+
+        Blocks are small: a session may have few rows, and a test by signs of blocks needs several in each.
+        """
+        found = copy.copy(self)
+        if not self.repeated and not self.interleaved:
+            found._groups, found.interleaved = tuple(_blocks(self.table, SMALL_BLOCKS)), True
+            found.clusters = found._clusters()
+        found._effects = self._effects | {effect.name: effect for effect in effects}
+        shown = {name: self._shown(name) for name in dict.fromkeys(effect.covariate for effect in effects)}
+        places: dict[tuple[int, tuple[float | str, ...]], int] = {}
+        found._worlds, found._world_of = [], []
+        for row, world in enumerate(self._world_of):
+            values = tuple(of_rows[row] for of_rows in shown.values())
+            if (world, values) not in places:
+                places[world, values] = len(places)
+                before = self._worlds[world]
+                circumstances = {**before.circumstances, **dict(zip(shown, values, strict=True))}
+                found._worlds.append(replace(before, circumstances=circumstances))
+            found._world_of.append(places[world, values])
+        found._altered, found._featured = Recent(ALTERED), Recent(max(1, KEPT // 4 // self._all_worth.nbytes))
+        return found
+
+    def _shown(self, name: str) -> list[float | str]:
+        """A covariate by row; of more than ``MOST_NUMBERS`` different numbers, means of groups of equal size."""
+        values = [row.circumstances[name] for row in self.table.rows]
+        numbers = np.array([value for value in values if isinstance(value, float)])
+        if len(set(values)) <= MOST_NUMBERS or not numbers.size:
+            return values
+        for group in np.array_split(np.argsort(numbers, kind="stable"), MOST_NUMBERS):
+            numbers[group] = numbers[group].mean()
+        return list(numbers.tolist())
+
+    @property
+    def known_effects(self) -> dict[str, Effect]:
+        """See :attr:`Source.known_effects`."""
+        return self._effects
+
+    @property
     def discrepancy_document(self) -> DiscrepancyDocument:
         """See :attr:`Source.discrepancy_document`: of the rigid map, for arms."""
         return self._map_discrepancy.document
 
     def views(self) -> tuple[View, ...]:
-        """See :meth:`Source.views`: joints and object of an arm apart, and other contact points where they decide."""
+        """See :meth:`Source.views`.
+
+        Joints and object of an arm apart, other contact points where they decide, and what is not known well.
+        """
         found = [View(name, part) for name, part in self._parts().items()]
         for times in (1.0 / WIDER, WIDER):
             if self._contacts_matter(times):
                 how = f"points within {1e3 * times * self.table.tolerance:g} mm"
                 found.append(View(how, self._with_contacts(times), "--contact-tolerance"))
+        for one in self.table.variants:
+            source = ImpactTableSource(one.table, self.model, discrepancy=self._map_discrepancy, remarks=False)
+            name = f"{one.of} = {one.value:.4g} {one.unit}"
+            found.append(View(name, source, "--unsure", one.of, one.value, one.unit))
         return tuple(found)
 
     @property
@@ -220,9 +289,17 @@ class ImpactTableSource(Source):
 
     @property
     def comparison_remarks(self) -> Sequence[str]:
-        """See :attr:`Source.comparison_remarks`; of arms with how far joints and object are off, each alone."""
+        """See :attr:`Source.comparison_remarks`; with how far joints and object are off, and rows by covariate."""
         sizes = ", ".join(f"{name} {part.size():.3g}" for name, part in self._parts().items())
-        return (*self.remarks, *([f"apart: {sizes} {self.size_unit}"] if sizes else []))
+        apart = [f"apart: {sizes} {self.size_unit}"] if sizes else []
+        squares = np.sum(np.square((self.measured - self.predicted) * self.worth), axis=1)
+        for name in self.table.covariates:
+            groups = _by_circumstance(self.table, name, range(len(squares)))
+            parts = {label: float(np.sqrt(np.mean(squares[own]))) for label, own in groups.items()}
+            shown = ", ".join(f"{size:.3g} m/s with {label}" for label, size in sorted(parts.items())[:MOST_SHOWN])
+            left = len(parts) - MOST_SHOWN
+            apart.append(f"differences by {name}: {shown}{f' and {left} more' if left > 0 else ''}")
+        return (*self.remarks, *apart)
 
     @cached_property
     def _all_signals(self) -> tuple[Feature, ...]:
@@ -631,16 +708,52 @@ def _conditions(table: ImpactTable) -> list[_Group] | None:
     for number, row in enumerate(table.rows):
         name = ", ".join(filter(None, (row.object_name, row.condition))) if row.condition else f"row {row.number}"
         grouped.setdefault(name, []).append(number)
-    freedom = sum(len(rows) - 1 for rows in grouped.values())
+    parts = [
+        _Group(", ".join([name, *labels]), name, tuple(rows))
+        for name, whole in grouped.items()
+        for labels, rows in _under_like_circumstances(table, whole)
+    ]
+    freedom = sum(len(part.rows) - 1 for part in parts)
     if len(grouped) < LEAST_CONDITIONS or freedom < LEAST_REPEATS:
         return None
-    return [_Group(name, name, tuple(rows)) for name, rows in grouped.items()]
+    return parts
 
 
-def _blocks(table: ImpactTable) -> list[_Group]:
-    """Blocks of neighbouring rows of about equal length, within one unit."""
+def _under_like_circumstances(table: ImpactTable, whole: list[int]) -> list[tuple[list[str], list[int]]]:
+    """Rows of a condition by levels of all covariates, and by halves of numbers; each with what it is, in words."""
+    parts: list[tuple[list[str], list[int]]] = [([], whole)]
+    for name in table.covariates:
+        split = []
+        for labels, rows in parts:
+            own = _by_circumstance(table, name, rows)
+            halves = len({row.circumstances[name] for row in table.rows}) > MOST_AS_NAMES
+            numbers = isinstance(table.rows[rows[0]].circumstances[name], float)
+            # Halves of a number are repeats of each other only if several rows are left in both.
+            whole_part = len(own) == 1 or (numbers and halves and min(map(len, own.values())) < LEAST_OF_HALF)
+            split += [(labels, rows)] if whole_part else [([*labels, label], some) for label, some in own.items()]
+        parts = split
+    return parts
+
+
+def _by_circumstance(table: ImpactTable, name: str, rows: Sequence[int]) -> dict[str, list[int]]:
+    """Rows by level of a covariate, or by the halves of a number about its median, each with what it is in words."""
+    values, unit = [table.rows[row].circumstances[name] for row in rows], table.covariates[name]
+    numbers = [value for value in values if isinstance(value, float)]
+    many = len({row.circumstances[name] for row in table.rows}) > MOST_AS_NAMES
+    middle = float(np.median(numbers)) if numbers and many else None
+    found: dict[str, list[int]] = {}
+    for row, value in zip(rows, values, strict=True):
+        label = level_name(value)
+        if isinstance(value, float) and middle is not None:
+            label = f"{'up to' if value <= middle else 'above'} {middle:.4g}"
+        found.setdefault(f"{name} {label} {unit if numbers else ''}".strip(), []).append(row)
+    return found
+
+
+def _blocks(table: ImpactTable, most: int = BLOCKS) -> list[_Group]:
+    """Blocks of neighbouring rows of about equal length, ``most`` at most, within one unit."""
     count = len(table.rows)
-    blocks = min(count, BLOCKS)
+    blocks = min(count, most)
     edges = np.arange(blocks + 1) * count // blocks
     found = []
     for low, high in zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True):

@@ -15,13 +15,17 @@ from impact_rs_analysis.evidence.discrepancy import NO_DISCREPANCY, Discrepancy,
 from impact_rs_analysis.evidence.levels import Comparison, RecordingDocument, condition_scores, where_of
 from impact_rs_analysis.evidence.measured_runs import Runs
 from impact_rs_analysis.evidence.tracks import Track
+from impact_rs_sim.effects import Effect
 from impact_rs_sim.effects.base import Joints
+from impact_rs_sim.effects.depending import Depending
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.model import Model
 from impact_rs_sim.physics import Physics
 from impact_rs_sim.proportion import Proportion
 from impact_rs_sim.robot import Array, JointType, RobotFacts
 from impact_rs_trials.workers import Map
+
+MOST_AS_NAMES = 8  # different numbers of a covariate that may be names, as of sessions 1 to 5
 
 Item = TypeVar("Item")
 Made = TypeVar("Made")
@@ -43,6 +47,26 @@ class Identity:
 
 
 @dataclass(frozen=True)
+class Covariate:
+    """A circumstance under which measurements were made: a number, or the name of a level.
+
+    Attributes:
+        name: Name.
+        unit: Unit of numbers; empty: none is known.
+        values: By cluster, row by row.
+    """
+
+    name: str
+    unit: str
+    values: tuple[tuple[float | str, ...], ...]
+
+    @property
+    def numeric(self) -> bool:
+        """Whether it is a number."""
+        return all(isinstance(value, float) for rows in self.values for value in rows)
+
+
+@dataclass(frozen=True)
 class View:
     """The same measurements looked at in another way, which gets a verdict of its own.
 
@@ -50,11 +74,17 @@ class View:
         name: What is looked at, in words.
         source: The evidence.
         option: Option of the command line whose other value it is; empty: a part of the signals.
+        of: What has another value there; empty: the points that touch.
+        value: That value, in the unit.
+        unit: Unit.
     """
 
     name: str
     source: Source
     option: str = ""
+    of: str = ""
+    value: float = 0.0
+    unit: str = ""
 
 
 class Source(ABC):
@@ -83,6 +113,9 @@ class Source(ABC):
             cannot be distinguished from it.
         least_change: Without repeats, an effect is accepted if the interval of a parameter lies more than so many
             parameter scales from nominal; 0: the relevance limits of the features decide.
+        covariates: Circumstances on which an effect may depend.
+        interleaved: Whether clusters are held out in turn and not in runs of neighbours.
+        state: What else measurements differ in and a covariate may go with, such as the impact speed.
     """
 
     kind: Literal["trials", "recordings", "impacts"] = "trials"
@@ -103,6 +136,17 @@ class Source(ABC):
     of_motion: bool = True
     clock: float = 0.0
     least_change: float = 1.0
+    interleaved: bool = False
+
+    @property
+    def covariates(self) -> tuple[Covariate, ...]:
+        """See the class."""
+        return ()
+
+    @property
+    def state(self) -> tuple[Covariate, ...]:
+        """See the class."""
+        return ()
 
     @property
     def comparison_remarks(self) -> Sequence[str]:
@@ -193,6 +237,19 @@ class Source(ABC):
         """
         found = self.predict([(number, added) for added in (before, after) for number in numbers], what)
         return [difference(a, b) for a, b in zip(found[: len(numbers)], found[len(numbers) :], strict=True)]
+
+    @property
+    def known_effects(self) -> dict[str, Effect]:
+        """Effects that it predicts with, by name."""
+        return self.model.known_effects
+
+    def knowing(self, effects: Sequence[Depending]) -> Source:
+        """The same measurements, predicted with further effects that depend on covariates, and held out in turn.
+
+        Args:
+            effects: By names that the model does not know.
+        """
+        raise NotImplementedError(f"{type(self).__name__} has no covariates")
 
     def views(self) -> tuple[View, ...]:
         """Other ways to look at the measurements, which the diagnosis judges as well."""

@@ -10,6 +10,7 @@ from pathlib import Path
 
 from impact_rs_analysis.diagnosis.compare import ComparisonDocument
 from impact_rs_analysis.diagnosis.document import (
+    DependenceDocument,
     DiagnosisDocument,
     EffectDocument,
     EstimateDocument,
@@ -75,6 +76,21 @@ class EffectRow:
 
 
 @dataclass(frozen=True)
+class DependenceRow:
+    """One effect by one covariate.
+
+    Attributes:
+        dependence: Its document.
+        tag: Colour of the verdict.
+        estimates: Estimates with what they are of.
+    """
+
+    dependence: DependenceDocument
+    tag: Tag
+    estimates: tuple[tuple[str, EstimateDocument], ...]
+
+
+@dataclass(frozen=True)
 class DiagnosisPage:
     """Content of ``diagnosis.html.j2``.
 
@@ -90,6 +106,7 @@ class DiagnosisPage:
         effects: Measurable effects, best first.
         effects_plot: Their errors; None without effects.
         unmeasured: Effects without influence on the measured signals.
+        dependences: Effects that were found by covariate.
         joints_plot: Errors joint by joint; None if not known.
         rest_is_noise: Whether the remaining residuals are consistent with noise.
         where: Where the model fails.
@@ -108,6 +125,7 @@ class DiagnosisPage:
     effects: tuple[EffectRow, ...]
     effects_plot: Plot | None
     unmeasured: tuple[str, ...]
+    dependences: tuple[DependenceRow, ...]
     joints_plot: Plot | None
     rest_is_noise: bool
     where: WherePart
@@ -156,6 +174,7 @@ def write_diagnosis(
         effects=tuple(_effect_row(effect) for effect in document.effects if effect.measured),
         effects_plot=None if bars is None else Plot("effects", bars),
         unmeasured=tuple(effect.name for effect in document.effects if not effect.measured),
+        dependences=tuple(map(_dependence_row, document.dependences)),
         joints_plot=Plot("joints", joints_plot(document.joints)) if document.joints else None,
         rest_is_noise=after is not None and after > SIGNIFICANT,
         where=where_part(comparison),
@@ -175,6 +194,13 @@ def _relevance_limits(comparison: ComparisonDocument) -> tuple[RelevanceLimit, .
         for row in level.signals
         if row.floor > 0.0
     )
+
+
+def _dependence_row(one: DependenceDocument) -> DependenceRow:
+    estimates = [(f"{name} in {level}", own) for level, every in one.levels.items() for name, own in every.items()]
+    estimates += [(f"{name} at the mean", own) for name, own in one.at_mean.items()]
+    estimates += [(f"change of {name}", own) for name, own in one.per_unit.items()]
+    return DependenceRow(one, tag_of(one.verdict), tuple(estimates))
 
 
 def _effect_row(effect: EffectDocument) -> EffectRow:

@@ -45,7 +45,7 @@ def run(args: argparse.Namespace, terminal: Terminal) -> int:
     extended = with_formulas(model, args.formulas)
     check_effects(extended, args.effects)
     bounds = read_bounds(args.bounds, extended.known_effects)
-    with measured(args, terminal, args.each_arm) as measurements:
+    with measured(args, terminal, args.each_arm, args.unsure) as measurements:
         document = diagnosis_of(measurements, model, extended, args.effects, terminal, args.output, bounds)
         if args.report is not None:
             with output_folder(args.report):
@@ -188,6 +188,8 @@ def _show(document: DiagnosisDocument, terminal: Terminal) -> None:
             terminal.say(estimates_table(effect.name, effect.parameters))
             for size in effect.sizes[:1]:
                 terminal.say(f"  moves {size.signal} ({size.phase}) by up to {number(size.value)} {size.unit}")
+    if document.dependences:
+        terminal.say(dependences_table(document))
     if len(shown) > MOST_SHOWN:
         terminal.say(f"and {len(shown) - MOST_SHOWN} more effects, none of them better")
     if missing := [effect.name for effect in document.effects if not effect.measured]:
@@ -196,6 +198,19 @@ def _show(document: DiagnosisDocument, terminal: Terminal) -> None:
         terminal.say(f"note: {remark}")
     if document.next_experiment is not None:
         terminal.say(f"next experiment: {document.next_experiment.advice}")
+
+
+def dependences_table(document: DiagnosisDocument) -> Table:
+    """Every effect that was found by covariate, with estimates where it depends on it."""
+    table = Table(title="What depends on circumstances", title_justify="left")
+    table.add_column("effect", no_wrap=True)
+    table.add_column("covariate", no_wrap=True)
+    table.add_column("verdict", overflow="fold")
+    table.add_column("p", justify="right", no_wrap=True)
+    for one in document.dependences:
+        verdict = one.verdict if one.verdict != NO_IMPROVEMENT or not one.reason else f"{one.verdict}: {one.reason}"
+        table.add_row(one.effect, one.covariate, verdict, p_text(one.p_value, document.design.least_p))
+    return table
 
 
 def p_text(value: float | None, least: float) -> str:

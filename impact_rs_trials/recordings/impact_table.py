@@ -46,8 +46,9 @@ column                                      unit      what it is
                                             rad/s     known
 ==========================================  ========  ============================================================
 
-Lengths may also be in mm, masses in g, angles in deg. Other columns are left alone. Cells of a CSV file are separated
-by commas, semicolons or tabs; empty lines and lines that begin with # are skipped.
+Lengths may also be in mm, masses in g, angles in deg. Any column may also be declared a covariate: a circumstance
+under which rows were measured, a number or the name of a level. Other columns are left alone. Cells of a CSV file are
+separated by commas, semicolons or tabs; empty lines and lines that begin with # are skipped.
 """
 
 from __future__ import annotations
@@ -58,6 +59,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from difflib import get_close_matches
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -103,6 +105,15 @@ MOST_POINTS = 8  # contact points that a row may name
 WIDER = 4.0  # tolerances; points between a quarter of one and so many may touch or not
 TOLERANCE = "contact_tolerance"
 TIME = "time"
+OF_BODY = ("mass", "ixx", "iyy", "izz", "size_x", "size_y", "size_z", "radius")  # columns that may be unsure
+UNSEEN_GEOMETRY = {  # what else may be unsure, 0 in a table: its unit
+    "offset_x": "m",  # of the tracked point from the centre, along the body's own axes
+    "offset_y": "m",
+    "offset_z": "m",
+    "tilt_x": "rad",  # of the plane's normal about x and y of A
+    "tilt_y": "rad",
+}
+SWEPT = (0.25, 0.5, 1.0)  # shares of the way from the assumed value to either end of a range
 SLIP = 0.75  # likeness from which an unknown column is taken for a slip of the pen
 
 
@@ -121,6 +132,7 @@ class ImpactRow:
         narrower: The impact with fewer, those within a tolerance over ``WIDER`` (no pose is known better than
             ``GAP_TOLERANCE``); None: there are no fewer.
         time: When it was measured, seconds since 1970 or since any other moment [s]; None: not known.
+        circumstances: Its covariates by name, numbers or names of levels.
     """
 
     number: int
@@ -132,6 +144,24 @@ class ImpactRow:
     wider: MeasuredImpact | None = None
     narrower: MeasuredImpact | None = None
     time: float | None = None
+    circumstances: Mapping[str, float | str] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Variant:
+    """A table read with another value of something that is not known well.
+
+    Attributes:
+        of: What it is: a column of the body, or an ``UNSEEN_GEOMETRY``.
+        value: Its value, in the unit; of a column whose rows differ, their mean.
+        unit: Unit.
+        table: The table with it.
+    """
+
+    of: str
+    value: float
+    unit: str
+    table: ImpactTable
 
 
 @dataclass(frozen=True)
@@ -151,6 +181,8 @@ class ImpactTable:
             [rad/s, m/s], nan of what was not measured; None: said nowhere.
         assumed: Assumptions where the table has no column, as text.
         unread: Columns that are not used.
+        covariates: Units of the covariates by name; empty where a header says none.
+        variants: The table with other values of what is not known well, over its range.
     """
 
     path: Path
@@ -163,10 +195,17 @@ class ImpactTable:
     joints: bool = True
     turning: bool = True
     tolerance: float = GAP_TOLERANCE
+    covariates: Mapping[str, str] = field(default_factory=dict)
+    variants: tuple[Variant, ...] = ()
 
 
 def read_impact_table(
-    path: Path, scenario: Scenario | None = None, questions: bool = False, tolerance: float = GAP_TOLERANCE
+    path: Path,
+    scenario: Scenario | None = None,
+    questions: bool = False,
+    tolerance: float = GAP_TOLERANCE,
+    covariates: Sequence[str] = (),
+    unsure: Mapping[str, tuple[float, float]] = MappingProxyType({}),
 ) -> ImpactTable:
     """Read a table of impacts.
 
@@ -175,13 +214,30 @@ def read_impact_table(
         scenario: Robots, pads and support of rows of arms; None: rows of free bodies.
         questions: Whether the rows ask for the velocities after: their columns may be absent and are not read.
         tolerance: How much further off than the nearest a point may be that touches [m].
+        covariates: Names of the columns that say under which circumstances a row was measured. A column of numbers is
+            a number, in the unit of its header; any other holds names of levels.
+        unsure: Ranges of what is not known well, in SI units: of columns of the body, whose rows keep their ratios, or
+            of ``UNSEEN_GEOMETRY``.
 
     Raises:
         InputError: It cannot be read, a column is missing or has another unit, or a row is no impact; the message names
             row and column, what is there, and what was expected.
     """
     header, cells, digest = _read(path)
-    return _Reader(path, header, cells, scenario, questions, tolerance).table(digest)
+    reader = _Reader(path, header, cells, scenario, questions, tolerance, tuple(covariates))
+    table, found = reader.table(digest), []
+    for name, (low, high) in unsure.items():
+        assumed, unit = reader.assumed_geometry(name)
+        values = {assumed + share * (end - assumed) for end in (low, high) for share in SWEPT if end != assumed}
+        for value in sorted(values):
+            try:
+                other = replace(reader, geometry={name: value / assumed if name in OF_BODY else value}).table(digest)
+            except InputError as error:
+                raise InputError(
+                    f"with {name} = {value:.4g} {unit}: {error.message}", file=path, key=error.key
+                ) from None
+            found.append(Variant(name, value, unit, other))
+    return replace(table, variants=tuple(found))
 
 
 Cells = list[dict[str, Any]]
@@ -237,6 +293,20 @@ def _row(number: int) -> str:
     return f"row {number}"
 
 
+def _name_and_unit(header: str) -> tuple[str, str]:
+    """Name of a column, and its unit in brackets; empty without one."""
+    name, _, unit = header.partition("[")
+    return name.strip(), unit.strip().removesuffix("]").strip()
+
+
+def _numbers(texts: Sequence[str]) -> list[float] | None:
+    """Numbers of all cells of a column; None where one is something else."""
+    try:
+        return [decimal(text) for text in texts]
+    except ValueError:
+        return None
+
+
 def _triple(stem: str, tail: str = "") -> list[str]:
     return [f"{stem}{axis}{tail}" for axis in AXES]
 
@@ -278,6 +348,8 @@ class _Reader:
         scenario: Of rows of arms.
         questions: Whether velocities after the impact are to be predicted.
         tolerance: How much further off than the nearest a point may be that touches [m].
+        covariates: Names of the columns that say under which circumstances a row was measured.
+        geometry: Factors of columns of the body, and values of ``UNSEEN_GEOMETRY`` [m, rad].
     """
 
     path: Path
@@ -286,6 +358,8 @@ class _Reader:
     scenario: Scenario | None
     questions: bool = False
     tolerance: float = GAP_TOLERANCE
+    covariates: tuple[str, ...] = ()
+    geometry: Mapping[str, float] = field(default_factory=dict)
     _where: dict[str, str] = field(default_factory=dict)  # header by name of a column
     _factor: dict[str, float] = field(default_factory=dict)
     _unit: dict[str, str] = field(default_factory=dict)
@@ -293,9 +367,14 @@ class _Reader:
 
     def table(self, digest: str) -> ImpactTable:
         """All rows, checked."""
-        unread = self._columns()
+        declared = self._declared()
+        unread = [text for text in self._columns() if text not in declared.values()]
         self._demand()
-        rows = tuple(self._impact(number, cells) for number, cells in enumerate(self.cells, start=1))
+        circumstances = self._circumstances(declared)
+        rows = tuple(
+            replace(self._impact(number, cells), circumstances=own)
+            for number, (cells, own) in enumerate(zip(self.cells, circumstances, strict=True), start=1)
+        )
         noise, assumed = self._noise(rows), self._assumed()
         tolerances = [self._tolerance(number, cells) for number, cells in enumerate(self.cells, start=1)]
         return ImpactTable(
@@ -309,7 +388,58 @@ class _Reader:
             joints=self._joints_after,
             turning=self._turning_after,
             tolerance=float(np.mean(tolerances)),
+            covariates={name: _name_and_unit(text)[1] for name, text in declared.items()},
         )
+
+    def assumed_geometry(self, name: str) -> tuple[float, str]:
+        """What a table that was read assumes of something that may be unsure, and its SI unit.
+
+        Raises:
+            InputError: There is nothing of that name here.
+        """
+        known = [column for column in OF_BODY if column in self._where]
+        known += [own for own in UNSEEN_GEOMETRY if not (self._arms and own.startswith("tilt"))]
+        if not self._turning_after:
+            known = [own for own in known if not own.startswith("offset")]
+        if name not in known:
+            raise InputError(
+                f"nothing called {name!r} can be unsure here{did_you_mean(name, known)}; known: {', '.join(known)}",
+                file=self.path,
+                key="--unsure",
+            )
+        if name in UNSEEN_GEOMETRY:
+            return 0.0, UNSEEN_GEOMETRY[name]
+        return float(np.mean([self._value(n, cells, name) for n, cells in enumerate(self.cells, start=1)])), BODY[name]
+
+    def _declared(self) -> dict[str, str]:
+        """Headers of the covariates by their names."""
+        there = {_name_and_unit(text)[0]: text for text in self.header}
+        for place, name in enumerate(self.covariates):
+            if name in self.covariates[:place]:
+                raise InputError(f"column {name!r} is named twice", file=self.path, key="--covariates")
+            if name not in there:
+                raise InputError(
+                    f"no column {name!r}{did_you_mean(name, there)}; there are: {', '.join(there)}",
+                    file=self.path,
+                    key="--covariates",
+                )
+        return {name: there[name] for name in self.covariates}
+
+    def _circumstances(self, declared: Mapping[str, str]) -> list[dict[str, float | str]]:
+        """Covariates of every row: numbers where a whole column holds such, else names of levels."""
+        found: list[dict[str, float | str]] = [{} for _ in self.cells]
+        for name, text in declared.items():
+            levels = ["" if cells[text] is None else str(cells[text]).strip() for cells in self.cells]
+            for number, level in enumerate(levels, start=1):
+                if not level:
+                    raise self._wrong(number, f"column {text!r}", None, "this cell is empty; a covariate has a value")
+            values: Sequence[float | str] = _numbers(levels) or levels
+            for number, value in enumerate(values, start=1):
+                if isinstance(value, float) and not np.isfinite(value):
+                    raise self._wrong(number, f"column {text!r}", value, "expected a finite number")
+            for own, value in zip(found, values, strict=True):
+                own[name] = value
+        return found
 
     @property
     def _arms(self) -> tuple[str, ...]:
@@ -371,18 +501,18 @@ class _Reader:
             known |= self._with_units(arm, self._of_joints(arm, "B"), "inertia")
         unread = []
         for text in self.header:
-            name, bracket, unit = text.partition("[")
-            name, unit = name.strip(), unit.strip().removesuffix("]").strip()
+            name, unit = _name_and_unit(text)
             if name not in known:
                 unread.append(text)
                 continue
             factors = FACTORS[known[name]]
             if unit not in factors:
-                said = f"unit {unit!r}" if bracket else "no unit"
+                said = f"unit {unit!r}" if "[" in text else "no unit"
                 expected = " or ".join(f"'{name} [{one}]'" for one in factors if one)
                 raise InputError(f"column {text!r} has {said}; expected {expected}", file=self.path)
             self._where[name], self._factor[name], self._unit[name] = text, factors[unit], unit or known[name]
-        joints = [text for text in unread if JOINT_COLUMN.fullmatch(text.partition("[")[0].strip())]
+        undeclared = [text for text in unread if _name_and_unit(text)[0] not in self.covariates]
+        joints = [text for text in undeclared if JOINT_COLUMN.fullmatch(_name_and_unit(text)[0])]
         if joints and self.scenario is None:
             raise InputError(
                 f"column {joints[0]!r} is of an arm; --scenario NAME says which robot, pad and support there were",
@@ -394,8 +524,8 @@ class _Reader:
                 f"column {joints[0]!r} is of no joint of scenario {self._name} ({expected})", file=self.path
             )
         free = [name for name in known if name not in self._where]
-        for text in unread:
-            name = text.partition("[")[0].strip()
+        for text in undeclared:
+            name = _name_and_unit(text)[0]
             if close := get_close_matches(name, free, n=1, cutoff=SLIP):
                 unit = known[close[0]]
                 meant = f"{close[0]} [{unit}]" if unit else close[0]
@@ -483,7 +613,7 @@ class _Reader:
             raise InputError(f"expected a number [{unit}]", file=self.path, key=key, value=text) from None
         if not np.isfinite(value):
             raise InputError(f"expected a finite number [{unit}]", file=self.path, key=key, value=value)
-        return value * self._factor[name]
+        return value * self._factor[name] * self.geometry.get(name, 1.0)
 
     def _values(self, number: int, cells: Mapping[str, Any], names: Sequence[str]) -> Array:
         return np.array([self._value(number, cells, name) for name in names])
@@ -504,10 +634,16 @@ class _Reader:
             rotation=self._rotation(number, cells) if "qx" in self._where else np.eye(3),
             twist=self._values(number, cells, [*_triple("v", "_before"), *_triple("w", "_before")]),
         )
-        after = [self._after(number, cells, _triple("v", "_after"))]
         spin = _triple("w", "_after")
-        after.append(self._after(number, cells, spin) if self._turning_after else np.full(len(spin), np.nan))
-        normal = self._normal(number, cells)
+        turning = self._after(number, cells, spin) if self._turning_after else np.full(len(spin), np.nan)
+        after = [self._after(number, cells, _triple("v", "_after")), turning]
+        if any(lever := [self.geometry.get(f"offset_{axis}", 0.0) for axis in AXES]):
+            # v of the centre = v of the tracked point - omega x lever
+            off = body.rotation @ lever
+            moved = np.concatenate((body.twist[:3] - np.cross(body.twist[3:], off), body.twist[3:]))
+            body = BodyState(body.position - off, body.rotation, moved)
+            after[0] = after[0] - np.cross(turning, off)
+        normal = self._tilted(self._normal(number, cells))
         given = self._given_points(number, cells)
         object_name = self._object(number, cells)
         physics, models = self._assumption(number, cells, object_name)
@@ -562,6 +698,13 @@ class _Reader:
             )
         x, y, z, w = quaternion / length
         return np.asarray(pin.Quaternion(w, x, y, z).toRotationMatrix())
+
+    def _tilted(self, normal: Array | None) -> Array | None:
+        """The normal of a plane that is tilted further."""
+        tilt = [self.geometry.get(name, 0.0) for name in ("tilt_x", "tilt_y")]
+        if not any(tilt):
+            return normal
+        return np.asarray(pin.rpy.rpyToMatrix(*tilt, 0.0) @ (UP if normal is None else normal))
 
     def _normal(self, number: int, cells: Mapping[str, Any]) -> Array | None:
         if "nx" not in self._where:

@@ -10,6 +10,7 @@ from typing import Any
 import pytest
 from impact_table_cases import CUBE_HEADER, arm_table, cube, cube_rows, write_csv
 
+from impact_rs_analysis.diagnosis.document import read_document
 from impact_rs_cli.main import main
 
 Document = Callable[..., dict[str, Any]]
@@ -38,6 +39,30 @@ def test_a_table_goes_through_the_whole_loop(
     assert "How large the differences are [times the rms" in shown
     assert main(["history", str(child), *map(str, table)]) == 0
     assert "Error per model version [m/s]" in capfd.readouterr().out
+
+
+def test_what_depends_on_a_covariate_is_said_in_text_document_and_page(
+    tmp_path: Path, document: Document, capfd: pytest.CaptureFixture
+) -> None:
+    rows = [[*row, "A"] for row in cube_rows(cube(0.5, 0.2), 40)]
+    rows += [[*row, "B"] for row in cube_rows(cube(0.5, 0.4), 40, seed=1)]
+    path = write_csv(tmp_path / "cubes.csv", [*CUBE_HEADER, "session"], rows)
+    table = ("--impacts", str(path), "--covariates", "session", "--jobs", "1")
+    (remark,) = (text for text in document("compare", *table)["remarks"] if text.startswith("differences by session"))
+    assert "m/s with session A, " in remark
+    capfd.readouterr()
+    only = ("--effects", "restitution", "support_friction")
+    diagnosis, report = tmp_path / "diagnosis.json", tmp_path / "report"
+    assert main(["diagnose", *table, *only, "-o", str(diagnosis), "--report", str(report)]) == 0
+    shown = " ".join(capfd.readouterr().out.split())
+    assert "restitution depends on session: 0." in shown and "What depends on circumstances" in shown
+    found = read_document(diagnosis)
+    (one,) = (entry for entry in found.dependences if entry.found)
+    estimates = [one.levels[level]["restitution"].estimate for level in "AB"]
+    assert estimates == pytest.approx([0.2, 0.4], abs=0.02)
+    page = (report / "diagnosis.html").read_text(encoding="utf-8")
+    assert "<h2>Circumstances</h2>" in page and "restitution in B: 0." in page
+    assert main(["add", "restitution", "--from", str(diagnosis), "-o", str(tmp_path / "model_2.yaml")]) == 0
 
 
 def test_an_arm_needs_its_scenario(tmp_path: Path, document: Document, refused: Callable[..., str]) -> None:

@@ -282,3 +282,28 @@ def test_a_ball_that_cannot_be_is_refused(tmp_path: Path, change: dict[str, floa
 def test_a_shell_needs_a_radius_and_a_scenario_has_no_balls(tmp_path: Path, cubes: Rows, pushes: Rows) -> None:
     assert "it is of balls" in refusal(read_cubes, tmp_path, cubes, **{"shell [-]": 1})
     assert "objects of scenario 'push' are boxes" in refusal(read_pushes, tmp_path, pushes, **{"radius [m]": 0.1})
+
+
+def test_a_covariate_of_numbers_is_a_number_and_any_other_holds_levels(tmp_path: Path, cubes: Rows) -> None:
+    own = [{"run": number, "mas [bar]": f"{number}.5", "place": ("1", "two")[number % 2]} for number in range(5)]
+    rows = [row | more for row, more in zip(cubes, own, strict=True)]
+    path = write(tmp_path / "cubes.csv", rows)
+    table = read_impact_table(path, covariates=("mas", "place", "mass"))
+    assert (table.covariates, table.unread) == ({"mas": "bar", "place": "", "mass": "kg"}, ("run",))
+    assert [row.circumstances for row in table.rows[:2]] == [
+        {"mas": 0.5, "place": "1", "mass": MASS},
+        {"mas": 1.5, "place": "two", "mass": MASS},
+    ]
+    assert table.rows[0].physics is table.rows[1].physics  # circumstances are no assumption
+
+
+def test_a_covariate_that_is_not_there_or_empty_is_refused(tmp_path: Path, cubes: Rows) -> None:
+    path = write(tmp_path / "cubes.csv", [row | {"session": "A" if n else " "} for n, row in enumerate(cubes)])
+    said = refusal(lambda: read_impact_table(path, covariates=["sesion"]))
+    assert "--covariates: no column 'sesion'; did you mean 'session'?" in said
+    said = refusal(lambda: read_impact_table(path, covariates=["session"]))
+    assert "row 1, column 'session': this cell is empty" in said
+    path = write(tmp_path / "cubes.csv", [row | {"warmth [K]": 300 if n else "nan"} for n, row in enumerate(cubes)])
+    said = refusal(lambda: read_impact_table(path, covariates=["warmth"]))
+    assert "row 1, column 'warmth [K]' = nan: expected a finite number" in said
+    assert "named twice" in refusal(lambda: read_impact_table(path, covariates=["warmth", "warmth"]))

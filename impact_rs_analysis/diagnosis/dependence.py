@@ -1,0 +1,293 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Dependence: whether an effect depends on a circumstance of the measurement (a covariate).
+
+Every effect is tried with every covariate, beside the effects that were found: with a value for each level, or, of a
+number, with a value at its mean and a change per standard deviation (:mod:`impact_rs_sim.effects.depending`). Those
+that were not found with one value for all are tried as well: what is more here and less there may be nothing on
+average, or drown in the scatter.
+
+A pair of an effect and a covariate is accepted as effects are: the score test of what the covariate adds is significant
+after adjustment for all pairs (Benjamini and Hochberg), the error on left-out clusters falls by enough, among equals
+the one with the fewest parameters is taken, and the rest is tried again beside it. Then clusters are held out, the
+effects are fitted to the others alone, the choice of pairs is repeated there, and both predict the held-out clusters. A
+dependence counts if the interval of the change of that error lies below 0 and more than half of the folds find it.
+
+What depends on a covariate was scatter to the search that found the effects, which hides some and lets others pass for
+it. So all effects are searched once more, with the dependent ones in place of themselves; a dependence that this search
+replaces by another effect is none. Where it finds neither, because the scatter of repeats holds what depends on a
+number, the dependences stand beside the first search.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+
+import numpy as np
+
+from impact_rs_analysis.diagnosis.candidate import Candidate, linearise
+from impact_rs_analysis.diagnosis.fit import NEAR_STEPS, Evidence, Fit, measure_again, refine_again
+from impact_rs_analysis.diagnosis.hold_out import Fold, folds_of
+from impact_rs_analysis.diagnosis.search import SHORTLIST, ProgressCallback, adjusted, tied
+from impact_rs_analysis.diagnosis.thresholds import LEAST_NUMBERS, LEAST_ROWS_OF_LEVEL, SIGNIFICANT, TIE
+from impact_rs_analysis.diagnosis.verdicts import Findings, change_interval
+from impact_rs_analysis.evidence.source import MOST_AS_NAMES, Covariate, Source
+from impact_rs_sim.effects import Effect
+from impact_rs_sim.effects.depending import Depending, Levels, Slope, level_name
+from impact_rs_sim.robot import Array
+
+
+@dataclass(frozen=True)
+class Choice:
+    """Dependences that a search accepts.
+
+    Attributes:
+        fit: The effects with them; None: there are none.
+        pairs: What was accepted, in this order.
+        rivals: By accepted pair, pairs that predict as well in its place.
+        p_values: By pair, adjusted for all of them; of accepted ones beside those accepted before, of the others beside
+            all that were accepted.
+    """
+
+    fit: Fit | None
+    pairs: tuple[Depending, ...]
+    rivals: Mapping[str, tuple[str, ...]]
+    p_values: Mapping[str, float]
+
+
+@dataclass(frozen=True)
+class Dependences:
+    """What depends on which covariate.
+
+    Attributes:
+        source: The measurements, predicted with the pairs that the hold-out supports.
+        tried: All pairs.
+        choice: What the search of all data accepts.
+        pairs: Of these, those that the hold-out supports, and that a search beside all effects does not replace.
+        fit: The effects with them; None: there are none.
+        before: Mean held-out residuals with the effects alone, ``(F,)`` per cluster [-]; empty: nothing was held out.
+        after: The same with their dependences.
+        folds: Pairs that the search of every fold accepts.
+        replaced: Pairs in whose place a search beside all effects finds another one.
+    """
+
+    source: Source
+    tried: tuple[Depending, ...]
+    choice: Choice
+    pairs: tuple[Depending, ...] = ()
+    fit: Fit | None = None
+    before: tuple[Array, ...] = ()
+    after: tuple[Array, ...] = ()
+    folds: tuple[tuple[str, ...], ...] = ()
+    replaced: tuple[str, ...] = ()
+
+    def in_place_of(self, effects: Sequence[Effect]) -> list[Effect]:
+        """Effects to consider, those that depend on a covariate in place of themselves."""
+        return [next((pair for pair in self.pairs if pair.effect.name == own.name), own) for own in effects]
+
+    def settled_by(self, found: Findings, again: Findings) -> bool:
+        """Whether a search with the dependences finds them, or other effects in their place.
+
+        Args:
+            found: Of the first search.
+            again: Of the search with the dependences.
+        """
+        own = {pair.name for pair in self.pairs}
+        return own <= set(again.names) or bool(set(again.names) - own - set(found.names))
+
+    def beside(self, chosen: Fit) -> Dependences:
+        """The dependences beside what a search finds with them."""
+        kept = tuple(pair for pair in self.pairs if pair.name in chosen.candidate.names)
+        return replace(self, pairs=kept, fit=chosen, replaced=tuple(p.name for p in self.pairs if p not in kept))
+
+
+def terms_of(source: Source) -> dict[str, tuple[Levels | Slope, ...]]:
+    """Ways in which parameters may depend on every covariate of a source, by name; empty: it does not vary enough.
+
+    A level has values of its own if it was measured beside every fold of a hold-out as well. A few different numbers
+    may be names, as those of sessions are.
+    """
+    folds = folds_of(source) if source.covariates else []
+    return {item.name: _terms(item, folds) for item in source.covariates}
+
+
+def _terms(covariate: Covariate, folds: Sequence[Fold]) -> tuple[Levels | Slope, ...]:
+    """See :func:`terms_of`."""
+    every = [value for rows in covariate.values for value in rows]
+    different = dict.fromkeys(map(level_name, every))
+    found: list[Levels | Slope] = []
+    if covariate.numeric and len(set(every)) >= LEAST_NUMBERS:
+        numbers = np.array(every, dtype=float)
+        found.append(Slope(float(numbers.mean()), float(numbers.std())))
+    if not covariate.numeric or len(different) <= MOST_AS_NAMES:
+        beside = [[level_name(v) for number in fold.training for v in covariate.values[number]] for fold in folds]
+        least = {name: min((rows.count(name) for rows in beside), default=0) for name in different}
+        names = tuple(name for name, rows in least.items() if rows >= LEAST_ROWS_OF_LEVEL)
+        found += [Levels(names)] if len(names) > 1 else []
+    return tuple(found)
+
+
+def dependences_of(
+    found: Findings, present: Sequence[Effect] = (), progress: ProgressCallback = lambda *_: None
+) -> Dependences | None:
+    """Which effects depend on which covariate; None: there is nothing to try.
+
+    Args:
+        found: Of the search with one value for all circumstances.
+        present: Effects that the model has already, which may depend on a covariate beyond that.
+        progress: Called with fitted effects and their held-out error (:class:`Search`).
+    """
+    if not found.evidence.source.covariates or found.evidence.null.shortage is not None:
+        return None
+    source = found.evidence.source.knowing(())
+    chosen = () if found.chosen is None else found.chosen.candidate.effects
+    others = [single.effects[0] for name, single in found.search.singles.items() if name not in found.names]
+    pairs = tuple(
+        Depending(effect, name, terms)
+        for name, ways in terms_of(source).items()
+        for effect in (*chosen, *others, *present)
+        for terms in ways
+    )
+    if not pairs:
+        return None
+    evidence, start = Evidence.of(source), np.empty(0) if found.chosen is None else found.chosen.estimate
+    choice = _choose(evidence, _fitted(chosen, start, evidence), pairs, progress)
+    if not choice.pairs:
+        return Dependences(source, pairs, choice)
+    folds = folds_of(source)
+    results = source.spread(partial(_predicted, chosen, start, pairs, progress), folds, "hold-out of dependences")
+    rest = {number: both for fold, (_, every) in zip(folds, results, strict=True) for number, both in every.items()}
+    before, after = zip(*(rest[number] for number in range(len(source.clusters))), strict=True)
+    names = tuple(own for own, _ in results)
+    change = change_interval(before, after, evidence)
+    supported = change is not None and change[1] < 0.0
+    kept = tuple(one for one in choice.pairs if supported and _common(one, pairs, choice, names))
+    fit = choice.fit
+    if len(kept) < len(choice.pairs):
+        fit = _fitted(chosen, start, evidence)
+        for pair in kept:
+            entry = _depending(evidence if fit is None else fit.evidence, fit, pair)
+            fit = None if entry is None else measure_again(refine_again(entry), near=True)
+    return Dependences(source.knowing(kept), pairs, choice, kept, fit, before, after, names)
+
+
+def ways_of(pair: Depending, pairs: Sequence[Depending]) -> set[str]:
+    """Names of all ways in which the effect of a pair may depend on its covariate."""
+    return {one.name for one in pairs if (one.effect.name, one.covariate) == (pair.effect.name, pair.covariate)}
+
+
+def _common(pair: Depending, pairs: Sequence[Depending], choice: Choice, found: Sequence[tuple[str, ...]]) -> bool:
+    """Whether more than half of the folds find a dependence, or one that predicts as well in its place."""
+    alike = ways_of(pair, pairs) | set(choice.rivals[pair.name])
+    return 2 * sum(bool(alike & set(names)) for names in found) > len(found)
+
+
+def _predicted(
+    effects: Sequence[Effect],
+    start: Array,
+    pairs: Sequence[Depending],
+    progress: ProgressCallback,
+    source: Source,
+    fold: Fold,
+) -> tuple[tuple[str, ...], dict[int, tuple[Array, Array]]]:
+    """Pairs that the other clusters show, and the mean residuals of a fold with the effects, without and with them."""
+    evidence = Evidence.of(source, fold.training)
+    fitted = _fitted(effects, start, evidence)
+    choice = _choose(evidence, fitted, pairs, progress)
+    ends = [_rest(one, source, fold.held) for one in (fitted, choice.fit)]
+    return tuple(one.name for one in choice.pairs), {n: (a, b) for n, a, b in zip(fold.held, *ends, strict=True)}
+
+
+def _fitted(effects: Sequence[Effect], start: Array, evidence: Evidence) -> Fit | None:
+    """Effects fitted to some clusters, from a start; None: there are none, or they cannot be simulated."""
+    if not effects:
+        return None
+    candidate = Candidate.of(tuple(effects), evidence.source, start)
+    there = linearise(candidate, evidence.clusters, evidence.numbers, evidence.source, "dependences", NEAR_STEPS[-1])
+    return None if there is None else measure_again(refine_again(Fit.of(there, evidence)), near=True)
+
+
+def _rest(fitted: Fit | None, source: Source, held: Sequence[int]) -> list[Array]:
+    """Mean residuals of clusters with a fit; of the model without one, or where it cannot be simulated."""
+    items = [source.clusters[number] for number in held]
+    if fitted is None:
+        return [item.mean for item in items]
+    source, added = fitted.evidence.source, fitted.candidate.split(fitted.estimate)
+    found = [source.measure_again(added, [item]) for item in items]
+    return [item.mean if own is None else own[0].mean for item, own in zip(items, found, strict=True)]
+
+
+def _choose(evidence: Evidence, fitted: Fit | None, pairs: Sequence[Depending], progress: ProgressCallback) -> Choice:
+    """Forward choice of pairs beside a fit; an effect depends on one covariate at most."""
+    chosen: list[Depending] = []
+    rivals: dict[str, tuple[str, ...]] = {}
+    p_values: dict[str, float] = {}
+    while True:
+        taken = {pair.effect.name for pair in chosen}
+        free = [pair for pair in pairs if pair.effect.name not in taken]
+        evidence = evidence if fitted is None else fitted.evidence
+        proposals = {p.name: entry for p in free if (entry := _depending(evidence, fitted, p)) is not None}
+        for entry in proposals.values():
+            progress("+".join(entry.candidate.names), evidence.size(entry.held_out))
+        p_values |= adjusted(_p_values(evidence, fitted, proposals), len(pairs))
+        before = [item.mean for item in evidence.clusters] if fitted is None else fitted.problem.left_out_rest
+        likely = [
+            entry
+            for name, entry in proposals.items()
+            if p_values[name] < SIGNIFICANT and evidence.gains(before, entry.problem.left_out_rest, 0.5)
+        ]
+        refined = [refine_again(entry) for entry in sorted(likely, key=lambda entry: entry.score)[:SHORTLIST]]
+        refined = [entry for entry in refined if evidence.gains(before, entry.problem.left_out_rest)]
+        if not refined:
+            return Choice(fitted, tuple(chosen), rivals, p_values)
+        limit = min(entry.score for entry in refined) * math.exp(TIE)
+        best = min((one for one in refined if one.score <= limit), key=lambda entry: (_cost(entry), entry.score))
+        (own,) = (pair for pair in free if pair.name in best.candidate.names)
+        others = [one for one in refined if one is not best and _cost(one) <= _cost(best) and tied(best, one)]
+        ways = ways_of(own, pairs)
+        rivals[own.name] = tuple(
+            p.name for p in free for entry in others if p.name in entry.candidate.names and p.name not in ways
+        )
+        chosen.append(own)
+        fitted = measure_again(best, near=True)
+
+
+def _depending(evidence: Evidence, fitted: Fit | None, pair: Depending) -> Fit | None:
+    """The linear fit in which an effect depends on a covariate, beside a fit; None where it cannot be simulated."""
+    source, joints = evidence.source.knowing([pair]), evidence.source.joints
+    parts = [] if fitted is None else [(own, fitted.estimate[part]) for own, part in fitted.candidate.parts]
+    present = [own.name for own, _ in parts]
+    if pair.effect.name in present:
+        place = present.index(pair.effect.name)
+        effect, values = parts[place]
+        parts[place] = Depending(effect, pair.covariate, pair.terms), pair.at(values, joints)
+        share = NEAR_STEPS[-1]
+    else:
+        parts.append((pair, pair.nominal(joints)))
+        share = NEAR_STEPS[0]  # whole steps see past contacts that stick
+    origin = () if fitted is None else fitted.candidate.origin
+    start = Candidate.of(tuple(own for own, _ in parts), source, np.concatenate([at for _, at in parts]), origin)
+    there = linearise(start, evidence.clusters, evidence.numbers, source, "dependences", share)
+    return None if there is None else Fit.of(there, replace(evidence, source=source))
+
+
+def _p_values(evidence: Evidence, fitted: Fit | None, proposals: Mapping[str, Fit]) -> dict[str, float]:
+    """p-values of effects not depending on a covariate, or of their absence where they are not fitted."""
+    names, tested = () if fitted is None else fitted.candidate.names, []
+    for entry in proposals.values():
+        pair, part = next(one for one in entry.candidate.parts if one[0].name not in names)
+        assert isinstance(pair, Depending)
+        amplitudes = sum(not scalar.shape for scalar in pair.effect.scalars(evidence.source.joints))
+        # A change under all circumstances alike is one of the effect, which may be fitted.
+        first = part.start + (amplitudes if pair.effect.name in names else 0)
+        last = part.start + len(pair.terms.labels) * amplitudes
+        tested.append([jacobian[:, first:last] for jacobian in entry.candidate.jacobians])
+    null, beside = (evidence.null, ()) if fitted is None else (fitted.left.null, fitted.candidate.jacobians)
+    return dict(zip(proposals, null.p_values(tested, beside), strict=True))
+
+
+def _cost(fitted: Fit) -> int:
+    """Number of parameters of all effects, without shapes."""
+    return sum(effect.complexity(fitted.evidence.source.joints) for effect in fitted.candidate.effects)

@@ -1,0 +1,227 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Verdicts on dependences on covariates, and on what a covariate goes with.
+
+A covariate may go with another, or with the impact speed: what was cold was also measured first. The largest canonical
+correlation of the two (Hotelling 1936, *Relations between two sets of variates*, Biometrika 28), with an indicator for
+every level, says how closely: 1 if one follows from the other.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+import numpy as np
+
+from impact_rs_analysis.diagnosis.dependence import Dependences, terms_of, ways_of
+from impact_rs_analysis.diagnosis.document import (
+    CONFIRMED,
+    CONFUSABLE,
+    NO_IMPROVEMENT,
+    SMALL,
+    CovariateDocument,
+    DependenceDocument,
+    DiagnosisDocument,
+    EstimateDocument,
+)
+from impact_rs_analysis.diagnosis.fit import Fit
+from impact_rs_analysis.diagnosis.thresholds import GOES_WITH, SIGNIFICANT
+from impact_rs_analysis.diagnosis.verdicts import clip_p, residual_size
+from impact_rs_analysis.evidence.source import Covariate, Source
+from impact_rs_sim.effects.depending import Depending, Levels, Slope
+from impact_rs_sim.robot import Array
+
+
+def covariate_documents(source: Source) -> tuple[CovariateDocument, ...]:
+    """Covariates of a source, and what each goes with."""
+    found, terms = [], terms_of(source.knowing(())) if source.covariates else {}
+    for item in source.covariates:
+        others = [other for other in (*source.covariates, *source.state) if other.name != item.name]
+        correlations = {other.name: correlation_of(item, other) for other in others}
+        numbers = [float(value) for value in _every(item)] if item.numeric else []
+        found.append(
+            CovariateDocument(
+                name=item.name,
+                unit=item.unit,
+                levels=() if item.numeric else tuple(sorted({str(value) for value in _every(item)})),
+                mean=float(np.mean(numbers)) if numbers else None,
+                range=(min(numbers), max(numbers)) if numbers else None,
+                tried=bool(terms[item.name]),
+                goes_with={name: value for name, value in correlations.items() if value > GOES_WITH},
+            )
+        )
+    return tuple(found)
+
+
+def correlation_of(first: Covariate, second: Covariate) -> float:
+    """Largest canonical correlation of two covariates over the rows [-]; 0 if one of them does not vary."""
+    bases = []
+    for item in (first, second):
+        columns = _columns(item)
+        left, sizes, _ = np.linalg.svd(columns - columns.mean(axis=0), full_matrices=False)
+        bases.append(left[:, sizes > 1e-9 * max(float(np.linalg.norm(columns)), 1e-300)])
+    if not all(basis.shape[1] for basis in bases):
+        return 0.0
+    return float(min(np.linalg.svd(bases[0].T @ bases[1], compute_uv=False)[0], 1.0))
+
+
+def _every(item: Covariate) -> list[float | str]:
+    """Values of all rows."""
+    return [value for rows in item.values for value in rows]
+
+
+def _columns(item: Covariate) -> Array:
+    """Numbers, or an indicator for every level, ``(rows, k)``."""
+    values = _every(item)
+    if item.numeric:
+        return np.array(values, dtype=float)[:, None]
+    return np.array([[float(value == name) for name in dict.fromkeys(values)] for value in values])
+
+
+def dependence_documents(found: Dependences) -> tuple[DependenceDocument, ...]:
+    """Verdicts on all pairs of an effect and a covariate, accepted ones first."""
+    accepted = [_accepted(found, pair) for pair in found.pairs]
+    others = [_refused(found, pair) for pair in found.tried if pair not in found.pairs]
+    likely = sorted(others, key=lambda one: (not one.rivals, 1.0 if one.p_value is None else one.p_value))
+    best = {(one.effect, one.covariate): one for one in reversed([*accepted, *likely])}  # of ways to depend on it
+    return (*accepted, *(one for one in others if best[one.effect, one.covariate] is one))
+
+
+def _accepted(found: Dependences, pair: Depending) -> DependenceDocument:
+    fitted, rivals = found.fit, found.choice.rivals[pair.name]
+    assert fitted is not None
+    estimates = dict(_estimates(fitted, pair))
+    verdict, reason = CONFIRMED, "predicts unseen data better than one value for all"
+    if not _matters(fitted, pair):
+        verdict, reason = SMALL, "what it changes is below the relevance limits"
+    elif rivals:
+        verdict, reason = f"{CONFUSABLE}{{{', '.join(rivals)}}}", "these predict unseen data as well in its place"
+    per_unit: dict[str, EstimateDocument] = {}
+    if isinstance(pair.terms, Slope):
+        unit = next(item.unit for item in found.source.covariates if item.name == pair.covariate)
+        per_unit = {
+            name: _scaled(own, 1.0 / pair.terms.spread, unit or pair.covariate)
+            for name, own in estimates[pair.terms.labels[1]].items()
+        }
+    return DependenceDocument(
+        effect=pair.effect.name,
+        covariate=pair.covariate,
+        verdict=verdict,
+        reason=reason,
+        p_value=clip_p(found.choice.p_values[pair.name]),
+        rivals=rivals,
+        levels=estimates if isinstance(pair.terms, Levels) else {},
+        at_mean=estimates[pair.terms.labels[0]] if isinstance(pair.terms, Slope) else {},
+        per_unit=per_unit,
+        chosen_in_folds=sum(bool(ways_of(pair, found.tried) & set(names)) for names in found.folds),
+        folds=len(found.folds),
+        held_out_error_before=residual_size(fitted.evidence, found.before),
+        held_out_error_after=residual_size(fitted.evidence, found.after),
+    )
+
+
+def _refused(found: Dependences, pair: Depending) -> DependenceDocument:
+    p: float | None = clip_p(found.choice.p_values.get(pair.name, 1.0))
+    significant = p is not None and p < SIGNIFICANT
+    verdict, reason = NO_IMPROVEMENT, "significant, but it hardly lowers the held-out error" if significant else ""
+    if better := [one.covariate for one in found.pairs if one.effect.name == pair.effect.name]:
+        p, reason = None, f"not tried beside {better[0]}, which predicts better"
+    if pair in found.choice.pairs:
+        reason = "another effect explains it" if pair.name in found.replaced else "the hold-out does not support it"
+    rivals = tuple(one.name for one in found.pairs if pair.name in found.choice.rivals[one.name])
+    if rivals:
+        verdict, reason = f"{CONFUSABLE}{{{', '.join(rivals)}}}", "predicts unseen data as well in its place"
+    return DependenceDocument(
+        effect=pair.effect.name,
+        covariate=pair.covariate,
+        verdict=verdict,
+        reason=reason,
+        rivals=rivals,
+        p_value=p,
+    )
+
+
+def with_plain_names(
+    document: DiagnosisDocument, pairs: Sequence[Depending], pooled: DiagnosisDocument | None = None
+) -> DiagnosisDocument:
+    """A diagnosis in which effects that depend on a covariate have their own names.
+
+    Args:
+        document: Of a search with the pairs in place of their effects.
+        pairs: Effects that depend on a covariate.
+        pooled: Of the search with one value for all circumstances, whose estimates are taken; None: they stay.
+    """
+    if not pairs:
+        return document
+
+    def plain(item: Any) -> Any:
+        if isinstance(item, str):
+            for pair in pairs:
+                item = item.replace(pair.name, pair.effect.name)
+            return item
+        if isinstance(item, dict):
+            return {key: plain(value) for key, value in item.items()}
+        return [plain(value) for value in item] if isinstance(item, list | tuple) else item
+
+    found = DiagnosisDocument.model_validate(plain(document.model_dump(mode="python")))
+    if pooled is None:
+        return found
+    one = {pair.effect.name: own.parameters for pair in pairs if (own := pooled.effect(pair.effect.name)) is not None}
+    effects = tuple(
+        effect.model_copy(update={"parameters": one.get(effect.name, effect.parameters)}) for effect in found.effects
+    )
+    return found.model_copy(update={"effects": effects})
+
+
+def _estimates(fitted: Fit, pair: Depending) -> Iterator[tuple[str, dict[str, EstimateDocument]]]:
+    """Estimates by term and parameter."""
+    candidate, (low, high) = fitted.candidate, fitted.interval
+    part, own = candidate.part(pair.name), pair.effect.scalars(fitted.evidence.source.joints)
+    index = part.start
+    for label in pair.terms.labels:
+        found = {}
+        for scalar in (scalar for scalar in own if not scalar.shape):
+            value = float(fitted.estimate[index])
+            found[scalar.name] = EstimateDocument(
+                estimate=value,
+                ci95=(min(float(low[index]), value), max(float(high[index]), value)),
+                unit=scalar.unit,
+                meaning=scalar.meaning,
+                nominal=candidate.scalars[index].nominal,
+                range=(float(candidate.lower[index]), float(candidate.upper[index])),
+                at_bound=bool(fitted.held_at_bound[index]),
+            )
+            index += 1
+        yield label, found
+
+
+def _scaled(of: EstimateDocument, factor: float, unit: str) -> EstimateDocument:
+    """An estimate per unit of something."""
+    low, high = of.interval
+    numerator = "1" if of.unit == "-" else of.unit
+    return EstimateDocument(
+        estimate=factor * of.estimate,
+        ci95=(factor * low, factor * high),
+        unit=f"{numerator}/{unit}",
+        meaning=f"change of the {of.meaning}" if of.meaning else "",
+        nominal=0.0,
+    )
+
+
+def _matters(fitted: Fit, pair: Depending) -> bool:
+    """Whether a dependence changes some feature by more than its relevance limit, beside its mean over all terms."""
+    candidate, joints = fitted.candidate, fitted.evidence.source.joints
+    part, scalars = candidate.part(pair.name), pair.effect.scalars(joints)
+    shapes = np.array([scalar.shape for scalar in scalars], dtype=bool)
+    own = fitted.estimate[part]
+    ends = len(pair.terms.labels) * int((~shapes).sum())
+    terms = own[:ends].reshape(len(pair.terms.labels), -1)
+    values = np.empty(shapes.size)
+    values[~shapes] = terms[0] if any(pair.terms.changes) else terms.mean(axis=0)
+    values[shapes] = own[ends:]
+    change = (own - pair.at(values, joints)) / candidate.scale[part]
+    for item, jacobian in zip(fitted.evidence.clusters, candidate.jacobians, strict=True):
+        limits = [feature.relevance_limit for feature in item.features]
+        if np.any(np.abs(jacobian[:, part] @ change) * item.sigma > limits):
+            return True
+    return False

@@ -1,0 +1,184 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Effects whose parameters depend on a circumstance of the measurement: a session, a surface, a temperature.
+
+A *covariate* is a level (``A``, ``B``) or a number. The parameters of an effect are then
+
+    theta = sum_j w_j theta_j
+
+with w_j = 1 for the level at hand and 0 for the others, or, of a number x with mean m and standard deviation s over the
+measurements, w = (1, (x - m) / s): a value at the mean and a change per standard deviation. Under a level that has no
+value of its own the mean over all levels holds. Shape parameters do not depend on anything.
+
+As with :class:`~impact_rs_sim.effects.each_arm.EachArm`, it is an effect like any other to those who fit it: a list of
+numbers.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from impact_rs_sim.effects.base import Effect, Joints, Parameter, Values, digest
+from impact_rs_sim.physics import Physics
+from impact_rs_sim.robot import Array
+
+
+def level_name(value: float | str) -> str:
+    """Name of a level, of a number its text."""
+    return value if isinstance(value, str) else f"{value:g}"
+
+
+@dataclass(frozen=True)
+class Levels:
+    """A covariate with names of levels, which may be numbers; every level has values of its own.
+
+    Attributes:
+        names: The levels.
+    """
+
+    way = "by level of"
+
+    names: tuple[str, ...]
+
+    @property
+    def labels(self) -> tuple[str, ...]:
+        """Names of the terms, ``k`` of them."""
+        return self.names
+
+    @property
+    def changes(self) -> tuple[bool, ...]:
+        """Whether a term is a change, which is nominally 0, ``k`` of them."""
+        return (False,) * len(self.names)
+
+    def weights(self, value: float | str) -> Array:
+        """w under a level, ``(k,)``."""
+        level = level_name(value)
+        if level not in self.names:
+            return np.full(len(self.names), 1.0 / len(self.names))
+        return np.array([float(name == level) for name in self.names])
+
+
+@dataclass(frozen=True)
+class Slope:
+    """A covariate that is a number, on which parameters depend linearly.
+
+    Attributes:
+        mean: Over the measurements, in the unit of the covariate.
+        spread: Standard deviation, likewise.
+    """
+
+    way = "along"
+
+    mean: float
+    spread: float
+
+    @property
+    def labels(self) -> tuple[str, ...]:
+        """Names of the terms, ``k`` of them."""
+        return "at the mean", "per standard deviation"
+
+    @property
+    def changes(self) -> tuple[bool, ...]:
+        """Whether a term is a change, which is nominally 0, ``k`` of them."""
+        return False, True
+
+    def weights(self, value: float | str) -> Array:
+        """w at a number, ``(k,)``."""
+        return np.array([1.0, (float(value) - self.mean) / self.spread])
+
+
+class Depending(Effect):
+    """An effect whose parameters depend on a covariate.
+
+    Its scalars are those of the effect term by term, without the shapes, which come last.
+
+    Args:
+        effect: The effect under one circumstance.
+        covariate: Name of the covariate.
+        terms: How parameters depend on it.
+    """
+
+    def __init__(self, effect: Effect, covariate: str, terms: Levels | Slope) -> None:
+        self.effect, self.covariate, self.terms = effect, covariate, terms
+        self.name = f"{effect.name} {terms.way} {covariate}"
+        self.acts_on, self.sentence, self.phases = effect.acts_on, effect.sentence, effect.phases
+        self.calibrates, self.parameters = effect.calibrates, effect.parameters
+
+    def apply(self, physics: Physics, values: Values) -> Physics:
+        """See :meth:`Effect.apply`."""
+        return self.apply_vector(physics, np.concatenate(list(values.values())))
+
+    def apply_vector(self, physics: Physics, vector: Array) -> Physics:
+        """See :meth:`Effect.apply_vector`; under the circumstances of ``physics``."""
+        weights, shapes = self.terms.weights(physics.circumstances[self.covariate]), self._shapes(self._joints(physics))
+        own = np.empty(shapes.size)
+        ends = weights.size * np.count_nonzero(~shapes)
+        own[~shapes] = weights @ np.asarray(vector[:ends], dtype=float).reshape(weights.size, -1)
+        own[shapes] = vector[ends:]
+        return self.effect.apply_vector(physics, own)
+
+    def scalars(self, joints: Joints) -> list[Parameter]:
+        """See :meth:`Effect.scalars`."""
+        own = self.effect.scalars(joints)
+        found = []
+        for label, change in zip(self.terms.labels, self.terms.changes, strict=True):
+            for scalar in (scalar for scalar in own if not scalar.shape):
+                part = replace(scalar, name=f"{scalar.name} {label}")
+                reach = scalar.upper - scalar.lower
+                found.append(replace(part, nominal=0.0, lower=-reach, upper=reach, far=()) if change else part)
+        return found + [scalar for scalar in own if scalar.shape]
+
+    def spelled(self, joints: Joints) -> list[tuple[str, list[Parameter]]]:
+        """See :meth:`Effect.spelled`."""
+        return [(scalar.name, [scalar]) for scalar in self.scalars(joints)]
+
+    def at(self, values: Array, joints: Joints) -> Array:
+        """Scalars with which it is the effect itself under all circumstances, ``(p,)``.
+
+        Args:
+            values: Scalars of the effect.
+            joints: Of an arm.
+        """
+        shapes = self._shapes(joints)
+        own = [np.zeros(int((~shapes).sum())) if change else values[~shapes] for change in self.terms.changes]
+        return np.concatenate([*own, values[shapes]])
+
+    def steps(self, joints: Joints, at: Array) -> Array:
+        """See :meth:`Effect.steps`: those of the effect."""
+        shapes, count = self._shapes(joints), len(self.terms.labels)
+        terms, shape = np.split(np.asarray(at), [count * np.count_nonzero(~shapes)])
+        steps = []
+        for term in terms.reshape(count, -1):
+            own = np.empty(shapes.size)
+            own[~shapes], own[shapes] = term, shape
+            steps.append(self.effect.steps(joints, own))
+        return np.concatenate([*(step[~shapes] for step in steps), steps[0][shapes]])
+
+    def bounds(self, physics: Physics) -> tuple[Array, Array]:
+        """See :meth:`Effect.bounds`; a change is bounded by the width of the range."""
+        shapes = self._shapes(self._joints(physics))
+        lower, upper = self.effect.bounds(physics)
+        low, high = [], []
+        for change in self.terms.changes:
+            low.append(-(upper - lower)[~shapes] if change else lower[~shapes])
+            high.append((upper - lower)[~shapes] if change else upper[~shapes])
+        return np.concatenate([*low, lower[shapes]]), np.concatenate([*high, upper[shapes]])
+
+    def with_parameters(self, change: Callable[[Parameter], Parameter]) -> Depending:
+        """See :meth:`Effect.with_parameters`."""
+        return Depending(self.effect.with_parameters(change), self.covariate, self.terms)
+
+    @property
+    def identity(self) -> str:
+        """See :attr:`Effect.identity`."""
+        return digest(super().identity, self.effect.identity, repr(self.terms))
+
+    def _shapes(self, joints: Joints) -> np.ndarray[tuple[int, ...], np.dtype[np.bool_]]:
+        """Which scalars of the effect are shapes."""
+        return np.array([scalar.shape for scalar in self.effect.scalars(joints)], dtype=bool)
+
+    def _joints(self, physics: Physics) -> Joints:
+        """See the base."""
+        return self.effect._joints(physics)
