@@ -11,7 +11,7 @@ export const LEADS = {
     next: 'find out why', step: 'diagnose'},
   diagnose: {what: 'The physical effect that the model lacks, judged on data that the search has not seen.',
     empty: 'Nothing is diagnosed yet.', next: 'add the effect to the model', step: 'add'},
-  add: {what: 'A better model: the parent model with one more effect.', empty: 'There is the nominal model alone.',
+  add: {what: 'A better model: the parent model with the effects that were found.', empty: 'There is the nominal model alone.',
     next: 'see whether the error falls', step: 'history'},
   history: {what: 'The error from model to model: it falls where an effect was missing.', empty: 'No history yet.',
     next: 'see estimates and runs over each other', step: 'overlay'},
