@@ -32,7 +32,7 @@ const ABOUT = {
   diagnose: {title: 'Diagnosis', text: 'Every effect of the library is fitted and judged by its held-out error: the error on conditions ' +
     'that the search has not seen.', equation: 'held-out error: before → after', units: 'multiples of repeatability',
     page: 'diagnosis.md'},
-  add: {title: 'A better model', text: 'The parent model with one more effect and its estimate. Model files are never overwritten and name their ' +
+  add: {title: 'A better model', text: 'The parent model with the effects that were found and their estimates. Model files are never overwritten and name their ' +
     'parent. An effect of your own is an arithmetic formula.',
     units: 'beside each parameter', page: 'diagnosis.md'},
   overlay: {title: 'Overlay', text: 'Runs lie over each other with their impacts at time 0. A pinned run stays chosen and on top, whatever ' +
