@@ -7,7 +7,13 @@ import os
 from collections.abc import Sequence
 from pathlib import Path
 
-from impact_rs_analysis.diagnosis.document import NO_IMPROVEMENT, TOO_FEW, UNIDENTIFIABLE, DiagnosisDocument
+from impact_rs_analysis.diagnosis.document import (
+    NO_IMPROVEMENT,
+    TOO_FEW,
+    UNIDENTIFIABLE,
+    DiagnosisDocument,
+    EffectDocument,
+)
 from impact_rs_sim.effects.formula import FormulaSpec
 from impact_rs_sim.errors import InputError, did_you_mean
 from impact_rs_sim.model import Model, ModelEffect, ParameterValue, check_model
@@ -79,7 +85,7 @@ def _diagnosed(
             "--force adds it all the same",
             file=source,
         )
-    formulas = tuple(spec for spec in document.formulas if spec.name == name)
+    formulas = tuple(_with_room(spec, found) for spec in document.formulas if spec.name == name)
     arms = document.arms or model.arms
     effect = model.model_copy(update={"formulas": (*model.formulas, *formulas), "arms": arms}).known_effects.get(name)
     joints = len({value.joint for value in found.parameters.values()} - {None})
@@ -94,6 +100,17 @@ def _diagnosed(
         f"{document.runs.trials} {document.source}"
     )
     return ModelEffect(name=name, parameters={**nominal, **estimated}), formulas, note
+
+
+def _with_room(spec: FormulaSpec, found: EffectDocument) -> FormulaSpec:
+    """The formula with ranges twice as far as estimates that a fit found beyond them."""
+    parameters = {}
+    for name, own in spec.parameters.items():
+        value = found.parameters[name].estimate
+        far = 2.0 * value - own.nominal
+        lower, upper = (far if value < own.lower else own.lower), (far if value > own.upper else own.upper)
+        parameters[name] = own.model_copy(update={"lower": lower, "upper": upper})
+    return spec.model_copy(update={"parameters": parameters})
 
 
 def _parent_name(model_file: Path, output: Path) -> str:

@@ -415,10 +415,11 @@ class FormulaEffect(Effect):
                         f"arm {arm!r} has {joint_count} joints"
                     )
 
-    def with_parameters(self, change: Callable[[Parameter], Parameter]) -> FormulaEffect:
-        """Itself: its ranges are those that its author states for this robot."""
-        del change
-        return self
+    def with_parameters(self, change: Callable[[Parameter], Parameter]) -> Effect:
+        """Itself, for its author states the ranges; a law that is looked for with other ranges of its amplitudes."""
+        if not self.family:
+            return self
+        return super().with_parameters(lambda parameter: parameter if parameter.shape else change(parameter))
 
     @property
     def identity(self) -> str:

@@ -126,7 +126,15 @@ def test_the_law_becomes_part_of_a_model_that_anyone_can_read(
     assert main(["add", "object_drag_square", "--from", str(file), "-o", str(child)]) == 0
     model = load_model(child)
     assert "object_speed" in child.read_text() and model.effects[-1].name == "object_drag_square"
-    assert set(json.loads(file.read_text())) >= {"verdict", "laws", "looked_at"}
+    written = json.loads(file.read_text())
+    assert set(written) >= {"verdict", "laws", "looked_at"}
+    (spec,) = [one for one in written["diagnosis"]["formulas"] if one["name"] == "object_drag_square"]
+    (found,) = [one for one in written["diagnosis"]["effects"] if one["name"] == "object_drag_square"]
+    strong = 3.0 * spec["parameters"]["c"]["upper"]  # beyond the range of the grammar, as a fit may go
+    found["parameters"]["c"] |= {"estimate": strong, "ci95": [0.9 * strong, 1.1 * strong]}
+    file.write_text(json.dumps(written))
+    assert main(["add", "object_drag_square", "--from", str(file), "-o", str(tmp_path / "strong.yaml")]) == 0
+    assert load_model(tmp_path / "strong.yaml").effects[-1].parameters["c"].estimate == strong
 
 
 @pytest.mark.parametrize(

@@ -13,8 +13,9 @@ from impact_rs_analysis.diagnosis.discover import _tie
 from impact_rs_analysis.diagnosis.document import DiagnosisDocument
 from impact_rs_analysis.diagnosis.grammar import Law, curve_of, laws_of, load_grammar, unit_of
 from impact_rs_analysis.diagnosis.null_distribution import rarity_in_the_tail
+from impact_rs_sim.effects import Parameter
 from impact_rs_sim.effects.dimensions import check_units
-from impact_rs_sim.effects.formula import SYMBOLS, Formula
+from impact_rs_sim.effects.formula import SYMBOLS, Formula, FormulaEffect
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.memory import Memory
 
@@ -51,6 +52,16 @@ def test_every_law_has_the_unit_of_its_place_and_a_name_of_its_own() -> None:
     for one in SHIPPED:
         for place, unit in check_units(one.spec).items():
             assert unit in ("", RIGHT.get(place.partition(".")[0], "N")), one.spec.name
+
+
+def test_amplitudes_of_a_law_have_room_and_those_of_a_formula_of_the_user_keep_their_range() -> None:
+    """Also those of a stop, whose amplitude times the position would be a hundred times what is noticed."""
+    law = next(one for one in SHIPPED if one.spec.name == "motor4_position_above")
+    (effect, *_), own = law.effects, FormulaEffect(law.spec)
+    wider, same = effect.with_parameters(Parameter.widened), own.with_parameters(Parameter.widened)
+    amplitude, limit = effect.parameters
+    assert [(p.lower, p.upper) for p in wider.parameters] == [(0.0, 2.0 * amplitude.upper), (limit.lower, limit.upper)]
+    assert same is own
 
 
 @pytest.mark.parametrize("seed", range(20))
