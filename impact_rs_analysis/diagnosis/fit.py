@@ -389,7 +389,8 @@ def _refine(candidate: Candidate, evidence: Evidence, give_up: float) -> Fit:
 
     The chord method is the cheaper one where features are nearly linear. Where an effect acts far from the start by
     another law than near it, as a damping that takes most of the velocity from a trial, its steps are short. In
-    recordings, which are not simulated, slow steps are those of parameters that are hardly determined.
+    recordings, which are not simulated, slow steps are those of parameters that are hardly determined; and those of
+    shapes, as the end of a cable, come only where amplitudes have arrived (:func:`refine_again`).
     """
     fitted, trust, unseen = Fit.of(candidate, evidence), np.inf, candidate.unseen
     for number in range(_steps(evidence)):
@@ -399,7 +400,8 @@ def _refine(candidate: Candidate, evidence: Evidence, give_up: float) -> Fit:
         if moved is None:  # the sensitivities promise what simulations do not keep
             return fitted.at_point
         least = max(SLOW * fitted.error_at_point, float(evidence.expected.mean()))
-        slow = evidence.source.repeated and moved.error_at_point > least
+        shaped = any(scalar.shape and not scalar.grid for scalar in candidate.scalars)
+        slow = evidence.source.repeated and not shaped and moved.error_at_point > least
         fitted = Fit.of(_relinearised(moved.candidate, evidence), evidence) if slow else moved
     return fitted
 
