@@ -99,6 +99,8 @@ def _of_npy(path: Path) -> Columns:
         raise InputError(f"not a readable NPY file ({(str(error).splitlines() or [''])[0]})", file=path) from None
     if not isinstance(array, np.ndarray):
         raise InputError("several arrays where one is expected; is it an .npz file?", file=path)
+    if array.size == 0:
+        raise InputError(f"an array of {array.shape} has no sample", file=path)
     if array.dtype.names is not None and array.ndim == 1:
         cells = {name: array[name] for name in array.dtype.names}
     elif array.ndim in (1, 2):

@@ -11,6 +11,7 @@ import pytest
 from ball_impacts import Racket, ball_table
 
 from impact_rs_analysis.diagnosis.document import DiagnosisDocument
+from impact_rs_analysis.diagnosis.grammar import laws_of, load_grammar
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.model import load_model
 
@@ -87,8 +88,9 @@ def test_what_cannot_run_says_why(real: ModuleType, tmp_path: Path) -> None:
 
 
 def test_every_set_is_whole(real: ModuleType) -> None:
-    """Expected or not taken; steps for the one, a reason for the other; effects of the library."""
+    """Expected or not taken; steps for the one, a reason for the other; effects of the library, laws of the grammar."""
     effects = set(load_model(Path("nominal")).known_effects)
+    effects |= {law.spec.name for law in laws_of(load_grammar(), {}, 7)}
     assert len(real.sets()) >= 8
     for name, one in real.sets().items():
         assert one.get.startswith("git clone https://"), name

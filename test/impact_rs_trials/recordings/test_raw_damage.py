@@ -163,6 +163,7 @@ def test_a_damaged_head_or_a_lost_end_of_a_binary_is_no_traceback(
     whole = path.read_bytes()
 
     @settings(FILES, max_examples=200)
+    @example(61, b"\t", 0, False)  # an array without rows
     @given(st.integers(0, 200), st.binary(min_size=1, max_size=8), st.integers(0, 300), st.booleans())
     def attack(place: int, bytes_there: bytes, lost: int, cut: bool) -> None:
         damaged = whole[: len(whole) - lost] if cut else whole[:place] + bytes_there + whole[place + len(bytes_there) :]
