@@ -49,13 +49,12 @@ def add_effects(
             f"{model.name!r} (digest {model.digest}) in {model_file}; diagnose that one, or name the model of this one",
             file=source,
         )
-    arms = document.arms or model.arms
-    child, notes = model, []
+    child, notes = model.model_copy(update={"arms": document.arms or model.arms}), []
     for name in dict.fromkeys(names):
         item, formulas, note = _diagnosed(child, document, source, name, force)
         child = child.with_effect(item, output.stem, _parent_name(model_file, output), formulas)
         notes.append(note)
-    whole = {"note": "; ".join(notes), "arms": arms, "parent_digest": model.digest}
+    whole = {"note": "; ".join(notes), "parent_digest": model.digest}
     return check_model(child.model_copy(update=whole), source)
 
 
@@ -86,8 +85,7 @@ def _diagnosed(
             file=source,
         )
     formulas = tuple(_with_room(spec, found) for spec in document.formulas if spec.name == name)
-    arms = document.arms or model.arms
-    effect = model.model_copy(update={"formulas": (*model.formulas, *formulas), "arms": arms}).known_effects.get(name)
+    effect = model.model_copy(update={"formulas": (*model.formulas, *formulas)}).known_effects.get(name)
     joints = len({value.joint for value in found.parameters.values()} - {None})
     scalars = [] if effect is None else effect.scalars(joints)
     nominal = {scalar.name: ParameterValue(estimate=scalar.nominal, unit=scalar.unit) for scalar in scalars}

@@ -393,6 +393,8 @@ def _refine(candidate: Candidate, evidence: Evidence, give_up: float) -> Fit:
     shapes, as the end of a cable, come only where amplitudes have arrived (:func:`refine_again`).
     """
     fitted, trust, unseen = Fit.of(candidate, evidence), np.inf, candidate.unseen
+    shaped = any(scalar.shape and not scalar.grid for scalar in candidate.scalars)
+    may_be_slow = evidence.source.repeated and not shaped
     for number in range(_steps(evidence)):
         if fitted.converged or (number >= 1 and (unseen or fitted.misfit > give_up)):
             break
@@ -400,8 +402,7 @@ def _refine(candidate: Candidate, evidence: Evidence, give_up: float) -> Fit:
         if moved is None:  # the sensitivities promise what simulations do not keep
             return fitted.at_point
         least = max(SLOW * fitted.error_at_point, float(evidence.expected.mean()))
-        shaped = any(scalar.shape and not scalar.grid for scalar in candidate.scalars)
-        slow = evidence.source.repeated and not shaped and moved.error_at_point > least
+        slow = may_be_slow and moved.error_at_point > least
         fitted = Fit.of(_relinearised(moved.candidate, evidence), evidence) if slow else moved
     return fitted
 

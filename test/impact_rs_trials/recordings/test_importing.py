@@ -211,7 +211,7 @@ def signal_files(folder: Path, motion: Columns, velocity: bool, joint: str = "{j
 
 @pytest.mark.parametrize("joint", ["{joint}", "- {joint}_{signal}", "{signal}_{joint}"])
 def test_one_run_with_a_file_per_signal_is_read_once(tmp_path: Path, motion: Columns, joint: str) -> None:
-    """Columns of joints that have names, told apart by a word of the names or by those of the files."""
+    """Columns are named after joints; a word of the column's name, or the file's, says which signal it is."""
     folder = signal_files(tmp_path / "run", motion, True, joint)
     draft = draft_import([folder], tmp_path / "lab", Wishes(robot="kuka_iiwa7"))
     mapping = load_mapping(described(draft, tmp_path / "lab"))
