@@ -97,6 +97,9 @@ class Plant:
         sensors: Sensors by arm.
         tracker: Tracker of the object.
         extension: Behaviour outside the physics.
+
+    Attributes:
+        free_motion: Whether the arms move without contact; the object stands out of reach then, as if there were none.
     """
 
     def __init__(
@@ -109,6 +112,7 @@ class Plant:
     ) -> None:
         self.physics = mechanics.physics
         self._mechanics = mechanics
+        self.free_motion = scenario.excursion is not None
         self._timing = scenario.timing
         self._substeps = scenario.timing.substeps
         self._samples = scenario.timing.ticks + 1

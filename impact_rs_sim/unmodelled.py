@@ -230,6 +230,8 @@ class HiddenLaw(PlantExtension):
             self._on_object(plant, arm)
 
     def _on_object(self, plant: Plant, arm: str) -> None:
+        if plant.free_motion:
+            return
         state = self.state(plant, arm)
         plant.world.push(None, state.object_x, self._law(state))
 

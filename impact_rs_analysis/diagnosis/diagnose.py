@@ -223,9 +223,7 @@ def _p_values(search: Search, chosen: Fit | None) -> dict[str, float]:
     """Adjusted p-values: of unchosen effects given the chosen ones, of chosen effects given the other chosen ones."""
     raw = search.raw_p_values(chosen)
     if chosen is not None:
-        names = chosen.candidate.names
-        for name in names:
-            raw |= search.p_values_of([name], search.without(chosen, name) if len(names) > 1 else None)
+        raw |= {name: search.p_value_of_chosen(chosen, name) for name in chosen.candidate.names}
     return search.adjusted(raw)
 
 

@@ -298,6 +298,18 @@ class Search:
         fitted = () if chosen is None else chosen.candidate.jacobians
         return raw | dict(zip(tested, null.p_values(own_part, fitted), strict=True))
 
+    def p_value_of_chosen(self, chosen: Fit, name: str) -> float:
+        """p-value of a chosen effect beside the other chosen ones, not adjusted for testing others.
+
+        Its sensitivities at nominal may not show what it does at the estimate, as restitution that first changes
+        anything where a contact opens. So the smaller of the p-values of both counts, twice.
+        """
+        others = self.without(chosen, name) if len(chosen.candidate.effects) > 1 else None
+        own, left = chosen.candidate.part(name), self.evidence if others is None else others.left
+        fitted = () if others is None else others.candidate.jacobians
+        at_estimate = left.null.p_value([jacobian[:, own] for jacobian in chosen.candidate.jacobians], fitted)
+        return min(1.0, 2.0 * min(at_estimate, self.p_values_of([name], others)[name]))
+
     def choose(self) -> Fit | None:
         """Forward selection; None if no effect is accepted."""
         # In recordings what has a name comes first: friction is in all of them, and laws describe what it leaves.

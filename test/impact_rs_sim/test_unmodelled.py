@@ -14,7 +14,7 @@ from impact_rs_control.plan import TrialPlan
 from impact_rs_sim.drive import Drive
 from impact_rs_sim.plant import Plant, PlantExtension
 from impact_rs_sim.scene import ArmState
-from impact_rs_sim.unmodelled import OUTSIDE, Backlash, DriftingFriction, TorqueRipple
+from impact_rs_sim.unmodelled import LAWS, OUTSIDE, Backlash, DriftingFriction, TorqueRipple
 
 
 @pytest.fixture(scope="module")
@@ -147,3 +147,17 @@ def test_a_larger_outside_effect_changes_a_trial_more(plan: TrialPlan, name: str
         plant.close()
     small, large = (np.linalg.norm(end - ends[0]) for end in ends[1:])
     assert 1e-6 < small < large
+
+
+@pytest.mark.parametrize(("scenario", "name", "case"), [("excite", "none", "slow"), ("push", "juice", "case_1")])
+def test_a_spring_pulls_the_object_that_is_hit_and_none_out_of_reach(scenario: str, name: str, case: str) -> None:
+    plan = plan_of(scenario, name, case)
+    plant = make_plant(plan, 0, extension=LAWS["object_spring_from_place"](4000.0, 0))
+    position = plant.world.object_state().position - [0.0, 0.3, 0.0]
+    plant.world.set_object(replace(plant.world.object_state(), position=position))
+    hold = plan.scene.models["arm"].gravity_torque(plan.arms["arm"].initial)
+    for _ in range(20):
+        plant.step({"arm": hold})
+    moved = plant.world.object_state().position - position
+    plant.close()
+    assert moved[1] > 1e-3 if scenario == "push" else np.linalg.norm(moved) < 1e-4

@@ -24,7 +24,7 @@ from analytic_world import (
 )
 from scipy.stats import binom
 
-from impact_rs_analysis.diagnosis.candidate import Candidate, Problem, bounded
+from impact_rs_analysis.diagnosis.candidate import Candidate, Problem, bounded, linearise
 from impact_rs_analysis.diagnosis.fit import Evidence, Fit, evaluate_at, look_elsewhere, refine, refine_again
 from impact_rs_analysis.diagnosis.search import Search, adjusted, tied
 from impact_rs_analysis.diagnosis.thresholds import SIGNIFICANT
@@ -68,6 +68,31 @@ def test_a_hidden_effect_is_named_and_estimated_however_strong_it_is(name: str, 
         before = search.evidence.null.lack_of_fit(means_of(search.evidence.clusters))
         after = chosen.lack_of_fit()
         assert before is not None and after is not None and before < SIGNIFICANT < after
+
+
+@pytest.mark.parametrize("beside", [(), ("straight",)])
+def test_an_effect_that_does_something_else_than_its_first_step_has_a_small_p(beside: tuple[str, ...]) -> None:
+    hidden = (*((name, (5.0,)) for name in beside), ("turning", (30.0,)))
+    search = searched(AnalyticSource(1, hidden), *beside, "turning")
+    there = [replace(search.singles[name], point=np.array(values)) for name, values in hidden]
+    point = functools.reduce(Candidate.beside, there)
+    found = linearise(point, search.evidence.clusters, search.evidence.numbers, search.source)
+    assert found is not None
+    chosen = Fit.of(found, search.evidence)
+    others = search.without(chosen, "turning") if beside else None
+    assert search.p_values_of(["turning"], others)["turning"] > 0.05
+    assert search.p_value_of_chosen(chosen, "turning") < 1e-3
+
+
+def test_the_p_value_of_a_fitted_effect_is_not_too_small_where_nothing_is_hidden() -> None:
+    """Its sensitivities are those where the fit of the noise ended."""
+    found = []
+    for seed in range(100):
+        search = searched(AnalyticSource(seed), "bent")
+        fitted = refine_again(refine(search.singles["bent"], search.evidence))
+        found.append(search.p_value_of_chosen(fitted, "bent"))
+    for level in (0.05, 0.3):
+        assert np.count_nonzero(np.array(found) < level) <= binom.ppf(1 - 1e-3, len(found), level)
 
 
 def test_a_shape_that_moves_nothing_while_the_effect_is_off_is_found() -> None:
