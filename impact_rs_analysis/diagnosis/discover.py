@@ -81,8 +81,11 @@ def discover(
     laws = {law.spec.name: law for law in laws_of(grammar, ranges, joints)}
     wanted = set(_where(known, laws.values()))
     laws = {name: law for name, law in laws.items() if name in wanted and name not in model.known_effects}
+    domains = visited(
+        source, {law.symbol for law in laws.values() if not law.quantity.of_place and not law.quantity.shapes}
+    )
     tried = _searched(source_of, model, library, laws, progress)
-    document = _document(tried, model, laws, ranges)
+    document = _document(tried, model, laws, domains)
     if document.verdict == LIBRARY:
         return document
     if document.verdict == NO_LAW or _settled(tried.found) is None:
@@ -96,7 +99,7 @@ def discover(
         if described.verdict == DESCRIBED and _predicts_better(described, document):
             best = described.laws[0]
             return _with_first(described, _as_curve(curves[best.name], best)) if best.name in curves else described
-    return _with_curve(source_of, model, tried, laws, ranges, document) if document.verdict == FOUND else document
+    return _with_curve(source_of, model, tried, laws, domains, document) if document.verdict == FOUND else document
 
 
 def _predicts_better(curves: DiscoveryDocument, laws: DiscoveryDocument) -> bool:
@@ -144,25 +147,29 @@ def _with_curve(
     ranges: Mapping[str, Range],
     document: DiscoveryDocument,
 ) -> DiscoveryDocument:
-    """The discovery with what a free curve in the place of the best law is."""
-    best = laws[document.laws[0].name]
-    chosen = tried.found.names
-    if best.symbol not in ranges or len(chosen) != 1:
+    """The discovery with what a free curve in the place of the best law is, beside everything else that was found."""
+    best, chosen = laws[document.laws[0].name], tried.found.chosen
+    if best.symbol not in ranges or chosen is None or best.spec.name not in chosen.candidate.names:
         return document
     curve = curve_of(best, ranges[best.symbol])
-    source = source_of(model.model_copy(update={"formulas": (*model.formulas, curve.spec)}))
+    beside = [(effect, part) for effect, part in chosen.candidate.parts if effect.name != best.spec.name]
+    specs = [laws[effect.name].spec for effect, _ in beside if effect.name in laws]
+    source = source_of(model.model_copy(update={"formulas": (*model.formulas, *specs, curve.spec)}))
     evidence, effect = Evidence.of(source), curve.effects[0]
     start, _ = _band(best, document.laws[0], np.array(curve.knots))
-    near = Candidate.of((effect,), source, np.clip(start, *effect.bounds(source.physics)))
+    start = np.clip(start, *effect.bounds(source.physics))
+    point = np.concatenate([*(chosen.estimate[part] for _, part in beside), start])
+    near = Candidate.of((*(other for other, _ in beside), effect), source, point)
     seen = linearise(near, evidence.clusters, evidence.numbers, source)
     if seen is None:
         return document
     fitted = refine(seen, evidence)
-    half = fitted.half_widths * fitted.candidate.scale
+    own = fitted.candidate.part(effect.name)
+    forces, half = fitted.estimate[own], (fitted.half_widths * fitted.candidate.scale)[own]
     at = np.linspace(min(curve.knots), max(curve.knots), POINTS)
     said, band = _band(best, document.laws[0], at)
     points = []
-    for knot, force, wide in zip(curve.knots, fitted.estimate.tolist(), half.tolist(), strict=True):
+    for knot, force, wide in zip(curve.knots, forces.tolist(), half.tolist(), strict=True):
         if wide <= float(np.max(np.abs(said))):  # the data determine the others not even in sign
             there = float(np.interp(knot, at, said))
             points.append(PointDocument(at=knot, force=force, ci95=(force - wide, force + wide), law=there))

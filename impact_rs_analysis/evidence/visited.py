@@ -3,14 +3,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 
 import numpy as np
 
 from impact_rs_analysis.evidence.recordings import RecordingSource
 from impact_rs_analysis.evidence.replay import AFTER_IMPACT
 from impact_rs_analysis.evidence.source import Source
-from impact_rs_sim.effects.formula import AXES
+from impact_rs_sim.effects.formula import AXES, JOINT_SYMBOL, SYMBOLS, Formula
 from impact_rs_sim.robot import Array
 from impact_rs_trials.runs import Run
 
@@ -21,14 +21,29 @@ MARGIN = 0.02  # of a range; less is not beyond it
 ENDS = (0.5, 99.5)  # percentiles that count as the ends of a range
 
 
-def visited(source: Source) -> dict[str, Range]:
-    """Range of the symbols over all runs, up to the end of the replay; those that were not measured are missing."""
+def visited(source: Source, quantities: Iterable[str] = ()) -> dict[str, Range]:
+    """Range of the symbols over all runs, up to the end of the replay; those that were not measured are missing.
+
+    Args:
+        source: Measurements.
+        quantities: Formulas of symbols whose ranges are wanted as well; those that remember have none.
+    """
     found: dict[str, list[Array]] = {}
+    formulas = [_formula(text) for text in quantities if text not in SYMBOLS]
     for run in _runs(source):
-        for name, values in _signals(run):
+        signals = dict(_signals(run))
+        for name, values in signals.items():
             found.setdefault(name, []).append(values)
+        for formula in formulas:
+            sizes = {signals[name].size for name in formula.names if name in signals}
+            if formula.names <= signals.keys() and len(sizes) == 1 and not formula.remembers:
+                found.setdefault(formula.text, []).append(np.asarray(formula(signals)))
     ends = {name: np.percentile(np.concatenate(every), ENDS) for name, every in found.items()}
     return {name: (float(low), float(high)) for name, (low, high) in ends.items()}
+
+
+def _formula(text: str) -> Formula:
+    return Formula(text, {*SYMBOLS, *(found[0] for found in JOINT_SYMBOL.finditer(text))})
 
 
 def beyond(source: Source) -> tuple[str, ...]:

@@ -219,6 +219,12 @@ def test_a_shaft_that_two_joints_share_is_found_with_its_damping(tmp_path: Path,
     low, high = law.parameters["c"].ci95
     assert low <= SHAFT <= high and high - low < 0.15 * SHAFT
     assert law.held_out_error_after < 0.2 * law.held_out_error_before
+    # The free curve over the velocity of the shaft, beside friction of both joints.
+    assert law.valid is not None and law.valid.quantity == f"dq1 {'+' if side > 0.0 else '-'} dq2"
+    assert law.valid.low < -0.5 and law.valid.high > 0.5
+    assert law.curve is not None and len(law.curve.points) >= 3
+    inside = [point.ci95[0] <= -SHAFT * point.at <= point.ci95[1] for point in law.curve.points]
+    assert sum(inside) >= len(inside) - 1
 
 
 @pytest.mark.parametrize(
