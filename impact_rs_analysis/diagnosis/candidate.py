@@ -129,6 +129,14 @@ class Candidate:
         zero = np.all([np.all(jacobian == 0.0, axis=0) for jacobian in self.jacobians], axis=0)
         return [int(index) for index in np.flatnonzero(zero)]
 
+    def curved(self, index: int) -> bool:
+        """Whether the valley of the error is curved along a parameter: its effect has several shapes without a grid.
+
+        The length of a cable and the place of its end, for example, change the error together.
+        """
+        part = next(part for _, part in self.parts if part.start <= index < part.stop)
+        return sum(scalar.shape and not scalar.grid for scalar in self.scalars[part]) > 1
+
     def probes(self, index: int) -> list[Array]:
         """Points over the range of one parameter, nearest first, ``(p,)`` each."""
         low, high = self.lower[index], self.upper[index]

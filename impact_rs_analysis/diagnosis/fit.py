@@ -20,6 +20,7 @@ from impact_rs_sim.robot import Array
 
 STEPS, MORE_STEPS = 6, 12  # of trials, whose simulations are dear, and of recordings and tables
 ENOUGH = 0.02  # of the error; a fit that gains less in a step has converged
+VALLEY_STEPS, VALLEY_ENOUGH = 40, 1e-3  # the same of recordings and tables along a curved valley, whose floor is flat
 NEAR_STEPS = (1.0, 0.3)  # shares of the steps of finite differences, as a fit comes near its optimum
 TRUST = 4.0  # parameter scales that a parameter may move at first where the whole step does not do what it promised
 WIDER = 4.0  # times as far after a step that kept its promise, and as much less after one that did not lower the error
@@ -30,6 +31,7 @@ NEAR = 0.1  # parameter scales; a correction below this does not depend on where
 MOST_LOOKS = 4
 DOUBLINGS = 8  # of the half width of an interval
 BENT = 0.5  # of the rise of the squares in a straight model; below, an end of an interval lies further out
+CURVED = 2.0  # times that rise; above, the others have to be fitted again there
 SLOW = 0.5  # of the error is left by a step whose sensitivities are those of another place
 WIDENINGS = 4  # of the range of a parameter, to sixteen times its declared width
 HOPELESS = 3.0  # times the squared error of the best fit; a fit above it is dropped
@@ -267,31 +269,52 @@ class Fit:
 
         Where features bend (a box tips, a contact slips), sensitivities at the estimate are not those at the end of the
         interval. So each end is simulated, with the other parameters moved along (profile of the squares of residuals),
-        and is moved out until the squares rise as much as they would in a straight model. Bounds of physics cut
-        intervals off; the range of a search does not.
+        and is moved out until the squares rise as much as they would in a straight model. Where they rise much more,
+        the valley of the squares is curved, as that of the length of a cable and the place of its end: then the others
+        are fitted again there. Bounds of physics cut intervals off; the range of a search does not.
         """
         candidate, inverse = self.with_room, np.linalg.inv(self.problem.total)
         half, least = self.half_widths, self._squares_at([self.estimate])[0]
         if not np.isfinite(least):
             least = 0.0  # nothing to compare with: the ends stay where they are
+        rise = half**2 / np.diag(inverse)
         ends = {}
         for side in (-1.0, 1.0):
             reach, left = half.copy(), list(range(half.size))
             for _ in range(DOUBLINGS):
                 steps = [side * reach[i] * inverse[:, i] / inverse[i, i] * candidate.scale for i in left]
                 points = [np.clip(self.estimate + step, candidate.lower, candidate.upper) for step in steps]
-                squares = self._squares_at(points)
+                rises = self._squares_at(points) - least
+                for number, (i, point) in enumerate(zip(left, points, strict=True)):
+                    if rises[number] > CURVED * rise[i] and candidate.curved(i):
+                        rises[number] = min(rises[number], self._squares_beside(i, point) - least)
                 left = [
                     i
-                    for i, point, there in zip(left, points, squares, strict=True)
-                    if there - least < BENT * half[i] ** 2 / inverse[i, i]
-                    and candidate.lower[i] < point[i] < candidate.upper[i]
+                    for i, point, there in zip(left, points, rises, strict=True)
+                    if there < BENT * rise[i] and candidate.lower[i] < point[i] < candidate.upper[i]
                 ]
                 if not left:
                     break
                 reach[left] *= 2.0
             ends[side] = np.clip(self.estimate + side * reach * candidate.scale, candidate.lower, candidate.upper)
         return np.minimum(ends[-1.0], self.estimate), np.maximum(ends[1.0], self.estimate)
+
+    def _squares_beside(self, index: int, point: Array) -> float:
+        """The squares at a point after a fit of the other parameters, with sensitivities of the estimate."""
+        wide, count = self.with_room, [item.count for item in self.evidence.clusters]
+        held = np.arange(point.size) == index
+        lower, upper = np.where(held, point, wide.lower), np.where(held, point, wide.upper)
+        candidate, found = replace(wide, lower=lower, upper=upper), np.inf
+        for _ in range(STEPS):
+            there = evaluate_at(candidate, point, self.evidence)
+            if there is None:
+                break
+            fitted = Fit.of(there, self.evidence)
+            squares = sum(n * float(rest @ rest) for n, rest in zip(count, fitted.at_point.rest, strict=True))
+            if squares > (1.0 - ENOUGH) * found:
+                return min(squares, found)
+            found, point = squares, fitted.estimate
+        return found
 
     @property
     def with_room(self) -> Candidate:
@@ -336,7 +359,7 @@ class Fit:
     @property
     def converged(self) -> bool:
         """Whether the linear fit gains little over the candidate's point."""
-        return self.error_at_point - self.misfit < ENOUGH * self.error_at_point
+        return self.error_at_point - self.misfit < _enough(self) * self.error_at_point
 
     @property
     def poor(self) -> bool:
@@ -395,7 +418,7 @@ def _refine(candidate: Candidate, evidence: Evidence, give_up: float) -> Fit:
     fitted, trust, unseen = Fit.of(candidate, evidence), np.inf, candidate.unseen
     shaped = any(scalar.shape and not scalar.grid for scalar in candidate.scalars)
     may_be_slow = evidence.source.repeated and not shaped
-    for number in range(_steps(evidence)):
+    for number in range(_steps(fitted)):
         if fitted.converged or (number >= 1 and (unseen or fitted.misfit > give_up)):
             break
         moved, trust = _moved(fitted, trust)
@@ -407,9 +430,19 @@ def _refine(candidate: Candidate, evidence: Evidence, give_up: float) -> Fit:
     return fitted
 
 
-def _steps(evidence: Evidence) -> int:
+def _in_valley(fitted: Fit) -> bool:
+    """Whether a fit follows a curved valley of the error, where a step costs no simulation."""
+    return not fitted.evidence.source.repeated and any(map(fitted.candidate.curved, range(fitted.change.size)))
+
+
+def _steps(fitted: Fit) -> int:
     """Number of steps of a fit, at most."""
-    return STEPS if evidence.source.repeated else MORE_STEPS
+    return VALLEY_STEPS if _in_valley(fitted) else STEPS if fitted.evidence.source.repeated else MORE_STEPS
+
+
+def _enough(fitted: Fit) -> float:
+    """Share of the error that a step of a fit gains, at least."""
+    return VALLEY_ENOUGH if _in_valley(fitted) else ENOUGH
 
 
 def _moved(fitted: Fit, trust: float) -> tuple[Fit | None, float]:
@@ -434,7 +467,7 @@ def _moved(fitted: Fit, trust: float) -> tuple[Fit | None, float]:
         unbounded = np.isinf(trust) and length > TRUST
         if gained > (LINEAR if unbounded else STRAIGHT) * promised:
             return moved, WIDER * trust
-        if gained > ENOUGH * error:
+        if gained > _enough(fitted) * error:
             if not unbounded:
                 return moved, max(length, TRUST)
             far = moved
@@ -469,7 +502,7 @@ def _descended(candidate: Candidate, evidence: Evidence) -> Fit:
     fitted = Fit.of(candidate, evidence)
     for share in NEAR_STEPS:
         trust = np.inf
-        for _ in range(_steps(evidence)):
+        for _ in range(_steps(fitted)):
             if fitted.candidate.share > share:
                 fitted = Fit.of(_relinearised(fitted.candidate, evidence, share), evidence)
             if fitted.converged:
