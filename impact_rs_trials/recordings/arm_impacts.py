@@ -115,16 +115,16 @@ def impact_of_run(laboratory: Laboratory, run: RunRow) -> tuple[Impact | NoRow, 
     try:
         arms = on_clock_of_joints(laboratory, run, wanted, NEEDED, remarks)
     except InputError as error:
-        return NoRow(run.name, error.message), ()
+        return NoRow(run.label, error.message), ()
     tracker = arms[laboratory.tracker]
     pose = tracker.get("object_pose")
     if pose is None:
-        return NoRow(run.name, "the object was not tracked"), tuple(remarks)
+        return NoRow(run.label, "the object was not tracked"), tuple(remarks)
     jumps: dict[str, JointJump] = {}
     for arm, own in arms.items():
         found = joint_jump(own["position"], impact_time(own["velocity"]))
         if found is None:
-            return NoRow(run.name, f"{laboratory.label(arm)}too few samples of the joints about the impact"), tuple(
+            return NoRow(run.label, f"{laboratory.label(arm)}too few samples of the joints about the impact"), tuple(
                 remarks
             )
         jumps[arm] = found
@@ -143,7 +143,7 @@ def _with_object(
     early = np.flatnonzero((pose.time >= time - BEFORE) & (pose.time < time))
     late = np.flatnonzero((pose.time > time) & (pose.time <= time + AFTER[1]))
     if early.size < LEAST_OBJECT:
-        return NoRow(run.name, f"{early.size} samples of the object before the impact, of {LEAST_OBJECT}")
+        return NoRow(run.label, f"{early.size} samples of the object before the impact, of {LEAST_OBJECT}")
     ante = _before(pose.time, positions, rotations, early, time)
     scenario = laboratory.scenario
     outcomes = _slid(pose, positions, time, ante)
@@ -152,7 +152,7 @@ def _with_object(
     if rate < SLOW_POSE or late.size < LEAST_OBJECT:
         way = outcomes.get("slide_distance [m]")
         if way is None:
-            return NoRow(run.name, f"the object is seen at {rate:.0f} Hz and does not come to rest: no velocity after")
+            return NoRow(run.label, f"the object is seen at {rate:.0f} Hz and does not come to rest: no velocity after")
         post_twist, noise, law = _by_distance(positions, time, pose, way, friction)
     else:
         post, law = _after(pose.time, positions, rotations, late, time)
@@ -163,7 +163,7 @@ def _with_object(
     noise = (float(np.hypot(noise[0], ante.noise[0])), float(np.hypot(noise[1], ante.noise[1])))
     before = ante.at(time)[2]
     if float(np.linalg.norm(post_twist[:3] - before[:3])) < JUMPS * noise[0]:
-        return NoRow(run.name, "the velocity of the object does not change beyond its noise")
+        return NoRow(run.label, "the velocity of the object does not change beyond its noise")
     position, rotation, _ = ante.at(time)
     size = np.array(scenario.object(run.object).size)
     placed = np.concatenate((position, pin.Quaternion(rotation).coeffs()))[None]
@@ -171,7 +171,7 @@ def _with_object(
         try:
             check_touch(run.path, laboratory.models[arm], run.object, size, jump.position[None], placed)
         except InputError as error:
-            return NoRow(run.name, f"{laboratory.label(arm)}{error.message}")
+            return NoRow(run.label, f"{laboratory.label(arm)}{error.message}")
     tolerance = 2.0 * (ante.scatter[0] + 0.5 * ante.scatter[1] * float(np.max(size)))
     states = {
         arm: ArmInImpact(
@@ -185,8 +185,8 @@ def _with_object(
     }
     since = time - float(arms[laboratory.tracker]["position"].time[0])
     return Impact(
-        run.name, run.condition, run.object, since, position, rotation, before, post_twist, noise, tolerance, law,
-        states, outcomes,
+        run.label, run.condition, run.object, since, position, rotation, before, post_twist, noise, tolerance, law,
+        states, outcomes, session=run.session,
     )  # fmt: skip
 
 

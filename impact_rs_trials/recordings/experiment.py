@@ -36,6 +36,7 @@ KINDS = (HIT, FREE_MOTION)
 NO_OBJECT = "none"
 BODY = "body"  # object of runs without a robot
 COLUMNS = ("bag", "object", "kind")
+SESSION = "session"  # column of the table of runs that the table of impacts has as well
 YAML = (".yaml", ".yml")
 MOST_LISTED = 20  # names of runs in an error
 
@@ -226,17 +227,24 @@ class RunRow:
         object: Name of the object that is hit; None in free motion.
         hit: Whether something is hit.
         condition: Further columns, joined by ``/``.
+        session: Column ``session``, of which the condition is a part; empty: the table has none.
     """
 
     path: Path
     object: str | None
     hit: bool
     condition: str
+    session: str = ""
 
     @property
     def name(self) -> str:
         """Name of the recording, without the ending of a file."""
         return name_of(self.path)
+
+    @property
+    def label(self) -> str:
+        """The name, behind that of the session, in which it may be the only one of this name."""
+        return f"{self.session}/{self.name}" if self.session else self.name
 
 
 def read_runs(directory: Path, experiment: Experiment, scenario: Scenario | None) -> list[RunRow]:
@@ -286,7 +294,7 @@ def read_runs(directory: Path, experiment: Experiment, scenario: Scenario | None
             raise _wrong(path, line, "bag", cells["bag"], f"stands in line {seen[recording]} already")
         seen[recording] = line
         condition = "/".join(cells[name] for name in further)
-        runs.append(RunRow(recording, name if hit else None, hit, condition))
+        runs.append(RunRow(recording, name if hit else None, hit, condition, cells.get(SESSION, "")))
     return runs
 
 

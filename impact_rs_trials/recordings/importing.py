@@ -9,6 +9,8 @@ what is used.
 
 from __future__ import annotations
 
+import csv
+import io
 import json
 import os
 import re
@@ -30,7 +32,7 @@ from impact_rs_sim.scenario import load_scenario
 from impact_rs_sim.schema import validate
 from impact_rs_trials.recordings.array_file import ArrayFile
 from impact_rs_trials.recordings.candidates import SignalCandidate, candidates_of, guess_of, joints_of, vector_width
-from impact_rs_trials.recordings.file_groups import FileGroups, group_files, recordings_in, run_name
+from impact_rs_trials.recordings.file_groups import OBJECT, FileGroups, group_files, recordings_in, run_name
 from impact_rs_trials.recordings.guesses import (
     Guess,
     clock_of,
@@ -120,6 +122,21 @@ class Wishes:
     scenario: str | None = None
     rate: float | None = None
     dedupe: bool = False
+
+
+@dataclass(frozen=True)
+class _RunRow:
+    """A row of the table of runs."""
+
+    run: str
+    object: str = ""
+    session: str = ""
+    hit: bool = False
+
+    @property
+    def names(self) -> Names:
+        """What the placeholders of the mapping stand for."""
+        return Names(object=self.object or "*", run=run_name(self.run))
 
 
 @dataclass
@@ -283,11 +300,11 @@ class _Importer:
         content["signals"] = signals
         mapping = validate(Mapping, content | {"robot": robot}, self._output / "mapping.yaml")
         rows = self._runs(mapping)
-        texts = {"mapping.yaml": _yaml(content, self._lines, HEAD), "runs.csv": _table(rows)}
-        hits = sum(kind == "hit" for _, _, kind in rows)
+        texts = {"mapping.yaml": _yaml(content, self._lines, HEAD), "runs.csv": _table(rows, facts is None)}
+        hits = sum(row.hit for row in rows)
         if hits or facts is None or self._wishes.scenario is not None:
             texts["experiment.yaml"] = self._experiment(facts, robot)
-        self._try(mapping, hits)
+        self._try(mapping, rows)
         remarks = tuple(dict.fromkeys(self._remarks))
         return ImportDraft(self._groups.folder, texts, tuple(self._lines), remarks, hits, len(rows))
 
@@ -372,6 +389,11 @@ class _Importer:
                 file=motion.position.part.path,
             )
         part = motion.position.part
+        if OBJECT in part.pattern:
+            raise InputError(
+                f"files {part.pattern} hold joints, of {', '.join(sorted(set(self._groups.objects.values())))}: import "
+                "the runs of each robot by themselves", file=part.path,
+            )  # fmt: skip
         signals = {"position": self._joint_signal(motion.position, "position", replace(motion.unit, further={}), part)}
         if motion.velocity is None:
             self._say(
@@ -627,32 +649,63 @@ class _Importer:
 
     # ---- runs -------------------------------------------------------------------------------------------------------
 
-    def _runs(self, mapping: Mapping) -> list[tuple[str, str, str]]:
-        """Name, object and kind of every run."""
-        objects = [] if self._wishes.scenario is None else list(load_scenario(self._wishes.scenario).objects)
+    def _runs(self, mapping: Mapping) -> list[_RunRow]:
+        """Every run that the reader takes; the others are said."""
+        groups = self._groups
         has_object = any(name.startswith("object") for name in mapping.signals)
+        needed = {source.file for source in mapping.signals.values() if source.file is not None}
         rows, missing = [], []
-        for run in self._groups.runs:
-            path = self._groups.folder / run
-            if self._groups.spread:
-                lacking = [kind for kind, files in self._groups.kinds.items() if run not in files]
-                needed = {source.file for source in mapping.signals.values() if source.file is not None}
-                if needed & set(lacking):
-                    missing.append(f"{run} ({', '.join(sorted(needed & set(lacking)))})")
-                    continue
-            moves = has_object and _object_moves(path, mapping)
-            if mapping.robot == NO_ROBOT:
-                rows.append((run, "body", "hit"))
-            else:
-                named = [name for name in objects if name in str(path)]
-                name = (named or objects or ["OBJECT"])[0] if moves else "none"
-                rows.append((run, name, "hit" if moves else "free motion"))
+        for run in groups.runs:
+            lacking = needed & {kind for kind, files in groups.kinds.items() if run not in files}
+            if lacking:
+                missing.append(f"{run} ({', '.join(sorted(lacking))})")
+                continue
+            row = _RunRow(run, groups.objects.get(run, ""), groups.sessions.get(run, ""))
+            try:
+                moves = has_object and _object_moves(groups.folder / run, mapping, row.names)
+            except InputError as error:
+                self._remarks.append(f"{run} is left out, for the reader refuses it: {error}")
+                continue
+            rows.append(replace(row, hit=moves or mapping.robot == NO_ROBOT))
         if missing:
             self._remarks.append(f"left out, for a file is missing: {'; '.join(missing)}")
-        if has_object and mapping.robot != NO_ROBOT and any(kind == "hit" for _, _, kind in rows):
+        if not rows:
+            raise InputError(f"no run has all of its files: {'; '.join(missing)}", file=groups.folder)
+        self._say_unread(needed)
+        if groups.sessions:
+            self._say(
+                "session in runs.csv", _flow(list(dict.fromkeys(groups.sessions.values()))),
+                "the folders that runs lie in; impacts makes a column of it, for --covariates session",
+            )  # fmt: skip
+        if has_object and mapping.robot != NO_ROBOT and any(row.hit for row in rows):
             self._say("kind in runs.csv", "hit", f"the object moves by more than {1e3 * MOVED:g} mm")
-            if len(objects) != 1:
-                self._say("object in runs.csv", _flow([row[1] for row in rows][:3]), "say which object was hit", False)
+            rows = self._with_objects(rows)
+        return rows
+
+    def _say_unread(self, needed: set[str]) -> None:
+        """Files that hold no signal of the mapping."""
+        unread = [kind for kind in self._groups.kinds if self._groups.spread and kind not in needed]
+        names = [*unread, *(str(path.relative_to(self._groups.folder)) for path in self._groups.left_out)]
+        if names:
+            self._remarks.append(f"not read, for the mapping takes no signal from them: {', '.join(names)}")
+
+    def _with_objects(self, rows: list[_RunRow]) -> list[_RunRow]:
+        """Rows with the object that was hit."""
+        objects = [] if self._wishes.scenario is None else list(load_scenario(self._wishes.scenario).objects)
+        if named := list(dict.fromkeys(self._groups.objects.values())):
+            self._say("object in runs.csv", _flow(named), "the names of the files say which")
+            if objects and not set(named) <= set(objects):
+                self._remarks.append(
+                    f"files call the objects {', '.join(named)}, {self._wishes.scenario} has {', '.join(objects)}: "
+                    "the objects of the scenario need the names that stand in the files"
+                )
+            return rows
+        path = [str(self._groups.folder / row.run) for row in rows]
+        inside = [next((name for name in objects if name in one), "") for one in path]
+        usual = (objects or ["OBJECT"])[0]
+        rows = [replace(row, object=one or usual) for row, one in zip(rows, inside, strict=True)]
+        if len(objects) != 1:
+            self._say("object in runs.csv", _flow([row.object for row in rows][:3]), "say which object was hit", False)
         return rows
 
     def _experiment(self, facts: RobotFacts | None, robot: str) -> str:
@@ -668,19 +721,20 @@ class _Importer:
             scenario = os.path.relpath(scenario, self._output)
         return ARM.format(scenario=scenario or "scenario.yaml   # to be made, see docs/scenarios.md")
 
-    def _try(self, mapping: Mapping, hits: int) -> None:
+    def _try(self, mapping: Mapping, rows: Sequence[_RunRow]) -> None:
         """What the reader says of the first run."""
-        first = self._groups.folder / self._groups.runs[0]
+        row = next((row for row in rows if row.hit), rows[0])
+        path = self._groups.folder / row.run
         try:
-            if mapping.robot == NO_ROBOT or hits:
+            if mapping.robot == NO_ROBOT or row.hit:
                 wanted: list[SignalName] = list(mapping.signals)
-                read = read_series(first, mapping, wanted, wanted, Names(run=run_name(self._groups.runs[0])))
+                read = read_series(path, mapping, wanted, wanted, row.names)
                 self._remarks += [remark for one in read.values() for remark in one.remarks]
             else:
-                target = self._groups.folder if self._groups.spread else first
+                target = path if path.exists() else path.parent
                 self._remarks += [remark for run in read_recordings(target, mapping)[:1] for remark in run.remarks]
         except InputError as error:
-            self._remarks.append(f"the reader refuses the first run as it is described: {error}")
+            self._remarks.append(f"the reader refuses {row.run} as it is described: {error}")
 
     def _say(self, key: str, value: str, evidence: str, sure: bool = True) -> None:
         self._lines.append(Line(key, value, evidence, sure))
@@ -710,13 +764,10 @@ plane: {height: 0.0, normal: [0, 0, 1]}   # ASSUMED: where the plane is in the t
 """
 
 
-def _object_moves(path: Path, mapping: Mapping) -> bool:
-    """Whether the object's place changes; a run that cannot be read moves nothing."""
+def _object_moves(path: Path, mapping: Mapping, names: Names) -> bool:
+    """Whether the object's place changes."""
     name: SignalName = "object_pose" if "object_pose" in mapping.signals else "object_position"
-    try:
-        read = read_series(path, mapping, [name], [name], Names(run=run_name(path.name)))[name]
-    except InputError:
-        return False
+    read = read_series(path, mapping, [name], [name], names)[name]
     seen = read.values[np.isfinite(read.values).all(axis=1), :3]
     return bool(len(seen)) and float(np.max(np.linalg.norm(seen - np.median(seen[:5], axis=0), axis=1))) > MOVED
 
@@ -788,5 +839,13 @@ def _remark(said: str | None) -> str:
     return "" if said is None else f"   # {' '.join(said.split())}"
 
 
-def _table(rows: Sequence[tuple[str, str, str]]) -> str:
-    return "\n".join(["bag,object,kind", *(",".join(row) for row in rows)]) + "\n"
+def _table(rows: Sequence[_RunRow], alone: bool) -> str:
+    """The table of runs, of objects alone or of robots."""
+    sessions = any(row.session for row in rows)
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(["bag", "object", "kind", *(["session"] if sessions else [])])
+    for row in rows:
+        name = "body" if alone else row.object if row.hit else "none"
+        writer.writerow([row.run, name, "hit" if row.hit else "free motion", *([row.session] if sessions else [])])
+    return text.getvalue()

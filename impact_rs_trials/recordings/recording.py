@@ -29,7 +29,7 @@ from impact_rs_trials.recordings.sources import (
     SEARCHED_SUFFIXES,
     read_series,
     run_folders,
-    spread_runs,
+    runs_below,
 )
 from impact_rs_trials.runs import ArmSignals, Run, Signals
 
@@ -97,7 +97,7 @@ def read_recordings(path: Path, mapping: Mapping) -> list[Run]:
         InputError: A recording cannot be used; the message says what was expected.
     """
     if path.is_dir() and all(source.file is not None for source in mapping.signals.values()):
-        found = list(spread_runs(path, mapping)) if mapping.spread else run_folders(path, mapping)
+        found = runs_below(path, mapping) if mapping.spread else run_folders(path, mapping)
         if not found:
             files = ", ".join(sorted({str(source.file) for source in mapping.signals.values()}))
             raise InputError(

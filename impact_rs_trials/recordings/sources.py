@@ -61,6 +61,12 @@ def spread_runs(folder: Path, mapping: Mapping) -> dict[Path, str]:
     return {folder / run: runs[run] for run in sorted(runs, key=natural)}
 
 
+def runs_below(folder: Path, mapping: Mapping) -> list[Path]:
+    """Runs of :func:`spread_runs` in a folder, and in those below it, each a session."""
+    below = sorted((one for one in folder.rglob("*") if one.is_dir()), key=lambda one: natural(str(one)))
+    return [run for place in (folder, *below) for run in spread_runs(place, mapping)]
+
+
 def run_folders(folder: Path, mapping: Mapping) -> list[Path]:
     """Folders of one run each, with the files that the signals of a mapping lie in: this folder, or those below."""
     files = sorted({source.file for source in mapping.signals.values() if source.file is not None})

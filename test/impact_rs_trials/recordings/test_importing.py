@@ -12,10 +12,13 @@ from refusals import refusal
 
 from impact_rs_sim.robot import load_facts
 from impact_rs_sim.robot_model import RobotModel
+from impact_rs_trials.recordings.experiment import load_experiment, read_runs
 from impact_rs_trials.recordings.file_groups import group_files
 from impact_rs_trials.recordings.importing import ImportDraft, Wishes, draft_import
+from impact_rs_trials.recordings.laboratory import Laboratory
 from impact_rs_trials.recordings.mapping import MountedEndEffector, load_mapping
 from impact_rs_trials.recordings.recording import read_recordings
+from impact_rs_trials.recordings.sources import read_series
 from impact_rs_trials.recordings.table_layout import find_layout
 
 TIME = np.arange(0.0, 8.0, 0.01)
@@ -157,14 +160,14 @@ def test_repeated_stamps_are_said_and_removed_on_request(tmp_path: Path, motion:
     check_reading(draft, tmp_path / "two", file, motion)
 
 
-def hits(folder: Path, motion: Columns) -> Path:
-    """Two hits in the form of another laboratory: vectors in cells, a line above the names, a file for the object."""
-    folder.mkdir()
+def hits(folder: Path, motion: Columns, runs: tuple[int, ...] = (8, 11), object_name: str = "1") -> Path:
+    """Hits in the form of another laboratory: vectors in cells, a line above the names, a file for the object."""
+    folder.mkdir(exist_ok=True, parents=True)
 
     def cells(values: np.ndarray) -> list[str]:
         return [" ".join(f"{value:.12g}" for value in row) for row in values]
 
-    for run in (8, 11):
+    for run in runs:
         head = "DesiredFlux,1,HitTime,17.5,Pos,0.5 0.3 0.2\nRobotName,RosTime,JointPosition,JointVelocity,JointEffort"
         joints = zip(*(cells(motion[name]) for name in ("position", "velocity")), cells(-motion["effort"]), strict=True)
         stamps = 1.7e9 + 20.0 * run + TIME
@@ -174,7 +177,7 @@ def hits(folder: Path, motion: Columns) -> Path:
         turn = np.tile([0.0, 0.0, 0.0, 1.0], (TIME.size, 1))
         pose = zip(stamps, cells(place), cells(turn), strict=True)
         rows = [f"{stamp:.6f},{p},{q}" for stamp, p, q in pose]
-        (folder / f"object_1_hit_{run}.csv").write_text("\n".join(["RosTime,Position,Orientation", *rows]))
+        (folder / f"object_{object_name}_hit_{run}.csv").write_text("\n".join(["RosTime,Position,Orientation", *rows]))
     return folder
 
 
@@ -194,6 +197,68 @@ def test_a_folder_with_a_file_per_signal_and_run_is_described(tmp_path: Path, mo
     (folder / "object_1_hit_11.csv").unlink()
     later = draft_import([folder], tmp_path / "later", Wishes(robot="kuka_iiwa7"))
     assert any(remark == "left out, for a file is missing: 11 (object_1_hit_{run}.csv)" for remark in later.remarks)
+
+
+def test_hits_of_sessions_that_count_alike_are_all_kept(tmp_path: Path, motion: Columns) -> None:
+    """A folder per session, in each a file per signal and run: a run is known by its folder and its number."""
+    hits(tmp_path / "raw" / "D1_clean", motion, (0, 1))
+    hits(tmp_path / "raw" / "D1_dirty", motion, (0, 3))
+    draft = draft_import([tmp_path / "raw"], tmp_path / "lab", Wishes(robot="kuka_iiwa7", scenario="push_iiwa7"))
+    assert draft.texts["runs.csv"].splitlines() == [
+        "bag,object,kind,session",
+        "D1_clean/0,parcel,hit,D1_clean", "D1_clean/1,parcel,hit,D1_clean",
+        "D1_dirty/0,parcel,hit,D1_dirty", "D1_dirty/3,parcel,hit,D1_dirty",
+    ]  # fmt: skip
+    described(draft, tmp_path / "lab")
+    experiment = load_experiment(tmp_path / "lab" / "experiment.yaml")
+    rows = read_runs(tmp_path / "raw", experiment, experiment.load_scenario())
+    assert [(row.label, row.session) for row in rows] == [
+        ("D1_clean/0", "D1_clean"), ("D1_clean/1", "D1_clean"), ("D1_dirty/0", "D1_dirty"), ("D1_dirty/3", "D1_dirty"),
+    ]  # fmt: skip
+    (mapping,) = experiment.load_mappings(["arm"]).values()
+    assert (
+        len({float(read_series(row.path, mapping, ["position"], ["position"])["position"].time[0]) for row in rows})
+        == 3
+    )
+    assert len(read_recordings(tmp_path / "raw", mapping)) == 4
+    (tmp_path / "raw" / "D1_dirty" / "object_1_hit_3.csv").rename(tmp_path / "raw" / "notes.csv")
+    later = draft_import([tmp_path / "raw"], tmp_path / "later", Wishes(robot="kuka_iiwa7"))
+    assert later.runs == 3
+    assert "left out, for a file is missing: D1_dirty/3 (object_1_hit_{run}.csv)" in later.remarks
+    assert "not read, for the mapping takes no signal from them: notes.csv" in later.remarks
+
+
+def test_the_object_of_a_run_is_found_in_the_name_of_its_file(tmp_path: Path, motion: Columns) -> None:
+    hits(tmp_path / "raw", motion, (0, 1), "parcel")
+    hits(tmp_path / "raw", motion, (2,), "juice")
+    draft = draft_import([tmp_path / "raw"], tmp_path / "lab", Wishes(robot="kuka_iiwa7", scenario="push_iiwa7"))
+    mapping = load_mapping(described(draft, tmp_path / "lab"))
+    assert mapping.signals["object_position"].file == "object_{object}_hit_{run}.csv"
+    assert draft.texts["runs.csv"].splitlines()[1:] == ["0,parcel,hit", "1,parcel,hit", "2,juice,hit"]
+    assert not any("refuses" in remark for remark in draft.remarks)
+    experiment = load_experiment(tmp_path / "lab" / "experiment.yaml")
+    laboratory = Laboratory.of(experiment)
+    for row in read_runs(tmp_path / "raw", experiment, laboratory.scenario):
+        assert laboratory.series(row, ["position", "object_position"], ["object_position"])["arm"]["object_position"]
+    (tmp_path / "raw" / "object_juice_hit_2.csv").rename(tmp_path / "raw" / "object_cup_hit_2.csv")
+    strange = draft_import([tmp_path / "raw"], tmp_path / "lab", Wishes(robot="kuka_iiwa7", scenario="push_iiwa7"))
+    assert any("files call the objects cup, parcel, push_iiwa7 has parcel, " in remark for remark in strange.remarks)
+
+
+def test_robots_in_one_folder_are_imported_by_themselves(tmp_path: Path, motion: Columns) -> None:
+    """Files of joints whose names differ in a word are no files of different objects."""
+    hits(tmp_path / "raw", motion, (0, 1))
+    (tmp_path / "raw" / "IIWA_7_hit_1.csv").rename(tmp_path / "raw" / "UR_7_hit_1.csv")
+    said = refusal(draft_import, [tmp_path / "raw"], tmp_path / "lab", Wishes(robot="kuka_iiwa7"))
+    assert "of IIWA, UR: import the runs of each robot by themselves" in said
+
+
+def test_a_run_that_cannot_be_read_is_named(tmp_path: Path, motion: Columns) -> None:
+    hits(tmp_path / "raw", motion, (0, 1))
+    (tmp_path / "raw" / "object_1_hit_1.csv").write_text("RosTime,Position,Orientation\n1,none,0 0 0 1\n")
+    draft = draft_import([tmp_path / "raw"], tmp_path / "lab", Wishes(robot="kuka_iiwa7"))
+    assert draft.texts["runs.csv"].splitlines()[1:] == ["0,OBJECT,hit"]
+    assert any(remark.startswith("1 is left out, for the reader refuses it: ") for remark in draft.remarks)
 
 
 JOINTS = ("lift_joint", "arm_1_joint", "arm_2_joint", "elbow", "arm_4_joint", "wrist_a", "wrist_b")
@@ -317,3 +382,23 @@ def test_files_are_grouped_by_what_differs_in_their_names(tmp_path: Path) -> Non
     ]  # fmt: skip
     folders = groups("a/pose.csv", "a/joints.csv", "b/pose.csv", "b/joints.csv")
     assert folders == (["joints.csv", "pose.csv"], ("a", "b"), True)
+    nested = groups(*(f"{day}/run_{run}/{file}.csv" for day in "ab" for run in (1, 2) for file in ("arm", "box")))
+    assert nested == (["arm.csv", "box.csv"], ("a/run_1", "a/run_2", "b/run_1", "b/run_2"), True)
+    several = groups(
+        *(f"{file}_day_{day}_hit_{run}.csv" for file in ("arm", "box") for day in (1, 2) for run in (0, 1))
+    )
+    assert several[0] == ["arm_day_{run}.csv", "box_day_{run}.csv"]
+    assert several[1] == ("1_hit_0", "1_hit_1", "2_hit_0", "2_hit_1")
+    words = groups("arm_hit_1.csv", "arm_hit_2.csv", "box_hit_1.csv", "cup_hit_2.csv")
+    assert words[0] == ["arm_hit_{run}.csv", "{object}_hit_{run}.csv"]
+
+
+def test_folders_are_sessions_where_they_hold_several_runs(tmp_path: Path) -> None:
+    def sessions(*names: str) -> dict[str, str]:
+        return group_files([tmp_path / name for name in names]).sessions
+
+    assert sessions("a/log.csv", "b/log.csv") == {}
+    assert sessions("a/run_1.csv", "a/run_2.csv") == {}
+    assert sessions("a/run_1.csv", "b/run_1.csv", "b/run_2.csv") == {
+        "a/run_1.csv": "a", "b/run_1.csv": "b", "b/run_2.csv": "b",
+    }  # fmt: skip
