@@ -4,7 +4,8 @@
     clock     the column that increases and gives a sampling rate of 1 Hz to 100 kHz in its unit
     position  the unit in which all of them lie within the limits of the joints
     velocity  v = a dq/dt:  a is unit and sign
-    torque    tau = a (M ddq + h):  a is unit and sign; motor currents give another a for every joint
+    torque    tau = a (M ddq + h):  a is unit and sign; motor currents give another a for every joint, of one sign and
+              size; what repeats the motion with one factor in all joints was asked for, and is no torque
     pose      a unit quaternion beside three numbers within reach
 
 Signals and derivatives are compared after a moving average, because encoders are quantised.
@@ -41,6 +42,10 @@ SURE_TORQUE = (0.5, 2.0)
 TOGETHER = 0.8  # least correlation from which a factor is believed,
 HARDLY = 0.5  # and from which it is assumed
 SURELY, ALIKE = 0.95, 0.1  # correlation, and spread of the factors of joints, of a velocity at another sampling rate
+COPIED, COPIED_FACTOR = 0.9, (0.8, 1.25)  # correlation and factor of a copy of the motion, of three joints and more,
+EXACTLY, EXACT_FACTOR = 0.999, (0.98, 1.02)  # and of fewer, of which a torque might look like one
+FEWEST_COPIED = 3
+MOST_APART = 30.0  # ratio of torque constants of one arm
 MOVES = 0.02  # of the data sheet's velocity, rms, from which a joint moves
 NOTICED = 0.3  # of what the largest joint takes by weight and inertia, in proportion to the robot [N m]
 LOOKED_AT = 400  # samples in which the torque is compared
@@ -222,6 +227,28 @@ def _lag(time: Array, position: Array, raw: Array, moving: NDArray[np.bool_]) ->
     )
 
 
+def copy_of_motion(time: Array, position: Array, velocity: Array, raw: Array) -> str | None:
+    """Which part of a motion ``(k, n)`` a signal repeats with one factor in all joints, as what was asked for does.
+
+    A torque has another factor in every joint. Copies may lag and lie beside the motion by a constant.
+
+    Returns:
+        What it is, in words; None: it may be a torque.
+    """
+    at, q = smoothed(time, position)
+    dq, signal = smoothed(time, velocity)[1], smoothed(time, raw)[1]
+    moving = np.ptp(q, axis=0) >= 0.2 * float(np.max(np.ptp(q, axis=0)))
+    many = int(np.sum(moving)) >= FEWEST_COPIED
+    together_least, (low, high) = (COPIED, COPIED_FACTOR) if many else (EXACTLY, EXACT_FACTOR)
+    for what, part in (("positions", q), ("velocities", dq), ("accelerations", np.gradient(dq, at, axis=0))):
+        ratio, together = _ratios(part - part.mean(axis=0), signal - signal.mean(axis=0))
+        for unit, factor in TURNS["position"].items():
+            own = np.abs(ratio[moving]) * factor
+            if np.all((own > low) & (own < high)) and np.all(np.abs(together[moving]) > together_least):
+                return f"repeats the {what}, in {unit}" if unit != "rad" else f"repeats the {what}"
+    return None
+
+
 def torque_of(
     time: Array, position: Array, velocity: Array, raw: Array, model: RobotModel, name: str
 ) -> tuple[float, Guess] | None:
@@ -257,6 +284,9 @@ def torque_of(
             certain = clear and SURE_TORQUE[0] < usual * TURNS["torque"][turns] < SURE_TORQUE[1]
             said += "" if clear else f" (correlation {sure:.2g})"
             return sure, Guess(_common([slide if one else turns for one in slides]), said, certain, further)
+    apart = float(np.max(np.abs(ratio[shown])) / np.min(np.abs(ratio[shown])))
+    if apart > MOST_APART or len(set(np.sign(ratio[shown]))) > 1:
+        return None
     constants = np.where(shown, 1.0 / np.maximum(np.abs(ratio), 1e-12), 1.0 / usual)
     said += ": no unit of torque; taken for motor currents, with the constants that the weight shows"
     written = [float(f"{constant:.3g}") for constant in constants]

@@ -36,6 +36,7 @@ from impact_rs_trials.recordings.file_groups import OBJECT, FileGroups, group_fi
 from impact_rs_trials.recordings.guesses import (
     Guess,
     clock_of,
+    copy_of_motion,
     pose_of,
     quaternion_order,
     times_derivative,
@@ -237,8 +238,7 @@ def _with_velocity(place: _Found, unit: Guess, every: Sequence[_Found], facts: R
 def _torques(motion: _Motion, every: Sequence[_Found], model: RobotModel) -> list[tuple[float, _Found, Guess]]:
     """Signals that go with the torque of a motion, or those whose names say so; how surely, and as what."""
     time, q, dq = motion.position.series.time, motion.places, motion.speeds
-    taken = [motion.position, *([motion.velocity[0]] if motion.velocity else [])]
-    free = [one for one in every if not any(one.overlaps(other) for other in taken)]
+    free = [one for one, copied in _beside(motion, every) if copied is None]
     found = []
     for one in free:
         if one.candidate.guess in ("torque", "command", ""):
@@ -247,6 +247,15 @@ def _torques(motion: _Motion, every: Sequence[_Found], model: RobotModel) -> lis
                 found.append((guess[0] + one.named("torque"), one, guess[1]))
     said = Guess("N m", "nothing but its name: the motion takes too little torque to show it", False)
     return found or [(0.0, one, said) for one in free if one.named("torque") > 0.0]
+
+
+def _beside(motion: _Motion, every: Sequence[_Found]) -> Iterator[tuple[_Found, str | None]]:
+    """Signals beside a motion, and which part of it they repeat."""
+    time, q, dq = motion.position.series.time, motion.places, motion.speeds
+    taken = [motion.position, *([motion.velocity[0]] if motion.velocity else [])]
+    for one in every:
+        if not any(one.overlaps(other) for other in taken):
+            yield one, copy_of_motion(time, q, dq, one.series.at(time))
 
 
 def draft_import(paths: Sequence[Path], output: Path, wishes: Wishes) -> ImportDraft:
@@ -383,9 +392,12 @@ class _Importer:
             tried, key=lambda one: one[0].score + max((score for score, *_ in one[1]), default=-np.inf)
         )
         if not torques:
+            copies = [f"{one.label} {copied}" for one, copied in _beside(motion, every) if copied is not None]
+            repeated = f" ({'; '.join(copies)})" if copies else ""
             raise InputError(
-                f"nothing goes with the torque that weight and inertia of {robot} take in this motion; signals as wide "
-                f"as its joints: {seen}. Another --robot, or a mapping by hand (docs/your_data.md)",
+                f"nothing goes with the torque that weight and inertia of {robot} take in this motion, and a mapping "
+                f"needs torques or currents; signals as wide as its joints: {seen}{repeated}. Another --robot, or a "
+                "mapping by hand (docs/your_data.md)",
                 file=motion.position.part.path,
             )
         part = motion.position.part
@@ -485,7 +497,11 @@ class _Importer:
         if not names or any(one.source.get("columns") for one in part.candidates):
             return
         if part.layout.header != 0 and part.path.suffix != ".npy":
-            if len(numeric) == count and not any(one.width == count for one in part.candidates):
+            if (
+                len(numeric) == count
+                and not _axes(numeric)[1]
+                and not any(one.width == count for one in part.candidates)
+            ):
                 label = f"{numeric[0]} … {numeric[-1]}"
                 part.candidates.append(SignalCandidate(label, {"columns": numeric}, False, "", count))
             return

@@ -130,6 +130,34 @@ def test_motor_currents_are_taken_for_what_they_are(tmp_path: Path, motion: Colu
     assert any(line.key == "torque_constant" and not line.sure for line in draft.lines)
 
 
+@pytest.mark.parametrize(("late", "unit", "said"), [(0, 1.0, "repeats the positions"), (8, 57.3, "positions, in deg")])
+def test_commanded_positions_are_no_currents(
+    tmp_path: Path, motion: Columns, late: int, unit: float, said: str
+) -> None:
+    """A log of positions with what was asked of them, as of a leader arm: ahead, in another unit, with an offset."""
+    names = ["t", *numbered("q"), *numbered("action")]
+    ahead = unit * (np.roll(motion["position"], -late, axis=0) + 0.01)
+    file = write(tmp_path / "log.csv", names, [TIME, motion["position"], ahead])
+    refused = refusal(draft_import, [file], tmp_path / "lab", Wishes(robot="kuka_iiwa7"))
+    assert f"action1 … action7 repeats the {said.removeprefix('repeats the ')}" in refused
+    assert "a mapping needs torques or currents" in refused
+    everything = [TIME, motion["position"], ahead, motion["velocity"], motion["effort"]]
+    whole = write(tmp_path / "whole.csv", [*names, *numbered("speed"), *numbered("load")], everything)
+    check_reading(draft_import([whole], tmp_path / "lab", Wishes(robot="kuka_iiwa7")), tmp_path / "lab", whole, motion)
+
+
+@pytest.mark.parametrize("factors", [[1.0, -1.0, 1.0, 1.0, 1.0, 1.0, 1.0], [1.0, 1.0, 1.0, 100.0, 1.0, 1.0, 1.0]])
+def test_constants_of_mixed_signs_or_sizes_are_none_of_one_arm(
+    tmp_path: Path, motion: Columns, factors: list[float]
+) -> None:
+    """Numbers that go with the weight joint by joint, and are no currents of one arm."""
+    names = ["t", *numbered("q"), *numbered("dq"), *numbered("x")]
+    numbers = 100.0 * motion["effort"] * factors
+    file = write(tmp_path / "log.csv", names, [TIME, motion["position"], motion["velocity"], numbers])
+    said = refusal(draft_import, [file], tmp_path / "lab", Wishes(robot="kuka_iiwa7"))
+    assert "nothing goes with the torque that weight and inertia of kuka_iiwa7 take" in said
+
+
 def test_another_robot_is_not_believed(tmp_path: Path, motion: Columns) -> None:
     """Positions beyond its limits in every unit."""
     names = ["t", *numbered("q"), *numbered("dq"), *numbered("tau")]
