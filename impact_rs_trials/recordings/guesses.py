@@ -32,6 +32,7 @@ from impact_rs_trials.recordings.series import Series
 from impact_rs_trials.recordings.table_file import DATE
 
 STAMP = re.compile(r"(^|[^a-z])(t|time|times|timestamp|stamp|sec|secs|nsec)([^a-z]|$)|time|stamp", re.IGNORECASE)
+NANOSECONDS = re.compile(r"nano|n_?sec|(^|[^a-z])ns([^a-z]|$)", re.IGNORECASE)
 RATES = (1.0, 1e5)  # Hz, that a recording may have
 SMOOTHED = 0.05  # s, of the moving average
 FEWEST_SMOOTHED = 5  # samples
@@ -75,13 +76,44 @@ class Guess:
 
 
 def clock_of(columns: AbstractMapping[str, Sequence[str] | NDArray[Any]]) -> Guess | None:
-    """The column of the stamps, with its unit; None: none can be."""
+    """The column of the stamps, with its unit, or those of whole seconds and of nanoseconds; None: none can be."""
     found: list[tuple[float, str, Guess]] = []
     for place, (name, cells) in enumerate(columns.items()):
         guess = _clock(name, cells)
         if guess is not None:
             found.append((2.0 * bool(STAMP.search(name)) - 0.01 * place, name, guess))
-    return max(found)[2] if found else None
+    pair = _clock_of_two(columns)
+    return pair or (max(found)[2] if found else None)
+
+
+def _clock_of_two(columns: AbstractMapping[str, Sequence[str] | NDArray[Any]]) -> Guess | None:
+    """Whole seconds that stay for many samples, and nanoseconds beside them that begin anew with each."""
+    whole = {name: stamps for name, cells in columns.items() if (stamps := _whole(cells)) is not None}
+    for name, rest in whole.items():
+        if not (NANOSECONDS.search(name) and rest.max() < 10**9):
+            continue
+        for other, seconds in whole.items():
+            if other == name or np.any(np.diff(seconds) < 0) or seconds[-1] >= 5e9:
+                continue
+            steps = np.diff(seconds * 10**9 + rest)
+            usual = float(np.median(steps[steps > 0])) if np.any(steps > 0) else np.inf
+            if np.all(steps >= 0) and RATES[0] <= 1e9 / usual <= RATES[1]:
+                said = f"whole seconds and nanoseconds; together they increase, at {1e9 / usual:.4g} Hz"
+                repeats = int(np.sum(steps == 0))
+                remarks = (f"{repeats} of {rest.size} stamps repeat the one before",) if repeats else ()
+                return Guess([other, name], said, True, {"unit": "s"}, remarks)
+    return None
+
+
+def _whole(cells: Sequence[str] | NDArray[Any]) -> NDArray[np.int64] | None:
+    """A column of whole numbers from 0 on; None: it is none."""
+    try:
+        numbers = np.asarray(cells, dtype=float)
+    except (ValueError, TypeError):
+        return None
+    if numbers.ndim != 1 or numbers.size < 3 or not np.isfinite(numbers).all() or numbers.min() < 0.0:
+        return None
+    return numbers.astype(np.int64) if numbers.max() < 5e9 and not np.any(np.mod(numbers, 1.0)) else None
 
 
 def _clock(name: str, cells: Sequence[str] | NDArray[Any]) -> Guess | None:
@@ -328,7 +360,7 @@ def _ratios(expected: Array, measured: Array) -> tuple[Array, Array]:
     """Factor and correlation of every column, about their means where those do not go together."""
     power = np.maximum(np.sum(expected**2, axis=0), 1e-300)
     product = np.sum(expected * measured, axis=0)
-    size = np.sqrt(power * np.maximum(np.sum(measured**2, axis=0), 1e-300))
+    size = np.sqrt(power) * np.sqrt(np.maximum(np.sum(measured**2, axis=0), 1e-300))
     return product / power, product / size
 
 

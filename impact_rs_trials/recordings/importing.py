@@ -31,7 +31,16 @@ from impact_rs_sim.robot_model import RobotModel
 from impact_rs_sim.scenario import load_scenario
 from impact_rs_sim.schema import validate
 from impact_rs_trials.recordings.array_file import ArrayFile
-from impact_rs_trials.recordings.candidates import SignalCandidate, candidates_of, guess_of, joints_of, vector_width
+from impact_rs_trials.recordings.candidates import (
+    FIRST,
+    SignalCandidate,
+    candidates_of,
+    first_of,
+    guess_of,
+    joints_of,
+    vector_width,
+    width_of,
+)
 from impact_rs_trials.recordings.file_groups import OBJECT, FileGroups, group_files, recordings_in, run_name
 from impact_rs_trials.recordings.guesses import (
     Guess,
@@ -61,6 +70,7 @@ from impact_rs_trials.recordings.table_layout import find_layout
 
 MOST_SAMPLES = 20_000  # that are looked at
 FEWEST_SAMPLES = 20
+MOST_SHOWN = 3  # signals of a kind in a message
 NAMED = 0.3  # correlation that a name is worth
 ASKED_FOR = re.compile(r"des|ref|target|goal|cmd|command|set_?point|(^|_)d(_|\d|$)|filt|err", re.IGNORECASE)
 OF_THE_ROBOT = re.compile(r"eef|(^|_)ee(_|$)|tcp|tool|flange|hand", re.IGNORECASE)
@@ -153,6 +163,17 @@ class _Part:
     series: dict[int, Series] = field(default_factory=dict)
 
     @property
+    def clock_columns(self) -> tuple[str, ...]:
+        """Columns of the stamps."""
+        value = () if self.clock is None else self.clock.value
+        return (value,) if isinstance(value, str) else tuple(value)
+
+    @property
+    def stamps(self) -> str:
+        """Where they are, for messages."""
+        return "the messages" if self.clock is None else f"{_flow(self.clock.value)} [{self.clock.further['unit']}]"
+
+    @property
     def is_bag(self) -> bool:
         """Whether it is a bag, whose messages have stamps."""
         return is_bag_folder(self.path) or self.path.suffix in BAG_SUFFIXES
@@ -171,6 +192,11 @@ class _Found:
         return self.part.candidates[self.number]
 
     @property
+    def is_cut(self) -> bool:
+        """Whether it is the first numbers of a wider signal."""
+        return FIRST in self.candidate.label
+
+    @property
     def series(self) -> Series:
         """Its numbers as the file has them."""
         return self.part.series[self.number]
@@ -182,10 +208,15 @@ class _Found:
 
     def overlaps(self, other: _Found) -> bool:
         """Whether both have a column in common."""
-        if self.part is not other.part:
-            return False
-        columns = [set(one.candidate.source.get("columns") or ()) for one in (self, other)]
-        return self.number == other.number or bool(columns[0] & columns[1])
+        return self.part is other.part and (self.number == other.number or bool(self._numbers & other._numbers))
+
+    @property
+    def _numbers(self) -> set[tuple[str, int]]:
+        """Columns, and entries of vectors, in which its numbers are."""
+        source = self.candidate.source
+        whole = str(source.get("column") or source.get("array") or "")
+        entries = {(whole, entry) for entry in source.get("entries") or ()}
+        return entries or {(column, 0) for column in source.get("columns") or ()}
 
     def named(self, signal: str) -> float:
         """What names of columns, or else of the file, are worth for a signal."""
@@ -240,11 +271,14 @@ def _torques(motion: _Motion, every: Sequence[_Found], model: RobotModel) -> lis
     time, q, dq = motion.position.series.time, motion.places, motion.speeds
     free = [one for one, copied in _beside(motion, every) if copied is None]
     found = []
+    cut = motion.position.is_cut  # of another robot, perhaps, for which the torque must speak
     for one in free:
         if one.candidate.guess in ("torque", "command", ""):
             guess = torque_of(time, q, dq, one.series.at(time), model, one.candidate.label)
-            if guess is not None:
+            if guess is not None and (guess[1].sure or not cut):
                 found.append((guess[0] + one.named("torque"), one, guess[1]))
+    if cut:
+        return found
     said = Guess("N m", "nothing but its name: the motion takes too little torque to show it", False)
     return found or [(0.0, one, said) for one in free if one.named("torque") > 0.0]
 
@@ -279,6 +313,7 @@ class _Importer:
         self._groups, self._output, self._wishes = groups, output, wishes
         self._lines: list[Line] = []
         self._remarks: list[str] = []
+        self._refused: dict[str, str] = {}
         self._parts = [self._part(pattern, next(iter(files.values()))) for pattern, files in groups.kinds.items()]
 
     def draft(self) -> ImportDraft:
@@ -305,7 +340,7 @@ class _Importer:
         }
         main = part if facts is not None else pose_part or part
         if main.layout != TableLayout():
-            content["table"] = main.layout.model_dump(exclude_none=True)
+            content["table"] = main.layout.model_dump(exclude_defaults=True)
         content["signals"] = signals
         mapping = validate(Mapping, content | {"robot": robot}, self._output / "mapping.yaml")
         rows = self._runs(mapping)
@@ -329,7 +364,7 @@ class _Importer:
                 found = find_layout(path)
                 layout = found.layout
                 self._lines.append(
-                    Line(f"table ({path.name})", _flow(layout.model_dump(exclude_none=True)), found.evidence)
+                    Line(f"table ({path.name})", _flow(layout.model_dump(exclude_defaults=True)), found.evidence)
                 )
             columns = read_columns(path, layout).cells
         return _Part(pattern, path, layout, columns, candidates_of(path, layout), clock_of(columns))
@@ -365,7 +400,7 @@ class _Importer:
         for part in self._parts:
             self._read(part, robot, facts.joint_count)
         every = [_Found(part, number) for part in self._parts for number in part.series]
-        seen = "; ".join(one.label for one in every) or "none"
+        seen = "; ".join(one.label for one in every)
         places = [
             (one, unit)
             for one in every
@@ -379,12 +414,7 @@ class _Importer:
         if not moving and not any(one.named("velocity") > 0.0 for one in every):
             motions = [_Motion(*place) for place in places if place[0].named("position") >= 0.0]
         if not motions:
-            raise InputError(
-                f"no two signals of {facts.joint_count} joints are positions within the limits of {robot} and their "
-                f"derivative; signals as wide as that: {seen}. Another --robot, or a mapping by hand "
-                "(docs/your_data.md)",
-                file=self._parts[0].path,
-            )
+            raise self._nothing(every, robot, facts.joint_count)
         motions = [max(motions, key=lambda one: one.score)] if moving else motions
         model = RobotModel(facts, MountedEndEffector().build(), pin.SE3.Identity())
         tried = [(motion, _torques(motion, every, model)) for motion in motions]
@@ -400,6 +430,9 @@ class _Importer:
                 "mapping by hand (docs/your_data.md)",
                 file=motion.position.part.path,
             )
+        self._remarks += [
+            f"{label} is left out, for the reader refuses it: {why}" for label, why in self._refused.items()
+        ]
         part = motion.position.part
         if OBJECT in part.pattern:
             raise InputError(
@@ -415,6 +448,29 @@ class _Importer:
             signals["velocity"] = self._joint_signal(*motion.velocity, part)
         own = {"joints": list(self._joints(part, motion.position.number, facts.joint_count))}
         return part, own | self._torque(torques, facts, robot, signals, part), signals
+
+    def _nothing(self, every: Sequence[_Found], robot: str, count: int) -> InputError:
+        """What is said where no signal is the motion of the joints."""
+        said = f"no signal of {count} joints can be read"
+        if every:
+            said = (
+                f"no two signals of {count} joints are positions within the limits of {robot} and their derivative; "
+                f"signals as wide as that: {'; '.join(one.label for one in every)}"
+            )
+        others = [
+            one.label for part in self._parts for one in part.candidates if not one.pose and one.width not in (1, count)
+        ]
+        said += f"; signals of other widths: {', '.join(others[:MOST_SHOWN])}" if others else ""
+        said += "".join(f"; the reader refuses {why}" for why in self._refusals())
+        remedy = "Another --robot, or a mapping by hand" if every else "A mapping by hand"
+        return InputError(f"{said}. {remedy} (docs/your_data.md)", file=self._parts[0].path)
+
+    def _refusals(self) -> list[str]:
+        """Signals that the reader refuses, with its reason."""
+        by_reason: dict[str, list[str]] = {}
+        for label, why in self._refused.items():
+            by_reason.setdefault(why, []).append(label)
+        return [f"{', '.join(labels[:MOST_SHOWN])}: {why}" for why, labels in by_reason.items()]
 
     def _check_rate(self, rate: float, places: Sequence[tuple[_Found, Guess]], every: Sequence[_Found]) -> None:
         """Refuse a sampling rate at which a velocity would be that of another one."""
@@ -473,6 +529,7 @@ class _Importer:
     def _read(self, part: _Part, robot: str, count: int) -> None:
         """Raw numbers of all candidates that are as wide as the robot has joints."""
         self._windows(part, count)
+        part.candidates += [first for one in part.candidates if (first := first_of(one, count)) is not None]
         numbered = tuple(f"joint{number}" for number in range(1, count + 1))
         shared = None if part.is_bag else open_file(part.path, self._raw_mapping(part, robot, numbered), Names(), ())
         for number, one in enumerate(part.candidates):
@@ -482,18 +539,25 @@ class _Importer:
             named = self._raw_mapping(part, robot, joints_of(one.joints, "", False, count), one.source)
             try:
                 series = (shared or open_file(part.path, named, Names(), ("position",))).series("position", source)
-            except InputError:
+            except InputError as error:
+                self._refused[one.label] = str(error)
                 continue
             usable = np.isfinite(series.values).all(axis=1) & np.isfinite(series.time)
             usable &= np.diff(series.time, prepend=-np.inf) > 0.0
             rows = np.flatnonzero(usable)[:MOST_SAMPLES]
             if rows.size > FEWEST_SAMPLES:
                 part.series[number] = replace(series, time=series.time[rows], values=series.values[rows])
+            else:
+                self._refused[one.label] = (
+                    f"{rows.size} of {usable.size} samples have numbers and a later stamp than the one before, more "
+                    f"than {FEWEST_SAMPLES} are needed; stamps were taken from {part.stamps}, the key time of a "
+                    "mapping names others, or a rate"
+                )
 
     def _windows(self, part: _Part, count: int) -> None:
         """Neighbouring columns without names; columns with names of a file that has but one signal."""
         names = [name for name, cells in part.columns.items() if vector_width(cells) == 1]
-        numeric = [name for name in names if part.clock is None or name != part.clock.value]
+        numeric = [name for name in names if name not in part.clock_columns]
         if not names or any(one.source.get("columns") for one in part.candidates):
             return
         if part.layout.header != 0 and part.path.suffix != ".npy":
@@ -526,7 +590,12 @@ class _Importer:
     def _signal(self, part: _Part, number: int, name: str, guess: Guess) -> dict[str, Any]:
         """Section of a signal, which is said."""
         source = self._source(part, dict(part.candidates[number].source))
-        self._say(f"signals.{name}", part.candidates[number].label, "by its numbers; see unit")
+        one = _Found(part, number)
+        shown = "by its numbers; see unit"
+        if one.is_cut:
+            shown += "; what stands behind the joints is left out, as a gripper"
+            self._remarks.append(f"signals.{name}: of {one.candidate.label} numbers are taken for the joints")
+        self._say(f"signals.{name}", one.candidate.label, shown, not one.is_cut)
         self._say(f"signals.{name}.unit", _flow(guess.value), guess.evidence, guess.sure)
         self._remarks += guess.remarks
         return {**source, "unit": guess.value, **guess.further}
@@ -576,7 +645,7 @@ class _Importer:
         sources = {name: {"column": name} for name in vectors}
         for name, column in part.columns.items():  # arrays of an array file are no columns
             if isinstance(column, np.ndarray) and column.ndim == 2:
-                vectors[name], sources[name] = column.shape[1], {"array": name}
+                vectors[name], sources[name] = width_of(column.shape), {"array": name}
         names = [name for name in vectors if not (with_robot and OF_THE_ROBOT.search(name))]
         groups = _axes(names)
         places = [sources[name] for name in names if vectors[name] == 3] + [{"columns": own} for own in groups[0]]
@@ -627,7 +696,7 @@ class _Importer:
         own: dict[str, Any] = {}
         if with_robot and part is not joints:
             if part.layout != joints.layout:
-                own["table"] = part.layout.model_dump(exclude_none=True)
+                own["table"] = part.layout.model_dump(exclude_defaults=True)
             if part.clock is not None and joints.clock is not None and part.clock.value != joints.clock.value:
                 own["time_array" if part.path.suffix in ARRAY_SUFFIXES else "time_column"] = part.clock.value
         return own

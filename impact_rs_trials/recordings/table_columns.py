@@ -65,7 +65,7 @@ def read_columns(path: Path, layout: TableLayout) -> Columns:
 
 
 def _of_text(path: Path, layout: TableLayout) -> Columns:
-    rows = csv_rows(path, layout.header, layout.first)
+    rows = csv_rows(path, layout.header, layout.first, layout.decimal)
     if layout.header == 0 and rows:
         rows.insert(0, (0, [f"c{number}" for number in range(1, len(rows[0][1]) + 1)]))
     if len(rows) < 2:

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import scipy.io
 from joint_recordings import Columns, swinging
 from refusals import refusal
 
@@ -186,6 +187,79 @@ def test_repeated_stamps_are_said_and_removed_on_request(tmp_path: Path, motion:
     assert any("--dedupe" in remark for remark in asked.remarks)
     draft = draft_import([file], tmp_path / "two", Wishes(robot="kuka_iiwa7", dedupe=True))
     check_reading(draft, tmp_path / "two", file, motion)
+
+
+def test_what_the_reader_refuses_is_said_with_its_reason(tmp_path: Path, motion: Columns) -> None:
+    """Stamps that hardly change, a cell that is no number, and signals of another width: not another robot."""
+    names = ["t", *numbered("q"), *numbered("dq"), *numbered("tau"), "a1", "a2"]
+    coarse = [np.floor(TIME), motion["position"], motion["velocity"], motion["effort"], TIME, TIME**2]
+    file = write(tmp_path / "log.csv", names, coarse)
+    said = refusal(draft_import, [file], tmp_path / "lab", Wishes(robot="kuka_iiwa7"))
+    assert "no signal of 7 joints can be read" in said and "--robot" not in said
+    assert "q1 … q7, dq1 … dq7, tau1 … tau7: 8 of 800 samples have numbers and a later stamp" in said
+    assert "stamps were taken from t [s], the key time of a mapping names others" in said
+    assert "signals of other widths: a1 … a2" in said
+    good = [TIME, motion["position"], motion["velocity"], motion["effort"], TIME, TIME**2]
+    text = write(tmp_path / "log.csv", names, good).read_text().splitlines()
+    cells = text[60].split(",")
+    text[60] = ",".join([*cells[:3], "broken", *cells[4:]])
+    file.write_text("\n".join(text))
+    said = refusal(draft_import, [file], tmp_path / "lab", Wishes(robot="kuka_iiwa7"))
+    assert "q1 … q7: " in said and "line 61" in said and "'broken' in column 'q3'" in said
+
+
+@pytest.mark.parametrize(("start", "mapping"), [(1.7e9, "[sec, nsec]"), (0.0, "[sec, nsec]")])
+def test_whole_seconds_and_nanoseconds_are_one_stamp(
+    tmp_path: Path, motion: Columns, start: float, mapping: str
+) -> None:
+    sec, nsec = np.divmod(np.round(1e9 * (TIME + 0.25)).astype(np.int64) + int(start) * 10**9, 10**9)
+    names = ["sec", "nsec", *numbered("q"), *numbered("dq"), *numbered("tau")]
+    columns = [sec.astype(float), nsec.astype(float), motion["position"], motion["velocity"], motion["effort"]]
+    file = write(tmp_path / "log.csv", names, columns)
+    draft = draft_import([file], tmp_path / "lab", Wishes(robot="kuka_iiwa7"))
+    assert f"time: {{column: {mapping}, unit: s}}   # whole seconds and nanoseconds" in draft.texts["mapping.yaml"]
+    check_reading(draft, tmp_path / "lab", file, motion)
+    (run,) = read_recordings(file, load_mapping(tmp_path / "lab" / "mapping.yaml"))
+    np.testing.assert_allclose(np.diff(run.signals.time), 0.01, atol=3e-7)
+
+
+def test_arrays_of_joints_x_samples_are_found(tmp_path: Path, motion: Columns) -> None:
+    """As MATLAB has them, with a gripper as eighth row."""
+    gripper = 0.02 * np.ones((1, TIME.size))
+    arrays = {"q": np.vstack((motion["position"].T, gripper)), "dq": motion["velocity"].T, "tau": motion["effort"].T}
+    scipy.io.savemat(tmp_path / "run.mat", {"log": {"t": TIME, **arrays}})
+    draft = draft_import([tmp_path / "run.mat"], tmp_path / "lab", Wishes(robot="kuka_iiwa7"))
+    mapping = load_mapping(described(draft, tmp_path / "lab"))
+    assert mapping.signals["position"].entries == (1, 2, 3, 4, 5, 6, 7)
+    assert mapping.signals["velocity"].entries is None
+    assert "signals.position: of log/q (8 × 800), the first 7 numbers are taken for the joints" in draft.remarks
+    check_reading(draft, tmp_path / "lab", tmp_path / "run.mat", motion)
+
+
+@pytest.mark.parametrize("first", [0, 1])
+def test_a_gripper_beside_the_joints_is_cut_off_and_said(tmp_path: Path, motion: Columns, first: int) -> None:
+    names, columns = ["t"], [TIME]
+    for stem, signal in (("q_", "position"), ("dq_", "velocity"), ("tau_", "effort")):
+        names += [f"{stem}{number}" for number in range(first, first + 8)]
+        columns.append(np.column_stack((motion[signal], 0.001 * np.sin(TIME))))
+    file = write(tmp_path / "log.csv", names, columns)
+    draft = draft_import([file], tmp_path / "lab", Wishes(robot="kuka_iiwa7"))
+    assert sum(", the first 7 numbers are taken for the joints" in remark for remark in draft.remarks) == 3
+    assert [line.sure for line in draft.lines if line.key == "signals.position"] == [False]
+    check_reading(draft, tmp_path / "lab", file, motion)
+    said = refusal(draft_import, [file], tmp_path / "lab", Wishes(robot="ur10e"))
+    assert "nothing goes with the torque" in said
+
+
+def test_numbers_with_decimal_commas_are_read(tmp_path: Path, motion: Columns) -> None:
+    names = ["Zeit [s]", *numbered("q"), *numbered("dq"), *numbered("tau")]
+    columns = [TIME, motion["position"], motion["velocity"], motion["effort"]]
+    file = write(tmp_path / "log.csv", names, columns, separator=";")
+    file.write_text(file.read_text().replace(".", ","))
+    draft = draft_import([file], tmp_path / "lab", Wishes(robot="kuka_iiwa7"))
+    assert 'table: {decimal: ","}' in draft.texts["mapping.yaml"]
+    assert "numbers have a decimal comma" in said_of(draft, "table (log.csv)")
+    check_reading(draft, tmp_path / "lab", file, motion)
 
 
 def hits(folder: Path, motion: Columns, runs: tuple[int, ...] = (8, 11), object_name: str = "1") -> Path:
@@ -387,6 +461,8 @@ def test_an_object_alone_needs_no_robot(tmp_path: Path) -> None:
         ("1 2\n3 4\n5 6\n", 0, None),
         ("17 rows\n1;2\n3;4\n5;6\n", 0, 2),
         ("# a b\n1 2\n3 4\n5 6\n", 1, None),
+        ("a;b\n1,5;2\n3,5;4\n5,5;6\n", None, None),
+        ("a,b;c\n1,2,3;4,5,6\n1,2,3;4,5,6\n1,2,3;4,5,6\n", 0, 2),
     ],
 )
 def test_where_a_table_begins_is_found_from_its_lines(
