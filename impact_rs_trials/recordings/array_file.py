@@ -26,6 +26,7 @@ UNSEALED = (
     "changes of numbers cannot be detected (fletcher32 in h5py)"
 )
 TIME_KEY = "time.array"
+HDF5 = (".h5", ".hdf5")
 REAL = "iuf"  # kinds of NumPy types whose numbers are taken: no complex ones, truth values, texts or durations
 
 
@@ -47,7 +48,9 @@ class ArrayFile:
     def __init__(self, path: Path, mapping: Mapping, names: Names) -> None:
         self._path, self._mapping, self._names = path, mapping, names
         self.unsealed: frozenset[str] = frozenset()
-        self._arrays, self.unsealed = _read(path)
+        named = [array for source in mapping.signals.values() for array in _arrays_of(source, mapping)]
+        within = {names.fill(array).strip("/") for array in named} if mapping.holds_runs else None
+        self._arrays, self.unsealed = _read(path, within)
 
     @staticmethod
     def arrays_of(path: Path) -> dict[str, NDArray[Any]]:
@@ -67,6 +70,15 @@ class ArrayFile:
             InputError: It is no such file.
         """
         return {name: array.shape for name, array in _read(path)[0].items()}
+
+    @staticmethod
+    def names_of(path: Path) -> list[str]:
+        """Names of the arrays of a file.
+
+        Raises:
+            InputError: It is no such file.
+        """
+        return list(_read(path, set())[0]) if path.suffix in HDF5 else list(_read(path)[0])
 
     def series(self, name: SignalName, source: SignalSource) -> Series:
         """One signal in SI units.
@@ -141,12 +153,18 @@ class ArrayFile:
         return np.asarray(stored, dtype=float)
 
 
-def _read(path: Path) -> tuple[dict[str, Array], frozenset[str]]:
-    """Arrays by name, and which of them carry no checksums."""
+def _arrays_of(source: SignalSource, mapping: Mapping) -> list[str]:
+    """Names of the arrays of a signal and of its stamps."""
+    time = source.time_array or mapping.time.array
+    return [*([source.array] if source.array else []), *([time] if isinstance(time, str) else time)]
+
+
+def _read(path: Path, within: set[str] | None = None) -> tuple[dict[str, Array], frozenset[str]]:
+    """Arrays by name, and which of them carry no checksums; of HDF5 files others than those within are left empty."""
     if path.suffix == ".npz":
         return _read_npz(path), frozenset()
-    if path.suffix != ".mat":
-        return _read_hdf5(path)
+    if path.suffix in HDF5:
+        return _read_hdf5(path, within)
     with path.open("rb") as file:
         newest = file.read(128).startswith(b"MATLAB 7.3")
     if not newest:
@@ -169,7 +187,7 @@ def _read_npz(path: Path) -> dict[str, Array]:
     return arrays
 
 
-def _read_hdf5(path: Path) -> tuple[dict[str, Array], frozenset[str]]:
+def _read_hdf5(path: Path, within: set[str] | None = None) -> tuple[dict[str, Array], frozenset[str]]:
     """Arrays by name, and which of them carry no checksums."""
     require("h5py", path)
     import h5py
@@ -181,6 +199,9 @@ def _read_hdf5(path: Path) -> tuple[dict[str, Array], frozenset[str]]:
         if isinstance(name, bytes):  # no text in UTF-8
             raise InputError(f"not a readable HDF5 file (name {name!r})", file=path)
         if not isinstance(item, h5py.Dataset):
+            return
+        if within is not None and name not in within:
+            arrays[name] = np.zeros(0)
             return
         if item.is_virtual or item.external:
             raise InputError(f"array {name!r} is made of other files, expected its numbers in this one", file=path)

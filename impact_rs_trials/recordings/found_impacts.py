@@ -21,7 +21,7 @@ from impact_rs_trials.recordings.laboratory import Laboratory, placed, with_obje
 from impact_rs_trials.recordings.mapping import Mapping, SignalName
 from impact_rs_trials.recordings.recording import find_recordings
 from impact_rs_trials.recordings.series import Names
-from impact_rs_trials.recordings.sources import read_series
+from impact_rs_trials.recordings.sources import read_series, runs_inside
 from impact_rs_trials.workers import Map
 
 SPIN = (
@@ -98,7 +98,7 @@ def _of_bodies(directory: Path, experiment: Experiment, body: Body, map_tasks: M
     (mapping,) = experiment.load_mappings(["body"]).values()
     plane = experiment.plane or Plane()
     tables = (directory / experiment.runs, experiment.folder / experiment.runs)
-    rows = [RunRow(path, "body", True, "") for path in find_recordings(directory)]
+    rows = [RunRow(run, "body", True, "") for path in find_recordings(directory) for run in runs_inside(path, mapping)]
     if any(table.is_file() for table in tables):
         rows = [row for row in read_runs(directory, experiment, None) if row.hit]
     runs, left_out = [], []

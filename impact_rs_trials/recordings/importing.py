@@ -54,6 +54,7 @@ from impact_rs_trials.recordings.guesses import (
     unit_of_position,
     velocity_of,
 )
+from impact_rs_trials.recordings.inner_runs import RUN, run_column_of, run_groups_of, runs_of
 from impact_rs_trials.recordings.mapping import (
     NO_ROBOT,
     Mapping,
@@ -64,8 +65,15 @@ from impact_rs_trials.recordings.mapping import (
 )
 from impact_rs_trials.recordings.recording import read_recordings
 from impact_rs_trials.recordings.series import Names, Series
-from impact_rs_trials.recordings.sources import ARRAY_SUFFIXES, BAG_SUFFIXES, is_bag_folder, open_file, read_series
-from impact_rs_trials.recordings.table_columns import read_columns
+from impact_rs_trials.recordings.sources import (
+    ARRAY_SUFFIXES,
+    BAG_SUFFIXES,
+    is_bag_folder,
+    open_file,
+    read_series,
+    runs_inside,
+)
+from impact_rs_trials.recordings.table_columns import read_columns, read_rows
 from impact_rs_trials.recordings.table_layout import find_layout
 
 MOST_SAMPLES = 20_000  # that are looked at
@@ -152,7 +160,7 @@ class _RunRow:
 
 @dataclass
 class _Part:
-    """One kind of file: its first one, with what it holds."""
+    """One kind of file: its first one, with what it holds; of several runs inside of it the first."""
 
     pattern: str
     path: Path
@@ -161,6 +169,13 @@ class _Part:
     candidates: list[SignalCandidate]
     clock: Guess | None
     series: dict[int, Series] = field(default_factory=dict)
+    run: str = ""
+    run_column: str | None = None
+
+    @property
+    def names(self) -> Names:
+        """What the placeholders of a mapping stand for."""
+        return Names(run=self.run or "*")
 
     @property
     def clock_columns(self) -> tuple[str, ...]:
@@ -341,6 +356,8 @@ class _Importer:
         main = part if facts is not None else pose_part or part
         if main.layout != TableLayout():
             content["table"] = main.layout.model_dump(exclude_defaults=True)
+        if main.run_column is not None:
+            content["run_column"] = main.run_column
         content["signals"] = signals
         mapping = validate(Mapping, content | {"robot": robot}, self._output / "mapping.yaml")
         rows = self._runs(mapping)
@@ -354,20 +371,44 @@ class _Importer:
 
     def _part(self, pattern: str, path: Path) -> _Part:
         layout = TableLayout()
-        columns: AbstractMapping[str, Sequence[str] | NDArray[Any]] = {}
         if is_bag_folder(path) or path.suffix in BAG_SUFFIXES:
-            return _Part(pattern, path, layout, columns, candidates_of(path), None)
+            return _Part(pattern, path, layout, {}, candidates_of(path), None)
         if path.suffix in ARRAY_SUFFIXES:
-            columns = ArrayFile.arrays_of(path)
-        else:
-            if path.suffix not in (".parquet", ".npy"):
-                found = find_layout(path)
-                layout = found.layout
-                self._lines.append(
-                    Line(f"table ({path.name})", _flow(layout.model_dump(exclude_defaults=True)), found.evidence)
+            return self._part_of_arrays(pattern, path)
+        if path.suffix not in (".parquet", ".npy"):
+            found = find_layout(path)
+            layout = found.layout
+            self._lines.append(
+                Line(f"table ({path.name})", _flow(layout.model_dump(exclude_defaults=True)), found.evidence)
+            )
+        columns = read_columns(path, layout).cells
+        run, column = "", None if self._groups.spread else run_column_of(columns)
+        if column is not None:
+            run = runs_of(columns[column])[0]
+            self._say("run_column", column, "says of every row which of several runs it belongs to")
+            columns = read_rows(path, layout, column, run).cells
+        part = _Part(pattern, path, layout, columns, candidates_of(path, layout), clock_of(columns))
+        return replace(part, run=run, run_column=column)
+
+    def _part_of_arrays(self, pattern: str, path: Path) -> _Part:
+        """A file of arrays; where groups of it are runs, those of the first, with ``{run}`` in their names."""
+        columns, candidates = ArrayFile.arrays_of(path), candidates_of(path)
+        groups, run = run_groups_of(columns), ""
+        if groups is not None:
+            listed = ", ".join(f"{groups.before}{name}" for name in groups.names[:MOST_SHOWN])
+            if groups.recorded and not self._groups.spread:
+                run = groups.names[0]
+                columns = {new: own for name, own in columns.items() if (new := groups.with_placeholder(name))}
+                named = [(one, groups.with_placeholder(one.source["array"])) for one in candidates]
+                candidates = [replace(one, source={"array": new}, label=new) for one, new in named if new]
+                self._say("{run}", listed, f"{len(groups.names)} groups hold the same arrays: each is a run")
+            else:
+                self._remarks.append(
+                    f"{path.name}: groups {listed} hold arrays of the same names, and one of them is described; where "
+                    f"they are runs, {RUN} in place of their name in every array and time.array of the mapping takes "
+                    "all of them, with FILE/GROUP as bag in runs.csv"
                 )
-            columns = read_columns(path, layout).cells
-        return _Part(pattern, path, layout, columns, candidates_of(path, layout), clock_of(columns))
+        return _Part(pattern, path, TableLayout(), columns, candidates, clock_of(columns), run=run)
 
     # ---- robot and joints -------------------------------------------------------------------------------------------
 
@@ -531,14 +572,14 @@ class _Importer:
         self._windows(part, count)
         part.candidates += [first for one in part.candidates if (first := first_of(one, count)) is not None]
         numbered = tuple(f"joint{number}" for number in range(1, count + 1))
-        shared = None if part.is_bag else open_file(part.path, self._raw_mapping(part, robot, numbered), Names(), ())
+        shared = None if part.is_bag else open_file(part.path, self._raw_mapping(part, robot, numbered), part.names, ())
         for number, one in enumerate(part.candidates):
             if one.pose or (one.width != count and len(one.joints) < count):
                 continue
             source = SignalSource(unit="rad", **one.source)
             named = self._raw_mapping(part, robot, joints_of(one.joints, "", False, count), one.source)
             try:
-                series = (shared or open_file(part.path, named, Names(), ("position",))).series("position", source)
+                series = (shared or open_file(part.path, named, part.names, ("position",))).series("position", source)
             except InputError as error:
                 self._refused[one.label] = str(error)
                 continue
@@ -584,7 +625,7 @@ class _Importer:
             signals = parts if source is None else {"object_pose": {"unit": "m", **source}}
         return Mapping.model_validate(
             {"description": "raw", "robot": robot, "joints": joints, "time": self._clock_keys(part),
-             "table": part.layout.model_dump(), "signals": signals}
+             "table": part.layout.model_dump(), "run_column": part.run_column, "signals": signals}
         )  # fmt: skip
 
     def _signal(self, part: _Part, number: int, name: str, guess: Guess) -> dict[str, Any]:
@@ -627,7 +668,7 @@ class _Importer:
         for part in self._parts:
             names = [name for name, cells in part.columns.items() if vector_width(cells) == 1]
             for columns in _axes(names)[0]:
-                file = open_file(part.path, self._raw_mapping(part, NO_ROBOT, ()), Names(), ("object_position",))
+                file = open_file(part.path, self._raw_mapping(part, NO_ROBOT, ()), part.names, ("object_position",))
                 place = file.series("object_position", SignalSource(unit="m", columns=tuple(columns))).values
                 length = unit_of_length(place)
                 self._say("signals.object_position", ", ".join(columns), length.evidence)
@@ -658,7 +699,7 @@ class _Importer:
         self, part: _Part, place: dict[str, Any], quaternion: dict[str, Any] | None
     ) -> dict[str, dict[str, Any]] | None:
         source = place if quaternion is None else None
-        file = open_file(part.path, self._raw_mapping(part, NO_ROBOT, (), source), Names(), ("object_pose",))
+        file = open_file(part.path, self._raw_mapping(part, NO_ROBOT, (), source), part.names, ("object_pose",))
 
         def numbers(name: SignalName, source: dict[str, Any]) -> Array | None:
             unit = "-" if name == "object_quaternion" else "m"
@@ -740,12 +781,12 @@ class _Importer:
         has_object = any(name.startswith("object") for name in mapping.signals)
         needed = {source.file for source in mapping.signals.values() if source.file is not None}
         rows, missing = [], []
-        for run in groups.runs:
-            lacking = needed & {kind for kind, files in groups.kinds.items() if run not in files}
+        for run, session in self._named_runs(mapping):
+            lacking = needed & {kind for kind, files in groups.kinds.items() if groups.spread and run not in files}
             if lacking:
                 missing.append(f"{run} ({', '.join(sorted(lacking))})")
                 continue
-            row = _RunRow(run, groups.objects.get(run, ""), groups.sessions.get(run, ""))
+            row = _RunRow(run, groups.objects.get(run, ""), session)
             try:
                 moves = has_object and _object_moves(groups.folder / run, mapping, row.names)
             except InputError as error:
@@ -766,6 +807,20 @@ class _Importer:
             self._say("kind in runs.csv", "hit", f"the object moves by more than {1e3 * MOVED:g} mm")
             rows = self._with_objects(rows)
         return rows
+
+    def _named_runs(self, mapping: Mapping) -> Iterator[tuple[str, str]]:
+        """All runs, also those inside of files, and their sessions."""
+        for run in self._groups.runs:
+            session = self._groups.sessions.get(run, "")
+            if not mapping.holds_runs or self._groups.spread:
+                yield run, session
+                continue
+            try:
+                inside = runs_inside(self._groups.folder / run, mapping)
+            except InputError as error:
+                self._remarks.append(f"{run} is left out, for the reader refuses it: {error}")
+                continue
+            yield from ((str(path.relative_to(self._groups.folder)), session) for path in inside)
 
     def _say_unread(self, needed: set[str]) -> None:
         """Files that hold no signal of the mapping."""
@@ -816,7 +871,7 @@ class _Importer:
                 read = read_series(path, mapping, wanted, wanted, row.names)
                 self._remarks += [remark for one in read.values() for remark in one.remarks]
             else:
-                target = path if path.exists() else path.parent
+                target = path if path.exists() or path.parent.is_file() else path.parent
                 self._remarks += [remark for run in read_recordings(target, mapping)[:1] for remark in run.remarks]
         except InputError as error:
             self._remarks.append(f"the reader refuses {row.run} as it is described: {error}")

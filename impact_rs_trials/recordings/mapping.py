@@ -228,6 +228,10 @@ class Mapping(Schema):
     low_pass: Annotated[float, Field(gt=0.0, description="cut-off of the zero-phase low-pass [Hz]")] = 3.0
     time: TimeSource = Field(default_factory=TimeSource, description="time stamps")
     table: TableLayout = Field(default_factory=TableLayout, description="where a text table has its names and rows")
+    run_column: str | None = Field(
+        None,
+        description="column of tables that says the run of each row, where a file holds several, as episode_index",
+    )
     definitions: tuple[str, ...] = Field((), description="message packages whose definitions are in mappings/messages")
     signals: dict[SignalName, SignalSource] = Field(description="where each signal is")
 
@@ -326,6 +330,11 @@ class Mapping(Schema):
     def spread(self) -> bool:
         """Whether every run lies in files of its own name, which no file of one run holds together."""
         return all(source.file is not None and "{run}" in source.file for source in self.signals.values())
+
+    @property
+    def holds_runs(self) -> bool:
+        """Whether a file may hold several runs: rows of a column, or groups of arrays with ``{run}`` in their names."""
+        return self.run_column is not None or any("{run}" in (source.array or "") for source in self.signals.values())
 
     def width(self, signal: SignalName) -> int:
         """How many numbers one sample of a signal has."""

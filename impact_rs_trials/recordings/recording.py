@@ -30,6 +30,7 @@ from impact_rs_trials.recordings.sources import (
     read_series,
     run_folders,
     runs_below,
+    runs_inside,
 )
 from impact_rs_trials.runs import ArmSignals, Run, Signals
 
@@ -91,7 +92,7 @@ def _is_trial(path: Path) -> bool:
 
 
 def read_recordings(path: Path, mapping: Mapping) -> list[Run]:
-    """Every recording at ``path``, checked.
+    """Every recording at ``path``, a file, a run inside of it, or a folder, checked.
 
     Raises:
         InputError: A recording cannot be used; the message says what was expected.
@@ -103,6 +104,9 @@ def read_recordings(path: Path, mapping: Mapping) -> list[Run]:
             raise InputError(
                 f"no run here has the files that signals.NAME.file of the mapping names: {files}", file=path
             )
+    elif mapping.holds_runs:
+        whole = [] if path.parent.is_file() else find_recordings(path)
+        found = [run for file in whole for run in runs_inside(file, mapping)] or [path]
     else:
         found = find_recordings(path)
     return [piece for item in found for piece in _pieces(item, mapping)]

@@ -20,7 +20,7 @@ from impact_rs_sim.robot import Array
 from impact_rs_trials.recordings.clock import seconds_of, seconds_of_pair
 from impact_rs_trials.recordings.mapping import UNITS, Mapping, SignalName, SignalSource, TableLayout
 from impact_rs_trials.recordings.series import MissingSignal, Names, Series
-from impact_rs_trials.recordings.table_columns import read_columns
+from impact_rs_trials.recordings.table_columns import read_columns, read_rows
 
 SHOWN = 8  # column names in a message
 BRACKETS = "[](){} \t"  # about the numbers of a cell
@@ -48,7 +48,11 @@ class TableFile:
         self._path, self._mapping, self._names = path, mapping, names
         here = [source for source in mapping.signals.values() if source.file and names.fill(source.file) == path.name]
         own = [source.table for source in here if source.table is not None]
-        self._columns = read_columns(path, own[0] if own else mapping.table)
+        layout = own[0] if own else mapping.table
+        if mapping.run_column is None:
+            self._columns = read_columns(path, layout)
+        else:
+            self._columns = read_rows(path, layout, mapping.run_column, names.run)
 
     @staticmethod
     def columns_of(path: Path, layout: TableLayout | None = None) -> list[str]:

@@ -13,7 +13,7 @@ from refusals import refusal
 
 from impact_rs_sim.robot import load_facts
 from impact_rs_sim.robot_model import RobotModel
-from impact_rs_trials.recordings.experiment import load_experiment, read_runs
+from impact_rs_trials.recordings.experiment import Experiment, load_experiment, read_runs
 from impact_rs_trials.recordings.file_groups import group_files
 from impact_rs_trials.recordings.importing import ImportDraft, Wishes, draft_import
 from impact_rs_trials.recordings.laboratory import Laboratory
@@ -260,6 +260,60 @@ def test_numbers_with_decimal_commas_are_read(tmp_path: Path, motion: Columns) -
     assert 'table: {decimal: ","}' in draft.texts["mapping.yaml"]
     assert "numbers have a decimal comma" in said_of(draft, "table (log.csv)")
     check_reading(draft, tmp_path / "lab", file, motion)
+
+
+def two_groups(path: Path, motion: Columns, name: str) -> Path:
+    """The motion and, in a second group, its first half with another stamp."""
+    with pytest.importorskip("h5py").File(path, "w") as file:
+        for number, rows in ((1, slice(None)), (2, slice(0, 400))):
+            stamps = TIME[rows] + 100.0 * number
+            arrays = {"t": stamps, "q": motion["position"], "dq": motion["velocity"], "tau": motion["effort"]}
+            for key, values in arrays.items():
+                file[f"{name}_{number:03d}/robot/{key}"] = values[rows]
+    return path
+
+
+def test_every_recording_of_an_hdf5_file_is_a_run(tmp_path: Path, motion: Columns) -> None:
+    file = two_groups(tmp_path / "archive.h5", motion, "Rec")
+    draft = draft_import([file], tmp_path / "lab", Wishes(robot="kuka_iiwa7"))
+    assert draft.runs == 2
+    assert draft.texts["runs.csv"].splitlines()[1:] == [
+        "archive.h5/Rec_001,none,free motion", "archive.h5/Rec_002,none,free motion",
+    ]  # fmt: skip
+    mapping = load_mapping(described(draft, tmp_path / "lab"))
+    assert mapping.signals["position"].array == "{run}/robot/q"
+    assert not any("refuses" in remark for remark in draft.remarks)
+    runs = read_recordings(file, mapping)
+    assert [(run.name, run.signals.time.size) for run in runs] == [("Rec_001", 800), ("Rec_002", 400)]
+    np.testing.assert_allclose(runs[1].signals.arms["arm"].position, motion["position"][:400], atol=1e-9)
+    (alone,) = read_recordings(file / "Rec_002", mapping)
+    assert alone.signals.time.size == 400
+    experiment = Experiment(scenario="push_iiwa7", mapping=str(tmp_path / "lab" / "mapping.yaml"))
+    (tmp_path / "runs.csv").write_text(draft.texts["runs.csv"])
+    rows = read_runs(tmp_path, experiment, experiment.load_scenario())
+    assert [row.path for row in rows] == [file / "Rec_001", file / "Rec_002"]
+
+
+def test_groups_that_may_be_robots_are_not_left_out_in_silence(tmp_path: Path, motion: Columns) -> None:
+    draft = draft_import([two_groups(tmp_path / "a.h5", motion, "arm")], tmp_path / "lab", Wishes(robot="kuka_iiwa7"))
+    assert draft.runs == 1
+    (said,) = [remark for remark in draft.remarks if "hold arrays of the same names" in remark]
+    assert "groups arm_001, arm_002" in said and "{run} in place of their name" in said
+
+
+def test_episodes_of_one_table_are_runs(tmp_path: Path, motion: Columns) -> None:
+    names = ["timestamp", "episode_index", "frame_index", *numbered("q"), *numbered("dq"), *numbered("tau")]
+    half = [signal.reshape(2, 400, -1) for signal in (motion["position"], motion["velocity"], motion["effort"])]
+    frames = np.arange(400.0)
+    columns = [np.tile(TIME[:400], 2), np.repeat([3.0, 4.0], 400), np.tile(frames, 2)]
+    file = write(tmp_path / "file-000.csv", names, [*columns, *(np.vstack(list(one)) for one in half)])
+    draft = draft_import([file], tmp_path / "lab", Wishes(robot="kuka_iiwa7"))
+    assert draft.texts["runs.csv"].splitlines()[1:] == [
+        "file-000.csv/3,none,free motion", "file-000.csv/4,none,free motion",
+    ]  # fmt: skip
+    runs = read_recordings(file, load_mapping(described(draft, tmp_path / "lab")))
+    found = np.vstack([run.signals.arms["arm"].position for run in runs])
+    np.testing.assert_allclose(found, motion["position"], atol=1e-9)
 
 
 def hits(folder: Path, motion: Columns, runs: tuple[int, ...] = (8, 11), object_name: str = "1") -> Path:
