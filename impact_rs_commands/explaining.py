@@ -86,7 +86,8 @@ Look at recorded files and write the files that describe them: mapping.yaml, run
 something is hit.
 
 Tables (.csv, .txt, .tsv, .dat, .parquet, .npy), arrays (.npz, .h5, .mat) and bags are read as they are: lines above
-the names, no names at all, all joints in one cell, stamps in s, ms, us, ns or as dates, a file per signal and run. What
+the names, no names at all, all joints in one cell, decimal commas, stamps in s, ms, us, ns, as seconds beside
+nanoseconds or as dates, a file per signal and run, a folder per session, several recordings in one file. What
 a column is, its numbers decide: positions lie within the limits of the robot, velocities are their derivative, torques
 are those of weight and inertia. Every value is printed and written with what shows it; ASSUMED marks values that
 nothing shows. Look at those, then compare. Files are never overwritten.""",

@@ -85,6 +85,8 @@ OF_THE_ROBOT = re.compile(r"eef|(^|_)ee(_|$)|tcp|tool|flange|hand", re.IGNORECAS
 MOVED = 0.005  # m, from which an object was hit
 AXES = ("x", "y", "z")
 QUATERNION = (("x", "y", "z", "w"), ("w", "x", "y", "z"))
+SI = {"rad", "m", "rad/s", "m/s", "N m", "N"}
+MOST_COMPARED = 10  # runs beside the first
 RAW_UNITS = {"position": "rad", "velocity": "rad/s", "torque": "N m"}
 
 
@@ -366,6 +368,8 @@ class _Importer:
         if hits or facts is None or self._wishes.scenario is not None:
             texts["experiment.yaml"] = self._experiment(facts, robot)
         self._try(mapping, rows)
+        if facts is not None:
+            self._compare_runs(mapping, rows, facts)
         remarks = tuple(dict.fromkeys(self._remarks))
         return ImportDraft(self._groups.folder, texts, tuple(self._lines), remarks, hits, len(rows))
 
@@ -583,15 +587,13 @@ class _Importer:
             except InputError as error:
                 self._refused[one.label] = str(error)
                 continue
-            usable = np.isfinite(series.values).all(axis=1) & np.isfinite(series.time)
-            usable &= np.diff(series.time, prepend=-np.inf) > 0.0
-            rows = np.flatnonzero(usable)[:MOST_SAMPLES]
+            rows = _usable(series)
             if rows.size > FEWEST_SAMPLES:
                 part.series[number] = replace(series, time=series.time[rows], values=series.values[rows])
             else:
                 self._refused[one.label] = (
-                    f"{rows.size} of {usable.size} samples have numbers and a later stamp than the one before, more "
-                    f"than {FEWEST_SAMPLES} are needed; stamps were taken from {part.stamps}, the key time of a "
+                    f"{rows.size} of {series.time.size} samples have numbers and a later stamp than the one before, "
+                    f"more than {FEWEST_SAMPLES} are needed; stamps were taken from {part.stamps}, the key time of a "
                     "mapping names others, or a rate"
                 )
 
@@ -876,6 +878,29 @@ class _Importer:
         except InputError as error:
             self._remarks.append(f"the reader refuses {row.run} as it is described: {error}")
 
+    def _compare_runs(self, mapping: Mapping, rows: Sequence[_RunRow], facts: RobotFacts) -> None:
+        """Units and signs of other runs than the first, which the description was made of."""
+        first, *others = rows
+        numbers = np.unique(np.linspace(0, len(others) - 1, min(MOST_COMPARED, len(others))).astype(int))
+        model = RobotModel(facts, MountedEndEffector().build(), pin.SE3.Identity())
+        apart = 0
+        for row in (others[number] for number in numbers):
+            try:
+                doubt = _doubt(self._groups.folder / row.run, mapping, row.names, model)
+            except InputError as error:
+                doubt = f"the reader refuses it: {error}"
+            if doubt is not None:
+                apart += 1
+                self._remarks.append(
+                    f"{row.run} is not as {first.run}, of which the description was made: {doubt}; describe it by "
+                    "itself, or take it out of runs.csv"
+                )
+        if others and not apart:
+            said = (
+                f"units and signs of {first.run} hold in {len(numbers)} other{'s' if len(numbers) > 1 else ''} as well"
+            )
+            self._say("runs", f"{len(numbers)} of {len(others)} others", said)
+
     def _say(self, key: str, value: str, evidence: str, sure: bool = True) -> None:
         self._lines.append(Line(key, value, evidence, sure))
 
@@ -902,6 +927,41 @@ body:
   # place: {position: [0, 0, 0], rpy: [0, 0, 0]}   # its centre and axes in the tracked frame
 plane: {height: 0.0, normal: [0, 0, 1]}   # ASSUMED: where the plane is in the tracker's world
 """
+
+
+def _doubt(path: Path, mapping: Mapping, names: Names, model: RobotModel) -> str | None:
+    """What contradicts a mapping in the joints of a run; None: nothing."""
+    needed: tuple[SignalName, ...] = ("position", "torque")
+    read = read_series(path, mapping, (*needed, "velocity"), needed, names)
+    rows = _usable(read["position"])
+    time, q = read["position"].time[rows], read["position"].values[rows]
+    if rows.size <= FEWEST_SAMPLES:
+        return f"{rows.size} samples of the positions can be used"
+    dq, tau = read["velocity"].at(time), read["torque"].at(time)
+    if not np.isfinite(np.hstack((dq, tau))).all():
+        return None
+    place = unit_of_position(q, model.facts, "")
+    if place is None or _strange(place.value):
+        return "its positions do not lie within the limits of the joints" + (f" but in {place.value}" if place else "")
+    speed = velocity_of(time, q, dq, model.facts) if "velocity" in mapping.signals else None
+    if speed is not None and (_strange(speed[1].value) or "factor" in speed[1].further):
+        return f"the velocities are {speed[1].evidence}"
+    torque = torque_of(time, q, dq, tau, model, "")
+    if torque is not None and torque[1].sure and (_strange(torque[1].value) or "factor" in torque[1].further):
+        return f"as described its torques are {torque[1].evidence}"
+    return None
+
+
+def _strange(unit: Any) -> bool:
+    """Whether a unit that was found for numbers in SI units is another one."""
+    return not {unit} <= SI if isinstance(unit, str) else not set(unit) <= SI
+
+
+def _usable(series: Series) -> NDArray[np.signedinteger]:
+    """Rows with numbers and a later stamp than the one before, as many as are looked at."""
+    usable = np.isfinite(series.values).all(axis=1) & np.isfinite(series.time)
+    usable &= np.diff(series.time, prepend=-np.inf) > 0.0
+    return np.flatnonzero(usable)[:MOST_SAMPLES]
 
 
 def _object_moves(path: Path, mapping: Mapping, names: Names) -> bool:

@@ -159,13 +159,14 @@ class TableFile:
     def _vectors(self, column: str, name: SignalName, key: str, entries: tuple[int, ...] | None) -> Array:
         """Cells that hold all numbers of a sample, ``(k, width)``; those of an empty cell are nan."""
         cells, width = self._cells(column, name, key), self._mapping.width(name)
-        rows = np.full((len(cells), width), np.nan)
+        rows, whole = np.full((len(cells), width), np.nan), 0
         for row, cell in enumerate(cells):
             parts = [part for part in BETWEEN.split(str(cell).strip(BRACKETS)) if part]
             if entries is not None and parts:
-                if len(parts) < max(entries):
-                    said = f"{len(parts)} numbers in a cell, expected at least the {max(entries)} that entries names"
-                    raise self._wrong(said, row, column)
+                whole = whole or max(len(parts), max(entries))
+                if len(parts) != whole:
+                    said = f"{len(parts)} numbers in a cell, expected {whole}"
+                    raise self._wrong(f"{said}, as many in all rows and all that entries names", row, column)
                 parts = [parts[entry - 1] for entry in entries]
             if len(parts) not in (0, width):
                 said = (

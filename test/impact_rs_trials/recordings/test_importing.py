@@ -409,6 +409,33 @@ def test_robots_in_one_folder_are_imported_by_themselves(tmp_path: Path, motion:
     assert "of IIWA, UR: import the runs of each robot by themselves" in said
 
 
+def test_runs_that_contradict_the_first_are_named(tmp_path: Path, motion: Columns) -> None:
+    """Guesses come from one run: a sensor that was turned round later, degrees in place of radians."""
+    names = ["t", *numbered("q"), *numbered("dq"), *numbered("tau")]
+    signals = [motion["position"], motion["velocity"], motion["effort"]]
+    (tmp_path / "raw").mkdir()
+    write(tmp_path / "raw" / "run_1.csv", names, [TIME, *signals])
+    write(
+        tmp_path / "raw" / "run_2.csv",
+        names,
+        [TIME, *(np.flip(signal, axis=0) * sign for signal, sign in zip(signals, (1, -1, 1), strict=True))],
+    )
+    alike = draft_import([tmp_path / "raw"], tmp_path / "one", Wishes(robot="kuka_iiwa7"))
+    assert said_of(alike, "runs").startswith("1 of 1 others units and signs of run_1.csv hold")
+    assert not any("is not as" in remark for remark in alike.remarks)
+    write(tmp_path / "raw" / "run_3.csv", names, [TIME, *signals[:2], -signals[2]])
+    write(tmp_path / "raw" / "run_4.csv", names, [TIME, np.degrees(signals[0]), *signals[1:]])
+    write(tmp_path / "raw" / "run_5.csv", names, [TIME, signals[0], -signals[1], signals[2]])
+    write(tmp_path / "raw" / "run_6.csv", names[:8], [TIME, signals[0]])
+    draft = draft_import([tmp_path / "raw"], tmp_path / "two", Wishes(robot="kuka_iiwa7"))
+    said = [remark for remark in draft.remarks if "is not as run_1.csv, of which the description was made" in remark]
+    assert [remark.split(" ")[0] for remark in said] == ["run_3.csv", "run_4.csv", "run_5.csv", "run_6.csv"]
+    assert "as described its torques are -1 times the torque that weight and inertia" in said[0]
+    assert "its positions do not lie within the limits of the joints but in deg" in said[1]
+    assert "the velocities are -1 times the derivative" in said[2]
+    assert "the reader refuses it" in said[3] and "no column 'tau1'" in said[3]
+
+
 def test_a_run_that_cannot_be_read_is_named(tmp_path: Path, motion: Columns) -> None:
     hits(tmp_path / "raw", motion, (0, 1))
     (tmp_path / "raw" / "object_1_hit_1.csv").write_text("RosTime,Position,Orientation\n1,none,0 0 0 1\n")

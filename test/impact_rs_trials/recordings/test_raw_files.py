@@ -210,7 +210,7 @@ def test_numbers_are_no_dates(tmp_path: Path) -> None:
         (lambda p: vectors(p, "1 "), mapping_of(column="JointPosition"), "entries in the mapping says which"),
         (
             vectors, mapping_of(column="JointPosition", entries=JOINTS_OF_NINE),
-            "line 2: not a table of numbers: 7 numbers in a cell, expected at least the 8 that entries names",
+            "line 2: not a table of numbers: 7 numbers in a cell, expected 8, as many in all rows",
         ),
         (
             lambda p: text(p, ""), mapping_of({"column": ["position_1", "time"]}, **BY_NAME),
