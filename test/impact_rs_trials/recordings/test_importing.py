@@ -576,6 +576,9 @@ def test_files_are_grouped_by_what_differs_in_their_names(tmp_path: Path) -> Non
     assert several[1] == ("1_hit_0", "1_hit_1", "2_hit_0", "2_hit_1")
     words = groups("arm_hit_1.csv", "arm_hit_2.csv", "box_hit_1.csv", "cup_hit_2.csv")
     assert words[0] == ["arm_hit_{run}.csv", "{object}_hit_{run}.csv"]
+    boxes = ("box_1_hit_1.csv", "box_1_hit_2.csv", "box_2_hit_2.csv", "box_2_hit_3.csv")  # both are in run 2
+    two = groups("arm_hit_1.csv", "arm_hit_2.csv", "arm_hit_3.csv", *boxes)
+    assert two[0] == ["arm_hit_{run}.csv", "box_1_hit_{run}.csv", "box_2_hit_{run}.csv"]
 
 
 def test_folders_are_sessions_where_they_hold_several_runs(tmp_path: Path) -> None:

@@ -97,6 +97,14 @@ def test_groups_of_arrays_are_runs(tmp_path: Path) -> None:
     assert "no array 'Rec_3/robot/q' (position); did you mean" in said and "Rec_10/robot/q" in said
 
 
+def test_a_group_that_is_called_as_its_file_is_one_run(tmp_path: Path) -> None:
+    file = tmp_path / "Rec_2.npz"
+    np.savez(file, **{"Rec_2/q": VALUES, "t": TIME})
+    mapping = mapping_of({"array": "{run}/q"}, time={"array": "t"})
+    assert runs_inside(file, mapping) == [file]
+    np.testing.assert_array_equal(read(file, mapping).values, VALUES)
+
+
 @pytest.mark.parametrize(
     ("arrays", "before", "names", "recorded"),
     [
@@ -120,4 +128,5 @@ def test_what_is_one_run_is_not_cut() -> None:
     assert run_column_of({"t": TIME, "index": np.arange(24), "episode_index": np.zeros(24, int)}) is None
     assert run_column_of({"episode_index": np.arange(24) // 8}) is None  # too short for runs
     assert run_column_of({"episode_index": np.arange(100) % 2}) is None
+    assert run_column_of({"episode_index": np.arange(120) // 40 % 2}) is None  # 0 comes again
     assert run_column_of({"episode_index": np.arange(100) // 50}) == "episode_index"

@@ -12,6 +12,7 @@ import scipy.io
 from refusals import refusal
 from signal_files import TIME, VALUES
 
+from impact_rs_trials.recordings.csv_rows import decimal_sign
 from impact_rs_trials.recordings.experiment import Experiment, read_runs
 from impact_rs_trials.recordings.mapping import Mapping, load_mapping
 from impact_rs_trials.recordings.series import Series
@@ -228,6 +229,24 @@ def test_what_does_not_fit_names_the_key_and_the_line(
     error = refusal(read, path, mapping)
     assert said in error
     assert str(path) in error
+
+
+def test_cells_that_lost_a_number_are_refused_where_entries_are_taken(tmp_path: Path) -> None:
+    """Nine numbers in all rows but one, which has eight: the others of that row may be shifted."""
+    file = vectors(tmp_path / "a.csv", "0.5 ", " 0.04")
+    lines = file.read_text().splitlines()
+    lines[5] = lines[5].replace("0.5 ", "", 1)
+    file.write_text("\n".join(lines))
+    said = refusal(read, file, mapping_of(column="JointPosition", entries=JOINTS_OF_NINE))
+    assert "line 6" in said and "8 numbers in a cell, expected 9, as many in all rows" in said
+
+
+@pytest.mark.parametrize(
+    ("line", "sign"),
+    [("0,5;1", ","), ("0,5\t-1,25e3", ","), ("0.5;1", "."), ("0,5", "."), ("1,2,3;4,5,6", "."), ("1,5;4,5,6", ".")],
+)
+def test_a_decimal_comma_stands_alone_in_its_cell(line: str, sign: str) -> None:
+    assert decimal_sign(["a;b", line]) == sign
 
 
 def test_repeated_stamps_are_refused_or_the_first_is_kept_and_said(tmp_path: Path) -> None:
