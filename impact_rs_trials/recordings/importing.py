@@ -348,6 +348,8 @@ class _Importer:
                 "neither joints nor the pose of an object; expected columns of joints (--robot says which robot), or "
                 "x, y, z and a quaternion", file=self._parts[0].path,
             )  # fmt: skip
+        if facts is None and pose_part is not None:
+            self._refuse_several(pose_part, "objects without a robot", "object")
         clock = self._time(part if facts is not None else pose_part or part)
         content: dict[str, Any] = {
             "description": f"{self._groups.folder.name or 'recordings'}, as impact-rs import found it",
@@ -479,11 +481,7 @@ class _Importer:
             f"{label} is left out, for the reader refuses it: {why}" for label, why in self._refused.items()
         ]
         part = motion.position.part
-        if OBJECT in part.pattern:
-            raise InputError(
-                f"files {part.pattern} hold joints, of {', '.join(sorted(set(self._groups.objects.values())))}: import "
-                "the runs of each robot by themselves", file=part.path,
-            )  # fmt: skip
+        self._refuse_several(part, "joints", "robot")
         signals = {"position": self._joint_signal(motion.position, "position", replace(motion.unit, further={}), part)}
         if motion.velocity is None:
             self._say(
@@ -493,6 +491,13 @@ class _Importer:
             signals["velocity"] = self._joint_signal(*motion.velocity, part)
         own = {"joints": list(self._joints(part, motion.position.number, facts.joint_count))}
         return part, own | self._torque(torques, facts, robot, signals, part), signals
+
+    def _refuse_several(self, part: _Part, what: str, whose: str) -> None:
+        """Files that differ in a word are of objects that a robot hits, and of nothing else."""
+        if OBJECT in part.pattern:
+            named = ", ".join(sorted(set(self._groups.objects.values())))
+            said = f"files {part.pattern} hold {what}, of {named}: import the runs of each {whose} by themselves"
+            raise InputError(said, file=part.path)
 
     def _nothing(self, every: Sequence[_Found], robot: str, count: int) -> InputError:
         """What is said where no signal is the motion of the joints."""
@@ -782,13 +787,14 @@ class _Importer:
         groups = self._groups
         has_object = any(name.startswith("object") for name in mapping.signals)
         needed = {source.file for source in mapping.signals.values() if source.file is not None}
+        objects = groups.objects if any(OBJECT in file for file in needed) else {}
         rows, missing = [], []
         for run, session in self._named_runs(mapping):
             lacking = needed & {kind for kind, files in groups.kinds.items() if groups.spread and run not in files}
             if lacking:
                 missing.append(f"{run} ({', '.join(sorted(lacking))})")
                 continue
-            row = _RunRow(run, groups.objects.get(run, ""), session)
+            row = _RunRow(run, objects.get(run, ""), session)
             try:
                 moves = has_object and _object_moves(groups.folder / run, mapping, row.names)
             except InputError as error:
@@ -834,7 +840,7 @@ class _Importer:
     def _with_objects(self, rows: list[_RunRow]) -> list[_RunRow]:
         """Rows with the object that was hit."""
         objects = [] if self._wishes.scenario is None else list(load_scenario(self._wishes.scenario).objects)
-        if named := list(dict.fromkeys(self._groups.objects.values())):
+        if named := list(dict.fromkeys(row.object for row in rows if row.object)):
             self._say("object in runs.csv", _flow(named), "the names of the files say which")
             if objects and not set(named) <= set(objects):
                 self._remarks.append(

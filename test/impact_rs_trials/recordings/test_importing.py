@@ -398,7 +398,7 @@ def test_the_object_of_a_run_is_found_in_the_name_of_its_file(tmp_path: Path, mo
         assert laboratory.series(row, ["position", "object_position"], ["object_position"])["arm"]["object_position"]
     (tmp_path / "raw" / "object_juice_hit_2.csv").rename(tmp_path / "raw" / "object_cup_hit_2.csv")
     strange = draft_import([tmp_path / "raw"], tmp_path / "lab", Wishes(robot="kuka_iiwa7", scenario="push_iiwa7"))
-    assert any("files call the objects cup, parcel, push_iiwa7 has parcel, " in remark for remark in strange.remarks)
+    assert any("files call the objects parcel, cup, push_iiwa7 has parcel, " in remark for remark in strange.remarks)
 
 
 def test_robots_in_one_folder_are_imported_by_themselves(tmp_path: Path, motion: Columns) -> None:
@@ -407,6 +407,21 @@ def test_robots_in_one_folder_are_imported_by_themselves(tmp_path: Path, motion:
     (tmp_path / "raw" / "IIWA_7_hit_1.csv").rename(tmp_path / "raw" / "UR_7_hit_1.csv")
     said = refusal(draft_import, [tmp_path / "raw"], tmp_path / "lab", Wishes(robot="kuka_iiwa7"))
     assert "of IIWA, UR: import the runs of each robot by themselves" in said
+    hits(tmp_path / "alone", motion, (0,), "box")
+    hits(tmp_path / "alone", motion, (1,), "cup")
+    for run in (0, 1):  # no robot, but something else of every run
+        (tmp_path / "alone" / f"IIWA_7_hit_{run}.csv").write_text("t,count\n0.0,1\n0.1,2\n0.2,3\n")
+    said = refusal(draft_import, [tmp_path / "alone"], tmp_path / "lab", Wishes(robot="none"))
+    assert "of box, cup: import the runs of each object by themselves" in said
+
+
+def test_a_word_in_the_name_of_another_file_is_no_object(tmp_path: Path, motion: Columns) -> None:
+    hits(tmp_path / "raw", motion, (0, 1))
+    for name in ("force_left_0", "force_right_1"):
+        (tmp_path / "raw" / f"{name}.csv").write_text("t,count\n0.0,1\n0.1,2\n0.2,3\n")
+    draft = draft_import([tmp_path / "raw"], tmp_path / "lab", Wishes(robot="kuka_iiwa7", scenario="push_iiwa7"))
+    assert draft.texts["runs.csv"].splitlines()[1:] == ["0,parcel,hit", "1,parcel,hit"]
+    assert "not read, for the mapping takes no signal from them: force_{object}_{run}.csv" in draft.remarks
 
 
 def test_runs_that_contradict_the_first_are_named(tmp_path: Path, motion: Columns) -> None:
