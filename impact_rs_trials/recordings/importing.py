@@ -9,9 +9,6 @@ what is used.
 
 from __future__ import annotations
 
-import csv
-import io
-import json
 import os
 import re
 from collections.abc import Iterator, Sequence
@@ -41,7 +38,7 @@ from impact_rs_trials.recordings.candidates import (
     vector_width,
     width_of,
 )
-from impact_rs_trials.recordings.file_groups import OBJECT, FileGroups, group_files, recordings_in, run_name
+from impact_rs_trials.recordings.file_groups import OBJECT, FileGroups, group_files, recordings_in
 from impact_rs_trials.recordings.guesses import (
     Guess,
     clock_of,
@@ -54,6 +51,8 @@ from impact_rs_trials.recordings.guesses import (
     unit_of_position,
     velocity_of,
 )
+from impact_rs_trials.recordings.import_checks import FEWEST_SAMPLES, MOVED, doubt_of, object_moves, usable_rows
+from impact_rs_trials.recordings.import_texts import ARM, BODY, FoundRun, Line, flow, mapping_text, runs_text
 from impact_rs_trials.recordings.inner_runs import RUN, run_column_of, run_groups_of, runs_of
 from impact_rs_trials.recordings.mapping import (
     NO_ROBOT,
@@ -76,35 +75,14 @@ from impact_rs_trials.recordings.sources import (
 from impact_rs_trials.recordings.table_columns import read_columns, read_rows
 from impact_rs_trials.recordings.table_layout import find_layout
 
-MOST_SAMPLES = 20_000  # that are looked at
-FEWEST_SAMPLES = 20
 MOST_SHOWN = 3  # signals of a kind in a message
 NAMED = 0.3  # correlation that a name is worth
 ASKED_FOR = re.compile(r"des|ref|target|goal|cmd|command|set_?point|(^|_)d(_|\d|$)|filt|err", re.IGNORECASE)
 OF_THE_ROBOT = re.compile(r"eef|(^|_)ee(_|$)|tcp|tool|flange|hand", re.IGNORECASE)
-MOVED = 0.005  # m, from which an object was hit
 AXES = ("x", "y", "z")
 QUATERNION = (("x", "y", "z", "w"), ("w", "x", "y", "z"))
-SI = {"rad", "m", "rad/s", "m/s", "N m", "N"}
 MOST_COMPARED = 10  # runs beside the first
 RAW_UNITS = {"position": "rad", "velocity": "rad/s", "torque": "N m"}
-
-
-@dataclass(frozen=True)
-class Line:
-    """A key that was guessed.
-
-    Attributes:
-        key: Dotted path of the key.
-        value: Its value as the file has it.
-        evidence: What shows it.
-        sure: Whether something shows it; else it is assumed.
-    """
-
-    key: str
-    value: str
-    evidence: str
-    sure: bool = True
 
 
 @dataclass(frozen=True)
@@ -145,21 +123,6 @@ class Wishes:
     dedupe: bool = False
 
 
-@dataclass(frozen=True)
-class _RunRow:
-    """A row of the table of runs."""
-
-    run: str
-    object: str = ""
-    session: str = ""
-    hit: bool = False
-
-    @property
-    def names(self) -> Names:
-        """What the placeholders of the mapping stand for."""
-        return Names(object=self.object or "*", run=run_name(self.run))
-
-
 @dataclass
 class _Part:
     """One kind of file: its first one, with what it holds; of several runs inside of it the first."""
@@ -188,7 +151,7 @@ class _Part:
     @property
     def stamps(self) -> str:
         """Where they are, for messages."""
-        return "the messages" if self.clock is None else f"{_flow(self.clock.value)} [{self.clock.further['unit']}]"
+        return "the messages" if self.clock is None else f"{flow(self.clock.value)} [{self.clock.further['unit']}]"
 
     @property
     def is_bag(self) -> bool:
@@ -365,7 +328,7 @@ class _Importer:
         content["signals"] = signals
         mapping = validate(Mapping, content | {"robot": robot}, self._output / "mapping.yaml")
         rows = self._runs(mapping)
-        texts = {"mapping.yaml": _yaml(content, self._lines, HEAD), "runs.csv": _table(rows, facts is None)}
+        texts = {"mapping.yaml": mapping_text(content, self._lines), "runs.csv": runs_text(rows, facts is None)}
         hits = sum(row.hit for row in rows)
         if hits or facts is None or self._wishes.scenario is not None:
             texts["experiment.yaml"] = self._experiment(facts, robot)
@@ -385,7 +348,7 @@ class _Importer:
             found = find_layout(path)
             layout = found.layout
             self._lines.append(
-                Line(f"table ({path.name})", _flow(layout.model_dump(exclude_defaults=True)), found.evidence)
+                Line(f"table ({path.name})", flow(layout.model_dump(exclude_defaults=True)), found.evidence)
             )
         columns = read_columns(path, layout).cells
         run, column = "", None if self._groups.spread else run_column_of(columns)
@@ -557,7 +520,7 @@ class _Importer:
         own: dict[str, Any] = {"torque_measured_at": "motor" if at_motor else "link"}
         if constant is not None:
             self._say(
-                "torque_constant", _flow(constant), "by the weight in this recording; take those of a data sheet", False
+                "torque_constant", flow(constant), "by the weight in this recording; take those of a data sheet", False
             )
             own["torque_constant"] = constant
         return own
@@ -571,9 +534,9 @@ class _Importer:
         one = part.candidates[position]
         joints = joints_of(one.joints, "", False, count)
         if one.joints:
-            self._say("joints", _flow(list(joints)), "the recording names them")
+            self._say("joints", flow(list(joints)), "the recording names them")
         else:
-            self._say("joints", _flow(list(joints)), "columns hold the joints from base to tip", sure=False)
+            self._say("joints", flow(list(joints)), "columns hold the joints from base to tip", sure=False)
         return joints
 
     def _read(self, part: _Part, robot: str, count: int) -> None:
@@ -592,7 +555,7 @@ class _Importer:
             except InputError as error:
                 self._refused[one.label] = str(error)
                 continue
-            rows = _usable(series)
+            rows = usable_rows(series)
             if rows.size > FEWEST_SAMPLES:
                 part.series[number] = replace(series, time=series.time[rows], values=series.values[rows])
             else:
@@ -644,7 +607,7 @@ class _Importer:
             shown += "; what stands behind the joints is left out, as a gripper"
             self._remarks.append(f"signals.{name}: of {one.candidate.label} numbers are taken for the joints")
         self._say(f"signals.{name}", one.candidate.label, shown, not one.is_cut)
-        self._say(f"signals.{name}.unit", _flow(guess.value), guess.evidence, guess.sure)
+        self._say(f"signals.{name}.unit", flow(guess.value), guess.evidence, guess.sure)
         self._remarks += guess.remarks
         return {**source, "unit": guess.value, **guess.further}
 
@@ -771,7 +734,7 @@ class _Importer:
         if self._wishes.rate is not None:
             self._say("time.rate", f"{self._wishes.rate:g}", "given with --rate")
         elif part.clock is not None:
-            self._say("time", _flow(keys), part.clock.evidence, part.clock.sure)
+            self._say("time", flow(keys), part.clock.evidence, part.clock.sure)
             self._remarks += part.clock.remarks
             if part.clock.remarks and not self._wishes.dedupe:
                 self._remarks.append("repeated stamps are refused; --dedupe keeps the first sample of each")
@@ -782,7 +745,7 @@ class _Importer:
 
     # ---- runs -------------------------------------------------------------------------------------------------------
 
-    def _runs(self, mapping: Mapping) -> list[_RunRow]:
+    def _runs(self, mapping: Mapping) -> list[FoundRun]:
         """Every run that the reader takes; the others are said."""
         groups = self._groups
         has_object = any(name.startswith("object") for name in mapping.signals)
@@ -794,9 +757,9 @@ class _Importer:
             if lacking:
                 missing.append(f"{run} ({', '.join(sorted(lacking))})")
                 continue
-            row = _RunRow(run, objects.get(run, ""), session)
+            row = FoundRun(run, objects.get(run, ""), session)
             try:
-                moves = has_object and _object_moves(groups.folder / run, mapping, row.names)
+                moves = has_object and object_moves(groups.folder / run, mapping, row.names)
             except InputError as error:
                 self._remarks.append(f"{run} is left out, for the reader refuses it: {error}")
                 continue
@@ -808,7 +771,7 @@ class _Importer:
         self._say_unread(needed)
         if groups.sessions:
             self._say(
-                "session in runs.csv", _flow(list(dict.fromkeys(groups.sessions.values()))),
+                "session in runs.csv", flow(list(dict.fromkeys(groups.sessions.values()))),
                 "the folders that runs lie in; impacts makes a column of it, for --covariates session",
             )  # fmt: skip
         if has_object and mapping.robot != NO_ROBOT and any(row.hit for row in rows):
@@ -837,11 +800,11 @@ class _Importer:
         if names:
             self._remarks.append(f"not read, for the mapping takes no signal from them: {', '.join(names)}")
 
-    def _with_objects(self, rows: list[_RunRow]) -> list[_RunRow]:
+    def _with_objects(self, rows: list[FoundRun]) -> list[FoundRun]:
         """Rows with the object that was hit."""
         objects = [] if self._wishes.scenario is None else list(load_scenario(self._wishes.scenario).objects)
         if named := list(dict.fromkeys(row.object for row in rows if row.object)):
-            self._say("object in runs.csv", _flow(named), "the names of the files say which")
+            self._say("object in runs.csv", flow(named), "the names of the files say which")
             if objects and not set(named) <= set(objects):
                 self._remarks.append(
                     f"files call the objects {', '.join(named)}, {self._wishes.scenario} has {', '.join(objects)}: "
@@ -853,7 +816,7 @@ class _Importer:
         usual = (objects or ["OBJECT"])[0]
         rows = [replace(row, object=one or usual) for row, one in zip(rows, inside, strict=True)]
         if len(objects) != 1:
-            self._say("object in runs.csv", _flow([row.object for row in rows][:3]), "say which object was hit", False)
+            self._say("object in runs.csv", flow([row.object for row in rows][:3]), "say which object was hit", False)
         return rows
 
     def _experiment(self, facts: RobotFacts | None, robot: str) -> str:
@@ -869,7 +832,7 @@ class _Importer:
             scenario = os.path.relpath(scenario, self._output)
         return ARM.format(scenario=scenario or "scenario.yaml   # to be made, see docs/scenarios.md")
 
-    def _try(self, mapping: Mapping, rows: Sequence[_RunRow]) -> None:
+    def _try(self, mapping: Mapping, rows: Sequence[FoundRun]) -> None:
         """What the reader says of the first run."""
         row = next((row for row in rows if row.hit), rows[0])
         path = self._groups.folder / row.run
@@ -884,7 +847,7 @@ class _Importer:
         except InputError as error:
             self._remarks.append(f"the reader refuses {row.run} as it is described: {error}")
 
-    def _compare_runs(self, mapping: Mapping, rows: Sequence[_RunRow], facts: RobotFacts) -> None:
+    def _compare_runs(self, mapping: Mapping, rows: Sequence[FoundRun], facts: RobotFacts) -> None:
         """Units and signs of other runs than the first, which the description was made of."""
         first, *others = rows
         numbers = np.unique(np.linspace(0, len(others) - 1, min(MOST_COMPARED, len(others))).astype(int))
@@ -892,7 +855,7 @@ class _Importer:
         apart = 0
         for row in (others[number] for number in numbers):
             try:
-                doubt = _doubt(self._groups.folder / row.run, mapping, row.names, model)
+                doubt = doubt_of(self._groups.folder / row.run, mapping, row.names, model)
             except InputError as error:
                 doubt = f"the reader refuses it: {error}"
             if doubt is not None:
@@ -909,73 +872,6 @@ class _Importer:
 
     def _say(self, key: str, value: str, evidence: str, sure: bool = True) -> None:
         self._lines.append(Line(key, value, evidence, sure))
-
-
-HEAD = """\
-# Where these recordings keep their signals, as impact-rs import found it. Behind every value stands what shows it;
-# ASSUMED: nothing shows it, look at it before you trust a verdict. All keys: docs/your_data.md
-"""
-ARM = """\
-# Runs with impacts; impact-rs compare, diagnose and impacts read this file. All keys: docs/your_data.md
-scenario: {scenario}
-mapping: mapping.yaml
-runs: runs.csv
-# motion_capture: {{estimate: true}}   # if the tracker's world is not the scenario's
-"""
-BODY = """\
-# An object without a robot hits a fixed plane; impact-rs impacts reads this file. Fill in what the body is [kg, m].
-mapping: mapping.yaml
-runs: runs.csv
-body:
-  # mass: 0.37
-  # size: [0.1, 0.1, 0.1]     # of a box; or of a ball: radius: 0.02, shell: true if it is hollow
-  # spin: [0, 0, 0]           # of a ball whose turn was not tracked, before it hits [rad/s]
-  # place: {position: [0, 0, 0], rpy: [0, 0, 0]}   # its centre and axes in the tracked frame
-plane: {height: 0.0, normal: [0, 0, 1]}   # ASSUMED: where the plane is in the tracker's world
-"""
-
-
-def _doubt(path: Path, mapping: Mapping, names: Names, model: RobotModel) -> str | None:
-    """What contradicts a mapping in the joints of a run; None: nothing."""
-    needed: tuple[SignalName, ...] = ("position", "torque")
-    read = read_series(path, mapping, (*needed, "velocity"), needed, names)
-    rows = _usable(read["position"])
-    time, q = read["position"].time[rows], read["position"].values[rows]
-    if rows.size <= FEWEST_SAMPLES:
-        return f"{rows.size} samples of the positions can be used"
-    dq, tau = read["velocity"].at(time), read["torque"].at(time)
-    if not np.isfinite(np.hstack((dq, tau))).all():
-        return None
-    place = unit_of_position(q, model.facts, "")
-    if place is None or _strange(place.value):
-        return "its positions do not lie within the limits of the joints" + (f" but in {place.value}" if place else "")
-    speed = velocity_of(time, q, dq, model.facts) if "velocity" in mapping.signals else None
-    if speed is not None and (_strange(speed[1].value) or "factor" in speed[1].further):
-        return f"the velocities are {speed[1].evidence}"
-    torque = torque_of(time, q, dq, tau, model, "")
-    if torque is not None and torque[1].sure and (_strange(torque[1].value) or "factor" in torque[1].further):
-        return f"as described its torques are {torque[1].evidence}"
-    return None
-
-
-def _strange(unit: Any) -> bool:
-    """Whether a unit that was found for numbers in SI units is another one."""
-    return not {unit} <= SI if isinstance(unit, str) else not set(unit) <= SI
-
-
-def _usable(series: Series) -> NDArray[np.signedinteger]:
-    """Rows with numbers and a later stamp than the one before, as many as are looked at."""
-    usable = np.isfinite(series.values).all(axis=1) & np.isfinite(series.time)
-    usable &= np.diff(series.time, prepend=-np.inf) > 0.0
-    return np.flatnonzero(usable)[:MOST_SAMPLES]
-
-
-def _object_moves(path: Path, mapping: Mapping, names: Names) -> bool:
-    """Whether the object's place changes."""
-    name: SignalName = "object_pose" if "object_pose" in mapping.signals else "object_position"
-    read = read_series(path, mapping, [name], [name], names)[name]
-    seen = read.values[np.isfinite(read.values).all(axis=1), :3]
-    return bool(len(seen)) and float(np.max(np.linalg.norm(seen - np.median(seen[:5], axis=0), axis=1))) > MOVED
 
 
 def _axes(names: Sequence[str]) -> tuple[list[list[str]], list[list[str]]]:
@@ -1004,54 +900,3 @@ def _axes(names: Sequence[str]) -> tuple[list[list[str]], list[list[str]]]:
 def _si(guess: Guess, quantity: str) -> Array:
     units = {"rad/s": 1.0, "deg/s": np.pi / 180.0, "mrad/s": 1e-3, "m/s": 1.0, "mm/s": 1e-3}
     return np.array([units[unit] for unit in ([guess.value] if isinstance(guess.value, str) else guess.value)])
-
-
-def _flow(value: Any) -> str:
-    """A value in one line of YAML."""
-    if isinstance(value, dict):
-        return "{" + ", ".join(f"{key}: {_flow(one)}" for key, one in value.items()) + "}"
-    if isinstance(value, list | tuple):
-        return "[" + ", ".join(_flow(one) for one in value) + "]"
-    if isinstance(value, str):
-        return (
-            value
-            if re.fullmatch(r"[A-Za-z_][\w/. ]*", value) and value not in ("y", "n", "yes", "no")
-            else json.dumps(value)
-        )
-    if isinstance(value, bool):
-        return str(value).lower()
-    return f"{value:.6g}" if isinstance(value, float) else str(value)
-
-
-def _yaml(content: AbstractMapping[str, Any], lines: Sequence[Line], head: str) -> str:
-    """A mapping file with what shows its values."""
-    said: dict[str, str] = {}
-    for line in lines:
-        said[line.key] = line.evidence if line.sure else f"ASSUMED: {line.evidence}"
-    text = [head.rstrip()]
-    for key, value in content.items():
-        if key == "signals":
-            text.append("signals:")
-            for name, section in value.items():
-                text.append(f"  {name}:{_remark(said.get(f'signals.{name}'))}")
-                for inner, one in section.items():
-                    text.append(f"    {inner}: {_flow(one)}{_remark(said.get(f'signals.{name}.{inner}'))}")
-        else:
-            text.append(f"{key}: {_flow(value)}{_remark(said.get(key) or said.get(f'{key}.rate'))}")
-    return "\n".join(text) + "\n"
-
-
-def _remark(said: str | None) -> str:
-    return "" if said is None else f"   # {' '.join(said.split())}"
-
-
-def _table(rows: Sequence[_RunRow], alone: bool) -> str:
-    """The table of runs, of objects alone or of robots."""
-    sessions = any(row.session for row in rows)
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(["bag", "object", "kind", *(["session"] if sessions else [])])
-    for row in rows:
-        name = "body" if alone else row.object if row.hit else "none"
-        writer.writerow([row.run, name, "hit" if row.hit else "free motion", *([row.session] if sessions else [])])
-    return text.getvalue()

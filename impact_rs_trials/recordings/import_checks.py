@@ -1,0 +1,86 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Whether a run is as a mapping describes it, which was made of another one."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from impact_rs_sim.robot_model import RobotModel
+from impact_rs_trials.recordings.guesses import torque_of, unit_of_position, velocity_of
+from impact_rs_trials.recordings.mapping import Mapping, SignalName
+from impact_rs_trials.recordings.series import Names, Series
+from impact_rs_trials.recordings.sources import read_series
+
+MOST_SAMPLES = 20_000  # that are looked at
+FEWEST_SAMPLES = 20
+MOVED = 0.005  # m, from which an object was hit
+SI = {"rad", "m", "rad/s", "m/s", "N m", "N"}
+
+
+def doubt_of(path: Path, mapping: Mapping, names: Names, model: RobotModel) -> str | None:
+    """What contradicts a mapping in the joints of a run.
+
+    Args:
+        path: The run.
+        mapping: Describes it.
+        names: What the placeholders of the mapping stand for.
+        model: Of the robot.
+
+    Returns:
+        It in words; None: nothing does.
+
+    Raises:
+        InputError: The run cannot be read.
+    """
+    needed: tuple[SignalName, ...] = ("position", "torque")
+    read = read_series(path, mapping, (*needed, "velocity"), needed, names)
+    rows = usable_rows(read["position"])
+    time, q = read["position"].time[rows], read["position"].values[rows]
+    if rows.size <= FEWEST_SAMPLES:
+        return f"{rows.size} samples of the positions can be used"
+    dq, tau = read["velocity"].at(time), read["torque"].at(time)
+    if not np.isfinite(np.hstack((dq, tau))).all():
+        return None
+    place = unit_of_position(q, model.facts, "")
+    if place is None or _strange(place.value):
+        return "its positions do not lie within the limits of the joints" + (f" but in {place.value}" if place else "")
+    speed = velocity_of(time, q, dq, model.facts) if "velocity" in mapping.signals else None
+    if speed is not None and (_strange(speed[1].value) or "factor" in speed[1].further):
+        return f"the velocities are {speed[1].evidence}"
+    torque = torque_of(time, q, dq, tau, model, "")
+    if torque is not None and torque[1].sure and (_strange(torque[1].value) or "factor" in torque[1].further):
+        return f"as described its torques are {torque[1].evidence}"
+    return None
+
+
+def _strange(unit: Any) -> bool:
+    """Whether a unit that was found for numbers in SI units is another one."""
+    return not {unit} <= SI if isinstance(unit, str) else not set(unit) <= SI
+
+
+def usable_rows(series: Series) -> NDArray[np.signedinteger]:
+    """Numbers of the rows with finite values and a later stamp than the one before, as many as are looked at."""
+    usable = np.isfinite(series.values).all(axis=1) & np.isfinite(series.time)
+    usable &= np.diff(series.time, prepend=-np.inf) > 0.0
+    return np.flatnonzero(usable)[:MOST_SAMPLES]
+
+
+def object_moves(path: Path, mapping: Mapping, names: Names) -> bool:
+    """Whether the object of a run changes its place.
+
+    Args:
+        path: The run.
+        mapping: Describes it.
+        names: What the placeholders of the mapping stand for.
+
+    Raises:
+        InputError: The run cannot be read.
+    """
+    name: SignalName = "object_pose" if "object_pose" in mapping.signals else "object_position"
+    read = read_series(path, mapping, [name], [name], names)[name]
+    seen = read.values[np.isfinite(read.values).all(axis=1), :3]
+    return bool(len(seen)) and float(np.max(np.linalg.norm(seen - np.median(seen[:5], axis=0), axis=1))) > MOVED
