@@ -25,7 +25,8 @@ from impact_rs_sim.robot import Array
 from impact_rs_sim.robot_model import RobotModel
 from impact_rs_trials.bags.checksums import says_so, unsealed_words
 from impact_rs_trials.bags.reader import BagError, TrialBag, reason_of
-from impact_rs_trials.runs import DriveName, Run, Signals
+from impact_rs_trials.runs import DriveName, Run, Signals, label_of
+from impact_rs_trials.spec import TrialSpec
 from impact_rs_trials.store import Folder
 from impact_rs_trials.workers import Map
 
@@ -268,6 +269,20 @@ class Runs:
         for run in self.runs:
             found.setdefault(run.condition, []).append(run)
         return found
+
+    def named(self, specs: Mapping[Path, TrialSpec]) -> Runs:
+        """The runs with the conditions of trials that were planned here, named as a design names them.
+
+        Args:
+            specs: What was planned, by the path of each run.
+        """
+
+        def named(run: MeasuredRun) -> MeasuredRun:
+            spec = specs[run.path]
+            return replace(run, condition=label_of(spec), place=(spec.scenario.name, spec.object, spec.case))
+
+        late = {label_of(specs[run.path]): named(run) for run in self.late.values()}
+        return replace(self, runs=tuple(map(named, self.runs)), late=late)
 
     @staticmethod
     def of(directory: Path, results: Iterable[MeasuredRun | tuple[str, str]]) -> Runs:
