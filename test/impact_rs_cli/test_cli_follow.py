@@ -31,7 +31,8 @@ def test_a_change_is_announced_with_its_cause_and_the_next_command(
     assert main(["follow", "--impacts", str(table), "--scenario", "push", "-o", str(model)]) == 0
     out = " ".join(capfd.readouterr().out.split())
     assert "CHANGE at row" in out and "object_mass: scale +0." in out
-    assert f"diagnose --impacts {table} --scenario push -o diagnosis.json" in out
+    assert "the object is 0." in out and "kg heavier (object_mass: scale" in out
+    assert f"diagnose --impacts {table} --scenario push --since 'row 37' -o " in out
     assert "object_mass.scale" in out and "Next hit of" in out
     assert "name: object_mass" in model.read_text()
 
