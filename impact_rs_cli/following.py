@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -153,8 +153,8 @@ class FollowedHits:
             self.save()
 
 
-def diagnose_words(hits: HitsArguments) -> list[str]:
-    """Arguments of ``impact-rs diagnose`` for the same measurements."""
+def diagnose_words(hits: HitsArguments, effects: Sequence[str] | None = None) -> list[str]:
+    """Arguments of ``impact-rs diagnose`` for the same measurements, and the same effects where some were named."""
     words = ["--impacts", str(hits.table)] if hits.table is not None else [str(hits.where)]
     if hits.scenario is not None:
         words += ["--scenario", hits.scenario]
@@ -162,7 +162,9 @@ def diagnose_words(hits: HitsArguments) -> list[str]:
         words += ["--model", hits.model]
     if hits.tolerance is not None:
         words += ["--contact-tolerance", repr(hits.tolerance)]
-    return [*words, "--no-discrepancy"] if hits.exact else words
+    if hits.exact:
+        words.append("--no-discrepancy")
+    return [*words, "--effects", *effects] if effects else words
 
 
 def folder_of_diagnoses(given: Path | None, state: Path | None) -> Path:

@@ -735,9 +735,25 @@ class Follower:
             return f"one hit of {condition} decides between them ({size:.1f} standard deviations)"
         if 0 < len(free) < len(self.hypotheses):
             return f"a free motion decides between them: {' and '.join(free)} would show there"
+        others = [(self._distance(hit), hit.condition) for hit in self.door.unmeasured()]
+        further, other = max(others, default=(0.0, ""))
+        if further > APART:
+            return f"a trial of {other}, not measured yet, decides between them ({further:.1f} standard deviations)"
+        rest = "weigh the object" if any(one.effect == "object_mass" for one in self.hypotheses) else "hit otherwise"
         if condition:
-            return f"hits like these hardly decide ({condition}: {size:.1f} standard deviations); hit otherwise"
-        return "hits like these hardly decide between them; hit otherwise"
+            return f"hits like these hardly decide ({condition}: {size:.1f} standard deviations); {rest}"
+        return f"hits like these hardly decide between them; {rest}"
+
+    def _distance(self, hit: Hit) -> float:
+        """Distance of what the two likeliest explanations predict for a trial, in standard deviations."""
+        assert self.candidate is not None
+        if hit.layout not in self._scatter:
+            return 0.0
+        points = [self._values(one) for one in self.hypotheses[:2]]
+        first, second = self.door.predict(hit, [replace(self.candidate, point=one).split(one) for one in points])
+        if first is None or second is None:
+            return 0.0
+        return float(np.linalg.norm(self._scatter[hit.layout].whiten @ (first - second)))
 
     def _seen_free(self, name: str) -> bool:
         assert self.candidate is not None

@@ -7,8 +7,10 @@ discrepancy, and predictions under effects that are added to the model.
 
 from __future__ import annotations
 
+import itertools
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -19,15 +21,19 @@ from impact_rs_analysis.evidence.discrepancy import Discrepancy
 from impact_rs_analysis.evidence.impact_tables import ImpactTableSource
 from impact_rs_analysis.evidence.map_discrepancy import MapDiscrepancy
 from impact_rs_analysis.evidence.measured_runs import MeasuredRun, Runs, find_bags, read_trial
-from impact_rs_analysis.evidence.replay_cache import Replay, ReplayCache
+from impact_rs_analysis.evidence.replay_cache import Replay, ReplayCache, with_effects
 from impact_rs_analysis.evidence.replays import ReplaySource, clusters_of, layout_of
+from impact_rs_analysis.evidence.simulated_trials import simulated_and_judged
 from impact_rs_analysis.evidence.source import Source, with_per_arm_parameters
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.model import Model
 from impact_rs_sim.physics import Physics
 from impact_rs_sim.robot import Array
+from impact_rs_sim.scenario import Scenario
 from impact_rs_trials.bags.reader import recorded_at
 from impact_rs_trials.recordings.impact_table import ImpactTable, name_of_row
+from impact_rs_trials.runs import label_of
+from impact_rs_trials.spec import TrialSpec
 
 
 @dataclass(frozen=True)
@@ -114,6 +120,10 @@ class Door(ABC):
         """
         features = next(hit.features for hit in first if hit.layout == layout)
         return np.array([feature.relevance_limit for feature in features])
+
+    def unmeasured(self) -> Iterator[Hit]:
+        """Trials of the same scenarios that were not measured yet, as the model predicts them."""
+        yield from ()
 
     @abstractmethod
     def source(self, hits: Sequence[Hit]) -> Source:
@@ -271,6 +281,8 @@ class BagDoor(Door):
     ) -> None:
         self._directory, self._store, self._discrepancy = directory, store, discrepancy
         self._known: set[Path] = set()
+        self._conditions: set[str] = set()
+        self._scenarios: dict[str, Scenario] = {}
         self.model, self.skipped = model, {}
 
     def arrived(self) -> Iterator[Hit]:
@@ -284,7 +296,7 @@ class BagDoor(Door):
             self.waiting = len(fresh) - given
             run = read_trial(path)
             if isinstance(run, MeasuredRun):
-                yield self._hit(run, path)
+                yield self._arrived(run, path)
             else:
                 self.skipped[str(path.relative_to(self._directory))] = run[1]
 
@@ -296,8 +308,20 @@ class BagDoor(Door):
             run = read_trial(self._directory / name)
             if not isinstance(run, MeasuredRun):
                 raise InputError(f"this trial, which the state knows, cannot be read: {run[1]}", file=run[0])
-            found[name] = self._hit(run, self._directory / name)
+            found[name] = self._arrived(run, self._directory / name)
         return found
+
+    def unmeasured(self) -> Iterator[Hit]:
+        """See :meth:`Door.unmeasured`: every object and case, simulated by the twin; what fails is left out."""
+        for scenario in list(self._scenarios.values()):
+            for item, case in itertools.product(scenario.objects, scenario.cases):
+                spec = TrialSpec.of(scenario, item, case)
+                if label_of(spec) in self._conditions:
+                    continue
+                with suppress(InputError):  # out of reach, or no contact
+                    run, verdict = simulated_and_judged(spec, with_effects(self.model, spec.scene.physics, ()))
+                    if verdict.outcome == "OK":
+                        yield self._hit(MeasuredRun.of(run), self._directory / label_of(spec), 0.0)
 
     def source(self, hits: Sequence[Hit]) -> Source:
         """See :meth:`Door.source`."""
@@ -309,12 +333,19 @@ class BagDoor(Door):
         assert isinstance(hit, BagHit)
         return self._store([Replay(hit.run.setup, self.model, one) for one in added])
 
-    def _hit(self, run: MeasuredRun, path: Path) -> BagHit:
+    def _arrived(self, run: MeasuredRun, path: Path) -> BagHit:
+        """A trial that was measured."""
+        self._conditions.add(run.condition)
+        if run.spec is not None:
+            self._scenarios[run.spec.scenario.name] = run.spec.scenario
+        return self._hit(run, path, recorded_at(path) if run.recorded is None else run.recorded)
+
+    def _hit(self, run: MeasuredRun, path: Path, stamp: float) -> BagHit:
         runs = Runs(self._directory, (run,), ())
         (cluster,), _ = clusters_of(runs, [np.zeros(run.measured.size)], self._discrepancy)
         return BagHit(
             name=str(path.relative_to(self._directory)),
-            stamp=recorded_at(path) if run.recorded is None else run.recorded,
+            stamp=stamp,
             timed=True,
             condition=run.condition,
             layout=layout_of(run),

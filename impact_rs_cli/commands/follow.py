@@ -39,7 +39,7 @@ def run(args: argparse.Namespace, terminal: Terminal) -> int:
     model = load_model(args.model)
     door = door_of(hits, model)
     follower = Follower(door, model, args.effects, args.learn, args.mean_time)
-    diagnosis = FullDiagnosis(diagnose_words(hits), folder_of_diagnoses(args.diagnoses, args.state))
+    diagnosis = FullDiagnosis(diagnose_words(hits, args.effects), folder_of_diagnoses(args.diagnoses, args.state))
     followed = FollowedHits(hits, follower, args.state, None if args.no_diagnosis else diagnosis)
     if count := followed.restore():
         terminal.say(f"state: goes on after {count} hits")
