@@ -54,7 +54,7 @@ class FullDiagnosis:
 
     @property
     def running(self) -> bool:
-        """Whether one has been started and its end was not told yet."""
+        """Whether one has been started and its end was not reported yet."""
         return self._running is not None
 
     def start(self, since: str) -> None:

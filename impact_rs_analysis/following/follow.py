@@ -29,6 +29,7 @@ from impact_rs_analysis.diagnosis.candidate import Candidate
 from impact_rs_analysis.diagnosis.diagnose import effects_for
 from impact_rs_analysis.evidence.cluster import Added
 from impact_rs_analysis.evidence.source import Source
+from impact_rs_analysis.following.announcement import in_words, weighs
 from impact_rs_analysis.following.change import MEAN_TIME, Calibration, ChangeExplanation, ChangeTest
 from impact_rs_analysis.following.hits import Door, Hit
 from impact_rs_analysis.following.lessons import (
@@ -49,10 +50,10 @@ from impact_rs_analysis.following.posterior import (
     weight_of,
 )
 from impact_rs_analysis.following.scatter import HitScatter, deviations_of, scatter_of
-from impact_rs_analysis.following.words import in_words
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.model import Model, ModelEffect, ParameterValue
 from impact_rs_sim.numbers import NORMAL_95
+from impact_rs_sim.physics import Physics
 from impact_rs_sim.proportion import Proportion
 from impact_rs_sim.robot import Array
 
@@ -105,7 +106,7 @@ class Hypothesis:
 
 
 @dataclass(frozen=True)
-class Changed:
+class HitsSince:
     """The hits since the last change.
 
     Attributes:
@@ -161,7 +162,7 @@ class Follower:
         self.calibration = Calibration()
         self.candidate: Candidate | None = None
         self.hypotheses: list[Hypothesis] = []
-        self.changed: Changed | None = None
+        self.changed: HitsSince | None = None
 
     @property
     def watching(self) -> bool:
@@ -196,7 +197,9 @@ class Follower:
             if hit.hits or "" not in self._last or not self._last[""].hits:
                 self._last[""] = hit
         if self.changed is not None:
-            self.changed = Changed(self.changed.since, (*self.changed.conditions, *(hit.condition for hit in instant)))
+            self.changed = HitsSince(
+                self.changed.since, (*self.changed.conditions, *(hit.condition for hit in instant))
+            )
         documents = self._watch([hit for hit in instant if hit.layout in self._scatter])
         unknown = [hit for hit in instant if hit.layout not in self._scatter]
         self._first += unknown
@@ -342,7 +345,7 @@ class Follower:
         hits = self.door.recalled(needed, document["names"])
         self._names, self._announced = list(document["names"]), list(document["announced"])
         if (changed := document.get("changed")) is not None:
-            self.changed = Changed(changed[0], tuple(changed[1]))
+            self.changed = HitsSince(changed[0], tuple(changed[1]))
         self._first = [hits[name] for name in document["first"]]
         self._last = {condition: hits[name] for condition, name in document["last"].items()}
         if document["proportion"] is None:
@@ -577,7 +580,7 @@ class Follower:
             hypothesis.log_weight = one.log_ratio
         self.hypotheses = hypotheses
         since = [e.hit for instant in window[found[0].start :] for e in instant]
-        self.changed = Changed(first.name, tuple(one.condition for one in since))
+        self.changed = HitsSince(first.name, tuple(one.condition for one in since))
         scenes = [one.physics for one in since if one.hits] or [first.physics]
         shares = self.probabilities()
         causes = []
@@ -589,7 +592,11 @@ class Follower:
             causes.append(
                 Cause(
                     effect=one.effect, share=float(share), since=start.name, parameters=parameters,
-                    words=in_words(one.effect, parameters, scenes),
+                    words=in_words(
+                        one.effect,
+                        parameters,
+                        [(self._scene(old, scene), self._scene(self._values(hypothesis), scene)) for scene in scenes],
+                    ),
                 )
             )  # fmt: skip
         again = found[0].effect in self._announced
@@ -739,7 +746,8 @@ class Follower:
         further, other = max(others, default=(0.0, ""))
         if further > APART:
             return f"a trial of {other}, not measured yet, decides between them ({further:.1f} standard deviations)"
-        rest = "weigh the object" if any(one.effect == "object_mass" for one in self.hypotheses) else "hit otherwise"
+        scenes = [self._scene(self._values(one), self._last[""].physics) for one in self.hypotheses[:2]]
+        rest = "weigh the object" if weighs(*scenes) else "hit otherwise"
         if condition:
             return f"hits like these hardly decide ({condition}: {size:.1f} standard deviations); {rest}"
         return f"hits like these hardly decide between them; {rest}"
@@ -754,6 +762,14 @@ class Follower:
         if first is None or second is None:
             return 0.0
         return float(np.linalg.norm(self._scatter[hit.layout].whiten @ (first - second)))
+
+    def _scene(self, values: Array, physics: Physics) -> Physics:
+        """Physics with the effects that are followed at some values."""
+        assert self.candidate is not None
+        for effect, part in self.candidate.parts:
+            if np.any(values[part] != self.candidate.nominal[part]):
+                physics = effect.apply_vector(physics, values[part])
+        return physics
 
     def _seen_free(self, name: str) -> bool:
         assert self.candidate is not None

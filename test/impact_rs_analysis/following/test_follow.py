@@ -17,7 +17,7 @@ from impact_table_cases import arm_table, write_csv
 from impact_rs_analysis.evidence.measured_runs import read_trial
 from impact_rs_analysis.evidence.replay_cache import ReplayCache
 from impact_rs_analysis.following import hits
-from impact_rs_analysis.following.follow import Changed, Follower
+from impact_rs_analysis.following.follow import Follower, HitsSince
 from impact_rs_analysis.following.hits import BagDoor, TableDoor
 from impact_rs_analysis.following.lessons import Change, HitDocument
 from impact_rs_analysis.following.posterior import Posterior
@@ -299,10 +299,10 @@ def test_where_measured_trials_do_not_decide_one_that_was_not_measured_is_propos
 
 
 def test_hits_since_a_change_are_enough_for_a_diagnosis_with_three_conditions_and_three_repeats() -> None:
-    assert not Changed("a", ("a", "b", "a", "b", "a", "b", "a")).diagnosable
-    assert not Changed("a", ("a", "b", "c", "a", "b")).diagnosable
-    assert Changed("a", ("a", "b", "c", "a", "b", "c")).diagnosable
-    assert not Changed("a", ("",) * 5).diagnosable and Changed("a", ("",) * 6).diagnosable
+    assert not HitsSince("a", ("a", "b", "a", "b", "a", "b", "a")).diagnosable
+    assert not HitsSince("a", ("a", "b", "c", "a", "b")).diagnosable
+    assert HitsSince("a", ("a", "b", "c", "a", "b", "c")).diagnosable
+    assert not HitsSince("a", ("",) * 5).diagnosable and HitsSince("a", ("",) * 6).diagnosable
 
 
 def test_a_state_that_is_saved_between_hits_loses_none_and_announces_each_change(tmp_path: Path) -> None:
