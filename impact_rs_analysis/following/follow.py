@@ -588,15 +588,14 @@ class Follower:
         for one, share, hypothesis in zip(found, shares, hypotheses, strict=True):
             part = test.candidate.part(one.effect)
             parameters = self._followed(hypothesis, range(part.start, part.stop), old)
+            new = old.copy()  # of this effect alone
+            new[part] = self._values(hypothesis)[part]
+            pairs = [(self._scene(old, scene), self._scene(new, scene)) for scene in scenes]
             start = window[one.start][0].hit
             causes.append(
                 Cause(
                     effect=one.effect, share=float(share), since=start.name, parameters=parameters,
-                    words=in_words(
-                        one.effect,
-                        parameters,
-                        [(self._scene(old, scene), self._scene(self._values(hypothesis), scene)) for scene in scenes],
-                    ),
+                    words=in_words(one.effect, parameters, pairs),
                 )
             )  # fmt: skip
         again = found[0].effect in self._announced
