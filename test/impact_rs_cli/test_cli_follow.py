@@ -16,6 +16,7 @@ from impact_rs_analysis.diagnosis.document import read_document
 from impact_rs_analysis.following.follow import Follower
 from impact_rs_analysis.following.state import save_state
 from impact_rs_cli import following
+from impact_rs_cli.commands import follow as follow_command
 from impact_rs_cli.following import FollowedHits, HitsArguments, diagnose_words, door_of
 from impact_rs_cli.full_diagnosis import FullDiagnosis
 from impact_rs_cli.identify import Lessons
@@ -119,6 +120,27 @@ def test_a_change_starts_its_full_diagnosis_of_the_hits_since_then_and_says_how_
     assert written.named == ("object_mass",) and diagnosis["verdict"] == written.verdict
     since = int(change["since"].removeprefix("row "))
     assert written.runs.trials == len(quiet) + len(heavier) - since + 1
+
+
+def test_a_hit_that_arrives_is_followed_at_once_and_kept_in_the_state(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture
+) -> None:
+    header, rows = arm_table({}, 4, 1)
+    path, state = write_csv(tmp_path / "hits.csv", header, rows[:-1]), tmp_path / "state.npz"
+    looks: list[int] = []
+
+    def passes(_: float) -> None:
+        with np.load(state) as saved:
+            looks.append(len(json.loads(str(saved["document"]))["names"]))
+        if len(looks) == 2:
+            raise KeyboardInterrupt
+        write_csv(path, header, rows)
+
+    monkeypatch.setattr(follow_command.time, "sleep", passes)
+    assert main(["follow", str(path), "--scenario", "push", "--live", "--state", str(state)]) == 0
+    assert looks == [len(rows) - 1, len(rows)]
+    out = capfd.readouterr().out
+    assert "waiting for hits" in out and f"row {len(rows)}: prediction off by" in out
 
 
 def test_without_hits_enough_no_diagnosis_is_started(
