@@ -8,7 +8,7 @@ from pathlib import Path
 
 from impact_rs_analysis.design.design import design
 from impact_rs_analysis.design.explanations import Decision, which_effect
-from impact_rs_analysis.design.possible_trials import NO_ENVELOPE, Envelope
+from impact_rs_analysis.design.possible_trials import Envelope
 from impact_rs_analysis.diagnosis.document import DiagnosisDocument
 from impact_rs_analysis.diagnosis.next_experiment import left_open
 from impact_rs_analysis.diagnosis.search import ProgressCallback
@@ -98,7 +98,7 @@ class PlantBench:
         self, model: Model, done: Sequence[Round], document: DiagnosisDocument | None, budget: int, seed: int
     ) -> ExperimentPlan:
         """The trials that decide most of what is open; where none can be planned so, those of a rule."""
-        limits = NO_ENVELOPE if self.settings.envelope is None else Envelope(self.settings.envelope.speed)
+        limits = Envelope(cell=self.settings.envelope)
         try:
             decide = None if document is None else left_open(document, model)
             if decide is None and self.settings.effects:

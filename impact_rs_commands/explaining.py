@@ -228,6 +228,9 @@ impact-rs diagnose recording.db3 --mapping joint_state
 impact-rs diagnose --impacts tosses.csv -o diagnosis.json
 impact-rs diagnose --impacts pushes.csv --scenario push -o diagnosis.json
 
+# what follows a change: all trials since one of them, or since a time
+impact-rs diagnose campaigns/day/runs --since push/juice__case_2__s1.000__r36 -o diagnosis.json
+
 # does an effect depend on the session or on the temperature? does the verdict turn on a size that is not known well?
 impact-rs diagnose --impacts tosses.csv --covariates session temperature -o diagnosis.json
 impact-rs diagnose --impacts tosses.csv --unsure size_z=0.09:0.11 -o diagnosis.json""",
@@ -286,8 +289,13 @@ surface, a joint that warms up. A change is announced with its first hit, its ev
 where there are several, with what decides between them. At most one alarm in 10,000 hits is false where noise is as the
 first hits show it (--mean-time).
 
+A change also starts a full diagnosis of the hits since then, in a process of its own, as soon as they have three
+conditions and three repeats; its verdict is printed when it ends. A further change starts it anew. --no-diagnosis only
+prints the command.
+
 With --live the command waits for further trials or rows until Ctrl-C. With --state a later run goes on where this one
-ended. Column 'time [s]' of a table says when its rows were measured; without it they are in order.""",
+ended, also where it was killed. Column 'time [s]' of a table says when its rows were measured; without it they are in
+order.""",
     examples="""\
 impact-rs follow campaigns/day/runs --model model_2.yaml --state follow.npz -o model_now.yaml
 impact-rs follow campaigns/day/runs --live --state follow.npz
@@ -306,7 +314,17 @@ followed model as a file.""",
         option("--live", kind="switch", help="wait for further trials or rows until Ctrl-C"),
         option(
             "--state", kind="new_file", metavar="FILE.npz", label="state file", otherwise="none",
-            help="state file: read where it exists, so that the command goes on, and written after every hit",
+            help="state file: read where it exists, so that the command goes on; written after every hit, of many that "
+            "are there already after every tenth",
+        ),
+        option(
+            "--diagnoses", kind="new_folder", metavar="DIR", label="folder of the diagnoses", advanced=True,
+            otherwise="that of --state, or the working directory",
+            help="folder for the full diagnosis that a change calls for",
+        ),
+        option(
+            "--no-diagnosis", kind="switch", label="only print the command of a full diagnosis", advanced=True,
+            help="do not start the full diagnosis that a change calls for",
         ),
         option(
             "--learn", kind="whole", least=5, default=20, metavar="N", label="hits that teach the scatter",

@@ -161,7 +161,8 @@ impact-rs diagnose campaigns/first -o diagnosis.json
 impact-rs design --after diagnosis.json --runs campaigns/first --budget 6 -o plan_2.yaml
 impact-rs campaign --plan plan_2.yaml -o campaigns/second
 
-impact-rs design --scenarios my_push.yaml my_excite.yaml --speed 0.4 --force 200 --budget 12 -o plan.yaml""",
+impact-rs design --scenarios my_push.yaml my_excite.yaml --speed 0.4 --force 200 --budget 12 -o plan.yaml
+impact-rs design --envelope envelope.yaml --budget 12 -o plan.yaml""",
     output="what the plan decides, and what each condition adds; with -o a YAML file for impact-rs campaign --plan.",
     units="speeds in m/s, forces in N, probabilities in percent, information in nat.",
     options=(
@@ -189,6 +190,10 @@ impact-rs design --scenarios my_push.yaml my_excite.yaml --speed 0.4 --force 200
         option(
             "--force", kind="number", metavar="F", unit="N", label="largest contact force", advanced=True,
             help="largest contact force, in the mean over 4 ms", otherwise="any",
+        ),
+        option(
+            "--envelope", kind="file", metavar="FILE.yaml", advanced=True, otherwise="none",
+            help="only trials that the envelope of a real cell allows (docs/real_robot.md)",
         ),
         option(
             "--method", choices=("design", "random", "fixed"), default="design", advanced=True,

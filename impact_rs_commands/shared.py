@@ -103,6 +103,10 @@ SOURCE = (
         "temperature; diagnose says whether an effect depends on them (numbers: linearly, words: level by level)",
     ),
     option(
+        "--since", kind="text", metavar="WHEN", label="only measurements since", advanced=True, otherwise="all",
+        help="only trials, or rows of a table, that were measured from then on: the name of a trial or row, or a time",
+    ),
+    option(
         "--no-discrepancy", kind="switch", label="assume an exact simulation", advanced=True,
         help="assume that the simulation is exact: ignore the model discrepancy between simulators "
         "(config/discrepancy.yaml), or of the impact map (config/map_discrepancy.yaml)",

@@ -17,7 +17,9 @@ from impact_rs_cli.parser import PROGRAM
 from impact_rs_cli.terminal import Terminal, output_folder
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.model import load_model
+from impact_rs_sim.schema import load
 from impact_rs_sim.seeds import seed_of
+from impact_rs_trials.envelope import CellEnvelope
 from impact_rs_trials.experiment_plan import ExperimentPlan, write_plan
 
 MOST_PAIRS = 8
@@ -29,7 +31,8 @@ def run(args: argparse.Namespace, terminal: Terminal) -> int:
     model = load_model(args.model)
     if args.output is not None and args.output.is_dir():
         raise InputError("this is a folder; name a file, for example plan.yaml", file=args.output)
-    envelope = Envelope(args.speed, args.force)
+    cell = None if args.envelope is None else load(CellEnvelope, args.envelope)
+    envelope = Envelope(args.speed, args.force, cell)
     decide, earlier = None, ""
     if args.after is not None:
         document = read_document(args.after)
