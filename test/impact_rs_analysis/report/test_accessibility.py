@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A screen reader and a keyboard can read every kind of report, whose first line says what it is and what comes next."""
+"""A screen reader and a keyboard can read every kind of report; its first line says what it is and what comes next."""
 
 from __future__ import annotations
 
