@@ -137,7 +137,7 @@ def test_states_that_come_too_late_are_refused() -> None:
 
 def test_a_later_torque_swings_more() -> None:
     """A torque that is late by 12 ms in a loop of 1 kHz turns damping into drive, in a push at 0.5 m/s."""
-    fast = TrialSpec.of(load_scenario("push_fr3"), "parcel", "case_2", 2.0).plan
+    fast = TrialSpec.of(load_scenario("push_fr3"), "parcel", "case_2", 2.3).plan
     prompt, late = (
         rehearse(fast, replace(FRANKA, command_latency=latency), NO_REFLEXES) for latency in (0.0002, 0.012)
     )
