@@ -567,8 +567,9 @@ Pack what was found for other laboratories, check a package, or merge packages o
 
 pack writes one JSON file: the model, its diagnosis, the SHA-256 of every file of the measurements, versions, and who
 measured which robot and object. check tests that nothing was changed, and with --data that the measurements are those.
-merge pools every parameter by a random-effects meta-analysis, names laboratories that do not agree with the others, and
-says whether a parameter is shared or differs by robot, object or laboratory.""",
+merge refuses packages of the same measurements, pools every parameter by a random-effects meta-analysis, names
+laboratories that do not agree with the others, and says whether a parameter is shared or differs by robot, object or
+laboratory.""",
     examples="""\
 impact-rs evidence pack diagnosis.json --data runs --laboratory north --robot franka_fer --object cat_food -o north.json
 impact-rs evidence check north.json --data runs

@@ -424,15 +424,17 @@ Rehearse a trial of a real robot: the cell arms, leads and leaves a simulated ro
 Arming, cell, controller, brake and watchdog are those that a robot meets; the driver has the joint names, rate,
 gravity convention, latencies and torque rate of its profile, and time is simulated. The checklist holds joint torques,
 torque rates, joint velocities, external torques and forces (against the thresholds of the robot's reflexes), the
-distance to joint limits, and the time to stop when the cell dies just before the hit, each with its margin.
+distance to joint limits, and the time to stop when the cell dies just before the hit, each with its margin. A robot
+whose reflexes have a threshold that is passed stops itself, and the cell and the watchdog meet a stopped robot.
 
-The middleware, ros2_control and a machine that keeps time are not rehearsed. Exit code 1: not armed, ended early, or a
-margin is negative.""",
+The middleware, ros2_control and a machine that keeps time are not rehearsed. Exit code 1: not passed, because the cell
+cannot run with this driver, the trial was not armed or ended early, the robot stopped itself, or a margin is
+negative.""",
     examples="""\
 impact-rs rehearse push_fr3
-impact-rs rehearse push_fr3 juice 2 --reflex-torque 80 --reflex-force 250
+impact-rs rehearse push_fr3 juice 2 --reflex-torque 80 --reflex-force 40
 impact-rs rehearse my_push.yaml --driver ros2_control --json""",
-    output="what the cell would log, and the checklist.",
+    output="what the cell would log, the checklist, and the verdict with what was not checked.",
     units="s, rad, rad/s, N m, N m/s, N; prismatic joints in m, m/s, N and N/s.",
     options=(
         SCENARIO,

@@ -369,6 +369,8 @@ class Physics:
         arms = {}
         for name, robot in scenario.robots.items():
             facts, drive, pad = robot.robot_facts, robot.drive, robot.end_effector.pad
+            if robot.reflexes is not None:
+                facts = facts.model_copy(update={"reflexes": robot.reflexes})
             friction = JointFriction.none(facts.joint_count)
             if drive.friction == "identified":
                 friction = replace(friction, sigmoid=facts.friction)

@@ -25,7 +25,7 @@ from impact_rs_sim.errors import InputError, did_you_mean, shortened
 from impact_rs_sim.files import is_file
 from impact_rs_sim.friction_compensation import FrictionCompensation
 from impact_rs_sim.paths import config_directory
-from impact_rs_sim.robot import Array, EndEffector, RobotFacts, load_facts
+from impact_rs_sim.robot import Array, EndEffector, Reflexes, RobotFacts, load_facts
 from impact_rs_sim.robot_model import RobotModel
 from impact_rs_sim.schema import (
     Name,
@@ -192,6 +192,11 @@ class Robot(Schema):
     end_effector: EndEffectorSpec = Field(description="end effector")
     drive: DriveSettings = Field(description="motor side")
     impact: ImpactPose = Field(description="pose at impact")
+    reflexes: Reflexes | None = omitted(
+        None,
+        description="thresholds of the robot's own reflexes that are set on it for these trials, in place of those of "
+        "the facts; the keys are those of reflexes there",
+    )
 
     @model_validator(mode="after")
     def _one_entry_per_joint(self) -> Self:
@@ -204,6 +209,10 @@ class Robot(Schema):
         key = "joint_guess" if self.impact.joint_position is None else "joint_position"
         if len(getattr(self.impact, key)) != count:
             raise ValueError(f"impact.{key} must have one entry per joint ({count}) [rad], prismatic [m]")
+        for name in ("external_torque_Nm", "velocity_jump_rad_s"):
+            values = None if self.reflexes is None else getattr(self.reflexes, name)
+            if values is not None and len(values) != count:
+                raise ValueError(f"reflexes.{name} has {len(values)} entries, expected one per joint ({count})")
         if self.drive.type == "torque_loop" and not self.robot_facts.joint_torque_loop:
             raise ValueError(f"{self.facts_name} has no torque loop that could shape its inertia: drive.type: rigid")
         if self.drive.friction == "identified" and self.robot_facts.friction is None:
