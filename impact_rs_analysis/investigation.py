@@ -51,7 +51,7 @@ from impact_rs_analysis.diagnosis.document import (
 from impact_rs_analysis.diagnosis.grammar import load_grammar
 from impact_rs_analysis.diagnosis.search import ProgressCallback
 from impact_rs_analysis.evidence.source import Source
-from impact_rs_analysis.prediction import PredictionError, Predictions, predicted, prediction_error
+from impact_rs_analysis.prediction_check import PredictionError, Predictions, predicted, prediction_error
 from impact_rs_sim.effects import library
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.files import write_whole
@@ -744,10 +744,10 @@ def _round_lines(here: Round) -> Iterator[str]:
                 what = one.what or f"{campaign.folder}/{one.object}/{one.case}"
                 yield f"    * {one.buys or f'{one.trials} x {what}'}"
     if (prediction := here.prediction) is not None:
-        for impact in prediction.impacts:
+        for said in prediction.impacts:
             yield (
-                f"* Prediction of {prediction.model.name} for {impact.condition}: end effector {impact.arm:+.3f} m/s, "
-                f"object {impact.object:+.3f} m/s after the impact"
+                f"* Prediction of {prediction.model.name} for {said.condition}: end effector {said.arm:+.3f} m/s, "
+                f"object {said.object:+.3f} m/s after the impact"
             )
     if (checked := here.prediction_error) is not None:
         if checked.error is not None:
@@ -755,10 +755,11 @@ def _round_lines(here: Round) -> Iterator[str]:
                 f"* Prediction error of {checked.model.name} in the {checked.trials} trials of this round: "
                 f"{checked.error:.3g} {checked.unit}"
             )
-        for one in checked.impacts:
-            tracked = "" if one.object is None else f", object {one.object:+.3f} m/s ({one.predicted.object:+.3f})"
+        for impact in checked.impacts:
+            said, seen = impact.predicted, impact.object
+            tracked = "" if seen is None else f", object {seen:+.3f} m/s (predicted {said.object:+.3f})"
             yield (
-                f"    * {one.condition}: measured end effector {one.arm:+.3f} m/s (predicted {one.predicted.arm:+.3f})"
+                f"    * {impact.condition}: measured end effector {impact.arm:+.3f} m/s (predicted {said.arm:+.3f})"
                 f"{tracked}"
             )
     if (comparison := here.comparison) is not None:

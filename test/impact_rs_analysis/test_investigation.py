@@ -28,7 +28,7 @@ from impact_rs_analysis.investigation import (
     read_rounds,
     trials_of,
 )
-from impact_rs_analysis.prediction import MeasuredImpact, PredictionError, Predictions
+from impact_rs_analysis.prediction_check import CheckedImpact, PredictionError, Predictions
 from impact_rs_analysis.report.family_tree import bought_of, family_of, write_investigation
 from impact_rs_sim.effects.formula import FormulaSpec
 from impact_rs_sim.errors import InputError
@@ -118,7 +118,7 @@ def start(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Start:
     def checked(source: tuple[FakeBench, Model], folder: Path, predictions: Predictions) -> PredictionError:
         """The parcel is 10 mm/s slower than predicted."""
         impacts = tuple(
-            MeasuredImpact(condition=one.condition, trials=2, predicted=one, arm=one.arm + 0.01, object=None)
+            CheckedImpact(condition=one.condition, trials=2, predicted=one, arm=one.arm + 0.01, object=None)
             for one in predictions.impacts
         )
         count, unit = len(list(folder.glob("*/*"))), "times repeatability"

@@ -45,7 +45,7 @@ class Predictions(Schema):
     impacts: tuple[ImpactPrediction, ...] = Field((), description="by condition with an impact")
 
 
-class MeasuredImpact(Schema):
+class CheckedImpact(Schema):
     """A prediction beside the mean of the trials that were measured after it."""
 
     condition: str = Field(description="scenario, object and case")
@@ -62,7 +62,7 @@ class PredictionError(Schema):
     trials: int = Field(description="usable trials of the round")
     error: float | None = Field(description="error of the model in these trials, in the unit; null: none is usable")
     unit: ErrorUnit = Field(description="unit of the error")
-    impacts: tuple[MeasuredImpact, ...] = Field((), description="by condition with an impact")
+    impacts: tuple[CheckedImpact, ...] = Field((), description="by condition with an impact")
 
 
 def predicted(model: Model, spec: TrialSpec) -> ImpactPrediction:
@@ -107,10 +107,10 @@ def prediction_error(source: Source, folder: Path, predictions: Predictions) -> 
     )
 
 
-def _measured(before: ImpactPrediction, runs: Sequence[MeasuredRun]) -> MeasuredImpact:
+def _measured(before: ImpactPrediction, runs: Sequence[MeasuredRun]) -> CheckedImpact:
     """A prediction beside the mean over trials of its condition."""
     objects = [value for run in runs if (value := _object_velocity(run)) is not None]
-    return MeasuredImpact(
+    return CheckedImpact(
         condition=before.condition,
         trials=len(runs),
         predicted=before,
