@@ -413,6 +413,22 @@ def test_laws_that_predict_equally_well_are_designed_for_and_listed_at_the_end(
     assert bench.last is not None and bench.last.named == (DRAG.name,) and bench.last.formulas == (DRAG,)
 
 
+def test_laws_once_found_are_fitted_again_and_not_forgotten(start: Start, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Though more trials leave less to friction, and although two later discoveries do not find the laws again."""
+    none = DiscoveryDocument(verdict="NO-LAW-HOLDS", summary="No law holds.", error_unit="times repeatability")
+    answers = [law_found("CONFUSABLE-WITH{cable}", ("cable",)), none, none]
+    monkeypatch.setattr(investigation, "discover", lambda *_: answers.pop(0))
+    rest = {8: 8.0, 12: 7.0, 16: 4.0}
+
+    def answer(model: Model, trials: int) -> DiagnosisDocument:
+        return said(f"PARTLY{{{FRICTION}}}", FRICTION, held_out_error_after=rest.get(trials, 2.0))
+
+    investigation_, bench = start(answer)
+    ending = investigation_.run()
+    assert (ending.verdict, ending.candidates) == ("UNDECIDED", (DRAG.name, "cable"))
+    assert len(bench.measured) == 20 and not answers
+
+
 def test_a_tie_between_laws_that_further_trials_split_ends_with_the_law(
     start: Start, monkeypatch: pytest.MonkeyPatch
 ) -> None:
