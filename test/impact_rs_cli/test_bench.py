@@ -7,14 +7,12 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from documents import diagnosis
+from documents import tied_laws
 
-from impact_rs_analysis.diagnosis.document import DiagnosisDocument, EffectDocument, ModelIdentity
 from impact_rs_analysis.investigation import Round, Settings
 from impact_rs_cli import bench
 from impact_rs_cli.bench import PlantBench, simple_design
 from impact_rs_cli.terminal import Terminal
-from impact_rs_sim.effects.formula import FormulaSpec
 from impact_rs_sim.model import load_model
 from impact_rs_sim.physics import Physics
 from impact_rs_sim.scenario import load_scenario
@@ -22,14 +20,6 @@ from impact_rs_trials.campaign import PlannedTrials
 from impact_rs_trials.experiment_plan import ExperimentPlan, PlannedCampaign
 
 SETTINGS = Settings(scenarios=("push", "excite"), model_digest=load_model("nominal").digest)
-DRAG = FormulaSpec.model_validate(
-    {
-        "name": "object_drag",
-        "sentence": "Drag.",
-        "object_force": {"y": "-drag * object_vy"},
-        "parameters": {"drag": {"unit": "N s/m", "nominal": 0.0, "lower": 0.0, "upper": 50.0, "scale": 1.0}},
-    }
-)
 
 
 def designed() -> ExperimentPlan:
@@ -75,30 +65,6 @@ def test_a_rule_goes_on_after_trials_that_no_scenario_file_has(tmp_path: Path) -
 
 def test_a_design_after_a_discovery_knows_its_laws(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Two laws that are tied are told apart; the library has neither."""
-    cube = DRAG.model_copy(update={"name": "object_drag_cube", "object_force": {"y": "-drag * object_vy**3"}})
-    effects = tuple(
-        EffectDocument(
-            name=one.name,
-            verdict=f"CONFUSABLE-WITH{{{other.name}}}",
-            rivals=(other.name,),
-            parameters={"drag": {"estimate": 5.0, "ci95": (4.0, 6.0), "unit": "N s/m", "nominal": 0.0}},
-            held_out_error_before=9.0,
-            held_out_error_after=1.0,
-            p_value=0.001,
-        )
-        for one, other in ((DRAG, cube), (cube, DRAG))
-    )
-    model = load_model("nominal")
-    document: DiagnosisDocument = diagnosis().model_copy(
-        update={
-            "named": (DRAG.name,),
-            "suspected": (),
-            "effects": effects,
-            "formulas": (DRAG, cube),
-            "arms": {},
-            "model": ModelIdentity(name=model.name, digest=model.digest),
-        }
-    )
     decided, world = list[Any](), Physics.nominal(load_scenario("push"), "juice")
 
     def design(known: Any, scenarios: Any, budget: int, map_tasks: Any, decide: Any, *rest: Any) -> ExperimentPlan:
@@ -106,6 +72,7 @@ def test_a_design_after_a_discovery_knows_its_laws(tmp_path: Path, monkeypatch: 
         return designed()
 
     monkeypatch.setattr(bench, "design", design)
-    PlantBench(tmp_path, SETTINGS, map, Terminal(as_json=True)).design(model, [], document, 4, 1)
+    plant = PlantBench(tmp_path, SETTINGS, map, Terminal(as_json=True))
+    plant.design(load_model("nominal"), [], tied_laws(), 4, 1)
     assert decided[0].aim == "rivals" and decided[0].pairs == ((0, 1),)
-    assert [one.name for one in decided[0].explanations] == [DRAG.name, cube.name]
+    assert [one.name for one in decided[0].explanations] == ["object_drag", "object_drag_cube"]
