@@ -415,7 +415,12 @@ def _falls(before: DiagnosisDocument, now: DiagnosisDocument) -> bool:
 
 def _settled(settings: Settings, here: Round) -> bool:
     """Whether a model with effects has stood the trial."""
-    return here.model != settings.model and here.diagnosis is not None and holds(here.diagnosis)
+    return here.model != settings.model and _tried(here) and here.diagnosis is not None and holds(here.diagnosis)
+
+
+def _tried(here: Round) -> bool:
+    """Whether a trial of the round can be used."""
+    return here.prediction_error is not None and here.prediction_error.trials > 0
 
 
 def _without_a_law(rounds: Sequence[Round]) -> int:
@@ -477,20 +482,21 @@ def decide(settings: Settings, rounds: Sequence[Round], budget: int) -> RoundDec
         )
 
     if _settled(settings, here):
-        laws, error = _laws_added(rounds), here.prediction_error
-        how = "" if error is None or error.error is None else f" with an error of {error.error:.3g} {error.unit}"
+        laws, found = _laws_added(rounds), here.prediction_error
+        assert found is not None
         return RoundDecision(
             action="end",
             verdict=LAW if laws else EXPLAINED,
-            reason=f"{here.model} predicts the {len(here.trials)} trials that were measured after it was made{how}, "
-            f"and lacks nothing in all {here.diagnosis.runs.trials}: {here.diagnosis.summary}",
+            reason=f"{here.model} predicts the {found.trials} trials that were measured after it was made with an "
+            f"error of {found.error:.3g} {found.unit}, and lacks nothing in all {here.diagnosis.runs.trials}: "
+            f"{here.diagnosis.summary}",
             budget=budget,
         )
     if basis.verdict == TOO_FEW:
         return more(f"Too few repeats for a verdict: {basis.design.shortage}.")
     if holds(basis):
         before = rounds[-2].basis if len(rounds) > 1 else None
-        if before is None or not holds(before):
+        if before is None or not holds(before) or not _tried(here):
             return more(f"{basis.summary} New trials have to confirm it.")
         return RoundDecision(
             action="end",

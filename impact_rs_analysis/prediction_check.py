@@ -14,6 +14,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import scipy
 from pydantic import Field
 
 from impact_rs_analysis.diagnosis.document import ModelIdentity
@@ -28,6 +29,8 @@ from impact_rs_sim.model import Model
 from impact_rs_sim.schema import Schema
 from impact_rs_trials.runs import label_of
 from impact_rs_trials.spec import TrialSpec
+
+MOMENTS = 21  # at which the velocity of the end effector is looked at, a millisecond apart
 
 
 class ImpactPrediction(Schema):
@@ -123,17 +126,12 @@ def _arm_velocity(run: MeasuredRun) -> float:
     """Velocity of the end effector after the impact along the axis, mean over the arms [m/s]."""
     found = []
     for name, begin in run.impacts.items():
-        low, high = JUMP_WINDOWS[SETTLED]
-        arm, time = run.signals.arms[name], run.signals.time
-        model = run.setup.physics.robot_model(name)
-        found.append(
-            np.mean(
-                [
-                    (model.jacobian(arm.position[row]) @ arm.velocity[row])[run.axis]
-                    for row in np.flatnonzero((time >= begin + low) & (time <= begin + high))
-                ]
-            )
+        arm, model = run.signals.arms[name], run.setup.physics.robot_model(name)
+        moments = begin + np.linspace(*JUMP_WINDOWS[SETTLED], MOMENTS)
+        rows = scipy.interpolate.make_interp_spline(run.signals.time, np.hstack([arm.position, arm.velocity]), 1)(
+            moments
         )
+        found += [(model.jacobian(q) @ dq)[run.axis] for q, dq in (np.split(row, 2) for row in rows)]
     return float(np.mean(found))
 
 

@@ -207,6 +207,23 @@ def test_renewed_estimates_of_the_same_effect_are_tried_on_new_trials(start: Sta
     assert ending.trials == investigation.FIRST + 2 * investigation.CHECK
 
 
+@pytest.mark.parametrize("answer", ["effect", "nothing"])
+def test_trials_that_cannot_be_used_try_and_confirm_nothing(
+    start: Start, monkeypatch: pytest.MonkeyPatch, answer: str
+) -> None:
+    """The second round has no usable trial; the third has."""
+    check = investigation.prediction_error
+
+    def unusable(source: Any, folder: Path, predictions: Predictions) -> PredictionError:
+        found = check(source, folder, predictions)
+        return found.model_copy(update={"trials": 0, "error": None}) if folder.name == "round_02" else found
+
+    monkeypatch.setattr(investigation, "prediction_error", unusable)
+    investigation_, _ = start({"effect": friction_then_nothing, "nothing": lambda *_: CLEAN}[answer])
+    ending = investigation_.run()
+    assert (ending.verdict, ending.rounds) == ({"effect": "EXPLAINED", "nothing": "NOTHING-MISSING"}[answer], 3)
+
+
 def test_a_model_that_never_holds_is_no_explanation(start: Start) -> None:
     investigation_, _ = start(lambda model, trials: said(MASS, MASS) if model.effects else said(FRICTION, FRICTION), 14)
     ending = investigation_.run()
