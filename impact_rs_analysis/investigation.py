@@ -306,7 +306,7 @@ class Investigation:
         here = _folder(self.directory, number)
         left = self.budget - measured(rounds)
         document = (rounds[-1].laws or rounds[-1].basis) if rounds else None
-        fresh = bool(rounds) and rounds[-1].decision is not None and rounds[-1].decision.action == "add"
+        fresh = bool(rounds) and self._to_be_tried(rounds[-1])
         count = min(left, FIRST if not rounds else CHECK if fresh else MORE)
         self._say(f"Round {number}: design of {count} trials at most, {left} are left")
         plan = self._bench.design(
@@ -375,6 +375,11 @@ class Investigation:
         self._say(f"Round {here.number}: {name}: {done.add[index]}")
         output = self.directory / name
         save_model(add_effects(model, Path(parent), document, source, [done.add[index]], output, False), output)
+
+    def _to_be_tried(self, here: Round) -> bool:
+        """Whether the newest model has not been tried yet: it was made after the round, or no trial of it is usable."""
+        made = here.decision is not None and here.decision.action == "add"
+        return made or (here.model != self.settings.model and not self._fails(here))
 
     def _fails(self, here: Round) -> bool:
         """Whether a model with effects does not hold."""

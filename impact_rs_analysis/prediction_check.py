@@ -90,9 +90,10 @@ def prediction_error(source: Source, folder: Path, predictions: Predictions) -> 
     assert source.runs is not None
     errors, expected, impacts, count = [], [], [], 0
     known = {one.condition: one for one in predictions.impacts}
-    conditions = source.runs.conditions
+    conditions, folder = source.runs.conditions, folder.resolve()
     for item in source.clusters:
-        rows = [row for row, run in enumerate(conditions[item.name]) if Path(run.path).is_relative_to(folder)]
+        paths = [Path(run.path).resolve() for run in conditions[item.name]]
+        rows = [row for row, path in enumerate(paths) if path.is_relative_to(folder)]
         if not rows:
             continue
         count += len(rows)

@@ -219,8 +219,9 @@ def test_trials_that_cannot_be_used_try_and_confirm_nothing(
         return found.model_copy(update={"trials": 0, "error": None}) if folder.name == "round_02" else found
 
     monkeypatch.setattr(investigation, "prediction_error", unusable)
-    investigation_, _ = start({"effect": friction_then_nothing, "nothing": lambda *_: CLEAN}[answer])
+    investigation_, bench = start({"effect": friction_then_nothing, "nothing": lambda *_: CLEAN}[answer])
     ending = investigation_.run()
+    assert (bench.last is None) == (answer == "effect")  # the model is tried again, for whatever else it may lack
     assert (ending.verdict, ending.rounds) == ({"effect": "EXPLAINED", "nothing": "NOTHING-MISSING"}[answer], 3)
 
 

@@ -54,6 +54,13 @@ def test_velocities_after_the_impact_are_measured_beside_what_was_predicted(
     assert found.object == pytest.approx(truth.object, abs=0.04)
 
 
+def test_the_folder_may_be_named_from_where_one_is(
+    source: ReplaySource, hidden_campaign: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(hidden_campaign)
+    assert prediction_error(source, Path("push"), said(source)).trials == 4
+
+
 def test_a_round_without_a_usable_trial_has_no_error(source: ReplaySource, hidden_campaign: Path) -> None:
     found = prediction_error(source, hidden_campaign / "nothing", said(source, predicted(source.model, PARCEL)))
     assert (found.trials, found.error, found.impacts) == (0, None, ())
