@@ -148,7 +148,8 @@ simulated with the model by the compiled twin, in closed loop and within the lim
 replayed under every explanation. Chosen is what raises the probability of the right decision most:
 
   without --after   which effect is missing, if any: all effects of the library against each other
-  with --after      which of the tied effects of a diagnosis is there; without ties, how large the effects found are
+  with --after      which of the tied effects or laws of a diagnosis or discovery is there, or a suspected one at all;
+                    without either, how large the effects found are
 
 --runs names the trials measured so far: their scatter counts, and their information. The plan says what each
 condition adds. The probability is that of a likelihood-ratio test between two explanations; a diagnosis asks for more
@@ -169,7 +170,7 @@ impact-rs design --envelope envelope.yaml --budget 12 -o plan.yaml""",
         MODEL,
         option(
             "--after", kind="diagnosis", metavar="FILE.json", label="diagnosis",
-            help="diagnosis of this model, whose open decision the plan is for",
+            help="diagnosis or discovery of this model, whose open decision the plan is for",
         ),
         option(
             "--runs", kind="runs", metavar="DIR", label="trials so far", help="trials measured so far",
@@ -307,7 +308,8 @@ INVESTIGATE = Command(
     about="""\
 Run the loop by itself: choose trials, predict them, measure them, compare, diagnose, add the missing effect to the
 model, and try the new model on new trials. It ends with NOTHING-MISSING, EXPLAINED (the effects are named and the model
-holds), LAW-HOLDS (a law outside the library does), or UNDECIDED: the trials of the budget cannot decide it.
+holds on new trials), LAW-HOLDS (a law outside the library does), or UNDECIDED: the trials of the budget cannot decide
+it, or none was left to try the model on.
 
 All that it did is in DIR, step by step; the same command goes on after Ctrl-C, a kill or a power cut. --budget may
 grow.

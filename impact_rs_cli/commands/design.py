@@ -10,7 +10,7 @@ from rich.table import Table
 from impact_rs_analysis.design.design import design
 from impact_rs_analysis.design.possible_trials import Envelope
 from impact_rs_analysis.diagnosis.document import read_document
-from impact_rs_analysis.diagnosis.next_experiment import left_open
+from impact_rs_analysis.diagnosis.next_experiment import considered, left_open
 from impact_rs_cli.arguments import started
 from impact_rs_cli.measurements import read
 from impact_rs_cli.parser import PROGRAM
@@ -42,6 +42,7 @@ def run(args: argparse.Namespace, terminal: Terminal) -> int:
             decide = left_open(document, model)
         except InputError as error:
             raise error.in_file(args.after) from None
+        model = considered(document, model)
         earlier = document.runs.digest
     with started(args) as map_tasks:
         runs = None if args.runs is None else read(args.runs, map_tasks, terminal)
