@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 
 from impact_rs_analysis.measure.arms import ArmDocument, arms_of
+from impact_rs_analysis.measure.departure import ObjectLeft, objects_left
 from impact_rs_analysis.measure.far import Jump, far_jumps
 from impact_rs_analysis.measure.linear_fit import FitError, LineFit, fit_zero_crossing
 from impact_rs_analysis.measure.net_feedback import TrialFeedback, net_feedback
@@ -245,6 +246,7 @@ class Analysis:
             stay in the fit.
         limited: Trials with a joint at its torque limit in the window, with its name and duration [s]; they stay in the
             fit.
+        left: Sets whose object left the pad after the hit, which no prediction knows; they stay in the fit.
         sensitivity: Sensitivity of the estimates to settings; empty if none was varied.
         unsealed: Bags without checksums, in which changes are not detected.
         arms: Arms of the trials.
@@ -258,6 +260,7 @@ class Analysis:
     no_impact: tuple[str, ...]
     apart: tuple[tuple[str, float], ...] = ()
     limited: tuple[tuple[str, str, float], ...] = ()
+    left: tuple[ObjectLeft, ...] = ()
     sensitivity: Sensitivity = Sensitivity()
     unsealed: tuple[str, ...] = ()
     arms: tuple[ArmDocument, ...] = ()
@@ -324,6 +327,7 @@ class Analysis:
             "missing": list(self.missing),
             "no_impact": list(self.no_impact),
             "limited": [{"trial": name, "joint": joint, "time_s": time} for name, joint, time in self.limited],
+            "object_left": [entry.to_json() for entry in self.left],
             "apart": [{"trial": name, "between_impacts_s": spread} for name, spread in self.apart],
         }
 
@@ -435,6 +439,9 @@ def analyze_campaign(
             for prefix, trials in [("", measured), *((f"{folders[key]}/", found) for key, found in others.items())]
             for trial in trials
             for entry in trial.limited
+        ),
+        left=tuple(
+            objects_left({key: [trial.departures for trial in own if trial.impact] for key, own in groups.items()})
         ),
         sensitivity=sensitivity_of(measured, others),
         arms=arms_of(

@@ -291,6 +291,10 @@ def _left_out(analysis: Analysis) -> list[Listing]:
         Listing("Sets without an estimate", tuple((f"{s.object} {s.case}", s.reason) for s in analysis.incomplete)),
         Listing("Trials without impact, not in the fit", tuple((name, "") for name in analysis.no_impact)),
         Listing(
+            "Sets whose object does not stay at the pad",
+            tuple((f"{left.object} {left.case}", left.words) for left in analysis.left),
+        ),
+        Listing(
             "Trials in which one arm hit long before another",
             tuple((name, f"{1e3 * spread:.0f}\N{NO-BREAK SPACE}ms") for name, spread in analysis.apart),
         ),

@@ -116,6 +116,8 @@ def _show(analysis: Analysis, terminal: Terminal) -> None:
         terminal.say(_arms_table(by_arm))
     if warning := far_words(analysis.jumps):
         terminal.warn(warning)
+    for left in analysis.left:
+        terminal.warn(f"{left.object} {left.case}: {left.words}")
     if analysis.sensitivity.shifts:
         terminal.say(_bands(analysis))
     for note in assumptions(analysis.arms):
