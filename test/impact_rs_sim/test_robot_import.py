@@ -21,6 +21,7 @@ from impact_rs_sim.bullet_mechanics import BulletMechanics
 from impact_rs_sim.bullet_world import mass_matrices
 from impact_rs_sim.drive import DriveStart
 from impact_rs_sim.errors import InputError
+from impact_rs_sim.paths import config_directory
 from impact_rs_sim.physics import JointFriction
 from impact_rs_sim.robot import EndEffector, load_facts
 from impact_rs_sim.robot_import import FULL_TURN, facts_text, frame_of_axis, import_urdf, save_facts
@@ -607,7 +608,7 @@ def test_too_little_inertia_is_not_about_the_joint(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     "name",
-    ["franka_fer", "franka_fr3", "kinova_gen3", "kuka_iiwa7", "kuka_iiwa14", "ur5e", "ur10", "ur10e"],
+    sorted(path.stem for path in (config_directory() / "robots").glob("*.yaml")),
 )
 def test_links_of_real_arms_are_not_suspected(name: str) -> None:
     facts = load_facts(name)
