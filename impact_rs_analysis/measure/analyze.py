@@ -7,6 +7,8 @@ fit. Missing trials of the manifest are listed.
 
 from __future__ import annotations
 
+import functools
+import json
 import math
 from collections import Counter, defaultdict
 from collections.abc import Callable, Sequence
@@ -464,15 +466,28 @@ def _missing(directory: Path, skipped: list[SkippedBag]) -> list[str]:
     return [key.name for key in manifest.keys if not (directory / key.name).exists()]
 
 
+@functools.lru_cache(maxsize=64)
+def _version_of(scenario_json: str) -> str:
+    """A recorded scenario without how well its numbers are known, which is no part of a trial."""
+    try:
+        data = json.loads(scenario_json)
+        data.pop("uncertainty", None)
+        for robot in data["robots"].values():
+            robot["drive"].pop("assumed", None)
+    except (ValueError, KeyError, AttributeError):  # what it is instead, the reader of the trial says
+        return scenario_json
+    return json.dumps(data)
+
+
 def _one_scenario_each(trials: list[TrialFeedback], skipped: list[SkippedBag]) -> list[TrialFeedback]:
     """Leave out trials recorded with another version of the scenario than most others of that name."""
     versions: dict[str, Counter[str]] = defaultdict(Counter)
     for trial in trials:
-        versions[trial.info.scenario][trial.info.scenario_json] += 1
+        versions[trial.info.scenario][_version_of(trial.info.scenario_json)] += 1
     common = {name: counter.most_common(1)[0][0] for name, counter in versions.items()}
     kept = []
     for trial in trials:
-        if trial.info.scenario_json == common[trial.info.scenario]:
+        if _version_of(trial.info.scenario_json) == common[trial.info.scenario]:
             kept.append(trial)
         else:
             reason = f"recorded with another version of scenario {trial.info.scenario!r} than most trials of the folder"
