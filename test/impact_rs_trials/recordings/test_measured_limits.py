@@ -49,7 +49,7 @@ def recording(path: Path, names: str, turn: float = 1.0) -> Path:
 
 NUMBERED = "q1,q2,dq1,dq2,tau1,tau2"
 NAMED = "shoulder_position,elbow_position,shoulder_velocity,elbow_velocity,shoulder_effort,elbow_effort"
-TURNED = "position_elbow,position_shoulder,velocity_elbow,velocity_shoulder,effort_elbow,effort_shoulder"
+TURNED = "position_tilt,position_swing,velocity_tilt,velocity_swing,effort_tilt,effort_swing"
 
 
 @pytest.mark.parametrize("names", [NUMBERED, NAMED])
@@ -70,9 +70,9 @@ def test_limits_that_are_missing_or_0_are_measured_and_said(urdf: Path, tmp_path
 
 
 def test_columns_named_after_joints_may_stand_in_any_order(tmp_path: Path) -> None:
-    found = measured_limits(recording(tmp_path / "log.csv", TURNED), ["shoulder", "elbow"])
-    assert found["elbow", "position"] == pytest.approx((-0.8, 1.2), abs=1e-3)
-    assert found["shoulder", "effort"] == pytest.approx((7.0,), abs=1e-3)
+    found = measured_limits(recording(tmp_path / "log.csv", TURNED), ["swing", "tilt"])
+    assert found["tilt", "position"] == pytest.approx((-0.8, 1.2), abs=1e-3)
+    assert found["swing", "effort"] == pytest.approx((7.0,), abs=1e-3)
 
 
 def test_what_is_given_goes_before_what_is_measured(urdf: Path, tmp_path: Path) -> None:
