@@ -238,6 +238,11 @@ impact-rs robot check my_robot.yaml --scenario my_push.yaml""",
                     "is every joint",
                 ),
                 option(
+                    "--measured", kind="file", metavar="TABLE", otherwise="none",
+                    help="table of a recording in rad, rad/s and N m, with columns named after the joints or numbered; "
+                    "its ranges stand in for limits that are missing or 0",
+                ),
+                option(
                     "--inertia-at", choices=("centre", "joint"), default="centre",
                     help="where the moments of inertia are about: the centre of mass, as the format says, or the joint",
                 ),

@@ -94,7 +94,8 @@ def sliders_of(scenario: Scenario, object_name: str) -> tuple[Slider, ...]:
                "Coulomb friction between object and support"),
         *(
             Slider(f"uncertainty.{name}", name.replace("_", " "), "± relative", getattr(scenario.uncertainty, name),
-                   0.0, 0.3, str(widths[name].description), "scenarios.md", True)
+                   0.0, max(0.3, getattr(scenario.uncertainty, name)), str(widths[name].description), "scenarios.md",
+                   True)
             for name in widths if str(widths[name].description).find("relative") >= 0
         ),
     )  # fmt: skip

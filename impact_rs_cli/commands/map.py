@@ -17,12 +17,14 @@ from impact_rs_sim.impact_map.derivatives import Derivatives, differentiate_safe
 from impact_rs_sim.impact_map.uncertainty import LEVEL, UncertainPrediction, predict
 from impact_rs_sim.impact_map.uniqueness import CHOICE, Uniqueness, uniqueness_of
 from impact_rs_sim.numbers import estimate_text
+from impact_rs_sim.physics import assumed_words
 from impact_rs_sim.scenario import load_scenario
 from impact_rs_sim.scene import Scene
 from impact_rs_trials.map_table import answer_table, write_answers
 from impact_rs_trials.recordings.impact_table import read_impact_table
 
 MOST_SWITCHES = 3  # that are shown; all are in the JSON document
+UNUSED = ("drive.stiffness", "drive.damping")  # by the rigid impact map
 LEAST_SWITCHES = 0.01  # share of the draws from which one is shown
 
 
@@ -48,6 +50,7 @@ def run(args: argparse.Namespace, terminal: Terminal) -> int:
     several = uniqueness_of(problem, scene.models) if args.contact == "first" else None
     prediction = predict(problem, scenario.uncertainty, scene.models) if args.uncertainty else None
     slopes = differentiate_safely(problem, scene.models) if args.derivatives else None
+    assumed = {name: [item for item in arm.assumed if item not in UNUSED] for name, arm in scene.physics.arms.items()}
     before = {name: scene.models[name].jacobian(arm.position) @ arm.velocity for name, arm in scene.arms.items()}
     terminal.result(
         {
@@ -56,6 +59,7 @@ def run(args: argparse.Namespace, terminal: Terminal) -> int:
             "case": scene.case_name,
             "motor_inertia": args.motor_inertia,
             "contact": args.contact,
+            "assumed": {name: words for name, words in assumed.items() if words},
             "ante": {
                 "end_effector_twist": {name: twist.tolist() for name, twist in before.items()},
                 "joint_position": {name: arm.position.tolist() for name, arm in scene.arms.items()},
@@ -99,6 +103,8 @@ def run(args: argparse.Namespace, terminal: Terminal) -> int:
         _say_uncertainty(prediction, terminal)
     if slopes is not None:
         _say_derivatives(slopes, problem, f"{next(iter(scene.arms))}.velocity.{scenario.axis}", terminal)
+    if note := assumed_words(assumed):
+        terminal.say(f"note: {note}")
     if several is not None and several.warning:
         terminal.warn(several.warning)
     return 0

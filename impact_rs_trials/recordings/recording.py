@@ -201,6 +201,7 @@ def nominal_physics(mapping: Mapping, position: Array, model: RobotModel) -> Phy
         pad_stiffness=None,
         pad_damping=0.0,
         impact_position=np.mean(places, axis=0),
+        assumed=facts.assumed,
     )
     nothing = ObjectPhysics(1.0, np.ones(3), np.ones(3), np.zeros(3))
     return Physics({ARM: arm}, nothing, None, (1.0, 1.0), 0.0, 0.0, 0.0)

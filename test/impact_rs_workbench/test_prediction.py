@@ -65,7 +65,7 @@ def test_more_motor_inertia_keeps_more_of_the_velocity_all_along_a_slider() -> N
 
 
 def test_every_slider_is_a_key_of_the_scenario_within_its_ends() -> None:
-    for scenario in (PUSH, load_scenario("grab")):
+    for scenario in (PUSH, load_scenario("grab"), load_scenario("push_iiwa7")):
         name = next(iter(scenario.objects))
         case = next(iter(scenario.cases))
         for slider in sliders_of(scenario, name):
