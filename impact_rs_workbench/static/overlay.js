@@ -2,7 +2,7 @@
 // Runs, models and estimates over each other: choose, filter, pin.
 
 import {draw} from './figures.js';
-import {ask, arrowKeys, fill, h, inFolder, labelled, number, plain, query, Questions, state} from './tools.js';
+import {ask, fill, h, inFolder, labelled, number, plain, query, Questions, state, Tabs} from './tools.js';
 
 const COLOURS = ['#0072B2', '#D55E00', '#009E73', '#CC79A7', '#E69F00', '#56B4E9', '#555555', '#7A5195', '#003F5C', '#BC5090'];
 const FIRST = 3; // runs that are chosen at first
@@ -245,26 +245,9 @@ const PARTS = {runs: ['Runs', runs], models: ['Models', models], estimates: ['Es
 
 export const overlay = {
   build() {
-    this.tabs = Object.entries(PARTS).map(([name, [text]]) => h('button', {type: 'button', role: 'tab', id: `tab-overlay-${name}`,
-      'aria-controls': `part-overlay-${name}`, onclick: () => this.show(name)}, text));
-    arrowKeys(this.tabs);
-    this.panels = Object.entries(PARTS).map(([name, [, part]]) => h('div', {role: 'tabpanel', id: `part-overlay-${name}`, 'data-part': name,
-      'aria-labelledby': `tab-overlay-${name}`}, part.build()));
-    this.node = h('section', {}, h('h2', {}, 'Over each other'), h('div', {class: 'tabs', role: 'tablist'}, ...this.tabs), ...this.panels);
-    this.show('runs');
-    return this.node;
+    this.tabs = new Tabs(Object.fromEntries(Object.entries(PARTS).map(([name, [text, part]]) => [name, [text, part.build()]])), 'overlay-');
+    return h('section', {}, h('h2', {}, 'Over each other'), this.tabs.list, this.tabs.lead, ...this.tabs.panels);
   },
 
-  show(name) {
-    this.chosen = name;
-    for (const panel of this.panels) panel.hidden = panel.dataset.part !== name;
-    for (const tab of this.tabs) {
-      const own = tab.id === `tab-overlay-${name}`;
-      tab.setAttribute('aria-selected', String(own));
-      tab.tabIndex = own ? 0 : -1;
-    }
-    if (state.workspace) this.update();
-  },
-
-  update() { PARTS[this.chosen][1].update(); },
+  update() { PARTS[this.tabs.chosen][1].update(); },
 };
