@@ -3,9 +3,12 @@
 
 from __future__ import annotations
 
+import functools
 import json
 import os
 import re
+from contextlib import suppress
+from datetime import datetime
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +17,7 @@ from impact_rs_analysis.diagnosis.discovery_document import is_discovery
 from impact_rs_analysis.diagnosis.document import DiagnosisDocument, read_document
 from impact_rs_analysis.diagnosis.scoring import score
 from impact_rs_analysis.evidence.levels import Cell
-from impact_rs_analysis.evidence.measured_runs import runs_digest
+from impact_rs_analysis.evidence.measured_runs import find_bags, runs_digest
 from impact_rs_analysis.investigation import ending_of, measured, read_rounds, read_settings
 from impact_rs_analysis.report.comparison import comparison_in_words, on_scale, where_part
 from impact_rs_analysis.report.labels import phase_text, place_text, tag_of
@@ -26,6 +29,7 @@ from impact_rs_sim.errors import InputError
 from impact_rs_sim.numbers import estimate_text
 from impact_rs_sim.schema import validate
 from impact_rs_trials.bags.reader import BagError, TrialBag
+from impact_rs_trials.bags.writer import RECORDED
 from impact_rs_trials.blind import RUNS, TRUTH
 from impact_rs_trials.experiment_plan import read_plan
 from impact_rs_trials.recordings.experiment import Experiment, load_experiment, read_runs
@@ -181,7 +185,7 @@ def reveal(workspace: Workspace, path: str) -> dict[str, Any]:
     campaigns = [given] if given.is_dir() else [workspace.existing(name) for name in contents.blinds]
     files = [workspace.existing(name) for name in newest_first] if given.is_dir() else [given]
     for campaign in campaigns:
-        digest = runs_digest(campaign / RUNS)
+        digest, _ = _identity(campaign / RUNS)
         for file in files:
             document = read_document(file)
             if document.runs.digest == digest:
@@ -210,11 +214,17 @@ def _revealed(campaign: Path, file: Path, document: DiagnosisDocument) -> dict[s
 
 
 def estimates(workspace: Workspace) -> list[dict[str, Any]]:
-    """Every estimate of a parameter in the diagnoses of the folder, the oldest first."""
+    """Every estimate of a parameter in the diagnoses of the folder, in the order of measurement.
+
+    ``when`` is when the last of the diagnosed trials was recorded [s of the wall clock], where they are in the folder
+    (``measured``), else when the diagnosis was written.
+    """
     contents = workspace.contents()
+    measured = dict(_identity(workspace.existing(name)) for name in contents.runs)
     found = []
-    for one in sorted(contents.diagnoses, key=lambda one: contents.stamps.get(one.path, 0.0)):
+    for one in contents.diagnoses:
         document = read_document(workspace.existing(one.path))
+        last = measured.get(document.runs.digest)
         for effect in document.effects:
             for name, value in effect.parameters.items():
                 low, high = value.interval
@@ -229,10 +239,11 @@ def estimates(workspace: Workspace) -> list[dict[str, Any]]:
                         "model": one.model,
                         "verdict": effect.verdict,
                         "named": effect.name in document.named,
-                        "when": contents.stamps.get(one.path, 0.0),
+                        "when": contents.stamps.get(one.path, 0.0) if last is None else last,
+                        "measured": last is not None,
                     }
                 )
-    return found
+    return sorted(found, key=lambda entry: entry["when"])
 
 
 def nearest_signal(cell: Cell) -> str:
@@ -254,9 +265,25 @@ def nearest_signal(cell: Cell) -> str:
 def practice_of(workspace: Workspace, document: DiagnosisDocument) -> str | None:
     """The practice campaign whose runs were diagnosed, as it is seen from the folder; None: there is none."""
     for name in workspace.contents().blinds:
-        if runs_digest(workspace.existing(name) / RUNS) == document.runs.digest:
+        if _identity(workspace.existing(name) / RUNS)[0] == document.runs.digest:
             return name
     return None
+
+
+def _identity(folder: Path) -> tuple[str, float | None]:
+    """Digest of the trials in a folder, and when the last one was recorded [s of the wall clock]; None: unknown."""
+    bags = find_bags(folder)
+    return _identity_of(folder, tuple((path, path.stat().st_mtime_ns) for path in bags))
+
+
+@functools.lru_cache(maxsize=200)
+def _identity_of(folder: Path, bags: tuple[tuple[Path, int], ...]) -> tuple[str, float | None]:
+    """What is read of a folder while its bags stay as they are."""
+    times = []
+    for path, _ in bags:
+        with suppress(BagError, KeyError, ValueError):
+            times.append(datetime.fromisoformat(TrialBag.open(path).metadata[RECORDED]).timestamp())
+    return runs_digest(folder), max(times, default=None)
 
 
 def diagnosis(workspace: Workspace, name: str) -> dict[str, Any]:

@@ -34,6 +34,7 @@ from impact_rs_workbench import formula_editor, manual, prediction, recording_de
 from impact_rs_workbench.forms import FORMS, form_of, named, order_of, seen
 from impact_rs_workbench.formula_editor import FormulaText
 from impact_rs_workbench.jobs import Jobs
+from impact_rs_workbench.kept_choices import Choice, choices, keep
 from impact_rs_workbench.live_page import Sources, Watch
 from impact_rs_workbench.local import Ended, listening, serve_locally
 from impact_rs_workbench.prediction import Question
@@ -165,6 +166,9 @@ def _routes(workbench: Workbench) -> list[Route]:
     def preview(data: Any) -> Any:
         return recording_description.preview(workspace, validate(PreviewRequest, data, None))
 
+    def keep_choice(data: Any) -> Any:
+        return keep(workspace, validate(Choice, data, None)).model_dump()
+
     def check(data: Any) -> Any:
         return formula_editor.check(validate(FormulaText, data, None).text)
 
@@ -185,6 +189,8 @@ def _routes(workbench: Workbench) -> list[Route]:
         Route(
             "/api/investigation", _got(lambda given: results.investigation(workspace.existing(given.get("path", ""))))
         ),
+        Route("/api/choices", _got(lambda _: choices(workspace).model_dump())),
+        Route("/api/choices", _posted(keep_choice), methods=["POST"]),
         Route("/api/estimates", _got(lambda _: results.estimates(workspace))),
         Route("/api/trials", _got(lambda given: results.trials(workspace.existing(given.get("path", ""))))),
         Route("/api/trial", _got(lambda given: results.trial(workspace.existing(given.get("path", ""))))),

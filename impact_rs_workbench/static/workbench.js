@@ -28,7 +28,7 @@ const ABOUT = {
   designs: {title: 'Design study', text: 'The hit of every combination is predicted. Each value has an interval from the uncertainties of the scenario, ' +
     'and each rank a range.', units: 'impulse in N s, speeds in m/s; joint jump over the velocity limit', page: 'design_study.md'},
   rehearse: {title: 'Rehearsal', text: 'Arming, cell, controller, brake and watchdog are those that a robot meets; the driver is a stand-in with the ' +
-    'rates, latencies and limits of its profile. A negative margin fails the rehearsal.', units: 'beside each number', page: 'real_robot.md'},
+    'rates, latencies and limits of its profile. A negative margin fails the rehearsal.', units: 'beside each number', page: 'limits.md#rehearsal'},
   import: {title: 'Import', text: 'Positions lie within the limits of the robot, velocities are their derivative, torques are those of weight and inertia. ' +
     'ASSUMED marks what nothing shows: look at those values.', units: 'as in the files; the mapping names them', page: 'your_data.md'},
   impacts: {title: 'Impacts', text: 'Positions on both sides of an impact are fitted: parabolas of joints, sliding or flight of the object. Whatever gives ' +
@@ -1878,7 +1878,7 @@ function go(step, tab = '') {
   state.step = step;
   if (tabs && tab && tabs.chosen !== tab) tabs.show(tab);
   const key = tabs ? `${step}/${tabs.chosen}` : step, own = ABOUT[tabs?.chosen];
-  location.hash = key;
+  if (location.hash === `#${step}`) history.replaceState(null, '', `#${key}`); else location.hash = key; // a step back leaves it again
   tabs?.lead.replaceChildren(leads[key]);
   for (const [name, panel] of Object.entries(panels)) panel.hidden = name !== step;
   for (const button of $('steps').querySelectorAll('button')) {
