@@ -27,13 +27,13 @@ class Chosen(Schema):
 
 
 class Choices(Schema):
-    """``overlay.json``; a list that nobody has touched is absent."""
+    """``overlay.json``; a list that was not changed is absent."""
 
     runs: Chosen | None = Field(None, description="recorded trials")
     models: Chosen | None = Field(None, description="comparisons")
 
 
-class Choice(Chosen):
+class ListChoice(Chosen):
     """One list, as the page sends it."""
 
     name: Literal["runs", "models"] = Field(description="which list")
@@ -48,7 +48,7 @@ def choices(workspace: Workspace) -> Choices:
         return Choices()
 
 
-def keep(workspace: Workspace, choice: Choice) -> Choices:
+def keep(workspace: Workspace, choice: ListChoice) -> Choices:
     """Keep what was chosen in one list."""
     own = Chosen(chosen=choice.chosen, pinned=choice.pinned)
     kept = choices(workspace).model_copy(update={choice.name: own})

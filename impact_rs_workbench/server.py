@@ -34,7 +34,7 @@ from impact_rs_workbench import formula_editor, manual, prediction, recording_de
 from impact_rs_workbench.forms import FORMS, form_of, named, order_of, seen
 from impact_rs_workbench.formula_editor import FormulaText
 from impact_rs_workbench.jobs import Jobs
-from impact_rs_workbench.kept_choices import Choice, choices, keep
+from impact_rs_workbench.kept_choices import ListChoice, choices, keep
 from impact_rs_workbench.live_page import Sources, Watch
 from impact_rs_workbench.local import Ended, listening, serve_locally
 from impact_rs_workbench.prediction import Question
@@ -167,7 +167,7 @@ def _routes(workbench: Workbench) -> list[Route]:
         return recording_description.preview(workspace, validate(PreviewRequest, data, None))
 
     def keep_choice(data: Any) -> Any:
-        return keep(workspace, validate(Choice, data, None)).model_dump()
+        return keep(workspace, validate(ListChoice, data, None)).model_dump()
 
     def check(data: Any) -> Any:
         return formula_editor.check(validate(FormulaText, data, None).text)

@@ -139,8 +139,8 @@ export function arrowKeys(tabs) {
   }
 }
 
-// Tabs of a step, of which one panel is in sight. `parts`: by name the text of the tab and what is in its panel. `changed` is told
-// which tab was chosen; `lead` is the place of the first lines.
+// Tabs of a step, of which one panel is in sight. `parts`: by name the text of the tab and what is in its panel. `changed` is given
+// the tab that was chosen; `lead` is the place of the first lines.
 export class Tabs {
   constructor(parts, prefix = '') {
     const made = Object.entries(parts);

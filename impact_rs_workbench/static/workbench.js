@@ -133,7 +133,7 @@ const CHOICES = {
   files: () => state.workspace.laboratories.filter((lab) => lab.recordings.length).map(({path, experiment}) =>
     ({value: path, text: `${path}${experiment ? ' (described)' : ''}`, on: !experiment && state.workspace.laboratories.length === 1})),
   robot: () => plain(state.workspace.robots),
-  robots: (one) => state.workspace.robots.map((value) => ({value, text: value, on: one.default.includes(value)})),
+  robots: (one) => [...new Set([...one.default, ...state.workspace.robots])].map((value) => ({value, text: value, on: one.default.includes(value)})),
   folder: runsChoices,
   scenario: () => plain(state.workspace.scenarios),
   runs: runsChoices,
@@ -300,8 +300,8 @@ function jobButton(text, body, attributes = {}) {
 
 // Pages with one file name in the folder, of which the chosen one stands in the step; that of a job which ends comes first.
 class Pages {
-  constructor(id, label, page, told = () => {}) {
-    Object.assign(this, {page, told});
+  constructor(id, label, page, opened = () => {}) {
+    Object.assign(this, {page, onOpen: opened});
     this.select = h('select', {id: `${id}-page`, onchange: () => this.open()});
     this.result = h('div', {id: `${id}-result`});
     this.nodes = [labelled(label, this.select), this.result];
@@ -322,14 +322,14 @@ class Pages {
     const folder = this.opened = this.select.value;
     this.stamp = state.workspace.stamps[`${folder}/${this.page}`];
     this.result.replaceChildren(...wholeReport(`${folder}/${this.page}`, true));
-    this.told(folder);
+    this.onOpen(folder);
   }
 }
 
-// What the newest job of a command has printed, also while it runs. `told` is given the job.
+// What the newest job of a command has printed, also while it runs. `printed` is given the job.
 class Printed {
-  constructor(command, told = () => {}) {
-    Object.assign(this, {words: command.split(' '), told, questions: new Questions(), key: null});
+  constructor(command, printed = () => {}) {
+    Object.assign(this, {words: command.split(' '), onPrint: printed, questions: new Questions(), key: null});
     this.heading = h('h3', {});
     this.text = h('pre', {class: 'printed', tabindex: 0, 'aria-label': `output of ${command}`});
     this.node = h('div', {hidden: true, 'data-printed': command}, this.heading, this.text);
@@ -345,7 +345,7 @@ class Printed {
     const key = JSON.stringify([job.number, job.ended, job.printed]);
     if (key === this.key) return;
     this.key = key;
-    this.told(job);
+    this.onPrint(job);
     const turn = this.questions.begin();
     try {
       const {log} = await turn.ask(`/api/jobs/${job.number}/log`);
@@ -689,17 +689,22 @@ const measure = {
 
   // The impact that the form asks for, as the nominal model predicts it.
   async picture() {
-    const turn = this.questions.begin();
-    if (this.scene.hidden || state.step !== 'measure') return;
+    if (this.scene.hidden || state.step !== 'measure') {
+      this.questions.begin();
+      this.pictured = null;
+      return;
+    }
     const form = this.tabs.chosen === 'trial' ? this.trialForm : this.form;
     const one = (value) => Array.isArray(value) ? value[0] : value;
     const question = {scenario: form.value('scenario'), object: one(form.value('objects' in form.fields ? 'objects' : 'object')),
       case: one(form.value('cases' in form.fields ? 'cases' : 'case'))};
-    if (!form.found || !question.object || !question.case) return;
+    if (!form.found || !question.object || !question.case || JSON.stringify(question) === this.pictured) return;
+    this.pictured = JSON.stringify(question);
+    const turn = this.questions.begin();
     try {
       const {moment} = await turn.ask('/api/impact', question);
       await turn.of(this.impact.draw(question.scenario, question.object, moment));
-    } catch (error) { this.scene.title = error.message; }
+    } catch (error) { this.pictured = null; this.scene.title = error.message; }
   },
 
   campaign() {
@@ -774,22 +779,32 @@ const measure = {
     this.trialView.open({path: `${folder}/${trial}`});
   },
 
+  // What is in sight; the rest asks for nothing.
   update() {
-    const first = !this.asked, wanted = this.wanted;
-    this.wanted = null;
+    const own = {campaign: () => this.updateCampaign(), trial: () => this.updateTrial(), design: () => design.update(), rehearse: () => rehearse.update(),
+      recorded: () => recorded.update(), live: () => {}, blind: () => { this.blindForm.update(); this.practice(); }};
     this.scene.hidden = !['campaign', 'trial'].includes(this.tabs.chosen);
     this.place.className = this.scene.hidden ? '' : 'beside';
-    this.asked = true;
-    if (first) for (const form of [this.form, this.trialForm]) form.offer('scenario', plain(state.workspace.scenarios), 'push');
-    for (const form of [this.form, this.trialForm, this.blindForm]) form.update();
-    design.update();
-    if (this.tabs.chosen === 'rehearse') rehearse.update();
-    recorded.update();
-    this.practice();
+    own[this.tabs.chosen]();
     this.newestTrial();
     this.picture();
+  },
+
+  updateCampaign() {
+    const first = !this.form.asked, {wanted} = this;
+    this.wanted = null;
+    this.form.asked = true;
+    if (first) this.form.offer('scenario', plain(state.workspace.scenarios), 'push');
+    this.form.update();
     if (wanted) this.form.choose('scenario', wanted.scenario);
     if (first || wanted) this.choose(wanted ?? {});
+  },
+
+  updateTrial() {
+    const first = !this.trialForm.asked;
+    this.trialForm.asked = true;
+    if (first) this.trialForm.offer('scenario', plain(state.workspace.scenarios), 'push');
+    this.trialForm.update();
     if (first) this.chooseTrial();
   },
 };

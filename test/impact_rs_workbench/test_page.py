@@ -20,7 +20,7 @@ import pytest
 import yaml
 from axe_playwright_python.sync_playwright import Axe
 from mixed_grab import FILE
-from playwright.sync_api import Browser, Locator, Page, Route, ViewportSize, expect, sync_playwright
+from playwright.sync_api import Browser, Locator, Page, Request, Route, ViewportSize, expect, sync_playwright
 
 from impact_rs_cli.main import main
 from impact_rs_sim.scenario import load_scenario
@@ -313,7 +313,10 @@ def test_a_slider_moved_by_keyboard_moves_prediction_and_command(page: Page, fol
     assert after.inner_text() != before
     expect(page.locator("#right h2")).to_have_text("restitution e")
     expect(page.locator("#predict-plot .scatterlayer .trace")).to_have_count(7)  # band, 3 maps, object, 2 of the legend
+    page.set_viewport_size({"width": 1280, "height": 1130})
+    page.wait_for_function("() => document.querySelector('#predict-numbers').getBoundingClientRect().top < 1130")
     picture(page, "workbench", folder)
+    page.set_viewport_size(DESK)
 
 
 def test_a_found_model_is_predicted_with_the_model_that_is_chosen(page: Page, folder: Path) -> None:
@@ -452,7 +455,7 @@ def test_a_single_trial_is_shown_below_its_form_and_again_after_a_reload(page: P
 def test_how_fast_the_arm_may_hit_is_asked_and_the_hit_rehearsed_by_mouse(page: Page, folder: Path) -> None:
     command = go(page, "predict", "limits")
     expect(command).to_contain_text("limits push --objects parcel --cases case_1 -o workbench/limits/push")
-    page.locator("#part-limits summary").click()
+    page.locator("#part-limits summary").first.click()
     page.locator("#limits-draws").fill("20")
     expect(command).to_contain_text("--draws 20")
     start(page, "Compute the limits")
@@ -461,7 +464,8 @@ def test_how_fast_the_arm_may_hit_is_asked_and_the_hit_rehearsed_by_mouse(page: 
     expect(page.locator("[data-says='predict/limits']")).to_contain_text(f"at {limit['limit_m_s']:.3g} m/s")
     assert page.locator("[data-entry='lab limits/push']").count() == 0  # its table is no recording
     accessible(page)
-    page.set_viewport_size({"width": 1280, "height": 1100})
+    page.locator("#part-limits summary").first.click()
+    page.set_viewport_size({"width": 1280, "height": 1400})
     picture(page, "workbench_limits", folder)
     page.set_viewport_size(DESK)
     page.locator(".lead:visible a").click()
@@ -473,7 +477,7 @@ def test_how_fast_the_arm_may_hit_is_asked_and_the_hit_rehearsed_by_mouse(page: 
     expect(checklist).to_contain_text("arm torque rate")
     expect(checklist).to_contain_text("rehearsal passed")
     accessible(page)
-    page.set_viewport_size({"width": 1280, "height": 1100})
+    page.set_viewport_size({"width": 1280, "height": 1200})
     picture(page, "workbench_rehearsal", folder)
 
 
@@ -758,6 +762,20 @@ def test_the_newest_place_of_a_comparison_has_its_signal(page: Page, reported: P
     held.let_go()
     expect(page.locator("#signal .scatterlayer .trace")).to_have_count(3)
     expect(page.locator("#signal .note")).to_contain_text((places.nth(1).text_content() or "").partition(",")[0])
+
+
+def test_a_form_that_is_not_in_sight_asks_for_nothing(page: Page) -> None:
+    asked: list[str] = []
+
+    def heard(sent: Request) -> None:
+        if sent.url.endswith("/api/command"):
+            asked.append(sent.post_data_json["command"])
+
+    page.on("request", heard)
+    expect(go(page, "measure")).to_contain_text("--trials 2")
+    expect(go(page, "measure", "trial")).to_contain_text("impact-rs trial push")
+    page.remove_listener("request", heard)
+    assert set(asked) == {"campaign", "trial"}
 
 
 def test_a_form_shows_the_command_of_its_newest_content_alone(page: Page) -> None:
