@@ -19,11 +19,12 @@ SEED = option("--seed", kind="whole", default=0, least=0, metavar="N", help="see
 REFLEXES = (  # what stops a robot by itself
     option(
         "--reflex-torque", kind="number", least=0.0, metavar="NM", unit="N m",
-        help="external torque at which a joint stops the robot", otherwise="those of the robot facts",
+        help="external torque at which a joint stops the robot", label="reflex at a joint torque of",
+        otherwise="those of the robot facts",
     ),
     option(
         "--reflex-force", kind="number", least=0.0, metavar="N", unit="N",
-        help="external force at the end effector at which the robot stops itself",
+        help="external force at the end effector at which the robot stops itself", label="reflex at a force of",
         otherwise="that of the robot facts",
     ),
 )  # fmt: skip

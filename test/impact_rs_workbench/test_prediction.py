@@ -81,7 +81,7 @@ def test_a_slider_of_another_object_is_none() -> None:
 
 
 def test_the_command_of_untouched_sliders_sets_nothing() -> None:
-    assert map_arguments("push", question(), {}) == ["map", "push", "cat_food", "case_2", "--uncertainty"]
+    assert map_arguments("push", "nominal", question(), {}) == ["map", "push", "cat_food", "case_2", "--uncertainty"]
 
 
 def test_each_of_two_arms_has_its_figure_its_budget_and_its_impulse() -> None:
