@@ -17,7 +17,6 @@ from importlib import import_module
 from impact_rs_cli.parser import CommandParser, Parser, spelled
 from impact_rs_commands import COMMANDS
 from impact_rs_sim.errors import InputError, MissingPackage, full_traceback, shortened
-from impact_rs_sim.version import package_version
 
 LONGEST_MESSAGE = 2000  # characters of an error; some repeat what they were given
 
@@ -61,7 +60,8 @@ class _Version(argparse.Action):
     """``--version``, looked up only when the option is given."""
 
     def __call__(self, parser: argparse.ArgumentParser, *_: object) -> None:
-        print(f"impact-rs {package_version() or 'from a source tree'}")
+        version = import_module("impact_rs_sim.version").package_version()
+        print(f"impact-rs {version or 'from a source tree'}")
         parser.exit()
 
 
