@@ -5,7 +5,7 @@
 #    the Python module rosidl_pycommon lies and is announced to CMake and to the ament index.
 # 2. The imported targets of the wheels carry include directories of the machine that built them;
 #    those that do not exist here are dropped once all targets are known.
-# 3. Python needs the C interfaces alone: those for C++ are not generated, which saves a third of the build.
+# 3. Python needs the C interfaces alone: without those for C++ the interfaces take half of the time to build.
 
 find_package(Python3 REQUIRED COMPONENTS Interpreter Development.Module NumPy)
 
