@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """One trial of real arms: every usable state of the robot is a tick, every torque that is in time goes to the robot.
 
-A state that is not usable, a torque that is late or beyond a limit, and silence of either end the trial with the
-reason; from then on the arms are braked and held (:meth:`impact_rs_ros.effort_arms.EffortArms.rest`).
+A state that is not usable, a torque that is late or beyond a limit, silence of either, and an arm that rests away from
+its references, as after a stop of its own, end the trial with the reason; from then on the arms are braked and held
+(:meth:`impact_rs_ros.effort_arms.EffortArms.rest`).
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ import numpy as np
 from impact_rs_control.arm_limits import torque_complaint
 from impact_rs_control.plan import TrialPlan
 from impact_rs_ros.arming import start_complaint
-from impact_rs_ros.effort_arms import EffortArms
+from impact_rs_ros.effort_arms import REST, EffortArms
 from impact_rs_ros.exchange import Inbox, Outbox
 from impact_rs_ros.joint_signals import JointReader
 from impact_rs_ros.motion_capture import MOCAP, TrackerPoses
@@ -29,6 +30,8 @@ from impact_rs_trials.bags import topics
 
 REPEAT = 0.25  # s, until the controller is sent the first state again
 TICKS = 100  # the last ones, of which late torques are a share
+AWAY = 0.03  # m from both references; an arm that obeys does not rest there
+IDLE = 0.1  # s
 
 
 @dataclass(frozen=True)
@@ -91,6 +94,7 @@ class CellTrial(LeadingTrial):
         self._answered = dict.fromkeys(plan.arms, -1)
         self._torques: dict[str, Array] = {}  # the last answer of each arm
         self._late: deque[bool] = deque(maxlen=TICKS)
+        self._astray: dict[str, int] = {}  # since which tick an arm rests away from its references
         self._lost = self._poses = 0
         self._slowest = 0.0  # s
 
@@ -163,11 +167,34 @@ class CellTrial(LeadingTrial):
             return
         if self._too_many_late(late=min(self._answered.values()) < self._tick):
             return
+        if complaint := self._disobedience(tick, states):
+            self.stop(f"{self._time}: {complaint}")
+            return
         self._tick, self.now = tick, tick * self._period_ns
         self._asked[tick] = now
         for arm, measured in states.arms.items():
             self._outbox.now(topics.joint_states(arm), tick, measured)
         self._tick_times.append(self._clock() - now)
+
+    def _disobedience(self, tick: int, states: ArmStates) -> str:
+        """Which arm rests away from its references with and without an impact; empty: none."""
+        for arm, measured in states.arms.items():
+            if np.abs(measured.velocity).max() > REST or self._distance(arm, measured.position, tick) <= AWAY:
+                self._astray.pop(arm, None)
+                continue
+            since = self._astray.setdefault(arm, tick)
+            if (tick - since) * self._period_ns >= 1e9 * IDLE:
+                return (
+                    f"{arm} has rested for {IDLE:g} s more than {AWAY:g} m from its references: has the robot stopped "
+                    "itself? See the log of its driver"
+                )
+        return ""
+
+    def _distance(self, arm: str, position: Array, tick: int) -> float:
+        """From E at joint positions to the nearer one of its references [m]."""
+        plan, place = self._plan.arms[arm], self._plan.scene.models[arm].placement(position).translation
+        paths = plan.ante_position, plan.post_position
+        return min(float(np.linalg.norm(place - path.position[tick])) for path in paths)
 
     def _too_many_late(self, late: bool) -> bool:
         """Count whether the torque of a tick came before the next state; end the trial where too many did not."""

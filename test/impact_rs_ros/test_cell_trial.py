@@ -37,6 +37,7 @@ from impact_rs_trials.bags import topics
 
 COMMAND = topics.joint_command("arm")
 LAST = PUSH.scene.scenario.timing.ticks
+SWAY = np.full(7, 0.03)  # rad/s, of an arm that is not at rest
 
 
 class Bench(Wires):
@@ -123,10 +124,23 @@ def test_a_robot_that_adds_no_gravity_is_sent_the_whole_torque() -> None:
 def test_a_trial_is_over_when_its_last_tick_has_its_answer() -> None:
     bench = Bench().under_way()
     while not bench.trial.over:
-        bench.state()
+        bench.state(velocity=SWAY)
         bench.answer(WEIGHT)
     assert bench.asked == list(range(LAST + 1))
     assert bench.trial.failure == ""
+
+
+def test_an_arm_that_rests_away_from_its_references_ends_the_trial() -> None:
+    """As a robot that has stopped itself and goes on reporting; 0.1 s after both references are 3 cm away."""
+    bench = Bench().under_way()
+    while not bench.trial.over:
+        bench.state()
+        bench.answer(WEIGHT)
+    assert "arm has rested for 0.1 s more than 0.03 m from its references" in bench.trial.failure
+    plan, start = PUSH.arms["arm"], PUSH.scene.models["arm"].placement(PUSH.arms["arm"].initial).translation
+    far = [np.linalg.norm(path.position - start, axis=1) for path in (plan.ante_position, plan.post_position)]
+    since = int(np.argmax(np.min(far, axis=0) > 0.03))
+    assert bench.asked[-1] == pytest.approx(since + 100, abs=2)
 
 
 @pytest.mark.parametrize(
@@ -269,7 +283,7 @@ def test_states_that_are_missing_end_the_trial() -> None:
 def test_a_last_state_that_is_missing_ends_the_trial() -> None:
     bench = Bench().under_way()
     while bench.asked[-1] < LAST - 1 and not bench.trial.over:
-        bench.state()
+        bench.state(velocity=SWAY)
         bench.answer(WEIGHT)
     bench.step += 1
     bench.state()
@@ -375,7 +389,7 @@ def test_poses_are_passed_on_in_trial_time_and_in_world() -> None:
 def test_a_trial_whose_object_was_never_seen_is_no_success(seen: bool) -> None:
     bench = Bench(mocap=True).under_way()
     while not bench.trial.over:
-        bench.state()
+        bench.state(velocity=SWAY)
         if seen and bench.asked[-1] == 900:
             bench.pose(800_000_000)
         bench.answer(WEIGHT)

@@ -71,11 +71,11 @@ def test_a_hit_beyond_a_threshold_stops_the_robot_and_the_cell_ends_the_trial() 
     assert margin_of(low, "time to stop").margin > 0.0  # with a dead cell as well
 
 
-def test_a_cell_that_sees_states_go_on_does_not_notice_and_the_rehearsal_says_so() -> None:
+def test_a_robot_that_stops_itself_and_goes_on_reporting_is_noticed_by_its_rest() -> None:
     quiet = replace(FRANKA, states_end=False)
     found = rehearse(PLAN, quiet, {"arm": Reflexes(external_force_N=20.0)})
-    assert found.failure == "" and not found.passed
-    assert any("its states went on; the cell did not notice, and led it to the end" in line for line in found.log)
+    assert "arm has rested for 0.1 s more than 0.03 m from its references" in found.failure and not found.passed
+    assert any("its states went on; the cell ended the trial" in line for line in found.log)
 
 
 @pytest.mark.parametrize("states_end", [True, False])
