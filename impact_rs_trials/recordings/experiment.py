@@ -37,6 +37,7 @@ NO_OBJECT = "none"
 BODY = "body"  # object of runs without a robot
 COLUMNS = ("bag", "object", "kind")
 YAML = (".yaml", ".yml")
+FRICTION_NOISE = 0.1  # relative standard deviation of a scenario's friction, where nothing is said
 MOST_LISTED = 20  # names of runs in an error
 
 Result = TypeVar("Result")
@@ -134,6 +135,11 @@ class Experiment(Schema):
     motion_capture: MotionCapture = Field(
         default_factory=MotionCapture,
         description="world frame of the motion capture in the scenario's inertial frame; absent: they are the same",
+    )
+    friction_noise: Annotated[float, Field(ge=0.0, le=1.0)] = Field(
+        FRICTION_NOISE,
+        description="relative standard deviation of the friction of the scenario's support [-]; velocities that follow "
+        "from the way to rest have half of it",
     )
     _file: Path | None = PrivateAttr(None)
 

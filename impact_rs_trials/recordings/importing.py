@@ -30,6 +30,7 @@ from impact_rs_sim.scenario import load_scenario
 from impact_rs_sim.schema import validate
 from impact_rs_trials.recordings.array_file import ArrayFile
 from impact_rs_trials.recordings.candidates import SignalCandidate, candidates_of, guess_of, joints_of, vector_width
+from impact_rs_trials.recordings.clock_offset import OBJECT, ClocksApart, clocks_apart
 from impact_rs_trials.recordings.file_groups import FileGroups, group_files, recordings_in, run_name
 from impact_rs_trials.recordings.guesses import (
     Guess,
@@ -42,6 +43,7 @@ from impact_rs_trials.recordings.guesses import (
     unit_of_position,
     velocity_of,
 )
+from impact_rs_trials.recordings.joint_jumps import SMALLEST, jumps_of
 from impact_rs_trials.recordings.mapping import (
     NO_ROBOT,
     Mapping,
@@ -61,6 +63,7 @@ FEWEST_SAMPLES = 20
 NAMED = 0.3  # correlation that a name is worth
 ASKED_FOR = re.compile(r"des|ref|target|goal|cmd|command|set_?point|(^|_)d(_|\d|$)|filt|err", re.IGNORECASE)
 OF_THE_ROBOT = re.compile(r"eef|(^|_)ee(_|$)|tcp|tool|flange|hand", re.IGNORECASE)
+MOST_RUNS = 5  # whose clocks are looked at
 MOVED = 0.005  # m, from which an object was hit
 AXES = ("x", "y", "z")
 QUATERNION = (("x", "y", "z", "w"), ("w", "x", "y", "z"))
@@ -283,6 +286,8 @@ class _Importer:
         content["signals"] = signals
         mapping = validate(Mapping, content | {"robot": robot}, self._output / "mapping.yaml")
         rows = self._runs(mapping)
+        if facts is not None and self._clock_of_object(mapping, rows, signals):
+            mapping = validate(Mapping, content | {"robot": robot}, self._output / "mapping.yaml")
         texts = {"mapping.yaml": _yaml(content, self._lines, HEAD), "runs.csv": _table(rows)}
         hits = sum(kind == "hit" for _, _, kind in rows)
         if hits or facts is None or self._wishes.scenario is not None:
@@ -655,6 +660,23 @@ class _Importer:
                 self._say("object in runs.csv", _flow([row[1] for row in rows][:3]), "say which object was hit", False)
         return rows
 
+    def _clock_of_object(
+        self, mapping: Mapping, rows: Sequence[tuple[str, str, str]], signals: dict[str, dict[str, Any]]
+    ) -> bool:
+        """Give the object a clock of its own where it does not start to move when the arm hits; whether it was so."""
+        names = [name for name in OBJECT if name in signals]
+        hits = [run for run, _, kind in rows if kind == "hit"][:MOST_RUNS]
+        seen = [_clocks_of(self._groups.folder / run, mapping) for run in hits] if names else []
+        apart = [one for one in seen if one is not None]
+        if 2 * len(apart) <= len(seen):
+            return False
+        middle = sorted(apart, key=lambda one: one.offset)[len(apart) // 2]
+        said = f"{middle.evidence}; so in {len(apart)} of {len(seen)} runs that were looked at"
+        for name in names:
+            signals[name]["clock"] = "own"
+            self._say(f"signals.{name}.clock", "own", said)
+        return True
+
     def _experiment(self, facts: RobotFacts | None, robot: str) -> str:
         if facts is None:
             return BODY
@@ -719,6 +741,19 @@ def _object_moves(path: Path, mapping: Mapping) -> bool:
         return False
     seen = read.values[np.isfinite(read.values).all(axis=1), :3]
     return bool(len(seen)) and float(np.max(np.linalg.norm(seen - np.median(seen[:5], axis=0), axis=1))) > MOVED
+
+
+def _clocks_of(path: Path, mapping: Mapping) -> ClocksApart | None:
+    """What shows that joints and object of a run have two clocks; None: nothing, or it cannot be read."""
+    wanted: list[SignalName] = ["position", *(name for name in OBJECT if name in mapping.signals)]
+    try:
+        read = read_series(path, mapping, wanted, wanted, Names(run=run_name(path.name)))
+    except InputError:
+        return None
+    position, pose = read["position"], read["object_pose" if "object_pose" in read else "object_position"]
+    kept = np.isfinite(pose.values).all(axis=1)
+    pose = replace(pose, time=pose.time[kept], values=pose.values[kept])
+    return clocks_apart(pose, position, list(jumps_of(position, SMALLEST)), path) if kept.any() else None
 
 
 def _axes(names: Sequence[str]) -> tuple[list[list[str]], list[list[str]]]:

@@ -157,9 +157,17 @@ def test_repeated_stamps_are_said_and_removed_on_request(tmp_path: Path, motion:
     check_reading(draft, tmp_path / "two", file, motion)
 
 
-def hits(folder: Path, motion: Columns) -> Path:
-    """Two hits in the form of another laboratory: vectors in cells, a line above the names, a file for the object."""
+def hits(folder: Path, motion: Columns, late: float = 0.0) -> Path:
+    """Two hits in the form of another laboratory: vectors in cells, a line above the names, a file for the object.
+
+    After 4 s all joints lose 0.08 rad/s and the object moves; its clock is ``late`` [s].
+    """
     folder.mkdir()
+    since = TIME[:, None] - 4.0
+    motion = motion | {
+        "position": motion["position"] - 0.08 * np.maximum(since, 0.0),
+        "velocity": motion["velocity"] - 0.08 * (since > 0.0),
+    }
 
     def cells(values: np.ndarray) -> list[str]:
         return [" ".join(f"{value:.12g}" for value in row) for row in values]
@@ -173,7 +181,7 @@ def hits(folder: Path, motion: Columns) -> Path:
         place = np.array([0.5, 0.3, 0.2]) + np.outer(np.maximum(TIME - 4.0, 0.0), [0.1, 0.0, 0.0])
         turn = np.tile([0.0, 0.0, 0.0, 1.0], (TIME.size, 1))
         pose = zip(stamps, cells(place), cells(turn), strict=True)
-        rows = [f"{stamp:.6f},{p},{q}" for stamp, p, q in pose]
+        rows = [f"{stamp + late:.6f},{p},{q}" for stamp, p, q in pose]
         (folder / f"object_1_hit_{run}.csv").write_text("\n".join(["RosTime,Position,Orientation", *rows]))
     return folder
 
@@ -194,6 +202,24 @@ def test_a_folder_with_a_file_per_signal_and_run_is_described(tmp_path: Path, mo
     (folder / "object_1_hit_11.csv").unlink()
     later = draft_import([folder], tmp_path / "later", Wishes(robot="kuka_iiwa7"))
     assert any(remark == "left out, for a file is missing: 11 (object_1_hit_{run}.csv)" for remark in later.remarks)
+
+
+@pytest.mark.parametrize(("late", "evidence"), [(0.05, "starts to move 50"), (-86400.0, "begin -86400 s after")])
+def test_another_clock_of_the_object_is_proposed_with_what_shows_it(
+    tmp_path: Path, motion: Columns, late: float, evidence: str
+) -> None:
+    draft = draft_import([hits(tmp_path / "raw", motion, late)], tmp_path / "lab", Wishes(robot="kuka_iiwa7"))
+    mapping = load_mapping(described(draft, tmp_path / "lab"))
+    assert {mapping.signals[name].clock for name in ("object_position", "object_quaternion")} == {"own"}
+    assert mapping.signals["velocity"].clock == "shared"
+    for name in ("object_position", "object_quaternion"):
+        said = said_of(draft, f"signals.{name}.clock")
+        assert evidence in said and said.endswith("so in 2 of 2 runs that were looked at")
+
+
+def test_one_clock_is_left_as_it_is(tmp_path: Path, motion: Columns) -> None:
+    draft = draft_import([hits(tmp_path / "raw", motion)], tmp_path / "lab", Wishes(robot="kuka_iiwa7"))
+    assert "clock" not in draft.texts["mapping.yaml"]
 
 
 JOINTS = ("lift_joint", "arm_1_joint", "arm_2_joint", "elbow", "arm_4_joint", "wrist_a", "wrist_b")
