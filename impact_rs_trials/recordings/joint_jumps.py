@@ -8,11 +8,13 @@ Joint positions are continuous and their velocities jump. With T the time of the
 
 in a window about it, linear but for T. A recorded velocity is often low-passed and jumps tens of milliseconds later; an
 encoder is not. So the jump dq_plus - dq_minus is fitted about every time of the run; where it is largest and beyond its
-noise is the impact, and there T minimises the residuals r of all joints, each over its scatter,
+noise is the impact. There T maximises the likelihood of the residuals r of all joints, each with a scatter of its own,
 
-    sigma_T^-2 = sum_j |(1 - B B^+) dq_j/dT|^2 / sigma_j^2
+    T = argmin sum_j log sum_k r_jk(T)^2,      sigma_T^-2 = sum_j |(1 - B B^+) dq_j/dT|^2 / sigma_j^2
 
 with B the columns of the linear parameters and sigma_j the scatter of joint j. The noise of a jump has that of T in it.
+Arms vibrate after an impact, and a vibration may bend the motion more than the impact did. So T is sought where the
+jump is clearest beside the scatter of the motion before it.
 """
 
 from __future__ import annotations
@@ -34,8 +36,8 @@ WINDOW = 0.04  # s on either side, in which joint motion is a parabola,
 FEWEST = 6  # and at least so many samples
 APART = 0.002  # s, of the times at which a jump is sought
 LONGEST = 3.0  # times a window without gaps, which one with a gap may last
-SEARCHED = 0.02  # s about the largest jump, in which the impact is sought at once
-STEPS = 41  # times that are tried there
+SEARCHED = 0.006  # s about the seed, in which the impact is sought at once
+STEPS = 25  # times that are tried there
 MOST_MOVES = 5  # of that stretch, as long as the best time lies at its edge
 JUMPS = 4.0  # standard deviations, rms over the joints, from which velocities jump
 SMALLEST = 0.3  # of the largest jump of velocities, of joints and object alike, from which another one is an impact
@@ -94,16 +96,16 @@ def jumps_of(position: Series, least: float = 0.0) -> Iterator[JointJump]:
     """
     kept = np.isfinite(position.values).all(axis=1) & (np.diff(position.time, prepend=-np.inf) > 0.0)
     position = replace(position, time=position.time[kept], values=position.values[kept])
-    half, times, sizes = _sizes(position)
+    half, times, sizes, onset = _sizes(position)
     enough = least * float(np.max(sizes, initial=0.0))
     found: list[JointJump] = []
     while sizes.size and float(np.max(sizes)) > enough:
-        near = float(times[int(np.argmax(sizes))])
-        jump = joint_jump(position, near)
+        about = np.abs(times - times[int(np.argmax(sizes))]) <= half
+        jump = joint_jump(position, float(times[int(np.argmax(np.where(about, onset, -1.0)))]))
         if jump is not None and jump.clear and all(abs(jump.time - one.time) > half for one in found):
             found.append(jump)
             yield jump
-        sizes = np.where(np.abs(times - near) <= half, 0.0, sizes)
+        sizes = np.where(about, 0.0, sizes)
 
 
 def joint_jump(position: Series, near: float) -> JointJump | None:
@@ -120,10 +122,10 @@ def joint_jump(position: Series, near: float) -> JointJump | None:
         time, values = position.time[rows], position.values[rows]
         if time.size < 2 * FEWEST or near - time[0] < half / 2.0 or time[-1] - near < half / 2.0:
             return None
-        size = np.maximum(np.std(np.diff(values, n=2, axis=0), axis=0), LEAST)
 
-        def misfit(beside: float, at: Array = time - near, values: Array = values, size: Array = size) -> float:
-            return float(np.sum(np.square(_broken(at, values, beside)[1] / size)))
+        def misfit(beside: float, at: Array = time - near, values: Array = values) -> float:
+            left = np.mean(np.square(_broken(at, values, beside)[1]), axis=0)
+            return float(np.sum(np.log(left + LEAST**2)))
 
         tried = np.linspace(-reach, reach, STEPS)
         best = int(np.argmin([misfit(float(beside)) for beside in tried]))
@@ -151,8 +153,8 @@ def _at(time: Array, values: Array, impact: float, half: float) -> JointJump:
     return JointJump(impact, float(time_error), fit[0], fit[1], fit[2], noise)
 
 
-def _sizes(position: Series) -> tuple[float, Array, Array]:
-    """Half a window [s]; times of the run, and how large the jump is there, 0 if not beyond its noise [rad/s]."""
+def _sizes(position: Series) -> tuple[float, Array, Array, Array]:
+    """Half a window [s]; times, sizes of the jumps [rad/s], and how clear they are beside the scatter before them."""
     time, values = position.time, position.values
     period = float(np.median(np.diff(time))) if time.size > 1 else 1.0
     half = _half(period)
@@ -160,16 +162,20 @@ def _sizes(position: Series) -> tuple[float, Array, Array]:
     middles = np.arange(side, time.size - side, max(1, round(APART / period)))
     middles = middles[time[middles + side] - time[middles - side] <= LONGEST * 2.0 * half]
     if not middles.size:
-        return half, np.zeros(0), np.zeros(0)
+        return half, np.zeros(0), np.zeros(0), np.zeros(0)
     fits = [_windows(time, values, part, side) for part in np.array_split(middles, 1 + middles.size // PARTS)]
-    jump, scatter, gain = (np.concatenate(parts) for parts in zip(*fits, strict=True))
-    noise = gain[:, None] * np.maximum(np.maximum(scatter, np.median(scatter, axis=0)), LEAST)
+    jump, scatter, before, gain = (np.concatenate(parts) for parts in zip(*fits, strict=True))
+    steps = np.abs(np.diff(values, axis=0))
+    coarse = np.min(np.where(steps > 0.0, steps, np.inf), axis=0) / np.sqrt(12.0)  # an encoder rounds
+    usual = np.maximum(np.maximum(np.median(scatter, axis=0), np.where(np.isfinite(coarse), coarse, 0.0)), LEAST)
+    noise = gain[:, None] * np.maximum(scatter, usual)
+    onset = np.mean(np.square(jump / gain[:, None] / np.maximum(before, usual)), axis=1)
     clear = np.mean(np.square(jump / noise), axis=1) > JUMPS**2
-    return half, time[middles], np.where(clear, np.linalg.norm(jump, axis=1), 0.0)
+    return half, time[middles], np.where(clear, np.linalg.norm(jump, axis=1), 0.0), onset
 
 
-def _windows(time: Array, values: Array, middles: Rows, side: int) -> tuple[Array, Array, Array]:
-    """Jumps about samples, ``(p, n)`` [rad/s], scatter ``(p, n)`` [rad], and noise of a jump over scatter, ``(p,)``."""
+def _windows(time: Array, values: Array, middles: Rows, side: int) -> tuple[Array, Array, Array, Array]:
+    """Jumps ``(p, n)`` [rad/s], scatter of all and of before, ``(p, n)`` [rad], noise over scatter, ``(p,)`` [1/s]."""
     rows = middles[:, None] + np.arange(-side, side + 1)
     t = time[rows] - time[middles][:, None]
     size = np.max(np.abs(t), axis=1)
@@ -178,8 +184,11 @@ def _windows(time: Array, values: Array, middles: Rows, side: int) -> tuple[Arra
     about = values[rows] - values[middles][:, None]
     fit = inverse @ about
     left = np.sum(np.square(about - basis @ fit), axis=1) / max(rows.shape[1] - PARAMETERS, 1)
+    early = basis[:, : side + 1][:, :, [0, 1, 3]]
+    own = about[:, : side + 1]
+    rest = np.sum(np.square(own - early @ (np.linalg.pinv(early) @ own)), axis=1) / max(side - 2, 1)
     gain = np.linalg.norm(JUMP @ inverse, axis=1) / size
-    return JUMP @ fit / size[:, None], np.sqrt(left), gain
+    return JUMP @ fit / size[:, None], np.sqrt(left), np.sqrt(rest), gain
 
 
 def _half(period: float) -> float:

@@ -65,6 +65,15 @@ def test_stamps_of_a_wall_clock_lose_no_digit() -> None:
     assert far.time - 1.7e9 == pytest.approx(near.time, abs=2e-5)
 
 
+def test_an_arm_that_vibrates_after_an_impact_is_hit_before_it_vibrates() -> None:
+    """A wrist that goes 15 times as fast as its jump for some milliseconds, and back."""
+    series = joints(1000.0, 1e-5, 0)
+    t = np.maximum(series.time - IMPACT, 0.0)
+    wrist = 0.6 * np.exp(-t / 0.01) * np.sin(2.0 * np.pi * 30.0 * t) / (2.0 * np.pi * 30.0)
+    first = next(jumps_of(replace(series, values=series.values + np.outer(wrist, [0.0, 0.0, 1.0]))))
+    assert first.time == pytest.approx(IMPACT, abs=3e-3)
+
+
 def test_free_motion_and_gaps_hold_no_impact() -> None:
     """Nor does a stretch of 60 ms without samples, over which the joints go on."""
     time = np.arange(0.0, 2.0, 0.002)
