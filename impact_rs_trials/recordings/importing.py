@@ -43,9 +43,11 @@ from impact_rs_trials.recordings.guesses import (
     unit_of_position,
     velocity_of,
 )
+from impact_rs_trials.recordings.joint_checks import doubts_of_arm
 from impact_rs_trials.recordings.joint_jumps import SMALLEST, jumps_of
 from impact_rs_trials.recordings.mapping import (
     NO_ROBOT,
+    REQUIRED,
     Mapping,
     MountedEndEffector,
     SignalName,
@@ -57,6 +59,7 @@ from impact_rs_trials.recordings.series import Names, Series
 from impact_rs_trials.recordings.sources import ARRAY_SUFFIXES, BAG_SUFFIXES, is_bag_folder, open_file, read_series
 from impact_rs_trials.recordings.table_columns import read_columns
 from impact_rs_trials.recordings.table_layout import find_layout
+from impact_rs_trials.runs import ArmSignals
 
 MOST_SAMPLES = 20_000  # that are looked at
 FEWEST_SAMPLES = 20
@@ -698,6 +701,8 @@ class _Importer:
                 wanted: list[SignalName] = list(mapping.signals)
                 read = read_series(first, mapping, wanted, wanted, Names(run=run_name(self._groups.runs[0])))
                 self._remarks += [remark for one in read.values() for remark in one.remarks]
+                if mapping.robot != NO_ROBOT:
+                    self._remarks += _doubts(read, mapping)
             else:
                 target = self._groups.folder if self._groups.spread else first
                 self._remarks += [remark for run in read_recordings(target, mapping)[:1] for remark in run.remarks]
@@ -741,6 +746,17 @@ def _object_moves(path: Path, mapping: Mapping) -> bool:
         return False
     seen = read.values[np.isfinite(read.values).all(axis=1), :3]
     return bool(len(seen)) and float(np.max(np.linalg.norm(seen - np.median(seen[:5], axis=0), axis=1))) > MOVED
+
+
+def _doubts(read: AbstractMapping[SignalName, Series], mapping: Mapping) -> list[str]:
+    """What looks wrong in the joints of a run that hits something."""
+    time = read["position"].time
+    signals = {name: read[name].at(time) for name in REQUIRED if name in read}
+    if "velocity" not in signals:
+        signals["velocity"] = read["position"].derivative().values
+    arm = ArmSignals(signals["position"], signals["velocity"], signals["torque"])
+    model = RobotModel(mapping.facts, mapping.end_effector.build(), pin.SE3.Identity())
+    return doubts_of_arm(time, arm, mapping, model, contact=True)
 
 
 def _clocks_of(path: Path, mapping: Mapping) -> ClocksApart | None:

@@ -107,8 +107,14 @@ def test_a_low_passed_velocity_is_noticed(tmp_path: Path, motion: Columns) -> No
     file = write(tmp_path / "log.csv", names, [TIME, motion["position"], late, motion["effort"]])
     draft = draft_import([file], tmp_path / "lab", Wishes(robot="kuka_iiwa7"))
     (said,) = [remark for remark in draft.remarks if "low-passed" in remark]
-    assert "lag 30 ms behind" in said
-    assert "signals.velocity.delay: -0.03" in said
+    assert said.startswith("velocities are 30 ms (+- ")
+    assert float(said.rpartition("signals.velocity.delay: ")[2]) == pytest.approx(-0.03, abs=1e-3)
+
+
+def test_the_joint_of_a_hit_whose_velocity_is_off_is_named(tmp_path: Path, motion: Columns) -> None:
+    off = motion | {"velocity": motion["velocity"] * np.where(np.arange(7) == 2, 1.28, 1.0)}
+    draft = draft_import([hits(tmp_path / "raw", off)], tmp_path / "lab", Wishes(robot="kuka_iiwa7"))
+    assert any(remark.startswith("velocity of joint 3 is 1.2") for remark in draft.remarks)
 
 
 def test_motor_currents_are_taken_for_what_they_are(tmp_path: Path, motion: Columns) -> None:
