@@ -67,7 +67,7 @@ def doubts_of_arm(
     at, places = smoothed(time, arm.position)
     means = smoothed(time, arm.velocity)[1]
     slopes = np.gradient(places, at, axis=0)
-    motion = _Motion(at, slopes, np.gradient(slopes, at, axis=0), max(1, time.size - at.size + 1))
+    motion = _JointMotion(at, slopes, np.gradient(slopes, at, axis=0), max(1, time.size - at.size + 1))
     speeds: dict[int, str] = {}
     mixed = []
     torques: dict[int, str] = {}
@@ -105,7 +105,7 @@ def doubts_of_arm(
 
 
 @dataclass(frozen=True)
-class _Motion:
+class _JointMotion:
     """What velocities should be.
 
     Attributes:
