@@ -165,7 +165,7 @@ def _sizes(position: Series) -> tuple[float, Array, Array, Array]:
         return half, np.zeros(0), np.zeros(0), np.zeros(0)
     fits = [_windows(time, values, part, side) for part in np.array_split(middles, 1 + middles.size // PARTS)]
     jump, scatter, before, gain = (np.concatenate(parts) for parts in zip(*fits, strict=True))
-    steps = np.abs(np.diff(values, axis=0))
+    steps = np.abs(np.diff(values, n=2, axis=0))
     coarse = np.min(np.where(steps > 0.0, steps, np.inf), axis=0) / np.sqrt(12.0)  # an encoder rounds
     usual = np.maximum(np.maximum(np.median(scatter, axis=0), np.where(np.isfinite(coarse), coarse, 0.0)), LEAST)
     noise = gain[:, None] * np.maximum(scatter, usual)
