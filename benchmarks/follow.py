@@ -136,7 +136,7 @@ def hits_of(rows: list[list[object]], folder: Path) -> tuple[TableDoor, list[Hit
     """Rows through the door that ships."""
     path = write_csv(folder / "hits.csv", HEADER, rows)
     door = TableDoor(lambda: read_impact_table(path, SCENARIO), NOMINAL)
-    return door, door.arrived()
+    return door, list(door.arrived())
 
 
 def quiet_days(pool: Array, days: int, length: int, rng: np.random.Generator, folder: Path) -> dict[str, Any]:

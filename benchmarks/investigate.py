@@ -17,7 +17,6 @@ from benchmarks.discovery import RIGHT
 from impact_rs_analysis.diagnosis.document import DiagnosisDocument
 from impact_rs_analysis.diagnosis.scoring import truth_of
 from impact_rs_analysis.investigation import (
-    LAW,
     BlindChoice,
     Investigation,
     Round,
@@ -83,10 +82,7 @@ def run(entry: Entry, directory: Path, map_tasks: Map, budget: int) -> Row:
     bench = SharedFirstPlan(directory, settings, map_tasks, Terminal(as_json=True), secret)
     ending = Investigation(directory, settings, budget, bench).run()
     kind, hidden = truth_of(directory)
-    right, wrong = judged(ending, kind, hidden)
-    if ending.verdict == LAW:
-        right = bool(set(ending.effects) & set(RIGHT.get(hidden[0], ())))
-        wrong = not right
+    right, wrong = judged(ending, kind, hidden, RIGHT[hidden[0]] if kind == "outside" else None)
     first = read_rounds(directory, settings)[0].diagnosis
     assert first is not None
     return {

@@ -12,6 +12,7 @@ and, with six laboratories and two robots, a parameter that differs by robot. Es
 from __future__ import annotations
 
 import argparse
+import hashlib
 from collections import Counter
 
 import numpy as np
@@ -26,7 +27,6 @@ from impact_rs_sim.numbers import NORMAL_95
 
 PARAMETERS = ("law_1", "law_2", "law_3", "law_4")
 MODEL = load_model("nominal")
-DATA = (FileDigest(path="runs", size=0, sha256="0" * 64),)
 TRUTH = 1.0
 USUAL = 0.1  # standard error
 
@@ -65,8 +65,15 @@ def package(laboratory: str, robot: str, values: list[float], errors: list[float
             "held_out_error_after": 1.0,
         }
     )
+    measurements = FileDigest(path="runs", size=1, sha256=hashlib.sha256(repr(values).encode()).hexdigest())
     return EvidencePackage(
-        laboratory=laboratory, robot=robot, object="box", versions={}, model=MODEL, diagnosis=diagnosis, data=DATA
+        laboratory=laboratory,
+        robot=robot,
+        object="box",
+        versions={},
+        model=MODEL,
+        diagnosis=diagnosis,
+        data=(measurements,),
     ).sealed()
 
 

@@ -8,6 +8,7 @@ investigation that was interrupted anywhere goes on where it stopped:
     runs/round_NN/FOLDER/TRIAL      bags
     rounds/NN/plan.yaml             which trials, and why
     rounds/NN/prediction.json       what the model predicts for them, written before they are measured
+    rounds/NN/prediction_error.json the same held against what was then measured
     rounds/NN/compare.json          the model against all trials
     rounds/NN/diagnosis.json        what the model lacks
     rounds/NN/again.json            what the first model lacks, where the present one does not hold
@@ -24,8 +25,8 @@ after it was made.
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Collection, Iterator, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal, Protocol
 
@@ -50,10 +51,10 @@ from impact_rs_analysis.diagnosis.document import (
 from impact_rs_analysis.diagnosis.grammar import load_grammar
 from impact_rs_analysis.diagnosis.search import ProgressCallback
 from impact_rs_analysis.evidence.source import Source
+from impact_rs_analysis.prediction_check import PredictionError, Predictions, predicted, prediction_error
+from impact_rs_sim.effects import library
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.files import write_whole
-from impact_rs_sim.impact_map import predict_impact
-from impact_rs_sim.impact_map.problem import ImpactProblem
 from impact_rs_sim.model import Model, load_model, save_model
 from impact_rs_sim.scenario import load_scenario
 from impact_rs_sim.schema import Schema, SchemaType, load, load_mapping, validate
@@ -68,7 +69,7 @@ SETTINGS, ROUNDS, ENDING, LOG = "investigation.yaml", "rounds", "ending.json", "
 FIRST, CHECK, MORE = 8, 2, 4  # trials of the first round, of one that tries a new model, and of any other
 LOUD = 1.5  # times the noise, of an error that is not nothing, however few trials it comes from
 FALL = 0.7  # of the held-out error of the round before, below which trials and no law are missing
-MOST_DISCOVERIES = 2  # each takes minutes
+MOST_DISCOVERIES = 2  # that find no law; each takes minutes
 EXPLAINED, LAW, MISSES_NOTHING, UNDECIDED = "EXPLAINED", "LAW-HOLDS", NOTHING, "UNDECIDED"
 
 
@@ -99,21 +100,6 @@ class Settings(Schema):
         return {"inprocess": "in this program", "nodes": "through the ROS 2 nodes", "cell": "on a real cell"}[self.via]
 
 
-class ImpactPrediction(Schema):
-    """What a model predicts for a condition before it is measured."""
-
-    condition: str = Field(description="scenario, object and case")
-    arm: float = Field(description="velocity of the end effector just after the impact along the axis [m/s]")
-    object: float = Field(description="velocity of the object just after the impact along the axis [m/s]")
-
-
-class Predictions(Schema):
-    """``prediction.json``."""
-
-    model: ModelIdentity = Field(description="what predicts")
-    impacts: tuple[ImpactPrediction, ...] = Field((), description="by condition with an impact")
-
-
 class RoundDecision(Schema):
     """What to do after a round, and why (``decision.json``)."""
 
@@ -123,7 +109,9 @@ class RoundDecision(Schema):
     models: tuple[str, ...] = Field((), description="their files, one for each effect")
     source: str = Field("", description="file of the round that has their estimates")
     verdict: str = Field("", description="the end: EXPLAINED, LAW-HOLDS, NOTHING-MISSING or UNDECIDED")
-    tied: tuple[tuple[str, ...], ...] = Field((), description="effects that the trials cannot distinguish")
+    tied: tuple[tuple[str, ...], ...] = Field(
+        (), description="effects and laws that may be missing, those together that the trials cannot distinguish"
+    )
     spent: bool = Field(False, description="whether it ends because the budget is spent")
     budget: int = Field(description="trials that were allowed")
 
@@ -136,7 +124,7 @@ class Ending(Schema):
     model: str = Field(description="file of the last model")
     effects: tuple[str, ...] = Field((), description="effects that it has beyond the first model")
     laws: tuple[str, ...] = Field((), description="those of them that are laws beyond the library")
-    candidates: tuple[str, ...] = Field((), description="effects that may be missing where it is undecided")
+    candidates: tuple[str, ...] = Field((), description="effects and laws that may be missing where it is undecided")
     trials: int = Field(description="trials that were measured")
     rounds: int = Field(description="rounds")
 
@@ -185,6 +173,7 @@ class Round:
     model: str
     plan: ExperimentPlan | None = None
     prediction: Predictions | None = None
+    prediction_error: PredictionError | None = None
     comparison: ComparisonDocument | None = None
     diagnosis: DiagnosisDocument | None = None
     again: DiagnosisDocument | None = None
@@ -197,9 +186,19 @@ class Round:
         return self.again or self.diagnosis
 
     @property
+    def laws(self) -> DiagnosisDocument | None:
+        """The diagnosis with the laws that its discovery found; None: there are none."""
+        return None if self.discovery is None or self.discovery.verdict != FOUND else self.discovery.diagnosis
+
+    @property
+    def folder(self) -> str:
+        """Folder of its trials below ``runs``."""
+        return f"round_{self.number:02d}"
+
+    @property
     def trials(self) -> list[PlannedTrial]:
         """The trials of its plan, in the order of the plan."""
-        return [] if self.plan is None else trials_of(self.plan, f"round_{self.number:02d}")
+        return [] if self.plan is None else trials_of(self.plan, self.folder)
 
 
 Against = Callable[[Model], Source]
@@ -290,6 +289,7 @@ class Investigation:
         for missing_step, step in (
             (last.prediction is None, self._predict),
             (bool(todo), lambda here: self._bench.measure(todo)),
+            (last.prediction_error is None, self._check),
             (last.comparison is None, self._compare),
             (last.diagnosis is None, self._diagnose),
             (last.again is None and self._fails(last), self._diagnose_again),
@@ -305,8 +305,8 @@ class Investigation:
         number = len(rounds) + 1
         here = _folder(self.directory, number)
         left = self.budget - measured(rounds)
-        document = rounds[-1].basis if rounds else None
-        fresh = bool(rounds) and rounds[-1].decision is not None and rounds[-1].decision.action == "add"
+        document = (rounds[-1].laws or rounds[-1].basis) if rounds else None
+        fresh = bool(rounds) and self._to_be_tried(rounds[-1])
         count = min(left, FIRST if not rounds else CHECK if fresh else MORE)
         self._say(f"Round {number}: design of {count} trials at most, {left} are left")
         plan = self._bench.design(
@@ -323,6 +323,12 @@ class Investigation:
         specs = {label_of(one.trial.spec): one.trial.spec for one in here.trials}
         found = tuple(predicted(model, spec) for spec in specs.values() if spec.scenario.excursion is None)
         self._write(here, "prediction.json", Predictions(model=_identity(model), impacts=found))
+
+    def _check(self, here: Round) -> None:
+        assert here.prediction is not None
+        source = self._bench.read()(self._model(here.model))
+        found = prediction_error(source, self.directory / RUNS / here.folder, here.prediction)
+        self._write(here, "prediction_error.json", found)
 
     def _compare(self, here: Round) -> None:
         self._say(f"Round {here.number}: model {here.model} against all trials")
@@ -370,6 +376,11 @@ class Investigation:
         output = self.directory / name
         save_model(add_effects(model, Path(parent), document, source, [done.add[index]], output, False), output)
 
+    def _to_be_tried(self, here: Round) -> bool:
+        """Whether the newest model has not been tried yet: it was made after the round, or no trial of it is usable."""
+        made = here.decision is not None and here.decision.action == "add"
+        return made or (here.model != self.settings.model and not self._fails(here))
+
     def _fails(self, here: Round) -> bool:
         """Whether a model with effects does not hold."""
         return here.model != self.settings.model and here.diagnosis is not None and not holds(here.diagnosis)
@@ -379,11 +390,11 @@ class Investigation:
         now = rounds[-1].basis
         if now is None or not now.calls_for_a_law or _settled(self.settings, rounds[-1]):
             return False
-        if sum(one.discovery is not None for one in rounds) >= MOST_DISCOVERIES:
+        if _without_a_law(rounds) >= MOST_DISCOVERIES:
             return False
         before = rounds[-2].basis if len(rounds) > 1 else None
         again = before is not None and before.calls_for_a_law and not _falls(before, now)
-        return again or self.budget <= measured(rounds)
+        return again or bool(_laws_found(rounds)) or self.budget <= measured(rounds)
 
     def _model(self, name: str) -> Model:
         return load_model(name if name == self.settings.model else self.directory / name)
@@ -409,7 +420,25 @@ def _falls(before: DiagnosisDocument, now: DiagnosisDocument) -> bool:
 
 def _settled(settings: Settings, here: Round) -> bool:
     """Whether a model with effects has stood the trial."""
-    return here.model != settings.model and here.diagnosis is not None and holds(here.diagnosis)
+    return here.model != settings.model and _tried(here) and here.diagnosis is not None and holds(here.diagnosis)
+
+
+def _tried(here: Round) -> bool:
+    """Whether a trial of the round can be used."""
+    return here.prediction_error is not None and here.prediction_error.trials > 0
+
+
+def _without_a_law(rounds: Sequence[Round]) -> int:
+    """Discoveries that found no law."""
+    return sum(one.discovery is not None and one.laws is None for one in rounds)
+
+
+def _laws_found(rounds: Sequence[Round]) -> tuple[str, ...]:
+    """The laws that the last discovery with laws found, with what is tied with them."""
+    for one in reversed(rounds):
+        if one.discovery is not None and one.laws is not None:
+            return tuple(dict.fromkeys(name for law in one.discovery.laws for name in (law.name, *law.tied_with)))
+    return ()
 
 
 def decide(settings: Settings, rounds: Sequence[Round], budget: int) -> RoundDecision:
@@ -423,7 +452,6 @@ def decide(settings: Settings, rounds: Sequence[Round], budget: int) -> RoundDec
     here, basis = rounds[-1], rounds[-1].basis
     assert here.diagnosis is not None and basis is not None
     left = budget - measured(rounds)
-    ties = basis.confusable
 
     def more(reason: str, candidates: tuple[tuple[str, ...], ...] = (), stop: str = "") -> RoundDecision:
         if left > 0 and not stop:
@@ -441,48 +469,46 @@ def decide(settings: Settings, rounds: Sequence[Round], budget: int) -> RoundDec
     def add(names: Sequence[str], source: str, reason: str) -> RoundDecision:
         first = 2 + sum(len(one.decision.models) for one in rounds if one.decision is not None)
         files = tuple(f"model_{first + index}.yaml" for index in range(len(names)))
-        again = here.model != settings.model and set(names) == _added(rounds)
-        ended = again or left <= 0
-        tried = "No trial is left to try it on." if left <= 0 else "It is tried on new trials."
-        if again:
-            tried = "The estimates are renewed with all trials."
-        laws = source == "discovery.json" and any(name in basis_formulas for name in names)
+        tried = "It is tried on new trials."
+        if here.model != settings.model and set(names) == _added(rounds):
+            tried = "The estimates are renewed with all trials. They are tried on new ones."
+        if left <= 0:
+            tried = f"No trial is left to try {files[-1]} on: the budget of {budget} trials is spent."
         return RoundDecision(
-            action="end" if ended else "add",
-            verdict="" if not ended else LAW if laws else EXPLAINED,
+            action="add" if left > 0 else "end",
+            verdict="" if left > 0 else UNDECIDED,
             reason=f"{reason} {tried}",
             add=tuple(names),
             models=files,
             source=source,
-            spent=ended and not again,
+            tied=() if left > 0 else tuple((name,) for name in names),
+            spent=left <= 0,
             budget=budget,
         )
 
-    basis_formulas = {law.name for law in here.discovery.laws} if here.discovery is not None else set()
     if _settled(settings, here):
-        laws = set(_laws_added(rounds))
+        laws, found = _laws_added(rounds), here.prediction_error
+        assert found is not None
         return RoundDecision(
             action="end",
             verdict=LAW if laws else EXPLAINED,
-            reason=f"{here.model} predicts the {len(here.trials)} trials that were measured after it was made, and "
-            f"lacks nothing in all {here.diagnosis.runs.trials}: {here.diagnosis.summary}",
+            reason=f"{here.model} predicts the {found.trials} trials that were measured after it was made with an "
+            f"error of {found.error:.3g} {found.unit}, and lacks nothing in all {here.diagnosis.runs.trials}: "
+            f"{here.diagnosis.summary}",
             budget=budget,
         )
     if basis.verdict == TOO_FEW:
         return more(f"Too few repeats for a verdict: {basis.design.shortage}.")
     if holds(basis):
         before = rounds[-2].basis if len(rounds) > 1 else None
-        confirmed = before is not None and holds(before)
-        if confirmed or left <= 0:
-            then = "New trials do not change it." if confirmed else "No trial is left to confirm it."
-            return RoundDecision(
-                action="end",
-                verdict=MISSES_NOTHING,
-                reason=f"{basis.summary} {then}",
-                spent=not confirmed,
-                budget=budget,
-            )
-        return more(f"{basis.summary} New trials have to confirm it.")
+        if before is None or not holds(before) or not _tried(here):
+            return more(f"{basis.summary} New trials have to confirm it.")
+        return RoundDecision(
+            action="end",
+            verdict=MISSES_NOTHING,
+            reason=f"{basis.summary} New trials do not change it.",
+            budget=budget,
+        )
     if basis.verdict == NOTHING and basis.suspected:
         names = " and ".join(basis.suspected)
         return more(f"{names} lowers the error, but not surely on unseen conditions.", (basis.suspected,))
@@ -491,42 +517,38 @@ def decide(settings: Settings, rounds: Sequence[Round], budget: int) -> RoundDec
             f"Nothing stands out, but the error of {basis.held_out_error_before:.3g} is far beyond the noise of "
             f"{basis.noise_floor:.3g}: too few repeats to say what it is."
         )
-    if here.discovery is not None:
-        return _after_discovery(here.discovery, sum(one.discovery is not None for one in rounds), add, more)
-    if basis.calls_for_a_law:
-        names = (
+    if here.laws is not None and here.discovery is not None:
+        texts = [f"{law.place} = {law.formula}." for law in here.discovery.laws if law.name in here.laws.named]
+        ties = [law.tie for law in here.discovery.laws if law.tie and law.name in here.laws.named]
+        return _named(here.laws, "discovery.json", " ".join([here.discovery.summary, *texts, *ties]), add, more)
+    if here.discovery is not None or basis.calls_for_a_law:
+        possible = _laws_found(rounds) or (*basis.named, *basis.suspected)
+        count, stop = _without_a_law(rounds), ""
+        reason = (
             f"{' and '.join(basis.named)} explains a part" if basis.named else "No effect of the library explains it"
         )
-        possible = (*basis.named, *basis.suspected)
-        return more(f"{names}: {basis.summary}", (possible,) if possible else ())
-    unsure = [effect for name in basis.named if (effect := basis.effect(name)) and effect.verdict != CONFIRMED]
-    if not unsure:
-        source = "again.json" if here.again is not None else "diagnosis.json"
-        return add(basis.named, source, basis.summary)
-    reason = "; ".join(f"{effect.name} is {effect.verdict}" for effect in unsure)
-    alone = tuple((name,) for name in basis.named if not any(name in group for group in ties))
-    return more(f"{reason}. {basis.summary}", (*ties, *alone))
+        reason = f"{reason}: {basis.summary}"
+        if here.discovery is not None:
+            reason += f" {here.discovery.verdict}: {here.discovery.summary}"
+            stop = f"{count} discoveries have found no law" if count >= MOST_DISCOVERIES else ""
+        return more(reason, (possible,) if possible else (), stop)
+    return _named(basis, "again.json" if here.again is not None else "diagnosis.json", basis.summary, add, more)
 
 
-def _after_discovery(
-    found: DiscoveryDocument,
-    count: int,
+def _named(
+    found: DiagnosisDocument,
+    source: str,
+    summary: str,
     add: Callable[[Sequence[str], str, str], RoundDecision],
     more: Callable[..., RoundDecision],
 ) -> RoundDecision:
-    """What to do with a discovery, of ``count`` up to now."""
-    if found.verdict == FOUND and found.diagnosis is not None:
-        best = found.laws[0]
-        rivals = tuple(law.name for law in found.laws if law.name in best.tied_with)
-        if best.tied_with:
-            return more(f"{best.name} and {', '.join(best.tied_with)} predict equally well. {best.tie}",
-                        ((best.name, *(rivals or best.tied_with)),))  # fmt: skip
-        if best.verdict == CONFIRMED:
-            return add(found.diagnosis.named, "discovery.json", f"{found.summary} {best.place} = {best.formula}.")
-        return more(f"{best.name} is {best.verdict}. {found.summary}", ((best.name,),))
-    names = tuple(law.name for law in found.laws)
-    stop = f"{count} discoveries have found no law" if count >= MOST_DISCOVERIES else ""
-    return more(f"{found.verdict}: {found.summary}", (names,) if names else (), stop)
+    """What to do with effects and laws that a diagnosis names: all are added where all are confirmed."""
+    unsure = [effect for name in found.named if (effect := found.effect(name)) and effect.verdict != CONFIRMED]
+    if not unsure:
+        return add(found.named, source, summary)
+    reason = "; ".join(f"{effect.name} is {effect.verdict}" for effect in unsure)
+    alone = tuple((name,) for name in found.named if not any(name in group for group in found.confusable))
+    return more(f"{reason}. {summary}", (*found.confusable, *alone))
 
 
 def measured(rounds: Sequence[Round]) -> int:
@@ -560,17 +582,6 @@ def trials_of(plan: ExperimentPlan, folder: str) -> list[PlannedTrial]:
                 for repeat in range(condition.trials)
             ]
     return sorted(found, key=lambda one: one.trial.repeat)
-
-
-def predicted(model: Model, spec: TrialSpec) -> ImpactPrediction:
-    """The velocities just after the impact that a model predicts, by the impact map."""
-    scene, axis = spec.scene, spec.scenario.axis_index
-    scene = replace(scene, physics=model.apply(scene.physics))
-    result = predict_impact(ImpactProblem.at_nominal_impact(scene), spec.scenario.control.reference_contact)
-    arms = [float(twist[axis]) for twist in result.end_effector_twist.values()]
-    return ImpactPrediction(
-        condition=label_of(spec), arm=sum(arms) / len(arms), object=float(result.object_twist[axis])
-    )  # fmt: skip
 
 
 def begin(directory: Path, settings: Settings) -> Settings:
@@ -633,6 +644,7 @@ def read_rounds(directory: Path, settings: Settings) -> list[Round]:
                 model=_model_after(settings, found),
                 plan=read_plan(here / "plan.yaml"),
                 prediction=_read(Predictions, here / "prediction.json"),
+                prediction_error=_read(PredictionError, here / "prediction_error.json"),
                 comparison=_read(ComparisonDocument, here / "compare.json"),
                 diagnosis=_read_diagnosis(here / "diagnosis.json"),
                 again=_read_diagnosis(here / "again.json"),
@@ -706,8 +718,7 @@ def ending_of(settings: Settings, rounds: Sequence[Round]) -> Ending:
         EXPLAINED: f"Missing: {' and '.join(names)}.",
         LAW: f"Missing, by a law that holds: {' and '.join(names)}.",
         MISSES_NOTHING: "Nothing is missing.",
-        UNDECIDED: "I cannot tell which effect is missing"
-        + (f"; possible: {', '.join(candidates)}." if candidates else "."),
+        UNDECIDED: "I cannot tell what is missing" + (f"; possible: {', '.join(candidates)}." if candidates else "."),
     }[last.verdict]
     return Ending(
         verdict=last.verdict,
@@ -744,10 +755,23 @@ def _round_lines(here: Round) -> Iterator[str]:
                 what = one.what or f"{campaign.folder}/{one.object}/{one.case}"
                 yield f"    * {one.buys or f'{one.trials} x {what}'}"
     if (prediction := here.prediction) is not None:
-        for impact in prediction.impacts:
+        for said in prediction.impacts:
             yield (
-                f"* Prediction of {prediction.model.name} for {impact.condition}: end effector {impact.arm:+.3f} m/s, "
-                f"object {impact.object:+.3f} m/s after the impact"
+                f"* Prediction of {prediction.model.name} for {said.condition}: end effector {said.arm:+.3f} m/s, "
+                f"object {said.object:+.3f} m/s after the impact"
+            )
+    if (checked := here.prediction_error) is not None:
+        if checked.error is not None:
+            yield (
+                f"* Prediction error of {checked.model.name} in the {checked.trials} trials of this round: "
+                f"{checked.error:.3g} {checked.unit}"
+            )
+        for impact in checked.impacts:
+            said, seen = impact.predicted, impact.object
+            tracked = "" if seen is None else f", object {seen:+.3f} m/s (predicted {said.object:+.3f})"
+            yield (
+                f"    * {impact.condition}: measured end effector {impact.arm:+.3f} m/s (predicted {said.arm:+.3f})"
+                f"{tracked}"
             )
     if (comparison := here.comparison) is not None:
         floor = "" if comparison.noise_floor is None else f" (noise: {comparison.noise_floor:.3g})"
@@ -766,23 +790,26 @@ def _round_lines(here: Round) -> Iterator[str]:
         yield f"* Decision: {decision.action}{made}. {decision.reason}"
 
 
-def judged(ending: Ending, kind: str, hidden: Sequence[str]) -> tuple[bool, bool]:
+def judged(ending: Ending, kind: str, hidden: Sequence[str], laws: Collection[str] | None = None) -> tuple[bool, bool]:
     """Whether an end is right, and whether it is surely wrong.
 
     Right is: every hidden effect and no other, or undecided among candidates with all of them; where nothing is hidden,
-    NOTHING-MISSING; of a cause outside the library, a law that holds or undecided. An undecided end is never surely
-    wrong.
+    NOTHING-MISSING; of a cause outside the library, a law for it that holds and no other effect, or undecided with such
+    a law among the candidates or without any candidate. An undecided end is never surely wrong.
 
     Args:
         ending: The end.
         kind: Kind of what is hidden, one of ``KINDS``.
         hidden: Hidden effects of the library, or the cause outside it.
+        laws: Names of the laws that are right for a cause outside the library; None: of every law.
     """
     assert kind in KINDS
+    named = set(ending.effects if ending.certain else ending.candidates)
     if kind == "outside":
-        right = not ending.certain or ending.verdict == LAW
+        true = named - set(library()) if laws is None else named & set(laws)
+        right = (ending.verdict == LAW and named == true) if ending.certain else (bool(true) or not named)
     elif not ending.certain:
-        right = bool(hidden) and set(hidden) <= set(ending.candidates)
+        right = bool(hidden) and set(hidden) <= named
     else:
-        right = set(ending.effects) == set(hidden) and (ending.verdict == MISSES_NOTHING) == (not hidden)
+        right = named == set(hidden) and (ending.verdict == MISSES_NOTHING) == (not hidden)
     return right, ending.certain and not right

@@ -3,14 +3,15 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
 
 from impact_rs_analysis.design.design import design
 from impact_rs_analysis.design.explanations import Decision, which_effect
-from impact_rs_analysis.design.possible_trials import NO_ENVELOPE, Envelope
+from impact_rs_analysis.design.possible_trials import Envelope
 from impact_rs_analysis.diagnosis.document import DiagnosisDocument
-from impact_rs_analysis.diagnosis.next_experiment import left_open
+from impact_rs_analysis.diagnosis.next_experiment import considered, left_open
 from impact_rs_analysis.diagnosis.search import ProgressCallback
 from impact_rs_analysis.evidence.measured_runs import Runs
 from impact_rs_analysis.evidence.replay_cache import ReplayCache
@@ -27,6 +28,7 @@ from impact_rs_sim.scenario import load_scenario
 from impact_rs_trials.blind import RUNS, BlindTask, Secret, run_task
 from impact_rs_trials.campaign import PlannedTrials
 from impact_rs_trials.experiment_plan import ExperimentPlan, PlannedCampaign
+from impact_rs_trials.runs import label_of
 from impact_rs_trials.spec import TrialSpec
 from impact_rs_trials.workers import Map
 
@@ -98,15 +100,17 @@ class PlantBench:
         self, model: Model, done: Sequence[Round], document: DiagnosisDocument | None, budget: int, seed: int
     ) -> ExperimentPlan:
         """The trials that decide most of what is open; where none can be planned so, those of a rule."""
-        limits = NO_ENVELOPE if self.settings.envelope is None else Envelope(self.settings.envelope.speed)
+        limits = Envelope(cell=self.settings.envelope)
         try:
-            decide = None if document is None else left_open(document, model)
+            decide, known = None, model
+            if document is not None:
+                decide, known = left_open(document, model), considered(document, model)
             if decide is None and self.settings.effects:
                 decide = self._which
             runs = self._runs() if done else None
             with self.terminal.stages() as stage:
                 plan = design(
-                    model, self.settings.scenarios, budget, self.map_tasks, decide, runs, "design", limits, seed, stage
+                    known, self.settings.scenarios, budget, self.map_tasks, decide, runs, "design", limits, seed, stage
                 )
             self.check(plan)
             return plan
@@ -149,17 +153,16 @@ def simple_design(
         budget: Trials at most.
         seed: Seed of scatter and noise.
     """
+    measured = Counter(label_of(one.trial.spec) for here in done for one in here.trials)
     often: dict[tuple[str, str, str], int] = {}
     for name in settings.scenarios:
         scenario = load_scenario(name)
         objects = list(scenario.objects) if scenario.excursion is None else list(scenario.objects)[:1]
         for case in scenario.cases:
             for item in objects:
-                if settings.envelope is None or not settings.envelope.complaint(TrialSpec.of(scenario, item, case)):
-                    often[name, item, case] = 0
-    for one in (trial for here in done for trial in here.trials):
-        key = one.trial.key
-        often[one.scenario, key.object, key.case] += 1
+                spec = TrialSpec.of(scenario, item, case)
+                if settings.envelope is None or not settings.envelope.complaint(spec):
+                    often[name, item, case] = measured[label_of(spec)]
     if not often:
         raise InputError("no condition of these scenarios lies inside the envelope; expected limits that allow some")
     hits = [place for place in often if load_scenario(place[0]).excursion is None]

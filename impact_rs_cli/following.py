@@ -3,21 +3,25 @@
 
 from __future__ import annotations
 
-import shlex
-from collections.abc import Callable
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
 from impact_rs_analysis.evidence.discrepancy import NO_DISCREPANCY
 from impact_rs_analysis.evidence.map_discrepancy import NO_MAP_DISCREPANCY
 from impact_rs_analysis.evidence.replay_cache import ReplayCache
+from impact_rs_analysis.following.follow import Follower
 from impact_rs_analysis.following.hits import BagDoor, Door, TableDoor
-from impact_rs_cli.parser import PROGRAM
+from impact_rs_analysis.following.lessons import HitDocument
+from impact_rs_analysis.following.state import restore_state, save_state
+from impact_rs_cli.full_diagnosis import FullDiagnosis
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.impact_map.contacts import GAP_TOLERANCE
 from impact_rs_sim.model import Model
 from impact_rs_sim.scenario import load_scenario
 from impact_rs_trials.recordings.impact_table import SUFFIXES, read_impact_table
+
+SAVED = 10  # instants of hits that are there already, between two states
 
 
 class HitsArguments(NamedTuple):
@@ -54,13 +58,12 @@ class HitsArguments(NamedTuple):
         return Path(path)
 
 
-def door_of(hits: HitsArguments, model: Model, progress: Callable[[int, int], None] = lambda *_: None) -> Door:
+def door_of(hits: HitsArguments, model: Model) -> Door:
     """The door through which hits come.
 
     Args:
         hits: Where they come from.
         model: What is believed.
-        progress: Called with (done, total) while bags are read.
 
     Raises:
         InputError: Options that do not go together, or there is no such scenario.
@@ -71,7 +74,7 @@ def door_of(hits: HitsArguments, model: Model, progress: Callable[[int, int], No
             option = "--scenario" if hits.scenario is not None else "--contact-tolerance"
             raise InputError(f"{option} goes with --impacts only: trials contain their scenario")
         store = ReplayCache(map)
-        return BagDoor(hits.where.absolute(), model, store, NO_DISCREPANCY if hits.exact else None, progress)
+        return BagDoor(hits.where.absolute(), model, store, NO_DISCREPANCY if hits.exact else None)
     if hits.tolerance is not None and not hits.tolerance >= 0.0:
         raise InputError("expected a distance >= 0 m", key="--contact-tolerance", value=hits.tolerance)
     scenario = None if hits.scenario is None else load_scenario(hits.scenario)
@@ -80,12 +83,92 @@ def door_of(hits: HitsArguments, model: Model, progress: Callable[[int, int], No
     return TableDoor(lambda: read_impact_table(table, scenario, tolerance=tolerance), model, discrepancy)
 
 
-def diagnose_command(hits: HitsArguments) -> str:
-    """The command of a full diagnosis of the same measurements."""
-    words = [PROGRAM, "diagnose"]
-    words += ["--impacts", str(hits.table)] if hits.table is not None else [str(hits.where)]
+class FollowedHits:
+    """A follower of hits with its state file, and the full diagnosis that a change calls for.
+
+    Args:
+        hits: Where hits come from.
+        follower: Follows them; it has seen none.
+        state: State file; None: none.
+        diagnosis: Makes full diagnoses; None: none is started.
+    """
+
+    def __init__(
+        self, hits: HitsArguments, follower: Follower, state: Path | None, diagnosis: FullDiagnosis | None
+    ) -> None:
+        self.hits, self.follower, self._state, self._diagnosis = hits, follower, state, diagnosis
+        self._due = False
+        self._taken = 0
+
+    def restore(self) -> int:
+        """Go on where the state file was written; how many hits were seen before.
+
+        Raises:
+            InputError: It is no state file of this model and these hits.
+        """
+        if self._state is None or not self._state.exists():
+            return 0
+        count = restore_state(self.follower, self._state)
+        changed, diagnosis = self.follower.changed, self._diagnosis
+        self._due = changed is not None and diagnosis is not None and not diagnosis.file(changed.since).exists()
+        return count
+
+    def arrived(self) -> Iterator[HitDocument]:
+        """What the hits since the last call taught. State is saved after every tenth, and after the last.
+
+        Raises:
+            InputError: They cannot be read, or the state cannot be written.
+        """
+        for document in self.follower.arrived(self._handled):
+            if document.change is not None and self._diagnosis is not None:
+                self._diagnosis.stop()  # its hits are no longer alike
+                self._due = True
+            yield document
+
+    def save(self) -> None:
+        """Write the state file.
+
+        Raises:
+            InputError: It cannot be written.
+        """
+        if self._state is not None:
+            save_state(self.follower, self._state)
+
+    def diagnose(self) -> str:
+        """Start the diagnosis that the last change calls for, once there are hits enough; what was done, in words.
+
+        Raises:
+            InputError: No process can be started.
+        """
+        changed = self.follower.changed
+        if self._diagnosis is None or changed is None or not self._due or not changed.diagnosable:
+            return ""
+        self._diagnosis.start(changed.since)
+        self._due = False
+        return f"full diagnosis of the {len(changed.conditions)} hits since {changed.since} has begun"
+
+    def _handled(self) -> None:
+        self._taken += 1
+        if self._taken % SAVED == 0 or not self.follower.door.waiting:
+            self.save()
+
+
+def diagnose_words(hits: HitsArguments, effects: Sequence[str] | None = None) -> list[str]:
+    """Arguments of ``impact-rs diagnose`` for the same measurements, and the same effects where some were named."""
+    words = ["--impacts", str(hits.table)] if hits.table is not None else [str(hits.where)]
     if hits.scenario is not None:
         words += ["--scenario", hits.scenario]
     if hits.model != "nominal":
         words += ["--model", hits.model]
-    return shlex.join([*words, "-o", "diagnosis.json"])
+    if hits.tolerance is not None:
+        words += ["--contact-tolerance", repr(hits.tolerance)]
+    if hits.exact:
+        words.append("--no-discrepancy")
+    return [*words, "--effects", *effects] if effects else words
+
+
+def folder_of_diagnoses(given: Path | None, state: Path | None) -> Path:
+    """Where full diagnoses are written: the given folder, else that of the state file, else the working directory."""
+    if given is not None:
+        return given
+    return Path() if state is None else state.parent

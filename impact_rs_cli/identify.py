@@ -4,54 +4,66 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from itertools import islice
 from pathlib import Path
 
 from impact_rs_analysis.following.follow import Follower
 from impact_rs_analysis.following.lessons import HitDocument
-from impact_rs_analysis.following.state import restore_state, save_state
-from impact_rs_cli.following import HitsArguments, diagnose_command, door_of
+from impact_rs_cli.following import FollowedHits, HitsArguments, diagnose_words, door_of, folder_of_diagnoses
+from impact_rs_cli.full_diagnosis import FullDiagnosis
 from impact_rs_ros.identify_node import Identifier, IdentifyNode, Lesson
 from impact_rs_ros.process import run
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.model import load_model
 
+AT_ONCE = 3  # hits of one look; in between the node answers
 
-class FollowedHits:
-    """A follower of hits with its state file, as the node takes it.
+
+class Lessons:
+    """What followed hits teach, as the node takes it.
 
     Args:
-        hits: Where hits come from.
-        state: State file; None: none.
+        followed: The hits.
+        diagnosis: Makes the full diagnoses that changes call for.
     """
 
-    def __init__(self, hits: HitsArguments, state: Path | None = None) -> None:
-        model = load_model(hits.model)
-        self._hits, self._state = hits, state
-        self._follower = Follower(door_of(hits, model), model)
-        self._restored = state is None or not state.exists()
+    def __init__(self, followed: FollowedHits, diagnosis: FullDiagnosis) -> None:
+        self._followed, self._diagnosis = followed, diagnosis
+        self._restored = False
+        self._arriving: Iterator[HitDocument] = iter(())
 
     def arrived(self) -> Sequence[Lesson]:
-        """What the hits since the last call taught.
+        """What the hits since the last call taught, of many that wait the first.
 
         Raises:
             InputError: They cannot be read.
         """
-        if not self._restored and self._state is not None:
-            restore_state(self._follower, self._state)
+        if not self._restored:
+            self._followed.restore()
             self._restored = True
-        documents = list(self._follower.arrived())
-        if documents and self._state is not None:
-            save_state(self._follower, self._state)
-        return [self._lesson(document) for document in documents]
+        documents = list(islice(self._arriving, AT_ONCE))
+        if not documents:
+            self._arriving = self._followed.arrived()
+            documents = list(islice(self._arriving, AT_ONCE))
+        lessons = [self._lesson(document) for document in documents]
+        if not documents and (begun := self._followed.diagnose()):
+            lessons.append(Lesson(begun, hit=False))
+        if (ended := self._diagnosis.ended()) is not None:
+            lessons.append(Lesson(f"full diagnosis: {ended.words}", diagnosis=ended.model_dump_json(), hit=False))
+        return lessons
 
     def prediction(self) -> str:
         """Prediction of the next hit and the parameters believed, as a JSON document; empty: not yet."""
-        found = self._follower.prediction()
+        found = self._followed.follower.prediction()
         if found is None:
             return ""
-        followed = [one.model_dump(mode="json") for one in self._follower.followed()]
+        followed = [one.model_dump(mode="json") for one in self._followed.follower.followed()]
         return json.dumps({**found.model_dump(mode="json"), "followed": followed})
+
+    def close(self) -> None:
+        """Stop a diagnosis that runs."""
+        self._diagnosis.stop()
 
     def _lesson(self, document: HitDocument) -> Lesson:
         if document.error is None:
@@ -59,7 +71,8 @@ class FollowedHits:
         line = f"{document.name}: prediction off by {document.error:.2g} standard deviations"
         if (change := document.change) is None:
             return Lesson(line)
-        text = json.dumps({**change.model_dump(mode="json"), "diagnose": diagnose_command(self._hits)})
+        command = self._diagnosis.command(change.since)
+        text = json.dumps({**change.model_dump(mode="json"), "diagnose": command})
         return Lesson(line, text, change.words)
 
 
@@ -77,7 +90,13 @@ class Identify(IdentifyNode):
             self.parameter("impacts_scenario") or None,
             self.parameter("model"),
         )
-        return FollowedHits(hits, Path(state) if state else None)
+        model, folder = load_model(hits.model), self.parameter("diagnoses")
+        state = Path(state) if state else None
+        diagnosis = FullDiagnosis(diagnose_words(hits), folder_of_diagnoses(Path(folder) if folder else None, state))
+        follower = Follower(door_of(hits, model), model)
+        return Lessons(
+            FollowedHits(hits, follower, state, diagnosis if self.parameter("diagnose") else None), diagnosis
+        )
 
 
 def main() -> None:

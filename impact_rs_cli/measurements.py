@@ -166,6 +166,8 @@ def measured(
             covariates=args.covariates,
             unsure=read_ranges(unsure, "--unsure", EXPECTED_RANGE),
         )
+        if args.since is not None:
+            table = table.since(args.since)
         with started(args) as map_tasks:
             yield Measurements(
                 map_tasks,
@@ -186,6 +188,8 @@ def measured(
                 raise InputError("--mapping and --experiment exclude each other: the experiment file names the mapping")
             trials = read_experiment(path, args.experiment, map_tasks, terminal)
         elif args.mapping is not None or is_foreign(path):
+            if args.since is not None:
+                raise InputError("--since goes with trials and with --impacts; leave it out for recordings")
             mapping = load_mapping(args.mapping or DEFAULT_MAPPING)
             recordings = read_recordings(path, mapping)
             minus = [] if args.minus is None else read_recordings(args.minus, mapping)
@@ -198,6 +202,8 @@ def measured(
             return
         else:
             trials = read(path, map_tasks, terminal)
+        if args.since is not None:
+            trials = trials.since(args.since)
         yield Measurements.of_trials(map_tasks, terminal, trials, discrepancy, each_arm)
 
 

@@ -141,18 +141,17 @@ class CellBench(NodesBench):
 
     def measured_runs(self) -> Runs:
         """All trials, from measured signals alone: a robot reports no motor states."""
-        rows, hits = ["bag,object,kind,scenario,case,scale"], set()
+        rows, specs = ["bag,object,kind,scenario,case,scale"], {}
         for path in sorted(self.runs.glob("*/*/*/metadata.yaml")):
             bag = TrialBag.open(path.parent)
             spec = bag.info.spec
             hit = spec.scenario.excursion is None
             kind, what = (HIT, spec.object) if hit else (FREE_MOTION, NO_OBJECT)
-            if hit:
-                hits.add(bag.info.scenario)
+            specs[path.parent.absolute()] = spec
             name = path.parent.relative_to(self.runs).as_posix()
             rows.append(f"{name},{what},{kind},{bag.info.scenario},{spec.case},{spec.scale:g}")
         hit_scenarios = [name for name in self.settings.scenarios if load_scenario(name).excursion is None]
         write_whole(self.runs / "runs.csv", "\n".join(rows) + "\n")
         experiment = self.runs / "experiment.yaml"
         write_whole(experiment, f"scenario: {hit_scenarios[0]}\nmapping: {self._mapping}\n")
-        return read_laboratory_runs(self.runs.absolute(), load_experiment(experiment), self.map_tasks)
+        return read_laboratory_runs(self.runs.absolute(), load_experiment(experiment), self.map_tasks).named(specs)

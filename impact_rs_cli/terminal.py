@@ -45,6 +45,7 @@ class Terminal:
         self._document: dict[str, Any] | None = None
         self._errors = Console(stderr=True, highlight=False)
         self._file = ProgressFile()
+        self._bars = 0  # that are shown
 
     def result(self, document: dict[str, Any]) -> None:
         """The document of ``--json``; printed when the command has ended."""
@@ -54,7 +55,7 @@ class Terminal:
         """Print for people; silent with ``--json``, and once the reader has left (``| head``)."""
         if self.as_json:
             return
-        console = _Output(highlight=False)
+        console = self._errors if self._bars and sys.stdout.isatty() else _Output(highlight=False)  # above the bar
         try:
             for item in renderables:
                 console.print(item, soft_wrap=isinstance(item, str), markup=False)
@@ -78,8 +79,10 @@ class Terminal:
         if self.debug and text:
             self.warn(text)
 
-    def _bar(self) -> Progress:
-        return Progress(
+    @contextmanager
+    def _bar(self) -> Iterator[Progress]:
+        """A bar on standard error; none where that is no terminal."""
+        with Progress(
             TextColumn("{task.description}"),
             BarColumn(),
             MofNCompleteColumn(),
@@ -88,7 +91,12 @@ class Terminal:
             disable=not self._errors.is_terminal,
             redirect_stdout=False,
             redirect_stderr=False,
-        )
+        ) as bar:
+            self._bars += self._errors.is_terminal
+            try:
+                yield bar
+            finally:
+                self._bars -= self._errors.is_terminal
 
     @contextmanager
     def progress(self, what: str) -> Iterator[Report]:

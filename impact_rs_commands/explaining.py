@@ -86,7 +86,8 @@ Look at recorded files and write the files that describe them: mapping.yaml, run
 something is hit.
 
 Tables (.csv, .txt, .tsv, .dat, .parquet, .npy), arrays (.npz, .h5, .mat) and bags are read as they are: lines above
-the names, no names at all, all joints in one cell, stamps in s, ms, us, ns or as dates, a file per signal and run. What
+the names, no names at all, all joints in one cell, decimal commas, stamps in s, ms, us, ns, as seconds beside
+nanoseconds or as dates, a file per signal and run, a folder per session, several recordings in one file. What
 a column is, its numbers decide: positions lie within the limits of the robot, velocities are their derivative, torques
 are those of weight and inertia. Every value is printed and written with what shows it; ASSUMED marks values that
 nothing shows. Look at those, then compare. Files are never overwritten.""",
@@ -103,7 +104,7 @@ impact-rs import tosses/ --robot none --rate 148 -o my_tosses""",
     output="a table of guesses and their evidence; mapping.yaml, runs.csv and experiment.yaml.",
     units="as in the files; the mapping names them.",
     options=(
-        argument("files", "recordings, or folders of them", kind="file", metavar="FILE", many=True),
+        argument("files", "recordings, or folders of them", kind="file", metavar="FILE", many=True, label="recordings"),
         option(
             "--robot", kind="robot", metavar="ROBOT", otherwise="the one that the files name",
             help="name of robot facts or path of their YAML file (impact-rs robot import makes them from a URDF); "
@@ -113,12 +114,15 @@ impact-rs import tosses/ --robot none --rate 148 -o my_tosses""",
             "--scenario", kind="scenario", metavar="NAME",
             help="scenario (name or file) with the robots and objects of the hits",
         ),
-        option("--rate", kind="number", metavar="HZ", unit="Hz", help="sampling rate of files without stamps"),
         option(
-            "--dedupe", kind="switch",
+            "--rate", kind="number", metavar="HZ", unit="Hz", help="sampling rate of files without stamps",
+            label="rate, without stamps", otherwise="from the stamps",
+        ),
+        option(
+            "--dedupe", kind="switch", label="of repeated stamps keep the first", advanced=True,
             help="of samples with the same stamp keep the first; without it such files are refused",
         ),
-        output("new_folder", "folder of the description", required=True),
+        output("new_folder", "folder of the description", required=True, label="folder of the description"),
         JSON,
     ),
 )  # fmt: skip
@@ -145,12 +149,12 @@ impact-rs compare --impacts impacts.csv --scenario push""",
     output="how many impacts were found, what was left out and why; the table as CSV.",
     units="in the header of every column.",
     options=(
-        argument("directory", "folder of the recordings", kind="folder", metavar="DIR"),
+        argument("directory", "folder of the recordings", kind="folder", metavar="DIR", label="recordings"),
         option(
             "--experiment", kind="experiment", required=True, metavar="FILE.yaml", label="experiment file",
             help="experiment file (impact-rs import writes one), relative to the working directory, else to DIR",
         ),
-        output("new_file", "table to write", "TABLE.csv", required=True),
+        output("new_file", "table to write", "TABLE.csv", required=True, label="file of the table"),
         *JOBS,
         JSON,
     ),
@@ -227,6 +231,9 @@ impact-rs diagnose recording.db3 --mapping joint_state
 impact-rs diagnose --impacts tosses.csv -o diagnosis.json
 impact-rs diagnose --impacts pushes.csv --scenario push -o diagnosis.json
 
+# what follows a change: all trials since one of them, or since a time
+impact-rs diagnose campaigns/day/runs --since push/juice__case_2__s1.000__r36 -o diagnosis.json
+
 # does an effect depend on the session or on the temperature? does the verdict turn on a size that is not known well?
 impact-rs diagnose --impacts tosses.csv --covariates session temperature -o diagnosis.json
 impact-rs diagnose --impacts tosses.csv --unsure size_z=0.09:0.11 -o diagnosis.json""",
@@ -285,8 +292,13 @@ surface, a joint that warms up. A change is announced with its first hit, its ev
 where there are several, with what decides between them. At most one alarm in 10,000 hits is false where noise is as the
 first hits show it (--mean-time).
 
+A change also starts a full diagnosis of the hits since then, in a process of its own, as soon as they have three
+conditions and three repeats; its verdict is printed when it ends. A further change starts it anew. --no-diagnosis only
+prints the command.
+
 With --live the command waits for further trials or rows until Ctrl-C. With --state a later run goes on where this one
-ended. Column 'time [s]' of a table says when its rows were measured; without it they are in order.""",
+ended, also where it was killed. Column 'time [s]' of a table says when its rows were measured; without it they are in
+order.""",
     examples="""\
 impact-rs follow campaigns/day/runs --model model_2.yaml --state follow.npz -o model_now.yaml
 impact-rs follow campaigns/day/runs --live --state follow.npz
@@ -302,10 +314,22 @@ followed model as a file.""",
         RUNS,
         MODEL,
         output("new_file", "file for the followed model", "MODEL.yaml", label="file of the followed model"),
-        option("--live", kind="switch", help="wait for further trials or rows until Ctrl-C"),
+        option(
+            "--live", kind="switch", help="wait for further trials or rows until Ctrl-C", label="wait for further hits"
+        ),
         option(
             "--state", kind="new_file", metavar="FILE.npz", label="state file", otherwise="none",
-            help="state file: read where it exists, so that the command goes on, and written after every hit",
+            help="state file: read where it exists, so that the command goes on; written after every hit, of many that "
+            "are there already after every tenth",
+        ),
+        option(
+            "--diagnoses", kind="new_folder", metavar="DIR", label="folder of the diagnoses", advanced=True,
+            otherwise="that of --state, or the working directory",
+            help="folder for the full diagnosis that a change calls for",
+        ),
+        option(
+            "--no-diagnosis", kind="switch", label="only print the command of a full diagnosis", advanced=True,
+            help="do not start the full diagnosis that a change calls for",
         ),
         option(
             "--learn", kind="whole", least=5, default=20, metavar="N", label="hits that teach the scatter",
@@ -548,8 +572,9 @@ Pack what was found for other laboratories, check a package, or merge packages o
 
 pack writes one JSON file: the model, its diagnosis, the SHA-256 of every file of the measurements, versions, and who
 measured which robot and object. check tests that nothing was changed, and with --data that the measurements are those.
-merge pools every parameter by a random-effects meta-analysis, names laboratories that do not agree with the others, and
-says whether a parameter is shared or differs by robot, object or laboratory.""",
+merge refuses packages of the same measurements, pools every parameter by a random-effects meta-analysis, names
+laboratories that do not agree with the others, and says whether a parameter is shared or differs by robot, object or
+laboratory.""",
     examples="""\
 impact-rs evidence pack diagnosis.json --data runs --laboratory north --robot franka_fer --object cat_food -o north.json
 impact-rs evidence check north.json --data runs
@@ -565,13 +590,14 @@ impact-rs evidence merge north.json south.json west.json -o merged.json""",
                 argument("diagnosis", "what diagnose has written", kind="diagnosis", metavar="FILE.json"),
                 MODEL._replace(help="model that was diagnosed"),
                 option(
-                    "--data", kind="folder", required=True, metavar="PATH", help="folder or file that was diagnosed"
+                    "--data", kind="folder", required=True, metavar="PATH", help="folder or file that was diagnosed",
+                    label="measurements",
                 ),
                 option("--laboratory", required=True, metavar="NAME", help="who measured"),
                 option("--robot", required=True, metavar="NAME", help="which robot; others with the same compare"),
                 option("--object", required=True, metavar="NAME", help="which object; none in free motion"),
                 option("--note", default="", metavar="TEXT", help="remarks for others", otherwise="none"),
-                output("new_file", "file of the package", "FILE.json", required=True),
+                output("new_file", "file of the package", "FILE.json", required=True, label="file of the package"),
                 JSON,
             ),
         ),
@@ -581,7 +607,10 @@ impact-rs evidence merge north.json south.json west.json -o merged.json""",
             function="check",
             options=(
                 argument("package", "package of evidence", kind="file", metavar="FILE.json"),
-                option("--data", kind="folder", metavar="PATH", help="folder or file of the measurements"),
+                option(
+                    "--data", kind="folder", metavar="PATH", help="folder or file of the measurements",
+                    label="measurements", otherwise="not checked",
+                ),
                 JSON,
             ),
         ),
@@ -591,7 +620,7 @@ impact-rs evidence merge north.json south.json west.json -o merged.json""",
             function="merge",
             options=(
                 argument("packages", "packages of evidence", kind="file", many=True, metavar="FILE.json"),
-                output("new_file", "file of the result", "FILE.json"),
+                output("new_file", "file of the result", "FILE.json", label="file of the result"),
                 JSON,
             ),
         ),

@@ -70,7 +70,7 @@ impact-rs analyze trials        # needs trials at three scales or more""",
         ),
         SEED,
         PLANT,
-        output("new_folder", "folder for the bag", required=True),
+        output("new_folder", "folder for the bag", required=True, label="folder for the bag"),
         JSON,
     ),
 )  # fmt: skip
@@ -148,7 +148,8 @@ simulated with the model by the compiled twin, in closed loop and within the lim
 replayed under every explanation. Chosen is what raises the probability of the right decision most:
 
   without --after   which effect is missing, if any: all effects of the library against each other
-  with --after      which of the tied effects of a diagnosis is there; without ties, how large the effects found are
+  with --after      which of the tied effects or laws of a diagnosis or discovery is there, or a suspected one at all;
+                    without either, how large the effects found are
 
 --runs names the trials measured so far: their scatter counts, and their information. The plan says what each
 condition adds. The probability is that of a likelihood-ratio test between two explanations; a diagnosis asks for more
@@ -161,14 +162,15 @@ impact-rs diagnose campaigns/first -o diagnosis.json
 impact-rs design --after diagnosis.json --runs campaigns/first --budget 6 -o plan_2.yaml
 impact-rs campaign --plan plan_2.yaml -o campaigns/second
 
-impact-rs design --scenarios my_push.yaml my_excite.yaml --speed 0.4 --force 200 --budget 12 -o plan.yaml""",
+impact-rs design --scenarios my_push.yaml my_excite.yaml --speed 0.4 --force 200 --budget 12 -o plan.yaml
+impact-rs design --envelope envelope.yaml --budget 12 -o plan.yaml""",
     output="what the plan decides, and what each condition adds; with -o a YAML file for impact-rs campaign --plan.",
     units="speeds in m/s, forces in N, probabilities in percent, information in nat.",
     options=(
         MODEL,
         option(
             "--after", kind="diagnosis", metavar="FILE.json", label="diagnosis",
-            help="diagnosis of this model, whose open decision the plan is for",
+            help="diagnosis or discovery of this model, whose open decision the plan is for",
         ),
         option(
             "--runs", kind="runs", metavar="DIR", label="trials so far", help="trials measured so far",
@@ -189,6 +191,10 @@ impact-rs design --scenarios my_push.yaml my_excite.yaml --speed 0.4 --force 200
         option(
             "--force", kind="number", metavar="F", unit="N", label="largest contact force", advanced=True,
             help="largest contact force, in the mean over 4 ms", otherwise="any",
+        ),
+        option(
+            "--envelope", kind="file", metavar="FILE.yaml", advanced=True, otherwise="none",
+            help="only trials that the envelope of a real cell allows (docs/real_robot.md)",
         ),
         option(
             "--method", choices=("design", "random", "fixed"), default="design", advanced=True,
@@ -302,7 +308,8 @@ INVESTIGATE = Command(
     about="""\
 Run the loop by itself: choose trials, predict them, measure them, compare, diagnose, add the missing effect to the
 model, and try the new model on new trials. It ends with NOTHING-MISSING, EXPLAINED (the effects are named and the model
-holds), LAW-HOLDS (a law outside the library does), or UNDECIDED: the trials of the budget cannot decide it.
+holds on new trials), LAW-HOLDS (a law outside the library does), or UNDECIDED: the trials of the budget cannot decide
+it, or none was left to try the model on.
 
 All that it did is in DIR, step by step; the same command goes on after Ctrl-C, a kill or a power cut. --budget may
 grow.
@@ -419,15 +426,17 @@ Rehearse a trial of a real robot: the cell arms, leads and leaves a simulated ro
 Arming, cell, controller, brake and watchdog are those that a robot meets; the driver has the joint names, rate,
 gravity convention, latencies and torque rate of its profile, and time is simulated. The checklist holds joint torques,
 torque rates, joint velocities, external torques and forces (against the thresholds of the robot's reflexes), the
-distance to joint limits, and the time to stop when the cell dies just before the hit, each with its margin.
+distance to joint limits, and the time to stop when the cell dies just before the hit, each with its margin. A robot
+whose reflexes have a threshold that is passed stops itself, and the cell and the watchdog meet a stopped robot.
 
-The middleware, ros2_control and a machine that keeps time are not rehearsed. Exit code 1: not armed, ended early, or a
-margin is negative.""",
+The middleware, ros2_control and a machine that keeps time are not rehearsed. Exit code 1: not passed, because the cell
+cannot run with this driver, the trial was not armed or ended early, the robot stopped itself, or a margin is
+negative.""",
     examples="""\
 impact-rs rehearse push_fr3
-impact-rs rehearse push_fr3 juice 2 --reflex-torque 80 --reflex-force 250
+impact-rs rehearse push_fr3 juice 2 --reflex-torque 80 --reflex-force 40
 impact-rs rehearse my_push.yaml --driver ros2_control --json""",
-    output="what the cell would log, and the checklist.",
+    output="what the cell would log, the checklist, and the verdict with what was not checked.",
     units="s, rad, rad/s, N m, N m/s, N; prismatic joints in m, m/s, N and N/s.",
     options=(
         SCENARIO,
@@ -435,7 +444,7 @@ impact-rs rehearse my_push.yaml --driver ros2_control --json""",
         optional(CASE)._replace(otherwise="the first of the scenario"),
         option(
             "--driver", choices=("franka_ros2", "ur_robot_driver", "lbr_fri_ros2_stack", "ros2_control"),
-            help="profile of the driver", otherwise="that of the scenario's robot",
+            help="profile of the driver", label="driver", otherwise="that of the scenario's robot",
         ),
         *REFLEXES,
         SETTINGS,

@@ -9,6 +9,7 @@ from impact_rs_commands.shared import (
     CASES,
     JOBS,
     JSON,
+    MODEL,
     OBJECT,
     OBJECTS,
     REFLEXES,
@@ -42,6 +43,7 @@ impact-rs map grab cat_food 2 --contact settled
 impact-rs map push cat_food 2 --uncertainty
 impact-rs map push cat_food 2 --derivatives
 impact-rs map push cat_food 2 --set contact.restitution=0.2 objects.cat_food.mass=1.5
+impact-rs map push cat_food 2 --model model_2.yaml
 impact-rs map push --table problems.parquet -o answers.parquet
 impact-rs map --table tosses.csv -o answers.csv""",
     output="""\
@@ -74,6 +76,9 @@ contact laws; --json adds joints and contacts; with --table the file of -o.""",
             "--derivatives", kind="switch",
             help="derivatives of every velocity with respect to masses, inertias, B, friction, restitution, poses and "
             "ante-impact velocities",
+        ),
+        MODEL._replace(
+            help="model file, whose effects count where they act in an impact: masses, contact, motor inertia"
         ),
         SETTINGS,
         option("--table", kind="file", metavar="FILE", help="many problems: a .csv or .parquet table of impacts"),
@@ -109,15 +114,16 @@ a table with a row per object and case; with -o limits.html, limits.json and lim
         CASES,
         option(
             "--jump", kind="number", least=0.0, metavar="RAD_S", unit="rad/s", help="largest joint velocity jump",
-            otherwise="that of the robot facts",
+            label="largest joint jump", otherwise="that of the robot facts",
         ),
         *REFLEXES,
         option(
-            "--places", kind="whole", least=0, most=25, default=0, metavar="N",
+            "--places", kind="whole", least=0, most=25, default=0, metavar="N", label="places of a map, per side",
             help="also N x N places around that of the scenario, with the object and the case that allow least",
         ),
         option(
-            "--span", kind="number", least=0.0, default=0.1, metavar="M", unit="m",
+            "--span", kind="number", least=0.0, default=0.1, metavar="M", unit="m", label="reach of the map",
+            advanced=True,
             help="how far these places reach along x and z, either way",
         ),
         option(
@@ -148,12 +154,15 @@ impact-rs study-design -o design --scenario my_push.yaml --object parcel --speed
     output="the first designs; in DIR a page with pictures and designs.csv with all of them.",
     units="impulse in N s, the rest has none; speeds in m/s.",
     options=(
-        output("new_folder", "folder of page and table", required=True),
+        output("new_folder", "folder of page and table", required=True, label="folder of the page"),
         option(
             "--robots", kind="robot", many=True, metavar="ROBOT", help=ROBOT_TEXT,
             default=("franka_fer", "franka_fr3", "kinova_gen3", "kuka_iiwa7", "ur5e", "ur10e"),
         ),
-        option("--poses", kind="whole", default=100, least=1, metavar="N", help="random poses per robot"),
+        option(
+            "--poses", kind="whole", default=100, least=1, metavar="N", help="random poses per robot",
+            label="poses per robot",
+        ),
         option(
             "--motor-inertia", many=True, choices=("reduced", "rotor"), default=("reduced", "rotor"),
             help="B_theta with a torque loop, B_rho without",
@@ -167,13 +176,19 @@ impact-rs study-design -o design --scenario my_push.yaml --object parcel --speed
             help="scenario with end effector, object and uncertainties",
         ),
         option("--object", kind="object", metavar="NAME", help="object that is hit", otherwise="the first one"),
-        option("--speed", kind="number", default=0.5, metavar="V", unit="m/s", help="speed of the pad before the hit"),
+        option(
+            "--speed", kind="number", default=0.5, metavar="V", unit="m/s", help="speed of the pad before the hit",
+            label="speed before the hit",
+        ),
         option(
             "--rank-by", choices=("impulse", "joint_jump", "sensitivity"), default="impulse",
-            help="measure of the table that is printed",
+            help="measure of the table that is printed", advanced=True,
         ),
-        option("--draws", kind="whole", default=20, least=2, metavar="N", help="draws from the uncertainties"),
-        option("--seed", kind="whole", default=0, least=0, metavar="N", help="seed of poses and draws"),
+        option(
+            "--draws", kind="whole", default=20, least=2, metavar="N", help="draws from the uncertainties",
+            advanced=True,
+        ),
+        option("--seed", kind="whole", default=0, least=0, metavar="N", help="seed of poses and draws", advanced=True),
         *JOBS,
         JSON,
     ),
@@ -236,6 +251,11 @@ impact-rs robot check my_robot.yaml --scenario my_push.yaml""",
                     "--limits", many=True, default=(), metavar="JOINT.QUANTITY=VALUE", otherwise="those of the URDF",
                     help="limits that the URDF lacks or has as 0: elbow.effort=10 '*.velocity=3' '*.position=-3:3'; * "
                     "is every joint",
+                ),
+                option(
+                    "--measured", kind="file", metavar="TABLE", otherwise="none",
+                    help="table of a recording in rad, rad/s and N m, with columns named after the joints or numbered; "
+                    "its ranges stand in for limits that are missing or 0",
                 ),
                 option(
                     "--inertia-at", choices=("centre", "joint"), default="centre",

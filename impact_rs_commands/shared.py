@@ -19,11 +19,12 @@ SEED = option("--seed", kind="whole", default=0, least=0, metavar="N", help="see
 REFLEXES = (  # what stops a robot by itself
     option(
         "--reflex-torque", kind="number", least=0.0, metavar="NM", unit="N m",
-        help="external torque at which a joint stops the robot", otherwise="those of the robot facts",
+        help="external torque at which a joint stops the robot", label="reflex at a joint torque of",
+        otherwise="those of the robot facts",
     ),
     option(
         "--reflex-force", kind="number", least=0.0, metavar="N", unit="N",
-        help="external force at the end effector at which the robot stops itself",
+        help="external force at the end effector at which the robot stops itself", label="reflex at a force of",
         otherwise="that of the robot facts",
     ),
 )  # fmt: skip
@@ -101,6 +102,10 @@ SOURCE = (
         advanced=True, otherwise="none",
         help="with --impacts: columns that say under which circumstances rows were measured, for example session or "
         "temperature; diagnose says whether an effect depends on them (numbers: linearly, words: level by level)",
+    ),
+    option(
+        "--since", kind="text", metavar="WHEN", label="only measurements since", advanced=True, otherwise="all",
+        help="only trials, or rows of a table, that were measured from then on: the name of a trial or row, or a time",
     ),
     option(
         "--no-discrepancy", kind="switch", label="assume an exact simulation", advanced=True,

@@ -8,6 +8,9 @@ and time are simulated: time passes event by event, so that a rehearsal is the s
 torque is late by exactly the latency of the driver's profile. The middleware, ros2_control and a kernel that keeps time
 are not part of it.
 
+A robot whose external torque or force passes a threshold of its reflexes stops itself, as its driver says: it brakes,
+takes no more torques, and its states end where they do so with that driver.
+
 In a second run the cell falls silent just before the hit, as after ``kill -9``, and the watchdog brakes the arms.
 """
 
@@ -25,6 +28,7 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 
 from impact_rs_control.controller import Controller
+from impact_rs_control.fallback import holding_torque
 from impact_rs_control.plan import TrialPlan
 from impact_rs_ros.arming import Arming, ArmingLimits
 from impact_rs_ros.cell_trial import CellTrial, TrialLimits
@@ -91,6 +95,8 @@ class Checklist:
         log: Lines that the cell would log, and what happened.
         margins: The checklist.
         unknown: What could not be checked, and why.
+        blocking: Why the cell cannot run with this driver as it is released.
+        stopped: Why the robot stopped itself in the trial; empty: it did not.
         failure: Why the trial was not armed or ended early; empty: it ran to its end.
     """
 
@@ -98,18 +104,43 @@ class Checklist:
     log: list[str] = field(default_factory=list)
     margins: list[Margin] = field(default_factory=list)
     unknown: list[str] = field(default_factory=list)
+    blocking: tuple[str, ...] = ()
+    stopped: str = ""
     failure: str = ""
 
     @property
+    def objections(self) -> list[str]:
+        """Why the trial must not run on the robot."""
+        beyond = [one.name for one in self.margins if one.margin < 0.0]
+        return [
+            *self.blocking,
+            *([f"the robot stopped itself: {self.stopped}"] if self.stopped else []),
+            *([f"the trial failed: {self.failure}"] if self.failure else []),
+            *([f"beyond its bound: {', '.join(beyond)}"] if beyond else []),
+        ]
+
+    @property
     def passed(self) -> bool:
-        """Whether the trial ran, and no margin is negative."""
-        return not self.failure and all(one.margin >= 0.0 for one in self.margins)
+        """Whether the cell can run with the driver, the trial ran without a stop, and no margin is negative."""
+        return not self.objections
+
+    @property
+    def verdict(self) -> str:
+        """What the rehearsal says, in one line."""
+        if not self.passed:
+            return f"rehearsal not passed: {'; '.join(self.objections)}. Do not run this on the robot"
+        if self.unknown:
+            return f"rehearsal passed, but for what was not checked: {'; '.join(self.unknown)}"
+        return "rehearsal passed"
 
     def to_json(self) -> dict[str, object]:
         """As JSON."""
         return {
             "driver": self.driver,
             "passed": self.passed,
+            "verdict": self.verdict,
+            "blocking": list(self.blocking),
+            "stopped": self.stopped,
             "failure": self.failure,
             "log": self.log,
             "margins": [one.to_json() for one in self.margins],
@@ -242,16 +273,24 @@ class ExternalTorque:
 class StandIn:
     """A driver with effort controllers, and the robot behind it, which Bullet moves.
 
-    Its brakes are on until it is sent torques; then it steps once a period, with the last torque that has come.
+    Its brakes are on until it is sent torques; then it steps once a period, with the last torque that has come. Where
+    an estimate passes a threshold of the reflexes it stops itself: all arms brake as :func:`holding_torque` does (how
+    the robot brakes is not published), torques that come are ignored, and states end if they do so with this driver.
 
     Args:
         plan: The trial; the arms stand where it starts.
         profile: The driver.
+        reflexes: Thresholds of the robot's own reflexes, by arm.
         clock: Its clock.
         seed: Of noise and scatter.
+
+    Attributes:
+        error: What the driver reports after the robot has stopped itself; empty: it has not.
     """
 
-    def __init__(self, plan: TrialPlan, profile: DriverProfile, clock: VirtualTime, seed: int) -> None:
+    def __init__(
+        self, plan: TrialPlan, profile: DriverProfile, reflexes: Mapping[str, Reflexes], clock: VirtualTime, seed: int
+    ) -> None:
         scene, self.profile, self.clock = plan.scene, profile, clock
         self.models, timing = scene.models, scene.scenario.timing
         self.period = timing.control_period if profile.period is None else profile.period
@@ -266,11 +305,22 @@ class StandIn:
         self.listeners: list[Callable[[bytes], None]] = []
         self.seen: list[Callable[[], None]] = []
         self.commands: dict[str, Array] = {}
+        self.error = ""
+        self._reflexes = reflexes
+        self._motor_inertia = {arm: own.motor_inertia_reduced for arm, own in scene.physics.arms.items()}
+        self.external = {
+            arm: ExternalTorque(model, reflexes[arm].observer_gain, self.period) for arm, model in self.models.items()
+        }
         self._held: dict[str, Array] = {}
         self._next = 0.0
         self.measured: dict[str, ArmMeasurement] = self.plant.measure().arms
         self.rates: dict[str, Array] = {arm: np.zeros(model.joint_count) for arm, model in self.models.items()}
         clock.at(0.0, self._tick)
+
+    @property
+    def at_rest(self) -> bool:
+        """Whether all joints are slower than ``REST``."""
+        return all(np.abs(one.velocity).max() <= REST for one in self.measured.values())
 
     def command(self, arm: str, torque: Array) -> None:
         """A torque is on its way to the effort controller of an arm."""
@@ -283,19 +333,45 @@ class StandIn:
 
     def _tick(self) -> None:
         """A period ends: the robot moves on with the torque it had, and its state is published."""
-        if len(self._held) == len(self.models):
-            gravity = {
-                arm: model.gravity_torque(self.measured[arm].position) if self.profile.adds_gravity else 0.0
-                for arm, model in self.models.items()
-            }
-            self.plant.step({arm: np.asarray(torque + gravity[arm]) for arm, torque in self._held.items()})
-        for arm, torque in self.commands.items():
+        if self.error or len(self._held) == len(self.models):
+            self.plant.step({arm: self._torque(arm) for arm in self.models})
+        for arm, torque in self.commands.items() if not self.error else ():
             if arm in self._held:
                 self.rates[arm] = np.abs(torque - self._held[arm]) / self.period
             self._held[arm] = torque
         self.measured = self.plant.measure().arms
+        for arm, observer in self.external.items():
+            observer.update(self.measured[arm])
+            self.error = self.error or self._reflex(arm)
         for see in self.seen:
             see()
+        if not (self.error and self.profile.states_end):
+            self._publish()
+        self._next += self.period
+        self.clock.at(self._next, self._tick)
+
+    def _torque(self, arm: str) -> Array:
+        """Torque that acts on an arm: the driver's, or that of the robot's own brake."""
+        model, measured = self.models[arm], self.measured[arm]
+        if self.error:
+            return holding_torque(model, self._motor_inertia[arm], measured.position, measured.velocity)
+        gravity = model.gravity_torque(measured.position) if self.profile.adds_gravity else 0.0
+        return np.asarray(self._held[arm] + gravity)
+
+    def _reflex(self, arm: str) -> str:
+        """Why an arm stops itself now; empty: it does not."""
+        own, observer, when = self._reflexes[arm], self.external[arm], f"at {self.clock.time:.3f} s"
+        if own.external_torque_Nm is not None:
+            for joint in np.flatnonzero(np.abs(observer.torque) > np.array(own.external_torque_Nm)):
+                unit = self.models[arm].facts.units[joint].effort
+                torque, limit = abs(observer.torque[joint]), own.external_torque_Nm[joint]
+                return f"{arm}, external torque of joint {joint + 1}: {torque:.4g} {unit}, threshold {limit:g}, {when}"
+        if own.external_force_N is not None and observer.force > own.external_force_N:
+            return f"{arm}, external force: {observer.force:.4g} N, threshold {own.external_force_N:g}, {when}"
+        return ""
+
+    def _publish(self) -> None:
+        """Send the states of all joints."""
         message = JointState(name=[name for names in self.joints.values() for name in names])
         for arm in self.joints:
             measured = self.measured[arm]
@@ -309,26 +385,19 @@ class StandIn:
         data = bytes(serialize_message(message))
         for listener in self.listeners:
             self.clock.at(self.clock.time + self.profile.state_latency, lambda listener=listener: listener(data))  # type: ignore[misc]
-        self._next += self.period
-        self.clock.at(self._next, self._tick)
 
 
 class _Extremes:
     """Largest and smallest of what the stand-in shows."""
 
-    def __init__(self, stand_in: StandIn, reflexes: Mapping[str, Reflexes]) -> None:
+    def __init__(self, stand_in: StandIn) -> None:
         self._robot = stand_in
-        self._observers = {
-            arm: ExternalTorque(model, reflexes[arm].observer_gain, stand_in.period)
-            for arm, model in stand_in.models.items()
-        }
         self.largest: dict[tuple[str, str], tuple[Array, Array]] = {}
         stand_in.seen.append(self._see)
 
     def _see(self) -> None:
         for arm, measured in self._robot.measured.items():
-            model, observer = self._robot.models[arm], self._observers[arm]
-            observer.update(measured)
+            model, observer = self._robot.models[arm], self._robot.external[arm]
             distance = np.minimum(measured.position - model.position_min, model.position_max - measured.position)
             for what, values in (
                 ("torque", np.abs(measured.torque)),
@@ -361,23 +430,23 @@ def rehearse(
         seed: Of noise and scatter.
         say: Called with a line about what is rehearsed now.
     """
-    found = Checklist(profile.name)
+    found = Checklist(profile.name, blocking=profile.blocking)
     for name, arm in plan.arms.items():
         found.log.append(f"{name} starts at [{', '.join(f'{value:.4f}' for value in arm.initial)}]")
     say("arming and trial")
     _rehearse_trial(plan, profile, reflexes, seed, found)
-    if not found.failure:
+    if found.stopped or not found.failure:
         say("the cell dies before the hit")
-        _rehearse_death(plan, profile, seed, found)
+        _rehearse_death(plan, profile, reflexes, seed, found)
     return found
 
 
 class _Cell:
     """The cell, armed, at a stand-in."""
 
-    def __init__(self, plan: TrialPlan, profile: DriverProfile, seed: int) -> None:
+    def __init__(self, plan: TrialPlan, profile: DriverProfile, reflexes: Mapping[str, Reflexes], seed: int) -> None:
         self.plan, self.clock = plan, VirtualTime()
-        self.robot = StandIn(plan, profile, self.clock, seed)
+        self.robot = StandIn(plan, profile, reflexes, self.clock, seed)
         self.inbox = VirtualInbox(self.clock)
         self.outbox = VirtualOutbox(plan, self.clock, self.inbox)
         parameters = defaults_of("cell") | {
@@ -443,22 +512,26 @@ def _rehearse_trial(
     plan: TrialPlan, profile: DriverProfile, reflexes: Mapping[str, Reflexes], seed: int, found: Checklist
 ) -> None:
     """Arm, run the trial to its end, and leave it."""
-    cell = _Cell(plan, profile, seed)
-    extremes = _Extremes(cell.robot, reflexes)
+    cell = _Cell(plan, profile, reflexes, seed)
+    extremes = _Extremes(cell.robot)
     try:
         found.log.append(f"armed: {cell.arm()}")
         trial = cell.trial()
         while not trial.over:
             trial.work(cell.clock.time + 0.1)
         found.failure = trial.failure
+        if cell.robot.error:
+            found.log.append(_stopped_words(cell.robot, trial))
         ended = cell.clock.time
         while not cell.arms.held and cell.clock.time < ended + SETTLING:
             rest_until(cell.arms, cell.inbox, cell.clock.time + cell.robot.period, cell.clock)  # type: ignore[arg-type]
-        found.log.append(
-            f"trial over: {trial.failure or trial.end()}; the arms rest {cell.clock.time - ended:.2f} s later"
-            if cell.arms.held
-            else f"trial over: {trial.failure or trial.end()}; the arms did not come to rest"
-        )
+        if cell.arms.held:
+            rest = f"the arms rest {cell.clock.time - ended:.2f} s later"
+        elif cell.robot.error and cell.robot.at_rest:
+            rest = "the robot brought the arms to rest, which the cell did not see"
+        else:
+            rest = "the arms did not come to rest"
+        found.log.append(f"trial over: {trial.failure or trial.end()}; {rest}")
         found.log.append(f"{cell.arms.limited} torques were spread over several periods, as torque_rate_limit asks")
         _, status = trial.status()
         found.margins += [
@@ -467,12 +540,14 @@ def _rehearse_trial(
                 "answer of the controller", float(str(status["slowest_answer [s]"])),
                 cell.parameters["answer_timeout"], "s", f"{COMPUTING:g} s of it assumed for computing",
             ),
-            Margin("rest after the trial", cell.clock.time - ended, SETTLING, "s", ""),
         ]  # fmt: skip
+        if not cell.robot.error:
+            found.margins.append(Margin("rest after the trial", cell.clock.time - ended, SETTLING, "s", ""))
     except InputError as error:
         found.failure = str(error)
         found.log.append(f"refused: {error}")
     finally:
+        found.stopped = cell.robot.error
         cell.robot.plant.close()
     _margins(cell.robot, extremes, reflexes, found)
 
@@ -520,9 +595,18 @@ def _margins(robot: StandIn, extremes: _Extremes, reflexes: Mapping[str, Reflexe
             found.margins.append(margin)
 
 
-def _rehearse_death(plan: TrialPlan, profile: DriverProfile, seed: int, found: Checklist) -> None:
+def _stopped_words(robot: StandIn, trial: CellTrial) -> str:
+    """What the cell made of a robot that stopped itself."""
+    states = "its states ended" if robot.profile.states_end else "its states went on"
+    noticed = "the cell ended the trial" if trial.failure else "the cell did not notice, and led it to the end"
+    return f"the robot stopped itself ({robot.error}); {states}; {noticed}"
+
+
+def _rehearse_death(
+    plan: TrialPlan, profile: DriverProfile, reflexes: Mapping[str, Reflexes], seed: int, found: Checklist
+) -> None:
     """The cell falls silent before the hit; the watchdog brakes the arms."""
-    cell = _Cell(plan, profile, seed)
+    cell = _Cell(plan, profile, reflexes, seed)
     try:
         watchdog = cell.watch()
         cell.arm()
@@ -537,12 +621,15 @@ def _rehearse_death(plan: TrialPlan, profile: DriverProfile, seed: int, found: C
         while cell.clock.time < died + STOPPING + 0.5:
             cell.inbox.wait(cell.robot.period)
             cell.inbox.waiting.clear()
-            if any(np.abs(one.velocity).max() > REST for one in cell.robot.measured.values()):
+            if not cell.robot.at_rest:
                 rested = cell.clock.time
         found.log.append(
             f"cell silent at {fastest:.2f} rad/s: the watchdog {'brakes' if watchdog.braking else 'does nothing'}; "
             f"the arms rest after {rested - died:.2f} s"
+            + (f"; the robot stopped itself ({cell.robot.error})" if cell.robot.error else "")
         )
         found.margins.append(Margin("time to stop when the cell dies", rested - died, STOPPING, "s", "by the watchdog"))
+    except InputError as error:  # a robot that stops itself while it is armed
+        found.log.append(f"with a watchdog: refused: {error}")
     finally:
         cell.robot.plant.close()

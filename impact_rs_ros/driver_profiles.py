@@ -30,6 +30,8 @@ class DriverProfile:
         state_latency: From the measurement until the cell has the state [s]; assumed.
         command_latency: From the cell's torque until the driver has it [s]; assumed.
         source: Where the other numbers come from.
+        states_end: Whether joint states end when the robot has stopped itself.
+        blocking: Why the cell cannot run with this driver as it is released; empty: nothing is known.
     """
 
     name: str
@@ -43,6 +45,8 @@ class DriverProfile:
     state_latency: float
     command_latency: float
     source: str
+    states_end: bool
+    blocking: tuple[str, ...] = ()
 
     def joints_of(self, arms: Collection[str]) -> str:
         """The parameter ``joints`` for these arms; several arms have their name and ``_`` before each joint's."""
@@ -70,6 +74,7 @@ PROFILES = {
             state_latency=0.0002,
             command_latency=0.0002,
             source="FCI: 1 kHz, gravity compensated; libfranka rate_limiting.h: kMaxTorqueRate 1000 N m/s",
+            states_end=True,  # franka_hardware_interface.cpp: read() answers a reflex with ERROR, broadcasters end
         ),
         DriverProfile(
             name="ur_robot_driver",
@@ -83,6 +88,11 @@ PROFILES = {
             state_latency=0.0005,
             command_latency=0.0005,
             source="e-Series: RTDE at 500 Hz; direct torque from PolyScope 5.23; the rate of torques is assumed",
+            states_end=False,  # assumed
+            blocking=(
+                "no torques of the link side: effort in /joint_states is the motor current [A], or a torque made of "
+                "it, without the weight, and the robot has no torque sensors at its joints",
+            ),
         ),
         DriverProfile(
             name="lbr_fri_ros2_stack",
@@ -96,6 +106,11 @@ PROFILES = {
             state_latency=0.0003,
             command_latency=0.0003,
             source="FRI: send period from 1 ms, torques on top of gravity; the rate of torques is assumed",
+            states_end=True,  # system_interface.cpp: read() answers the end of COMMANDING_ACTIVE with ERROR
+            blocking=(
+                "no torque-only mode: the robot adds commanded torques to the springs of its joint impedance, which "
+                "pull the arm back, and the cell does not know them",
+            ),
         ),
         DriverProfile(
             name="ros2_control",
@@ -109,6 +124,7 @@ PROFILES = {
             state_latency=0.0002,
             command_latency=0.0002,
             source="defaults of the cell; gravity is not compensated",
+            states_end=False,
         ),
     )
 }

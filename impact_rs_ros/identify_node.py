@@ -5,6 +5,7 @@ Topics, each a JSON document in a string (``docs/following.md`` lists their keys
 
     ~/prediction   what the next hit will measure, with intervals, and the parameters believed now
     ~/change       a change of the cell, with its evidence and explanations
+    ~/diagnosis    how the full diagnosis of the hits since then has ended
 
 How a hit is judged is not known here: the program that starts the node hands it an :class:`Identifier`.
 """
@@ -27,17 +28,21 @@ from impact_rs_trials.spec import TrialSpec
 
 @dataclass(frozen=True)
 class Lesson:
-    """What one hit taught.
+    """What one hit taught, or a diagnosis that a change had called for.
 
     Attributes:
         line: In a line.
         change: A change as a JSON document; empty: none.
         words: The same in words.
+        diagnosis: How a full diagnosis has ended, as a JSON document; empty: none has.
+        hit: Whether it is about a hit.
     """
 
     line: str
     change: str = ""
     words: str = ""
+    diagnosis: str = ""
+    hit: bool = True
 
 
 class Identifier(Protocol):
@@ -49,6 +54,9 @@ class Identifier(Protocol):
     def prediction(self) -> str:
         """Prediction of the next hit and the parameters believed, as a JSON document; empty: not yet."""
 
+    def close(self) -> None:
+        """Stop what was started."""
+
 
 class IdentifyNode(NodeProgram):
     """Looks for finished trials, and publishes what they teach."""
@@ -59,6 +67,7 @@ class IdentifyNode(NodeProgram):
         super().__init__()
         self._prediction = self.node.create_publisher(String, "~/prediction", LATCHED)
         self._change = self.node.create_publisher(String, "~/change", LATCHED)
+        self._diagnosis = self.node.create_publisher(String, "~/diagnosis", LATCHED)
         self._identifier: Identifier | None = None
         self._looked = -float("inf")
         self._hits, self._changes, self._spent = 0, 0, 0.0
@@ -78,6 +87,10 @@ class IdentifyNode(NodeProgram):
     def turn(self) -> None:
         self._look()
         super().turn()
+
+    def close(self) -> None:
+        if self._identifier is not None:
+            self._identifier.close()
 
     def status(self) -> tuple[str, Mapping[str, object]]:
         numbers = {"hits": self._hits, "changes": self._changes, "last look [s]": round(self._spent, 3)}
@@ -103,14 +116,19 @@ class IdentifyNode(NodeProgram):
             self.log.error(full_traceback(error), throttle_duration_sec=5.0)
             return
         self._complaint = ""
+        hits = [lesson for lesson in lessons if lesson.hit]
+        self._hits += len(hits)
+        if hits:
+            self._looked = -float("inf")  # more may wait
         for lesson in lessons:
-            self._hits += 1
             self.log.info(lesson.line)
+            if lesson.diagnosis:
+                self._diagnosis.publish(String(data=lesson.diagnosis))
             if lesson.change:
                 self._changes += 1
                 self._last = lesson.words
                 self.log.warning(f"changed {lesson.words}")
                 self._change.publish(String(data=lesson.change))
-        if lessons and (text := self._identifier.prediction()):
+        if hits and (text := self._identifier.prediction()):
             self._prediction.publish(String(data=text))
         self._spent = time.monotonic() - now

@@ -225,6 +225,12 @@ PARAMETERS: dict[str, tuple[NodeParameter, ...]] = {
         NodeParameter("impacts_scenario", "", "Scenario of the arms in that table; empty: each row is one free body"),
         NodeParameter("model", "nominal", "Name or path of the model that is followed"),
         NodeParameter("state", "", "State file, so that a node that is started again goes on; empty: none"),
+        NodeParameter(
+            "diagnose", True, "Whether a change starts a full diagnosis of the hits since then, in a process of its own"
+        ),
+        NodeParameter(
+            "diagnoses", "", "Folder for these diagnoses; empty: that of the state file, or the working directory"
+        ),
         NodeParameter("poll_period", 0.5, "Time between two looks for finished trials", "s", (0.05, 60.0)),
     ),
     "experiment": (

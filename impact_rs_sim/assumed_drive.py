@@ -18,6 +18,7 @@ from impact_rs_sim.drive_stability import joint_stability
 from impact_rs_sim.robot import EndEffector, RobotFacts
 from impact_rs_sim.robot_check import inverse_mass_matrices, link_inertias
 from impact_rs_sim.robot_model import RobotModel
+from impact_rs_sim.scenario import DriveNumber
 
 # Of a Franka arm: B_rho and K over the torque limit of its large joints, B_theta over B_rho.
 ROTOR_INERTIA = 0.6 / 87.0  # kg m^2 / (N m)
@@ -30,6 +31,14 @@ STABLE = 0.25  # of the damping with which the torque loop would lose its stabil
 # 1/s, damping over the inertia that the spring sees. At the joint's resonance the velocity feedback 2 sqrt(400 / s^2)
 # has the gain 40 m / D: twice as much damping as would just do, and as much as a Franka arm has.
 RESONANCE = 80.0
+
+
+def assumed_numbers(facts: RobotFacts) -> tuple[DriveNumber, ...]:
+    """Which numbers of :func:`assumed_drive` are assumptions: all but a rotor inertia that the facts have."""
+    published = facts.reflected_rotor_inertia_other_source_kg_m2 is not None
+    rotor: tuple[DriveNumber, ...] = () if published else ("motor_inertia_rotor",)
+    reduced: tuple[DriveNumber, ...] = ("motor_inertia_reduced",) if facts.joint_torque_loop else ()
+    return (*rotor, *reduced, "stiffness", "damping")
 
 
 def assumed_drive(facts: RobotFacts, end_effector: EndEffector, period: float) -> dict[str, list[float]]:

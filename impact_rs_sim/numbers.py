@@ -4,15 +4,19 @@
 from __future__ import annotations
 
 import math
+import sys
 
 NORMAL_95 = 1.959964  # half the width of a 95 % interval over the standard deviation, normal distribution
 PLAIN = (1e-4, 1e6)  # sizes that are written without an exponent
 MOST_DIGITS = 15  # a float has no more
+ROUNDING = 4.0 * sys.float_info.epsilon  # half a width over the estimate that rounding errors alone make
 LEAST_DECIMALS = 3  # of a speed with its half interval, m/s
 
 
 def estimate_text(estimate: float, ci95: tuple[float, float] | None, least: int = 0) -> tuple[str, ...]:
     """An estimate and the ends of its interval, with two digits of the half width; without interval three digits.
+
+    An interval no wider than rounding errors is none.
 
     Args:
         estimate: The estimate.
@@ -23,7 +27,7 @@ def estimate_text(estimate: float, ci95: tuple[float, float] | None, least: int 
     half = (ci95[1] - ci95[0]) / 2.0 if ci95 is not None else 0.0
     largest = max(abs(number) for number in numbers)
     plain = PLAIN[0] <= largest < PLAIN[1]
-    if not 0.0 < half < math.inf:
+    if not ROUNDING * largest < half < math.inf:
         return tuple(
             f"{number:.{least}f}" if least and (plain or not largest) else f"{number:.3g}" for number in numbers
         )

@@ -9,7 +9,7 @@ model.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -240,6 +240,7 @@ class ArmPhysics:
         pad_shear_compliance: Yield of the pad along its face per friction force, back when it ends [m/N].
         pad_creep: Speed at which a pad that sticks is dragged along its face, per friction force [m/(s N)].
         torque_delay: Of the recorded torque after the recorded positions, in recordings of free motion [s].
+        assumed: What of the numbers of the scenario and of the facts is assumed, in words; no part of the physics.
     """
 
     facts: RobotFacts
@@ -260,6 +261,7 @@ class ArmPhysics:
     pad_shear_compliance: float = 0.0
     pad_creep: float = 0.0
     torque_delay: float = 0.0
+    assumed: tuple[str, ...] = field(default=(), repr=False, compare=False)
 
     def motor_inertia(self, model: str) -> Array:
         """Diagonal of B for ``reduced``, ``rotor`` or ``zero``, ``(n,)`` [kg m^2]."""
@@ -316,6 +318,20 @@ class ObjectPhysics:
     round: bool = False
 
 
+def assumed_words(by_arm: Mapping[str, Sequence[str]]) -> str:
+    """What of the arms is assumed, neither measured nor published, as a sentence; empty: nothing.
+
+    Args:
+        by_arm: What of each arm, in words, by the name of the arm.
+    """
+    arms: dict[tuple[str, ...], list[str]] = {}
+    for name, assumed in by_arm.items():
+        if assumed:
+            arms.setdefault(tuple(assumed), []).append(name)
+    of = [f"of {' and '.join(names)} {', '.join(assumed)}" for assumed, names in arms.items()]
+    return f"assumed, neither measured nor published: {'; '.join(of)}" if of else ""
+
+
 @dataclass(frozen=True)
 class Physics:
     """Physical parameters of one scene.
@@ -369,6 +385,8 @@ class Physics:
         arms = {}
         for name, robot in scenario.robots.items():
             facts, drive, pad = robot.robot_facts, robot.drive, robot.end_effector.pad
+            if robot.reflexes is not None:
+                facts = facts.model_copy(update={"reflexes": robot.reflexes})
             friction = JointFriction.none(facts.joint_count)
             if drive.friction == "identified":
                 friction = replace(friction, sigmoid=facts.friction)
@@ -387,6 +405,7 @@ class Physics:
                 pad_stiffness=pad.stiffness,
                 pad_damping=pad.damping,
                 impact_position=scenario.impact_placement(name, object_name).translation,
+                assumed=robot.assumed,
             )
         return Physics(
             arms=arms,
@@ -403,6 +422,11 @@ class Physics:
             restitution=scenario.contact.restitution,
             restitution_law=scenario.contact.restitution_law,
         )
+
+    @property
+    def assumed(self) -> str:
+        """What of the arms is assumed, as a sentence; empty: nothing."""
+        return assumed_words({name: arm.assumed for name, arm in self.arms.items()})
 
     @property
     def arm_joints(self) -> tuple[tuple[str, tuple[JointType, ...]], ...]:

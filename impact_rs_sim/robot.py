@@ -183,6 +183,14 @@ class RobotFacts(Schema):
         True, description="whether the joints have torque sensors and a loop about them; without: drive.type rigid"
     )
 
+    assumed: tuple[str, ...] = Field(
+        (),
+        exclude_if=lambda value: value == (),
+        repr=False,
+        description="which of these numbers are estimates or assumptions, neither measured nor published by the maker, "
+        "and why, in words; `robot check`, reports and verdicts say so",
+    )
+
     @model_validator(mode="after")
     def _same_length_everywhere(self) -> Self:
         count = len(self.joints)

@@ -17,7 +17,7 @@ from impact_rs_sim.drive_stability import JointStability, joint_stability, spect
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.robot import UNITS, Array, EndEffector, JointType, JointUnits, RobotFacts
 from impact_rs_sim.robot_model import RobotModel
-from impact_rs_sim.scenario import Robot, Scenario
+from impact_rs_sim.scenario import ASSUMED_MOTOR_INERTIA, Robot, Scenario
 
 Outcome = Literal["ok", "warning", "failed"]
 
@@ -47,7 +47,7 @@ class Check:
 
 def check_facts(facts: RobotFacts) -> list[Check]:
     """Checks of a robot with an empty flange."""
-    checks = [_check_inertias(facts), _check_limits(facts)]
+    checks = [_check_inertias(facts), _check_limits(facts), *_assumed_facts(facts)]
     if any(check.outcome == "failed" for check in checks):
         return checks  # engines make something of their own of what is no body
     model = RobotModel(facts, empty_flange())
@@ -65,6 +65,7 @@ def check_drives(facts: RobotFacts, scenario: Scenario) -> list[Check]:
     for name, robot in scenario.robots.items():
         if robot.robot_facts == facts:
             checks += _check_drive(name, robot, scenario.timing.drive_period)
+            checks += _assumed_drive(name, robot, scenario.uncertainty.motor_inertia)
     if not checks:
         raise InputError(f"no arm of scenario {scenario.name!r} is this robot; its arms: {', '.join(scenario.robots)}")
     return checks
@@ -138,6 +139,26 @@ def _check_limits(facts: RobotFacts) -> Check:
         spans.setdefault(joint.type, []).append(upper - lower)
     texts = (f"{MOVE[kind]} by {min(of):.3g} to {max(of):.3g} {UNITS[kind].position}" for kind, of in spans.items())
     return Check(name, "ok", f"joints {', '.join(texts)}")
+
+
+def _assumed_facts(facts: RobotFacts) -> list[Check]:
+    """A warning where the facts hold estimates or assumptions."""
+    if not facts.assumed:
+        return []
+    return [Check("facts are measured or published", "warning", f"assumed: {'; '.join(facts.assumed)}")]
+
+
+def _assumed_drive(arm: str, robot: Robot, stated: float) -> list[Check]:
+    """A warning where the drive holds assumptions, with the uncertainty that the scenario states of B."""
+    drive = robot.drive
+    if not drive.assumed:
+        return []
+    found = f"assumed: {', '.join(drive.assumed)}"
+    if drive.assumes_motor_inertia:
+        found += f"; intervals of predictions take the motor inertia for known to {100.0 * stated:g} %"
+        if stated < ASSUMED_MOTOR_INERTIA:
+            found += f": set uncertainty.motor_inertia to {ASSUMED_MOTOR_INERTIA:g}"
+    return [Check(f"drive of {arm} is measured or published", "warning", found)]
 
 
 def _check_engines(model: RobotModel, positions: Array) -> Check:

@@ -16,7 +16,7 @@ from __future__ import annotations
 import json
 import math
 import os
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
@@ -60,6 +60,7 @@ def import_urdf(
     limits: Sequence[str] = (),
     inertia_at: Literal["centre", "joint"] = "centre",
     lock: Sequence[str] = (),
+    measured: Callable[[Sequence[str]], GivenLimits] = lambda _: {},
 ) -> ImportedRobot:
     """Facts of the arm from link ``base`` to link ``tip`` of a URDF.
 
@@ -71,6 +72,7 @@ def import_urdf(
         limits: Limits in place of those of the URDF (:func:`~impact_rs_sim.urdf_repairs.given_limits`).
         inertia_at: Where its moments of inertia are about: the centre of mass, as the format says, or the joint.
         lock: Places in which joints are held (:func:`~impact_rs_sim.urdf_repairs.locked_joints`).
+        measured: Limits that a recording shows, for the joints of the chain, in place of those that are missing or 0.
 
     Raises:
         InputError: The file is no URDF, has no such chain, or lacks a number that is needed.
@@ -81,7 +83,8 @@ def import_urdf(
     _check_inertials(tree, chain)
     notes = [*tree.notes, *held, *_moved_inertias(tree, chain, inertia_at)]
     chain = tree.chain(base, tip)
-    given = given_limits(limits, [joint.get("name", "") for joint in chain.joints], file)
+    names = [joint.get("name", "") for joint in chain.joints]
+    given, shown = given_limits(limits, names, file), measured(names)
     try:
         model = pin.buildModelFromXML(chain.urdf)
     except ValueError as error:
@@ -102,7 +105,7 @@ def import_urdf(
         origin = _placement(before.T @ placement.translation, before.T @ placement.rotation @ turn)
         joints.append(JointOrigin.model_validate({"type": _type(joint), **origin}))
         links.append(_link(body, turn, meshes.get(index, [])))
-        rows.append(_limits(tree, joint, given, notes))
+        rows.append(_limits(tree, joint, given, shown, notes))
         before = turn
     frame = model.frames[model.getFrameId(chain.tip, pin.FrameType.BODY)].placement
     flange = Flange.model_validate(_placement(before.T @ frame.translation, before.T @ frame.rotation))
@@ -245,9 +248,9 @@ def _type(joint: Xml.Element) -> JointType:
 
 
 def _limits(
-    tree: UrdfTree, joint: Xml.Element, given: GivenLimits, notes: list[str]
+    tree: UrdfTree, joint: Xml.Element, given: GivenLimits, shown: GivenLimits, notes: list[str]
 ) -> tuple[float, float, float, float]:
-    """Lowest and highest position, velocity and effort, in the units of the joint; what was given is noted."""
+    """Lowest and highest position, velocity and effort, in the units of the joint; what was given or shown is noted."""
     units, name = UNITS[_type(joint)], joint.get("name", "")
     limit, key = joint.find("limit"), f"joint {name}: limit"
     remedy = f"--limits {name}."
@@ -258,21 +261,29 @@ def _limits(
         lower, upper = -FULL_TURN, FULL_TURN
     else:
         (lower,), (upper,) = (tree.numbers(limit, end, 1, "0", f"{key} {end}") for end in ("lower", "upper"))
+        if lower == upper == 0.0 and (name, "position") in shown:
+            lower, upper = shown[name, "position"]
+            notes.append(f"Limits of joint {name} as measured: {lower:g} to {upper:g} {units.position}.")
     if lower >= upper:
         message = f"expected lower < upper [{units.position}], found {lower:g} and {upper:g}; {remedy}position=LOW:HIGH"
-        raise InputError(f"{message} says it", file=tree.file, key=key)
+        raise InputError(f"{message} says it, or --measured RECORDING", file=tree.file, key=key)
     most = []
     for quantity, unit in (("velocity", units.velocity), ("effort", units.effort)):
+        missing = limit is None or limit.get(quantity) is None
+        value = 0.0 if missing else tree.numbers(limit, quantity, 1, None, f"{key} {quantity}")[0]
         if (name, quantity) in given:
             (value,) = given[name, quantity]
             notes.append(f"{quantity.capitalize()} limit of joint {name} as given: {value:g} {unit}.")
-        elif limit is None or limit.get(quantity) is None:
-            said = f"this is missing in the URDF, expected a number; {remedy}{quantity}=MOST says it"
-            raise InputError(said, file=tree.file, key=f"{key} {quantity}")
-        else:
-            (value,) = tree.numbers(limit, quantity, 1, None, f"{key} {quantity}")
+        elif value == 0.0 and (name, quantity) in shown:
+            (value,) = shown[name, quantity]
+            notes.append(f"{quantity.capitalize()} limit of joint {name} as measured: {value:g} {unit}.")
         if value <= 0.0:
-            said = f"expected > 0 [{unit}], found {value:g}; {remedy}{quantity}=MOST says it"
+            found = (
+                "this is missing in the URDF, expected a number"
+                if missing
+                else f"expected > 0 [{unit}], found {value:g}"
+            )
+            said = f"{found}; {remedy}{quantity}=MOST says it, or --measured RECORDING"
             raise InputError(said, file=tree.file, key=f"{key} {quantity}")
         most.append(value)
     return lower, upper, most[0], most[1]
@@ -321,7 +332,7 @@ def _moved_inertias(tree: UrdfTree, chain: Chain, inertia_at: str) -> list[str]:
         axis = _axis(tree, joint)
         if inertia_at == "centre":
             ratio = looks_about_joint(mass, centre, stated, axis, length)
-            suspects += [] if ratio is None else [f"{name} ({ratio:.2f} m d^2)"]
+            suspects += [] if ratio is None else [f"{name} ({ratio:.2f} m r^2)"]
             continue
         moved = about_centre(mass, centre, stated, axis)
         if moved is None:
@@ -335,7 +346,8 @@ def _moved_inertias(tree: UrdfTree, chain: Chain, inertia_at: str) -> list[str]:
     if suspects:
         notes.append(
             "Moments of inertia look as if they were about the joints, not about the centres of mass: "
-            f"{', '.join(suspects)}, with d the distance of the centre from the axis; slender links have a third. "
+            f"{', '.join(suspects)} across, with r the distance of the centre from the joint; slender links have a "
+            "third. "
             "If so: --inertia-at joint."
         )
     return notes

@@ -25,7 +25,7 @@ from impact_rs_sim.errors import InputError, did_you_mean, shortened
 from impact_rs_sim.files import is_file
 from impact_rs_sim.friction_compensation import FrictionCompensation
 from impact_rs_sim.paths import config_directory
-from impact_rs_sim.robot import Array, EndEffector, RobotFacts, load_facts
+from impact_rs_sim.robot import Array, EndEffector, Reflexes, RobotFacts, load_facts
 from impact_rs_sim.robot_model import RobotModel
 from impact_rs_sim.schema import (
     Name,
@@ -45,6 +45,11 @@ Positive = Annotated[float, Field(gt=0.0)]
 NonNegative = Annotated[float, Field(ge=0.0)]
 
 AXES = {"x": 0, "y": 1, "z": 2}
+# Half width of the 95 % interval of a motor inertia that is assumed, relative: from none to three times the number.
+# Three times an assumed B_theta is B_rho, which the links carry where a torque loop does nothing. A known B_rho,
+# over that scaled from a Franka arm by the torque limit: 0.8 to 2.5 in a Franka arm itself, 1.1 to 3.1 in a UR10e,
+# 0.05 to 0.4 in a Stäubli TX40 (docs/real_data.md): 18 of 19 joints lie below three.
+ASSUMED_MOTOR_INERTIA = 2.0
 Item = TypeVar("Item")
 
 
@@ -90,6 +95,9 @@ class EndEffectorSpec(Schema):
         )
 
 
+DriveNumber = Literal["motor_inertia_rotor", "motor_inertia_reduced", "stiffness", "damping"]
+
+
 class DriveSettings(Schema):
     """Motor side of the joints (paper eqs. EOM_motor, torque_control_law)."""
 
@@ -114,6 +122,11 @@ class DriveSettings(Schema):
         "none", description="joint friction in the plant: none, or the robot's identified friction"
     )
     actuation_delay: NonNegative = Field(0.0, description="delay of the desired torque [s]")
+    assumed: tuple[DriveNumber, ...] = omitted(
+        (),
+        description="which keys of this section hold numbers that are assumed, neither measured nor published; "
+        "`robot check`, reports and verdicts say so",
+    )
 
     @model_validator(mode="after")
     def _inertia_of_its_type(self) -> Self:
@@ -124,7 +137,15 @@ class DriveSettings(Schema):
             )
         if self.type == "rigid" and self.motor_inertia_reduced is not None:
             raise ValueError("motor_inertia_reduced is what a torque loop leaves; type rigid has none: leave it out")
+        if missing := [name for name in self.assumed if getattr(self, name) is None]:
+            raise ValueError(f"assumed names {missing[0]}, which is not in this section")
         return self
+
+    @property
+    def assumes_motor_inertia(self) -> bool:
+        """Whether :attr:`reflected_inertia` is an assumption."""
+        name = "motor_inertia_rotor" if self.motor_inertia_reduced is None else "motor_inertia_reduced"
+        return name in self.assumed
 
     @property
     def reflected_inertia(self) -> tuple[float, ...]:
@@ -192,6 +213,11 @@ class Robot(Schema):
     end_effector: EndEffectorSpec = Field(description="end effector")
     drive: DriveSettings = Field(description="motor side")
     impact: ImpactPose = Field(description="pose at impact")
+    reflexes: Reflexes | None = omitted(
+        None,
+        description="thresholds of the robot's own reflexes that are set on it for these trials, in place of those of "
+        "the facts; the keys are those of reflexes there",
+    )
 
     @model_validator(mode="after")
     def _one_entry_per_joint(self) -> Self:
@@ -204,6 +230,10 @@ class Robot(Schema):
         key = "joint_guess" if self.impact.joint_position is None else "joint_position"
         if len(getattr(self.impact, key)) != count:
             raise ValueError(f"impact.{key} must have one entry per joint ({count}) [rad], prismatic [m]")
+        for name in ("external_torque_Nm", "velocity_jump_rad_s"):
+            values = None if self.reflexes is None else getattr(self.reflexes, name)
+            if values is not None and len(values) != count:
+                raise ValueError(f"reflexes.{name} has {len(values)} entries, expected one per joint ({count})")
         if self.drive.type == "torque_loop" and not self.robot_facts.joint_torque_loop:
             raise ValueError(f"{self.facts_name} has no torque loop that could shape its inertia: drive.type: rigid")
         if self.drive.friction == "identified" and self.robot_facts.friction is None:
@@ -239,6 +269,11 @@ class Robot(Schema):
             return self.impact.placement
         model = RobotModel(self.robot_facts, self.end_effector.build(), self.base.placement)
         return model.placement(np.array(self.impact.joint_position))
+
+    @property
+    def assumed(self) -> tuple[str, ...]:
+        """What is assumed of the arm, neither measured nor published: keys of its drive, and what its facts say."""
+        return (*(f"drive.{name}" for name in self.drive.assumed), *self.robot_facts.assumed)
 
     @property
     def facts_name(self) -> str:
@@ -446,7 +481,9 @@ class Uncertainties(Schema):
     """Uncertainty of the numbers of a prediction: half the width of a 95 % interval, and its source."""
 
     motor_inertia: NonNegative = Field(
-        0.10, description="B_theta, relative, each joint by itself; the paper: known to 10 % [-]"
+        0.10,
+        description="B_theta, or B_rho of a rigid drive, relative, each joint by itself; the paper: known to 10 %; "
+        f"assumed: {ASSUMED_MOTOR_INERTIA:g}, from none to three times the number [-]",
     )
     link_inertia: NonNegative = Field(
         0.05, description="M of the arm, relative; between published parameter sets of one robot [-]"
@@ -621,7 +658,10 @@ class Scenario(Schema):
     @property
     def digest(self) -> str:
         """Digest of the motion of the arms, without names, number of trials and velocity scales."""
-        excluded = {"name", "description", "velocity_scales", "trials", "friction_compensation"}
+        excluded: dict[str, Any] = dict.fromkeys(
+            ("name", "description", "velocity_scales", "trials", "friction_compensation", "uncertainty"), True
+        )
+        excluded["robots"] = {"__all__": {"drive": {"assumed"}}}
         return hashlib.sha256(self.model_dump_json(exclude=excluded).encode()).hexdigest()[:16]
 
     @property

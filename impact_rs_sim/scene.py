@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pinocchio as pin
@@ -91,6 +91,10 @@ class Scene:
     models: dict[str, RobotModel]
     arms: dict[str, ArmState]
     object: BodyState
+
+    def under(self, physics: Physics) -> Scene:
+        """The same moment under other physics, for example those of a model: pose and velocities stay."""
+        return replace(self, physics=physics, models=physics.robot_models())
 
     @staticmethod
     def resolve(scenario: Scenario, object_name: str, case_name: str) -> Scene:

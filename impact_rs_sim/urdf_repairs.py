@@ -6,10 +6,11 @@ by Steiner's term,
 
     I_joint = I_centre + m (r^2 1 - r r^T),        r from the joint to the centre of mass.
 
-A link is suspected if its smallest moment is at least m d^2, with d the distance of the centre from the joint axis: a
-body whose centre lies at d would reach beyond its joint by as much in all directions. Links of real arms that are long
-for the arm are slender, with about m d^2 / 3 across and much less along (a rod, a tube); short ones may be as wide, and
-say nothing.
+A link is suspected if every moment across r, about the axes perpendicular to it, is at least m r^2: about a joint they
+are never less. Links of real arms that are long for the arm are slender, with about m r^2 / 3 across about the centre
+and 4/3 m r^2 about the joint (a rod, a tube); short ones may be as wide as they are long, and say nothing. Where one
+number is written three times, it may be a moment about the joint axis: then it is at least m d^2, with d the distance
+of the centre from that axis.
 """
 
 from __future__ import annotations
@@ -28,7 +29,7 @@ from impact_rs_sim.robot import Array
 
 QUANTITIES = ("position", "velocity", "effort")
 GIVEN = re.compile(r"(?P<joint>.+)\.(?P<quantity>position|velocity|effort)=(?P<value>.+)")
-SUSPECTED = 1.0  # smallest moment over m d^2, from which moments are taken for those about a joint
+SUSPECTED = 1.0  # moment across r over m r^2, from which moments are taken for those about a joint
 LONG = 0.12  # of the arm's length, distance of the centre of mass from the joint axis from which a link is long
 EVERY = "*"
 
@@ -100,7 +101,7 @@ def locked_joints(texts: Sequence[str], joints: Sequence[str], file: Path) -> di
 
 
 def looks_about_joint(mass: float, centre: Array, inertia: Array, axis: Array, length: float) -> float | None:
-    """Smallest moment over m d^2 where it is so large that it looks as if it were about the joint; else None.
+    """Least moment across r over m r^2, or of all over m d^2, where it looks as if it were about the joint; else None.
 
     Args:
         mass: Of the link [kg].
@@ -112,7 +113,11 @@ def looks_about_joint(mass: float, centre: Array, inertia: Array, axis: Array, l
     distance = float(np.linalg.norm(np.cross(axis, centre)))
     if distance < max(LONG * length, 1e-9) or mass <= 0.0:
         return None
-    ratio = float(np.linalg.eigvalsh(inertia)[0]) / (mass * distance**2)
+    across = np.linalg.svd(centre[None])[2][1:]  # two directions perpendicular to r
+    ratio = max(
+        float(np.linalg.eigvalsh(across @ inertia @ across.T)[0]) / (mass * float(centre @ centre)),
+        float(np.linalg.eigvalsh(inertia)[0]) / (mass * distance**2),
+    )
     return ratio if ratio >= SUSPECTED else None
 
 

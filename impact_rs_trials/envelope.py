@@ -38,7 +38,7 @@ class CellEnvelope(Schema):
     """Trials that may run on a cell."""
 
     scenarios: tuple[str, ...] = Field(min_length=1, description="names of the scenarios")
-    objects: tuple[str, ...] = Field((), description="names of the objects; none: all of the scenarios")
+    objects: tuple[str, ...] = Field((), description="names of the objects that may be hit; none: all of the scenarios")
     cases: tuple[str, ...] = Field((), description="full names of the cases; none: all of the scenarios")
     speed: PositiveNumber = Field(description="largest reference speed of an end effector [m/s]")
     joint_speed: PositiveNumber = Field(
@@ -52,7 +52,8 @@ class CellEnvelope(Schema):
         Raises:
             InputError: The trial cannot be planned.
         """
-        named = ((spec.scenario.name, self.scenarios), (spec.object, self.objects), (spec.case, self.cases))
+        objects = self.objects if spec.scenario.excursion is None else ()  # a free motion touches none
+        named = ((spec.scenario.name, self.scenarios), (spec.object, objects), (spec.case, self.cases))
         for name, known in named:
             if known and name not in known:
                 return f"{name} is not in the envelope ({', '.join(known)})"

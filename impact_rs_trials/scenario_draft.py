@@ -20,13 +20,13 @@ from typing import Any, Literal
 import numpy as np
 import pinocchio as pin
 
-from impact_rs_sim.assumed_drive import REDUCED, ROTOR_INERTIA, assumed_drive
+from impact_rs_sim.assumed_drive import REDUCED, ROTOR_INERTIA, assumed_drive, assumed_numbers
 from impact_rs_sim.errors import Infeasible, InputError
 from impact_rs_sim.paths import config_directory
-from impact_rs_sim.robot import Array, JointUnits, RobotFacts, joined_units
+from impact_rs_sim.robot import Array, RobotFacts, joined_units
 from impact_rs_sim.robot_check import failures_of, failures_of_facts, random_positions
 from impact_rs_sim.robot_model import RobotModel
-from impact_rs_sim.scenario import ImpactPose, Scenario, load_scenario
+from impact_rs_sim.scenario import ASSUMED_MOTOR_INERTIA, ImpactPose, Scenario, load_scenario
 from impact_rs_sim.schema import parse_yaml, validate
 from impact_rs_trials.bags.record import record_trial
 from impact_rs_trials.bags.trial_info import TrialInfo, TrialKey
@@ -46,6 +46,11 @@ REGULAR = 0.1  # smallest singular value of the Jacobian (m, rad); more is no be
 SPEEDS = (1.0, 0.8, 0.6, 0.45)  # of the shipped scenario's, until the joints are fast enough
 THRESHOLDS = (1.0, 1.5, 2.0, 3.0, 4.0)  # of the detection, over the shipped one: a heavy arm needs more
 QUIET = 1.3  # a threshold that shall hold in every trial has to hold in these few when it is so much less
+_UNCERTAINTY = (
+    "",
+    "uncertainty:",
+    f"  motor_inertia: {ASSUMED_MOTOR_INERTIA}   # relative; it is assumed: from none to three times the number",
+)
 NORMAL, UP = np.array([0.0, -1.0, 0.0]), np.array([0.0, 0.0, 1.0])
 
 
@@ -267,6 +272,7 @@ def scenario_text(
         line = head[first : head.index("\n", first)]
         head = head.replace(line, f"object_position: [{mirrored[0]:.4f}, {mirrored[1]:.4f}]  # m")
     drive = assumed_drive(facts, model.end_effector, float(plain["timing"]["drive_period"]))
+    at_the_links = "motor_inertia_reduced" if facts.joint_torque_loop else "motor_inertia_rotor"
     lines = [
         f"# Made by impact-rs scenario new for {facts_name}, with pose and drive found and the rest from {kind}:",
         "# SI units everywhere; the inertial frame has z up (REP-103).",
@@ -277,9 +283,7 @@ def scenario_text(
         "robots:",
     ]
     for number, (name, robot) in enumerate(plain["robots"].items()):
-        lines += _robot_lines(
-            name, facts_name, facts.units, robot["end_effector"], drive, pose, mirrored if number else None
-        )
+        lines += _robot_lines(name, facts_name, facts, robot["end_effector"], drive, pose, mirrored if number else None)
     return "\n".join(
         [
             *lines,
@@ -291,6 +295,7 @@ def scenario_text(
             *_case_lines(plain["cases"], facts, pose, speed),
             "",
             rest.rstrip(),
+            *(_UNCERTAINTY if at_the_links in assumed_numbers(facts) else ()),
             "",
         ]
     )
@@ -373,7 +378,7 @@ def _sections(text: str, starts: Sequence[str]) -> list[str]:
 def _robot_lines(
     name: str,
     facts_name: str,
-    units: Sequence[JointUnits],
+    facts: RobotFacts,
     effector: dict[str, Any],
     drive: dict[str, list[float]],
     pose: Pose,
@@ -386,7 +391,7 @@ def _robot_lines(
         base = 2.0 * mirrored * [1.0, 1.0, 0.0]
         position = 2.0 * mirrored - pose.position
         position[2] = pose.position[2]
-    reduced = drive.get("motor_inertia_reduced")
+    reduced, units = drive.get("motor_inertia_reduced"), facts.units
     inertia = joined_units(unit.inertia for unit in units)
     return [
         f"  {name}:",
@@ -409,6 +414,7 @@ def _robot_lines(
         *([] if reduced is None else [f"      motor_inertia_reduced: {reduced}   # {inertia}, B_theta"]),
         f"      stiffness: {drive['stiffness']}   # {joined_units(unit.stiffness for unit in units)}, K",
         f"      damping: {drive['damping']}   # {joined_units(unit.damping for unit in units)}, D",
+        f"      assumed: [{', '.join(assumed_numbers(facts))}]",
         "    impact:",
         f"      position: {_row(position)}   # m",
         f"      pad_normal: {_row(sign * NORMAL)}",

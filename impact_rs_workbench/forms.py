@@ -16,7 +16,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, Field, create_model
 
-from impact_rs_commands import explaining, measuring
+from impact_rs_commands import explaining, measuring, predicting
 from impact_rs_commands.declaration import NAMED, READ, WRITTEN, Command, Option
 from impact_rs_sim.errors import InputError, did_you_mean
 from impact_rs_sim.scenario import load_scenario
@@ -34,12 +34,19 @@ FORMS: dict[str, Command] = {
         measuring.BLIND.actions[0],
         measuring.DESIGN,
         measuring.INVESTIGATE,
+        measuring.REHEARSE,
+        predicting.LIMITS,
+        predicting.STUDY_DESIGN,
+        explaining.IMPORT,
+        explaining.IMPACTS,
         explaining.ANALYZE,
         explaining.COMPARE,
         explaining.DIAGNOSE,
+        explaining.FOLLOW,
         explaining.DISCOVER,
         explaining.ADD,
         explaining.HISTORY,
+        *explaining.EVIDENCE.actions,
     )
 }
 
@@ -68,6 +75,7 @@ TYPES: dict[str, Any] = {
         Field(max_length=200),
         _like(r"(tcp|tls|ucx|ws)://[A-Za-z0-9_.:\[\]-]+", "an address such as tcp://10.0.0.1:8786"),
     ],
+    "text": Annotated[str, Field(max_length=1000), _like(r"[^\s-].*", "a text in one line that does not begin with -")],
     "setting": Annotated[str, Field(max_length=1000), _like(r"[A-Za-z0-9_][^=]*=.+", "KEY=VALUE")],
     **dict.fromkeys((*NAMED, *READ, *WRITTEN), PathName),
 }
@@ -168,6 +176,21 @@ def _check_trial(workspace: Workspace, given: Mapping[str, Any]) -> None:
     make_manifest(scenario, [given["object"]], [given["case"]], [given["scale"]], 1, given["seed"])
 
 
+def _check_hits(workspace: Workspace, given: Mapping[str, Any]) -> None:
+    """What the command checks first: the scenario with its objects and cases."""
+    scenario = load_scenario(workspace.scenario_path(given["scenario"]))
+    for name in _named(given, "object"):
+        scenario.object(name)
+    for name in _named(given, "case"):
+        scenario.case_name(name)
+
+
+def _named(given: Mapping[str, Any], what: str) -> tuple[str, ...]:
+    """What a form names, one of a kind or several of them."""
+    one = given.get(what)
+    return given.get(f"{what}s") or (() if one is None else (one,))
+
+
 def _check_scenarios(workspace: Workspace, given: Mapping[str, Any]) -> None:
     """What the command checks first."""
     for name in given["scenarios"] or ():
@@ -178,6 +201,9 @@ CHECKS: dict[str, Callable[[Workspace, Mapping[str, Any]], None]] = {
     "campaign": _check_campaign,
     "design": _check_scenarios,
     "investigate": _check_scenarios,
+    "limits": _check_hits,
+    "rehearse": _check_hits,
+    "study-design": _check_hits,
     "trial": _check_trial,
 }
 

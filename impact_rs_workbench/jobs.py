@@ -20,6 +20,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -31,8 +32,8 @@ from impact_rs_workbench.remaining import STAGES, Remaining, remaining, shown
 
 RECORD, PROGRESS, OUTPUT = "job.json", "progress.json", "output.txt"
 MOST = 10  # candidate effects that a running diagnosis shows
-SHOWN = 40  # last lines of a log that are shown
-LARGEST_TAIL = 20_000  # bytes of a log that are looked at
+SHOWN = 200  # last lines of a log that are shown
+LARGEST_TAIL = 40_000  # bytes of a log that are looked at
 KILLED_AFTER = 5.0  # s, that a stopped job has to end when the workbench ends
 LOST = "ended with the workbench that had started it; the same command goes on where it stopped"
 
@@ -145,7 +146,7 @@ class Jobs:
                     stdin=subprocess.DEVNULL,
                     stdout=output,
                     stderr=subprocess.STDOUT,
-                    env=os.environ | {VARIABLE: str(folder / PROGRESS), "COLUMNS": "110", "PYTHONUNBUFFERED": "1"},
+                    env=os.environ | {VARIABLE: str(folder / PROGRESS), "COLUMNS": "96", "PYTHONUNBUFFERED": "1"},
                     start_new_session=True,  # so that stopping it reaches its workers, and Ctrl-C of ours does not
                 )
             self._processes[number] = process
@@ -200,10 +201,10 @@ class Jobs:
         return self.get(number)
 
     def all(self) -> list[dict[str, Any]]:
-        """All jobs with their progress, the newest first."""
+        """All jobs, the newest first, with their progress and, while they run, the size of what they printed [byte]."""
         with self._lock:
             jobs = sorted(self._jobs.values(), key=lambda job: -job.number)
-        return [asdict(job) | {"progress": self._progress(job)} for job in jobs]
+        return [asdict(job) | {"progress": self._progress(job), "printed": self._printed(job)} for job in jobs]
 
     def log(self, number: int) -> str:
         """The last lines that a job has printed.
@@ -250,6 +251,14 @@ class Jobs:
         self._shown[job.number] = whole
         stage = {name: found[name] for name in ("what", "done", "total")}
         return stage | {"share": whole.share, "left": whole.left, "ranking": found["ranking"][:MOST]}
+
+    def _printed(self, job: Job) -> int | None:
+        """Size of what a running job has printed [byte]: it grows, and so a page asks for it again."""
+        if not job.runs:
+            return None
+        with suppress(OSError):
+            return (self._folder(job.number) / OUTPUT).stat().st_size
+        return None
 
     def _stages(self, job: Job) -> dict[str, Any] | None:
         """The progress file of a job; None: it has none yet."""

@@ -23,12 +23,14 @@ from impact_rs_sim.errors import InputError
 from impact_rs_sim.impact_map import ImpactMapError, ImpactProblem, predict_impact
 from impact_rs_sim.impact_map.uncertainty import LEVEL, UncertainPrediction, interval_of_draws, predict
 from impact_rs_sim.impact_map.uniqueness import uniqueness_of
+from impact_rs_sim.model import Model
 from impact_rs_sim.physics import MOTOR_INERTIA_MODELS, Physics
 from impact_rs_sim.rotations import quaternion_of
 from impact_rs_sim.scenario import Scenario, Uncertainties, load_scenario
 from impact_rs_sim.scene import Scene
 from impact_rs_sim.schema import Schema
 
+NOTHING = Model(name="nominal")
 MOVING_DRAWS = 16  # while a slider moves; the interval of so few is too narrow by about a tenth
 SWEEP_POINTS = 13
 SPEED = "speed"  # the slider that is no key: a factor on every arm's ante_velocity
@@ -71,6 +73,7 @@ class Question(Schema):
     object: str = Field(description="object of the scenario")
     case: str = Field(description="case of the scenario")
     arm: str = Field("", description="arm of the figure and of the budget; empty: the first")
+    model: str = Field("nominal", description="model file of the folder, or nominal")
     motor_inertia: Literal["reduced", "rotor", "zero"] = Field("reduced", description="motor-inertia model")
     values: dict[str, float] = Field({}, description="sliders that were moved, by key")
     moving: bool = Field(False, description="whether a slider is being moved: fewer draws, nothing that takes long")
@@ -94,7 +97,8 @@ def sliders_of(scenario: Scenario, object_name: str) -> tuple[Slider, ...]:
                "Coulomb friction between object and support"),
         *(
             Slider(f"uncertainty.{name}", name.replace("_", " "), "± relative", getattr(scenario.uncertainty, name),
-                   0.0, 0.3, str(widths[name].description), "scenarios.md", True)
+                   0.0, max(0.3, getattr(scenario.uncertainty, name)), str(widths[name].description), "scenarios.md",
+                   True)
             for name in widths if str(widths[name].description).find("relative") >= 0
         ),
     )  # fmt: skip
@@ -121,23 +125,26 @@ def settings_of(scenario: Scenario, question: Question) -> dict[str, Setting]:
     return settings
 
 
-def map_arguments(scenario: str, question: Question, settings: Mapping[str, Setting]) -> list[str]:
-    """The arguments of ``impact-rs`` that give the same answer."""
+def map_arguments(scenario: str, model: str, question: Question, settings: Mapping[str, Setting]) -> list[str]:
+    """The arguments of ``impact-rs`` that give the same answer; scenario and model as the terminal calls them."""
     named = {"object": question.object, "case": question.case, "motor_inertia": question.motor_inertia}
     changed = tuple(f"{key}={_yaml(value)}" for key, value in settings.items())
-    return MAP.words({"scenario": scenario, **named, "uncertainty": True, "settings": changed})
+    return MAP.words({"scenario": scenario, **named, "uncertainty": True, "model": model, "settings": changed})
 
 
 def _yaml(value: Setting) -> str:
     return f"{value:.6g}" if isinstance(value, float) else f"[{', '.join(f'{one:.6g}' for one in value)}]"
 
 
-def answer(scenario: Scenario, question: Question, stopped: Callable[[], bool] = lambda: False) -> dict[str, Any]:
+def answer(
+    scenario: Scenario, question: Question, model: Model = NOTHING, stopped: Callable[[], bool] = lambda: False
+) -> dict[str, Any]:
     """Velocities before and after with their intervals, impulses, and the shares of the sources.
 
     Args:
         scenario: The scenario.
         question: The question.
+        model: Effects beyond the scenario's nominal physics.
         stopped: Whether the answer is no longer wanted.
 
     Raises:
@@ -146,7 +153,7 @@ def answer(scenario: Scenario, question: Question, stopped: Callable[[], bool] =
         ImpactMapError: No answer was found.
     """
     arm = _arm(scenario, question)
-    scene, problem = _problem(scenario, question)
+    scene, problem = _problem(scenario, question, model)
     found = predict_impact(problem)
     stated = scene.scenario.uncertainty
     uncertain: UncertainPrediction | None = None
@@ -254,9 +261,10 @@ def _arm(scenario: Scenario, question: Question) -> str:
     return arm
 
 
-def _problem(scenario: Scenario, question: Question) -> tuple[Scene, ImpactProblem]:
+def _problem(scenario: Scenario, question: Question, model: Model) -> tuple[Scene, ImpactProblem]:
     changed = scenario.with_settings(settings_of(scenario, question))
     scene = Scene.resolve(changed, question.object, question.case)
+    scene = scene.under(model.apply(scene.physics))
     return scene, ImpactProblem.at_nominal_impact(scene, question.motor_inertia)
 
 
@@ -291,19 +299,19 @@ def slider_of(scenario: Scenario, object_name: str, key: str) -> Slider:
     return sliders[key]
 
 
-def sweep(scenario: Scenario, question: Question, slider: Slider) -> Iterator[SweepPoint]:
+def sweep(scenario: Scenario, question: Question, slider: Slider, model: Model = NOTHING) -> Iterator[SweepPoint]:
     """Points over one slider, computed lazily."""
     for value in np.linspace(slider.low, slider.high, SWEEP_POINTS):
         at = question.model_copy(update={"values": {**question.values, slider.key: float(value)}})
-        yield _point(scenario, at, float(value))
+        yield _point(scenario, at, model, float(value))
 
 
-def _point(scenario: Scenario, question: Question, value: float) -> SweepPoint:
+def _point(scenario: Scenario, question: Question, model: Model, value: float) -> SweepPoint:
     arms: dict[str, float | None] = dict.fromkeys(MOTOR_INERTIA_MODELS)
     object_velocity = low = high = None
     axis, arm = scenario.axis_index, _arm(scenario, question)
     try:
-        scene, problem = _problem(scenario, question)
+        scene, problem = _problem(scenario, question, model)
         for name in arms:
             found = predict_impact(ImpactProblem.at_nominal_impact(scene, name))
             arms[name] = float(found.end_effector_twist[arm][axis])

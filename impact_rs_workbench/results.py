@@ -3,8 +3,12 @@
 
 from __future__ import annotations
 
+import functools
 import json
+import os
 import re
+from contextlib import suppress
+from datetime import datetime
 from pathlib import Path
 from typing import Any
 
@@ -13,23 +17,26 @@ from impact_rs_analysis.diagnosis.discovery_document import is_discovery
 from impact_rs_analysis.diagnosis.document import DiagnosisDocument, read_document
 from impact_rs_analysis.diagnosis.scoring import score
 from impact_rs_analysis.evidence.levels import Cell
-from impact_rs_analysis.evidence.measured_runs import runs_digest
+from impact_rs_analysis.evidence.measured_runs import find_bags, runs_digest
 from impact_rs_analysis.investigation import ending_of, measured, read_rounds, read_settings
 from impact_rs_analysis.report.comparison import comparison_in_words, on_scale, where_part
 from impact_rs_analysis.report.labels import phase_text, place_text, tag_of
 from impact_rs_analysis.report.page import number_text, p_text, quantity_text
 from impact_rs_analysis.report.plots import effects_plot
-from impact_rs_analysis.report.trial import trial_page
+from impact_rs_analysis.report.trial import TrialPage, run_page, trial_page
 from impact_rs_commands.measuring import BLIND
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.numbers import estimate_text
 from impact_rs_sim.schema import validate
 from impact_rs_trials.bags.reader import BagError, TrialBag
+from impact_rs_trials.bags.writer import RECORDED
 from impact_rs_trials.blind import RUNS, TRUTH
 from impact_rs_trials.experiment_plan import read_plan
+from impact_rs_trials.recordings.experiment import Experiment, load_experiment, read_runs
+from impact_rs_trials.recordings.laboratory import Laboratory, read_one
 from impact_rs_trials.store import is_bag
 from impact_rs_workbench.forms import seen
-from impact_rs_workbench.workspace import Workspace, read_json
+from impact_rs_workbench.workspace import EXPERIMENTS, Workspace, read_json
 
 MOST_PAIRS = 8  # of explanations, the least certain first
 
@@ -73,14 +80,17 @@ def comparison(folder: Path) -> dict[str, Any]:
 
 
 def trials(folder: Path) -> list[str]:
-    """Names of the trials in a folder, in order.
+    """Names of the trials in a folder, in order; of a described laboratory the runs of its table, by their paths.
 
     Raises:
-        InputError: It is no folder.
+        InputError: It is no folder, or a laboratory whose table of runs cannot be read.
     """
     if not folder.is_dir():
         raise InputError("expected the folder of a campaign", file=folder)
-    return sorted(path.name for path in folder.iterdir() if is_bag(path))
+    if (experiment := _experiment(folder)) is None:
+        return sorted(path.name for path in folder.iterdir() if is_bag(path))
+    table = read_runs(folder, experiment, Laboratory.of(experiment).scenario)
+    return sorted(os.path.relpath(row.path, folder) for row in table)
 
 
 def trial(path: Path) -> dict[str, Any]:
@@ -90,12 +100,33 @@ def trial(path: Path) -> dict[str, Any]:
         InputError: It is no trial, or it cannot be read.
     """
     try:
-        page = trial_page(TrialBag.open(path))
+        return _shown(trial_page(TrialBag.open(path)))
     except BagError as error:
         raise InputError(error.reason, file=path) from None
+
+
+def run(folder: Path, name: str) -> dict[str, Any]:
+    """A run of a described laboratory in 3D and over time, as a comparison reads it.
+
+    Raises:
+        InputError: The folder is not described, or there is no such run, or it cannot be read.
+    """
+    if (experiment := _experiment(folder)) is None:
+        raise InputError("no experiment file here; describe the recordings first", file=folder)
+    return _shown(run_page(read_one(folder, experiment, name, map)))
+
+
+def _experiment(folder: Path) -> Experiment | None:
+    """The experiment that is described in a folder; None: there is none."""
+    file = next((folder / name for name in EXPERIMENTS if (folder / name).is_file()), None)
+    return None if file is None else load_experiment(file)
+
+
+def _shown(page: TrialPage) -> dict[str, Any]:
+    """A page of a run as the workbench draws it."""
     return {
         "title": page.title,
-        "facts": [f"{term}: {text}" for term, text in page.facts],
+        "facts": [*(f"{term}: {text}" for term, text in page.facts), *(f"Note: {note}" for note in page.notes)],
         "replay": page.replay.data,
         "plots": [{"title": plot.title, "figure": json.loads(str(plot.figure.to_json()))} for plot in page.plots],
     }
@@ -154,7 +185,7 @@ def reveal(workspace: Workspace, path: str) -> dict[str, Any]:
     campaigns = [given] if given.is_dir() else [workspace.existing(name) for name in contents.blinds]
     files = [workspace.existing(name) for name in newest_first] if given.is_dir() else [given]
     for campaign in campaigns:
-        digest = runs_digest(campaign / RUNS)
+        digest, _ = _identity(campaign / RUNS)
         for file in files:
             document = read_document(file)
             if document.runs.digest == digest:
@@ -183,11 +214,17 @@ def _revealed(campaign: Path, file: Path, document: DiagnosisDocument) -> dict[s
 
 
 def estimates(workspace: Workspace) -> list[dict[str, Any]]:
-    """Every estimate of a parameter in the diagnoses of the folder, the oldest first."""
+    """Every estimate of a parameter in the diagnoses of the folder, in the order of measurement.
+
+    ``when`` is when the last of the diagnosed trials was recorded [s of the wall clock], where they are in the folder
+    (``measured``), else when the diagnosis was written.
+    """
     contents = workspace.contents()
+    measured = dict(_identity(workspace.existing(name)) for name in contents.runs)
     found = []
-    for one in sorted(contents.diagnoses, key=lambda one: contents.stamps.get(one.path, 0.0)):
+    for one in contents.diagnoses:
         document = read_document(workspace.existing(one.path))
+        last = measured.get(document.runs.digest)
         for effect in document.effects:
             for name, value in effect.parameters.items():
                 low, high = value.interval
@@ -202,10 +239,11 @@ def estimates(workspace: Workspace) -> list[dict[str, Any]]:
                         "model": one.model,
                         "verdict": effect.verdict,
                         "named": effect.name in document.named,
-                        "when": contents.stamps.get(one.path, 0.0),
+                        "when": contents.stamps.get(one.path, 0.0) if last is None else last,
+                        "measured": last is not None,
                     }
                 )
-    return found
+    return sorted(found, key=lambda entry: entry["when"])
 
 
 def nearest_signal(cell: Cell) -> str:
@@ -224,12 +262,41 @@ def nearest_signal(cell: Cell) -> str:
     return f"{before}end-effector velocity {index}"
 
 
-def diagnosis(path: Path) -> dict[str, Any]:
+def practice_of(workspace: Workspace, document: DiagnosisDocument) -> str | None:
+    """The practice campaign whose runs were diagnosed, as it is seen from the folder; None: there is none."""
+    for name in workspace.contents().blinds:
+        if _identity(workspace.existing(name) / RUNS)[0] == document.runs.digest:
+            return name
+    return None
+
+
+def _identity(folder: Path) -> tuple[str, float | None]:
+    """Digest of the trials in a folder, and when the last one was recorded [s of the wall clock]; None: unknown."""
+    bags = find_bags(folder)
+    return _identity_of(folder, tuple((path, path.stat().st_mtime_ns) for path in bags))
+
+
+@functools.lru_cache(maxsize=200)
+def _identity_of(folder: Path, bags: tuple[tuple[Path, int], ...]) -> tuple[str, float | None]:
+    """What is read of a folder while its bags stay as they are."""
+    times = []
+    for path, _ in bags:
+        with suppress(BagError, KeyError, ValueError):
+            times.append(datetime.fromisoformat(TrialBag.open(path).metadata[RECORDED]).timestamp())
+    return runs_digest(folder), max(times, default=None)
+
+
+def diagnosis(workspace: Workspace, name: str) -> dict[str, Any]:
     """A diagnosis in words and numbers.
+
+    Args:
+        workspace: The folder.
+        name: The diagnosis, as it is seen from there.
 
     Raises:
         InputError: There is no diagnosis.
     """
+    path = workspace.existing(name)
     document, discovered = read_document(path), is_discovery(path)
     figure = effects_plot(document)
     experiment = document.next_experiment
@@ -279,6 +346,7 @@ def diagnosis(path: Path) -> dict[str, Any]:
             for effect in document.effects
             if effect.measured
         ],
+        "practice": practice_of(workspace, document),
         "next": None if experiment is None else experiment.model_dump(),
         "remarks": list(document.remarks),
     }

@@ -26,6 +26,7 @@ from impact_rs_commands.predicting import EFFECTS
 from impact_rs_sim.errors import InputError, shortened
 from impact_rs_sim.impact_map import ImpactMapError
 from impact_rs_sim.impact_map.uncertainty import Stopped
+from impact_rs_sim.model import Model, load_model
 from impact_rs_sim.scenario import load_scenario
 from impact_rs_sim.schema import validate
 from impact_rs_trials.store import Folder, owned
@@ -33,12 +34,13 @@ from impact_rs_workbench import formula_editor, manual, prediction, recording_de
 from impact_rs_workbench.forms import FORMS, form_of, named, order_of, seen
 from impact_rs_workbench.formula_editor import FormulaText
 from impact_rs_workbench.jobs import Jobs
+from impact_rs_workbench.kept_choices import ListChoice, choices, keep
 from impact_rs_workbench.live_page import Sources, Watch
 from impact_rs_workbench.local import Ended, listening, serve_locally
 from impact_rs_workbench.prediction import Question
 from impact_rs_workbench.recording_description import Description, PreviewRequest
 from impact_rs_workbench.request_guard import FILE_POLICY, Guard
-from impact_rs_workbench.workspace import HIDDEN, Workspace
+from impact_rs_workbench.workspace import HIDDEN, NOMINAL, Workspace
 
 SCRIPTS = (
     "workbench.js", "explain.js", "figures.js", "live.js", "live_view.js", "overlay.js", "picture.js", "tools.js"
@@ -91,29 +93,38 @@ class Workbench:
         Other questions wait for their turn: those of two windows would stop each other for ever.
         """
         scenario = load_scenario(self.workspace.scenario_path(question.scenario))
-        settings = prediction.settings_of(scenario, question)
+        settings, model = prediction.settings_of(scenario, question), self.model(question)
         self._asked += question.moving
         asked = self._asked
         with self._map:
             try:
-                found = prediction.answer(scenario, question, lambda: self._asked != asked)
+                found = prediction.answer(scenario, question, model, lambda: self._asked != asked)
             except Stopped:
                 return {"superseded": True}
         name = named(self.workspace, question.scenario)
-        words = prediction.map_arguments(name, question, settings)
+        file = NOMINAL if question.model == NOMINAL else seen(self.workspace.existing(question.model))
+        words = prediction.map_arguments(name, file, question, settings)
         return found | {"command": self.command(words)}
+
+    def model(self, question: Question) -> Model:
+        """The model of a question.
+
+        Raises:
+            InputError: There is no such file, or it is no model.
+        """
+        return load_model(NOMINAL if question.model == NOMINAL else self.workspace.existing(question.model))
 
     def impact(self, question: Question) -> dict[str, Any]:
         """The impact as a picture shows it; no other question gives way to it."""
         scenario = load_scenario(self.workspace.scenario_path(question.scenario))
         with self._map:
-            return prediction.answer(scenario, question.model_copy(update={"moving": True}))
+            return prediction.answer(scenario, question.model_copy(update={"moving": True}), self.model(question))
 
     def sweep(self, question: Question, key: str) -> dict[str, Any]:
         """Predictions over a slider; ``superseded`` where a slider has moved meanwhile, which comes first."""
         scenario = load_scenario(self.workspace.scenario_path(question.scenario))
         slider = prediction.slider_of(scenario, question.object, key)
-        rest, asked = prediction.sweep(scenario, question, slider), self._asked
+        rest, asked = prediction.sweep(scenario, question, slider, self.model(question)), self._asked
         points: list[prediction.SweepPoint] = []
         while self._asked == asked:
             with self._map:
@@ -155,6 +166,9 @@ def _routes(workbench: Workbench) -> list[Route]:
     def preview(data: Any) -> Any:
         return recording_description.preview(workspace, validate(PreviewRequest, data, None))
 
+    def keep_choice(data: Any) -> Any:
+        return keep(workspace, validate(ListChoice, data, None)).model_dump()
+
     def check(data: Any) -> Any:
         return formula_editor.check(validate(FormulaText, data, None).text)
 
@@ -169,15 +183,20 @@ def _routes(workbench: Workbench) -> list[Route]:
         Route("/api/scenario", _got(lambda given: workbench.scenario(given.get("name", "")))),
         Route("/api/scene", _got(lambda given: workbench.scene(given.get("name", ""), given.get("object", "")))),
         Route("/api/comparison", _got(lambda given: results.comparison(workspace.existing(given.get("path", ""))))),
-        Route("/api/diagnosis", _got(lambda given: results.diagnosis(workspace.existing(given.get("path", ""))))),
+        Route("/api/diagnosis", _got(lambda given: results.diagnosis(workspace, given.get("path", "")))),
         Route("/api/reveal", _got(lambda given: _revealed(workbench, given.get("path", "")))),
         Route("/api/plan", _got(lambda given: results.plan(workspace.existing(given.get("path", ""))))),
         Route(
             "/api/investigation", _got(lambda given: results.investigation(workspace.existing(given.get("path", ""))))
         ),
+        Route("/api/choices", _got(lambda _: choices(workspace).model_dump())),
+        Route("/api/choices", _posted(keep_choice), methods=["POST"]),
         Route("/api/estimates", _got(lambda _: results.estimates(workspace))),
         Route("/api/trials", _got(lambda given: results.trials(workspace.existing(given.get("path", ""))))),
         Route("/api/trial", _got(lambda given: results.trial(workspace.existing(given.get("path", ""))))),
+        Route(
+            "/api/run", _got(lambda given: results.run(workspace.existing(given.get("path", "")), given.get("run", "")))
+        ),
         Route(
             "/api/laboratory",
             _got(lambda given: recording_description.look(workspace, given.get("path", ""), given.get("scenario", ""))),

@@ -30,8 +30,14 @@ from impact_rs_trials.store import is_bag
 HIDDEN = ".workbench"
 DEEPEST = 5  # folders below the workbench's own that are looked into
 LARGEST_DOCUMENT = 20_000_000  # bytes of a report's numbers
-REPORTS = ("report.html", "compare.html", "diagnosis.html", "discovery.html", "history.html", "investigation.html")
+REPORTS = (
+    "report.html", "compare.html", "diagnosis.html", "discovery.html", "history.html", "investigation.html",
+    "limits.html", "design_study.html",
+)  # fmt: skip
+IN_PAGES = ("limits.csv", "designs.csv")  # tables beside such pages, which are no recordings
 NOMINAL = "nominal"
+EXPERIMENTS = ("experiment.yaml", "experiment.yml")
+LONGEST_HEADER = 10_000  # characters of the first line of a table
 RUN_TABLE: str = Experiment.model_fields["runs"].default
 
 
@@ -85,12 +91,14 @@ class LabFolder:
         experiment: The experiment file, seen from the workspace; empty: the recordings are not described yet.
         recordings: Names of recordings in it.
         error: What is wrong with the experiment file; empty: nothing.
+        scenario: Scenario of the experiment, by name or by path seen from the workspace; empty: it has none here.
     """
 
     path: str
     experiment: str
     recordings: tuple[str, ...]
     error: str = ""
+    scenario: str = ""
 
 
 @dataclass(frozen=True)
@@ -154,6 +162,9 @@ class Contents:
         formulas: Files of effects as formulas.
         blinds: Campaigns with a hidden effect.
         plans: Plans of trials.
+        robots: Robots, those that come with impact_rs first.
+        tables: Tables of impacts.
+        packages: Packages of evidence.
         stamps: When models, diagnoses and reports were written [s of the wall clock].
     """
 
@@ -167,6 +178,9 @@ class Contents:
     formulas: tuple[str, ...]
     blinds: tuple[str, ...]
     plans: tuple[str, ...]
+    robots: tuple[str, ...]
+    tables: tuple[str, ...]
+    packages: tuple[str, ...]
     stamps: dict[str, float]
 
 
@@ -226,7 +240,7 @@ class Workspace:
         """What is there now; files that are none of ours are left out."""
         campaigns, laboratories, models, diagnoses, reports, scenarios, formulas = [], [], [], [], [], [], []
         scores: list[dict[str, Any]] = []
-        blinds, plans = [], []
+        blinds, plans, robots, tables, packages = [], [], [], [], []
         for folder, files, bags in self._folders():
             ours = [name for name in bags if _is_ours(folder / name)]
             if MANIFEST in files:
@@ -249,13 +263,19 @@ class Workspace:
                         formulas.append(self.name(path))
                     elif kind == "plan":
                         plans.append(self.name(path))
+                    elif kind == "robot":
+                        robots.append(self.name(path))
                 elif file in ("compare.json", "history.json"):
                     scores += _scores(path)
                 elif file.endswith(".json") and (diagnosis := self._diagnosis(path)) is not None:
                     diagnoses.append(diagnosis)
+                elif file.endswith(".json") and _is_package(path):
+                    packages.append(self.name(path))
+                elif _is_table_of_impacts(path):
+                    tables.append(self.name(path))
                 elif file in REPORTS:
                     reports.append(self.name(path))
-        shipped = config_directory() / "scenarios"
+        config = config_directory()
         return Contents(
             campaigns=tuple(campaigns),
             runs=tuple(sorted(_with_common_folders([item.path for item in campaigns]))),
@@ -263,10 +283,13 @@ class Workspace:
             models=tuple(_with_scores([_nominal(), *models], scores)),
             diagnoses=tuple(diagnoses),
             reports=tuple(reports),
-            scenarios=(*sorted(file.stem for file in shipped.glob("*.yaml")), *scenarios),
+            scenarios=(*_names_in(config / "scenarios"), *scenarios),
             formulas=tuple(formulas),
             blinds=tuple(blinds),
             plans=tuple(plans),
+            robots=(*_names_in(config / "robots"), *robots),
+            tables=tuple(tables),
+            packages=tuple(packages),
             stamps=self._stamps([*reports, *plans, *(one.path for one in diagnoses), *(one.path for one in models)]),
         )
 
@@ -298,18 +321,26 @@ class Workspace:
         return Campaign(self.name(folder), scenario, len(keys & set(os.listdir(folder))), len(keys))
 
     def _laboratory(self, folder: Path, files: list[str], bags: list[str]) -> LabFolder | None:
-        experiment = next((name for name in ("experiment.yaml", "experiment.yml") if name in files), None)
-        names = [*bags, *(name for name in files if Path(name).suffix in FILE_SUFFIXES and name != RUN_TABLE)]
+        experiment = next((name for name in EXPERIMENTS if name in files), None)
+        names = [*bags, *(name for name in files if _is_recording(folder / name))]
         if not names and experiment is None:
             return None
-        error = ""
+        error = scenario = ""
         if experiment is not None:
             try:
-                validate(Experiment, load_mapping(folder / experiment), folder / experiment)
+                read = validate(Experiment, load_mapping(folder / experiment), folder / experiment)
+                scenario = self._named_from(folder, read.scenario or "")
             except InputError as mistake:
                 error = str(mistake)
         file = "" if experiment is None else self.name(folder / experiment)
-        return LabFolder(self.name(folder), file, tuple(names), error)
+        return LabFolder(self.name(folder), file, tuple(names), error, scenario)
+
+    def _named_from(self, folder: Path, scenario: str) -> str:
+        """What a file of a folder calls a scenario, as a form names it; empty: it lies elsewhere."""
+        if not scenario.endswith((".yaml", ".yml")):
+            return scenario
+        path = (folder / scenario).resolve()
+        return self.name(path) if path.is_relative_to(self.root) else ""
 
     def _model(self, path: Path) -> ModelNode:
         try:
@@ -333,6 +364,35 @@ class Workspace:
         return DiagnosisFile(
             self.name(path), document.verdict, document.model.name, document.model.digest, document.named
         )
+
+
+def _names_in(folder: Path) -> list[str]:
+    """Names of the YAML files that come with impact_rs in a folder, in order."""
+    return sorted(file.stem for file in folder.glob("*.yaml"))
+
+
+def _is_recording(path: Path) -> bool:
+    """Whether a file may be a recording, and is no table that a command has written."""
+    return path.suffix in FILE_SUFFIXES and path.name not in (RUN_TABLE, *IN_PAGES) and not _is_table_of_impacts(path)
+
+
+@once
+def _is_table_of_impacts(path: Path) -> bool:
+    """Whether the first line of a table has velocities before and after an impact."""
+    if path.suffix != ".csv":
+        return False
+    try:
+        with path.open(encoding="utf-8") as file:
+            header = file.readline(LONGEST_HEADER)
+    except (OSError, UnicodeDecodeError):
+        return False
+    return "_before" in header and "_after" in header
+
+
+@once
+def _is_package(path: Path) -> bool:
+    """Whether a JSON document is a package of evidence."""
+    return {"seal", "laboratory", "diagnosis"} <= (read_json(path) or {}).keys()
 
 
 @once
@@ -368,7 +428,7 @@ def _is_ours(bag: Path) -> bool:
 
 @once
 def _kind_of_yaml(path: Path) -> str | None:
-    """``model``, ``scenario``, ``formulas`` or ``plan`` by the keys that nothing else has; None: something else."""
+    """``model``, ``scenario``, ``formulas``, ``plan`` or ``robot`` by keys that nothing else has; None: another."""
     try:
         keys = load_mapping(path).keys()
     except InputError:
@@ -379,6 +439,8 @@ def _kind_of_yaml(path: Path) -> str | None:
         return "formulas"
     if {"aim", "budget", "campaigns"} <= keys:
         return "plan"
+    if {"joints", "links", "flange"} <= keys:
+        return "robot"
     if "name" in keys and keys & {"effects", "parent"} and keys <= set(Model.model_fields):
         return "model"
     return None

@@ -29,7 +29,7 @@ from impact_rs_sim.robot_model import RobotModel
 from impact_rs_sim.scenario_docs import _key
 from impact_rs_sim.schema import Schema
 from impact_rs_trials.blind import draw_truth
-from impact_rs_trials.recordings.experiment import COLUMNS, Experiment
+from impact_rs_trials.recordings.experiment import COLUMNS, SESSION, Experiment
 from impact_rs_trials.recordings.mapping import QUANTITY, UNITS, Mapping, SignalName, SignalSource, load_mapping
 from impact_rs_trials.recordings.recording import ARM, read_recordings
 
@@ -176,7 +176,7 @@ def test_signals_of_a_mapping_are_those_of_the_code_with_their_units() -> None:
     assert rows.keys() == set(get_args(SignalName))
     for name, row in rows.items():
         assert set(UNITS[QUANTITY[name]]) <= set(re.findall(r"`([^`]+)`", row[2])), name
-    assert [row[0].strip("`") for row in table("your_data.md", "Column of a run")] == list(COLUMNS)
+    assert [row[0].strip("`") for row in table("your_data.md", "Column of a run")] == [*COLUMNS, SESSION]
 
 
 def test_symbols_and_functions_of_a_formula_are_those_of_the_code() -> None:

@@ -4,7 +4,8 @@
 A set is a YAML file beside this one (:class:`RealSet`): where the data are, how they are read, which commands diagnose
 them, and what should come out, with the source of that, written down before the first run. The data belong to others
 and are not in this repository: DIR is the folder in which the command under ``get`` was run. Every set is a row of a
-table in Markdown; commands, their output and the diagnosis are in the output folder.
+table in Markdown; commands, their output and the diagnosis are in the output folder. ``--pictures docs/images`` draws
+the pictures of docs/real_data.md, ``real_SET.png``.
 """
 
 from __future__ import annotations
@@ -22,6 +23,7 @@ from typing import Any
 import yaml
 from pydantic import Field
 
+from benchmarks.real.pictures import draw, tracks_of
 from impact_rs_analysis.diagnosis.document import CONFIRMED, DiagnosisDocument, EstimateDocument, read_document
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.numbers import estimate_in_line
@@ -54,6 +56,7 @@ class RealSet(Schema):
     steps: tuple[str, ...] = Field((), description="commands; {data} and {out} stand for the two folders")
     expected: Expected | None = Field(None, description="what the last diagnosis should say")
     shown: tuple[str, ...] = Field((), description="further estimates for the table, by EFFECT.PARAMETER")
+    picture: str = Field("", description="table of impacts in the output folder that --pictures draws; empty: none")
     not_taken: str = Field("", description="why the program cannot take the data yet; empty: it can")
 
 
@@ -216,6 +219,7 @@ def main() -> int:
     parser.add_argument("--list", action="store_true", help="list the sets, and end")
     parser.add_argument("--data", type=Path, default=Path("."), help="folder with the clones; default: this one")
     parser.add_argument("-o", "--output", type=Path, default=Path("output/real"), help="folder for the results")
+    parser.add_argument("--pictures", type=Path, metavar="DIR", help="also draw sets of impacts: DIR/real_SET.png")
     args = parser.parse_args()
     known = sets()
     if args.list:
@@ -235,6 +239,10 @@ def main() -> int:
             document = run_set(one, args.data.resolve(), args.output.resolve() / name)
             rows.append(row(name, one.expected, one.shown, document))
             judgements.append(judge(document, one.expected))
+            if one.picture and args.pictures is not None:
+                args.pictures.mkdir(parents=True, exist_ok=True)
+                tracks = tracks_of(args.output.resolve() / name / one.picture, document)
+                draw(tracks, args.pictures / f"real_{name}.png")
         except InputError as error:
             rows.append((name, "", str(error), "", "", "not run"))
         print(table(rows[-1:]).splitlines()[-1], file=sys.stderr, flush=True)

@@ -96,7 +96,7 @@ def planned(
     words = {name: _buys(counts, decision, after, picked, name) for name in picked}
     return ExperimentPlan(
         model=model.name,
-        model_digest=model.digest,
+        model_digest=model.containing(()).digest,  # without formulas that explanations alone use
         aim=decision.aim,
         method=method,
         budget=budget,

@@ -15,6 +15,7 @@ import numpy as np
 
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.scenario import Case, CaseRobot, Scenario, load_scenario
+from impact_rs_trials.envelope import CellEnvelope
 from impact_rs_trials.runs import label_of
 from impact_rs_trials.spec import TrialSpec
 
@@ -30,15 +31,24 @@ class Envelope:
     Attributes:
         speed: Largest approach speed [m/s]; None: that of the fastest case of each scenario.
         force: Largest mean contact force over some milliseconds [N]; None: any.
+        cell: What may run on a real cell; None: every trial that can be planned.
     """
 
     speed: float | None = None
     force: float | None = None
+    cell: CellEnvelope | None = None
 
     def __post_init__(self) -> None:
         for key, value, unit in (("speed", self.speed, "m/s"), ("force", self.force, "N")):
             if value is not None and not value > 0.0:
                 raise InputError(f"expected a limit > 0 {unit}", key=key, value=value)
+
+    @property
+    def fastest(self) -> float | None:
+        """Largest approach speed of both limits [m/s]; None: no limit."""
+        if self.cell is None:
+            return self.speed
+        return self.cell.speed if self.speed is None else min(self.speed, self.cell.speed)
 
 
 NO_ENVELOPE = Envelope()
@@ -81,7 +91,7 @@ def possible_trials(scenarios: Sequence[str], envelope: Envelope = NO_ENVELOPE) 
         envelope: Of the cell.
 
     Raises:
-        InputError: There is no such scenario, or two have one name.
+        InputError: There is no such scenario, two have one name, or the envelope of the cell allows no trial.
     """
     found: dict[str, PossibleTrial] = {}
     names: dict[str, str] = {}
@@ -91,7 +101,28 @@ def possible_trials(scenarios: Sequence[str], envelope: Envelope = NO_ENVELOPE) 
             raise InputError(f"scenarios {names[scenario.name]!r} and {path!r} have one name, {scenario.name!r}")
         names[scenario.name] = path
         found |= {trial.name: trial for trial in trials_of(path, scenario, envelope)}
-    return [found[name] for name in sorted(found)]
+    trials = [found[name] for name in sorted(found)]
+    return trials if envelope.cell is None else _inside(trials, envelope.cell)
+
+
+def _inside(trials: Sequence[PossibleTrial], cell: CellEnvelope) -> list[PossibleTrial]:
+    """The trials that the envelope of a cell allows."""
+    complaints = [_complaint(trial, cell) for trial in trials]
+    inside = [trial for trial, complaint in zip(trials, complaints, strict=True) if not complaint]
+    if not inside:
+        raise InputError(
+            f"none of {len(trials)} trials lies inside the envelope, {trials[0].name} because: {complaints[0]}; "
+            "raise a limit, or name further scenarios in it"
+        )
+    return inside
+
+
+def _complaint(trial: PossibleTrial, cell: CellEnvelope) -> str:
+    """Why a trial is outside the envelope of a cell, or cannot be planned; empty: it is inside."""
+    try:
+        return cell.complaint(trial.spec)
+    except InputError as error:  # out of reach
+        return str(error)
 
 
 def trials_of(path: str, scenario: Scenario, envelope: Envelope = NO_ENVELOPE) -> Iterator[PossibleTrial]:
@@ -110,7 +141,7 @@ def _of_variant(
     path: str, scenario: Scenario, settings: Mapping[str, Any], aside: str, envelope: Envelope
 ) -> Iterator[PossibleTrial]:
     """Trials of a variant: every object and case, at every speed within the limit."""
-    fastest = max(map(_speed, scenario.cases.values())) if envelope.speed is None else envelope.speed
+    fastest = envelope.fastest or max(map(_speed, scenario.cases.values()))
     own = {name: case for name, case in _cases(scenario, fastest).items() if _speed(case) <= fastest * (1.0 + 1e-9)}
     added = {f"cases.{name}": case.model_dump(mode="json") for name, case in own.items() if name not in scenario.cases}
     varied = scenario.with_settings({**settings, **added})

@@ -28,7 +28,7 @@ from impact_rs_analysis.evidence.discrepancy import DiscrepancyDocument
 from impact_rs_analysis.evidence.levels import Cell, ConditionScore, Level, RecordingDocument, SignalLevel, rounded
 from impact_rs_analysis.evidence.source import Source
 from impact_rs_analysis.evidence.visited import beyond
-from impact_rs_analysis.measure.arms import ArmDocument, arms_of
+from impact_rs_analysis.measure.arms import ArmDocument, arms_of, assumptions
 from impact_rs_sim.schema import Schema
 
 
@@ -72,6 +72,7 @@ def compare(source: Source) -> ComparisonDocument:
     found, runs, noise = source.compare_levels(), source.runs, source.noise_size()
     jump, remarks = ({}, []) if runs is None else jump_level(runs, source.model, source.discrepancy)
     skipped = () if runs is None else [(path.removeprefix(f"{runs.directory}/"), why) for path, why in runs.skipped]
+    arms = arms_of(source.worlds)
     return ComparisonDocument(
         source=source.kind,
         model=ModelIdentity(name=source.model.name, digest=source.model.digest),
@@ -83,11 +84,11 @@ def compare(source: Source) -> ComparisonDocument:
         noise_floor=None if noise is None else rounded(noise),
         levels=jump | found.levels,
         where=found.where,
-        arms=arms_of(source.worlds),
+        arms=arms,
         joints=found.joints,
         not_measured=source.not_measured,
         skipped=tuple(LeftOut(name=name, reason=why) for name, why in skipped),
         recording=source.recording,
         discrepancy=source.discrepancy_document,
-        remarks=(*source.comparison_remarks, *remarks, *beyond(source)),
+        remarks=(*source.comparison_remarks, *remarks, *beyond(source), *assumptions(arms)),
     )

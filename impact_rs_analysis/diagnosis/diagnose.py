@@ -56,6 +56,7 @@ from impact_rs_analysis.diagnosis.verdicts import (
 from impact_rs_analysis.diagnosis.words import summary_of
 from impact_rs_analysis.evidence.source import Source, View
 from impact_rs_analysis.evidence.visited import beyond
+from impact_rs_analysis.measure.arms import arms_of, assumptions
 from impact_rs_sim.effects import Effect
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.model import Model
@@ -346,7 +347,7 @@ def _joints(source: Source, before: Sequence[Array], after: Sequence[Array]) -> 
 
 
 def _remarks(found: Findings, source: Source) -> list[str]:
-    remarks = [*source.remarks, *beyond(source)]
+    remarks = [*source.remarks, *beyond(source), *assumptions(arms_of(source.worlds))]
     null = found.evidence.null
     if null.shortage is not None:
         remarks.append(f"too few repeats for a verdict: {null.shortage}")

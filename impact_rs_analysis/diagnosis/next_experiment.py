@@ -10,7 +10,7 @@ import numpy as np
 
 from impact_rs_analysis.design.design import Decide
 from impact_rs_analysis.design.discrimination import Discrimination
-from impact_rs_analysis.design.explanations import Decision, Explanation, estimated
+from impact_rs_analysis.design.explanations import AS_IS, Decision, Explanation, estimated
 from impact_rs_analysis.design.forecast import forecast_of
 from impact_rs_analysis.design.possible_trials import PossibleTrial, trials_of
 from impact_rs_analysis.design.selection import most_telling
@@ -63,10 +63,11 @@ def next_experiment(found: Findings, known: dict[str, Effect]) -> NextExperiment
 
 
 def left_open(document: DiagnosisDocument, model: Model) -> Decide | None:
-    """What a diagnosis leaves to be decided, for a plan of trials.
+    """What a diagnosis leaves to be decided, for a plan of trials with the model that :func:`considered` returns.
 
     Ties: which of the effects that predict unseen data equally well is there, each with the other effects found.
-    Without ties: how large the effects found are. Without effects: which effect is missing (None).
+    Suspicions: whether each suspected effect is there beside the effects found. Without either: how large the effects
+    found are. Without effects: which effect is missing (None).
 
     Args:
         document: The diagnosis.
@@ -79,15 +80,17 @@ def left_open(document: DiagnosisDocument, model: Model) -> Decide | None:
         raise InputError(
             f"this is a diagnosis of model {document.model.name!r}, not of {model.name!r}; give the diagnosed model"
         )
-    if not document.named:
-        return None
     found = {effect.name: effect for effect in document.effects if effect.parameters}
     ties = dict.fromkeys((name, rival) for name in document.named for rival in found[name].rivals if rival in found)
+    others = [tuple(dict.fromkeys(rival if one == name else one for one in document.named)) for name, rival in ties]
+    others += [(*document.named, name) for name in document.suspected if name in found]
+    if not document.named and not others:
+        return None
 
     def decide(model: Model, joints: Joints, worlds: Sequence[Physics]) -> Decision:
         effects = model.known_effects
 
-        def explanation(name: str, names: Sequence[str]) -> Explanation:
+        def explanation(names: Sequence[str]) -> Explanation:
             centre: list[tuple[str, tuple[float, ...]]] = []
             deviations, bounds = {}, {}
             for one in names:
@@ -97,18 +100,28 @@ def left_open(document: DiagnosisDocument, model: Model) -> Decide | None:
                 widths = [np.diff(values[scalar.name].interval)[0] / (2.0 * NORMAL_95) for scalar in scalars]
                 deviations[one] = np.minimum(widths, [WIDEST * scalar.scale for scalar in scalars])
                 bounds[one] = effects[one].bounds_in(worlds)
-            return estimated(name, tuple(centre), deviations, bounds)
+            return estimated("+".join(names) or AS_IS, tuple(centre), deviations, bounds)
 
-        first = explanation("+".join(document.named), document.named)
-        if not ties:
+        first = explanation(document.named)
+        if not others:
             return Decision("parameters", (first,))
-        others = []
-        for name, rival in ties:
-            names = tuple(dict.fromkeys(rival if one == name else one for one in document.named))
-            others.append(explanation("+".join(names), names))
-        return Decision("rivals", (first, *others), tuple((0, 1 + number) for number in range(len(others))))
+        pairs = tuple((0, number) for number in range(1, 1 + len(others)))
+        return Decision("rivals", (first, *map(explanation, others)), pairs)
 
     return decide
+
+
+def considered(document: DiagnosisDocument, model: Model) -> Model:
+    """The diagnosed model with all that a diagnosis considered beside the library.
+
+    These are user-defined effects, laws of a discovery, and the parameters of each arm. None is switched on.
+
+    Args:
+        document: The diagnosis.
+        model: The diagnosed model.
+    """
+    own = {spec.name: spec for spec in (*model.formulas, *document.formulas)}
+    return model.model_copy(update={"formulas": tuple(own.values()), "arms": document.arms or model.arms})
 
 
 def _own_trials(runs: Runs) -> list[PossibleTrial]:

@@ -24,8 +24,10 @@ from impact_rs_sim.recent import Recent
 from impact_rs_sim.robot import Array
 from impact_rs_sim.robot_model import RobotModel
 from impact_rs_trials.bags.checksums import says_so, unsealed_words
-from impact_rs_trials.bags.reader import BagError, TrialBag, reason_of
-from impact_rs_trials.runs import DriveName, Run, Signals
+from impact_rs_trials.bags.reader import BagError, TrialBag, reason_of, recorded_at
+from impact_rs_trials.runs import DriveName, Run, Signals, label_of
+from impact_rs_trials.since import measured_since
+from impact_rs_trials.spec import TrialSpec
 from impact_rs_trials.store import Folder
 from impact_rs_trials.workers import Map
 
@@ -244,6 +246,7 @@ class Runs:
         clock: See :class:`~impact_rs_analysis.evidence.cluster.Source` [s].
         late: By condition, its first run with commands that act one standard deviation of their clock later; empty if
             the clock is known.
+        part: Whether runs of the folder were left out on request.
     """
 
     directory: Path
@@ -252,12 +255,13 @@ class Runs:
     remarks: tuple[str, ...] = ()
     clock: float = 0.0
     late: Mapping[str, MeasuredRun] = field(default_factory=dict)
+    part: bool = False
 
     @property
     def digest(self) -> str:
         """Digest of the runs, independent of their location."""
         if all(run.spec is not None for run in self.runs):
-            return runs_digest(self.directory)
+            return _digest([run.path for run in self.runs]) if self.part else runs_digest(self.directory)
         rows = sorted(f"{run.condition} {run.setup.digest}" for run in self.runs)
         return hashlib.sha256("\n".join(rows).encode()).hexdigest()[:16]
 
@@ -268,6 +272,37 @@ class Runs:
         for run in self.runs:
             found.setdefault(run.condition, []).append(run)
         return found
+
+    def since(self, when: str) -> Runs:
+        """The runs that were measured from a moment on.
+
+        Args:
+            when: A run by its path in the folder, or a time (:func:`impact_rs_trials.since.measured_since`).
+
+        Raises:
+            InputError: There is no such moment.
+        """
+        names = {run.path: run.path.relative_to(self.directory).as_posix() for run in self.runs}
+        stamps = {names[run.path]: recorded_at(run.path) if run.recorded is None else run.recorded for run in self.runs}
+        found = measured_since(when, stamps)
+        kept = tuple(run for run in self.runs if names[run.path] in found)
+        remark = f"only runs since {when}: {len(kept)} of {len(self.runs)}"
+        late = {condition: run for condition, run in self.late.items() if any(run.path == own.path for own in kept)}
+        return replace(self, runs=kept, remarks=(*self.remarks, remark), late=late, part=True)
+
+    def named(self, specs: Mapping[Path, TrialSpec]) -> Runs:
+        """The runs with the conditions of trials that were planned here, named as a design names them.
+
+        Args:
+            specs: What was planned, by the path of each run.
+        """
+
+        def named(run: MeasuredRun) -> MeasuredRun:
+            spec = specs[run.path]
+            return replace(run, condition=label_of(spec), place=(spec.scenario.name, spec.object, spec.case))
+
+        late = {label_of(specs[run.path]): named(run) for run in self.late.values()}
+        return replace(self, runs=tuple(map(named, self.runs)), late=late)
 
     @staticmethod
     def of(directory: Path, results: Iterable[MeasuredRun | tuple[str, str]]) -> Runs:
@@ -336,8 +371,13 @@ def read_runs(directory: Path, map_tasks: Map) -> Runs:
 
 def runs_digest(directory: Path) -> str:
     """Digest of the trials in a folder: names, scenarios and seeds, independent of its location."""
+    return _digest(find_bags(directory))
+
+
+def _digest(bags: Iterable[Path]) -> str:
+    """Digest of some trials."""
     rows = []
-    for path in find_bags(directory):
+    for path in bags:
         try:
             info = TrialBag.open(path).info
         except BagError:  # not a usable trial

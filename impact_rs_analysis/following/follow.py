@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import groupby
 from typing import Any
@@ -24,10 +24,12 @@ from typing import Any
 import numpy as np
 import scipy
 
+from impact_rs_analysis.design.selection import CONDITIONS, REPEATS
 from impact_rs_analysis.diagnosis.candidate import Candidate
 from impact_rs_analysis.diagnosis.diagnose import effects_for
 from impact_rs_analysis.evidence.cluster import Added
 from impact_rs_analysis.evidence.source import Source
+from impact_rs_analysis.following.announcement import in_words, weighs
 from impact_rs_analysis.following.change import MEAN_TIME, Calibration, ChangeExplanation, ChangeTest
 from impact_rs_analysis.following.hits import Door, Hit
 from impact_rs_analysis.following.lessons import (
@@ -50,7 +52,8 @@ from impact_rs_analysis.following.posterior import (
 from impact_rs_analysis.following.scatter import HitScatter, deviations_of, scatter_of
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.model import Model, ModelEffect, ParameterValue
-from impact_rs_sim.numbers import NORMAL_95, estimate_text
+from impact_rs_sim.numbers import NORMAL_95
+from impact_rs_sim.physics import Physics
 from impact_rs_sim.proportion import Proportion
 from impact_rs_sim.robot import Array
 
@@ -66,7 +69,6 @@ LEAST_GAIN = 4.0  # fall of the squares of the others, of one parameter two stan
 NEAR = 0.1  # parameter scales; a shorter step ends it
 APART = 2.0  # standard deviations between predictions; one hit then decides
 WALL_CLOCK = 1e9  # s since 1970; an earlier stamp counts from another moment
-MOST_NAMED = 3  # parameters of an effect in a sentence, those that are surest
 
 
 @dataclass(frozen=True)
@@ -101,6 +103,28 @@ class Hypothesis:
     log_weight: float = 0.0
     effect: str = ""
     origin: Origin | None = None
+
+
+@dataclass(frozen=True)
+class HitsSince:
+    """The hits since the last change.
+
+    Attributes:
+        since: Name of the first of them.
+        conditions: Condition of each, in time order.
+    """
+
+    since: str
+    conditions: tuple[str, ...]
+
+    @property
+    def diagnosable(self) -> bool:
+        """Whether they are enough for a full diagnosis: three conditions, and three more hits than conditions."""
+        known = len(set(filter(None, self.conditions)))
+        count = len(self.conditions)
+        if not known:  # rows that repeat nothing
+            return count >= CONDITIONS * REPEATS
+        return known >= CONDITIONS and count - known >= (REPEATS - 1) * CONDITIONS
 
 
 class Follower:
@@ -138,20 +162,26 @@ class Follower:
         self.calibration = Calibration()
         self.candidate: Candidate | None = None
         self.hypotheses: list[Hypothesis] = []
+        self.changed: HitsSince | None = None
 
     @property
     def watching(self) -> bool:
         """Whether the scatter is known, so that changes are looked for."""
         return bool(self._scatter)
 
-    def arrived(self) -> Iterable[HitDocument]:
+    def arrived(self, handled: Callable[[], None] = lambda: None) -> Iterator[HitDocument]:
         """Take the hits that have arrived since the last call, in time order.
+
+        Args:
+            handled: Called after each instant, once the caller has taken all of its documents: what is saved then
+                never knows more than was said.
 
         Raises:
             InputError: The measurements cannot be read, or the model predicts none of the first hits.
         """
         for _, together in groupby(self.door.arrived(), key=lambda hit: hit.stamp):
             yield from self.take(list(together))
+            handled()
 
     def take(self, instant: Sequence[Hit]) -> list[HitDocument]:
         """Take simultaneous hits, whose order does not matter.
@@ -163,7 +193,13 @@ class Follower:
         for hit in instant:
             self._names.append(hit.name)
             self._last[hit.condition] = hit
-        self._last[""] = instant[-1]
+        for hit in instant:
+            if hit.hits or "" not in self._last or not self._last[""].hits:
+                self._last[""] = hit
+        if self.changed is not None:
+            self.changed = HitsSince(
+                self.changed.since, (*self.changed.conditions, *(hit.condition for hit in instant))
+            )
         documents = self._watch([hit for hit in instant if hit.layout in self._scatter])
         unknown = [hit for hit in instant if hit.layout not in self._scatter]
         self._first += unknown
@@ -187,7 +223,7 @@ class Follower:
         """What the next hit of a condition will measure, if it starts as the last one did; None while learning.
 
         Args:
-            condition: The condition; empty: that of the last hit.
+            condition: The condition; empty: that of the last trial that hit something, else of the last free motion.
         """
         hit = self._last.get(condition)
         if hit is None or not self.watching or hit.layout not in self._scatter:
@@ -289,6 +325,7 @@ class Follower:
             "first": [hit.name for hit in self._first],
             "last": {condition: hit.name for condition, hit in self._last.items()},
             "announced": self._announced,
+            "changed": None if self.changed is None else [self.changed.since, self.changed.conditions],
             "active": self.active,
             "layouts": list(self._scatter),
             "calibration": vars(self.calibration),
@@ -307,6 +344,8 @@ class Follower:
         needed = [*document["first"], *document["last"].values(), *windows]
         hits = self.door.recalled(needed, document["names"])
         self._names, self._announced = list(document["names"]), list(document["announced"])
+        if (changed := document.get("changed")) is not None:
+            self.changed = HitsSince(changed[0], tuple(changed[1]))
         self._first = [hits[name] for name in document["first"]]
         self._last = {condition: hits[name] for condition, name in document["last"].items()}
         if document["proportion"] is None:
@@ -540,29 +579,34 @@ class Follower:
         for one, hypothesis in held:
             hypothesis.log_weight = one.log_ratio
         self.hypotheses = hypotheses
+        since = [e.hit for instant in window[found[0].start :] for e in instant]
+        self.changed = HitsSince(first.name, tuple(one.condition for one in since))
+        scenes = [one.physics for one in since if one.hits] or [first.physics]
         shares = self.probabilities()
         causes = []
         old = self._values(before)
         for one, share, hypothesis in zip(found, shares, hypotheses, strict=True):
             part = test.candidate.part(one.effect)
             parameters = self._followed(hypothesis, range(part.start, part.stop), old)
+            new = old.copy()  # of this effect alone
+            new[part] = self._values(hypothesis)[part]
+            pairs = [(self._scene(old, scene), self._scene(new, scene)) for scene in scenes]
             start = window[one.start][0].hit
             causes.append(
                 Cause(
                     effect=one.effect, share=float(share), since=start.name, parameters=parameters,
-                    words=_in_words(one.effect, parameters),
+                    words=in_words(one.effect, parameters, pairs),
                 )
             )  # fmt: skip
         again = found[0].effect in self._announced
         self._announced.append(found[0].effect)
-        since = _when(first)
         apart = self._apart() if len(causes) > 1 else ""
-        words = f"since {since} {' or '.join(cause.words for cause in causes)}"
+        words = f"since {_when(first)} {' or '.join(cause.words for cause in causes)}"
         return Change(
             hit=hit.name,
             since=first.name,
             since_time=first.stamp if first.timed else None,
-            hits=sum(len(window[n]) for n in range(found[0].start, len(window))),
+            hits=len(since),
             log10_ratio=found[0].log_ratio / math.log(10.0),
             false_alarm=math.exp(min(statistic, 300.0)),
             causes=tuple(causes),
@@ -697,9 +741,34 @@ class Follower:
             return f"one hit of {condition} decides between them ({size:.1f} standard deviations)"
         if 0 < len(free) < len(self.hypotheses):
             return f"a free motion decides between them: {' and '.join(free)} would show there"
+        others = [(self._distance(hit), hit.condition) for hit in self.door.unmeasured()]
+        further, other = max(others, default=(0.0, ""))
+        if further > APART:
+            return f"a trial of {other}, not measured yet, decides between them ({further:.1f} standard deviations)"
+        scenes = [self._scene(self._values(one), self._last[""].physics) for one in self.hypotheses[:2]]
+        rest = "weigh the object" if weighs(*scenes) else "hit otherwise"
         if condition:
-            return f"hits like these hardly decide ({condition}: {size:.1f} standard deviations); hit otherwise"
-        return "hits like these hardly decide between them; hit otherwise"
+            return f"hits like these hardly decide ({condition}: {size:.1f} standard deviations); {rest}"
+        return f"hits like these hardly decide between them; {rest}"
+
+    def _distance(self, hit: Hit) -> float:
+        """Distance of what the two likeliest explanations predict for a trial, in standard deviations."""
+        assert self.candidate is not None
+        if hit.layout not in self._scatter:
+            return 0.0
+        points = [self._values(one) for one in self.hypotheses[:2]]
+        first, second = self.door.predict(hit, [replace(self.candidate, point=one).split(one) for one in points])
+        if first is None or second is None:
+            return 0.0
+        return float(np.linalg.norm(self._scatter[hit.layout].whiten @ (first - second)))
+
+    def _scene(self, values: Array, physics: Physics) -> Physics:
+        """Physics with the effects that are followed at some values."""
+        assert self.candidate is not None
+        for effect, part in self.candidate.parts:
+            if np.any(values[part] != self.candidate.nominal[part]):
+                physics = effect.apply_vector(physics, values[part])
+        return physics
 
     def _seen_free(self, name: str) -> bool:
         assert self.candidate is not None
@@ -793,19 +862,3 @@ def _when(hit: Hit) -> str:
     if not hit.timed or hit.stamp < WALL_CLOCK:
         return hit.name
     return f"{time.strftime('%Y-%m-%d %H:%M:%S', time.localtime(hit.stamp))} ({hit.name})"
-
-
-def _in_words(effect: str, parameters: Sequence[Followed]) -> str:
-    """A change of an effect's parameters in words: those that moved for certain, else the one that moved most."""
-    sure = [p for p in parameters if not p.ci95[0] <= p.estimate - p.change <= p.ci95[1]]
-    more = f" and {len(sure) - MOST_NAMED} more" if len(sure) > MOST_NAMED else ""
-    sure = sorted(sure, key=lambda p: -abs(p.change) / max(p.ci95[1] - p.ci95[0], 1e-300))[:MOST_NAMED]
-    shown = sure or sorted(parameters, key=lambda p: -abs(p.change) / max(p.ci95[1] - p.ci95[0], 1e-300))[:1]
-    texts = []
-    for one in shown:
-        half = 0.5 * (one.ci95[1] - one.ci95[0])
-        value, low, high = estimate_text(one.change, (one.change - half, one.change + half))
-        sign = "" if value.startswith("-") else "+"
-        unit = "" if one.unit == "-" else f" {one.unit}"
-        texts.append(f"{one.parameter.partition('.')[2]} {sign}{value}{unit} [{low}, {high}]")
-    return f"{effect}: {', '.join(texts)}{more}"

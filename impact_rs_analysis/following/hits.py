@@ -7,9 +7,11 @@ discrepancy, and predictions under effects that are added to the model.
 
 from __future__ import annotations
 
+import itertools
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -19,15 +21,19 @@ from impact_rs_analysis.evidence.discrepancy import Discrepancy
 from impact_rs_analysis.evidence.impact_tables import ImpactTableSource
 from impact_rs_analysis.evidence.map_discrepancy import MapDiscrepancy
 from impact_rs_analysis.evidence.measured_runs import MeasuredRun, Runs, find_bags, read_trial
-from impact_rs_analysis.evidence.replay_cache import Replay, ReplayCache
+from impact_rs_analysis.evidence.replay_cache import Replay, ReplayCache, with_effects
 from impact_rs_analysis.evidence.replays import ReplaySource, clusters_of, layout_of
+from impact_rs_analysis.evidence.simulated_trials import simulated_and_judged
 from impact_rs_analysis.evidence.source import Source, with_per_arm_parameters
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.model import Model
+from impact_rs_sim.physics import Physics
 from impact_rs_sim.robot import Array
-from impact_rs_trials.recordings.impact_table import ImpactTable
-
-READ_AT_ONCE = 16  # bags between two reports of progress
+from impact_rs_sim.scenario import Scenario
+from impact_rs_trials.bags.reader import recorded_at
+from impact_rs_trials.recordings.impact_table import ImpactTable, name_of_row
+from impact_rs_trials.runs import label_of
+from impact_rs_trials.spec import TrialSpec
 
 
 @dataclass(frozen=True)
@@ -46,6 +52,7 @@ class Hit:
         measured: Measured features, ``(F,)``.
         noise: Standard deviation of each that the measurement itself states; 0: not stated, ``(F,)``.
         discrepancy: Patterns of the model discrepancy at amplitude 1, ``(k, F)``.
+        physics: Nominal physics of its scene.
     """
 
     name: str
@@ -58,6 +65,12 @@ class Hit:
     measured: Array
     noise: Array
     discrepancy: Array
+    physics: Physics
+
+    @property
+    def hits(self) -> bool:
+        """Whether anything is hit, so that not all of it is free motion."""
+        return any(feature.phase != "free" for feature in self.features)
 
     @property
     def shared(self) -> str:
@@ -71,13 +84,15 @@ class Door(ABC):
     Attributes:
         model: The model.
         skipped: Name and reason of everything that gives no hit.
+        waiting: Number of hits that :meth:`arrived` has found and not given yet.
     """
 
     model: Model
     skipped: dict[str, str]
+    waiting: int = 0
 
     @abstractmethod
-    def arrived(self) -> list[Hit]:
+    def arrived(self) -> Iterator[Hit]:
         """Hits that were not given before, in time order.
 
         Raises:
@@ -105,6 +120,10 @@ class Door(ABC):
         """
         features = next(hit.features for hit in first if hit.layout == layout)
         return np.array([feature.relevance_limit for feature in features])
+
+    def unmeasured(self) -> Iterator[Hit]:
+        """Trials of the same scenarios that were not measured yet, as the model predicts them."""
+        yield from ()
 
     @abstractmethod
     def source(self, hits: Sequence[Hit]) -> Source:
@@ -145,21 +164,24 @@ class TableDoor(Door):
         self._known: set[int] = set()
         self.model, self.skipped = model, {}
 
-    def arrived(self) -> list[Hit]:
+    def arrived(self) -> Iterator[Hit]:
         """See :meth:`Door.arrived`."""
         table = self._reread()
         fresh = [place for place, row in enumerate(table.rows) if row.number not in self._known]
         self._known |= {table.rows[place].number for place in fresh}
-        return sorted(self._hits(table, fresh), key=lambda hit: (hit.stamp, hit.name))
+        hits = sorted(self._hits(table, fresh), key=lambda hit: (hit.stamp, hit.name))
+        for given, hit in enumerate(hits, start=1):
+            self.waiting = len(hits) - given
+            yield hit
 
     def recalled(self, names: Sequence[str], known: Sequence[str]) -> dict[str, Hit]:
         """See :meth:`Door.recalled`."""
         table = self._reread()
-        places = {_name(row.number): place for place, row in enumerate(table.rows)}
+        places = {name_of_row(row.number): place for place, row in enumerate(table.rows)}
         if missing := [name for name in (*names, *known) if name not in places]:
             raise InputError(f"{missing[0]}, which the state knows, is gone", file=table.path)
         given = set(known)
-        self._known = {row.number for row in table.rows if _name(row.number) in given}
+        self._known = {row.number for row in table.rows if name_of_row(row.number) in given}
         return {hit.name: hit for hit in self._hits(table, [places[name] for name in dict.fromkeys(names)])}
 
     def limits(self, first: Sequence[Hit], layout: str) -> Array:
@@ -173,9 +195,9 @@ class TableDoor(Door):
         table = self._table
         assert table is not None
         wanted = {hit.name for hit in hits}
-        places = [place for place, row in enumerate(table.rows) if _name(row.number) in wanted]
+        places = [place for place, row in enumerate(table.rows) if name_of_row(row.number) in wanted]
         places.sort(key=lambda place: table.rows[place].object_name)  # the first row stands for the object
-        return ImpactTableSource(_part(table, places), self.model, discrepancy=self._discrepancy)
+        return ImpactTableSource(table.part(places), self.model, discrepancy=self._discrepancy)
 
     def predict(self, hit: Hit, added: Sequence[Added]) -> list[Array | None]:
         """See :meth:`Door.predict`."""
@@ -193,10 +215,10 @@ class TableDoor(Door):
         if not places:
             return []
         try:
-            own = ImpactTableSource(_part(table, places), self.model, discrepancy=self._discrepancy, remarks=False)
+            own = ImpactTableSource(table.part(places), self.model, discrepancy=self._discrepancy, remarks=False)
         except InputError as error:
             if len(places) == 1:
-                self.skipped[_name(table.rows[places[0]].number)] = str(error)
+                self.skipped[name_of_row(table.rows[places[0]].number)] = str(error)
                 return []
             half = len(places) // 2
             return [*self._hits(table, places[:half]), *self._hits(table, places[half:])]
@@ -208,7 +230,7 @@ def _hit(own: ImpactTableSource, place: int) -> RowHit:
     row = own.table.rows[place]
     condition = ", ".join(filter(None, (row.object_name, row.condition))) if row.condition else ""
     return RowHit(
-        name=_name(row.number),
+        name=name_of_row(row.number),
         stamp=float(row.number) if row.time is None else row.time,
         timed=row.time is not None,
         condition=condition,
@@ -218,20 +240,10 @@ def _hit(own: ImpactTableSource, place: int) -> RowHit:
         measured=own.measured[place],
         noise=np.zeros(own.measured.shape[1]) if own.noise is None else own.noise[place],
         discrepancy=np.diag(own.map_discrepancy_of(place)),
+        physics=row.physics,
         source=own,
         place=place,
     )
-
-
-def _name(number: int) -> str:
-    """Name of a row."""
-    return f"row {number}"
-
-
-def _part(table: ImpactTable, places: Sequence[int]) -> ImpactTable:
-    """Some rows of a table, by position."""
-    rows = tuple(table.rows[place] for place in places)
-    return replace(table, rows=rows, noise=None if table.noise is None else table.noise[list(places)])
 
 
 @dataclass(frozen=True)
@@ -258,7 +270,6 @@ class BagDoor(Door):
         model: The model.
         store: Makes replays.
         discrepancy: Of the twin; None: as measured.
-        progress: Called with (done, total) while bags are read.
     """
 
     def __init__(
@@ -267,28 +278,27 @@ class BagDoor(Door):
         model: Model,
         store: ReplayCache,
         discrepancy: Discrepancy | None = None,
-        progress: Callable[[int, int], None] = lambda *_: None,
     ) -> None:
-        self._directory, self._store, self._discrepancy, self._progress = directory, store, discrepancy, progress
+        self._directory, self._store, self._discrepancy = directory, store, discrepancy
         self._known: set[Path] = set()
+        self._conditions: set[str] = set()
+        self._scenarios: dict[str, Scenario] = {}
         self.model, self.skipped = model, {}
 
-    def arrived(self) -> list[Hit]:
-        """See :meth:`Door.arrived`; bags without a usable trial are named in ``skipped``."""
+    def arrived(self) -> Iterator[Hit]:
+        """See :meth:`Door.arrived`; each bag is read when it is due, and what is no trial is named in ``skipped``."""
         if not self._directory.is_dir():
             raise InputError("no such folder of trials", file=self._directory)
         fresh = [path for path in find_bags(self._directory) if path not in self._known]
-        self._known |= set(fresh)
-        found: list[Hit] = []
-        for number, path in enumerate(fresh, start=1):
+        fresh.sort(key=lambda path: (recorded_at(path), str(path)))
+        for given, path in enumerate(fresh, start=1):
+            self._known.add(path)
+            self.waiting = len(fresh) - given
             run = read_trial(path)
             if isinstance(run, MeasuredRun):
-                found.append(self._hit(run, path))
+                yield self._arrived(run, path)
             else:
                 self.skipped[str(path.relative_to(self._directory))] = run[1]
-            if number % READ_AT_ONCE == 0 or number == len(fresh):
-                self._progress(number, len(fresh))
-        return sorted(found, key=lambda hit: (hit.stamp, hit.name))
 
     def recalled(self, names: Sequence[str], known: Sequence[str]) -> dict[str, Hit]:
         """See :meth:`Door.recalled`."""
@@ -298,8 +308,20 @@ class BagDoor(Door):
             run = read_trial(self._directory / name)
             if not isinstance(run, MeasuredRun):
                 raise InputError(f"this trial, which the state knows, cannot be read: {run[1]}", file=run[0])
-            found[name] = self._hit(run, self._directory / name)
+            found[name] = self._arrived(run, self._directory / name)
         return found
+
+    def unmeasured(self) -> Iterator[Hit]:
+        """See :meth:`Door.unmeasured`: every object and case, simulated by the twin; what fails is left out."""
+        for scenario in list(self._scenarios.values()):
+            for item, case in itertools.product(scenario.objects, scenario.cases):
+                spec = TrialSpec.of(scenario, item, case)
+                if label_of(spec) in self._conditions:
+                    continue
+                with suppress(InputError):  # out of reach, or no contact
+                    run, verdict = simulated_and_judged(spec, with_effects(self.model, spec.scene.physics, ()))
+                    if verdict.outcome == "OK":
+                        yield self._hit(MeasuredRun.of(run), self._directory / label_of(spec), 0.0)
 
     def source(self, hits: Sequence[Hit]) -> Source:
         """See :meth:`Door.source`."""
@@ -311,12 +333,19 @@ class BagDoor(Door):
         assert isinstance(hit, BagHit)
         return self._store([Replay(hit.run.setup, self.model, one) for one in added])
 
-    def _hit(self, run: MeasuredRun, path: Path) -> BagHit:
+    def _arrived(self, run: MeasuredRun, path: Path) -> BagHit:
+        """A trial that was measured."""
+        self._conditions.add(run.condition)
+        if run.spec is not None:
+            self._scenarios[run.spec.scenario.name] = run.spec.scenario
+        return self._hit(run, path, recorded_at(path) if run.recorded is None else run.recorded)
+
+    def _hit(self, run: MeasuredRun, path: Path, stamp: float) -> BagHit:
         runs = Runs(self._directory, (run,), ())
         (cluster,), _ = clusters_of(runs, [np.zeros(run.measured.size)], self._discrepancy)
         return BagHit(
             name=str(path.relative_to(self._directory)),
-            stamp=path.stat().st_mtime if run.recorded is None else run.recorded,
+            stamp=stamp,
             timed=True,
             condition=run.condition,
             layout=layout_of(run),
@@ -325,5 +354,6 @@ class BagDoor(Door):
             measured=run.measured,
             noise=np.zeros(run.measured.size),
             discrepancy=cluster.moved_together * cluster.sigma,
+            physics=run.physics,
             run=run,
         )

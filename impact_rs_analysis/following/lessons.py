@@ -79,6 +79,15 @@ class HitDocument(Schema):
     milliseconds: float = Field(description="time that its update took [ms]")
 
 
+class ChangeDiagnosis(Schema):
+    """Full diagnosis that the last change called for."""
+
+    command: str = Field(description="the command that makes it")
+    file: str = Field(description="its file")
+    verdict: str = Field("", description="its verdict; empty: it has not ended well")
+    words: str = Field(description="how it ended, in words")
+
+
 class FollowDocument(Schema):
     """All of ``impact-rs follow --json``."""
 
@@ -86,4 +95,6 @@ class FollowDocument(Schema):
     hits: tuple[HitDocument, ...] = Field(description="hits, in time order")
     followed: tuple[Followed, ...] = Field(description="believed parameters after the last hit")
     prediction: NextHit | None = Field(description="of the next hit; null while the scatter is learnt")
+    diagnosis: ChangeDiagnosis | None = Field(None, description="full diagnosis of the hits since the last change; "
+                                              "null: there is none")  # fmt: skip
     skipped: dict[str, str] = Field(description="what gave no hit, and why")

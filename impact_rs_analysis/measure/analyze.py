@@ -7,6 +7,8 @@ fit. Missing trials of the manifest are listed.
 
 from __future__ import annotations
 
+import functools
+import json
 import math
 from collections import Counter, defaultdict
 from collections.abc import Callable, Sequence
@@ -18,6 +20,7 @@ from typing import Any
 import numpy as np
 
 from impact_rs_analysis.measure.arms import ArmDocument, arms_of
+from impact_rs_analysis.measure.departure import ObjectLeft, objects_left
 from impact_rs_analysis.measure.far import Jump, far_jumps
 from impact_rs_analysis.measure.linear_fit import FitError, LineFit, fit_zero_crossing
 from impact_rs_analysis.measure.net_feedback import TrialFeedback, net_feedback
@@ -245,6 +248,7 @@ class Analysis:
             stay in the fit.
         limited: Trials with a joint at its torque limit in the window, with its name and duration [s]; they stay in the
             fit.
+        left: Sets whose object left the pad after the hit, which no prediction knows; they stay in the fit.
         sensitivity: Sensitivity of the estimates to settings; empty if none was varied.
         unsealed: Bags without checksums, in which changes are not detected.
         arms: Arms of the trials.
@@ -258,6 +262,7 @@ class Analysis:
     no_impact: tuple[str, ...]
     apart: tuple[tuple[str, float], ...] = ()
     limited: tuple[tuple[str, str, float], ...] = ()
+    left: tuple[ObjectLeft, ...] = ()
     sensitivity: Sensitivity = Sensitivity()
     unsealed: tuple[str, ...] = ()
     arms: tuple[ArmDocument, ...] = ()
@@ -324,6 +329,7 @@ class Analysis:
             "missing": list(self.missing),
             "no_impact": list(self.no_impact),
             "limited": [{"trial": name, "joint": joint, "time_s": time} for name, joint, time in self.limited],
+            "object_left": [entry.to_json() for entry in self.left],
             "apart": [{"trial": name, "between_impacts_s": spread} for name, spread in self.apart],
         }
 
@@ -436,6 +442,9 @@ def analyze_campaign(
             for trial in trials
             for entry in trial.limited
         ),
+        left=tuple(
+            objects_left({key: [trial.departures for trial in own if trial.impact] for key, own in groups.items()})
+        ),
         sensitivity=sensitivity_of(measured, others),
         arms=arms_of(
             Physics.nominal(scenario, next(iter(scenario.objects)))
@@ -457,15 +466,28 @@ def _missing(directory: Path, skipped: list[SkippedBag]) -> list[str]:
     return [key.name for key in manifest.keys if not (directory / key.name).exists()]
 
 
+@functools.lru_cache(maxsize=64)
+def _version_of(scenario_json: str) -> str:
+    """A recorded scenario without how well its numbers are known, which is no part of a trial."""
+    try:
+        data = json.loads(scenario_json)
+        data.pop("uncertainty", None)
+        for robot in data["robots"].values():
+            robot["drive"].pop("assumed", None)
+    except (ValueError, KeyError, AttributeError):  # what it is instead, the reader of the trial says
+        return scenario_json
+    return json.dumps(data)
+
+
 def _one_scenario_each(trials: list[TrialFeedback], skipped: list[SkippedBag]) -> list[TrialFeedback]:
     """Leave out trials recorded with another version of the scenario than most others of that name."""
     versions: dict[str, Counter[str]] = defaultdict(Counter)
     for trial in trials:
-        versions[trial.info.scenario][trial.info.scenario_json] += 1
+        versions[trial.info.scenario][_version_of(trial.info.scenario_json)] += 1
     common = {name: counter.most_common(1)[0][0] for name, counter in versions.items()}
     kept = []
     for trial in trials:
-        if trial.info.scenario_json == common[trial.info.scenario]:
+        if _version_of(trial.info.scenario_json) == common[trial.info.scenario]:
             kept.append(trial)
         else:
             reason = f"recorded with another version of scenario {trial.info.scenario!r} than most trials of the folder"

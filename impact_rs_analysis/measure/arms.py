@@ -8,9 +8,9 @@ from collections.abc import Iterable
 from pydantic import Field
 
 from impact_rs_sim.paths import config_directory
-from impact_rs_sim.physics import Physics
+from impact_rs_sim.physics import Physics, assumed_words
 from impact_rs_sim.robot import RobotFacts, load_facts
-from impact_rs_sim.schema import Schema
+from impact_rs_sim.schema import Schema, omitted
 
 
 class ArmDocument(Schema):
@@ -23,6 +23,7 @@ class ArmDocument(Schema):
     motor_inertia_rotor_kg_m2: tuple[float, ...] = Field(description="B_rho by joint [kg m^2]")
     motor_inertia_reduced_kg_m2: tuple[float, ...] = Field(description="reflected at the links, B_theta [kg m^2]")
     torque_limits_Nm: tuple[float, ...] = Field(description="torque limits by joint [N m]")
+    assumed: tuple[str, ...] = omitted((), description="what is assumed of it, neither measured nor published")
 
     @property
     def title(self) -> str:
@@ -54,6 +55,15 @@ def arms_of(worlds: Iterable[Physics]) -> tuple[ArmDocument, ...]:
                 motor_inertia_rotor_kg_m2=tuple(arm.motor_inertia_rotor.tolist()),
                 motor_inertia_reduced_kg_m2=tuple(arm.motor_inertia_reduced.tolist()),
                 torque_limits_Nm=arm.facts.limits.torque_Nm,
+                assumed=arm.assumed,
             )
             found.setdefault(document)
     return tuple(found)
+
+
+def assumptions(arms: Iterable[ArmDocument]) -> list[str]:
+    """What of arms is assumed, as one sentence in a list; empty: nothing."""
+    by_arm: dict[str, tuple[str, ...]] = {}
+    for arm in arms:  # an arm may have one document a scenario
+        by_arm[arm.name] = tuple(dict.fromkeys((*by_arm.get(arm.name, ()), *arm.assumed)))
+    return [*filter(None, [assumed_words(by_arm)])]

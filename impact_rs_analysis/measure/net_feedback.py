@@ -17,6 +17,7 @@ from pathlib import Path
 
 import numpy as np
 
+from impact_rs_analysis.measure.departure import Departure, departures
 from impact_rs_sim.robot import Array
 from impact_rs_sim.scenario import AXES
 from impact_rs_trials.bags.reader import BagError, ControllerColumns, TrialBag
@@ -48,6 +49,7 @@ class TrialFeedback:
         nets: The same of every arm by itself [m/s].
         limited: Joints at their torque limit within the window, with the duration [s]; their feedback was not
             delivered, so the integral is not valid.
+        departures: How object and pads part after the hit.
     """
 
     path: Path
@@ -62,6 +64,7 @@ class TrialFeedback:
     net: float
     nets: dict[str, float]
     limited: tuple[tuple[str, float], ...] = ()
+    departures: tuple[Departure, ...] = ()
 
     @property
     def name(self) -> str:
@@ -144,6 +147,7 @@ def net_feedback(bag: TrialBag) -> TrialFeedback:
         net=net,
         nets=nets,
         limited=tuple(entry for arm, state in columns.items() for entry in _limited(bag, arm, state)),
+        departures=departures(bag, columns),
     )
 
 

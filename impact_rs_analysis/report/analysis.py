@@ -11,7 +11,7 @@ from pathlib import Path
 
 from impact_rs_analysis.evidence.tracks import Track, track_of_bag
 from impact_rs_analysis.measure.analyze import Analysis, ArmSet, ExperimentSet
-from impact_rs_analysis.measure.arms import ArmDocument
+from impact_rs_analysis.measure.arms import ArmDocument, assumptions
 from impact_rs_analysis.measure.far import far_words
 from impact_rs_analysis.measure.sensitivity import setting_words
 from impact_rs_analysis.measure.table import Row, result_table, shown_contacts
@@ -138,6 +138,11 @@ class AnalysisPage:
     sets: tuple[SetPart, ...]
     contact: str
     replay: ReplayPart | None
+
+    @property
+    def assumptions(self) -> list[str]:
+        """What of the arms is assumed, as one sentence; empty: nothing."""
+        return assumptions(self.arms)
 
     @property
     def setting_words(self) -> list[str]:
@@ -285,6 +290,10 @@ def _left_out(analysis: Analysis) -> list[Listing]:
     return [
         Listing("Sets without an estimate", tuple((f"{s.object} {s.case}", s.reason) for s in analysis.incomplete)),
         Listing("Trials without impact, not in the fit", tuple((name, "") for name in analysis.no_impact)),
+        Listing(
+            "Sets whose object does not stay at the pad",
+            tuple((f"{left.object} {left.case}", left.words) for left in analysis.left),
+        ),
         Listing(
             "Trials in which one arm hit long before another",
             tuple((name, f"{1e3 * spread:.0f}\N{NO-BREAK SPACE}ms") for name, spread in analysis.apart),

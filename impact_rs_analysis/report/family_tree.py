@@ -47,12 +47,14 @@ class Bought:
         round: The round.
         total: Trials up to it.
         error: Error of its model with all trials, in multiples of repeatability; None: not compared yet.
+        predicted: Error of its model in the trials of the round alone, which it had not seen; None: not known.
         possible: Effects that may still be missing; None: not diagnosed yet.
     """
 
     round: Round
     total: int
     error: float | None
+    predicted: float | None
     possible: int | None
 
 
@@ -131,7 +133,8 @@ def bought_of(rounds: Sequence[Round]) -> list[Bought]:
             left = {effect.name for effect in basis.effects if effect.measured and effect.verdict not in out}
             possible = len(left | set(basis.suspected))
         error = None if here.comparison is None else here.comparison.score
-        found.append(Bought(here, measured(rounds[:number]), error, possible))
+        predicted = None if here.prediction_error is None else here.prediction_error.error
+        found.append(Bought(here, measured(rounds[:number]), error, predicted, possible))
     return found
 
 

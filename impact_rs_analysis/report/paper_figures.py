@@ -24,12 +24,14 @@ class PaperPage:
 
     Attributes:
         title: Heading.
+        answer: What the page says, in a sentence.
         scale: Motor-inertia scale of the fit to all rows [-].
         plot: Mismatch over the scale.
         rows: Published rows with their mismatch at the scale [%].
     """
 
     title: str
+    answer: str
     scale: float
     plot: Plot
     rows: tuple[tuple[PaperResult, float], ...]
@@ -80,8 +82,9 @@ def write_paper(study: PaperStudy, directory: Path) -> list[Path]:
     figure = paper_figure(study)
     page = PaperPage(
         title="The published experiment as a measurement",
+        answer=figure.caption,
         scale=study.all_rows.scale,
-        plot=Plot(figure.name, curves_plot(figure), figure.caption, zoom=True),
+        plot=Plot(figure.name, curves_plot(figure), zoom=True),
         rows=tuple(zip(study.results, study.fitted.tolist(), strict=True)),
     )
     data = json.dumps(study.to_json(), indent=2) + "\n"

@@ -115,11 +115,22 @@ def write_run(run: Run, path: Path, beside: Track | None = None, model: str = ""
     Args:
         run: The run.
         path: The page; an earlier one is replaced.
-        beside: The run beside its replay; None: the whole run alone.
-        model: Name of the model of that replay.
+        beside: As for :func:`run_page`.
+        model: As for :func:`run_page`.
 
     Raises:
         InputError: The page cannot be written.
+    """
+    return _write(run_page(run, beside, model), path)
+
+
+def run_page(run: Run, beside: Track | None = None, model: str = "") -> TrialPage:
+    """Content of the page of a run of another controller.
+
+    Args:
+        run: The run.
+        beside: The run beside its replay; None: the whole run alone.
+        model: Name of the model of that replay.
     """
     track = track_of_recording(run) if beside is None else replace(beside, label=run.name)
     scenario, object_name, condition = run.place
@@ -138,7 +149,7 @@ def write_run(run: Run, path: Path, beside: Track | None = None, model: str = ""
         facts.append(("Impact", found))
     if beside is not None:
         facts.append(("Model", f"{model}, from the measured state at the begin of every window; the rest is left out"))
-    return _write(_page(f"Run {run.name}", tuple(facts), run.remarks, track), path)
+    return _page(f"Run {run.name}", tuple(facts), run.remarks, track)
 
 
 def _write(page: TrialPage, path: Path) -> Path:

@@ -60,6 +60,19 @@ class EvidencePackage(Schema):
         """The package with the seal of its present content."""
         return self.model_copy(update={"seal": self._digest()})
 
+    def repeats(self, other: EvidencePackage) -> float:
+        """Share of the measurements that the other package has as well, in bytes of the smaller of both [-].
+
+        Files are compared by their digests, names do not count; measurements that were written anew are not found.
+        """
+        own, theirs = self._bytes(), other._bytes()
+        common = sum(own[digest] for digest in own.keys() & theirs.keys())
+        return common / max(min(sum(own.values()), sum(theirs.values())), 1)
+
+    def _bytes(self) -> dict[str, int]:
+        """Size of every file by its digest; an empty one counts as one byte."""
+        return {one.sha256: max(one.size, 1) for one in self.data}
+
     @property
     def intact(self) -> bool:
         """Whether the seal is that of the content."""

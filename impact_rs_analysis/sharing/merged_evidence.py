@@ -1,6 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """What several packages of evidence say together, parameter by parameter.
 
+Packages of the same measurements are one piece of evidence, whatever laboratories they name: they are refused, by the
+digests of their files. Packages that have less than half of their measurements in common are named.
+
 A parameter of an effect is pooled over all packages that estimate it (:mod:`impact_rs_analysis.sharing.meta_analysis`);
 a standard error is the 95 % interval over 2 x 1.96.
 
@@ -20,6 +23,7 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import combinations
 
 import numpy as np
 import scipy
@@ -37,6 +41,7 @@ DIFFERENT = 0.01  # p of heterogeneity below which packages differ
 FACTORS = ("robot", "object", "laboratory")
 SHARED = "shared"
 UNCLEAR = "unclear"
+REPEATED = 0.5  # share of its measurements from which on a package repeats another one; files beside them may be alike
 LEAST = 3  # packages of a parameter without which none is called odd
 
 
@@ -91,6 +96,9 @@ class MergedEvidence(Schema):
     parameters: tuple[MergedParameter, ...] = Field(description="parameters that two packages or more estimate")
     odd: dict[str, tuple[str, ...]] = Field(description="odd laboratories, with the parameters where they are")
     left_out: tuple[str, ...] = Field(description="estimates that could not be merged, with the reason")
+    in_common: tuple[str, ...] = Field(
+        (), description="packages with some files of measurements in common, whose estimates may depend on each other"
+    )
 
 
 @dataclass(frozen=True)
@@ -116,9 +124,10 @@ def merge_packages(packages: Sequence[EvidencePackage]) -> MergedEvidence:
         packages: Two or more, of diagnoses of one model.
 
     Raises:
-        InputError: There are fewer than two, one was changed or is given twice, or they diagnosed different models.
+        InputError: There are fewer than two, one was changed or is given twice, two hold the same measurements, or they
+            diagnosed different models.
     """
-    _check_mergeable(packages)
+    in_common = _check_mergeable(packages)
     named = {name for package in packages for name in package.diagnosis.named}
     studies, left_out = _studies(packages, named)
     kept, odd = _without_odd(studies)
@@ -134,10 +143,12 @@ def merge_packages(packages: Sequence[EvidencePackage]) -> MergedEvidence:
         parameters=tuple(parameters),
         odd={laboratory: tuple(dict.fromkeys(where)) for laboratory, where in sorted(odd_laboratories.items())},
         left_out=tuple(left_out),
+        in_common=in_common,
     )
 
 
-def _check_mergeable(packages: Sequence[EvidencePackage]) -> None:
+def _check_mergeable(packages: Sequence[EvidencePackage]) -> tuple[str, ...]:
+    """Packages that have some files in common, in words."""
     if len(packages) < 2:
         raise InputError(f"{len(packages)} package of evidence; expected two or more")
     for package in packages:
@@ -153,6 +164,17 @@ def _check_mergeable(packages: Sequence[EvidencePackage]) -> None:
         raise InputError(
             f"the packages diagnose different models, whose estimates cannot be compared ({listed}); diagnose one model"
         )
+    in_common = []
+    for one, other in combinations(packages, 2):
+        share = one.repeats(other)
+        if share >= REPEATED:
+            raise InputError(
+                f"the packages of {one.name} and of {other.name} hold the same measurements ({share:.0%} of their "
+                "bytes, by SHA-256): they are one piece of evidence, not two; give one of them"
+            )
+        if share > 0.0:
+            in_common.append(f"{one.name}, and {other.name}: {share:.1%} of the bytes of their measurements")
+    return tuple(in_common)
 
 
 def _studies(

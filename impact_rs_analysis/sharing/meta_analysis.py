@@ -7,7 +7,11 @@
     Q     = sum w_i (y_i - m)^2                                          heterogeneity; chi^2 (k - 1) at tau = 0
     tau^2 = max(0, (Q - (k - 1)) / (W - sum w_i^2 / W))                  DerSimonian and Laird 1986
     mu    = sum w*_i y_i / W*,  w*_i = 1 / (s_i^2 + tau^2)
-    var   = sum w*_i (y_i - mu)^2 / ((k - 1) W*), Student's t of k - 1   Hartung 1999, Knapp and Hartung 2003
+    q     = sum w*_i (y_i - mu)^2 / (k - 1)                              Hartung 1999
+    var   = max(1, q) / W*, Student's t of k - 1                         Knapp and Hartung 2003
+
+The floor of 1 is theirs, too (Roever, Knapp and Friede, BMC Medical Research Methodology 15:99, 2015): a
+few studies agree by chance better than their errors allow, and q alone then gives an interval that is too short.
 
 An odd study has a large studentised residual from the others (Viechtbauer and Cheung 2010),
 
@@ -75,8 +79,8 @@ def pool(values: Sequence[float], errors: Sequence[float]) -> Pooled:
     q, tau = _heterogeneity(y, s)
     weight = 1.0 / (s**2 + tau**2)
     mean = float(weight @ y / weight.sum())
-    variance = float(weight @ (y - mean) ** 2 / ((count - 1) * weight.sum()))
-    half = float(scipy.stats.t.ppf(0.5 + LEVEL / 2.0, count - 1) * np.sqrt(variance))
+    scatter = float(weight @ (y - mean) ** 2) / (count - 1)
+    half = float(scipy.stats.t.ppf(0.5 + LEVEL / 2.0, count - 1) * np.sqrt(max(1.0, scatter) / weight.sum()))
     p_value = float(scipy.stats.chi2.sf(q, count - 1))
     return Pooled(mean, mean - half, mean + half, tau, q, p_value, count)
 

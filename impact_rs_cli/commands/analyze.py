@@ -10,6 +10,7 @@ from rich.table import Table
 from rich.text import Text
 
 from impact_rs_analysis.measure.analyze import Analysis, analyze_campaign
+from impact_rs_analysis.measure.arms import assumptions
 from impact_rs_analysis.measure.far import far_words
 from impact_rs_analysis.measure.table import Row, result_table, shown_contacts
 from impact_rs_analysis.measure.velocity_jumps import jumps_of
@@ -115,8 +116,12 @@ def _show(analysis: Analysis, terminal: Terminal) -> None:
         terminal.say(_arms_table(by_arm))
     if warning := far_words(analysis.jumps):
         terminal.warn(warning)
+    for left in analysis.left:
+        terminal.warn(f"{left.object} {left.case}: {left.words}")
     if analysis.sensitivity.shifts:
         terminal.say(_bands(analysis))
+    for note in assumptions(analysis.arms):
+        terminal.say(f"note: {note}")
     for entry in analysis.incomplete:
         terminal.say(f"no estimate for {entry.object} {entry.case}: {entry.reason}")
     for bag in analysis.skipped:

@@ -10,14 +10,16 @@ from rich.table import Table
 from impact_rs_analysis.design.design import design
 from impact_rs_analysis.design.possible_trials import Envelope
 from impact_rs_analysis.diagnosis.document import read_document
-from impact_rs_analysis.diagnosis.next_experiment import left_open
+from impact_rs_analysis.diagnosis.next_experiment import considered, left_open
 from impact_rs_cli.arguments import started
 from impact_rs_cli.measurements import read
 from impact_rs_cli.parser import PROGRAM
 from impact_rs_cli.terminal import Terminal, output_folder
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.model import load_model
+from impact_rs_sim.schema import load
 from impact_rs_sim.seeds import seed_of
+from impact_rs_trials.envelope import CellEnvelope
 from impact_rs_trials.experiment_plan import ExperimentPlan, write_plan
 
 MOST_PAIRS = 8
@@ -29,7 +31,8 @@ def run(args: argparse.Namespace, terminal: Terminal) -> int:
     model = load_model(args.model)
     if args.output is not None and args.output.is_dir():
         raise InputError("this is a folder; name a file, for example plan.yaml", file=args.output)
-    envelope = Envelope(args.speed, args.force)
+    cell = None if args.envelope is None else load(CellEnvelope, args.envelope)
+    envelope = Envelope(args.speed, args.force, cell)
     decide, earlier = None, ""
     if args.after is not None:
         document = read_document(args.after)
@@ -39,6 +42,7 @@ def run(args: argparse.Namespace, terminal: Terminal) -> int:
             decide = left_open(document, model)
         except InputError as error:
             raise error.in_file(args.after) from None
+        model = considered(document, model)
         earlier = document.runs.digest
     with started(args) as map_tasks:
         runs = None if args.runs is None else read(args.runs, map_tasks, terminal)

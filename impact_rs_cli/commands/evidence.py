@@ -84,6 +84,8 @@ def _show(merged: MergedEvidence, terminal: Terminal) -> None:
     terminal.say(table)
     for laboratory, where in merged.odd.items():
         terminal.say(f"ODD: {laboratory} does not agree with the others in {', '.join(where)}; left out there")
+    for text in merged.in_common:
+        terminal.warn(f"in common: {text}; where these are measurements, their estimates depend on each other")
     for text in merged.left_out[:MOST_LEFT_OUT]:
         terminal.say(f"left out: {text}")
     if len(merged.left_out) > MOST_LEFT_OUT:

@@ -10,10 +10,10 @@ from rich.markup import escape
 from rich.table import Table
 
 from impact_rs_analysis.following.follow import Follower
-from impact_rs_analysis.following.lessons import FollowDocument, HitDocument, NextHit
-from impact_rs_analysis.following.state import restore_state, save_state
+from impact_rs_analysis.following.lessons import ChangeDiagnosis, FollowDocument, HitDocument, NextHit
 from impact_rs_cli.arguments import number, on_local_runs
-from impact_rs_cli.following import HitsArguments, diagnose_command, door_of
+from impact_rs_cli.following import FollowedHits, HitsArguments, diagnose_words, door_of, folder_of_diagnoses
+from impact_rs_cli.full_diagnosis import FullDiagnosis
 from impact_rs_cli.parser import PROGRAM
 from impact_rs_cli.terminal import Terminal
 from impact_rs_sim.errors import InputError
@@ -37,18 +37,28 @@ def run(args: argparse.Namespace, terminal: Terminal) -> int:
         args.runs, args.impacts, args.scenario, str(args.model), args.contact_tolerance, args.no_discrepancy
     )
     model = load_model(args.model)
+    door = door_of(hits, model)
+    follower = Follower(door, model, args.effects, args.learn, args.mean_time)
+    diagnosis = FullDiagnosis(diagnose_words(hits, args.effects), folder_of_diagnoses(args.diagnoses, args.state))
+    followed = FollowedHits(hits, follower, args.state, None if args.no_diagnosis else diagnosis)
+    if count := followed.restore():
+        terminal.say(f"state: goes on after {count} hits")
     documents: list[HitDocument] = []
-    with terminal.progress("reading hits") as report:
-        door = door_of(hits, model, report)
-        follower = Follower(door, model, args.effects, args.learn, args.mean_time)
-        if args.state is not None and args.state.exists():
-            terminal.say(f"state: goes on after {restore_state(follower, args.state)} hits")
-        documents += follower.arrived()
-    for document in documents:
-        _say(document, hits, terminal)
-    _save(follower, args)
-    if args.live:
-        documents += _live(follower, hits, args, terminal)
+    with terminal.progress("following hits") as report:
+        for document in followed.arrived():
+            documents.append(document)
+            _say(document, diagnosis, terminal)
+            report(len(documents), len(documents) + door.waiting)
+    followed.save()
+    found = None
+    try:
+        _say_more(followed, terminal)
+        if args.live:
+            documents += _live(followed, diagnosis, terminal)
+        else:
+            found = _awaited(diagnosis, terminal)
+    finally:
+        diagnosis.stop()
     for name, reason in door.skipped.items():
         terminal.warn(f"left out: {name}: {reason}")
     result = FollowDocument(
@@ -56,6 +66,7 @@ def run(args: argparse.Namespace, terminal: Terminal) -> int:
         hits=tuple(documents),
         followed=follower.followed(),
         prediction=follower.prediction(),
+        diagnosis=found,
         skipped=door.skipped,
     )
     _show(result, follower, terminal)
@@ -66,29 +77,45 @@ def run(args: argparse.Namespace, terminal: Terminal) -> int:
     return 0
 
 
-def _save(follower: Follower, args: argparse.Namespace) -> None:
-    if args.state is not None:
-        save_state(follower, args.state)
-
-
-def _live(follower: Follower, hits: HitsArguments, args: argparse.Namespace, terminal: Terminal) -> list[HitDocument]:
+def _live(followed: FollowedHits, diagnosis: FullDiagnosis, terminal: Terminal) -> list[HitDocument]:
     """Wait for further hits until Ctrl-C."""
-    terminal.say(f"waiting for hits in {hits.where}; Ctrl-C ends")
+    terminal.say(f"waiting for hits in {followed.hits.where}; Ctrl-C ends")
     found: list[HitDocument] = []
     try:
         while True:
-            fresh = list(follower.arrived())
-            for document in fresh:
-                _say(document, hits, terminal, every=True)
-            if fresh:
-                _save(follower, args)
-                found += fresh
+            for document in followed.arrived():
+                found.append(document)
+                _say(document, diagnosis, terminal, every=True)
+            _say_more(followed, terminal)
+            _say_diagnosis(diagnosis.ended(), terminal)
             time.sleep(POLLED)
     except KeyboardInterrupt:
         return found
 
 
-def _say(document: HitDocument, hits: HitsArguments, terminal: Terminal, every: bool = False) -> None:
+def _awaited(diagnosis: FullDiagnosis, terminal: Terminal) -> ChangeDiagnosis | None:
+    """The full diagnosis that was started, when it has ended; None: there is none, or Ctrl-C ended it."""
+    try:
+        return _say_diagnosis(diagnosis.ended(wait=True), terminal)
+    except KeyboardInterrupt:
+        terminal.say("full diagnosis: stopped")
+        return None
+
+
+def _say_more(followed: FollowedHits, terminal: Terminal) -> None:
+    """Start the full diagnosis that is due, and say so."""
+    if text := followed.diagnose():
+        terminal.say(f"{text}, in a process of its own")
+
+
+def _say_diagnosis(found: ChangeDiagnosis | None, terminal: Terminal) -> ChangeDiagnosis | None:
+    """Say how a full diagnosis has ended."""
+    if found is not None:
+        terminal.say(f"full diagnosis: {found.words}", f"  {found.file}")
+    return found
+
+
+def _say(document: HitDocument, diagnosis: FullDiagnosis, terminal: Terminal, every: bool = False) -> None:
     """Say what a hit taught: changes and odd hits, or every hit."""
     if every and document.error is not None:
         terminal.say(
@@ -107,7 +134,7 @@ def _say(document: HitDocument, hits: HitsArguments, terminal: Terminal, every: 
                 f"{change.hits} hits"
             )
         )
-        terminal.say(f"  full diagnosis, of hits since then: {diagnose_command(hits)}")
+        terminal.say(f"  full diagnosis of the hits since then: {diagnosis.command(change.since)}")
 
 
 def _show(document: FollowDocument, follower: Follower, terminal: Terminal) -> None:
@@ -136,7 +163,7 @@ def _show_prediction(prediction: NextHit, terminal: Terminal) -> None:
     table = Table(title=escape(f"Next hit{what}, if it starts as {prediction.like}"), title_justify="left")
     for heading in ("signal", "", "prediction", "95 % interval", "unit"):
         table.add_column(heading, no_wrap=True)
-    shown = [value for value in prediction.values if value.phase != "free"]
+    shown = [value for value in prediction.values if value.phase != "free"] or list(prediction.values)
     for value in shown[:MOST_SHOWN]:
         estimate, low, high = estimate_text(value.value, value.ci95)
         table.add_row(value.signal, value.index, estimate, f"{low} ... {high}", value.unit)

@@ -40,7 +40,8 @@ def run(args: argparse.Namespace, terminal: Terminal) -> int:
     if "experiment.yaml" in draft.texts:
         steps = f"impacts {draft.folder} --experiment {args.output / 'experiment.yaml'} -o impacts.csv"
     else:
-        target = draft.folder if draft.runs > 1 else args.files[0]
+        folders = {file.parent for file in args.files}
+        target = args.files[0] if len(args.files) == 1 else folders.pop() if len(folders) == 1 else draft.folder
         steps = f"compare {target} --mapping {args.output / 'mapping.yaml'}"
     terminal.say(f"next: look at what is assumed, then {PROGRAM} {steps}")
     return 0

@@ -63,6 +63,12 @@ def settings_of(args: argparse.Namespace) -> Settings:
     """
     model = load_model(args.model)
     check_effects(model, args.effects)
+    for name in args.scenarios:
+        if (arms := len(load_scenario(name).robots)) > 1:
+            raise InputError(
+                f"scenario {name!r} has {arms} arms, and an investigation has one; measure it with campaign {name} -o "
+                "DIR, and go on with diagnose DIR"
+            )
     if args.blind is None and (args.kind != "single" or args.effect is not None):
         raise InputError("--kind and --effect say what --blind SEED hides; give it, too")
     if args.blind is not None and args.via == "cell":

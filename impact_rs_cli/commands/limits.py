@@ -18,6 +18,7 @@ from impact_rs_analysis.report.speed_limits import limits_document, write_limits
 from impact_rs_cli.arguments import settings_of, started
 from impact_rs_cli.terminal import Terminal, output_folder
 from impact_rs_sim.errors import InputError
+from impact_rs_sim.physics import Physics
 from impact_rs_sim.scenario import load_scenario
 
 
@@ -69,6 +70,8 @@ def run(args: argparse.Namespace, terminal: Terminal) -> int:
         terminal.say(f"nearest bound of {count} of {len(found)}: {binding}")
     for kind in found[0].unknown:
         terminal.warn(f"no bound of the {WORDS[kind]} is known: it limits nothing here (robot facts, section reflexes)")
+    if note := Physics.nominal(scenario, objects[0]).assumed:
+        terminal.say(f"note: {note}")
     if places:
         reached = [one.limit.speed for one in places if one.limit is not None]
         span = f"{min(reached):.3f} to {max(reached):.3f} m/s" if reached else "no speed: none can be reached"

@@ -16,13 +16,16 @@ from impact_rs_sim.impact_map import ImpactProblem, predict_impact
 from impact_rs_sim.impact_map.derivatives import Derivatives, differentiate_safely, velocity_names
 from impact_rs_sim.impact_map.uncertainty import LEVEL, UncertainPrediction, predict
 from impact_rs_sim.impact_map.uniqueness import CHOICE, Uniqueness, uniqueness_of
+from impact_rs_sim.model import load_model
 from impact_rs_sim.numbers import estimate_text
+from impact_rs_sim.physics import assumed_words
 from impact_rs_sim.scenario import load_scenario
 from impact_rs_sim.scene import Scene
 from impact_rs_trials.map_table import answer_table, write_answers
 from impact_rs_trials.recordings.impact_table import read_impact_table
 
 MOST_SWITCHES = 3  # that are shown; all are in the JSON document
+UNUSED = ("drive.stiffness", "drive.damping")  # by the rigid impact map
 LEAST_SWITCHES = 0.01  # share of the draws from which one is shown
 
 
@@ -34,7 +37,8 @@ def run(args: argparse.Namespace, terminal: Terminal) -> int:
         raise InputError("expected SCENARIO OBJECT CASE, or --table FILE -o FILE")
     scenario = load_scenario(args.scenario).with_settings(settings_of(args))
     scenario.object(args.object)
-    scene = Scene.resolve(scenario, args.object, args.case)
+    scene, model = Scene.resolve(scenario, args.object, args.case), load_model(args.model)
+    scene = scene.under(model.apply(scene.physics))
     problem = ImpactProblem.at_nominal_impact(scene, args.motor_inertia)
     first_only = args.engine == "bullet" or args.uncertainty or args.derivatives or args.restitution_law
     if args.contact == "settled" and first_only:
@@ -48,14 +52,17 @@ def run(args: argparse.Namespace, terminal: Terminal) -> int:
     several = uniqueness_of(problem, scene.models) if args.contact == "first" else None
     prediction = predict(problem, scenario.uncertainty, scene.models) if args.uncertainty else None
     slopes = differentiate_safely(problem, scene.models) if args.derivatives else None
+    assumed = {name: [item for item in arm.assumed if item not in UNUSED] for name, arm in scene.physics.arms.items()}
     before = {name: scene.models[name].jacobian(arm.position) @ arm.velocity for name, arm in scene.arms.items()}
     terminal.result(
         {
             "scenario": scenario.name,
             "object": args.object,
             "case": scene.case_name,
+            "model": model.name,
             "motor_inertia": args.motor_inertia,
             "contact": args.contact,
+            "assumed": {name: words for name, words in assumed.items() if words},
             "ante": {
                 "end_effector_twist": {name: twist.tolist() for name, twist in before.items()},
                 "joint_position": {name: arm.position.tolist() for name, arm in scene.arms.items()},
@@ -86,7 +93,8 @@ def run(args: argparse.Namespace, terminal: Terminal) -> int:
         }
     )
     labels = f"{scenario.object(args.object).label}, {scenario.case(args.case).label}"
-    terminal.say(f"{scenario.name}: {labels}, motor inertia '{args.motor_inertia}', contact '{args.contact}'")
+    of_model = f", model {model.name!r}" if model.effects else ""
+    terminal.say(f"{scenario.name}: {labels}{of_model}, motor inertia '{args.motor_inertia}', contact '{args.contact}'")
     for name, twist in result.end_effector_twist.items():
         terminal.say(f"  {name:<8} v before {_vector(before[name][:3])} m/s, after {_vector(twist[:3])} m/s")
     terminal.say(f"  {'object':<8} v after  {_vector(result.object_twist[:3])} m/s")
@@ -99,6 +107,8 @@ def run(args: argparse.Namespace, terminal: Terminal) -> int:
         _say_uncertainty(prediction, terminal)
     if slopes is not None:
         _say_derivatives(slopes, problem, f"{next(iter(scene.arms))}.velocity.{scenario.axis}", terminal)
+    if note := assumed_words(assumed):
+        terminal.say(f"note: {note}")
     if several is not None and several.warning:
         terminal.warn(several.warning)
     return 0
@@ -110,6 +120,8 @@ def _many(args: argparse.Namespace, terminal: Terminal) -> int:
         raise InputError("--table needs -o FILE for the answers (.csv or .parquet)")
     if args.object is not None or args.uncertainty or args.derivatives or args.restitution_law or args.settings:
         raise InputError("with --table give at most a SCENARIO; its columns hold everything else")
+    if str(args.model) != "nominal":
+        raise InputError("--model is for one prediction; rows of a --table have the scenario's own physics")
     scenario = load_scenario(args.scenario) if args.scenario is not None else None
     table = read_impact_table(args.table, scenario, questions=True)
     with started(args) as map_tasks:

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import argparse
 from dataclasses import asdict
+from functools import partial
 
 from rich.table import Table
 
@@ -14,11 +15,15 @@ from impact_rs_sim.robot import load_facts
 from impact_rs_sim.robot_check import check_drives, check_facts
 from impact_rs_sim.robot_import import import_urdf, save_facts
 from impact_rs_sim.scenario import load_scenario
+from impact_rs_trials.recordings.measured_limits import measured_limits
 
 
 def import_robot(args: argparse.Namespace, terminal: Terminal) -> int:
     """Import and write."""
-    robot = import_urdf(args.urdf, args.base, args.tip, args.source, args.limits, args.inertia_at, args.lock)
+    measured = {} if args.measured is None else {"measured": partial(measured_limits, args.measured)}
+    robot = import_urdf(
+        args.urdf, args.base, args.tip, args.source, args.limits, args.inertia_at, args.lock, **measured
+    )
     with output_folder(args.output.parent):
         save_facts(robot, f"Facts about a robot, made from {args.urdf.name} by impact-rs robot import.", args.output)
     terminal.result({"file": str(args.output), "joints": list(robot.joints), "notes": list(robot.notes)})

@@ -7,6 +7,7 @@ numbers follow from those of the scene. Both, and what the format cannot hold, s
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -64,7 +65,8 @@ class DescriptionFormat:
             *(f"* {one}" for one in left_out),
         ]
         if self.xml:
-            comment = "\n".join(said).replace("--", "- -")  # XML allows no double hyphen in a comment
+            # XML allows no double hyphen in a comment: options lose theirs, everything else is parted.
+            comment = re.sub(r"(?<![\w-])--(?=\w)", "", "\n".join(said)).replace("--", "- -")
             text = f'<?xml version="1.0"?>\n<!--\n{comment}\n-->\n{body}\n'
         else:
             text = "#usda 1.0\n" + "".join(f"# {line}".rstrip() + "\n" for line in said) + body

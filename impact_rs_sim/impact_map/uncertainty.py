@@ -378,13 +378,16 @@ def _differences(usual: tuple[str, ...], there: tuple[str, ...]) -> list[str]:
 
 
 def possible(problem: ImpactProblem, amounts: Mapping[str, float]) -> dict[str, float]:
-    """Amounts that leave masses, inertias and friction positive, and restitution between 0 and 1."""
+    """Amounts that leave masses, inertias and friction positive, and restitution between 0 and 1.
+
+    A tenth of a motor inertia is left: simulators with springs in the joints divide by it.
+    """
     physics, object_ = problem.physics, problem.physics.object
     least = {"object.mass": -0.99 * object_.mass, "pad_friction": -physics.pad_friction}
     least |= {"support_friction": -physics.support_friction, "restitution": -problem.restitution}
     least |= {f"object.inertia.{axis}": -0.99 * value for axis, value in zip(AXES, object_.inertia, strict=True)}
     for name, motor in problem.motor_inertia.items():
-        least |= {f"{name}.motor_inertia.{joint + 1}": -value for joint, value in enumerate(motor)}
+        least |= {f"{name}.motor_inertia.{joint + 1}": -0.9 * value for joint, value in enumerate(motor)}
         least[f"{name}.link_inertia"] = -0.99
     possible = {name: max(amount, float(least.get(name, -np.inf))) for name, amount in amounts.items()}
     if "restitution" in possible:

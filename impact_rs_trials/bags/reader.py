@@ -15,6 +15,7 @@ from types import MappingProxyType
 from typing import Any, TypeVar
 
 import numpy as np
+import yaml
 from rosbags.interfaces import Connection
 from rosbags.rosbag2 import Reader, ReaderError
 from rosbags.typesys.store import Typestore
@@ -132,6 +133,29 @@ class PoseColumns:
 
 
 Columns = TypeVar("Columns", JointColumns, ControllerColumns, PoseColumns)
+
+
+def recorded_at(path: Path) -> float:
+    """When a bag was recorded, seconds since 1970, by its metadata alone; where that says nothing, when it was written.
+
+    Args:
+        path: Folder of the bag; its messages may be damaged.
+    """
+    found = None
+    with suppress(OSError, yaml.YAMLError, UnicodeDecodeError, KeyError, TypeError):
+        text = (path / checksums.METADATA).read_text(encoding="utf-8")
+        custom = yaml.load(text, yaml.CSafeLoader)["rosbag2_bagfile_information"]["custom_data"]
+        found = _recorded(custom)
+    return path.stat().st_mtime if found is None else found
+
+
+def _recorded(metadata: Mapping[str, str]) -> float | None:
+    """When a bag was recorded, seconds since 1970; None: by another program, or simulated, when time means nothing."""
+    if metadata.get("via") in VIA.values():
+        return None
+    with suppress(KeyError, ValueError, TypeError):
+        return datetime.fromisoformat(metadata[RECORDED]).timestamp()
+    return None
 
 
 class TrialBag:
@@ -264,16 +288,7 @@ class TrialBag:
         """
         remarks = (OF_THE_TWIN,) if self.info.simulator == "twin" else ()
         run = run_of_trial(self.info.spec, self._signals(), self.path)
-        return replace(run, recorded=self._recorded, remarks=remarks)
-
-    @property
-    def _recorded(self) -> float | None:
-        """When it was recorded, seconds since 1970; None: by another program, or simulated, when time means nothing."""
-        if self.info.via in VIA.values():
-            return None
-        with suppress(KeyError, ValueError):
-            return datetime.fromisoformat(self.metadata[RECORDED]).timestamp()
-        return None
+        return replace(run, recorded=_recorded({**self.metadata, "via": self.info.via}), remarks=remarks)
 
     def _signals(self) -> Signals:
         """Measured signals, checked."""

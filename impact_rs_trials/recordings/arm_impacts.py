@@ -20,12 +20,11 @@ from numpy.typing import NDArray
 
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.robot import Array
-from impact_rs_trials.recordings.clock_offset import clocks_apart
+from impact_rs_trials.recordings.clock_offset import OBJECT_SIGNALS, clocks_apart
 from impact_rs_trials.recordings.experiment import RunRow
 from impact_rs_trials.recordings.impact_rows import ArmInImpact, Impact, NoRow
 from impact_rs_trials.recordings.joint_jumps import SMALLEST, JointJump, jumps_of
 from impact_rs_trials.recordings.laboratory import (
-    OBJECT_SIGNALS,
     SLOW_POSE,
     ArmSeries,
     Laboratory,
@@ -87,13 +86,13 @@ def impacts_of_run(laboratory: Laboratory, run: RunRow) -> tuple[list[Impact | N
     try:
         arms = on_clock_of_joints(laboratory, run, wanted, NEEDED, remarks)
     except InputError as error:
-        return [NoRow(run.name, error.message)], ()
+        return [NoRow(run.label, error.message)], ()
     pose = arms[laboratory.tracker].get("object_pose")
     if pose is None:
-        return [NoRow(run.name, "the object was not tracked")], tuple(remarks)
+        return [NoRow(run.label, "the object was not tracked")], tuple(remarks)
     moments = _moments(laboratory, arms)
     if isinstance(moments, str):
-        return [NoRow(run.name, moments)], tuple(remarks)
+        return [NoRow(run.label, moments)], tuple(remarks)
     values = in_inertial_frame(laboratory.motion_capture, run, pose.values)
     rotations = np.array([pin.XYZQUATToSE3(row).rotation for row in values])
     start = float(arms[laboratory.tracker]["position"].time[0])
@@ -102,7 +101,7 @@ def impacts_of_run(laboratory: Laboratory, run: RunRow) -> tuple[list[Impact | N
     own = [jumps[laboratory.tracker] for jumps in moments]
     apart = clocks_apart(pose, arms[laboratory.tracker]["position"], own, run.path)
     if apart is not None and (abs(apart.offset) < BEFORE or isinstance(result[0], NoRow)):
-        return [NoRow(run.name, apart.in_words(laboratory.mappings[laboratory.tracker]))], tuple(remarks)
+        return [NoRow(run.label, apart.in_words(laboratory.mappings[laboratory.tracker]))], tuple(remarks)
     if 0 < len(found) < len(moments):
         remarks.append(
             "joint velocities jump at other times as well: no rows, for the object changes its velocity much less "
@@ -194,7 +193,7 @@ def _with_object(seen: _Seen, jumps: Jumps, between: tuple[float, float]) -> Imp
     early = np.flatnonzero((pose_time >= max(time - BEFORE, between[0])) & (pose_time < time))
     late = np.flatnonzero((pose_time > time) & (pose_time <= min(time + AFTER[1], between[1])))
     if early.size < LEAST_OBJECT:
-        return NoRow(run.name, f"{early.size} samples of the object before the impact, of {LEAST_OBJECT}")
+        return NoRow(run.label, f"{early.size} samples of the object before the impact, of {LEAST_OBJECT}")
     ante = _before(pose_time, seen.positions, seen.rotations, early, time)
     scenario = laboratory.scenario
     outcomes = _slid(seen, time, ante) if between[1] == np.inf else {}
@@ -203,7 +202,7 @@ def _with_object(seen: _Seen, jumps: Jumps, between: tuple[float, float]) -> Imp
         way = outcomes.get("slide_distance [m]")
         if way is None:
             return NoRow(
-                run.name,
+                run.label,
                 f"{late.size} samples of the object at {seen.rate:.0f} Hz after the impact, and it does not come to "
                 "rest: no velocity after",
             )
@@ -218,7 +217,7 @@ def _with_object(seen: _Seen, jumps: Jumps, between: tuple[float, float]) -> Imp
     noise = (float(np.hypot(noise[0], ante.noise[0])), float(np.hypot(noise[1], ante.noise[1])))
     before = ante.at(time)[2]
     if float(np.linalg.norm(post_twist[:3] - before[:3])) < JUMPS * noise[0]:
-        return NoRow(run.name, "the velocity of the object does not change beyond its noise")
+        return NoRow(run.label, "the velocity of the object does not change beyond its noise")
     position, rotation, _ = ante.at(time)
     size = np.array(scenario.object(run.object).size)
     placed = np.concatenate((position, pin.Quaternion(rotation).coeffs()))[None]
@@ -226,7 +225,7 @@ def _with_object(seen: _Seen, jumps: Jumps, between: tuple[float, float]) -> Imp
         try:
             check_touch(run.path, laboratory.models[arm], run.object, size, jump.position[None], placed)
         except InputError as error:
-            return NoRow(run.name, f"{laboratory.label(arm)}{error.message}")
+            return NoRow(run.label, f"{laboratory.label(arm)}{error.message}")
     tolerance = 2.0 * (ante.scatter[0] + 0.5 * ante.scatter[1] * float(np.max(size)))
     states = {
         arm: ArmInImpact(
@@ -239,8 +238,8 @@ def _with_object(seen: _Seen, jumps: Jumps, between: tuple[float, float]) -> Imp
         for arm, jump in jumps.items()
     }
     return Impact(
-        run.name, run.condition, run.object, time - seen.start, position, rotation, before, post_twist, noise,
-        tolerance, law, states, outcomes, turn_tracked,
+        run.label, run.condition, run.object, time - seen.start, position, rotation, before, post_twist, noise,
+        tolerance, law, states, outcomes, turn_tracked, session=run.session,
     )  # fmt: skip
 
 

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from impact_rs_sim.errors import InputError, did_you_mean
 from impact_rs_sim.robot import Array
-from impact_rs_trials.recordings.clock import seconds_of
+from impact_rs_trials.recordings.clock import seconds_of, seconds_of_pair
 from impact_rs_trials.recordings.mapping import UNITS, WIDTH, Mapping, SignalName, SignalSource
 from impact_rs_trials.recordings.mat_file import read_mat
 from impact_rs_trials.recordings.series import MissingSignal, Names, Series
@@ -26,6 +26,7 @@ UNSEALED = (
     "changes of numbers cannot be detected (fletcher32 in h5py)"
 )
 TIME_KEY = "time.array"
+HDF5 = (".h5", ".hdf5")
 REAL = "iuf"  # kinds of NumPy types whose numbers are taken: no complex ones, truth values, texts or durations
 
 
@@ -47,7 +48,9 @@ class ArrayFile:
     def __init__(self, path: Path, mapping: Mapping, names: Names) -> None:
         self._path, self._mapping, self._names = path, mapping, names
         self.unsealed: frozenset[str] = frozenset()
-        self._arrays, self.unsealed = _read(path)
+        named = [array for source in mapping.signals.values() for array in _arrays_of(source, mapping)]
+        within = {names.fill(array).strip("/") for array in named} if mapping.holds_runs else None
+        self._arrays, self.unsealed = _read(path, within)
 
     @staticmethod
     def arrays_of(path: Path) -> dict[str, NDArray[Any]]:
@@ -68,6 +71,15 @@ class ArrayFile:
         """
         return {name: array.shape for name, array in _read(path)[0].items()}
 
+    @staticmethod
+    def names_of(path: Path) -> list[str]:
+        """Names of the arrays of a file.
+
+        Raises:
+            InputError: It is no such file.
+        """
+        return list(_read(path, set())[0]) if path.suffix in HDF5 else list(_read(path)[0])
+
     def series(self, name: SignalName, source: SignalSource) -> Series:
         """One signal in SI units.
 
@@ -83,12 +95,21 @@ class ArrayFile:
             values = values[:, None]
         time = self._time(source, name, values)
         remarks: tuple[str, ...] = (UNSEALED.format(self._path.name),) if self.unsealed else ()
-        if values.shape == (width, time.size) and width != time.size:
-            values = values.T
+        whole = values.shape[1] if source.entries is not None and values.ndim == 2 else width
+        if values.ndim == 2 and values.shape[0] != time.size == values.shape[1]:
+            whole, values = values.shape[0] if source.entries is not None else width, values.T
             remarks += (f"{place} is joints x samples, and was turned",)
-        if values.shape != (time.size, width):
+        if values.shape != (time.size, whole):
             expected = f"{time.size} samples x {width} {'numbers' if name in WIDTH else 'joints'}"
-            raise InputError(f"{place} is {values.shape}, expected {expected}", file=self._path)
+            more = ""
+            if values.ndim == 2 and values.shape[0] == time.size and values.shape[1] > width:
+                more = f"; entries in the mapping says which of the {values.shape[1]} numbers"
+            raise InputError(f"{place} is {values.shape}, expected {expected}{more}", file=self._path)
+        if source.entries is not None:
+            if whole < max(source.entries):
+                said = f"{place} has {whole} numbers a sample, expected at least the {max(source.entries)} of entries"
+                raise InputError(said, file=self._path, key=f"signals.{name}.entries")
+            values = values[:, [entry - 1 for entry in source.entries]]
         return Series(place, time + source.delay, self._mapping.to_si(name, values), remarks=remarks).sampled()
 
     def _time(self, source: SignalSource, name: SignalName, values: Array) -> Array:
@@ -97,22 +118,28 @@ class ArrayFile:
         if clock.rate is not None:
             width = self._mapping.width(name)
             count = values.size // width if values.ndim == 2 and width in values.shape else 0
+            count = len(values) if source.entries is not None else count
             return np.asarray(np.arange(count) / clock.rate)
         if clock.unit == "date":
             said = "arrays hold numbers, expected their unit: s, ms, us or ns"
             raise InputError(said, file=self._path, key="time.unit", value=clock.unit)
-        array = self._names.fill(source.time_array or clock.array)
-        stamps = self._stamps(array, f"time of {name}", f"signals.{name}.time_array" if source.time_array else TIME_KEY)
-        if stamps.ndim == 2 and 1 in stamps.shape:  # a vector of MATLAB
-            stamps = stamps.ravel()
+        named = source.time_array or clock.array
+        key = f"signals.{name}.time_array" if source.time_array else TIME_KEY
+        if not isinstance(named, str):
+            pair = [self._names.fill(one) for one in named]
+            whole, rest = (self._stamps(one, f"time of {name}", key) for one in pair)
+            return seconds_of_pair(self._path, f"arrays {pair[0]!r} and {pair[1]!r} (time)", whole, rest)
+        array = self._names.fill(named)
+        stamps = self._stamps(array, f"time of {name}", key)
         if stamps.ndim != 1:
             raise InputError(f"array {array!r} (time) is {stamps.shape}, expected one number a sample", file=self._path)
         return seconds_of(stamps, UNITS["time"][clock.unit])
 
     def _stamps(self, name: str, meaning: str, key: str) -> NDArray[Any]:
-        """An array of time, in whole numbers where it holds those."""
+        """An array of time, in whole numbers where it holds those; a vector of MATLAB has one axis."""
         as_numbers, as_stored = self._array(name, meaning, key), self._arrays[name.strip("/")]
-        return as_stored if np.issubdtype(as_stored.dtype, np.integer) else as_numbers
+        stamps = as_stored if np.issubdtype(as_stored.dtype, np.integer) else as_numbers
+        return stamps.ravel() if stamps.ndim == 2 and 1 in stamps.shape else stamps
 
     def _array(self, name: str, meaning: str, key: str) -> Array:
         name = name.strip("/")
@@ -126,12 +153,18 @@ class ArrayFile:
         return np.asarray(stored, dtype=float)
 
 
-def _read(path: Path) -> tuple[dict[str, Array], frozenset[str]]:
-    """Arrays by name, and which of them carry no checksums."""
+def _arrays_of(source: SignalSource, mapping: Mapping) -> list[str]:
+    """Names of the arrays of a signal and of its stamps."""
+    time = source.time_array or mapping.time.array
+    return [*([source.array] if source.array else []), *([time] if isinstance(time, str) else time)]
+
+
+def _read(path: Path, within: set[str] | None = None) -> tuple[dict[str, Array], frozenset[str]]:
+    """Arrays by name, and which of them carry no checksums; of HDF5 files others than those within are left empty."""
     if path.suffix == ".npz":
         return _read_npz(path), frozenset()
-    if path.suffix != ".mat":
-        return _read_hdf5(path)
+    if path.suffix in HDF5:
+        return _read_hdf5(path, within)
     with path.open("rb") as file:
         newest = file.read(128).startswith(b"MATLAB 7.3")
     if not newest:
@@ -154,7 +187,7 @@ def _read_npz(path: Path) -> dict[str, Array]:
     return arrays
 
 
-def _read_hdf5(path: Path) -> tuple[dict[str, Array], frozenset[str]]:
+def _read_hdf5(path: Path, within: set[str] | None = None) -> tuple[dict[str, Array], frozenset[str]]:
     """Arrays by name, and which of them carry no checksums."""
     require("h5py", path)
     import h5py
@@ -166,6 +199,9 @@ def _read_hdf5(path: Path) -> tuple[dict[str, Array], frozenset[str]]:
         if isinstance(name, bytes):  # no text in UTF-8
             raise InputError(f"not a readable HDF5 file (name {name!r})", file=path)
         if not isinstance(item, h5py.Dataset):
+            return
+        if within is not None and name not in within:
+            arrays[name] = np.zeros(0)
             return
         if item.is_virtual or item.external:
             raise InputError(f"array {name!r} is made of other files, expected its numbers in this one", file=path)

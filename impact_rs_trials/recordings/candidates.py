@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Final
 
@@ -34,6 +34,8 @@ OBJECT_POSE: Final = "object_pose"
 # Parts of an arm from base to tip, for joints that are named after them and not numbered.
 PARTS = ("rail", "base", "shoulder_pan", "shoulder_lift", "shoulder", "upper_arm", "elbow", "forearm", "wrist")
 PART_OF_ARM = re.compile(rf"({'|'.join(PARTS)})(_?\d)?(_joint)?(?=[^a-z]|$)", re.IGNORECASE)
+MOST_BESIDE = 2  # numbers of a gripper beside those of the joints
+FIRST = ", the first "  # behind it stands how many numbers of a wider signal are taken
 MOST_LOOKED_AT = 50  # rows
 FINGERS = re.compile("finger|gripper|hand", re.IGNORECASE)
 
@@ -138,6 +140,34 @@ def joints_of(names: Sequence[str], arm: str, several: bool, count: int) -> tupl
     if len(own) > count:
         own = [name for name in own if not FINGERS.search(name)]
     return tuple(own[:count])
+
+
+def first_of(candidate: SignalCandidate, count: int) -> SignalCandidate | None:
+    """The first numbers of a wider signal, as many as an arm has joints: a gripper may stand behind them.
+
+    Args:
+        candidate: What may be wider.
+        count: How many joints the arm has.
+
+    Returns:
+        None: it is no wider signal of a table or of arrays.
+    """
+    source = candidate.source
+    if candidate.pose or candidate.joints or "topic" in source or not 0 < candidate.width - count <= MOST_BESIDE:
+        return None
+    if "columns" in source:
+        source = {"columns": source["columns"][:count]}
+    elif "{joint}" not in source.get("column", ""):  # which stands for as many as there are joints
+        source = {**source, "entries": list(range(1, count + 1))}
+    return replace(candidate, label=f"{candidate.label}{FIRST}{count}", source=source, width=count)
+
+
+def width_of(shape: tuple[int, ...]) -> int:
+    """How many numbers a sample of an array has, samples x numbers or the other way round, as in MATLAB; 0: none."""
+    if len(shape) != 2:
+        return 0
+    width = shape[0] if shape[0] <= MOST_WIDE < shape[1] else shape[1]
+    return width if width <= MOST_WIDE else 0
 
 
 def _in_bag(path: Path) -> list[SignalCandidate]:
@@ -264,11 +294,12 @@ def _alike_but_a_word(columns: Sequence[str]) -> Iterator[SignalCandidate]:
 def _in_arrays(path: Path) -> list[SignalCandidate]:
     found = []
     for name, shape in ArrayFile.shapes_of(path).items():
-        if len(shape) != 2 or not 1 < shape[1] <= MOST_WIDE:
+        width = width_of(shape)
+        if width < 2:
             continue
-        pose = shape[1] == len(POSE_COLUMNS) and _is_of_an_object(name)
+        pose = width == len(POSE_COLUMNS) and _is_of_an_object(name)
         guess = OBJECT_POSE if pose else guess_of(name)
-        found.append(SignalCandidate(f"{name} ({shape[0]} × {shape[1]})", {"array": name}, pose, guess, shape[1]))
+        found.append(SignalCandidate(f"{name} ({shape[0]} × {shape[1]})", {"array": name}, pose, guess, width))
     return found
 
 

@@ -117,6 +117,30 @@ def seconds_of(stamps: NDArray[Any], unit: float) -> Array:
     return np.asarray(stamps // each + (stamps % each) * unit)
 
 
+def seconds_of_pair(path: Path, place: str, seconds: NDArray[Any], nanoseconds: NDArray[Any]) -> Array:
+    """Stamps in seconds, of whole seconds and the nanoseconds beside them, ``(k,)``.
+
+    Args:
+        path: File, for messages.
+        place: Columns or arrays, for messages.
+        seconds: Whole seconds, ``(k,)``.
+        nanoseconds: 0 to 999 999 999, ``(k,)``.
+
+    Raises:
+        InputError: They are no such numbers.
+    """
+    if seconds.shape != nanoseconds.shape or seconds.ndim != 1:
+        said = f"{place}: {seconds.shape} and {nanoseconds.shape}, expected two numbers a sample"
+        raise InputError(said, file=path)
+    for numbers, what, below in ((seconds, "whole seconds", 2**33), (nanoseconds, "nanoseconds", 10**9)):
+        wrong = ~((numbers >= 0) & (numbers < below) & (np.mod(numbers, 1) == 0))
+        if np.any(wrong):
+            row = int(np.argmax(wrong))
+            said = f"{place}: sample {row + 1} has {numbers[row]:.12g} where {what} are expected, 0 ... {below - 1}"
+            raise InputError(f"{said}; the first counts seconds, the second the nanoseconds beside them", file=path)
+    return seconds_of(seconds.astype(np.int64) * 10**9 + nanoseconds.astype(np.int64), 1e-9)
+
+
 def gaps(time: Array, longest: float) -> list[Gap]:
     """Stretches longer than ``longest`` [s] without samples; ``time`` increases, ``(k,)`` [s]."""
     steps = np.diff(time)

@@ -38,7 +38,7 @@ FOUND_BY: dict[SignalName, str] = {
     "torque": "the weight at the positions",
     "command": "the weight at the positions",
 }
-OBJECT: tuple[SignalName, ...] = ("object_pose", "object_position", "object_quaternion")
+OBJECT_SIGNALS: tuple[SignalName, ...] = ("object_pose", "object_position", "object_quaternion")
 AGREE = (0.010, 1.5)  # s, and periods of the pose, within which an object starts when it is hit,
 SURE = 5.0  # and standard deviations
 LEAST_OVERLAP = 0.5  # of the shorter stream
@@ -175,7 +175,7 @@ class ClocksApart:
 
     def in_words(self, mapping: Mapping) -> str:
         """Evidence and remedy."""
-        keys = " and ".join(f"signals.{name}.clock: own" for name in OBJECT if name in mapping.signals)
+        keys = " and ".join(f"signals.{name}.clock: own" for name in OBJECT_SIGNALS if name in mapping.signals)
         return f"{self.evidence}: another clock? Remedy in the mapping: {keys}"
 
 

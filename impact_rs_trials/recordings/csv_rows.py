@@ -4,12 +4,19 @@
 from __future__ import annotations
 
 import csv
+import re
+from collections.abc import Sequence
 from pathlib import Path
 
 from impact_rs_sim.errors import InputError
 
+DECIMAL_COMMA = re.compile(r"(?<=\d),(?=\d)")
+WITH_COMMA = re.compile(r"[+-]?\d+,\d+([eE][+-]?\d+)?")
 
-def csv_rows(path: Path, header: int | None = None, first: int | None = None) -> list[tuple[int, list[str]]]:
+
+def csv_rows(
+    path: Path, header: int | None = None, first: int | None = None, point: str = "."
+) -> list[tuple[int, list[str]]]:
     """Cells of every row with the line it stands in, counted from 1.
 
     Cells are separated by commas, semicolons or tabs, whichever the first row has most of, or by blanks where it has
@@ -21,6 +28,7 @@ def csv_rows(path: Path, header: int | None = None, first: int | None = None) ->
         header: Line of the names, which may begin with #; lines above it are no rows. 0: the file has no names; None:
             they stand in the first line that is not skipped.
         first: Line of the first row below the names; None: the next.
+        point: Decimal sign; a comma then separates no cells, and becomes a point between two digits.
 
     Raises:
         InputError: It cannot be read, or a line is no row; the message names the line.
@@ -39,10 +47,14 @@ def csv_rows(path: Path, header: int | None = None, first: int | None = None) ->
         lines = lines[: header != 0] + [(number, line) for number, line in lines[header != 0 :] if number >= first]
     if not lines:
         return []
-    separator = separator_of(lines[0][1])
+    separator = separator_of(lines[0][1], point)
     if separator is None:
-        return [(number, line.split()) for number, line in lines]
-    return [(number, _cells(path, number, line, separator)) for number, line in lines]
+        rows = [(number, line.split()) for number, line in lines]
+    else:
+        rows = [(number, _cells(path, number, line, separator)) for number, line in lines]
+    if point == ".":
+        return rows
+    return [(number, [DECIMAL_COMMA.sub(".", cell) for cell in row]) for number, row in rows]
 
 
 def read_lines(path: Path) -> list[tuple[int, str]]:
@@ -60,22 +72,31 @@ def read_lines(path: Path) -> list[tuple[int, str]]:
     return list(enumerate(text.split("\n"), 1))
 
 
-def separator_of(line: str) -> str | None:
+def decimal_sign(lines: Sequence[str]) -> str:
+    """Comma where lines are cells between semicolons or tabs that hold one comma each, between digits, at most."""
+    rows = [re.split(r"[;\t]", line) for line in lines]
+    cells = [cell.strip() for row in rows for cell in row if len(row) > 1]
+    with_comma = [bool(WITH_COMMA.fullmatch(cell)) for cell in cells]
+    return "," if any(with_comma) and sum(with_comma) == sum("," in cell for cell in cells) else "."
+
+
+def separator_of(line: str, point: str = ".") -> str | None:
     """What separates the cells of a line: comma, semicolon or tab, whichever it has most of; None: blanks."""
-    separator = max(",;\t", key=line.count)
+    separator = max(";\t" if point == "," else ",;\t", key=line.count)
     return None if separator not in line and len(line.split()) > 1 else separator
 
 
-def split_line(line: str) -> list[str]:
+def split_line(line: str, point: str = ".") -> list[str]:
     """Cells of a line that may be no row; where quotation marks do not pair up, what stands between separators."""
-    separator = separator_of(line)
+    separator = separator_of(line, point)
     if separator is None:
-        return line.split()
-    try:
-        (cells,) = csv.reader([line.rstrip("\r")], delimiter=separator, skipinitialspace=True, strict=True)
-    except (csv.Error, ValueError):
-        cells = line.split(separator)
-    return cells
+        cells = line.split()
+    else:
+        try:
+            (cells,) = csv.reader([line.rstrip("\r")], delimiter=separator, skipinitialspace=True, strict=True)
+        except (csv.Error, ValueError):
+            cells = line.split(separator)
+    return [DECIMAL_COMMA.sub(".", cell) for cell in cells] if point == "," else cells
 
 
 def _cells(path: Path, number: int, line: str, separator: str) -> list[str]:

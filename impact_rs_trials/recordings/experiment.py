@@ -36,6 +36,7 @@ KINDS = (HIT, FREE_MOTION)
 NO_OBJECT = "none"
 BODY = "body"  # object of runs without a robot
 COLUMNS = ("bag", "object", "kind")
+SESSION = "session"  # column of the table of runs that the table of impacts has as well
 YAML = (".yaml", ".yml")
 FRICTION_NOISE = 0.1  # relative standard deviation of a scenario's friction, where nothing is said
 MOST_LISTED = 20  # names of runs in an error
@@ -232,17 +233,24 @@ class RunRow:
         object: Name of the object that is hit; None in free motion.
         hit: Whether something is hit.
         condition: Further columns, joined by ``/``.
+        session: Column ``session``, of which the condition is a part; empty: the table has none.
     """
 
     path: Path
     object: str | None
     hit: bool
     condition: str
+    session: str = ""
 
     @property
     def name(self) -> str:
         """Name of the recording, without the ending of a file."""
         return name_of(self.path)
+
+    @property
+    def label(self) -> str:
+        """The name, behind that of the session, in which it may be the only one of this name."""
+        return f"{self.session}/{self.name}" if self.session else self.name
 
 
 def read_runs(directory: Path, experiment: Experiment, scenario: Scenario | None) -> list[RunRow]:
@@ -267,7 +275,6 @@ def read_runs(directory: Path, experiment: Experiment, scenario: Scenario | None
         raise InputError(f"no table of runs {experiment.runs!r} in {folders}{near}", file=directory)
     objects = [BODY] if scenario is None else list(scenario.objects)
     mappings = list(experiment.load_mappings([BODY] if scenario is None else scenario.robots).values())
-    spread = mappings if all(mapping.spread for mapping in mappings) else []
     header, rows = _table(path)
     place = {name: header.index(name) for name in header}
     further = [name for name in header if name not in COLUMNS]
@@ -287,12 +294,12 @@ def read_runs(directory: Path, experiment: Experiment, scenario: Scenario | None
             )
         if not hit and name not in (NO_OBJECT, ""):
             raise _wrong(path, line, "object", name, f"expected {NO_OBJECT!r}, nothing is touched in free motion")
-        recording = _recording(path, line, directory, cells["bag"], spread)
+        recording = _recording(path, line, directory, cells["bag"], mappings)
         if recording in seen:
             raise _wrong(path, line, "bag", cells["bag"], f"stands in line {seen[recording]} already")
         seen[recording] = line
         condition = "/".join(cells[name] for name in further)
-        runs.append(RunRow(recording, name if hit else None, hit, condition))
+        runs.append(RunRow(recording, name if hit else None, hit, condition, cells.get(SESSION, "")))
     return runs
 
 
@@ -347,20 +354,20 @@ def _table(path: Path) -> tuple[list[str], list[tuple[int, list[str]]]]:
     return header, rows
 
 
-def _recording(table: Path, line: int, directory: Path, name: str, spread: Sequence[Mapping]) -> Path:
-    """File or folder that a row names; the ending of a file may be left out, and of several files stand run alone."""
+def _recording(table: Path, line: int, directory: Path, name: str, mappings: Sequence[Mapping]) -> Path:
+    """What a row names: a file, without its ending perhaps, a run inside of it, a folder, or a run of several files."""
     if not name:
         raise _wrong(table, line, "bag", name, "expected the name of a recording")
     path = directory / name
-    if spread:
-        runs = spread_runs(path.parent, spread[0]) if path.parent.is_dir() else {}
+    if all(mapping.spread for mapping in mappings):
+        runs = spread_runs(path.parent, mappings[0]) if path.parent.is_dir() else {}
         if path in runs:
             return path
-        files = ", ".join(sorted({str(source.file) for mapping in spread for source in mapping.signals.values()}))
+        files = ", ".join(sorted({str(source.file) for mapping in mappings for source in mapping.signals.values()}))
         near = did_you_mean(path.name, [run.name for run in runs])
         raise _wrong(table, line, "bag", name, f"no such run among the files {files} in {path.parent}{near}")
     try:
-        if path.exists():
+        if path.exists() or path.parent.is_file() and any(mapping.holds_runs for mapping in mappings):
             return path
     except (OSError, ValueError):  # a name that no file can have
         raise _wrong(table, line, "bag", name, "expected the name of a recording") from None

@@ -3,16 +3,20 @@
 
     hit_1.csv, hit_2.csv                                       a file per run
     IIWA_7_hit_{run}.csv, object_1_hit_{run}.csv               a file per signal and run in one folder
+    object_{object}_hit_{run}.csv                              the same, where the name of the object differs as well
     run_1/joints.csv, run_1/pose.csv, run_2/joints.csv, ...    a folder per run
+    monday/hit_1.csv, tuesday/hit_1.csv, ...                   any of these in a folder per session
 
-Names that differ in numbers alone are of one kind; the last number that differs is the run's.
+Names that differ in numbers alone are of one kind; the last number that differs is the run's, or several at the end
+where files of all kinds have them. A run is known by its folder and its number: two sessions may count from 1.
 """
 
 from __future__ import annotations
 
+import os
 import re
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from impact_rs_sim.errors import InputError
@@ -28,21 +32,37 @@ from impact_rs_trials.recordings.sources import (
 NUMBER = re.compile(r"\d+")
 
 
+WORD = re.compile(r"[^\W_]+")  # of a name, between what separates words
+RUN = "{run}"
+OBJECT = "{object}"
+
+
 @dataclass(frozen=True)
 class FileGroups:
     """Files by kind and run.
 
     Attributes:
         folder: Folder that runs are named from.
-        kinds: Files by run, by name of the kind with ``{run}`` for the run.
+        kinds: Files by run, by name of the kind with ``{run}`` for the run and ``{object}`` for its object.
         runs: Names of the runs as seen from the folder, in natural order.
         spread: Whether a run lies in several files, so that every signal needs its ``file``.
+        objects: Objects by run, as far as names of files say them.
+        left_out: Files whose names say no run, beside others that do.
     """
 
     folder: Path
     kinds: dict[str, dict[str, Path]]
     runs: tuple[str, ...]
     spread: bool
+    objects: Mapping[str, str] = field(default_factory=dict)
+    left_out: tuple[Path, ...] = ()
+
+    @property
+    def sessions(self) -> dict[str, str]:
+        """Folder of every run as seen from :attr:`folder`; empty where folders do not hold several runs."""
+        found = {run: os.path.dirname(run) for run in self.runs}
+        several = 1 < len(set(found.values())) < len(self.runs)
+        return {run: session or "." for run, session in found.items()} if several else {}
 
 
 def recordings_in(paths: Sequence[Path]) -> list[Path]:
@@ -78,59 +98,124 @@ def group_files(files: Sequence[Path]) -> FileGroups:
 
     Args:
         files: Files and folders of bags, at least one.
+
+    Raises:
+        InputError: Two files would be the same of one run.
     """
-    folders = sorted({file.parent for file in files})
+    if any(file.is_absolute() for file in files):
+        files = [file.absolute() for file in files]
+    root = Path(os.path.commonpath([file.parent for file in files]))
+    by_folder: dict[Path, list[str]] = {}
+    for file in files:
+        by_folder.setdefault(file.parent, []).append(file.name)
+    if _are_runs(by_folder):
+        return _grouped(root, {file: (file.name, "") for file in files})
     shapes: dict[str, list[Path]] = {}
     for file in files:
-        shapes.setdefault(NUMBER.sub("0", file.name), []).append(file)
-    if len(folders) > 1 and all(_same_names(files, folder, folders[0]) for folder in folders):
-        above = folders[0].parent
-        kinds = {name: {f.parent.name: f for f in files if f.name == name} for name in sorted({f.name for f in files})}
-        return FileGroups(above, kinds, tuple(sorted((f.name for f in folders), key=natural)), True)
-    if len(shapes) == 1 or len(files) == 1:
-        folder = folders[0] if len(folders) == 1 else Path(*_common(folders))
-        by_run = {str(file.relative_to(folder)): file for file in files}
-        return FileGroups(folder, {"": by_run}, tuple(by_run), False)
-    kinds = {}
-    for alike in shapes.values():
-        for file in alike:
-            place = _place_of_run(file.name, alike, files)
-            numbers = list(NUMBER.finditer(file.name))
-            if place is None:
-                kinds.setdefault(file.name, {})[file.parent.name] = file
-                continue
-            start, end = numbers[place].span()
-            kinds.setdefault(f"{file.name[:start]}{{run}}{file.name[end:]}", {})[numbers[place][0]] = file
-    runs = sorted({run for by_run in kinds.values() for run in by_run}, key=natural)
-    return FileGroups(folders[0], kinds, tuple(runs), True)
+        shapes.setdefault(_shape(file.name), []).append(file)
+    if len(shapes) == 1:
+        by_run = {str(file.relative_to(root)): file for file in files}
+        return FileGroups(root, {"": by_run}, tuple(by_run), False)
+    return _grouped(root, dict(_with_runs(list(shapes.values()))))
 
 
-def _same_names(files: Sequence[Path], folder: Path, other: Path) -> bool:
-    names = [{file.name for file in files if file.parent == one} for one in (folder, other)]
-    return names[0] == names[1] and len(names[0]) > 1
+def _shape(name: str) -> str:
+    return NUMBER.sub("0", name)
 
 
-def _place_of_run(name: str, alike: Sequence[Path], every: Sequence[Path]) -> int | None:
-    """Which number of a name is that of the run: the last that differs; of a single file that which others share."""
-    columns = list(zip(*(NUMBER.findall(file.name) for file in alike), strict=True))
-    differing = [place for place, column in enumerate(columns) if len(set(column)) > 1]
-    if differing:
-        return differing[-1]
-    others: dict[str, set[str]] = {}
-    for file in every:
-        others.setdefault(NUMBER.sub("0", file.name), set()).update(NUMBER.findall(file.name))
-    own = enumerate(NUMBER.findall(name))
-    shared = [place for place, number in own if all(number in numbers for numbers in others.values())]
-    return shared[-1] if shared and len(others) > 1 else None
+def _are_runs(by_folder: dict[Path, list[str]]) -> bool:
+    """Whether every folder holds the files of one run: the same names in all of them, some of which are alone."""
+    if len(by_folder) < 2 or len({frozenset(names) for names in by_folder.values()}) > 1:
+        return False
+    names = next(iter(by_folder.values()))
+    shapes = [_shape(name) for name in names]
+    return len(names) > 1 and any(shapes.count(shape) == 1 for shape in shapes)
 
 
-def _common(folders: Sequence[Path]) -> tuple[str, ...]:
-    parts = []
-    for column in zip(*(folder.parts for folder in folders), strict=False):
-        if len(set(column)) > 1:
+def _with_runs(shapes: Sequence[Sequence[Path]]) -> Iterator[tuple[Path, tuple[str, str]]]:
+    """Name of the kind and run of every file, of files by shape of their names; the run is empty where none is said."""
+    differing = [_differing(alike) for alike in shapes]
+    runs: set[str] = set()
+    for count in range(min((len(places) for places in differing if places), default=0), 0, -1):
+        # Of several numbers at the end the run takes as many as files of all kinds have in common.
+        named = [
+            {_split(file.name, places[-count], places[-1])[1] for file in alike}
+            for alike, places in zip(shapes, differing, strict=True)
+            if places
+        ]
+        runs = set().union(*named)
+        if set.intersection(*named):
             break
-        parts.append(column[0])
-    return tuple(parts)
+    else:
+        count = 1
+    for alike, places in zip(shapes, differing, strict=True):
+        known = runs or _shared(shapes, alike)
+        for file in alike:
+            first, last = (places[-count], places[-1]) if places else (-1, -1)
+            if not places:
+                here = [place for place, number in enumerate(NUMBER.findall(file.name)) if number in known]
+                first = last = here[-1] if here else -1
+            yield file, _split(file.name, first, last) if last >= 0 else (file.name, "")
+
+
+def _differing(alike: Sequence[Path]) -> list[int]:
+    """Places of the numbers that differ between names of one shape."""
+    columns = zip(*(NUMBER.findall(file.name) for file in alike), strict=True)
+    return [place for place, column in enumerate(columns) if len(set(column)) > 1]
+
+
+def _split(name: str, first: int, last: int) -> tuple[str, str]:
+    """Name of a kind and run, of a file whose run goes from one of its numbers to another."""
+    numbers = list(NUMBER.finditer(name))
+    start, end = numbers[first].start(), numbers[last].end()
+    return f"{name[:start]}{RUN}{name[end:]}", name[start:end]
+
+
+def _shared(shapes: Sequence[Sequence[Path]], alike: Sequence[Path]) -> set[str]:
+    """Numbers that names of all other shapes have, where nothing tells runs from each other."""
+    others = [{number for file in own for number in NUMBER.findall(file.name)} for own in shapes if own is not alike]
+    return set.intersection(*others) if others else set()
+
+
+def _grouped(root: Path, named: Mapping[Path, tuple[str, str]]) -> FileGroups:
+    """Files by kind and run, of kind and run of every file; where none says a run, it is the folder."""
+    numbered = any(run for _, run in named.values())
+    left_out = tuple(file for file, (_, run) in named.items() if numbered and not run)
+    if not numbered and any(file.parent == root for file in named):
+        root = root.parent
+    kinds: dict[str, dict[str, Path]] = {}
+    for file, (kind, run) in named.items():
+        if file not in left_out:
+            key = str((file.parent / run if run else file.parent).relative_to(root))
+            before = kinds.setdefault(kind, {}).setdefault(key, file)
+            if before != file:
+                raise InputError(f"run {key} has {before} already; import them one after the other", file=file)
+    kinds, objects = _with_objects(kinds)
+    runs = sorted({run for by_run in kinds.values() for run in by_run}, key=natural)
+    return FileGroups(root, kinds, tuple(runs), True, objects, left_out)
+
+
+def _with_objects(kinds: dict[str, dict[str, Path]]) -> tuple[dict[str, dict[str, Path]], dict[str, str]]:
+    """Kinds that differ in one word and have no run in common are one, with a file of another kind for each run."""
+    families: dict[tuple[str, str], dict[str, str]] = {}
+    for kind in kinds:
+        for word in WORD.finditer(kind) if RUN in kind else ():
+            if word[0] not in (RUN.strip("{}"), Path(kind).suffix[1:]):
+                families.setdefault((kind[: word.start()], kind[word.end() :]), {})[word[0]] = kind
+    for (before, after), family in families.items():
+        # One that has all runs of another is beside it, as a robot, and not in its place.
+        own = {word: kind for word, kind in family.items() if not _is_beside(kinds, kind, family.values())}
+        runs = [run for kind in own.values() for run in kinds[kind]]
+        rest = {kind: by_run for kind, by_run in kinds.items() if kind not in own.values()}
+        if len(own) > 1 and len(set(runs)) == len(runs) and any(set(runs) <= set(by_run) for by_run in rest.values()):
+            merged = {run: file for kind in own.values() for run, file in kinds[kind].items()}
+            objects = {run: word for word, kind in own.items() for run in kinds[kind]}
+            return {**rest, f"{before}{OBJECT}{after}": merged}, objects
+    return kinds, {}
+
+
+def _is_beside(kinds: Mapping[str, Mapping[str, Path]], kind: str, family: Iterable[str]) -> bool:
+    return any(set(kinds[kind]) >= set(kinds[other]) for other in family if other != kind)
 
 
 def run_name(run: str) -> str:

@@ -21,7 +21,7 @@ from impact_rs_trials.recordings.laboratory import Laboratory, placed, with_obje
 from impact_rs_trials.recordings.mapping import Mapping, SignalName
 from impact_rs_trials.recordings.recording import find_recordings
 from impact_rs_trials.recordings.series import Names
-from impact_rs_trials.recordings.sources import read_series
+from impact_rs_trials.recordings.sources import read_series, runs_inside
 from impact_rs_trials.workers import Map
 
 SPIN = (
@@ -102,25 +102,26 @@ def _of_bodies(directory: Path, experiment: Experiment, body: Body, map_tasks: M
     (mapping,) = experiment.load_mappings(["body"]).values()
     plane = experiment.plane or Plane()
     tables = (directory / experiment.runs, experiment.folder / experiment.runs)
-    rows = [RunRow(path, "body", True, "") for path in find_recordings(directory)]
+    rows = [RunRow(run, "body", True, "") for path in find_recordings(directory) for run in runs_inside(path, mapping)]
     if any(table.is_file() for table in tables):
         rows = [row for row in read_runs(directory, experiment, None) if row.hit]
     runs, left_out = [], []
     for row, result in zip(rows, map_tasks(_track, [(row, mapping, body, plane) for row in rows]), strict=True):
         if isinstance(result, InputError):
-            left_out.append(NoRow(row.name, result.message))
+            left_out.append(NoRow(row.label, result.message))
         else:
             runs.append(result)
     impacts, out = impacts_of_bodies(runs, body)
-    conditions = {row.name: row.condition for row in rows}
-    named = [_with_condition(impact, conditions) for impact in impacts]
+    by_name = {row.label: row for row in rows}
+    named = [_with_condition(impact, by_name) for impact in impacts]
     constants = body_columns(body, plane)
     assumed = () if all(impact.turn_tracked for impact in impacts) else (SPIN,)
     return FoundImpacts(tuple(named), (*left_out, *out), len(rows), constants, assumed)
 
 
-def _with_condition(impact: Impact, conditions: dict[str, str]) -> Impact:
-    return replace(impact, condition=conditions.get(impact.run.split(", impact ")[0], ""))
+def _with_condition(impact: Impact, rows: dict[str, RunRow]) -> Impact:
+    row = rows[impact.run if impact.run in rows else impact.run.rsplit(", impact ", 1)[0]]
+    return replace(impact, condition=row.condition, session=row.session)
 
 
 def body_columns(body: Body, plane: Plane) -> dict[str, float]:
@@ -181,6 +182,6 @@ def _track(task: tuple[RunRow, Mapping, Body, Plane]) -> TrackedBody | InputErro
         if np.any(np.diff(pose.time) <= 0.0):
             raise InputError("time stamps stand still or run backwards; time.repeated: keep_first keeps one of each")
         spin = None if turned else np.array(body.spin)
-        return tracked_body(row.name, pose.time[finite], pose.values[finite], body, plane, spin)
+        return tracked_body(row.label, pose.time[finite], pose.values[finite], body, plane, spin)
     except InputError as error:
         return error

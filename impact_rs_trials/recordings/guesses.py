@@ -4,7 +4,8 @@
     clock     the column that increases and gives a sampling rate of 1 Hz to 100 kHz in its unit
     position  the unit in which all of them lie within the limits of the joints
     velocity  v = a dq/dt:  a is unit and sign
-    torque    tau = a (M ddq + h):  a is unit and sign; motor currents give another a for every joint
+    torque    tau = a (M ddq + h):  a is unit and sign; motor currents give another a for every joint, of one sign and
+              size; what repeats the motion with one factor in all joints was asked for, and is no torque
     pose      a unit quaternion beside three numbers within reach
 
 Signals and derivatives are compared after a moving average, because encoders are quantised.
@@ -29,6 +30,7 @@ from impact_rs_trials.recordings.mapping import SLIDES, TURNS, UNITS
 from impact_rs_trials.recordings.table_file import DATE
 
 STAMP = re.compile(r"(^|[^a-z])(t|time|times|timestamp|stamp|sec|secs|nsec)([^a-z]|$)|time|stamp", re.IGNORECASE)
+NANOSECONDS = re.compile(r"nano|n_?sec|(^|[^a-z])ns([^a-z]|$)", re.IGNORECASE)
 RATES = (1.0, 1e5)  # Hz, that a recording may have
 SMOOTHED = 0.05  # s, of the moving average
 FEWEST_SMOOTHED = 5  # samples
@@ -39,6 +41,10 @@ SURE_TORQUE = (0.5, 2.0)
 TOGETHER = 0.8  # least correlation from which a factor is believed,
 HARDLY = 0.5  # and from which it is assumed
 SURELY, ALIKE = 0.95, 0.1  # correlation, and spread of the factors of joints, of a velocity at another sampling rate
+COPIED, COPIED_FACTOR = 0.9, (0.8, 1.25)  # correlation and factor of a copy of the motion, of three joints and more,
+EXACTLY, EXACT_FACTOR = 0.999, (0.98, 1.02)  # and of fewer, of which a torque might look like one
+FEWEST_COPIED = 3
+MOST_APART = 30.0  # ratio of torque constants of one arm
 MOVES = 0.02  # of the data sheet's velocity, rms, from which a joint moves
 NOTICED = 0.3  # of what the largest joint takes by weight and inertia, in proportion to the robot [N m]
 LOOKED_AT = 400  # samples in which the torque is compared
@@ -66,13 +72,44 @@ class Guess:
 
 
 def clock_of(columns: AbstractMapping[str, Sequence[str] | NDArray[Any]]) -> Guess | None:
-    """The column of the stamps, with its unit; None: none can be."""
+    """The column of the stamps, with its unit, or those of whole seconds and of nanoseconds; None: none can be."""
     found: list[tuple[float, str, Guess]] = []
     for place, (name, cells) in enumerate(columns.items()):
         guess = _clock(name, cells)
         if guess is not None:
             found.append((2.0 * bool(STAMP.search(name)) - 0.01 * place, name, guess))
-    return max(found)[2] if found else None
+    pair = _clock_of_two(columns)
+    return pair or (max(found)[2] if found else None)
+
+
+def _clock_of_two(columns: AbstractMapping[str, Sequence[str] | NDArray[Any]]) -> Guess | None:
+    """Whole seconds that stay for many samples, and nanoseconds beside them that begin anew with each."""
+    whole = {name: stamps for name, cells in columns.items() if (stamps := _whole(cells)) is not None}
+    for name, rest in whole.items():
+        if not (NANOSECONDS.search(name) and rest.max() < 10**9):
+            continue
+        for other, seconds in whole.items():
+            if other == name or np.any(np.diff(seconds) < 0) or seconds[-1] >= 5e9:
+                continue
+            steps = np.diff(seconds * 10**9 + rest)
+            usual = float(np.median(steps[steps > 0])) if np.any(steps > 0) else np.inf
+            if np.all(steps >= 0) and RATES[0] <= 1e9 / usual <= RATES[1]:
+                said = f"whole seconds and nanoseconds; together they increase, at {1e9 / usual:.4g} Hz"
+                repeats = int(np.sum(steps == 0))
+                remarks = (f"{repeats} of {rest.size} stamps repeat the one before",) if repeats else ()
+                return Guess([other, name], said, True, {"unit": "s"}, remarks)
+    return None
+
+
+def _whole(cells: Sequence[str] | NDArray[Any]) -> NDArray[np.int64] | None:
+    """A column of whole numbers from 0 on; None: it is none."""
+    try:
+        numbers = np.asarray(cells, dtype=float)
+    except (ValueError, TypeError):
+        return None
+    if numbers.ndim != 1 or numbers.size < 3 or not np.isfinite(numbers).all() or numbers.min() < 0.0:
+        return None
+    return numbers.astype(np.int64) if numbers.max() < 5e9 and not np.any(np.mod(numbers, 1.0)) else None
 
 
 def _clock(name: str, cells: Sequence[str] | NDArray[Any]) -> Guess | None:
@@ -201,6 +238,28 @@ def _joints(numbers: NDArray[np.signedinteger]) -> str:
     return ", ".join(str(number + 1) for number in numbers)
 
 
+def copy_of_motion(time: Array, position: Array, velocity: Array, raw: Array) -> str | None:
+    """Which part of a motion ``(k, n)`` a signal repeats with one factor in all joints, as what was asked for does.
+
+    A torque has another factor in every joint. Copies may lag and lie beside the motion by a constant.
+
+    Returns:
+        What it is, in words; None: it may be a torque.
+    """
+    at, q = smoothed(time, position)
+    dq, signal = smoothed(time, velocity)[1], smoothed(time, raw)[1]
+    moving = np.ptp(q, axis=0) >= 0.2 * float(np.max(np.ptp(q, axis=0)))
+    many = int(np.sum(moving)) >= FEWEST_COPIED
+    together_least, (low, high) = (COPIED, COPIED_FACTOR) if many else (EXACTLY, EXACT_FACTOR)
+    for what, part in (("positions", q), ("velocities", dq), ("accelerations", np.gradient(dq, at, axis=0))):
+        ratio, together = _ratios(part - part.mean(axis=0), signal - signal.mean(axis=0))
+        for unit, factor in TURNS["position"].items():
+            own = np.abs(ratio[moving]) * factor
+            if np.all((own > low) & (own < high)) and np.all(np.abs(together[moving]) > together_least):
+                return f"repeats the {what}, in {unit}" if unit != "rad" else f"repeats the {what}"
+    return None
+
+
 def torque_of(
     time: Array, position: Array, velocity: Array, raw: Array, model: RobotModel, name: str
 ) -> tuple[float, Guess] | None:
@@ -236,6 +295,9 @@ def torque_of(
             certain = clear and SURE_TORQUE[0] < usual * TURNS["torque"][turns] < SURE_TORQUE[1]
             said += "" if clear else f" (correlation {sure:.2g})"
             return sure, Guess(_common([slide if one else turns for one in slides]), said, certain, further)
+    apart = float(np.max(np.abs(ratio[shown])) / np.min(np.abs(ratio[shown])))
+    if apart > MOST_APART or len(set(np.sign(ratio[shown]))) > 1:
+        return None
     constants = np.where(shown, 1.0 / np.maximum(np.abs(ratio), 1e-12), 1.0 / usual)
     said += ": no unit of torque; taken for motor currents, with the constants that the weight shows"
     written = [float(f"{constant:.3g}") for constant in constants]
@@ -277,7 +339,7 @@ def _ratios(expected: Array, measured: Array) -> tuple[Array, Array]:
     """Factor and correlation of every column, about their means where those do not go together."""
     power = np.maximum(np.sum(expected**2, axis=0), 1e-300)
     product = np.sum(expected * measured, axis=0)
-    size = np.sqrt(power * np.maximum(np.sum(measured**2, axis=0), 1e-300))
+    size = np.sqrt(power) * np.sqrt(np.maximum(np.sum(measured**2, axis=0), 1e-300))
     return product / power, product / size
 
 

@@ -57,6 +57,7 @@ class Impact:
     Attributes:
         run: Where it was found.
         condition: Condition of the run; empty: none was said.
+        session: Session of the run; empty: none was said. Where it is the whole condition, its impacts are no repeats.
         object_name: Object of the scenario; empty: a free body.
         time: Since the start of the run [s].
         position: Of the geometric centre, ``(3,)`` [m].
@@ -86,6 +87,7 @@ class Impact:
     arms: Mapping[str, ArmInImpact] = field(default_factory=dict)
     outcomes: Mapping[str, float] = field(default_factory=dict)
     turn_tracked: bool = True
+    session: str = ""
 
 
 def table_text(impacts: Sequence[Impact], constants: Mapping[str, float]) -> str:
@@ -97,7 +99,7 @@ def table_text(impacts: Sequence[Impact], constants: Mapping[str, float]) -> str
     """
     several = len(impacts[0].arms) > 1
     outcomes = list(dict.fromkeys(name for impact in impacts for name in impact.outcomes))
-    header = ["run", "condition", "impact_time [s]"]
+    header = ["run", "session", "condition", "impact_time [s]"]
     header += ["object"] if impacts[0].object_name else []
     header += POSE
     header += [f"v{axis}_before [m/s]" for axis in "xyz"] + [f"w{axis}_before [rad/s]" for axis in "xyz"]
@@ -112,7 +114,9 @@ def table_text(impacts: Sequence[Impact], constants: Mapping[str, float]) -> str
     header += ["v_noise [m/s]", *(["w_noise [rad/s]"] if turned else [])]
     header += ["dq_noise [rad/s]"] if impacts[0].arms else []
     header += ["contact_tolerance [m]", *constants, "law after", *outcomes]
-    if not any(impact.condition for impact in impacts):
+    if not any(impact.session for impact in impacts):
+        header.remove("session")
+    if not any(impact.condition not in ("", impact.session) for impact in impacts):
         header.remove("condition")
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
@@ -126,7 +130,8 @@ def table_text(impacts: Sequence[Impact], constants: Mapping[str, float]) -> str
         if impact.arms:
             numbers.append(float(np.sqrt(np.mean([arm.noise**2 for arm in impact.arms.values()]))))
         numbers += [max(impact.tolerance, GAP_TOLERANCE), *constants.values()]
-        first = [impact.run, *([impact.condition] if "condition" in header else []), _short(impact.time)]
+        first = [impact.run, *(getattr(impact, name) for name in ("session", "condition") if name in header)]
+        first.append(_short(impact.time))
         first += [impact.object_name] if impact.object_name else []
         last = [_short(impact.outcomes[name]) if name in impact.outcomes else "" for name in outcomes]
         writer.writerow([*first, *map(_short, numbers), impact.model, *last])

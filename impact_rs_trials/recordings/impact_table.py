@@ -83,6 +83,7 @@ from impact_rs_sim.scenario import Scenario
 from impact_rs_sim.scene import ArmState, BodyState
 from impact_rs_trials.recordings.csv_rows import csv_rows
 from impact_rs_trials.recordings.table_columns import require
+from impact_rs_trials.since import measured_since
 
 SUFFIXES = (".csv", ".parquet")
 FACTORS: dict[str, dict[str, float]] = {  # from the unit of a header to SI
@@ -197,6 +198,32 @@ class ImpactTable:
     tolerance: float = GAP_TOLERANCE
     covariates: Mapping[str, str] = field(default_factory=dict)
     variants: tuple[Variant, ...] = ()
+
+    def since(self, when: str) -> ImpactTable:
+        """The rows that were measured from a moment on.
+
+        Args:
+            when: A row, ``row 7``, or a time in column ``time`` (:func:`impact_rs_trials.since.measured_since`).
+
+        Raises:
+            InputError: There is no such moment.
+        """
+        stamps = {name_of_row(row.number): row.number if row.time is None else row.time for row in self.rows}
+        found = measured_since(when, stamps, all(row.time is not None for row in self.rows))
+        part = self.part([place for place, row in enumerate(self.rows) if name_of_row(row.number) in found])
+        digest = hashlib.sha256(f"{self.digest} {sorted(found)}".encode()).hexdigest()[: len(self.digest)]
+        return replace(part, digest=digest)
+
+    def part(self, places: Sequence[int]) -> ImpactTable:
+        """Some rows, by position."""
+        noise = None if self.noise is None else self.noise[list(places)]
+        variants = tuple(replace(one, table=one.table.part(places)) for one in self.variants)
+        return replace(self, rows=tuple(self.rows[place] for place in places), noise=noise, variants=variants)
+
+
+def name_of_row(number: int) -> str:
+    """Name of a row, counted from 1 without the header."""
+    return f"row {number}"
 
 
 def read_impact_table(

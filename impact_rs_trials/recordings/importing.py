@@ -9,7 +9,6 @@ what is used.
 
 from __future__ import annotations
 
-import json
 import os
 import re
 from collections.abc import Iterator, Sequence
@@ -29,12 +28,22 @@ from impact_rs_sim.robot_model import RobotModel
 from impact_rs_sim.scenario import load_scenario
 from impact_rs_sim.schema import validate
 from impact_rs_trials.recordings.array_file import ArrayFile
-from impact_rs_trials.recordings.candidates import SignalCandidate, candidates_of, guess_of, joints_of, vector_width
-from impact_rs_trials.recordings.clock_offset import OBJECT, ClocksApart, clocks_apart
-from impact_rs_trials.recordings.file_groups import FileGroups, group_files, recordings_in, run_name
+from impact_rs_trials.recordings.candidates import (
+    FIRST,
+    SignalCandidate,
+    candidates_of,
+    first_of,
+    guess_of,
+    joints_of,
+    vector_width,
+    width_of,
+)
+from impact_rs_trials.recordings.clock_offset import OBJECT_SIGNALS
+from impact_rs_trials.recordings.file_groups import OBJECT, FileGroups, group_files, recordings_in
 from impact_rs_trials.recordings.guesses import (
     Guess,
     clock_of,
+    copy_of_motion,
     pose_of,
     quaternion_order,
     times_derivative,
@@ -43,11 +52,19 @@ from impact_rs_trials.recordings.guesses import (
     unit_of_position,
     velocity_of,
 )
-from impact_rs_trials.recordings.joint_checks import doubts_of_arm
-from impact_rs_trials.recordings.joint_jumps import SMALLEST, jumps_of
+from impact_rs_trials.recordings.import_checks import (
+    FEWEST_SAMPLES,
+    MOVED,
+    clocks_of,
+    doubt_of,
+    doubts_of_hit,
+    object_moves,
+    usable_rows,
+)
+from impact_rs_trials.recordings.import_texts import ARM, BODY, FoundRun, Line, flow, mapping_text, runs_text
+from impact_rs_trials.recordings.inner_runs import RUN, run_column_of, run_groups_of, runs_of
 from impact_rs_trials.recordings.mapping import (
     NO_ROBOT,
-    REQUIRED,
     Mapping,
     MountedEndEffector,
     SignalName,
@@ -56,38 +73,26 @@ from impact_rs_trials.recordings.mapping import (
 )
 from impact_rs_trials.recordings.recording import read_recordings
 from impact_rs_trials.recordings.series import Names, Series
-from impact_rs_trials.recordings.sources import ARRAY_SUFFIXES, BAG_SUFFIXES, is_bag_folder, open_file, read_series
-from impact_rs_trials.recordings.table_columns import read_columns
+from impact_rs_trials.recordings.sources import (
+    ARRAY_SUFFIXES,
+    BAG_SUFFIXES,
+    is_bag_folder,
+    open_file,
+    read_series,
+    runs_inside,
+)
+from impact_rs_trials.recordings.table_columns import read_columns, read_rows
 from impact_rs_trials.recordings.table_layout import find_layout
-from impact_rs_trials.runs import ArmSignals
 
-MOST_SAMPLES = 20_000  # that are looked at
-FEWEST_SAMPLES = 20
+MOST_SHOWN = 3  # signals of a kind in a message
 NAMED = 0.3  # correlation that a name is worth
 ASKED_FOR = re.compile(r"des|ref|target|goal|cmd|command|set_?point|(^|_)d(_|\d|$)|filt|err", re.IGNORECASE)
 OF_THE_ROBOT = re.compile(r"eef|(^|_)ee(_|$)|tcp|tool|flange|hand", re.IGNORECASE)
 MOST_RUNS = 5  # whose clocks are looked at
-MOVED = 0.005  # m, from which an object was hit
 AXES = ("x", "y", "z")
 QUATERNION = (("x", "y", "z", "w"), ("w", "x", "y", "z"))
+MOST_COMPARED = 10  # runs beside the first
 RAW_UNITS = {"position": "rad", "velocity": "rad/s", "torque": "N m"}
-
-
-@dataclass(frozen=True)
-class Line:
-    """A key that was guessed.
-
-    Attributes:
-        key: Dotted path of the key.
-        value: Its value as the file has it.
-        evidence: What shows it.
-        sure: Whether something shows it; else it is assumed.
-    """
-
-    key: str
-    value: str
-    evidence: str
-    sure: bool = True
 
 
 @dataclass(frozen=True)
@@ -130,7 +135,7 @@ class Wishes:
 
 @dataclass
 class _Part:
-    """One kind of file: its first one, with what it holds."""
+    """One kind of file: its first one, with what it holds; of several runs inside of it the first."""
 
     pattern: str
     path: Path
@@ -139,6 +144,24 @@ class _Part:
     candidates: list[SignalCandidate]
     clock: Guess | None
     series: dict[int, Series] = field(default_factory=dict)
+    run: str = ""
+    run_column: str | None = None
+
+    @property
+    def names(self) -> Names:
+        """What the placeholders of a mapping stand for."""
+        return Names(run=self.run or "*")
+
+    @property
+    def clock_columns(self) -> tuple[str, ...]:
+        """Columns of the stamps."""
+        value = () if self.clock is None else self.clock.value
+        return (value,) if isinstance(value, str) else tuple(value)
+
+    @property
+    def stamps(self) -> str:
+        """Where they are, for messages."""
+        return "the messages" if self.clock is None else f"{flow(self.clock.value)} [{self.clock.further['unit']}]"
 
     @property
     def is_bag(self) -> bool:
@@ -159,6 +182,11 @@ class _Found:
         return self.part.candidates[self.number]
 
     @property
+    def is_cut(self) -> bool:
+        """Whether it is the first numbers of a wider signal."""
+        return FIRST in self.candidate.label
+
+    @property
     def series(self) -> Series:
         """Its numbers as the file has them."""
         return self.part.series[self.number]
@@ -170,10 +198,15 @@ class _Found:
 
     def overlaps(self, other: _Found) -> bool:
         """Whether both have a column in common."""
-        if self.part is not other.part:
-            return False
-        columns = [set(one.candidate.source.get("columns") or ()) for one in (self, other)]
-        return self.number == other.number or bool(columns[0] & columns[1])
+        return self.part is other.part and (self.number == other.number or bool(self._numbers & other._numbers))
+
+    @property
+    def _numbers(self) -> set[tuple[str, int]]:
+        """Columns, and entries of vectors, in which its numbers are."""
+        source = self.candidate.source
+        whole = str(source.get("column") or source.get("array") or "")
+        entries = {(whole, entry) for entry in source.get("entries") or ()}
+        return entries or {(column, 0) for column in source.get("columns") or ()}
 
     def named(self, signal: str) -> float:
         """What names of columns, or else of the file, are worth for a signal."""
@@ -226,16 +259,27 @@ def _with_velocity(place: _Found, unit: Guess, every: Sequence[_Found], facts: R
 def _torques(motion: _Motion, every: Sequence[_Found], model: RobotModel) -> list[tuple[float, _Found, Guess]]:
     """Signals that go with the torque of a motion, or those whose names say so; how surely, and as what."""
     time, q, dq = motion.position.series.time, motion.places, motion.speeds
-    taken = [motion.position, *([motion.velocity[0]] if motion.velocity else [])]
-    free = [one for one in every if not any(one.overlaps(other) for other in taken)]
+    free = [one for one, copied in _beside(motion, every) if copied is None]
     found = []
+    cut = motion.position.is_cut  # of another robot, perhaps, for which the torque must speak
     for one in free:
         if one.candidate.guess in ("torque", "command", ""):
             guess = torque_of(time, q, dq, one.series.at(time), model, one.candidate.label)
-            if guess is not None:
+            if guess is not None and (guess[1].sure or not cut):
                 found.append((guess[0] + one.named("torque"), one, guess[1]))
+    if cut:
+        return found
     said = Guess("N m", "nothing but its name: the motion takes too little torque to show it", False)
     return found or [(0.0, one, said) for one in free if one.named("torque") > 0.0]
+
+
+def _beside(motion: _Motion, every: Sequence[_Found]) -> Iterator[tuple[_Found, str | None]]:
+    """Signals beside a motion, and which part of it they repeat."""
+    time, q, dq = motion.position.series.time, motion.places, motion.speeds
+    taken = [motion.position, *([motion.velocity[0]] if motion.velocity else [])]
+    for one in every:
+        if not any(one.overlaps(other) for other in taken):
+            yield one, copy_of_motion(time, q, dq, one.series.at(time))
 
 
 def draft_import(paths: Sequence[Path], output: Path, wishes: Wishes) -> ImportDraft:
@@ -259,6 +303,7 @@ class _Importer:
         self._groups, self._output, self._wishes = groups, output, wishes
         self._lines: list[Line] = []
         self._remarks: list[str] = []
+        self._refused: dict[str, str] = {}
         self._parts = [self._part(pattern, next(iter(files.values()))) for pattern, files in groups.kinds.items()]
 
     def draft(self) -> ImportDraft:
@@ -276,6 +321,8 @@ class _Importer:
                 "neither joints nor the pose of an object; expected columns of joints (--robot says which robot), or "
                 "x, y, z and a quaternion", file=self._parts[0].path,
             )  # fmt: skip
+        if facts is None and pose_part is not None:
+            self._refuse_several(pose_part, "objects without a robot", "object")
         clock = self._time(part if facts is not None else pose_part or part)
         content: dict[str, Any] = {
             "description": f"{self._groups.folder.name or 'recordings'}, as impact-rs import found it",
@@ -285,36 +332,64 @@ class _Importer:
         }
         main = part if facts is not None else pose_part or part
         if main.layout != TableLayout():
-            content["table"] = main.layout.model_dump(exclude_none=True)
+            content["table"] = main.layout.model_dump(exclude_defaults=True)
+        if main.run_column is not None:
+            content["run_column"] = main.run_column
         content["signals"] = signals
         mapping = validate(Mapping, content | {"robot": robot}, self._output / "mapping.yaml")
         rows = self._runs(mapping)
         if facts is not None and self._clock_of_object(mapping, rows, signals):
             mapping = validate(Mapping, content | {"robot": robot}, self._output / "mapping.yaml")
-        texts = {"mapping.yaml": _yaml(content, self._lines, HEAD), "runs.csv": _table(rows)}
-        hits = sum(kind == "hit" for _, _, kind in rows)
+        texts = {"mapping.yaml": mapping_text(content, self._lines), "runs.csv": runs_text(rows, facts is None)}
+        hits = sum(row.hit for row in rows)
         if hits or facts is None or self._wishes.scenario is not None:
             texts["experiment.yaml"] = self._experiment(facts, robot)
-        self._try(mapping, hits)
+        self._try(mapping, rows)
+        if facts is not None:
+            self._compare_runs(mapping, rows, facts)
         remarks = tuple(dict.fromkeys(self._remarks))
         return ImportDraft(self._groups.folder, texts, tuple(self._lines), remarks, hits, len(rows))
 
     def _part(self, pattern: str, path: Path) -> _Part:
         layout = TableLayout()
-        columns: AbstractMapping[str, Sequence[str] | NDArray[Any]] = {}
         if is_bag_folder(path) or path.suffix in BAG_SUFFIXES:
-            return _Part(pattern, path, layout, columns, candidates_of(path), None)
+            return _Part(pattern, path, layout, {}, candidates_of(path), None)
         if path.suffix in ARRAY_SUFFIXES:
-            columns = ArrayFile.arrays_of(path)
-        else:
-            if path.suffix not in (".parquet", ".npy"):
-                found = find_layout(path)
-                layout = found.layout
-                self._lines.append(
-                    Line(f"table ({path.name})", _flow(layout.model_dump(exclude_none=True)), found.evidence)
+            return self._part_of_arrays(pattern, path)
+        if path.suffix not in (".parquet", ".npy"):
+            found = find_layout(path)
+            layout = found.layout
+            self._lines.append(
+                Line(f"table ({path.name})", flow(layout.model_dump(exclude_defaults=True)), found.evidence)
+            )
+        columns = read_columns(path, layout).cells
+        run, column = "", None if self._groups.spread else run_column_of(columns)
+        if column is not None:
+            run = runs_of(columns[column])[0]
+            self._say("run_column", column, "says of every row which of several runs it belongs to")
+            columns = read_rows(path, layout, column, run).cells
+        part = _Part(pattern, path, layout, columns, candidates_of(path, layout), clock_of(columns))
+        return replace(part, run=run, run_column=column)
+
+    def _part_of_arrays(self, pattern: str, path: Path) -> _Part:
+        """A file of arrays; where groups of it are runs, those of the first, with ``{run}`` in their names."""
+        columns, candidates = ArrayFile.arrays_of(path), candidates_of(path)
+        groups, run = run_groups_of(columns), ""
+        if groups is not None:
+            listed = ", ".join(f"{groups.before}{name}" for name in groups.names[:MOST_SHOWN])
+            if groups.recorded and not self._groups.spread:
+                run = groups.names[0]
+                columns = {new: own for name, own in columns.items() if (new := groups.with_placeholder(name))}
+                named = [(one, groups.with_placeholder(one.source["array"])) for one in candidates]
+                candidates = [replace(one, source={"array": new}, label=new) for one, new in named if new]
+                self._say("{run}", listed, f"{len(groups.names)} groups hold the same arrays: each is a run")
+            else:
+                self._remarks.append(
+                    f"{path.name}: groups {listed} hold arrays of the same names, and one of them is described; where "
+                    f"they are runs, {RUN} in place of their name in every array and time.array of the mapping takes "
+                    "all of them, with FILE/GROUP as bag in runs.csv"
                 )
-            columns = read_columns(path, layout).cells
-        return _Part(pattern, path, layout, columns, candidates_of(path, layout), clock_of(columns))
+        return _Part(pattern, path, TableLayout(), columns, candidates, clock_of(columns), run=run)
 
     # ---- robot and joints -------------------------------------------------------------------------------------------
 
@@ -347,7 +422,7 @@ class _Importer:
         for part in self._parts:
             self._read(part, robot, facts.joint_count)
         every = [_Found(part, number) for part in self._parts for number in part.series]
-        seen = "; ".join(one.label for one in every) or "none"
+        seen = "; ".join(one.label for one in every)
         places = [
             (one, unit)
             for one in every
@@ -361,12 +436,7 @@ class _Importer:
         if not moving and not any(one.named("velocity") > 0.0 for one in every):
             motions = [_Motion(*place) for place in places if place[0].named("position") >= 0.0]
         if not motions:
-            raise InputError(
-                f"no two signals of {facts.joint_count} joints are positions within the limits of {robot} and their "
-                f"derivative; signals as wide as that: {seen}. Another --robot, or a mapping by hand "
-                "(docs/your_data.md)",
-                file=self._parts[0].path,
-            )
+            raise self._nothing(every, robot, facts.joint_count)
         motions = [max(motions, key=lambda one: one.score)] if moving else motions
         model = RobotModel(facts, MountedEndEffector().build(), pin.SE3.Identity())
         tried = [(motion, _torques(motion, every, model)) for motion in motions]
@@ -374,12 +444,19 @@ class _Importer:
             tried, key=lambda one: one[0].score + max((score for score, *_ in one[1]), default=-np.inf)
         )
         if not torques:
+            copies = [f"{one.label} {copied}" for one, copied in _beside(motion, every) if copied is not None]
+            repeated = f" ({'; '.join(copies)})" if copies else ""
             raise InputError(
-                f"nothing goes with the torque that weight and inertia of {robot} take in this motion; signals as wide "
-                f"as its joints: {seen}. Another --robot, or a mapping by hand (docs/your_data.md)",
+                f"nothing goes with the torque that weight and inertia of {robot} take in this motion, and a mapping "
+                f"needs torques or currents; signals as wide as its joints: {seen}{repeated}. Another --robot, or a "
+                "mapping by hand (docs/your_data.md)",
                 file=motion.position.part.path,
             )
+        self._remarks += [
+            f"{label} is left out, for the reader refuses it: {why}" for label, why in self._refused.items()
+        ]
         part = motion.position.part
+        self._refuse_several(part, "joints", "robot")
         signals = {"position": self._joint_signal(motion.position, "position", replace(motion.unit, further={}), part)}
         if motion.velocity is None:
             self._say(
@@ -389,6 +466,36 @@ class _Importer:
             signals["velocity"] = self._joint_signal(*motion.velocity, part)
         own = {"joints": list(self._joints(part, motion.position.number, facts.joint_count))}
         return part, own | self._torque(torques, facts, robot, signals, part), signals
+
+    def _refuse_several(self, part: _Part, what: str, whose: str) -> None:
+        """Files that differ in a word are of objects that a robot hits, and of nothing else."""
+        if OBJECT in part.pattern:
+            named = ", ".join(sorted(set(self._groups.objects.values())))
+            said = f"files {part.pattern} hold {what}, of {named}: import the runs of each {whose} by themselves"
+            raise InputError(said, file=part.path)
+
+    def _nothing(self, every: Sequence[_Found], robot: str, count: int) -> InputError:
+        """What is said where no signal is the motion of the joints."""
+        said = f"no signal of {count} joints can be read"
+        if every:
+            said = (
+                f"no two signals of {count} joints are positions within the limits of {robot} and their derivative; "
+                f"signals as wide as that: {'; '.join(one.label for one in every)}"
+            )
+        others = [
+            one.label for part in self._parts for one in part.candidates if not one.pose and one.width not in (1, count)
+        ]
+        said += f"; signals of other widths: {', '.join(others[:MOST_SHOWN])}" if others else ""
+        said += "".join(f"; the reader refuses {why}" for why in self._refusals())
+        remedy = "Another --robot, or a mapping by hand" if every else "A mapping by hand"
+        return InputError(f"{said}. {remedy} (docs/your_data.md)", file=self._parts[0].path)
+
+    def _refusals(self) -> list[str]:
+        """Signals that the reader refuses, with its reason."""
+        by_reason: dict[str, list[str]] = {}
+        for label, why in self._refused.items():
+            by_reason.setdefault(why, []).append(label)
+        return [f"{', '.join(labels[:MOST_SHOWN])}: {why}" for why, labels in by_reason.items()]
 
     def _check_rate(self, rate: float, places: Sequence[tuple[_Found, Guess]], every: Sequence[_Found]) -> None:
         """Refuse a sampling rate at which a velocity would be that of another one."""
@@ -425,7 +532,7 @@ class _Importer:
         own: dict[str, Any] = {"torque_measured_at": "motor" if at_motor else "link"}
         if constant is not None:
             self._say(
-                "torque_constant", _flow(constant), "by the weight in this recording; take those of a data sheet", False
+                "torque_constant", flow(constant), "by the weight in this recording; take those of a data sheet", False
             )
             own["torque_constant"] = constant
         return own
@@ -439,39 +546,49 @@ class _Importer:
         one = part.candidates[position]
         joints = joints_of(one.joints, "", False, count)
         if one.joints:
-            self._say("joints", _flow(list(joints)), "the recording names them")
+            self._say("joints", flow(list(joints)), "the recording names them")
         else:
-            self._say("joints", _flow(list(joints)), "columns hold the joints from base to tip", sure=False)
+            self._say("joints", flow(list(joints)), "columns hold the joints from base to tip", sure=False)
         return joints
 
     def _read(self, part: _Part, robot: str, count: int) -> None:
         """Raw numbers of all candidates that are as wide as the robot has joints."""
         self._windows(part, count)
+        part.candidates += [first for one in part.candidates if (first := first_of(one, count)) is not None]
         numbered = tuple(f"joint{number}" for number in range(1, count + 1))
-        shared = None if part.is_bag else open_file(part.path, self._raw_mapping(part, robot, numbered), Names(), ())
+        shared = None if part.is_bag else open_file(part.path, self._raw_mapping(part, robot, numbered), part.names, ())
         for number, one in enumerate(part.candidates):
             if one.pose or (one.width != count and len(one.joints) < count):
                 continue
             source = SignalSource(unit="rad", **one.source)
             named = self._raw_mapping(part, robot, joints_of(one.joints, "", False, count), one.source)
             try:
-                series = (shared or open_file(part.path, named, Names(), ("position",))).series("position", source)
-            except InputError:
+                series = (shared or open_file(part.path, named, part.names, ("position",))).series("position", source)
+            except InputError as error:
+                self._refused[one.label] = str(error)
                 continue
-            usable = np.isfinite(series.values).all(axis=1) & np.isfinite(series.time)
-            usable &= np.diff(series.time, prepend=-np.inf) > 0.0
-            rows = np.flatnonzero(usable)[:MOST_SAMPLES]
+            rows = usable_rows(series)
             if rows.size > FEWEST_SAMPLES:
                 part.series[number] = replace(series, time=series.time[rows], values=series.values[rows])
+            else:
+                self._refused[one.label] = (
+                    f"{rows.size} of {series.time.size} samples have numbers and a later stamp than the one before, "
+                    f"more than {FEWEST_SAMPLES} are needed; stamps were taken from {part.stamps}, the key time of a "
+                    "mapping names others, or a rate"
+                )
 
     def _windows(self, part: _Part, count: int) -> None:
         """Neighbouring columns without names; columns with names of a file that has but one signal."""
         names = [name for name, cells in part.columns.items() if vector_width(cells) == 1]
-        numeric = [name for name in names if part.clock is None or name != part.clock.value]
+        numeric = [name for name in names if name not in part.clock_columns]
         if not names or any(one.source.get("columns") for one in part.candidates):
             return
         if part.layout.header != 0 and part.path.suffix != ".npy":
-            if len(numeric) == count and not any(one.width == count for one in part.candidates):
+            if (
+                len(numeric) == count
+                and not _axes(numeric)[1]
+                and not any(one.width == count for one in part.candidates)
+            ):
                 label = f"{numeric[0]} … {numeric[-1]}"
                 part.candidates.append(SignalCandidate(label, {"columns": numeric}, False, "", count))
             return
@@ -490,14 +607,19 @@ class _Importer:
             signals = parts if source is None else {"object_pose": {"unit": "m", **source}}
         return Mapping.model_validate(
             {"description": "raw", "robot": robot, "joints": joints, "time": self._clock_keys(part),
-             "table": part.layout.model_dump(), "signals": signals}
+             "table": part.layout.model_dump(), "run_column": part.run_column, "signals": signals}
         )  # fmt: skip
 
     def _signal(self, part: _Part, number: int, name: str, guess: Guess) -> dict[str, Any]:
         """Section of a signal, which is said."""
         source = self._source(part, dict(part.candidates[number].source))
-        self._say(f"signals.{name}", part.candidates[number].label, "by its numbers; see unit")
-        self._say(f"signals.{name}.unit", _flow(guess.value), guess.evidence, guess.sure)
+        one = _Found(part, number)
+        shown = "by its numbers; see unit"
+        if one.is_cut:
+            shown += "; what stands behind the joints is left out, as a gripper"
+            self._remarks.append(f"signals.{name}: of {one.candidate.label} numbers are taken for the joints")
+        self._say(f"signals.{name}", one.candidate.label, shown, not one.is_cut)
+        self._say(f"signals.{name}.unit", flow(guess.value), guess.evidence, guess.sure)
         self._remarks += guess.remarks
         return {**source, "unit": guess.value, **guess.further}
 
@@ -528,7 +650,7 @@ class _Importer:
         for part in self._parts:
             names = [name for name, cells in part.columns.items() if vector_width(cells) == 1]
             for columns in _axes(names)[0]:
-                file = open_file(part.path, self._raw_mapping(part, NO_ROBOT, ()), Names(), ("object_position",))
+                file = open_file(part.path, self._raw_mapping(part, NO_ROBOT, ()), part.names, ("object_position",))
                 place = file.series("object_position", SignalSource(unit="m", columns=tuple(columns))).values
                 length = unit_of_length(place)
                 self._say("signals.object_position", ", ".join(columns), length.evidence)
@@ -546,7 +668,7 @@ class _Importer:
         sources = {name: {"column": name} for name in vectors}
         for name, column in part.columns.items():  # arrays of an array file are no columns
             if isinstance(column, np.ndarray) and column.ndim == 2:
-                vectors[name], sources[name] = column.shape[1], {"array": name}
+                vectors[name], sources[name] = width_of(column.shape), {"array": name}
         names = [name for name in vectors if not (with_robot and OF_THE_ROBOT.search(name))]
         groups = _axes(names)
         places = [sources[name] for name in names if vectors[name] == 3] + [{"columns": own} for own in groups[0]]
@@ -559,7 +681,7 @@ class _Importer:
         self, part: _Part, place: dict[str, Any], quaternion: dict[str, Any] | None
     ) -> dict[str, dict[str, Any]] | None:
         source = place if quaternion is None else None
-        file = open_file(part.path, self._raw_mapping(part, NO_ROBOT, (), source), Names(), ("object_pose",))
+        file = open_file(part.path, self._raw_mapping(part, NO_ROBOT, (), source), part.names, ("object_pose",))
 
         def numbers(name: SignalName, source: dict[str, Any]) -> Array | None:
             unit = "-" if name == "object_quaternion" else "m"
@@ -597,7 +719,7 @@ class _Importer:
         own: dict[str, Any] = {}
         if with_robot and part is not joints:
             if part.layout != joints.layout:
-                own["table"] = part.layout.model_dump(exclude_none=True)
+                own["table"] = part.layout.model_dump(exclude_defaults=True)
             if part.clock is not None and joints.clock is not None and part.clock.value != joints.clock.value:
                 own["time_array" if part.path.suffix in ARRAY_SUFFIXES else "time_column"] = part.clock.value
         return own
@@ -624,7 +746,7 @@ class _Importer:
         if self._wishes.rate is not None:
             self._say("time.rate", f"{self._wishes.rate:g}", "given with --rate")
         elif part.clock is not None:
-            self._say("time", _flow(keys), part.clock.evidence, part.clock.sure)
+            self._say("time", flow(keys), part.clock.evidence, part.clock.sure)
             self._remarks += part.clock.remarks
             if part.clock.remarks and not self._wishes.dedupe:
                 self._remarks.append("repeated stamps are refused; --dedupe keeps the first sample of each")
@@ -635,41 +757,85 @@ class _Importer:
 
     # ---- runs -------------------------------------------------------------------------------------------------------
 
-    def _runs(self, mapping: Mapping) -> list[tuple[str, str, str]]:
-        """Name, object and kind of every run."""
-        objects = [] if self._wishes.scenario is None else list(load_scenario(self._wishes.scenario).objects)
+    def _runs(self, mapping: Mapping) -> list[FoundRun]:
+        """Every run that the reader takes; the others are said."""
+        groups = self._groups
         has_object = any(name.startswith("object") for name in mapping.signals)
+        needed = {source.file for source in mapping.signals.values() if source.file is not None}
+        objects = groups.objects if any(OBJECT in file for file in needed) else {}
         rows, missing = [], []
-        for run in self._groups.runs:
-            path = self._groups.folder / run
-            if self._groups.spread:
-                lacking = [kind for kind, files in self._groups.kinds.items() if run not in files]
-                needed = {source.file for source in mapping.signals.values() if source.file is not None}
-                if needed & set(lacking):
-                    missing.append(f"{run} ({', '.join(sorted(needed & set(lacking)))})")
-                    continue
-            moves = has_object and _object_moves(path, mapping)
-            if mapping.robot == NO_ROBOT:
-                rows.append((run, "body", "hit"))
-            else:
-                named = [name for name in objects if name in str(path)]
-                name = (named or objects or ["OBJECT"])[0] if moves else "none"
-                rows.append((run, name, "hit" if moves else "free motion"))
+        for run, session in self._named_runs(mapping):
+            lacking = needed & {kind for kind, files in groups.kinds.items() if groups.spread and run not in files}
+            if lacking:
+                missing.append(f"{run} ({', '.join(sorted(lacking))})")
+                continue
+            row = FoundRun(run, objects.get(run, ""), session)
+            try:
+                moves = has_object and object_moves(groups.folder / run, mapping, row.names)
+            except InputError as error:
+                self._remarks.append(f"{run} is left out, for the reader refuses it: {error}")
+                continue
+            rows.append(replace(row, hit=moves or mapping.robot == NO_ROBOT))
         if missing:
             self._remarks.append(f"left out, for a file is missing: {'; '.join(missing)}")
-        if has_object and mapping.robot != NO_ROBOT and any(kind == "hit" for _, _, kind in rows):
+        if not rows:
+            raise InputError(f"no run has all of its files: {'; '.join(missing)}", file=groups.folder)
+        self._say_unread(needed)
+        if groups.sessions:
+            self._say(
+                "session in runs.csv", flow(list(dict.fromkeys(groups.sessions.values()))),
+                "the folders that runs lie in; impacts makes a column of it, for --covariates session",
+            )  # fmt: skip
+        if has_object and mapping.robot != NO_ROBOT and any(row.hit for row in rows):
             self._say("kind in runs.csv", "hit", f"the object moves by more than {1e3 * MOVED:g} mm")
-            if len(objects) != 1:
-                self._say("object in runs.csv", _flow([row[1] for row in rows][:3]), "say which object was hit", False)
+            rows = self._with_objects(rows)
         return rows
 
-    def _clock_of_object(
-        self, mapping: Mapping, rows: Sequence[tuple[str, str, str]], signals: dict[str, dict[str, Any]]
-    ) -> bool:
+    def _named_runs(self, mapping: Mapping) -> Iterator[tuple[str, str]]:
+        """All runs, also those inside of files, and their sessions."""
+        for run in self._groups.runs:
+            session = self._groups.sessions.get(run, "")
+            if not mapping.holds_runs or self._groups.spread:
+                yield run, session
+                continue
+            try:
+                inside = runs_inside(self._groups.folder / run, mapping)
+            except InputError as error:
+                self._remarks.append(f"{run} is left out, for the reader refuses it: {error}")
+                continue
+            yield from ((str(path.relative_to(self._groups.folder)), session) for path in inside)
+
+    def _say_unread(self, needed: set[str]) -> None:
+        """Files that hold no signal of the mapping."""
+        unread = [kind for kind in self._groups.kinds if self._groups.spread and kind not in needed]
+        names = [*unread, *(str(path.relative_to(self._groups.folder)) for path in self._groups.left_out)]
+        if names:
+            self._remarks.append(f"not read, for the mapping takes no signal from them: {', '.join(names)}")
+
+    def _with_objects(self, rows: list[FoundRun]) -> list[FoundRun]:
+        """Rows with the object that was hit."""
+        objects = [] if self._wishes.scenario is None else list(load_scenario(self._wishes.scenario).objects)
+        if named := list(dict.fromkeys(row.object for row in rows if row.object)):
+            self._say("object in runs.csv", flow(named), "the names of the files say which")
+            if objects and not set(named) <= set(objects):
+                self._remarks.append(
+                    f"files call the objects {', '.join(named)}, {self._wishes.scenario} has {', '.join(objects)}: "
+                    "the objects of the scenario need the names that stand in the files"
+                )
+            return rows
+        path = [str(self._groups.folder / row.run) for row in rows]
+        inside = [next((name for name in objects if name in one), "") for one in path]
+        usual = (objects or ["OBJECT"])[0]
+        rows = [replace(row, object=one or usual) for row, one in zip(rows, inside, strict=True)]
+        if len(objects) != 1:
+            self._say("object in runs.csv", flow([row.object for row in rows][:3]), "say which object was hit", False)
+        return rows
+
+    def _clock_of_object(self, mapping: Mapping, rows: Sequence[FoundRun], signals: dict[str, dict[str, Any]]) -> bool:
         """Give the object a clock of its own where it does not start to move when the arm hits; whether it was so."""
-        names = [name for name in OBJECT if name in signals]
-        hits = [run for run, _, kind in rows if kind == "hit"][:MOST_RUNS]
-        seen = [_clocks_of(self._groups.folder / run, mapping) for run in hits] if names else []
+        names = [name for name in OBJECT_SIGNALS if name in signals]
+        hits = [row for row in rows if row.hit][:MOST_RUNS]
+        seen = [clocks_of(self._groups.folder / row.run, mapping, row.names) for row in hits] if names else []
         apart = [one for one in seen if one is not None]
         if 2 * len(apart) <= len(seen):
             return False
@@ -693,83 +859,48 @@ class _Importer:
             scenario = os.path.relpath(scenario, self._output)
         return ARM.format(scenario=scenario or "scenario.yaml   # to be made, see docs/scenarios.md")
 
-    def _try(self, mapping: Mapping, hits: int) -> None:
+    def _try(self, mapping: Mapping, rows: Sequence[FoundRun]) -> None:
         """What the reader says of the first run."""
-        first = self._groups.folder / self._groups.runs[0]
+        row = next((row for row in rows if row.hit), rows[0])
+        path = self._groups.folder / row.run
         try:
-            if mapping.robot == NO_ROBOT or hits:
+            if mapping.robot == NO_ROBOT or row.hit:
                 wanted: list[SignalName] = list(mapping.signals)
-                read = read_series(first, mapping, wanted, wanted, Names(run=run_name(self._groups.runs[0])))
+                read = read_series(path, mapping, wanted, wanted, row.names)
                 self._remarks += [remark for one in read.values() for remark in one.remarks]
                 if mapping.robot != NO_ROBOT:
-                    self._remarks += _doubts(read, mapping)
+                    self._remarks += doubts_of_hit(read, mapping)
             else:
-                target = self._groups.folder if self._groups.spread else first
+                target = path if path.exists() or path.parent.is_file() else path.parent
                 self._remarks += [remark for run in read_recordings(target, mapping)[:1] for remark in run.remarks]
         except InputError as error:
-            self._remarks.append(f"the reader refuses the first run as it is described: {error}")
+            self._remarks.append(f"the reader refuses {row.run} as it is described: {error}")
+
+    def _compare_runs(self, mapping: Mapping, rows: Sequence[FoundRun], facts: RobotFacts) -> None:
+        """Units and signs of other runs than the first, which the description was made of."""
+        first, *others = rows
+        numbers = np.unique(np.linspace(0, len(others) - 1, min(MOST_COMPARED, len(others))).astype(int))
+        model = RobotModel(facts, MountedEndEffector().build(), pin.SE3.Identity())
+        apart = 0
+        for row in (others[number] for number in numbers):
+            try:
+                doubt = doubt_of(self._groups.folder / row.run, mapping, row.names, model)
+            except InputError as error:
+                doubt = f"the reader refuses it: {error}"
+            if doubt is not None:
+                apart += 1
+                self._remarks.append(
+                    f"{row.run} is not as {first.run}, of which the description was made: {doubt}; describe it by "
+                    "itself, or take it out of runs.csv"
+                )
+        if others and not apart:
+            said = (
+                f"units and signs of {first.run} hold in {len(numbers)} other{'s' if len(numbers) > 1 else ''} as well"
+            )
+            self._say("runs", f"{len(numbers)} of {len(others)} others", said)
 
     def _say(self, key: str, value: str, evidence: str, sure: bool = True) -> None:
         self._lines.append(Line(key, value, evidence, sure))
-
-
-HEAD = """\
-# Where these recordings keep their signals, as impact-rs import found it. Behind every value stands what shows it;
-# ASSUMED: nothing shows it, look at it before you trust a verdict. All keys: docs/your_data.md
-"""
-ARM = """\
-# Runs with impacts; impact-rs compare, diagnose and impacts read this file. All keys: docs/your_data.md
-scenario: {scenario}
-mapping: mapping.yaml
-runs: runs.csv
-# motion_capture: {{estimate: true}}   # if the tracker's world is not the scenario's
-"""
-BODY = """\
-# An object without a robot hits a fixed plane; impact-rs impacts reads this file. Fill in what the body is [kg, m].
-mapping: mapping.yaml
-runs: runs.csv
-body:
-  # mass: 0.37
-  # size: [0.1, 0.1, 0.1]     # of a box; or of a ball: radius: 0.02, shell: true if it is hollow
-  # spin: [0, 0, 0]           # of a ball whose turn was not tracked, before it hits [rad/s]
-  # place: {position: [0, 0, 0], rpy: [0, 0, 0]}   # its centre and axes in the tracked frame
-plane: {height: 0.0, normal: [0, 0, 1]}   # ASSUMED: where the plane is in the tracker's world
-"""
-
-
-def _object_moves(path: Path, mapping: Mapping) -> bool:
-    """Whether the object's place changes; a run that cannot be read moves nothing."""
-    name: SignalName = "object_pose" if "object_pose" in mapping.signals else "object_position"
-    try:
-        read = read_series(path, mapping, [name], [name], Names(run=run_name(path.name)))[name]
-    except InputError:
-        return False
-    seen = read.values[np.isfinite(read.values).all(axis=1), :3]
-    return bool(len(seen)) and float(np.max(np.linalg.norm(seen - np.median(seen[:5], axis=0), axis=1))) > MOVED
-
-
-def _doubts(read: AbstractMapping[SignalName, Series], mapping: Mapping) -> list[str]:
-    """What looks wrong in the joints of a run that hits something."""
-    time = read["position"].time
-    signals = {name: read[name].at(time) for name in REQUIRED if name in read}
-    if "velocity" not in signals:
-        signals["velocity"] = read["position"].derivative().values
-    arm = ArmSignals(signals["position"], signals["velocity"], signals["torque"])
-    model = RobotModel(mapping.facts, mapping.end_effector.build(), pin.SE3.Identity())
-    return doubts_of_arm(time, arm, mapping, model, contact=True)
-
-
-def _clocks_of(path: Path, mapping: Mapping) -> ClocksApart | None:
-    """What shows that joints and object of a run have two clocks; None: nothing, or it cannot be read."""
-    wanted: list[SignalName] = ["position", *(name for name in OBJECT if name in mapping.signals)]
-    try:
-        read = read_series(path, mapping, wanted, wanted, Names(run=run_name(path.name)))
-    except InputError:
-        return None
-    position, pose = read["position"], read["object_pose" if "object_pose" in read else "object_position"]
-    kept = np.isfinite(pose.values).all(axis=1)
-    pose = replace(pose, time=pose.time[kept], values=pose.values[kept])
-    return clocks_apart(pose, position, list(jumps_of(position, SMALLEST)), path) if kept.any() else None
 
 
 def _axes(names: Sequence[str]) -> tuple[list[list[str]], list[list[str]]]:
@@ -798,46 +929,3 @@ def _axes(names: Sequence[str]) -> tuple[list[list[str]], list[list[str]]]:
 def _si(guess: Guess, quantity: str) -> Array:
     units = {"rad/s": 1.0, "deg/s": np.pi / 180.0, "mrad/s": 1e-3, "m/s": 1.0, "mm/s": 1e-3}
     return np.array([units[unit] for unit in ([guess.value] if isinstance(guess.value, str) else guess.value)])
-
-
-def _flow(value: Any) -> str:
-    """A value in one line of YAML."""
-    if isinstance(value, dict):
-        return "{" + ", ".join(f"{key}: {_flow(one)}" for key, one in value.items()) + "}"
-    if isinstance(value, list | tuple):
-        return "[" + ", ".join(_flow(one) for one in value) + "]"
-    if isinstance(value, str):
-        return (
-            value
-            if re.fullmatch(r"[A-Za-z_][\w/. ]*", value) and value not in ("y", "n", "yes", "no")
-            else json.dumps(value)
-        )
-    if isinstance(value, bool):
-        return str(value).lower()
-    return f"{value:.6g}" if isinstance(value, float) else str(value)
-
-
-def _yaml(content: AbstractMapping[str, Any], lines: Sequence[Line], head: str) -> str:
-    """A mapping file with what shows its values."""
-    said: dict[str, str] = {}
-    for line in lines:
-        said[line.key] = line.evidence if line.sure else f"ASSUMED: {line.evidence}"
-    text = [head.rstrip()]
-    for key, value in content.items():
-        if key == "signals":
-            text.append("signals:")
-            for name, section in value.items():
-                text.append(f"  {name}:{_remark(said.get(f'signals.{name}'))}")
-                for inner, one in section.items():
-                    text.append(f"    {inner}: {_flow(one)}{_remark(said.get(f'signals.{name}.{inner}'))}")
-        else:
-            text.append(f"{key}: {_flow(value)}{_remark(said.get(key) or said.get(f'{key}.rate'))}")
-    return "\n".join(text) + "\n"
-
-
-def _remark(said: str | None) -> str:
-    return "" if said is None else f"   # {' '.join(said.split())}"
-
-
-def _table(rows: Sequence[tuple[str, str, str]]) -> str:
-    return "\n".join(["bag,object,kind", *(",".join(row) for row in rows)]) + "\n"

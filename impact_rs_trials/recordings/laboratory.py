@@ -42,7 +42,7 @@ from impact_rs_trials.recordings.clock import (
     grid_from,
     tell_gaps,
 )
-from impact_rs_trials.recordings.clock_offset import on_one_clock, with_start_at
+from impact_rs_trials.recordings.clock_offset import OBJECT_SIGNALS, on_one_clock, with_start_at
 from impact_rs_trials.recordings.contact_frame import ContactFrame, PadOnFace, contact_frame
 from impact_rs_trials.recordings.experiment import (
     FRICTION_NOISE,
@@ -74,7 +74,6 @@ from impact_rs_trials.workers import Map
 logger = logging.getLogger(__name__)
 
 ARM_SIGNALS: tuple[SignalName, ...] = (*REQUIRED, "motor_position", "motor_velocity")
-OBJECT_SIGNALS: tuple[SignalName, ...] = ("object_pose", "object_position", "object_quaternion")
 
 LEAST_SAMPLES = 20
 WALL_CLOCK = 1e9  # s; stamps above it count from 1970 (this is 2001), those below from the start of some program

@@ -75,6 +75,9 @@ WIDTH: dict[SignalName, int] = {"object_pose": 7, "object_position": 3, "object_
 JOINT_SIGNALS: tuple[SignalName, ...] = tuple(name for name in get_args(SignalName) if name not in WIDTH)
 
 
+StampNames = str | tuple[str, str]  # column or array of stamps; or of whole seconds and of nanoseconds beside them
+
+
 class TableLayout(Schema):
     """Where rows and names of columns stand in a text table."""
 
@@ -85,6 +88,9 @@ class TableLayout(Schema):
     )
     first: Annotated[int | None, Field(ge=1)] = Field(
         None, description="line of the first row, below a line of units for example; absent: the next"
+    )
+    decimal: Literal[".", ","] = Field(
+        ".", description="decimal sign of the numbers; with a comma, semicolons or tabs separate the cells"
     )
 
 
@@ -106,9 +112,18 @@ class SignalSource(Schema):
         description="column of a table; {joint} stands for 1, 2, ..., without it a cell holds all numbers of a sample",
     )
     columns: tuple[str, ...] | None = Field(None, description="columns of a table one by one, in order")
-    time_column: str | None = Field(None, description="column of this signal's own time; absent: that of the mapping")
+    entries: tuple[Annotated[int, Field(ge=1)], ...] | None = Field(
+        None,
+        description="which numbers of a cell or of a sample of an array, counted from 1, where a gripper, for example, "
+        "stands beside the joints; absent: all",
+    )
+    time_column: StampNames | None = Field(
+        None, description="column of this signal's own time, or two as in time.column; absent: that of the mapping"
+    )
     array: str | None = Field(None, description="array of an NPZ, HDF5 or MAT file, samples x joints")
-    time_array: str | None = Field(None, description="array of this signal's own time; absent: that of the mapping")
+    time_array: StampNames | None = Field(
+        None, description="array of this signal's own time, or two as in time.array; absent: that of the mapping"
+    )
     file: str | None = Field(None, description="file in the folder of a run; absent: the run's own file")
     table: TableLayout | None = Field(None, description="as table, for this signal's file; absent: that of the mapping")
     quaternion_order: Literal["xyzw", "wxyz"] = Field("xyzw", description="order of a quaternion's numbers in a table")
@@ -138,8 +153,10 @@ class TimeSource(Schema):
     """Where the time stamps are."""
 
     stamp: Literal["header", "log"] = Field("header", description="stamp of a message: its header or the bag's log")
-    column: str = Field("time", description="column of a table")
-    array: str = Field("time", description="array of an NPZ, HDF5 or MAT file")
+    column: StampNames = Field(
+        "time", description="column of a table; or two, whole seconds and the nanoseconds beside them"
+    )
+    array: StampNames = Field("time", description="array of an NPZ, HDF5 or MAT file; or two, as columns")
     unit: Literal["s", "ms", "us", "ns", "date"] = Field(
         "s", description="unit of the stamps in files that are no bags; date: 2026-11-25 12:00:00.5, a zone may follow"
     )
@@ -211,8 +228,28 @@ class Mapping(Schema):
     low_pass: Annotated[float, Field(gt=0.0, description="cut-off of the zero-phase low-pass [Hz]")] = 3.0
     time: TimeSource = Field(default_factory=TimeSource, description="time stamps")
     table: TableLayout = Field(default_factory=TableLayout, description="where a text table has its names and rows")
+    run_column: str | None = Field(
+        None,
+        description="column of tables that says the run of each row, where a file holds several, as episode_index",
+    )
     definitions: tuple[str, ...] = Field((), description="message packages whose definitions are in mappings/messages")
     signals: dict[SignalName, SignalSource] = Field(description="where each signal is")
+
+    @model_validator(mode="after")
+    def _pairs_are_seconds(self) -> Self:
+        pairs: list[tuple[str, StampNames | None]] = [
+            ("time.column", self.time.column),
+            ("time.array", self.time.array),
+        ]
+        for name, source in self.signals.items():
+            pairs += [
+                (f"signals.{name}.time_column", source.time_column),
+                (f"signals.{name}.time_array", source.time_array),
+            ]
+        for key, names in pairs:
+            if not isinstance(names, str | None) and self.time.unit != "s":
+                raise ValueError(f"{key} names whole seconds and nanoseconds, expected time.unit: s")
+        return self
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:
@@ -240,6 +277,13 @@ class Mapping(Schema):
                 raise ValueError(f"signals.{name}.offset is {source.offset:g}, expected none: it is for joints")
             if source.columns is not None and len(source.columns) != wanted:
                 raise ValueError(f"signals.{name}.columns names {len(source.columns)}, expected {wanted}")
+            if source.entries is not None and len(source.entries) != wanted:
+                raise ValueError(f"signals.{name}.entries lists {len(source.entries)} numbers, expected {wanted}")
+            if source.entries is not None and source.array is None and "{joint}" in (source.column or "{joint}"):
+                raise ValueError(
+                    f"signals.{name}.entries is for an array, or a column whose cells hold several numbers; columns "
+                    "names those of tables with one number in a cell"
+                )
             if source.columns is not None and source.column is not None:
                 raise ValueError(f"signals.{name} has both column and columns, expected one of them")
         self._object_is_told_once()
@@ -286,6 +330,11 @@ class Mapping(Schema):
     def spread(self) -> bool:
         """Whether every run lies in files of its own name, which no file of one run holds together."""
         return all(source.file is not None and "{run}" in source.file for source in self.signals.values())
+
+    @property
+    def holds_runs(self) -> bool:
+        """Whether a file may hold several runs: rows of a column, or groups of arrays with ``{run}`` in their names."""
+        return self.run_column is not None or any("{run}" in (source.array or "") for source in self.signals.values())
 
     def width(self, signal: SignalName) -> int:
         """How many numbers one sample of a signal has."""

@@ -29,7 +29,8 @@ from impact_rs_trials.recordings.sources import (
     SEARCHED_SUFFIXES,
     read_series,
     run_folders,
-    spread_runs,
+    runs_below,
+    runs_inside,
 )
 from impact_rs_trials.runs import ArmSignals, Run, Signals
 
@@ -91,18 +92,21 @@ def _is_trial(path: Path) -> bool:
 
 
 def read_recordings(path: Path, mapping: Mapping) -> list[Run]:
-    """Every recording at ``path``, checked.
+    """Every recording at ``path``, a file, a run inside of it, or a folder, checked.
 
     Raises:
         InputError: A recording cannot be used; the message says what was expected.
     """
     if path.is_dir() and all(source.file is not None for source in mapping.signals.values()):
-        found = list(spread_runs(path, mapping)) if mapping.spread else run_folders(path, mapping)
+        found = runs_below(path, mapping) if mapping.spread else run_folders(path, mapping)
         if not found:
             files = ", ".join(sorted({str(source.file) for source in mapping.signals.values()}))
             raise InputError(
                 f"no run here has the files that signals.NAME.file of the mapping names: {files}", file=path
             )
+    elif mapping.holds_runs:
+        whole = [] if path.parent.is_file() else find_recordings(path)
+        found = [run for file in whole for run in runs_inside(file, mapping)] or [path]
     else:
         found = find_recordings(path)
     return [piece for item in found for piece in _pieces(item, mapping)]
@@ -197,6 +201,7 @@ def nominal_physics(mapping: Mapping, position: Array, model: RobotModel) -> Phy
         pad_stiffness=None,
         pad_damping=0.0,
         impact_position=np.mean(places, axis=0),
+        assumed=facts.assumed,
     )
     nothing = ObjectPhysics(1.0, np.ones(3), np.ones(3), np.zeros(3))
     return Physics({ARM: arm}, nothing, None, (1.0, 1.0), 0.0, 0.0, 0.0)

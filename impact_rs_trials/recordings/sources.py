@@ -11,8 +11,10 @@ from typing import Protocol
 from impact_rs_sim.errors import InputError, did_you_mean
 from impact_rs_trials.recordings.array_file import ArrayFile
 from impact_rs_trials.recordings.bag_file import BagFile
+from impact_rs_trials.recordings.inner_runs import RUN
 from impact_rs_trials.recordings.mapping import Mapping, SignalName, SignalSource
 from impact_rs_trials.recordings.series import MissingSignal, Names, Series
+from impact_rs_trials.recordings.table_columns import run_names
 from impact_rs_trials.recordings.table_file import TableFile
 
 BAG_SUFFIXES = (".db3", ".mcap")
@@ -61,6 +63,36 @@ def spread_runs(folder: Path, mapping: Mapping) -> dict[Path, str]:
     return {folder / run: runs[run] for run in sorted(runs, key=natural)}
 
 
+def runs_below(folder: Path, mapping: Mapping) -> list[Path]:
+    """Runs of :func:`spread_runs` in a folder, and in those below it, each a session."""
+    below = sorted((one for one in folder.rglob("*") if one.is_dir()), key=lambda one: natural(str(one)))
+    return [run for place in (folder, *below) for run in spread_runs(place, mapping)]
+
+
+def runs_inside(file: Path, mapping: Mapping) -> list[Path]:
+    """Runs that a file holds (:mod:`inner_runs`), each called as a file in a folder; the file where it is one run.
+
+    Raises:
+        InputError: It cannot be read.
+    """
+    if mapping.run_column is not None and file.suffix in TABLE_SUFFIXES:
+        named = dict.fromkeys(run_names(file, mapping.table, mapping.run_column))
+        if strange := [run for run in named if "/" in run or run in ("", ".", "..")]:
+            said = "expected the name of a run in every row, without /"
+            raise InputError(said, file=file, key=f"column {mapping.run_column}", value=strange[0])
+        return [file / run for run in named]
+    arrays = {source.array for source in mapping.signals.values() if source.array is not None and RUN in source.array}
+    if not arrays or file.suffix not in ARRAY_SUFFIXES:
+        return [file]
+    found: set[str] = set()
+    names = ArrayFile.names_of(file)
+    for array in arrays:
+        expression = re.escape(array.strip("/")).replace(re.escape(RUN), "(?P<run>[^/]+)", 1)
+        expression = expression.replace(re.escape(RUN), "(?P=run)")
+        found |= {match["run"] for name in names if (match := re.fullmatch(expression, name))}
+    return [file / run for run in sorted(found, key=natural)] if found - {file.stem} else [file]
+
+
 def run_folders(folder: Path, mapping: Mapping) -> list[Path]:
     """Folders of one run each, with the files that the signals of a mapping lie in: this folder, or those below."""
     files = sorted({source.file for source in mapping.signals.values() if source.file is not None})
@@ -90,8 +122,8 @@ def read_series(
     """Signals of one run as its files have them; the velocity is the position's derivative if the mapping has none.
 
     Args:
-        path: A file; a folder of a bag; or, where the mapping names files, a folder of those, or the name of a run
-            beside them.
+        path: A file, or a run inside of it; a folder of a bag; or, where the mapping names files, a folder of those, or
+            the name of a run beside them.
         mapping: Where the signals are.
         wanted: Signals to read, as far as the mapping has them.
         needed: Of those, the ones that must be there.
@@ -139,6 +171,8 @@ def _file_of(path: Path, source: SignalSource, names: Names) -> Path:
     if source.file is not None:
         folder = path if path.is_dir() and not is_bag_folder(path) else path.parent
         return folder / names.fill(source.file)
+    if path.parent.is_file():  # a run inside of a file
+        return path.parent
     if not path.is_dir() or is_bag_folder(path):
         return path
     inside = sorted(file for file in path.iterdir() if file.suffix in SEARCHED_SUFFIXES)

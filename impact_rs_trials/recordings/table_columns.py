@@ -7,7 +7,7 @@ Columns without names are ``c1``, ``c2`` and so on.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -15,10 +15,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from impact_rs_sim.errors import InputError
+from impact_rs_sim.errors import InputError, did_you_mean
 from impact_rs_trials.recordings.csv_rows import csv_rows
+from impact_rs_trials.recordings.inner_runs import runs_of
 from impact_rs_trials.recordings.mapping import TableLayout
 
+MOST_LISTED = 8  # runs in a message
 TRAILING = "the names of the columns may stand in another line: table.header in the mapping says in which"
 
 
@@ -37,6 +39,14 @@ class Columns:
     lines: tuple[int, ...] = ()
     dates: frozenset[str] = frozenset()
     remarks: tuple[str, ...] = ()
+
+    def in_rows(self, rows: NDArray[np.signedinteger]) -> Columns:
+        """Some of the rows."""
+        cells: dict[str, list[str] | NDArray[Any]] = {
+            name: own[rows] if isinstance(own, np.ndarray) else [own[row] for row in rows]
+            for name, own in self.cells.items()
+        }
+        return replace(self, cells=cells, lines=tuple(self.lines[row] for row in rows) if self.lines else ())
 
 
 def require(package: str, path: Path) -> None:
@@ -64,8 +74,45 @@ def read_columns(path: Path, layout: TableLayout) -> Columns:
     return _of_npy(path) if path.suffix == ".npy" else _of_text(path, layout)
 
 
+def read_rows(path: Path, layout: TableLayout, column: str, run: str) -> Columns:
+    """The columns of a table in the rows of one run.
+
+    Args:
+        path: The file.
+        layout: Where a text has its names and rows.
+        column: Says the run of each row.
+        run: The run.
+
+    Raises:
+        InputError: It cannot be read, or has no such column or run.
+    """
+    every = run_names(path, layout, column)
+    rows = np.flatnonzero([name == run for name in every])
+    if not rows.size:
+        known = list(dict.fromkeys(every))
+        listed = ", ".join(known[:MOST_LISTED]) + (" ..." if len(known) > MOST_LISTED else "")
+        raise InputError(f"no row is of run {run!r}{did_you_mean(run, known)}; found: {listed}", file=path, key=column)
+    if path.suffix == ".parquet":
+        return _of_parquet(path, (int(rows[0]), int(rows[-1]) + 1)).in_rows(rows - rows[0])
+    return read_columns(path, layout).in_rows(rows)
+
+
+def run_names(path: Path, layout: TableLayout, column: str) -> list[str]:
+    """Name of the run of every row.
+
+    Raises:
+        InputError: The file cannot be read, or has no such column.
+    """
+    columns = _of_parquet(path, names=[column]) if path.suffix == ".parquet" else read_columns(path, layout)
+    if column not in columns.cells:
+        found = ", ".join(columns.cells)
+        said = f"no column {column!r}{did_you_mean(column, columns.cells)}; found: {found}"
+        raise InputError(said, file=path, key="run_column of the mapping")
+    return runs_of(columns.cells[column])
+
+
 def _of_text(path: Path, layout: TableLayout) -> Columns:
-    rows = csv_rows(path, layout.header, layout.first)
+    rows = csv_rows(path, layout.header, layout.first, layout.decimal)
     if layout.header == 0 and rows:
         rows.insert(0, (0, [f"c{number}" for number in range(1, len(rows[0][1]) + 1)]))
     if len(rows) < 2:
@@ -115,13 +162,17 @@ def _of_npy(path: Path) -> Columns:
     return Columns(cells)
 
 
-def _of_parquet(path: Path) -> Columns:
+def _of_parquet(path: Path, rows: tuple[int, int] | None = None, names: list[str] | None = None) -> Columns:
+    """All columns, or some; all rows, or those from one to another."""
     require("pyarrow", path)
     import pyarrow
     import pyarrow.parquet
 
     try:
-        table = pyarrow.parquet.read_table(path)
+        if names is not None:
+            names = [name for name in names if name in pyarrow.parquet.read_schema(path).names] or None
+        table = pyarrow.parquet.read_table(path, columns=names)
+        table = table if rows is None else table.slice(rows[0], rows[1] - rows[0])
         names = [str(name) for name in table.column_names]
     except Exception as error:  # a damaged file can fail anywhere inside the library
         said = (str(error).splitlines() or [type(error).__name__])[0]

@@ -17,10 +17,10 @@ from numpy.typing import NDArray
 from impact_rs_sim.decimals import decimal
 from impact_rs_sim.errors import InputError, did_you_mean, shortened
 from impact_rs_sim.robot import Array
-from impact_rs_trials.recordings.clock import seconds_of
+from impact_rs_trials.recordings.clock import seconds_of, seconds_of_pair
 from impact_rs_trials.recordings.mapping import UNITS, Mapping, SignalName, SignalSource, TableLayout
 from impact_rs_trials.recordings.series import MissingSignal, Names, Series
-from impact_rs_trials.recordings.table_columns import read_columns
+from impact_rs_trials.recordings.table_columns import read_columns, read_rows
 
 SHOWN = 8  # column names in a message
 BRACKETS = "[](){} \t"  # about the numbers of a cell
@@ -48,7 +48,11 @@ class TableFile:
         self._path, self._mapping, self._names = path, mapping, names
         here = [source for source in mapping.signals.values() if source.file and names.fill(source.file) == path.name]
         own = [source.table for source in here if source.table is not None]
-        self._columns = read_columns(path, own[0] if own else mapping.table)
+        layout = own[0] if own else mapping.table
+        if mapping.run_column is None:
+            self._columns = read_columns(path, layout)
+        else:
+            self._columns = read_rows(path, layout, mapping.run_column, names.run)
 
     @staticmethod
     def columns_of(path: Path, layout: TableLayout | None = None) -> list[str]:
@@ -71,7 +75,7 @@ class TableFile:
             raise MissingSignal(f"the mapping says no column for {name}", file=self._path, key=f"signals.{name}")
         key = f"signals.{name}.{'column' if source.columns is None else 'columns'}"
         if source.column is not None and "{joint}" not in source.column and self._mapping.width(name) > 1:
-            values = self._vectors(columns[0], name, key)
+            values = self._vectors(columns[0], name, key, source.entries)
         else:
             values = np.column_stack([self._numbers(column, name, key) for column in columns])
         time = self._seconds(source, name, len(values)) + source.delay
@@ -91,8 +95,15 @@ class TableFile:
         clock = self._mapping.time
         if clock.rate is not None:
             return np.asarray(np.arange(samples) / clock.rate)
-        column = self._names.fill(source.time_column or clock.column)
+        named = source.time_column or clock.column
         key = "time.column" if source.time_column is None else f"signals.{name}.time_column"
+        if not isinstance(named, str):
+            pair = [self._names.fill(one) for one in named]
+            for one in pair:
+                self._cells(one, "time", key)
+            whole, rest = (self._stamps(one, key) for one in pair)
+            return seconds_of_pair(self._path, f"columns {pair[0]!r} and {pair[1]!r} (time)", whole, rest)
+        column = self._names.fill(named)
         cells = self._cells(column, "time", key)
         if column in self._columns.dates:
             return seconds_of(np.asarray(cells), 1e-9)
@@ -145,16 +156,23 @@ class TableFile:
             return np.asarray(cells, dtype=float)
         return np.array([self._number(cell or "nan", row, column) for row, cell in enumerate(cells)])
 
-    def _vectors(self, column: str, name: SignalName, key: str) -> Array:
+    def _vectors(self, column: str, name: SignalName, key: str, entries: tuple[int, ...] | None) -> Array:
         """Cells that hold all numbers of a sample, ``(k, width)``; those of an empty cell are nan."""
         cells, width = self._cells(column, name, key), self._mapping.width(name)
-        rows = np.full((len(cells), width), np.nan)
+        rows, whole = np.full((len(cells), width), np.nan), 0
         for row, cell in enumerate(cells):
             parts = [part for part in BETWEEN.split(str(cell).strip(BRACKETS)) if part]
+            if entries is not None and parts:
+                whole = whole or max(len(parts), max(entries))
+                if len(parts) != whole:
+                    said = f"{len(parts)} numbers in a cell, expected {whole}"
+                    raise self._wrong(f"{said}, as many in all rows and all that entries names", row, column)
+                parts = [parts[entry - 1] for entry in entries]
             if len(parts) not in (0, width):
                 said = (
                     f"{len(parts)} numbers in a cell, expected {width} with blanks between them; where each number has "
-                    "a column of its own, {joint} in the name stands for 1, 2, ..."
+                    "a column of its own, {joint} in the name stands for 1, 2, ...; where there are more, entries in "
+                    "the mapping says which"
                 )
                 raise self._wrong(said, row, column)
             rows[row, : len(parts)] = [self._number(part, row, column) for part in parts]
@@ -164,7 +182,8 @@ class TableFile:
         try:
             return decimal(cell)
         except ValueError as error:
-            raise self._wrong(str(error), row, column) from None
+            remedy = "; table.decimal: ',' in the mapping reads decimal commas" if "," in cell else ""
+            raise self._wrong(f"{error}{remedy}", row, column) from None
 
     def _wrong(self, said: str, row: int, column: str) -> InputError:
         """What is wrong in a cell."""

@@ -8,12 +8,12 @@ words beside them). The names stand in the line above that has as many cells, or
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from impact_rs_sim.errors import InputError
 from impact_rs_trials.recordings.candidates import numbers_in
-from impact_rs_trials.recordings.csv_rows import read_lines, separator_of, split_line
+from impact_rs_trials.recordings.csv_rows import decimal_sign, read_lines, separator_of, split_line
 from impact_rs_trials.recordings.mapping import TableLayout
 
 LOOKED_AT = 60  # lines, in which a table must have begun
@@ -47,13 +47,18 @@ def find_layout(path: Path) -> FoundLayout:
     """
     lines = [(number, line) for number, line in read_lines(path)[:LOOKED_AT] if line.strip()]
     texts = dict(lines)
-    cells = {number: split_line(line.lstrip("# ")) for number, line in lines}
+    point = decimal_sign([line for _, line in lines])
+    cells = {number: split_line(line.lstrip("# "), point) for number, line in lines}
     data = [number for number, line in lines if not line.startswith("#") and _is_row(cells[number])]
     for place, first in enumerate(data):
         together = data[place : place + ALIKE]
-        alike = {(len(cells[number]), separator_of(texts[number])) for number in together}
+        alike = {(len(cells[number]), separator_of(texts[number], point)) for number in together}
         if len(alike) == 1 and (len(together) == ALIKE or place == 0):
-            return _named(cells, first, {number for number, line in lines if line.startswith("#")})
+            found = _named(cells, first, {number for number, line in lines if line.startswith("#")})
+            if point == ".":
+                return found
+            said = f"{found.evidence}; numbers have a decimal comma"
+            return replace(found, layout=found.layout.model_copy(update={"decimal": point}), evidence=said)
     raise InputError(f"no table of numbers begins in its first {LOOKED_AT} lines", file=path)
 
 

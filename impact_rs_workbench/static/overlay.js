@@ -2,17 +2,19 @@
 // Runs, models and estimates over each other: choose, filter, pin.
 
 import {draw} from './figures.js';
-import {ask, arrowKeys, fill, h, inFolder, labelled, number, plain, query, Questions, state} from './tools.js';
+import {ask, fill, h, inFolder, labelled, number, plain, query, Questions, state, Tabs} from './tools.js';
 
 const COLOURS = ['#0072B2', '#D55E00', '#009E73', '#CC79A7', '#E69F00', '#56B4E9', '#555555', '#7A5195', '#003F5C', '#BC5090'];
 const FIRST = 3; // runs that are chosen at first
 const MOST = 60; // rows of the list
 const MOST_CHOSEN = 30; // runs over each other: more curves are one blot
 
-// A list to choose from, with a filter and pins: pinned entries stay on top and chosen.
+let kept = null; // what was chosen before, asked for once
+
+// A list to choose from, with a filter and pins: pinned entries stay on top and chosen. The server keeps what was chosen.
 class Choice {
-  constructor(name, changed) {
-    Object.assign(this, {name, changed, all: [], chosen: new Set(), pinned: new Set()});
+  constructor(name, drawn) {
+    Object.assign(this, {name, drawn, all: [], chosen: new Set(), pinned: new Set(), questions: new Questions()});
     this.filter = h('input', {type: 'search', id: `${name}-filter`, placeholder: 'all', oninput: () => this.show()});
     this.list = h('ul', {class: 'runs', id: `${name}-list`});
     const act = (text, change) => h('button', {type: 'button', onclick: () => { change(); this.show(); this.changed(); }}, text);
@@ -21,14 +23,32 @@ class Choice {
       act('Choose none', () => { this.chosen = new Set(this.pinned); })), this.list);
   }
 
-  offer(all) {
+  // The user has changed the choice.
+  async changed() {
+    this.touched = true;
+    this.drawn();
+    const turn = this.questions.begin();
+    await turn.pause(200); // of several clicks the last
+    await ask('/api/choices', {name: this.name.replace('overlay-', ''), chosen: [...this.chosen], pinned: [...this.pinned]})
+      .catch(() => {}); // the page shows it all the same
+  }
+
+  async offer(all) {
     if (JSON.stringify(all) === JSON.stringify(this.all)) return;
     this.all = all;
+    kept ??= ask('/api/choices').catch(() => ({}));
+    const own = (await kept)[this.name.replace('overlay-', '')];
+    if (this.all !== all) return; // there are others meanwhile
+    if (own && !this.touched) {
+      this.touched = true;
+      this.chosen = new Set(own.chosen);
+      this.pinned = new Set(own.pinned);
+    }
     for (const set of [this.chosen, this.pinned]) for (const key of set) if (!all.some((one) => one.key === key)) set.delete(key);
     const first = [...all].sort((a, b) => (a.last ?? 0) - (b.last ?? 0));
-    if (!this.chosen.size) for (const one of first.slice(0, FIRST)) this.chosen.add(one.key);
+    if (!this.touched && !this.chosen.size) for (const one of first.slice(0, FIRST)) this.chosen.add(one.key);
     this.show();
-    this.changed();
+    this.drawn();
   }
 
   // In the order of the list, the pinned ones first.
@@ -157,7 +177,7 @@ const models = {
 
   update() {
     const found = state.workspace.reports.filter((path) => path.endsWith('compare.html'));
-    this.choice.offer(found.map((path) => ({key: `${path}?${state.workspace.stamps[path]}`, path, text: path.replace(/\/?compare\.html$/, '')})));
+    this.choice.offer(found.map((path) => ({key: path, stamp: state.workspace.stamps[path], text: path.replace(/\/?compare\.html$/, '')})));
   },
 
   async read(path) {
@@ -170,7 +190,7 @@ const models = {
   async draw() {
     const turn = this.questions.begin(), chosen = this.choice.selected();
     try {
-      const found = await turn.of(Promise.all(chosen.map(({key, path}) => this.known.of(key, () => this.read(path)))));
+      const found = await turn.of(Promise.all(chosen.map(({key, stamp}) => this.known.of(`${key}?${stamp}`, () => this.read(key)))));
       fill(this.run, plain([...new Set(found.flatMap((one) => one.sets.map((set) => set.label)))]));
       const sets = found.map((one) => one.sets.find((set) => set.label === this.run.value));
       fill(this.signal, plain([...new Set(sets.flatMap((set) => set?.signals.map((one) => one.name) ?? []))]));
@@ -233,8 +253,10 @@ const estimates = {
     const data = [[true, 'named', '#009E73', 'circle'], [false, 'not named', '#777777', 'circle-open']]
       .map(([kind, ...look]) => trace(of(kind), ...look)).filter((one) => one.x.length);
     const times = own.map((one) => 1000 * one.when), wide = Math.max(60_000, 0.08 * (Math.max(...times) - Math.min(...times)));
-    this.note.textContent = `${own.length} diagnos${own.length === 1 ? 'is' : 'es'}; bars are 95 % intervals.`;
-    await draw(this.plot, {data, layout: {height: 360, margin: {l: 60, r: 12, t: 10, b: 80}, showlegend: true, xaxis: {title: {text: 'time of the diagnosis'}, type: 'date', nticks: 6,
+    const unknown = own.filter((one) => !one.measured).length;
+    this.note.textContent = `${own.length} diagnos${own.length === 1 ? 'is' : 'es'}, each at the time of its last trial; bars are 95 % intervals.` +
+      (unknown ? ` Of ${unknown} the trials are not in this folder: they stand at the time of their file.` : '');
+    await draw(this.plot, {data, layout: {height: 360, margin: {l: 60, r: 12, t: 10, b: 80}, showlegend: true, xaxis: {title: {text: 'time of the measurement'}, type: 'date', nticks: 6,
         range: [new Date(Math.min(...times) - wide), new Date(Math.max(...times) + wide)]},
       yaxis: {title: {text: `${this.parameter.value}${unit}`}, automargin: true}, legend: {orientation: 'h', yref: 'container', y: 0, yanchor: 'bottom', x: 0}}});
     this.plot.dataset.shown = this.parameter.value;
@@ -245,26 +267,9 @@ const PARTS = {runs: ['Runs', runs], models: ['Models', models], estimates: ['Es
 
 export const overlay = {
   build() {
-    this.tabs = Object.entries(PARTS).map(([name, [text]]) => h('button', {type: 'button', role: 'tab', id: `tab-overlay-${name}`,
-      'aria-controls': `part-overlay-${name}`, onclick: () => this.show(name)}, text));
-    arrowKeys(this.tabs);
-    this.panels = Object.entries(PARTS).map(([name, [, part]]) => h('div', {role: 'tabpanel', id: `part-overlay-${name}`, 'data-part': name,
-      'aria-labelledby': `tab-overlay-${name}`}, part.build()));
-    this.node = h('section', {}, h('h2', {}, 'Over each other'), h('div', {class: 'tabs', role: 'tablist'}, ...this.tabs), ...this.panels);
-    this.show('runs');
-    return this.node;
+    this.tabs = new Tabs(Object.fromEntries(Object.entries(PARTS).map(([name, [text, part]]) => [name, [text, part.build()]])), 'overlay-');
+    return h('section', {}, h('h2', {}, 'Over each other'), this.tabs.list, this.tabs.lead, ...this.tabs.panels);
   },
 
-  show(name) {
-    this.chosen = name;
-    for (const panel of this.panels) panel.hidden = panel.dataset.part !== name;
-    for (const tab of this.tabs) {
-      const own = tab.id === `tab-overlay-${name}`;
-      tab.setAttribute('aria-selected', String(own));
-      tab.tabIndex = own ? 0 : -1;
-    }
-    if (state.workspace) this.update();
-  },
-
-  update() { PARTS[this.chosen][1].update(); },
+  update() { PARTS[this.tabs.chosen][1].update(); },
 };

@@ -139,6 +139,35 @@ export function arrowKeys(tabs) {
   }
 }
 
+// Tabs of a step, of which one panel is in sight. `parts`: by name the text of the tab and what is in its panel. `changed` is given
+// the tab that was chosen; `lead` is the place of the first lines.
+export class Tabs {
+  constructor(parts, prefix = '') {
+    const made = Object.entries(parts);
+    this.changed = () => {};
+    this.buttons = made.map(([name, [text]]) => h('button', {type: 'button', role: 'tab', id: `tab-${prefix}${name}`,
+      'aria-controls': `part-${prefix}${name}`, onclick: () => { this.show(name); this.changed(name); }}, text));
+    this.panels = made.map(([name, [, node]]) => h('div', {role: 'tabpanel', id: `part-${prefix}${name}`, 'data-part': name,
+      'aria-labelledby': `tab-${prefix}${name}`}, node));
+    arrowKeys(this.buttons);
+    this.list = h('div', {class: 'tabs', role: 'tablist'}, ...this.buttons);
+    this.lead = h('div', {});
+    this.show(made[0][0]);
+  }
+
+  has(name) { return this.panels.some((panel) => panel.dataset.part === name); }
+
+  show(name) {
+    this.chosen = name;
+    this.panels.forEach((panel, place) => {
+      const own = panel.dataset.part === name;
+      panel.hidden = !own;
+      this.buttons[place].setAttribute('aria-selected', String(own));
+      this.buttons[place].tabIndex = own ? 0 : -1; // the arrow keys lead on from here
+    });
+  }
+}
+
 // A script of the server, once it has run.
 export const load = (address) => new Promise((done, failed) => {
   const script = document.createElement('script');

@@ -6,7 +6,7 @@ import {cursor, darkScheme, draw, erase, seen} from './figures.js';
 import {live, watchable} from './live_view.js';
 import {overlay} from './overlay.js';
 import {Impact, replayIn} from './picture.js';
-import {$, arrowKeys, ask, commandLine, fill, fit, fitAll, fixed, h, inFolder, labelled, messageArea, number, plain, query, Questions, refill, seconds, slug, state, stem, unit} from './tools.js';
+import {$, ask, commandLine, fill, fitAll, fixed, h, inFolder, labelled, messageArea, number, plain, query, Questions, refill, seconds, slug, state, stem, Tabs, unit} from './tools.js';
 
 // ---- explanations ------------------------------------------------------------------------------------------------
 
@@ -22,6 +22,21 @@ const ABOUT = {
   design: {title: 'A plan of trials', text: 'Trials that the cell can run are simulated under every explanation. Chosen are those that raise the ' +
     'probability of the right decision most. With a diagnosis the plan splits its ties; without one it looks for the missing effect.',
     units: 'probabilities in percent', page: 'design.md'},
+  limits: {title: 'Speed limit', text: 'The hit is simulated with draws of what is not known exactly: the uncertainties of the scenario, stiffness and ' +
+    'damping, and the difference between simulators. A speed is allowed if all bounds hold in 99 % of them. A reflex stops the robot by itself.',
+    units: 'closing speed along the normal of the pad, m/s', page: 'limits.md'},
+  designs: {title: 'Design study', text: 'The hit of every combination is predicted. Each value has an interval from the uncertainties of the scenario, ' +
+    'and each rank a range.', units: 'impulse in N s, speeds in m/s; joint jump over the velocity limit', page: 'design_study.md'},
+  rehearse: {title: 'Rehearsal', text: 'Arming, cell, controller, brake and watchdog are those that a robot meets; the driver is a stand-in with the ' +
+    'rates, latencies and limits of its profile. A negative margin fails the rehearsal.', units: 'beside each number', page: 'limits.md#rehearsal'},
+  import: {title: 'Import', text: 'Positions lie within the limits of the robot, velocities are their derivative, torques are those of weight and inertia. ' +
+    'ASSUMED marks what nothing shows: look at those values.', units: 'as in the files; the mapping names them', page: 'your_data.md'},
+  impacts: {title: 'Impacts', text: 'Positions on both sides of an impact are fitted: parabolas of joints, sliding or flight of the object. Whatever gives ' +
+    'no row is listed with the reason.', units: 'in the header of each column', page: 'your_data.md'},
+  follow: {title: 'Follow', text: 'The first hits teach the scatter. A change is announced with its first hit, its evidence and the effects that explain it. ' +
+    'At most one alarm in 10,000 hits is false where noise is as the first hits show it.', units: 'beside each number', page: 'following.md'},
+  evidence: {title: 'Evidence', text: 'A package holds the model, its diagnosis, digests of the measurements, and versions. A merge pools each parameter ' +
+    'and names the laboratory that does not agree.', units: 'those of the parameters', page: 'exchange.md'},
   laboratory: {title: 'Runs of another controller', text: 'A robot that pushes a box with its own controller: joint states, torque, ' +
     'and motion capture of the box are enough. Each run has a twin: an open-loop simulation driven by the recorded torque.',
     units: 'the mapping names the unit of each signal', page: 'your_data.md'},
@@ -53,16 +68,15 @@ function drawing(markup) {
 const termsOf = (step) => TERMS_OF[step].map((key) => h('figure', {class: 'term'}, drawing(TERMS[key].svg),
   h('figcaption', {}, h('b', {}, TERMS[key].name), `: ${TERMS[key].text}`)));
 
-// The first two lines of a step: what it is; what it says, and what comes next.
-const said = Object.fromEntries(Object.keys(LEADS).map((step) => [step, h('span', {'data-says': step}, LEADS[step].empty)]));
+// The first two lines of a step, or of a tab: what it is; what it says, and what comes next.
+const said = Object.fromEntries(Object.keys(LEADS).map((key) => [key, h('span', {'data-says': key}, LEADS[key].empty)]));
 
-function lead(step) {
-  const {what, next, step: following} = LEADS[step];
-  return h('div', {class: 'lead'}, h('p', {}, what), h('p', {}, said[step], ' Next: ',
-    h('a', {href: `#${following}`}, next), '.'));
+function lead(key) {
+  const {what, next, to} = LEADS[key];
+  return h('div', {class: 'lead'}, h('p', {}, what), h('p', {}, said[key], ' Next: ', h('a', {href: `#${to}`}, next), '.'));
 }
 
-function says(step, text) { said[step].textContent = text || LEADS[step].empty; }
+function says(key, text) { said[key].textContent = text || LEADS[key].empty; }
 
 function showAbout({title, text, equation, units, page, command, facts = [], actions = [], terms = []}) {
   $('right').replaceChildren(
@@ -110,8 +124,17 @@ function runsChoices() {
 
 const experimentOf = (runs) => state.workspace.laboratories.find((lab) => lab.path === runs)?.experiment ?? '';
 
-// What a field can be, by its kind: what lies in the folder.
+// What a field can be, by its name or by its kind: what lies in the folder.
 const CHOICES = {
+  plan: () => plain(state.workspace.plans),
+  impacts: () => plain(state.workspace.tables),
+  package: () => plain(state.workspace.packages),
+  packages: () => plain(state.workspace.packages),
+  files: () => state.workspace.laboratories.filter((lab) => lab.recordings.length).map(({path, experiment}) =>
+    ({value: path, text: `${path}${experiment ? ' (described)' : ''}`, on: !experiment && state.workspace.laboratories.length === 1})),
+  robot: () => plain(state.workspace.robots),
+  robots: (one) => [...new Set([...one.default, ...state.workspace.robots])].map((value) => ({value, text: value, on: one.default.includes(value)})),
+  folder: runsChoices,
   scenario: () => plain(state.workspace.scenarios),
   runs: runsChoices,
   model: () => state.workspace.models.filter((model) => !model.error).map((model) => ({value: model.path, text: model.name})),
@@ -120,22 +143,29 @@ const CHOICES = {
   formulas: () => plain(state.workspace.formulas),
 };
 
+const choicesOf = (one) => one.choices.length || one.kind === 'text' ? undefined : CHOICES[one.name] ?? (one.many ? undefined : CHOICES[one.kind]);
+
+const CUT_OFF = 18; // characters that a narrow field shows
+
 // The control of one field: its node, its value (undefined: left out), and how to set value and choices.
 function fieldOf(one, id, offered) {
   const text = `${one.label}${unit(one.unit) ? ` [${one.unit}]` : ''}`, title = one.help;
-  const blank = one.otherwise || (one.default ?? 'none');
+  const blank = one.required ? '' : one.otherwise || (one.default ?? 'none');
   if (one.kind === 'switch') {
     const input = h('input', {type: 'checkbox', id});
     return {node: h('label', {class: 'tick long', title}, input, one.label), value: () => input.checked || undefined,
       set: (value) => { input.checked = value; }, offer() {}};
   }
-  if (offered && one.many) {
+  if (one.many && (offered || one.choices.length || choicesOf(one))) {
     const node = h('fieldset', {class: 'checks wide', id, title}, h('legend', {}, text));
-    return {node, set() {}, value: () => [...node.querySelectorAll('input:checked')].map(({value}) => one.kind === 'number' ? Number(value) : value),
-      offer: (choices) => node.replaceChildren(node.firstChild, ...choices.map((choice) => h('label', {},
-        h('input', {type: 'checkbox', value: choice.value, checked: choice.on}), choice.text)))};
+    const offer = (choices) => { // what a step offers begins anew; of what lies in the folder the ticks stay
+      const boxes = choices.map((choice) => h('label', {}, h('input', {type: 'checkbox', value: choice.value, checked: choice.on}), choice.text));
+      if (offered) node.replaceChildren(node.firstChild, ...boxes); else refill(node, [node.firstChild, ...boxes]);
+    };
+    offer(one.choices.map((value) => ({value, text: value, on: one.default?.includes(value)})));
+    return {node, set() {}, offer, value: () => [...node.querySelectorAll('input:checked')].map(({value}) => one.kind === 'number' ? Number(value) : value)};
   }
-  if (offered || one.choices.length || CHOICES[one.kind] && !one.many) {
+  if (offered || one.choices.length || choicesOf(one)) {
     const select = h('select', {id});
     const none = one.required || one.default ? [] : [{value: '', text: blank}];
     const offer = (choices, wanted) => fill(select, one.kind === 'runs' ? [...choices, ...none] : [...none, ...choices], wanted);
@@ -148,7 +178,7 @@ function fieldOf(one, id, offered) {
     {type: 'number', min: one.least, max: one.most, step: one.kind === 'whole' ? 1 : 0.05} : {})});
   if (numeric && one.default !== null) input.value = one.default;
   const parts = () => input.value.split(one.kind === 'setting' ? /\s+/ : /[\s,]+/).filter(Boolean);
-  return {node: labelled(text, input, {title, class: one.kind.startsWith('new_') ? 'long' : null}), control: input, offer() {},
+  return {node: labelled(text, input, {title, class: one.kind.startsWith('new_') || blank.length > CUT_OFF ? 'long' : null}), control: input, offer() {},
     value: () => input.value === '' ? undefined : one.many ? parts() : numeric ? Number(input.value) : input.value,
     set: (value) => { input.value = value; }};
 }
@@ -158,7 +188,7 @@ function fieldOf(one, id, offered) {
 // not filled in.
 function commandForm(command, label, {offers = [], first = 'scenario', suggest = {}, ready = () => true} = {}) {
   const fields = Object.fromEntries(FORMS[command].fields.map((one) => [one.name,
-    {one, ...fieldOf(one, `${command.split(' ')[0]}-${one.name}`, offers.includes(one.name))}]));
+    {one, ...fieldOf(one, `${command.replaceAll(' ', '-')}-${one.name}`, offers.includes(one.name))}]));
   const message = messageArea(), button = h('button', {class: 'primary', type: 'submit'}, label);
   const typed = new Set(), all = Object.values(fields), questions = new Questions();
   let before = null;
@@ -195,7 +225,7 @@ function commandForm(command, label, {offers = [], first = 'scenario', suggest =
   }
   const place = ({one, node}) => one.name === first && !one.advanced ? 0 : node.classList.contains('wide') ? 2 : 1; // boxes last
   const offerAll = () => {
-    for (const {one, offer} of all) if (CHOICES[one.kind] && !one.many && !offers.includes(one.name)) offer(CHOICES[one.kind]());
+    for (const {one, offer} of all) if (choicesOf(one) && !offers.includes(one.name)) offer(choicesOf(one)(one));
   };
   const nodes = (advanced) => all.filter(({one}) => one.advanced === advanced).sort((a, b) => place(a) - place(b)).map(({node}) => node);
   const further = nodes(true);
@@ -268,6 +298,63 @@ function jobButton(text, body, attributes = {}) {
   return [h('button', {type: 'button', ...attributes, onclick: () => reply.start(body())}, text), reply.node];
 }
 
+// Pages with one file name in the folder, of which the chosen one stands in the step; that of a job which ends comes first.
+class Pages {
+  constructor(id, label, page, opened = () => {}) {
+    Object.assign(this, {page, onOpen: opened});
+    this.select = h('select', {id: `${id}-page`, onchange: () => this.open()});
+    this.result = h('div', {id: `${id}-result`});
+    this.nodes = [labelled(label, this.select), this.result];
+  }
+
+  // Folders of the pages.
+  folders() { return state.workspace.reports.filter((path) => path.endsWith(`/${this.page}`)).map((path) => path.slice(0, -this.page.length - 1)); }
+
+  update() {
+    const found = this.folders(), of = (folder) => state.workspace.stamps[`${folder}/${this.page}`];
+    fill(this.select, plain(found), this.wanted && found.includes(this.wanted) ? this.wanted : undefined);
+    this.select.parentElement.hidden = !found.length;
+    if (this.select.value && (this.select.value !== this.opened || of(this.select.value) !== this.stamp)) this.open();
+    if (this.wanted === this.select.value) this.wanted = null;
+  }
+
+  open() {
+    const folder = this.opened = this.select.value;
+    this.stamp = state.workspace.stamps[`${folder}/${this.page}`];
+    this.result.replaceChildren(...wholeReport(`${folder}/${this.page}`, true));
+    this.onOpen(folder);
+  }
+}
+
+// What the newest job of a command has printed, also while it runs. `printed` is given the job.
+class Printed {
+  constructor(command, printed = () => {}) {
+    Object.assign(this, {words: command.split(' '), onPrint: printed, questions: new Questions(), key: null});
+    this.heading = h('h3', {});
+    this.text = h('pre', {class: 'printed', tabindex: 0, 'aria-label': `output of ${command}`});
+    this.node = h('div', {hidden: true, 'data-printed': command}, this.heading, this.text);
+    Printed.all.push(this);
+  }
+
+  static all = [];
+
+  async jobs() {
+    const job = state.jobs.find((one) => this.words.every((word, place) => one.arguments[place] === word));
+    if (!job) return;
+    this.heading.textContent = `Job ${job.number}: ${stateText(job)}`;
+    const key = JSON.stringify([job.number, job.ended, job.printed]);
+    if (key === this.key) return;
+    this.key = key;
+    this.onPrint(job);
+    const turn = this.questions.begin();
+    try {
+      const {log} = await turn.ask(`/api/jobs/${job.number}/log`);
+      this.text.textContent = inFolder(log);
+      this.node.hidden = !log;
+    } catch (error) { this.text.textContent = error.message; }
+  }
+}
+
 // ---- predict ----------------------------------------------------------------------------------------------------------
 
 const sceneOf = (name, object) => ask(`/api/scene?${query({name, object})}`);
@@ -282,6 +369,7 @@ const predict = {
     this.scenario = h('select', {id: 'predict-scenario', onchange: () => this.choose()});
     this.object = h('select', {id: 'predict-object', onchange: () => this.objectChosen()});
     this.case = h('select', {id: 'predict-case', onchange: () => this.anew()});
+    this.model = h('select', {id: 'predict-model', onchange: () => this.anew()});
     this.inertia = h('select', {id: 'predict-inertia', onchange: () => this.anew()},
       new Option('B_θ (reduced)', 'reduced'), new Option('B_ρ (whole rotor)', 'rotor'), new Option('B = 0 (none)', 'zero'));
     this.arm = h('select', {id: 'predict-arm', onchange: () => this.anew()});
@@ -300,10 +388,9 @@ const predict = {
       this.facts),
       h('div', {}, h('h3', {}, 'Sources of the interval'), this.budget));
     this.plot.redrawn = () => { if (this.answer) this.paint(); };
-    return h('section', {},
-      h('h2', {}, 'Predict the velocities just after the impact'), lead('predict'),
+    return h('div', {},
       h('div', {class: 'fields'}, labelled('scenario', this.scenario), labelled('object', this.object),
-        labelled('case', this.case), labelled('motor inertia', this.inertia), labelled('arm in the figure', this.arm, {hidden: true})),
+        labelled('case', this.case), labelled('model', this.model), labelled('motor inertia', this.inertia), labelled('arm in the figure', this.arm, {hidden: true})),
       h('div', {class: 'beside'}, this.scene, h('div', {}, this.sliders,
         h('details', {}, h('summary', {}, 'Uncertainty of the inputs (95 %)'), this.known))),
       this.plot, this.message.node, this.numbers,
@@ -313,7 +400,8 @@ const predict = {
 
   async update() {
     fill(this.scenario, plain(state.workspace.scenarios), this.scenario.value || 'push');
-    if (!this.chosen) await this.choose();
+    fill(this.model, CHOICES.model(), this.model.value || 'nominal');
+    if (!this.chosen) await this.choose(); else if (this.model.value !== this.asked) this.anew();
   },
 
   async choose() {
@@ -353,7 +441,7 @@ const predict = {
     this.message.error(error.message);
   },
 
-  anew() { this.clear(); this.again(); },
+  anew() { this.asked = this.model.value; this.clear(); this.again(); },
 
   objectChosen() {
     if (!this.found) return;
@@ -394,7 +482,7 @@ const predict = {
   async again() {
     if (!this.found) return;
     this.refinements.begin();
-    this.wanted = {scenario: this.scenario.value, object: this.object.value, case: this.case.value, arm: this.arm.value,
+    this.wanted = {scenario: this.scenario.value, object: this.object.value, case: this.case.value, arm: this.arm.value, model: this.model.value,
       motor_inertia: this.inertia.value, values: {...this.values}, moving: true};
     this.message.wait();
     this.numbers.setAttribute('aria-busy', 'true');
@@ -458,7 +546,7 @@ const predict = {
       h('i', {style: `width: ${(100 * one.share).toFixed(1)}%`}), h('span', {}, `${Math.round(100 * one.share)} %`))));
     const main = answer.rows.filter((row) => row.main), shown = (row) => `${row.body} ${fixed(row.before, 2)} → ${fixed(row.after, 2)} m/s`;
     this.turn.of(this.impact.draw(question.scenario, question.object, answer.moment)).catch((error) => { this.scene.textContent = error.message; });
-    says('predict', `${main.map(shown).join(', ')}, along ${answer.axis}.`);
+    says('predict/impact', `${main.map(shown).join(', ')}, along ${answer.axis}.`);
     this.place(question);
   },
 
@@ -519,9 +607,56 @@ const predict = {
 
   measure() {
     measure.wanted = {scenario: this.scenario.value, object: this.object.value, case: this.case.value};
-    measure.show('campaign');
-    go('measure');
+    go('measure', 'campaign');
   },
+};
+
+// Objects and cases of the chosen scenario: those of one hit, or the first of several.
+const offerHits = (form) => (found) => {
+  const all = (kind, entries) => form.fields[`${kind}s`] ?
+    form.offer(`${kind}s`, entries.map(([value, text], place) => ({value, text, on: place === 0}))) :
+    form.fields[kind] && form.offer(kind, [...(form.fields[kind].one.required ? [] : [{value: '', text: form.fields[kind].one.otherwise}]),
+      ...entries.map(([value, text]) => ({value, text}))]);
+  all('object', Object.entries(found.objects).map(([key, one]) => [key, one.label]));
+  all('case', Object.entries(found.cases));
+};
+
+// The form of a command about the hits of a scenario, which asks for the scenario when it is first in sight.
+function hitsForm(command, label, suggest = {}) {
+  const names = FORMS[command].fields.map((one) => one.name);
+  const form = commandForm(command, label, {offers: ['object', 'objects', 'case', 'cases'].filter((name) => names.includes(name)),
+    suggest, ready: () => form.found});
+  const choose = followScenario(form, offerHits(form)), update = form.update;
+  let asked = false;
+  return Object.assign(form, {update() {
+    update();
+    if (!asked) { asked = true; form.choose('scenario', 'push'); choose(); }
+  }});
+}
+
+const limits = {
+  build() {
+    this.form = hitsForm('limits', 'Compute the limits', {output: () => `limits/${stem(this.form.value('scenario') ?? 'push')}`});
+    this.pages = new Pages('limits', 'speed limits', 'limits.html', (folder) => this.say(folder));
+    return h('div', {}, this.form.node, ...this.pages.nodes);
+  },
+
+  update() { this.form.update(); this.pages.update(); },
+
+  async say(folder) {
+    const found = await ask(`/files/${folder}/limits.json`), least = [...found.limits].sort((a, b) => a.limit_m_s - b.limit_m_s)[0];
+    says('predict/limits', `${found.scenario}: ${least.object}, ${least.case} may hit at ${number(least.limit_m_s)} m/s, ${number(least.planned_m_s)} m/s are planned.`);
+  },
+};
+
+const designs = {
+  build() {
+    this.form = hitsForm('study-design', 'Rank the designs', {output: () => free((count) => `designs/${count}`, state.workspace ? this.pages.folders() : [])});
+    this.pages = new Pages('study-design', 'design study', 'design_study.html', (folder) => says('predict/designs', `The page below ranks the designs of ${folder}.`));
+    return h('div', {}, this.form.node, ...this.pages.nodes);
+  },
+
+  update() { this.form.update(); this.pages.update(); },
 };
 
 // ---- measure ------------------------------------------------------------------------------------------------------------
@@ -530,66 +665,46 @@ const measure = {
   questions: new Questions(), // of the picture
 
   build() {
-    this.parts = {campaign: this.campaign(), trial: this.trial(), design: design.build(), blind: this.blind()};
-    this.parts.recorded = recorded.build();
-    this.parts.live = live.build();
-    const names = {campaign: 'Campaign', trial: 'Single trial', design: 'Design', recorded: 'Recorded trials', live: 'Live', blind: 'Practise', laboratory: 'Laboratory'};
-    this.parts.laboratory = laboratory.build();
-    this.tabs = Object.entries(names).map(([name, text]) => h('button', {type: 'button', role: 'tab', id: `tab-${name}`,
-      'aria-controls': `part-${name}`, onclick: () => this.show(name)}, text));
-    arrowKeys(this.tabs);
-    const panels = Object.entries(this.parts).map(([name, part]) => h('div', {role: 'tabpanel', id: `part-${name}`,
-      'aria-labelledby': `tab-${name}`, 'data-part': name}, part));
+    const parts = {campaign: ['Campaign', this.campaign()], trial: ['Single trial', this.trial()], design: ['Design', design.build()],
+      rehearse: ['Rehearsal', rehearse.build()], recorded: ['Recorded trials', recorded.build()], live: ['Live', live.build()],
+      blind: ['Practise', this.blind()]};
+    this.tabs = new Tabs(parts);
     this.scene = h('div', {class: 'scene', id: 'measure-scene'});
     this.impact = new Impact(this.scene, sceneOf);
     for (const form of [this.form, this.trialForm]) form.node.addEventListener('change', () => this.picture());
-    this.node = h('section', {}, h('h2', {}, 'Measure'), lead('measure'), h('div', {class: 'tabs', role: 'tablist'}, ...this.tabs),
-      this.place = h('div', {}, h('div', {}, ...panels), this.scene));
-    this.show('campaign');
-    return this.node;
-  },
-
-  show(name) {
-    for (const panel of this.node.querySelectorAll('[data-part]')) panel.hidden = panel.dataset.part !== name;
-    for (const tab of this.tabs) {
-      tab.setAttribute('aria-selected', String(tab.id === `tab-${name}`));
-      tab.tabIndex = tab.id === `tab-${name}` ? 0 : -1; // the arrow keys lead on from here
-    }
-    requestAnimationFrame(fitAll);
-    this.scene.hidden = !['campaign', 'trial'].includes(name);
-    this.place.className = this.scene.hidden ? '' : 'beside';
-    if (name === 'recorded' && state.workspace) recorded.update();
-    this.look();
-    if (state.workspace) this.picture();
-    const own = ['laboratory', 'design'].includes(name);
-    showAbout({...ABOUT[own ? name : 'measure'], terms: own ? [] : termsOf('measure')});
+    return h('section', {}, h('h2', {}, 'Measure'), this.tabs.list, this.tabs.lead,
+      this.place = h('div', {class: 'beside'}, h('div', {}, ...this.tabs.panels), this.scene), this.trialView.node);
   },
 
   // Nodes are watched while their tab is in sight.
-  look() { live.show(state.step === 'measure' && !this.node.querySelector('[data-part=live]').hidden); },
+  look() { live.show(state.step === 'measure' && this.tabs.chosen === 'live'); },
 
   // Where the trials of a job are seen.
   watch(job) {
     const folder = inFolder(job.writes[0] ?? '');
-    go('measure');
-    this.show(watchable(job) ?? 'recorded');
+    go('measure', watchable(job) ?? 'recorded');
     recorded.wanted = state.workspace.campaigns.find((one) => `${one.path}/`.startsWith(`${folder}/`))?.path;
     recorded.update();
   },
 
   // The impact that the form asks for, as the nominal model predicts it.
   async picture() {
-    const turn = this.questions.begin();
-    if (this.scene.hidden || state.step !== 'measure') return;
-    const form = this.node.querySelector('[data-part=trial]').hidden ? this.form : this.trialForm;
+    if (this.scene.hidden || state.step !== 'measure') {
+      this.questions.begin();
+      this.pictured = null;
+      return;
+    }
+    const form = this.tabs.chosen === 'trial' ? this.trialForm : this.form;
     const one = (value) => Array.isArray(value) ? value[0] : value;
     const question = {scenario: form.value('scenario'), object: one(form.value('objects' in form.fields ? 'objects' : 'object')),
       case: one(form.value('cases' in form.fields ? 'cases' : 'case'))};
-    if (!form.found || !question.object || !question.case) return;
+    if (!form.found || !question.object || !question.case || JSON.stringify(question) === this.pictured) return;
+    this.pictured = JSON.stringify(question);
+    const turn = this.questions.begin();
     try {
       const {moment} = await turn.ask('/api/impact', question);
       await turn.of(this.impact.draw(question.scenario, question.object, moment));
-    } catch (error) { this.scene.title = error.message; }
+    } catch (error) { this.pictured = null; this.scene.title = error.message; }
   },
 
   campaign() {
@@ -620,6 +735,7 @@ const measure = {
   trial() {
     const form = this.trialForm = commandForm('trial', 'Run the trial', {offers: ['object', 'case'], ready: () => form.found,
       suggest: {output: () => 'trials'}});
+    this.trialView = new TrialView('trial');
     this.chooseTrial = followScenario(form, (found) => {
       form.control('scale').max = found.largest_scale;
       form.offer('object', Object.entries(found.objects).map(([value, one]) => ({value, text: one.label})));
@@ -633,8 +749,7 @@ const measure = {
     const form = this.blindForm = commandForm('blind make', 'Make the campaign',
       {suggest: {seed: () => 7, output: () => `blind_${form.value('seed')}`}});
     this.made = h('div', {id: 'practice'});
-    return h('div', {}, h('p', {class: 'note'}, 'The plant has one hidden effect. Make a campaign, diagnose it, then reveal what was hidden: ' +
-      'until then nothing reads truth.json.'), form.node, this.made);
+    return h('div', {}, form.node, this.made);
   },
 
   // Practice campaigns: diagnose one, and reveal what it hid.
@@ -650,18 +765,46 @@ const measure = {
     }));
   },
 
+  // The newest single trial, in 3D and over time.
+  newestTrial() {
+    const job = state.jobs.find((one) => one.arguments[0] === 'trial' && one.ended !== null && one.exit_code < 2);
+    this.trialView.node.hidden = this.tabs.chosen !== 'trial';
+    if (!job || job.number === this.shown || state.step !== 'measure' || this.trialView.node.hidden) return;
+    const [, , object, case_, ...flags] = job.arguments, folder = inFolder(job.writes[0]);
+    const scale = Number(flags.includes('--scale') ? flags[flags.indexOf('--scale') + 1] : 1);
+    const trial = `${object}__${case_}__s${scale.toFixed(3)}__r0`;
+    if (!state.workspace.campaigns.some((one) => one.path === folder)) return;
+    this.shown = job.number;
+    says('measure/trial', `${trial.replaceAll('__', ' ')}, in ${folder}.`);
+    this.trialView.open({path: `${folder}/${trial}`});
+  },
+
+  // What is in sight; the rest asks for nothing.
   update() {
-    const first = !this.asked, wanted = this.wanted;
+    const own = {campaign: () => this.updateCampaign(), trial: () => this.updateTrial(), design: () => design.update(), rehearse: () => rehearse.update(),
+      recorded: () => recorded.update(), live: () => {}, blind: () => { this.blindForm.update(); this.practice(); }};
+    this.scene.hidden = !['campaign', 'trial'].includes(this.tabs.chosen);
+    this.place.className = this.scene.hidden ? '' : 'beside';
+    own[this.tabs.chosen]();
+    this.newestTrial();
+    this.picture();
+  },
+
+  updateCampaign() {
+    const first = !this.form.asked, {wanted} = this;
     this.wanted = null;
-    this.asked = true;
-    if (first) for (const form of [this.form, this.trialForm]) form.offer('scenario', plain(state.workspace.scenarios), 'push');
-    for (const form of [this.form, this.trialForm, this.blindForm]) form.update();
-    design.update();
-    laboratory.update();
-    recorded.update();
-    this.practice();
+    this.form.asked = true;
+    if (first) this.form.offer('scenario', plain(state.workspace.scenarios), 'push');
+    this.form.update();
     if (wanted) this.form.choose('scenario', wanted.scenario);
     if (first || wanted) this.choose(wanted ?? {});
+  },
+
+  updateTrial() {
+    const first = !this.trialForm.asked;
+    this.trialForm.asked = true;
+    if (first) this.trialForm.offer('scenario', plain(state.workspace.scenarios), 'push');
+    this.trialForm.update();
     if (first) this.chooseTrial();
   },
 };
@@ -683,13 +826,12 @@ const design = {
       output: () => free((count) => `plans/plan_${count}.yaml`, state.workspace?.plans ?? [])}});
     this.file = h('select', {id: 'design-file', onchange: () => this.open()});
     this.result = h('div', {id: 'design-result'});
-    return h('div', {}, h('p', {class: 'note'}, 'Which trials decide most, before they run.'), this.form.node, labelled('plan', this.file), this.result);
+    return h('div', {}, this.form.node, labelled('plan', this.file), this.result);
   },
 
   // For what a diagnosis leaves open.
   after(diagnosis, runs) {
-    go('measure');
-    measure.show('design');
+    go('measure', 'design');
     this.form.choose('after', diagnosis);
     if (runs) this.form.choose('runs', runs);
   },
@@ -711,6 +853,7 @@ const design = {
   },
 
   show(found, path) {
+    says('measure/design', `${path}: ${found.trials} trials.`);
     const percent = (value) => `${(100 * value).toFixed(1)} %`;
     this.result.replaceChildren(h('p', {class: 'answer'}, h('b', {}, `${found.trials} trials`), found.summary),
       h('div', {class: 'actions'}, ...jobButton('Run the plan', () => ({command: 'campaign', plan: path, output: `campaigns/${stem(path)}`}), {class: 'primary'})),
@@ -726,57 +869,37 @@ const mistake = (error) => h('p', {class: 'error', role: 'alert'}, inFolder(erro
 const table = (id, heads, rows) => h('div', {class: 'scroll'}, h('table', {id}, h('thead', {}, h('tr', {}, ...heads.map((text) => h('th', {scope: 'col', class: 'text'}, text)))),
   h('tbody', {}, ...rows.map((cells) => h('tr', {}, ...cells.map((text) => h('td', {class: 'text'}, String(text))))))));
 
+// ---- rehearsal ----------------------------------------------------------------------------------------------------------
+
+const rehearse = {
+  build() {
+    this.form = hitsForm('rehearse', 'Rehearse');
+    this.printed = new Printed('rehearse', (job) => says('measure/rehearse', job.ended === null ? `Job ${job.number} rehearses.` :
+      `${job.arguments[1]}: the rehearsal of job ${job.number} ${job.exit_code ? 'failed' : 'passed'}.`));
+    return h('div', {}, this.form.node, this.printed.node);
+  },
+
+  update() { this.form.update(); this.printed.jobs(); },
+};
+
 // ---- recorded trials ----------------------------------------------------------------------------------------------------
 
-// Trials of a campaign: a click opens one in 3D, above its signals. While a campaign runs, its newest trial is followed.
-const recorded = {
-  lists: new Questions(),
-  questions: new Questions(), // of the opened trial
+// A recorded trial, or a run of a laboratory, in 3D and above its signals.
+class TrialView {
+  constructor(name) {
+    Object.assign(this, {name, questions: new Questions()});
+    this.node = h('div', {id: `${name}-shown`});
+  }
 
-  build() {
-    this.campaign = h('select', {id: 'recorded-campaign', onchange: () => this.list()});
-    this.follow = h('input', {type: 'checkbox', id: 'recorded-follow', checked: true});
-    this.none = emptyNote('No trials yet.');
-    this.trials = h('ul', {class: 'chips', id: 'recorded-trials'});
-    this.shown = h('div', {id: 'recorded-shown'});
-    return h('div', {}, this.none, h('div', {class: 'fields'}, labelled('campaign', this.campaign),
-      h('label', {class: 'tick'}, this.follow, 'follow the newest while it runs')), this.trials, this.shown);
-  },
-
-  update() {
-    const found = state.workspace.campaigns.filter((one) => !one.error && one.present);
-    this.none.hidden = found.length > 0;
-    this.campaign.closest('.fields').hidden = !found.length;
-    fill(this.campaign, found.map((one) => ({value: one.path, text: `${one.path} (${one.present} of ${one.trials})`})), this.wanted);
-    this.wanted = undefined;
-    const key = `${this.campaign.value} ${found.find((one) => one.path === this.campaign.value)?.present}`;
-    if (found.length && key !== this.listed) { this.listed = key; this.list(); }
-  },
-
-  async list() {
-    const path = this.campaign.value, turn = this.lists.begin();
-    let names;
-    try { names = await turn.ask(`/api/trials?${query({path})}`); } catch (error) { this.failed(error); return; }
-    const fresh = names.filter((name) => !(this.names ?? names).includes(name));
-    const same = this.path === path;
-    Object.assign(this, {names, path});
-    refill(this.trials, names.map((name) => h('li', {}, h('button', {type: 'button', 'data-trial': name,
-      'aria-pressed': String(this.open_ === `${path}/${name}`), onclick: () => this.open(`${path}/${name}`)}, name.replaceAll('__', ' ')))));
-    if (same && fresh.length && this.follow.checked) this.open(`${path}/${fresh.at(-1)}`);
-  },
-
-  async open(path) {
-    this.open_ = path;
-    for (const button of this.trials.querySelectorAll('button')) {
-      button.setAttribute('aria-pressed', String(path === `${this.path}/${button.dataset.trial}`));
-    }
-    this.shown.replaceChildren(reading(path));
+  // `place`: the path of a trial, or the path of a laboratory with the name of a run.
+  async open(place) {
+    this.node.replaceChildren(reading(place.run ?? place.path));
     const turn = this.questions.begin();
     try {
-      const found = await turn.ask(`/api/trial?${query({path})}`);
-      const replay = h('div', {id: 'recorded-replay'});
+      const found = await turn.ask(`/api/${place.run ? 'run' : 'trial'}?${query(place)}`);
+      const replay = h('div', {id: `${this.name}-replay`});
       const plots = found.plots.map(({title, figure}) => ({title, figure, node: h('div', {class: 'plot', role: 'img', 'aria-label': title})}));
-      this.shown.replaceChildren(h('h3', {}, found.title), replay, ...plots.flatMap(({title, node}) => [h('h3', {}, title), node]),
+      this.node.replaceChildren(h('h3', {}, found.title), replay, ...plots.flatMap(({title, node}) => [h('h3', {}, title), node]),
         ...found.facts.map((text) => h('p', {class: 'note'}, text)));
       await turn.of(Promise.all(plots.map(({figure, node}) => draw(node, figure))));
       const made = await turn.of(replayIn(replay, found.replay, {onSeek: (time) => { for (const {node} of plots) cursor(node, time); }}));
@@ -785,9 +908,60 @@ const recorded = {
         cursor(node, made.time);
       }
     } catch (error) { this.failed(error); }
+  }
+
+  failed(error) { this.node.replaceChildren(mistake(error)); }
+}
+
+// Trials of a campaign and runs of a laboratory: a click opens one. While a campaign runs, its newest trial is followed.
+const recorded = {
+  lists: new Questions(),
+
+  build() {
+    this.campaign = h('select', {id: 'recorded-campaign', onchange: () => this.list()});
+    this.follow = h('input', {type: 'checkbox', id: 'recorded-follow', checked: true});
+    this.none = emptyNote('No trials yet.');
+    this.trials = h('ul', {class: 'chips', id: 'recorded-trials'});
+    this.view = new TrialView('recorded');
+    return h('div', {}, this.none, h('div', {class: 'fields'}, labelled('campaign or laboratory', this.campaign),
+      h('label', {class: 'tick'}, this.follow, 'follow the newest while it runs')), this.trials, this.view.node);
   },
 
-  failed(error) { this.shown.replaceChildren(h('p', {class: 'error', role: 'alert'}, inFolder(error.message))); },
+  // Campaigns with trials, and described laboratories, with the number of their recordings.
+  folders() {
+    const {campaigns, laboratories} = state.workspace;
+    return [...campaigns.filter((one) => !one.error && one.present).map(({path, present, trials}) => ({path, count: present, text: `${path} (${present} of ${trials})`})),
+      ...laboratories.filter((one) => one.experiment && !one.error && one.recordings.length)
+        .map(({path, recordings}) => ({path, count: recordings.length, lab: true, text: `${path} (laboratory)`}))];
+  },
+
+  update() {
+    const found = this.folders();
+    this.none.hidden = found.length > 0;
+    this.campaign.closest('.fields').hidden = !found.length;
+    fill(this.campaign, found.map(({path, text}) => ({value: path, text})), this.wanted);
+    this.wanted = undefined;
+    const key = `${this.campaign.value} ${found.find((one) => one.path === this.campaign.value)?.count}`;
+    if (found.length && key !== this.listed) { this.listed = key; this.list(); }
+  },
+
+  async list() {
+    const path = this.campaign.value, turn = this.lists.begin(), {lab} = this.folders().find((one) => one.path === path);
+    let names;
+    try { names = await turn.ask(`/api/trials?${query({path})}`); } catch (error) { this.view.failed(error); return; }
+    const fresh = names.filter((name) => !(this.names ?? names).includes(name));
+    const same = this.path === path;
+    Object.assign(this, {names, path, lab});
+    refill(this.trials, names.map((name) => h('li', {}, h('button', {type: 'button', 'data-trial': name,
+      'aria-pressed': String(this.opened === `${path}/${name}`), onclick: () => this.open(name)}, name.replaceAll('__', ' ')))));
+    if (same && fresh.length && this.follow.checked) this.open(fresh.at(-1));
+  },
+
+  open(name) {
+    this.opened = `${this.path}/${name}`;
+    for (const button of this.trials.querySelectorAll('button')) button.setAttribute('aria-pressed', String(button.dataset.trial === name));
+    this.view.open(this.lab ? {path: this.path, run: name} : {path: this.opened});
+  },
 };
 
 // ---- compare ------------------------------------------------------------------------------------------------------------
@@ -826,7 +1000,7 @@ const compare = {
     this.report = h('select', {id: 'compare-report', onchange: () => this.open()});
     this.result = h('div', {id: 'compare-result'});
     this.none = emptyNote('No measurements yet: run a campaign first, or practise on one with a hidden effect.');
-    return h('section', {}, h('h2', {}, 'Compare model and measurement'), lead('compare'), this.none, this.form.node,
+    return h('section', {}, h('h2', {}, 'Compare model and measurement'), this.none, this.form.node,
       labelled('report', this.report), this.result);
   },
 
@@ -964,7 +1138,7 @@ const diagnose = {
     this.file = h('select', {id: 'diagnose-file', onchange: () => this.open()});
     this.progress = h('div', {});
     this.result = h('div', {id: 'diagnose-result'});
-    return h('section', {}, h('h2', {}, 'Find out what the model lacks'), lead('diagnose'), this.form.node, this.progress,
+    return h('section', {}, h('h2', {}, 'Find out what the model lacks'), this.form.node, this.progress,
       labelled('diagnosis', this.file), this.result);
   },
 
@@ -1015,7 +1189,7 @@ const diagnose = {
       found.left.length ? h('div', {}, h('h3', {}, 'Unexplained'), h('ul', {}, ...found.left.map((one) => h('li', {},
         `${one.what} (${one.phase}): ${one.value}, ${one.times} × repeatability; relevance limit ${one.floor}`)))) : '',
       found.calls_for_a_law ? this.law(found) : '',
-      state.workspace.blinds.length ? this.revealed() : '',
+      found.practice ? this.revealed() : '',
       found.next ? this.next(found.next) : '',
       replayOf(this.opened.replace(/[^/]*$/, found.report), turn).node,
       ...wholeReport(this.opened.replace(/[^/]*$/, found.report), false),
@@ -1094,7 +1268,7 @@ const add = {
     this.text.value = EXAMPLE;
     this.checked = h('div', {id: 'formula-check', 'aria-live': 'polite'});
     this.name = h('input', {value: 'formulas/mine.yaml', id: 'formula-file'});
-    return h('section', {}, h('h2', {}, 'A better model'), lead('add'), h('h3', {}, 'Add diagnosed effects'), this.note, this.form.node,
+    return h('section', {}, h('h2', {}, 'A better model'), h('h3', {}, 'Add diagnosed effects'), this.note, this.form.node,
       h('h3', {}, 'Your own effect'), h('p', {class: 'note'}, 'A formula, checked while you write. Save it to use it in Diagnose.'),
       this.text, this.checked, h('div', {class: 'fields'}, labelled('file', this.name)),
       h('div', {class: 'actions'}, this.save = h('button', {type: 'button', onclick: () => this.keep()}, 'Save the formulas')));
@@ -1162,7 +1336,7 @@ const history_ = {
   build() {
     this.form = runsForm('history', 'Show the history', {model: newestModel});
     this.result = h('div', {id: 'history-result'});
-    return h('section', {}, h('h2', {}, 'How the error fell'), lead('history'), this.form.node, this.result);
+    return h('div', {}, this.form.node, this.result);
   },
 
   update() {
@@ -1187,8 +1361,7 @@ const investigate = {
       suggest: {directory: () => free((count) => `investigations/${count}`, state.workspace ? this.folders() : [])}});
     this.file = h('select', {id: 'investigate-file', onchange: () => this.open()});
     this.result = h('div', {id: 'investigate-result'});
-    return h('section', {}, h('h2', {}, 'Let the loop run by itself'), lead('investigate'), this.form.node,
-      labelled('investigation', this.file), this.result);
+    return h('div', {}, this.form.node, labelled('investigation', this.file), this.result);
   },
 
   // Folders of investigations, by their pages.
@@ -1211,7 +1384,7 @@ const investigate = {
     try {
       const {ending, rounds, trials} = await turn.ask(`/api/investigation?${query({path})}`);
       const so_far = `${trials} trial${trials === 1 ? '' : 's'} in ${rounds} round${rounds === 1 ? '' : 's'}`;
-      says('investigate', `${path}: ${ending ? ending.verdict : 'not at its end'}, after ${so_far}.`);
+      says('investigate/loop', `${path}: ${ending ? ending.verdict : 'not at its end'}, after ${so_far}.`);
       this.result.replaceChildren(h('p', {class: 'answer', id: 'ending'}, h('b', {}, ending ? ending.verdict : 'goes on'), ending ? ending.summary : `${so_far} so far.`),
         ...wholeReport(`${path}${PAGE}`, true));
     } catch (error) { this.result.replaceChildren(mistake(error)); }
@@ -1220,7 +1393,111 @@ const investigate = {
 
 const PAGE = '/report/investigation.html';
 
+// ---- evidence ---------------------------------------------------------------------------------------------------------------
+
+const evidence = {
+  build() {
+    const pack = this.pack = commandForm('evidence pack', 'Pack the evidence', {ready: () => ['diagnosis', 'data'].every((name) => pack.value(name)),
+      suggest: {diagnosis: () => state.workspace?.diagnoses[0]?.path, model: () => this.model(), data: () => runsChoices()[0]?.value,
+        output: () => free((count) => `evidence/${slug(pack.value('laboratory') ?? 'laboratory')}${count > 1 ? `_${count}` : ''}.json`, state.workspace?.packages ?? [])}});
+    const check = this.check = commandForm('evidence check', 'Check the package', {ready: () => check.value('package')});
+    const merge = this.merge = commandForm('evidence merge', 'Merge the packages', {ready: () => merge.value('packages').length,
+      suggest: {output: () => 'evidence/merged.json'}});
+    this.printed = Object.fromEntries(['pack', 'check', 'merge'].map((name) => [name, new Printed(`evidence ${name}`)]));
+    return h('div', {}, ...Object.entries({pack: 'Pack a diagnosis', check: 'Check a package', merge: 'What several packages say'})
+      .flatMap(([name, title]) => [h('h3', {}, title), this[name].node, this.printed[name].node]));
+  },
+
+  // The model of the chosen diagnosis.
+  model() {
+    const digest = state.workspace?.diagnoses.find((one) => one.path === this.pack.value('diagnosis'))?.digest;
+    return state.workspace?.models.find((one) => one.digest === digest)?.path ?? 'nominal';
+  },
+
+  update() {
+    for (const name of ['pack', 'check', 'merge']) { this[name].update(); this.printed[name].jobs(); }
+    const {packages} = state.workspace;
+    says('history/evidence', packages.length ? `${packages.length} package${packages.length === 1 ? '' : 's'}: ${packages.join(', ')}.` : '');
+  },
+};
+
+// ---- following ----------------------------------------------------------------------------------------------------------------
+
+const follow = {
+  build() {
+    const form = this.form = commandForm('follow', 'Follow', {offers: ['runs'], ready: () => form.value('runs') || form.value('impacts'),
+      suggest: {model: newestModel, state: () => `followed/${slug(form.value('runs') ?? stem(form.value('impacts') ?? 'hits'))}.npz`,
+        output: () => free((count) => `models/followed_${count}.yaml`, (state.workspace?.models ?? []).map((one) => one.path))}});
+    this.printed = new Printed('follow', (job) => says('investigate/follow', job.ended === null ? `Job ${job.number} follows ${job.arguments[1]}.` :
+      `Job ${job.number} has followed ${inFolder(job.arguments[1])}.`));
+    return h('div', {}, form.node, this.printed.node);
+  },
+
+  update() {
+    const runs = plain(state.workspace.runs);
+    this.form.offer('runs', runs, this.form.value('runs') ?? (this.form.value('impacts') ? '' : runs[0]?.value));
+    this.form.update();
+    this.printed.jobs();
+  },
+};
+
+// Measurements of a form are the rows of a table of impacts.
+function takeTable(form, table, scenario) {
+  form.choose('runs', '');
+  form.choose('impacts', table);
+  if (scenario) form.choose('scenario', scenario);
+}
+
 // ---- laboratory -----------------------------------------------------------------------------------------------------------
+
+// Recordings described by what their numbers say.
+const importing = {
+  build() {
+    const form = this.form = commandForm('import', 'Look at the files', {ready: () => form.value('files').length, suggest: {
+      output: () => form.value('files')[0] ?? ''}}); // beside the recordings, where the other steps find it
+    this.none = emptyNote('Copy a folder of recordings (bags, CSV, Parquet, NPZ, NPY, MAT or HDF5) into this folder: it appears here.');
+    this.printed = new Printed('import', (job) => says('laboratory/import', job.exit_code === 0 ? `Job ${job.number} has described ${inFolder(job.writes[0])}.` : ''));
+    return h('div', {}, this.none, form.node, this.printed.node);
+  },
+
+  update() {
+    this.none.hidden = state.workspace.laboratories.length > 0;
+    this.form.update();
+    this.printed.jobs();
+  },
+};
+
+const impacts = {
+  build() {
+    const form = this.form = commandForm('impacts', 'Find the impacts', {offers: ['directory'], first: 'directory', ready: () => form.value('directory'),
+      suggest: {experiment: () => experimentOf(form.value('directory')), output: () => free((count) =>
+        `impacts/${slug(form.value('directory') ?? 'lab')}${count > 1 ? `_${count}` : ''}.csv`, state.workspace?.tables ?? [])}});
+    this.none = emptyNote('Describe a folder of recordings first, here or with Import.');
+    this.printed = new Printed('impacts');
+    this.tables = h('div', {id: 'impact-tables'});
+    return h('div', {}, this.none, form.node, this.printed.node, this.tables);
+  },
+
+  update() {
+    const labs = state.workspace.laboratories.filter((lab) => lab.experiment && !lab.error), {tables} = state.workspace;
+    this.none.hidden = labs.length > 0;
+    this.form.offer('directory', plain(labs.map((lab) => lab.path)));
+    this.form.update();
+    this.printed.jobs();
+    says('laboratory/impacts', tables.length ? `${tables.length} table${tables.length === 1 ? '' : 's'}: ${tables.join(', ')}.` : '');
+    const use = (text, step, tab, form, table) => h('button', {type: 'button', onclick: () => { go(step, tab); takeTable(form, table, this.scenarioOf(table)); }}, text);
+    refill(this.tables, [...(tables.length ? [h('h3', {}, 'Tables of impacts')] : []), ...tables.map((table) => h('div', {class: 'actions', 'data-table': table},
+      h('code', {}, table), use('Compare', 'compare', '', compare.form, table), use('Diagnose', 'diagnose', '', diagnose.form, table),
+      use('Follow', 'investigate', 'follow', follow.form, table)))]);
+  },
+
+  // The scenario of the recordings in which a job has found the impacts of a table.
+  scenarioOf(table) {
+    const job = state.jobs.find((one) => one.arguments[0] === 'impacts' && one.writes.some((path) => inFolder(path) === table));
+    const experiment = job && job.arguments[job.arguments.indexOf('--experiment') + 1];
+    return state.workspace.laboratories.find((lab) => lab.experiment && experiment?.endsWith(lab.experiment))?.scenario;
+  },
+};
 
 const ARM_SIGNALS = [{name: 'position', text: 'joint position'}, {name: 'velocity', text: 'joint velocity'},
   {name: 'torque', text: 'joint torque'}, {name: 'command', text: 'commanded torque', optional: true}];
@@ -1261,6 +1538,7 @@ const laboratory = {
 
   async look() {
     const folder = this.looked = this.folder.value, turn = this.turn = this.questions.begin();
+    says('laboratory/laboratory', `${folder} is shown.`);
     this.offered = null;
     this.lab = state.workspace.laboratories.find((lab) => lab.path === folder);
     this.message.show();
@@ -1398,14 +1676,17 @@ function scoreText(score) {
 const newest = (kind, path) => state.workspace[kind].find((one) => one.path === path);
 
 function showFolder() {
-  const {campaigns, laboratories, models, diagnoses} = state.workspace;
+  const {campaigns, laboratories, models, diagnoses, blinds} = state.workspace;
   const count = (number_, what) => `${number_} ${what}${number_ === 1 ? '' : 's'}`;
   const trials = campaigns.reduce((sum, one) => sum + one.present, 0), held = models.filter((one) => one.score);
-  says('measure', campaigns.length + laboratories.length ? `${count(trials, 'trial')} in ${count(campaigns.length, 'campaign')}` +
-    `${laboratories.length ? `, and ${count(laboratories.length, 'folder')} of a laboratory` : ''}.` : '');
+  for (const tab of ['campaign', 'recorded']) says(`measure/${tab}`, campaigns.length ? `${count(trials, 'trial')} in ${count(campaigns.length, 'campaign')}.` : '');
+  says('measure/blind', blinds.length ? `${count(blinds.length, 'practice campaign')}.` : '');
   says('add', models.length > 1 ? `${count(models.length, 'model')}; the newest is ${models.find((one) => one.path === newestModel()).name}.` : '');
-  says('overlay', trials ? `${count(trials, 'trial')}, ${count(models.length, 'model')} and ${count(diagnoses.length, 'diagnosis').replace('diagnosiss', 'diagnoses')} to choose from.` : '');
-  says('history', held.length ? `${held.map((one) => `${one.name} ${number(one.score.held_out ?? one.score.fit)}`).join(', ')} ` +
+  says('overlay/runs', trials ? `${count(trials, 'trial')} to choose from.` : '');
+  const compared = state.workspace.reports.filter((path) => path.endsWith('compare.html')).length;
+  says('overlay/models', compared ? `${count(compared, 'comparison')} to choose from.` : '');
+  says('overlay/estimates', diagnoses.length ? `${count(diagnoses.length, 'diagnosis').replace('diagnosiss', 'diagnoses')} to choose from.` : '');
+  says('history/versions', held.length ? `${held.map((one) => `${one.name} ${number(one.score.held_out ?? one.score.fit)}`).join(', ')} ` +
     `(noise ${number(held[0].score.floor)}).` : '');
   const or = (items, text) => items.length ? items : [h('li', {class: 'quiet'}, text)];
   $('root').textContent = state.workspace.root.split('/').pop();
@@ -1433,8 +1714,7 @@ function showFolder() {
 function chooseCampaign(one) {
   if (one.present && !one.error) {
     recorded.wanted = one.path;
-    go('measure');
-    measure.show('recorded');
+    go('measure', 'recorded');
   }
   const use = (step, form) => h('button', {type: 'button', onclick: () => { go(step); form.choose('runs', one.path); }}, step === 'compare' ? 'Compare' : 'Diagnose');
   showAbout({...ABOUT.measure, title: one.path, facts: [one.error || `${one.present} of ${one.trials} trials are recorded.`,
@@ -1444,14 +1724,24 @@ function chooseCampaign(one) {
 }
 
 function chooseLaboratory(path) {
-  go('measure');
-  measure.show('laboratory');
+  go('laboratory', 'laboratory');
   laboratory.wanted = path;
   laboratory.update();
+  const lab = newest('laboratories', path);
+  if (!lab.experiment || lab.error) return;
+  const then = (text, act) => h('button', {type: 'button', onclick: act}, text);
+  showAbout({...ABOUT.laboratory, title: path, facts: [`${lab.recordings.length} recordings, described in ${lab.experiment}.`], actions: [
+    then('Show the runs', () => { recorded.wanted = path; go('measure', 'recorded'); }),
+    then('Find the impacts', () => { go('laboratory', 'impacts'); impacts.form.choose('directory', path); }),
+    then('Compare', () => { go('compare'); compare.form.choose('runs', path); })]});
 }
 
 function chooseModel(one) {
-  if (!one.error) for (const part of [compare, diagnose, history_]) part.form.choose('model', one.path);
+  if (!one.error) {
+    for (const part of [compare, diagnose, history_]) part.form.choose('model', one.path);
+    predict.model.value = one.path;
+    if (state.step === 'predict') predict.update();
+  }
   showAbout({title: one.name, text: one.note || 'Scenario and the effects added to it.', page: 'diagnosis.md',
     facts: [one.error, one.effects.length ? `Effects: ${one.effects.join(', ')}.` : 'No effects: nominal values only.',
       ...one.scores.map((score) => `${score.report}: ${scoreText(score)}`)].filter(Boolean)});
@@ -1550,7 +1840,11 @@ function showJobs(jobs) {
     if (opened.has(job.number)) showOutput(job.number);
     if (job.ended !== null && item) finished(job);
   });
-  if (state.workspace) diagnose.jobs();
+  if (state.workspace) {
+    diagnose.jobs();
+    for (const one of Printed.all) one.jobs();
+    measure.newestTrial();
+  }
   live.jobs((job) => measure.watch(job));
 }
 
@@ -1560,6 +1854,8 @@ function finished(job) {
   if (job.exit_code !== 0) return;
   if (job.arguments[0] === 'design') design.wanted = made[0];
   if (job.arguments[0] === 'investigate') investigate.wanted = made[0];
+  if (job.arguments[0] === 'limits') limits.pages.wanted = made[0];
+  if (job.arguments[0] === 'study-design') designs.pages.wanted = made[0];
   if (job.arguments[0] === 'compare') compare.wanted = `${made[0]}/compare.html`;
   if (job.arguments[0] === 'analyze') compare.wanted = `${made[0]}/report.html`;
   if (['diagnose', 'discover'].includes(job.arguments[0])) diagnose.wanted = made.find((path) => path.endsWith('.json'));
@@ -1568,22 +1864,51 @@ function finished(job) {
 
 // ---- the page ---------------------------------------------------------------------------------------------------------------
 
-const STEPS = {predict: ['Predict', predict], measure: ['Measure', measure], compare: ['Compare', compare],
-  diagnose: ['Diagnose', diagnose], add: ['Add', add], history: ['History', history_], overlay: ['Overlay', overlay],
-  investigate: ['Investigate', investigate]};
+// A step with tabs; what is not in sight asks for nothing.
+class Tabbed {
+  constructor(title, parts) { Object.assign(this, {title, parts}); }
+
+  build() {
+    this.tabs = new Tabs(Object.fromEntries(Object.entries(this.parts).map(([name, [text, part]]) => [name, [text, part.build()]])));
+    return h('section', {}, h('h2', {}, this.title), this.tabs.list, this.tabs.lead, ...this.tabs.panels);
+  }
+
+  update() { this.parts[this.tabs.chosen][1].update(); }
+}
+
+const STEPS = {
+  predict: ['Predict', new Tabbed('Predict what a hit does', {impact: ['Impact', predict], limits: ['Speed limit', limits], designs: ['Design study', designs]})],
+  measure: ['Measure', measure],
+  laboratory: ['Laboratory', new Tabbed('Recordings of a laboratory', {import: ['Import', importing], laboratory: ['Describe', laboratory], impacts: ['Impacts', impacts]})],
+  compare: ['Compare', compare], diagnose: ['Diagnose', diagnose], add: ['Add', add],
+  history: ['History', new Tabbed('How the error fell', {versions: ['Versions', history_], evidence: ['Evidence', evidence]})],
+  overlay: ['Overlay', overlay],
+  investigate: ['Investigate', new Tabbed('Let the loop run by itself', {loop: ['Investigate', investigate], follow: ['Follow', follow]})],
+};
 const panels = {};
 
-function go(step) {
+// Opens a step, and a tab of it; without one the tab that was open before.
+function go(step, tab = '') {
+  const part = STEPS[step][1], {tabs} = part;
   state.step = step;
-  location.hash = step;
+  if (tabs && tab && tabs.chosen !== tab) tabs.show(tab);
+  const key = tabs ? `${step}/${tabs.chosen}` : step, own = ABOUT[tabs?.chosen];
+  if (location.hash === `#${step}`) history.replaceState(null, '', `#${key}`); else location.hash = key; // a step back leaves it again
+  tabs?.lead.replaceChildren(leads[key]);
   for (const [name, panel] of Object.entries(panels)) panel.hidden = name !== step;
   for (const button of $('steps').querySelectorAll('button')) {
     if (button.dataset.step === step) button.setAttribute('aria-current', 'step'); else button.removeAttribute('aria-current');
   }
-  showAbout({...ABOUT[step], terms: termsOf(step)});
+  showAbout({...(own ?? ABOUT[step]), terms: own ? [] : termsOf(step)});
   measure.look();
-  if (state.workspace) STEPS[step][1].update();
+  if (state.workspace) part.update();
   requestAnimationFrame(fitAll);
+}
+
+// The step and the tab of an address; none if there are no such.
+function placeOf(hash) {
+  const [step, tab] = hash.slice(1).split('/'), tabs = STEPS[step]?.[1].tabs;
+  return STEPS[step] ? [step, tabs && tab && tabs.has(tab) ? tab : ''] : null;
 }
 
 function listen() {
@@ -1598,15 +1923,18 @@ function listen() {
   events.addEventListener('error', () => { $('lost').hidden = false; });
 }
 
+const leads = Object.fromEntries(Object.keys(LEADS).map((key) => [key, lead(key)]));
 for (const [name, [text, part]] of Object.entries(STEPS)) {
   $('steps').append(h('li', {}, h('button', {type: 'button', 'data-step': name, onclick: () => go(name)}, text)));
   panels[name] = part.build();
-  if (part === overlay) panels[name].firstChild.after(lead(name));
+  if (part.tabs) part.tabs.changed = (tab) => go(name, tab); else panels[name].firstChild.after(leads[name]);
   $('middle').append(panels[name]);
 }
-const asked = location.hash.slice(1);
-go(STEPS[asked] ? asked : 'predict');
-addEventListener('hashchange', () => { const step = location.hash.slice(1); if (STEPS[step] && step !== state.step) go(step); });
+go(...(placeOf(location.hash) ?? ['predict']));
+addEventListener('hashchange', () => {
+  const place = placeOf(location.hash);
+  if (place && (place[0] !== state.step || place[1] && place[1] !== STEPS[place[0]][1].tabs?.chosen)) go(...place);
+});
 darkScheme.addEventListener('change', () => { if (predict.answer) predict.paint(); });
 listen();
 window.impact_rs = {predict, recorded, nodes: live}; // for the browser's console

@@ -4,9 +4,12 @@
 from __future__ import annotations
 
 import importlib
+import re
+import struct
 from pathlib import Path
 from types import ModuleType
 
+import numpy as np
 import pytest
 from ball_impacts import Racket, ball_table
 
@@ -77,6 +80,35 @@ def test_an_effect_that_does_not_act_or_was_not_named_is_no_success(
     judged = real.judge(bounced, expected)
     assert judged.words == "wrong: restitution; missed: drilling_friction"
     assert real.total([judged]).startswith("1 sets: names as expected in 0, wrong names in 1")
+
+
+def test_a_picture_shows_what_the_effects_explain(real: ModuleType, bounced: DiagnosisDocument, tmp_path: Path) -> None:
+    """Measured over predicted velocities: those with the effects found lie nearer to the line, noise is left."""
+    table = tmp_path / "balls.csv"
+    ball_table(table, Racket(lambda _: RESTITUTION, FRICTION), rows=96, friction=0.3, restitution=0.45)
+    model, found = real.tracks_of(table, bounced)
+    off, left = (
+        max(np.std(signal.measured - signal.predicted) for signal in track.curves if signal.unit == "m/s")
+        for track in (model, found)
+    )
+    assert left < 0.7 * off
+    png = real.draw((model, found), tmp_path / "real_balls.png").read_bytes()
+    width, height = struct.unpack(">II", png[16:24])
+    assert width > height > 300
+
+
+def test_every_picture_of_the_page_is_one_that_the_board_draws(real: ModuleType) -> None:
+    page = (Path(real.ROOT) / "docs" / "real_data.md").read_text(encoding="utf-8")
+    drawn = {f"images/real_{name}.png" for name, one in real.sets().items() if one.picture}
+    assert set(re.findall(r"images/[\w.]+", page)) == drawn
+
+
+def test_every_set_is_a_row_of_the_page(real: ModuleType) -> None:
+    page = (Path(real.ROOT) / "docs" / "real_data.md").read_text(encoding="utf-8")
+    rows = {line.split("|")[1].strip(): line for line in page.splitlines() if line.startswith("| ")}
+    for name, one in real.sets().items():
+        assert not one.not_taken or f"not taken yet: {one.not_taken}" in rows[name], name
+        assert one.not_taken or "not run" not in rows[name], name
 
 
 def test_what_cannot_run_says_why(real: ModuleType, tmp_path: Path) -> None:

@@ -28,6 +28,7 @@ from impact_rs_analysis.investigation import (
     read_rounds,
     trials_of,
 )
+from impact_rs_analysis.prediction_check import CheckedImpact, PredictionError, Predictions
 from impact_rs_analysis.report.family_tree import bought_of, family_of, write_investigation
 from impact_rs_sim.effects.formula import FormulaSpec
 from impact_rs_sim.errors import InputError
@@ -113,7 +114,18 @@ def start(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Start:
         return found.model_copy(update={"model": ModelIdentity(name=model.name, digest=model.digest)})
 
     monkeypatch.setattr(investigation, "diagnose", diagnosed)
+
+    def checked(source: tuple[FakeBench, Model], folder: Path, predictions: Predictions) -> PredictionError:
+        """The parcel is 10 mm/s slower than predicted."""
+        impacts = tuple(
+            CheckedImpact(condition=one.condition, trials=2, predicted=one, arm=one.arm + 0.01, object=None)
+            for one in predictions.impacts
+        )
+        count, unit = len(list(folder.glob("*/*"))), "times repeatability"
+        return PredictionError(model=predictions.model, trials=count, error=1.23, unit=unit, impacts=impacts)
+
     monkeypatch.setattr(investigation, "compare", lambda source: comparison())
+    monkeypatch.setattr(investigation, "prediction_error", checked)
 
     def made(
         answer: Callable[[Model, int], DiagnosisDocument], budget: int = 60, folder: str = "one"
@@ -181,11 +193,63 @@ def test_a_model_that_fails_on_new_trials_is_left_and_the_first_one_diagnosed_ag
     ]
 
 
-def test_the_same_effect_again_with_all_trials_renews_its_estimate_and_ends(start: Start) -> None:
-    investigation_, _ = start(lambda model, trials: said(MASS, MASS) if model.effects else said(FRICTION, FRICTION))
+def test_renewed_estimates_of_the_same_effect_are_tried_on_new_trials(start: Start) -> None:
+    """The model from 8 trials does not hold; that with the same effect from 10 does."""
+
+    def answer(model: Model, trials: int) -> DiagnosisDocument:
+        if not model.effects:
+            return said(FRICTION, FRICTION)
+        return said(MASS, MASS) if model.name == "model_2" else CLEAN
+
+    investigation_, _ = start(answer)
     ending = investigation_.run()
     assert (ending.verdict, ending.effects, ending.model) == ("EXPLAINED", (FRICTION,), "model_3.yaml")
-    assert (investigation_.directory / "model_3.yaml").exists()
+    assert ending.trials == investigation.FIRST + 2 * investigation.CHECK
+
+
+@pytest.mark.parametrize("answer", ["effect", "nothing"])
+def test_trials_that_cannot_be_used_try_and_confirm_nothing(
+    start: Start, monkeypatch: pytest.MonkeyPatch, answer: str
+) -> None:
+    """The second round has no usable trial; the third has."""
+    check = investigation.prediction_error
+
+    def unusable(source: Any, folder: Path, predictions: Predictions) -> PredictionError:
+        found = check(source, folder, predictions)
+        return found.model_copy(update={"trials": 0, "error": None}) if folder.name == "round_02" else found
+
+    monkeypatch.setattr(investigation, "prediction_error", unusable)
+    investigation_, bench = start({"effect": friction_then_nothing, "nothing": lambda *_: CLEAN}[answer])
+    ending = investigation_.run()
+    assert (bench.last is None) == (answer == "effect")  # the model is tried again, for whatever else it may lack
+    assert (ending.verdict, ending.rounds) == ({"effect": "EXPLAINED", "nothing": "NOTHING-MISSING"}[answer], 3)
+
+
+def test_a_model_that_never_holds_is_no_explanation(start: Start) -> None:
+    investigation_, _ = start(lambda model, trials: said(MASS, MASS) if model.effects else said(FRICTION, FRICTION), 14)
+    ending = investigation_.run()
+    assert (ending.verdict, ending.certain, ending.effects) == ("UNDECIDED", False, ())
+    assert ending.candidates == (FRICTION,)
+
+
+@pytest.mark.parametrize("name", ["effect", "law"])
+def test_a_model_that_no_trial_was_left_for_is_no_explanation(
+    start: Start, monkeypatch: pytest.MonkeyPatch, name: str
+) -> None:
+    monkeypatch.setattr(investigation, "discover", lambda *_: law_found())
+    investigation_, _ = start({"effect": friction_then_nothing, "law": outside}[name], budget=8)
+    ending = investigation_.run()
+    assert (ending.verdict, ending.certain, ending.effects, ending.laws) == ("UNDECIDED", False, (), ())
+    assert ending.candidates == ({"effect": FRICTION, "law": DRAG.name}[name],)
+    assert "No trial is left to try model_2.yaml on" in ending.summary
+
+
+def test_one_round_that_shows_nothing_is_not_certain(start: Start) -> None:
+    investigation_, bench = start(lambda model, trials: CLEAN, budget=8)
+    ending = investigation_.run()
+    assert (ending.verdict, ending.certain, ending.candidates) == ("UNDECIDED", False, ())
+    assert "New trials have to confirm it. And the budget of 8 trials is spent." in ending.summary
+    assert Investigation(investigation_.directory, SETTINGS, 12, bench).run().verdict == "NOTHING-MISSING"
 
 
 def tie(model: Model, trials: int) -> DiagnosisDocument:
@@ -218,7 +282,7 @@ def test_a_larger_budget_goes_on_after_the_end_of_a_spent_one(start: Start) -> N
     assert investigation_.run().verdict == "UNDECIDED"
     larger = Investigation(investigation_.directory, SETTINGS, 40, bench)
     untried, bench_ = start(friction_then_nothing, 8, "untried")
-    assert "No trial is left to try it on" in untried.run().summary
+    assert not untried.run().certain
     tried = Investigation(untried.directory, SETTINGS, 40, bench_).run()
     assert (tried.effects, tried.trials, tried.model) == ((FRICTION,), 10, "model_2.yaml")
     assert (larger.run().verdict, read_ending(investigation_.directory).effects) == ("EXPLAINED", (FRICTION,))
@@ -257,9 +321,11 @@ def test_what_no_effect_explains_is_first_measured_again_and_then_a_law_is_looke
         return DiscoveryDocument(verdict="NO-LAW-HOLDS", summary="No law holds.", error_unit="times repeatability")
 
     monkeypatch.setattr(investigation, "discover", discovered)
-    investigation_, bench = start(lambda *_: said("NONE-EXPLAINS"), budget=20)
+    partly = said(f"PARTLY{{{FRICTION}}}", FRICTION, held_out_error_after=4.0)
+    investigation_, bench = start(lambda *_: partly, budget=20)
     ending = investigation_.run()
     assert ending.verdict == "UNDECIDED" and "NO-LAW-HOLDS" in ending.summary
+    assert ending.candidates == (FRICTION,)
     assert "2 discoveries have found no law" in ending.summary
     assert len(looked) == investigation.MOST_DISCOVERIES and len(bench.measured) == 16
     first, second = read_rounds(investigation_.directory, SETTINGS)[:2]
@@ -291,7 +357,7 @@ DRAG = FormulaSpec.model_validate(
 
 
 def law_found(verdict: str = "CONFIRMED", tied: tuple[str, ...] = ()) -> DiscoveryDocument:
-    """A drag of 5 N s/m that explains everything, alone or tied with other laws."""
+    """A drag of 5 N s/m that explains everything, alone or tied with others."""
     numbers = {"drag": {"estimate": 5.0, "ci95": (4.8, 5.2), "unit": "N s/m"}}
     effect = EffectDocument(
         name=DRAG.name,
@@ -307,6 +373,7 @@ def law_found(verdict: str = "CONFIRMED", tied: tuple[str, ...] = ()) -> Discove
             "named": (DRAG.name,),
             "effects": (effect,),
             "formulas": (DRAG,),
+            "confusable": ((DRAG.name, *tied),) if tied else (),
             "model": ModelIdentity(name=model.name, digest=model.digest),
         }
     )
@@ -344,11 +411,50 @@ def test_a_law_that_is_found_is_added_as_a_formula_and_tried(start: Start, monke
     assert judged(ending, "outside", ("drag",)) == (True, False)
 
 
-def test_laws_that_predict_equally_well_leave_it_undecided(start: Start, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(investigation, "discover", lambda *_: law_found("CONFUSABLE-WITH{cable}", ("cable",)))
-    investigation_, _ = start(outside, budget=16)
+def test_laws_that_predict_equally_well_are_designed_for_and_listed_at_the_end(
+    start: Start, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """However often they are found, for a tie is a law. Friction, which explains a part, is no rival."""
+    looked: list[int] = []
+
+    def discovered(*_: Any) -> DiscoveryDocument:
+        looked.append(1)
+        return law_found("CONFUSABLE-WITH{cable, object_mass}", ("cable", MASS))
+
+    monkeypatch.setattr(investigation, "discover", discovered)
+    partly = said(f"PARTLY{{{FRICTION}}}", FRICTION, held_out_error_after=4.0)
+    investigation_, bench = start(lambda *_: partly, budget=28)
     ending = investigation_.run()
-    assert (ending.verdict, ending.candidates, ending.effects) == ("UNDECIDED", (DRAG.name, "cable"), ())
+    assert (ending.verdict, ending.candidates, ending.effects) == ("UNDECIDED", (DRAG.name, "cable", MASS), ())
+    assert "the budget of 28 trials is spent" in ending.summary
+    assert len(looked) > investigation.MOST_DISCOVERIES
+    assert bench.last is not None and bench.last.named == (DRAG.name,) and bench.last.formulas == (DRAG,)
+
+
+def test_laws_once_found_are_fitted_again_and_not_forgotten(start: Start, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Though more trials leave less to friction, and although two later discoveries do not find the laws again."""
+    none = DiscoveryDocument(verdict="NO-LAW-HOLDS", summary="No law holds.", error_unit="times repeatability")
+    answers = [law_found("CONFUSABLE-WITH{cable}", ("cable",)), none, none]
+    monkeypatch.setattr(investigation, "discover", lambda *_: answers.pop(0))
+    rest = {8: 8.0, 12: 7.0, 16: 4.0}
+
+    def answer(model: Model, trials: int) -> DiagnosisDocument:
+        return said(f"PARTLY{{{FRICTION}}}", FRICTION, held_out_error_after=rest.get(trials, 2.0))
+
+    investigation_, bench = start(answer)
+    ending = investigation_.run()
+    assert (ending.verdict, ending.candidates) == ("UNDECIDED", (DRAG.name, "cable"))
+    assert len(bench.measured) == 20 and not answers
+
+
+def test_a_tie_between_laws_that_further_trials_split_ends_with_the_law(
+    start: Start, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    answers = [law_found("CONFUSABLE-WITH{cable}", ("cable",))] * 3 + [law_found()]
+    monkeypatch.setattr(investigation, "discover", lambda *_: answers.pop(0))
+    investigation_, _ = start(outside)
+    ending = investigation_.run()
+    assert (ending.verdict, ending.laws, answers) == ("LAW-HOLDS", (DRAG.name,), [])
 
 
 class Killed(BaseException):
@@ -503,6 +609,11 @@ def test_the_log_and_the_page_give_every_decision_with_its_reason(start: Start) 
         assert isinstance(here.decision, RoundDecision)
         assert here.decision.reason in text
     assert ending.summary in text and "EXPLAINED" in page and FRICTION in page
+    assert "Prediction error of model_2 in the 2 trials of this round: 1.23 times repeatability" in text
+    assert "with an error of 1.23 times repeatability" in ending.summary and "<td>1.23</td>" in page
+    arm = rounds[1].prediction.impacts[0].arm if rounds[1].prediction else 0.0
+    assert f"measured end effector {arm + 0.01:+.3f} m/s (predicted {arm:+.3f})" in text
+    assert all((one.directory / "prediction_error.json").exists() for one in rounds)
     assert [one.total for one in bought_of(rounds)] == [8, 10]
 
 
@@ -527,10 +638,28 @@ def end(verdict: str, effects: tuple[str, ...] = (), candidates: tuple[str, ...]
         (end("UNDECIDED"), "null", (), False, False),
         (end("LAW-HOLDS", ("law",)), "outside", ("drag",), True, False),
         (end("EXPLAINED", ("a",)), "outside", ("drag",), False, True),
+        (end("LAW-HOLDS", ("law", MASS)), "outside", ("drag",), False, True),
         (end("UNDECIDED"), "outside", ("drag",), True, False),
+        (end("UNDECIDED", (), (FRICTION,)), "outside", ("drag",), False, False),
+        (end("UNDECIDED", (), (FRICTION, "law")), "outside", ("drag",), True, False),
     ],
 )
 def test_an_end_is_right_undecided_or_surely_wrong(
     ending: Ending, kind: str, hidden: tuple[str, ...], right: bool, wrong: bool
 ) -> None:
     assert judged(ending, kind, hidden) == (right, wrong)
+
+
+@pytest.mark.parametrize(
+    ("ending", "right", "wrong"),
+    [
+        (end("LAW-HOLDS", ("drag_square",)), True, False),
+        (end("LAW-HOLDS", ("cable",)), False, True),
+        (end("LAW-HOLDS", ("drag_square", FRICTION)), False, True),
+        (end("UNDECIDED", (), ("cable", "drag_square")), True, False),
+        (end("UNDECIDED", (), ("cable",)), False, False),
+        (end("UNDECIDED"), True, False),
+    ],
+)
+def test_laws_that_are_known_to_be_right_are_asked_for(ending: Ending, right: bool, wrong: bool) -> None:
+    assert judged(ending, "outside", ("drag",), ("drag_square", "slip_square")) == (right, wrong)

@@ -11,10 +11,12 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+import yaml
 
+from impact_rs_analysis.design.possible_trials import possible_trials
 from impact_rs_analysis.investigation import PlannedTrial, Settings, trials_of
 from impact_rs_cli import node_benches
-from impact_rs_cli.bench import simple_design
+from impact_rs_cli.bench import PlantBench, simple_design
 from impact_rs_cli.cell_guard import CellGuard, SafetyStop
 from impact_rs_cli.node_benches import CellBench, NodesBench
 from impact_rs_cli.terminal import Terminal
@@ -167,6 +169,26 @@ def test_the_design_proposes_nothing_outside_the_envelope() -> None:
         simple_design(nothing, load_model("nominal"), [], None, 8, 0)
 
 
+@pytest.mark.timeout(300)
+def test_a_design_within_the_documented_envelope_is_one(tmp_path: Path) -> None:
+    """It chooses among the trials that the envelope allows, instead of a rule after one outside was chosen."""
+    text = (Path(__file__).parents[2] / "docs" / "real_robot.md").read_text(encoding="utf-8")
+    (block,) = (part for part in text.split("```") if part.lstrip().startswith("scenarios: [push]"))
+    settings = Settings(
+        scenarios=("push", "excite"),
+        model_digest=load_model("nominal").digest,
+        effects=("object_mass", "restitution"),
+        envelope=CellEnvelope.model_validate(yaml.safe_load(block)),
+    )
+    warned: list[str] = []
+    terminal = Terminal(as_json=True)
+    terminal.warn = warned.append  # type: ignore[method-assign]
+    plan = PlantBench(tmp_path, settings, map, terminal).design(load_model("nominal"), [], None, 8, 0)  # type: ignore[arg-type]
+    assert (plan.method, plan.trials, warned) == ("design", 8, [])
+    assert len(trials_of(plan, "")) == 8 and sum(len(one.conditions) for one in plan.campaigns) >= 3
+    assert {one.object for campaign in plan.campaigns for one in campaign.conditions} <= {"parcel", "juice"}
+
+
 def test_new_kinds_of_motion_begin_with_the_slowest(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     cell = FakeCell(monkeypatch)
     bench(tmp_path, Operator()).measure(planned(("parcel", "case_2", 1), ("parcel", "case_1", 1)))
@@ -252,6 +274,9 @@ def test_bags_of_a_cell_are_read_by_measured_signals_alone(tmp_path: Path, hidde
     runs = bench(tmp_path, Operator()).measured_runs()
     assert len(runs.runs) == 6 and not runs.skipped
     assert sorted(map(len, runs.conditions.values())) == [2, 2, 2]
+    planned_names = {trial.name for trial in possible_trials(["push", "excite"])}
+    assert set(runs.conditions) < planned_names  # a design recognises what was measured
+    assert {"/".join(run.place) for run in runs.runs} == set(runs.conditions)
     assert all(run.spec is None for run in runs.runs)  # a laboratory's: nothing of controller and plan is known
     table = (tmp_path / "runs" / "runs.csv").read_text().splitlines()
     assert sum(",free motion," in row for row in table) == 2 and sum(",hit," in row for row in table) == 4

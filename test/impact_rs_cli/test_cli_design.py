@@ -6,7 +6,11 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from documents import tied_laws
 
+from impact_rs_analysis.diagnosis.discovery_document import FOUND, DiscoveryDocument, write_discovery
+from impact_rs_sim.model import Model
+from impact_rs_sim.physics import Physics
 from impact_rs_sim.scenario import load_scenario
 from impact_rs_trials.bags.reader import TrialBag
 from impact_rs_trials.campaign import PlannedTrials
@@ -41,6 +45,31 @@ def test_a_plan_is_made_for_which_effect_is_missing(document: Document, scenario
     assert written.model_dump(mode="json") == made
     assert written.trials == 6
     assert {campaign.folder for campaign in written.campaigns} <= {"small_push", "small_push_beside"}
+
+
+def test_a_plan_after_a_discovery_is_for_its_laws(
+    document: Document, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The laws are in the document alone, and in no model."""
+    found = tied_laws()
+    discovery = DiscoveryDocument(verdict=FOUND, summary="", error_unit=found.error_unit, diagnosis=found)
+    write_discovery(discovery, tmp_path / "discovery.json")
+    world = Physics.nominal(load_scenario("push"), "juice")
+    decisions = []
+
+    def design(model: Model, scenarios: Any, budget: int, map_tasks: Any, decide: Any, *rest: Any) -> ExperimentPlan:
+        decisions.append(decide(model, world.joints, [world]))
+        part = PlannedTrials(object="juice", case="case_2", trials=2)
+        push = PlannedCampaign(folder="push", scenario="push", conditions=(part,))
+        return ExperimentPlan(
+            model="nominal", model_digest="0", aim="rivals", method="design", budget=2, seed=0, campaigns=(push,)
+        )
+
+    monkeypatch.setattr("impact_rs_cli.commands.design.design", design)
+    document("design", "--after", tmp_path / "discovery.json", "--budget", "6", "--jobs", "1")
+    (decision,) = decisions
+    assert (decision.aim, decision.pairs) == ("rivals", ((0, 1),))
+    assert [one.name for one in decision.explanations] == ["object_drag", "object_drag_cube"]
 
 
 def test_a_plan_is_run_and_resumed(document: Document, refused: Refused, scenario: Path, tmp_path: Path) -> None:

@@ -48,17 +48,23 @@ def test_an_export_that_cannot_be_is_refused(
     assert not list(tmp_path.iterdir())
 
 
+def measured(folder: Path, value: float) -> Path:
+    """Measurements of a laboratory."""
+    folder.mkdir()
+    (folder / "one.csv").write_text(f"{value}\n", encoding="utf-8")
+    return folder
+
+
 def test_evidence_is_packed_checked_and_merged(tmp_path: Path, document: Document, refused: Refused) -> None:
-    runs = tmp_path / "runs"
-    runs.mkdir()
-    (runs / "one.csv").write_text("1\n", encoding="utf-8")
     packages = []
     for laboratory, value in (("north", 1.0), ("south", 1.05), ("west", 0.98), ("middle", 1.01), ("east", 2.0)):
         diagnosis, package = tmp_path / f"{laboratory}_diagnosis.json", tmp_path / f"{laboratory}.json"
+        runs = measured(tmp_path / laboratory, value)
         write_document(diagnosis_of({"law": (value, 0.1)}), diagnosis)
         who = ("--laboratory", laboratory, "--robot", "arm", "--object", "box")
         assert document("evidence", "pack", diagnosis, "--data", runs, *who, "-o", package)["files"] == 1
         packages.append(package)
+    runs = tmp_path / "north"
     assert document("evidence", "check", packages[0], "--data", runs)["passed"]
     merged = document("evidence", "merge", *packages, "-o", tmp_path / "merged.json")
     assert list(merged["odd"]) == ["east"]
@@ -70,12 +76,9 @@ def test_evidence_is_packed_checked_and_merged(tmp_path: Path, document: Documen
 
 
 def test_the_odd_laboratory_is_said_in_words(tmp_path: Path, capfd: pytest.CaptureFixture) -> None:
-    runs = tmp_path / "runs"
-    runs.mkdir()
-    (runs / "one.csv").write_text("1\n", encoding="utf-8")
     words = ["evidence", "merge"]
     for laboratory, value in (("north", 1.0), ("south", 1.05), ("west", 0.98), ("middle", 1.01), ("east", 2.0)):
-        diagnosis = tmp_path / "diagnosis.json"
+        diagnosis, runs = tmp_path / "diagnosis.json", measured(tmp_path / laboratory, value)
         write_document(diagnosis_of({"law": (value, 0.1)}), diagnosis)
         who = ["--laboratory", laboratory, "--robot", "arm", "--object", "box"]
         package = str(tmp_path / f"{laboratory}.json")
@@ -84,6 +87,20 @@ def test_the_odd_laboratory_is_said_in_words(tmp_path: Path, capfd: pytest.Captu
     capfd.readouterr()
     assert main(words) == 0
     assert "ODD: east does not agree with the others in law.size" in capfd.readouterr().out
+
+
+def test_measurements_that_were_packed_under_two_names_are_refused(
+    tmp_path: Path, document: Document, refused: Refused
+) -> None:
+    runs, packages = measured(tmp_path / "runs", 1.0), []
+    write_document(diagnosis_of({"law": (6.08, 0.5)}), tmp_path / "diagnosis.json")
+    for laboratory in ("north", "south"):
+        who = ("--laboratory", laboratory, "--robot", "arm", "--object", "box")
+        packages.append(tmp_path / f"{laboratory}.json")
+        document("evidence", "pack", tmp_path / "diagnosis.json", "--data", runs, *who, "-o", packages[-1])
+    said = refused("evidence", "merge", *packages, "-o", tmp_path / "merged.json")
+    assert "hold the same measurements (100% of their bytes, by SHA-256)" in said
+    assert not (tmp_path / "merged.json").exists()
 
 
 def test_designs_are_ranked_in_a_table_and_a_page(tmp_path: Path, document: Document) -> None:

@@ -106,6 +106,9 @@ def test_what_cannot_be_asked_is_refused_before_anything_is_written(refused: Ref
         "investigate D --effects suport_friction": "did you mean 'support_friction'",
         "investigate D --model nowhere.yaml": "nowhere.yaml",
         "investigate D --scenarios nowhere": "nowhere",
+        "investigate D --scenarios push grab": "scenario 'grab' has 2 arms, and an investigation has one; measure it "
+        "with campaign grab",
+        "design --budget 6 --envelope E": "unknown key",
         "blind score D": "has not ended",
     }.items():
         words = [{"D": tmp_path / "d", "E": envelope}.get(word, word) for word in line.split()]

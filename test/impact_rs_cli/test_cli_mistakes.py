@@ -27,6 +27,8 @@ MISTAKES = {  # {} is a folder with one file, CUBES a table of impacts
     "map push cat_food 2 --enginee bullet": "did you mean '--engine'",
     "map push": "expected SCENARIO OBJECT CASE, or --table FILE -o FILE",
     "map push juice 1 --contact settled --engine bullet": "are for the first contact only",
+    "map push juice 1 --model nowhere.yaml": "nowhere.yaml",
+    "map --table x.csv -o {}/new/out.csv --model nowhere.yaml": "--model is for one prediction",
     "anlyze x": "did you mean 'analyze'",
     "--debug": "required: COMMAND",
     "up pus": "did you mean 'push'",

@@ -29,6 +29,9 @@ class Lessons:
     def prediction(self) -> str:
         return json.dumps({"like": "row 1"})
 
+    def close(self) -> None:
+        """Nothing was started."""
+
 
 class Log:
     def __init__(self) -> None:
@@ -47,6 +50,8 @@ class Offline(IdentifyNode):
         self.changed: list[String] = []
         self._prediction = SimpleNamespace(publish=self.predicted.append)  # type: ignore[assignment]
         self._change = SimpleNamespace(publish=self.changed.append)  # type: ignore[assignment]
+        self.diagnosed: list[String] = []
+        self._diagnosis = SimpleNamespace(publish=self.diagnosed.append)  # type: ignore[assignment]
         self._identifier, self._looked = followed, -float("inf")
         self._hits, self._changes, self._spent, self._last, self._complaint = 0, 0, 0.0, "", ""
 
@@ -72,6 +77,16 @@ def test_a_change_is_published_and_warned_of_and_stays_on_diagnostics() -> None:
     line, numbers = node.status()
     assert line == "changed: since row 1 heavier"
     assert (numbers["hits"], numbers["changes"]) == (2, 1)
+
+
+def test_a_diagnosis_that_has_ended_is_published_and_is_no_hit() -> None:
+    ended = Lesson("full diagnosis: CONFIRMED", diagnosis=json.dumps({"verdict": "object_mass"}), hit=False)
+    node = Offline(Lessons([Lesson("row 1: off")], [ended]))
+    node.look()
+    node.look()
+    assert [json.loads(message.data) for message in node.diagnosed] == [{"verdict": "object_mass"}]
+    assert ("info", "full diagnosis: CONFIRMED") in node.log.lines
+    assert node.status()[1]["hits"] == 1 and len(node.predicted) == 1
 
 
 @pytest.mark.parametrize("error", [InputError("no such folder"), ValueError("bytes")])

@@ -11,7 +11,7 @@ import pytest
 
 from impact_rs_cli.main import main
 from impact_rs_ros import cell_rehearsal
-from impact_rs_ros.cell_rehearsal import Checklist, ExternalTorque, Margin, VirtualTime, rehearse
+from impact_rs_ros.cell_rehearsal import Checklist, ExternalTorque, Margin, StandIn, VirtualTime, rehearse
 from impact_rs_ros.driver_profiles import PROFILES, profile_of
 from impact_rs_ros.robot_states import joint_names
 from impact_rs_sim.errors import InputError
@@ -58,11 +58,70 @@ def test_the_watchdog_stops_the_arm_by_the_time_constant_of_its_brake(passed: Ch
     assert "the watchdog brakes" in line
 
 
-def test_thresholds_that_the_hit_exceeds_fail_and_thresholds_that_are_not_known_are_said() -> None:
-    low = rehearse(PLAN, FRANKA, {"arm": Reflexes(external_torque_Nm=(5.0,) * 7)})
-    assert not low.passed and not low.failure
+def test_a_hit_beyond_a_threshold_stops_the_robot_and_the_cell_ends_the_trial() -> None:
+    """8 N m: the hit makes 11 N m, noise of the estimate 5 N m."""
+    low = rehearse(PLAN, FRANKA, {"arm": Reflexes(external_torque_Nm=(8.0,) * 7)})
+    assert "external torque of joint" in low.stopped and "threshold 8" in low.stopped
+    assert "no state of the robot for 0.01" in low.failure  # franka_ros2 ends its broadcasters
+    assert any("its states ended; the cell ended the trial" in line for line in low.log)
+    assert any("the robot brought the arms to rest, which the cell did not see" in line for line in low.log)
     assert [one.name for one in low.margins if one.margin < 0.0] == ["arm external joint torque"]
     assert len(low.unknown) == 1 and "external force: up to" in low.unknown[0]
+    assert low.verdict.startswith("rehearsal not passed: the robot stopped itself: arm, external torque of joint")
+    assert margin_of(low, "time to stop").margin > 0.0  # with a dead cell as well
+
+
+def test_a_cell_that_sees_states_go_on_does_not_notice_and_the_rehearsal_says_so() -> None:
+    quiet = replace(FRANKA, states_end=False)
+    found = rehearse(PLAN, quiet, {"arm": Reflexes(external_force_N=20.0)})
+    assert found.failure == "" and not found.passed
+    assert any("its states went on; the cell did not notice, and led it to the end" in line for line in found.log)
+
+
+@pytest.mark.parametrize("states_end", [True, False])
+def test_a_robot_that_has_stopped_itself_obeys_no_torque_and_reports_why(states_end: bool) -> None:
+    """Against 20 N m on every joint, which move an arm whose reflexes have no threshold."""
+    resting, states = {}, {}
+    for threshold in (None, 1e-6):
+        clock, heard = VirtualTime(), []
+        own = {"arm": Reflexes(external_force_N=threshold)}
+        robot = StandIn(PLAN, replace(FRANKA, states_end=states_end), own, clock, 0)
+        robot.listeners.append(heard.append)
+        robot.command("arm", np.full(7, 20.0))
+        clock.pass_until(0.1, lambda: False)
+        resting[threshold], states[threshold] = robot.at_rest, len(heard)
+        robot.plant.close()
+        assert bool(robot.error) == (threshold is not None)
+    assert resting == {None: False, 1e-6: True}
+    assert states[None] == pytest.approx(100, abs=1)
+    assert (states[1e-6] < 5) == states_end
+
+
+@pytest.mark.parametrize("name", ["push_fr3", "grab_fr3"])
+def test_a_shipped_scenario_passes_its_own_rehearsal(name: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["rehearse", name]) == 0
+    assert capsys.readouterr().out.rstrip().endswith("rehearsal passed")
+
+
+def test_a_driver_that_the_cell_cannot_use_is_not_passed(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["rehearse", "push_ur5e", "--json"]) == 1
+    document = json.loads(capsys.readouterr().out)
+    assert not document["passed"] and document["failure"] == ""
+    (why,) = document["blocking"]
+    assert "no torques of the link side" in why and why in document["verdict"]
+    assert "no torque-only mode" in PROFILES["lbr_fri_ros2_stack"].blocking[0]
+    assert not FRANKA.blocking
+
+
+def test_the_verdict_says_what_was_not_checked() -> None:
+    unknown = "arm external force: up to 80 N, no threshold is known"
+    assert Checklist("driver").verdict == "rehearsal passed"
+    assert (
+        Checklist("driver", unknown=[unknown]).verdict == f"rehearsal passed, but for what was not checked: {unknown}"
+    )
+    assert Checklist("driver", unknown=[unknown], blocking=("no torques",)).verdict == (
+        "rehearsal not passed: no torques. Do not run this on the robot"
+    )
 
 
 def test_a_driver_of_another_rate_is_refused_with_the_rate() -> None:
@@ -76,11 +135,13 @@ def test_states_that_come_too_late_are_refused() -> None:
     assert "the robot's state is 0.0200 s old, state_timeout is 0.01 s" in found.failure
 
 
-def test_a_later_torque_swings_more(passed: Checklist) -> None:
-    """A torque that is late by 12 ms in a loop of 1 kHz turns damping into drive."""
-    assert FRANKA.command_latency < 0.001  # s
-    late = rehearse(PLAN, replace(FRANKA, command_latency=0.012), NO_REFLEXES)
-    assert margin_of(late, "joint velocity").value > margin_of(passed, "joint velocity").value
+def test_a_later_torque_swings_more() -> None:
+    """A torque that is late by 12 ms in a loop of 1 kHz turns damping into drive, in a push at 0.5 m/s."""
+    fast = TrialSpec.of(load_scenario("push_fr3"), "parcel", "case_2", 2.3).plan
+    prompt, late = (
+        rehearse(fast, replace(FRANKA, command_latency=latency), NO_REFLEXES) for latency in (0.0002, 0.012)
+    )
+    assert margin_of(late, "joint velocity").value > margin_of(prompt, "joint velocity").value
 
 
 def test_the_external_torque_of_a_resting_arm_is_none_and_a_push_is_seen() -> None:
@@ -131,8 +192,7 @@ def test_every_shipped_scenario_has_a_driver_of_its_rate() -> None:
 
 
 def test_the_command_fails_where_a_margin_is_negative(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["rehearse", "push_fr3", "--json"]) == 1
+    assert main(["rehearse", "push_fr3", "juice", "2", "--reflex-force", "40", "--json"]) == 1
     document = json.loads(capsys.readouterr().out)
-    assert not document["passed"] and document["failure"] == ""
-    beyond = {one["name"] for one in document["margins"] if one["margin"] < 0.0}
-    assert beyond == {"arm external joint torque", "arm external force"}  # of the examples of franka_ros2, at 0.5 m/s
+    assert not document["passed"] and "threshold 40" in document["stopped"]
+    assert {one["name"] for one in document["margins"] if one["margin"] < 0.0} == {"arm external force"}

@@ -16,11 +16,12 @@ from impact_rs_sim.impact_map.uncertainty import (
     answer_of,
     draw,
     interval_of_draws,
+    possible,
     predict,
     sources_of,
     velocity_names,
 )
-from impact_rs_sim.scenario import Uncertainties, load_scenario
+from impact_rs_sim.scenario import ASSUMED_MOTOR_INERTIA, Uncertainties, load_scenario
 from impact_rs_sim.scene import Scene
 
 NONE = dict.fromkeys(Uncertainties.model_fields, 0.0)
@@ -49,6 +50,18 @@ def test_shares_of_a_budget_add_up_and_intervals_add_in_squares() -> None:
     index = both.names.index("arm.velocity.y")
     assert sum(share[index] for share in both.budget.values()) == pytest.approx(1.0)
     assert both.low[index] < both.nominal[index] < both.high[index]
+
+
+def test_no_draw_of_an_assumed_motor_inertia_is_a_joint_without_motor() -> None:
+    """Half of a 95 % interval of twice the number would make one in six motor inertias negative."""
+    rng = np.random.default_rng(0)
+    sources = sources_of(PROBLEM, Uncertainties(**NONE | {"motor_inertia": ASSUMED_MOTOR_INERTIA}))
+    least, most = np.inf, 0.0
+    for _ in range(100):
+        drawn = change(PROBLEM, possible(PROBLEM, draw(sources, rng))).problem.motor_inertia["arm"]
+        shares = drawn / PROBLEM.motor_inertia["arm"]
+        least, most = min(least, shares.min()), max(most, shares.max())
+    assert least == pytest.approx(0.1) and most > 3.0
 
 
 def test_draws_of_a_smooth_problem_scatter_as_linear_propagation_says() -> None:

@@ -25,6 +25,7 @@ from impact_rs_sim.numbers import estimate_in_line, estimate_text, speed_text
         ((1234567.0, (1234467.0, 1234667.0)), "1.23457e+06 [1.23447e+06, 1.23467e+06]"),
         ((4e-20, (3.99e-20, 4.01e-20)), "4e-20 [3.99e-20, 4.01e-20]"),
         ((0.0, (0.0, 0.0)), "0 [0, 0]"),
+        ((1.223477010931884, (1.2234770109318838, 1.2234770109318842)), "1.22 [1.22, 1.22]"),
     ],
 )
 def test_an_estimate_is_told_with_two_digits_of_its_half_width(value, told):

@@ -6,12 +6,15 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+import pinocchio as pin
 import pytest
 import yaml
 
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.paths import config_directory
-from impact_rs_sim.robot import Flange, Link, load_facts
+from impact_rs_sim.robot import EndEffector, Flange, Link, load_facts
+from impact_rs_sim.robot_check import empty_flange, random_positions
+from impact_rs_sim.robot_model import RobotModel
 
 FER = config_directory() / "robots" / "franka_fer.yaml"
 
@@ -20,6 +23,32 @@ def test_the_published_masses_of_the_links_are_in_the_file() -> None:
     """Gaz et al. 2019; another set of the same arm is wrong by some percent in the velocity after an impact."""
     masses = [link.mass for link in load_facts("franka_fer").links]
     assert masses == pytest.approx([4.970684, 0.646926, 3.228604, 3.587895, 1.225946, 1.666555, 0.735522])
+
+
+def test_a_panda_with_hand_moves_as_one_without_that_carries_the_hand() -> None:
+    """Hand and fingers of the maker's description as an end effector, in the frame of the tool centre point."""
+    tcp = 0.1034  # m from the hand's frame, which is turned by -45 degrees about the flange's axis
+    hand = pin.Inertia(
+        0.6544,
+        np.array([-3.76e-5, 0.0119128, 0.020726]),
+        np.array([[1.86e-3, 0.0, 0.0], [0.0, 3.0e-4, -2.0e-5], [0.0, -2.0e-5, 1.74e-3]]),
+    )
+    finger = pin.Inertia(
+        0.0291,
+        np.array([0.0, 0.015285, 0.0219675]),
+        np.array([[8.49e-6, 0.0, 0.0], [0.0, 8.53e-6, -1.06e-6], [0.0, -1.06e-6, 1.77e-6]]),
+    )
+    for yaw in (0.0, np.pi):
+        hand += pin.SE3(pin.rpy.rpyToMatrix(0.0, 0.0, yaw), np.array([0.0, 0.0, 0.0584])).act(finger)
+    carried = EndEffector(
+        hand.mass, hand.lever - [0.0, 0.0, tcp], hand.inertia, tcp, -np.pi / 4.0, pad_size=(0.01, 0.01, 0.01)
+    )
+    without = RobotModel(load_facts("franka_fer"), carried)
+    whole = RobotModel(load_facts("franka_fer_hand"), empty_flange())
+    for q in random_positions(whole)[:10]:
+        np.testing.assert_allclose(whole.mass_matrix(q), without.mass_matrix(q), atol=1e-5)
+        np.testing.assert_allclose(whole.gravity_torque(q), without.gravity_torque(q), atol=1e-4)
+        assert whole.placement(q).isApprox(without.placement(q), 1e-9)
 
 
 def test_every_link_is_a_body() -> None:

@@ -21,6 +21,7 @@ from impact_rs_sim.bullet_mechanics import BulletMechanics
 from impact_rs_sim.bullet_world import mass_matrices
 from impact_rs_sim.drive import DriveStart
 from impact_rs_sim.errors import InputError
+from impact_rs_sim.paths import config_directory
 from impact_rs_sim.physics import JointFriction
 from impact_rs_sim.robot import EndEffector, load_facts
 from impact_rs_sim.robot_import import FULL_TURN, facts_text, frame_of_axis, import_urdf, save_facts
@@ -569,6 +570,23 @@ def test_moments_about_the_joint_are_moved_to_the_centre_of_mass(tmp_path: Path)
     assert "Moments of inertia of fore were moved from the joint to the centre of mass (Steiner)." in moved.notes
 
 
+def test_a_slender_link_with_moments_about_its_joint_is_noticed() -> None:
+    """A rod of 0.08 kg m^2 = m r^2 with 0.1 across and next to nothing along it; about its middle it has a third."""
+    centre, axis = np.array([0.2, 0.0, 0.0]), np.array([0.0, 0.0, 1.0])
+    assert looks_about_joint(2.0, centre, np.diag([0.002, 0.1, 0.1]), axis, 1.0) == pytest.approx(1.25)
+    assert looks_about_joint(2.0, centre, np.diag([0.002, 0.08 / 3.0, 0.08 / 3.0]), axis, 1.0) is None
+    turned = pin.rpy.rpyToMatrix(0.0, 0.0, 0.7)  # the same link in other axes
+    inertia = turned @ np.diag([0.002, 0.1, 0.1]) @ turned.T
+    assert looks_about_joint(2.0, turned @ centre, inertia, axis, 1.0) == pytest.approx(1.25)
+    flat = np.diag([0.002, 0.1, 0.05])  # about the joint no moment across r is less than m r^2
+    assert looks_about_joint(2.0, centre, flat, axis, 1.0) is None
+
+
+def test_the_rod_of_a_urdf_with_moments_about_its_end_is_noticed(tmp_path: Path) -> None:
+    (note,) = [n for n in import_urdf(pendulum(tmp_path, rod(2.0, 0.6, True))).notes if "about the joints" in n]
+    assert "upper (1.33 m r^2), fore (1.33 m r^2)" in note
+
+
 def test_one_moment_written_three_times_about_the_joint_is_recognised(tmp_path: Path) -> None:
     """As where a planar plant was identified: no body is left by Steiner, so its part is taken from each."""
     about_joint = 2.0 * 0.3**2 + 0.004
@@ -577,7 +595,7 @@ def test_one_moment_written_three_times_about_the_joint_is_recognised(tmp_path: 
         f'<inertial><origin xyz="0.3 0 0"/><mass value="2"/><inertia {moments} ixy="0" ixz="0" iyz="0"/></inertial>'
     )
     (note,) = [note for note in import_urdf(pendulum(tmp_path, inside)).notes if "about the joints" in note]
-    assert "upper (1.02 m d^2), fore (1.02 m d^2)" in note
+    assert "upper (1.02 m r^2), fore (1.02 m r^2)" in note
     assert "--inertia-at joint" in note
     moved = import_urdf(pendulum(tmp_path, inside), inertia_at="joint")
     np.testing.assert_allclose(moved.facts.links[0].inertia, [0.004, 0, 0, 0.004, 0, 0.004], atol=1e-12)
@@ -590,7 +608,7 @@ def test_too_little_inertia_is_not_about_the_joint(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     "name",
-    ["franka_fer", "franka_fr3", "kinova_gen3", "kuka_iiwa7", "kuka_iiwa14", "ur5e", "ur10", "ur10e"],
+    sorted(path.stem for path in (config_directory() / "robots").glob("*.yaml")),
 )
 def test_links_of_real_arms_are_not_suspected(name: str) -> None:
     facts = load_facts(name)

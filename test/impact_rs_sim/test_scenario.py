@@ -146,6 +146,17 @@ def test_a_scenario_that_follows_the_first_impact_reads_as_it_always_did() -> No
     assert Scenario.model_validate_json(other.model_dump_json()).control.reference_contact == "settled"
 
 
+def test_what_is_assumed_is_no_part_of_the_motion() -> None:
+    """A friction compensation belongs to the motion: it stays valid when an assumption is marked, or known better."""
+    push = load_scenario("push")
+    assert push.robots["arm"].drive.assumed == ("stiffness", "damping")
+    known = push.with_settings({"robots.arm.drive.assumed": [], "uncertainty.motor_inertia": 0.05})
+    assert known.digest == push.digest
+    assert "assumed" not in known.model_dump_json()
+    with pytest.raises(InputError, match="assumed names motor_inertia_reduced, which is not in this section"):
+        load_scenario("push_ur5e").with_settings({"robots.arm.drive.assumed": ["motor_inertia_reduced"]})
+
+
 def test_a_setting_replaces_one_value_of_the_scenario_alone():
     own = load_scenario("grab")
     assert own.with_settings({}) is own

@@ -38,6 +38,13 @@ def test_a_trial_at_its_limits_is_inside() -> None:
     assert LIMITS.model_copy(update={"speed": motion.speed, "impulse": motion.impulse}).complaint(SLOW) == ""
 
 
+def test_objects_that_may_be_hit_say_nothing_of_a_free_motion() -> None:
+    free = TrialSpec.of(load_scenario("excite"), "none", "slow")
+    envelope = CellEnvelope(scenarios=("push", "excite"), objects=("parcel",), speed=0.55, impulse=1.0)
+    assert envelope.complaint(free) == ""
+    assert "speed" in envelope.model_copy(update={"speed": 0.3}).complaint(free)
+
+
 @pytest.mark.parametrize(
     ("update", "complaint"),
     [

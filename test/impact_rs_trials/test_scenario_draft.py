@@ -11,7 +11,7 @@ from impact_rs_sim.errors import InputError
 from impact_rs_sim.robot import load_facts
 from impact_rs_sim.robot_check import check_drives, empty_flange
 from impact_rs_sim.robot_model import RobotModel
-from impact_rs_sim.scenario import load_scenario
+from impact_rs_sim.scenario import ASSUMED_MOTOR_INERTIA, load_scenario
 from impact_rs_trials import scenario_draft
 from impact_rs_trials.scenario_draft import Draft, Pose, draft, scenario_text
 from impact_rs_trials.spec import TrialSpec
@@ -33,7 +33,24 @@ def test_a_draft_for_six_joints_is_a_valid_file_whose_trials_ran(six_joints: Dra
     assert scenario.name == "push_ur5e"
     assert scenario.robots["arm"].drive.type == "rigid"
     assert all(robot.held == {} for case in scenario.cases.values() for robot in case.robots.values())
-    assert all(check.outcome == "ok" for check in check_drives(UR5E, scenario))
+    stable, assumed = check_drives(UR5E, scenario)
+    assert stable.outcome == "ok" and "assumed: motor_inertia_rotor, stiffness, damping" in assumed.found
+    assert scenario.uncertainty.motor_inertia == ASSUMED_MOTOR_INERTIA
+
+
+def test_a_draft_marks_what_its_robot_does_not_say() -> None:
+    """The rotor inertia of an FR3 is published, what its torque loop leaves of it is not."""
+    model = RobotModel(FR3, empty_flange())
+    pose = Pose(np.array([0.4, 0.1, 0.6]), np.zeros(7), 1.0)
+    scenario = scenario_draft._read(scenario_text("franka_fr3", FR3, "push", model, pose, 1.0), FR3)
+    assert scenario.robots["arm"].drive.assumed == ("motor_inertia_reduced", "stiffness", "damping")
+    assert scenario.uncertainty.motor_inertia == ASSUMED_MOTOR_INERTIA
+    rigid = FR3.model_copy(update={"joint_torque_loop": False})
+    known = scenario_draft._read(
+        scenario_text("mine", rigid, "push", model, Pose(np.zeros(3), np.zeros(7), 1.0), 1.0), rigid
+    )
+    assert known.robots["arm"].drive.assumed == ("stiffness", "damping")
+    assert known.uncertainty.motor_inertia == 0.1  # B_rho is published, and the links carry it
 
 
 def test_a_draft_says_why_it_chose_what_it_chose(six_joints: Draft) -> None:

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,8 +11,10 @@ import pytest
 from trials import recorded, ticks_of
 
 from impact_rs_sim.impact_map import ImpactProblem, predict_impact
+from impact_rs_sim.impact_map.uncertainty import predict
 from impact_rs_sim.robot_check import failures_of
-from impact_rs_sim.scenario import load_scenario
+from impact_rs_sim.scenario import Uncertainties, load_scenario
+from impact_rs_sim.scene import Scene
 from impact_rs_trials.spec import TrialSpec
 
 ROBOTS = {"push_fr3": "franka_fr3", "push_ur5e": "ur5e", "push_iiwa7": "kuka_iiwa7", "grab_fr3": "franka_fr3"}
@@ -25,6 +28,29 @@ def test_a_shipped_scenario_is_that_of_its_robot_and_its_drives_are_stable(name:
     assert scenario.name == name
     assert {robot.facts for robot in scenario.robots.values()} == {ROBOTS[name]}
     assert failures_of(scenario) == []
+
+
+@pytest.mark.parametrize("name", ["push_fr3", "push_iiwa7", "push_ur5e"])
+def test_the_interval_of_a_prediction_reaches_what_an_assumed_motor_inertia_may_be(name: str) -> None:
+    """From a third of the number to twice it; 10 %, as of a measured one, do not reach that far."""
+    scenario = load_scenario(name)
+    scene = Scene.resolve(scenario, "juice", "case_1")
+    problem = ImpactProblem.at_nominal_impact(scene)
+
+    def velocity(share: float) -> float:
+        motors = {arm: share * values for arm, values in problem.motor_inertia.items()}
+        return float(predict_impact(replace(problem, motor_inertia=motors)).end_effector_twist["arm"][1])
+
+    found = [velocity(share) for share in (1.0 / 3.0, 2.0)]
+    low, high = interval(problem, scenario.uncertainty, scene)
+    assert low < min(found) and max(found) < high
+    low, high = interval(problem, scenario.uncertainty.model_copy(update={"motor_inertia": 0.1}), scene)
+    assert not low < min(found) or not max(found) < high
+
+
+def interval(problem: ImpactProblem, stated: Uncertainties, scene: Scene) -> tuple[float, float]:
+    """95 % interval of the arm's velocity along y [m/s]."""
+    return predict(problem, stated, scene.models, draws=100).interval_of({"arm.velocity.y": 1.0})
 
 
 @pytest.mark.parametrize("name", ROBOTS)

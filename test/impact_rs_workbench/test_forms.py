@@ -68,6 +68,12 @@ WRONG: dict[str, tuple[Any, str]] = {
     "a reference beyond the limit": (TRIAL | {"scale": 9.0}, "9.0: expected a number > 0 and <= 3 [-]"),
     "one of several beyond it": (CAMPAIGN | {"scales": [1.0, 9.0]}, "9.0: expected a number > 0 and <= 3 [-]"),
     "no trial": (CAMPAIGN | {"trials": 0}, "trials = 0: expected greater than or equal to 1"),
+    "an object that may not be hit": (
+        {"command": "rehearse", "scenario": "push", "object": "brick"},
+        "has no object 'brick'",
+    ),
+    "a case of another scenario": ({"command": "limits", "scenario": "push", "cases": ["9"]}, "has no case '9'"),
+    "an option as a range": ({"command": "diagnose", "runs": ".", "unsure": ["--help"]}, "unsure.0 = '--help'"),
     "a missing key": ({"command": "trial", "scenario": "push"}, "object: this key is missing"),
     "a misspelt key": (CAMPAIGN | {"sede": 1}, "sede: unknown key; did you mean 'seed'?"),
 }
@@ -107,6 +113,19 @@ def test_a_form_is_the_command_it_shows(client: TestClient, tmp_path: Path) -> N
     further = {"settings": ["control.clamp_force=90"], "via": "nodes", "without": ["plant"], "sensitivity": True}
     words = ["--set", "control.clamp_force=90", "--sensitivity", "--via", "nodes", "--without", "plant"]
     assert asked(client, CAMPAIGN | further) == ["campaign", "push", "-o", f"{root}/campaigns/push", *words]
+
+
+def test_a_form_takes_ranges_and_remarks_as_the_command_does(client: TestClient, tmp_path: Path) -> None:
+    (tmp_path / "t.csv").write_text("")
+    (tmp_path / "d.json").write_text("{}")
+    ranges = ["size_z=0.09:0.11", "radius=0.02:0.03"]
+    words = asked(client, {"command": "diagnose", "impacts": "t.csv", "unsure": ranges})
+    assert words == ["diagnose", "--unsure", *ranges, "--impacts", f"{tmp_path}/t.csv"]
+    named = {"laboratory": "north", "robot": "ur5e", "object": "parcel", "note": "after the move"}
+    form = {"command": "evidence pack", "diagnosis": "d.json", "data": "t.csv", "output": "p.json"} | named
+    words = asked(client, form)
+    assert words[:2] == ["evidence", "pack"]
+    assert parser().parse_args(words).note == "after the move"
 
 
 def test_a_folder_called_like_an_option_is_a_folder(

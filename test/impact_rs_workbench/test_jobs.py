@@ -37,6 +37,16 @@ def test_a_job_is_the_command_it_tells_and_keeps_its_output(jobs: Jobs) -> None:
     assert "object_mass: " in jobs.log(job.number)
 
 
+def test_a_running_job_says_that_it_has_printed_more(jobs: Jobs, tmp_path: Path) -> None:
+    """So a page that shows its output asks for it again."""
+    job = jobs.start(order("workbench", str(tmp_path / "other"), "--no-browser"))
+    until(lambda: (jobs.all()[0]["printed"] or 0) >= len("http://"), lambda: time.sleep(0.05))
+    assert jobs.log(job.number).count("http://") == 1
+    jobs.stop(job.number)
+    jobs.wait(job.number)
+    assert jobs.all()[0]["printed"] is None
+
+
 def test_a_job_that_fails_tells_its_one_line(jobs: Jobs) -> None:
     job = jobs.wait(jobs.start(order("effects", "object_mas")).number)
     assert job.exit_code == 2

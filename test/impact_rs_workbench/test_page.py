@@ -20,7 +20,7 @@ import pytest
 import yaml
 from axe_playwright_python.sync_playwright import Axe
 from mixed_grab import FILE
-from playwright.sync_api import Browser, Locator, Page, Route, ViewportSize, expect, sync_playwright
+from playwright.sync_api import Browser, Locator, Page, Request, Route, ViewportSize, expect, sync_playwright
 
 from impact_rs_cli.main import main
 from impact_rs_sim.scenario import load_scenario
@@ -33,7 +33,18 @@ HIDDEN_FRICTION = 0.18  # of the support, in the campaign of the fixtures
 SLOW = 300_000.0  # ms, for a job on a machine with other work
 expect.set_options(timeout=60_000.0)
 DESK: ViewportSize = {"width": 1280, "height": 800}
-STEPS = ("predict", "measure", "compare", "diagnose", "add", "history", "overlay", "investigate")
+TABS = {  # of every step, as its own tests name them; where there are none, the step alone
+    "predict": ("impact", "limits", "designs"),
+    "measure": ("campaign", "trial", "design", "rehearse", "recorded", "live", "blind"),
+    "laboratory": ("import", "laboratory", "impacts"),
+    "compare": ("",),
+    "diagnose": ("",),
+    "add": ("",),
+    "history": ("versions", "evidence"),
+    "overlay": ("overlay-runs", "overlay-models", "overlay-estimates"),
+    "investigate": ("loop", "follow"),
+}
+STEPS = tuple(TABS)
 FRAMES = (
     "(count) => new Promise((done) => { const next = () => count-- ? requestAnimationFrame(next) : done(); next(); })"
 )
@@ -178,26 +189,37 @@ def test_a_step_fits_every_screen_and_is_accessible(
     one_page: Page, step: str, scheme: Literal["light", "dark"]
 ) -> None:
     one_page.emulate_media(color_scheme=scheme)
-    one_page.set_viewport_size(DESK)
-    go(one_page, step)
-    expect(one_page.locator("main > section:visible h2").first).to_be_visible()
-    for details in one_page.locator("main details.more:visible").all():
-        details.evaluate("node => { node.open = true; }")
-    accessible(one_page)
-    for width in (360, 820, 1280):
-        one_page.set_viewport_size({"width": width, "height": 800})
-        expect(one_page.locator("html")).to_have_js_property("scrollWidth", width)
+    for tab in TABS[step] if scheme == "light" else TABS[step][:1]:  # the parts of all tabs have the same colours
+        one_page.set_viewport_size(DESK)
+        go(one_page, step, tab)
+        expect(one_page.locator("main > section:visible h2").first).to_be_visible()
+        for details in one_page.locator("main details.more:visible").all():
+            details.evaluate("node => { node.open = true; }")
+        accessible(one_page)
+        for width in (360, 820, 1280):
+            one_page.set_viewport_size({"width": width, "height": 800})
+            expect(one_page.locator("html")).to_have_js_property("scrollWidth", width)
 
 
-def test_the_first_two_lines_say_what_a_step_is_and_what_comes_next(one_page: Page) -> None:
-    for step, following in zip(STEPS, (*STEPS[1:], STEPS[0]), strict=True):
-        go(one_page, step)
-        lines = one_page.locator("main > section:visible h2 + .lead p")
-        expect(lines).to_have_count(2)
-        assert all(line.inner_text() for line in lines.all())
-        lines.locator("a").click()
-        expect(one_page.locator(f"[data-step={following}]")).to_have_attribute("aria-current", "step")
-    go(one_page, "predict")
+def test_the_first_two_lines_say_what_a_step_or_tab_is_and_what_comes_next(one_page: Page) -> None:
+    """Each in its own words; what comes next is another place of the page, and the address leads back."""
+    said = []
+    for step, tabs in TABS.items():
+        for tab in tabs:
+            go(one_page, step, tab)
+            lines = one_page.locator("main > section:visible .lead p")
+            expect(lines).to_have_count(2)
+            said.append(lines.first.inner_text())
+            here, following = one_page.url, (lines.locator("a").get_attribute("href") or "").lstrip("#").split("/")
+            lines.locator("a").click()
+            expect(one_page.locator(f"[data-step={following[0]}]")).to_have_attribute("aria-current", "step")
+            for name in following[1:]:
+                expect(one_page.locator(f"main [data-part={name}]")).to_be_visible()
+            assert one_page.url != here
+            one_page.go_back()
+            expect(lines.first).to_have_text(said[-1])
+    assert all(said) and len(set(said)) == len(said)
+    go(one_page, "predict", "impact")
     expect(one_page.locator("#right figure.term svg")).to_have_count(2)
 
 
@@ -234,9 +256,9 @@ def test_arrow_keys_go_from_tab_to_tab(one_page: Page) -> None:
     one_page.locator("#tab-campaign").focus()
     for key, tab in (
         ("ArrowRight", "trial"),
-        ("End", "laboratory"),
+        ("End", "blind"),
         ("ArrowRight", "campaign"),
-        ("ArrowLeft", "laboratory"),
+        ("ArrowLeft", "blind"),
     ):
         one_page.keyboard.press(key)
         expect(one_page.locator(f"#tab-{tab}")).to_be_focused()
@@ -291,7 +313,27 @@ def test_a_slider_moved_by_keyboard_moves_prediction_and_command(page: Page, fol
     assert after.inner_text() != before
     expect(page.locator("#right h2")).to_have_text("restitution e")
     expect(page.locator("#predict-plot .scatterlayer .trace")).to_have_count(7)  # band, 3 maps, object, 2 of the legend
+    page.set_viewport_size({"width": 1280, "height": 1130})
+    page.wait_for_function("() => document.querySelector('#predict-numbers').getBoundingClientRect().top < 1130")
     picture(page, "workbench", folder)
+    page.set_viewport_size(DESK)
+
+
+def test_a_found_model_is_predicted_with_the_model_that_is_chosen(page: Page, folder: Path) -> None:
+    """Beside the sliders, and by a click on it on the left; when its file goes, the nominal model is back."""
+    heavier = {"name": "object_mass", "parameters": {"scale": {"estimate": 1.6, "unit": "-"}}}
+    file = folder / "heavier.yaml"
+    file.write_text(json.dumps({"name": "heavier", "parent": "nominal", "effects": [heavier]}))
+    after, command = page.locator("#predict-table tr.main td").nth(2), page.locator("section:visible .command code")
+    nominal = after.inner_text()
+    page.locator("[data-entry='model heavier.yaml']").click()
+    expect(page.locator("#predict-model")).to_have_value("heavier.yaml")
+    expect(command).to_contain_text("--model workbench/heavier.yaml")
+    assert abs(float(after.inner_text().replace("−", "-"))) < abs(float(nominal.replace("−", "-"))) - 0.01
+    file.unlink()
+    expect(page.locator("#predict-model")).to_have_value("nominal")
+    expect(command).not_to_contain_text("--model")
+    expect(after).to_have_text(nominal)
 
 
 @pytest.mark.timeout(900)
@@ -396,6 +438,49 @@ def test_a_recorded_trial_opens_in_3d_with_one_click(page: Page, folder: Path) -
     picture(page, "workbench_trial", folder)
 
 
+@pytest.mark.timeout(600)
+def test_a_single_trial_is_shown_below_its_form_and_again_after_a_reload(page: Page, folder: Path) -> None:
+    go(page, "measure", "trial")
+    page.locator("#trial-output").fill("single")
+    start(page, "Run the trial")
+    for _ in range(2):
+        expect(page.locator("#trial-shown h3").first).to_contain_text("parcel__case_1__s1.000__r0")
+        expect(page.locator("#trial-replay canvas")).to_be_visible()
+        expect(page.locator("#trial-shown .plot .scatterlayer")).to_have_count(3)
+        page.reload()
+    shutil.rmtree(folder / "single")
+
+
+@pytest.mark.timeout(900)
+def test_how_fast_the_arm_may_hit_is_asked_and_the_hit_rehearsed_by_mouse(page: Page, folder: Path) -> None:
+    command = go(page, "predict", "limits")
+    expect(command).to_contain_text("limits push --objects parcel --cases case_1 -o workbench/limits/push")
+    page.locator("#part-limits summary").first.click()
+    page.locator("#limits-draws").fill("20")
+    expect(command).to_contain_text("--draws 20")
+    start(page, "Compute the limits")
+    expect(page.frame_locator("#limits-result iframe").locator("h1")).to_have_text("How fast may push hit?")
+    (limit,) = json.loads((folder / "limits" / "push" / "limits.json").read_text())["limits"]
+    expect(page.locator("[data-says='predict/limits']")).to_contain_text(f"at {limit['limit_m_s']:.3g} m/s")
+    assert page.locator("[data-entry='lab limits/push']").count() == 0  # its table is no recording
+    accessible(page)
+    page.locator("#part-limits summary").first.click()
+    page.set_viewport_size({"width": 1280, "height": 1400})
+    picture(page, "workbench_limits", folder)
+    page.set_viewport_size(DESK)
+    page.locator(".lead:visible a").click()
+    expect(command).to_have_text(re.compile("rehearse push$"))
+    page.select_option("#rehearse-object", "juice")
+    expect(command).to_contain_text("rehearse push juice")
+    start(page, "Rehearse")
+    checklist = page.locator("[data-printed=rehearse] pre")
+    expect(checklist).to_contain_text("arm torque rate")
+    expect(checklist).to_contain_text("rehearsal passed")
+    accessible(page)
+    page.set_viewport_size({"width": 1280, "height": 1200})
+    picture(page, "workbench_rehearsal", folder)
+
+
 def test_what_a_practice_campaign_hid_is_revealed_beside_the_estimate(page: Page, reported: Path) -> None:
     """Right for its own diagnosis; and a campaign without a diagnosis says what to do."""
     hidden = {"name": "support_friction", "parameters": {"friction": {"value": HIDDEN_FRICTION, "unit": "-"}}}
@@ -411,7 +496,19 @@ def test_what_a_practice_campaign_hid_is_revealed_beside_the_estimate(page: Page
     page.locator("[data-practice=later]").get_by_role("button", name="Reveal").click()
     expect(page.locator("[data-practice=later] .error")).to_contain_text("diagnose them first")
     accessible(page)
-    shutil.rmtree(reported / "later")
+    found = json.loads((reported / "reports" / "diagnosed" / "diagnosis.json").read_text())
+    others = found | {"runs": found["runs"] | {"digest": "of other runs"}}
+    (reported / "reports" / "others").mkdir()
+    (reported / "reports" / "others" / "diagnosis.json").write_text(json.dumps(others))
+    go(page, "diagnose")
+    for name, count in (("others", 0), ("diagnosed", 1)):
+        page.select_option("#diagnose-file", f"reports/{name}/diagnosis.json")
+        expect(page.locator("#ranking")).to_be_visible()
+        expect(page.locator("#reveal")).to_have_count(count)
+    page.locator("#reveal").click()
+    expect(page.locator("#revealed [data-correct]")).to_have_attribute("data-correct", "true")
+    for name in ("later", "reports/others"):
+        shutil.rmtree(reported / name)
     (reported / "blind" / "truth.json").unlink()
 
 
@@ -431,6 +528,14 @@ def test_runs_are_chosen_filtered_and_pinned_over_each_other(page: Page, reporte
     expect(rows.first).to_contain_text("juice")
     page.locator("#overlay-runs-filter").fill("")
     expect(rows).to_have_count(count)
+    with page.expect_response(lambda answer: answer.url.endswith("/api/choices") and answer.request.method == "POST"):
+        rows.filter(has_text="parcel").last.locator("input").uncheck()
+    expect(plot.locator(".scatterlayer .trace")).to_have_count(2)
+    shown = plot.get_attribute("data-shown")
+    page.reload()  # what was chosen and pinned is still so
+    expect(plot).to_have_attribute("data-shown", shown or "")
+    expect(rows.first.locator("button")).to_have_attribute("aria-pressed", "true")
+    expect(rows.first).to_contain_text("juice")
     page.select_option("#overlay-signal", "Velocity of the end effector, y")
     page.set_viewport_size({"width": 1280, "height": 1100})
     picture(page, "workbench_overlay", reported)
@@ -443,7 +548,9 @@ def test_runs_are_chosen_filtered_and_pinned_over_each_other(page: Page, reporte
     expect(page.locator("#overlay-parameter")).to_have_value(
         re.compile("support_friction")
     )  # what was named comes first
+    expect(page.locator("#part-overlay-estimates .note")).to_contain_text("at the time of its last trial")
     accessible(page)
+    (reported / ".workbench" / "overlay.json").unlink()
 
 
 def test_what_no_effect_explains_is_looked_for_as_a_law_by_a_button(page: Page, reported: Path) -> None:
@@ -657,6 +764,20 @@ def test_the_newest_place_of_a_comparison_has_its_signal(page: Page, reported: P
     expect(page.locator("#signal .note")).to_contain_text((places.nth(1).text_content() or "").partition(",")[0])
 
 
+def test_a_form_that_is_not_in_sight_asks_for_nothing(page: Page) -> None:
+    asked: list[str] = []
+
+    def heard(sent: Request) -> None:
+        if sent.url.endswith("/api/command"):
+            asked.append(sent.post_data_json["command"])
+
+    page.on("request", heard)
+    expect(go(page, "measure")).to_contain_text("--trials 2")
+    expect(go(page, "measure", "trial")).to_contain_text("impact-rs trial push")
+    page.remove_listener("request", heard)
+    assert set(asked) == {"campaign", "trial"}
+
+
 def test_a_form_shows_the_command_of_its_newest_content_alone(page: Page) -> None:
     """And its button stays where it is, whatever the length of the command."""
     command, trials = go(page, "measure"), page.locator("#campaign-trials")
@@ -756,6 +877,43 @@ def test_a_folder_of_recordings_is_described_from_lists_and_compared(
     expect(page.locator("#compare-experiment")).to_have_value("lab/experiment.yaml")
     start(page, "Compare")
     expect(page.locator("#compare-result .answer")).to_contain_text("in 2 trials")
+
+    page.locator("[data-entry='lab lab']").click()
+    page.get_by_role("button", name="Show the runs").click()
+    page.locator("#recorded-trials [data-trial=parcel_2]").click()
+    expect(page.locator("#recorded-shown h3").first).to_have_text("Run parcel_2")
+    expect(page.locator("#recorded-replay canvas")).to_be_visible()
+    expect(page.locator("#recorded-shown .plot .cursor").first).to_be_visible()
+
+    command = go(page, "laboratory", "impacts")
+    expect(command).to_contain_text(
+        "impacts workbench/lab --experiment workbench/lab/experiment.yaml -o workbench/impacts"
+    )
+    start(page, "Find the impacts")
+    expect(page.locator("[data-printed=impacts] pre")).to_contain_text("2 impacts of 2 runs")
+    page.locator("[data-table='impacts/lab.csv']").get_by_role("button", name="Follow").click()
+    expect(command).to_contain_text(re.compile("follow .*-o workbench/models/followed_1.yaml --state .*/lab.npz"))
+    expect(command).to_contain_text("--impacts workbench/impacts/lab.csv --scenario push")
+    assert page.locator("[data-entry='lab impacts']").count() == 0  # a table of impacts is no recording
+    shutil.rmtree(folder / "impacts")
+
+
+@pytest.mark.timeout(600)
+def test_raw_files_are_described_by_their_numbers(
+    page: Page, folder: Path, hidden_campaign: Path, rewrite_bag: Callable[..., None]
+) -> None:
+    """What is guessed is printed with its evidence; the folder then has a mapping."""
+    kept = {topics.joint_states("arm"), topics.joint_command("arm")}
+    for number, trial in enumerate(sorted((hidden_campaign / "excite").iterdir()), start=1):
+        rewrite_bag(trial, folder / "raw" / f"run_{number}", kept.__contains__)
+    command = go(page, "laboratory", "import")
+    page.get_by_label("raw", exact=True).check()
+    page.select_option("#import-robot", "franka_fer")
+    expect(command).to_contain_text("import workbench/raw --robot franka_fer -o workbench/raw")
+    start(page, "Look at the files")
+    expect(page.locator("[data-printed=import] pre")).to_contain_text("2 runs, 0 of them hits")
+    assert (folder / "raw" / "mapping.yaml").exists()
+    shutil.rmtree(folder / "raw")
 
 
 def test_two_arms_of_different_kinds_are_predicted_and_described(

@@ -65,7 +65,7 @@ def test_more_motor_inertia_keeps_more_of_the_velocity_all_along_a_slider() -> N
 
 
 def test_every_slider_is_a_key_of_the_scenario_within_its_ends() -> None:
-    for scenario in (PUSH, load_scenario("grab")):
+    for scenario in (PUSH, load_scenario("grab"), load_scenario("push_iiwa7")):
         name = next(iter(scenario.objects))
         case = next(iter(scenario.cases))
         for slider in sliders_of(scenario, name):
@@ -81,7 +81,7 @@ def test_a_slider_of_another_object_is_none() -> None:
 
 
 def test_the_command_of_untouched_sliders_sets_nothing() -> None:
-    assert map_arguments("push", question(), {}) == ["map", "push", "cat_food", "case_2", "--uncertainty"]
+    assert map_arguments("push", "nominal", question(), {}) == ["map", "push", "cat_food", "case_2", "--uncertainty"]
 
 
 def test_each_of_two_arms_has_its_figure_its_budget_and_its_impulse() -> None:

@@ -4,16 +4,23 @@
 from __future__ import annotations
 
 import json
+import os
+import shutil
+from collections.abc import Callable
+from datetime import datetime
 from pathlib import Path
 
 import pytest
+from starlette.testclient import TestClient
 
 from impact_rs_analysis.evidence.levels import Cell
 from impact_rs_analysis.investigation import RoundDecision, Settings, begin
 from impact_rs_sim.model import load_model
+from impact_rs_trials.bags.reader import TrialBag
 from impact_rs_trials.campaign import PlannedTrials
 from impact_rs_trials.experiment_plan import ExperimentPlan, PlannedCampaign, PlannedPair, write_plan
-from impact_rs_workbench.results import investigation, nearest_signal, plan
+from impact_rs_workbench.results import diagnosis, estimates, investigation, nearest_signal, plan
+from impact_rs_workbench.results import trial as trial_of
 from impact_rs_workbench.workspace import Workspace
 
 CONDITION = PlannedTrials(
@@ -67,3 +74,59 @@ def test_an_investigation_has_an_ending_once_its_last_round_says_so(tmp_path: Pa
     found = investigation(tmp_path)
     assert (found["ending"]["verdict"], found["rounds"]) == ("UNDECIDED", 1)
     assert "I cannot tell" in found["ending"]["summary"]
+
+
+def test_an_estimate_stands_at_the_time_of_its_measurement(
+    tmp_path: Path, hidden_campaign: Path, diagnosed: Path
+) -> None:
+    """Whenever its diagnosis was written; where the runs are not in the folder, at the time of that file."""
+    shutil.copytree(hidden_campaign, tmp_path / "blind" / "runs")
+    found = json.loads(diagnosed.read_text())
+    for name, runs, written in (
+        ("late", found["runs"], 3e9),
+        ("other", found["runs"] | {"digest": "of other runs"}, 2e9),
+    ):
+        (tmp_path / f"{name}.json").write_text(json.dumps(found | {"runs": runs}))
+        os.utime(tmp_path / f"{name}.json", (written, written))
+    recorded = [
+        datetime.fromisoformat(TrialBag.open(bag.parent).metadata["recorded"]).timestamp()
+        for bag in hidden_campaign.rglob("metadata.yaml")
+    ]
+    rows = estimates(Workspace(tmp_path))
+    assert {(row["diagnosis"], row["when"], row["measured"]) for row in rows} == {
+        ("late.json", max(recorded), True),
+        ("other.json", 2e9, False),
+    }
+    assert [row["when"] for row in rows] == sorted(row["when"] for row in rows)
+
+
+def test_a_diagnosis_names_the_practice_campaign_of_its_runs_alone(
+    tmp_path: Path, hidden_campaign: Path, diagnosed: Path
+) -> None:
+    shutil.copytree(hidden_campaign, tmp_path / "blind" / "runs")
+    shutil.copy(diagnosed, tmp_path / "d.json")
+    assert diagnosis(Workspace(tmp_path), "d.json")["practice"] is None  # nothing is hidden in them
+    (tmp_path / "blind" / "truth.json").write_text("{}")
+    assert diagnosis(Workspace(tmp_path), "d.json")["practice"] == "blind"
+    shutil.rmtree(tmp_path / "blind" / "runs" / "excite")
+    assert diagnosis(Workspace(tmp_path), "d.json")["practice"] is None
+
+
+def test_runs_of_a_laboratory_are_listed_and_shown_as_they_are_described(
+    tmp_path: Path, client: TestClient, hidden_campaign: Path, rewrite_bag: Callable[..., None]
+) -> None:
+    """Its recordings are bags of another program."""
+    (trial,) = (hidden_campaign / "push").glob("juice*r0")
+    lab = tmp_path / "lab"
+    rewrite_bag(trial, lab / "run_1", lambda topic: not topic.startswith(("/trial", "/truth")))
+    (lab / "runs.csv").write_text("bag,object,kind,condition\nrun_1,juice,hit,case_1\n")
+    assert client.get("/api/run", params={"path": "lab", "run": "run_1"}).status_code == 400  # not described
+    (lab / "experiment.yaml").write_text("scenario: push\nmapping: impact_rs\n")
+    assert client.get("/api/trials", params={"path": "lab"}).json() == ["run_1"]
+    found = client.get("/api/run", params={"path": "lab", "run": "run_1"}).json()
+    native = trial_of(trial)
+    assert found["title"] == "Run run_1"
+    assert [plot["title"] for plot in found["plots"]] == [plot["title"] for plot in native["plots"]]
+    assert found["replay"]["runs"][0]["impact"] is not None
+    answer = client.get("/api/run", params={"path": "lab", "run": "run_9"})
+    assert (answer.status_code, "\n" in answer.json()["error"]) == (400, False)

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import quote
 
+import numpy as np
 import pytest
 from starlette.testclient import TestClient
 
@@ -233,6 +234,37 @@ def test_a_prediction_is_that_of_the_command_it_shows(client: TestClient, capfd:
     assert row["after"] == pytest.approx(printed["post"]["end_effector_twist"]["arm"][1], rel=1e-9)
     interval = printed["uncertainty"]["interval"]["arm.velocity.y"]
     assert [row["low"], row["high"]] == pytest.approx([interval["low"], interval["high"]])
+
+
+def test_a_model_of_the_folder_is_predicted_as_its_command_does(
+    client: TestClient, tmp_path: Path, capfd: pytest.CaptureFixture
+) -> None:
+    """A heavier object takes more of the velocity, in the answer, along a slider and on the terminal."""
+    heavier = {"name": "object_mass", "parameters": {"scale": {"estimate": 1.6, "unit": "-"}}}
+    (tmp_path / "heavier.yaml").write_text(json.dumps({"name": "heavier", "parent": "nominal", "effects": [heavier]}))
+
+    def answered(**change: Any) -> Any:
+        return client.post("/api/predict", json=QUESTION | change).json()
+
+    def after(answer: Any) -> float:
+        return abs(float(next(row["after"] for row in answer["rows"] if row["main"] and row["body"] == "arm")))
+
+    nominal, found = answered(), answered(model="heavier.yaml")
+    assert after(found) < after(nominal) - 0.01
+    assert f"--model {tmp_path}/heavier.yaml" in found["command"] and "--model" not in nominal["command"]
+    capfd.readouterr()
+    assert main([*shlex.split(found["command"])[1:], "--json"]) == 0
+    printed = json.loads(capfd.readouterr().out)
+    assert printed["model"] == "heavier"
+    assert after(found) == pytest.approx(abs(printed["post"]["end_effector_twist"]["arm"][1]), rel=1e-9)
+    mass = {"over": "objects.cat_food.mass"}
+    lines = [
+        client.post("/api/sweep", json=QUESTION | mass | {"model": model}).json()
+        for model in ("nominal", "heavier.yaml")
+    ]
+    at_rest, heavy = (np.abs(next(line["y"] for line in one["lines"] if line["chosen"])) for one in lines)
+    assert (heavy < at_rest).all()
+    assert "there is nothing at" in answered(model="nowhere.yaml")["error"]
 
 
 def test_the_impact_is_drawn_where_it_is_predicted(client: TestClient) -> None:

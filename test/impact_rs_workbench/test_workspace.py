@@ -10,9 +10,13 @@ from pathlib import Path
 
 import pytest
 import yaml
+from evidence_packages import diagnosis_of
 
+from impact_rs_analysis.sharing.evidence_package import EvidencePackage, write_package
 from impact_rs_cli.main import main
 from impact_rs_sim.errors import InputError
+from impact_rs_sim.model import load_model
+from impact_rs_sim.paths import config_directory
 from impact_rs_workbench.workspace import Workspace
 
 
@@ -165,3 +169,40 @@ def test_the_page_of_an_investigation_is_among_the_reports(workspace: Workspace)
     page.parent.mkdir(parents=True)
     page.write_text("<html></html>")
     assert workspace.contents().reports == ("inquiry/report/investigation.html",)
+
+
+def test_what_commands_have_written_is_no_recording(workspace: Workspace) -> None:
+    """Tables beside a page, and tables of impacts; a table of anything else may be a recording."""
+    for name in ("limits/limits.csv", "designs/designs.csv", "impacts/lab.csv", "lab/run.csv"):
+        (workspace.root / name).parent.mkdir()
+        (workspace.root / name).write_text("a,b\n")
+    (workspace.root / "impacts" / "lab.csv").write_text("run,vx_before [m/s],vx_after [m/s]\n")
+    found = workspace.contents()
+    assert [lab.path for lab in found.laboratories] == ["lab"]
+    assert found.tables == ("impacts/lab.csv",)
+
+
+def test_robots_and_packages_of_evidence_are_offered(workspace: Workspace) -> None:
+    robot = config_directory() / "robots" / "ur5e.yaml"
+    shutil.copy(robot, workspace.root / "my_robot.yaml")
+    package = EvidencePackage(
+        laboratory="north",
+        robot="ur5e",
+        object="parcel",
+        versions={},
+        model=load_model("nominal"),
+        diagnosis=diagnosis_of({"law": (1.0, 0.1)}),
+        data=(),
+    )
+    write_package(package.sealed(), workspace.root / "north.json")
+    found = workspace.contents()
+    assert "ur5e" in found.robots and found.robots[-1] == "my_robot.yaml"
+    assert (found.packages, found.diagnoses) == (("north.json",), ())
+
+
+def test_a_described_laboratory_names_its_scenario_as_a_form_does(workspace: Workspace) -> None:
+    (workspace.root / "lab").mkdir()
+    for named, expected in (("push", "push"), ("../mine.yaml", "mine.yaml"), ("../../elsewhere.yaml", "")):
+        (workspace.root / "lab" / "experiment.yaml").write_text(f"scenario: {named}\nmapping: joint_state\n")
+        (lab,) = workspace.contents().laboratories
+        assert (lab.scenario, lab.error) == (expected, "")

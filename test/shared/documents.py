@@ -10,9 +10,10 @@ from typing import Any
 import numpy as np
 
 from impact_rs_analysis.diagnosis.compare import ComparisonDocument
-from impact_rs_analysis.diagnosis.document import DiagnosisDocument
+from impact_rs_analysis.diagnosis.document import DiagnosisDocument, EffectDocument, EstimateDocument, ModelIdentity
 from impact_rs_analysis.diagnosis.history import Version, VersionError
 from impact_rs_analysis.evidence.tracks import ComparedSignal, Track
+from impact_rs_sim.effects.formula import FormulaSpec
 from impact_rs_sim.model import load_model
 
 FOLDER = Path(__file__).with_suffix("")
@@ -27,6 +28,43 @@ def comparison(name: str = "trials") -> ComparisonDocument:
 def diagnosis(name: str = "trials") -> DiagnosisDocument:
     """A diagnosis: the same names, and one with verdicts on the ``joints`` of a single arm."""
     return DiagnosisDocument.model_validate(_content(f"diagnosis_{name}"))
+
+
+def tied_laws() -> DiagnosisDocument:
+    """A diagnosis of the nominal model, with two laws of a discovery that explain the trials equally well."""
+    drag = FormulaSpec.model_validate(
+        {
+            "name": "object_drag",
+            "sentence": "Drag.",
+            "object_force": {"y": "-drag * object_vy"},
+            "parameters": {"drag": {"unit": "N s/m", "nominal": 0.0, "lower": 0.0, "upper": 50.0, "scale": 1.0}},
+        }
+    )
+    cube = drag.model_copy(update={"name": "object_drag_cube", "object_force": {"y": "-drag * object_vy**3"}})
+    effects = tuple(
+        EffectDocument(
+            name=one.name,
+            verdict=f"CONFUSABLE-WITH{{{other.name}}}",
+            rivals=(other.name,),
+            parameters={"drag": EstimateDocument(estimate=5.0, ci95=(4.0, 6.0), unit="N s/m", nominal=0.0)},
+            held_out_error_before=9.0,
+            held_out_error_after=1.0,
+            p_value=0.001,
+        )
+        for one, other in ((drag, cube), (cube, drag))
+    )
+    model = load_model("nominal")
+    update = {
+        "verdict": drag.name,
+        "named": (drag.name,),
+        "suspected": (),
+        "effects": effects,
+        "confusable": ((drag.name, cube.name),),
+        "formulas": (drag, cube),
+        "arms": {},
+        "model": ModelIdentity(name=model.name, digest=model.digest),
+    }
+    return diagnosis().model_copy(update=update)
 
 
 def _content(name: str) -> dict[str, Any]:

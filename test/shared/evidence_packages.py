@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Mapping
 from typing import Any
 
@@ -11,7 +12,6 @@ from impact_rs_analysis.sharing.evidence_package import EvidencePackage, FileDig
 from impact_rs_sim.model import load_model
 
 NORMAL = 1.959964
-DIGEST = "0" * 64
 
 
 def diagnosis_of(estimates: Mapping[str, tuple[float, float]], **changes: Any) -> DiagnosisDocument:
@@ -53,9 +53,10 @@ def package_of(
     estimates: Mapping[str, tuple[float, float]],
     robot: str = "arm",
     object_name: str = "box",
+    data: tuple[FileDigest, ...] = (),
     **changes: Any,
 ) -> EvidencePackage:
-    """A sealed package."""
+    """A sealed package; without ``data`` of measurements of its own."""
     return EvidencePackage(
         laboratory=laboratory,
         robot=robot,
@@ -63,5 +64,10 @@ def package_of(
         versions={"impact_rs": "0"},
         model=load_model("nominal"),
         diagnosis=diagnosis_of(estimates, **changes),
-        data=(FileDigest(path="a", size=0, sha256=DIGEST),),
+        data=data or (file_of(f"{laboratory} {robot} {object_name}"),),
     ).sealed()
+
+
+def file_of(content: str, size: int = 1000) -> FileDigest:
+    """A file of measurements; files of one content have one digest."""
+    return FileDigest(path="runs/one.mcap", size=size, sha256=hashlib.sha256(content.encode()).hexdigest())

@@ -7,6 +7,7 @@ import pytest
 from impact_rs_analysis.design.possible_trials import Envelope, PossibleTrial, possible_trials
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.scenario import load_scenario
+from impact_rs_trials.envelope import CellEnvelope
 
 
 def speed(trial: PossibleTrial) -> float:
@@ -57,6 +58,19 @@ def test_every_condition_has_a_name_of_its_own() -> None:
     assert sum(trial.of_file for trial in trials) == 9 + 2 + len(load_scenario("grab").objects) * len(
         load_scenario("grab").cases
     )
+
+
+def test_a_cell_runs_only_what_its_envelope_names_and_allows() -> None:
+    cell = CellEnvelope(scenarios=("push",), objects=("parcel", "juice"), speed=0.5, impulse=0.5)
+    trials = possible_trials(["push", "excite"], Envelope(cell=cell))
+    assert [trial.name for trial in trials] == [  # half a newton second is too little for juice at 0.5 m/s
+        "push/juice/case_1_250mm_s",
+        "push/juice/case_3_250mm_s",
+        *(f"push/parcel/{case}" for case in ("case_1", "case_1_250mm_s", "case_3", "case_3_250mm_s")),
+    ]
+    assert possible_trials(["push"], Envelope(speed=0.3, cell=cell)) == [t for t in trials if speed(t) <= 0.3]
+    with pytest.raises(InputError, match=r"none of \d+ trials lies inside the envelope, push/.*allows 0.1 N s"):
+        possible_trials(["push"], Envelope(cell=cell.model_copy(update={"impulse": 0.1, "objects": ()})))
 
 
 def test_an_envelope_without_room_is_refused() -> None:

@@ -10,12 +10,13 @@ import pytest
 
 from impact_rs_analysis.diagnosis.candidate import Candidate
 from impact_rs_analysis.diagnosis.document import DiagnosisDocument, EffectDocument, EstimateDocument, read_document
-from impact_rs_analysis.diagnosis.next_experiment import left_open, next_experiment
+from impact_rs_analysis.diagnosis.next_experiment import considered, left_open, next_experiment
 from impact_rs_analysis.diagnosis.verdicts import Findings
 from impact_rs_analysis.evidence.measured_runs import read_runs
 from impact_rs_analysis.evidence.replay_cache import ReplayCache
 from impact_rs_analysis.evidence.replays import ReplaySource
 from impact_rs_sim.effects import library
+from impact_rs_sim.effects.formula import FormulaSpec
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.model import Model, ModelEffect, ParameterValue, load_model
 from impact_rs_sim.numbers import NORMAL_95
@@ -113,6 +114,51 @@ def test_an_unknown_interval_is_as_wide_as_the_prior_and_not_infinite(
 
 def test_without_a_named_effect_everything_is_open(document: DiagnosisDocument) -> None:
     assert left_open(document.model_copy(update={"named": ()}), load_model("nominal")) is None
+
+
+def test_a_suspicion_leaves_open_whether_the_effect_is_there(document: DiagnosisDocument, world: Physics) -> None:
+    suspicion = document.model_copy(update={"named": (), "suspected": document.named})
+    decide = left_open(suspicion, load_model("nominal"))
+    assert decide is not None
+    decision = decide(load_model("nominal"), world.joints, [world])
+    assert (decision.aim, decision.pairs) == ("rivals", ((0, 1),))
+    without, suspected = decision.explanations
+    assert without.centre == () and suspected.effects == set(document.named)
+
+
+def test_a_suspicion_beside_an_effect_is_tried_beside_it(document: DiagnosisDocument, world: Physics) -> None:
+    decide = left_open(tied(document).model_copy(update={"suspected": ("object_mass",)}), load_model("nominal"))
+    assert decide is not None
+    *_, beside = decide(load_model("nominal"), world.joints, [world]).explanations
+    assert [name for name, _ in beside.centre] == [*document.named, "object_mass"]
+
+
+def test_a_formula_of_the_diagnosis_can_be_decided_on(document: DiagnosisDocument, world: Physics) -> None:
+    """Laws of a discovery and effects of --formulas are in the document and not in the model."""
+    drag = FormulaSpec.model_validate(
+        {
+            "name": "drag",
+            "sentence": "Drag.",
+            "end_effector_force": {"y": "-c * vy"},
+            "parameters": {"c": {"unit": "N s/m", "nominal": 0.0, "lower": 0.0, "upper": 50.0, "scale": 1.0}},
+        }
+    )
+    law = document.effects[0].model_copy(
+        update={
+            "name": "drag",
+            "rivals": ("object_mass",),
+            "parameters": {"c": EstimateDocument(estimate=5.0, ci95=(4.0, 6.0), unit="N s/m", nominal=0.0)},
+        }
+    )
+    found = tied(document).model_copy(
+        update={"named": ("drag",), "effects": (law, tied(document).effects[1]), "formulas": (drag,)}
+    )
+    model = load_model("nominal")
+    decide = left_open(found, model)
+    assert decide is not None
+    first, second = decide(considered(found, model), world.joints, [world]).explanations
+    assert first.centre == (("drag", (5.0,)),) and second.centre == (("object_mass", (1.3,)),)
+    assert considered(found, model).containing(()).digest == model.digest
 
 
 def test_a_diagnosis_of_another_model_is_refused(document: DiagnosisDocument) -> None:

@@ -3,18 +3,24 @@
 
 from __future__ import annotations
 
+import copy
 import csv
 from collections.abc import Sequence
+from functools import partial
+from itertools import islice
 from pathlib import Path
 
 import numpy as np
 import pytest
 from impact_table_cases import arm_table, write_csv
 
+from impact_rs_analysis.evidence.measured_runs import read_trial
 from impact_rs_analysis.evidence.replay_cache import ReplayCache
-from impact_rs_analysis.following.follow import Follower
+from impact_rs_analysis.following import hits
+from impact_rs_analysis.following.follow import Follower, HitsSince
 from impact_rs_analysis.following.hits import BagDoor, TableDoor
 from impact_rs_analysis.following.lessons import Change, HitDocument
+from impact_rs_analysis.following.posterior import Posterior
 from impact_rs_analysis.following.state import restore_state, save_state
 from impact_rs_sim.effects import library
 from impact_rs_sim.errors import InputError
@@ -250,6 +256,73 @@ def test_trials_and_tables_tell_the_same_change(day: Path, tmp_path: Path) -> No
         assert change.causes[0].effect == "object_mass"
         (mass,) = follower.followed()
         assert mass.estimate == pytest.approx(1.25, abs=0.03)
+
+
+def test_the_next_hit_after_a_free_motion_is_one_with_an_impact(hidden_campaign: Path) -> None:
+    follower = Follower(BagDoor(hidden_campaign, NOMINAL, ReplayCache(map)), NOMINAL, ["object_mass"], learnt=4)
+    hits = list(follower.door.arrived())
+    pushes = [hit for hit in hits if hit.hits]
+    assert len(pushes) == 4
+    for hit in [*pushes, *(hit for hit in hits if not hit.hits)]:
+        follower.take([hit])
+    prediction = follower.prediction()
+    assert prediction is not None and prediction.like == pushes[-1].name
+    assert {"impact", "push"} <= {value.phase for value in prediction.values}
+
+
+def test_bags_are_read_when_they_are_due(day: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    read: list[str] = []
+    monkeypatch.setattr(hits, "read_trial", lambda path: (read.append(path.name), read_trial(path))[1])
+    door = BagDoor(day, NOMINAL, ReplayCache(map))
+    arriving = door.arrived()
+    assert next(arriving).name.endswith("r0") and len(read) == 1 and door.waiting == 15
+    assert next(arriving).name.endswith("r1") and len(read) == 2 and door.waiting == 14
+
+
+def test_where_measured_trials_do_not_decide_one_that_was_not_measured_is_proposed(
+    day: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    follower = Follower(BagDoor(day, NOMINAL, ReplayCache(map)), NOMINAL, ["object_mass", "restitution"], learnt=12)
+    list(follower.arrived())
+    heavier, bouncing = follower.likeliest, copy.copy(follower.likeliest)
+    bouncing.effect, bouncing.point = "restitution", np.array([1.0, 0.3])
+    bouncing.posterior = Posterior.of([], np.array([]))
+    follower.hypotheses = [heavier, bouncing]
+    few = PUSH.model_copy(update={"objects": {"juice": PUSH.objects["juice"]}})
+    follower.door._scenarios = {"push": few}  # type: ignore[attr-defined]
+    assert follower._apart().startswith("one hit of push/juice/case_2 decides between them")
+    monkeypatch.setattr(follower, "_predicted", lambda *_: None)
+    words = follower._apart()
+    assert words.startswith(("a trial of push/juice/case_1, not measured yet", "a trial of push/juice/case_3, not"))
+    monkeypatch.setattr(follower.door, "unmeasured", lambda: iter(()))
+    assert follower._apart() == "hits like these hardly decide between them; weigh the object"
+
+
+def test_hits_since_a_change_are_enough_for_a_diagnosis_with_three_conditions_and_three_repeats() -> None:
+    assert not HitsSince("a", ("a", "b", "a", "b", "a", "b", "a")).diagnosable
+    assert not HitsSince("a", ("a", "b", "c", "a", "b")).diagnosable
+    assert HitsSince("a", ("a", "b", "c", "a", "b", "c")).diagnosable
+    assert not HitsSince("a", ("",) * 5).diagnosable and HitsSince("a", ("",) * 6).diagnosable
+
+
+def test_a_state_that_is_saved_between_hits_loses_none_and_announces_each_change(tmp_path: Path) -> None:
+    """Simultaneous hits belong together: state is never saved before all of them were handed over."""
+    rows = QUIET + rows_of({"object_mass": [1.3]}, 2, seed=8)
+    path = write(tmp_path / "hits.csv", rows, [float(number // 3) for number in range(len(rows))])
+    whole = [document.name for document in following(path).arrived()]
+    state, told = tmp_path / "state.npz", []
+    found: list[Change] = []
+    for _ in range(len(rows)):  # killed in the middle of every fifth instant
+        follower = following(path)
+        if state.exists():
+            restore_state(follower, state)
+        own = list(islice(follower.arrived(partial(save_state, follower, state)), 13))
+        told += [document.name for document in own]
+        found += changes(own)
+        if len(own) < 13:
+            break
+    assert set(told) == set(whole)
+    assert {change.hit for change in found} == {change.hit for change in changes(list(following(path).arrived()))}
 
 
 def test_a_table_without_conditions_is_followed(tmp_path: Path) -> None:

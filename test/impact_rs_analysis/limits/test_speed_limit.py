@@ -125,11 +125,15 @@ def test_joint_torque_alone_is_no_external_torque() -> None:
     assert np.abs(observed(model, q, time, motion, 500.0)).max() < 1e-9
 
 
-def test_thresholds_of_the_robot_file_are_taken_and_what_it_lacks_is_named() -> None:
-    fr3 = Scene.resolve(load_scenario("push_fr3"), "parcel", "1")
-    found = bounds_of(fr3.physics)
-    assert found.unknown == ("jump",)
-    assert found.values[list(found.kinds).index("reflex")] == 35.0  # N m, joint 1
+def test_thresholds_of_the_scenario_or_the_robot_file_are_taken_and_what_they_lack_is_named() -> None:
+    scenario = load_scenario("push_fr3")
+    fr3 = Scene.resolve(scenario, "parcel", "1")
+    of_file = {"arm": scenario.robots["arm"].model_copy(update={"reflexes": None})}
+    of_facts = Scene.resolve(scenario.model_copy(update={"robots": of_file}), "parcel", "1")
+    for scene, joint_1 in ((fr3, 100.0), (of_facts, 35.0)):  # N m
+        found = bounds_of(scene.physics)
+        assert found.unknown == ("jump",)
+        assert found.values[list(found.kinds).index("reflex")] == joint_1
     assert bounds_of(scene_of().physics).unknown == ("jump", "reflex", "force")
     assert bounds_of(fr3.physics, Thresholds(0.5, 80.0, 200.0)).unknown == ()
 

@@ -6,6 +6,7 @@ import re
 import shutil
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -21,7 +22,7 @@ from impact_rs_cli.main import main
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.scenario import load_scenario
 from impact_rs_trials.bags.reader import TrialBag
-from impact_rs_trials.bags.topics import TRUTH
+from impact_rs_trials.bags.topics import TRIAL_INFO, TRUTH
 from impact_rs_trials.recordings.recording import is_foreign
 
 NAME = "cat_food__case_2__s{:.3f}__r0"
@@ -70,6 +71,29 @@ def test_the_truth_is_never_read(
 
 
 # ---- trials and bags that went wrong --------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("change", "kept"),
+    [({"assumed": []}, 3), ({"stiffness": [10000.0] * 7}, 2)],
+    ids=["marked otherwise", "another drive"],
+)
+def test_trials_stay_together_when_an_assumption_is_marked_later(
+    campaign: Path, tmp_path: Path, rewrite_bag: Callable, change: dict[str, list[float]], kept: int
+) -> None:
+    """How well a number is known is no part of the motion; another number is."""
+    name = NAME.format(1.2)
+    shutil.move(campaign / name, tmp_path / "original")
+
+    def other(topic: str, message: Any) -> None:
+        if topic == TRIAL_INFO:
+            data = json.loads(message.scenario_json)
+            data["robots"]["arm"]["drive"] |= change
+            message.scenario_json = json.dumps(data)
+
+    rewrite_bag(tmp_path / "original", campaign / name, lambda topic: True, other)
+    analysis = analyze_campaign(campaign)
+    assert len(analysis.skipped) == 3 - kept
 
 
 def test_a_trial_without_impact_never_enters_the_fit(campaign: Path, tmp_path: Path, rewrite_bag: Callable) -> None:

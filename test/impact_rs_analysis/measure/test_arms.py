@@ -8,11 +8,12 @@ import pytest
 from mixed_grab import FILE, MIXED
 
 from impact_rs_analysis.measure.analyze import Analysis, analyze_campaign
-from impact_rs_analysis.measure.arms import arms_of, robot_name
+from impact_rs_analysis.measure.arms import arms_of, assumptions, robot_name
 from impact_rs_analysis.measure.predictions import predict, predict_arms
 from impact_rs_analysis.report.analysis import write_analysis_report
 from impact_rs_sim.physics import Physics
 from impact_rs_sim.robot import load_facts
+from impact_rs_sim.scenario import load_scenario
 from impact_rs_trials.campaign import make_manifest, run_campaign
 
 
@@ -68,6 +69,21 @@ def test_the_report_goes_arm_by_arm(analysis: Analysis, tmp_path: Path) -> None:
     first, second = analysis.sets[0].arms
     assert left < part.index(f"{first.speed:.3f}") < right < part.index(f"{second.speed:.3f}", right)
     assert "joint 7" in part and "the links carry B" in part
+
+
+def test_what_is_assumed_of_an_arm_stands_in_documents_and_report(analysis: Analysis, tmp_path: Path) -> None:
+    sentence = "assumed, neither measured nor published: of right moments of inertia of the links, those of cylinders"
+    assert [arm["assumed"] for arm in analysis.to_json()["arms"] if "assumed" in arm] == [
+        ["moments of inertia of the links, those of cylinders"]
+    ]
+    assert assumptions(analysis.arms) == [sentence]
+    assert sentence[1:] in write_analysis_report(analysis, tmp_path)[0].read_text()
+
+
+def test_arms_with_the_same_assumptions_share_a_sentence() -> None:
+    (sentence,) = assumptions(arms_of([Physics.nominal(load_scenario("grab_fr3"), "juice")]))
+    numbers = "drive.motor_inertia_reduced, drive.stiffness, drive.damping"
+    assert sentence == f"assumed, neither measured nor published: of left and right {numbers}"
 
 
 def test_one_arm_needs_no_table_of_its_own(push_analysis: Analysis) -> None:

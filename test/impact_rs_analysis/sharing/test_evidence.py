@@ -7,7 +7,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from evidence_packages import diagnosis_of, package_of
+import scipy
+from evidence_packages import diagnosis_of, file_of, package_of
 
 from impact_rs_analysis.sharing.evidence_package import (
     EvidencePackage,
@@ -81,6 +82,45 @@ def test_models_that_differ_and_packages_given_twice_are_refused() -> None:
         merge_packages([package, package])
     with pytest.raises(InputError, match="expected two or more"):
         merge_packages([package])
+
+
+def test_the_same_measurements_under_three_names_are_one_piece_of_evidence() -> None:
+    """Whatever their files are called, and whatever a laboratory found in them."""
+    same = file_of("hits of north")
+    copies = [same, same.model_copy(update={"path": "copy.mcap"}), same.model_copy(update={"path": "b.mcap"})]
+    packages = [
+        package_of(name, {"law": (1.0 + shift, ERROR)}, data=(copy,))
+        for name, shift, copy in zip(LABORATORIES[:3], (0.0, 0.0, 0.01), copies, strict=True)
+    ]
+    with pytest.raises(InputError, match="of north: arm, box and of south: arm, box hold the same measurements"):
+        merge_packages(packages)
+
+
+def test_one_bag_added_to_measurements_of_others_makes_no_measurements_of_ones_own() -> None:
+    theirs = tuple(file_of(f"bag {number}") for number in range(5))
+    packages = [
+        package_of("north", {"law": (1.0, ERROR)}, data=theirs),
+        package_of("south", {"law": (1.1, ERROR)}, data=(*theirs, file_of("bag of south"))),
+    ]
+    with pytest.raises(InputError, match="one piece of evidence, not two; give one of them"):
+        merge_packages(packages)
+
+
+def test_a_table_of_runs_that_two_laboratories_have_alike_is_named_and_merged() -> None:
+    table = file_of("bag,object,kind", size=10)
+    packages = [
+        package_of(name, {"law": (1.0, ERROR)}, data=(table, file_of(f"bag of {name}"))) for name in ("north", "south")
+    ]
+    merged = merge_packages(packages)
+    assert of(merged, "law").pooled.packages == 2
+    assert list(merged.in_common) == ["north: arm, box, and south: arm, box: 1.0% of the bytes of their measurements"]
+
+
+def test_packages_that_agree_exactly_are_not_sure_of_everything() -> None:
+    """Three alike: the floor of the scatter leaves Student's t of their errors."""
+    half = scipy.stats.t.ppf(0.975, 2) * ERROR / np.sqrt(3)
+    merged = merge_packages([package_of(name, {"law": (6.08, ERROR)}) for name in LABORATORIES[:3]])
+    assert of(merged, "law").pooled.ci95 == pytest.approx((6.08 - half, 6.08 + half), rel=1e-5)
 
 
 def of(merged: MergedEvidence, effect: str) -> MergedParameter:

@@ -12,11 +12,19 @@ from impact_rs_analysis.sharing.meta_analysis import pool, residual, within_grou
 
 def test_equal_errors_give_the_mean_and_students_interval() -> None:
     """With equal s the weights are equal whatever tau is: mean, and t of k - 1 times s / sqrt(k) of the values."""
-    values = [1.0, 1.4, 0.9, 1.1, 1.35]
+    values = [1.0, 1.8, 0.9, 1.1, 1.35]
     pooled = pool(values, [0.2] * 5)
     half = scipy.stats.t.ppf(0.975, 4) * np.std(values, ddof=1) / np.sqrt(5)
     assert pooled.mean == pytest.approx(np.mean(values))
     assert (pooled.low, pooled.high) == pytest.approx((np.mean(values) - half, np.mean(values) + half))
+
+
+def test_studies_that_agree_better_than_their_errors_have_the_interval_of_their_errors() -> None:
+    """Knapp and Hartung 2003: the scatter counts as 1 at least, which is that of the errors; t of k - 1 / sqrt(k)."""
+    half = scipy.stats.t.ppf(0.975, 3) * 0.5 / np.sqrt(4)
+    for values in ([2.0] * 4, [1.99, 2.01, 2.0, 2.0]):
+        pooled = pool(values, [0.5] * 4)
+        assert (pooled.low, pooled.high) == pytest.approx((2.0 - half, 2.0 + half))
 
 
 def test_deviation_between_studies_is_that_of_the_moments() -> None:
@@ -46,10 +54,11 @@ def test_heterogeneity_within_groups_ignores_differences_between_them() -> None:
 
 
 @pytest.mark.parametrize("tau", [0.0, 1.0])
-def test_interval_covers_the_truth_as_often_as_it_says(tau: float) -> None:
+def test_interval_covers_the_truth_at_least_as_often_as_it_says(tau: float) -> None:
+    """Without the floor 95 % at tau = 0; with it more, because a scatter that is small by chance does not count."""
     rng, hits, runs = np.random.default_rng(1), 0, 2000
     for _ in range(runs):
         errors = rng.uniform(0.5, 1.5, 5)
         pooled = pool(3.0 + tau * rng.standard_normal(5) + errors * rng.standard_normal(5), errors)
         hits += pooled.low <= 3.0 <= pooled.high
-    assert 0.92 <= hits / runs <= 0.97
+    assert hits / runs >= 0.94

@@ -7,15 +7,19 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import scipy.io
 from joint_recordings import Columns, swinging
 from refusals import refusal
 
 from impact_rs_sim.robot import load_facts
 from impact_rs_sim.robot_model import RobotModel
+from impact_rs_trials.recordings.experiment import Experiment, load_experiment, read_runs
 from impact_rs_trials.recordings.file_groups import group_files
 from impact_rs_trials.recordings.importing import ImportDraft, Wishes, draft_import
+from impact_rs_trials.recordings.laboratory import Laboratory
 from impact_rs_trials.recordings.mapping import MountedEndEffector, load_mapping
 from impact_rs_trials.recordings.recording import read_recordings
+from impact_rs_trials.recordings.sources import read_series
 from impact_rs_trials.recordings.table_layout import find_layout
 
 TIME = np.arange(0.0, 8.0, 0.01)
@@ -133,6 +137,34 @@ def test_motor_currents_are_taken_for_what_they_are(tmp_path: Path, motion: Colu
     assert any(line.key == "torque_constant" and not line.sure for line in draft.lines)
 
 
+@pytest.mark.parametrize(("late", "unit", "said"), [(0, 1.0, "repeats the positions"), (8, 57.3, "positions, in deg")])
+def test_commanded_positions_are_no_currents(
+    tmp_path: Path, motion: Columns, late: int, unit: float, said: str
+) -> None:
+    """A log of positions with what was asked of them, as of a leader arm: ahead, in another unit, with an offset."""
+    names = ["t", *numbered("q"), *numbered("action")]
+    ahead = unit * (np.roll(motion["position"], -late, axis=0) + 0.01)
+    file = write(tmp_path / "log.csv", names, [TIME, motion["position"], ahead])
+    refused = refusal(draft_import, [file], tmp_path / "lab", Wishes(robot="kuka_iiwa7"))
+    assert f"action1 … action7 repeats the {said.removeprefix('repeats the ')}" in refused
+    assert "a mapping needs torques or currents" in refused
+    everything = [TIME, motion["position"], ahead, motion["velocity"], motion["effort"]]
+    whole = write(tmp_path / "whole.csv", [*names, *numbered("speed"), *numbered("load")], everything)
+    check_reading(draft_import([whole], tmp_path / "lab", Wishes(robot="kuka_iiwa7")), tmp_path / "lab", whole, motion)
+
+
+@pytest.mark.parametrize("factors", [[1.0, -1.0, 1.0, 1.0, 1.0, 1.0, 1.0], [1.0, 1.0, 1.0, 100.0, 1.0, 1.0, 1.0]])
+def test_constants_of_mixed_signs_or_sizes_are_none_of_one_arm(
+    tmp_path: Path, motion: Columns, factors: list[float]
+) -> None:
+    """Numbers that go with the weight joint by joint, and are no currents of one arm."""
+    names = ["t", *numbered("q"), *numbered("dq"), *numbered("x")]
+    numbers = 100.0 * motion["effort"] * factors
+    file = write(tmp_path / "log.csv", names, [TIME, motion["position"], motion["velocity"], numbers])
+    said = refusal(draft_import, [file], tmp_path / "lab", Wishes(robot="kuka_iiwa7"))
+    assert "nothing goes with the torque that weight and inertia of kuka_iiwa7 take" in said
+
+
 def test_another_robot_is_not_believed(tmp_path: Path, motion: Columns) -> None:
     """Positions beyond its limits in every unit."""
     names = ["t", *numbered("q"), *numbered("dq"), *numbered("tau")]
@@ -163,12 +195,141 @@ def test_repeated_stamps_are_said_and_removed_on_request(tmp_path: Path, motion:
     check_reading(draft, tmp_path / "two", file, motion)
 
 
-def hits(folder: Path, motion: Columns, late: float = 0.0) -> Path:
-    """Two hits in the form of another laboratory: vectors in cells, a line above the names, a file for the object.
+def test_what_the_reader_refuses_is_said_with_its_reason(tmp_path: Path, motion: Columns) -> None:
+    """Stamps that hardly change, a cell that is no number, and signals of another width: not another robot."""
+    names = ["t", *numbered("q"), *numbered("dq"), *numbered("tau"), "a1", "a2"]
+    coarse = [np.floor(TIME), motion["position"], motion["velocity"], motion["effort"], TIME, TIME**2]
+    file = write(tmp_path / "log.csv", names, coarse)
+    said = refusal(draft_import, [file], tmp_path / "lab", Wishes(robot="kuka_iiwa7"))
+    assert "no signal of 7 joints can be read" in said and "--robot" not in said
+    assert "q1 … q7, dq1 … dq7, tau1 … tau7: 8 of 800 samples have numbers and a later stamp" in said
+    assert "stamps were taken from t [s], the key time of a mapping names others" in said
+    assert "signals of other widths: a1 … a2" in said
+    good = [TIME, motion["position"], motion["velocity"], motion["effort"], TIME, TIME**2]
+    text = write(tmp_path / "log.csv", names, good).read_text().splitlines()
+    cells = text[60].split(",")
+    text[60] = ",".join([*cells[:3], "broken", *cells[4:]])
+    file.write_text("\n".join(text))
+    said = refusal(draft_import, [file], tmp_path / "lab", Wishes(robot="kuka_iiwa7"))
+    assert "q1 … q7: " in said and "line 61" in said and "'broken' in column 'q3'" in said
+
+
+@pytest.mark.parametrize(("start", "mapping"), [(1.7e9, "[sec, nsec]"), (0.0, "[sec, nsec]")])
+def test_whole_seconds_and_nanoseconds_are_one_stamp(
+    tmp_path: Path, motion: Columns, start: float, mapping: str
+) -> None:
+    sec, nsec = np.divmod(np.round(1e9 * (TIME + 0.25)).astype(np.int64) + int(start) * 10**9, 10**9)
+    names = ["sec", "nsec", *numbered("q"), *numbered("dq"), *numbered("tau")]
+    columns = [sec.astype(float), nsec.astype(float), motion["position"], motion["velocity"], motion["effort"]]
+    file = write(tmp_path / "log.csv", names, columns)
+    draft = draft_import([file], tmp_path / "lab", Wishes(robot="kuka_iiwa7"))
+    assert f"time: {{column: {mapping}, unit: s}}   # whole seconds and nanoseconds" in draft.texts["mapping.yaml"]
+    check_reading(draft, tmp_path / "lab", file, motion)
+    (run,) = read_recordings(file, load_mapping(tmp_path / "lab" / "mapping.yaml"))
+    np.testing.assert_allclose(np.diff(run.signals.time), 0.01, atol=3e-7)
+
+
+def test_arrays_of_joints_x_samples_are_found(tmp_path: Path, motion: Columns) -> None:
+    """As MATLAB has them, with a gripper as eighth row."""
+    gripper = 0.02 * np.ones((1, TIME.size))
+    arrays = {"q": np.vstack((motion["position"].T, gripper)), "dq": motion["velocity"].T, "tau": motion["effort"].T}
+    scipy.io.savemat(tmp_path / "run.mat", {"log": {"t": TIME, **arrays}})
+    draft = draft_import([tmp_path / "run.mat"], tmp_path / "lab", Wishes(robot="kuka_iiwa7"))
+    mapping = load_mapping(described(draft, tmp_path / "lab"))
+    assert mapping.signals["position"].entries == (1, 2, 3, 4, 5, 6, 7)
+    assert mapping.signals["velocity"].entries is None
+    assert "signals.position: of log/q (8 × 800), the first 7 numbers are taken for the joints" in draft.remarks
+    check_reading(draft, tmp_path / "lab", tmp_path / "run.mat", motion)
+
+
+@pytest.mark.parametrize("first", [0, 1])
+def test_a_gripper_beside_the_joints_is_cut_off_and_said(tmp_path: Path, motion: Columns, first: int) -> None:
+    names, columns = ["t"], [TIME]
+    for stem, signal in (("q_", "position"), ("dq_", "velocity"), ("tau_", "effort")):
+        names += [f"{stem}{number}" for number in range(first, first + 8)]
+        columns.append(np.column_stack((motion[signal], 0.001 * np.sin(TIME))))
+    file = write(tmp_path / "log.csv", names, columns)
+    draft = draft_import([file], tmp_path / "lab", Wishes(robot="kuka_iiwa7"))
+    assert sum(", the first 7 numbers are taken for the joints" in remark for remark in draft.remarks) == 3
+    assert [line.sure for line in draft.lines if line.key == "signals.position"] == [False]
+    check_reading(draft, tmp_path / "lab", file, motion)
+    said = refusal(draft_import, [file], tmp_path / "lab", Wishes(robot="ur10e"))
+    assert "nothing goes with the torque" in said
+
+
+def test_numbers_with_decimal_commas_are_read(tmp_path: Path, motion: Columns) -> None:
+    names = ["Zeit [s]", *numbered("q"), *numbered("dq"), *numbered("tau")]
+    columns = [TIME, motion["position"], motion["velocity"], motion["effort"]]
+    file = write(tmp_path / "log.csv", names, columns, separator=";")
+    file.write_text(file.read_text().replace(".", ","))
+    draft = draft_import([file], tmp_path / "lab", Wishes(robot="kuka_iiwa7"))
+    assert 'table: {decimal: ","}' in draft.texts["mapping.yaml"]
+    assert "numbers have a decimal comma" in said_of(draft, "table (log.csv)")
+    check_reading(draft, tmp_path / "lab", file, motion)
+
+
+def two_groups(path: Path, motion: Columns, name: str) -> Path:
+    """The motion and, in a second group, its first half with another stamp."""
+    with pytest.importorskip("h5py").File(path, "w") as file:
+        for number, rows in ((1, slice(None)), (2, slice(0, 400))):
+            stamps = TIME[rows] + 100.0 * number
+            arrays = {"t": stamps, "q": motion["position"], "dq": motion["velocity"], "tau": motion["effort"]}
+            for key, values in arrays.items():
+                file[f"{name}_{number:03d}/robot/{key}"] = values[rows]
+    return path
+
+
+def test_every_recording_of_an_hdf5_file_is_a_run(tmp_path: Path, motion: Columns) -> None:
+    file = two_groups(tmp_path / "archive.h5", motion, "Rec")
+    draft = draft_import([file], tmp_path / "lab", Wishes(robot="kuka_iiwa7"))
+    assert draft.runs == 2
+    assert draft.texts["runs.csv"].splitlines()[1:] == [
+        "archive.h5/Rec_001,none,free motion", "archive.h5/Rec_002,none,free motion",
+    ]  # fmt: skip
+    mapping = load_mapping(described(draft, tmp_path / "lab"))
+    assert mapping.signals["position"].array == "{run}/robot/q"
+    assert not any("refuses" in remark for remark in draft.remarks)
+    runs = read_recordings(file, mapping)
+    assert [(run.name, run.signals.time.size) for run in runs] == [("Rec_001", 800), ("Rec_002", 400)]
+    np.testing.assert_allclose(runs[1].signals.arms["arm"].position, motion["position"][:400], atol=1e-9)
+    (alone,) = read_recordings(file / "Rec_002", mapping)
+    assert alone.signals.time.size == 400
+    experiment = Experiment(scenario="push_iiwa7", mapping=str(tmp_path / "lab" / "mapping.yaml"))
+    (tmp_path / "runs.csv").write_text(draft.texts["runs.csv"])
+    rows = read_runs(tmp_path, experiment, experiment.load_scenario())
+    assert [row.path for row in rows] == [file / "Rec_001", file / "Rec_002"]
+
+
+def test_groups_that_may_be_robots_are_not_left_out_in_silence(tmp_path: Path, motion: Columns) -> None:
+    draft = draft_import([two_groups(tmp_path / "a.h5", motion, "arm")], tmp_path / "lab", Wishes(robot="kuka_iiwa7"))
+    assert draft.runs == 1
+    (said,) = [remark for remark in draft.remarks if "hold arrays of the same names" in remark]
+    assert "groups arm_001, arm_002" in said and "{run} in place of their name" in said
+
+
+def test_episodes_of_one_table_are_runs(tmp_path: Path, motion: Columns) -> None:
+    names = ["timestamp", "episode_index", "frame_index", *numbered("q"), *numbered("dq"), *numbered("tau")]
+    half = [signal.reshape(2, 400, -1) for signal in (motion["position"], motion["velocity"], motion["effort"])]
+    frames = np.arange(400.0)
+    columns = [np.tile(TIME[:400], 2), np.repeat([3.0, 4.0], 400), np.tile(frames, 2)]
+    file = write(tmp_path / "file-000.csv", names, [*columns, *(np.vstack(list(one)) for one in half)])
+    draft = draft_import([file], tmp_path / "lab", Wishes(robot="kuka_iiwa7"))
+    assert draft.texts["runs.csv"].splitlines()[1:] == [
+        "file-000.csv/3,none,free motion", "file-000.csv/4,none,free motion",
+    ]  # fmt: skip
+    runs = read_recordings(file, load_mapping(described(draft, tmp_path / "lab")))
+    found = np.vstack([run.signals.arms["arm"].position for run in runs])
+    np.testing.assert_allclose(found, motion["position"], atol=1e-9)
+
+
+def hits(
+    folder: Path, motion: Columns, runs: tuple[int, ...] = (8, 11), object_name: str = "1", late: float = 0.0
+) -> Path:
+    """Hits in the form of another laboratory: vectors in cells, a line above the names, a file for the object.
 
     After 4 s all joints lose 0.08 rad/s and the object moves; its clock is ``late`` [s].
     """
-    folder.mkdir()
+    folder.mkdir(exist_ok=True, parents=True)
     since = TIME[:, None] - 4.0
     motion = motion | {
         "position": motion["position"] - 0.08 * np.maximum(since, 0.0),
@@ -178,7 +339,7 @@ def hits(folder: Path, motion: Columns, late: float = 0.0) -> Path:
     def cells(values: np.ndarray) -> list[str]:
         return [" ".join(f"{value:.12g}" for value in row) for row in values]
 
-    for run in (8, 11):
+    for run in runs:
         head = "DesiredFlux,1,HitTime,17.5,Pos,0.5 0.3 0.2\nRobotName,RosTime,JointPosition,JointVelocity,JointEffort"
         joints = zip(*(cells(motion[name]) for name in ("position", "velocity")), cells(-motion["effort"]), strict=True)
         stamps = 1.7e9 + 20.0 * run + TIME
@@ -188,7 +349,7 @@ def hits(folder: Path, motion: Columns, late: float = 0.0) -> Path:
         turn = np.tile([0.0, 0.0, 0.0, 1.0], (TIME.size, 1))
         pose = zip(stamps, cells(place), cells(turn), strict=True)
         rows = [f"{stamp + late:.6f},{p},{q}" for stamp, p, q in pose]
-        (folder / f"object_1_hit_{run}.csv").write_text("\n".join(["RosTime,Position,Orientation", *rows]))
+        (folder / f"object_{object_name}_hit_{run}.csv").write_text("\n".join(["RosTime,Position,Orientation", *rows]))
     return folder
 
 
@@ -214,7 +375,7 @@ def test_a_folder_with_a_file_per_signal_and_run_is_described(tmp_path: Path, mo
 def test_another_clock_of_the_object_is_proposed_with_what_shows_it(
     tmp_path: Path, motion: Columns, late: float, evidence: str
 ) -> None:
-    draft = draft_import([hits(tmp_path / "raw", motion, late)], tmp_path / "lab", Wishes(robot="kuka_iiwa7"))
+    draft = draft_import([hits(tmp_path / "raw", motion, late=late)], tmp_path / "lab", Wishes(robot="kuka_iiwa7"))
     mapping = load_mapping(described(draft, tmp_path / "lab"))
     assert {mapping.signals[name].clock for name in ("object_position", "object_quaternion")} == {"own"}
     assert mapping.signals["velocity"].clock == "shared"
@@ -226,6 +387,110 @@ def test_another_clock_of_the_object_is_proposed_with_what_shows_it(
 def test_one_clock_is_left_as_it_is(tmp_path: Path, motion: Columns) -> None:
     draft = draft_import([hits(tmp_path / "raw", motion)], tmp_path / "lab", Wishes(robot="kuka_iiwa7"))
     assert "clock" not in draft.texts["mapping.yaml"]
+
+
+def test_hits_of_sessions_that_count_alike_are_all_kept(tmp_path: Path, motion: Columns) -> None:
+    """A folder per session, in each a file per signal and run: a run is known by its folder and its number."""
+    hits(tmp_path / "raw" / "D1_clean", motion, (0, 1))
+    hits(tmp_path / "raw" / "D1_dirty", motion, (0, 3))
+    draft = draft_import([tmp_path / "raw"], tmp_path / "lab", Wishes(robot="kuka_iiwa7", scenario="push_iiwa7"))
+    assert draft.texts["runs.csv"].splitlines() == [
+        "bag,object,kind,session",
+        "D1_clean/0,parcel,hit,D1_clean", "D1_clean/1,parcel,hit,D1_clean",
+        "D1_dirty/0,parcel,hit,D1_dirty", "D1_dirty/3,parcel,hit,D1_dirty",
+    ]  # fmt: skip
+    described(draft, tmp_path / "lab")
+    experiment = load_experiment(tmp_path / "lab" / "experiment.yaml")
+    rows = read_runs(tmp_path / "raw", experiment, experiment.load_scenario())
+    assert [(row.label, row.session) for row in rows] == [
+        ("D1_clean/0", "D1_clean"), ("D1_clean/1", "D1_clean"), ("D1_dirty/0", "D1_dirty"), ("D1_dirty/3", "D1_dirty"),
+    ]  # fmt: skip
+    (mapping,) = experiment.load_mappings(["arm"]).values()
+    assert (
+        len({float(read_series(row.path, mapping, ["position"], ["position"])["position"].time[0]) for row in rows})
+        == 3
+    )
+    assert len(read_recordings(tmp_path / "raw", mapping)) == 4
+    (tmp_path / "raw" / "D1_dirty" / "object_1_hit_3.csv").rename(tmp_path / "raw" / "notes.csv")
+    later = draft_import([tmp_path / "raw"], tmp_path / "later", Wishes(robot="kuka_iiwa7"))
+    assert later.runs == 3
+    assert "left out, for a file is missing: D1_dirty/3 (object_1_hit_{run}.csv)" in later.remarks
+    assert "not read, for the mapping takes no signal from them: notes.csv" in later.remarks
+
+
+def test_the_object_of_a_run_is_found_in_the_name_of_its_file(tmp_path: Path, motion: Columns) -> None:
+    hits(tmp_path / "raw", motion, (0, 1), "parcel")
+    hits(tmp_path / "raw", motion, (2,), "juice")
+    draft = draft_import([tmp_path / "raw"], tmp_path / "lab", Wishes(robot="kuka_iiwa7", scenario="push_iiwa7"))
+    mapping = load_mapping(described(draft, tmp_path / "lab"))
+    assert mapping.signals["object_position"].file == "object_{object}_hit_{run}.csv"
+    assert draft.texts["runs.csv"].splitlines()[1:] == ["0,parcel,hit", "1,parcel,hit", "2,juice,hit"]
+    assert not any("refuses" in remark for remark in draft.remarks)
+    experiment = load_experiment(tmp_path / "lab" / "experiment.yaml")
+    laboratory = Laboratory.of(experiment)
+    for row in read_runs(tmp_path / "raw", experiment, laboratory.scenario):
+        assert laboratory.series(row, ["position", "object_position"], ["object_position"])["arm"]["object_position"]
+    (tmp_path / "raw" / "object_juice_hit_2.csv").rename(tmp_path / "raw" / "object_cup_hit_2.csv")
+    strange = draft_import([tmp_path / "raw"], tmp_path / "lab", Wishes(robot="kuka_iiwa7", scenario="push_iiwa7"))
+    assert any("files call the objects parcel, cup, push_iiwa7 has parcel, " in remark for remark in strange.remarks)
+
+
+def test_robots_in_one_folder_are_imported_by_themselves(tmp_path: Path, motion: Columns) -> None:
+    """Files of joints whose names differ in a word are no files of different objects."""
+    hits(tmp_path / "raw", motion, (0, 1))
+    (tmp_path / "raw" / "IIWA_7_hit_1.csv").rename(tmp_path / "raw" / "UR_7_hit_1.csv")
+    said = refusal(draft_import, [tmp_path / "raw"], tmp_path / "lab", Wishes(robot="kuka_iiwa7"))
+    assert "of IIWA, UR: import the runs of each robot by themselves" in said
+    hits(tmp_path / "alone", motion, (0,), "box")
+    hits(tmp_path / "alone", motion, (1,), "cup")
+    for run in (0, 1):  # no robot, but something else of every run
+        (tmp_path / "alone" / f"IIWA_7_hit_{run}.csv").write_text("t,count\n0.0,1\n0.1,2\n0.2,3\n")
+    said = refusal(draft_import, [tmp_path / "alone"], tmp_path / "lab", Wishes(robot="none"))
+    assert "of box, cup: import the runs of each object by themselves" in said
+
+
+def test_a_word_in_the_name_of_another_file_is_no_object(tmp_path: Path, motion: Columns) -> None:
+    hits(tmp_path / "raw", motion, (0, 1))
+    for name in ("force_left_0", "force_right_1"):
+        (tmp_path / "raw" / f"{name}.csv").write_text("t,count\n0.0,1\n0.1,2\n0.2,3\n")
+    draft = draft_import([tmp_path / "raw"], tmp_path / "lab", Wishes(robot="kuka_iiwa7", scenario="push_iiwa7"))
+    assert draft.texts["runs.csv"].splitlines()[1:] == ["0,parcel,hit", "1,parcel,hit"]
+    assert "not read, for the mapping takes no signal from them: force_{object}_{run}.csv" in draft.remarks
+
+
+def test_runs_that_contradict_the_first_are_named(tmp_path: Path, motion: Columns) -> None:
+    """Guesses come from one run: a sensor that was turned round later, degrees in place of radians."""
+    names = ["t", *numbered("q"), *numbered("dq"), *numbered("tau")]
+    signals = [motion["position"], motion["velocity"], motion["effort"]]
+    (tmp_path / "raw").mkdir()
+    write(tmp_path / "raw" / "run_1.csv", names, [TIME, *signals])
+    write(
+        tmp_path / "raw" / "run_2.csv",
+        names,
+        [TIME, *(np.flip(signal, axis=0) * sign for signal, sign in zip(signals, (1, -1, 1), strict=True))],
+    )
+    alike = draft_import([tmp_path / "raw"], tmp_path / "one", Wishes(robot="kuka_iiwa7"))
+    assert said_of(alike, "runs").startswith("1 of 1 others units and signs of run_1.csv hold")
+    assert not any("is not as" in remark for remark in alike.remarks)
+    write(tmp_path / "raw" / "run_3.csv", names, [TIME, *signals[:2], -signals[2]])
+    write(tmp_path / "raw" / "run_4.csv", names, [TIME, np.degrees(signals[0]), *signals[1:]])
+    write(tmp_path / "raw" / "run_5.csv", names, [TIME, signals[0], -signals[1], signals[2]])
+    write(tmp_path / "raw" / "run_6.csv", names[:8], [TIME, signals[0]])
+    draft = draft_import([tmp_path / "raw"], tmp_path / "two", Wishes(robot="kuka_iiwa7"))
+    said = [remark for remark in draft.remarks if "is not as run_1.csv, of which the description was made" in remark]
+    assert [remark.split(" ")[0] for remark in said] == ["run_3.csv", "run_4.csv", "run_5.csv", "run_6.csv"]
+    assert "as described its torques are -1 times the torque that weight and inertia" in said[0]
+    assert "its positions do not lie within the limits of the joints but in deg" in said[1]
+    assert "the velocities are -1 times the derivative" in said[2]
+    assert "the reader refuses it" in said[3] and "no column 'tau1'" in said[3]
+
+
+def test_a_run_that_cannot_be_read_is_named(tmp_path: Path, motion: Columns) -> None:
+    hits(tmp_path / "raw", motion, (0, 1))
+    (tmp_path / "raw" / "object_1_hit_1.csv").write_text("RosTime,Position,Orientation\n1,none,0 0 0 1\n")
+    draft = draft_import([tmp_path / "raw"], tmp_path / "lab", Wishes(robot="kuka_iiwa7"))
+    assert draft.texts["runs.csv"].splitlines()[1:] == ["0,OBJECT,hit"]
+    assert any(remark.startswith("1 is left out, for the reader refuses it: ") for remark in draft.remarks)
 
 
 JOINTS = ("lift_joint", "arm_1_joint", "arm_2_joint", "elbow", "arm_4_joint", "wrist_a", "wrist_b")
@@ -326,6 +591,8 @@ def test_an_object_alone_needs_no_robot(tmp_path: Path) -> None:
         ("1 2\n3 4\n5 6\n", 0, None),
         ("17 rows\n1;2\n3;4\n5;6\n", 0, 2),
         ("# a b\n1 2\n3 4\n5 6\n", 1, None),
+        ("a;b\n1,5;2\n3,5;4\n5,5;6\n", None, None),
+        ("a,b;c\n1,2,3;4,5,6\n1,2,3;4,5,6\n1,2,3;4,5,6\n", 0, 2),
     ],
 )
 def test_where_a_table_begins_is_found_from_its_lines(
@@ -349,3 +616,26 @@ def test_files_are_grouped_by_what_differs_in_their_names(tmp_path: Path) -> Non
     ]  # fmt: skip
     folders = groups("a/pose.csv", "a/joints.csv", "b/pose.csv", "b/joints.csv")
     assert folders == (["joints.csv", "pose.csv"], ("a", "b"), True)
+    nested = groups(*(f"{day}/run_{run}/{file}.csv" for day in "ab" for run in (1, 2) for file in ("arm", "box")))
+    assert nested == (["arm.csv", "box.csv"], ("a/run_1", "a/run_2", "b/run_1", "b/run_2"), True)
+    several = groups(
+        *(f"{file}_day_{day}_hit_{run}.csv" for file in ("arm", "box") for day in (1, 2) for run in (0, 1))
+    )
+    assert several[0] == ["arm_day_{run}.csv", "box_day_{run}.csv"]
+    assert several[1] == ("1_hit_0", "1_hit_1", "2_hit_0", "2_hit_1")
+    words = groups("arm_hit_1.csv", "arm_hit_2.csv", "box_hit_1.csv", "cup_hit_2.csv")
+    assert words[0] == ["arm_hit_{run}.csv", "{object}_hit_{run}.csv"]
+    boxes = ("box_1_hit_1.csv", "box_1_hit_2.csv", "box_2_hit_2.csv", "box_2_hit_3.csv")  # both are in run 2
+    two = groups("arm_hit_1.csv", "arm_hit_2.csv", "arm_hit_3.csv", *boxes)
+    assert two[0] == ["arm_hit_{run}.csv", "box_1_hit_{run}.csv", "box_2_hit_{run}.csv"]
+
+
+def test_folders_are_sessions_where_they_hold_several_runs(tmp_path: Path) -> None:
+    def sessions(*names: str) -> dict[str, str]:
+        return group_files([tmp_path / name for name in names]).sessions
+
+    assert sessions("a/log.csv", "b/log.csv") == {}
+    assert sessions("a/run_1.csv", "a/run_2.csv") == {}
+    assert sessions("a/run_1.csv", "b/run_1.csv", "b/run_2.csv") == {
+        "a/run_1.csv": "a", "b/run_1.csv": "b", "b/run_2.csv": "b",
+    }  # fmt: skip

@@ -46,6 +46,20 @@ def plain_text() -> str:
     return "\n".join(rows) + "\n"
 
 
+def gripper_text() -> str:
+    """Nine numbers in a cell, of which the joints are the second to the eighth."""
+    above, names, *rows = vector_text().splitlines()
+    return "\n".join([above, names, *(f"{row.replace(',', ',0.5 ')} 0.04" for row in rows)]) + "\n"
+
+
+def comma_text() -> str:
+    """A decimal comma, semicolons, and stamps in seconds and nanoseconds."""
+    stamps = [f"17;{round(1e9 * time)}" for time in TIME]
+    rows = [f"{stamp};{';'.join(map(repr, row))}" for stamp, row in zip(stamps, VALUES.tolist(), strict=True)]
+    names = "sec;nsec;" + ";".join(f"q{joint}" for joint in range(1, 8))
+    return "\n".join([names, *rows]).replace(".", ",") + "\n"
+
+
 def dated_text() -> str:
     rows = [
         f"2026-11-25 12:00:00.{round(100 * time):02d},{','.join(map(repr, row))}"
@@ -58,6 +72,11 @@ NUMBERED = [f"c{column}" for column in range(2, 9)]
 TEXTS: dict[str, tuple[Callable[[], str], Mapping]] = {
     "vectors": (vector_text, mapping_of({"column": "RosTime"}, {"header": 2}, column="Joint")),
     "no names": (plain_text, mapping_of({"column": "c1"}, {"header": 0}, columns=NUMBERED)),
+    "a gripper": (
+        gripper_text,
+        mapping_of({"column": "RosTime"}, {"header": 2}, column="Joint", entries=range(2, 9)),
+    ),
+    "decimal commas": (comma_text, mapping_of({"column": ["sec", "nsec"]}, {"decimal": ","}, column="q{joint}")),
     "dates": (dated_text, mapping_of({"column": "t", "unit": "date"}, {}, column="q{joint}")),
 }
 

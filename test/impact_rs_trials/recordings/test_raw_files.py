@@ -12,6 +12,7 @@ import scipy.io
 from refusals import refusal
 from signal_files import TIME, VALUES
 
+from impact_rs_trials.recordings.csv_rows import decimal_sign
 from impact_rs_trials.recordings.experiment import Experiment, read_runs
 from impact_rs_trials.recordings.mapping import Mapping, load_mapping
 from impact_rs_trials.recordings.series import Series
@@ -32,6 +33,7 @@ def mapping_of(time: dict | None = None, table: dict | None = None, **position: 
     return Mapping.model_validate(content)
 
 
+JOINTS_OF_NINE = [2, 3, 4, 5, 6, 7, 8]  # between two other numbers
 BY_NAME = {"column": "position_{joint}"}
 
 
@@ -69,6 +71,22 @@ def stamps(path: Path, cells: list[str]) -> Path:
 
 def npy(path: Path) -> Path:
     np.save(path, np.column_stack((TIME, VALUES)))
+    return path
+
+
+def pairs(path: Path) -> Path:
+    """Seconds and nanoseconds, without separators of their own."""
+    whole = np.rint(1e9 * TIME).astype(np.int64)
+    cells = [f"{one // 10**9},{one % 10**9}" for one in whole.tolist()]
+    text = stamps(path, cells).read_text()
+    path.write_text(text.replace("time,", "sec,nanosec,", 1))
+    return path
+
+
+def decimal_commas(path: Path) -> Path:
+    """A spreadsheet of a country that writes 0,5."""
+    text(path, "", ";")
+    path.write_text(path.read_text().replace(".", ","))
     return path
 
 
@@ -114,11 +132,24 @@ FORMS: dict[str, tuple[Callable[[Path], Path], str, Mapping]] = {
     "milliseconds": (
         lambda p: stamps(p, [str(round(1e3 * time)) for time in TIME]), ".csv", mapping_of({"unit": "ms"}, **BY_NAME),
     ),
+    "seconds and nanoseconds": (pairs, ".csv", mapping_of({"column": ["sec", "nanosec"]}, **BY_NAME)),
+    "decimal commas": (decimal_commas, ".csv", mapping_of({}, {"decimal": ","}, **BY_NAME)),
+    "vectors with a gripper": (
+        lambda p: vectors(p, "0.5 ", " 0.04"), ".csv", mapping_of(column="JointPosition", entries=JOINTS_OF_NINE),
+    ),
     "no stamps": (lambda p: text(p, ""), ".csv", mapping_of({"rate": 100.0}, **BY_NAME)),
     "npy": (npy, ".npy", mapping_of({"column": "c1"}, columns=NUMBERED)),
     "npy with names": (structured, ".npy", mapping_of(**BY_NAME)),
     "mat": (mat, ".mat", mapping_of(array="position")),
     "mat, joints x samples": (lambda p: mat(p, time=TIME, position=VALUES.T), ".mat", mapping_of(array="position")),
+    "mat, nine numbers a sample": (
+        lambda p: mat(p, time=TIME, position=np.insert(VALUES, [0, 7], 0.5, axis=1).T), ".mat",
+        mapping_of(array="position", entries=JOINTS_OF_NINE),
+    ),
+    "mat, seconds and nanoseconds": (
+        lambda p: mat(p, s=np.zeros(24), ns=1e9 * TIME, position=VALUES), ".mat",
+        mapping_of({"array": ["s", "ns"]}, array="position"),
+    ),
     "mat, a structure": (
         lambda p: mat(p, log={"t": TIME, "q": VALUES}), ".mat", mapping_of({"array": "log/t"}, array="log/q"),
     ),
@@ -173,6 +204,20 @@ def test_numbers_are_no_dates(tmp_path: Path) -> None:
         (vectors, mapping_of(column="Joint{joint}"), "signals.position.column of the mapping: no column 'Joint1'"),
         (vectors, mapping_of({"column": "t"}, column="JointPosition"), "time.column of the mapping: no column 't'"),
         (lambda p: text(p, ""), mapping_of(column="position_1"), "line 2: not a table of numbers: 1 numbers in a cell"),
+        (
+            lambda p: vectors(p, "1 "), mapping_of(column="JointPosition"),
+            "line 2: not a table of numbers: 8 numbers in a cell, expected 7",
+        ),
+        (lambda p: vectors(p, "1 "), mapping_of(column="JointPosition"), "entries in the mapping says which"),
+        (
+            vectors, mapping_of(column="JointPosition", entries=JOINTS_OF_NINE),
+            "line 2: not a table of numbers: 7 numbers in a cell, expected 8, as many in all rows",
+        ),
+        (
+            lambda p: text(p, ""), mapping_of({"column": ["position_1", "time"]}, **BY_NAME),
+            "columns 'position_1' and 'time' (time): sample 1 has",
+        ),
+        (decimal_commas, mapping_of(**BY_NAME), "table.decimal: ',' in the mapping reads decimal commas"),
         (lambda p: text(p, "a,b"), mapping_of(**BY_NAME), "table.header in the mapping says in which"),
         (lambda p: text(p, ""), mapping_of({}, {"header": 40}, column="x"), "table.header = 40: expected the names"),
     ],
@@ -184,6 +229,24 @@ def test_what_does_not_fit_names_the_key_and_the_line(
     error = refusal(read, path, mapping)
     assert said in error
     assert str(path) in error
+
+
+def test_cells_that_lost_a_number_are_refused_where_entries_are_taken(tmp_path: Path) -> None:
+    """Nine numbers in all rows but one, which has eight: the others of that row may be shifted."""
+    file = vectors(tmp_path / "a.csv", "0.5 ", " 0.04")
+    lines = file.read_text().splitlines()
+    lines[5] = lines[5].replace("0.5 ", "", 1)
+    file.write_text("\n".join(lines))
+    said = refusal(read, file, mapping_of(column="JointPosition", entries=JOINTS_OF_NINE))
+    assert "line 6" in said and "8 numbers in a cell, expected 9, as many in all rows" in said
+
+
+@pytest.mark.parametrize(
+    ("line", "sign"),
+    [("0,5;1", ","), ("0,5\t-1,25e3", ","), ("0.5;1", "."), ("0,5", "."), ("1,2,3;4,5,6", "."), ("1,5;4,5,6", ".")],
+)
+def test_a_decimal_comma_stands_alone_in_its_cell(line: str, sign: str) -> None:
+    assert decimal_sign(["a;b", line]) == sign
 
 
 def test_repeated_stamps_are_refused_or_the_first_is_kept_and_said(tmp_path: Path) -> None:

@@ -1,0 +1,107 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A change in words: first what a person would measure, in kilograms and percent, then the parameters."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from impact_rs_analysis.following.lessons import Followed
+from impact_rs_sim.numbers import estimate_text
+from impact_rs_sim.physics import ArmPhysics, Physics
+from impact_rs_sim.robot import Array
+
+MOST_NAMED = 3  # parameters of an effect in a sentence, those that are surest
+LEAST = 1e-9  # of a value of which a share is given, and of a change
+
+
+class EverydayQuantity(NamedTuple):
+    """What a person would measure of a scene.
+
+    Attributes:
+        noun: What it belongs to.
+        more: Comparative of a larger value.
+        less: Comparative of a smaller value.
+        unit: Unit of a change; ``%``: share of the value before.
+        of: Its value, in the unit.
+    """
+
+    noun: str
+    more: str
+    less: str
+    unit: str
+    of: Callable[[Physics], float]
+
+
+def _mean(of: Callable[[ArmPhysics], Array | float]) -> Callable[[Physics], float]:
+    """Mean over the joints and arms; 0 without an arm."""
+    return lambda physics: float(np.mean([np.mean(of(arm)) for arm in physics.arms.values()])) if physics.arms else 0.0
+
+
+QUANTITIES = (
+    EverydayQuantity("the object", "heavier", "lighter", "kg", lambda physics: physics.object.mass),
+    EverydayQuantity("the tool", "heavier", "lighter", "kg", _mean(lambda arm: arm.end_effector.mass)),
+    EverydayQuantity("friction of the pad", "higher", "lower", "%", lambda physics: physics.pad_friction),
+    EverydayQuantity("friction of the support", "higher", "lower", "%", lambda physics: physics.support_friction),
+    EverydayQuantity("dry friction of the joints", "higher", "lower", "%", _mean(lambda arm: arm.friction.coulomb)),
+    EverydayQuantity("viscous friction of the joints", "higher", "lower", "%", _mean(lambda arm: arm.friction.viscous)),
+    EverydayQuantity("motor inertia", "larger", "smaller", "%", _mean(lambda arm: arm.motor_inertia_reduced)),
+    EverydayQuantity("stiffness of the joints", "higher", "lower", "%", _mean(lambda arm: arm.stiffness)),
+    EverydayQuantity("stiffness of the pad", "higher", "lower", "%", _mean(lambda arm: arm.pad_stiffness or 0.0)),
+)
+
+
+def in_words(effect: str, parameters: Sequence[Followed], scenes: Iterable[tuple[Physics, Physics]]) -> str:
+    """A change of an effect's parameters: those that moved for certain, else the one that moved most.
+
+    Args:
+        effect: Name.
+        parameters: Its parameters, after the change.
+        scenes: Physics of the hits since then, before and after the change; their objects may differ.
+    """
+    sure = [p for p in parameters if not p.ci95[0] <= p.estimate - p.change <= p.ci95[1]]
+    more = f" and {len(sure) - MOST_NAMED} more" if len(sure) > MOST_NAMED else ""
+    sure = sorted(sure, key=_surely)[:MOST_NAMED]
+    shown = sure or sorted(parameters, key=_surely)[:1]
+    texts = ", ".join(_text(one) for one in shown)
+    scenes = list(scenes)
+    plain = " and ".join(filter(None, (_plain(one, scenes) for one in QUANTITIES)))
+    return f"{plain} ({effect}: {texts}{more})" if plain else f"{effect}: {texts}{more}"
+
+
+def weighs(first: Physics, second: Physics) -> bool:
+    """Whether a scale would tell two explanations of a change apart."""
+    return abs(first.object.mass - second.object.mass) > LEAST
+
+
+def _surely(one: Followed) -> float:
+    """Sorts what moved most, in multiples of its interval, to the front."""
+    return -abs(one.change) / max(one.ci95[1] - one.ci95[0], 1e-300)
+
+
+def _text(one: Followed) -> str:
+    """A parameter with its change and interval."""
+    half = 0.5 * (one.ci95[1] - one.ci95[0])
+    value, low, high = estimate_text(one.change, (one.change - half, one.change + half))
+    sign = "" if value.startswith("-") else "+"
+    unit = "" if one.unit == "-" else f" {one.unit}"
+    return f"{one.parameter.partition('.')[2]} {sign}{value}{unit} [{low}, {high}]"
+
+
+def _plain(quantity: EverydayQuantity, scenes: Sequence[tuple[Physics, Physics]]) -> str:
+    """How a quantity changed, over all scenes; empty where it did not, or in no single direction."""
+    changes = []
+    for before, after in scenes:
+        old, change = quantity.of(before), quantity.of(after) - quantity.of(before)
+        if quantity.unit == "%":
+            if abs(old) < LEAST:
+                return ""
+            change *= 100.0 / old
+        changes.append(change)
+    low, high = min(changes, default=0.0), max(changes, default=0.0)
+    if low < LEAST and high > -LEAST:
+        return ""
+    sizes = dict.fromkeys(f"{size:.2g}" for size in sorted((abs(low), abs(high))))
+    return f"{quantity.noun} is {' to '.join(sizes)} {quantity.unit} {quantity.more if low > 0.0 else quantity.less}"

@@ -1,0 +1,165 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Whether the object stays at the pad after the hit, which the prediction of a trial assumes.
+
+With the pose of the object (p_o, R) and of frame E (p_E, normal n out of the pad), the middle of a box of the sides s
+is c from the plane of the pad, and its nearest corner d:
+
+    c(t) = n . (p_o - p_E),        d(t) = c(t) - sum_i |n . R_i| s_i / 2
+
+d is 0 at the hit: its value there is subtracted, so that motion capture and robot need no common origin. A pad that
+yields throws a box back at the rate that c grows with at first, as the middle of its face does; over the closing speed
+that is the restitution of the hit. Where a box turns on the pad without leaving it, c grows, and d is 0.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+
+from impact_rs_sim.robot import Array
+from impact_rs_sim.scenario import Scenario
+from impact_rs_trials.bags.reader import ControllerColumns, PoseColumns, TrialBag
+from impact_rs_trials.bags.topics import OBJECT_POSE
+from impact_rs_trials.spec import recorded_scenario
+
+LOOKED_AT = 0.1  # s after the hit
+FIRST = (0.005, 0.025)  # s after the hit: the pad has let go, and the controller has hardly changed its speed
+STAYS = 0.005  # m; a box on a pad that yields goes 2 mm to and fro, and motion capture knows a millimetre
+
+
+@dataclass(frozen=True)
+class Departure:
+    """An object and a pad after the hit.
+
+    Attributes:
+        arm: The arm whose pad it is.
+        distance: Largest distance within ``LOOKED_AT`` after the hit [m].
+        speed: Rate at which the middle of the object goes away from the pad at first [m/s].
+        restitution: The same over the speed with which the pad came [-].
+        predicted: Restitution of the prediction [-].
+    """
+
+    arm: str
+    distance: float
+    speed: float
+    restitution: float
+    predicted: float
+
+
+@dataclass(frozen=True)
+class ObjectLeft:
+    """The trials of a set whose object left a pad.
+
+    Attributes:
+        scenario: Name of the scenario.
+        object: Name of the object.
+        case: Full name of the case.
+        arm: The arm whose pad it left.
+        trials: Number of these trials.
+        of: Number of trials of the set.
+        distance_m: Largest distance of all [m].
+        speed_m_s: Median of the speeds at which they part [m/s].
+        restitution: Median of the restitutions of the hits [-].
+        predicted: Restitution of the prediction [-].
+    """
+
+    scenario: str
+    object: str
+    case: str
+    arm: str
+    trials: int
+    of: int
+    distance_m: float
+    speed_m_s: float
+    restitution: float
+    predicted: float
+
+    @property
+    def words(self) -> str:
+        """What the trials show, and what the prediction assumes."""
+        known = "goes on together" if self.predicted == 0.0 else f"parts with a restitution of {self.predicted:g}"
+        return (
+            f"the object leaves the pad of {self.arm} in {self.trials} of {self.of} trials: up to "
+            f"{1e3 * self.distance_m:.0f} mm within {LOOKED_AT:g} s of the hit, at {self.speed_m_s:.2f} m/s at first, "
+            f"as with a restitution of {self.restitution:.2f}; what is predicted {known}"
+        )
+
+    def to_json(self) -> dict[str, Any]:
+        """One entry of ``object_left``."""
+        return asdict(self)
+
+
+def departures(bag: TrialBag, columns: Mapping[str, ControllerColumns]) -> tuple[Departure, ...]:
+    """How object and pads part after the hit; none where no hit or no object was recorded.
+
+    Args:
+        bag: The trial.
+        columns: Controller states by arm.
+    """
+    if not bag.counts.get(OBJECT_POSE):
+        return ()
+    scenario, pose = recorded_scenario(bag.info.scenario_json, bag.path), bag.poses(OBJECT_POSE)
+    found = (_departure(scenario, bag, arm, state, pose) for arm, state in columns.items())
+    return tuple(item for item in found if item is not None)
+
+
+def _departure(
+    scenario: Scenario, bag: TrialBag, arm: str, state: ControllerColumns, pose: PoseColumns
+) -> Departure | None:
+    """How object and pad of one arm part."""
+    hit = bag.impact_time(arm)
+    after = pose.time - hit
+    first = (after >= FIRST[0]) & (after <= FIRST[1])
+    if not math.isfinite(hit) or pose.time[0] > hit or np.count_nonzero(first) < 3:
+        return None
+    normal = scenario.robots[arm].impact_placement.rotation[:, 2]
+    middle, distance = _distances(normal, np.array(scenario.object(bag.info.object).size), pose, state)
+    distance = distance - np.interp(hit, pose.time, distance)
+    closing = abs(float(normal @ [np.interp(hit, state.time, state.ante_velocity[:, axis]) for axis in range(3)]))
+    speed = float(np.polyfit(after[first], middle[first], 1)[0])
+    return Departure(
+        arm=arm,
+        distance=float(distance[(after >= 0.0) & (after <= LOOKED_AT)].max()),
+        speed=speed,
+        restitution=speed / closing,
+        predicted=scenario.contact.restitution,
+    )
+
+
+def _distances(normal: Array, size: Array, pose: PoseColumns, state: ControllerColumns) -> tuple[Array, Array]:
+    """Distances of the middle and of the nearest corner of a box from the plane of a pad, ``(k,)`` [m]."""
+    place = np.column_stack([np.interp(pose.time, state.time, state.position[:, axis]) for axis in range(3)])
+    rotations = np.array([pin.Quaternion(row / np.linalg.norm(row)).matrix() for row in pose.quaternion])
+    half = np.abs(np.einsum("i,kij->kj", normal, rotations)) @ size / 2.0
+    middle = (pose.position - place) @ normal
+    return middle, middle - half
+
+
+def objects_left(trials: Mapping[tuple[str, str, str], Sequence[Sequence[Departure]]]) -> Iterator[ObjectLeft]:
+    """Sets whose object left a pad.
+
+    Args:
+        trials: What was found in every trial, by scenario, object and case.
+    """
+    for (scenario, object_name, case), found in trials.items():
+        for arm in dict.fromkeys(item.arm for items in found for item in items):
+            own = [item for items in found for item in items if item.arm == arm]
+            left = [item for item in own if item.distance > STAYS]
+            if left:
+                yield ObjectLeft(
+                    scenario,
+                    object_name,
+                    case,
+                    arm,
+                    trials=len(left),
+                    of=len(own),
+                    distance_m=max(item.distance for item in left),
+                    speed_m_s=float(np.median([item.speed for item in left])),
+                    restitution=float(np.median([item.restitution for item in left])),
+                    predicted=left[0].predicted,
+                )

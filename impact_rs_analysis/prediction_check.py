@@ -1,0 +1,145 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Predictions of a round's trials, written before these are measured, and what they turned out to be.
+
+Two numbers are predicted for an impact along the axis: velocity of the end effector and of the object just after it, by
+the impact map (:func:`predict_impact`). Measured, these are means over the time from 20 to 40 ms after the impact and
+from 6 to 40 ms after it. The prediction error of all that was measured is the size of the difference between
+measurement and replay (:mod:`impact_rs_analysis.evidence.cluster`) in these trials alone, which the model has not seen.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import scipy
+from pydantic import Field
+
+from impact_rs_analysis.diagnosis.document import ModelIdentity
+from impact_rs_analysis.evidence.cluster import ErrorUnit, size_of
+from impact_rs_analysis.evidence.features import AXES, JUMP_WINDOWS, SETTLED
+from impact_rs_analysis.evidence.levels import rounded
+from impact_rs_analysis.evidence.measured_runs import MeasuredRun
+from impact_rs_analysis.evidence.source import Source
+from impact_rs_sim.impact_map import predict_impact
+from impact_rs_sim.impact_map.problem import ImpactProblem
+from impact_rs_sim.model import Model
+from impact_rs_sim.schema import Schema
+from impact_rs_trials.runs import label_of
+from impact_rs_trials.spec import TrialSpec
+
+MOMENTS = 21  # at which the velocity of the end effector is looked at, a millisecond apart
+
+
+class ImpactPrediction(Schema):
+    """What a model predicts for a condition before it is measured."""
+
+    condition: str = Field(description="scenario, object and case")
+    arm: float = Field(description="velocity of the end effector just after the impact along the axis [m/s]")
+    object: float = Field(description="velocity of the object just after the impact along the axis [m/s]")
+
+
+class Predictions(Schema):
+    """``prediction.json``."""
+
+    model: ModelIdentity = Field(description="what predicts")
+    impacts: tuple[ImpactPrediction, ...] = Field((), description="by condition with an impact")
+
+
+class CheckedImpact(Schema):
+    """A prediction beside the mean of the trials that were measured after it."""
+
+    condition: str = Field(description="scenario, object and case")
+    trials: int = Field(description="trials of it in the round")
+    predicted: ImpactPrediction = Field(description="the prediction")
+    arm: float = Field(description="measured velocity of the end effector after the impact along the axis [m/s]")
+    object: float | None = Field(description="that of the object [m/s]; null: not tracked")
+
+
+class PredictionError(Schema):
+    """``prediction_error.json``."""
+
+    model: ModelIdentity = Field(description="what predicted")
+    trials: int = Field(description="usable trials of the round")
+    error: float | None = Field(description="error of the model in these trials, in the unit; null: none is usable")
+    unit: ErrorUnit = Field(description="unit of the error")
+    impacts: tuple[CheckedImpact, ...] = Field((), description="by condition with an impact")
+
+
+def predicted(model: Model, spec: TrialSpec) -> ImpactPrediction:
+    """The velocities just after the impact that a model predicts, by the impact map."""
+    scene, axis = spec.scene, spec.scenario.axis_index
+    scene = replace(scene, physics=model.apply(scene.physics))
+    result = predict_impact(ImpactProblem.at_nominal_impact(scene), spec.scenario.control.reference_contact)
+    arms = [float(twist[axis]) for twist in result.end_effector_twist.values()]
+    return ImpactPrediction(
+        condition=label_of(spec), arm=sum(arms) / len(arms), object=float(result.object_twist[axis])
+    )  # fmt: skip
+
+
+def prediction_error(source: Source, folder: Path, predictions: Predictions) -> PredictionError:
+    """Predictions against the trials that were measured after them.
+
+    Args:
+        source: All trials so far against the model that predicted.
+        folder: Folder of the trials of the round.
+        predictions: What was predicted.
+    """
+    assert source.runs is not None
+    errors, expected, impacts, count = [], [], [], 0
+    known = {one.condition: one for one in predictions.impacts}
+    conditions, folder = source.runs.conditions, folder.resolve()
+    for item in source.clusters:
+        paths = [Path(run.path).resolve() for run in conditions[item.name]]
+        rows = [row for row, path in enumerate(paths) if path.is_relative_to(folder)]
+        if not rows:
+            continue
+        count += len(rows)
+        errors.append(float(np.mean(np.square(item.residuals[rows].mean(axis=0)))))
+        expected.append(float(np.mean(np.square(item.pure) / len(rows) + np.square(item.discrepancy))))
+        own = [conditions[item.name][row] for row in rows]
+        if (before := known.get(item.name)) is not None and item.contact:
+            impacts.append(_measured(before, own))
+    return PredictionError(
+        model=predictions.model,
+        trials=count,
+        error=rounded(size_of(errors, expected)) if errors else None,
+        unit=source.size_unit,
+        impacts=tuple(impacts),
+    )
+
+
+def _measured(before: ImpactPrediction, runs: Sequence[MeasuredRun]) -> CheckedImpact:
+    """A prediction beside the mean over trials of its condition."""
+    objects = [value for run in runs if (value := _object_velocity(run)) is not None]
+    return CheckedImpact(
+        condition=before.condition,
+        trials=len(runs),
+        predicted=before,
+        arm=float(np.mean([_arm_velocity(run) for run in runs])),
+        object=float(np.mean(objects)) if objects else None,
+    )
+
+
+def _arm_velocity(run: MeasuredRun) -> float:
+    """Velocity of the end effector after the impact along the axis, mean over the arms [m/s]."""
+    found = []
+    for name, begin in run.impacts.items():
+        arm, model = run.signals.arms[name], run.setup.physics.robot_model(name)
+        moments = begin + np.linspace(*JUMP_WINDOWS[SETTLED], MOMENTS)
+        rows = scipy.interpolate.make_interp_spline(run.signals.time, np.hstack([arm.position, arm.velocity]), 1)(
+            moments
+        )
+        found += [(model.jacobian(q) @ dq)[run.axis] for q, dq in (np.split(row, 2) for row in rows)]
+    return float(np.mean(found))
+
+
+def _object_velocity(run: MeasuredRun) -> float | None:
+    """Velocity of the object after the impact along the axis [m/s]; None: it was not tracked."""
+    wanted = ("impact", "object velocity", AXES[run.axis])
+    for feature, value in zip(run.features, run.measured, strict=True):
+        if feature.group == wanted and feature.bin == 0:
+            return float(value)
+    return None

@@ -1,0 +1,121 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The full diagnosis that a change calls for: ``impact-rs diagnose --since`` in a process of its own."""
+
+from __future__ import annotations
+
+import os
+import re
+import shlex
+import signal
+import subprocess
+import sys
+import tempfile
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import IO
+
+from impact_rs_analysis.diagnosis.document import read_document
+from impact_rs_analysis.following.lessons import ChangeDiagnosis
+from impact_rs_cli.parser import PROGRAM
+from impact_rs_sim.errors import InputError
+
+PATIENCE = 5.0  # s, that a stopped diagnosis has to end
+
+
+@dataclass(frozen=True)
+class _Running:
+    """A diagnosis that has been started."""
+
+    since: str
+    process: subprocess.Popen[bytes]
+    errors: IO[bytes]
+
+
+class FullDiagnosis:
+    """Starts, stops and reads the diagnosis of the hits since a change; there is one at a time.
+
+    Args:
+        words: Arguments of ``impact-rs diagnose`` without ``--since`` and ``-o``.
+        folder: Where its files are.
+    """
+
+    def __init__(self, words: Sequence[str], folder: Path) -> None:
+        self._words, self._folder = words, folder
+        self._running: _Running | None = None
+
+    def command(self, since: str) -> str:
+        """The command of a terminal that does the same."""
+        return shlex.join([*shlex.split(PROGRAM), *self._arguments(since)])
+
+    def file(self, since: str) -> Path:
+        """The file of the diagnosis of the hits since one of them."""
+        return self._folder / f"diagnosis_since_{re.sub(r'[^A-Za-z0-9.]+', '_', since)}.json"
+
+    @property
+    def running(self) -> bool:
+        """Whether one has been started and its end was not reported yet."""
+        return self._running is not None
+
+    def start(self, since: str) -> None:
+        """Start the diagnosis of the hits since one of them; one that runs is stopped.
+
+        Raises:
+            InputError: No process can be started.
+        """
+        self.stop()
+        errors = tempfile.TemporaryFile()  # noqa: SIM115
+        cores = max(1, len(os.sched_getaffinity(0)) // 2)  # the next hits are followed meanwhile
+        try:
+            process = subprocess.Popen(
+                [sys.executable, "-m", "impact_rs_cli.main", *self._arguments(since), "--jobs", str(cores)],
+                stdin=subprocess.DEVNULL,
+                stdout=subprocess.DEVNULL,
+                stderr=errors,
+                start_new_session=True,  # so that stopping it reaches its workers, and Ctrl-C of ours does not
+            )
+        except OSError as error:
+            raise InputError(f"no diagnosis can be started: {error}") from None
+        self._running = _Running(since, process, errors)
+
+    def ended(self, wait: bool = False) -> ChangeDiagnosis | None:
+        """How it has ended, once; None: it runs, or there is none.
+
+        Args:
+            wait: Whether to wait for its end.
+        """
+        own = self._running
+        if own is None or (own.process.poll() is None and not wait):
+            return None
+        code = own.process.wait()
+        self._running = None
+        own.errors.seek(0)
+        lines = own.errors.read().decode("utf-8", "replace").strip().splitlines()
+        own.errors.close()
+        verdict, words = "", f"exit code {code}{f': {lines[-1]}' if lines else ''}"
+        if code == 0:
+            document = read_document(self.file(own.since))
+            verdict, words = document.verdict, f"{document.verdict}: {document.summary}"
+            if document.next_experiment is not None:
+                words += f" Next experiment: {document.next_experiment.advice}."
+        return ChangeDiagnosis(
+            command=self.command(own.since), file=str(self.file(own.since)), verdict=verdict, words=words
+        )
+
+    def stop(self) -> None:
+        """Stop the one that runs, with its workers."""
+        own, self._running = self._running, None
+        if own is None:
+            return
+        for number in (signal.SIGINT, signal.SIGKILL):
+            if own.process.poll() is None:
+                os.killpg(own.process.pid, number)
+                try:
+                    own.process.wait(PATIENCE)
+                except subprocess.TimeoutExpired:
+                    continue
+        own.errors.close()
+
+    def _arguments(self, since: str) -> list[str]:
+        """Arguments of ``impact-rs``."""
+        return ["diagnose", *self._words, "--since", since, "-o", str(self.file(since))]

@@ -1,0 +1,132 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Whether a run is as a mapping describes it: of another run, of joints in a hit, of two clocks."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping as AbstractMapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import NDArray
+
+from impact_rs_sim.errors import InputError
+from impact_rs_sim.robot_model import RobotModel
+from impact_rs_trials.recordings.clock_offset import OBJECT_SIGNALS, ClocksApart, clocks_apart
+from impact_rs_trials.recordings.guesses import torque_of, unit_of_position, velocity_of
+from impact_rs_trials.recordings.joint_checks import doubts_of_arm
+from impact_rs_trials.recordings.joint_jumps import SMALLEST, jumps_of
+from impact_rs_trials.recordings.mapping import REQUIRED, Mapping, SignalName
+from impact_rs_trials.recordings.series import Names, Series
+from impact_rs_trials.recordings.sources import read_series
+from impact_rs_trials.runs import ArmSignals
+
+MOST_SAMPLES = 20_000  # that are looked at
+FEWEST_SAMPLES = 20
+MOVED = 0.005  # m, from which an object was hit
+SI = {"rad", "m", "rad/s", "m/s", "N m", "N"}
+
+
+def doubt_of(path: Path, mapping: Mapping, names: Names, model: RobotModel) -> str | None:
+    """What contradicts a mapping in the joints of a run.
+
+    Args:
+        path: The run.
+        mapping: Describes it.
+        names: What the placeholders of the mapping stand for.
+        model: Of the robot.
+
+    Returns:
+        It in words; None: nothing does.
+
+    Raises:
+        InputError: The run cannot be read.
+    """
+    needed: tuple[SignalName, ...] = ("position", "torque")
+    read = read_series(path, mapping, (*needed, "velocity"), needed, names)
+    rows = usable_rows(read["position"])
+    time, q = read["position"].time[rows], read["position"].values[rows]
+    if rows.size <= FEWEST_SAMPLES:
+        return f"{rows.size} samples of the positions can be used"
+    dq, tau = read["velocity"].at(time), read["torque"].at(time)
+    if not np.isfinite(np.hstack((dq, tau))).all():
+        return None
+    place = unit_of_position(q, model.facts, "")
+    if place is None or _strange(place.value):
+        return "its positions do not lie within the limits of the joints" + (f" but in {place.value}" if place else "")
+    speed = velocity_of(time, q, dq, model.facts) if "velocity" in mapping.signals else None
+    if speed is not None and (_strange(speed[1].value) or "factor" in speed[1].further):
+        return f"the velocities are {speed[1].evidence}"
+    torque = torque_of(time, q, dq, tau, model, "")
+    if torque is not None and torque[1].sure and (_strange(torque[1].value) or "factor" in torque[1].further):
+        return f"as described its torques are {torque[1].evidence}"
+    return None
+
+
+def _strange(unit: Any) -> bool:
+    """Whether a unit that was found for numbers in SI units is another one."""
+    return not {unit} <= SI if isinstance(unit, str) else not set(unit) <= SI
+
+
+def usable_rows(series: Series) -> NDArray[np.signedinteger]:
+    """Numbers of the rows with finite values and a later stamp than the one before, as many as are looked at."""
+    usable = np.isfinite(series.values).all(axis=1) & np.isfinite(series.time)
+    usable &= np.diff(series.time, prepend=-np.inf) > 0.0
+    return np.flatnonzero(usable)[:MOST_SAMPLES]
+
+
+def object_moves(path: Path, mapping: Mapping, names: Names) -> bool:
+    """Whether the object of a run changes its place.
+
+    Args:
+        path: The run.
+        mapping: Describes it.
+        names: What the placeholders of the mapping stand for.
+
+    Raises:
+        InputError: The run cannot be read.
+    """
+    name: SignalName = "object_pose" if "object_pose" in mapping.signals else "object_position"
+    read = read_series(path, mapping, [name], [name], names)[name]
+    seen = read.values[np.isfinite(read.values).all(axis=1), :3]
+    return bool(len(seen)) and float(np.max(np.linalg.norm(seen - np.median(seen[:5], axis=0), axis=1))) > MOVED
+
+
+def doubts_of_hit(read: AbstractMapping[SignalName, Series], mapping: Mapping) -> list[str]:
+    """What looks wrong in the joints of a run that hits something.
+
+    Args:
+        read: Its signals, with position and torque.
+        mapping: Describes it.
+    """
+    time = read["position"].time
+    signals = {name: read[name].at(time) for name in REQUIRED if name in read}
+    if "velocity" not in signals:
+        signals["velocity"] = read["position"].derivative().values
+    arm = ArmSignals(signals["position"], signals["velocity"], signals["torque"])
+    model = RobotModel(mapping.facts, mapping.end_effector.build(), pin.SE3.Identity())
+    return doubts_of_arm(time, arm, mapping, model, contact=True)
+
+
+def clocks_of(path: Path, mapping: Mapping, names: Names) -> ClocksApart | None:
+    """What shows that joints and object of a run have two clocks.
+
+    Args:
+        path: The run.
+        mapping: Describes it.
+        names: What the placeholders of the mapping stand for.
+
+    Returns:
+        By how much they differ; None: nothing shows it, or the run cannot be read.
+    """
+    wanted: list[SignalName] = ["position", *(name for name in OBJECT_SIGNALS if name in mapping.signals)]
+    try:
+        read = read_series(path, mapping, wanted, wanted, names)
+    except InputError:
+        return None
+    position, pose = read["position"], read["object_pose" if "object_pose" in read else "object_position"]
+    kept = np.isfinite(pose.values).all(axis=1)
+    pose = replace(pose, time=pose.time[kept], values=pose.values[kept])
+    return clocks_apart(pose, position, list(jumps_of(position, SMALLEST)), path) if kept.any() else None

@@ -1,0 +1,139 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Files that an import writes: a mapping with what shows its values, the table of runs, an experiment."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import re
+from collections.abc import Mapping as AbstractMapping
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from impact_rs_trials.recordings.file_groups import run_name
+from impact_rs_trials.recordings.series import Names
+
+HEAD = """\
+# Where these recordings keep their signals, as impact-rs import found it. Behind every value stands what shows it;
+# ASSUMED: nothing shows it, look at it before you trust a verdict. All keys: docs/your_data.md
+"""
+ARM = """\
+# Runs with impacts; impact-rs compare, diagnose and impacts read this file. All keys: docs/your_data.md
+scenario: {scenario}
+mapping: mapping.yaml
+runs: runs.csv
+# motion_capture: {{estimate: true}}   # if the tracker's world is not the scenario's
+"""
+BODY = """\
+# An object without a robot hits a fixed plane; impact-rs impacts reads this file. Fill in what the body is [kg, m].
+mapping: mapping.yaml
+runs: runs.csv
+body:
+  # mass: 0.37
+  # size: [0.1, 0.1, 0.1]     # of a box; or of a ball: radius: 0.02, shell: true if it is hollow
+  # spin: [0, 0, 0]           # of a ball whose turn was not tracked, before it hits [rad/s]
+  # place: {position: [0, 0, 0], rpy: [0, 0, 0]}   # its centre and axes in the tracked frame
+plane: {height: 0.0, normal: [0, 0, 1]}   # ASSUMED: where the plane is in the tracker's world
+"""
+
+
+@dataclass(frozen=True)
+class Line:
+    """A key that was guessed.
+
+    Attributes:
+        key: Dotted path of the key.
+        value: Its value as the file has it.
+        evidence: What shows it.
+        sure: Whether something shows it; else it is assumed.
+    """
+
+    key: str
+    value: str
+    evidence: str
+    sure: bool = True
+
+
+@dataclass(frozen=True)
+class FoundRun:
+    """A run as the table of runs has it.
+
+    Attributes:
+        run: Its name as seen from the folder of the recordings.
+        object: Name of its object; empty: none is known.
+        session: Its session; empty: none.
+        hit: Whether something is hit.
+    """
+
+    run: str
+    object: str = ""
+    session: str = ""
+    hit: bool = False
+
+    @property
+    def names(self) -> Names:
+        """What the placeholders of the mapping stand for."""
+        return Names(object=self.object or "*", run=run_name(self.run))
+
+
+def flow(value: Any) -> str:
+    """A value in one line of YAML."""
+    if isinstance(value, dict):
+        return "{" + ", ".join(f"{key}: {flow(one)}" for key, one in value.items()) + "}"
+    if isinstance(value, list | tuple):
+        return "[" + ", ".join(flow(one) for one in value) + "]"
+    if isinstance(value, str):
+        return (
+            value
+            if re.fullmatch(r"[A-Za-z_][\w/. ]*", value) and value not in ("y", "n", "yes", "no")
+            else json.dumps(value)
+        )
+    if isinstance(value, bool):
+        return str(value).lower()
+    return f"{value:.6g}" if isinstance(value, float) else str(value)
+
+
+def mapping_text(content: AbstractMapping[str, Any], lines: Sequence[Line]) -> str:
+    """A mapping file with what shows its values.
+
+    Args:
+        content: Values by key.
+        lines: What shows them.
+    """
+    said: dict[str, str] = {}
+    for line in lines:
+        said[line.key] = line.evidence if line.sure else f"ASSUMED: {line.evidence}"
+    text = [HEAD.rstrip()]
+    for key, value in content.items():
+        if key == "signals":
+            text.append("signals:")
+            for name, section in value.items():
+                text.append(f"  {name}:{_remark(said.get(f'signals.{name}'))}")
+                for inner, one in section.items():
+                    text.append(f"    {inner}: {flow(one)}{_remark(said.get(f'signals.{name}.{inner}'))}")
+        else:
+            text.append(f"{key}: {flow(value)}{_remark(said.get(key) or said.get(f'{key}.rate'))}")
+    return "\n".join(text) + "\n"
+
+
+def _remark(said: str | None) -> str:
+    return "" if said is None else f"   # {' '.join(said.split())}"
+
+
+def runs_text(rows: Sequence[FoundRun], alone: bool) -> str:
+    """The table of runs.
+
+    Args:
+        rows: Its runs, at least one.
+        alone: Whether they are of an object without a robot.
+    """
+    sessions = any(row.session for row in rows)
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(["bag", "object", "kind", *(["session"] if sessions else [])])
+    for row in rows:
+        name = "body" if alone else row.object if row.hit else "none"
+        writer.writerow([row.run, name, "hit" if row.hit else "free motion", *([row.session] if sessions else [])])
+    return text.getvalue()

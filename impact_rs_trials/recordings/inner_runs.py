@@ -1,0 +1,88 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Runs inside of one file: groups of an HDF5 file that hold the same arrays, episodes in the rows of a table.
+
+    Rec_001/robot/q, Rec_002/robot/q        arrays {run}/robot/q of the runs Rec_001 and Rec_002
+    episode_index 0 0 0 1 1 1               run_column: episode_index, of the runs 0 and 1
+
+Such a run is called as a file in a folder: ``recordings.h5/Rec_001``.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Sequence
+from collections.abc import Mapping as AbstractMapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+RUN = "{run}"
+COUNTS = re.compile(r"(^|[_.])(episode|run|trial|rollout|demo|recording)([_.]?(index|idx|id|nr|no|number))?$", re.I)
+RECORDED = re.compile(
+    r"^\d[\d_:.T-]*$|rec|run|trial|episode|demo|hit|take|toss|throw|drop|impact|exp|test|shot|sample", re.I
+)
+FEWEST_ROWS = 20  # of a run
+
+
+@dataclass(frozen=True)
+class RunGroups:
+    """Groups of a file that hold arrays of the same names.
+
+    Attributes:
+        before: What stands before their names.
+        names: Their names.
+        recorded: Whether they are called as recordings are; else they may be arms, or sensors.
+    """
+
+    before: str
+    names: tuple[str, ...]
+    recorded: bool
+
+    def with_placeholder(self, array: str) -> str | None:
+        """Name of an array with ``{run}`` for the first group, its own outside of all; None: it is of another one."""
+        for number, name in enumerate(self.names):
+            start = f"{self.before}{name}/"
+            if array.startswith(start):
+                return f"{self.before}{RUN}/{array.removeprefix(start)}" if number == 0 else None
+        return array
+
+
+def run_groups_of(arrays: Iterable[str]) -> RunGroups | None:
+    """Groups whose names differ in numbers alone and that have an array in common; None: there are none.
+
+    Args:
+        arrays: Names of the arrays of a file.
+    """
+    parts = [name.split("/") for name in arrays]
+    for depth in range(max(map(len, parts), default=0) - 1):
+        families: dict[tuple[str, str], dict[str, set[str]]] = {}
+        for own in parts:
+            if len(own) > depth + 1:
+                family = "/".join(own[:depth]), re.sub(r"\d+", "0", own[depth])
+                families.setdefault(family, {}).setdefault(own[depth], set()).add("/".join(own[depth + 1 :]))
+        for (before, _), groups in families.items():
+            if len(groups) > 1 and set.intersection(*groups.values()):
+                recorded = all(RECORDED.search(name) for name in groups)
+                return RunGroups(f"{before}/" if before else "", tuple(groups), recorded)
+    return None
+
+
+def runs_of(cells: Sequence[str] | NDArray[Any]) -> list[str]:
+    """Names of the run of every row."""
+    if isinstance(cells, np.ndarray):
+        return [f"{cell:.15g}" if isinstance(cell, float) else str(cell) for cell in cells.tolist()]
+    return [cell.strip() for cell in cells]
+
+
+def run_column_of(columns: AbstractMapping[str, Sequence[str] | NDArray[Any]]) -> str | None:
+    """The column that numbers the runs of a table, whose rows stand together; None: it holds one run."""
+    for name, cells in columns.items():
+        if COUNTS.search(name):
+            runs = runs_of(cells)
+            begins = [row for row, run in enumerate(runs) if row == 0 or run != runs[row - 1]]
+            lengths = np.diff([*begins, len(runs)])
+            if len(begins) == len(set(runs)) > 1 and min(lengths) >= FEWEST_ROWS:
+                return name
+    return None

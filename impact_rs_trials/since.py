@@ -1,0 +1,51 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What was measured from a moment on: ``--since`` names a run, a row, or a time."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from datetime import datetime
+
+from impact_rs_sim.errors import InputError, did_you_mean
+
+
+def measured_since(when: str, stamps: Mapping[str, float], timed: bool = True) -> set[str]:
+    """Names of what was measured from a moment on.
+
+    Args:
+        when: The first of the names, or a time: a date with or without a time of day (ISO 8601, local where it has no
+            zone), or a number of seconds as the stamps have it.
+        stamps: When each was measured [s], seconds since 1970 where dates are meant, or any number in this order.
+        timed: Whether the stamps are times; otherwise only a name is a moment.
+
+    Raises:
+        InputError: There is no such name or time, or nothing was measured since.
+    """
+    begin = stamps.get(when)
+    if begin is None and timed:
+        begin = _time(when)
+    if begin is None:
+        last = max(stamps, key=lambda name: (stamps[name], name))
+        times = ", or a time such as 2026-11-26T14:32" if timed else ""
+        raise InputError(
+            f"no such run or row{did_you_mean(when, stamps)}; expected a name, for example {last!r}{times}",
+            key="--since",
+            value=when,
+        )
+    found = {name for name, stamp in stamps.items() if stamp >= begin}
+    if not found:
+        last = max(stamps, key=lambda name: (stamps[name], name))
+        raise InputError(f"nothing was measured since then; the last is {last!r}", key="--since", value=when)
+    return found
+
+
+def _time(text: str) -> float | None:
+    """Seconds since 1970, or since the moment from which a table counts; None: no time."""
+    try:
+        return float(text)
+    except ValueError:
+        pass
+    try:
+        return datetime.fromisoformat(text).timestamp()
+    except ValueError:
+        return None

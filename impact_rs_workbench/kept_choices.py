@@ -1,0 +1,57 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What was chosen and pinned in the overlay, kept in the folder of the workbench: ``.workbench/overlay.json``.
+
+The address of a page, and with it the memory of the browser, changes with every start.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import Field
+
+from impact_rs_sim.errors import InputError
+from impact_rs_sim.files import write_whole
+from impact_rs_sim.schema import Schema, validate
+from impact_rs_workbench.workspace import HIDDEN, Workspace, read_json
+
+FILE = "overlay.json"
+Keys = Annotated[tuple[Annotated[str, Field(max_length=1000)], ...], Field(max_length=1000)]
+
+
+class Chosen(Schema):
+    """Entries of one list of the overlay."""
+
+    chosen: Keys = Field((), description="entries that are drawn")
+    pinned: Keys = Field((), description="entries that stay on top and drawn")
+
+
+class Choices(Schema):
+    """``overlay.json``; a list that was not changed is absent."""
+
+    runs: Chosen | None = Field(None, description="recorded trials")
+    models: Chosen | None = Field(None, description="comparisons")
+
+
+class ListChoice(Chosen):
+    """One list, as the page sends it."""
+
+    name: Literal["runs", "models"] = Field(description="which list")
+
+
+def choices(workspace: Workspace) -> Choices:
+    """What was chosen; nothing where the file is missing or damaged, for it holds no result."""
+    path = workspace.root / HIDDEN / FILE
+    try:
+        return validate(Choices, read_json(path) or {}, path)
+    except InputError:
+        return Choices()
+
+
+def keep(workspace: Workspace, choice: ListChoice) -> Choices:
+    """Keep what was chosen in one list."""
+    own = Chosen(chosen=choice.chosen, pinned=choice.pinned)
+    kept = choices(workspace).model_copy(update={choice.name: own})
+    (workspace.root / HIDDEN).mkdir(exist_ok=True)
+    write_whole(workspace.root / HIDDEN / FILE, kept.model_dump_json(indent=2) + "\n")
+    return kept

@@ -1,0 +1,92 @@
+# SPDX-License-Identifier: Apache-2.0
+"""An object that flies off the pad after the hit is told, with its distance, its speed and its restitution."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+from typing import cast
+
+import numpy as np
+import pytest
+import yaml
+
+from impact_rs_analysis.measure.analyze import Analysis, analyze_campaign
+from impact_rs_analysis.measure.departure import FIRST, Departure, _distances, departures, objects_left
+from impact_rs_analysis.report.analysis import write_analysis_report
+from impact_rs_cli.main import main
+from impact_rs_sim.paths import config_directory
+from impact_rs_trials.bags.reader import ControllerColumns, PoseColumns, TrialBag
+from impact_rs_trials.bags.topics import TRUTH_OBJECT_POSE
+from impact_rs_trials.campaign import make_manifest, run_campaign
+
+
+@pytest.fixture(scope="module")
+def bouncy(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Three trials of a light box on a pad without damping: a spring, which throws it back."""
+    directory = tmp_path_factory.mktemp("bouncy")
+    scenario = yaml.safe_load((config_directory() / "scenarios" / "push.yaml").read_text())
+    scenario["robots"]["arm"]["end_effector"]["pad"]["damping"] = 0.0
+    (directory / "spring.yaml").write_text(yaml.safe_dump(scenario | {"name": "spring"}))
+    manifest = make_manifest(str(directory / "spring.yaml"), ["parcel"], ["case_2"], [0.8, 1.0, 1.2], trials=1)
+    assert [report.outcome for report in run_campaign(directory / "trials", manifest)] == ["OK"] * 3
+    return directory / "trials"
+
+
+def departure_of(path: Path) -> Departure:
+    bag = TrialBag.open(path)
+    (found,) = departures(bag, {"arm": bag.controller("arm")})
+    return found
+
+
+def test_an_object_thrown_off_leaves_with_the_speed_of_its_true_pose(bouncy: Path) -> None:
+    for path in bouncy.glob("parcel__*"):
+        bag = TrialBag.open(path)
+        true, state, hit = bag.poses(TRUTH_OBJECT_POSE), bag.controller("arm"), bag.impact_time("arm")
+        first = (true.time >= hit + FIRST[0]) & (true.time <= hit + FIRST[1])
+        box = np.polyfit(true.time[first], true.position[first, 1], 1)[0]
+        while_ = (state.time >= hit + FIRST[0]) & (state.time <= hit + FIRST[1])
+        found = departure_of(path)
+        assert found.speed == pytest.approx(np.mean(state.twist[while_, 1]) - box, rel=0.05)  # both move along -y
+        assert found.speed > 0.3 and found.distance > 0.025
+        assert found.restitution == pytest.approx(found.speed / 0.7, rel=0.01)  # case 2 comes with 0.7 m/s
+
+
+def test_an_object_that_is_pushed_on_stays(push_campaign: Path, push_analysis: Analysis) -> None:
+    for path in push_campaign.glob("cat_food__*"):
+        assert departure_of(path).distance < 0.003
+    assert push_analysis.left == () and push_analysis.to_json()["object_left"] == []
+
+
+def test_a_box_that_turns_on_the_pad_has_not_left_it() -> None:
+    """About its edge on the pad by up to 0.2 rad, as a box that slides along it does: the middle goes away alone."""
+    angle, half, count = np.linspace(0.0, 0.2, 20), np.array([0.1, 0.05, 0.05]), 20
+    across = half[1] * np.cos(angle) + half[0] * np.sin(angle)  # of the middle from the pad, whose normal is y
+    quaternion = np.column_stack([np.zeros((count, 2)), np.sin(angle / 2.0), np.cos(angle / 2.0)])
+    pose = PoseColumns(angle, np.column_stack([np.zeros(count), 0.3 + across, np.zeros(count)]), quaternion)
+    pad = SimpleNamespace(time=angle, position=np.tile([0.0, 0.3, 0.0], (count, 1)))
+    middle, distance = _distances(np.array([0.0, 1.0, 0.0]), 2.0 * half, pose, cast(ControllerColumns, pad))
+    np.testing.assert_allclose(distance, 0.0, atol=1e-12)
+    assert np.ptp(middle) > 0.015
+
+
+def test_analysis_terminal_and_report_say_it(bouncy: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    analysis = analyze_campaign(bouncy)
+    (left,) = analysis.left
+    assert (left.object, left.case, left.arm, left.trials, left.of) == ("parcel", "case_2", "arm", 3, 3)
+    (entry,) = analysis.to_json()["object_left"]
+    assert entry["distance_m"] > 0.025 and 0.5 < entry["restitution"] < 1.0
+    assert "leaves the pad of arm in 3 of 3 trials" in write_analysis_report(analysis, tmp_path / "r")[0].read_text()
+    main(["analyze", str(bouncy), "-o", str(tmp_path / "report")])
+    told = " ".join(capsys.readouterr().err.split())
+    assert "parcel case_2: the object leaves the pad of arm in 3 of 3 trials" in told
+    assert "what is predicted goes on together" in told
+
+
+def test_a_prediction_with_restitution_is_told_with_it() -> None:
+    thrown = Departure("arm", 0.02, 0.2, 0.4, 0.0)
+    found = list(objects_left({("push", "box", "case_1"): [(thrown,), (replace(thrown, distance=0.001),)]}))
+    assert [(one.trials, one.of) for one in found] == [(1, 2)]
+    (bouncing,) = objects_left({("push", "box", "case_1"): [(replace(thrown, predicted=0.3),)]})
+    assert bouncing.words.endswith("as with a restitution of 0.40; what is predicted parts with a restitution of 0.3")

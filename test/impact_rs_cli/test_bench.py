@@ -1,0 +1,78 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Our plant as a bench: trials by rule after a designed round, and designs that know laws."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+from documents import tied_laws
+
+from impact_rs_analysis.investigation import Round, Settings
+from impact_rs_cli import bench
+from impact_rs_cli.bench import PlantBench, simple_design
+from impact_rs_cli.terminal import Terminal
+from impact_rs_sim.model import load_model
+from impact_rs_sim.physics import Physics
+from impact_rs_sim.scenario import load_scenario
+from impact_rs_trials.campaign import PlannedTrials
+from impact_rs_trials.experiment_plan import ExperimentPlan, PlannedCampaign
+
+SETTINGS = Settings(scenarios=("push", "excite"), model_digest=load_model("nominal").digest)
+
+
+def designed() -> ExperimentPlan:
+    """A plan with a case of the file, and with two that the file does not have: slower, and beside the centre."""
+    push = load_scenario("push")
+    slow = push.cases["case_3"].model_dump(mode="json")
+    slow["robots"]["arm"]["ante_velocity"] = [0.0, -0.25, 0.0]
+    return ExperimentPlan(
+        model="nominal",
+        model_digest="",
+        aim="effects",
+        method="design",
+        budget=6,
+        campaigns=(
+            PlannedCampaign(
+                folder="push",
+                scenario="push",
+                settings={"cases.case_3_250mm_s": slow},
+                conditions=(
+                    PlannedTrials(object="parcel", case="case_3_250mm_s", trials=2),
+                    PlannedTrials(object="parcel", case="case_1", trials=2),
+                ),
+            ),
+            PlannedCampaign(
+                folder="push_beside",
+                scenario="push",
+                settings={"name": "push_beside", "object_position": [0.458, -0.139]},
+                conditions=(PlannedTrials(object="parcel", case="case_2", trials=2),),
+            ),
+        ),
+    )
+
+
+def test_a_rule_goes_on_after_trials_that_no_scenario_file_has(tmp_path: Path) -> None:
+    """Conditions of the file that were measured least are next: case 2 beside the centre is another than case 2."""
+    done = [Round(1, tmp_path, "nominal", designed())]
+    count = len(load_scenario("push").objects) * len(load_scenario("push").cases)
+    plan = simple_design(SETTINGS, load_model("nominal"), done, None, count - 1, 1)
+    chosen = {(one.object, one.case) for campaign in plan.campaigns for one in campaign.conditions}
+    assert ("parcel", "case_2") in chosen and ("parcel", "case_1") not in chosen
+    assert plan.trials == count - 1
+
+
+def test_a_design_after_a_discovery_knows_its_laws(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Two laws that are tied are told apart; the library has neither."""
+    decided, world = list[Any](), Physics.nominal(load_scenario("push"), "juice")
+
+    def design(known: Any, scenarios: Any, budget: int, map_tasks: Any, decide: Any, *rest: Any) -> ExperimentPlan:
+        decided.append(decide(known, world.joints, [world]))
+        return designed()
+
+    monkeypatch.setattr(bench, "design", design)
+    plant = PlantBench(tmp_path, SETTINGS, map, Terminal(as_json=True))
+    plant.design(load_model("nominal"), [], tied_laws(), 4, 1)
+    assert decided[0].aim == "rivals" and decided[0].pairs == ((0, 1),)
+    assert [one.name for one in decided[0].explanations] == ["object_drag", "object_drag_cube"]

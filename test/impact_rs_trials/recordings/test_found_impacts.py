@@ -1,0 +1,54 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Impacts of an experiment keep the session that they were measured in."""
+
+from __future__ import annotations
+
+import csv
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from impact_rs_trials.recordings.experiment import load_experiment
+from impact_rs_trials.recordings.found_impacts import find_impacts
+from impact_rs_trials.recordings.impact_rows import table_text
+
+EXPERIMENT = """\
+mapping: mapping.yaml
+body: {mass: 0.003, radius: 0.02, shell: true, spin: [0, 0, 0]}
+"""
+MAPPING = """\
+description: a ball
+robot: none
+time: {column: t}
+signals: {object_position: {columns: [x, y, z], unit: m}}
+"""
+
+
+def bounce(path: Path, height: float) -> None:
+    """A ball that falls 0.3 s after its release from a height and comes back with half of its speed."""
+    path.parent.mkdir(exist_ok=True)
+    time = np.arange(0.0, 0.55, 0.004)
+    speed = np.sqrt(2.0 * 9.81 * height)
+    since = time - 0.25
+    up = np.where(since < 0.0, -speed * since, 0.5 * speed * since) - 0.5 * 9.81 * since**2
+    rows = [f"{t:.4f},0,{0.1 * t:.6f},{z + 0.02:.6f}" for t, z in zip(time, up, strict=True)]
+    path.write_text("\n".join(["t,x,y,z", *rows]) + "\n")
+
+
+@pytest.mark.parametrize("speed", [None, "fast"])
+def test_impacts_of_two_sessions_are_told_apart(tmp_path: Path, speed: str | None) -> None:
+    """Runs of two folders are called alike; the session alone makes no repeats of what it holds."""
+    for number, session in enumerate(("clean", "dirty")):
+        bounce(tmp_path / session / "run_1.csv", 0.5 + 0.2 * number)
+    (tmp_path / "mapping.yaml").write_text(MAPPING)
+    (tmp_path / "experiment.yaml").write_text(EXPERIMENT)
+    further = (",speed", f",{speed}") if speed else ("", "")
+    rows = [f"{session}/run_1,body,hit,{session}{further[1]}" for session in ("clean", "dirty")]
+    (tmp_path / "runs.csv").write_text("\n".join([f"bag,object,kind,session{further[0]}", *rows]) + "\n")
+    found = find_impacts(tmp_path, load_experiment(tmp_path / "experiment.yaml"), map)
+    table = list(csv.DictReader(table_text(found.impacts, found.constants).splitlines()))
+    assert [(row["run"], row["session"]) for row in table] == [("clean/run_1", "clean"), ("dirty/run_1", "dirty")]
+    falls = [-float(row["vz_before [m/s]"]) for row in table]
+    np.testing.assert_allclose(falls, np.sqrt(2.0 * 9.81 * np.array([0.5, 0.7])), rtol=1e-2)
+    assert [row.get("condition") for row in table] == (["clean/fast", "dirty/fast"] if speed else [None, None])
