@@ -222,6 +222,24 @@ def test_a_run_with_two_impacts_gives_two_rows(laboratory: LaboratoryFolder) -> 
     np.testing.assert_allclose(found.impacts[1].arms["arm"].after, (0.4 - 0.36) * SPEEDS, atol=0.01)
 
 
+def test_impacts_of_sessions_that_count_alike_are_told_apart(laboratory: LaboratoryFolder) -> None:
+    """Each session has a run 1; the last one hits nothing."""
+    twice(laboratory, 0.6)
+    laboratory.bag("monday/run_1")
+    laboratory.bag("tuesday/run_1")
+    still = np.repeat(laboratory.signals.position[:1], laboratory.signals.time.size, axis=0)
+    laboratory.change(position=still + 1e-5 * np.random.default_rng(1).standard_normal(still.shape))
+    laboratory.bag("friday/run_1")
+    rows = [f"{session}/run_1,parcel,hit,{session}" for session in ("monday", "tuesday", "friday")]
+    (laboratory.path / "runs.csv").write_text("\n".join(["bag,object,kind,session", *rows]) + "\n")
+    found = find_impacts(laboratory.path, laboratory.load(), map)
+    assert [(impact.run, impact.session) for impact in found.impacts] == [
+        ("monday/run_1", "monday"), ("monday/run_1, impact 2", "monday"),
+        ("tuesday/run_1", "tuesday"), ("tuesday/run_1, impact 2", "tuesday"),
+    ]  # fmt: skip
+    assert [one.name for one in found.left_out] == ["friday/run_1"]
+
+
 def test_a_small_jump_while_the_pad_pushes_is_no_second_impact(laboratory: LaboratoryFolder) -> None:
     twice(laboratory, 0.2)
     assert [impact.run for impact in impacts_in(laboratory).impacts] == ["run_1"]

@@ -384,6 +384,16 @@ def test_another_clock_of_the_object_is_proposed_with_what_shows_it(
         assert evidence in said and said.endswith("so in 2 of 2 runs that were looked at")
 
 
+def test_another_clock_is_seen_in_files_that_name_session_and_object(tmp_path: Path, motion: Columns) -> None:
+    hits(tmp_path / "raw" / "D1_clean", motion, (0, 1), "parcel", late=0.05)
+    hits(tmp_path / "raw" / "D1_dirty", motion, (0,), "juice", late=0.05)
+    draft = draft_import([tmp_path / "raw"], tmp_path / "lab", Wishes(robot="kuka_iiwa7", scenario="push_iiwa7"))
+    assert draft.texts["runs.csv"].splitlines()[1:] == [
+        "D1_clean/0,parcel,hit,D1_clean", "D1_clean/1,parcel,hit,D1_clean", "D1_dirty/0,juice,hit,D1_dirty",
+    ]  # fmt: skip
+    assert said_of(draft, "signals.object_position.clock").endswith("so in 3 of 3 runs that were looked at")
+
+
 def test_one_clock_is_left_as_it_is(tmp_path: Path, motion: Columns) -> None:
     draft = draft_import([hits(tmp_path / "raw", motion)], tmp_path / "lab", Wishes(robot="kuka_iiwa7"))
     assert "clock" not in draft.texts["mapping.yaml"]
