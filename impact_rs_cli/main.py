@@ -16,8 +16,7 @@ from importlib import import_module
 
 from impact_rs_cli.parser import CommandParser, Parser, spelled
 from impact_rs_commands import COMMANDS
-from impact_rs_sim.errors import InputError, full_traceback, shortened
-from impact_rs_sim.version import package_version
+from impact_rs_sim.errors import InputError, MissingPackage, full_traceback, shortened
 
 LONGEST_MESSAGE = 2000  # characters of an error; some repeat what they were given
 
@@ -61,7 +60,8 @@ class _Version(argparse.Action):
     """``--version``, looked up only when the option is given."""
 
     def __call__(self, parser: argparse.ArgumentParser, *_: object) -> None:
-        print(f"impact-rs {package_version() or 'from a source tree'}")
+        version = import_module("impact_rs_sim.version").package_version()
+        print(f"impact-rs {version or 'from a source tree'}")
         parser.exit()
 
 
@@ -88,6 +88,10 @@ def main(argv: Sequence[str] | None = None) -> int:
         return code
     except SystemExit as stop:  # --help, or a mistake in the arguments that has been reported
         return int(stop.code or 0)
+    except MissingPackage as error:
+        code = _fail(error, str(error), 2, args.debug)
+        offered = not args.json and import_module("impact_rs_cli.installing").offer()
+        return main(argv) if offered else code
     except InputError as error:
         return _fail(error, str(error), 2, args.debug)
     except KeyboardInterrupt as error:

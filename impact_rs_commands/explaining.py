@@ -523,7 +523,8 @@ removed.
 A row holds scenario, object, case, scale, repeat, seed, outcome, predicted and reference velocity, net feedback and
 impact times. In HDF5 every trial is a group, with a group per arm (joint states, motor states, commands, controller
 state) and one for the object. Ground truth of the simulated plant is not exported. Unreadable bags
-are listed and left out. Needs pyarrow for Parquet and h5py for HDF5 (both are in the extra "export").
+are listed and left out. Needs pyarrow for Parquet and h5py for HDF5; where they
+are missing, impact-rs asks whether to install them, or says how.
 
 --mjcf, --drake, --urdf, --usd-params: the scene at its impact with what --model says of it. Masses, centres of mass,
 inertias, motor inertia (armature), joint friction, friction, restitution or stiffness and damping of the pads, as far

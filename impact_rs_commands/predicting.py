@@ -266,6 +266,11 @@ impact-rs robot check my_robot.yaml --scenario my_push.yaml""",
                     help="joints that were held, and where [rad, m]: torso_lift=0.15 'head_*=0' 'finger*=0.04'; they "
                     "become fixed, on the chain and beside it",
                 ),
+                option(
+                    "--package-path", many=True, kind="folder", default=(), metavar="DIR",
+                    help="folders of packages that the URDF names its meshes by (package://NAME/...)",
+                    otherwise="those of AMENT_PREFIX_PATH, and folders above the URDF",
+                ),
                 option("--source", metavar="TEXT", help="where the numbers come from, with their licence"),
                 JSON,
             ),

@@ -4,7 +4,8 @@
     InputError
     +-- NotABody              mass and inertia of no body; a fit then tries a smaller step
     +-- Infeasible            a state that arms or object cannot be in; a search tries another one
-        +-- UnreachablePose   no joint positions within the limits lead there
+    |   +-- UnreachablePose   no joint positions within the limits lead there
+    +-- MissingPackage        a package that few files need is not installed; the command line offers to install it
 
 There is a class for every case that some caller treats in its own way, and for no other.
 """
@@ -65,6 +66,10 @@ class Infeasible(InputError):
 
 class UnreachablePose(Infeasible):
     """A pose of the end effector that no joint positions within the limits reach."""
+
+
+class MissingPackage(InputError):
+    """A Python package that only some files need is not installed; the message has the command that installs it."""
 
 
 def shortened(text: str, most: int = LONGEST_ECHO) -> str:

@@ -26,6 +26,7 @@ import numpy as np
 import pinocchio as pin
 
 from impact_rs_sim.errors import InputError
+from impact_rs_sim.mesh_files import FILE, PACKAGE, mesh_address, mesh_path
 from impact_rs_sim.robot import UNITS, Array, Flange, JointOrigin, JointType, Limits, Link, Mesh, RobotFacts
 from impact_rs_sim.schema import parse_yaml, validate
 from impact_rs_sim.urdf_chain import MOVES_AS, Chain, UrdfTree, child_of
@@ -61,11 +62,12 @@ def import_urdf(
     inertia_at: Literal["centre", "joint"] = "centre",
     lock: Sequence[str] = (),
     measured: Callable[[Sequence[str]], GivenLimits] = lambda _: {},
+    packages: Sequence[Path] = (),
 ) -> ImportedRobot:
     """Facts of the arm from link ``base`` to link ``tip`` of a URDF.
 
     Args:
-        file: The URDF; its meshes need not be there.
+        file: The URDF; its meshes need not be there, those that are not found are noted.
         base: Link that the arm is mounted with; None: the root.
         tip: Link whose frame is the flange; None: the only one there is.
         source: Where the numbers come from; None: the file's name.
@@ -73,6 +75,7 @@ def import_urdf(
         inertia_at: Where its moments of inertia are about: the centre of mass, as the format says, or the joint.
         lock: Places in which joints are held (:func:`~impact_rs_sim.urdf_repairs.locked_joints`).
         measured: Limits that a recording shows, for the joints of the chain, in place of those that are missing or 0.
+        packages: Where packages of its meshes are (:func:`~impact_rs_sim.mesh_files.mesh_address`).
 
     Raises:
         InputError: The file is no URDF, has no such chain, or lacks a number that is needed.
@@ -91,7 +94,7 @@ def import_urdf(
         raise InputError(f"Pinocchio does not read it: {error}", file=file) from None
     joints, links, rows = [], [], []
     before = np.eye(3)
-    meshes = _meshes(tree, chain, model)
+    meshes = _meshes(tree, chain, model, packages, notes)
     for index, joint in enumerate(chain.joints, start=1):
         turn = frame_of_axis(np.array(_axis(tree, joint)))
         placement, body = model.jointPlacements[index], model.inertias[index]
@@ -118,7 +121,8 @@ def import_urdf(
         links=tuple(links),
         base_meshes=tuple(_mesh(one, np.eye(3)) for one in meshes.get(0, [])),
     )
-    return ImportedRobot(facts, tuple(joint.get("name", "") for joint in chain.joints), (*_notes(chain), *notes))
+    joint_names = tuple(joint.get("name", "") for joint in chain.joints)
+    return ImportedRobot(facts, joint_names, (*_notes(chain), *notes, *_missing_meshes(facts)))
 
 
 def frame_of_axis(axis: Array) -> Array:
@@ -357,22 +361,42 @@ def _placement(translation: Array, rotation: Array) -> dict[str, tuple[float, ..
     return {"xyz": _clean(translation), "rpy": _clean(pin.rpy.matrixToRpy(rotation))}
 
 
-def _meshes(tree: UrdfTree, chain: Chain, model: pin.Model) -> dict[int, list[tuple[str, pin.SE3, list[float]]]]:
-    """URL, placement at the joint and scale of every mesh that a viewer finds, by number of the joint; 0: base."""
+def _meshes(
+    tree: UrdfTree, chain: Chain, model: pin.Model, packages: Sequence[Path], notes: list[str]
+) -> dict[int, list[tuple[str, pin.SE3, list[float]]]]:
+    """Address, placement at the joint and scale of every mesh, by number of the joint; 0: base; others are noted."""
     found: dict[int, list[tuple[str, pin.SE3, list[float]]]] = {}
     for link in Xml.fromstring(chain.urdf).findall("link"):
         name = link.get("name", "")
         frame = model.frames[model.getFrameId(name, pin.FrameType.BODY)]
         for visual in tree.links[name].findall("visual"):
             mesh, origin, key = visual.find("geometry/mesh"), visual.find("origin"), f"link {name}: visual"
-            if mesh is None or not mesh.get("filename", "").startswith(("package://", "file://")):
+            if mesh is None or not mesh.get("filename"):
+                continue
+            address = mesh_address(mesh.get("filename", ""), tree.file, packages)
+            if address is None:
+                notes.append(
+                    f"Mesh {mesh.get('filename')} of link {name} is left out: expected a path, package:// or file://."
+                )
                 continue
             rotation = pin.rpy.rpyToMatrix(*tree.numbers(origin, "rpy", 3, "0 0 0", f"{key} rpy"))
             shift = np.array(tree.numbers(origin, "xyz", 3, "0 0 0", f"{key} xyz"))
             scale = tree.numbers(mesh, "scale", 3, "1 1 1", f"{key} scale")
             placement = frame.placement * pin.SE3(rotation, shift)
-            found.setdefault(frame.parentJoint, []).append((mesh.get("filename", ""), placement, scale))
+            found.setdefault(frame.parentJoint, []).append((address, placement, scale))
     return found
+
+
+def _missing_meshes(facts: RobotFacts) -> Iterable[str]:
+    """Notes on meshes that are not there, with what would help."""
+    meshes = [*facts.base_meshes, *(mesh for link in facts.links for mesh in link.meshes)]
+    missing = [one for one in dict.fromkeys(mesh.file for mesh in meshes) if mesh_path(one) is None]
+    for kind, remedy in (
+        (PACKAGE, "say where their packages are: --package-path DIR, or AMENT_PREFIX_PATH"),
+        (FILE, "put them there, or correct the URDF"),
+    ):
+        if found := [one for one in missing if one.startswith(kind)]:
+            yield f"Meshes that are not there, in whose place viewers draw simple shapes: {', '.join(found)}; {remedy}."
 
 
 def _mesh(found: tuple[str, pin.SE3, list[float]], turn: Array) -> Mesh:

@@ -14,9 +14,9 @@ from impact_rs_sim.errors import InputError
 from impact_rs_sim.files import whole
 from impact_rs_sim.impact_map.measured import solve_measured
 from impact_rs_sim.impact_map.problem import ImpactMapError
+from impact_rs_sim.optional_packages import require
 from impact_rs_sim.robot import Array
 from impact_rs_trials.recordings.impact_table import SUFFIXES, ImpactRow, ImpactTable
-from impact_rs_trials.recordings.table_columns import require
 from impact_rs_trials.workers import Map
 
 _AT_A_TIME = 50  # rows of a task; one takes some milliseconds
@@ -63,14 +63,25 @@ def _answer(rows: Sequence[ImpactRow]) -> tuple[list[Array], dict[int, str]]:
     return after, messages
 
 
+def check_answers(target: Path) -> None:
+    """Check the file for answers before they are computed.
+
+    Raises:
+        InputError: Neither CSV nor Parquet, or pyarrow is missing.
+    """
+    if target.suffix not in SUFFIXES:
+        raise InputError(f"expected a table ({' or '.join(SUFFIXES)})", file=target)
+    if target.suffix == ".parquet":
+        require("pyarrow", target)
+
+
 def write_answers(table: ImpactTable, answers: Answers, target: Path) -> None:
     """Write row number, condition and velocities after, in columns named as in tables of impacts.
 
     Raises:
-        InputError: Neither CSV nor Parquet, pyarrow is missing, or the file cannot be written.
+        InputError: As :func:`check_answers`, or the file cannot be written.
     """
-    if target.suffix not in SUFFIXES:
-        raise InputError(f"expected a table ({' or '.join(SUFFIXES)})", file=target)
+    check_answers(target)
     columns: dict[str, list[object]] = {
         "row": [row.number for row in table.rows],
         "condition": [row.condition for row in table.rows],
@@ -84,7 +95,6 @@ def write_answers(table: ImpactTable, answers: Answers, target: Path) -> None:
                 writer.writerow(columns)
                 writer.writerows(zip(*columns.values(), strict=True))
         else:
-            require("pyarrow", target)
             import pyarrow
             import pyarrow.parquet
 

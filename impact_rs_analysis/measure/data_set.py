@@ -19,9 +19,10 @@ from pathlib import Path
 from typing import Any
 
 from impact_rs_analysis.measure.analyze import SkippedBag
-from impact_rs_analysis.measure.export import check_package, table_of, trial_row
+from impact_rs_analysis.measure.export import table_of, trial_row
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.files import whole
+from impact_rs_sim.optional_packages import require
 from impact_rs_sim.version import package_version
 from impact_rs_trials.bags.reader import reason_of
 from impact_rs_trials.store import Folder, Store, open_store, owned
@@ -63,7 +64,7 @@ def extend(
         InputError: The folder is no data set of this campaign, or in use by another process; a part cannot be read or
             written; no bags, no readable trial, or a package is not installed.
     """
-    check_package("pyarrow", folder)
+    require("pyarrow", folder)
     store = open_store(place)
     _check(folder)
     stamps = store.stamps()

@@ -7,7 +7,6 @@ it in their attribute ``units``.
 
 from __future__ import annotations
 
-import importlib
 import io
 import math
 from collections.abc import Callable, Iterator
@@ -21,6 +20,7 @@ from impact_rs_analysis.measure.analyze import SkippedBag
 from impact_rs_analysis.measure.net_feedback import net_feedback
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.files import whole
+from impact_rs_sim.optional_packages import require
 from impact_rs_sim.robot import Array, joined_units
 from impact_rs_sim.version import package_version
 from impact_rs_trials.bags import topics
@@ -70,19 +70,7 @@ def check_target(path: Path) -> None:
         raise InputError(f"expected a name that ends with {', '.join(NEEDS)}, or a folder without ending", file=path)
     if path.is_dir():
         raise InputError("this is a folder; expected the name of a file", file=path)
-    check_package(NEEDS[path.suffix], path)
-
-
-def check_package(package: str, path: Path) -> None:
-    """Check that the package which writes a result is installed.
-
-    Raises:
-        InputError: It is not.
-    """
-    try:
-        importlib.import_module(package)
-    except ImportError:
-        raise InputError(f"this needs the package {package}: pip install {package}", file=path) from None
+    require(NEEDS[path.suffix], path)
 
 
 def export(directory: Path, path: Path, map_tasks: Map, progress: Callable[[int, int], None]) -> Exported:

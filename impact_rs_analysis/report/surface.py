@@ -9,16 +9,15 @@ ignored.
 from __future__ import annotations
 
 import functools
-import os
 import re
 from dataclasses import dataclass
 from pathlib import Path
-from urllib.parse import unquote, urlparse
 
 import coal
 import numpy as np
 from numpy.typing import NDArray
 
+from impact_rs_sim.mesh_files import mesh_path
 from impact_rs_sim.robot import Array
 
 MOST_FACES = 1200  # per mesh; twenty such meshes are 0.5 MB of a page
@@ -46,30 +45,15 @@ class Surface:
 
 @functools.lru_cache(maxsize=64)
 def surface_of(address: str) -> Surface | None:
-    """The mesh at a ``file://`` or ``package://`` address; None without a readable file.
-
-    Packages are looked for where ROS 2 installs them, by ``AMENT_PREFIX_PATH``.
-    """
-    path = _found(address)
+    """The mesh at an address of :func:`~impact_rs_sim.mesh_files.mesh_path`; None without a readable file."""
+    path = mesh_path(address)
     try:
-        if path is None or not path.is_file() or path.stat().st_size > LARGEST_FILE:
+        if path is None or path.stat().st_size > LARGEST_FILE:
             return None
         corners = _loaded(path) if path.suffix.lower() in LOADED else _corners(path.read_bytes())
     except (OSError, ValueError, RuntimeError):  # coal raises the latter two
         return None
     return _coarse(corners) if corners.size and np.isfinite(corners).all() else None
-
-
-def _found(address: str) -> Path | None:
-    parts = urlparse(address)
-    if parts.scheme == "file":
-        return Path(unquote(parts.path))
-    places = [
-        Path(prefix) / "share" / parts.netloc / unquote(parts.path).lstrip("/")
-        for prefix in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep)
-        if prefix
-    ]
-    return next((place for place in places if place.is_file()), None)
 
 
 def _corners(data: bytes) -> Array:

@@ -21,7 +21,7 @@ from impact_rs_sim.numbers import estimate_text
 from impact_rs_sim.physics import assumed_words
 from impact_rs_sim.scenario import load_scenario
 from impact_rs_sim.scene import Scene
-from impact_rs_trials.map_table import answer_table, write_answers
+from impact_rs_trials.map_table import answer_table, check_answers, write_answers
 from impact_rs_trials.recordings.impact_table import read_impact_table
 
 MOST_SWITCHES = 3  # that are shown; all are in the JSON document
@@ -122,6 +122,7 @@ def _many(args: argparse.Namespace, terminal: Terminal) -> int:
         raise InputError("with --table give at most a SCENARIO; its columns hold everything else")
     if str(args.model) != "nominal":
         raise InputError("--model is for one prediction; rows of a --table have the scenario's own physics")
+    check_answers(args.output)
     scenario = load_scenario(args.scenario) if args.scenario is not None else None
     table = read_impact_table(args.table, scenario, questions=True)
     with started(args) as map_tasks:

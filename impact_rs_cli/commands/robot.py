@@ -22,7 +22,15 @@ def import_robot(args: argparse.Namespace, terminal: Terminal) -> int:
     """Import and write."""
     measured = {} if args.measured is None else {"measured": partial(measured_limits, args.measured)}
     robot = import_urdf(
-        args.urdf, args.base, args.tip, args.source, args.limits, args.inertia_at, args.lock, **measured
+        args.urdf,
+        args.base,
+        args.tip,
+        args.source,
+        args.limits,
+        args.inertia_at,
+        args.lock,
+        packages=args.package_path,
+        **measured,
     )
     with output_folder(args.output.parent):
         save_facts(robot, f"Facts about a robot, made from {args.urdf.name} by impact-rs robot import.", args.output)

@@ -76,13 +76,13 @@ from impact_rs_sim.impact_map.measured import (
     points_of_scene,
     points_on_plane,
 )
+from impact_rs_sim.optional_packages import require
 from impact_rs_sim.physics import ObjectPhysics, Physics
 from impact_rs_sim.robot import Array
 from impact_rs_sim.robot_model import RobotModel
 from impact_rs_sim.scenario import Scenario
 from impact_rs_sim.scene import ArmState, BodyState
 from impact_rs_trials.recordings.csv_rows import csv_rows
-from impact_rs_trials.recordings.table_columns import require
 from impact_rs_trials.since import measured_since
 
 SUFFIXES = (".csv", ".parquet")

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from impact_rs_sim.errors import InputError, did_you_mean
+from impact_rs_sim.optional_packages import require
 from impact_rs_trials.recordings.csv_rows import csv_rows
 from impact_rs_trials.recordings.inner_runs import runs_of
 from impact_rs_trials.recordings.mapping import TableLayout
@@ -47,16 +47,6 @@ class Columns:
             for name, own in self.cells.items()
         }
         return replace(self, cells=cells, lines=tuple(self.lines[row] for row in rows) if self.lines else ())
-
-
-def require(package: str, path: Path) -> None:
-    """Say how to get a library that reading this file takes.
-
-    Raises:
-        InputError: It is not installed.
-    """
-    if find_spec(package) is None:
-        raise InputError(f"{path.suffix} files need {package}: pip install 'impact-rs[export]'", file=path)
 
 
 def read_columns(path: Path, layout: TableLayout) -> Columns:

@@ -97,6 +97,10 @@ def test_no_command_is_imported_where_none_is_run(words: str) -> None:
     assert not found & {"dataclasses", "numpy", "pydantic", "rich", "rclpy", "pybullet", "pinocchio", "distributed"}
 
 
+def test_the_help_waits_for_no_module_that_it_does_not_need() -> None:
+    assert not modules_after("--help") & {"importlib.metadata", "email", "subprocess"}
+
+
 def test_a_command_is_imported_alone_and_without_slow_libraries() -> None:
     found = modules_after("map push cat_food 2")
     assert [name for name in found if name.startswith("impact_rs_cli.commands.")] == ["impact_rs_cli.commands.map"]

@@ -50,6 +50,17 @@ def test_a_robot_is_imported_and_passes_its_checks(
     assert found["ok"] and [check["outcome"] for check in found["checks"]] == ["ok"] * 4
 
 
+def test_meshes_of_a_package_are_found_where_the_user_says(urdf: Path, tmp_path: Path, document: Document) -> None:
+    mesh = tmp_path / "src" / "nowhere" / "arm.stl"
+    mesh.parent.mkdir(parents=True)
+    mesh.touch()
+    for number, (words, there) in enumerate((((), False), (("--package-path", mesh.parent.parent), True))):
+        target = tmp_path / f"{number}.yaml"
+        notes = document("robot", "import", urdf, *words, "-o", target)["notes"]
+        assert any("--package-path" in note for note in notes) is not there
+        assert (mesh.as_uri() in target.read_text(encoding="utf-8")) is there
+
+
 def test_a_robot_with_a_negative_moment_fails_its_check(tmp_path: Path, capfd: pytest.CaptureFixture) -> None:
     text, mine = (CONFIG / "robots" / "franka_fer.yaml").read_text(encoding="utf-8"), tmp_path / "mine.yaml"
     mine.write_text(text.replace("0.012516", "-0.012516"), encoding="utf-8")

@@ -227,6 +227,22 @@ def test_the_meshes_need_not_be_there(tmp_path: Path) -> None:
     assert import_urdf(write(tmp_path, link("base"), link("upper", BODY + mesh), *ARM[2:])).facts.joint_count == 2
 
 
+def test_a_mesh_beside_the_urdf_is_kept_and_one_that_is_not_there_is_noted(tmp_path: Path) -> None:
+    names = ("meshes/here.stl", "meshes/away.stl", "package://nowhere/arm.stl", "model://arm/arm.stl")
+    (tmp_path / "meshes").mkdir()
+    here = tmp_path / "meshes" / "here.stl"
+    here.touch()
+    visuals = "".join(f'<visual><geometry><mesh filename="{name}"/></geometry></visual>' for name in names)
+    robot = import_urdf(write(tmp_path, link("base"), link("upper", BODY + visuals), *ARM[2:]))
+    away = here.with_name("away.stl").as_uri()
+    assert [mesh.file for mesh in robot.facts.links[0].meshes] == [here.as_uri(), away, names[2]]
+    notes = [note for note in robot.notes if note.startswith("Mesh")]
+    assert len(notes) == 3
+    assert f"{names[3]} of link upper is left out" in notes[0]
+    assert names[2] in notes[1] and "--package-path DIR" in notes[1]
+    assert away in notes[2] and not any(here.as_uri() in note for note in notes)
+
+
 def test_the_file_tells_what_a_urdf_does_not_hold(tmp_path: Path) -> None:
     text = facts_text(import_urdf(write(tmp_path, *ARM), source='a "maker", BSD'), "An arm.")
     for key in ("motor_inertia_rotor", "motor_inertia_reduced", "stiffness", "damping", "friction"):
@@ -448,12 +464,6 @@ def test_meshes_are_described_where_the_urdf_has_them(
                 assert mesh.get("scale") == "0.001 0.001 0.001"
                 shown.add(mesh.get("filename"))
     assert shown == set(placed)
-
-
-def test_a_mesh_that_no_viewer_would_find_is_left_out(tmp_path: Path) -> None:
-    mesh = '<visual><geometry><mesh filename="meshes/upper.stl"/></geometry></visual>'
-    robot = import_urdf(write(tmp_path, link("base"), link("upper", BODY + mesh), *ARM[2:]))
-    assert not any(one.meshes for one in robot.facts.links)
 
 
 @pytest.mark.parametrize(

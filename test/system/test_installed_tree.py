@@ -49,6 +49,13 @@ def test_viewers_find_their_layouts() -> None:
     assert {path.suffix for path in viewers.iterdir()} == {".rviz", ".json", ".xml"}
 
 
+@of_pip
+def test_python_alone_gets_no_interfaces_for_cpp() -> None:
+    libraries = {path.stem.removeprefix("libimpact_rs__") for path in (PREFIX / "lib").glob("libimpact_rs__*.so")}
+    assert "rosidl_typesupport_fastrtps_c" in libraries
+    assert not {name for name in libraries if name.endswith("_cpp")}
+
+
 def test_ros2_interface_finds_every_interface() -> None:
     content, _ = get_resource("rosidl_interfaces", "impact_rs")
     listed = [line for line in content.splitlines() if line.endswith((".msg", ".srv", ".action"))]

@@ -94,6 +94,7 @@ def test_a_single_bag_is_exported_as_a_campaign_of_one(push_campaign: Path, tmp_
 def test_a_missing_package_is_named_before_anything_is_read(
     package: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    monkeypatch.delenv("IMPACT_RS_RUN", raising=False)
     monkeypatch.setitem(sys.modules, package, None)
     name = {"pyarrow": "push.parquet", "h5py": "push.h5"}[package]
     with pytest.raises(InputError, match=f"pip install {package}"):

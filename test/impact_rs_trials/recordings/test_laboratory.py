@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import pickle
+import sys
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -260,10 +261,10 @@ def test_a_missing_library_is_named_with_the_way_to_get_it(
     laboratory: LaboratoryFolder, monkeypatch: pytest.MonkeyPatch, package: str, name: str
 ) -> None:
     (laboratory.path / name).write_text("not empty")
-    module = "impact_rs_trials.recordings.table_columns.find_spec"
-    monkeypatch.setattr(module, lambda asked: None if asked == package else object())
+    monkeypatch.delenv("IMPACT_RS_RUN", raising=False)
+    monkeypatch.setitem(sys.modules, package, None)
     said = laboratory.refusal()
-    assert f"{name}: " in said and f"files need {package}: pip install 'impact-rs[export]'" in said
+    assert f"{name}: this needs {package}" in said and f"pip install {package}" in said
 
 
 # ---- clocks ---------------------------------------------------------------------------------------------------------

@@ -1,0 +1,62 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Where the mesh that a URDF names lies on this machine."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+from urllib.parse import unquote, urlparse
+
+PACKAGE, FILE = "package://", "file://"
+
+
+def mesh_path(address: str) -> Path | None:
+    """The file at a ``file://`` or ``package://`` address; None: there is none.
+
+    Packages are looked for where ROS 2 installs them, by ``AMENT_PREFIX_PATH``.
+    """
+    if address.startswith(FILE):
+        places = [Path(unquote(urlparse(address).path))]
+    else:
+        package, inside = _package(address)
+        prefixes = os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep)
+        places = [Path(prefix) / "share" / package / inside for prefix in prefixes if prefix]
+    return next((place for place in places if place.is_file()), None)
+
+
+def mesh_address(name: str, urdf: Path, packages: Iterable[Path] = ()) -> str | None:
+    """The ``file://`` or ``package://`` address of a mesh, whether it is there or not; None: of another kind.
+
+    A path is relative to the URDF. A package that ROS 2 does not know is looked for in ``packages`` and in the folders
+    above the URDF, for sources that are not installed; where it is found, the address becomes that of the file.
+
+    Args:
+        name: What the URDF says: a path, or an address.
+        urdf: The URDF.
+        packages: Folders that are packages or hold some.
+    """
+    if name.startswith(FILE):
+        return name
+    if not name.startswith(PACKAGE):
+        return None if "://" in name else (urdf.parent / name).resolve().as_uri()
+    if mesh_path(name) is not None:
+        return name
+    package, inside = _package(name)
+    for folder in (*packages, *urdf.resolve().parents):
+        for place in _inside(folder, package):
+            if (place / inside).is_file():
+                return (place / inside).resolve().as_uri()
+    return name
+
+
+def _package(address: str) -> tuple[str, str]:
+    """Package and path in it."""
+    parts = urlparse(address)
+    return parts.netloc, unquote(parts.path).lstrip("/")
+
+
+def _inside(folder: Path, package: str) -> Iterator[Path]:
+    if folder.resolve().name == package:
+        yield folder
+    yield folder / package

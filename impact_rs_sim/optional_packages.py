@@ -1,0 +1,34 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Packages of the extra ``export``, which Parquet and HDF5 files need and nothing else does."""
+
+from __future__ import annotations
+
+import os
+import shlex
+from importlib.util import find_spec
+from pathlib import Path
+
+from impact_rs_sim.errors import MissingPackage
+
+SIZE = "0.2 GB on disk"  # of both of them
+
+
+def require(package: str, path: Path) -> None:
+    """Check that a package of the extra ``export`` is installed.
+
+    Args:
+        package: Its name, for example ``pyarrow``.
+        path: The file that needs it.
+
+    Raises:
+        MissingPackage: It is not.
+    """
+    if find_spec(package) is None:
+        command = shlex.join(installer() or ["pip", "install", package])
+        raise MissingPackage(f"this needs {package}, which is not installed; {command} does it ({SIZE})", file=path)
+
+
+def installer() -> list[str] | None:
+    """The command that installs the extra ``export``; None: this environment was not made by ``./run``."""
+    run = os.environ.get("IMPACT_RS_RUN")
+    return None if run is None else [run, "sync", "export"]
