@@ -160,6 +160,10 @@ TIMES = "times repeatability"
 """Unit of sizes in multiples of repeatability."""
 
 
+SCALE = "the scale of each signal (half its relevance limit, and the model discrepancy)"
+"""What the size is a multiple of where nothing was repeated."""
+
+
 def _present_unit(unit: str) -> str:
     """``TIMES`` in the words of earlier versions."""
     return TIMES if unit == "times what repetition alone gives" else unit

@@ -124,14 +124,21 @@ def condition_scores(clusters: Sequence[Cluster]) -> tuple[ConditionScore, ...]:
     return tuple(ConditionScore(name=c.name, repeats=c.count, score=rounded(score_of([c]))) for c in clusters)
 
 
-def level_of(what: str, clusters: Sequence[Cluster], phases: tuple[str, ...]) -> Level:
-    """Root mean square differences of the signals of some phases, over all conditions, arm by arm."""
-    signals, every = signal_levels(clusters, phases)
+def level_of(what: str, clusters: Sequence[Cluster], phases: tuple[str, ...], by_limit: bool = False) -> Level:
+    """Root mean square differences of the signals of some phases, over all conditions, arm by arm.
+
+    Args:
+        what: What is compared.
+        clusters: The conditions.
+        phases: Phases of the signals; none: all.
+        by_limit: Whether differences are multiples of the relevance limit, because nothing was repeated.
+    """
+    signals, every = signal_levels(clusters, phases, by_limit=by_limit)
     return Level(what=what, times_noise=rounded(root_mean_square(every)), signals=tuple(signals))
 
 
 def signal_levels(
-    clusters: Sequence[Cluster], phases: tuple[str, ...] = (), by_joint: bool = False
+    clusters: Sequence[Cluster], phases: tuple[str, ...] = (), by_joint: bool = False, by_limit: bool = False
 ) -> tuple[list[SignalLevel], list[float]]:
     """Root mean square differences of signals over all conditions, and every difference over its noise.
 
@@ -139,6 +146,7 @@ def signal_levels(
         clusters: The conditions.
         phases: Phases of the signals; none: all.
         by_joint: Whether to list joint by joint; signals of no joint are then left out.
+        by_limit: Whether differences are multiples of the relevance limit, because nothing was repeated.
     """
     several = len({feature.arm for item in clusters for feature in item.features if feature.arm}) > 1
     found: dict[tuple[str, str, str, str, str], list[tuple[float, float, float, float, float]]] = {}
@@ -149,6 +157,8 @@ def signal_levels(
             joint = feature.index.rsplit(".", 1)[-1]
             if feature.phase in (phases or (feature.phase,)) and (joint.startswith("joint") or not by_joint):
                 noise = float(np.sqrt(pure**2 / item.count + own**2))
+                if by_limit and feature.relevance_limit > 0.0:
+                    noise = feature.relevance_limit / float(sigma)
                 arm, joint = feature.arm if several else "", joint if by_joint else ""
                 key = (arm, feature.phase, feature.signal, joint, feature.unit)
                 noise_of_mean = float(pure * sigma) / item.count**0.5
@@ -174,12 +184,19 @@ def signal_levels(
     return signals, [row[-1] for rows in found.values() for row in rows]
 
 
-def where_of(clusters: Sequence[Cluster]) -> list[Cell]:
-    """Residuals by object, case, phase, signal and index, largest first."""
+def where_of(clusters: Sequence[Cluster], by_limit: bool = False) -> list[Cell]:
+    """Residuals by object, case, phase, signal and index, largest first.
+
+    Args:
+        clusters: The conditions.
+        by_limit: Whether they are multiples of the relevance limit, because nothing was repeated.
+    """
     total = sum(float(np.sum(np.square(item.mean))) for item in clusters)
     found: dict[tuple[str, ...], list[tuple[float, float, float, str, float]]] = {}
     for item in clusters:
         noise = np.sqrt(item.expected_squares)
+        if by_limit:
+            noise = np.array([feature.relevance_limit for feature in item.features]) / item.sigma
         noise = np.where(noise > 0.0, noise, 1.0)
         for feature, mean, sigma, own in zip(item.features, item.mean, item.sigma, noise, strict=True):
             row = (float(mean / own), float(mean * sigma), float(mean), feature.unit, feature.relevance_limit)

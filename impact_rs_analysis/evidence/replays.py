@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from impact_rs_analysis.evidence.ante_impact import obliqueness
-from impact_rs_analysis.evidence.cluster import TIMES, Added, Cluster, pooled_error
+from impact_rs_analysis.evidence.cluster import SCALE, TIMES, Added, Cluster, pooled_error
 from impact_rs_analysis.evidence.discrepancy import Discrepancy, Kind, measured_discrepancy
 from impact_rs_analysis.evidence.levels import Comparison, condition_scores, level_of, signal_levels, where_of
 from impact_rs_analysis.evidence.measured_runs import MeasuredRun, Runs
@@ -210,7 +210,7 @@ class ReplaySource(Source):
         self.size_unit = TIMES if known else "-"
         self.size_is = (
             "size of the difference between measurement and replay over all features and conditions, in multiples of "
-            f"{'repeatability' if known else 'the relevance limit'}"
+            f"{'repeatability' if known else SCALE}"
         )
 
     @cached_property
@@ -270,11 +270,12 @@ class ReplaySource(Source):
 
     def compare_levels(self) -> Comparison:
         """See :meth:`Source.compare_levels`: free motion, and the replay through the impact."""
+        limited = self.noise_size() is None
         return Comparison(
-            levels={name: level_of(what, self.clusters, phases) for name, (what, phases) in LEVELS.items()},
-            where=tuple(where_of(self.clusters)),
+            levels={name: level_of(what, self.clusters, phases, limited) for name, (what, phases) in LEVELS.items()},
+            where=tuple(where_of(self.clusters, limited)),
             conditions=condition_scores(self.clusters),
-            joints=tuple(signal_levels(self.clusters, by_joint=True)[0]),
+            joints=tuple(signal_levels(self.clusters, by_joint=True, by_limit=limited)[0]),
         )
 
     def tracks(self, map_tasks: Map, added: Added = ()) -> tuple[Track, ...]:

@@ -12,7 +12,7 @@ from typing import Any
 
 from impact_rs_analysis.diagnosis.compare import ComparisonDocument
 from impact_rs_analysis.diagnosis.history import VersionError
-from impact_rs_analysis.evidence.cluster import TIMES
+from impact_rs_analysis.evidence.cluster import SCALE, TIMES
 from impact_rs_analysis.evidence.levels import Cell, JumpLevel, SignalLevel
 from impact_rs_analysis.evidence.tracks import Track
 from impact_rs_analysis.report.animation import ReplayPart
@@ -211,7 +211,8 @@ def comparison_in_words(document: ComparisonDocument) -> str:
         text = f"Velocity residual of model '{name}' after {document.trials} impacts: {score} {document.score_unit} rms"
         text += "." if noise is None else f" (noise alone: {number_text(noise)} {document.score_unit})."
     else:
-        text = f"Residual of model '{name}' in {document.trials} {document.source}: {score} × {yardstick}."
+        scale = SCALE if noise is None else yardstick
+        text = f"Residual of model '{name}' in {document.trials} {document.source}: {score} × {scale}."
     if noise is not None and document.score < HARDLY_MORE * noise:
         return f"{text} This is close to noise."
     if not document.where:

@@ -23,7 +23,7 @@ NO_OBJECT = ("", "none")
 REPEATABILITY = "repeatability"
 RELEVANCE_LIMIT = "the relevance limit"  # without repeats
 SPREAD = "the root mean square of all, by kinetic energy"  # of impacts without repeats and without known noise
-NOISE = "the noise of the signal"  # of a recorded torque
+NOISE = "the noise of the signal"  # of a recorded torque or an impact
 
 
 class Tag(StrEnum):

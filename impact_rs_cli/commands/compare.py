@@ -14,8 +14,10 @@ from impact_rs_analysis.diagnosis.document import TIMES
 from impact_rs_analysis.diagnosis.history import history
 from impact_rs_analysis.diagnosis.jump import JOINTS
 from impact_rs_analysis.evidence.aligned_bags import check_free, write_aligned
+from impact_rs_analysis.evidence.cluster import SCALE
 from impact_rs_analysis.evidence.tracks import track_of_run
-from impact_rs_analysis.report.comparison import write_comparison
+from impact_rs_analysis.report.comparison import write_comparison, yardstick_of
+from impact_rs_analysis.report.labels import RELEVANCE_LIMIT
 from impact_rs_cli.arguments import number, on_local_runs
 from impact_rs_cli.measurements import Measurements, measured, only_trials
 from impact_rs_cli.terminal import Terminal, output_folder
@@ -70,10 +72,12 @@ def _show(document: ComparisonDocument, terminal: Terminal) -> None:
     where = (
         f" in {len(document.conditions)} condition{'' if len(document.conditions) == 1 else 's'}" if of_trials else ""
     )
-    on_scale = of_trials or document.score_unit == TIMES
+    unit = f" {document.score_unit}"
+    if of_trials or document.score_unit == TIMES:
+        unit = "" if floor is not None else f" times {SCALE}"
     terminal.say(
         f"Model {document.model.name!r} against {document.trials} {document.source.removesuffix('s')}{many}{where}: "
-        f"score {number(document.score)}{'' if on_scale else ' ' + document.score_unit}{alone}"
+        f"score {number(document.score)}{unit}{alone}"
     )
     if len(document.arms) > 1:
         terminal.say(f"arms: {'; '.join(arm.title for arm in document.arms)}")
@@ -105,9 +109,8 @@ def _show_joints(document: ComparisonDocument, terminal: Terminal) -> None:
 
 
 def _show_levels(document: ComparisonDocument, terminal: Terminal) -> None:
-    alone = "the rms of all, by kinetic energy" if document.noise_floor is None else "the noise"
-    times = TIMES if document.source == "trials" or document.score_unit == TIMES else f"times {alone}"
-    table = Table(title=escape(f"How large the differences are [{times}]"))
+    yardstick = yardstick_of(document)
+    table = Table(title=escape(f"How large the differences are [times {yardstick}]"))
     table.add_column("level")
     table.add_column("difference", justify="right")
     table.add_column("worst signal")
@@ -128,7 +131,8 @@ def _show_levels(document: ComparisonDocument, terminal: Terminal) -> None:
     places.add_column("", no_wrap=True)  # of two arms it begins with the arm's name
     places.add_column("error", justify="right")
     shared = document.source == "impacts" and document.noise_floor is None
-    places.add_column("share" if shared else "x noise", justify="right")
+    limited = yardstick == RELEVANCE_LIMIT
+    places.add_column("share" if shared else "x limit" if limited else "x noise", justify="right")
     for cell in document.where[:8]:
         error = f"{cell.error:+.3g} {cell.unit}"
         size = f"{100 * cell.share:.0f} %" if shared else number(cell.times_noise)

@@ -1,20 +1,18 @@
 # SPDX-License-Identifier: Apache-2.0
 """Impacts of arms on an object, in runs of another controller: states of joints and object on both sides.
 
-Joint positions are continuous and their velocities jump. With T the time of the impact, every joint obeys
-
-    q(t) = q_0 + dq_minus (t - T) + c_minus (t - T)^2 / 2                                         t <= T
-    q(t) = q_0 + dq_plus  (t - T) + c_plus  (t - T)^2 / 2                                         t >  T
-
-in a window about it, linear but for T, which is where the residuals are least. Positions alone are used: a recorded
-velocity is often low-passed, and an encoder is not. The object rests or moves before; after, it slides (velocity and
+Joint velocities jump (:mod:`joint_jumps`). The object rests or moves before; after, it slides (velocity and
 deceleration are fitted) or flies (if it falls with g). Where it is seen too seldom for that, and comes to rest, the way
 D that it slid gives v with v^2 = 2 mu g D and the friction of the scenario's support.
+
+A run may hold several impacts. Each changes the velocities of joints and object by a part of the largest change at
+least, because a pushed object rattles at the pad; the motion of the object is fitted between one and the next.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pinocchio as pin
@@ -22,89 +20,62 @@ from numpy.typing import NDArray
 
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.robot import Array
+from impact_rs_trials.recordings.clock_offset import OBJECT_SIGNALS, clocks_apart
 from impact_rs_trials.recordings.experiment import RunRow
 from impact_rs_trials.recordings.impact_rows import ArmInImpact, Impact, NoRow
+from impact_rs_trials.recordings.joint_jumps import SMALLEST, JointJump, jumps_of
 from impact_rs_trials.recordings.laboratory import (
-    OBJECT_SIGNALS,
     SLOW_POSE,
     ArmSeries,
     Laboratory,
-    impact_time,
     in_inertial_frame,
     on_clock_of_joints,
 )
 from impact_rs_trials.recordings.mapping import SignalName
 from impact_rs_trials.recordings.motion_fits import AT_REST, FittedMotion, fly, move, rest
 from impact_rs_trials.recordings.plausibility import check_touch
-from impact_rs_trials.recordings.series import Series
 
+Jumps = Mapping[str, JointJump]  # of every arm, in one impact
 Rows = NDArray[np.signedinteger]
 
 NEEDED: tuple[SignalName, ...] = ("position", "velocity")
-WINDOW = 0.04  # s on either side, in which joint motion is a parabola,
-FEWEST = 6  # and at least so many samples
-SEARCHED = 0.02  # s about the largest change of velocity, in which the impact lies
-STEPS = 41  # times that are tried there
+TOGETHER = 0.1  # s, within which all arms hit
 BEFORE = 0.2  # s before the impact, in which the object rests or moves
 AFTER = (0.06, 0.15)  # s after it: of a first fit, and at most
 SLIDING = 0.8  # of the time until rest, that is fitted
 FALLS = 0.5  # of g, from which an object flies
 LEAST_OBJECT = 5  # samples of the object on a side
-JUMPS = 3.0  # standard deviations, from which the joints of an arm or the object are hit
-FRICTION_KNOWN = 0.1  # relative standard deviation of a scenario's friction
+JUMPS = 3.0  # standard deviations, from which the object is hit
 
 
 @dataclass(frozen=True)
-class JointJump:
-    """Joint motion about an impact.
+class _Seen:
+    """What is known of a run beside its impacts: the object in the scene's frame.
 
     Attributes:
-        time: T [s].
-        position: q_0, ``(n,)`` [rad].
-        before: dq_minus, ``(n,)`` [rad/s].
-        after: dq_plus, ``(n,)`` [rad/s].
-        noise: Standard deviation of the jump of every joint, ``(n,)`` [rad/s].
+        laboratory: Knows scenario and arms.
+        run: The run.
+        time: Stamps of the object, ``(p,)`` [s].
+        positions: Of its geometric centre, ``(p, 3)`` [m].
+        rotations: ``(p, 3, 3)``.
+        start: Of the run [s].
     """
 
-    time: float
-    position: Array
-    before: Array
-    after: Array
-    noise: Array
+    laboratory: Laboratory
+    run: RunRow
+    time: Array
+    positions: Array
+    rotations: Array
+    start: float
+
+    @property
+    def rate(self) -> float:
+        """Of the object [Hz]."""
+        return 1.0 / float(np.median(np.diff(self.time))) if self.time.size > 1 else 0.0
 
 
-def joint_jump(position: Series, near: float) -> JointJump | None:
-    """Joint motion about an impact near a time [s]; None: there are too few samples."""
-    period = float(np.median(np.diff(position.time)))
-    half = max(WINDOW, FEWEST * period)
-    rows = np.abs(position.time - near) <= half + max(SEARCHED, 2.0 * period)
-    time, values = position.time[rows], position.values[rows]
-    if time.size < 2 * FEWEST or near - time[0] < half / 2.0 or time[-1] - near < half / 2.0:
-        return None
-    reach = max(SEARCHED, 2.0 * period)
-    size = np.maximum(np.std(np.diff(values, n=2, axis=0), axis=0), 1e-12)
-    tried = near + np.linspace(-reach, reach, STEPS)
-    left = [float(np.sum(np.square(_broken(time, values, one)[1] / size))) for one in tried]
-    best = tried[int(np.argmin(left))]
-    inside = np.abs(time - best) <= half
-    fit, residual, covariance = _broken(time[inside], values[inside], best)
-    scatter = np.sqrt(np.sum(residual**2, axis=0) / max(int(inside.sum()) - fit.shape[0], 1))
-    jump = np.array([0.0, -1.0, 1.0, 0.0, 0.0])
-    noise = scatter * float(np.sqrt(jump @ covariance @ jump))
-    return JointJump(float(best), fit[0], fit[1], fit[2], noise)
-
-
-def _broken(time: Array, values: Array, impact: float) -> tuple[Array, Array, Array]:
-    """Coefficients of two parabolas that meet at the impact, residuals, and covariance over the squared scatter."""
-    t = time - impact
-    before, after = np.minimum(t, 0.0), np.maximum(t, 0.0)
-    basis = np.column_stack((np.ones_like(t), before, after, 0.5 * before**2, 0.5 * after**2))
-    fit = np.linalg.lstsq(basis, values, rcond=None)[0]
-    return fit, values - basis @ fit, np.linalg.pinv(basis.T @ basis)
-
-
-def impact_of_run(laboratory: Laboratory, run: RunRow) -> tuple[Impact | NoRow, tuple[str, ...]]:
-    """The impact of a run, or why it gives none; and what the user should know of how it was read.
+def impacts_of_run(laboratory: Laboratory, run: RunRow) -> tuple[list[Impact | NoRow], tuple[str, ...]]:
+    """The impacts of a run in their order, or why it gives none; and what the user should know of how it was read.
 
     Raises:
         InputError: A file is there and cannot be read.
@@ -115,47 +86,130 @@ def impact_of_run(laboratory: Laboratory, run: RunRow) -> tuple[Impact | NoRow, 
     try:
         arms = on_clock_of_joints(laboratory, run, wanted, NEEDED, remarks)
     except InputError as error:
-        return NoRow(run.label, error.message), ()
-    tracker = arms[laboratory.tracker]
-    pose = tracker.get("object_pose")
+        return [NoRow(run.label, error.message)], ()
+    pose = arms[laboratory.tracker].get("object_pose")
     if pose is None:
-        return NoRow(run.label, "the object was not tracked"), tuple(remarks)
-    jumps: dict[str, JointJump] = {}
-    for arm, own in arms.items():
-        found = joint_jump(own["position"], impact_time(own["velocity"]))
-        if found is None:
-            return NoRow(run.label, f"{laboratory.label(arm)}too few samples of the joints about the impact"), tuple(
-                remarks
-            )
-        jumps[arm] = found
-    result = _with_object(laboratory, run, arms, pose, jumps)
-    return result, tuple(remarks)
-
-
-def _with_object(
-    laboratory: Laboratory, run: RunRow, arms: dict[str, ArmSeries], pose: Series, jumps: dict[str, JointJump]
-) -> Impact | NoRow:
-    assert run.object is not None
-    time = float(np.mean([jump.time for jump in jumps.values()]))
+        return [NoRow(run.label, "the object was not tracked")], tuple(remarks)
+    moments = _moments(laboratory, arms)
+    if isinstance(moments, str):
+        return [NoRow(run.label, moments)], tuple(remarks)
     values = in_inertial_frame(laboratory.motion_capture, run, pose.values)
-    positions = values[:, :3]
     rotations = np.array([pin.XYZQUATToSE3(row).rotation for row in values])
-    early = np.flatnonzero((pose.time >= time - BEFORE) & (pose.time < time))
-    late = np.flatnonzero((pose.time > time) & (pose.time <= time + AFTER[1]))
+    start = float(arms[laboratory.tracker]["position"].time[0])
+    seen = _Seen(laboratory, run, pose.time, values[:, :3], rotations, start)
+    found, result = _hits(seen, moments)
+    own = [jumps[laboratory.tracker] for jumps in moments]
+    apart = clocks_apart(pose, arms[laboratory.tracker]["position"], own, run.path)
+    if apart is not None and (abs(apart.offset) < BEFORE or isinstance(result[0], NoRow)):
+        return [NoRow(run.label, apart.in_words(laboratory.mappings[laboratory.tracker]))], tuple(remarks)
+    if 0 < len(found) < len(moments):
+        remarks.append(
+            "joint velocities jump at other times as well: no rows, for the object changes its velocity much less "
+            "there, is seen too shortly, or is not at the pad"
+        )
+    return [_numbered(one, number) for number, one in enumerate(result, start=1)], tuple(remarks)
+
+
+def _hits(seen: _Seen, moments: list[Jumps]) -> tuple[list[Jumps], list[Impact | NoRow]]:
+    """Jumps that are impacts on the object and their rows in their order; or none, and why the largest gives no row."""
+    found: list[Jumps] = []
+    reasons: list[NoRow] = []
+    largest = 0.0
+    for jumps in sorted(moments, key=_size, reverse=True):
+        result = _with_object(seen, jumps, _between(jumps, found))
+        if isinstance(result, NoRow):
+            reasons.append(result)
+            continue
+        change = (result.after - result.before)[:3]
+        if not found or (np.linalg.norm(change) >= SMALLEST * largest and _pushed(seen, jumps, change)):
+            found = sorted([*found, jumps], key=_time)
+            largest = max(largest, float(np.linalg.norm(change)))
+    if not found:
+        return [], [reasons[0]]
+    return found, [_with_object(seen, jumps, _between(jumps, found)) for jumps in found]
+
+
+def _pushed(seen: _Seen, jumps: Jumps, change: Array) -> bool:
+    """Whether some pad, which can push and not pull, changes the object's velocity that way."""
+    models = seen.laboratory.models
+    return any(float(models[arm].placement(jump.position).rotation[:, 2] @ change) > 0.0 for arm, jump in jumps.items())
+
+
+def _between(jumps: Jumps, others: list[Jumps]) -> tuple[float, float]:
+    """Times of the impacts before and after one [s]; infinite where there is none."""
+    times = [_time(one) for one in others if one is not jumps]
+    at = _time(jumps)
+    return max((one for one in times if one < at), default=-np.inf), min(
+        (one for one in times if one > at), default=np.inf
+    )
+
+
+def _numbered(one: Impact | NoRow, number: int) -> Impact | NoRow:
+    if number == 1:
+        return one
+    if isinstance(one, Impact):
+        return replace(one, run=f"{one.run}, impact {number}")
+    return NoRow(f"{one.name}, impact {number}", one.reason)
+
+
+def _moments(laboratory: Laboratory, arms: Mapping[str, ArmSeries]) -> list[Jumps] | str:
+    """Jumps of all arms, impact by impact in their order; or why there is none."""
+    own = {arm: list(jumps_of(series["position"], SMALLEST)) for arm, series in arms.items()}
+    for arm, jumps in own.items():
+        if not jumps:
+            return (
+                f"{laboratory.label(arm)}the joint velocities never jump beyond their noise, or too few samples of "
+                "the joints are about the impact"
+            )
+    first, *others = own
+    moments = []
+    for jump in own[first]:
+        near = {arm: min(own[arm], key=lambda one: abs(one.time - jump.time)) for arm in others}  # noqa: B023
+        if all(abs(one.time - jump.time) <= TOGETHER for one in near.values()):
+            moments.append({first: jump, **near})
+    if not moments:
+        told = ", ".join(f"arm {arm!r} at {jumps[0].time - _start(arms):.3f} s" for arm, jumps in own.items())
+        return f"the arms do not hit together: the joint velocities jump most of {told}"
+    return sorted(moments, key=_time)
+
+
+def _start(arms: Mapping[str, ArmSeries]) -> float:
+    return min(float(series["position"].time[0]) for series in arms.values())
+
+
+def _time(jumps: Jumps) -> float:
+    return float(np.mean([jump.time for jump in jumps.values()]))
+
+
+def _size(jumps: Jumps) -> float:
+    return float(np.sqrt(sum(np.sum(np.square(jump.after - jump.before)) for jump in jumps.values())))
+
+
+def _with_object(seen: _Seen, jumps: Jumps, between: tuple[float, float]) -> Impact | NoRow:
+    """One impact, with the object's motion from the one before to the one after it."""
+    run, laboratory, pose_time = seen.run, seen.laboratory, seen.time
+    assert run.object is not None
+    time = _time(jumps)
+    early = np.flatnonzero((pose_time >= max(time - BEFORE, between[0])) & (pose_time < time))
+    late = np.flatnonzero((pose_time > time) & (pose_time <= min(time + AFTER[1], between[1])))
     if early.size < LEAST_OBJECT:
         return NoRow(run.label, f"{early.size} samples of the object before the impact, of {LEAST_OBJECT}")
-    ante = _before(pose.time, positions, rotations, early, time)
+    ante = _before(pose_time, seen.positions, seen.rotations, early, time)
     scenario = laboratory.scenario
-    outcomes = _slid(pose, positions, time, ante)
-    friction = scenario.support.friction
-    rate = 1.0 / float(np.median(np.diff(pose.time)))
-    if rate < SLOW_POSE or late.size < LEAST_OBJECT:
+    outcomes = _slid(seen, time, ante) if between[1] == np.inf else {}
+    turn_tracked = True
+    if seen.rate < SLOW_POSE or late.size < LEAST_OBJECT:
         way = outcomes.get("slide_distance [m]")
         if way is None:
-            return NoRow(run.label, f"the object is seen at {rate:.0f} Hz and does not come to rest: no velocity after")
-        post_twist, noise, law = _by_distance(positions, time, pose, way, friction)
+            return NoRow(
+                run.label,
+                f"{late.size} samples of the object at {seen.rate:.0f} Hz after the impact, and it does not come to "
+                "rest: no velocity after",
+            )
+        post_twist, noise, law = _by_distance(seen, time, way)
+        turn_tracked = False
     else:
-        post, law = _after(pose.time, positions, rotations, late, time)
+        post, law = _after(pose_time, seen.positions, seen.rotations, late, time)
         post_twist, noise = post.at(time)[2], post.noise
         sliding = -float(post.acceleration @ post_twist[:3]) / max(float(np.linalg.norm(post_twist[:3])), 1e-9)
         if law == "sliding" and sliding > 0.0:
@@ -183,10 +237,9 @@ def _with_object(
         )
         for arm, jump in jumps.items()
     }
-    since = time - float(arms[laboratory.tracker]["position"].time[0])
     return Impact(
-        run.label, run.condition, run.object, since, position, rotation, before, post_twist, noise, tolerance, law,
-        states, outcomes, session=run.session,
+        run.label, run.condition, run.object, time - seen.start, position, rotation, before, post_twist, noise,
+        tolerance, law, states, outcomes, turn_tracked, session=run.session,
     )  # fmt: skip
 
 
@@ -214,9 +267,9 @@ def _after(time: Array, positions: Array, rotations: Array, rows: Rows, at: floa
     return move(time[kept], positions[kept], rotations[kept], at), "sliding"
 
 
-def _slid(pose: Series, positions: Array, time: float, ante: FittedMotion) -> dict[str, float]:
+def _slid(seen: _Seen, time: float, ante: FittedMotion) -> dict[str, float]:
     """Way from the impact to rest, if the object comes to rest while it is seen."""
-    late = positions[pose.time > time]
+    late = seen.positions[seen.time > time]
     if len(late) < 2 * LEAST_OBJECT:
         return {}
     end = late[-LEAST_OBJECT:]
@@ -227,13 +280,10 @@ def _slid(pose: Series, positions: Array, time: float, ante: FittedMotion) -> di
     return {"slide_distance [m]": way} if way > 4.0 * noise else {}
 
 
-def _by_distance(
-    positions: Array, time: float, pose: Series, way: float, friction: float
-) -> tuple[Array, tuple[float, float], str]:
-    """Velocity after by the way that the object slid."""
-    start, end = positions[pose.time <= time][-1], positions[-1]
+def _by_distance(seen: _Seen, time: float, way: float) -> tuple[Array, tuple[float, float], str]:
+    """Velocity after by the way that the object slid, v = sqrt(2 mu g D); the turn does not follow from it."""
+    start, end = seen.positions[seen.time <= time][-1], seen.positions[-1]
     direction = (end - start) * [1.0, 1.0, 0.0]
-    speed = float(np.sqrt(2.0 * friction * 9.81 * way))
-    twist = np.concatenate((speed * direction / np.linalg.norm(direction), np.zeros(3)))
-    # v = sqrt(2 mu g D): half of the relative error of mu. The turn is not known from the distance.
-    return twist, (0.5 * FRICTION_KNOWN * speed, speed), "sliding distance"
+    speed = float(np.sqrt(2.0 * seen.laboratory.scenario.support.friction * 9.81 * way))
+    twist = np.concatenate((speed * direction / np.linalg.norm(direction), np.full(3, np.nan)))
+    return twist, (0.5 * seen.laboratory.friction_noise * speed, np.nan), "sliding distance"

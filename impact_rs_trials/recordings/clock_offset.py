@@ -16,7 +16,8 @@ over samples and columns.
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -25,6 +26,7 @@ import scipy
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.robot import Array
 from impact_rs_sim.robot_model import RobotModel
+from impact_rs_trials.recordings.joint_jumps import JointJump, jumps_of
 from impact_rs_trials.recordings.mapping import Mapping, SignalName
 from impact_rs_trials.recordings.plausibility import gravity_torques
 from impact_rs_trials.recordings.series import Series
@@ -36,6 +38,9 @@ FOUND_BY: dict[SignalName, str] = {
     "torque": "the weight at the positions",
     "command": "the weight at the positions",
 }
+OBJECT_SIGNALS: tuple[SignalName, ...] = ("object_pose", "object_position", "object_quaternion")
+AGREE = (0.010, 1.5)  # s, and periods of the pose, within which an object starts when it is hit,
+SURE = 5.0  # and standard deviations
 LEAST_OVERLAP = 0.5  # of the shorter stream
 CLEAR = 0.7  # least correlation from which an offset is believed
 APART = 0.05  # by which the correlation must fall beside the peak, else several offsets fit
@@ -72,23 +77,27 @@ def on_one_clock(
     return moved
 
 
-def with_start_at(path: Path, pose: Series, impact: float, mapping: Mapping, name: SignalName) -> Series:
+def with_start_at(path: Path, pose: Series, position: Series, key: str) -> Series:
     """The pose of an object on the clock of the joints: it starts to move in the impact.
 
     Args:
         path: File, for messages.
         pose: Position first, as its file has it.
-        impact: Time of the impact on the clock of the joints [s].
-        mapping: Says whether the pose has a clock of its own.
-        name: The signal that the pose comes from.
+        position: q, ``(m, n)``, whose velocities jump in the impact.
+        key: Key of the mapping, for messages.
 
     Raises:
-        InputError: The object does not start to move.
+        InputError: The object does not start to move, or the arm hits nothing.
     """
-    if mapping.signals[name].clock == "shared":
-        return pose
-    start, error = start_of_motion(pose, path, f"signals.{name}.clock")
-    return shifted(pose, impact - start, error, "the start of the object in the impact")
+    jump = next(jumps_of(position), None)
+    if jump is None:
+        raise InputError(
+            "the joint velocities never jump beyond their noise, so that nothing says when the object is hit: set "
+            "signals.NAME.delay and leave the key out", file=path, key=key, value="own",
+        )  # fmt: skip
+    start, error = start_of_motion(pose, path, key)
+    error = float(np.hypot(error, jump.time_error))
+    return shifted(pose, jump.time - start, error, "the start of the object in the impact")
 
 
 def start_of_motion(pose: Series, path: Path, key: str) -> tuple[float, float]:
@@ -137,6 +146,60 @@ def start_of_motion(pose: Series, path: Path, key: str) -> tuple[float, float]:
     scatter = max(float(np.sqrt(np.sum(np.square(s - design @ fit)) / max(len(s) - 3, 1))), noise)
     error = scatter * float(np.sqrt(at @ covariance @ at)) / max(speed, 1e-9)
     return float(time[0] + start), min(error, float(t[1]))
+
+
+@dataclass(frozen=True)
+class ClocksApart:
+    """An object that does not move from rest when an arm hits it.
+
+    Attributes:
+        offset: Start of the object less the impact of the arm; or between the first stamps of both [s].
+        error: Its standard deviation [s]; None: their stamps have no time in common.
+    """
+
+    offset: float
+    error: float | None
+
+    @property
+    def evidence(self) -> str:
+        """What shows it."""
+        if self.error is None:
+            return (
+                f"the stamps of the object begin {self.offset:+.6g} s after those of the joints, and have no time in "
+                "common with them"
+            )
+        return (
+            f"the object starts to move {1e3 * abs(self.offset):.1f} ms (+- {1e3 * self.error:.1g} ms) "
+            f"{'after' if self.offset > 0.0 else 'before'} the joint velocities jump"
+        )
+
+    def in_words(self, mapping: Mapping) -> str:
+        """Evidence and remedy."""
+        keys = " and ".join(f"signals.{name}.clock: own" for name in OBJECT_SIGNALS if name in mapping.signals)
+        return f"{self.evidence}: another clock? Remedy in the mapping: {keys}"
+
+
+def clocks_apart(pose: Series, position: Series, jumps: Sequence[JointJump], path: Path) -> ClocksApart | None:
+    """By how much the clock of an object differs from that of the joints; None: nothing shows that it does.
+
+    Args:
+        pose: Position of the object first, ``(k, 3 or more)``.
+        position: q, ``(m, n)``.
+        jumps: Where its velocities jump.
+        path: File, for messages.
+    """
+    if pose.time[0] > position.time[-1] or pose.time[-1] < position.time[0]:
+        return ClocksApart(float(pose.time[0] - position.time[0]), None)
+    try:
+        start, error = start_of_motion(pose, path, "")
+    except InputError:
+        return None
+    nearest = min(jumps, key=lambda jump: abs(start - jump.time), default=None)
+    if nearest is None:
+        return None
+    offset, uncertain = start - nearest.time, float(np.hypot(error, nearest.time_error))
+    allowed = max(AGREE[0], AGREE[1] * float(np.median(np.diff(pose.time))), SURE * uncertain)
+    return ClocksApart(float(offset), uncertain) if abs(offset) > allowed else None
 
 
 def shifted(series: Series, offset: float, error: float, found_by: str) -> Series:

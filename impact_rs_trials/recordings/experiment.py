@@ -38,6 +38,7 @@ BODY = "body"  # object of runs without a robot
 COLUMNS = ("bag", "object", "kind")
 SESSION = "session"  # column of the table of runs that the table of impacts has as well
 YAML = (".yaml", ".yml")
+FRICTION_NOISE = 0.1  # relative standard deviation of a scenario's friction, where nothing is said
 MOST_LISTED = 20  # names of runs in an error
 
 Result = TypeVar("Result")
@@ -135,6 +136,11 @@ class Experiment(Schema):
     motion_capture: MotionCapture = Field(
         default_factory=MotionCapture,
         description="world frame of the motion capture in the scenario's inertial frame; absent: they are the same",
+    )
+    friction_noise: Annotated[float, Field(ge=0.0, le=1.0)] = Field(
+        FRICTION_NOISE,
+        description="relative standard deviation of the friction of the scenario's support [-]; velocities that follow "
+        "from the way to rest have half of it",
     )
     _file: Path | None = PrivateAttr(None)
 

@@ -29,7 +29,6 @@ moves as it freezes. Found as well: all torques whose weight changes by 1 N m, a
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from collections.abc import Mapping as AbstractMapping
 from dataclasses import replace
 
@@ -38,6 +37,7 @@ from numpy.typing import NDArray
 
 from impact_rs_sim.robot import Array
 from impact_rs_sim.robot_model import RobotModel
+from impact_rs_trials.recordings.joint_jumps import impact_time
 from impact_rs_trials.recordings.mapping import Mapping, SignalName
 from impact_rs_trials.recordings.series import Series
 
@@ -68,7 +68,7 @@ def without_faults(
     series: AbstractMapping[SignalName, Series],
     mapping: Mapping,
     model: RobotModel | None = None,
-    impact_of: Callable[[Series], float] | None = None,
+    hit: bool = False,
 ) -> tuple[dict[SignalName, Series], list[str]]:
     """Signals without the samples that no sensor measured.
 
@@ -76,18 +76,13 @@ def without_faults(
         series: Signals of one arm in SI units, with checked stamps.
         mapping: Mapping with the robot and its limits.
         model: Model for the arm's weight; None: torques are not compared with it.
-        impact_of: Finds the impact in joint velocities, on the stamps' clock [s]; None: free motion.
+        hit: Whether the arm hits something; else it moves freely.
 
     Returns:
         The signals, and what was left out of each.
     """
     cleaned, remarks = dict(series), []
-    impact = None
-    if impact_of is not None and "velocity" in cleaned:
-        velocity = cleaned["velocity"]
-        impact = impact_of(
-            _without(velocity, _alone(velocity.values, FLOOR * np.array(mapping.facts.limits.velocity_rad_s)))
-        )
+    impact = _impact(cleaned["position"], cleaned["velocity"], mapping) if hit else None
     judged: tuple[SignalName, ...] = ("position", "velocity", "torque", "motor_position", "motor_velocity")
     for name in judged:
         if name in cleaned:
@@ -108,6 +103,13 @@ def without_faults(
         remarks += _remarks(cleaned[stuck], wrong, "frozen", mapping, stuck)
         cleaned[stuck] = _without(cleaned[stuck], wrong)
     return cleaned, remarks
+
+
+def _impact(position: Series, velocity: Series, mapping: Mapping) -> float:
+    """When the arm hits, by positions and velocities less their outliers [s]."""
+    alone = _alone(velocity.values, FLOOR * np.array(mapping.facts.limits.velocity_rad_s))
+    kept = _without(position, outliers("position", position, mapping, None))
+    return impact_time(kept, _without(velocity, alone))
 
 
 # ---- outliers -------------------------------------------------------------------------------------------------------

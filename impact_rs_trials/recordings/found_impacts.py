@@ -13,7 +13,7 @@ import pinocchio as pin
 
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.robot import Array
-from impact_rs_trials.recordings.arm_impacts import impact_of_run
+from impact_rs_trials.recordings.arm_impacts import impacts_of_run
 from impact_rs_trials.recordings.body_impacts import TrackedBody, impacts_of_bodies
 from impact_rs_trials.recordings.experiment import Body, Experiment, Plane, RunRow, read_runs
 from impact_rs_trials.recordings.impact_rows import Impact, NoRow
@@ -27,6 +27,10 @@ from impact_rs_trials.workers import Map
 SPIN = (
     "the turn of the ball was not tracked: its spin before the impacts is that of body.spin, on which its friction "
     "depends, and none is compared after them"
+)
+NO_TURN = (
+    "of {} of {} impacts the velocity after follows from the way to rest, from which no angular velocity follows: the "
+    "table has no columns w_after"
 )
 POSE: tuple[SignalName, ...] = ("object_pose", "object_position", "object_quaternion")
 
@@ -72,18 +76,18 @@ def find_impacts(directory: Path, experiment: Experiment, map_tasks: Map) -> Fou
     impacts: list[Impact] = []
     left_out: list[NoRow] = []
     remarks: Counter[str] = Counter()
-    for result, said in map_tasks(_arm_task, [(laboratory, run) for run in hits]):
+    for results, said in map_tasks(_arm_task, [(laboratory, run) for run in hits]):
         remarks.update(dict.fromkeys(said, 1))
-        if isinstance(result, Impact):
-            impacts.append(result)
-        else:
-            left_out.append(result)
-    said = tuple(_counted(remarks, len(hits)))
-    return FoundImpacts(tuple(impacts), tuple(left_out), len(hits), {}, said)
+        impacts += [one for one in results if isinstance(one, Impact)]
+        left_out += [one for one in results if isinstance(one, NoRow)]
+    said = list(_counted(remarks, len(hits)))
+    if unknown := sum(not impact.turn_tracked for impact in impacts):
+        said.append(NO_TURN.format(unknown, len(impacts)))
+    return FoundImpacts(tuple(impacts), tuple(left_out), len(hits), {}, tuple(said))
 
 
-def _arm_task(task: tuple[Laboratory, RunRow]) -> tuple[Impact | NoRow, tuple[str, ...]]:
-    return impact_of_run(*task)
+def _arm_task(task: tuple[Laboratory, RunRow]) -> tuple[list[Impact | NoRow], tuple[str, ...]]:
+    return impacts_of_run(*task)
 
 
 def _counted(remarks: Counter[str], runs: int) -> Iterator[str]:

@@ -26,9 +26,7 @@ from impact_rs_sim.proportion import Proportion
 from impact_rs_sim.robot import Array, RobotFacts
 from impact_rs_sim.robot_model import RobotModel
 from impact_rs_trials.recordings.clock import seconds_of
-from impact_rs_trials.recordings.clock_offset import misfit
 from impact_rs_trials.recordings.mapping import SLIDES, TURNS, UNITS
-from impact_rs_trials.recordings.series import Series
 from impact_rs_trials.recordings.table_file import DATE
 
 STAMP = re.compile(r"(^|[^a-z])(t|time|times|timestamp|stamp|sec|secs|nsec)([^a-z]|$)|time|stamp", re.IGNORECASE)
@@ -50,8 +48,6 @@ MOST_APART = 30.0  # ratio of torque constants of one arm
 MOVES = 0.02  # of the data sheet's velocity, rms, from which a joint moves
 NOTICED = 0.3  # of what the largest joint takes by weight and inertia, in proportion to the robot [N m]
 LOOKED_AT = 400  # samples in which the torque is compared
-LAG = 0.002  # s, from which a lag is said
-LONGEST_LAG = 0.1  # s
 UNIT_LENGTH = 0.02  # by which a quaternion may be off length 1
 REACH = 20.0  # m; a position beyond it is in millimetres
 
@@ -218,7 +214,7 @@ def velocity_of(time: Array, position: Array, raw: Array, facts: RobotFacts) -> 
                 f"(correlation {_range(together[moving])})"
             )
             further = {} if np.all(signs > 0.0) else {"factor": _signs(signs)}
-            remarks = (*_against_each_other(moving, ratio, together), *_lag(time, position, raw, moving))
+            remarks = _against_each_other(moving, ratio, together)
             return sure, Guess(_common(units), said, True, further, remarks)
     return None
 
@@ -240,23 +236,6 @@ def _against_each_other(moving: NDArray[np.bool_], ratio: Array, together: Array
 
 def _joints(numbers: NDArray[np.signedinteger]) -> str:
     return ", ".join(str(number + 1) for number in numbers)
-
-
-def _lag(time: Array, position: Array, raw: Array, moving: NDArray[np.bool_]) -> tuple[str, ...]:
-    """Whether velocities lag behind the positions, as low-passed ones do."""
-    at, q = smoothed(time, position[:, moving])
-    derived = Series("", at, np.gradient(q, at, axis=0))
-    measured = Series("", *smoothed(time, raw[:, moving]))
-    period = float(np.median(np.diff(time)))
-    lags = np.arange(-LONGEST_LAG, LONGEST_LAG, max(period / 4.0, 5e-4))
-    errors = [misfit(derived, measured, -float(lag))[0] for lag in lags]
-    best = float(lags[int(np.argmin(errors))])
-    if best < max(LAG, period / 2.0) or min(errors) > 0.8 * misfit(derived, measured, 0.0)[0]:
-        return ()
-    return (
-        f"the velocities lag {1e3 * best:.0f} ms behind the derivative of the positions: they were low-passed; "
-        f"signals.velocity.delay: {-best:.4g} moves them back",
-    )
 
 
 def copy_of_motion(time: Array, position: Array, velocity: Array, raw: Array) -> str | None:

@@ -69,7 +69,8 @@ class Impact:
         model: Law that was fitted after the impact.
         arms: Arms by name; empty: a free body.
         outcomes: What was measured later: friction of the support [-], distance [m].
-        turn_tracked: Whether angular velocities were measured; if not, that before is assumed, and none after is known.
+        turn_tracked: Whether angular velocities after were measured; if not, none is known. That of a free body before
+            is assumed then.
     """
 
     run: str
@@ -103,7 +104,7 @@ def table_text(impacts: Sequence[Impact], constants: Mapping[str, float]) -> str
     header += POSE
     header += [f"v{axis}_before [m/s]" for axis in "xyz"] + [f"w{axis}_before [rad/s]" for axis in "xyz"]
     header += [f"v{axis}_after [m/s]" for axis in "xyz"]
-    turned = impacts[0].turn_tracked
+    turned = all(impact.turn_tracked for impact in impacts)
     header += [f"w{axis}_after [rad/s]" for axis in "xyz"] if turned else []
     for name, arm in impacts[0].arms.items():
         label = f"{name}." if several else ""

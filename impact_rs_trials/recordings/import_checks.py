@@ -1,19 +1,27 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Whether a run is as a mapping describes it, which was made of another one."""
+"""Whether a run is as a mapping describes it: of another run, of joints in a hit, of two clocks."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping as AbstractMapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pinocchio as pin
 from numpy.typing import NDArray
 
+from impact_rs_sim.errors import InputError
 from impact_rs_sim.robot_model import RobotModel
+from impact_rs_trials.recordings.clock_offset import OBJECT_SIGNALS, ClocksApart, clocks_apart
 from impact_rs_trials.recordings.guesses import torque_of, unit_of_position, velocity_of
-from impact_rs_trials.recordings.mapping import Mapping, SignalName
+from impact_rs_trials.recordings.joint_checks import doubts_of_arm
+from impact_rs_trials.recordings.joint_jumps import SMALLEST, jumps_of
+from impact_rs_trials.recordings.mapping import REQUIRED, Mapping, SignalName
 from impact_rs_trials.recordings.series import Names, Series
 from impact_rs_trials.recordings.sources import read_series
+from impact_rs_trials.runs import ArmSignals
 
 MOST_SAMPLES = 20_000  # that are looked at
 FEWEST_SAMPLES = 20
@@ -84,3 +92,41 @@ def object_moves(path: Path, mapping: Mapping, names: Names) -> bool:
     read = read_series(path, mapping, [name], [name], names)[name]
     seen = read.values[np.isfinite(read.values).all(axis=1), :3]
     return bool(len(seen)) and float(np.max(np.linalg.norm(seen - np.median(seen[:5], axis=0), axis=1))) > MOVED
+
+
+def doubts_of_hit(read: AbstractMapping[SignalName, Series], mapping: Mapping) -> list[str]:
+    """What looks wrong in the joints of a run that hits something.
+
+    Args:
+        read: Its signals, with position and torque.
+        mapping: Describes it.
+    """
+    time = read["position"].time
+    signals = {name: read[name].at(time) for name in REQUIRED if name in read}
+    if "velocity" not in signals:
+        signals["velocity"] = read["position"].derivative().values
+    arm = ArmSignals(signals["position"], signals["velocity"], signals["torque"])
+    model = RobotModel(mapping.facts, mapping.end_effector.build(), pin.SE3.Identity())
+    return doubts_of_arm(time, arm, mapping, model, contact=True)
+
+
+def clocks_of(path: Path, mapping: Mapping, names: Names) -> ClocksApart | None:
+    """What shows that joints and object of a run have two clocks.
+
+    Args:
+        path: The run.
+        mapping: Describes it.
+        names: What the placeholders of the mapping stand for.
+
+    Returns:
+        By how much they differ; None: nothing shows it, or the run cannot be read.
+    """
+    wanted: list[SignalName] = ["position", *(name for name in OBJECT_SIGNALS if name in mapping.signals)]
+    try:
+        read = read_series(path, mapping, wanted, wanted, names)
+    except InputError:
+        return None
+    position, pose = read["position"], read["object_pose" if "object_pose" in read else "object_position"]
+    kept = np.isfinite(pose.values).all(axis=1)
+    pose = replace(pose, time=pose.time[kept], values=pose.values[kept])
+    return clocks_apart(pose, position, list(jumps_of(position, SMALLEST)), path) if kept.any() else None

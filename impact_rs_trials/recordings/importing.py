@@ -38,6 +38,7 @@ from impact_rs_trials.recordings.candidates import (
     vector_width,
     width_of,
 )
+from impact_rs_trials.recordings.clock_offset import OBJECT_SIGNALS
 from impact_rs_trials.recordings.file_groups import OBJECT, FileGroups, group_files, recordings_in
 from impact_rs_trials.recordings.guesses import (
     Guess,
@@ -51,7 +52,15 @@ from impact_rs_trials.recordings.guesses import (
     unit_of_position,
     velocity_of,
 )
-from impact_rs_trials.recordings.import_checks import FEWEST_SAMPLES, MOVED, doubt_of, object_moves, usable_rows
+from impact_rs_trials.recordings.import_checks import (
+    FEWEST_SAMPLES,
+    MOVED,
+    clocks_of,
+    doubt_of,
+    doubts_of_hit,
+    object_moves,
+    usable_rows,
+)
 from impact_rs_trials.recordings.import_texts import ARM, BODY, FoundRun, Line, flow, mapping_text, runs_text
 from impact_rs_trials.recordings.inner_runs import RUN, run_column_of, run_groups_of, runs_of
 from impact_rs_trials.recordings.mapping import (
@@ -79,6 +88,7 @@ MOST_SHOWN = 3  # signals of a kind in a message
 NAMED = 0.3  # correlation that a name is worth
 ASKED_FOR = re.compile(r"des|ref|target|goal|cmd|command|set_?point|(^|_)d(_|\d|$)|filt|err", re.IGNORECASE)
 OF_THE_ROBOT = re.compile(r"eef|(^|_)ee(_|$)|tcp|tool|flange|hand", re.IGNORECASE)
+MOST_RUNS = 5  # whose clocks are looked at
 AXES = ("x", "y", "z")
 QUATERNION = (("x", "y", "z", "w"), ("w", "x", "y", "z"))
 MOST_COMPARED = 10  # runs beside the first
@@ -328,6 +338,8 @@ class _Importer:
         content["signals"] = signals
         mapping = validate(Mapping, content | {"robot": robot}, self._output / "mapping.yaml")
         rows = self._runs(mapping)
+        if facts is not None and self._clock_of_object(mapping, rows, signals):
+            mapping = validate(Mapping, content | {"robot": robot}, self._output / "mapping.yaml")
         texts = {"mapping.yaml": mapping_text(content, self._lines), "runs.csv": runs_text(rows, facts is None)}
         hits = sum(row.hit for row in rows)
         if hits or facts is None or self._wishes.scenario is not None:
@@ -819,6 +831,21 @@ class _Importer:
             self._say("object in runs.csv", flow([row.object for row in rows][:3]), "say which object was hit", False)
         return rows
 
+    def _clock_of_object(self, mapping: Mapping, rows: Sequence[FoundRun], signals: dict[str, dict[str, Any]]) -> bool:
+        """Give the object a clock of its own where it does not start to move when the arm hits; whether it was so."""
+        names = [name for name in OBJECT_SIGNALS if name in signals]
+        hits = [row for row in rows if row.hit][:MOST_RUNS]
+        seen = [clocks_of(self._groups.folder / row.run, mapping, row.names) for row in hits] if names else []
+        apart = [one for one in seen if one is not None]
+        if 2 * len(apart) <= len(seen):
+            return False
+        middle = sorted(apart, key=lambda one: one.offset)[len(apart) // 2]
+        said = f"{middle.evidence}; so in {len(apart)} of {len(seen)} runs that were looked at"
+        for name in names:
+            signals[name]["clock"] = "own"
+            self._say(f"signals.{name}.clock", "own", said)
+        return True
+
     def _experiment(self, facts: RobotFacts | None, robot: str) -> str:
         if facts is None:
             return BODY
@@ -841,6 +868,8 @@ class _Importer:
                 wanted: list[SignalName] = list(mapping.signals)
                 read = read_series(path, mapping, wanted, wanted, row.names)
                 self._remarks += [remark for one in read.values() for remark in one.remarks]
+                if mapping.robot != NO_ROBOT:
+                    self._remarks += doubts_of_hit(read, mapping)
             else:
                 target = path if path.exists() or path.parent.is_file() else path.parent
                 self._remarks += [remark for run in read_recordings(target, mapping)[:1] for remark in run.remarks]

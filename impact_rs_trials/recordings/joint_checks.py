@@ -1,17 +1,26 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Checks of a recorded arm, joint by joint, that need no friction model: signs and units.
+"""Checks of a recorded arm, joint by joint, that need no friction model: signs, units, lags and repeated samples.
 
-* *Velocity* is the derivative of position: sum dq/dt v / sum (dq/dt)^2 = 1. After moving averages, for encoders are
-  quantised, the two go together at least; where they do not, columns were mixed up.
+* *Velocity* is the derivative of position. After moving averages, for encoders are quantised, each joint is fitted by
+
+      v = a (dq/dt - L d^2q/dt^2)
+
+  to first order in a lag L. a is 1 and L is 0; both have the standard errors of the fit. Where the two do not go
+  together at all, columns were mixed up.
 * *Torque* carries the arm's weight, which positions alone give: sum g tau / sum g^2 = 1.
 * *Energy*: a torque drives a joint against its friction, so that the power (tau - g) v is rarely negative. Where the
   weight says nothing, as at a vertical axis, the sign of that correlation does.
+* *Lag of torque*: tau(t + L) is fitted by rigid-body torque, Coulomb and viscous friction and an offset in every joint;
+  L minimises sum_j log sum r_j^2.
+* *Repeated samples*: all joints keep their numbers and then change by much more than the resolution, over and over.
 
 A ratio far from 1 counts only if the two signals go together (their correlation); noise and friction lower it and
 do not turn its sign.
 """
 
 from __future__ import annotations
+
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -22,7 +31,18 @@ from impact_rs_trials.recordings.mapping import Mapping, SignalName
 from impact_rs_trials.recordings.plausibility import CHECKED, gravity_torques, noticed
 from impact_rs_trials.runs import ArmSignals
 
-RATIO = (0.5, 2.0)
+RATIO = (0.5, 2.0)  # of torque and weight; friction and loads are in it
+SAME = 0.1  # by which velocities may differ from the derivative of their positions, as low-passed ones do,
+SURE = 5.0  # and standard deviations
+LAG = (0.005, 1.0)  # s, and sampling periods, from which a lag is said
+LONGEST_LAG = 0.1  # s
+LEAST_OF_LAG = 100  # samples
+LOOKED_AT = 1000  # samples in which torques are compared
+SLOW = 0.02  # rad/s, below which Coulomb friction is not full
+BETTER = 30.0  # log likelihood by which a lag must fit better than none
+REPEATED = 0.3  # of the samples, from which repeats are said
+COARSE = 10.0  # steps of the resolution, from which a change was missed by the samples before
+PAUSE = 0.2  # s, from which equal samples are a rest
 TOGETHER = 0.8  # least correlation of signals that differ by a factor
 APART = 0.5  # correlation, after moving averages, below which a velocity is not the derivative of its position
 AGAINST = -0.5  # correlation of torque and velocity below which a torque drives nothing
@@ -45,33 +65,157 @@ def doubts_of_arm(
     weight, derived = gravity_torques(model, arm.position[rows]), np.gradient(arm.position, time, axis=0)
     moves = [_rms(own) > MOVES * most for own, most in zip(derived.T, mapping.facts.limits.velocity_rad_s, strict=True)]
     at, places = smoothed(time, arm.position)
-    slopes, means = np.gradient(places, at, axis=0), smoothed(time, arm.velocity)[1]
+    means = smoothed(time, arm.velocity)[1]
+    slopes = np.gradient(places, at, axis=0)
+    motion = _JointMotion(at, slopes, np.gradient(slopes, at, axis=0), max(1, time.size - at.size + 1))
     speeds: dict[int, str] = {}
     mixed = []
     torques: dict[int, str] = {}
+    lags: list[tuple[float, float]] = []
     factors = {"velocity": np.ones(len(moves)), "torque": np.ones(len(moves))}
     for joint, moving in enumerate(moves):
         own, heavy = weight[:, joint], _rms(weight[:, joint]) > noticed(model)
-        if moving and (ratio := _ratio(arm.velocity[:, joint], derived[:, joint])) is not None:
-            speeds[joint] = f"is {ratio:.2g} times the derivative of its position, expected 1"
-            factors["velocity"][joint] = _remedy(ratio)
+        if moving and abs(_together(means[:, joint], slopes[:, joint])) >= TOGETHER:
+            ratio, error, *lag = motion.fit(joint, means[:, joint])
+            if abs(ratio - 1.0) > max(SAME, SURE * error):
+                speeds[joint] = f"is {ratio:.3g} times the derivative of its position (+- {error:.1g}), expected 1"
+                factors["velocity"][joint] = _remedy(ratio)
+            lags.append((lag[0], lag[1]))
         if moving and abs(together := _together(means[:, joint], slopes[:, joint])) < APART:
             mixed.append(f"of joint {joint + 1} (correlation {together:.2f})")
         if contact or not np.ptp(arm.torque[:, joint]):  # not measured
             continue
-        if heavy and (ratio := _ratio(arm.torque[rows, joint], own)) is not None:
-            torques[joint] = f"is {ratio:.2g} times the arm's weight, expected 1"
-            factors["torque"][joint] = _remedy(ratio)
+        if heavy and (ratio_of_weight := _ratio(arm.torque[rows, joint], own)) is not None:
+            torques[joint] = f"is {ratio_of_weight:.2g} times the arm's weight, expected 1"
+            factors["torque"][joint] = _remedy(ratio_of_weight)
         against = _together(arm.torque[rows, joint] - own, factors["velocity"][joint] * arm.velocity[rows, joint])
         if moving and not heavy and against < AGAINST:
             torques[joint] = f"points against its motion (correlation {against:.2f}), as if friction drove it"
             factors["torque"][joint] = -1.0
     remark = f"velocity {', '.join(mixed)} is not the derivative of its position: columns of other joints?"
+    period = float(np.median(np.diff(time)))
     return [
         *([remark] if mixed and "velocity" in mapping.signals else []),
         *_remarks("velocity", speeds, factors["velocity"], mapping),
         *_remarks("torque", torques, factors["torque"], mapping),
+        *(_lag_of_velocity(lags, period, mapping) if "velocity" in mapping.signals else []),
+        *([] if contact or torques or not any(moves) else _lag_of_torque(time, arm, moves, model, mapping)),
+        *_repeats(time, arm),
     ]
+
+
+@dataclass(frozen=True)
+class _JointMotion:
+    """What velocities should be.
+
+    Attributes:
+        time: ``(k,)`` [s].
+        speed: dq/dt, ``(k, n)``.
+        acceleration: ``(k, n)``.
+        width: Samples of the moving average, which have one independent error.
+    """
+
+    time: Array
+    speed: Array
+    acceleration: Array
+    width: int
+
+    def fit(self, joint: int, measured: Array) -> tuple[float, float, float, float]:
+        """Factor and lag [s] of a measured velocity ``(k,)``, each with its standard error."""
+        basis = np.column_stack((self.speed[:, joint], self.acceleration[:, joint]))
+        fit = np.linalg.lstsq(basis, measured, rcond=None)[0]
+        left = float(np.mean(np.square(measured - basis @ fit)))
+        errors = np.sqrt(left * self.width * np.diag(np.linalg.pinv(basis.T @ basis)))
+        return float(fit[0]), float(errors[0]), float(-fit[1] / fit[0]), float(errors[1] / abs(fit[0]))
+
+
+def _lag_of_velocity(lags: list[tuple[float, float]], period: float, mapping: Mapping) -> list[str]:
+    """Whether velocities are older than positions, by all joints together."""
+    if not lags:
+        return []
+    values, errors = np.array(lags).T
+    weights = 1.0 / np.square(np.maximum(errors, 1e-6))
+    lag = float(np.sum(weights * values) / np.sum(weights))
+    spread = np.sqrt(float(np.sum(weights * np.square(values - lag)) / np.sum(weights)) / len(lags))
+    error = float(np.hypot(1.0 / np.sqrt(np.sum(weights)), spread))
+    if abs(lag) < max(LAG[0], LAG[1] * period, SURE * error):
+        return []
+    return [_late("velocities", "the derivative of the positions", lag, error, "velocity", mapping)]
+
+
+def _lag_of_torque(time: Array, arm: ArmSignals, moves: list[bool], model: RobotModel, mapping: Mapping) -> list[str]:
+    """Whether torques are older than positions, by all joints that move."""
+    at, q = smoothed(time, arm.position)
+    torque = smoothed(time, arm.torque)[1]
+    dq = np.gradient(q, at, axis=0)
+    ddq = np.gradient(dq, at, axis=0)
+    inside = np.flatnonzero((at > at[0] + LONGEST_LAG) & (at < at[-1] - LONGEST_LAG))
+    if inside.size < LEAST_OF_LAG:
+        return []
+    rows = inside[np.unique(np.linspace(0, inside.size - 1, LOOKED_AT).astype(int))]
+    rigid = np.array([model.inverse_dynamics(q[row], dq[row], ddq[row]) for row in rows])
+    period = float(np.median(np.diff(time)))
+    tried = np.arange(-LONGEST_LAG, LONGEST_LAG, max(0.5 * period, 1e-3))
+    independent = min(
+        rows.size, (at[rows[-1]] - at[rows[0]]) * at.size / ((time.size - at.size + 1) * (at[-1] - at[0]))
+    )
+    likelihood = np.zeros(tried.size)
+    for joint in np.flatnonzero(np.array(moves) & (np.ptp(arm.torque, axis=0) > 0.0)):
+        speed = dq[rows, joint]
+        basis = np.column_stack((rigid[:, joint], np.tanh(speed / SLOW), speed, np.ones(rows.size)))
+        known = np.linalg.qr(basis)[0]
+        shifted = np.array([np.interp(at[rows] + lag, at, torque[:, joint]) for lag in tried])
+        left = np.sum(np.square(shifted), axis=1) - np.sum(np.square(shifted @ known), axis=1)
+        likelihood -= 0.5 * independent * np.log(np.maximum(left, 1e-12))
+    best = int(np.argmax(likelihood))
+    none = float(np.interp(0.0, tried, likelihood))
+    lag = float(tried[best])
+    if not 0 < best < tried.size - 1 or abs(lag) < max(LAG[0], LAG[1] * period) or likelihood[best] - none < BETTER:
+        return []
+    step = tried[1] - tried[0]
+    bend = -(likelihood[best - 1] - 2.0 * likelihood[best] + likelihood[best + 1]) / step**2
+    error = float(np.hypot(step / np.sqrt(12.0), 1.0 / np.sqrt(max(bend, 1e-12))))
+    return [_late("torques", "the torque that the motion takes", lag, error, "torque", mapping)]
+
+
+def _late(what: str, reference: str, lag: float, error: float, name: SignalName, mapping: Mapping) -> str:
+    """A lag with its remedy."""
+    delay = mapping.signals[name].delay - lag
+    how = "behind" if lag > 0.0 else "ahead of"
+    return (
+        f"{what} are {1e3 * abs(lag):.0f} ms (+- {1e3 * error:.1g} ms) {how} {reference}: low-passed, or columns of "
+        f"different age? Remedy in the mapping: signals.{name}.delay: {delay:.4g}"
+    )
+
+
+def _repeats(time: Array, arm: ArmSignals) -> list[str]:
+    """Signals whose samples are repeated while the joints go on."""
+    found: dict[str, list[str]] = {}
+    for name in ("position", "velocity", "torque"):
+        if (text := _repeated(time, getattr(arm, name))) is not None:
+            found.setdefault(text, []).append(name)
+    return [f"{', '.join(names)} of all joints {text}" for text, names in found.items()]
+
+
+def _repeated(time: Array, values: Array) -> str | None:
+    """How often samples are repeated, and the remedy; None: they are not."""
+    steps = np.abs(np.diff(values, axis=0))
+    changed = np.flatnonzero(np.any(steps > 0.0, axis=1))
+    if changed.size < 2:
+        return None
+    period = float(np.median(np.diff(time)))
+    resolution = np.min(np.where(steps > 0.0, steps, np.inf), axis=0)
+    lasts = np.diff(changed)  # samples with one value
+    missed = np.any(steps[changed[1:]] > COARSE * resolution, axis=1) & (lasts * period < PAUSE)
+    repeated = int(np.sum(lasts[missed] - 1))
+    if repeated < REPEATED * time.size:
+        return None
+    each = float(np.mean(lasts[missed]))
+    return (
+        f"stay the same in {100.0 * repeated / time.size:.0f} % of the samples while the arm moves: every number "
+        f"stands {each:.2g} times, as if measured at {1.0 / period / each:.3g} Hz and written at {1.0 / period:.3g} "
+        f"Hz. Remedy: of equal rows keep the first, or low_pass: {0.25 / period / each:.2g} in the mapping"
+    )
 
 
 def _remarks(name: SignalName, doubts: dict[int, str], factors: Array, mapping: Mapping) -> list[str]:

@@ -42,11 +42,19 @@ from impact_rs_trials.recordings.clock import (
     grid_from,
     tell_gaps,
 )
-from impact_rs_trials.recordings.clock_offset import on_one_clock, with_start_at
+from impact_rs_trials.recordings.clock_offset import OBJECT_SIGNALS, on_one_clock, with_start_at
 from impact_rs_trials.recordings.contact_frame import ContactFrame, PadOnFace, contact_frame
-from impact_rs_trials.recordings.experiment import Experiment, MotionCapture, RunRow, read_runs, run_named
+from impact_rs_trials.recordings.experiment import (
+    FRICTION_NOISE,
+    Experiment,
+    MotionCapture,
+    RunRow,
+    read_runs,
+    run_named,
+)
 from impact_rs_trials.recordings.faults import without_faults
 from impact_rs_trials.recordings.joint_checks import doubts_of_arm
+from impact_rs_trials.recordings.joint_jumps import impact_time
 from impact_rs_trials.recordings.mapping import REQUIRED, SignalName
 from impact_rs_trials.recordings.mapping import Mapping as SignalMapping
 from impact_rs_trials.recordings.plausibility import (
@@ -66,7 +74,6 @@ from impact_rs_trials.workers import Map
 logger = logging.getLogger(__name__)
 
 ARM_SIGNALS: tuple[SignalName, ...] = (*REQUIRED, "motor_position", "motor_velocity")
-OBJECT_SIGNALS: tuple[SignalName, ...] = ("object_pose", "object_position", "object_quaternion")
 
 LEAST_SAMPLES = 20
 WALL_CLOCK = 1e9  # s; stamps above it count from 1970 (this is 2001), those below from the start of some program
@@ -76,7 +83,6 @@ GAP_REPORTED = 0.005  # s, longer than this; a shorter one fits into the window 
 GAP_CUT = 0.010  # s; longer gaps are not interpolated
 JUMP = 0.1  # s, a longer step is a jump of the clock
 JITTER = 0.2  # periods by which stamps may be off the regular grid without a remark
-IMPACT_WINDOW = 0.008  # s, over which the change of joint velocity is largest at the impact
 TOUCHING = (0.02, 0.1)  # s from the impact on, in which the pad lies flat on the face and pushes it
 FOLLOWED = 0.3  # s from the impact on, in which the object goes where the pad goes
 SLOW_JOINTS = 200.0  # Hz
@@ -102,12 +108,14 @@ class Laboratory:
         mappings: Where the signals of each arm are.
         motion_capture: Where its world is.
         placed: How that was found; None: it was given.
+        friction_noise: Relative standard deviation of the friction of the scenario's support [-].
     """
 
     scenario: Scenario
     mappings: Mapping[str, SignalMapping]
     motion_capture: MotionCapture
     placed: ContactFrame | None = None
+    friction_noise: float = FRICTION_NOISE
 
     @classmethod
     def of(cls, experiment: Experiment) -> Laboratory:
@@ -126,7 +134,9 @@ class Laboratory:
             return {"file": experiment.file, "key": f"mapping.{arm}", "value": named[arm]}
 
         scenario = experiment.load_scenario()
-        return cls.checked(scenario, experiment.load_mappings(scenario.robots), experiment.motion_capture, place)
+        mappings = experiment.load_mappings(scenario.robots)
+        found = cls.checked(scenario, mappings, experiment.motion_capture, place)
+        return replace(found, friction_noise=experiment.friction_noise)
 
     @classmethod
     def checked(
@@ -402,7 +412,7 @@ def _in_scene(
 
 def _without_faults(laboratory: Laboratory, run: RunRow, arm: str, series: ArmSeries) -> tuple[ArmSeries, list[str]]:
     """One arm without the samples that no sensor measured, and what was left out."""
-    return without_faults(series, laboratory.mappings[arm], laboratory.models[arm], impact_time if run.hit else None)
+    return without_faults(series, laboratory.mappings[arm], laboratory.models[arm], run.hit)
 
 
 def _needed(laboratory: Laboratory, run: RunRow) -> list[SignalName]:
@@ -523,11 +533,11 @@ def on_clock_of_joints(
 def _start_in_the_impact(laboratory: Laboratory, run: RunRow, arms: dict[str, ArmSeries], remarks: list[str]) -> None:
     """Bring the object's pose to the clock of the joints, where it has one of its own."""
     tracker, mapping = laboratory.tracker, laboratory.mappings[laboratory.tracker]
-    if "object_pose" not in arms[tracker]:
+    name = next((name for name in OBJECT_SIGNALS if name in mapping.signals), None)
+    if "object_pose" not in arms[tracker] or name is None or mapping.signals[name].clock == "shared":
         return
-    name = next(name for name in OBJECT_SIGNALS if name in mapping.signals)
     pose = arms[tracker]["object_pose"]
-    moved = with_start_at(run.path, pose, impact_time(arms[tracker]["velocity"]), mapping, name)
+    moved = with_start_at(run.path, pose, arms[tracker]["position"], f"signals.{name}.clock")
     remarks += [remark for remark in moved.remarks if remark not in pose.remarks]
     arms[tracker] = {**arms[tracker], "object_pose": moved}
 
@@ -593,14 +603,15 @@ def _pieces(
         for time in (own["velocity"].time, own["torque"].time):  # what lacks at either end is a gap as well
             lacks = [Gap(start, float(time[0]) - start), Gap(float(time[-1]), end - float(time[-1]))]
             cuts += [gap for gap in lacks if gap.length > GAP_CUT]
-    impacts = [impact_time(own["velocity"]) for own in arms.values()] if run.hit else []
+    impacts = [impact_time(own["position"], own["velocity"]) for own in arms.values()] if run.hit else []
     if any(not start <= impact <= end for impact in impacts):
         raise TooShort("the joint positions do not reach to the impact", file=run.path)
     if not cuts:
         return [(start, end)], (start, end)
     inside = [gap for gap in cuts if impacts and gap.start <= max(impacts) and min(impacts) <= gap.end]
     if inside:
-        raise TooShort(f"the impact falls into a gap of {tell_gaps(inside, start)}", file=run.path)
+        longest = max(inside, key=lambda gap: gap.length)
+        raise TooShort(f"the impact falls into a gap of {tell_gaps([longest], start)}", file=run.path)
     first = [start, *sorted(gap.end for gap in cuts)]
     last = [*sorted(gap.start for gap in cuts), end]
     between = [(a, b) for a, b in zip(first, last, strict=True) if b > a]
@@ -636,13 +647,6 @@ def _told(pieces: list[tuple[float, float]], start: float) -> str:
 def _inside(time: Array, pieces: Sequence[tuple[float, float]]) -> NDArray[np.bool_]:
     """Which stamps lie in one of the pieces, ``(k,)``."""
     return np.any([(time >= first) & (time <= last) for first, last in pieces], axis=0)
-
-
-def impact_time(velocity: Series) -> float:
-    """Time of the largest change of joint velocities within some milliseconds [s]; accurate enough for a piece."""
-    half = IMPACT_WINDOW / 2.0
-    change = np.linalg.norm(velocity.at(velocity.time + half) - velocity.at(velocity.time - half), axis=1)
-    return float(velocity.time[int(np.argmax(change))])
 
 
 def _on_grid(series: Series, grid: Array) -> Array:
@@ -757,7 +761,7 @@ def _touch(laboratory: Laboratory, run: RunRow, arm: str, series: ArmSeries, see
     given = laboratory.motion_capture
     tilted = given.model_copy(update={"position": (0.0, 0.0, 0.0), "rpy": (*given.rpy[:2], 0.0)})
     pose = in_inertial_frame(tilted, run, seen.values)  # with roll and pitch, which hits do not determine
-    impact = impact_time(series["velocity"])
+    impact = impact_time(joints, series["velocity"])
     first, last = (impact + moment for moment in TOUCHING)
     times = seen.time[(seen.time >= first) & (seen.time <= last)]
     times = times if times.size else np.array([0.5 * (first + last)])

@@ -36,7 +36,7 @@ def test_a_table_goes_through_the_whole_loop(
     assert main(["compare", "--impacts", str(cubes)]) == 0
     shown = capfd.readouterr().out
     assert "Model 'nominal' against 36 impacts: score 0." in shown and " m/s\n" in shown
-    assert "How large the differences are [times the rms" in shown
+    assert "How large the differences are [times the root mean" in shown
     assert main(["history", str(child), *map(str, table)]) == 0
     assert "Error per model version [m/s]" in capfd.readouterr().out
 

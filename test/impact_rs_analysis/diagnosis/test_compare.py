@@ -19,6 +19,7 @@ from impact_rs_analysis.evidence.replay_cache import Replay, ReplayCache
 from impact_rs_analysis.evidence.replays import ReplaySource
 from impact_rs_analysis.evidence.tracks import Track, track_of_run
 from impact_rs_analysis.report.comparison import write_comparison
+from impact_rs_cli.main import main
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.model import Model, ModelEffect, ParameterValue, load_model
 from impact_rs_trials.bags.topics import TRUTH
@@ -99,6 +100,22 @@ def test_without_repeats_the_score_stands_and_the_noise_floor_is_none(hidden_cam
     assert found.score > 0.0
     assert "not repeated" in found.remarks[0]
     _bytes(found)
+    for cell in found.where:  # the root mean square of its features; the error is that of the worst one
+        assert 0.2 < cell.times_noise / (abs(cell.error) / cell.floor) < 1.001
+    for level in (found.levels["free_motion"], found.levels["trial"]):
+        assert level.signals
+        for row in level.signals:
+            assert row.times_noise == pytest.approx(row.error / row.floor, rel=0.05)
+
+
+def test_without_repeats_the_terminal_names_the_relevance_limit(
+    hidden_campaign: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    shutil.copytree(hidden_campaign / "push/juice__case_1__s1.000__r0", tmp_path / "juice__case_1__s1.000__r0")
+    assert main(["compare", str(tmp_path), "--jobs", "1"]) == 0
+    shown = capsys.readouterr().out
+    assert "How large the differences are [times the relevance limit]" in shown
+    assert "x limit" in shown and "x noise" not in shown and "times repeatability" not in shown
 
 
 def test_others_read_an_aligned_bag_whose_residual_is_the_difference(track: tuple[Track, str], tmp_path: Path) -> None:

@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -18,7 +17,7 @@ from impact_rs_sim.errors import InputError
 from impact_rs_sim.robot_model import RobotModel
 from impact_rs_trials.recordings.experiment import Experiment
 from impact_rs_trials.recordings.faults import outliers, without_faults
-from impact_rs_trials.recordings.laboratory import impact_time, read_laboratory
+from impact_rs_trials.recordings.laboratory import read_laboratory
 from impact_rs_trials.recordings.mapping import SignalName, load_mapping
 from impact_rs_trials.recordings.recording import ARM, read_recordings
 from impact_rs_trials.recordings.series import Series
@@ -39,7 +38,7 @@ def recorded(time: np.ndarray, **signals: np.ndarray) -> Recorded:
     return {name: Series(name, time, values) for name, values in signals.items()}  # type: ignore[misc]
 
 
-def faults(signals: Recorded, hit: Callable | None = None) -> list[str]:
+def faults(signals: Recorded, hit: bool = False) -> list[str]:
     """What is said of samples that no sensor measured."""
     return without_faults(signals, MAPPING, MODEL, hit)[1]
 
@@ -111,7 +110,7 @@ def test_recordings_of_another_laboratory_raise_no_alarm(bench: str) -> None:
         arm = run.signals.arms["arm"]
         position, torque = quantised(arm.position, step), quantised(arm.torque, 0.05)
         seen = recorded(run.signals.time, position=position, velocity=arm.velocity, torque=torque)
-        assert faults(seen, impact_time if run.hit else None) == []
+        assert faults(seen, run.hit) == []
 
 
 def test_a_recording_of_a_real_arm_raises_no_alarm() -> None:

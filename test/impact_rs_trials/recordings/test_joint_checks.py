@@ -61,7 +61,7 @@ def test_the_sign_of_a_velocity_is_named(joint: int) -> None:
 
 def test_degrees_per_second_are_named() -> None:
     (doubt,) = doubts({"velocity": (2, 180.0 / np.pi)})
-    assert "57 times the derivative" in doubt and "0.0175" in doubt
+    assert "57.3 times the derivative" in doubt and "0.0175" in doubt
 
 
 def test_velocities_of_two_joints_in_each_other_s_column_are_named() -> None:
@@ -72,6 +72,67 @@ def test_velocities_of_two_joints_in_each_other_s_column_are_named() -> None:
     assert doubts_of_arm(TIME, ArmSignals(coarse, columns["velocity"], columns["effort"]), MAPPING, MODEL) == []
     (doubt,) = doubts_of_arm(TIME, ArmSignals(coarse, mixed, columns["effort"]), MAPPING, MODEL)
     assert re.fullmatch(r"velocity of joint 3 \(.*\), of joint 6 \(.*\) is not .*: columns of other joints\?", doubt)
+
+
+def older(values: np.ndarray, seconds: float) -> np.ndarray:
+    """A signal as it was some time before."""
+    return np.column_stack([np.interp(TIME - seconds, TIME, column) for column in values.T])
+
+
+def said_of(position: np.ndarray, velocity: np.ndarray, torque: np.ndarray) -> list[str]:
+    return doubts_of_arm(TIME, ArmSignals(position, velocity, torque), MAPPING, MODEL)
+
+
+@pytest.mark.parametrize("factor", [1.28, 0.8])
+def test_a_velocity_that_is_a_quarter_off_is_named_with_its_joint_and_size(factor: float) -> None:
+    """0.50 rad/s recorded where positions say 0.39."""
+    (doubt,) = doubts({"velocity": (2, factor)})
+    assert doubt.startswith(f"velocity of joint 3 is {factor:g} times the derivative of its position (+- ")
+    assert doubt.endswith(f"signals.velocity.factor: [1, 1, {1.0 / factor:.3g}, 1, 1, 1, 1]")
+
+
+def test_a_velocity_that_is_a_little_off_is_a_low_pass() -> None:
+    assert doubts({"velocity": (2, 0.95)}) == []
+
+
+@pytest.mark.parametrize("lag", [0.04, -0.03])
+def test_velocities_of_another_age_are_named_with_their_lag(lag: float) -> None:
+    columns = swung()
+    (doubt,) = said_of(columns["position"], older(columns["velocity"], lag), columns["effort"])
+    assert f"velocities are {1e3 * abs(lag):.0f} ms (+- " in doubt
+    assert float(doubt.rpartition("signals.velocity.delay: ")[2]) == pytest.approx(-lag, abs=1e-3)
+
+
+@pytest.mark.parametrize(("lag", "friction"), [(0.04, 0.0), (0.04, 3.0), (-0.03, 1.0)])
+def test_torques_of_another_age_are_named_with_their_lag(lag: float, friction: float) -> None:
+    columns = swung(friction)
+    noise = 0.1 * np.random.default_rng(0).standard_normal(columns["effort"].shape)
+    (doubt,) = said_of(columns["position"], columns["velocity"], older(columns["effort"], lag) + noise)
+    assert doubt.startswith("torques are ") and ("behind" in doubt) == (lag > 0.0)
+    assert float(doubt.rpartition("signals.torque.delay: ")[2]) == pytest.approx(-lag, abs=3e-3)
+
+
+@pytest.mark.parametrize("signals", [("position", "velocity", "effort"), ("velocity",)])
+def test_rows_that_are_repeated_are_named_with_the_true_rate(signals: tuple[str, ...]) -> None:
+    columns = swung()
+    held = 3 * (np.arange(TIME.size) // 3)
+    for name in signals:
+        columns[name] = columns[name][held]
+    found = said_of(columns["position"], columns["velocity"], columns["effort"])
+    (doubt,) = (text for text in found if " behind " not in text)  # numbers that are held are late as well
+    assert doubt.startswith(f"{', '.join('torque' if name == 'effort' else name for name in signals)} of all joints")
+    assert "every number stands 3 times, as if measured at 66.7 Hz and written at 200 Hz" in doubt
+
+
+@pytest.mark.parametrize("step", [1e-5, 1e-4, 1e-3])
+def test_encoders_noise_and_rests_are_no_repeats_lags_or_factors(step: float) -> None:
+    """Every joint rests for a quarter of the time; noise of 10 mrad/s and 0.5 N m."""
+    rng, columns = np.random.default_rng(1), swung()
+    still = np.clip(np.arange(TIME.size), 0, round(0.75 * TIME.size))
+    position = np.round(columns["position"][still] / step) * step
+    moving = (still < still[-1])[:, None]
+    velocity = columns["velocity"][still] * moving + 0.01 * rng.standard_normal(position.shape)
+    assert said_of(position, velocity, columns["effort"][still] + 0.5 * rng.standard_normal(position.shape)) == []
 
 
 def test_in_contact_torques_say_nothing_of_weight_and_friction() -> None:
