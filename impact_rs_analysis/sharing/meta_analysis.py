@@ -8,10 +8,11 @@
     tau^2 = max(0, (Q - (k - 1)) / (W - sum w_i^2 / W))                  DerSimonian and Laird 1986
     mu    = sum w*_i y_i / W*,  w*_i = 1 / (s_i^2 + tau^2)
     q     = sum w*_i (y_i - mu)^2 / (k - 1)                              Hartung 1999
-    var   = max(1, q) / W*, Student's t of k - 1                         Knapp and Hartung 2003
+    half  = max(t sqrt(q / W*), z / sqrt(W*)), Student's t of k - 1      Knapp and Hartung 2003
 
-The floor of 1 is theirs, too (Roever, Knapp and Friede, BMC Medical Research Methodology 15:99, 2015): a
-few studies agree by chance better than their errors allow, and q alone then gives an interval that is too short.
+The second half width is that of DerSimonian and Laird: a few studies agree by chance better than their errors allow, and
+q alone then gives an interval that is too short. The wider one of both is asked for by Wiksten, Ruecker and Schwarzer
+(Statistics in Medicine 35:2503, 2016); a floor of 1 for q instead covers 97 to 100 % of five studies or fewer.
 
 An odd study has a large studentised residual from the others (Viechtbauer and Cheung 2010),
 
@@ -80,7 +81,9 @@ def pool(values: Sequence[float], errors: Sequence[float]) -> Pooled:
     weight = 1.0 / (s**2 + tau**2)
     mean = float(weight @ y / weight.sum())
     scatter = float(weight @ (y - mean) ** 2) / (count - 1)
-    half = float(scipy.stats.t.ppf(0.5 + LEVEL / 2.0, count - 1) * np.sqrt(max(1.0, scatter) / weight.sum()))
+    upper = 0.5 + LEVEL / 2.0
+    widest = max(scipy.stats.t.ppf(upper, count - 1) * np.sqrt(scatter), scipy.stats.norm.ppf(upper))
+    half = float(widest / np.sqrt(weight.sum()))
     p_value = float(scipy.stats.chi2.sf(q, count - 1))
     return Pooled(mean, mean - half, mean + half, tau, q, p_value, count)
 

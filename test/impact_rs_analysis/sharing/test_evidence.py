@@ -117,8 +117,8 @@ def test_a_table_of_runs_that_two_laboratories_have_alike_is_named_and_merged() 
 
 
 def test_packages_that_agree_exactly_are_not_sure_of_everything() -> None:
-    """Three alike: the floor of the scatter leaves Student's t of their errors."""
-    half = scipy.stats.t.ppf(0.975, 2) * ERROR / np.sqrt(3)
+    """Three alike: the interval is that of their errors, 1.96 s / sqrt(3)."""
+    half = scipy.stats.norm.ppf(0.975) * ERROR / np.sqrt(3)
     merged = merge_packages([package_of(name, {"law": (6.08, ERROR)}) for name in LABORATORIES[:3]])
     assert of(merged, "law").pooled.ci95 == pytest.approx((6.08 - half, 6.08 + half), rel=1e-5)
 
