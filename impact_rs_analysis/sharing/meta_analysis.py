@@ -10,9 +10,10 @@
     q     = sum w*_i (y_i - mu)^2 / (k - 1)                              Hartung 1999
     half  = max(t sqrt(q / W*), z / sqrt(W*)), Student's t of k - 1      Knapp and Hartung 2003
 
-The second half width is that of DerSimonian and Laird: a few studies agree by chance better than their errors allow, and
-q alone then gives an interval that is too short. The wider one of both is asked for by Wiksten, Ruecker and Schwarzer
-(Statistics in Medicine 35:2503, 2016); a floor of 1 for q instead covers 97 to 100 % of five studies or fewer.
+The second half width is that of DerSimonian and Laird: a few studies agree by chance better than their errors allow,
+and q alone then gives an interval that is too short. The wider one of both is asked for by Wiksten, Ruecker and
+Schwarzer (Statistics in Medicine 35:2503, 2016); with a floor of 1 for q instead, five studies or fewer cover 96 to
+100 %.
 
 An odd study has a large studentised residual from the others (Viechtbauer and Cheung 2010),
 
