@@ -21,7 +21,6 @@ from impact_rs_ros.robot_states import STATES, ArmStates, Clock, RobotStates, jo
 from impact_rs_sim.robot import Array
 
 REST = 0.02  # rad/s, m/s; slower is at rest: the holding torque then changes by a thousandth of what an arm weighs
-STEPS = 2.0  # periods, that count at most as time since the last torque: a pause permits no jump
 
 
 def commands_topic(arm: str) -> str:
@@ -106,7 +105,7 @@ class EffortArms:
         carried = gravity if self.adds_gravity else np.zeros_like(gravity)
         now = self.states.clock.steady()
         last, before = self._sent.get(arm, (now - self.states.period, gravity - carried))
-        elapsed = min(max(now - last, 0.0), STEPS * self.states.period)
+        elapsed = min(max(now - last, 0.0), self.states.period)  # a pause permits no jump
         wanted = torque - carried
         sent = rate_limited(wanted, before, self._rate * elapsed)
         reached = bool(np.allclose(sent, wanted))

@@ -23,7 +23,7 @@ from robot_bench import (
 )
 
 from impact_rs_control.fallback import FRESH, SETTLE, holding_torque
-from impact_rs_ros.effort_arms import STEPS, EffortArms, rest_until
+from impact_rs_ros.effort_arms import EffortArms, rest_until
 from impact_rs_ros.robot_states import STATES, RobotStates, joint_names
 
 STEP = RATE * PERIOD  # N m
@@ -59,10 +59,10 @@ def test_the_rate_is_that_of_time_and_not_of_messages() -> None:
     assert robot.sent[-1].max() == pytest.approx(1.4 * STEP)
     robot.clock.time += 1.0  # a pause permits no jump
     robot.arms.command("arm", WEIGHT + 50.0)
-    assert robot.sent[-1].max() == pytest.approx((1.4 + STEPS) * STEP)
+    assert robot.sent[-1].max() == pytest.approx(2.4 * STEP)
     robot.clock.time -= 1.0  # nor does a clock that goes back
     robot.arms.command("arm", WEIGHT + 50.0)
-    assert robot.sent[-1].max() == pytest.approx((1.4 + STEPS) * STEP)
+    assert robot.sent[-1].max() == pytest.approx(2.4 * STEP)
     assert robot.arms.limited == 13
 
 
@@ -98,7 +98,7 @@ def test_without_a_fresh_state_the_brake_is_released_within_the_rate(speed: floa
     np.testing.assert_allclose(robot.sent[-1], 0.0, atol=1e-9)
     assert not robot.arms.held  # whether they rest is not known
     assert not robot.states.commanded
-    assert np.abs(np.diff(robot.sent, axis=0)).max() <= STEPS * STEP + 1e-9
+    assert np.abs(np.diff(robot.sent, axis=0)).max() <= STEP + 1e-9
 
 
 @pytest.mark.parametrize(
