@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import re
 import shlex
@@ -30,6 +31,7 @@ class _Running:
     since: str
     process: subprocess.Popen[bytes]
     errors: IO[bytes]
+    makes_folder: bool
 
 
 class FullDiagnosis:
@@ -65,6 +67,7 @@ class FullDiagnosis:
         """
         self.stop()
         errors = tempfile.TemporaryFile()  # noqa: SIM115
+        makes_folder = not self._folder.exists()
         cores = max(1, len(os.sched_getaffinity(0)) // 2)  # the next hits are followed meanwhile
         try:
             process = subprocess.Popen(
@@ -76,7 +79,7 @@ class FullDiagnosis:
             )
         except OSError as error:
             raise InputError(f"no diagnosis can be started: {error}") from None
-        self._running = _Running(since, process, errors)
+        self._running = _Running(since, process, errors, makes_folder)
 
     def ended(self, wait: bool = False) -> ChangeDiagnosis | None:
         """How it has ended, once; None: it runs, or there is none.
@@ -115,6 +118,9 @@ class FullDiagnosis:
                 except subprocess.TimeoutExpired:
                     continue
         own.errors.close()
+        if own.makes_folder:  # one that had to be killed has not removed it
+            with contextlib.suppress(OSError):
+                self._folder.rmdir()
 
     def _arguments(self, since: str) -> list[str]:
         """Arguments of ``impact-rs``."""

@@ -25,7 +25,12 @@ def test_a_diagnosis_that_fails_is_told_with_its_reason_and_command(table: Path,
     assert not diagnosis.running and diagnosis.ended() is None and not (tmp_path / "more").exists()
 
 
-def test_a_diagnosis_that_is_stopped_has_ended_and_leaves_nothing(table: Path, tmp_path: Path) -> None:
+@pytest.mark.parametrize("patience", [60.0, 0.0])
+def test_a_diagnosis_that_is_stopped_has_ended_and_leaves_nothing(
+    table: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, patience: float
+) -> None:
+    """By Ctrl-C, and by a kill where it does not end in time."""
+    monkeypatch.setattr("impact_rs_cli.full_diagnosis.PATIENCE", patience)
     diagnosis = FullDiagnosis(["--impacts", str(table), "--scenario", "push"], tmp_path / "more")
     diagnosis.start("row 3")
     process = diagnosis._running.process  # type: ignore[union-attr]

@@ -81,8 +81,9 @@ def recorded(feedback: dict[str, np.ndarray], time: np.ndarray = TIMES, **change
         for arm, values in feedback.items()
     }
     bag = SimpleNamespace(
-        path=Path("made_up"), info=info, metadata={}, controller=columns.__getitem__, impact_time=hits.__getitem__
-    )
+        path=Path("made_up"), info=info, metadata={}, controller=columns.__getitem__, impact_time=hits.__getitem__,
+        counts={},
+    )  # fmt: skip
     for name, value in changes.items():
         setattr(info if hasattr(info, name) else bag, name, value)
     return bag
