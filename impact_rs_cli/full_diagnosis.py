@@ -110,13 +110,13 @@ class FullDiagnosis:
         own, self._running = self._running, None
         if own is None:
             return
-        for number in (signal.SIGINT, signal.SIGKILL):
-            if own.process.poll() is None:
-                os.killpg(own.process.pid, number)
-                try:
-                    own.process.wait(PATIENCE)
-                except subprocess.TimeoutExpired:
-                    continue
+        if own.process.poll() is None:
+            os.killpg(own.process.pid, signal.SIGINT)
+            try:
+                own.process.wait(PATIENCE)
+            except subprocess.TimeoutExpired:
+                os.killpg(own.process.pid, signal.SIGKILL)
+                own.process.wait()
         own.errors.close()
         if own.makes_folder:  # one that had to be killed has not removed it
             with contextlib.suppress(OSError):
