@@ -72,7 +72,7 @@ def in_words(effect: str, parameters: Sequence[Followed], scenes: Iterable[tuple
 
 
 def weighs(first: Physics, second: Physics) -> bool:
-    """Whether a scale would tell two explanations of a change apart."""
+    """Whether weighing the object would distinguish two explanations of a change."""
     return abs(first.object.mass - second.object.mass) > LEAST
 
 

@@ -168,8 +168,8 @@ def _moments(laboratory: Laboratory, arms: Mapping[str, ArmSeries]) -> list[Jump
         if all(abs(one.time - jump.time) <= TOGETHER for one in near.values()):
             moments.append({first: jump, **near})
     if not moments:
-        told = ", ".join(f"arm {arm!r} at {jumps[0].time - _start(arms):.3f} s" for arm, jumps in own.items())
-        return f"the arms do not hit together: the joint velocities jump most of {told}"
+        each = ", ".join(f"arm {arm!r} at {jumps[0].time - _start(arms):.3f} s" for arm, jumps in own.items())
+        return f"the arms do not hit together: the joint velocities jump most of {each}"
     return sorted(moments, key=_time)
 
 

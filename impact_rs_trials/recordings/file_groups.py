@@ -172,7 +172,7 @@ def _split(name: str, first: int, last: int) -> tuple[str, str]:
 
 
 def _shared(shapes: Sequence[Sequence[Path]], alike: Sequence[Path]) -> set[str]:
-    """Numbers that names of all other shapes have, where nothing tells runs from each other."""
+    """Numbers that names of all other shapes have, where nothing else distinguishes runs."""
     others = [{number for file in own for number in NUMBER.findall(file.name)} for own in shapes if own is not alike]
     return set.intersection(*others) if others else set()
 

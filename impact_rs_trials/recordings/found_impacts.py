@@ -15,10 +15,11 @@ from impact_rs_sim.errors import InputError
 from impact_rs_sim.robot import Array
 from impact_rs_trials.recordings.arm_impacts import impacts_of_run
 from impact_rs_trials.recordings.body_impacts import TrackedBody, impacts_of_bodies
+from impact_rs_trials.recordings.clock_offset import OBJECT_SIGNALS
 from impact_rs_trials.recordings.experiment import Body, Experiment, Plane, RunRow, read_runs
 from impact_rs_trials.recordings.impact_rows import Impact, NoRow
 from impact_rs_trials.recordings.laboratory import Laboratory, placed, with_object
-from impact_rs_trials.recordings.mapping import Mapping, SignalName
+from impact_rs_trials.recordings.mapping import Mapping
 from impact_rs_trials.recordings.recording import find_recordings
 from impact_rs_trials.recordings.series import Names
 from impact_rs_trials.recordings.sources import read_series, runs_inside
@@ -32,7 +33,6 @@ NO_TURN = (
     "of {} of {} impacts the velocity after follows from the way to rest, from which no angular velocity follows: the "
     "table has no columns w_after"
 )
-POSE: tuple[SignalName, ...] = ("object_pose", "object_position", "object_quaternion")
 
 
 @dataclass(frozen=True)
@@ -170,7 +170,7 @@ def _track(task: tuple[RunRow, Mapping, Body, Plane]) -> TrackedBody | InputErro
     if not turned and body.spin is None:
         said = "the turn of the body was not tracked (object_quaternion), and how it bounces depends on its spin"
         return InputError(f"{said}; of a ball body.spin says it, [0, 0, 0] for one that was dropped without any")
-    wanted = [name for name in POSE if name in mapping.signals]
+    wanted = [name for name in OBJECT_SIGNALS if name in mapping.signals]
     try:
         read = dict(read_series(row.path, mapping, wanted, wanted, Names(run=row.name)))
         if not turned:

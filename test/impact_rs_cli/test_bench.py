@@ -64,7 +64,7 @@ def test_a_rule_goes_on_after_trials_that_no_scenario_file_has(tmp_path: Path) -
 
 
 def test_a_design_after_a_discovery_knows_its_laws(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Two laws that are tied are told apart; the library has neither."""
+    """The design distinguishes two tied laws; the library has neither."""
     decided, world = list[Any](), Physics.nominal(load_scenario("push"), "juice")
 
     def design(known: Any, scenarios: Any, budget: int, map_tasks: Any, decide: Any, *rest: Any) -> ExperimentPlan:

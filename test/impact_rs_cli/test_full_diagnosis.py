@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A full diagnosis in a process of its own: how a failure is told, and that it can be stopped."""
+"""A full diagnosis in a process of its own: it reports its failure, and can be stopped."""
 
 from pathlib import Path
 
@@ -14,7 +14,7 @@ def table(tmp_path: Path) -> Path:
     return write_csv(tmp_path / "hits.csv", *arm_table({}, 2, 1))
 
 
-def test_a_diagnosis_that_fails_is_told_with_its_reason_and_command(table: Path, tmp_path: Path) -> None:
+def test_a_diagnosis_that_fails_is_reported_with_its_reason_and_command(table: Path, tmp_path: Path) -> None:
     diagnosis = FullDiagnosis(["--impacts", str(table), "--scenario", "push"], tmp_path / "more")
     diagnosis.start("row 99")
     assert diagnosis.running

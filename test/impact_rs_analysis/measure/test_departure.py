@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""An object that flies off the pad after the hit is told, with its distance, its speed and its restitution."""
+"""An object that flies off the pad after the hit is reported with its distance, speed and restitution."""
 
 from __future__ import annotations
 
@@ -79,12 +79,12 @@ def test_analysis_terminal_and_report_say_it(bouncy: Path, tmp_path: Path, capsy
     assert entry["distance_m"] > 0.025 and 0.5 < entry["restitution"] < 1.0
     assert "leaves the pad of arm in 3 of 3 trials" in write_analysis_report(analysis, tmp_path / "r")[0].read_text()
     main(["analyze", str(bouncy), "-o", str(tmp_path / "report")])
-    told = " ".join(capsys.readouterr().err.split())
-    assert "parcel case_2: the object leaves the pad of arm in 3 of 3 trials" in told
-    assert "what is predicted goes on together" in told
+    said = " ".join(capsys.readouterr().err.split())
+    assert "parcel case_2: the object leaves the pad of arm in 3 of 3 trials" in said
+    assert "what is predicted goes on together" in said
 
 
-def test_a_prediction_with_restitution_is_told_with_it() -> None:
+def test_a_prediction_with_restitution_is_reported_with_it() -> None:
     thrown = Departure("arm", 0.02, 0.2, 0.4, 0.0)
     found = list(objects_left({("push", "box", "case_1"): [(thrown,), (replace(thrown, distance=0.001),)]}))
     assert [(one.trials, one.of) for one in found] == [(1, 2)]

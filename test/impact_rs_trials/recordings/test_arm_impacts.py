@@ -222,7 +222,7 @@ def test_a_run_with_two_impacts_gives_two_rows(laboratory: LaboratoryFolder) -> 
     np.testing.assert_allclose(found.impacts[1].arms["arm"].after, (0.4 - 0.36) * SPEEDS, atol=0.01)
 
 
-def test_impacts_of_sessions_that_count_alike_are_told_apart(laboratory: LaboratoryFolder) -> None:
+def test_impacts_of_sessions_that_count_alike_stay_apart(laboratory: LaboratoryFolder) -> None:
     """Each session has a run 1; the last one hits nothing."""
     twice(laboratory, 0.6)
     laboratory.bag("monday/run_1")

@@ -37,7 +37,7 @@ def bounce(path: Path, height: float) -> None:
 
 
 @pytest.mark.parametrize("speed", [None, "fast"])
-def test_impacts_of_two_sessions_are_told_apart(tmp_path: Path, speed: str | None) -> None:
+def test_impacts_of_two_sessions_stay_apart(tmp_path: Path, speed: str | None) -> None:
     """Runs of two folders are called alike; the session alone makes no repeats of what it holds."""
     for number, session in enumerate(("clean", "dirty")):
         bounce(tmp_path / session / "run_1.csv", 0.5 + 0.2 * number)

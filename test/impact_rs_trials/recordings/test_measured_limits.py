@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Limits that a URDF lacks are the ranges of a recording, in the order of its joints, and are told."""
+"""Limits that a URDF lacks are the measured ranges of the joints, and each is noted."""
 
 from __future__ import annotations
 
@@ -60,8 +60,8 @@ def test_limits_that_are_missing_or_0_are_measured_and_said(urdf: Path, tmp_path
     assert limits.position_max_rad == pytest.approx((1.2, 2.0), abs=1e-3)
     assert limits.velocity_rad_s == pytest.approx((1.0, 3.0), abs=1e-3)
     assert limits.torque_Nm == pytest.approx((4.0, 7.0), abs=1e-3)
-    told = [note for note in robot.notes if "as measured" in note]
-    assert [note.split(" as measured")[0] for note in told] == [
+    noted = [note for note in robot.notes if "as measured" in note]
+    assert [note.split(" as measured")[0] for note in noted] == [
         "Limits of joint shoulder",
         "Velocity limit of joint shoulder",
         "Effort limit of joint shoulder",
