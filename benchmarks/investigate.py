@@ -93,6 +93,7 @@ def run(entry: Entry, directory: Path, map_tasks: Map, budget: int) -> Row:
         "certain": ending.certain,
         "correct": right,
         "wrong": wrong,
+        "not_excluded": list(ending.not_excluded),
         "trials": ending.trials,
         "rounds": ending.rounds,
         "before": first.held_out_error_before,
@@ -106,11 +107,13 @@ def scoreboard(rows: list[Row]) -> str:
     """The table."""
     asked = [row for row in rows if row["kind"] != "null"]
     nulls = [row for row in rows if row["kind"] == "null"]
+    in_part = [row["certain"] and not row["correct"] and not row["wrong"] for row in asked]
     seen = [row for row in asked if row["before"] > VISIBLE * row["noise"]]
     lines = [
         f"something hidden, end right                 {share([row['correct'] for row in asked])}",
         f"... above twice the noise                   {share([row['correct'] for row in seen])}",
         f"... certain and right                       {share([row['correct'] and row['certain'] for row in asked])}",
+        f"... certain, a part not excluded            {share(in_part)}",
         f"... certain and wrong                       {share([row['wrong'] for row in asked])}",
         f"nothing hidden, NOTHING-MISSING             {share([row['correct'] for row in nulls])}",
         f"nothing hidden, certain and wrong           {share([row['wrong'] for row in nulls])}",
@@ -127,9 +130,10 @@ def scoreboard(rows: list[Row]) -> str:
         )
     for row in rows:
         if not row["correct"]:
-            how = "wrong" if row["wrong"] else "missed"
+            how = "wrong" if row["wrong"] else "in part" if row["certain"] else "missed"
             error = f"error before {row['before']:.3g}, noise {row['noise']:.3g}"
             lines.append(f"  {how}: {row['name']}: hidden {', '.join(row['truth']) or 'nothing'}; {row['verdict']}, ")
+            lines[-1] += f"not excluded {', '.join(row['not_excluded']) or 'nothing'}, " if row["certain"] else ""
             lines[-1] += f"{row['trials']} trials ({error})"
     return "\n".join(lines)
 

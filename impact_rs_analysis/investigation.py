@@ -50,6 +50,7 @@ from impact_rs_analysis.diagnosis.document import (
 )
 from impact_rs_analysis.diagnosis.grammar import load_grammar
 from impact_rs_analysis.diagnosis.search import ProgressCallback
+from impact_rs_analysis.diagnosis.words import not_excluded
 from impact_rs_analysis.evidence.source import Source
 from impact_rs_analysis.prediction_check import PredictionError, Predictions, predicted, prediction_error
 from impact_rs_sim.effects import library
@@ -112,6 +113,9 @@ class RoundDecision(Schema):
     tied: tuple[tuple[str, ...], ...] = Field(
         (), description="effects and laws that may be missing, those together that the trials cannot distinguish"
     )
+    not_excluded: tuple[str, ...] = Field(
+        (), description="effects that could be there at a noticeable size, and that the trials would hardly show"
+    )
     spent: bool = Field(False, description="whether it ends because the budget is spent")
     budget: int = Field(description="trials that were allowed")
 
@@ -125,6 +129,9 @@ class Ending(Schema):
     effects: tuple[str, ...] = Field((), description="effects that it has beyond the first model")
     laws: tuple[str, ...] = Field((), description="those of them that are laws beyond the library")
     candidates: tuple[str, ...] = Field((), description="effects and laws that may be missing where it is undecided")
+    not_excluded: tuple[str, ...] = Field(
+        (), description="effects that could be there at a noticeable size, and that the trials would hardly show"
+    )
     trials: int = Field(description="trials that were measured")
     rounds: int = Field(description="rounds")
 
@@ -494,7 +501,8 @@ def decide(settings: Settings, rounds: Sequence[Round], budget: int) -> RoundDec
             verdict=LAW if laws else EXPLAINED,
             reason=f"{here.model} predicts the {found.trials} trials that were measured after it was made with an "
             f"error of {found.error:.3g} {found.unit}, and lacks nothing in all {here.diagnosis.runs.trials}: "
-            f"{here.diagnosis.summary}",
+            f"{here.diagnosis.summary}{_what_trials_hardly_show(here.diagnosis)}",
+            not_excluded=tuple(here.diagnosis.not_excluded),
             budget=budget,
         )
     if basis.verdict == TOO_FEW:
@@ -506,7 +514,8 @@ def decide(settings: Settings, rounds: Sequence[Round], budget: int) -> RoundDec
         return RoundDecision(
             action="end",
             verdict=MISSES_NOTHING,
-            reason=f"{basis.summary} New trials do not change it.",
+            reason=f"{basis.summary} New trials do not change it.{_what_trials_hardly_show(basis)}",
+            not_excluded=tuple(basis.not_excluded),
             budget=budget,
         )
     if basis.verdict == NOTHING and basis.suspected:
@@ -533,6 +542,12 @@ def decide(settings: Settings, rounds: Sequence[Round], budget: int) -> RoundDec
             stop = f"{count} discoveries have found no law" if count >= MOST_DISCOVERIES else ""
         return more(reason, (possible,) if possible else (), stop)
     return _named(basis, "again.json" if here.again is not None else "diagnosis.json", basis.summary, add, more)
+
+
+def _what_trials_hardly_show(document: DiagnosisDocument) -> str:
+    """A sentence about effects that could be there at a noticeable size; empty: there are none."""
+    effects = not_excluded(document)
+    return f" Not excluded at a noticeable size: {effects}." if effects else ""
 
 
 def _named(
@@ -727,6 +742,7 @@ def ending_of(settings: Settings, rounds: Sequence[Round]) -> Ending:
         effects=names,
         laws=_laws_added(rounds) if certain else (),
         candidates=candidates,
+        not_excluded=last.not_excluded,
         trials=measured(rounds),
         rounds=len(rounds),
     )
@@ -795,7 +811,8 @@ def judged(ending: Ending, kind: str, hidden: Sequence[str], laws: Collection[st
 
     Right is: every hidden effect and no other, or undecided among candidates with all of them; where nothing is hidden,
     NOTHING-MISSING; of a cause outside the library, a law for it that holds and no other effect, or undecided with such
-    a law among the candidates or without any candidate. An undecided end is never surely wrong.
+    a law among the candidates or without any candidate. An undecided end is never surely wrong, nor is one that misses
+    only hidden effects that it says are not excluded.
 
     Args:
         ending: The end.
@@ -812,4 +829,6 @@ def judged(ending: Ending, kind: str, hidden: Sequence[str], laws: Collection[st
         right = bool(hidden) and set(hidden) <= named
     else:
         right = named == set(hidden) and (ending.verdict == MISSES_NOTHING) == (not hidden)
-    return right, ending.certain and not right
+    missed = set(hidden) - named
+    open_still = kind != "outside" and named <= set(hidden) and missed <= set(ending.not_excluded)
+    return right, ending.certain and not right and not open_still

@@ -8,7 +8,6 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from impact_rs_analysis.design.design import design
-from impact_rs_analysis.design.explanations import Decision, which_effect
 from impact_rs_analysis.design.possible_trials import Envelope
 from impact_rs_analysis.diagnosis.document import DiagnosisDocument
 from impact_rs_analysis.diagnosis.next_experiment import considered, left_open
@@ -20,10 +19,8 @@ from impact_rs_analysis.evidence.source import Source
 from impact_rs_analysis.investigation import Against, PlannedTrial, Round, Settings, trials_of
 from impact_rs_cli.measurements import read
 from impact_rs_cli.terminal import Terminal
-from impact_rs_sim.effects.base import Joints
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.model import Model
-from impact_rs_sim.physics import Physics
 from impact_rs_sim.scenario import load_scenario
 from impact_rs_trials.blind import RUNS, BlindTask, Secret, run_task
 from impact_rs_trials.campaign import PlannedTrials
@@ -105,24 +102,26 @@ class PlantBench:
             decide, known = None, model
             if document is not None:
                 decide, known = left_open(document, model), considered(document, model)
-            if decide is None and self.settings.effects:
-                decide = self._which
             runs = self._runs() if done else None
             with self.terminal.stages() as stage:
                 plan = design(
-                    known, self.settings.scenarios, budget, self.map_tasks, decide, runs, "design", limits, seed, stage
+                    known,
+                    self.settings.scenarios,
+                    budget,
+                    self.map_tasks,
+                    decide,
+                    runs,
+                    envelope=limits,
+                    seed=seed,
+                    progress=stage,
+                    effects=self.settings.effects,
+                    whether_any=bool(done) and document is None,
                 )
             self.check(plan)
             return plan
         except InputError as error:
             self.terminal.warn(f"trials by rule instead of by design: {error}")
             return simple_design(self.settings, model, done, document, budget, seed)
-
-    def _which(self, model: Model, joints: Joints, worlds: Sequence[Physics]) -> Decision:
-        """Which of the effects that are considered is missing."""
-        present = {item.name for item in model.effects}
-        effects = [model.known_effects[name] for name in self.settings.effects if name not in present]
-        return which_effect(effects, joints, worlds)
 
     def check(self, plan: ExperimentPlan) -> None:
         """Refuse a plan that leaves the envelope.

@@ -41,6 +41,8 @@ def design(
     envelope: Envelope = NO_ENVELOPE,
     seed: int = 0,
     progress: Progress | None = None,
+    effects: Sequence[str] = (),
+    whether_any: bool = False,
 ) -> ExperimentPlan:
     """The most informative trials for the coming decision.
 
@@ -56,6 +58,8 @@ def design(
         envelope: Of the cell.
         seed: Of the planned trials, and of a random choice. Another plan for the same folder needs another seed.
         progress: Called with (what, done, total).
+        effects: Names of the effects that may be missing, where nothing else is to be decided; none: the library.
+        whether_any: Decide whether one of them is missing, no matter which.
 
     Raises:
         InputError: No such scenario, too small a budget, no trial within the limits, or nothing to decide.
@@ -63,22 +67,27 @@ def design(
     missing_conditions(budget, 0 if runs is None else len(runs.conditions))  # refused before minutes of simulation
     trials = possible_trials(scenarios, envelope)
     forecast = forecast_of(model, trials, ReplayCache(map_tasks, progress), envelope, runs, seed)
-    decision = decision_of(forecast, decide)
+    decision = decision_of(forecast, decide, effects, whether_any)
     return planned(forecast, decision, budget, method, seed)
 
 
-def decision_of(forecast: Forecast, decide: Decide | None = None) -> Decision:
+def decision_of(
+    forecast: Forecast, decide: Decide | None = None, effects: Sequence[str] = (), whether_any: bool = False
+) -> Decision:
     """What shall be decided, see :func:`design`."""
     source = forecast.source
     if decide is not None:
         return decide(source.model, source.joints, source.worlds)
     present = {item.name for item in source.model.effects}
-    effects = [
+    possible = [
         effect.in_proportion(source.proportion)
         for name, effect in source.model.known_effects.items()
-        if name not in present and not effect.calibrates and effect.phases != SINGLE_IMPACT
+        if name not in present
+        and (not effects or name in effects)
+        and not effect.calibrates
+        and effect.phases != SINGLE_IMPACT
     ]
-    return which_effect(effects, source.joints, source.worlds)
+    return which_effect(possible, source.joints, source.worlds, whether_any)
 
 
 def planned(

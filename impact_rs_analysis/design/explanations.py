@@ -11,7 +11,7 @@ scale, a noticeable change: what is hidden may be there or not, to either side.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -73,13 +73,16 @@ class Decision:
         return Decision(aim, tuple(explanations), tuple((i, j) for i in range(count) for j in range(i + 1, count)))
 
 
-def which_effect(effects: Sequence[Effect], joints: Joints, worlds: Sequence[Physics]) -> Decision:
+def which_effect(
+    effects: Sequence[Effect], joints: Joints, worlds: Sequence[Physics], whether_any: bool = False
+) -> Decision:
     """Which effect is missing, if any: each of a noticeable size, against each other and the model as it is.
 
     Args:
         effects: The effects, with ranges for a robot of this size.
         joints: Those of an arm.
         worlds: Physics under the model, for bounds.
+        whether_any: Each against the model as it is alone, to see whether any is missing, no matter which.
 
     Raises:
         InputError: There is no effect to look for.
@@ -87,7 +90,8 @@ def which_effect(effects: Sequence[Effect], joints: Joints, worlds: Sequence[Phy
     noticed = [noticeable(effect, joints, worlds) for effect in effects if effect.phases != SINGLE_IMPACT]
     if not noticed:
         raise InputError("no effect is left to look for: the model has all that trials show")
-    return Decision.between([Explanation(AS_IS), *noticed], "effects")
+    every = Decision.between([Explanation(AS_IS), *noticed], "effects")
+    return replace(every, pairs=tuple(pair for pair in every.pairs if 0 in pair)) if whether_any else every
 
 
 def noticeable(effect: Effect, joints: Joints, worlds: Sequence[Physics]) -> Explanation:

@@ -49,6 +49,7 @@ class EstimateDocument(Schema):
     error_before: float | None = Field(None, description="held-out error of the joint without it, in the joint's unit")
     error_after: float | None = Field(None, description="held-out error of the joint with it, in the joint's unit")
     nominal: float | None = Field(None, description="value at which the effect does nothing, in its unit")
+    scale: float | None = Field(None, description="a noticeable change, in its unit; null: it has none of its own")
     range: tuple[float, float] | None = Field(None, description="range that was searched, in its unit")
     at_bound: bool = Field(
         False, description="whether the data put the estimate at an end of the range, away from nominal"
@@ -64,6 +65,13 @@ class EstimateDocument(Schema):
         """Whether the interval leaves out the value at which the effect does nothing."""
         low, high = self.interval
         return self.nominal is not None and not low <= self.nominal <= high
+
+    @property
+    def reach(self) -> float:
+        """How far the interval reaches from the value at which the effect does nothing, in noticeable changes [-]."""
+        if self.ci95 is None or self.nominal is None or not self.scale:
+            return 0.0
+        return max(abs(end - self.nominal) for end in self.ci95) / self.scale
 
 
 def explained(before: float, after: float, noise: float) -> float:
@@ -362,6 +370,21 @@ class DiagnosisDocument(Schema):
     def calls_for_a_law(self) -> bool:
         """Whether something remains that no effect explains, in motions, along which a law could act."""
         return self.source != "impacts" and self.verdict.startswith((NONE, PARTLY))
+
+    @property
+    def not_excluded(self) -> dict[str, str]:
+        """Effects that were not found, yet could be there at a noticeable size: the parameter that could be largest.
+
+        By name of the effect, those of the largest reach first. An effect that no signal depends on is not among them.
+        """
+        near = {*self.named, *(name for group in self.confusable for name in group)}
+        found = []
+        for effect in self.effects:
+            if effect.measured and effect.parameters and effect.name not in near:
+                name, widest = max(effect.parameters.items(), key=lambda item: item[1].reach)
+                if widest.reach > 1.0:
+                    found.append((-widest.reach, effect.name, name))
+        return {effect: name for _, effect, name in sorted(found)}
 
     def effect(self, name: str) -> EffectDocument | None:
         """Document of one effect; None if there is none."""

@@ -496,6 +496,7 @@ def _estimates(found: Findings, fitted: Fit, name: str) -> dict[str, EstimateDoc
             error_before=before,
             error_after=after,
             nominal=scalar.nominal,
+            scale=None if scalar.shape else scalar.scale,
             range=(float(candidate.lower[index]), float(candidate.upper[index])),
             at_bound=bool(fitted.held_at_bound[index]),
         )

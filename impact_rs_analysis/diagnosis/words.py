@@ -36,6 +36,19 @@ def summary_of(document: DiagnosisDocument) -> str:
     return " ".join([*sentences, *(_turn(view) for view in turned), *ranges, *_circumstances(document)])
 
 
+def not_excluded(document: DiagnosisDocument) -> str:
+    """Effects that could be there at a noticeable size although nothing shows them, with the largest; empty: none."""
+    found = []
+    for name, parameter in document.not_excluded.items():
+        effect = document.effect(name)
+        assert effect is not None
+        own = effect.parameters[parameter]
+        low, high = own.interval
+        unit = "" if own.unit == "-" else f" {own.unit}"
+        found.append(f"{name} ({parameter} {low:.2g} to {high:.2g}{unit})")
+    return ", ".join(found)
+
+
 def _part(view: ViewDocument, document: DiagnosisDocument) -> str:
     """Verdict on a part of the signals."""
     unit = _unit(document)

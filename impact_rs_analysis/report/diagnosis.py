@@ -17,6 +17,7 @@ from impact_rs_analysis.diagnosis.document import (
 )
 from impact_rs_analysis.diagnosis.history import VersionError
 from impact_rs_analysis.diagnosis.thresholds import SIGNIFICANT
+from impact_rs_analysis.diagnosis.words import not_excluded
 from impact_rs_analysis.evidence.cluster import TIMES
 from impact_rs_analysis.evidence.tracks import Track
 from impact_rs_analysis.report.comparison import TracksPart, WherePart, tracks_part, where_part, yardstick_of
@@ -106,6 +107,7 @@ class DiagnosisPage:
         effects: Measurable effects, best first.
         effects_plot: Their errors; None without effects.
         unmeasured: Effects without influence on the measured signals.
+        not_excluded: Effects that could be there at a noticeable size, in words; empty: none.
         dependences: Effects that were found by covariate.
         joints_plot: Errors joint by joint; None if not known.
         rest_is_noise: Whether the remaining residuals are consistent with noise.
@@ -125,6 +127,7 @@ class DiagnosisPage:
     effects: tuple[EffectRow, ...]
     effects_plot: Plot | None
     unmeasured: tuple[str, ...]
+    not_excluded: str
     dependences: tuple[DependenceRow, ...]
     joints_plot: Plot | None
     rest_is_noise: bool
@@ -174,6 +177,7 @@ def write_diagnosis(
         effects=tuple(_effect_row(effect) for effect in document.effects if effect.measured),
         effects_plot=None if bars is None else Plot("effects", bars),
         unmeasured=tuple(effect.name for effect in document.effects if not effect.measured),
+        not_excluded=not_excluded(document),
         dependences=tuple(map(_dependence_row, document.dependences)),
         joints_plot=Plot("joints", joints_plot(document.joints)) if document.joints else None,
         rest_is_noise=after is not None and after > SIGNIFICANT,

@@ -51,13 +51,17 @@ def _score_investigation(args: argparse.Namespace, terminal: Terminal) -> int:
     kind, hidden = truth_of(args.directory)
     right, wrong = judged(ending, kind, hidden)
     named = ending.effects if ending.certain else ending.candidates
-    judgement = "right" if right else "wrong" if wrong else "undecided without the hidden effect"
+    if right or wrong:
+        judgement = "right" if right else "wrong"
+    else:
+        judgement = "right in part, the rest not excluded" if ending.certain else "undecided without the hidden effect"
     terminal.result(
         {
             "kind": kind,
             "truth": list(hidden),
             "verdict": ending.verdict,
             "named": list(named),
+            "not_excluded": list(ending.not_excluded),
             "correct": right,
             "surely_wrong": wrong,
             "trials": ending.trials,

@@ -13,7 +13,12 @@ from documents import comparison, diagnosis
 
 from impact_rs_analysis import investigation
 from impact_rs_analysis.diagnosis.discovery_document import DiscoveryDocument, LawDocument
-from impact_rs_analysis.diagnosis.document import DiagnosisDocument, EffectDocument, ModelIdentity
+from impact_rs_analysis.diagnosis.document import (
+    DiagnosisDocument,
+    EffectDocument,
+    EstimateDocument,
+    ModelIdentity,
+)
 from impact_rs_analysis.investigation import (
     BlindChoice,
     Ending,
@@ -648,6 +653,51 @@ def test_an_end_is_right_undecided_or_surely_wrong(
     ending: Ending, kind: str, hidden: tuple[str, ...], right: bool, wrong: bool
 ) -> None:
     assert judged(ending, kind, hidden) == (right, wrong)
+
+
+@pytest.mark.parametrize(
+    ("verdict", "named", "open_still", "wrong"),
+    [
+        ("EXPLAINED", (FRICTION,), (MASS,), False),
+        ("EXPLAINED", (FRICTION,), ("pad_friction",), True),
+        ("EXPLAINED", (FRICTION, "pad_tilt"), (MASS,), True),
+        ("NOTHING-MISSING", (), (FRICTION, MASS), False),
+        ("NOTHING-MISSING", (), (MASS,), True),
+    ],
+)
+def test_what_an_end_does_not_exclude_is_not_surely_wrong(
+    verdict: str, named: tuple[str, ...], open_still: tuple[str, ...], wrong: bool
+) -> None:
+    """It is not right either; and a name that is not hidden, or a hidden one that is excluded, is wrong."""
+    ending = end(verdict, named).model_copy(update={"not_excluded": open_still})
+    assert judged(ending, "pair", (FRICTION, MASS)) == (False, wrong)
+
+
+def test_an_end_says_what_its_trials_would_hardly_show(start: Start) -> None:
+    """Pad friction of 0.14 is 1.4 times a noticeable change; a mass that is right to 5 % is excluded."""
+
+    def answer(model: Model, trials: int) -> DiagnosisDocument:
+        if not model.effects:
+            return friction_then_nothing(model, trials)
+        others = (
+            EffectDocument(
+                name=name,
+                verdict="NO-IMPROVEMENT",
+                parameters={parameter: EstimateDocument(estimate=0.0, unit=unit, ci95=ci, nominal=at, scale=0.1)},
+                held_out_error_before=1.0,
+                held_out_error_after=1.0,
+                p_value=0.6,
+            )
+            for name, parameter, unit, ci, at in (
+                ("pad_friction", "friction", "-", (-0.14, 0.08), 0.0),
+                (MASS, "scale", "-", (0.97, 1.05), 1.0),
+            )
+        )
+        return CLEAN.model_copy(update={"effects": tuple(others)})
+
+    ending = start(answer)[0].run()
+    assert (ending.verdict, ending.not_excluded) == ("EXPLAINED", ("pad_friction",))
+    assert "Not excluded at a noticeable size: pad_friction (friction -0.14 to 0.08)." in ending.summary
 
 
 @pytest.mark.parametrize(

@@ -9,6 +9,7 @@ from typing import Any
 import pytest
 from documents import tied_laws
 
+from impact_rs_analysis.diagnosis.document import DiagnosisDocument
 from impact_rs_analysis.investigation import Round, Settings
 from impact_rs_cli import bench
 from impact_rs_cli.bench import PlantBench, simple_design
@@ -67,7 +68,7 @@ def test_a_design_after_a_discovery_knows_its_laws(tmp_path: Path, monkeypatch: 
     """The design distinguishes two tied laws; the library has neither."""
     decided, world = list[Any](), Physics.nominal(load_scenario("push"), "juice")
 
-    def design(known: Any, scenarios: Any, budget: int, map_tasks: Any, decide: Any, *rest: Any) -> ExperimentPlan:
+    def design(known: Any, scenarios: Any, budget: int, map_tasks: Any, decide: Any, *_: Any, **__: Any) -> Any:
         decided.append(decide(known, world.joints, [world]))
         return designed()
 
@@ -76,3 +77,22 @@ def test_a_design_after_a_discovery_knows_its_laws(tmp_path: Path, monkeypatch: 
     plant.design(load_model("nominal"), [], tied_laws(), 4, 1)
     assert decided[0].aim == "rivals" and decided[0].pairs == ((0, 1),)
     assert [one.name for one in decided[0].explanations] == ["object_drag", "object_drag_cube"]
+
+
+@pytest.mark.parametrize(("done", "document", "wanted"), [(0, None, False), (1, None, True), (1, tied_laws(), False)])
+def test_a_new_model_is_tried_where_any_further_effect_would_show(
+    done: int, document: DiagnosisDocument | None, wanted: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """No matter which; the first trials, and those after a diagnosis, are to tell effects apart."""
+    asked = dict[str, Any]()
+
+    def design(*_: Any, **options: Any) -> ExperimentPlan:
+        asked.update(options)
+        return designed()
+
+    monkeypatch.setattr(bench, "design", design)
+    monkeypatch.setattr(PlantBench, "measured_runs", lambda self: None)
+    settings = SETTINGS.model_copy(update={"effects": ("object_mass",)})
+    plant = PlantBench(tmp_path, settings, map, Terminal(as_json=True))
+    plant.design(load_model("nominal"), [Round(1, tmp_path, "nominal", designed())] * done, document, 4, 1)
+    assert (asked["whether_any"], asked["effects"]) == (wanted, ("object_mass",))

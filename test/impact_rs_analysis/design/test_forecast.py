@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from impact_rs_analysis.design.design import planned
+from impact_rs_analysis.design.design import decision_of, planned
 from impact_rs_analysis.design.discrimination import Discrimination
 from impact_rs_analysis.design.explanations import Decision, Explanation, estimated, which_effect
 from impact_rs_analysis.design.forecast import Forecast, forecast_of
@@ -38,6 +38,14 @@ def forecast() -> Forecast:
 def between(forecast: Forecast, *names: str) -> Decision:
     effects = [library()[name] for name in names]
     return which_effect(effects, forecast.source.joints, forecast.source.worlds)
+
+
+def test_whether_any_effect_is_missing_asks_for_none_by_name(forecast: Forecast) -> None:
+    """Each effect against the model as it is, and no two against each other."""
+    names = ("object_mass", "support_friction", "restitution")
+    every, any_ = decision_of(forecast, None, names), decision_of(forecast, None, names, whether_any=True)
+    assert every.explanations == any_.explanations and len(every.pairs) == 6
+    assert any_.pairs == ((0, 1), (0, 2), (0, 3))
 
 
 def test_what_the_arm_cannot_do_is_no_proposal(forecast: Forecast) -> None:
