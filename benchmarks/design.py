@@ -4,13 +4,15 @@
 Every blind campaign of the matrix is measured in three ways with the same hidden effect: the fixed campaign of
 ``blind make`` (18 trials), and half as many trials by design and at random. Each is diagnosed and scored. Where one
 ends in a tie, ``TIE_BUDGET`` further trials are proposed by design and at random, and all are diagnosed again.
+
+Few of these end in a tie. ``--only tie`` hides every effect in six pushes of one object, which often do.
 """
 
 from __future__ import annotations
 
 import json
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict
 from functools import partial
 from pathlib import Path
@@ -19,26 +21,51 @@ from typing import Any
 import numpy as np
 
 from benchmarks.blind import matrix
-from benchmarks.board import Entry, Row, arguments, run_board, share
+from benchmarks.board import Entry, Row, arguments, diagnosed, run_board, share
 from impact_rs_analysis.design.design import Decide, decision_of, planned
 from impact_rs_analysis.design.forecast import Forecast, forecast_of
 from impact_rs_analysis.design.possible_trials import possible_trials
-from impact_rs_analysis.diagnosis.diagnose import diagnose
-from impact_rs_analysis.diagnosis.document import DiagnosisDocument, read_document, write_document
+from impact_rs_analysis.diagnosis.document import DiagnosisDocument
 from impact_rs_analysis.diagnosis.next_experiment import left_open
 from impact_rs_analysis.diagnosis.scoring import held_against_truth
 from impact_rs_analysis.evidence.measured_runs import Runs, read_runs
 from impact_rs_analysis.evidence.replay_cache import ReplayCache
-from impact_rs_analysis.evidence.replays import ReplaySource
+from impact_rs_sim.effects import of_trials
 from impact_rs_sim.model import load_model
-from impact_rs_trials.blind import RUNS, SCENARIOS, TRUTH, BlindTask, Hidden, make, run_task
-from impact_rs_trials.experiment_plan import ExperimentPlan, Method, manifests_of, read_plan, write_plan
+from impact_rs_trials.blind import RUNS, SCENARIOS, TRUTH, BlindTask, Hidden, Secret, make, run_task
+from impact_rs_trials.campaign import PlannedTrials
+from impact_rs_trials.experiment_plan import (
+    ExperimentPlan,
+    Method,
+    PlannedCampaign,
+    manifests_of,
+    read_plan,
+    write_plan,
+)
 from impact_rs_trials.workers import Map
 
 BUDGET = 9  # half of the fixed campaign
 TIE_BUDGET = 4
 NULLS = 8
 METHODS: tuple[Method, ...] = ("design", "random")
+CLEAR = 3.0  # parameter scales, of an effect that few trials should show
+SURE = 0.95
+FEW = ExperimentPlan(
+    model="nominal",
+    model_digest=load_model("nominal").digest,
+    aim="effects",
+    method="fixed",
+    budget=6,
+    campaigns=(
+        PlannedCampaign(
+            folder="push",
+            scenario="push",
+            conditions=tuple(
+                PlannedTrials(object="parcel", case=case, trials=2) for case in ("case_1", "case_2", "case_3")
+            ),
+        ),
+    ),
+)
 
 
 def hidden_of(directory: Path) -> tuple[tuple[Hidden, ...], str | None, float]:
@@ -67,14 +94,6 @@ def record(plan: ExperimentPlan, directory: Path, truth: Path, map_tasks: Map) -
 def together(before: Runs, directory: Path, map_tasks: Map) -> Runs:
     """Earlier runs and those of another folder; repeats of a condition have the features that all of them have."""
     return Runs.of(before.directory, [*before.runs, *read_runs(directory, map_tasks).runs])
-
-
-def diagnosed(document: Path, read: Callable[[], Runs], map_tasks: Map) -> DiagnosisDocument:
-    """Diagnosis by the nominal model; one that exists is kept."""
-    if not document.exists():
-        source = ReplaySource.of(read(), load_model("nominal"), ReplayCache(map_tasks))
-        write_document(diagnose(source, source.model), document)
-    return read_document(document)
 
 
 class Planner:
@@ -140,6 +159,29 @@ def run(planner: Planner, entry: Entry, directory: Path, map_tasks: Map) -> Row:
     }
 
 
+def run_few(planner: Planner, entry: Entry, directory: Path, map_tasks: Map) -> Row:
+    """Measure few trials of one effect and, if they end in a tie, those that are proposed to split it."""
+    directory.mkdir(parents=True, exist_ok=True)
+    Secret.drawn(entry.seed, "single", entry.effect, entry.magnitude).keep(directory)
+    began = time.perf_counter()
+    runs = directory / RUNS
+    record(FEW.model_copy(update={"seed": entry.seed}), runs, directory, map_tasks)
+    first = diagnosed(directory / "few.json", partial(read_runs, runs, map_tasks), map_tasks)
+    ties = [
+        split(planner, directory, "few", method, entry.seed, runs, first, map_tasks)
+        for method in METHODS
+        if first.confusable
+    ]
+    return {
+        "name": entry.name,
+        "kind": entry.kind,
+        "correct": judged(directory, first)["correct"],
+        "verdict": f"{first.verdict}, then {', '.join(one['method'] + ' ' + one['verdict'] for one in ties) or 'no tie'}",
+        "ties": ties,
+        "seconds": time.perf_counter() - began,
+    }
+
+
 def split(
     planner: Planner,
     directory: Path,
@@ -176,6 +218,22 @@ def judged(directory: Path, document: DiagnosisDocument) -> dict[str, Any]:
 
 def scoreboard(rows: Sequence[Row]) -> str:
     """The figures, against their goals."""
+    lines = [*_campaigns([row for row in rows if row["kind"] != "tie"])]
+    for method in METHODS:
+        tied = [one for row in rows for one in row["ties"] if one["method"] == method]
+        sure = [one for one in tied if one["said"] >= SURE]
+        lines.append(
+            f"ties, {TIE_BUDGET} further trials, {method}: split {share([one['split'] for one in tied])}, right "
+            f"{share([one['correct'] for one in tied])}; of those promised with {SURE:.0%} or more: split "
+            f"{share([one['split'] for one in sure])}"
+        )
+    return "\n".join(lines)
+
+
+def _campaigns(rows: Sequence[Row]) -> list[str]:
+    """The figures of whole campaigns."""
+    if not rows:
+        return []
     ways = ("fixed", *METHODS)
     lines = [f"right: {way:7s} {share([row[way]['correct'] for row in rows])}" for way in ways]
     lines += [f"headline: {way:7s} {share([row[way]['headline'] for row in rows])}" for way in ways]
@@ -185,13 +243,7 @@ def scoreboard(rows: Sequence[Row]) -> str:
         lines.append(f"{way}: same effects named as by the fixed campaign {share(same)}; no worse {share(no_worse)}")
     worse = [row["name"] for row in rows if row["random"]["correct"] and not row["design"]["correct"]]
     lines.append(f"random right and design wrong: {', '.join(worse) or 'none'}")
-    for method in METHODS:
-        tied = [one for row in rows for one in row["ties"] if one["method"] == method]
-        lines.append(
-            f"ties, {TIE_BUDGET} further trials, {method}: split {share([one['split'] for one in tied])}, "
-            f"right {share([one['correct'] for one in tied])}"
-        )
-    return "\n".join(lines)
+    return lines
 
 
 def main() -> None:
@@ -203,13 +255,14 @@ def main() -> None:
     order = np.random.default_rng(0).permutation(len(entries))  # those that are done in time are a sample
     there = [(options.output / entry.name / "fixed.json").exists() for entry in entries]
     order = sorted(order, key=lambda number: not there[number])  # fixed campaigns that exist are used first
+    ties = [Entry("tie", name, CLEAR, 500 + number) for number, name in enumerate(of_trials())]
     planners: dict[int, Planner] = {}
 
     def one(entry: Entry, directory: Path, map_tasks: Map) -> Row:
         planner = planners.setdefault(id(map_tasks), Planner(map_tasks))
-        return run(planner, entry, directory, map_tasks)
+        return (run_few if entry.kind == "tie" else run)(planner, entry, directory, map_tasks)
 
-    print(scoreboard(run_board([entries[number] for number in order], options, one)))
+    print(scoreboard(run_board([*(entries[number] for number in order), *ties], options, one)))
 
 
 if __name__ == "__main__":

@@ -266,13 +266,20 @@ class Fit:
 
     @cached_property
     def interval(self) -> tuple[Array, Array]:
-        """Ends of the 95 % intervals in units of the parameters, ``(p,)`` each, with the half widths of :meth:`widths`.
+        """Ends of the 95 % intervals of all parameters, see :meth:`interval_of`."""
+        return self.interval_of(range(self.candidate.point.size))
+
+    def interval_of(self, parameters: Sequence[int]) -> tuple[Array, Array]:
+        """Ends of 95 % intervals in units of the parameters, ``(k,)`` each, with the half widths of :meth:`widths`.
 
         Where features bend (a box tips, a contact slips), sensitivities at the estimate are not those at the end of the
         interval. So each end is simulated, with the other parameters moved along (profile of the squares of residuals),
         and is moved out until the squares rise as much as they would in a straight model. Where they rise much more,
         the valley of the squares is curved, as that of the length of a cable and the place of its end: then the others
         are fitted again there. Bounds of physics cut intervals off; the range of a search does not.
+
+        Args:
+            parameters: Their numbers.
         """
         candidate, inverse = self.with_room, np.linalg.inv(self.problem.total)
         half, least = self.half_widths, self._squares_at([self.estimate])[0]
@@ -281,7 +288,7 @@ class Fit:
         rise = half**2 / np.diag(inverse)
         ends = {}
         for side in (-1.0, 1.0):
-            reach, left = half.copy(), list(range(half.size))
+            reach, left = half.copy(), list(parameters)
             for _ in range(DOUBLINGS):
                 steps = [side * reach[i] * inverse[:, i] / inverse[i, i] * candidate.scale for i in left]
                 points = [np.clip(self.estimate + step, candidate.lower, candidate.upper) for step in steps]
@@ -298,7 +305,8 @@ class Fit:
                     break
                 reach[left] *= 2.0
             ends[side] = np.clip(self.estimate + side * reach * candidate.scale, candidate.lower, candidate.upper)
-        return np.minimum(ends[-1.0], self.estimate), np.maximum(ends[1.0], self.estimate)
+        own = list(parameters)
+        return np.minimum(ends[-1.0], self.estimate)[own], np.maximum(ends[1.0], self.estimate)[own]
 
     def _squares_beside(self, index: int, point: Array) -> float:
         """The squares at a point after a fit of the other parameters, with sensitivities of the estimate."""

@@ -462,22 +462,36 @@ def _error_without(found: Findings, name: str) -> float | None:
     return None if fitted is None else residual_size(fitted.evidence, fitted.problem.left_out_rest)
 
 
-def _straight(fitted: Fit) -> tuple[Array, Array]:
-    """Ends of the 95 % intervals of a linear fit, within the bounds, ``(p,)`` each."""
+def _ends(found: Findings, fitted: Fit, part: slice) -> tuple[Array, Array]:
+    """Ends of the 95 % intervals of one effect, ``(k,)`` each; simulated where its signals may bend."""
+    if fitted is found.chosen:
+        return fitted.interval[0][part], fitted.interval[1][part]
+    source = found.search.source
+    if source.of_motion and source.repeated and not _seen_before_contact(fitted, part):
+        return fitted.interval_of(range(part.start, part.stop))
     candidate, half = fitted.with_room, fitted.half_widths * fitted.candidate.scale
-    return np.maximum(fitted.estimate - half, candidate.lower), np.minimum(fitted.estimate + half, candidate.upper)
+    low, high = fitted.estimate - half, fitted.estimate + half
+    return np.maximum(low, candidate.lower)[part], np.minimum(high, candidate.upper)[part]
+
+
+def _seen_before_contact(fitted: Fit, part: slice) -> bool:
+    """Whether free motion, which is almost linear in every parameter, depends on an effect."""
+    if fitted.evidence.before_contact is None:
+        return False
+    free = fitted.evidence.seen_before_contact(fitted.candidate).jacobians
+    return any(np.any(jacobian[:, part]) for jacobian in free)
 
 
 def _estimates(found: Findings, fitted: Fit, name: str) -> dict[str, EstimateDocument]:
     """Estimates of one effect with intervals, clipped to the bounds of the parameters."""
     candidate = fitted.candidate
     part = candidate.part(name)
-    ends = fitted.interval if fitted is found.chosen else _straight(fitted)
+    ends = _ends(found, fitted, part)
     result = {}
     for index in range(part.start, part.stop):
         scalar = candidate.scalars[index]
         value = round(float(fitted.estimate[index]) / scalar.scale, 9) * scalar.scale  # no rounding error at bounds
-        low, high = (float(end[index]) for end in ends)
+        low, high = (float(end[index - part.start]) for end in ends)
         verdict = p = before = after = None
         if scalar.joint is not None and name in found.names and fitted is found.chosen:
             verdict, p, before, after = _joint(found, fitted, index)

@@ -55,6 +55,7 @@ EFFECTS = {
         effect("rippled", (parameter("r"),)),
         effect("saturated", (parameter("u", lower=0.0),)),
         effect("turning", (parameter("v"),)),
+        effect("slight", (parameter("w"),), ("contact",)),
         effect("dry", (parameter("f", lower=0.0), parameter("fade", 1.0, True, 0.01, (0.1, 1.0, 10.0)))),
     )
 }
@@ -110,6 +111,8 @@ def features(cluster: int, added: Added) -> Array:
             result += 30.0 * (1.0 - np.exp(-first / 12.0)) * along(90)
         elif name == "turning":  # as restitution, which first shows where a contact opens
             result += 0.5 * first * np.exp(-(first**2) / 4.0) * along(91) + 1e-3 * first**2 * along(92)
+        elif name == "slight":  # as a moment that resists tipping, of a box that soon does not tip any more
+            result += 0.04 * np.tanh(first / 0.5) * along(93)
         elif name == "outside":
             result += first * along(5)
     for _, values in (one for one in added if one[0] == "dry"):  # takes its part of whatever drives, and no more

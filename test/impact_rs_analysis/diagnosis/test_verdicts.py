@@ -16,6 +16,7 @@ from impact_rs_analysis.diagnosis.document import DiagnosisDocument, EffectDocum
 from impact_rs_analysis.diagnosis.fit import Evidence
 from impact_rs_analysis.diagnosis.hold_out import HoldOut, hold_out
 from impact_rs_analysis.diagnosis.verdicts import clip_p, residual_size, rests_of
+from impact_rs_analysis.diagnosis.words import not_excluded
 from impact_rs_analysis.evidence.cluster import Added
 from impact_rs_sim.errors import InputError
 
@@ -236,3 +237,20 @@ def test_a_small_effect_beside_one_that_matters_leaves_the_whole_large() -> None
     assert effect(document, "one_sided").verdict == "CONFIRMED"
     assert effect(document, "straight").verdict == "PRESENT-BUT-SMALL"
     assert document.verdict == "one_sided+straight"
+
+
+def test_what_soon_changes_nothing_more_is_not_excluded_however_large() -> None:
+    """Its sensitivity at nominal would exclude all beyond a few scales; what changes in proportion is excluded."""
+    document = said(AnalyticSource(3), "straight", "slight")
+    _, high = effect(document, "slight").parameters["w"].interval
+    assert document.verdict == "NOTHING-MISSING" and high > 20.0
+    assert document.not_excluded == {"slight": "w"}
+    assert not_excluded(document).startswith("slight (w ")
+
+
+def test_what_first_changes_something_far_away_is_not_excluded_and_what_is_named_is_not_listed() -> None:
+    """A contact sticks up to six scales of its friction: those are possible."""
+    document = said(AnalyticSource(3, (("straight", (5.0,)),)), "straight", "twin_of_straight", "sticking")
+    low, high = effect(document, "sticking").parameters["h"].interval
+    assert document.named == ("straight",) and document.not_excluded == {"sticking": "h"}
+    assert low < -6.0 and high > 6.0
