@@ -176,7 +176,7 @@ def run_few(planner: Planner, entry: Entry, directory: Path, map_tasks: Map) -> 
         "name": entry.name,
         "kind": entry.kind,
         "correct": judged(directory, first)["correct"],
-        "verdict": f"{first.verdict}, then {', '.join(one['method'] + ' ' + one['verdict'] for one in ties) or 'no tie'}",
+        "verdict": ", then ".join([first.verdict, *(f"{one['method']} {one['verdict']}" for one in ties)]),
         "ties": ties,
         "seconds": time.perf_counter() - began,
     }

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Trials that a cell can run: cases of scenarios at further speeds, beside the centre of the object, on other ways.
+"""Trials that a cell can run: cases of scenarios at further speeds, beside the centre, at an angle, on other ways.
 
 A variant of a scenario is the scenario with some settings, as in ``impact-rs campaign --set``. What is beyond reach or
 limits is found out by a forecast (:mod:`impact_rs_analysis.design.forecast`).
@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from impact_rs_sim.errors import InputError
+from impact_rs_sim.robot import Array
 from impact_rs_sim.scenario import Case, CaseRobot, Scenario, load_scenario
 from impact_rs_trials.envelope import CellEnvelope
 from impact_rs_trials.runs import label_of
@@ -22,6 +23,8 @@ from impact_rs_trials.spec import TrialSpec
 SLOWER = 0.5  # of the slowest case: sticking and Stribeck friction show there
 BESIDE = 0.15  # of the width of the narrowest object, from its centre: it turns, and the pad still hits a face
 HORIZONTAL = 1e-6  # of a pad's normal along z; steeper pads have no side
+BEYOND = 2.0  # times the friction coefficient, of sliding over closing speed: the pad slips, and friction shows
+STEEPEST = np.radians(45.0)  # rad from the normal, of an approach
 
 
 @dataclass(frozen=True)
@@ -134,21 +137,27 @@ def trials_of(path: str, scenario: Scenario, envelope: Envelope = NO_ENVELOPE) -
         envelope: Of the cell.
     """
     for settings, aside in _variants(scenario):
-        yield from _of_variant(path, scenario, settings, aside, envelope)
+        yield from _of_variant(path, scenario, settings, aside, _cases(scenario, _fastest(scenario, envelope)))
+    if _side(scenario) is not None:
+        for name, aside, cases in _slanted(scenario, _fastest(scenario, envelope)):
+            yield from _of_variant(path, scenario, {"name": f"{scenario.name}_from_{name}"}, aside, cases)
+
+
+def _fastest(scenario: Scenario, envelope: Envelope) -> float:
+    """Largest approach speed of a scenario within an envelope [m/s]."""
+    return envelope.fastest or max(map(_speed, scenario.cases.values()))
 
 
 def _of_variant(
-    path: str, scenario: Scenario, settings: Mapping[str, Any], aside: str, envelope: Envelope
+    path: str, scenario: Scenario, settings: Mapping[str, Any], aside: str, own: Mapping[str, Case]
 ) -> Iterator[PossibleTrial]:
-    """Trials of a variant: every object and case, at every speed within the limit."""
-    fastest = envelope.fastest or max(map(_speed, scenario.cases.values()))
-    own = {name: case for name, case in _cases(scenario, fastest).items() if _speed(case) <= fastest * (1.0 + 1e-9)}
+    """Trials of a variant: every object and case."""
     added = {f"cases.{name}": case.model_dump(mode="json") for name, case in own.items() if name not in scenario.cases}
     varied = scenario.with_settings({**settings, **added})
     for name, case in own.items():
         for item in scenario.objects:
             hit = "there and back" if scenario.excursion is not None else f"{scenario.name} of {item}"
-            pose = name if name in scenario.cases else f"pose of {name.removesuffix(_suffix(_speed(case)))}"
+            pose = name if name in scenario.cases else f"pose of {_of_file(name, scenario)}"
             words = f"{hit} at {_speed(case):.2g} m/s{aside} ({pose})"
             own_case = None if name in scenario.cases else case
             yield PossibleTrial(path, settings, own_case, TrialSpec.of(varied, item, name), words)
@@ -183,18 +192,46 @@ def _variants(scenario: Scenario) -> Iterator[tuple[dict[str, Any], str]]:
         )
 
 
-def _beside(scenario: Scenario) -> tuple[list[float], float] | None:
-    """Where the object stands for a hit beside its centre, and how far that is [m]; None where it cannot be set."""
-    if len(scenario.robots) > 1 or scenario.object_position is not None:
+def _side(scenario: Scenario) -> Array | None:
+    """Horizontal direction along the pad of a single arm that hits an object, ``(3,)``; None where it has none."""
+    if len(scenario.robots) > 1 or scenario.excursion is not None or scenario.friction_compensation is not None:
         return None
     name, robot = next(iter(scenario.robots.items()))
     if robot.impact.joint_position is not None:
         return None
-    placement = scenario.impact_placement(name, next(iter(scenario.objects)))
-    normal = placement.rotation[:, 2]
-    if abs(normal[2]) > HORIZONTAL:
+    normal = scenario.impact_placement(name, next(iter(scenario.objects))).rotation[:, 2]
+    return None if abs(normal[2]) > HORIZONTAL else np.cross([0.0, 0.0, 1.0], normal)
+
+
+def _slanted(scenario: Scenario, fastest: float) -> Iterator[tuple[str, str, dict[str, Case]]]:
+    """The fastest case of every pose from the left and from the right, so far from the normal that the pad slips."""
+    angle = min(float(np.arctan(BEYOND * scenario.contact.friction)), STEEPEST)
+    poses: dict[str, tuple[str, Case]] = {}
+    for name, case in _cases(scenario, fastest).items():
+        if (pose := _pose(case)) not in poses or _speed(case) > _speed(poses[pose][1]):
+            poses[pose] = name, case
+    for where, turned in (("left", -angle), ("right", angle)):  # as seen along the approach
+        words = f" from the {where}, {np.degrees(angle):.0f} degrees off the normal"
+        yield where, words, {f"{name}_{where}": _turned(case, turned) for name, case in poses.values()}
+
+
+def _turned(case: Case, angle: float) -> Case:
+    """The case with all velocities turned about the vertical [rad]."""
+    turn = np.array([[np.cos(angle), -np.sin(angle), 0.0], [np.sin(angle), np.cos(angle), 0.0], [0.0, 0.0, 1.0]])
+    robots = {}
+    for name, robot in case.robots.items():
+        velocity = np.trunc(1e5 * turn @ np.array(robot.ante_velocity)) / 1e5  # never faster by rounding
+        robots[name] = robot.model_copy(update={"ante_velocity": tuple(_rounded(velocity))})
+    return case.model_copy(update={"label": f"{case.label}, at an angle", "robots": robots})
+
+
+def _beside(scenario: Scenario) -> tuple[list[float], float] | None:
+    """Where the object stands for a hit beside its centre, and how far that is [m]; None where it cannot be set."""
+    side = _side(scenario)
+    if side is None or scenario.object_position is not None:
         return None
-    side = np.cross([0.0, 0.0, 1.0], normal)
+    placement = scenario.impact_placement(next(iter(scenario.robots)), next(iter(scenario.objects)))
+    normal = placement.rotation[:, 2]
     sizes = [np.array(item.size) for item in scenario.objects.values()]
     distance = BESIDE * min(float(np.abs(side) @ size) for size in sizes)
     depth = float(np.mean([np.abs(normal) @ size for size in sizes])) / 2.0
@@ -206,7 +243,7 @@ def _cases(scenario: Scenario, fastest: float) -> dict[str, Case]:
     """The cases of a scenario, and each of its poses at further speeds: slower than all, those of others, the limit."""
     found = dict(scenario.cases)
     if scenario.friction_compensation is not None:  # identified for these cases alone
-        return found
+        return _not_faster(found, fastest)
     speeds = sorted({round(_speed(case), 4) for case in scenario.cases.values()})
     wanted = [SLOWER * speeds[0], *speeds]
     if fastest > speeds[-1]:
@@ -223,7 +260,17 @@ def _cases(scenario: Scenario, fastest: float) -> dict[str, Case]:
                     found[f"{name}{_suffix(speed)}"] = other.model_copy(
                         update={"label": f"{case.label} at {speed:.2g} m/s"}
                     )
-    return found
+    return _not_faster(found, fastest)
+
+
+def _not_faster(cases: Mapping[str, Case], fastest: float) -> dict[str, Case]:
+    """The cases within a limit of the approach speed [m/s]."""
+    return {name: case for name, case in cases.items() if _speed(case) <= fastest * (1.0 + 1e-9)}
+
+
+def _of_file(name: str, scenario: Scenario) -> str:
+    """The case of the file that a case was made from."""
+    return max((own for own in scenario.cases if name.startswith(own)), key=len)
 
 
 def _suffix(speed: float) -> str:

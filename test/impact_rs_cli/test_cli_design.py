@@ -44,7 +44,12 @@ def test_a_plan_is_made_for_which_effect_is_missing(document: Document, scenario
     written = read_plan(plan)
     assert written.model_dump(mode="json") == made
     assert written.trials == 6
-    assert {campaign.folder for campaign in written.campaigns} <= {"small_push", "small_push_beside"}
+    assert {campaign.folder for campaign in written.campaigns} <= {
+        "small_push",
+        "small_push_beside",
+        "small_push_from_left",
+        "small_push_from_right",
+    }
 
 
 def test_a_plan_after_a_discovery_is_for_its_laws(

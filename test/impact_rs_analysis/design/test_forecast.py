@@ -48,6 +48,17 @@ def test_whether_any_effect_is_missing_asks_for_none_by_name(forecast: Forecast)
     assert any_.pairs == ((0, 1), (0, 2), (0, 3))
 
 
+def test_friction_of_the_pad_shows_where_the_pad_slips() -> None:
+    """A square hit sticks, and a change of 0.1 of the coefficient changes next to nothing."""
+    names = ("push/juice/case_2", "push_from_right/juice/case_2_right")
+    own = forecast_of(load_model("nominal"), some(names), ReplayCache(map))
+    decision = decision_of(own, None, ("pad_friction",))
+    trials = own.under(decision)
+    counts = Discrimination(decision, trials)
+    square, slanted = (float(counts.probabilities(counts.total({name: 2}))[0]) for name in names)
+    assert square < 0.7 and slanted > 0.9
+
+
 def test_what_the_arm_cannot_do_is_no_proposal(forecast: Forecast) -> None:
     assert [name for name, _ in forecast.refused] == ["push/juice/case_3_700mm_s"]
     decision = between(forecast, "object_mass")
