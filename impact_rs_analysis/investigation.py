@@ -25,6 +25,7 @@ after it was made.
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -32,6 +33,7 @@ from typing import Any, Literal, Protocol
 
 import yaml
 from pydantic import Field
+from scipy.special import ndtr, ndtri
 
 from impact_rs_analysis.diagnosis.add import add_effects
 from impact_rs_analysis.diagnosis.compare import ComparisonDocument, compare
@@ -71,6 +73,7 @@ FIRST, CHECK, MORE = 8, 2, 4  # trials of the first round, of one that tries a n
 LOUD = 1.5  # times the noise, of an error that is not nothing, however few trials it comes from
 FALL = 0.7  # of the held-out error of the round before, below which trials and no law are missing
 MOST_DISCOVERIES = 2  # that find no law; each takes minutes
+WORTHWHILE = 0.75  # probability of the right decision that all trials left must promise
 EXPLAINED, LAW, MISSES_NOTHING, UNDECIDED = "EXPLAINED", "LAW-HOLDS", NOTHING, "UNDECIDED"
 
 
@@ -323,7 +326,22 @@ class Investigation:
             count,
             self.settings.seed + number - 1,
         )
-        write_plan(plan, here / "plan.yaml")
+        if rounds and (promised := promise(plan, left)) < WORTHWHILE:
+            self._give_up(rounds[-1], promised, left)
+        else:
+            write_plan(plan, here / "plan.yaml")
+
+    def _give_up(self, last: Round, promised: float, left: int) -> None:
+        """Let a round end the investigation whose open decision no trial would make."""
+        done = last.decision
+        assert done is not None
+        reason = (
+            f"{done.reason} And no trial that can be planned here distinguishes what is possible: with all {left} "
+            f"trials left the decision would be right with {100.0 * promised:.0f} % at best."
+        )
+        end = done.model_copy(update={"action": "end", "verdict": UNDECIDED, "reason": reason, "spent": True})
+        self._say(f"Round {last.number}: end. {reason}")
+        self._write(last, "decision.json", end)
 
     def _predict(self, here: Round) -> None:
         model = self._model(here.model)
@@ -462,7 +480,7 @@ def decide(settings: Settings, rounds: Sequence[Round], budget: int) -> RoundDec
 
     def more(reason: str, candidates: tuple[tuple[str, ...], ...] = (), stop: str = "") -> RoundDecision:
         if left > 0 and not stop:
-            return RoundDecision(action="measure", reason=reason, budget=budget)
+            return RoundDecision(action="measure", reason=reason, tied=candidates, budget=budget)
         why = stop or f"the budget of {budget} trials is spent"
         return RoundDecision(
             action="end",
@@ -564,6 +582,21 @@ def _named(
     reason = "; ".join(f"{effect.name} is {effect.verdict}" for effect in unsure)
     alone = tuple((name,) for name in found.named if not any(name in group for group in found.confusable))
     return more(f"{reason}. {summary}", (*found.confusable, *alone))
+
+
+def promise(plan: ExperimentPlan, left: int) -> float:
+    """Largest probability of the right decision between two explanations that all trials left can promise [-].
+
+    The squared distance of two explanations grows at most in proportion to the trials. 1: the plan is not for rivals.
+
+    Args:
+        plan: The next trials.
+        left: Trials left, those of the plan among them.
+    """
+    if plan.aim != "rivals" or not plan.pairs:
+        return 1.0
+    best = max(pair.after for pair in plan.pairs)
+    return float(ndtr(ndtri(best) * math.sqrt(left / plan.trials)))
 
 
 def measured(rounds: Sequence[Round]) -> int:

@@ -40,7 +40,7 @@ from impact_rs_sim.errors import InputError
 from impact_rs_sim.model import Model, load_model
 from impact_rs_trials.campaign import PlannedTrials
 from impact_rs_trials.envelope import CellEnvelope
-from impact_rs_trials.experiment_plan import ExperimentPlan, PlannedCampaign
+from impact_rs_trials.experiment_plan import ExperimentPlan, PlannedCampaign, PlannedPair
 
 FRICTION, MASS = "support_friction", "object_mass"
 PARAMETERS = {
@@ -277,6 +277,28 @@ def test_no_more_trials_than_the_budget(start: Start, budget: int) -> None:
     for name, answer in {"tie": tie, "null": lambda *_: CLEAN, "single": friction_then_nothing}.items():
         investigation_, bench = start(answer, budget, name)
         assert investigation_.run().trials == len(bench.measured) <= budget
+
+
+@pytest.mark.parametrize(("after", "ends"), [(0.55, True), (0.8, False)])
+def test_a_tie_that_no_trial_splits_ends_before_the_budget_is_spent(
+    start: Start, monkeypatch: pytest.MonkeyPatch, after: float, ends: bool
+) -> None:
+    """Four trials that promise 55 % make 59 % of all twelve that are left; 132 make 76 % of them."""
+    design = FakeBench.design
+
+    def rivals(self: FakeBench, *arguments: Any) -> ExperimentPlan:
+        pairs = (PlannedPair(first=FRICTION, second=MASS, before=0.5, after=after),)
+        plan = design(self, *arguments)
+        return plan.model_copy(update={"aim": "rivals", "pairs": pairs}) if arguments[1] else plan
+
+    monkeypatch.setattr(FakeBench, "design", rivals)
+    investigation_, _ = start(tie, budget=20)
+    ending = investigation_.run()
+    assert (ending.verdict, ending.candidates) == ("UNDECIDED", (FRICTION, MASS))
+    assert ending.trials == (8 if ends else 20)
+    assert ("would be right with 59 % at best" in ending.summary) == ends
+    larger = Investigation(investigation_.directory, SETTINGS, 140, investigation_._bench).run()
+    assert larger.trials > ending.trials
 
 
 def test_a_larger_budget_goes_on_after_the_end_of_a_spent_one(start: Start) -> None:
