@@ -29,11 +29,11 @@ import math
 from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from statistics import NormalDist
 from typing import Any, Literal, Protocol
 
 import yaml
 from pydantic import Field
-from scipy.special import ndtr, ndtri
 
 from impact_rs_analysis.diagnosis.add import add_effects
 from impact_rs_analysis.diagnosis.compare import ComparisonDocument, compare
@@ -73,6 +73,7 @@ FIRST, CHECK, MORE = 8, 2, 4  # trials of the first round, of one that tries a n
 LOUD = 1.5  # times the noise, of an error that is not nothing, however few trials it comes from
 FALL = 0.7  # of the held-out error of the round before, below which trials and no law are missing
 MOST_DISCOVERIES = 2  # that find no law; each takes minutes
+CERTAIN = 0.9999  # the largest probability that is counted with
 WORTHWHILE = 0.75  # probability of the right decision that all trials left must promise
 EXPLAINED, LAW, MISSES_NOTHING, UNDECIDED = "EXPLAINED", "LAW-HOLDS", NOTHING, "UNDECIDED"
 
@@ -595,8 +596,8 @@ def promise(plan: ExperimentPlan, left: int) -> float:
     """
     if plan.aim != "rivals" or not plan.pairs:
         return 1.0
-    best = max(pair.after for pair in plan.pairs)
-    return float(ndtr(ndtri(best) * math.sqrt(left / plan.trials)))
+    best = min(max(pair.after for pair in plan.pairs), CERTAIN)
+    return NormalDist().cdf(NormalDist().inv_cdf(best) * math.sqrt(left / plan.trials))
 
 
 def measured(rounds: Sequence[Round]) -> int:
