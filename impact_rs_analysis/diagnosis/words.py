@@ -45,7 +45,7 @@ def not_excluded(document: DiagnosisDocument) -> str:
         own = effect.parameters[parameter]
         low, high = own.interval
         unit = "" if own.unit == "-" else f" {own.unit}"
-        found.append(f"{name} ({parameter} {low:.2g} to {high:.2g}{unit})")
+        found.append(f"{name} ({parameter} {low:.3g} to {high:.3g}{unit})")
     return ", ".join(found)
 
 
