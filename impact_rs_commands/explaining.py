@@ -266,7 +266,8 @@ m/s.""",
             "--unsure", kind="text", many=True, default=(), metavar="NAME=LOW:HIGH", advanced=True,
             label="geometry that is not known well", otherwise="none",
             help="with --impacts: ranges of what is not known well, in SI units: columns of the body (size_x, radius, "
-            "mass, ixx ...), offset_x ... of the tracked point from the centre, tilt_x and tilt_y of the plane; the "
+            "mass, ixx ...), offset_x ... of the tracked point from the centre, tilt_x and tilt_y of the plane; of an "
+            "arm tool_mass, tool_length, pad_x, pad_y, joint2_z ... and flange_x ... (offsets), support_friction; the "
             "summary says if the verdict turns on them",
         ),
         *SOURCE,

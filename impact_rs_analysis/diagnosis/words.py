@@ -99,7 +99,7 @@ def _range(name: str, document: DiagnosisDocument) -> str:
         fall = _fall(document.held_out_error_after, best.held_out_error_after)
         prefer = f" The data prefer {best.name}: held-out error {fall} {_unit(document)}."
     if turned := [view for view in views if set(view.named) != set(document.named)]:
-        others = ", ".join(f"with {view.value:.4g} {view.unit} it is {view.verdict}" for view in turned)
+        others = ", ".join(f"with {_span([view.value or 0.0], view.unit)} it is {view.verdict}" for view in turned)
         return f"The verdict turns on {name}: {others}.{prefer}"
     named = [effect for effect in document.effects if effect.name in document.named]
     spans = []
@@ -110,7 +110,7 @@ def _range(name: str, document: DiagnosisDocument) -> str:
                 continue
             values = [own.estimate, *(every[key].estimate for every in estimates)]
             label = effect.name if len(effect.parameters) == 1 else f"{effect.name}.{key}"
-            spans.append(f"{label} {_span(values, own.unit)}".removesuffix(" -"))
+            spans.append(f"{label} {_span(values, own.unit)}")
     what = "names stay" if len(named) > 1 else "name stays" if named else "verdict stays"
     return f"The {what} over {text}{': ' if spans else ''}{', '.join(spans)}.{prefer}"
 
@@ -122,8 +122,9 @@ def _ends(views: Sequence[ViewDocument]) -> str:
 
 def _span(values: Sequence[float], unit: str) -> str:
     """Smallest and largest of some values."""
-    ends = dict.fromkeys(f"{value:.3g}" for value in (min(values), max(values)))
-    return f"{' to '.join(ends)} {unit}"
+    digits = 4 if len(values) == 1 else 3
+    ends = dict.fromkeys(f"{value:.{digits}g}" for value in (min(values), max(values)))
+    return f"{' to '.join(ends)} {unit}".removesuffix(" -")
 
 
 def _circumstances(document: DiagnosisDocument) -> list[str]:

@@ -24,6 +24,9 @@ where H is diagonal, as for a free body whose moments are alike. Every entry has
 
     sigma_i = s / sqrt(H_ii / m),        s^2 = mean of d^2 over the rows / number of entries of a row
 
+(a distance that was measured in place of a velocity counts as the velocity that it is worth,
+:mod:`impact_rs_trials.recordings.distances`)
+
 so that fits minimise the reported error. Scaling each signal by its own residual would be wrong: the signal with the
 largest effect of a missing term would then have the smallest weight in its estimate.
 
@@ -40,6 +43,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
+import pinocchio as pin
 
 from impact_rs_analysis.evidence.ante_impact import obliqueness_of
 from impact_rs_analysis.evidence.cluster import TIMES, Added, Cluster, Feature, pooled_error
@@ -70,7 +74,7 @@ from impact_rs_analysis.evidence.tracks import ComparedSignal, Track
 from impact_rs_sim.effects import Effect
 from impact_rs_sim.effects.depending import Depending, level_name
 from impact_rs_sim.errors import InputError, NotABody
-from impact_rs_sim.impact_map.contacts import contact_frame
+from impact_rs_sim.impact_map.contacts import SUPPORT, contact_frame
 from impact_rs_sim.impact_map.laws import System
 from impact_rs_sim.impact_map.measured import MeasuredImpact, MeasuredImpacts, restitution_of
 from impact_rs_sim.model import Model
@@ -104,6 +108,7 @@ NO_DISCREPANCY_KNOWN = (
     "model discrepancy of the rigid impact map is taken as 0: finite duration and compliance of real impacts count "
     "against the model"
 )
+DISTANCE = "distance after"
 ALONE = ("joints", "object")  # parts of a row of an arm that are also judged apart
 NO_REPEATS = (
     "too few rows are repeats of each other (column 'condition'), so blocks of neighbouring rows are held out instead"
@@ -188,13 +193,13 @@ class ImpactTableSource(Source):
         self._judge(_entries(table, joints=table.joints, body=True))
         self.remarks = tuple(self._remarks()) if remarks else ()
 
-    def _judge(self, seen: slice) -> None:
+    def _judge(self, seen: Places) -> None:
         """Compare some of the entries of the rows."""
         self._seen = seen
         self._featured = Recent[list[Array | None]](ALTERED)
-        self.signals, self.worth = self._all_signals[seen], self._all_worth[:, seen]
-        self.measured = _turned(np.array([row.after for row in self.table.rows]), self._axes)[:, seen]
-        self.noise = None if self.table.noise is None else self.table.noise[:, seen]
+        self.signals, self.worth = tuple(self._all_signals[place] for place in seen), self._all_worth[:, seen]
+        self.measured = self._all_measured[:, seen]
+        self.noise = None if self._all_noise is None else self._all_noise[:, seen]
         self.predicted = self.predicted_with(())
         self.clusters = self._clusters()
 
@@ -269,7 +274,7 @@ class ImpactTableSource(Source):
                 found.append(View(how, self._with_contacts(times), "--contact-tolerance"))
         for one in self.table.variants:
             source = ImpactTableSource(one.table, self.model, discrepancy=self._map_discrepancy, remarks=False)
-            name = f"{one.of} = {one.value:.4g} {one.unit}"
+            name = f"{one.of} = {one.value:.4g} {one.unit}".removesuffix(" -")
             found.append(View(name, source, "--unsure", one.of, one.value, one.unit))
         return tuple(found)
 
@@ -313,7 +318,79 @@ class ImpactTableSource(Source):
         found += [Feature("impact", LINEAR, axis, 0, "m/s", 0.0) for axis in names]
         found += [Feature("impact", ANGULAR, axis, 0, "rad/s", 0.0) for axis in names]
         limits = RELEVANT * self._speed / lengths_of(found, self.physics)
-        return tuple(replace(f, relevance_limit=float(limit)) for f, limit in zip(found, limits, strict=True))
+        signals = [replace(f, relevance_limit=float(limit)) for f, limit in zip(found, limits, strict=True)]
+        if self._distances:
+            lasting = float(np.sqrt(np.mean(np.square(self._lasting))))
+            signals.append(Feature("impact", DISTANCE, "horizontal", 0, "m", RELEVANT * self._speed * lasting))
+        return tuple(signals)
+
+    @property
+    def _distances(self) -> bool:
+        """Whether distances were measured in place of velocities of the centre."""
+        return not self.table.centre
+
+    @cached_property
+    def _lasting(self) -> Array:
+        """Change of the distance of every row by one of the velocity, ``(rows,)`` [s]."""
+        worlds = self._of_rows(self._worlds)
+        velocities, _ = self._impacts.solve(worlds)
+        found = []
+        for row, velocity, world in zip(self.table.rows, velocities, worlds, strict=True):
+            assert row.distance is not None
+            if np.isnan(velocity).any():
+                raise InputError("no velocities obey the contact laws", file=self.table.path, key=f"row {row.number}")
+            found.append(row.distance.lasting(velocity[-6:-3], world))
+        return np.array(found)
+
+    @cached_property
+    def _all_measured(self) -> Array:
+        """Measured entries of all rows, ``(rows, n)`` [rad/s, m/s, m], nan of what was not measured."""
+        found = _turned(np.array([row.after for row in self.table.rows]), self._axes)
+        if not self._distances:
+            return found
+        ways = [np.nan if row.distance is None else row.distance.way for row in self.table.rows]
+        return np.column_stack((found, ways))
+
+    @cached_property
+    def _all_noise(self) -> Array | None:
+        """Standard deviations of all entries, of measurement and prediction, ``(rows, n)``; None: said nowhere."""
+        if self.table.noise is None:
+            return None
+        found = self.table.noise
+        if self._distances:
+            ways = [np.nan if row.distance is None else row.distance.noise for row in self.table.rows]
+            found = np.column_stack((found, np.array(ways, dtype=float)))
+        return np.hypot(found, self._noise_of_contacts)
+
+    @cached_property
+    def _noise_of_contacts(self) -> Array:
+        """Noise of predictions of all entries by place and normal of the contacts of each row, ``(rows, n)``."""
+        worlds, squares = self._of_rows(self._worlds), np.zeros_like(self._all_measured)
+        stated = np.array([row.contact_noise for row in self.table.rows])
+        if not stated.any():
+            return squares
+        here = self._entries_of(self._impacts, worlds)
+        for along in range(5):  # three axes for the place, two tangents for the normal
+            impacts = [_moved(row.impact, along, *row.contact_noise) for row in self.table.rows]
+            there = self._entries_of(MeasuredImpacts(impacts, worlds), worlds)
+            squares += np.square(np.nan_to_num(there - here))
+        return np.sqrt(squares)
+
+    def _entries_of(
+        self, impacts: MeasuredImpacts, worlds: Sequence[Physics], rows: Sequence[int] | None = None
+    ) -> Array:
+        """Entries that the map predicts of some rows (None: all), ``(rows, n)``, nan where it has no solution."""
+        places = range(len(self.table.rows)) if rows is None else rows
+        velocity, _ = impacts.solve(worlds)
+        found = _turned(velocity, self._axes[list(places)])
+        if not self._distances:
+            return found
+        ways = []
+        for place, own, world in zip(places, velocity, worlds, strict=True):
+            distance = self.table.rows[place].distance
+            assert distance is not None
+            ways.append(distance.predicted(own[-6:-3], world))
+        return np.column_stack((found, ways))
 
     @cached_property
     def _speed(self) -> float:
@@ -342,7 +419,8 @@ class ImpactTableSource(Source):
         turned = np.swapaxes(_turned_all(turned, self._axes), 1, 2)
         diagonal = np.einsum("nii->ni", _turned_all(turned, self._axes))
         masses = np.array([self._worlds[world].object.mass for world in self._world_of])
-        return np.asarray(np.sqrt(diagonal / masses[:, None]))
+        worth = np.sqrt(diagonal / masses[:, None])
+        return np.column_stack((worth, 1.0 / self._lasting)) if self._distances else np.asarray(worth)
 
     def residual_weight(self, item: Cluster) -> Array:
         """See :meth:`Source.residual_weight`; the mean over all entries of a row times their number is d^2."""
@@ -402,9 +480,9 @@ class ImpactTableSource(Source):
         if worlds:
             physics_of = list(worlds.values())
             impact = self.table.rows[row].impact
-            velocity, _ = MeasuredImpacts([impact] * len(physics_of), physics_of).solve(physics_of)
-            turned = _turned(velocity, np.broadcast_to(self._axes[row], (len(velocity), 3, 3)))[:, self._seen]
-            found = dict(zip(worlds, turned, strict=True))
+            several = MeasuredImpacts([impact] * len(physics_of), physics_of)
+            entries = self._entries_of(several, physics_of, [row] * len(physics_of))[:, self._seen]
+            found = dict(zip(worlds, entries, strict=True))
         return [None if n not in found or np.isnan(found[n]).any() else found[n] for n in range(len(added))]
 
     def _world_with(self, place: int, added: Added) -> Physics | None:
@@ -426,7 +504,13 @@ class ImpactTableSource(Source):
         if not self.table.arms:
             return np.zeros(len(self.signals))
         world, speed = self._worlds[self._world_of[row]], float(self._impacts.closing_speeds[row])
-        return self._map_discrepancy.of(self._all_signals, world, speed, self._kinds[row])[self._seen]
+        return self._discrepancy_of(row, world, speed)[self._seen]
+
+    def _discrepancy_of(self, row: int, world: Physics, speed: float) -> Array:
+        """Discrepancy of the rigid map of all entries of a row, ``(n,)``."""
+        velocities = self._all_signals[:-1] if self._distances else self._all_signals
+        found = self._map_discrepancy.of(velocities, world, speed, self._kinds[row])
+        return np.append(found, found[-6] * self._lasting[row]) if self._distances else found
 
     def size(self) -> float:
         """See :meth:`Source.size`; without repeats, root mean square over the rows of d of the module [m/s]."""
@@ -508,7 +592,7 @@ class ImpactTableSource(Source):
         except NotABody:
             return None
         key = b"".join(_what_the_map_knows(physics) for physics in worlds)
-        solved = self._known.of(key, lambda: _turned(self._impacts.solve(self._of_rows(worlds))[0], self._axes))
+        solved = self._known.of(key, lambda: self._entries_of(self._impacts, self._of_rows(worlds)))
         return solved[:, self._seen]
 
     @cached_property
@@ -525,10 +609,10 @@ class ImpactTableSource(Source):
     def _of_the_map_in_all(self) -> Array:
         """Discrepancy of the rigid map of all entries of a row, rms over the rows, ``(nv,)``."""
         if not self.table.arms:
-            return np.zeros(6)
+            return np.zeros(len(self._all_signals))
         rows = [
-            self._map_discrepancy.of(self._all_signals, self._worlds[world], float(speed), kind)
-            for world, speed, kind in zip(self._world_of, self._impacts.closing_speeds, self._kinds, strict=True)
+            self._discrepancy_of(row, self._worlds[world], float(speed))
+            for row, (world, speed) in enumerate(zip(self._world_of, self._impacts.closing_speeds, strict=True))
         ]
         return np.asarray(np.sqrt(np.mean(np.square(rows), axis=0)))
 
@@ -604,6 +688,10 @@ class ImpactTableSource(Source):
                 f"repeats scatter {ratio:.2g} times as much as the noise columns say; of every velocity the larger of "
                 "both counts"
             )
+        if self.noise is not None and (own := self._in_energy(self._noise_of_contacts[:, self._seen])) > 0.0:
+            remarks.append(
+                f"place and normal of the contacts, known to p_noise and n_noise, are {own:.2g} m/s of the noise"
+            )
         gained = [row.number for row, ratio in zip(self.table.rows, self._gained(), strict=True) if ratio > GAINED]
         if gained:
             shown = ", ".join(str(number) for number in gained[:5]) + (" ..." if len(gained) > 5 else "")
@@ -637,9 +725,9 @@ class ImpactTableSource(Source):
             return 0.0
         numbers, impacts = [number for number, _ in changed], [impact for _, impact in changed]
         physics = [self._worlds[self._world_of[number]] for number in numbers]
-        velocity, _ = MeasuredImpacts(impacts, physics).solve(physics)
+        entries = self._entries_of(MeasuredImpacts(impacts, physics), physics, numbers)[:, self._seen]
         moved = np.zeros_like(self.predicted)
-        moved[numbers] = np.nan_to_num(_turned(velocity, self._axes[numbers])[:, self._seen] - self.predicted[numbers])
+        moved[numbers] = np.nan_to_num(entries - self.predicted[numbers])
         return self._in_energy(moved)
 
     def _contacts_matter(self, times: float) -> bool:
@@ -696,10 +784,39 @@ class ImpactTableSource(Source):
         return np.array(found)  # nan where something was not measured after
 
 
-def _entries(table: ImpactTable, joints: bool, body: bool) -> slice:
+Places = list[int]
+
+
+def _entries(table: ImpactTable, joints: bool, body: bool) -> Places:
     """Entries of a row of joints or of the body, or of both, without what was not measured."""
-    last = (None if table.turning else -3) if body else -6
-    return slice(None if joints else -6, last)
+    count = table.rows[0].after.size
+    found = list(range(count - 6)) if joints else []
+    if body and table.centre:
+        found += range(count - 6, count - 3)
+    if body and table.turning:
+        found += range(count - 3, count)
+    return [*found, count] if body and not table.centre else found
+
+
+def _moved(impact: MeasuredImpact, along: int, place: float, normal: float) -> MeasuredImpact:
+    """An impact hit elsewhere along an axis of its contact frames, or with normals that are tilted.
+
+    Args:
+        impact: The impact; where there are arms, points on the support stay.
+        along: 0 to 2: points along two tangents and the normal; 3 and 4: normals about the tangents.
+        place: By how much [m].
+        normal: By how much [rad].
+    """
+    points = []
+    for point in impact.points:
+        frame = contact_frame(point.normal)
+        if impact.arms and point.partner == SUPPORT:
+            points.append(point)
+        elif along < len(frame):
+            points.append(replace(point, position=point.position + place * frame[along]))
+        else:
+            points.append(replace(point, normal=np.asarray(pin.exp3(normal * frame[along - 3]) @ point.normal)))
+    return replace(impact, points=tuple(points))
 
 
 def _conditions(table: ImpactTable) -> list[_Group] | None:

@@ -22,7 +22,7 @@ from impact_rs_sim.errors import InputError
 from impact_rs_sim.robot import Array
 from impact_rs_trials.recordings.clock_offset import OBJECT_SIGNALS, clocks_apart
 from impact_rs_trials.recordings.experiment import RunRow
-from impact_rs_trials.recordings.impact_rows import ArmInImpact, Impact, NoRow
+from impact_rs_trials.recordings.impact_rows import BY_WAY, ArmInImpact, Impact, NoRow
 from impact_rs_trials.recordings.joint_jumps import SMALLEST, JointJump, jumps_of
 from impact_rs_trials.recordings.laboratory import (
     SLOW_POSE,
@@ -286,4 +286,4 @@ def _by_distance(seen: _Seen, time: float, way: float) -> tuple[Array, tuple[flo
     direction = (end - start) * [1.0, 1.0, 0.0]
     speed = float(np.sqrt(2.0 * seen.laboratory.scenario.support.friction * 9.81 * way))
     twist = np.concatenate((speed * direction / np.linalg.norm(direction), np.full(3, np.nan)))
-    return twist, (0.5 * seen.laboratory.friction_noise * speed, np.nan), "sliding distance"
+    return twist, (0.5 * seen.laboratory.friction_noise * speed, np.nan), BY_WAY

@@ -33,6 +33,10 @@ NO_TURN = (
     "of {} of {} impacts the velocity after follows from the way to rest, from which no angular velocity follows: the "
     "table has no columns w_after"
 )
+WAYS = (
+    "of all impacts the way to rest is the outcome (slide_distance): the object was seen too seldom for a velocity, so "
+    "the table has no columns v_after and w_after, and predictions depend on the friction of the support"
+)
 
 
 @dataclass(frozen=True)
@@ -82,7 +86,7 @@ def find_impacts(directory: Path, experiment: Experiment, map_tasks: Map) -> Fou
         left_out += [one for one in results if isinstance(one, NoRow)]
     said = list(_counted(remarks, len(hits)))
     if unknown := sum(not impact.turn_tracked for impact in impacts):
-        said.append(NO_TURN.format(unknown, len(impacts)))
+        said.append(WAYS if unknown == len(impacts) else NO_TURN.format(unknown, len(impacts)))
     return FoundImpacts(tuple(impacts), tuple(left_out), len(hits), {}, tuple(said))
 
 

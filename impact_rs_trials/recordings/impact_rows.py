@@ -16,6 +16,7 @@ from impact_rs_sim.robot import Array
 
 POSE = ("x [m]", "y [m]", "z [m]", "qx [-]", "qy [-]", "qz [-]", "qw [-]")
 DIGITS = 9
+BY_WAY = "sliding distance"  # law after the impact, where the velocity follows from the way to rest
 
 
 @dataclass(frozen=True)
@@ -89,9 +90,18 @@ class Impact:
     turn_tracked: bool = True
     session: str = ""
 
+    @property
+    def noise_of_way(self) -> float:
+        """Standard deviation of a slide distance D, with v^2 = 2 mu g D and the noise of v [m]."""
+        way = self.outcomes["slide_distance [m]"]
+        return self.noise[0] * 2.0 * way / max(float(np.linalg.norm(self.after[:3])), 1e-9)
+
 
 def table_text(impacts: Sequence[Impact], constants: Mapping[str, float]) -> str:
     """The table of impacts as CSV.
+
+    Where all velocities after follow from the way that the object slid, that way is the outcome and they are left out,
+    so that the friction of the support stays a parameter.
 
     Args:
         impacts: At least one, all of the same arms.
@@ -105,13 +115,15 @@ def table_text(impacts: Sequence[Impact], constants: Mapping[str, float]) -> str
     header += [f"v{axis}_before [m/s]" for axis in "xyz"] + [f"w{axis}_before [rad/s]" for axis in "xyz"]
     header += [f"v{axis}_after [m/s]" for axis in "xyz"]
     turned = all(impact.turn_tracked for impact in impacts)
+    by_way = all(impact.model == BY_WAY for impact in impacts)
+    header = header[:-3] if by_way else header
     header += [f"w{axis}_after [rad/s]" for axis in "xyz"] if turned else []
     for name, arm in impacts[0].arms.items():
         label = f"{name}." if several else ""
         header += [f"{label}q{joint} [{unit}]" for joint, (unit, _) in enumerate(arm.units, start=1)]
         for tail in ("before", "after"):
             header += [f"{label}dq{joint}_{tail} [{unit}]" for joint, (_, unit) in enumerate(arm.units, start=1)]
-    header += ["v_noise [m/s]", *(["w_noise [rad/s]"] if turned else [])]
+    header += ["distance_noise [m]" if by_way else "v_noise [m/s]", *(["w_noise [rad/s]"] if turned else [])]
     header += ["dq_noise [rad/s]"] if impacts[0].arms else []
     header += ["contact_tolerance [m]", *constants, "law after", *outcomes]
     if not any(impact.session for impact in impacts):
@@ -122,11 +134,11 @@ def table_text(impacts: Sequence[Impact], constants: Mapping[str, float]) -> str
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(header)
     for impact in impacts:
-        after = impact.after if turned else impact.after[:3]
+        after = impact.after if turned else impact.after[:0] if by_way else impact.after[:3]
         numbers = [*impact.position, *pin.Quaternion(impact.rotation).coeffs(), *impact.before, *after]
         for arm in impact.arms.values():
             numbers += [*arm.position, *arm.before, *arm.after]
-        numbers += impact.noise if turned else impact.noise[:1]
+        numbers += impact.noise if turned else [impact.noise_of_way] if by_way else impact.noise[:1]
         if impact.arms:
             numbers.append(float(np.sqrt(np.mean([arm.noise**2 for arm in impact.arms.values()]))))
         numbers += [max(impact.tolerance, GAP_TOLERANCE), *constants.values()]

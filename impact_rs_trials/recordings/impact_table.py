@@ -15,7 +15,13 @@ column                                      unit      what it is
                                                       optional
 ``vx_before`` ... ``vz_before``             m/s       velocity of the centre just before
 ``wx_before`` ... ``wz_before``             rad/s     angular velocity just before
-``vx_after`` ... ``vz_after``               m/s       velocity of the centre just after
+``vx_after`` ... ``vz_after``               m/s       velocity of the centre just after; or, measured later:
+``slide_distance``                          m         horizontal way from the impact to rest, on the support of an arm's
+                                                      object; empty in a row with a ``flight_distance``
+``flight_distance``                         m         horizontal way of the centre while it flies and falls
+``fall_height``                             m         by how much it falls in that flight
+``support_friction``                        -         Coulomb coefficient of that support, as measured; absent or empty:
+                                                      that of the scenario
 ``wx_after`` ... ``wz_after``               rad/s     angular velocity just after; without any, velocities of the
                                                       centre and of joints are compared
 ``mass``                                    kg        mass; of an object: that of the scenario where it is absent
@@ -44,6 +50,10 @@ column                                      unit      what it is
                                                       where the geometry says which do: pose noise times the width
 ``v_noise`` ``w_noise`` ``dq_noise``        m/s or    standard deviation of a measured change of velocity, where it is
                                             rad/s     known
+``distance_noise``                          m         of a distance, likewise
+``p_noise``                                 m         standard deviation of the place of the contact points, which move
+                                                      together; counts as noise of the prediction
+``n_noise``                                 rad       of the direction of their normal, about either tangent; likewise
 ==========================================  ========  ============================================================
 
 Lengths may also be in mm, masses in g, angles in deg. Any column may also be declared a covariate: a circumstance
@@ -83,6 +93,8 @@ from impact_rs_sim.robot_model import RobotModel
 from impact_rs_sim.scenario import Scenario
 from impact_rs_sim.scene import ArmState, BodyState
 from impact_rs_trials.recordings.csv_rows import csv_rows
+from impact_rs_trials.recordings.distances import Distance
+from impact_rs_trials.recordings.unsure_scene import SUPPORT_FRICTION, known_of_scene, with_another
 from impact_rs_trials.since import measured_since
 
 SUFFIXES = (".csv", ".parquet")
@@ -114,6 +126,9 @@ UNSEEN_GEOMETRY = {  # what else may be unsure, 0 in a table: its unit
     "tilt_x": "rad",  # of the plane's normal about x and y of A
     "tilt_y": "rad",
 }
+DISTANCES = ("slide_distance", "flight_distance")
+OF_DISTANCES = (*DISTANCES, "fall_height", SUPPORT_FRICTION, "distance_noise")  # not read beside velocities just after
+OF_CONTACTS = ("p_noise", "n_noise")
 SWEPT = (0.25, 0.5, 1.0)  # shares of the way from the assumed value to either end of a range
 SLIP = 0.75  # likeness from which an unknown column is taken for a slip of the pen
 
@@ -134,6 +149,8 @@ class ImpactRow:
             ``GAP_TOLERANCE``); None: there are no fewer.
         time: When it was measured, seconds since 1970 or since any other moment [s]; None: not known.
         circumstances: Its covariates by name, numbers or names of levels.
+        distance: How far the object went afterwards, where that was measured in place of its velocity.
+        contact_noise: Standard deviations of the place of the contact points [m] and of their normal [rad].
     """
 
     number: int
@@ -146,6 +163,8 @@ class ImpactRow:
     narrower: MeasuredImpact | None = None
     time: float | None = None
     circumstances: Mapping[str, float | str] = field(default_factory=dict)
+    distance: Distance | None = None
+    contact_noise: tuple[float, float] = (0.0, 0.0)
 
 
 @dataclass(frozen=True)
@@ -153,7 +172,8 @@ class Variant:
     """A table read with another value of something that is not known well.
 
     Attributes:
-        of: What it is: a column of the body, or an ``UNSEEN_GEOMETRY``.
+        of: What it is: a column of the body, an ``UNSEEN_GEOMETRY``, or a number of the scenario
+            (:mod:`impact_rs_trials.recordings.unsure_scene`).
         value: Its value, in the unit; of a column whose rows differ, their mean.
         unit: Unit.
         table: The table with it.
@@ -175,6 +195,7 @@ class ImpactTable:
         rows: Its impacts.
         arms: Names of the arms; empty: free bodies.
         joints: Whether joint velocities after the impact were measured.
+        centre: Whether velocities of the centre after the impact were measured; if not, distances were.
         turning: Whether angular velocities after the impact were measured.
         tolerance: How much further off than the nearest a point may be that touches [m]; of rows that say it
             themselves, their mean.
@@ -194,6 +215,7 @@ class ImpactTable:
     assumed: tuple[str, ...] = ()
     unread: tuple[str, ...] = ()
     joints: bool = True
+    centre: bool = True
     turning: bool = True
     tolerance: float = GAP_TOLERANCE
     covariates: Mapping[str, str] = field(default_factory=dict)
@@ -243,8 +265,8 @@ def read_impact_table(
         tolerance: How much further off than the nearest a point may be that touches [m].
         covariates: Names of the columns that say under which circumstances a row was measured. A column of numbers is
             a number, in the unit of its header; any other holds names of levels.
-        unsure: Ranges of what is not known well, in SI units: of columns of the body, whose rows keep their ratios, or
-            of ``UNSEEN_GEOMETRY``.
+        unsure: Ranges of what is not known well, in SI units: of columns of the body, whose rows keep their ratios, of
+            ``UNSEEN_GEOMETRY``, or of numbers of the scenario (:mod:`impact_rs_trials.recordings.unsure_scene`).
 
     Raises:
         InputError: It cannot be read, a column is missing or has another unit, or a row is no impact; the message names
@@ -255,10 +277,12 @@ def read_impact_table(
     table, found = reader.table(digest), []
     for name, (low, high) in unsure.items():
         assumed, unit = reader.assumed_geometry(name)
-        values = {assumed + share * (end - assumed) for end in (low, high) for share in SWEPT if end != assumed}
+        values = {
+            assumed + share * (end - assumed) for end in (low, high) for share in SWEPT if not np.isclose(end, assumed)
+        }
         for value in sorted(values):
             try:
-                other = replace(reader, geometry={name: value / assumed if name in OF_BODY else value}).table(digest)
+                other = reader.with_geometry(name, value, assumed).table(digest)
             except InputError as error:
                 raise InputError(
                     f"with {name} = {value:.4g} {unit}: {error.message}", file=path, key=error.key
@@ -353,9 +377,16 @@ BODY = {
     **{name + tail: "m" for tail in ("", *map(str, range(2, MOST_POINTS + 1))) for name in _triple("p")},
     FRICTION: "-",
     RESTITUTION: "-",
+    "slide_distance": "m",
+    "flight_distance": "m",
+    "fall_height": "m",
+    SUPPORT_FRICTION: "-",
     "v_noise": "m/s",
     "w_noise": "rad/s",
     "dq_noise": "rad/s",
+    "distance_noise": "m",
+    "p_noise": "m",
+    "n_noise": "rad",
     TOLERANCE: "m",
     TIME: "s",
     "condition": "",
@@ -396,6 +427,8 @@ class _Reader:
         """All rows, checked."""
         declared = self._declared()
         unread = [text for text in self._columns() if text not in declared.values()]
+        if self._centre_after:
+            unread += [self._where[name] for name in OF_DISTANCES if name in self._where]
         self._demand()
         circumstances = self._circumstances(declared)
         rows = tuple(
@@ -413,6 +446,7 @@ class _Reader:
             assumed=assumed,
             unread=tuple(unread),
             joints=self._joints_after,
+            centre=self._centre_after,
             turning=self._turning_after,
             tolerance=float(np.mean(tolerances)),
             covariates={name: _name_and_unit(text)[1] for name, text in declared.items()},
@@ -428,6 +462,9 @@ class _Reader:
         known += [own for own in UNSEEN_GEOMETRY if not (self._arms and own.startswith("tilt"))]
         if not self._turning_after:
             known = [own for own in known if not own.startswith("offset")]
+        known += [SUPPORT_FRICTION] if self._scales(SUPPORT_FRICTION) else []
+        of_scene = {} if self.scenario is None else known_of_scene(self.scenario)
+        known += [own for own in of_scene if own not in known]
         if name not in known:
             raise InputError(
                 f"nothing called {name!r} can be unsure here{did_you_mean(name, known)}; known: {', '.join(known)}",
@@ -436,7 +473,28 @@ class _Reader:
             )
         if name in UNSEEN_GEOMETRY:
             return 0.0, UNSEEN_GEOMETRY[name]
-        return float(np.mean([self._value(n, cells, name) for n, cells in enumerate(self.cells, start=1)])), BODY[name]
+        if not self._scales(name):
+            return of_scene[name]
+        rows = [(number, cells) for number, cells in enumerate(self.cells, start=1) if self._text(cells, name)]
+        return float(np.mean([self._value(number, cells, name) for number, cells in rows])), BODY[name]
+
+    def _scales(self, name: str) -> bool:
+        """Whether something that may be unsure is a column, whose rows keep their ratios."""
+        return name in self._where and (name in OF_BODY or (name == SUPPORT_FRICTION and not self._centre_after))
+
+    def with_geometry(self, name: str, value: float, assumed: float) -> _Reader:
+        """A reader of the same table with another value of something that may be unsure.
+
+        Args:
+            name: What.
+            value: Its value, in SI units.
+            assumed: What :meth:`assumed_geometry` says of it.
+        """
+        if self._scales(name) or name in UNSEEN_GEOMETRY:
+            own = value / assumed if self._scales(name) else value
+            return replace(self, geometry={name: own}, _physics={})
+        assert self.scenario is not None
+        return replace(self, scenario=with_another(self.scenario, name, value), _physics={})
 
     def _declared(self) -> dict[str, str]:
         """Headers of the covariates by their names."""
@@ -481,6 +539,12 @@ class _Reader:
         """Whether some joint has a velocity after the impact."""
         columns = (name for arm in self._arms for name in self._of_joints(arm, "dq", "_after"))
         return any(name in self._where for name in columns)
+
+    @property
+    def _centre_after(self) -> bool:
+        """Whether the velocity of the centre after the impact is asked for: no distance stands in its place."""
+        given = any(name in self._where for name in _triple("v", "_after"))
+        return given or not any(name in self._where for name in DISTANCES)
 
     @property
     def _turning_after(self) -> bool:
@@ -578,6 +642,9 @@ class _Reader:
                 }
         if not self._turning_after:
             needed = {name: unit for name, unit in needed.items() if name not in _triple("w", "_after")}
+        if not self._centre_after:
+            needed = {name: unit for name, unit in needed.items() if name not in _triple("v", "_after")}
+            self._demand_of_distances()
         if self.scenario is None:
             needed["mass"] = "kg"
         for group in (_triple("n"), _triple("size_"), ["ixx", "iyy", "izz"], *self._point_columns()):
@@ -609,6 +676,20 @@ class _Reader:
                 f"size ('size_x [m]' ...); there are: {', '.join(self.header)}",
                 file=self.path,
             )
+
+    def _demand_of_distances(self) -> None:
+        """Refuse a table with a distance that no law makes of a velocity."""
+        if "slide_distance" in self._where and self.scenario is None:
+            where = self._where["slide_distance"]
+            said = "a free body has no support on which it slides; flight_distance and fall_height say how far it flew"
+            raise InputError(f"column {where!r}: {said}", file=self.path)
+        if "flight_distance" in self._where and "fall_height" not in self._where:
+            where = self._where["flight_distance"]
+            raise InputError(f"column {where!r} without 'fall_height [m]': how far the centre fell", file=self.path)
+        if self._turning_after:
+            names = [self._where[name] for name in DISTANCES if name in self._where]
+            said = f"column {names[0]!r} stands in place of velocities after; leave out wx_after, wy_after, wz_after"
+            raise InputError(said, file=self.path)
 
     def _demand_of_a_ball(self) -> None:
         """Refuse a ball with the shape of something else."""
@@ -663,7 +744,8 @@ class _Reader:
         )
         spin = _triple("w", "_after")
         turning = self._after(number, cells, spin) if self._turning_after else np.full(len(spin), np.nan)
-        after = [self._after(number, cells, _triple("v", "_after")), turning]
+        moving = self._after(number, cells, _triple("v", "_after")) if self._centre_after else np.full(3, np.nan)
+        after = [moving, turning]
         if any(lever := [self.geometry.get(f"offset_{axis}", 0.0) for axis in AXES]):
             # v of the centre = v of the tracked point - omega x lever
             off = body.rotation @ lever
@@ -714,7 +796,46 @@ class _Reader:
             )
         condition = self._text(cells, "condition")
         time = self._value(number, cells, TIME) if TIME in self._where else None
-        return ImpactRow(number, condition, object_name, physics, impact, np.concatenate(after), more, fewer, time)
+        distance, noise = self._distance(number, cells, physics), self._contact_noise(number, cells)
+        after_all = np.concatenate(after)
+        row = ImpactRow(number, condition, object_name, physics, impact, after_all, more, fewer, time)
+        return replace(row, distance=distance, contact_noise=noise)
+
+    def _distance(self, number: int, cells: Mapping[str, Any], physics: Physics) -> Distance | None:
+        """How far the object of a row went; None: its velocity was measured."""
+        if self._centre_after or self.questions:
+            return None
+        given = [name for name in DISTANCES if self._text(cells, name)]
+        names = " and ".join(repr(self._where[name]) for name in DISTANCES if name in self._where)
+        if len(given) != 1:
+            raise self._wrong(number, f"column {names}", None, "expected one distance in every row [m]")
+        (name,), noise, friction, fall = given, None, None, None
+        if "distance_noise" in self._where:
+            noise = self._positive(number, cells, "distance_noise", zero=True)
+        if name == "flight_distance":
+            fall = self._positive(number, cells, "fall_height", zero=True)
+        elif self._text(cells, SUPPORT_FRICTION):
+            friction = self._positive(number, cells, SUPPORT_FRICTION)
+        elif not physics.support_friction > 0.0:
+            raise self._wrong(
+                number, "support.friction of the scenario", 0.0, "an object slides on without end; expected > 0 [-]"
+            )
+        return Distance(self._positive(number, cells, name), fall, friction, noise)
+
+    def _contact_noise(self, number: int, cells: Mapping[str, Any]) -> tuple[float, float]:
+        """Standard deviations of place [m] and normal [rad] of the contact points of a row."""
+        place, normal = (
+            self._positive(number, cells, name, zero=True) if name in self._where else 0.0 for name in OF_CONTACTS
+        )
+        return place, normal
+
+    def _positive(self, number: int, cells: Mapping[str, Any], name: str, zero: bool = False) -> float:
+        """A number above 0, or not below it."""
+        value = self._value(number, cells, name)
+        if not (value >= 0.0 if zero else value > 0.0):
+            expected = f"expected a number {'>=' if zero else '>'} 0 [{self._unit[name]}]"
+            raise self._wrong(number, f"column {self._where[name]!r}", value, expected)
+        return value
 
     def _rotation(self, number: int, cells: Mapping[str, Any]) -> Array:
         quaternion = self._values(number, cells, ("qx", "qy", "qz", "qw"))
@@ -858,9 +979,10 @@ class _Reader:
 
     def _noise(self, rows: Sequence[ImpactRow]) -> Array | None:
         """Standard deviations in the order of ``after``, ``(rows, nv)``; None where the table says nothing."""
-        wanted = {"v_noise": "m/s"} | ({"w_noise": "rad/s"} if self._turning_after else {})
+        wanted = {"v_noise": "m/s"} if self._centre_after else {"distance_noise": "m"}
+        wanted |= {"w_noise": "rad/s"} if self._turning_after else {}
         wanted |= {"dq_noise": "rad/s"} if self._joints_after else {}
-        if not any(name in self._where for name in wanted):
+        if not any(name in self._where for name in (*wanted, *OF_CONTACTS)) or self.questions:
             return None
         for name, unit in wanted.items():
             if name not in self._where:

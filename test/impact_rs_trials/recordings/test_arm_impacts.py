@@ -270,7 +270,17 @@ def test_the_way_to_rest_gives_a_velocity_and_no_angular_velocity(laboratory: La
     assert impact.model == "sliding distance"
     assert np.linalg.norm(impact.after[:3]) == pytest.approx(0.5, abs=0.01)
     assert not any(name.startswith(("w_noise", "wx_after", "wy_after", "wz_after")) for name in columns(found))
-    assert any("no columns w_after" in remark for remark in found.remarks)
+
+
+def test_where_every_object_is_seen_too_seldom_the_way_to_rest_is_the_outcome(laboratory: LaboratoryFolder) -> None:
+    """D = v^2 / (2 mu g), and its noise that of mu: a tenth."""
+    found = slid(laboratory)
+    mu = laboratory.load().load_scenario().support.friction
+    cells = columns(found)
+    assert float(cells["slide_distance [m]"]) == pytest.approx(0.5**2 / (2.0 * mu * 9.81), rel=0.03)
+    assert float(cells["distance_noise [m]"]) == pytest.approx(0.1 * float(cells["slide_distance [m]"]), rel=0.05)
+    assert not any(name.startswith(("vx_after", "v_noise")) for name in cells)
+    assert any("no columns v_after and w_after" in remark for remark in found.remarks)
 
 
 @pytest.mark.parametrize(("given", "relative"), [(None, 0.1), (0.3, 0.3)])
