@@ -41,7 +41,8 @@ from impact_rs_sim.robot import Array, RobotFacts
 from impact_rs_sim.robot_model import RobotModel
 from impact_rs_sim.scene import ArmState, BodyState
 
-FRICTION, RESTITUTION = "friction", "restitution"  # what tables call the two numbers of a contact
+FRICTION, RESTITUTION = "friction", "restitution"  # what tables call the two numbers of a contact,
+SUPPORT_FRICTION = "support_friction"  # and the friction of the support on which an object slides on
 PAD_REACH = 0.02  # m, between pad and object; measured poses are off by less, and beyond it nothing was hit
 SUPPORT_REACH = 0.005  # m, between object and support; beyond it the object is in the air
 _MODELS = 64  # rigid-body models of arms, some ten effects on the links each way

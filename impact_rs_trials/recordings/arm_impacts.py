@@ -32,7 +32,7 @@ from impact_rs_trials.recordings.laboratory import (
     on_clock_of_joints,
 )
 from impact_rs_trials.recordings.mapping import SignalName
-from impact_rs_trials.recordings.motion_fits import AT_REST, FittedMotion, fly, move, rest
+from impact_rs_trials.recordings.motion_fits import AT_REST, FittedMotion, contact_noise, fly, move, rest
 from impact_rs_trials.recordings.plausibility import check_touch
 
 Jumps = Mapping[str, JointJump]  # of every arm, in one impact
@@ -240,6 +240,7 @@ def _with_object(seen: _Seen, jumps: Jumps, between: tuple[float, float]) -> Imp
     return Impact(
         run.label, run.condition, run.object, time - seen.start, position, rotation, before, post_twist, noise,
         tolerance, law, states, outcomes, turn_tracked, session=run.session,
+        contact_noise=contact_noise(ante, early.size, float(np.max(size)), turns=True),
     )  # fmt: skip
 
 

@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from impact_rs_sim.robot import Array
 from impact_rs_trials.recordings.experiment import Body
 from impact_rs_trials.recordings.impact_rows import Impact, NoRow
-from impact_rs_trials.recordings.motion_fits import FittedMotion, fly
+from impact_rs_trials.recordings.motion_fits import FittedMotion, contact_noise, fly
 
 Rows = NDArray[np.signedinteger]
 
@@ -195,6 +195,7 @@ def _impact(run: TrackedBody, body: Body, name: str, before: Rows, after: Rows, 
         tolerance=2.0 * (ante.scatter[0] + 0.5 * ante.scatter[1] * extent),
         model="free flight",
         turn_tracked=run.spin is None,
+        contact_noise=contact_noise(ante, before.size, extent, turns=False),
     )
 
 

@@ -67,6 +67,7 @@ class Impact:
         after: Twist just after, ``(6,)`` [m/s, rad/s].
         noise: Standard deviation of a change of velocity [m/s] and of angular velocity [rad/s].
         tolerance: By how much the pose is known at its corners [m].
+        contact_noise: Standard deviations of the place of the contact [m] and of its normal [rad], by the pose.
         model: Law that was fitted after the impact.
         arms: Arms by name; empty: a free body.
         outcomes: What was measured later: friction of the support [-], distance [m].
@@ -89,6 +90,7 @@ class Impact:
     outcomes: Mapping[str, float] = field(default_factory=dict)
     turn_tracked: bool = True
     session: str = ""
+    contact_noise: tuple[float, float] = (0.0, 0.0)
 
     @property
     def noise_of_way(self) -> float:
@@ -125,7 +127,7 @@ def table_text(impacts: Sequence[Impact], constants: Mapping[str, float]) -> str
             header += [f"{label}dq{joint}_{tail} [{unit}]" for joint, (_, unit) in enumerate(arm.units, start=1)]
     header += ["distance_noise [m]" if by_way else "v_noise [m/s]", *(["w_noise [rad/s]"] if turned else [])]
     header += ["dq_noise [rad/s]"] if impacts[0].arms else []
-    header += ["contact_tolerance [m]", *constants, "law after", *outcomes]
+    header += ["p_noise [m]", "n_noise [rad]", "contact_tolerance [m]", *constants, "law after", *outcomes]
     if not any(impact.session for impact in impacts):
         header.remove("session")
     if not any(impact.condition not in ("", impact.session) for impact in impacts):
@@ -141,7 +143,7 @@ def table_text(impacts: Sequence[Impact], constants: Mapping[str, float]) -> str
         numbers += impact.noise if turned else [impact.noise_of_way] if by_way else impact.noise[:1]
         if impact.arms:
             numbers.append(float(np.sqrt(np.mean([arm.noise**2 for arm in impact.arms.values()]))))
-        numbers += [max(impact.tolerance, GAP_TOLERANCE), *constants.values()]
+        numbers += [*impact.contact_noise, max(impact.tolerance, GAP_TOLERANCE), *constants.values()]
         first = [impact.run, *(getattr(impact, name) for name in ("session", "condition") if name in header)]
         first.append(_short(impact.time))
         first += [impact.object_name] if impact.object_name else []

@@ -81,6 +81,7 @@ from impact_rs_sim.impact_map.contacts import GAP_TOLERANCE
 from impact_rs_sim.impact_map.measured import (
     FRICTION,
     RESTITUTION,
+    SUPPORT_FRICTION,
     MeasuredImpact,
     corners_that_touch,
     points_of_scene,
@@ -94,7 +95,7 @@ from impact_rs_sim.scenario import Scenario
 from impact_rs_sim.scene import ArmState, BodyState
 from impact_rs_trials.recordings.csv_rows import csv_rows
 from impact_rs_trials.recordings.distances import Distance
-from impact_rs_trials.recordings.unsure_scene import SUPPORT_FRICTION, known_of_scene, with_another
+from impact_rs_trials.recordings.unsure_scene import known_of_scene, with_another
 from impact_rs_trials.since import measured_since
 
 SUFFIXES = (".csv", ".parquet")

@@ -123,6 +123,21 @@ def rest(positions: Array, rotations: Array, at: float) -> FittedMotion:
     return FittedMotion(at, place, zero, zero, pin.exp3(mean) @ middle, zero, np.ones(3), scatter, (0.0, 0.0))
 
 
+def contact_noise(motion: FittedMotion, samples: int, extent: float, turns: bool) -> tuple[float, float]:
+    """Standard deviations of the place [m] and of the normal [rad] of a contact at the end of a motion.
+
+    A straight line through k samples is known at its end to 2 / sqrt(k) of their scatter.
+
+    Args:
+        motion: Before the impact.
+        samples: k.
+        extent: Of the body, at whose faces the contact lies [m].
+        turns: Whether the normal is that of a face of the body.
+    """
+    place, turn = (2.0 * scatter / float(np.sqrt(samples)) for scatter in motion.scatter)
+    return float(np.hypot(place, 0.5 * extent * turn)), turn if turns else 0.0
+
+
 def _fit(
     time: Array, positions: Array, rotations: Array, gravity: Array, moments: Array, at: float, curved: bool
 ) -> FittedMotion:

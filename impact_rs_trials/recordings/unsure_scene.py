@@ -22,9 +22,9 @@ import re
 from collections.abc import Callable, Iterator
 from typing import Any
 
+from impact_rs_sim.impact_map.measured import SUPPORT_FRICTION
 from impact_rs_sim.scenario import Robot, Scenario
 
-SUPPORT_FRICTION = "support_friction"
 AXES = "xyz"
 _OF_TOOL: dict[str, str] = {"tool_mass": "kg", "tool_length": "m", "pad_x": "m", "pad_y": "m"}
 _OFFSET = re.compile(r"(?:joint(?P<joint>[0-9]+)|flange)_(?P<axis>[xyz])")

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Tables whose outcome is how far the object went: a planted truth is found from closed forms of slides and flights."""
+"""Outcomes of tables, and how well they are known: distances of slides and flights, and noise of the contact."""
 
 from __future__ import annotations
 
@@ -149,3 +149,27 @@ def test_distances_beside_velocities_are_not_used_and_that_is_said(tmp_path: Pat
     header, rows = arm_table({}, 3)
     path = write_csv(tmp_path / "pushes.csv", [*header, "slide_distance [m]"], [[*row, ""] for row in rows])
     assert read_impact_table(path, PUSH).unread == ("slide_distance [m]",)
+
+
+# ---- where it touches ------------------------------------------------------------------------------------------------
+
+
+def test_noise_of_place_and_normal_reaches_the_prediction(tmp_path: Path) -> None:
+    """A smooth ball that falls straight down: v_t = (1 + e) V dn, w = (1 + e) V |(dp, r dn)| / (2/5 r^2)."""
+    v, e, r, dp, dn = 2.0, 0.5, 0.02, 1e-5, 1e-3
+    kinds = (("v", "m/s"), ("w", "rad/s"))
+    whens = ("before", "after")
+    header = [f"{kind}{axis}_{when} [{unit}]" for when in whens for kind, unit in kinds for axis in "xyz"]
+    header += ["mass [kg]", "radius [m]", "friction [-]", "restitution [-]", "v_noise [m/s]", "w_noise [rad/s]"]
+    row = [0.0, 0.0, -v, 0.0, 0.0, 0.0, 0.0, 0.0, e * v, 0.0, 0.0, 0.0, 0.1, r, 0.0, e, 0.0, 0.0]
+    path = write_csv(tmp_path / "balls.csv", [*header, "p_noise [m]", "n_noise [rad]"], [[*row, dp, dn]] * 12)
+    source = ImpactTableSource(read_impact_table(path), NOMINAL)
+    assert source.noise is not None
+    names = [f"{feature.signal} {feature.index}" for feature in source.signals]
+    noise = dict(zip(names, source.noise[0], strict=True))
+    assert noise["velocity after across"] == pytest.approx((1.0 + e) * v * dn, rel=1e-3)
+    assert noise["velocity after sliding"] == pytest.approx((1.0 + e) * v * dn, rel=1e-3)
+    turned = (1.0 + e) * v * np.hypot(dp, r * dn) / (0.4 * r**2)
+    assert noise["angular velocity after across"] == pytest.approx(turned, rel=1e-3)
+    assert noise["velocity after normal"] < 1e-2 * noise["velocity after across"]
+    assert any("p_noise and n_noise" in remark for remark in source.remarks)
