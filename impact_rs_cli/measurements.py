@@ -173,7 +173,7 @@ def measured(
                 map_tasks,
                 terminal,
                 lambda model, _: ImpactTableSource(
-                    table, model, each_arm, NO_MAP_DISCREPANCY if args.no_discrepancy else None
+                    table, model, each_arm, NO_MAP_DISCREPANCY if args.no_discrepancy else None, map_tasks=map_tasks
                 ),
                 what="tables of impacts",
             )

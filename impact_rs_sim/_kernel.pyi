@@ -80,6 +80,7 @@ def solve_impacts(
     support: Array | None,
     rules: tuple[float, float, float, float],
     points: tuple[Sequence[int], Sequence[int], Array, Array, Array, Array] | None = None,
+    near: Array | None = None,
 ) -> tuple[Array, Array, Array, Array, Array, Array, Array, Array, Array, Array, Array, Array, Array]:
     """Solve ``count`` problems; arrays without such a first axis hold for all of them.
 
@@ -94,6 +95,8 @@ def solve_impacts(
         points: Contact points with their laws, in place of those where the boxes touch and of ``contact``: number of
             the first point of every problem, partner, position, normal and gap as they are returned, and the laws
             ``(M, 6)`` of :func:`impact_rs_sim.impact_map.contact_laws.table_of`.
+        near: Impulses near the answer at these points, as those of other parameters, ``(M, 3)`` [N s]: a problem whose
+            Newton's method does not converge from there is solved from nothing. None: all are.
 
     Returns:
         Status (0 solved, 1 invalid data, 2 not converged) ``(N,)``; u^+ ``(N, nv)``; twists of E

@@ -19,7 +19,13 @@ from impact_rs_analysis.diagnosis.scoring import score
 from impact_rs_analysis.evidence.levels import Cell
 from impact_rs_analysis.evidence.measured_runs import find_bags, runs_digest
 from impact_rs_analysis.investigation import ending_of, measured, read_rounds, read_settings
-from impact_rs_analysis.report.comparison import comparison_in_words, on_scale, where_part
+from impact_rs_analysis.report.comparison import (
+    comparison_in_words,
+    on_scale,
+    where_part,
+    yardstick_of,
+    yardstick_of_rest,
+)
 from impact_rs_analysis.report.labels import phase_text, place_text, tag_of
 from impact_rs_analysis.report.page import number_text, p_text, quantity_text
 from impact_rs_analysis.report.plots import effects_plot
@@ -59,6 +65,7 @@ def comparison(folder: Path) -> dict[str, Any]:
         "score": document.score,
         "floor": document.noise_floor,
         "model": document.model.name,
+        "yardstick": yardstick_of(document),
         "figures": [
             {"title": plot.title, "caption": plot.caption, "figure": json.loads(str(plot.figure.to_json()))}
             for plot in part.plots
@@ -309,6 +316,7 @@ def diagnosis(workspace: Workspace, name: str) -> dict[str, Any]:
         "calls_for_a_law": document.calls_for_a_law and not discovered,
         "report": "discovery.html" if discovered else "diagnosis.html",
         "unit": document.error_unit,
+        "yardstick": yardstick_of_rest(document),
         "figure": None if figure is None else json.loads(str(figure.to_json())),
         "left": [
             {

@@ -313,7 +313,7 @@ void Impact::finish(const std::vector<ArmState>& arms, const ObjectState& object
 }
 
 Status Impact::solve(const std::vector<ArmState>& arms, const ObjectState& object, const ContactState& contact,
-                     const Point* begin, const Point* end) {
+                     const Point* begin, const Point* end, bool resumed) {
   if (!sound(arms, object)) return Status::unsound;
   places_.clear();
   for (const ArmState& arm : arms) places_.push_back(vector(arm.place));
@@ -324,7 +324,14 @@ Status Impact::solve(const std::vector<ArmState>& arms, const ObjectState& objec
   }
   if (!assemble(arms, object)) return Status::unsound;
   solver_.steps = 0;
-  const bool solved = solver_.solve(terms_, impulses_, rules_.compliance);
+  bool solved = false;
+  if (resumed) {
+    impulses_.assign(3 * terms_.count, 0.0);
+    for (std::size_t i = 0; i < points.size(); ++i)
+      std::copy(points[i].impulse.begin(), points[i].impulse.end(), impulses_.begin() + 3 * i);
+    solved = solver_.resume(terms_, impulses_, rules_.compliance);
+  }
+  if (!solved) solved = solver_.solve(terms_, impulses_, rules_.compliance);
   steps = solver_.steps;
   for (std::size_t i = 0; i < points.size(); ++i) {
     points[i].impulse = vector(impulses_.data() + 3 * i);

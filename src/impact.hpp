@@ -77,9 +77,9 @@ class Impact {
   explicit Impact(const Rules& rules) : rules_(rules) {}
 
   // Solve one problem; the result is in the members below. Contact points are found by geometry, or given with their
-  // laws: those from `begin` to `end`.
+  // laws: those from `begin` to `end`, with impulses near the answer where `resumed`.
   Status solve(const std::vector<ArmState>& arms, const ObjectState& object, const ContactState& contact,
-               const Point* begin = nullptr, const Point* end = nullptr);
+               const Point* begin = nullptr, const Point* end = nullptr, bool resumed = false);
 
   std::vector<double> velocity;  // u^+, joints of all arms and the twist of the object
   std::vector<double> twists;    // of frame E of every arm after the impact, (6) each

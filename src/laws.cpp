@@ -15,6 +15,7 @@ constexpr double SLOWEST = 0.98;  // a smaller reduction is no progress
 constexpr double BOLD = 0.05;    // below this factor the reduction is large, and Newton's method gets fewer steps
 constexpr int HASTE = 8;         // number of Newton steps after a large reduction
 constexpr int EASY = 5;          // with at most so many Newton steps, the next reduction is larger
+constexpr int RESUMED = 12;      // Newton steps from impulses near the answer, at most; from nothing it takes some hundred
 constexpr int REFINEMENTS = 2;   // of a step computed through the root; each removes seven digits of rounding error
 
 // Solve a x = b in place of both, by elimination with partial pivoting; false where a is singular.
@@ -417,6 +418,13 @@ bool Solver::solve(const Terms& terms, std::vector<double>& impulses, double com
       if (factor > SLOWEST) return false;
     }
   }
+  harden(terms, impulses, compliance);
+  return true;
+}
+
+bool Solver::resume(const Terms& terms, std::vector<double>& impulses, double compliance) {
+  origin_.assign(3 * terms.count, 0.0);
+  if (!full_steps(terms, impulses, compliance * terms.mobility, ACCEPTED, RESUMED)) return false;
   harden(terms, impulses, compliance);
   return true;
 }

@@ -70,6 +70,9 @@ class Solver {
   // From zero impulses, by Gauss-Seidel sweeps, Newton's method and harden; false: not converged.
   bool solve(const Terms& terms, std::vector<double>& impulses, double compliance);
 
+  // The same from impulses near the answer, as those of other parameters; false: not converged in a few steps.
+  bool resume(const Terms& terms, std::vector<double>& impulses, double compliance);
+
   // Linearisation of a point at the last Newton step.
   State state(int point) const { return laws_[point].state; }
 

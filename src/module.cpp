@@ -203,7 +203,7 @@ std::vector<Point> points_of(const PointsOfPython& given, int arms) {
 py::tuple solve_impacts(py::ssize_t count, const py::sequence& arms, const py::sequence& object,
                         const py::sequence& contact, const py::object& support,
                         const std::tuple<double, double, double, double>& rules,
-                        const std::optional<PointsOfPython>& given) {
+                        const std::optional<PointsOfPython>& given, const std::optional<Numbers>& near) {
   std::vector<ArmFields> arm_fields;
   py::ssize_t joints = 0;
   for (const py::handle arm : arms) {
@@ -231,6 +231,10 @@ py::tuple solve_impacts(py::ssize_t count, const py::sequence& arms, const py::s
     for (std::size_t q = 1; q < where.size(); ++q) in_order = in_order && where[q - 1] <= where[q];
     if (!in_order) throw py::value_error("points.first: expected N + 1 numbers in order");
   }
+  if (near) {
+    checked(*near, 3 * static_cast<py::ssize_t>(known.size()), "near");
+    for (std::size_t i = 0; i < known.size(); ++i) known[i].impulse = vector(near->data() + 3 * i);
+  }
   Numbers velocity({count, size}), twists({count, 6 * k}), residual({count, py::ssize_t{4}}),
       energy({count, py::ssize_t{2}});
   py::array_t<int> status(count), steps(count), first(count + 1), partner, state;
@@ -251,7 +255,7 @@ py::tuple solve_impacts(py::ssize_t count, const py::sequence& arms, const py::s
       const Status found = impact.solve(
           states_of_arms, {o[0](q), o[1](q), o[2](q), o[3](q), o[4](q), o[5](q), o[6](q)},
           {c[0](q), c[1](q), c[2](q), of_support.empty() ? nullptr : of_support[0](q)},
-          given ? known.data() + where[q] : nullptr, given ? known.data() + where[q + 1] : nullptr);
+          given ? known.data() + where[q] : nullptr, given ? known.data() + where[q + 1] : nullptr, near.has_value());
       s[q] = static_cast<int>(found);
       n[q] = impact.steps;
       if (found == Status::unsound) {
@@ -308,7 +312,7 @@ PYBIND11_MODULE(_kernel, module) {
       .def("solve", &TermsOfPython::solve, py::arg("compliance"))
       .def("judge", &TermsOfPython::judge, py::arg("impulses"), py::arg("after"), py::arg("least"));
   module.def("solve_impacts", &solve_impacts, py::arg("count"), py::arg("arms"), py::arg("object"), py::arg("contact"),
-             py::arg("support"), py::arg("rules"), py::arg("points") = py::none());
+             py::arg("support"), py::arg("rules"), py::arg("points") = py::none(), py::arg("near") = py::none());
   add_chain(module);
   add_control(module);
   add_drive(module);

@@ -54,6 +54,7 @@ from impact_rs_analysis.diagnosis.verdicts import (
     without_the_doubtful,
 )
 from impact_rs_analysis.diagnosis.words import summary_of
+from impact_rs_analysis.evidence.cluster import Added
 from impact_rs_analysis.evidence.source import Source, View
 from impact_rs_analysis.evidence.visited import beyond
 from impact_rs_analysis.measure.arms import arms_of, assumptions
@@ -85,6 +86,7 @@ def diagnose(
     Raises:
         InputError: Too few conditions for a hold-out.
     """
+    whole, source = source, source.searched()
     effects = effects_for(source, only, bounds)
     found = findings_of(source, effects, progress)
     present = [item.name for item in source.model.effects]
@@ -111,8 +113,22 @@ def diagnose(
         update={"views": tuple(_view(view, model, own, dependences) for view, own in others)}
     )
     document = _over_ranges(document)
+    unseen = whole.unseen(source, _added(document, source))
+    document = document.model_copy(update={"runs": _runs(whole), "remarks": (*document.remarks, *unseen)})
     summary = " ".join(filter(None, [summary_of(document), doubt_of(document.drift)]))
     return document.model_copy(update={"summary": summary})
+
+
+def _added(document: DiagnosisDocument, source: Source) -> Added:
+    """The named effects with their estimates."""
+    found = []
+    for name in document.named:
+        effect = document.effect(name)
+        values = {} if effect is None else effect.parameters
+        scalars = source.known_effects[name].scalars(source.joints)
+        if all(scalar.name in values for scalar in scalars):
+            found.append((name, tuple(values[scalar.name].estimate for scalar in scalars)))
+    return tuple(found)
 
 
 def _view(view: View, model: Model, effects: Sequence[Effect], dependences: Dependences | None) -> ViewDocument:

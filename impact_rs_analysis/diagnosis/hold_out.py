@@ -123,7 +123,7 @@ def hold_out(
     own = tuple(effect.name for effect in chosen.effects)
     few = [_seen_by(chosen, fold.training) < LEAST_TO_CHOOSE for fold in folds]
     tasks = list(zip(folds, few, strict=True))
-    results = source.spread(partial(_predicted, effects, own, known), tasks, "hold-out")
+    results = source.spread(partial(_predicted, effects, own, dict(known)), tasks, "hold-out")
     for (fold, alone), (found, left) in zip(tasks, results, strict=True):
         names.append(found)
         only_fitted += alone

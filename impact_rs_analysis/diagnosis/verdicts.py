@@ -38,6 +38,7 @@ from impact_rs_analysis.diagnosis.thresholds import (
     UNSEEN,
 )
 from impact_rs_analysis.evidence.cluster import TIMES
+from impact_rs_analysis.evidence.levels import expected_of
 from impact_rs_sim.effects import Effect
 from impact_rs_sim.robot import Array
 
@@ -235,20 +236,20 @@ def _held_out_sizes(search: Search, held: HoldOut | None) -> tuple[float, float]
 
 
 def rests_of(evidence: Evidence, rest: Sequence[Array]) -> list[RestDocument]:
-    """Remaining residuals by phase, signal and index, sorted by their share."""
-    squares: dict[tuple[str, str, str], list[tuple[float, float, float]]] = {}
+    """Remaining residuals by phase, signal and index, sorted by their share; multiples are those of a comparison."""
+    by_limit = evidence.source.kind == "trials" and evidence.source.noise_size() is None
+    squares: dict[tuple[str, str, str], list[tuple[float, float, float, float]]] = {}
     facts: dict[tuple[str, str, str], tuple[str, float]] = {}
     for item, values in zip(evidence.clusters, rest, strict=True):
-        expected = item.expected_squares
-        for feature, value, noise, sigma in zip(item.features, values, expected, item.sigma, strict=True):
-            squares.setdefault(feature.group, []).append((float(value**2), float(noise), float(sigma)))
+        expected, times = item.expected_squares, values / expected_of(item, by_limit)
+        for feature, value, noise, sigma, own in zip(item.features, values, expected, item.sigma, times, strict=True):
+            squares.setdefault(feature.group, []).append((float(value**2), float(noise), float(sigma), float(own)))
             facts[feature.group] = (feature.unit, feature.relevance_limit)
     total = sum(row[0] for rows in squares.values() for row in rows)
     found = []
     for (phase, signal, index), rows in squares.items():
         table = np.array(rows)
         excess = float(np.mean((table[:, 0] - table[:, 1]) * table[:, 2] ** 2))
-        noise = float(np.mean(table[:, 1]))
         unit, limit = facts[phase, signal, index]
         found.append(
             RestDocument(
@@ -259,7 +260,7 @@ def rests_of(evidence: Evidence, rest: Sequence[Array]) -> list[RestDocument]:
                 unit=unit,
                 floor=limit,
                 share=float(table[:, 0].sum()) / max(total, 1e-300),
-                times_noise=math.sqrt(float(np.mean(table[:, 0])) / noise) if noise > 0.0 else 0.0,
+                times_noise=float(np.sqrt(np.mean(np.square(table[:, 3])))),
             )
         )
     return sorted(found, key=lambda entry: -entry.share)

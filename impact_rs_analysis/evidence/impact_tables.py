@@ -38,9 +38,9 @@ contact points where they may decide (:meth:`ImpactTableSource.views`).
 from __future__ import annotations
 
 import copy
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 import pinocchio as pin
@@ -69,7 +69,16 @@ from impact_rs_analysis.evidence.map_discrepancy import (
 )
 from impact_rs_analysis.evidence.neighbour_noise import noise_of_neighbours
 from impact_rs_analysis.evidence.replays import SQUARE
-from impact_rs_analysis.evidence.source import MOST_AS_NAMES, Covariate, Identity, Source, View, with_per_arm_parameters
+from impact_rs_analysis.evidence.source import (
+    MOST_AS_NAMES,
+    Covariate,
+    Identity,
+    Item,
+    Made,
+    Source,
+    View,
+    with_per_arm_parameters,
+)
 from impact_rs_analysis.evidence.tracks import ComparedSignal, Track
 from impact_rs_sim.effects import Effect
 from impact_rs_sim.effects.depending import Depending, level_name
@@ -94,6 +103,8 @@ LEAST_OF_HALF = 2  # rows of a condition on either side of the median of a numbe
 RELEVANT = 0.005  # of the closing speed; 5 mm/s at 1 m/s, the resolution of body velocities by motion capture
 LEAST_SCALE = 1e-6  # m/s; a model with smaller residuals is exact
 ALTERED = 1024  # physics with effects that were tried last
+SEARCHED = 192  # rows of a larger table, that a search looks at; eight in each block
+LEAST_OF_LEVEL = 24  # rows of a level of a covariate, that it looks at
 KEPT = 128_000_000  # bytes of predictions of the whole table, with effects that were tried last
 MOST_NUMBERS = 32  # numbers of a covariate; the mean of a group is within some hundredths of the range
 TELLING = 0.8  # of what the model leaves; scatter of neighbours above it says nothing
@@ -147,6 +158,7 @@ class ImpactTableSource(Source):
         each_arm: Whether arms of one kind have parameters of their own.
         discrepancy: Of the rigid map, for arms; None: as measured.
         remarks: Whether to look for remarks.
+        map_tasks: Who runs what :meth:`spread` is given; None: this process.
 
     Attributes:
         predicted: u^+ of the model in the axes of the features, ``(rows, nv)`` [rad/s, m/s].
@@ -170,7 +182,9 @@ class ImpactTableSource(Source):
         each_arm: bool = False,
         discrepancy: MapDiscrepancy | None = None,
         remarks: bool = True,
+        map_tasks: Map | None = None,
     ) -> None:
+        self._map = map_tasks
         model = with_per_arm_parameters(model, [row.physics for row in table.rows], each_arm)
         self.table, self.model = table, model
         known = measured_map_discrepancy() if discrepancy is None else discrepancy
@@ -189,7 +203,7 @@ class ImpactTableSource(Source):
         self.size_is = SIZE_REPEATED if self.repeated else SIZE_ALONE
         self._impacts = MeasuredImpacts([row.impact for row in table.rows], self._of_rows(self._worlds))
         self._altered = Recent[Physics | None](ALTERED)
-        self._known = Recent[Array](max(1, KEPT // self._all_worth.nbytes))
+        self._known = Recent[Array](self._kept_answers)
         self._judge(_entries(table, joints=table.joints, body=True))
         self.remarks = tuple(self._remarks()) if remarks else ()
 
@@ -202,6 +216,11 @@ class ImpactTableSource(Source):
         self.noise = None if self._all_noise is None else self._all_noise[:, seen]
         self.predicted = self.predicted_with(())
         self.clusters = self._clusters()
+
+    @property
+    def _kept_answers(self) -> int:
+        """Number of predictions of the whole table that are kept."""
+        return max(1, KEPT // self._all_worth.nbytes)
 
     @property
     def covariates(self) -> tuple[Covariate, ...]:
@@ -262,6 +281,49 @@ class ImpactTableSource(Source):
         """See :attr:`Source.discrepancy_document`: of the rigid map, for arms."""
         return self._map_discrepancy.document
 
+    def searched(self) -> ImpactTableSource:
+        """See :meth:`Source.searched`: rows, or conditions and their repeats, evenly taken, and some of each level."""
+        if len(self.table.rows) <= SEARCHED:
+            return self
+        chosen = set() if self.repeated else _evenly(range(len(self.table.rows)), SEARCHED)
+        if self.repeated:
+            most = max(SEARCHED // len(self._groups), LEAST_REPEATS)
+            groups = _evenly(range(len(self._groups)), SEARCHED // most)
+            chosen |= {row for group in groups for row in _evenly(self._groups[group].rows, most)}
+        for name in self.table.covariates:
+            values = [row.circumstances[name] for row in self.table.rows]
+            for level in dict.fromkeys(value for value in values if isinstance(value, str)):
+                chosen |= _evenly([n for n, value in enumerate(values) if value == level], LEAST_OF_LEVEL)
+        found = self._of(self.table.part(sorted(chosen)), remarks=False)
+        found.remarks = self.remarks
+        return found
+
+    def unseen(self, searched: Source, added: Added) -> tuple[str, ...]:
+        """See :meth:`Source.unseen`."""
+        if searched is self:
+            return ()
+        known = {row.number for row in searched.table.rows} if isinstance(searched, ImpactTableSource) else set()
+        others = [place for place, row in enumerate(self.table.rows) if row.number not in known]
+        before, after = (
+            self._in_energy((self.measured - found)[others], others)
+            for found in (self.predicted, self.predicted_with(added) if added else self.predicted)
+        )
+        noise = "" if self.noise is None else f" (noise alone: {self._in_energy(self.noise[others], others):.3g})"
+        fall = f"falls from {before:.3g} to {after:.3g} m/s" if added else f"is {before:.3g} m/s"
+        return (
+            f"{len(known)} of {len(self.table.rows)} rows were searched, evenly taken: effects and intervals are "
+            f"theirs. On the {len(others)} others the error {fall}{noise}",
+        )
+
+    def spread(self, function: Callable[[Source, Item], Made], items: Sequence[Item], what: str) -> list[Made]:
+        """See :meth:`Source.spread`."""
+        if self._map is None:
+            return super().spread(function, items, what)
+        alone = copy.copy(self)
+        alone._map, alone.table = None, replace(self.table, variants=())
+        alone._known, alone._altered, alone._featured = Recent(self._kept_answers), Recent(ALTERED), Recent(ALTERED)
+        return list(self._map(partial(function, alone), items))
+
     def views(self) -> tuple[View, ...]:
         """See :meth:`Source.views`.
 
@@ -273,7 +335,7 @@ class ImpactTableSource(Source):
                 how = f"points within {1e3 * times * self.table.tolerance:g} mm"
                 found.append(View(how, self._with_contacts(times), "--contact-tolerance"))
         for one in self.table.variants:
-            source = ImpactTableSource(one.table, self.model, discrepancy=self._map_discrepancy, remarks=False)
+            source = self._of(one.table, remarks=False)
             name = f"{one.of} = {one.value:.4g} {one.unit}".removesuffix(" -")
             found.append(View(name, source, "--unsure", one.of, one.value, one.unit))
         return tuple(found)
@@ -715,7 +777,11 @@ class ImpactTableSource(Source):
             other = row.wider if times > 1.0 else row.narrower
             rows.append(replace(row, impact=row.impact if other is None else other, wider=None, narrower=None))
         table = replace(self.table, rows=tuple(rows), tolerance=times * self.table.tolerance)
-        return ImpactTableSource(table, self.model, discrepancy=self._map_discrepancy)
+        return self._of(table, remarks=True)
+
+    def _of(self, table: ImpactTable, remarks: bool) -> ImpactTableSource:
+        """Another table against the same model."""
+        return ImpactTableSource(table, self.model, False, self._map_discrepancy, remarks, self._map)
 
     def _contacts_moved(self, times: float) -> float:
         """How much predictions move with the contact points of another tolerance, as :meth:`size` in m/s."""
@@ -734,9 +800,10 @@ class ImpactTableSource(Source):
         """Whether the contact points of another tolerance may decide a verdict."""
         return self._contacts_moved(times) > DECIDES * self._in_energy(self.measured - self.predicted)
 
-    def _in_energy(self, rest: Array) -> float:
-        """Rms over the rows of d of the module, of differences ``(rows, F)`` [m/s]."""
-        return float(np.sqrt(np.mean(np.sum(np.square(rest * self.worth), axis=1))))
+    def _in_energy(self, rest: Array, rows: Sequence[int] | None = None) -> float:
+        """Rms over rows (None: all) of d of the module, of differences ``(rows, F)`` [m/s]."""
+        worth = self.worth if rows is None else self.worth[list(rows)]
+        return float(np.sqrt(np.mean(np.sum(np.square(rest * worth), axis=1))))
 
     def _unsure_contacts(self) -> str | None:
         """How much depends on where bodies touch; None: nothing, or points were measured."""
@@ -782,6 +849,13 @@ class ImpactTableSource(Source):
             before, after = (float(u @ system.inertia @ u) for u in (system.velocity, row.after))
             found.append(after / max(before, 1e-300))
         return np.array(found)  # nan where something was not measured after
+
+
+def _evenly(rows: Sequence[int], most: int) -> set[int]:
+    """At most so many of some rows, evenly taken."""
+    if len(rows) <= most:
+        return set(rows)
+    return {rows[place] for place in np.linspace(0, len(rows) - 1, most).round().astype(int)}
 
 
 Places = list[int]

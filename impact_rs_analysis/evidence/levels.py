@@ -124,6 +124,22 @@ def condition_scores(clusters: Sequence[Cluster]) -> tuple[ConditionScore, ...]:
     return tuple(ConditionScore(name=c.name, repeats=c.count, score=rounded(score_of([c]))) for c in clusters)
 
 
+def expected_of(item: Cluster, by_limit: bool = False) -> Array:
+    """What differences of a cluster are multiples of, over the scale of each feature, ``(F,)`` [-].
+
+    Repeatability, or stated noise, with the model discrepancy. Where neither repeats nor noise are known it is 1, and
+    differences are multiples of their scale.
+
+    Args:
+        item: The cluster.
+        by_limit: Whether it is the relevance limit, because nothing was repeated.
+    """
+    known = np.sqrt(item.expected_squares) if np.any(item.pure > 0.0) else np.zeros_like(item.sigma)
+    limits = np.array([feature.relevance_limit for feature in item.features]) / item.sigma
+    noise = np.where(limits > 0.0, limits, known) if by_limit else known
+    return np.where(noise > 0.0, noise, 1.0)
+
+
 def level_of(what: str, clusters: Sequence[Cluster], phases: tuple[str, ...], by_limit: bool = False) -> Level:
     """Root mean square differences of the signals of some phases, over all conditions, arm by arm.
 
@@ -151,19 +167,17 @@ def signal_levels(
     several = len({feature.arm for item in clusters for feature in item.features if feature.arm}) > 1
     found: dict[tuple[str, str, str, str, str], list[tuple[float, float, float, float, float]]] = {}
     for item in clusters:
-        for feature, mean, sigma, pure, own in zip(
-            item.features, item.mean, item.sigma, item.pure, item.discrepancy, strict=True
+        expected = expected_of(item, by_limit)
+        for feature, mean, sigma, pure, own, noise in zip(
+            item.features, item.mean, item.sigma, item.pure, item.discrepancy, expected, strict=True
         ):
             joint = feature.index.rsplit(".", 1)[-1]
             if feature.phase in (phases or (feature.phase,)) and (joint.startswith("joint") or not by_joint):
-                noise = float(np.sqrt(pure**2 / item.count + own**2))
-                if by_limit and feature.relevance_limit > 0.0:
-                    noise = feature.relevance_limit / float(sigma)
                 arm, joint = feature.arm if several else "", joint if by_joint else ""
                 key = (arm, feature.phase, feature.signal, joint, feature.unit)
                 noise_of_mean = float(pure * sigma) / item.count**0.5
                 row = (float(mean * sigma), noise_of_mean, float(own * sigma), feature.relevance_limit)
-                found.setdefault(key, []).append((*row, float(mean) / max(noise, 1e-12) if noise else float(mean)))
+                found.setdefault(key, []).append((*row, float(mean / noise)))
     signals = []
     for (arm, phase, signal, joint, unit), rows in found.items():
         error, noise, own, limit, scaled = (root_mean_square(column) for column in zip(*rows, strict=True))
@@ -194,10 +208,7 @@ def where_of(clusters: Sequence[Cluster], by_limit: bool = False) -> list[Cell]:
     total = sum(float(np.sum(np.square(item.mean))) for item in clusters)
     found: dict[tuple[str, ...], list[tuple[float, float, float, str, float]]] = {}
     for item in clusters:
-        noise = np.sqrt(item.expected_squares)
-        if by_limit:
-            noise = np.array([feature.relevance_limit for feature in item.features]) / item.sigma
-        noise = np.where(noise > 0.0, noise, 1.0)
+        noise = expected_of(item, by_limit)
         for feature, mean, sigma, own in zip(item.features, item.mean, item.sigma, noise, strict=True):
             row = (float(mean / own), float(mean * sigma), float(mean), feature.unit, feature.relevance_limit)
             found.setdefault((*item.place, *feature.group), []).append(row)
@@ -233,8 +244,8 @@ def where_of_blocks(clusters: Sequence[Cluster]) -> list[Cell]:
     found: dict[tuple[str, str, str, str, str], list[tuple[float, float, float]]] = {}
     facts: dict[tuple[str, str, str], tuple[str, float]] = {}
     for item in clusters:
-        for feature, mean, sigma, pure in zip(item.features, item.mean, item.sigma, item.pure, strict=True):
-            row = (float(mean * sigma), float(mean), float(mean / pure if pure else mean))
+        for feature, mean, sigma, noise in zip(item.features, item.mean, item.sigma, expected_of(item), strict=True):
+            row = (float(mean * sigma), float(mean), float(mean / noise))
             found.setdefault((*item.place[:2], *feature.group), []).append(row)
             facts[feature.group] = feature.unit, feature.relevance_limit
     cells = []

@@ -251,6 +251,20 @@ class Source(ABC):
         """
         raise NotImplementedError(f"{type(self).__name__} has no covariates")
 
+    def searched(self) -> Source:
+        """What a search looks at: all of it, or of a large table some rows."""
+        return self
+
+    def unseen(self, searched: Source, added: Added) -> tuple[str, ...]:
+        """How well effects predict what :meth:`searched` left out, in words.
+
+        Args:
+            searched: What a search has seen.
+            added: Effects that it found on top of the model.
+        """
+        del searched, added
+        return ()
+
     def views(self) -> tuple[View, ...]:
         """Other ways to look at the measurements, which the diagnosis judges as well."""
         return ()

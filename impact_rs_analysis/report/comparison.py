@@ -11,6 +11,7 @@ from types import MappingProxyType
 from typing import Any
 
 from impact_rs_analysis.diagnosis.compare import ComparisonDocument
+from impact_rs_analysis.diagnosis.document import DiagnosisDocument
 from impact_rs_analysis.diagnosis.history import VersionError
 from impact_rs_analysis.evidence.cluster import SCALE, TIMES
 from impact_rs_analysis.evidence.levels import Cell, JumpLevel, SignalLevel
@@ -236,6 +237,15 @@ def yardstick_of(document: ComparisonDocument) -> str:
     if not on_scale(document):
         return NOISE
     return RELEVANCE_LIMIT if document.noise_floor is None else REPEATABILITY
+
+
+def yardstick_of_rest(document: DiagnosisDocument) -> str:
+    """The same of what a diagnosis leaves unexplained."""
+    if document.source == "trials":
+        return REPEATABILITY if document.design.freedom else RELEVANCE_LIMIT
+    if document.error_unit == TIMES:
+        return REPEATABILITY
+    return NOISE if document.noise_floor else SPREAD
 
 
 def _place(cell: Cell, scenario: bool = False) -> str:

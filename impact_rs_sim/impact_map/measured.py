@@ -87,6 +87,10 @@ class MeasuredImpact:
 class MeasuredImpacts:
     """Impacts with the same arms, solved together.
 
+    Physics of a fit differ little, and so do their impulses: those of the first solution are where all others begin,
+    which takes a tenth of the steps. The answer depends on the first physics and on its own, not on what was solved in
+    between.
+
     Args:
         impacts: The impacts; at least one.
         physics: The physics of each.
@@ -111,8 +115,13 @@ class MeasuredImpacts:
         self._partner = np.array(
             [self._names.index(p.partner) if p.partner in self._names else len(self._names) for p in points]
         )
+        self._near: Array | None = None  # impulses of the first solution, (M, 3) [N s]
         self._arms = Recent[tuple[list[RobotFacts], tuple[Array, ...]]](_KEPT)
         self._closing, self._slip = self._approach(physics)
+
+    def __getstate__(self) -> dict[str, object]:
+        """All but the kinematics: their keys name objects of this process."""
+        return {**vars(self), "_arms": Recent[tuple[list[RobotFacts], tuple[Array, ...]]](_KEPT)}
 
     @property
     def closing_speeds(self) -> Array:
@@ -198,9 +207,18 @@ class MeasuredImpacts:
         points = (self._first, self._partner.tolist(), self._position, self._normal, self._gap, table_of(contact))
         found = Compiled(
             *_kernel.solve_impacts(
-                len(self._impacts), arms, (*self._body, *body), (0.0, 0.0, 0.0), None, RULES, points=points
+                len(self._impacts),
+                arms,
+                (*self._body, *body),
+                (0.0, 0.0, 0.0),
+                None,
+                RULES,
+                points=points,
+                near=self._near,
             )
         )
+        if self._near is None:
+            self._near = np.nan_to_num(found.impulse) if len(found.impulse) == len(self._owner) else None
         answers = np.array(found.velocity)
         unsolved = (found.status != SOLVED) | ~(np.max(found.residual, axis=1) <= ExactEngine.tolerance)
         for number in np.flatnonzero(unsolved).tolist():

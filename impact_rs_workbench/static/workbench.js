@@ -1038,9 +1038,10 @@ const compare = {
       const node = h('div', {class: 'plot clickable', role: 'img', 'aria-label': `Where the model fails: ${title}`});
       return {title, figure, node};
     });
+    this.yardstick = found.yardstick;
     says('compare', `${found.model}: score ${number(found.score)}, where ${number(found.floor)} is noise.`);
     this.result.replaceChildren(h('p', {class: 'answer'}, h('b', {}, `Score ${number(found.score)}`), found.headline),
-      maps.length ? h('p', {class: 'note'}, 'Measured minus model, in multiples of repeatability. Click on a cell to see its signal over time.') : '',
+      maps.length ? h('p', {class: 'note'}, `Measured minus model, in multiples of ${found.yardstick}. Click on a cell to see its signal over time.`) : '',
       ...maps.flatMap(({title, node}) => [h('h3', {}, title), node]),
       found.cells.length ? labelled('or choose a place, the worst first', choose) : '', this.signal, this.replay.node, ...this.frame,
       ...found.remarks.map((text) => h('p', {class: 'note'}, `Note: ${text}`)));
@@ -1084,7 +1085,7 @@ const compare = {
     yaxis2: {...figure.layout.yaxis2, title: {text: `residual${shown}`}}};
     const plot = h('div', {class: 'plot'});
     this.signal.replaceChildren(h('h3', {}, `${signal.name}, ${set.label}`),
-      h('p', {class: 'note'}, `${cell.row} differs by ${cell.error}, ${cell.times} × repeatability; this signal shows it best. Dotted: start of the impact.`),
+      h('p', {class: 'note'}, `${cell.row} differs by ${cell.error}, ${cell.times} × ${this.yardstick}; this signal shows it best. Dotted: start of the impact.`),
       plot);
     draw(plot, {data, layout});
     this.replay.show(set.label, set.impact);
@@ -1187,7 +1188,7 @@ const diagnose = {
       h('h3', {}, 'Ranking'), h('p', {class: 'note'}, `Held-out error without and with the effect, ${found.unit}.`), plot, h('div', {class: 'scroll'}, h('table', {id: 'ranking'}, h('thead', {}, h('tr', {},
         ...['effect', 'verdict', 'error', 'p', 'add to the model'].map((text) => h('th', {scope: 'col', class: text === 'verdict' ? 'text' : null}, text)))), h('tbody', {}, ...rows))),
       found.left.length ? h('div', {}, h('h3', {}, 'Unexplained'), h('ul', {}, ...found.left.map((one) => h('li', {},
-        `${one.what} (${one.phase}): ${one.value}, ${one.times} × repeatability; relevance limit ${one.floor}`)))) : '',
+        `${one.what} (${one.phase}): ${one.value}, ${one.times} × ${found.yardstick}; relevance limit ${one.floor}`)))) : '',
       found.calls_for_a_law ? this.law(found) : '',
       found.practice ? this.revealed() : '',
       found.next ? this.next(found.next) : '',

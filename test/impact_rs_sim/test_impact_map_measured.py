@@ -16,6 +16,7 @@ from impact_rs_sim.impact_map import ImpactProblem, compute_impact_map
 from impact_rs_sim.impact_map.measured import (
     PAD_REACH,
     MeasuredImpact,
+    MeasuredImpacts,
     corners_that_touch,
     points_of_scene,
     points_on_plane,
@@ -151,3 +152,19 @@ def test_a_pad_that_is_far_off_hits_nothing() -> None:
         Infeasible, match=r"no pad touches the object: the nearest is 40 mm away, expected at most 20 mm"
     ):
         points_of_scene(SCENE.physics, SCENE.arms, far, SCENE.models)
+
+
+@pytest.mark.parametrize("hidden", [{"friction": 0.3}, {"restitution": 0.5}, {"friction": 0.9, "restitution": 0.2}])
+def test_beginning_at_impulses_of_other_physics_changes_no_answer_and_saves_steps(hidden: dict[str, float]) -> None:
+    """Cubes on their corners, edges and faces: the laws have one answer, wherever Newton's method begins."""
+    rng = np.random.default_rng(2)
+    impacts = [tossed(rng) for _ in range(40)]
+    flat = BodyState(np.array([0.0, 0.0, 0.05]), np.eye(3), np.array([0.4, 0.1, -1.0, 0.0, 0.3, 0.2]))
+    impacts.append(MeasuredImpact({}, flat, corners_that_touch(flat, SIZE, UP)))
+    other = [cube(**hidden)] * len(impacts)
+    near = MeasuredImpacts(impacts, other)
+    near.solve([cube()] * len(impacts))
+    resumed, few = near.solve(other)
+    alone, many = MeasuredImpacts(impacts, other).solve(other)
+    assert resumed == pytest.approx(alone, abs=1e-8)
+    assert few.steps.mean() < 0.7 * many.steps.mean()

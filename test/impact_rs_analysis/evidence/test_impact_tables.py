@@ -3,7 +3,11 @@
 
 from __future__ import annotations
 
+import pickle
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,6 +16,7 @@ from impact_table_cases import CUBE_HEADER, NOISE, arm_table, cube, cube_rows, w
 from impact_rs_analysis.diagnosis.compare import compare
 from impact_rs_analysis.diagnosis.diagnose import diagnose
 from impact_rs_analysis.diagnosis.document import CONFIRMED, NONE, NOTHING, DiagnosisDocument
+from impact_rs_analysis.evidence import impact_tables
 from impact_rs_analysis.evidence.impact_tables import BLOCKS, ImpactTableSource
 from impact_rs_analysis.evidence.map_discrepancy import JOINTS, NO_MAP_DISCREPANCY, measured_map_discrepancy
 from impact_rs_sim.model import load_model
@@ -301,3 +306,61 @@ def test_a_tolerance_of_a_row_counts_before_that_of_the_table(tmp_path: Path) ->
     table = read_impact_table(path)
     assert [len(row.impact.points) for row in table.rows] == [4] * 6 + [2] * 6
     assert table.tolerance == pytest.approx(0.002)
+
+
+# ---- large tables ----------------------------------------------------------------------------------------------------
+
+
+def test_a_large_table_is_searched_in_part_and_checked_on_the_rest(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Rows are taken evenly from every block; what is found predicts the others, and the document says how well."""
+    monkeypatch.setattr(impact_tables, "SEARCHED", 48)
+    rows = cube_rows(cube(0.2, 0.3), 240)
+    header = [*CUBE_HEADER, "surface []"]
+    table = read_impact_table(
+        write_csv(
+            tmp_path / "cubes.csv", header, [[*row, "rare" if n < 30 else "usual"] for n, row in enumerate(rows)]
+        ),
+        covariates=["surface"],
+    )
+    source = ImpactTableSource(table, NOMINAL)
+    part = source.searched()
+    assert len(part.clusters) == BLOCKS
+    assert sum(row.circumstances["surface"] == "rare" for row in part.table.rows) == 24
+    plain = ImpactTableSource(replace(table, covariates={}), NOMINAL)
+    document = diagnose(plain, NOMINAL, ["restitution", "support_friction", "object_com_offset"])
+    assert set(document.named) == {"support_friction", "restitution"}
+    assert document.runs.trials == 240
+    (said,) = (remark for remark in document.remarks if "rows were searched" in remark)
+    assert said.startswith("48 of 240 rows were searched") and "On the 192 others the error falls from" in said
+
+
+def test_workers_find_what_one_process_finds(tmp_path: Path) -> None:
+    """Sources travel to other processes without what belongs to this one."""
+    table = read_impact_table(write_csv(tmp_path / "cubes.csv", CUBE_HEADER, cube_rows(cube(0.2, 0.3), 36)))
+    alone = ImpactTableSource(table, NOMINAL)
+
+    def elsewhere(function: Callable[..., Any], items: Sequence[Any]) -> Iterator[Any]:
+        return map(pickle.loads(pickle.dumps(function)), items)
+
+    sent = ImpactTableSource(table, NOMINAL, map_tasks=elsewhere)
+    first, second = (diagnose(one, NOMINAL, ["restitution", "support_friction"]) for one in (alone, sent))
+    assert first.named == second.named and first.hold_out == second.hold_out
+    assert first.held_out_error_after == pytest.approx(second.held_out_error_after, rel=1e-9)
+
+
+def test_one_statement_has_one_noise(tmp_path: Path) -> None:
+    """The level is the root mean square of its cells, in the same multiples: noise and discrepancy of the map."""
+    header, rows = arm_table({"restitution": [0.2]}, 4)
+    header = [name if name != "condition" else "label" for name in header]
+    header += ["v_noise [m/s]", "w_noise [rad/s]", "dq_noise [rad/s]"]
+    path = write_csv(tmp_path / "pushes.csv", header, [[*row, 0.002, 0.01, 0.002] for row in rows])
+    source = ImpactTableSource(read_impact_table(path, load_scenario("push")), NOMINAL, remarks=False)
+    document = compare(source)
+    assert not source.repeated
+    counts = {"parcel": 12, "cat_food": 12}
+    squares = sum(counts[cell.object] * cell.times_noise**2 for cell in document.where)
+    rows_of_all = sum(counts[cell.object] for cell in document.where)
+    assert document.levels["impacts"].times_noise == pytest.approx(np.sqrt(squares / rows_of_all), rel=1e-6)
+    assert max(cell.times_noise for cell in document.where) < 10.0 * document.levels["impacts"].times_noise
