@@ -5,6 +5,9 @@ Joint velocities jump (:mod:`joint_jumps`). The object rests or moves before; af
 deceleration are fitted) or flies (if it falls with g). Where it is seen too seldom for that, and comes to rest, the way
 D that it slid gives v with v^2 = 2 mu g D and the friction of the scenario's support.
 
+Where a force-torque sensor at the wrist is twice as fast as the joint positions and more, the onset of its force says
+when the impact was, and the motion is fitted about that time (:mod:`force_onset`).
+
 A run may hold several impacts. Each changes the velocities of joints and object by a part of the largest change at
 least, because a pushed object rattles at the pad; the motion of the object is fitted between one and the next.
 """
@@ -22,8 +25,9 @@ from impact_rs_sim.errors import InputError
 from impact_rs_sim.robot import Array
 from impact_rs_trials.recordings.clock_offset import OBJECT_SIGNALS, clocks_apart
 from impact_rs_trials.recordings.experiment import RunRow
+from impact_rs_trials.recordings.force_onset import onset_of
 from impact_rs_trials.recordings.impact_rows import BY_WAY, ArmInImpact, Impact, NoRow
-from impact_rs_trials.recordings.joint_jumps import SMALLEST, JointJump, jumps_of
+from impact_rs_trials.recordings.joint_jumps import SMALLEST, JointJump, jump_at, jumps_of
 from impact_rs_trials.recordings.laboratory import (
     SLOW_POSE,
     ArmSeries,
@@ -82,7 +86,7 @@ def impacts_of_run(laboratory: Laboratory, run: RunRow) -> tuple[list[Impact | N
     """
     assert run.object is not None
     remarks: list[str] = []
-    wanted: tuple[SignalName, ...] = (*NEEDED, *OBJECT_SIGNALS)
+    wanted: tuple[SignalName, ...] = (*NEEDED, "wrench", *OBJECT_SIGNALS)
     try:
         arms = on_clock_of_joints(laboratory, run, wanted, NEEDED, remarks)
     except InputError as error:
@@ -93,6 +97,7 @@ def impacts_of_run(laboratory: Laboratory, run: RunRow) -> tuple[list[Impact | N
     moments = _moments(laboratory, arms)
     if isinstance(moments, str):
         return [NoRow(run.label, moments)], tuple(remarks)
+    moments = by_force(arms, moments, remarks)
     values = in_inertial_frame(laboratory.motion_capture, run, pose.values)
     rotations = np.array([pin.XYZQUATToSE3(row).rotation for row in values])
     start = float(arms[laboratory.tracker]["position"].time[0])
@@ -171,6 +176,31 @@ def _moments(laboratory: Laboratory, arms: Mapping[str, ArmSeries]) -> list[Jump
         each = ", ".join(f"arm {arm!r} at {jumps[0].time - _start(arms):.3f} s" for arm, jumps in own.items())
         return f"the arms do not hit together: the joint velocities jump most of {each}"
     return sorted(moments, key=_time)
+
+
+def by_force(arms: Mapping[str, ArmSeries], moments: list[Jumps], remarks: list[str]) -> list[Jumps]:
+    """Jumps at the times of the force at the wrist, where it is faster than the joints.
+
+    Args:
+        arms: Signals of every arm.
+        moments: Jumps by the joint positions alone.
+        remarks: What is said is added to them.
+    """
+    found, moved = [], 0
+    for jumps in moments:
+        own = dict(jumps)
+        for arm, jump in jumps.items():
+            wrench, position = arms[arm].get("wrench"), arms[arm]["position"]
+            onset = None if wrench is None else onset_of(wrench, position, jump.time)
+            again = None if onset is None else jump_at(position, onset.time, onset.error)
+            if again is not None:
+                own[arm], moved = again, moved + 1
+        found.append(own)
+    if moved:
+        remarks.append(
+            "impacts are timed by the onset of the force at the wrist, which is faster than the joint positions"
+        )
+    return found
 
 
 def _start(arms: Mapping[str, ArmSeries]) -> float:

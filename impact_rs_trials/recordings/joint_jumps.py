@@ -138,8 +138,24 @@ def joint_jump(position: Series, near: float) -> JointJump | None:
     return None
 
 
-def _at(time: Array, values: Array, impact: float, half: float) -> JointJump:
-    """Fit and standard deviations where the time of the impact is found."""
+def jump_at(position: Series, impact: float, error: float) -> JointJump | None:
+    """Joint motion about an impact whose time is known by something else; None: samples are too few.
+
+    Args:
+        position: q, ``(k, n)`` [rad].
+        impact: T [s].
+        error: Its standard deviation [s].
+    """
+    half = _half(float(np.median(np.diff(position.time))))
+    near = np.abs(position.time - impact) <= half
+    sides = [np.count_nonzero(near & side) for side in (position.time <= impact, position.time > impact)]
+    if min(sides) < FEWEST - 1:
+        return None
+    return _at(position.time, position.values, impact, half, error)
+
+
+def _at(time: Array, values: Array, impact: float, half: float, error: float | None = None) -> JointJump:
+    """Fit and standard deviations where the time of the impact is found, or known to an error."""
     inside = np.abs(time - impact) <= half
     t = time[inside] - impact
     fit, residual = _broken(time[inside], values[inside], impact)
@@ -148,7 +164,7 @@ def _at(time: Array, values: Array, impact: float, half: float) -> JointJump:
     scatter = np.maximum(np.sqrt(np.sum(residual**2, axis=0) / max(t.size - PARAMETERS - 1, 1)), LEAST)
     moves = -np.where(t[:, None] <= 0.0, fit[1] + np.outer(t, fit[3]), fit[2] + np.outer(t, fit[4]))  # dq/dT
     known = float(np.sum(np.square((moves - basis @ (inverse @ moves)) / scatter)))
-    time_error = min(1.0 / np.sqrt(max(known, LEAST)), half)
+    time_error = min(1.0 / np.sqrt(max(known, LEAST)), half) if error is None else error
     noise = np.hypot(scatter * np.linalg.norm(JUMP @ inverse), np.abs(JUMP @ inverse @ moves) * time_error)
     return JointJump(impact, float(time_error), fit[0], fit[1], fit[2], noise)
 
