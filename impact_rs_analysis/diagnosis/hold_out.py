@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from impact_rs_analysis.diagnosis.candidate import Candidate
 from impact_rs_analysis.diagnosis.fit import Evidence
 from impact_rs_analysis.diagnosis.search import Search
-from impact_rs_analysis.diagnosis.thresholds import FOLDS, LEAST_CLUSTERS
+from impact_rs_analysis.diagnosis.thresholds import LEAST_CLUSTERS
 from impact_rs_analysis.evidence.source import Source
 from impact_rs_sim.effects import Effect
 from impact_rs_sim.robot import Array
@@ -73,13 +73,13 @@ def folds_of(source: Source) -> list[Fold]:
     groups: list[list[int]]
     if len(units) >= LEAST_CLUSTERS:
         owners = list(units.values())
-        count = min(FOLDS, len(owners))
+        count = min(source.folds, len(owners))
         groups = [[number for owner in owners[start::count] for number in owner] for start in range(count)]
     elif source.repeated:
         return []
     else:
         numbers = np.arange(len(source.clusters))
-        parts = _in_turn(numbers) if source.interleaved else np.array_split(numbers, FOLDS)
+        parts = _in_turn(numbers, source.folds) if source.interleaved else np.array_split(numbers, source.folds)
         groups = [part.tolist() for part in parts]
     result = []
     for held in groups:
@@ -90,11 +90,11 @@ def folds_of(source: Source) -> list[Fold]:
     return result
 
 
-def _in_turn(numbers: NDArray[np.int_]) -> list[NDArray[np.int_]]:
+def _in_turn(numbers: NDArray[np.int_], folds: int) -> list[NDArray[np.int_]]:
     """Numbers in folds, each with one of every few neighbours, by lot: what alternates would be held out as a whole."""
     rng = np.random.default_rng(0)
-    drawn = np.concatenate([rng.permutation(FOLDS) for _ in range(0, numbers.size, FOLDS)])[: numbers.size]
-    return [numbers[drawn == fold] for fold in range(FOLDS)]
+    drawn = np.concatenate([rng.permutation(folds) for _ in range(0, numbers.size, folds)])[: numbers.size]
+    return [numbers[drawn == fold] for fold in range(folds)]
 
 
 def _neighbours(source: Source, held: Sequence[int]) -> set[int]:

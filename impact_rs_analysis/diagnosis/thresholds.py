@@ -9,7 +9,6 @@ LEAST_FREEDOM = 3  # degrees of freedom of the pure error; with fewer its estima
 UNMEASURED = 1.0 / 3.0
 LEAST_OWN = 0.01  # of a feature's squared scale that is not discrepancy, so that no direction without noise dominates
 LEAST_CLUSTERS = 3  # for a hold-out: with two, each is predicted from a single one
-FOLDS = 6  # of the outer hold-out, at most: from five on, an error on unseen clusters changes little with their number
 NOTHING = 0.1  # p in free motion above which an effect with several parameters is ruled out
 LEAST_GAIN = 0.10  # share of the excess held-out error that an accepted effect must remove
 LEAST_GAIN_IN_ONE = 0.5  # or of the excess of one joint of a recording, whose noise is not known

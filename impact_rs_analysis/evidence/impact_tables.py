@@ -103,9 +103,11 @@ LEAST_OF_HALF = 2  # rows of a condition on either side of the median of a numbe
 RELEVANT = 0.005  # of the closing speed; 5 mm/s at 1 m/s, the resolution of body velocities by motion capture
 LEAST_SCALE = 1e-6  # m/s; a model with smaller residuals is exact
 ALTERED = 1024  # physics with effects that were tried last
-SEARCHED = 192  # rows of a larger table, that a search looks at; eight in each block
+SEARCHED_OF_ARMS = 96  # rows of a larger table that a search looks at; four in each block
+SEARCHED_OF_BODIES = 960  # of free bodies, whose map is a twentieth of the work
+FOLDS_OF_LARGE = 3  # all rows that a search has not looked at are held out as well
 LEAST_OF_LEVEL = 24  # rows of a level of a covariate, that it looks at
-KEPT = 128_000_000  # bytes of predictions of the whole table, with effects that were tried last
+KEPT = 48_000_000  # bytes of predictions of the whole table, with effects that were tried last
 MOST_NUMBERS = 32  # numbers of a covariate; the mean of a group is within some hundredths of the range
 TELLING = 0.8  # of what the model leaves; scatter of neighbours above it says nothing
 MOST_SHOWN = 8  # levels of a covariate in a remark
@@ -283,19 +285,20 @@ class ImpactTableSource(Source):
 
     def searched(self) -> ImpactTableSource:
         """See :meth:`Source.searched`: rows, or conditions and their repeats, evenly taken, and some of each level."""
-        if len(self.table.rows) <= SEARCHED:
+        enough = SEARCHED_OF_ARMS if self.table.arms else SEARCHED_OF_BODIES
+        if len(self.table.rows) <= enough:
             return self
-        chosen = set() if self.repeated else _evenly(range(len(self.table.rows)), SEARCHED)
+        chosen = set() if self.repeated else _evenly(range(len(self.table.rows)), enough)
         if self.repeated:
-            most = max(SEARCHED // len(self._groups), LEAST_REPEATS)
-            groups = _evenly(range(len(self._groups)), SEARCHED // most)
+            most = max(enough // len(self._groups), LEAST_REPEATS)
+            groups = _evenly(range(len(self._groups)), enough // most)
             chosen |= {row for group in groups for row in _evenly(self._groups[group].rows, most)}
         for name in self.table.covariates:
             values = [row.circumstances[name] for row in self.table.rows]
             for level in dict.fromkeys(value for value in values if isinstance(value, str)):
                 chosen |= _evenly([n for n, value in enumerate(values) if value == level], LEAST_OF_LEVEL)
         found = self._of(self.table.part(sorted(chosen)), remarks=False)
-        found.remarks = self.remarks
+        found.remarks, found.folds = self.remarks, FOLDS_OF_LARGE
         return found
 
     def unseen(self, searched: Source, added: Added) -> tuple[str, ...]:
@@ -781,7 +784,9 @@ class ImpactTableSource(Source):
 
     def _of(self, table: ImpactTable, remarks: bool) -> ImpactTableSource:
         """Another table against the same model."""
-        return ImpactTableSource(table, self.model, False, self._map_discrepancy, remarks, self._map)
+        found = ImpactTableSource(table, self.model, False, self._map_discrepancy, remarks, self._map)
+        found.folds = self.folds
+        return found
 
     def _contacts_moved(self, times: float) -> float:
         """How much predictions move with the contact points of another tolerance, as :meth:`size` in m/s."""

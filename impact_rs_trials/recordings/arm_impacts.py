@@ -186,7 +186,8 @@ def by_force(arms: Mapping[str, ArmSeries], moments: list[Jumps], remarks: list[
         moments: Jumps by the joint positions alone.
         remarks: What is said is added to them.
     """
-    found, moved = [], 0
+    found: list[Jumps] = []
+    moved = 0
     for jumps in moments:
         own = dict(jumps)
         for arm, jump in jumps.items():

@@ -315,7 +315,7 @@ def test_a_large_table_is_searched_in_part_and_checked_on_the_rest(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Rows are taken evenly from every block; what is found predicts the others, and the document says how well."""
-    monkeypatch.setattr(impact_tables, "SEARCHED", 48)
+    monkeypatch.setattr(impact_tables, "SEARCHED_OF_BODIES", 48)
     rows = cube_rows(cube(0.2, 0.3), 240)
     header = [*CUBE_HEADER, "surface []"]
     table = read_impact_table(
