@@ -340,7 +340,7 @@ def _hold_out(found: HoldOut | None, source: Source) -> HoldOutDocument:
         what = f"whole recordings, in {count} folds"
     else:
         neighbours = "of neighbours; every fold is predicted from the others without those that touch it"
-        turn = f"that take one of every {count if count != 6 else "six"} neighbours"
+        turn = f"that take one of every {count} neighbours"
         what = f"{len(source.clusters)} {source.pieces} in {count} folds {turn if source.interleaved else neighbours}"
     how = "the whole search is repeated without the held-out data"
     if found.only_fitted:

@@ -269,3 +269,20 @@ def test_a_finer_step_changes_an_oblique_push_little() -> None:
     speeds = [result.twists[-1] for result in (coarse, fine, finest)]
     assert np.abs(speeds[0] - speeds[2]).max() < 5e-3
     assert np.abs(speeds[1] - speeds[2]).max() < 1e-3
+
+
+@pytest.mark.parametrize("ratio", [0.05, 0.3])
+def test_a_box_that_leaves_the_pad_flies_on_by_itself(ratio: float) -> None:
+    """v = (1 + e) M V / (M + m) until the end, g t^2 / 2 down, ahead of the pad by e V times the time since contact."""
+    damping, gap, duration = 2.0 * ratio * np.sqrt(STIFFNESS * REDUCED), 1e-3, 0.2
+    mass = rail(np.array([0.0, SIZE[1] / 2.0 + gap, 0.0]), AGAINST_Y, pad_damping=damping)
+    physics = scene({"rail": mass}, gravity=np.array([0.0, 0.0, -G]))
+    result = run(physics, [SPEED], resting(), duration)
+    e = restitution_of(ratio)
+    leaves = -(1.0 + e) * RAIL_MASS / (RAIL_MASS + BOX_MASS) * SPEED
+    flying = result.twists[len(result.twists) // 4 :]
+    np.testing.assert_allclose(flying[:, 1], leaves, rtol=3e-3)
+    assert np.ptp(flying[:, 1]) < 1e-9  # nothing pushes or holds it any more
+    assert result.poses[-1, 2] == pytest.approx(-0.5 * G * duration**2, rel=5e-3)
+    ahead = -result.poses[-1, 1] - (result.arms["rail"].position[-1, 0] - gap)
+    assert ahead == pytest.approx(e * SPEED * (duration - gap / SPEED), rel=0.05)
