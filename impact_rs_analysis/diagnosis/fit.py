@@ -530,8 +530,11 @@ def _to_the_bottom(fitted: Fit) -> Fit:
 
     size = sum(item.sigma.size for item in evidence.clusters)
     ends = candidate.lower / scale, candidate.upper / scale
+    start = np.clip(candidate.point / scale, *ends)
+    if not np.isfinite(rest(start)).all():  # rounded, it is a point at which some impact has no answer
+        return fitted
     found = scipy.optimize.least_squares(
-        rest, np.clip(candidate.point / scale, *ends), bounds=ends, x_scale="jac", ftol=VALLEY_ENOUGH, xtol=None,
+        rest, start, bounds=ends, x_scale="jac", ftol=VALLEY_ENOUGH, xtol=None,
         gtol=None, max_nfev=VALLEY_LOOKS,
     )  # fmt: skip
     moved = evaluate_at(candidate, found.x * scale, evidence)

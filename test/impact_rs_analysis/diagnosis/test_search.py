@@ -6,6 +6,7 @@ from __future__ import annotations
 import functools
 from collections.abc import Callable, Iterable
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -24,6 +25,7 @@ from analytic_world import (
 )
 from scipy.stats import binom
 
+from impact_rs_analysis.diagnosis import fit
 from impact_rs_analysis.diagnosis.candidate import Candidate, Problem, bounded, linearise
 from impact_rs_analysis.diagnosis.fit import Evidence, Fit, evaluate_at, look_elsewhere, refine, refine_again
 from impact_rs_analysis.diagnosis.search import Search, adjusted, tied
@@ -451,3 +453,12 @@ def test_a_fit_that_fits_looks_nowhere_else() -> None:
     source.asked.clear()
     assert look_elsewhere(fitted) is fitted
     assert not source.asked
+
+
+def test_a_valley_whose_start_has_no_answer_any_more_keeps_its_fit(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Beside the point that was solved, by rounding, an impact may have no answer; SciPy refuses to begin there."""
+    one = np.ones(1)
+    candidate = SimpleNamespace(lower=-one, upper=one, scale=one, point=0.0 * one)
+    fitted = SimpleNamespace(candidate=candidate, evidence=SimpleNamespace(clusters=[SimpleNamespace(sigma=one)]))
+    monkeypatch.setattr(fit, "evaluate_at", lambda *_: None)
+    assert fit._to_the_bottom(fitted) is fitted  # type: ignore[arg-type, comparison-overlap]
