@@ -8,8 +8,8 @@ impacts). A *missed* limit is a hit at an allowed speed that exceeds a bound, a 
 speed that exceeds none. Closing speeds are uniform between 0 and twice the middle speed, up to which the bounds hold in
 half of the draws.
 
-``--calibrate`` measures how far largest values of MuJoCo lie from those of the twin, on the pushes of
-:mod:`benchmarks.foreign.discrepancy`, which the benchmark does not use: ``PEAK_SHARES``.
+``--calibrate`` measures how far jumps and largest values of MuJoCo lie from those of the twin, on the pushes of
+:mod:`benchmarks.foreign.discrepancy`, which the benchmark does not use: ``JUMP_SHARES`` and ``PEAK_SHARES``.
 """
 
 from __future__ import annotations
@@ -27,21 +27,29 @@ import pinocchio as pin
 from benchmarks.foreign.cell import MujocoCell
 from benchmarks.foreign.discrepancy import OBLIQUE, SQUARE, oblique
 from benchmarks.foreign.laboratory import DAMPING, STIFFNESS
-from impact_rs_analysis.evidence.map_discrepancy import NO_MAP_DISCREPANCY, measured_map_discrepancy
 from impact_rs_analysis.evidence.simulated_trials import quiet
-from impact_rs_analysis.limits.drawn_hits import PEAK_SHARES, WINDOW, Hits, drawn, drawn_springs, quantities, touching
+from impact_rs_analysis.limits.drawn_hits import (
+    JUMP_SHARES,
+    PEAK_SHARES,
+    WINDOW,
+    Hits,
+    drawn,
+    drawn_springs,
+    quantities,
+    touching,
+)
 from impact_rs_analysis.limits.hit_bounds import Thresholds
 from impact_rs_analysis.limits.poses import moved
 from impact_rs_analysis.limits.speed import HIGHEST, SpeedLimit, speed_limit
 from impact_rs_sim.errors import Infeasible
 from impact_rs_sim.impact_map.uncertainty import draw, possible, sources_of
 from impact_rs_sim.physics import Physics
+from impact_rs_sim.proportion import reach_of
 from impact_rs_sim.robot import Array
 from impact_rs_sim.scenario import load_scenario
 from impact_rs_sim.scene import ArmMotion, ArmState, BodyState, Scene
 
 SCENARIOS = ("push_fr3", "push_ur5e", "push_iiwa7", "push")
-JUMP_MEAN = (0.005, 0.015)  # s after the touch, as config/map_discrepancy.yaml has it
 PLACES = 0.08  # m, that the hit is moved at most along x and z
 JUMPS, TORQUES, FORCES = (0.2, 1.0), (15.0, 80.0), (40.0, 300.0)  # rad/s, N m, N: thresholds are drawn from these
 NO_BOUND = 1e9  # N m, N
@@ -90,27 +98,28 @@ def hit(
             torques[name] = terms.bias + (terms.jacobian.T @ force if impedance else 0.0)
         if tick < ticks:
             cell.step(torques)
-    signals, jump, times = {}, {}, np.arange(ticks + 1) * period
-    after = (times >= JUMP_MEAN[0]) & (times <= JUMP_MEAN[1])
+    signals = {}
     for name, row in rows.items():
         stacked = [np.array([getattr(one, field) for one in row]) for field in ("position", "velocity", "torque")]
         signals[name] = ArmMotion(*stacked, stacked[0], stacked[1])
-        jump[name] = stacked[1][after].mean(axis=0) - arms[name].velocity
-    return quantities(scene, times, signals, jump)
+    return quantities(scene, np.arange(ticks + 1) * period, signals)
 
 
 def calibrated() -> dict[str, float]:
-    """Rms of the logarithm of largest values in MuJoCo over those of the twin, by kind."""
-    found: dict[str, list[float]] = {kind: [] for kind in PEAK_SHARES}
+    """How far MuJoCo is from the twin: ``JUMP_SHARES`` by kind of the hit, then ``PEAK_SHARES``."""
+    found: dict[str, list[float]] = {kind: [] for kind in (*JUMP_SHARES, *PEAK_SHARES)}
     scenes = [Scene.resolve(load_scenario(name), item, case) for name, item, case in SQUARE]
     scenes += [
         Scene.resolve(oblique(load_scenario(name), case, *how), item, case) for name, item, case, *how in OBLIQUE
     ]
     for scene in scenes:
-        hits = Hits(scene, Thresholds(), NO_MAP_DISCREPANCY)
+        hits = Hits(scene, Thresholds())
         problem = touching(scene)
         twin = hits.values(1.0)[0]
         mujoco = hit(scene, *drawn(problem, scene.models, {}, scene.physics.arms))
+        (arm,) = scene.physics.arms.values()
+        jumps = np.array(hits.bounds.kinds) == "jump"
+        found[hits.kind] += ((mujoco - twin)[jumps] * reach_of(arm.facts) / hits.speed).tolist()
         for kind in PEAK_SHARES:
             own = np.array(hits.bounds.kinds) == kind
             largest = own & (twin >= 0.3 * twin[own].max())
@@ -165,7 +174,7 @@ def condition(number: int, draws: int, reflexes: bool = True) -> tuple[Hits, Spe
             scene = Scene.resolve(moved(scenario, x, z), item, case)
         except Infeasible:
             continue
-        hits = Hits(scene, limits, measured_map_discrepancy(), draws=draws, seed=number)
+        hits = Hits(scene, limits, draws=draws, seed=number)
         found = speed_limit(hits)
         if 0.0 < found.middle < HIGHEST * hits.speed:
             return hits, found
@@ -194,7 +203,7 @@ def outcomes(number: int, count: int, draws: int, impedance: bool = False, refle
 def main() -> None:
     """Measure and print."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--calibrate", action="store_true", help="measure PEAK_SHARES instead")
+    parser.add_argument("--calibrate", action="store_true", help="measure JUMP_SHARES and PEAK_SHARES instead")
     parser.add_argument("--impedance", action="store_true", help="an impedance controller leads the arm")
     parser.add_argument("--no-reflexes", action="store_true", help="without thresholds of external torque and force")
     parser.add_argument("--conditions", type=int, default=40)
@@ -204,7 +213,7 @@ def main() -> None:
     parser.add_argument("-o", "--output", type=Path, help="file for all hits, JSON")
     options = parser.parse_args()
     if options.calibrate:
-        print({kind: round(value, 3) for kind, value in calibrated().items()})
+        print({kind: round(value, 4) for kind, value in calibrated().items()})
         return
     began, found = time.perf_counter(), []
     for number in range(options.first, options.first + options.conditions):

@@ -434,9 +434,12 @@ cannot run with this driver, the trial was not armed or ended early, the robot s
 negative.""",
     examples="""\
 impact-rs rehearse push_fr3
+impact-rs rehearse push_fr3 -o rehearsals/push_fr3
 impact-rs rehearse push_fr3 juice 2 --reflex-torque 80 --reflex-force 40
 impact-rs rehearse my_push.yaml --driver ros2_control --json""",
-    output="what the cell would log, the checklist, and the verdict with what was not checked.",
+    output="""\
+what the cell would log, the checklist, and the verdict with what was not checked; with -o rehearsal.html and
+rehearsal.json.""",
     units="s, rad, rad/s, N m, N m/s, N; prismatic joints in m, m/s, N and N/s.",
     options=(
         SCENARIO,
@@ -449,6 +452,7 @@ impact-rs rehearse my_push.yaml --driver ros2_control --json""",
         *REFLEXES,
         SETTINGS,
         SEED,
+        output("new_folder", "folder for the page", label="folder of the page"),
         JSON,
     ),
 )  # fmt: skip

@@ -95,7 +95,7 @@ LIMITS = Command(
 Say how fast the arms of a scenario may hit, object by object and case by case.
 
 The highest closing speed at which all bounds hold in 99 % of the draws of what is not known exactly: the uncertainties
-of the scenario, stiffness and damping of joints and pads, and the discrepancy of the impact map and of the twin.
+of the scenario, stiffness and damping of joints and pads, and the discrepancy of the twin from another simulator.
 Bounds are joint velocity jumps, joint velocities, joint torques, and what the robot's own reflexes compare with their
 thresholds: external joint torques and the external force. Those of reflexes stand in the robot facts (section
 reflexes) or are given here; a kind without a bound is named, and limits nothing.

@@ -32,7 +32,7 @@ DEEPEST = 5  # folders below the workbench's own that are looked into
 LARGEST_DOCUMENT = 20_000_000  # bytes of a report's numbers
 REPORTS = (
     "report.html", "compare.html", "diagnosis.html", "discovery.html", "history.html", "investigation.html",
-    "limits.html", "design_study.html",
+    "limits.html", "rehearsal.html", "design_study.html",
 )  # fmt: skip
 IN_PAGES = ("limits.csv", "designs.csv")  # tables beside such pages, which are no recordings
 NOMINAL = "nominal"
@@ -73,6 +73,7 @@ class Campaign:
         present: Trials that are there.
         trials: Trials that it is to have.
         error: What is wrong with its manifest; empty: nothing.
+        loose: Names of its trials where there is no manifest.
     """
 
     path: str
@@ -80,6 +81,7 @@ class Campaign:
     present: int
     trials: int
     error: str = ""
+    loose: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -246,7 +248,7 @@ class Workspace:
             if MANIFEST in files:
                 campaigns.append(self._campaign(folder))
             elif ours:
-                campaigns.append(Campaign(self.name(folder), "", len(ours), len(ours)))
+                campaigns.append(Campaign(self.name(folder), "", len(ours), len(ours), loose=tuple(ours)))
             elif (found := self._laboratory(folder, files, bags)) is not None:
                 laboratories.append(found)
             if TRUTH in files and (folder / RUNS).is_dir():

@@ -225,3 +225,26 @@ def test_packages_of_the_users_workspace_are_found_behind_ours(clone: Path) -> N
     for theirs in ("", "/home/me/ws/install/arm:/opt/ros/jazzy"):
         found = sync(clone, "impact-rs", AMENT_PREFIX_PATH=theirs).stdout.strip()
         assert found == (f"{ours}:{theirs}" if theirs else ours)
+
+
+def test_libraries_of_the_ros_wheels_are_found_without_a_second_start_of_python(clone: Path) -> None:
+    with_tool(clone, "impact-rs", 'echo "$LD_LIBRARY_PATH,$_ROS_WHEELS_BOOTSTRAP_COMPLETE"')
+    ours = clone.resolve() / ".venv" / "lib"
+    wheel = ours / "python3.11" / "site-packages" / "ros_rclpy.libs"
+    sync(clone)
+    wheel.mkdir(parents=True)
+    for theirs in ("", "/opt/ros/jazzy/lib"):
+        found = sync(clone, "impact-rs", LD_LIBRARY_PATH=theirs).stdout.strip()
+        assert found == ":".join(filter(None, (str(ours), str(wheel), theirs))) + ",1"
+
+
+def test_packages_of_cmeel_are_found_by_their_path_alone(clone: Path, wheels: Wheels) -> None:
+    wheels.linked("cmeel.pth", b"import cmeel_pth")
+    sync(clone)
+    assert (wheels.site / "cmeel.pth").read_bytes() == b"import cmeel_pth"  # nothing is there
+    (clone / ".venv" / ".impact_rs_installed").unlink()
+    wheels.linked("cmeel.prefix/lib/python3.11/site-packages/coal/__init__.py", b"")
+    sync(clone)
+    (line,) = (wheels.site / "cmeel.pth").read_text().splitlines()
+    assert (wheels.site / line / "coal" / "__init__.py").exists()
+    assert (wheels.cache / "cmeel.pth").read_bytes() == b"import cmeel_pth"  # that of other projects

@@ -1,16 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
 """What a hit does to an arm, for many draws of what is not known exactly.
 
-The joint velocity jump is that of the rigid impact map (:mod:`impact_rs_sim.impact_map`); for a frictionless hit it is
-proportional to the approach speed. Largest velocities, torques and external torques come from the compiled twin
-(:mod:`impact_rs_sim.twin`): drives with springs and a pad that yields, which the rigid map does not know. The twin runs
+Everything comes from the compiled twin (:mod:`impact_rs_sim.twin`): drives with springs and a pad that yields. It runs
 from the touch of the pads on, with the torque that carries the arms there, for ``WINDOW``; feedback of a controller
-hardly acts in that time.
+hardly acts in that time. The rigid impact map is not asked: a pad that bounces adds up to a quarter to the largest
+joint velocity jump.
 
-A draw changes everything that the scenario states as uncertain, the stiffness of joints and pads, and what map and twin
-are known to differ by from other simulators:
+A draw changes everything that the scenario states as uncertain, the stiffness of joints and pads, and what the twin is
+known to differ by from another simulator:
 
-    jump    + share v_n / l  n     (``config/map_discrepancy.yaml``; v_n closing speed, l reach)
+    jump    + share v_n / l  n     (``JUMP_SHARES``; v_n closing speed, l reach)
     others  times exp(share n)     (``PEAK_SHARES``)                       with n standard normal.
 """
 
@@ -23,15 +22,15 @@ import numpy as np
 import scipy
 
 from impact_rs_analysis.evidence.ante_impact import obliqueness_of
-from impact_rs_analysis.evidence.map_discrepancy import JOINTS, HitKind, MapDiscrepancy
+from impact_rs_analysis.evidence.map_discrepancy import HitKind
 from impact_rs_analysis.evidence.replays import SQUARE
 from impact_rs_analysis.limits.hit_bounds import Bounds, Thresholds, bounds_of
 from impact_rs_sim.drive import DriveStart
 from impact_rs_sim.errors import InputError
-from impact_rs_sim.impact_map import ImpactMapError, ImpactProblem
+from impact_rs_sim.impact_map import ImpactProblem
 from impact_rs_sim.impact_map.contacts import SUPPORT, meetings
 from impact_rs_sim.impact_map.perturbation import change
-from impact_rs_sim.impact_map.uncertainty import answer_of, draw, possible, sources_of, touching_pads
+from impact_rs_sim.impact_map.uncertainty import draw, possible, sources_of
 from impact_rs_sim.numbers import NORMAL_95
 from impact_rs_sim.physics import ArmPhysics, Physics
 from impact_rs_sim.proportion import reach_of
@@ -46,8 +45,10 @@ WINDOW = 0.035  # s, from the touch on; a spring of a joint swings back within i
 GAP = 1e-4  # m, between pad and object at the start
 STIFFNESS = 0.2  # of joints and pads, relative: half the width of a 95 % interval; assumed
 DAMPING = 0.3  # likewise
-# Standard deviation of the logarithm of largest values in MuJoCo over those of the twin with the same parameters, in
-# 18 pushes: benchmarks/limits.py --calibrate
+JUMP_MEAN = (0.005, 0.015)  # s after the touch, over which the velocity after the hit is taken
+# How far MuJoCo is from the twin with the same parameters, in 18 pushes: benchmarks/limits.py --calibrate. Of jumps the
+# rms difference times l / v_n, of largest values the standard deviation of the logarithm of their ratio.
+JUMP_SHARES: Mapping[HitKind, float] = {"square": 0.005, "oblique": 0.02}
 PEAK_SHARES: Mapping[str, float] = {"speed": 0.02, "torque": 0.02, "reflex": 0.03, "force": 0.02}
 
 
@@ -59,14 +60,14 @@ class DrawnHit:
         physics: Parameters of the twin.
         arms: States of the arms when their pads touch.
         object: State of the object.
-        jump: Joint velocity jump by the map with its discrepancy, of all arms, ``(n,)``; nan: the map has no answer.
-        factors: Of the quantities, for the discrepancy of the twin, ``(k,)`` [-].
+        offsets: Added to the jumps, proportional to the speed, ``(k,)``; 0 for other quantities.
+        factors: Of the other quantities, ``(k,)`` [-]; 1 for jumps.
     """
 
     physics: Physics
     arms: Mapping[str, ArmState]
     object: BodyState
-    jump: Array
+    offsets: Array
     factors: Array
 
 
@@ -76,9 +77,8 @@ class Hits:
     Args:
         scene: Arms, object, case.
         thresholds: In the place of those of the robot facts.
-        discrepancy: Of the map from simulators.
         stated: What is uncertain; None: as the scenario states.
-        draws: Number of draws; 0: the nominal hit alone, without discrepancies.
+        draws: Number of draws; 0: the nominal hit alone, without discrepancy.
         seed: Of the draws.
 
     Attributes:
@@ -92,38 +92,37 @@ class Hits:
         self,
         scene: Scene,
         thresholds: Thresholds,
-        discrepancy: MapDiscrepancy,
         stated: Uncertainties | None = None,
         draws: int = 0,
         seed: int = 0,
     ) -> None:
         self.scene = scene
         self.bounds: Bounds = bounds_of(scene.physics, thresholds)
-        self._problem = problem = touching(scene)
-        self._pads = touching_pads(problem, scene.models)
+        problem = touching(scene)
         closing = closing_speeds(scene.physics, scene.arms, problem.object, scene.models)
         self.speed = max(closing.values())
         self.kind: HitKind = (
             "oblique" if obliqueness_of(scene.physics, scene.arms, problem.object) > SQUARE else "square"
         )
-        share = sum(one.share for one in discrepancy.entries if (one.kind, one.signal) == (self.kind, JOINTS))
-        spread = [
-            np.full(arm.facts.joint_count, share * closing[name] / reach_of(arm.facts))
-            for name, arm in scene.physics.arms.items()
-        ]
-        kinds = self.bounds.kinds
+        kinds = np.array(self.bounds.kinds)
+        jumps = kinds == "jump"
+        spread = np.zeros(kinds.size)
+        spread[jumps] = JUMP_SHARES[self.kind] * np.concatenate(
+            [
+                np.full(arm.facts.joint_count, closing[name] / reach_of(arm.facts))
+                for name, arm in scene.physics.arms.items()
+            ]
+        )
         peak_shares = np.array([PEAK_SHARES.get(kind, 0.0) for kind in kinds])
         rng = np.random.default_rng(seed)
         sources = sources_of(problem, scene.scenario.uncertainty if stated is None else stated)
         self._draws: list[DrawnHit] = []
         for _ in range(max(draws, 1)):
             amounts = possible(problem, draw(sources, rng) if draws else {})
-            noise = rng.standard_normal(len(kinds)) if draws else np.zeros(len(kinds))
+            noise = rng.standard_normal(kinds.size) if draws else np.zeros(kinds.size)
             springs = {name: drawn_springs(arm, rng) if draws else arm for name, arm in scene.physics.arms.items()}
-            off = np.concatenate(spread) * noise[np.array(kinds) == "jump"]
             physics, arms, body = drawn(problem, scene.models, amounts, springs)
-            jump = self._jump(amounts) + off
-            self._draws.append(DrawnHit(physics, arms, body, jump, np.exp(noise * peak_shares)))
+            self._draws.append(DrawnHit(physics, arms, body, spread * noise, np.exp(noise * peak_shares)))
 
     @property
     def rest(self) -> Array:
@@ -135,42 +134,31 @@ class Hits:
         return found / self.bounds.values
 
     def ratios(self, scale: float) -> Array:
-        """Quantities over their bounds at a multiple of the scene's speed, ``(draws, k)`` [-]; nan: no answer."""
+        """Quantities over their bounds at a multiple of the scene's speed, ``(draws, k)`` [-]; nan: unstable."""
         return self.values(scale) / self.bounds.values
 
     def values(self, scale: float) -> Array:
-        """Quantities at a multiple of the scene's speed in their units, ``(draws, k)``; nan: no answer."""
+        """Quantities at a multiple of the scene's speed in their units, ``(draws, k)``; nan: the draw is unstable."""
         period = self.scene.scenario.timing.drive_period
         jobs = [twin_job(one.physics, _scaled(one.arms, scale), one.object, period) for one in self._draws]
-        rows = []
-        for one, job, result in zip(self._draws, jobs, simulate(jobs), strict=True):
-            jump, at = {}, 0
-            for name, arm in one.arms.items():
-                jump[name] = scale * one.jump[at : at + arm.position.size]
-                at += arm.position.size
-            rows.append(quantities(self.scene, job.time, result.arms, jump) * one.factors)
-        return np.array(rows)
-
-    def _jump(self, amounts: Mapping[str, float]) -> Array:
-        """Joint velocity jumps by the map with parameters changed, of all arms, ``(n,)``; nan: no answer."""
-        before = np.concatenate([state.velocity for state in change(self._problem, amounts).problem.arms.values()])
-        try:
-            after, _ = answer_of(self._problem, self.scene.models, amounts, self._pads)
-        except ImpactMapError:
-            return np.full(before.size, np.nan)
-        return np.asarray(after[: before.size] - before)
+        return np.array(
+            [
+                np.abs(quantities(self.scene, job.time, result.arms) * one.factors + scale * one.offsets)
+                for one, job, result in zip(self._draws, jobs, simulate(jobs), strict=True)
+            ]
+        )
 
 
-def quantities(scene: Scene, time: Array, arms: Mapping[str, ArmMotion], jump: Mapping[str, Array]) -> Array:
+def quantities(scene: Scene, time: Array, arms: Mapping[str, ArmMotion]) -> Array:
     """Quantities of a hit from its signals, in the order of :class:`Bounds`, ``(k,)``.
 
     Args:
         scene: What the robot believes: its observer has this model.
         time: Times of the samples from the touch on, evenly spaced, ``(m,)`` [s].
         arms: Signals by arm, ``(m, n)``.
-        jump: Joint velocity jump by arm, ``(n,)`` [rad/s].
     """
     found: list[Array] = []
+    after = (time >= JUMP_MEAN[0]) & (time <= JUMP_MEAN[1])
     for name, arm in arms.items():
         model, facts = scene.models[name], scene.physics.arms[name].facts
         gain = (facts.reflexes or Reflexes()).observer_gain
@@ -178,7 +166,8 @@ def quantities(scene: Scene, time: Array, arms: Mapping[str, ArmMotion], jump: M
         jacobian = model.jacobian(scene.arms[name].position)[:3]
         force = np.linalg.norm(np.linalg.lstsq(jacobian.T, external.T, rcond=None)[0], axis=0)
         signals = (arm.velocity, arm.torque, external)
-        found += [np.abs(jump[name]), *(np.abs(signal).max(axis=0) for signal in signals), force.max(keepdims=True)]
+        jump = arm.velocity[after].mean(axis=0) - arm.velocity[0]
+        found += [np.abs(jump), *(np.abs(signal).max(axis=0) for signal in signals), force.max(keepdims=True)]
     return np.concatenate(found)
 
 

@@ -5,12 +5,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from impact_rs_analysis.evidence.map_discrepancy import measured_map_discrepancy
 from impact_rs_analysis.limits.drawn_hits import DRAWS, Hits
 from impact_rs_analysis.limits.hit_bounds import OF_THE_FACTS, Thresholds
 from impact_rs_analysis.limits.speed import SpeedLimit, speed_limit
 from impact_rs_sim.errors import Infeasible, InputError
-from impact_rs_sim.impact_map import ImpactMapError
 from impact_rs_sim.scenario import Scenario
 from impact_rs_sim.scene import Scene
 
@@ -91,9 +89,9 @@ def limit_of(task: LimitTask) -> PlacedLimit:
     scenario = moved(task.scenario, task.x, task.z) if task.x or task.z else task.scenario
     try:
         scene = Scene.resolve(scenario, task.object_name, task.case_name)
-        hits = Hits(scene, task.thresholds, measured_map_discrepancy(), draws=task.draws)
+        hits = Hits(scene, task.thresholds, draws=task.draws)
         return PlacedLimit(task.x, task.z, speed_limit(hits))
-    except (Infeasible, ImpactMapError) as error:
+    except Infeasible as error:
         if not (task.x or task.z):
             raise
         return PlacedLimit(task.x, task.z, None, str(error))

@@ -19,14 +19,14 @@ import numpy as np
 
 from impact_rs_analysis.limits.drawn_hits import Hits
 from impact_rs_analysis.limits.hit_bounds import KINDS
-from impact_rs_sim.impact_map import ImpactMapError
+from impact_rs_sim.errors import Infeasible
 from impact_rs_sim.robot import Array
 
 LEVEL = 0.99
 CLOSE = 0.01  # relative change of the speed that ends the search
 ROUNDS = 5  # speeds that are simulated at most
+LEAST_STABLE = 0.9  # share of the draws
 HIGHEST = 20.0  # times the speed of the scene; no bound was found that matters
-LEAST_ANSWERS = 0.9  # share of the draws that need an answer
 
 
 @dataclass(frozen=True)
@@ -42,7 +42,7 @@ class SpeedLimit:
         by_kind: The same as ``speed`` for each kind of quantities alone [m/s]; inf: beyond every speed of interest.
         binding: Quantity that is nearest to its bound there.
         unknown: Kinds without any bound.
-        draws: Draws with an answer.
+        draws: Draws that are stable.
     """
 
     object_name: str
@@ -81,7 +81,7 @@ def speed_limit(hits: Hits) -> SpeedLimit:
     """The highest approach speed of a scene.
 
     Raises:
-        ImpactMapError: Too few draws have an answer.
+        Infeasible: Too many draws are unstable at the period of the torque loop.
     """
     curve = _Curve(hits)
     everything = tuple(range(len(hits.bounds.names)))
@@ -126,12 +126,15 @@ class _Curve:
         """Simulate one more speed."""
         self._known[scale] = self._hits.ratios(scale)
         self._usable = np.all([np.isfinite(rows).all(axis=1) for rows in self._known.values()], axis=0)
-        if self.draws < LEAST_ANSWERS * self._usable.size:
-            raise ImpactMapError(f"of {self._usable.size} draws of the hit only {self.draws} have an answer")
+        if self.draws < LEAST_STABLE * self._usable.size:
+            raise Infeasible(
+                f"only {self.draws} of {self._usable.size} draws of the hit are stable; expected more damping in joints"
+                " or pads, or a shorter timing.drive_period (impact-rs robot check says which)"
+            )
 
     @property
     def draws(self) -> int:
-        """Draws with an answer at every speed."""
+        """Draws that are stable at every speed."""
         return int(self._usable.sum())
 
     def at(self, scale: float) -> Array:

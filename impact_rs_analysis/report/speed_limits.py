@@ -6,6 +6,7 @@ from __future__ import annotations
 import csv
 import io
 import json
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,12 +17,13 @@ import plotly.graph_objects as go
 from impact_rs_analysis.limits.hit_bounds import KINDS, WORDS
 from impact_rs_analysis.limits.poses import PlacedLimit
 from impact_rs_analysis.limits.speed import LEVEL, SpeedLimit
-from impact_rs_analysis.report.figures import BLACK, BLUE, GREEN, ORANGE, RED
+from impact_rs_analysis.report.figures import BLACK, BLUE, GREEN, ORANGE, RED, SKY
 from impact_rs_analysis.report.page import Plot, render, write_files
 from impact_rs_analysis.report.plots import GREY, TEMPLATE
 from impact_rs_sim.scenario import Scenario
 
 COLOURS = {"jump": BLUE, "speed": GREEN, "torque": ORANGE, "reflex": RED, "force": GREY}
+MOST_SHARE = 2.0  # of the planned speed, at the end of the colours of the map
 
 
 @dataclass(frozen=True)
@@ -65,8 +67,8 @@ def write_limits(
     plots = [Plot("limits", limits_plot(limits), "Allowed closing speed by kind of bound; line: planned.")]
     if places:
         caption = (
-            "Allowed closing speed where the hit is moved along x and z, with pad, object and support; empty: the arm "
-            "cannot hit there. 0, 0 is the place of the scenario."
+            "Allowed closing speed [m/s] where the hit is moved along x and z, with pad, object and support; empty: "
+            "the arm cannot hit there. 0, 0 is the place of the scenario. Red: slower than planned; blue: faster."
         )
         plots.append(Plot("places", places_plot(places), caption, "Over places of the hit"))
     slow = [one for one in limits if not one.allowed]
@@ -124,14 +126,30 @@ def limits_plot(limits: Sequence[SpeedLimit]) -> go.Figure:
 
 
 def places_plot(places: Sequence[PlacedLimit]) -> go.Figure:
-    """Map of the allowed speed over places of the hit."""
+    """Map of the allowed speed over places of the hit, in colours of its share of the planned one, from 0 to 2."""
     x, z = (sorted({getattr(one, axis) for one in places}) for axis in ("x", "z"))
-    speeds = {(one.x, one.z): one.limit.to_json()["limit_m_s"] for one in places if one.limit is not None}
-    rows = [[speeds.get((along, up)) for along in x] for up in z]
-    heat = go.Heatmap(x=x, y=z, z=rows, colorscale="Viridis", zmin=0.0, colorbar={"title": {"text": "m/s"}})
+    found = {(one.x, one.z): one.limit for one in places if one.limit is not None}
+    grid = [[found.get((along, up)) for along in x] for up in z]
+    heat = go.Heatmap(
+        x=x,
+        y=z,
+        z=[[None if one is None else min(one.speed / one.planned, MOST_SHARE) for one in row] for row in grid],
+        text=[["" if one is None else _speed(one.speed) for one in row] for row in grid],
+        texttemplate="%{text}",
+        hovertemplate="x %{x} m, z %{y} m: %{text} m/s<extra></extra>",
+        colorscale=[[0.0, RED], [0.5, "#F7F7F7"], [1.0, SKY]],
+        zmin=0.0,
+        zmax=MOST_SHARE,
+        colorbar={"title": {"text": "of the<br>planned"}, "tickformat": ".0%"},
+    )
     return go.Figure([heat], layout={"template": TEMPLATE}).update_layout(
         height=420, xaxis={"title": {"text": "x [m]"}}, yaxis={"title": {"text": "z [m]"}}
     )
+
+
+def _speed(value: float) -> str:
+    """A speed as text."""
+    return f"{value:.2f}" if math.isfinite(value) else "any"
 
 
 def _csv(limits: Sequence[SpeedLimit], places: Sequence[PlacedLimit]) -> str:

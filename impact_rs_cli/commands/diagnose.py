@@ -174,7 +174,7 @@ def _show(document: DiagnosisDocument, terminal: Terminal) -> None:
     shown = [effect for effect in document.effects if effect.measured]
     table = Table(title=f"Effects, best first (error on unseen data, {document.error_unit})")
     table.add_column("effect", no_wrap=True)
-    table.add_column("verdict", overflow="fold")
+    table.add_column("verdict", overflow="fold", min_width=len(UNIDENTIFIABLE))
     table.add_column("alone", justify="right", no_wrap=True)
     table.add_column("without → with", justify="right", no_wrap=True)
     table.add_column("p", justify="right", no_wrap=True)

@@ -56,8 +56,8 @@ def _show(document: DiscoveryDocument, terminal: Terminal) -> None:
     if document.others:
         where = "in its place" if document.laws else "alone"
         table = Table(title=f"Other laws {where}, best first (error on unseen data, {document.error_unit})")
-        for heading in ("law", "formula"):
-            table.add_column(heading, overflow="fold")
+        table.add_column("law", no_wrap=True)
+        table.add_column("formula", overflow="fold")
         table.add_column("without → with", justify="right", no_wrap=True)
         for law in document.others:
             table.add_row(law.name, "a curve" if law.curved else law.formula, _errors(law))

@@ -8,8 +8,9 @@ import math
 
 from rich.table import Table
 
+from impact_rs_analysis.report.rehearsal import CheckedBound, write_rehearsal
 from impact_rs_cli.arguments import check_robots, settings_of
-from impact_rs_cli.terminal import Terminal
+from impact_rs_cli.terminal import Terminal, output_folder
 from impact_rs_ros.cell_rehearsal import Checklist, rehearse
 from impact_rs_ros.driver_profiles import profile_of
 from impact_rs_sim.errors import InputError
@@ -45,7 +46,17 @@ def run(args: argparse.Namespace, terminal: Terminal) -> int:
             done += 1
 
         found = rehearse(plan, profile, reflexes, args.seed, say)
-    terminal.result({"scenario": scenario.name, "object": item, "case": plan.scene.case_name} | found.to_json())
+    document = {"scenario": scenario.name, "object": item, "case": plan.scene.case_name} | found.to_json()
+    page = None
+    if args.output is not None:
+        bounds = [
+            CheckedBound(one.name, one.value, one.bound, one.margin, one.unit, one.where, one.at_least)
+            for one in found.margins
+        ]
+        title = f"{scenario.name}, {item}, {plan.scene.case_name}"
+        with output_folder(args.output):
+            page = write_rehearsal(title, f"{profile.name} ({profile.source})", bounds, document, args.output)
+    terminal.result(document)
     terminal.say(
         f"{scenario.name}, {item}, {plan.scene.case_name}, against a stand-in of {profile.name} ({profile.source})",
         f"cell: joints {profile.joints_of(plan.arms)}, states on {profile.states}, torques on {profile.commands}",
@@ -53,6 +64,8 @@ def run(args: argparse.Namespace, terminal: Terminal) -> int:
         _table(found),
     )
     terminal.say(found.verdict)
+    if page is not None:
+        terminal.say(f"page: {page.resolve()}")
     return 0 if found.passed else 1
 
 

@@ -129,7 +129,8 @@ class BagFile:
 
     def _chosen(self, wanted: tuple[SignalName, ...]) -> list[Connection]:
         chosen: dict[str, Connection] = {}
-        for name in wanted:
+        clocks: tuple[SignalName, ...] = ("position",) if wanted and "position" in self._mapping.signals else ()
+        for name in dict.fromkeys((*wanted, *clocks)):  # other signals are put on the clock of the joint states
             try:
                 connection = self._connection(name, self._mapping.signals[name])
             except MissingSignal:
@@ -187,6 +188,8 @@ class BagFile:
             )
         if clock == "log":
             return stamps + float(np.median(log - stamps)), ()
+        if "position" not in self._mapping.signals:  # no joint states that it could be late against
+            return stamps, ()
         late = float(np.median(log - stamps)) - self._log_after_stamp()[0]
         if name in WIDTH and not LATE[0] < late < LATE[1]:
             return stamps, (
@@ -196,7 +199,9 @@ class BagFile:
         return stamps, ()
 
     def _log_after_stamp(self) -> tuple[float, str]:
-        """How long after their stamps joint states are logged [s], and a remark where that changes."""
+        """How long after their stamps joint states are logged [s], and a remark where that changes; without them 0."""
+        if "position" not in self._mapping.signals:
+            return 0.0, ""
         if self._shift is None:
             connection = self._connection("position", self._mapping.signals["position"])
             messages = self._messages[connection.topic]

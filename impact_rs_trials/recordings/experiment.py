@@ -27,6 +27,7 @@ from impact_rs_sim.robot import Array
 from impact_rs_sim.scenario import Scenario, load_scenario
 from impact_rs_sim.schema import PositiveNumber, PositiveVector3, Schema, Vector3, load
 from impact_rs_trials.recordings.csv_rows import csv_rows
+from impact_rs_trials.recordings.file_groups import RUN_TABLE
 from impact_rs_trials.recordings.mapping import Mapping, load_mapping
 from impact_rs_trials.recordings.sources import FILE_SUFFIXES, name_of, spread_runs
 
@@ -132,7 +133,7 @@ class Experiment(Schema):
         description="name or path of the mapping; of several arms one by the name of each, or one for all, in which "
         "{arm} stands for that name",
     )
-    runs: str = Field("runs.csv", description="table of runs, a path from the recordings' folder or from this file's")
+    runs: str = Field(RUN_TABLE, description="table of runs, a path from the recordings' folder or from this file's")
     motion_capture: MotionCapture = Field(
         default_factory=MotionCapture,
         description="world frame of the motion capture in the scenario's inertial frame; absent: they are the same",

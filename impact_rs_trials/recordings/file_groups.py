@@ -35,6 +35,7 @@ NUMBER = re.compile(r"\d+")
 WORD = re.compile(r"[^\W_]+")  # of a name, between what separates words
 RUN = "{run}"
 OBJECT = "{object}"
+RUN_TABLE = "runs.csv"  # of a laboratory; no recording
 
 
 @dataclass(frozen=True)
@@ -66,7 +67,7 @@ class FileGroups:
 
 
 def recordings_in(paths: Sequence[Path]) -> list[Path]:
-    """Files and bags at paths; of folders those inside.
+    """Files and bags at paths; of folders those inside, without tables of runs.
 
     Raises:
         InputError: There is none, or one cannot be read.
@@ -84,7 +85,7 @@ def recordings_in(paths: Sequence[Path]) -> list[Path]:
         inside = [
             file
             for file in path.rglob("*")
-            if file.suffix in FILE_SUFFIXES and file.is_file() and not bags & {file.parent}
+            if file.suffix in FILE_SUFFIXES and file.name != RUN_TABLE and file.is_file() and not bags & {file.parent}
         ]
         searched = [file for file in inside if file.suffix in SEARCHED_SUFFIXES]
         found += [*bags, *(searched or [file for file in inside if file.suffix in NOTE_SUFFIXES])]

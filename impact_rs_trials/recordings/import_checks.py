@@ -78,7 +78,7 @@ def usable_rows(series: Series) -> NDArray[np.signedinteger]:
 
 
 def object_moves(path: Path, mapping: Mapping, names: Names) -> bool:
-    """Whether the object of a run changes its place.
+    """Whether the object of a run was recorded and changes its place.
 
     Args:
         path: The run.
@@ -89,7 +89,9 @@ def object_moves(path: Path, mapping: Mapping, names: Names) -> bool:
         InputError: The run cannot be read.
     """
     name: SignalName = "object_pose" if "object_pose" in mapping.signals else "object_position"
-    read = read_series(path, mapping, [name], [name], names)[name]
+    read = read_series(path, mapping, [name], [], names).get(name)
+    if read is None:
+        return False
     seen = read.values[np.isfinite(read.values).all(axis=1), :3]
     return bool(len(seen)) and float(np.max(np.linalg.norm(seen - np.median(seen[:5], axis=0), axis=1))) > MOVED
 

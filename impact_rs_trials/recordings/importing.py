@@ -39,7 +39,7 @@ from impact_rs_trials.recordings.candidates import (
     width_of,
 )
 from impact_rs_trials.recordings.clock_offset import OBJECT_SIGNALS
-from impact_rs_trials.recordings.file_groups import OBJECT, FileGroups, group_files, recordings_in
+from impact_rs_trials.recordings.file_groups import OBJECT, RUN_TABLE, FileGroups, group_files, recordings_in
 from impact_rs_trials.recordings.guesses import (
     Guess,
     clock_of,
@@ -781,6 +781,10 @@ class _Importer:
         if not rows:
             raise InputError(f"no run has all of its files: {'; '.join(missing)}", file=groups.folder)
         self._say_unread(needed)
+        if (groups.folder / RUN_TABLE).is_file():
+            self._remarks.append(
+                f"{groups.folder / RUN_TABLE} says what each run is, and is used before the one made here"
+            )
         if groups.sessions:
             self._say(
                 "session in runs.csv", flow(list(dict.fromkeys(groups.sessions.values()))),

@@ -232,6 +232,10 @@ const estimates = {
     const key = JSON.stringify(state.workspace.diagnoses.map((one) => [one.path, state.workspace.stamps[one.path]]));
     if (key === this.key) return;
     this.key = key;
+    if (!this.found) {
+      this.parameter.parentElement.hidden = true;
+      this.note.textContent = 'Reading the diagnoses and the times of their trials …';
+    }
     try {
       this.found = await this.questions.begin().ask('/api/estimates');
       const count = (name) => this.found.filter((one) => one.parameter === name).length, named = new Set(this.found.filter((one) => one.named).map((one) => one.parameter));

@@ -661,6 +661,8 @@ const designs = {
 
 // ---- measure ------------------------------------------------------------------------------------------------------------
 
+const trialName = (object, case_, scale = 1) => `${object}__${case_}__s${scale.toFixed(3)}__r0`;
+
 const measure = {
   questions: new Questions(), // of the picture
 
@@ -734,7 +736,7 @@ const measure = {
 
   trial() {
     const form = this.trialForm = commandForm('trial', 'Run the trial', {offers: ['object', 'case'], ready: () => form.found,
-      suggest: {output: () => 'trials'}});
+      suggest: {output: () => free((count) => count === 1 ? 'trials' : `trials_${count}`, this.takenFor(form))}});
     this.trialView = new TrialView('trial');
     this.chooseTrial = followScenario(form, (found) => {
       form.control('scale').max = found.largest_scale;
@@ -743,6 +745,13 @@ const measure = {
       this.picture();
     });
     return form.node;
+  },
+
+  // Folders into which the trial of the form cannot go: they have it already, or are of another kind.
+  takenFor(form) {
+    const {campaigns = [], laboratories = []} = state.workspace ?? {};
+    const name = trialName(form.value('object'), form.value('case'), form.value('scale'));
+    return [...campaigns.filter((one) => one.scenario || one.error || one.loose.includes(name)), ...laboratories].map(({path}) => path);
   },
 
   blind() {
@@ -772,7 +781,7 @@ const measure = {
     if (!job || job.number === this.shown || state.step !== 'measure' || this.trialView.node.hidden) return;
     const [, , object, case_, ...flags] = job.arguments, folder = inFolder(job.writes[0]);
     const scale = Number(flags.includes('--scale') ? flags[flags.indexOf('--scale') + 1] : 1);
-    const trial = `${object}__${case_}__s${scale.toFixed(3)}__r0`;
+    const trial = trialName(object, case_, scale);
     if (!state.workspace.campaigns.some((one) => one.path === folder)) return;
     this.shown = job.number;
     says('measure/trial', `${trial.replaceAll('__', ' ')}, in ${folder}.`);
@@ -873,13 +882,17 @@ const table = (id, heads, rows) => h('div', {class: 'scroll'}, h('table', {id}, 
 
 const rehearse = {
   build() {
-    this.form = hitsForm('rehearse', 'Rehearse');
-    this.printed = new Printed('rehearse', (job) => says('measure/rehearse', job.ended === null ? `Job ${job.number} rehearses.` :
-      `${job.arguments[1]}: the rehearsal of job ${job.number} ${job.exit_code ? 'failed' : 'passed'}.`));
-    return h('div', {}, this.form.node, this.printed.node);
+    this.form = hitsForm('rehearse', 'Rehearse', {output: () => `rehearsals/${stem(this.form.value('scenario') ?? 'push')}`});
+    this.pages = new Pages('rehearse', 'rehearsal', 'rehearsal.html', (folder) => this.say(folder));
+    return h('div', {}, this.form.node, ...this.pages.nodes);
   },
 
-  update() { this.form.update(); this.printed.jobs(); },
+  update() { this.form.update(); this.pages.update(); },
+
+  async say(folder) {
+    const found = await ask(`/files/${folder}/rehearsal.json`);
+    says('measure/rehearse', `${found.scenario}, ${found.object}, ${found.case}: ${found.passed ? 'passed' : 'not passed'}.`);
+  },
 };
 
 // ---- recorded trials ----------------------------------------------------------------------------------------------------

@@ -9,8 +9,7 @@ import pytest
 pytest.importorskip("mujoco")
 
 from benchmarks.limits import Outcome, hit, summary  # noqa: E402
-from impact_rs_analysis.evidence.map_discrepancy import JOINTS, NO_MAP_DISCREPANCY, measured_map_discrepancy
-from impact_rs_analysis.limits.drawn_hits import Hits, drawn, touching
+from impact_rs_analysis.limits.drawn_hits import JUMP_SHARES, Hits, drawn, touching
 from impact_rs_analysis.limits.hit_bounds import Thresholds
 from impact_rs_sim.proportion import reach_of
 from impact_rs_sim.scenario import load_scenario
@@ -21,15 +20,15 @@ from impact_rs_sim.scene import Scene
 def test_two_simulators_agree_on_what_a_hit_does_to_the_arm(name: str) -> None:
     """Largest velocity, torque, external torque and force within 10 %, jumps within 3 times their discrepancy."""
     scene = Scene.resolve(load_scenario(name), "juice", "1")
-    hits = Hits(scene, Thresholds(), NO_MAP_DISCREPANCY)
+    hits = Hits(scene, Thresholds())
     twin, mujoco = hits.values(1.0)[0], hit(scene, *drawn(touching(scene), scene.models, {}, scene.physics.arms))
     kinds = np.array(hits.bounds.kinds)
     for kind in ("speed", "torque", "reflex", "force"):
         largest = int(np.argmax(np.where(kinds == kind, twin, 0.0)))
         assert mujoco[largest] == pytest.approx(twin[largest], rel=0.1), kind
     jumps, (arm,) = kinds == "jump", scene.physics.arms.values()
-    (share,) = [one.share for one in measured_map_discrepancy().entries if (one.kind, one.signal) == ("square", JOINTS)]
-    np.testing.assert_allclose(mujoco[jumps], twin[jumps], atol=3.0 * share * hits.speed / reach_of(arm.facts))
+    off = JUMP_SHARES[hits.kind] * hits.speed / reach_of(arm.facts)
+    np.testing.assert_allclose(mujoco[jumps], twin[jumps], atol=3.0 * off)
 
 
 def test_missed_limits_and_needless_refusals_are_counted_apart() -> None:

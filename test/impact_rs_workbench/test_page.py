@@ -451,6 +451,19 @@ def test_a_single_trial_is_shown_below_its_form_and_again_after_a_reload(page: P
     shutil.rmtree(folder / "single")
 
 
+def test_a_folder_that_has_the_trial_already_is_not_suggested_for_another(
+    page: Page, folder: Path, hidden_campaign: Path
+) -> None:
+    go(page, "measure", "trial")
+    output = page.locator("#trial-output")
+    expect(output).to_have_value("trials")
+    shutil.copytree(next((hidden_campaign / "push").glob("parcel*")), folder / "trials" / "parcel__case_1__s1.000__r0")
+    expect(output).to_have_value("trials_2")
+    page.select_option("#trial-object", "juice")
+    expect(output).to_have_value("trials")
+    shutil.rmtree(folder / "trials")
+
+
 @pytest.mark.timeout(900)
 def test_how_fast_the_arm_may_hit_is_asked_and_the_hit_rehearsed_by_mouse(page: Page, folder: Path) -> None:
     command = go(page, "predict", "limits")
@@ -469,13 +482,14 @@ def test_how_fast_the_arm_may_hit_is_asked_and_the_hit_rehearsed_by_mouse(page: 
     picture(page, "workbench_limits", folder)
     page.set_viewport_size(DESK)
     page.locator(".lead:visible a").click()
-    expect(command).to_have_text(re.compile("rehearse push$"))
+    expect(command).to_have_text(re.compile("rehearse push -o workbench/rehearsals/push$"))
     page.select_option("#rehearse-object", "juice")
     expect(command).to_contain_text("rehearse push juice")
     start(page, "Rehearse")
-    checklist = page.locator("[data-printed=rehearse] pre")
-    expect(checklist).to_contain_text("arm torque rate")
-    expect(checklist).to_contain_text("rehearsal passed")
+    report = page.frame_locator("#rehearse-result iframe")
+    expect(report.locator("td", has_text="arm torque rate")).to_be_visible()
+    expect(report.locator(".answer")).to_contain_text("Rehearsal passed")
+    expect(page.locator("[data-says='measure/rehearse']")).to_contain_text("push, juice, case_1: passed")
     accessible(page)
     page.set_viewport_size({"width": 1280, "height": 1200})
     picture(page, "workbench_rehearsal", folder)

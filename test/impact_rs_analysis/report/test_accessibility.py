@@ -26,6 +26,7 @@ from impact_rs_analysis.report.discovery import write_report
 from impact_rs_analysis.report.error_history import write_history
 from impact_rs_analysis.report.family_tree import write_investigation
 from impact_rs_analysis.report.paper_figures import write_paper
+from impact_rs_analysis.report.rehearsal import CheckedBound, write_rehearsal
 from impact_rs_analysis.report.speed_limits import write_limits
 from impact_rs_analysis.report.trial import write_trial
 from impact_rs_cli.main import main
@@ -84,6 +85,18 @@ def limits(folder: Path, _: Path) -> Path:
     return write_limits(load_scenario("push"), [found], places, folder)
 
 
+def rehearsal(folder: Path, _: Path) -> Path:
+    bounds = [
+        CheckedBound("arm joint torque", 30.0, 87.0, 57.0, "N m", "joint 2, at 0.912 s", False),
+        CheckedBound("arm external force", 120.0, 100.0, -20.0, "N", "at 0.905 s", False),
+        CheckedBound("arm distance to joint limits", 0.3, 0.0, 0.3, "rad", "joint 4, at 1.2 s", True),
+    ]
+    said = {
+        "passed": False, "verdict": "rehearsal not passed", "not_checked": ["arm torque rate"], "log": ["armed: well"]
+    }  # fmt: skip
+    return write_rehearsal("push, parcel, case_1", "franka_ros2 (its sources)", bounds, said, folder)
+
+
 def diagnosis(name: str) -> Callable[[Path, Path], Path]:
     return lambda folder, _: write_diagnosis(
         documents.diagnosis(name), documents.comparison("trials"), documents.tracks(), documents.versions(), folder
@@ -101,6 +114,7 @@ REPORTS: dict[str, Callable[[Path, Path], Path]] = {
     "history": lambda folder, _: write_history(documents.versions(), folder),
     "investigation": investigation,
     "limits": limits,
+    "rehearsal": rehearsal,
     "paper": lambda folder, _: write_paper(study_paper(), folder)[0],
     "trial": lambda folder, campaign: write_trial(TrialBag.open(campaign / BAG), folder / "trial.html"),
 }

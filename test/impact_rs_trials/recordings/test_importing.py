@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +14,7 @@ from refusals import refusal
 
 from impact_rs_sim.robot import load_facts
 from impact_rs_sim.robot_model import RobotModel
+from impact_rs_trials.bags import topics
 from impact_rs_trials.recordings.experiment import Experiment, load_experiment, read_runs
 from impact_rs_trials.recordings.file_groups import group_files
 from impact_rs_trials.recordings.importing import ImportDraft, Wishes, draft_import
@@ -649,3 +651,17 @@ def test_folders_are_sessions_where_they_hold_several_runs(tmp_path: Path) -> No
     assert sessions("a/run_1.csv", "b/run_1.csv", "b/run_2.csv") == {
         "a/run_1.csv": "a", "b/run_1.csv": "b", "b/run_2.csv": "b",
     }  # fmt: skip
+
+
+def test_a_bag_with_the_pose_of_an_object_is_a_hit_and_one_without_is_free_motion(
+    tmp_path: Path, hidden_campaign: Path, rewrite_bag: Callable[..., None]
+) -> None:
+    kept = {topics.joint_states("arm"), topics.OBJECT_POSE}
+    hit = next((hidden_campaign / "push").glob("parcel*"))
+    rewrite_bag(hit, tmp_path / "raw" / "run_1", kept.__contains__)
+    rewrite_bag(hit, tmp_path / "raw" / "run_2", (kept - {topics.OBJECT_POSE}).__contains__)
+    draft = draft_import([tmp_path / "raw"], tmp_path / "lab", Wishes(robot="franka_fer", scenario="push"))
+    mapping = load_mapping(described(draft, tmp_path / "lab"))
+    assert mapping.signals["object_pose"].topic == topics.OBJECT_POSE
+    assert draft.texts["runs.csv"].splitlines()[1:] == ["run_1,parcel,hit", "run_2,none,free motion"]
+    assert not any("refuses" in remark for remark in draft.remarks)

@@ -1,0 +1,134 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Page of a rehearsal: its verdict, how near everything came to its bound, and what was not checked."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import plotly.graph_objects as go
+
+from impact_rs_analysis.report.figures import BLUE, RED
+from impact_rs_analysis.report.page import Plot, render, write_files
+from impact_rs_analysis.report.plots import GREY, TEMPLATE
+
+HIGHEST = 1.5  # of a bound; a longer bar ends there
+
+
+@dataclass(frozen=True)
+class CheckedBound:
+    """One line of the checklist.
+
+    Attributes:
+        name: What was measured.
+        value: Largest value, of ``at_least`` the smallest.
+        bound: What it is held against.
+        margin: How far the value is from the bound; negative: beyond.
+        unit: Unit of all three.
+        where: Joint, time or remark.
+        at_least: Whether the bound is a lower one.
+    """
+
+    name: str
+    value: float
+    bound: float
+    margin: float
+    unit: str
+    where: str
+    at_least: bool
+
+    @property
+    def holds(self) -> bool:
+        """Whether the value is within its bound."""
+        return self.margin >= 0.0
+
+    @property
+    def share(self) -> float | None:
+        """Value over bound [-]; None: the bound is a lower one, or 0."""
+        return None if self.at_least or self.bound == 0.0 else self.value / self.bound
+
+
+@dataclass(frozen=True)
+class RehearsalPage:
+    """Content of ``rehearsal.html.j2``.
+
+    Attributes:
+        title: Heading.
+        verdict: What the rehearsal says.
+        passed: Whether it was passed.
+        driver: The driver whose stand-in it was, and where its numbers come from.
+        bounds: The checklist.
+        unknown: What was not checked, and why.
+        log: What the cell would log, and what happened.
+        plots: Figures.
+    """
+
+    title: str
+    verdict: str
+    passed: bool
+    driver: str
+    bounds: tuple[CheckedBound, ...]
+    unknown: tuple[str, ...]
+    log: tuple[str, ...]
+    plots: tuple[Plot, ...]
+
+
+def write_rehearsal(
+    title: str, driver: str, bounds: Sequence[CheckedBound], document: Mapping[str, Any], directory: Path
+) -> Path:
+    """Write ``rehearsal.html`` and ``rehearsal.json``.
+
+    Args:
+        title: Scenario, object and case.
+        driver: The driver whose stand-in it was, and where its numbers come from.
+        bounds: The checklist.
+        document: The rehearsal as JSON: ``verdict``, ``passed``, ``not_checked``, ``log`` and more.
+        directory: Folder of the report.
+
+    Returns:
+        The page.
+
+    Raises:
+        InputError: It cannot be written.
+    """
+    caption = "Largest value over its bound; beyond the line at 100 % the rehearsal is not passed."
+    page = RehearsalPage(
+        title=f"Rehearsal of {title}",
+        verdict=str(document["verdict"]),
+        passed=bool(document["passed"]),
+        driver=driver,
+        bounds=tuple(bounds),
+        unknown=tuple(document["not_checked"]),
+        log=tuple(document["log"]),
+        plots=(Plot("margins", margins_plot(bounds), caption),) if any(one.share is not None for one in bounds) else (),
+    )
+    files = {
+        "rehearsal.html": render("rehearsal.html.j2", page),
+        "rehearsal.json": json.dumps(document, indent=2, allow_nan=False) + "\n",
+    }
+    return write_files(directory, files)[0]
+
+
+def margins_plot(bounds: Sequence[CheckedBound]) -> go.Figure:
+    """Bars of every value over its bound, from 0 to ``HIGHEST``."""
+    rows = [(one.name, one.share, one.holds) for one in reversed(bounds) if one.share is not None]
+    figure = go.Figure(layout={"template": TEMPLATE})
+    figure.add_bar(
+        y=[name for name, *_ in rows],
+        x=[min(share, HIGHEST) for _, share, _ in rows],
+        text=[f"{share:.0%}" for _, share, _ in rows],
+        textposition="auto",
+        orientation="h",
+        marker={"color": [BLUE if holds else RED for *_, holds in rows]},
+        hoverinfo="skip",
+    )
+    figure.add_vline(x=1.0, line={"color": GREY, "width": 2})
+    return figure.update_layout(
+        height=120 + 28 * len(rows),
+        showlegend=False,
+        xaxis={"title": {"text": "value over bound"}, "range": [0.0, HIGHEST], "tickformat": ".0%"},
+        yaxis={"automargin": True, "ticksuffix": " "},
+    )
