@@ -31,6 +31,7 @@ from impact_rs_trials.recordings.table_file import DATE
 
 STAMP = re.compile(r"(^|[^a-z])(t|time|times|timestamp|stamp|sec|secs|nsec)([^a-z]|$)|time|stamp", re.IGNORECASE)
 NANOSECONDS = re.compile(r"nano|n_?sec|(^|[^a-z])ns([^a-z]|$)", re.IGNORECASE)
+STAMP_UNITS = ("s", "ms", "us", "ns")
 RATES = (1.0, 1e5)  # Hz, that a recording may have
 SMOOTHED = 0.05  # s, of the moving average
 FEWEST_SMOOTHED = 5  # samples
@@ -125,7 +126,7 @@ def _clock(name: str, cells: Sequence[str] | NDArray[Any]) -> Guess | None:
     usual = float(np.median(steps[steps > 0.0])) if np.any(steps > 0.0) else 0.0
     if usual == 0.0 or float(np.mean(np.abs(steps[steps > 0.0] / usual - 1.0) < 0.9)) < 0.5:
         return None
-    units = [unit for unit in ("s", "ms", "us", "ns") if _plausible(unit, stamps, usual)]
+    units = [unit for unit in STAMP_UNITS if _plausible(unit, stamps, usual)]
     named = [unit for unit in units if re.search(rf"(^|[^a-z]){unit}([^a-z]|$)", name, re.IGNORECASE)]
     if not units:
         return None
@@ -137,6 +138,19 @@ def _clock(name: str, cells: Sequence[str] | NDArray[Any]) -> Guess | None:
     repeats = int(np.sum(steps == 0.0))
     remarks = (f"{repeats} of {stamps.size} stamps repeat the one before",) if repeats else ()
     return Guess(name, said, bool(named or len(units) == 1), {"unit": unit}, remarks)
+
+
+def other_units(clock: Guess, stamps: Array) -> list[str]:
+    """Units that stamps may have as well as the one that was assumed; none where something shows it.
+
+    Args:
+        clock: What :func:`clock_of` found.
+        stamps: Its column, ``(k,)``.
+    """
+    steps = np.diff(stamps)
+    usual = float(np.median(steps[steps > 0.0]))
+    others = [] if clock.sure else [unit for unit in STAMP_UNITS if unit != clock.further["unit"]]
+    return [unit for unit in others if _plausible(unit, stamps, usual)]
 
 
 def _plausible(unit: str, stamps: Array, step: float) -> bool:
