@@ -3,10 +3,10 @@
 
     ./run python benchmarks/real/planar_states.py data_ellipse.mat impacts.csv --mass 0.0364 --gyration 0.0192
 
-The file holds a structure ``data`` with ``states_i`` and ``states_f``, ``(k, 6)``: x, y, theta and their rates, and with
-``n`` and ``d``, ``(k, 3)``, the rows of the contact Jacobian along the normal and the tangent. With the contact point at
-``(r_x, r_y)`` from the centre they are ``(0, 1, r_x)`` and ``(1, 0, -r_y)``: the table has the contact point from there,
-and the height of the centre above the plane as well (y of the file is twice that). The plane of motion is x, z of the
+The file holds a structure ``data`` with ``states_i`` and ``states_f``, ``(k, 6)``: x, y, theta and their rates; and
+with ``n`` and ``d``, ``(k, 3)``, rows of the contact Jacobian along normal and tangent. With the contact point at
+``(r_x, r_y)`` from the centre they are ``(0, 1, r_x)`` and ``(1, 0, -r_y)``: the contact point of the table is from
+there, and the height of the centre above the plane (y of the file is twice that). The plane of motion is x, z of the
 table; theta turns about -y. ``--mirror`` counts x the other way, where x and theta have opposite handedness.
 """
 

@@ -106,17 +106,21 @@ def _of_bodies(directory: Path, experiment: Experiment, body: Body, map_tasks: M
     if any(table.is_file() for table in tables):
         rows = [row for row in read_runs(directory, experiment, None) if row.hit]
     runs, left_out = [], []
+    remarks: Counter[str] = Counter()
     for row, result in zip(rows, map_tasks(_track, [(row, mapping, body, plane) for row in rows]), strict=True):
         if isinstance(result, InputError):
             left_out.append(NoRow(row.label, result.message))
         else:
-            runs.append(result)
+            run, said = result
+            runs.append(run)
+            remarks.update(dict.fromkeys(said, 1))
     impacts, out = impacts_of_bodies(runs, body)
     by_name = {row.label: row for row in rows}
     named = [_with_condition(impact, by_name) for impact in impacts]
     constants = body_columns(body, plane)
     assumed = () if all(impact.turn_tracked for impact in impacts) else (SPIN,)
-    return FoundImpacts(tuple(named), (*left_out, *out), len(rows), constants, assumed)
+    remarks_said = (*_counted(remarks, len(rows)), *assumed)
+    return FoundImpacts(tuple(named), (*left_out, *out), len(rows), constants, remarks_said)
 
 
 def _with_condition(impact: Impact, rows: dict[str, RunRow]) -> Impact:
@@ -164,7 +168,8 @@ def tracked_body(
     return TrackedBody(name, time - time[0], position, rotation, level @ np.array(plane.gravity), around)
 
 
-def _track(task: tuple[RunRow, Mapping, Body, Plane]) -> TrackedBody | InputError:
+def _track(task: tuple[RunRow, Mapping, Body, Plane]) -> tuple[TrackedBody, list[str]] | InputError:
+    remarks: list[str] = []
     row, mapping, body, plane = task
     turned = "object_quaternion" in mapping.signals or "object_pose" in mapping.signals
     if not turned and body.spin is None:
@@ -177,11 +182,14 @@ def _track(task: tuple[RunRow, Mapping, Body, Plane]) -> TrackedBody | InputErro
             place = read.pop("object_position")
             upright = np.tile([0.0, 0.0, 0.0, 1.0], (place.time.size, 1))
             read["object_pose"] = replace(place, values=np.hstack((place.values, upright)))
-        pose = with_object(row.path, read, [])["object_pose"]
+        pose = with_object(row.path, read, remarks)["object_pose"]
+        remarks += pose.remarks
         finite = np.isfinite(pose.values).all(axis=1)
         if np.any(np.diff(pose.time) <= 0.0):
             raise InputError("time stamps stand still or run backwards; time.repeated: keep_first keeps one of each")
         spin = None if turned else np.array(body.spin)
-        return tracked_body(row.label, pose.time[finite], pose.values[finite], body, plane, spin)
+        if not finite.all():
+            remarks.append(f"{pose.place}: {np.sum(~finite)} of {finite.size} samples are no finite numbers: left out")
+        return tracked_body(row.label, pose.time[finite], pose.values[finite], body, plane, spin), remarks
     except InputError as error:
         return error

@@ -115,6 +115,7 @@ UNSEEN_GEOMETRY = {  # what else may be unsure, 0 in a table: its unit
     "tilt_y": "rad",
 }
 SWEPT = (0.25, 0.5, 1.0)  # shares of the way from the assumed value to either end of a range
+LARGEST = 1e12  # in any unit; no measured number is larger, and squares of much larger ones are infinite
 SLIP = 0.75  # likeness from which an unknown column is taken for a slip of the pen
 
 
@@ -640,6 +641,8 @@ class _Reader:
             raise InputError(f"expected a number [{unit}]", file=self.path, key=key, value=text) from None
         if not np.isfinite(value):
             raise InputError(f"expected a finite number [{unit}]", file=self.path, key=key, value=value)
+        if abs(value) > LARGEST:
+            raise InputError(f"expected a number up to {LARGEST:g} [{unit}]", file=self.path, key=key, value=value)
         return value * self._factor[name] * self.geometry.get(name, 1.0)
 
     def _values(self, number: int, cells: Mapping[str, Any], names: Sequence[str]) -> Array:
