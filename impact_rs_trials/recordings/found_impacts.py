@@ -33,6 +33,7 @@ NO_TURN = (
     "of {} of {} impacts the velocity after follows from the way to rest, from which no angular velocity follows: the "
     "table has no columns w_after"
 )
+FARTHEST = 1e4  # m, at which a tracker sees nothing
 
 
 @dataclass(frozen=True)
@@ -188,6 +189,9 @@ def _track(task: tuple[RunRow, Mapping, Body, Plane]) -> tuple[TrackedBody, list
         if np.any(np.diff(pose.time) <= 0.0):
             raise InputError("time stamps stand still or run backwards; time.repeated: keep_first keeps one of each")
         spin = None if turned else np.array(body.spin)
+        farthest = float(np.max(np.abs(pose.values[finite, :3]), initial=0.0))
+        if farthest > FARTHEST:
+            raise InputError(f"{pose.place} is up to {farthest:.3g} m from the tracker's origin: wrong unit or column?")
         if not finite.all():
             remarks.append(f"{pose.place}: {np.sum(~finite)} of {finite.size} samples are no finite numbers: left out")
         return tracked_body(row.label, pose.time[finite], pose.values[finite], body, plane, spin), remarks
