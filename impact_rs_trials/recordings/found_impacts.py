@@ -186,6 +186,8 @@ def _track(task: tuple[RunRow, Mapping, Body, Plane]) -> tuple[TrackedBody, list
         pose = with_object(row.path, read, remarks)["object_pose"]
         remarks += pose.remarks
         finite = np.isfinite(pose.values).all(axis=1)
+        if not finite.any():
+            raise InputError(f"{pose.place}: no sample holds finite numbers alone")
         if np.any(np.diff(pose.time) <= 0.0):
             raise InputError("time stamps stand still or run backwards; time.repeated: keep_first keeps one of each")
         spin = None if turned else np.array(body.spin)
