@@ -4,6 +4,7 @@
     hit_1.csv, hit_2.csv                                       a file per run
     IIWA_7_hit_{run}.csv, object_1_hit_{run}.csv               a file per signal and run in one folder
     object_{object}_hit_{run}.csv                              the same, where the name of the object differs as well
+    q_loaded.csv, tau_loaded.csv, q_empty.csv, tau_empty.csv   the same, where words in place of numbers name the runs
     run_1/joints.csv, run_1/pose.csv, run_2/joints.csv, ...    a folder per run
     monday/hit_1.csv, tuesday/hit_1.csv, ...                   any of these in a folder per session
 
@@ -20,6 +21,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from impact_rs_sim.errors import InputError
+from impact_rs_trials.recordings.candidates import guess_of
 from impact_rs_trials.recordings.sources import (
     FILE_SUFFIXES,
     NOTE_SUFFIXES,
@@ -33,6 +35,7 @@ NUMBER = re.compile(r"\d+")
 
 
 WORD = re.compile(r"[^\W_]+")  # of a name, between what separates words
+SEPARATORS = "_-. "
 RUN = "{run}"
 OBJECT = "{object}"
 RUN_TABLE = "runs.csv"  # of a laboratory; no recording
@@ -117,11 +120,45 @@ def group_files(files: Sequence[Path]) -> FileGroups:
     if len(shapes) == 1:
         by_run = {str(file.relative_to(root)): file for file in files}
         return FileGroups(root, {"": by_run}, tuple(by_run), False)
+    if named := _named_by_words(files):
+        return _grouped(root, named)
     return _grouped(root, dict(_with_runs(list(shapes.values()))))
 
 
 def _shape(name: str) -> str:
     return NUMBER.sub("0", name)
+
+
+def _named_by_words(files: Sequence[Path]) -> dict[Path, tuple[str, str]]:
+    """Kind and run of every file, where names hint at a signal and end or begin with a run; empty: they do not."""
+    stems, ending = [file.stem for file in files], files[0].suffix
+    if len({file.parent for file in files}) > 1 or {file.suffix for file in files} != {ending}:
+        return {}
+    for word in WORD.finditer(stems[0]):
+        head, tail = stems[0][: word.start()], stems[0][word.start() :]
+        tails = [stem[len(head) :] for stem in stems if stem.startswith(head)]
+        heads = [stem[: -len(tail)] for stem in stems if stem.endswith(tail)]
+        if min(len(heads), len(tails)) < 2 or {one + other for one in heads for other in tails} != set(stems):
+            continue
+        if _are_signals(heads):
+            parted = {one + other: (f"{one}{RUN}{ending}", other) for one in heads for other in tails}
+        elif _are_signals(tails):
+            named = {one: one.rstrip(SEPARATORS) for one in heads}
+            parted = {
+                one + other: (f"{RUN}{one.removeprefix(run)}{other}{ending}", run)
+                for one, run in named.items()
+                for other in tails
+            }
+        else:
+            continue
+        return {file: parted[file.stem] for file in files}
+    return {}
+
+
+def _are_signals(parts: Sequence[str]) -> bool:
+    """Whether parts of names hint at signals, each at another."""
+    hints = [guess_of(part) for part in parts]
+    return all(hints) and len(set(hints)) == len(hints)
 
 
 def _are_runs(by_folder: dict[Path, list[str]]) -> bool:

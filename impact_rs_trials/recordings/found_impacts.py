@@ -37,6 +37,7 @@ WAYS = (
     "of all impacts the way to rest is the outcome (slide_distance): the object was seen too seldom for a velocity, so "
     "the table has no columns v_after and w_after, and predictions depend on the friction of the support"
 )
+FARTHEST = 1e4  # m, at which a tracker sees nothing
 
 
 @dataclass(frozen=True)
@@ -110,17 +111,21 @@ def _of_bodies(directory: Path, experiment: Experiment, body: Body, map_tasks: M
     if any(table.is_file() for table in tables):
         rows = [row for row in read_runs(directory, experiment, None) if row.hit]
     runs, left_out = [], []
+    remarks: Counter[str] = Counter()
     for row, result in zip(rows, map_tasks(_track, [(row, mapping, body, plane) for row in rows]), strict=True):
         if isinstance(result, InputError):
             left_out.append(NoRow(row.label, result.message))
         else:
-            runs.append(result)
+            run, said = result
+            runs.append(run)
+            remarks.update(dict.fromkeys(said, 1))
     impacts, out = impacts_of_bodies(runs, body)
     by_name = {row.label: row for row in rows}
     named = [_with_condition(impact, by_name) for impact in impacts]
     constants = body_columns(body, plane)
     assumed = () if all(impact.turn_tracked for impact in impacts) else (SPIN,)
-    return FoundImpacts(tuple(named), (*left_out, *out), len(rows), constants, assumed)
+    remarks_said = (*_counted(remarks, len(rows)), *assumed)
+    return FoundImpacts(tuple(named), (*left_out, *out), len(rows), constants, remarks_said)
 
 
 def _with_condition(impact: Impact, rows: dict[str, RunRow]) -> Impact:
@@ -168,7 +173,8 @@ def tracked_body(
     return TrackedBody(name, time - time[0], position, rotation, level @ np.array(plane.gravity), around)
 
 
-def _track(task: tuple[RunRow, Mapping, Body, Plane]) -> TrackedBody | InputError:
+def _track(task: tuple[RunRow, Mapping, Body, Plane]) -> tuple[TrackedBody, list[str]] | InputError:
+    remarks: list[str] = []
     row, mapping, body, plane = task
     turned = "object_quaternion" in mapping.signals or "object_pose" in mapping.signals
     if not turned and body.spin is None:
@@ -181,11 +187,19 @@ def _track(task: tuple[RunRow, Mapping, Body, Plane]) -> TrackedBody | InputErro
             place = read.pop("object_position")
             upright = np.tile([0.0, 0.0, 0.0, 1.0], (place.time.size, 1))
             read["object_pose"] = replace(place, values=np.hstack((place.values, upright)))
-        pose = with_object(row.path, read, [])["object_pose"]
+        pose = with_object(row.path, read, remarks)["object_pose"]
+        remarks += pose.remarks
         finite = np.isfinite(pose.values).all(axis=1)
+        if not finite.any():
+            raise InputError(f"{pose.place}: no sample holds finite numbers alone")
         if np.any(np.diff(pose.time) <= 0.0):
             raise InputError("time stamps stand still or run backwards; time.repeated: keep_first keeps one of each")
         spin = None if turned else np.array(body.spin)
-        return tracked_body(row.label, pose.time[finite], pose.values[finite], body, plane, spin)
+        farthest = float(np.max(np.abs(pose.values[finite, :3]), initial=0.0))
+        if farthest > FARTHEST:
+            raise InputError(f"{pose.place} is up to {farthest:.3g} m from the tracker's origin: wrong unit or column?")
+        if not finite.all():
+            remarks.append(f"{pose.place}: {np.sum(~finite)} of {finite.size} samples are no finite numbers: left out")
+        return tracked_body(row.label, pose.time[finite], pose.values[finite], body, plane, spin), remarks
     except InputError as error:
         return error

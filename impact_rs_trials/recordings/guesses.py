@@ -31,6 +31,7 @@ from impact_rs_trials.recordings.table_file import DATE
 
 STAMP = re.compile(r"(^|[^a-z])(t|time|times|timestamp|stamp|sec|secs|nsec)([^a-z]|$)|time|stamp", re.IGNORECASE)
 NANOSECONDS = re.compile(r"nano|n_?sec|(^|[^a-z])ns([^a-z]|$)", re.IGNORECASE)
+STAMP_UNITS = ("s", "ms", "us", "ns")
 RATES = (1.0, 1e5)  # Hz, that a recording may have
 SMOOTHED = 0.05  # s, of the moving average
 FEWEST_SMOOTHED = 5  # samples
@@ -48,6 +49,7 @@ MOST_APART = 30.0  # ratio of torque constants of one arm
 MOVES = 0.02  # of the data sheet's velocity, rms, from which a joint moves
 NOTICED = 0.3  # of what the largest joint takes by weight and inertia, in proportion to the robot [N m]
 LOOKED_AT = 400  # samples in which the torque is compared
+OUTLIERS = np.errstate(over="ignore", invalid="ignore")  # may be of any size; what they spoil fits nothing
 UNIT_LENGTH = 0.02  # by which a quaternion may be off length 1
 REACH = 20.0  # m; a position beyond it is in millimetres
 
@@ -73,6 +75,9 @@ class Guess:
 
 def clock_of(columns: AbstractMapping[str, Sequence[str] | NDArray[Any]]) -> Guess | None:
     """The column of the stamps, with its unit, or those of whole seconds and of nanoseconds; None: none can be."""
+    columns = {
+        name: cells for name, cells in columns.items() if not (isinstance(cells, np.ndarray) and np.iscomplexobj(cells))
+    }
     found: list[tuple[float, str, Guess]] = []
     for place, (name, cells) in enumerate(columns.items()):
         guess = _clock(name, cells)
@@ -119,13 +124,15 @@ def _clock(name: str, cells: Sequence[str] | NDArray[Any]) -> Guess | None:
         stamps = np.asarray(cells, dtype=float)
     except (ValueError, TypeError):
         return None
+    if stamps.ndim != 1 or stamps.size < 3 or not np.isfinite(stamps).all():
+        return None
     steps = np.diff(stamps)
-    if stamps.ndim != 1 or stamps.size < 3 or not np.isfinite(stamps).all() or np.any(steps < 0.0):
+    if np.any(steps < 0.0):
         return None
     usual = float(np.median(steps[steps > 0.0])) if np.any(steps > 0.0) else 0.0
     if usual == 0.0 or float(np.mean(np.abs(steps[steps > 0.0] / usual - 1.0) < 0.9)) < 0.5:
         return None
-    units = [unit for unit in ("s", "ms", "us", "ns") if _plausible(unit, stamps, usual)]
+    units = [unit for unit in STAMP_UNITS if _plausible(unit, stamps, usual)]
     named = [unit for unit in units if re.search(rf"(^|[^a-z]){unit}([^a-z]|$)", name, re.IGNORECASE)]
     if not units:
         return None
@@ -137,6 +144,19 @@ def _clock(name: str, cells: Sequence[str] | NDArray[Any]) -> Guess | None:
     repeats = int(np.sum(steps == 0.0))
     remarks = (f"{repeats} of {stamps.size} stamps repeat the one before",) if repeats else ()
     return Guess(name, said, bool(named or len(units) == 1), {"unit": unit}, remarks)
+
+
+def other_units(clock: Guess, stamps: Array) -> list[str]:
+    """Units that stamps may have as well as the one that was assumed; none where something shows it.
+
+    Args:
+        clock: What :func:`clock_of` found.
+        stamps: Its column, ``(k,)``.
+    """
+    steps = np.diff(stamps)
+    usual = float(np.median(steps[steps > 0.0]))
+    others = [] if clock.sure else [unit for unit in STAMP_UNITS if unit != clock.further["unit"]]
+    return [unit for unit in others if _plausible(unit, stamps, usual)]
 
 
 def _plausible(unit: str, stamps: Array, step: float) -> bool:
@@ -181,6 +201,7 @@ def unit_of_position(raw: Array, facts: RobotFacts, name: str) -> Guess | None:
     return None
 
 
+@OUTLIERS
 def times_derivative(time: Array, position: Array, raw: Array) -> float | None:
     """By how much a signal is larger than the derivative of positions ``(k, n)`` in all joints; None: it is another."""
     at, q = smoothed(time, position)
@@ -191,6 +212,7 @@ def times_derivative(time: Array, position: Array, raw: Array) -> float | None:
     return usual if alike and np.all(np.abs(together[moving]) > SURELY) else None
 
 
+@OUTLIERS
 def velocity_of(time: Array, position: Array, raw: Array, facts: RobotFacts) -> tuple[float, Guess] | None:
     """How surely a signal is the velocity of positions ``(k, n)`` [rad], and its unit and signs; None: it is not."""
     at, q = smoothed(time, position)
@@ -238,6 +260,7 @@ def _joints(numbers: NDArray[np.signedinteger]) -> str:
     return ", ".join(str(number + 1) for number in numbers)
 
 
+@OUTLIERS
 def copy_of_motion(time: Array, position: Array, velocity: Array, raw: Array) -> str | None:
     """Which part of a motion ``(k, n)`` a signal repeats with one factor in all joints, as what was asked for does.
 
@@ -260,6 +283,7 @@ def copy_of_motion(time: Array, position: Array, velocity: Array, raw: Array) ->
     return None
 
 
+@OUTLIERS
 def torque_of(
     time: Array, position: Array, velocity: Array, raw: Array, model: RobotModel, name: str
 ) -> tuple[float, Guess] | None:

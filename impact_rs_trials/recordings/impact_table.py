@@ -131,6 +131,7 @@ DISTANCES = ("slide_distance", "flight_distance")
 OF_DISTANCES = (*DISTANCES, "fall_height", SUPPORT_FRICTION, "distance_noise")  # not read beside velocities just after
 OF_CONTACTS = ("p_noise", "n_noise")
 SWEPT = (0.25, 0.5, 1.0)  # shares of the way from the assumed value to either end of a range
+LARGEST = 1e12  # in any unit; no measured number is larger, and squares of much larger ones are infinite
 SLIP = 0.75  # likeness from which an unknown column is taken for a slip of the pen
 
 
@@ -722,6 +723,8 @@ class _Reader:
             raise InputError(f"expected a number [{unit}]", file=self.path, key=key, value=text) from None
         if not np.isfinite(value):
             raise InputError(f"expected a finite number [{unit}]", file=self.path, key=key, value=value)
+        if abs(value) > LARGEST:
+            raise InputError(f"expected a number up to {LARGEST:g} [{unit}]", file=self.path, key=key, value=value)
         return value * self._factor[name] * self.geometry.get(name, 1.0)
 
     def _values(self, number: int, cells: Mapping[str, Any], names: Sequence[str]) -> Array:

@@ -44,6 +44,7 @@ from impact_rs_trials.recordings.guesses import (
     Guess,
     clock_of,
     copy_of_motion,
+    other_units,
     pose_of,
     quaternion_order,
     times_derivative,
@@ -65,6 +66,7 @@ from impact_rs_trials.recordings.import_texts import ARM, BODY, FoundRun, Line, 
 from impact_rs_trials.recordings.inner_runs import RUN, run_column_of, run_groups_of, runs_of
 from impact_rs_trials.recordings.mapping import (
     NO_ROBOT,
+    UNITS,
     Mapping,
     MountedEndEffector,
     SignalName,
@@ -86,12 +88,13 @@ from impact_rs_trials.recordings.table_layout import find_layout
 
 MOST_SHOWN = 3  # signals of a kind in a message
 NAMED = 0.3  # correlation that a name is worth
-ASKED_FOR = re.compile(r"des|ref|target|goal|cmd|command|set_?point|(^|_)d(_|\d|$)|filt|err", re.IGNORECASE)
+ASKED_FOR = re.compile(r"des|ref|target|goal|cmd|cmp|command|comput|set_?point|(^|_)d(_|\d|$)|filt|err", re.IGNORECASE)
 OF_THE_ROBOT = re.compile(r"eef|(^|_)ee(_|$)|tcp|tool|flange|hand", re.IGNORECASE)
 MOST_RUNS = 5  # whose clocks are looked at
 AXES = ("x", "y", "z")
 QUATERNION = (("x", "y", "z", "w"), ("w", "x", "y", "z"))
 MOST_COMPARED = 10  # runs beside the first
+USUAL_VELOCITIES = ("rad/s", "deg/s", "m/s")
 RAW_UNITS = {"position": "rad", "velocity": "rad/s", "torque": "N m"}
 
 
@@ -421,6 +424,7 @@ class _Importer:
         """Part of the positions, keys of the mapping beside its signals, and the signals."""
         for part in self._parts:
             self._read(part, robot, facts.joint_count)
+            self._settle_clock(part, facts)
         every = [_Found(part, number) for part in self._parts for number in part.series]
         seen = "; ".join(one.label for one in every)
         places = [
@@ -576,6 +580,31 @@ class _Importer:
                     f"more than {FEWEST_SAMPLES} are needed; stamps were taken from {part.stamps}, the key time of a "
                     "mapping names others, or a rate"
                 )
+
+    def _settle_clock(self, part: _Part, facts: RobotFacts) -> None:
+        """Give stamps whose unit nothing else shows the one in which a signal is a velocity in a usual unit."""
+        clock = part.clock
+        if clock is None or clock.sure or self._wishes.rate is not None:
+            return
+        assumed = UNITS["time"][clock.further["unit"]]
+        stamps = np.asarray(part.columns[clock.value], dtype=float)
+        every = [_Found(part, number) for number in part.series]
+        places = [(one, unit) for one in every if (unit := unit_of_position(one.series.values, facts, one.label))]
+        for unit in (clock.further["unit"], *other_units(clock, stamps)):
+            scale = UNITS["time"][unit] / assumed
+            for place, in_unit in places:
+                time, q = scale * place.series.time, _Motion(place, in_unit).places
+                for other in every:
+                    if other.overlaps(place):
+                        continue
+                    found = velocity_of(time, q, other.series.at(place.series.time), facts)
+                    if found is not None and found[1].value in USUAL_VELOCITIES:
+                        rate = 1.0 / (scale * float(np.median(np.diff(place.series.time))))
+                        said = f"increases; in {unit}, {rate:.4g} Hz, {other.label} is the derivative of {place.label}"
+                        part.clock = replace(clock, evidence=said, sure=True, further={"unit": unit})
+                        for number, series in part.series.items():
+                            part.series[number] = replace(series, time=scale * series.time)
+                        return
 
     def _windows(self, part: _Part, count: int) -> None:
         """Neighbouring columns without names; columns with names of a file that has but one signal."""

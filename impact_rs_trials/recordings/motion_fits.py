@@ -168,7 +168,8 @@ def _least_squares(basis: Array, values: Array) -> tuple[Array, float]:
     """Coefficients of columns ``(k, c)``, and the scatter about them."""
     fit = np.asarray(np.linalg.lstsq(basis, values, rcond=None)[0], dtype=float)
     freedom = values.shape[1] * (len(values) - basis.shape[1])
-    return fit, float(np.sqrt(np.sum(np.square(values - basis @ fit)) / max(freedom, 1)))
+    with np.errstate(over="ignore"):  # a number may be of any size, and the scatter is infinite then
+        return fit, float(np.sqrt(np.sum(np.square(values - basis @ fit)) / max(freedom, 1)))
 
 
 def _rms(values: Array) -> float:

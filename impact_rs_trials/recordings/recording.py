@@ -31,6 +31,7 @@ from impact_rs_trials.recordings.sources import (
     run_folders,
     runs_below,
     runs_inside,
+    spread_runs,
 )
 from impact_rs_trials.runs import ArmSignals, Run, Signals
 
@@ -92,7 +93,7 @@ def _is_trial(path: Path) -> bool:
 
 
 def read_recordings(path: Path, mapping: Mapping) -> list[Run]:
-    """Every recording at ``path``, a file, a run inside of it, or a folder, checked.
+    """Every recording at ``path``, checked: a file, a run inside of it or in files of its name, or a folder.
 
     Raises:
         InputError: A recording cannot be used; the message says what was expected.
@@ -104,6 +105,12 @@ def read_recordings(path: Path, mapping: Mapping) -> list[Run]:
             raise InputError(
                 f"no run here has the files that signals.NAME.file of the mapping names: {files}", file=path
             )
+    elif mapping.spread and path.parent.is_dir() and not path.exists():
+        beside = list(spread_runs(path.parent, mapping))
+        if path not in beside:
+            listed = ", ".join(run.name for run in beside) or "none"
+            raise InputError(f"no run of this name; those that signals.NAME.file finds here: {listed}", file=path)
+        found = [path]
     elif mapping.holds_runs:
         whole = [] if path.parent.is_file() else find_recordings(path)
         found = [run for file in whole for run in runs_inside(file, mapping)] or [path]

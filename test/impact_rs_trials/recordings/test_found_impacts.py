@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Impacts of an experiment keep the session that they were measured in."""
+"""Impacts of an experiment keep the session that they were measured in, and what was not seen of them is said."""
 
 from __future__ import annotations
 
@@ -52,3 +52,28 @@ def test_impacts_of_two_sessions_stay_apart(tmp_path: Path, speed: str | None) -
     falls = [-float(row["vz_before [m/s]"]) for row in table]
     np.testing.assert_allclose(falls, np.sqrt(2.0 * 9.81 * np.array([0.5, 0.7])), rtol=1e-2)
     assert [row.get("condition") for row in table] == (["clean/fast", "dirty/fast"] if speed else [None, None])
+
+
+def test_samples_of_a_body_that_are_no_numbers_are_said(tmp_path: Path) -> None:
+    """A place with a number that is none is left out, and the impact stays the same."""
+    bounce(tmp_path / "lab" / "run_1.csv", 0.5)
+    (tmp_path / "lab" / "mapping.yaml").write_text(MAPPING)
+    (tmp_path / "lab" / "experiment.yaml").write_text(EXPERIMENT)
+    experiment = load_experiment(tmp_path / "lab" / "experiment.yaml")
+    clean = find_impacts(tmp_path / "lab", experiment, map)
+    lines = (tmp_path / "lab" / "run_1.csv").read_text().splitlines()
+    lines[10] = f"{lines[10].rpartition(',')[0]},nan"
+    lines[20] = f"{lines[20].rpartition(',')[0]},inf"
+    (tmp_path / "lab" / "run_1.csv").write_text("\n".join(lines) + "\n")
+    found = find_impacts(tmp_path / "lab", experiment, map)
+    assert "column 'x' (object_position): 2 of 138 samples are no finite numbers: left out" in found.remarks
+    speeds = [table_text(one.impacts, one.constants).splitlines()[1].split(",")[7:10] for one in (clean, found)]
+    np.testing.assert_allclose(np.array(speeds[1], dtype=float), np.array(speeds[0], dtype=float), atol=1e-3)
+
+
+def test_a_place_that_no_tracker_sees_is_refused(tmp_path: Path) -> None:
+    bounce(tmp_path / "lab" / "run_1.csv", 0.5)
+    (tmp_path / "lab" / "mapping.yaml").write_text(MAPPING.replace("unit: m}", "unit: m, factor: 1e9}"))
+    (tmp_path / "lab" / "experiment.yaml").write_text(EXPERIMENT)
+    found = find_impacts(tmp_path / "lab", load_experiment(tmp_path / "lab" / "experiment.yaml"), map)
+    assert not found.impacts and "wrong unit or column?" in found.left_out[0].reason

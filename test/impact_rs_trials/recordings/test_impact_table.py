@@ -156,6 +156,7 @@ def without(*names: str) -> Callable[[dict[str, Any]], dict[str, Any]]:
         (replaced(mass=""), r"row 1, column 'mass \[kg\]': this cell is empty; expected a number \[kg\]"),
         (replaced(mass=-1.0), r"row 1, column 'mass \[kg\]' = -1.0: expected a number > 0 \[kg\]"),
         (replaced(vx_before="nan"), r"row 1, column 'vx_before \[m/s\]' = nan: expected a finite number \[m/s\]"),
+        (replaced(vx_before="1e300"), r"row 1, column 'vx_before \[m/s\]' = 1e\+300: expected a number up to 1e\+12"),
         (replaced(restitution=1.5), r"'restitution \[-\]' = 1.5: expected a number between 0 and 1 \[-\]"),
         (replaced(qw=3.0), r"row 1, length of \(qx, qy, qz, qw\) \[-\] = 3\.\d+: expected a unit quaternion"),
         (

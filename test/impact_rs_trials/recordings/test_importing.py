@@ -27,14 +27,19 @@ from impact_rs_trials.recordings.table_layout import find_layout
 TIME = np.arange(0.0, 8.0, 0.01)
 
 
-@pytest.fixture(scope="module")
-def motion() -> Columns:
+def swing(time: np.ndarray) -> Columns:
     """An iiwa that swings about a bent pose."""
     import pinocchio as pin
 
     model = RobotModel(load_facts("kuka_iiwa7"), MountedEndEffector().build(), pin.SE3.Identity())
     frequencies = (np.linspace(0.11, 0.23, 7), np.linspace(0.31, 0.47, 7))
-    return swinging(model, TIME, np.array([0.1, 0.6, 0.2, -1.2, 0.3, 0.9, 0.1]), frequencies, (0.35, 0.1))
+    return swinging(model, time, np.array([0.1, 0.6, 0.2, -1.2, 0.3, 0.9, 0.1]), frequencies, (0.35, 0.1))
+
+
+@pytest.fixture(scope="module")
+def motion() -> Columns:
+    """Of 8 s."""
+    return swing(TIME)
 
 
 def write(
@@ -104,6 +109,20 @@ def test_a_desired_signal_is_not_taken_for_a_measured_one(tmp_path: Path, motion
     asked = motion["position"] + 0.01
     file = write(tmp_path / "log.csv", names, [TIME, asked, motion["position"], motion["velocity"], motion["effort"]])
     draft = draft_import([file], tmp_path / "lab", Wishes(robot="kuka_iiwa7"))
+    check_reading(draft, tmp_path / "lab", file, motion)
+
+
+def test_a_counter_of_milliseconds_is_told_from_seconds_by_the_velocities(tmp_path: Path) -> None:
+    """Stamps 0, 1, 2, ... may be in any unit; velocities in rad/s say in which. Computed positions are left alone."""
+    counter = np.arange(4000)
+    motion = swing(1e-3 * counter)
+    names = ["Time", *numbered("PositionCmptd"), *numbered("Position"), *numbered("Velocity"), *numbered("Torque")]
+    computed = motion["position"] + 0.01
+    columns = [counter, computed, motion["position"], motion["velocity"], motion["effort"]]
+    file = write(tmp_path / "log.csv", names, columns)
+    draft = draft_import([file], tmp_path / "lab", Wishes(robot="kuka_iiwa7"))
+    assert said_of(draft, "time").startswith("{column: Time, unit: ms} increases; in ms, 1000 Hz, Velocity1 … ")
+    assert next(line.sure for line in draft.lines if line.key == "time")
     check_reading(draft, tmp_path / "lab", file, motion)
 
 
@@ -468,6 +487,25 @@ def test_a_word_in_the_name_of_another_file_is_no_object(tmp_path: Path, motion:
     draft = draft_import([tmp_path / "raw"], tmp_path / "lab", Wishes(robot="kuka_iiwa7", scenario="push_iiwa7"))
     assert draft.texts["runs.csv"].splitlines()[1:] == ["0,parcel,hit", "1,parcel,hit"]
     assert "not read, for the mapping takes no signal from them: force_{object}_{run}.csv" in draft.remarks
+
+
+@pytest.mark.parametrize("pattern", ["{kind}_{run}.csv", "{run}-{kind}.csv"])
+def test_words_in_names_of_files_tell_runs_apart(tmp_path: Path, motion: Columns, pattern: str) -> None:
+    folder = tmp_path / "raw"
+    folder.mkdir()
+    for run, factor in (("empty", 1.0), ("with_load", 1.2)):
+        position, torque = pattern.format(kind="arm_q", run=run), pattern.format(kind="arm_tau", run=run)
+        write(folder / position, ["t", *numbered("j")], [TIME, motion["position"]])
+        write(folder / torque, ["t", *numbered("j")], [TIME, factor * motion["effort"]])
+    draft = draft_import([folder], tmp_path / "lab", Wishes(robot="kuka_iiwa7"))
+    assert draft.texts["runs.csv"].splitlines()[1:] == ["empty,none,free motion", "with_load,none,free motion"]
+    mapping = load_mapping(described(draft, tmp_path / "lab"))
+    assert mapping.signals["torque"].file == pattern.format(kind="arm_tau", run="{run}")
+    (loaded,) = read_recordings(folder / "with_load", mapping)
+    np.testing.assert_allclose(loaded.signals.arms["arm"].torque, 1.2 * motion["effort"], atol=1e-6)
+    assert "those that signals.NAME.file finds here: empty, with_load" in refusal(
+        read_recordings, folder / "lod", mapping
+    )
 
 
 def test_runs_that_contradict_the_first_are_named(tmp_path: Path, motion: Columns) -> None:
