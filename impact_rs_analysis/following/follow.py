@@ -682,8 +682,8 @@ class Follower:
 
         A contact that grips does not change with more friction, though it does with much less. And of hits that are odd
         now and then, in the same way, two make no change: without the quarter that speaks for it most, the other hits
-        must still speak for it. Its likelihood ratio is corrected by what it explains more or less than promised, and by
-        the information about its parameters there (Laplace).
+        must still speak for it. Its likelihood ratio is corrected by what it explains more or less than promised, and
+        by the information about its parameters there (Laplace).
         """
         fitted = self._about(before, one)
         gains = self._gains(before, fitted)
