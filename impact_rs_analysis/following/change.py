@@ -23,7 +23,8 @@ CUSUM (1954) to first order (Lorden 1971), and takes many effects with unequal n
 
 The variance of each effect's score is checked by what quiet hits say: where they scatter more along an effect than R
 expects, its score counts so much less (:class:`Calibration`). A change needs two instants, the later of which confirms
-what the earlier ones say; a single odd hit is none.
+what the earlier ones say; a single odd hit is none. Where a share p of the quiet hits is odd, tails are heavier than
+those of R: k odd hits in turn have the probability p^k, and a change needs so many hits that p^k <= 1 / A.
 """
 
 from __future__ import annotations
@@ -35,13 +36,15 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from impact_rs_analysis.diagnosis.candidate import Candidate, bounded
-from impact_rs_analysis.following.posterior import WIDTH, Posterior
+from impact_rs_analysis.following.posterior import ODD, WIDTH, Posterior
 from impact_rs_sim.robot import Array
 
 MEAN_TIME = 10_000.0  # instants to a false alarm, at least, where noise is as believed
 BACK = (1, 2, 3, 4, 5, 6, 8, 11, 15, 21, 29, 40)  # instants since a change that are tried
 TINY = 1e-9  # of the largest information; less is none
 TIED = 0.05  # likelihood over that of the best explanation; those above it are named beside it
+EXPECTED = 20  # hits that the share of odd ones that is expected counts like
+MOST_ODD = 0.2  # share of odd hits; with more a change would need seven and more
 SPEAKING = 0.25  # of the hits since a change; without those that speak for it most it must still hold
 
 
@@ -75,12 +78,25 @@ class Calibration:
         ranks: Sum of their expected values.
         whole: Sum of squared Mahalanobis distances, and of their expected values.
         freedom: Degrees of freedom of the scatter.
+        odd: Number of quiet hits that were odd.
+        hits: Number of quiet hits.
     """
 
     squares: dict[str, float] = field(default_factory=dict)
     ranks: dict[str, float] = field(default_factory=dict)
     whole: tuple[float, float] = (0.0, 0.0)
     freedom: float = 1.0
+    odd: int = 0
+    hits: int = 0
+
+    def least_hits(self, mean_time: float) -> int:
+        """Number of hits that a change needs, at least two.
+
+        Args:
+            mean_time: Mean number of hits to a false alarm, at least.
+        """
+        share = (self.odd + EXPECTED * ODD) / (self.hits + EXPECTED)
+        return max(2, math.ceil(math.log(max(mean_time, 1.0)) / -math.log(min(share, MOST_ODD))))
 
     def add(self, effect: str, square: float, rank: float) -> None:
         """Take the score of a quiet hit into account."""
@@ -126,6 +142,11 @@ class ChangeTest:
         """Of the logarithm of R."""
         return math.log(self.mean_time)
 
+    @property
+    def least_hits(self) -> int:
+        """Number of hits that a change needs."""
+        return self.calibration.least_hits(self.mean_time)
+
     def statistics(self, posterior: Posterior) -> tuple[float, dict[str, Array]]:
         """Logarithm of R, and of LR by effect and moment of change, ``(s,)``."""
         starts = [len(posterior.window) - back for back in BACK if back <= len(posterior.window)]
@@ -153,6 +174,7 @@ class ChangeTest:
         found = [one for one in possible if one is not None and one.log_ratio > least]
         gains = [self._gains(posterior, one) for one in found]
         found = [replace(one, gain=sum(own)) for one, own in zip(found, gains, strict=True) if support(own) > 0.0]
+        found = [one for one in found if len(posterior.window) - one.start >= self.least_hits]
         return sorted(found, key=lambda one: -one.log_ratio)
 
     def _gains(self, posterior: Posterior, one: ChangeExplanation) -> list[float]:

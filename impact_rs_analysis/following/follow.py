@@ -29,7 +29,15 @@ from impact_rs_analysis.diagnosis.candidate import Candidate
 from impact_rs_analysis.diagnosis.diagnose import effects_for
 from impact_rs_analysis.evidence.cluster import Added
 from impact_rs_analysis.evidence.source import Source
-from impact_rs_analysis.following.announcement import in_words, weighs
+from impact_rs_analysis.following.announcement import (
+    APART,
+    CHECKS,
+    Check,
+    Telling,
+    in_words,
+    most_telling,
+    telling_words,
+)
 from impact_rs_analysis.following.change import MEAN_TIME, TIED, Calibration, ChangeExplanation, ChangeTest, support
 from impact_rs_analysis.following.hits import Door, Hit
 from impact_rs_analysis.following.lessons import (
@@ -69,7 +77,6 @@ STEPS = 4  # of Gauss-Newton about an explanation
 KEPT = 0.5  # of the promised fall of the residuals; an explanation with less is none
 LEAST_GAIN = 4.0  # fall of the squares of the others, of one parameter two standard deviations
 NEAR = 0.1  # parameter scales; a shorter step ends it
-APART = 2.0  # standard deviations between predictions; one hit then decides
 WALL_CLOCK = 1e9  # s since 1970; an earlier stamp counts from another moment
 
 
@@ -90,7 +97,7 @@ class Origin:
     old: Array
 
 
-@dataclass
+@dataclass(eq=False)
 class Hypothesis:
     """One belief about what the cell is.
 
@@ -503,6 +510,8 @@ class Follower:
                 taken.append(replace(evidence, weight=weight))
                 size = math.sqrt(float(np.mean(np.square(innovation))))
                 if hypothesis is best:
+                    self.calibration.hits += 1
+                    self.calibration.odd += weight < 1.0
                     errors[hit.name] = size, self._error_of_model(hit, evidence, hypothesis.point), weight < 1.0
             if taken:
                 hypothesis.posterior.add(taken)
@@ -596,8 +605,11 @@ class Follower:
         first = window[found[0].start][0].hit
         for one, hypothesis in zip(found, hypotheses, strict=True):
             hypothesis.log_weight = one.log_ratio
-        self.hypotheses = hypotheses
-        since = [e.hit for instant in window[found[0].start :] for e in instant]
+        self.hypotheses = hypotheses  # the likeliest first
+        evidence = [e for instant in window[found[0].start :] for e in instant]
+        self.calibration.hits -= len(evidence)  # they are not quiet
+        self.calibration.odd -= sum(e.weight < 1.0 for e in evidence)
+        since = [e.hit for e in evidence]
         self.changed = HitsSince(first.name, tuple(one.condition for one in since))
         scenes = [one.physics for one in since if one.hits] or [first.physics]
         shares = self.probabilities()
@@ -688,6 +700,9 @@ class Follower:
         fitted = self._about(before, one)
         gains = self._gains(before, fitted)
         inflation = self.calibration.of(one.effect)
+        speaking = sum(gain > inflation for gain in gains)
+        if speaking < self.calibration.least_hits(self._mean_time):
+            return None
         if sum(gains) <= KEPT * one.gain or support(gains) <= LEAST_GAIN * inflation:
             return None
         promised = one.gain / inflation - float(one.change @ one.change) / WIDTH**2
@@ -830,42 +845,72 @@ class Follower:
         return tuple(found)
 
     def _apart(self) -> str:
-        """The condition in which one hit decides best between the explanations."""
-        best: tuple[float, str] = (0.0, "")
-        for condition, hit in self._last.items():
-            if not condition:
-                continue
-            pair = [self._predicted(one, hit) for one in self.hypotheses[:2]]
-            if pair[0] is None or pair[1] is None:
-                continue
-            apart = self._scatter[hit.layout].whiten @ (pair[0][0] - pair[1][0])
-            best = max(best, (float(np.linalg.norm(apart)), condition))
-        size, condition = best
-        free = [one.effect for one in self.hypotheses if self._seen_free(one.effect)]
-        if size > APART:
-            return f"one hit of {condition} decides between them ({size:.1f} standard deviations)"
-        if 0 < len(free) < len(self.hypotheses):
-            return f"a free motion decides between them: {' and '.join(free)} would show there"
-        others = [(self._distance(hit), hit.condition) for hit in self.door.unmeasured()]
-        further, other = max(others, default=(0.0, ""))
-        if further > APART:
-            return f"a trial of {other}, not measured yet, decides between them ({further:.1f} standard deviations)"
-        scenes = [self._scene(self._values(one), self._last[""].physics) for one in self.hypotheses[:2]]
-        rest = "weigh the object" if weighs(*scenes) else "hit otherwise"
-        if condition:
-            return f"hits like these hardly decide ({condition}: {size:.1f} standard deviations); {rest}"
-        return f"hits like these hardly decide between them; {rest}"
+        """What tells the likeliest explanation from the others best: a hit, a check without one, or a new trial."""
+        names = [one.effect for one in self.hypotheses]
+        shares = self.probabilities().tolist()[1:]
+        measured = [(name, hit) for name, hit in self._last.items() if name]
+        measured = measured or [(f"the kind of {hit.name}", hit) for hit in self._last.values()]
+        found = [self._telling(f"one hit of {name}", hit) for name, hit in measured]
+        found += [self._checked(check) for check in CHECKS]
+        free = [self._seen_free(name) for name in names]
+        if any(free) and self._last[""].physics.arms:
+            seen = " and ".join(name for name, own in zip(names, free, strict=True) if own)
+            apart = tuple(math.inf if own != free[0] else 0.0 for own in free[1:])
+            found.append(Telling("a free motion", apart, f"{seen} would show there"))
+        best = most_telling(found, shares)
+        if best is None or min(best.distances) <= APART:
+            hits = self.door.unmeasured([hit for _, hit in measured])
+            found += [self._telling(f"a hit of {hit.condition}, not measured yet,", hit) for hit in hits]
+            best = most_telling(found, shares)
+        if best is not None:
+            return telling_words(best, names[0], names[1:])
+        return "no hit of these kinds and nothing that can be measured without one tells them apart"
 
-    def _distance(self, hit: Hit) -> float:
-        """Distance of what the two likeliest explanations predict for a trial, in standard deviations."""
+    def _telling(self, words: str, hit: Hit) -> Telling:
+        """How well a hit tells the likeliest explanation from the others."""
+        first, *others = (self._forecast(one, hit) for one in self.hypotheses)
+        distances = []
+        for other in others:
+            if first is None or other is None:
+                distances.append(0.0)
+                continue
+            apart, covariance = first[0] - other[0], 0.5 * (first[1] + other[1])
+            distances.append(math.sqrt(squared_distance(apart, covariance, self.calibration.of_hits)))
+        return Telling(words, tuple(distances), f"{min(distances):.1f} standard deviations")
+
+    def _forecast(self, hypothesis: Hypothesis, hit: Hit) -> tuple[Array, Array] | None:
+        """Mean ``(F,)`` and covariance ``(F, F)`` of what a hit will measure, whitened; None without a contact."""
+        evidence = self._evidence(hit, hypothesis.point) if hit.layout in self._scatter else None
+        if evidence is None:
+            return None
+        posterior = hypothesis.posterior.copy()
+        posterior.make_room([(hit.group, evidence.patterns.shape[1])])
+        innovation, covariance = posterior.innovation(evidence)
+        return self._scatter[hit.layout].whiten @ hit.measured - innovation, covariance
+
+    def _checked(self, check: Check) -> Telling:
+        """How well a measurement without a hit tells the likeliest explanation from the others."""
+        read = [self._read(check, one) for one in self.hypotheses]
+        (first, width), *others = read
+        noise = check.least / APART
+        distances = tuple(abs(first - other) / math.sqrt(noise**2 + width**2 + own**2) for other, own in others)
+        unit = f" {check.unit}" if check.unit else ""
+        expected = (f"{value:.3g}{unit} if {one.effect}" for (value, _), one in zip(read, self.hypotheses, strict=True))
+        return Telling(f"one measurement, {check.words},", distances, ", ".join(expected))
+
+    def _read(self, check: Check, hypothesis: Hypothesis) -> tuple[float, float]:
+        """What a measurement without a hit reads, and its standard deviation for the parameters are uncertain."""
         assert self.candidate is not None
-        if hit.layout not in self._scatter:
-            return 0.0
-        points = [self._values(one) for one in self.hypotheses[:2]]
-        first, second = self.door.predict(hit, [replace(self.candidate, point=one).split(one) for one in points])
-        if first is None or second is None:
-            return 0.0
-        return float(np.linalg.norm(self._scatter[hit.layout].whiten @ (first - second)))
+        physics, values = self._last[""].physics, self._values(hypothesis)
+        centre = check.of(self._scene(values, physics))
+        slopes = []
+        for number in hypothesis.posterior.followed:
+            step = 0.1 * self.candidate.scale[number]
+            step = step if values[number] + step <= self.candidate.upper[number] else -step
+            moved = values + step * (np.arange(values.size) == number)
+            slopes.append((check.of(self._scene(moved, physics)) - centre) * self.candidate.scale[number] / step)
+        covariance = hypothesis.posterior.covariance_of_followed()
+        return centre, math.sqrt(max(float(np.array(slopes) @ covariance @ np.array(slopes)), 0.0))
 
     def _scene(self, values: Array, physics: Physics) -> Physics:
         """Physics with the effects that are followed at some values."""
