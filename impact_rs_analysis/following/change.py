@@ -36,7 +36,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from impact_rs_analysis.diagnosis.candidate import Candidate, bounded
-from impact_rs_analysis.following.posterior import ODD, WIDTH, Posterior
+from impact_rs_analysis.following.posterior import ODD, WIDTH, HitEvidence, Posterior
 from impact_rs_sim.robot import Array
 
 MEAN_TIME = 10_000.0  # instants to a false alarm, at least, where noise is as believed
@@ -58,7 +58,6 @@ class ChangeExplanation:
         change: eta, in parameter scales, ``(p_e,)``.
         log_ratio: Logarithm of its likelihood ratio against no change.
         gain: Fall of the sum of squared whitened residuals of the hits since then that it promises, to first order.
-        determinant: log det(1 + D I D).
     """
 
     effect: str
@@ -66,7 +65,6 @@ class ChangeExplanation:
     change: Array
     log_ratio: float
     gain: float = 0.0
-    determinant: float = 0.0
 
 
 @dataclass
@@ -89,13 +87,15 @@ class Calibration:
     odd: int = 0
     hits: int = 0
 
-    def least_hits(self, mean_time: float) -> int:
+    def least_hits(self, mean_time: float, since: Sequence[HitEvidence]) -> int:
         """Number of hits that a change needs, at least two.
 
         Args:
             mean_time: Mean number of hits to a false alarm, at least.
+            since: Hits since the change, which are not quiet.
         """
-        share = (self.odd + EXPECTED * ODD) / (self.hits + EXPECTED)
+        odd = max(self.odd - sum(one.weight < 1.0 for one in since), 0)
+        share = (odd + EXPECTED * ODD) / (max(self.hits - len(since), 0) + EXPECTED)
         return max(2, math.ceil(math.log(max(mean_time, 1.0)) / -math.log(min(share, MOST_ODD))))
 
     def add(self, effect: str, square: float, rank: float) -> None:
@@ -142,11 +142,6 @@ class ChangeTest:
         """Of the logarithm of R."""
         return math.log(self.mean_time)
 
-    @property
-    def least_hits(self) -> int:
-        """Number of hits that a change needs."""
-        return self.calibration.least_hits(self.mean_time)
-
     def statistics(self, posterior: Posterior) -> tuple[float, dict[str, Array]]:
         """Logarithm of R, and of LR by effect and moment of change, ``(s,)``."""
         starts = [len(posterior.window) - back for back in BACK if back <= len(posterior.window)]
@@ -174,8 +169,13 @@ class ChangeTest:
         found = [one for one in possible if one is not None and one.log_ratio > least]
         gains = [self._gains(posterior, one) for one in found]
         found = [replace(one, gain=sum(own)) for one, own in zip(found, gains, strict=True) if support(own) > 0.0]
-        found = [one for one in found if len(posterior.window) - one.start >= self.least_hits]
+        found = [one for one in found if self._enough(posterior, one)]
         return sorted(found, key=lambda one: -one.log_ratio)
+
+    def _enough(self, posterior: Posterior, one: ChangeExplanation) -> bool:
+        """Whether there are hits enough since a change."""
+        since = [evidence for instant in posterior.window[one.start :] for evidence in instant]
+        return len(since) >= self.calibration.least_hits(self.mean_time, since)
 
     def _gains(self, posterior: Posterior, one: ChangeExplanation) -> list[float]:
         """Fall of the sum of squared whitened residuals of every hit since a change, to first order."""
@@ -255,8 +255,7 @@ class ChangeTest:
                 early = bounded(earlier, score[place] - score[0], lower, upper)
                 confirmed = float(score[0] @ early - 0.5 * early @ information[0] @ early) > 0.0
                 if confirmed:
-                    _, determinant = np.linalg.slogdet(WIDTH**2 / inflation * total)
-                    best = ChangeExplanation(name, start, eta, ratio, determinant=float(determinant))
+                    best = ChangeExplanation(name, start, eta, ratio)
         return best
 
     def _room(self, posterior: Posterior, numbers: Sequence[int]) -> tuple[Array, Array]:

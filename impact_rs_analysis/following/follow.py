@@ -684,30 +684,30 @@ class Follower:
         test = self._test(before)
         _, statistics = test.statistics(before.posterior)
         held = self._explanations(before, test, statistics)
-        named = self._ratio(before, best)
-        if not held or held[0][0].effect == best.effect or held[0][0].log_ratio <= named:
+        if not held or held[0][0].effect == best.effect:
             return None
-        return before, held, held[0][0].log_ratio - named
+        lead = self._ratio(before, held[0][1]) - self._ratio(before, best)
+        return None if lead <= 0.0 else (before, held, lead)
 
     def _held(self, before: Hypothesis, one: ChangeExplanation) -> tuple[ChangeExplanation, Hypothesis] | None:
         """An explanation, linearised anew; None where it does not keep what it promised, or few hits speak for it.
 
         A contact that grips does not change with more friction, though it does with much less. And of hits that are odd
         now and then, in the same way, two make no change: without the quarter that speaks for it most, the other hits
-        must still speak for it. Its likelihood ratio is corrected by what it explains more or less than promised, and
-        by the information about its parameters there (Laplace).
+        must still speak for it. Its likelihood ratio is corrected by what it explains more or less than promised.
         """
         fitted = self._about(before, one)
         gains = self._gains(before, fitted)
         inflation = self.calibration.of(one.effect)
         speaking = sum(gain > inflation for gain in gains)
-        if speaking < self.calibration.least_hits(self._mean_time):
+        since = [e for instant in before.posterior.window[one.start :] for e in instant]
+        if speaking < self.calibration.least_hits(self._mean_time, since):
             return None
         if sum(gains) <= KEPT * one.gain or support(gains) <= LEAST_GAIN * inflation:
             return None
-        promised = one.gain / inflation - float(one.change @ one.change) / WIDTH**2
-        first = self._evidence_of(promised, one.determinant, one.change.size)
-        return replace(one, log_ratio=one.log_ratio + self._ratio(before, fitted) - first), fitted
+        more = self._evidence_of(sum(gains) / inflation, 0.0, one.change.size)
+        more -= self._evidence_of(one.gain / inflation, 0.0, one.change.size)
+        return replace(one, log_ratio=one.log_ratio + more), fitted
 
     def _gains(self, before: Hypothesis, fitted: Hypothesis) -> list[float]:
         """Fall of the sum of squared whitened residuals of every hit since a change."""
