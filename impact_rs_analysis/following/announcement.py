@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A change in words: kilograms and percent as a person would measure them, and what tells its causes apart."""
+"""A change in words: kilograms and percent as a person would measure them, and what distinguishes its causes."""
 
 from __future__ import annotations
 
@@ -66,8 +66,8 @@ QUANTITIES = (
 )
 
 
-class Check(NamedTuple):
-    """A measurement without a hit, which may tell causes apart.
+class HitlessCheck(NamedTuple):
+    """A measurement without a hit, which may distinguish causes.
 
     Attributes:
         words: What to do.
@@ -83,20 +83,20 @@ class Check(NamedTuple):
 
 
 CHECKS = (
-    Check("lift the object", "N", lambda physics: GRAVITY * physics.object.mass, 0.5),
-    Check(
+    HitlessCheck("lift the object", "N", lambda physics: GRAVITY * physics.object.mass, 0.5),
+    HitlessCheck(
         "pull the object slowly over its support", "N",
         lambda physics: GRAVITY * physics.object.mass * physics.support_friction, 0.5,
     ),
-    Check("pull the object along the pad, by the force on it", "", lambda physics: physics.pad_friction, 0.1),
-    Check("weigh the tool", "kg", _mean(lambda arm: arm.end_effector.mass), 0.02),
-    Check("turn each joint slowly there and back", "N m", _mean(lambda arm: arm.friction.coulomb), 0.2),
+    HitlessCheck("pull the object along the pad, by the force on it", "", lambda physics: physics.pad_friction, 0.1),
+    HitlessCheck("weigh the tool", "kg", _mean(lambda arm: arm.end_effector.mass), 0.02),
+    HitlessCheck("turn each joint slowly there and back", "N m", _mean(lambda arm: arm.friction.coulomb), 0.2),
 )  # fmt: skip
 
 
 @dataclass(frozen=True)
 class Telling:
-    """A hit or another measurement, and how well it tells the likeliest cause from each of the others.
+    """A hit or another measurement, and how well it distinguishes the likeliest cause from each of the others.
 
     Attributes:
         words: What to do.
@@ -122,10 +122,10 @@ def most_telling(found: Iterable[Telling], shares: Sequence[float]) -> Telling |
 
 
 def telling_words(one: Telling, likeliest: str, others: Sequence[str]) -> str:
-    """What to do, and which causes it tells apart."""
-    told = [other for other, distance in zip(others, one.distances, strict=True) if distance > APART]
-    between = "them apart" if len(told) == len(others) else f"{likeliest} from {' and '.join(told)}"
-    return f"{one.words} tells {between} ({one.what})"
+    """What to do, and which causes it distinguishes."""
+    parted = [other for other, distance in zip(others, one.distances, strict=True) if distance > APART]
+    between = "them" if len(parted) == len(others) else f"{likeliest} from {' and '.join(parted)}"
+    return f"{one.words} distinguishes {between} ({one.what})"
 
 
 def in_words(effect: str, parameters: Sequence[Followed], scenes: Iterable[tuple[Physics, Physics]]) -> str:

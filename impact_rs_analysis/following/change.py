@@ -58,6 +58,7 @@ class ChangeExplanation:
         change: eta, in parameter scales, ``(p_e,)``.
         log_ratio: Logarithm of its likelihood ratio against no change.
         gain: Fall of the sum of squared whitened residuals of the hits since then that it promises, to first order.
+        determinant: log det(1 + D I D).
     """
 
     effect: str
@@ -65,6 +66,7 @@ class ChangeExplanation:
     change: Array
     log_ratio: float
     gain: float = 0.0
+    determinant: float = 0.0
 
 
 @dataclass
@@ -255,7 +257,8 @@ class ChangeTest:
                 early = bounded(earlier, score[place] - score[0], lower, upper)
                 confirmed = float(score[0] @ early - 0.5 * early @ information[0] @ early) > 0.0
                 if confirmed:
-                    best = ChangeExplanation(name, start, eta, ratio)
+                    _, determinant = np.linalg.slogdet(WIDTH**2 / inflation * total)
+                    best = ChangeExplanation(name, start, eta, ratio, determinant=float(determinant))
         return best
 
     def _room(self, posterior: Posterior, numbers: Sequence[int]) -> tuple[Array, Array]:

@@ -32,7 +32,7 @@ from impact_rs_analysis.evidence.source import Source
 from impact_rs_analysis.following.announcement import (
     APART,
     CHECKS,
-    Check,
+    HitlessCheck,
     Telling,
     in_words,
     most_telling,
@@ -694,7 +694,8 @@ class Follower:
 
         A contact that grips does not change with more friction, though it does with much less. And of hits that are odd
         now and then, in the same way, two make no change: without the quarter that speaks for it most, the other hits
-        must still speak for it. Its likelihood ratio is corrected by what it explains more or less than promised.
+        must still speak for it. Its likelihood ratio is corrected by what it explains more or less than promised, and
+        by the information about its parameters there (Laplace).
         """
         fitted = self._about(before, one)
         gains = self._gains(before, fitted)
@@ -705,9 +706,9 @@ class Follower:
             return None
         if sum(gains) <= KEPT * one.gain or support(gains) <= LEAST_GAIN * inflation:
             return None
-        more = self._evidence_of(sum(gains) / inflation, 0.0, one.change.size)
-        more -= self._evidence_of(one.gain / inflation, 0.0, one.change.size)
-        return replace(one, log_ratio=one.log_ratio + more), fitted
+        promised = one.gain / inflation - float(one.change @ one.change) / WIDTH**2
+        first = self._evidence_of(promised, one.determinant, one.change.size)
+        return replace(one, log_ratio=one.log_ratio + self._ratio(before, fitted) - first), fitted
 
     def _gains(self, before: Hypothesis, fitted: Hypothesis) -> list[float]:
         """Fall of the sum of squared whitened residuals of every hit since a change."""
@@ -845,7 +846,7 @@ class Follower:
         return tuple(found)
 
     def _apart(self) -> str:
-        """What tells the likeliest explanation from the others best: a hit, a check without one, or a new trial."""
+        """What distinguishes the explanations best: a hit that was measured, a check without one, or a new trial."""
         names = [one.effect for one in self.hypotheses]
         shares = self.probabilities().tolist()[1:]
         measured = [(name, hit) for name, hit in self._last.items() if name]
@@ -864,10 +865,10 @@ class Follower:
             best = most_telling(found, shares)
         if best is not None:
             return telling_words(best, names[0], names[1:])
-        return "no hit of these kinds and nothing that can be measured without one tells them apart"
+        return "no hit of these kinds and nothing that can be measured without one distinguishes them"
 
     def _telling(self, words: str, hit: Hit) -> Telling:
-        """How well a hit tells the likeliest explanation from the others."""
+        """How well a hit distinguishes the likeliest explanation from the others."""
         first, *others = (self._forecast(one, hit) for one in self.hypotheses)
         distances = []
         for other in others:
@@ -888,8 +889,8 @@ class Follower:
         innovation, covariance = posterior.innovation(evidence)
         return self._scatter[hit.layout].whiten @ hit.measured - innovation, covariance
 
-    def _checked(self, check: Check) -> Telling:
-        """How well a measurement without a hit tells the likeliest explanation from the others."""
+    def _checked(self, check: HitlessCheck) -> Telling:
+        """How well a measurement without a hit distinguishes the likeliest explanation from the others."""
         read = [self._read(check, one) for one in self.hypotheses]
         (first, width), *others = read
         noise = check.least / APART
@@ -898,7 +899,7 @@ class Follower:
         expected = (f"{value:.3g}{unit} if {one.effect}" for (value, _), one in zip(read, self.hypotheses, strict=True))
         return Telling(f"one measurement, {check.words},", distances, ", ".join(expected))
 
-    def _read(self, check: Check, hypothesis: Hypothesis) -> tuple[float, float]:
+    def _read(self, check: HitlessCheck, hypothesis: Hypothesis) -> tuple[float, float]:
         """What a measurement without a hit reads, and its standard deviation for the parameters are uncertain."""
         assert self.candidate is not None
         physics, values = self._last[""].physics, self._values(hypothesis)

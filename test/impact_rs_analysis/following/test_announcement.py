@@ -65,10 +65,10 @@ HIT, LIFT = Telling("a hit", (1.0, 9.0), "9"), Telling("a lift", (9.0, 1.0), "12
 @pytest.mark.parametrize(
     ("found", "shares", "expected"),
     [
-        ((HIT, LIFT), (0.3, 0.2), "a lift tells mass from friction (12 N)"),
-        ((HIT, LIFT), (0.2, 0.3), "a hit tells mass from inertia (9)"),
-        ((HIT, LIFT, Telling("both", (9.0, 9.0), "1")), (0.2, 0.3), "both tells them apart (1)"),
-        ((Telling("another hit", (1.0, 9.0), "9"), HIT), (0.2, 0.3), "another hit tells mass from inertia (9)"),
+        ((HIT, LIFT), (0.3, 0.2), "a lift distinguishes mass from friction (12 N)"),
+        ((HIT, LIFT), (0.2, 0.3), "a hit distinguishes mass from inertia (9)"),
+        ((HIT, LIFT, Telling("both", (9.0, 9.0), "1")), (0.2, 0.3), "both distinguishes them (1)"),
+        ((Telling("another hit", (1.0, 9.0), "9"), HIT), (0.2, 0.3), "another hit distinguishes mass from inertia (9)"),
     ],
 )
 def test_what_tells_the_likelier_causes_apart_is_proposed_and_of_equals_the_first(

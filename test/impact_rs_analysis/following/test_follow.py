@@ -315,14 +315,14 @@ def test_where_measured_trials_do_not_decide_one_that_was_not_measured_is_propos
     few = PUSH.model_copy(update={"objects": {"juice": PUSH.objects["juice"]}})
     follower.door._scenarios = {"push": few}  # type: ignore[attr-defined]
     measured = [hit.name for hit in follower._last.values()]
-    assert follower._apart().startswith("one hit of push/juice/case_2 tells them apart (")
+    assert follower._apart().startswith("one hit of push/juice/case_2 distinguishes them (")
     forecast = follower._forecast
     monkeypatch.setattr(follow, "CHECKS", ())
     monkeypatch.setattr(follower, "_forecast", lambda one, hit: None if hit.name in measured else forecast(one, hit))
     assert " of push/juice/case_" in (words := follower._apart())
-    assert words.startswith("a hit of push/juice/case_") and ", not measured yet, tells them apart (" in words
+    assert words.startswith("a hit of push/juice/case_") and ", not measured yet, distinguishes them (" in words
     monkeypatch.setattr(follower.door, "unmeasured", lambda _: iter(()))
-    assert follower._apart() == "no hit of these kinds and nothing that can be measured without one tells them apart"
+    assert follower._apart() == "no hit of these kinds and nothing that can be measured without one distinguishes them"
 
 
 @pytest.fixture
@@ -347,7 +347,7 @@ def test_mass_and_friction_that_no_hit_tells_apart_are_told_apart_by_a_lift(
     mass = tied._last[""].physics.object.mass
     weights = [9.81 * mass * tied.followed()[0].estimate, 9.81 * mass]
     expected = f"{weights[0]:.3g} N if object_mass, {weights[1]:.3g} N if support_friction"
-    assert tied._apart() == f"one measurement, lift the object, tells them apart ({expected})"
+    assert tied._apart() == f"one measurement, lift the object, distinguishes them ({expected})"
 
 
 def test_a_cause_whose_size_is_not_known_is_not_told_apart_by_a_lift(
@@ -367,7 +367,7 @@ def test_hits_at_other_speeds_are_proposed_where_those_at_hand_do_not_decide(
     forecast = tied._forecast
     monkeypatch.setattr(tied, "_forecast", lambda one, hit: forecast(one, hit) if "speed" in hit.condition else None)
     words = tied._apart()
-    assert " at twice the speed, not measured yet, tells them apart (" in words
+    assert " at twice the speed, not measured yet, distinguishes them (" in words
     (fast, slow) = list(tied.door.unmeasured([tied._last[""]]))
     assert fast.measured == pytest.approx(4.0 * slow.measured)
 
