@@ -10,7 +10,10 @@ Every hit of a day is drawn from a pool of simulated ones (``--pool`` keeps it) 
 * **Changed days**: an effect is planted in the plant. Counted: hits to the alarm, whether its effect is named or among
   the explanations, the sign, and the prediction error from the sixth hit after the change on, over that of an
   *offline* fit: the planted effect and its first hit are known, and it is fitted to all hits after the change.
-* **Time**: wall clock and processor time of one hit, from its row to what it taught.
+* **Warming days**: nothing changes that a hit could show, and yet not every hit is alike: dry friction of the joints
+  falls from 0.3 N m to 0 over the day, as they warm up, and the scale of all velocities drifts by 1 per cent. Counted:
+  alarms, as on quiet days.
+* **Time**: wall clock and processor time of one hit, from its row to what it taught; of changed days too.
 * **Stand-in for long data in time order**: restitution and friction of the pad drift over a day of hits, each of them
   simulated with its own. Compared: error of the object's sliding distance v^2 / (2 mu g), mu known, of the followed
   and of the frozen model. It is a stand-in: no hits of a real robot in time order are small enough to come along.
@@ -24,7 +27,8 @@ import json
 import sys
 import tempfile
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -62,6 +66,8 @@ PLANTED: dict[str, tuple[str, list[float]]] = {
     "tool 0.4 kg heavier": ("end_effector_payload", [0.4, 0.0, 0.0, 0.0]),
     "motor inertia 40 % larger": ("motor_inertia_scale", [1.4]),
 }
+COLD, LEVELS = 0.3, 4  # N m, dry friction of all joints at the start of a warming day; it falls in steps to 0
+SENSOR_DRIFT = 0.01  # of all velocities after, over a warming day
 GRAVITY = 9.81  # m/s^2
 
 
@@ -107,11 +113,21 @@ HEADER = [
 
 def pool_of(path: Path | None, each: int) -> dict[str, Array]:
     """Simulated hits by kind of day, ``(conditions, each, 40)``; read from a file where it is there."""
+    found: dict[str, Array] = {}
     if path is not None and path.exists():
-        with np.load(path) as found:
-            return dict(found)
-    found = {}
-    for kind, effects in {"quiet": {}, **{what: {name: own} for what, (name, own) in PLANTED.items()}}.items():
+        with np.load(path) as kept:
+            found = dict(kept)
+    warming = {
+        f"warming {level}": {"joint_coulomb_friction": [COLD * (1.0 - level / (LEVELS - 1.0))] * 7}
+        for level in range(LEVELS)
+    }
+    for kind, effects in {
+        "quiet": {},
+        **{what: {name: own} for what, (name, own) in PLANTED.items()},
+        **warming,
+    }.items():
+        if kind in found:
+            continue
         count = each if kind == "quiet" else max(each // 3, 4)
         base = 1000 if kind == "quiet" else 5000 + 100 * len(found)
         found[kind] = np.array([[pushed(one, base + seed, effects) for seed in range(count)] for one in CONDITIONS])
@@ -139,12 +155,24 @@ def hits_of(rows: list[list[object]], folder: Path) -> tuple[TableDoor, list[Hit
     return door, list(door.arrived())
 
 
-def quiet_days(pool: Array, days: int, length: int, rng: np.random.Generator, folder: Path) -> dict[str, Any]:
+def warming(pool: Mapping[str, Array], length: int, rng: np.random.Generator) -> list[list[object]]:
+    """Rows of a day on which joints warm up and the scale of velocities drifts."""
+    rows = []
+    for number in range(length):
+        level = int(rng.binomial(LEVELS - 1, number / length))  # steps between levels are spread over the day
+        (row,) = drawn(pool[f"warming {level}"], 1, rng, number)
+        rows.append([*row[:-13], *((1.0 + SENSOR_DRIFT * number / length) * np.array(row[-13:], dtype=float)).tolist()])
+    return rows
+
+
+def quiet_days(
+    day_of: Callable[[], list[list[object]]], days: int, folder: Path, what: str = "quiet"
+) -> dict[str, Any]:
     """Alarms on days on which nothing changes, and the time of a hit."""
     alarms: list[str] = []
     watched, spent, wall, odd = 0, [], [], 0
     for day in range(days):
-        door, hits = hits_of(drawn(pool, length, rng), folder)
+        door, hits = hits_of(day_of(), folder)
         follower = Follower(door, NOMINAL)
         for hit in hits:
             begun, clock = time.process_time(), time.perf_counter()
@@ -156,7 +184,7 @@ def quiet_days(pool: Array, days: int, length: int, rng: np.random.Generator, fo
             wall.append(1e3 * (time.perf_counter() - clock))
             if document.change is not None:
                 alarms.append(document.change.words)
-        print(f"quiet day {day + 1}: {len(alarms)} alarms in {watched} hits so far", flush=True)
+        print(f"{what} day {day + 1}: {len(alarms)} alarms in {watched} hits so far", flush=True)
     return {
         "hits": watched,
         "alarms": len(alarms),
@@ -168,10 +196,12 @@ def quiet_days(pool: Array, days: int, length: int, rng: np.random.Generator, fo
 
 
 def quantiles(values: Sequence[float]) -> dict[str, float]:
-    """Median, 95th percentile and mean."""
+    """Median, 90th and 99th percentile, maximum and mean."""
     return {
         "median": round(float(np.median(values)), 2),
-        "p95": round(float(np.percentile(values, 95)), 2),
+        "p90": round(float(np.percentile(values, 90)), 2),
+        "p99": round(float(np.percentile(values, 99)), 2),
+        "most": round(float(np.max(values)), 2),
         "mean": round(float(np.mean(values)), 2),
     }
 
@@ -195,6 +225,7 @@ def changed_days(pool: Mapping[str, Array], days: int, rng: np.random.Generator,
             "named_at_the_end": sum(one["end"] for one in found),
             "error_over_offline": {"median": round(float(np.median(ratios)), 3), "most": round(max(ratios), 3)},
             "days_below_1.2": sum(bool(ratio <= 1.2) for ratio in ratios),
+            "processor_ms": quantiles([time for one in found for time in one["spent"]]),
             "frozen_over_offline": round(float(np.median([one["frozen"] for one in found])), 2),
         }
         print(what, json.dumps(result[what]), flush=True)
@@ -215,8 +246,11 @@ def changed_day(
     alarm: HitDocument | None = None
     errors, frozen = [], []
     delay = None
+    spent = []
     for number, hit in enumerate(hits[before:], start=1):
+        begun = time.process_time()
         (document,) = follower.take([hit])
+        spent.append(1e3 * (time.process_time() - begun))
         errors.append(document.error)
         if alarm is None and document.change is not None:
             alarm, delay = document, number
@@ -236,6 +270,7 @@ def changed_day(
         "among": own is not None,
         "sign": bool(change * wanted > 0.0),
         "end": follower.likeliest.effect == effect,
+        "spent": spent,
         "ratio": float(size / best),
         "frozen": float(np.sqrt(np.mean(np.square(np.array(frozen)[late])))) / best,
     }
@@ -314,6 +349,7 @@ def main() -> None:
     parser.add_argument("--pool", type=Path, help="file that keeps the simulated hits")
     parser.add_argument("--each", type=int, default=36, help="quiet hits simulated in each condition")
     parser.add_argument("--quiet", type=int, default=12, help="quiet days")
+    parser.add_argument("--warming", type=int, default=6, help="days on which joints warm up")
     parser.add_argument("--length", type=int, default=450, help="hits of a quiet day")
     parser.add_argument("--changed", type=int, default=8, help="days with each change")
     parser.add_argument("--drift", type=int, default=200, help="hits of the drifting day; 0: none")
@@ -327,7 +363,11 @@ def main() -> None:
         if arguments.changed:
             result["changed"] = changed_days(pool, arguments.changed, rng, Path(folder))
         if arguments.quiet:
-            result["quiet"] = quiet_days(pool["quiet"], arguments.quiet, arguments.length, rng, Path(folder))
+            quiet = partial(drawn, pool["quiet"], arguments.length, rng)
+            result["quiet"] = quiet_days(quiet, arguments.quiet, Path(folder))
+        if arguments.warming:
+            warm = partial(warming, pool, arguments.length, rng)
+            result["warming"] = quiet_days(warm, arguments.warming, Path(folder), "warming")
         if arguments.drift:
             result["drift"] = drifting_day(arguments.drift, rng, Path(folder))
     text = json.dumps(result, indent=2)

@@ -1,5 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The full diagnosis that a change calls for: ``impact-rs diagnose --since`` in a process of its own."""
+"""The full diagnosis that a change calls for: ``impact-rs diagnose --since`` in a process of its own.
+
+That process holds one end of a pipe as its standard input. The other end is closed when the process that started it has
+ended, however that was, and then the diagnosis ends as by Ctrl-C, with its workers.
+"""
 
 from __future__ import annotations
 
@@ -11,6 +15,8 @@ import signal
 import subprocess
 import sys
 import tempfile
+import threading
+import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,6 +24,7 @@ from typing import IO
 
 from impact_rs_analysis.diagnosis.document import read_document
 from impact_rs_analysis.following.lessons import ChangeDiagnosis
+from impact_rs_cli import main as program
 from impact_rs_cli.parser import PROGRAM
 from impact_rs_sim.errors import InputError
 
@@ -71,8 +78,8 @@ class FullDiagnosis:
         cores = max(1, len(os.sched_getaffinity(0)) // 2)  # the next hits are followed meanwhile
         try:
             process = subprocess.Popen(
-                [sys.executable, "-m", "impact_rs_cli.main", *self._arguments(since), "--jobs", str(cores)],
-                stdin=subprocess.DEVNULL,
+                [sys.executable, "-m", "impact_rs_cli.full_diagnosis", *self._arguments(since), "--jobs", str(cores)],
+                stdin=subprocess.PIPE,  # nothing is written; see the module
                 stdout=subprocess.DEVNULL,
                 stderr=errors,
                 start_new_session=True,  # so that stopping it reaches its workers, and Ctrl-C of ours does not
@@ -92,6 +99,7 @@ class FullDiagnosis:
             return None
         code = own.process.wait()
         self._running = None
+        _hang_up(own.process)
         own.errors.seek(0)
         lines = own.errors.read().decode("utf-8", "replace").strip().splitlines()
         own.errors.close()
@@ -117,6 +125,7 @@ class FullDiagnosis:
             except subprocess.TimeoutExpired:
                 os.killpg(own.process.pid, signal.SIGKILL)
                 own.process.wait()
+        _hang_up(own.process)
         own.errors.close()
         if own.makes_folder:  # one that had to be killed has not removed it
             with contextlib.suppress(OSError):
@@ -125,3 +134,27 @@ class FullDiagnosis:
     def _arguments(self, since: str) -> list[str]:
         """Arguments of ``impact-rs``."""
         return ["diagnose", *self._words, "--since", since, "-o", str(self.file(since))]
+
+
+def _hang_up(process: subprocess.Popen[bytes]) -> None:
+    """Close our end of the pipe of a process that has ended."""
+    if process.stdin is not None:
+        process.stdin.close()
+
+
+def _end_with_the_other_end(pipe: int) -> None:
+    """Wait until the other end of a pipe is closed; then end this process and its group."""
+    os.read(pipe, 1)
+    os.killpg(0, signal.SIGINT)
+    time.sleep(PATIENCE)
+    os.killpg(0, signal.SIGKILL)
+
+
+def main() -> int:
+    """Run a command of ``impact-rs`` that does not outlive what holds the other end of its standard input."""
+    threading.Thread(target=_end_with_the_other_end, args=(sys.stdin.fileno(),), daemon=True).start()
+    return program.main(sys.argv[1:])
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,12 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A change in words: first what a person would measure, in kilograms and percent, then the parameters."""
+"""A change in words: kilograms and percent as a person would measure them, and what distinguishes its causes."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
+import scipy
 
 from impact_rs_analysis.following.lessons import Followed
 from impact_rs_sim.numbers import estimate_text
@@ -14,6 +16,9 @@ from impact_rs_sim.physics import ArmPhysics, Physics
 from impact_rs_sim.robot import Array
 
 MOST_NAMED = 3  # parameters of an effect in a sentence, those that are surest
+APART = 2.0  # standard deviations between what two causes predict; one measurement then decides
+SAME = 0.02  # difference between probabilities that is none
+GRAVITY = 9.81  # m/s^2
 LEAST = 1e-9  # of a value of which a share is given, and of a change
 
 
@@ -26,6 +31,7 @@ class EverydayQuantity(NamedTuple):
         less: Comparative of a smaller value.
         unit: Unit of a change; ``%``: share of the value before.
         of: Its value, in the unit.
+        own_unit: Unit of the value, in which a change from nothing is said; empty: it has none.
     """
 
     noun: str
@@ -33,6 +39,7 @@ class EverydayQuantity(NamedTuple):
     less: str
     unit: str
     of: Callable[[Physics], float]
+    own_unit: str = ""
 
 
 def _mean(of: Callable[[ArmPhysics], Array | float]) -> Callable[[Physics], float]:
@@ -45,12 +52,80 @@ QUANTITIES = (
     EverydayQuantity("the tool", "heavier", "lighter", "kg", _mean(lambda arm: arm.end_effector.mass)),
     EverydayQuantity("friction of the pad", "higher", "lower", "%", lambda physics: physics.pad_friction),
     EverydayQuantity("friction of the support", "higher", "lower", "%", lambda physics: physics.support_friction),
-    EverydayQuantity("dry friction of the joints", "higher", "lower", "%", _mean(lambda arm: arm.friction.coulomb)),
-    EverydayQuantity("viscous friction of the joints", "higher", "lower", "%", _mean(lambda arm: arm.friction.viscous)),
-    EverydayQuantity("motor inertia", "larger", "smaller", "%", _mean(lambda arm: arm.motor_inertia_reduced)),
-    EverydayQuantity("stiffness of the joints", "higher", "lower", "%", _mean(lambda arm: arm.stiffness)),
-    EverydayQuantity("stiffness of the pad", "higher", "lower", "%", _mean(lambda arm: arm.pad_stiffness or 0.0)),
+    EverydayQuantity(
+        "dry friction of the joints", "higher", "lower", "%", _mean(lambda arm: arm.friction.coulomb), "N m"
+    ),
+    EverydayQuantity(
+        "viscous friction of the joints", "higher", "lower", "%", _mean(lambda arm: arm.friction.viscous), "N m s/rad"
+    ),
+    EverydayQuantity("motor inertia", "larger", "smaller", "%", _mean(lambda arm: arm.motor_inertia_reduced), "kg m^2"),
+    EverydayQuantity("stiffness of the joints", "higher", "lower", "%", _mean(lambda arm: arm.stiffness), "N m/rad"),
+    EverydayQuantity(
+        "stiffness of the pad", "higher", "lower", "%", _mean(lambda arm: arm.pad_stiffness or 0.0), "N/m"
+    ),
 )
+
+
+class HitlessCheck(NamedTuple):
+    """A measurement without a hit, which may distinguish causes.
+
+    Attributes:
+        words: What to do.
+        unit: Unit of what is read.
+        of: What is read in a scene, in the unit.
+        least: Difference that is read for certain, two standard deviations, in the unit.
+    """
+
+    words: str
+    unit: str
+    of: Callable[[Physics], float]
+    least: float
+
+
+CHECKS = (
+    HitlessCheck("lift the object", "N", lambda physics: GRAVITY * physics.object.mass, 0.5),
+    HitlessCheck(
+        "pull the object slowly over its support", "N",
+        lambda physics: GRAVITY * physics.object.mass * physics.support_friction, 0.5,
+    ),
+    HitlessCheck("pull the object along the pad, by the force on it", "", lambda physics: physics.pad_friction, 0.1),
+    HitlessCheck("weigh the tool", "kg", _mean(lambda arm: arm.end_effector.mass), 0.02),
+    HitlessCheck("turn each joint slowly there and back", "N m", _mean(lambda arm: arm.friction.coulomb), 0.2),
+)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Telling:
+    """A hit or another measurement, and how well it distinguishes the likeliest cause from each of the others.
+
+    Attributes:
+        words: What to do.
+        distances: Of what is expected from both, in standard deviations of their difference, by cause.
+        what: What is expected, in words.
+    """
+
+    words: str
+    distances: tuple[float, ...]
+    what: str
+
+
+def most_telling(found: Iterable[Telling], shares: Sequence[float]) -> Telling | None:
+    """What decides rightly between the likeliest cause and each of the others with the largest probability.
+
+    Args:
+        found: Measurements, those that take least effort first; of some that are as good, the first is taken.
+        shares: Probability of each of the others.
+    """
+    found = [one for one in found if max(one.distances) > APART]
+    right = [float(scipy.special.ndtr(0.5 * np.array(one.distances)) @ np.array(shares)) for one in found]
+    return next((one for one, own in zip(found, right, strict=True) if own > max(right) - SAME * sum(shares)), None)
+
+
+def telling_words(one: Telling, likeliest: str, others: Sequence[str]) -> str:
+    """What to do, and which causes it distinguishes."""
+    parted = [other for other, distance in zip(others, one.distances, strict=True) if distance > APART]
+    between = "them" if len(parted) == len(others) else f"{likeliest} from {' and '.join(parted)}"
+    return f"{one.words} distinguishes {between} ({one.what})"
 
 
 def in_words(effect: str, parameters: Sequence[Followed], scenes: Iterable[tuple[Physics, Physics]]) -> str:
@@ -71,11 +146,6 @@ def in_words(effect: str, parameters: Sequence[Followed], scenes: Iterable[tuple
     return f"{plain} ({effect}: {texts}{more})" if plain else f"{effect}: {texts}{more}"
 
 
-def weighs(first: Physics, second: Physics) -> bool:
-    """Whether weighing the object would distinguish two explanations of a change."""
-    return abs(first.object.mass - second.object.mass) > LEAST
-
-
 def _surely(one: Followed) -> float:
     """Sorts what moved most, in multiples of its interval, to the front."""
     return -abs(one.change) / max(one.ci95[1] - one.ci95[0], 1e-300)
@@ -92,16 +162,16 @@ def _text(one: Followed) -> str:
 
 def _plain(quantity: EverydayQuantity, scenes: Sequence[tuple[Physics, Physics]]) -> str:
     """How a quantity changed, over all scenes; empty where it did not, or in no single direction."""
+    unit = quantity.unit
+    if unit == "%" and any(abs(quantity.of(before)) < LEAST for before, _ in scenes):
+        unit = quantity.own_unit  # there is no share of nothing
     changes = []
     for before, after in scenes:
         old, change = quantity.of(before), quantity.of(after) - quantity.of(before)
-        if quantity.unit == "%":
-            if abs(old) < LEAST:
-                return ""
-            change *= 100.0 / old
-        changes.append(change)
+        changes.append(change * 100.0 / old if unit == "%" else change)
     low, high = min(changes, default=0.0), max(changes, default=0.0)
     if low < LEAST and high > -LEAST:
         return ""
     sizes = dict.fromkeys(f"{size:.2g}" for size in sorted((abs(low), abs(high))))
-    return f"{quantity.noun} is {' to '.join(sizes)} {quantity.unit} {quantity.more if low > 0.0 else quantity.less}"
+    size = " ".join(filter(None, (" to ".join(sizes), unit)))
+    return f"{quantity.noun} is {size} {quantity.more if low > 0.0 else quantity.less}"

@@ -23,25 +23,29 @@ CUSUM (1954) to first order (Lorden 1971), and takes many effects with unequal n
 
 The variance of each effect's score is checked by what quiet hits say: where they scatter more along an effect than R
 expects, its score counts so much less (:class:`Calibration`). A change needs two instants, the later of which confirms
-what the earlier ones say; a single odd hit is none.
+what the earlier ones say; a single odd hit is none. Where a share p of the quiet hits is odd, tails are heavier than
+those of R: k odd hits in turn have the probability p^k, and a change needs so many hits that p^k <= 1 / A.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from impact_rs_analysis.diagnosis.candidate import Candidate, bounded
-from impact_rs_analysis.following.posterior import WIDTH, Posterior
+from impact_rs_analysis.following.posterior import ODD, WIDTH, HitEvidence, Posterior
 from impact_rs_sim.robot import Array
 
 MEAN_TIME = 10_000.0  # instants to a false alarm, at least, where noise is as believed
 BACK = (1, 2, 3, 4, 5, 6, 8, 11, 15, 21, 29, 40)  # instants since a change that are tried
 TINY = 1e-9  # of the largest information; less is none
 TIED = 0.05  # likelihood over that of the best explanation; those above it are named beside it
+EXPECTED = 20  # hits that the share of odd ones that is expected counts like
+MOST_ODD = 0.2  # share of odd hits; with more a change would need seven and more
+SPEAKING = 0.25  # of the hits since a change; without those that speak for it most it must still hold
 
 
 @dataclass(frozen=True)
@@ -53,7 +57,8 @@ class ChangeExplanation:
         start: Instant of the window from which on it acts.
         change: eta, in parameter scales, ``(p_e,)``.
         log_ratio: Logarithm of its likelihood ratio against no change.
-        gain: Fall of the sum of squared whitened residuals that it promises, to first order.
+        gain: Fall of the sum of squared whitened residuals of the hits since then that it promises, to first order.
+        determinant: log det(1 + D I D).
     """
 
     effect: str
@@ -61,6 +66,7 @@ class ChangeExplanation:
     change: Array
     log_ratio: float
     gain: float = 0.0
+    determinant: float = 0.0
 
 
 @dataclass
@@ -72,12 +78,27 @@ class Calibration:
         ranks: Sum of their expected values.
         whole: Sum of squared Mahalanobis distances, and of their expected values.
         freedom: Degrees of freedom of the scatter.
+        odd: Number of quiet hits that were odd.
+        hits: Number of quiet hits.
     """
 
     squares: dict[str, float] = field(default_factory=dict)
     ranks: dict[str, float] = field(default_factory=dict)
     whole: tuple[float, float] = (0.0, 0.0)
     freedom: float = 1.0
+    odd: int = 0
+    hits: int = 0
+
+    def least_hits(self, mean_time: float, since: Sequence[HitEvidence]) -> int:
+        """Number of hits that a change needs, at least two.
+
+        Args:
+            mean_time: Mean number of hits to a false alarm, at least.
+            since: Hits since the change, which are not quiet.
+        """
+        odd = max(self.odd - sum(one.weight < 1.0 for one in since), 0)
+        share = (odd + EXPECTED * ODD) / (max(self.hits - len(since), 0) + EXPECTED)
+        return max(2, math.ceil(math.log(max(mean_time, 1.0)) / -math.log(min(share, MOST_ODD))))
 
     def add(self, effect: str, square: float, rank: float) -> None:
         """Take the score of a quiet hit into account."""
@@ -123,8 +144,8 @@ class ChangeTest:
         """Of the logarithm of R."""
         return math.log(self.mean_time)
 
-    def statistics(self, posterior: Posterior) -> tuple[float, dict[str, Array], list[int]]:
-        """Logarithm of R, and of LR by effect and moment of change, ``(s,)``, with these moments."""
+    def statistics(self, posterior: Posterior) -> tuple[float, dict[str, Array]]:
+        """Logarithm of R, and of LR by effect and moment of change, ``(s,)``."""
         starts = [len(posterior.window) - back for back in BACK if back <= len(posterior.window)]
         information, score = self._reduced(posterior, starts)
         found = {
@@ -133,31 +154,44 @@ class ChangeTest:
         }
         every = np.array(list(found.values()))
         if not every.size:
-            return -math.inf, found, starts
-        return float(_log_sum(every.ravel())) - math.log(len(found)), found, starts
+            return -math.inf, found
+        return float(_log_sum(every.ravel())) - math.log(len(found)), found
 
-    def change(
-        self, posterior: Posterior, statistics: dict[str, Array], starts: Sequence[int]
-    ) -> list[ChangeExplanation]:
-        """Explanations of a change, the best first; none where its last instant does not confirm it.
+    def explanations(self, posterior: Posterior, statistics: dict[str, Array]) -> list[ChangeExplanation]:
+        """Explanations of a change that the last instant confirms and that hits support, the likeliest first.
+
+        They are those of the sensitivities at hand: one that bends more may turn out likelier, or not to hold.
 
         Args:
             posterior: The hits.
             statistics: Of :meth:`statistics`.
-            starts: The same.
         """
-        ranked = sorted(statistics, key=lambda name: -float(_log_sum(statistics[name])))
-        found: list[ChangeExplanation] = []
-        for name in ranked:
-            if found and float(np.max(statistics[name])) < found[0].log_ratio + math.log(TIED):
-                break
-            explained = self._explained(posterior, name)
-            if explained is not None:
-                found.append(explained)
-                found.sort(key=lambda one: -one.log_ratio)
-        if not found or found[0].log_ratio < self.threshold:
-            return []
-        return [one for one in found if one.log_ratio > found[0].log_ratio + math.log(TIED)]
+        least = -math.log(TIED)
+        possible = (self._explained(posterior, name) for name, own in statistics.items() if float(np.max(own)) > least)
+        found = [one for one in possible if one is not None and one.log_ratio > least]
+        gains = [self._gains(posterior, one) for one in found]
+        found = [replace(one, gain=sum(own)) for one, own in zip(found, gains, strict=True) if support(own) > 0.0]
+        found = [one for one in found if self._enough(posterior, one)]
+        return sorted(found, key=lambda one: -one.log_ratio)
+
+    def _enough(self, posterior: Posterior, one: ChangeExplanation) -> bool:
+        """Whether there are hits enough since a change."""
+        since = [evidence for instant in posterior.window[one.start :] for evidence in instant]
+        return len(since) >= self.calibration.least_hits(self.mean_time, since)
+
+    def _gains(self, posterior: Posterior, one: ChangeExplanation) -> list[float]:
+        """Fall of the sum of squared whitened residuals of every hit since a change, to first order."""
+        numbers = [self.active[place] for place in self.effects[one.effect]]
+        cross, _, _ = posterior.suffixes([one.start], numbers)
+        moved = posterior.solve(cross[0] @ one.change)  # the state gives way to the change
+        gains = []
+        for instant in posterior.window[one.start :]:
+            for evidence in instant:
+                columns, observed = posterior.observation(evidence)
+                first = posterior.rest(evidence)
+                second = first + observed @ moved[columns] - evidence.jacobian[:, numbers] @ one.change
+                gains.append(evidence.weight * float(first @ first - second @ second))
+        return gains
 
     def quiet(self, posterior: Posterior) -> dict[str, tuple[float, float]]:
         """T_0 of the last instant alone, and its expected value, by effect."""
@@ -205,14 +239,17 @@ class ChangeTest:
         information, score = self._reduced(posterior, starts)
         information, score = information[:, places][:, :, places], score[:, places]
         best: ChangeExplanation | None = None
-        for place, start in enumerate(starts):
+        ratios = self._log_ratios(information, score, name)
+        for place in np.argsort(-ratios).tolist():
+            start, unbounded = starts[place], float(ratios[place])
+            if best is not None and unbounded <= best.log_ratio:
+                break  # bounds only lower it
             if start == last:
                 continue
             total = _positive(information[place]) + prior
             eta = bounded(total, score[place], lower, upper)
             gain = float(score[place] @ eta - 0.5 * eta @ total @ eta) / inflation
             free = float(score[place] @ np.linalg.solve(total, score[place])) / (2.0 * inflation)
-            unbounded = float(self._log_ratios(information[place : place + 1], score[place : place + 1], name)[0])
             # Where a bound holds, t turns the smaller gain into a smaller ratio in the same proportion.
             ratio = unbounded if free <= 0.0 else unbounded - (free - gain) * min(1.0, max(unbounded, 1.0) / free)
             if best is None or ratio > best.log_ratio:
@@ -220,7 +257,8 @@ class ChangeTest:
                 early = bounded(earlier, score[place] - score[0], lower, upper)
                 confirmed = float(score[0] @ early - 0.5 * early @ information[0] @ early) > 0.0
                 if confirmed:
-                    best = ChangeExplanation(name, start, eta, ratio, 2.0 * inflation * gain)
+                    _, determinant = np.linalg.slogdet(WIDTH**2 / inflation * total)
+                    best = ChangeExplanation(name, start, eta, ratio, determinant=float(determinant))
         return best
 
     def _room(self, posterior: Posterior, numbers: Sequence[int]) -> tuple[Array, Array]:
@@ -231,6 +269,16 @@ class ChangeTest:
         scale = own.scale[list(numbers)]
         lower = np.minimum((own.lower[list(numbers)] - at) / scale, -1e-9)
         return lower, np.maximum((own.upper[list(numbers)] - at) / scale, 1e-9)
+
+
+def support(gains: Sequence[float]) -> float:
+    """What the hits since a change say for an explanation without the quarter that says most.
+
+    Args:
+        gains: Fall of the sum of squared whitened residuals of each hit.
+    """
+    most = math.ceil(len(gains) * SPEAKING)
+    return float(sum(sorted(gains)[:-most]))
 
 
 def _positive(matrix: Array) -> Array:

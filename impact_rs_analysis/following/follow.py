@@ -29,8 +29,16 @@ from impact_rs_analysis.diagnosis.candidate import Candidate
 from impact_rs_analysis.diagnosis.diagnose import effects_for
 from impact_rs_analysis.evidence.cluster import Added
 from impact_rs_analysis.evidence.source import Source
-from impact_rs_analysis.following.announcement import in_words, weighs
-from impact_rs_analysis.following.change import MEAN_TIME, Calibration, ChangeExplanation, ChangeTest
+from impact_rs_analysis.following.announcement import (
+    APART,
+    CHECKS,
+    HitlessCheck,
+    Telling,
+    in_words,
+    most_telling,
+    telling_words,
+)
+from impact_rs_analysis.following.change import MEAN_TIME, TIED, Calibration, ChangeExplanation, ChangeTest, support
 from impact_rs_analysis.following.hits import Door, Hit
 from impact_rs_analysis.following.lessons import (
     Cause,
@@ -42,6 +50,7 @@ from impact_rs_analysis.following.lessons import (
 )
 from impact_rs_analysis.following.posterior import (
     WIDE,
+    WIDTH,
     WINDOW,
     HitEvidence,
     Posterior,
@@ -60,14 +69,14 @@ from impact_rs_sim.robot import Array
 LEARNT = 20  # hits that teach the scatter
 LEAST_FREEDOM = 10  # of the scatter: its standard deviations are known to 22 % then
 MOST = 4  # hypotheses at a time
+TRIED = 5  # explanations that are linearised anew at a hit
+GROWN = 1.0  # of the logarithm of the statistic since an attempt in vain, before the next one
 RULED_OUT = 1e-3  # probability below which a hypothesis is dropped
 RULED_IN = 0.95  # probability from which the cause is said to be known
 STEPS = 4  # of Gauss-Newton about an explanation
 KEPT = 0.5  # of the promised fall of the residuals; an explanation with less is none
-SPEAKING = 0.25  # of the hits since a change; without those that speak for it most it must still hold
 LEAST_GAIN = 4.0  # fall of the squares of the others, of one parameter two standard deviations
 NEAR = 0.1  # parameter scales; a shorter step ends it
-APART = 2.0  # standard deviations between predictions; one hit then decides
 WALL_CLOCK = 1e9  # s since 1970; an earlier stamp counts from another moment
 
 
@@ -76,17 +85,19 @@ class Origin:
     """What was known when an effect changed.
 
     Attributes:
+        point: Point of the linearisation before, ``(p,)``.
         past: Posterior of all hits before, with an empty window.
         numbers: Parameters of the effect.
         old: Their values before, ``(p_e,)``.
     """
 
+    point: Array
     past: Posterior
     numbers: tuple[int, ...]
     old: Array
 
 
-@dataclass
+@dataclass(eq=False)
 class Hypothesis:
     """One belief about what the cell is.
 
@@ -96,6 +107,7 @@ class Hypothesis:
         log_weight: Logarithm of its probability.
         effect: Effect that changed last; empty: none did.
         origin: What that change started from; None: none did, or it is older than the window.
+        tried: Statistic at which nothing was found that explains a change; it is looked for again once it has grown.
     """
 
     point: Array
@@ -103,6 +115,7 @@ class Hypothesis:
     log_weight: float = 0.0
     effect: str = ""
     origin: Origin | None = None
+    tried: float = -math.inf
 
 
 @dataclass(frozen=True)
@@ -154,8 +167,8 @@ class Follower:
         self._scatter: dict[str, HitScatter] = {}
         self._limits: dict[str, Array] = {}
         self._names: list[str] = []
-        self._jacobians: dict[tuple[str, bytes], Array] = {}
-        self._plans: dict[bytes, tuple[Array, list[Added]]] = {}
+        self._jacobians: dict[tuple[str, bytes, tuple[int, ...]], Array] = {}
+        self._plans: dict[tuple[bytes, tuple[int, ...]], tuple[Array, list[Added]]] = {}
         self._last: dict[str, Hit] = {}
         self.active: tuple[int, ...] = ()
         self._announced: list[str] = []
@@ -305,7 +318,7 @@ class Follower:
             if one.origin is not None:
                 past = one.origin.past
                 arrays |= {f"past{number}": past.information, f"past_vector{number}": past.vector}
-                arrays[f"old{number}"] = one.origin.old
+                arrays |= {f"old{number}": one.origin.old, f"before{number}": one.origin.point}
                 origin = {"followed": past.followed, "groups": _ends(past), "numbers": one.origin.numbers}
             hypotheses.append(
                 {
@@ -315,6 +328,7 @@ class Follower:
                     "window": [[(e.hit.name, e.weight) for e in instant] for instant in own.window],
                     "log_weight": one.log_weight,
                     "effect": one.effect,
+                    "tried": None if math.isinf(one.tried) else one.tried,
                 }
             )
         for number, scatter in enumerate(self._scatter.values()):
@@ -364,11 +378,12 @@ class Follower:
             origin = None
             if (own := one["origin"]) is not None:
                 past = _posterior(own, arrays[f"past{number}"], arrays[f"past_vector{number}"])
-                origin = Origin(past, tuple(own["numbers"]), arrays[f"old{number}"])
+                origin = Origin(arrays[f"before{number}"], past, tuple(own["numbers"]), arrays[f"old{number}"])
             for instant in one["window"]:
                 evidence = [(self._evidence(hits[name], point), weight) for name, weight in instant]
                 posterior.add([replace(e, weight=weight) for e, weight in evidence if e is not None])
-            self.hypotheses.append(Hypothesis(point, posterior, one["log_weight"], one["effect"], origin))
+            tried = -math.inf if one["tried"] is None else one["tried"]
+            self.hypotheses.append(Hypothesis(point, posterior, one["log_weight"], one["effect"], origin, tried))
 
     def _enough(self, layout: str) -> bool:
         """Whether the first hits of a layout teach its scatter."""
@@ -388,7 +403,7 @@ class Follower:
         assert self.candidate is not None
         known, point = self.active if self.hypotheses else (), self._start
         self._look_at(range(point.size))
-        found = [(hit, one) for hit in first if (one := self._linearised(hit, point)) is not None]
+        found = [(hit, one) for hit in first if (one := self._linearised(hit, point, self.active)) is not None]
         if len(found) < 0.5 * len(first):
             raise InputError(f"model {self.model.name!r} predicts {len(found)} of the first {len(first)} hits")
         residuals = [(hit, hit.measured - predicted) for hit, (predicted, _) in found]
@@ -495,7 +510,9 @@ class Follower:
                 taken.append(replace(evidence, weight=weight))
                 size = math.sqrt(float(np.mean(np.square(innovation))))
                 if hypothesis is best:
-                    errors[hit.name] = size, self._error_of_model(hit, evidence), weight < 1.0
+                    self.calibration.hits += 1
+                    self.calibration.odd += weight < 1.0
+                    errors[hit.name] = size, self._error_of_model(hit, evidence, hypothesis.point), weight < 1.0
             if taken:
                 hypothesis.posterior.add(taken)
             if len(hypothesis.posterior.window) == WINDOW:
@@ -520,11 +537,13 @@ class Follower:
             )
         return documents
 
-    def _error_of_model(self, hit: Hit, evidence: HitEvidence) -> float:
+    def _error_of_model(self, hit: Hit, evidence: HitEvidence, point: Array) -> float:
         """Error of the model as it was given, in standard deviations of a hit, rms over the features."""
         assert self.candidate is not None
-        (given,) = self.door.predict(hit, [replace(self.candidate, point=self._start).split(self._start)])
-        off = evidence.residual if given is None else self._scatter[hit.layout].whiten @ (hit.measured - given)
+        off = evidence.residual
+        if not np.array_equal(point, self._start):
+            (given,) = self.door.predict(hit, [replace(self.candidate, point=self._start).split(self._start)])
+            off = off if given is None else self._scatter[hit.layout].whiten @ (hit.measured - given)
         return math.sqrt(float(np.mean(np.square(off))))
 
     def _weigh(self) -> str:
@@ -548,16 +567,23 @@ class Follower:
         if not best.posterior.window:
             return 0.0, None
         test = self._test(best)
-        statistic, ratios, starts = test.statistics(best.posterior)
-        if statistic >= test.threshold and best.origin is not None:  # or is it its linearisation?
-            refined = self._refined(best)
-            self.hypotheses[self.hypotheses.index(best)] = best = refined
-            test = self._test(best)
-            statistic, ratios, starts = test.statistics(best.posterior)
-        if statistic >= test.threshold and (found := test.change(best.posterior, ratios, starts)):
-            held = [(one, hypothesis) for one in found[:MOST] if (hypothesis := self._held(best, one)) is not None]
-            if held and held[0][0].log_ratio >= test.threshold:
-                return statistic, self._changed(best, test, held, statistic, instant[-1])
+        statistic, ratios = test.statistics(best.posterior)
+        if statistic < test.threshold:
+            best.tried = -math.inf
+        elif statistic > best.tried + GROWN:
+            if best.origin is not None:  # or is it its linearisation?
+                refined = self._refined(best)
+                self.hypotheses[self.hypotheses.index(best)] = best = refined
+                test = self._test(best)
+                statistic, ratios = test.statistics(best.posterior)
+            best.tried = statistic
+            if statistic >= test.threshold:
+                held = self._explanations(best, test, ratios)
+                other = None if held and held[0][0].effect == best.effect else self._others(best)
+                if other is not None and (not held or other[2] > held[0][0].log_ratio):
+                    return statistic, self._changed(*other[:2], statistic, instant[-1], instead=best.effect)
+                if held:
+                    return statistic, self._changed(best, held, statistic, instant[-1])
         if len(best.posterior.window) > 1 and statistic < 0.5 * test.threshold:
             for name, (square, rank) in test.quiet(best.posterior).items():
                 self.calibration.add(name, min(square, 9.0 * max(rank, 1.0)), rank)
@@ -567,26 +593,30 @@ class Follower:
     def _changed(
         self,
         before: Hypothesis,
-        test: ChangeTest,
         held: Sequence[tuple[ChangeExplanation, Hypothesis]],
         statistic: float,
         hit: Hit,
+        instead: str = "",
     ) -> Change:
         """Replace the hypotheses by the explanations of a change."""
+        assert self.candidate is not None
         window = list(before.posterior.window)
-        found, hypotheses = [one for one, _ in held], [hypothesis for _, hypothesis in held]
+        found, hypotheses = [one for one, _ in held], [self._complete(hypothesis) for _, hypothesis in held]
         first = window[found[0].start][0].hit
-        for one, hypothesis in held:
+        for one, hypothesis in zip(found, hypotheses, strict=True):
             hypothesis.log_weight = one.log_ratio
-        self.hypotheses = hypotheses
-        since = [e.hit for instant in window[found[0].start :] for e in instant]
+        self.hypotheses = hypotheses  # the likeliest first
+        evidence = [e for instant in window[found[0].start :] for e in instant]
+        self.calibration.hits -= len(evidence)  # they are not quiet
+        self.calibration.odd -= sum(e.weight < 1.0 for e in evidence)
+        since = [e.hit for e in evidence]
         self.changed = HitsSince(first.name, tuple(one.condition for one in since))
         scenes = [one.physics for one in since if one.hits] or [first.physics]
         shares = self.probabilities()
         causes = []
         old = self._values(before)
         for one, share, hypothesis in zip(found, shares, hypotheses, strict=True):
-            part = test.candidate.part(one.effect)
+            part = self.candidate.part(one.effect)
             parameters = self._followed(hypothesis, range(part.start, part.stop), old)
             new = old.copy()  # of this effect alone
             new[part] = self._values(hypothesis)[part]
@@ -602,6 +632,8 @@ class Follower:
         self._announced.append(found[0].effect)
         apart = self._apart() if len(causes) > 1 else ""
         words = f"since {_when(first)} {' or '.join(cause.words for cause in causes)}"
+        if instead:
+            words = f"{words}, and not {instead}"
         return Change(
             hit=hit.name,
             since=first.name,
@@ -611,29 +643,100 @@ class Follower:
             false_alarm=math.exp(min(statistic, 300.0)),
             causes=tuple(causes),
             again=again,
+            instead=instead,
             apart=apart,
             words=f"{words}; {apart}" if apart else words,
         )
 
-    def _held(self, before: Hypothesis, one: ChangeExplanation) -> Hypothesis | None:
+    def _explanations(
+        self, before: Hypothesis, test: ChangeTest, statistics: dict[str, Array]
+    ) -> list[tuple[ChangeExplanation, Hypothesis]]:
+        """Explanations of a change that hold once they are linearised anew, the likeliest first."""
+        tried = test.explanations(before.posterior, statistics)[:TRIED]
+        if not tried:
+            return []
+        held = [found for one in tried if (found := self._held(before, one)) is not None]
+        held.sort(key=lambda pair: -pair[0].log_ratio)
+        tie = math.log(TIED)
+        promising = any(one.effect == tried[0].effect for one, _ in held)
+        # What promises most may hold at a later hit: the others need more evidence than it.
+        if not held or held[0][0].log_ratio < test.threshold - (0.0 if promising else tie):
+            return []
+        return [pair for pair in held if pair[0].log_ratio > held[0][0].log_ratio + tie][:MOST]
+
+    def _others(self, best: Hypothesis) -> tuple[Hypothesis, list[tuple[ChangeExplanation, Hypothesis]], float] | None:
+        """What explains the hits since the last change better than the effect that was named then.
+
+        Returns:
+            The hypothesis before that change, the explanations of all hits since, and by how much the logarithm of the
+            likelihood ratio of the first exceeds that of the effect that was named; None: there is none.
+        """
+        origin = best.origin
+        if origin is None:
+            return None
+        hits = [[e.hit for e in instant] for instant in best.posterior.window]
+        before = Hypothesis(origin.point, origin.past.copy())
+        for instant in hits:
+            evidence = [e for hit in instant if (e := self._evidence(hit, before.point)) is not None]
+            before.posterior.make_room((e.hit.group, e.patterns.shape[1]) for e in evidence)
+            weights = {e.hit.name: e.weight for own in best.posterior.window for e in own}
+            before.posterior.add([replace(e, weight=weights[e.hit.name]) for e in evidence])
+        test = self._test(before)
+        _, statistics = test.statistics(before.posterior)
+        held = self._explanations(before, test, statistics)
+        if not held or held[0][0].effect == best.effect:
+            return None
+        lead = self._ratio(before, held[0][1]) - self._ratio(before, best)
+        return None if lead <= 0.0 else (before, held, lead)
+
+    def _held(self, before: Hypothesis, one: ChangeExplanation) -> tuple[ChangeExplanation, Hypothesis] | None:
         """An explanation, linearised anew; None where it does not keep what it promised, or few hits speak for it.
 
         A contact that grips does not change with more friction, though it does with much less. And of hits that are odd
         now and then, in the same way, two make no change: without the quarter that speaks for it most, the other hits
-        must still speak for it.
+        must still speak for it. Its likelihood ratio is corrected by what it explains more or less than promised, and
+        by the information about its parameters there (Laplace).
         """
         fitted = self._about(before, one)
-        past = before.posterior
-        gains = []
-        hits = {e.hit.name: e for instant in past.window[one.start :] for e in instant}
-        for instant in fitted.posterior.window:
-            for evidence in instant:
-                old = hits[evidence.hit.name]
-                first, second = past.rest(old), fitted.posterior.rest(evidence)
-                gains.append(old.weight * float(first @ first - second @ second))
-        most = math.ceil(len(gains) * SPEAKING)
-        rest = sum(sorted(gains)[:-most]) / self.calibration.of(one.effect)
-        return fitted if sum(gains) > KEPT * one.gain and rest > LEAST_GAIN else None
+        gains = self._gains(before, fitted)
+        inflation = self.calibration.of(one.effect)
+        speaking = sum(gain > inflation for gain in gains)
+        since = [e for instant in before.posterior.window[one.start :] for e in instant]
+        if speaking < self.calibration.least_hits(self._mean_time, since):
+            return None
+        if sum(gains) <= KEPT * one.gain or support(gains) <= LEAST_GAIN * inflation:
+            return None
+        promised = one.gain / inflation - float(one.change @ one.change) / WIDTH**2
+        first = self._evidence_of(promised, one.determinant, one.change.size)
+        return replace(one, log_ratio=one.log_ratio + self._ratio(before, fitted) - first), fitted
+
+    def _gains(self, before: Hypothesis, fitted: Hypothesis) -> list[float]:
+        """Fall of the sum of squared whitened residuals of every hit since a change."""
+        past = {e.hit.name: e for instant in before.posterior.window for e in instant}
+        found = []
+        for evidence in (e for instant in fitted.posterior.window for e in instant):
+            old = past[evidence.hit.name]
+            first, second = before.posterior.rest(old), fitted.posterior.rest(evidence)
+            found.append(old.weight * float(first @ first - second @ second))
+        return found
+
+    def _ratio(self, before: Hypothesis, fitted: Hypothesis) -> float:
+        """Logarithm of the likelihood ratio of an explanation about its estimate, by the hits since then."""
+        assert self.candidate is not None and fitted.origin is not None
+        numbers, inflation = list(fitted.origin.numbers), self.calibration.of(fitted.effect)
+        place = [fitted.posterior.followed.index(number) for number in numbers]
+        covariance = inflation * fitted.posterior.covariance_of_followed()[np.ix_(place, place)]
+        known = np.linalg.inv(covariance) - np.eye(len(place)) / (inflation * WIDE**2)
+        moved = (self._values(fitted)[numbers] - fitted.origin.old) / self.candidate.scale[numbers]
+        prior = float(moved @ np.linalg.solve(covariance + WIDTH**2 * np.eye(len(place)), moved))
+        _, determinant = np.linalg.slogdet(np.eye(len(place)) + WIDTH**2 * known)
+        explained = sum(self._gains(before, fitted)) / inflation - prior
+        return self._evidence_of(explained, float(determinant), len(place))
+
+    def _evidence_of(self, explained: float, determinant: float, size: int) -> float:
+        """Logarithm of a likelihood ratio, by Student's t: what is explained, and log det(1 + D I D)."""
+        nu = self.calibration.freedom
+        return 0.5 * (nu + size) * math.log1p(max(explained, 0.0) / nu) - 0.5 * determinant
 
     def _about(self, before: Hypothesis, one: ChangeExplanation) -> Hypothesis:
         """An explanation, linearised about its estimate."""
@@ -651,7 +754,7 @@ class Follower:
         past.forget_window()
         if len(seen) < len(numbers):  # what changed shows shapes that nothing depended on before
             self._look_at(sorted({*self.active, *numbers}))
-        return self._fitted(Origin(past, tuple(numbers), old), hits, point, one.effect)
+        return self._fitted(Origin(before.point, past, tuple(numbers), old), hits, point, one.effect)
 
     def _fitted(self, origin: Origin, hits: Sequence[Sequence[Hit]], point: Array, effect: str) -> Hypothesis:
         """Gauss-Newton on the hits since a change, with the parameters of its effect free."""
@@ -662,19 +765,37 @@ class Follower:
         point = point.copy()
         point[numbers] = np.clip(point[numbers], lower, upper)
         for step in range(STEPS):
-            posterior = origin.past.refollowed(followed, numbers, (origin.old - point[numbers]) / scale)
-            for instant in hits:
-                evidence = [e for hit in instant if (e := self._evidence(hit, point)) is not None]
-                posterior.make_room((e.hit.group, e.patterns.shape[1]) for e in evidence)
-                weighed = [replace(e, weight=self._weight(posterior, e)) for e in evidence]
-                if weighed:
-                    posterior.add(weighed)
+            posterior = self._believed_since(origin, followed, hits, point, followed)
             place = [posterior.followed.index(n) for n in numbers]
             there = np.clip(point[numbers] + scale * posterior.mean[place], lower, upper)
             if step == STEPS - 1 or np.all(np.abs(there - point[numbers]) < NEAR * scale):
                 break
             point[numbers] = there
         return Hypothesis(point, posterior, effect=effect, origin=origin)
+
+    def _complete(self, fitted: Hypothesis) -> Hypothesis:
+        """The same with sensitivities to all parameters, for the test of the next hits."""
+        assert fitted.origin is not None
+        hits = [[e.hit for e in instant] for instant in fitted.posterior.window]
+        whole = self._believed_since(fitted.origin, fitted.posterior.followed, hits, fitted.point, self.active)
+        return replace(fitted, posterior=whole)
+
+    def _believed_since(
+        self, origin: Origin, followed: tuple[int, ...], hits: Sequence[Sequence[Hit]], point: Array,
+        parameters: Sequence[int],
+    ) -> Posterior:  # fmt: skip
+        """Posterior of what was known before a change and the hits since then, linearised about a point."""
+        assert self.candidate is not None
+        numbers = list(origin.numbers)
+        shift = (origin.old - point[numbers]) / self.candidate.scale[numbers]
+        posterior = origin.past.refollowed(followed, numbers, shift)
+        for instant in hits:
+            evidence = [e for hit in instant if (e := self._evidence(hit, point, parameters)) is not None]
+            posterior.make_room((e.hit.group, e.patterns.shape[1]) for e in evidence)
+            weighed = [replace(e, weight=self._weight(posterior, e)) for e in evidence]
+            if weighed:
+                posterior.add(weighed)
+        return posterior
 
     def _weight(self, posterior: Posterior, evidence: HitEvidence) -> float:
         """Weight of a hit."""
@@ -686,7 +807,7 @@ class Follower:
         if hypothesis.origin is None:
             return hypothesis
         hits = [[e.hit for e in instant] for instant in hypothesis.posterior.window]
-        found = self._fitted(hypothesis.origin, hits, self._values(hypothesis), hypothesis.effect)
+        found = self._complete(self._fitted(hypothesis.origin, hits, self._values(hypothesis), hypothesis.effect))
         found.log_weight = hypothesis.log_weight
         return found
 
@@ -725,42 +846,72 @@ class Follower:
         return tuple(found)
 
     def _apart(self) -> str:
-        """The condition in which one hit decides best between the explanations."""
-        best: tuple[float, str] = (0.0, "")
-        for condition, hit in self._last.items():
-            if not condition:
-                continue
-            pair = [self._predicted(one, hit) for one in self.hypotheses[:2]]
-            if pair[0] is None or pair[1] is None:
-                continue
-            apart = self._scatter[hit.layout].whiten @ (pair[0][0] - pair[1][0])
-            best = max(best, (float(np.linalg.norm(apart)), condition))
-        size, condition = best
-        free = [one.effect for one in self.hypotheses if self._seen_free(one.effect)]
-        if size > APART:
-            return f"one hit of {condition} decides between them ({size:.1f} standard deviations)"
-        if 0 < len(free) < len(self.hypotheses):
-            return f"a free motion decides between them: {' and '.join(free)} would show there"
-        others = [(self._distance(hit), hit.condition) for hit in self.door.unmeasured()]
-        further, other = max(others, default=(0.0, ""))
-        if further > APART:
-            return f"a trial of {other}, not measured yet, decides between them ({further:.1f} standard deviations)"
-        scenes = [self._scene(self._values(one), self._last[""].physics) for one in self.hypotheses[:2]]
-        rest = "weigh the object" if weighs(*scenes) else "hit otherwise"
-        if condition:
-            return f"hits like these hardly decide ({condition}: {size:.1f} standard deviations); {rest}"
-        return f"hits like these hardly decide between them; {rest}"
+        """What distinguishes the explanations best: a hit that was measured, a check without one, or a new trial."""
+        names = [one.effect for one in self.hypotheses]
+        shares = self.probabilities().tolist()[1:]
+        measured = [(name, hit) for name, hit in self._last.items() if name]
+        measured = measured or [(f"the kind of {hit.name}", hit) for hit in self._last.values()]
+        found = [self._telling(f"one hit of {name}", hit) for name, hit in measured]
+        found += [self._checked(check) for check in CHECKS]
+        free = [self._seen_free(name) for name in names]
+        if any(free) and self._last[""].physics.arms:
+            seen = " and ".join(name for name, own in zip(names, free, strict=True) if own)
+            apart = tuple(math.inf if own != free[0] else 0.0 for own in free[1:])
+            found.append(Telling("a free motion", apart, f"{seen} would show there"))
+        best = most_telling(found, shares)
+        if best is None or min(best.distances) <= APART:
+            hits = self.door.unmeasured([hit for _, hit in measured])
+            found += [self._telling(f"a hit of {hit.condition}, not measured yet,", hit) for hit in hits]
+            best = most_telling(found, shares)
+        if best is not None:
+            return telling_words(best, names[0], names[1:])
+        return "no hit of these kinds and nothing that can be measured without one distinguishes them"
 
-    def _distance(self, hit: Hit) -> float:
-        """Distance of what the two likeliest explanations predict for a trial, in standard deviations."""
+    def _telling(self, words: str, hit: Hit) -> Telling:
+        """How well a hit distinguishes the likeliest explanation from the others."""
+        first, *others = (self._forecast(one, hit) for one in self.hypotheses)
+        distances = []
+        for other in others:
+            if first is None or other is None:
+                distances.append(0.0)
+                continue
+            apart, covariance = first[0] - other[0], 0.5 * (first[1] + other[1])
+            distances.append(math.sqrt(squared_distance(apart, covariance, self.calibration.of_hits)))
+        return Telling(words, tuple(distances), f"{min(distances):.1f} standard deviations")
+
+    def _forecast(self, hypothesis: Hypothesis, hit: Hit) -> tuple[Array, Array] | None:
+        """Mean ``(F,)`` and covariance ``(F, F)`` of what a hit will measure, whitened; None without a contact."""
+        evidence = self._evidence(hit, hypothesis.point) if hit.layout in self._scatter else None
+        if evidence is None:
+            return None
+        posterior = hypothesis.posterior.copy()
+        posterior.make_room([(hit.group, evidence.patterns.shape[1])])
+        innovation, covariance = posterior.innovation(evidence)
+        return self._scatter[hit.layout].whiten @ hit.measured - innovation, covariance
+
+    def _checked(self, check: HitlessCheck) -> Telling:
+        """How well a measurement without a hit distinguishes the likeliest explanation from the others."""
+        read = [self._read(check, one) for one in self.hypotheses]
+        (first, width), *others = read
+        noise = check.least / APART
+        distances = tuple(abs(first - other) / math.sqrt(noise**2 + width**2 + own**2) for other, own in others)
+        unit = f" {check.unit}" if check.unit else ""
+        expected = (f"{value:.3g}{unit} if {one.effect}" for (value, _), one in zip(read, self.hypotheses, strict=True))
+        return Telling(f"one measurement, {check.words},", distances, ", ".join(expected))
+
+    def _read(self, check: HitlessCheck, hypothesis: Hypothesis) -> tuple[float, float]:
+        """What a measurement without a hit reads, and its standard deviation for the parameters are uncertain."""
         assert self.candidate is not None
-        if hit.layout not in self._scatter:
-            return 0.0
-        points = [self._values(one) for one in self.hypotheses[:2]]
-        first, second = self.door.predict(hit, [replace(self.candidate, point=one).split(one) for one in points])
-        if first is None or second is None:
-            return 0.0
-        return float(np.linalg.norm(self._scatter[hit.layout].whiten @ (first - second)))
+        physics, values = self._last[""].physics, self._values(hypothesis)
+        centre = check.of(self._scene(values, physics))
+        slopes = []
+        for number in hypothesis.posterior.followed:
+            step = 0.1 * self.candidate.scale[number]
+            step = step if values[number] + step <= self.candidate.upper[number] else -step
+            moved = values + step * (np.arange(values.size) == number)
+            slopes.append((check.of(self._scene(moved, physics)) - centre) * self.candidate.scale[number] / step)
+        covariance = hypothesis.posterior.covariance_of_followed()
+        return centre, math.sqrt(max(float(np.array(slopes) @ covariance @ np.array(slopes)), 0.0))
 
     def _scene(self, values: Array, physics: Physics) -> Physics:
         """Physics with the effects that are followed at some values."""
@@ -786,28 +937,30 @@ class Follower:
         unwhiten = np.linalg.inv(self._scatter[hit.layout].whiten)
         return hit.measured - unwhiten @ innovation, np.diag(unwhiten @ covariance @ unwhiten.T)
 
-    def _evidence(self, hit: Hit, point: Array) -> HitEvidence | None:
-        """What a hit says about a point; None without a contact."""
-        found = self._linearised(hit, point)
+    def _evidence(self, hit: Hit, point: Array, parameters: Sequence[int] | None = None) -> HitEvidence | None:
+        """What a hit says about a point and parameters around it (None: all active ones); None without a contact."""
+        found = self._linearised(hit, point, self.active if parameters is None else parameters)
         if found is None:
             return None
         predicted, jacobian = found
         whiten = self._scatter[hit.layout].whiten
         return HitEvidence(hit, whiten @ (hit.measured - predicted), whiten @ jacobian, whiten @ hit.discrepancy.T)
 
-    def _linearised(self, hit: Hit, point: Array) -> tuple[Array, Array] | None:
-        """Predicted features ``(F,)`` and sensitivities per scale ``(F, p)`` at a point; None without a contact."""
+    def _linearised(self, hit: Hit, point: Array, parameters: Sequence[int]) -> tuple[Array, Array] | None:
+        """Predicted features ``(F,)`` and sensitivities per scale ``(F, p)`` at a point; None without a contact.
+
+        Sensitivities to other parameters are 0.
+        """
         assert self.candidate is not None
-        own = replace(self.candidate, point=point)
-        key = (hit.shared, point.tobytes())
+        own, numbers = replace(self.candidate, point=point), tuple(parameters)
+        key = (hit.shared, point.tobytes(), numbers)
         if hit.shared and key in self._jacobians:
             (predicted,) = self.door.predict(hit, [own.split(point)])
             return None if predicted is None else (predicted, self._jacobians[key])
-        numbers = self.active
-        if (plan := self._plans.get(point.tobytes())) is None:
+        if (plan := self._plans.get(key[1:])) is None:
             steps = own.steps(self._joints)
             moved = [point + steps[number] * (np.arange(point.size) == number) for number in numbers]
-            plan = self._plans[point.tobytes()] = steps, [own.split(one) for one in (point, *moved)]
+            plan = self._plans[key[1:]] = steps, [own.split(one) for one in (point, *moved)]
         steps, points = plan
         predicted, *others = self.door.predict(hit, points)
         if predicted is None:

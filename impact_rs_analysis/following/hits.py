@@ -11,7 +11,7 @@ import itertools
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -30,10 +30,13 @@ from impact_rs_sim.model import Model
 from impact_rs_sim.physics import Physics
 from impact_rs_sim.robot import Array
 from impact_rs_sim.scenario import Scenario
+from impact_rs_sim.scene import ArmState
 from impact_rs_trials.bags.reader import recorded_at
-from impact_rs_trials.recordings.impact_table import ImpactTable, name_of_row
+from impact_rs_trials.recordings.impact_table import ImpactRow, ImpactTable, name_of_row
 from impact_rs_trials.runs import label_of
 from impact_rs_trials.spec import TrialSpec
+
+SPEEDS = ((2.0, "at twice the speed"), (0.5, "at half the speed"))  # of hits that were measured
 
 
 @dataclass(frozen=True)
@@ -121,8 +124,12 @@ class Door(ABC):
         features = next(hit.features for hit in first if hit.layout == layout)
         return np.array([feature.relevance_limit for feature in features])
 
-    def unmeasured(self) -> Iterator[Hit]:
-        """Trials of the same scenarios that were not measured yet, as the model predicts them."""
+    def unmeasured(self, measured: Sequence[Hit]) -> Iterator[Hit]:
+        """Hits that were not measured yet, as the model predicts them; their condition is what to do.
+
+        Args:
+            measured: The last hit of every condition.
+        """
         yield from ()
 
     @abstractmethod
@@ -204,6 +211,17 @@ class TableDoor(Door):
         assert isinstance(hit, RowHit)
         return hit.source.predict_row(hit.place, added)
 
+    def unmeasured(self, measured: Sequence[Hit]) -> Iterator[Hit]:
+        """See :meth:`Door.unmeasured`: the same hits at other speeds."""
+        assert self._table is not None
+        rows = {name_of_row(row.number): row for row in self._table.rows}
+        for hit in measured:
+            for factor, words in SPEEDS:
+                one = replace(self._table, rows=(_at_speed(rows[hit.name], factor),), noise=None, variants=())
+                with suppress(InputError):  # the map has no solution
+                    source = ImpactTableSource(one, self.model, discrepancy=self._discrepancy, remarks=False)
+                    yield replace(_hit(source, 0), condition=f"{hit.condition or hit.name} {words}", group=hit.group)
+
     def _reread(self) -> ImpactTable:
         """The table as it is now, with a model for its arms."""
         table = self._table = self._read()
@@ -223,6 +241,14 @@ class TableDoor(Door):
             half = len(places) // 2
             return [*self._hits(table, places[:half]), *self._hits(table, places[half:])]
         return [_hit(own, place) for place in range(len(places))]
+
+
+def _at_speed(row: ImpactRow, factor: float) -> ImpactRow:
+    """A row with all velocities times a factor."""
+    impact = row.impact
+    arms = {name: ArmState(state.position, factor * state.velocity) for name, state in impact.arms.items()}
+    body = replace(impact.object, twist=factor * impact.object.twist)
+    return replace(row, impact=replace(impact, arms=arms, object=body), after=factor * row.after)
 
 
 def _hit(own: ImpactTableSource, place: int) -> RowHit:
@@ -311,8 +337,9 @@ class BagDoor(Door):
             found[name] = self._arrived(run, self._directory / name)
         return found
 
-    def unmeasured(self) -> Iterator[Hit]:
+    def unmeasured(self, measured: Sequence[Hit]) -> Iterator[Hit]:
         """See :meth:`Door.unmeasured`: every object and case, simulated by the twin; what fails is left out."""
+        del measured
         for scenario in list(self._scenarios.values()):
             for item, case in itertools.product(scenario.objects, scenario.cases):
                 spec = TrialSpec.of(scenario, item, case)

@@ -59,6 +59,7 @@ class Change(Schema):
     false_alarm: float = Field(description="mean number of hits to a false alarm at this evidence, at least")
     causes: tuple[Cause, ...] = Field(description="explanations, the likeliest first")
     again: bool = Field(False, description="whether the likeliest effect was announced before: it drifts")
+    instead: str = Field("", description="effect that was named for the same hits before; empty: it is a new change")
     apart: str = Field("", description="what decides between the explanations")
     words: str = Field(description="the change in a sentence")
 

@@ -10,6 +10,7 @@ from typing import Any
 
 import pytest
 from documents import comparison, diagnosis
+from processes import killed_at_file
 
 from impact_rs_analysis import investigation
 from impact_rs_analysis.diagnosis.discovery_document import DiscoveryDocument, LawDocument
@@ -543,6 +544,29 @@ def test_a_kill_before_or_after_every_write_loses_nothing(start: Start, monkeypa
     assert kills == 2 * len(done) >= 2 * (len(expected) - 2)  # all but the settings, which were there
     assert story(killed.directory) == expected
     assert bench.measured == trials  # no trial is measured twice
+
+
+@pytest.mark.parametrize("after", [False, True], ids=["before", "after"])
+@pytest.mark.parametrize("name", ["discovery.json", "model_2.yaml", "decision.json", "ending.json"])
+def test_sigkill_at_a_file_of_an_investigation_with_a_law_loses_nothing(
+    start: Start, monkeypatch: pytest.MonkeyPatch, name: str, after: bool
+) -> None:
+    """A real SIGKILL: nothing is tidied up."""
+    monkeypatch.setattr(investigation, "discover", lambda *_: law_found())
+    undisturbed, bench = start(outside)
+    undisturbed.run()
+    expected = story(undisturbed.directory)
+    killed, _ = start(outside, folder="killed")
+    assert killed_at_file(killed.run, name, after)
+    there = next((killed.directory / "rounds").rglob(name), killed.directory / name)
+    assert there.exists() == after
+    killed.run()
+    found = story(killed.directory)
+    left = [path for path in found if path.endswith(".partial")]
+    assert len(left) == (not after)
+    assert {path: text for path, text in found.items() if path not in left} == expected
+    trials = sorted(path.name for path in (killed.directory / "runs").glob("*/*/*"))
+    assert trials == sorted(Path(path).name for path in bench.measured)  # none is missing, none is measured twice
 
 
 def test_a_kill_between_two_trials_repeats_none(start: Start) -> None:

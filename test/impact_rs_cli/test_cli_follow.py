@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 from impact_table_cases import arm_table, write_csv
+from processes import killed_at_file
 
 from impact_rs_analysis.diagnosis.document import read_document
 from impact_rs_analysis.following.follow import Follower
@@ -91,6 +92,36 @@ def test_a_kill_in_the_first_pass_loses_no_hit_and_resumes_as_if_there_was_none(
         assert own["error"] == (None if expected["error"] is None else pytest.approx(expected["error"], rel=1e-6))
         assert (own["change"] is None) == (expected["change"] is None)
     assert rest["followed"][0]["estimate"] == pytest.approx(whole["followed"][0]["estimate"], rel=1e-6)
+
+
+def test_sigkill_before_or_after_every_written_file_loses_no_hit_and_no_change(
+    tmp_path: Path, document: Callable[..., dict[str, Any]]
+) -> None:
+    """A real SIGKILL at each state, and at the model; nothing is tidied up."""
+    header, quiet = arm_table({}, 3, 1)
+    _, heavier = arm_table({"object_mass": [1.4]}, 1, 2)
+    order = np.random.default_rng(0).permutation(len(quiet))
+    path = write_csv(tmp_path / "hits.csv", header, [*(quiet[n] for n in order), *heavier])
+    words = ("follow", path, "--scenario", "push", "--learn", 10, "--effects", "object_mass", "--no-diagnosis")
+    whole = document(*words)
+    (change,) = [hit["change"] for hit in whole["hits"] if hit["change"] is not None]
+    count, killed = 0, True
+    while killed:
+        count += 1
+        for after in (False, True):
+            folder = tmp_path / f"killed_{count}_{after}"
+            files = ("--state", folder / "state.npz", "-o", folder / "now.yaml")
+            killed = killed_at_file(lambda: main([str(word) for word in (*words, *files)]), count, after)  # noqa: B023
+            model = folder / "now.yaml"
+            there = model.exists()
+            rest = document(*words, *(files[:2] if there else files))
+            assert model.exists()
+            names = [hit["name"] for hit in rest["hits"]]
+            assert names == [hit["name"] for hit in whole["hits"]][len(whole["hits"]) - len(names) :]
+            assert change["hit"] in names or (folder / "state.npz").exists()
+            (mass,), (expected,) = rest["followed"], whole["followed"]
+            assert mass["estimate"] == pytest.approx(expected["estimate"], rel=1e-6)
+    assert count >= 5  # two states in the first pass, its end, the model
 
 
 def test_the_first_pass_says_how_far_it_is(

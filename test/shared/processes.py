@@ -3,13 +3,16 @@
 
 from __future__ import annotations
 
+import itertools
 import os
 import re
 import signal
 import subprocess
 import time
+import traceback
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
+from pathlib import Path
 from queue import Empty, Queue
 from threading import Thread
 from typing import Any
@@ -24,6 +27,49 @@ def until(condition: Callable[[], Any], step: Callable[[], Any], what: str = "no
         assert time.monotonic() < deadline, what
         step()
     return found
+
+
+def killed_at_file(work: Callable[[], object], which: int | str, after: bool) -> bool:
+    """Do work in a fork of this process, which is killed (SIGKILL) at a file that it writes.
+
+    Args:
+        work: What to do.
+        which: The file: its number, counted from 1, or its name, the first time.
+        after: Whether to kill just after the file has got its name, and not just before.
+
+    Returns:
+        Whether it was killed; False: it has ended well without that file.
+    """
+    child = os.fork()
+    if child == 0:
+        try:
+            _kill_at(which, after)
+            work()
+            os._exit(0)
+        except BaseException:
+            traceback.print_exc()
+        finally:
+            os._exit(1)
+    _, status = os.waitpid(child, 0)
+    code = os.waitstatus_to_exitcode(status)
+    assert code in (0, -signal.SIGKILL), f"it has failed with {code}"
+    return code != 0
+
+
+def _kill_at(which: int | str, after: bool) -> None:
+    """Kill this process when a file gets its name."""
+    replace, numbers = Path.replace, itertools.count(1)
+
+    def killing(self: Path, target: Path) -> Path:
+        due = which in (next(numbers), target.name)
+        if due and not after:
+            os.kill(os.getpid(), signal.SIGKILL)
+        found = replace(self, target)
+        if due:
+            os.kill(os.getpid(), signal.SIGKILL)
+        return found
+
+    Path.replace = killing  # type: ignore[method-assign, assignment]
 
 
 class Running:

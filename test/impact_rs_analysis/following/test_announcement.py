@@ -2,11 +2,12 @@
 """A change as a person says it: kilograms, percent, and the parameters behind them."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from impact_rs_analysis.following.announcement import in_words, weighs
+from impact_rs_analysis.following.announcement import Telling, in_words, most_telling, telling_words
 from impact_rs_analysis.following.lessons import Followed
 from impact_rs_sim.effects import library
 from impact_rs_sim.physics import Physics
@@ -44,15 +45,38 @@ def test_friction_is_said_in_percent_of_what_it_was_just_before() -> None:
     assert again.startswith(f"friction of the support is {10.0 / (friction + 0.1):.2g} % lower (")
 
 
-def test_joints_that_warm_up_lose_a_share_of_their_friction_and_from_none_there_is_no_share() -> None:
+def test_joints_that_warm_up_lose_a_share_of_their_friction_and_from_none_gain_it_in_newton_metres() -> None:
     before, after = [0.2] * 7, [0.15] * 7
     warmer = words("joint_coulomb_friction", "coulomb_joint1", before, after, JUICE)
     assert warmer.startswith("dry friction of the joints is 25 % lower (joint_coulomb_friction: coulomb_joint1 -0.050")
     assert words("joint_coulomb_friction", "coulomb_joint1", [0.0] * 7, before, JUICE).startswith(
-        "joint_coulomb_friction: coulomb_joint1 +0.200"
+        "dry friction of the joints is 0.2 N m higher (joint_coulomb_friction: coulomb_joint1 +0.200"
     )
 
 
-@pytest.mark.parametrize(("effect", "scale"), [("object_mass", True), ("support_friction", False)])
-def test_a_scale_decides_where_explanations_differ_in_the_mass_of_the_object(effect: str, scale: bool) -> None:
-    assert weighs(JUICE, library()[effect].apply_vector(JUICE, np.array([1.2]))) == scale
+def test_friction_of_a_pad_without_any_is_said_as_it_is() -> None:
+    smooth = replace(JUICE, pad_friction=0.0)
+    assert words("pad_friction", "friction", [0.0], [0.25], smooth).startswith("friction of the pad is 0.25 higher (")
+
+
+HIT, LIFT = Telling("a hit", (1.0, 9.0), "9"), Telling("a lift", (9.0, 1.0), "12 N")
+
+
+@pytest.mark.parametrize(
+    ("found", "shares", "expected"),
+    [
+        ((HIT, LIFT), (0.3, 0.2), "a lift distinguishes mass from friction (12 N)"),
+        ((HIT, LIFT), (0.2, 0.3), "a hit distinguishes mass from inertia (9)"),
+        ((HIT, LIFT, Telling("both", (9.0, 9.0), "1")), (0.2, 0.3), "both distinguishes them (1)"),
+        ((Telling("another hit", (1.0, 9.0), "9"), HIT), (0.2, 0.3), "another hit distinguishes mass from inertia (9)"),
+    ],
+)
+def test_what_tells_the_likelier_causes_apart_is_proposed_and_of_equals_the_first(
+    found: Sequence[Telling], shares: Sequence[float], expected: str
+) -> None:
+    best = most_telling(found, shares)
+    assert best is not None and telling_words(best, "mass", ("friction", "inertia")) == expected
+
+
+def test_what_tells_nothing_apart_is_not_proposed() -> None:
+    assert most_telling([Telling("a hit", (1.0, 1.9), "1")], (0.2, 0.3)) is None

@@ -16,7 +16,7 @@ from impact_table_cases import arm_table, write_csv
 
 from impact_rs_analysis.evidence.measured_runs import read_trial
 from impact_rs_analysis.evidence.replay_cache import ReplayCache
-from impact_rs_analysis.following import hits
+from impact_rs_analysis.following import follow, hits
 from impact_rs_analysis.following.follow import Follower, HitsSince
 from impact_rs_analysis.following.hits import BagDoor, TableDoor
 from impact_rs_analysis.following.lessons import Change, HitDocument
@@ -98,6 +98,30 @@ def test_quiet_hits_are_no_change_and_are_predicted_as_the_intervals_say(tmp_pat
             covered += (np.abs(hit.measured - prediction[0]) < 1.96 * np.sqrt(prediction[1])).tolist()
         assert not changes(follower.take([hit]))
     assert 0.93 < np.mean(covered) < 0.99
+
+
+def test_a_likely_explanation_that_is_not_the_first_is_linearised_anew(tmp_path: Path) -> None:
+    follower = following(write(tmp_path / "hits.csv", QUIET + rows_of({"object_mass": [1.5]}, 2, seed=2)))
+    *hits, last = list(follower.door.arrived())
+    for hit in hits:
+        follower.take([hit])
+    unlikely, likely = copy.copy(follower.likeliest), follower.likeliest
+    unlikely.log_weight = likely.log_weight - 5.0
+    follower.hypotheses, follower._mean_time = [unlikely, likely], 1e-9
+    follower.take([last])
+    assert follower.followed()[0].estimate == pytest.approx(1.5, abs=0.05)
+
+
+@pytest.mark.parametrize(("effect", "values"), [("pad_friction", [-0.5]), ("object_mass", [0.5])])
+def test_large_changes_whose_sensitivities_bend_are_explained_by_their_effect_in_the_end(
+    tmp_path: Path, effect: str, values: list[float]
+) -> None:
+    """By first-order sensitivities another effect explains the first hits better."""
+    follower = following(write(tmp_path / "hits.csv", QUIET + rows_of({effect: values}, 2, seed=2)))
+    documents = list(follower.arrived())
+    assert follower.likeliest.effect == effect
+    late = [document.error for document in documents[-3:]]
+    assert max(error for error in late if error is not None) < 1.6
 
 
 def test_one_odd_hit_is_no_change_and_moves_the_prediction_little(tmp_path: Path) -> None:
@@ -290,12 +314,62 @@ def test_where_measured_trials_do_not_decide_one_that_was_not_measured_is_propos
     follower.hypotheses = [heavier, bouncing]
     few = PUSH.model_copy(update={"objects": {"juice": PUSH.objects["juice"]}})
     follower.door._scenarios = {"push": few}  # type: ignore[attr-defined]
-    assert follower._apart().startswith("one hit of push/juice/case_2 decides between them")
-    monkeypatch.setattr(follower, "_predicted", lambda *_: None)
-    words = follower._apart()
-    assert words.startswith(("a trial of push/juice/case_1, not measured yet", "a trial of push/juice/case_3, not"))
-    monkeypatch.setattr(follower.door, "unmeasured", lambda: iter(()))
-    assert follower._apart() == "hits like these hardly decide between them; weigh the object"
+    measured = [hit.name for hit in follower._last.values()]
+    assert follower._apart().startswith("one hit of push/juice/case_2 distinguishes them (")
+    forecast = follower._forecast
+    monkeypatch.setattr(follow, "CHECKS", ())
+    monkeypatch.setattr(follower, "_forecast", lambda one, hit: None if hit.name in measured else forecast(one, hit))
+    assert " of push/juice/case_" in (words := follower._apart())
+    assert words.startswith("a hit of push/juice/case_") and ", not measured yet, distinguishes them (" in words
+    monkeypatch.setattr(follower.door, "unmeasured", lambda _: iter(()))
+    assert follower._apart() == "no hit of these kinds and nothing that can be measured without one distinguishes them"
+
+
+@pytest.fixture
+def tied(tmp_path: Path) -> Follower:
+    """An object 30 % heavier, or else a support with 0.2 more friction: nothing is known beside that."""
+    follower = following(write(tmp_path / "hits.csv", QUIET + rows_of({"object_mass": [1.3]}, 2, seed=2)))
+    list(follower.arrived())
+    heavier, rubbing = follower.likeliest, copy.copy(follower.likeliest)
+    assert follower.candidate is not None
+    point = follower.candidate.nominal.copy()
+    point[follower.candidate.part("support_friction")] = 0.2
+    rubbing.effect, rubbing.point, rubbing.log_weight = "support_friction", point, heavier.log_weight - 0.5
+    rubbing.posterior = Posterior.of([], np.array([]))
+    follower.hypotheses = [heavier, rubbing]
+    return follower
+
+
+def test_mass_and_friction_that_no_hit_tells_apart_are_told_apart_by_a_lift(
+    tied: Follower, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(tied, "_forecast", lambda *_: None)
+    mass = tied._last[""].physics.object.mass
+    weights = [9.81 * mass * tied.followed()[0].estimate, 9.81 * mass]
+    expected = f"{weights[0]:.3g} N if object_mass, {weights[1]:.3g} N if support_friction"
+    assert tied._apart() == f"one measurement, lift the object, distinguishes them ({expected})"
+
+
+def test_a_cause_whose_size_is_not_known_is_not_told_apart_by_a_lift(
+    tied: Follower, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(tied, "_forecast", lambda *_: None)
+    heavier = tied.hypotheses[0]
+    heavier.posterior = Posterior.of(heavier.posterior.followed, np.array([100.0]))
+    heavier.point[tied.candidate.part("object_mass")] = 1.3  # type: ignore[union-attr]
+    assert "lift the object" not in tied._apart()
+
+
+def test_hits_at_other_speeds_are_proposed_where_those_at_hand_do_not_decide(
+    tied: Follower, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(follow, "CHECKS", ())
+    forecast = tied._forecast
+    monkeypatch.setattr(tied, "_forecast", lambda one, hit: forecast(one, hit) if "speed" in hit.condition else None)
+    words = tied._apart()
+    assert " at twice the speed, not measured yet, distinguishes them (" in words
+    (fast, slow) = list(tied.door.unmeasured([tied._last[""]]))
+    assert fast.measured == pytest.approx(4.0 * slow.measured)
 
 
 def test_hits_since_a_change_are_enough_for_a_diagnosis_with_three_conditions_and_three_repeats() -> None:
