@@ -19,13 +19,18 @@ import scipy
 
 from impact_rs_sim._kernel import Chain
 from impact_rs_sim.errors import UnreachablePose
+from impact_rs_sim.recent import Recent
 from impact_rs_sim.robot import Array, EndEffector, RobotFacts
 from impact_rs_sim.urdf import write_urdf
 
+TIP = "end_effector"
 STANDARD_GRAVITY = (0.0, 0.0, -9.81)  # m/s^2
 FURTHER_STARTS = 30  # of inverse kinematics, where the guess leads nowhere
 NEWTON_STEPS = 30  # of inverse kinematics; from a guess within a radian six to ten do
 LONGEST_STEP = 0.5  # rad or m, of any joint in one of them
+
+
+_SKELETONS: Recent[tuple[object, pin.Model]] = Recent(64)
 
 
 @dataclass
@@ -71,13 +76,13 @@ class RobotModel:
         self.facts = facts
         self.end_effector = end_effector
         self.base = pin.SE3.Identity() if base is None else base
-        model = _built(facts, end_effector).copy()
+        model = _built(facts, end_effector)
         model.jointPlacements[1] = self.base * model.jointPlacements[1]
         model.gravity.linear = np.asarray(gravity, dtype=float)
         self.pinocchio = model
         self.data = model.createData()
         self.joint_count = model.nq
-        self._frame = model.getFrameId("end_effector")
+        self._frame = model.getFrameId(TIP)
         self._zero = np.zeros(model.nv)
         self.position_min = np.array(facts.limits.position_min_rad)
         self.position_max = np.array(facts.limits.position_max_rad)
@@ -265,10 +270,31 @@ class RobotModel:
         return float(1.0 / (row @ np.linalg.solve(inertia, row)))
 
 
-@functools.lru_cache(maxsize=64)
 def _built(facts: RobotFacts, end_effector: EndEffector) -> pin.Model:
-    """The arm on a base at the origin, cached: a search simulates the same few arms thousands of times."""
-    return pin.buildModelFromXML(write_urdf(facts, end_effector))
+    """The arm on a base at the origin.
+
+    A search moves masses of few arms thousands of times, so that of the same geometry only the inertias are new.
+    Objects stand for themselves in the key, for the hash of all numbers takes longer than the model.
+    """
+    parts = facts.joints, facts.flange, facts.limits
+    place = end_effector.length, end_effector.mount_yaw
+    kept, skeleton = _SKELETONS.of(
+        (*map(id, parts), *place), lambda: (parts, pin.buildModelFromXML(write_urdf(facts, end_effector)))
+    )
+    del kept  # as long as it is known, no other object has its identity
+    model = skeleton.copy()
+    for index, link in enumerate(facts.links, start=1):
+        model.inertias[index] = _inertia(link.mass, np.array(link.com), link.inertia_matrix)
+    mounted = _inertia(end_effector.mass, end_effector.com, end_effector.inertia)
+    model.inertias[model.njoints - 1] += model.frames[model.getFrameId(TIP)].placement.act(mounted)
+    return model
+
+
+def _inertia(mass: float, com: Array, inertia: Array) -> pin.Inertia:
+    """Inertia of a body, which a fit of torques may take beyond what a body can have: they are linear in it."""
+    found = pin.Inertia.Zero()
+    found.mass, found.lever, found.inertia = mass, com, inertia
+    return found
 
 
 def _missing(target: pin.SE3, placement: pin.SE3) -> Array:

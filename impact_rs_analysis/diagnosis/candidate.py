@@ -25,6 +25,7 @@ from impact_rs_analysis.evidence.cluster import Added, Cluster
 from impact_rs_analysis.evidence.source import Source
 from impact_rs_sim.effects import Effect, Parameter
 from impact_rs_sim.effects.base import Joints
+from impact_rs_sim.effects.formula import FormulaEffect
 from impact_rs_sim.robot import Array
 
 PROBES = (0.25, 0.5, 1.0)  # shares of the way to the ends of a range, where an effect is looked for
@@ -132,10 +133,14 @@ class Candidate:
     def curved(self, index: int) -> bool:
         """Whether the valley of the error is curved along a parameter: its effect has several shapes without a grid.
 
-        The length of a cable and the place of its end, for example, change the error together.
+        The length of a cable and the place of its end, for example, change the error together. The place of a payload
+        does not: torques are linear in its mass and first moment, and steps of the fit lead to the bottom.
         """
-        part = next(part for _, part in self.parts if part.start <= index < part.stop)
-        return sum(scalar.shape and not scalar.grid for scalar in self.scalars[part]) > 1
+        effect, part = next(item for item in self.parts if item[1].start <= index < item[1].stop)
+        return (
+            isinstance(effect, FormulaEffect)
+            and sum(scalar.shape and not scalar.grid for scalar in self.scalars[part]) > 1
+        )
 
     def probes(self, index: int) -> list[Array]:
         """Points over the range of one parameter, nearest first, ``(p,)`` each."""

@@ -33,6 +33,7 @@ from impact_rs_analysis.evidence.tracks import ComparedSignal, Track, track_of_m
 from impact_rs_sim.errors import InputError, NotABody
 from impact_rs_sim.model import Model
 from impact_rs_sim.physics import Physics
+from impact_rs_sim.recent import Recent
 from impact_rs_sim.robot import Array, joined_units
 from impact_rs_trials.recordings.mapping import Mapping
 from impact_rs_trials.recordings.recording import ARM
@@ -46,6 +47,8 @@ SLOW = 0.05  # rad/s, m/s
 SIGNAL = "torque"
 PHASES = ("moving up", "moving down", "slow")
 WHAT = "torque balance of the arm in free motion, both sides low-passed"
+MOST_MEMORY = 2**28  # bytes, of predicted torques that are kept
+LEAST_KEPT = 64  # of them, as many as a linearisation asks for
 TORQUE_SCALE = {"link": 0.01, "motor": 0.02}  # standard deviation, over the torque (torque sensors of arms: 1 to 2 %)
 LEAST_SAMPLES = 5  # of a phase of one joint; fewer are not reported
 
@@ -126,7 +129,7 @@ class RecordingSource(Source):
         self._units = [(int(joint), physics.arms[ARM].facts.units[joint]) for joint in self.balance.joints]
         self.size_unit = self.residual_unit = joined_units(units.effort for _, units in self._units)
         self._stretches = tuple(stretches)
-        self._predicted: dict[Added, Array | None] = {}
+        self._predicted = Recent[Array | None](max(LEAST_KEPT, int(MOST_MEMORY / self.balance.recorded.nbytes)))
         self.clusters = tuple(self._cluster(number) for number in range(len(self._stretches)))
         remarks = (f"{item.path.name}: {remark}" for item in (*recordings, *minus) for remark in item.remarks)
         self.reading = tuple(dict.fromkeys(remarks))
@@ -315,15 +318,16 @@ class RecordingSource(Source):
 
     def _torque(self, added: Added) -> Array | None:
         """Predicted torque of all recordings, ``(k, n)`` [N m]; None without positive inertia."""
-        if added not in self._predicted:
-            physics = self.physics
-            try:
-                for name, values in added:
-                    physics = self._known[name].apply_vector(physics, np.array(values))
-                self._predicted[added] = self.balance.predict(physics)
-            except NotABody:
-                self._predicted[added] = None
-        return self._predicted[added]
+        return self._predicted.of(added, lambda: self._torque_anew(added))
+
+    def _torque_anew(self, added: Added) -> Array | None:
+        physics = self.physics
+        try:
+            for name, values in added:
+                physics = self._known[name].apply_vector(physics, np.array(values))
+            return self.balance.predict(physics)
+        except NotABody:
+            return None
 
     def _cluster(self, number: int) -> Cluster:
         stretch = self._stretches[number]

@@ -1,12 +1,18 @@
 # SPDX-License-Identifier: Apache-2.0
 """One URDF, two engines: Pinocchio and Bullet must see the same arm."""
 
+from dataclasses import replace
+
 import numpy as np
 import pinocchio as pin
 import pytest
 
 from impact_rs_sim.bullet_world import BulletWorld
 from impact_rs_sim.errors import UnreachablePose
+from impact_rs_sim.physics import Physics
+from impact_rs_sim.robot_model import RobotModel
+from impact_rs_sim.scenario import load_scenario
+from impact_rs_sim.urdf import write_urdf
 
 
 def random_configurations(model, count, seed=0):
@@ -112,3 +118,20 @@ def test_unreachable_pose_says_so(scene):
         model.inverse_kinematics(far, {0: 0.0}, scene.arms["arm"].position)
     with pytest.raises(UnreachablePose, match="limits"):
         model.inverse_kinematics(far, {0: 4.0}, scene.arms["arm"].position)
+
+
+@pytest.mark.parametrize("name", ["push", "push_ur5e", "push_iiwa7"])
+def test_an_arm_with_other_masses_is_the_one_that_its_urdf_describes(name):
+    """In both orders, for the second arm of one geometry takes it from the first."""
+    arm = Physics.nominal(load_scenario(name), "parcel").arms["arm"]
+    changed = {"mass": 3.0, "com": (0.01, -0.02, 0.03), "inertia": (-0.01, 0.0, 0.0, 0.02, 0.0, 0.02)}  # of no body
+    heavier = tuple(link.model_copy(update=changed) for link in arm.facts.links)
+    other = arm.facts.model_copy(update={"links": heavier})
+    loaded = replace(arm.end_effector, mass=2.0, com=np.array([0.02, 0.01, -0.03]))
+    longer = replace(loaded, length=arm.end_effector.length + 0.1)
+    for facts, effector in ((arm.facts, arm.end_effector), (other, loaded), (other, longer), (arm.facts, loaded)):
+        ours = RobotModel(facts, effector).pinocchio
+        theirs = pin.buildModelFromXML(write_urdf(facts, effector))
+        for mine, described in zip(ours.inertias, theirs.inertias, strict=True):
+            assert mine.toDynamicParameters() == pytest.approx(described.toDynamicParameters(), abs=1e-14)
+        assert ours.frames[-1].placement.isApprox(theirs.frames[-1].placement, 1e-14)
