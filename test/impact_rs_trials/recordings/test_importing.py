@@ -703,3 +703,28 @@ def test_a_bag_with_the_pose_of_an_object_is_a_hit_and_one_without_is_free_motio
     assert mapping.signals["object_pose"].topic == topics.OBJECT_POSE
     assert draft.texts["runs.csv"].splitlines()[1:] == ["run_1,parcel,hit", "run_2,none,free motion"]
     assert not any("refuses" in remark for remark in draft.remarks)
+
+
+def test_a_log_of_rtde_is_read_by_its_own_names(tmp_path: Path, motion: Columns) -> None:
+    """As its recorder writes it: spaces, joints from 0 on, targets and currents beside what was measured."""
+    zero = {stem: numbered(f"{stem}_", 0) for stem in ("target_q", "actual_q", "actual_qd", "actual_current")}
+    names = ["timestamp", *(name for group in zero.values() for name in group)]
+    late = np.roll(motion["position"], -8, axis=0)
+    columns = [7000.0 + TIME, late, motion["position"], motion["velocity"], motion["effort"] / 9.0]
+    draft = draft_import(
+        [write(tmp_path / "rtde.csv", names, columns, separator=" ")], tmp_path / "lab", Wishes(robot="kuka_iiwa7")
+    )
+    signals = load_mapping(described(draft, tmp_path / "lab")).signals
+    assert said_of(draft, "signals.position").startswith("actual_q_0")
+    assert said_of(draft, "signals.velocity").startswith("actual_qd_0")
+    assert said_of(draft, "signals.torque.unit").startswith("A ") and "torque" in signals
+
+
+def test_a_log_of_fri_takes_the_torque_that_was_measured(tmp_path: Path, motion: Columns) -> None:
+    """Positions without velocities; the external torque beside the measured one is a small part of it."""
+    names = ["time", *numbered("MeasuredJointPosition"), *numbered("MeasuredTorque"), *numbered("ExternalTorque")]
+    columns = [TIME, motion["position"], motion["effort"], 0.1 * motion["effort"]]
+    draft = draft_import([write(tmp_path / "fri.csv", names, columns)], tmp_path / "lab", Wishes(robot="kuka_iiwa7"))
+    assert said_of(draft, "signals.torque").startswith("MeasuredTorque1")
+    (run,) = read_recordings(tmp_path / "fri.csv", load_mapping(described(draft, tmp_path / "lab")))
+    np.testing.assert_allclose(run.signals.arms["arm"].torque, motion["effort"], atol=1e-6)
