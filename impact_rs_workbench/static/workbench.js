@@ -34,7 +34,7 @@ const ABOUT = {
   impacts: {title: 'Impacts', text: 'Positions on both sides of an impact are fitted: parabolas of joints, sliding or flight of the object. Whatever gives ' +
     'no row is listed with the reason.', units: 'in the header of each column', page: 'your_data.md'},
   follow: {title: 'Follow', text: 'The first hits teach the scatter. A change is announced with its first hit, its evidence and the effects that explain it. ' +
-    'At most one alarm in 10,000 hits is false where noise is as the first hits show it.', units: 'beside each number', page: 'following.md'},
+    'At most one alarm in 10,000 hits is false where noise is Gaussian, as large as in the first hits; a day that drifts raises more.', units: 'beside each number', page: 'following.md'},
   evidence: {title: 'Evidence', text: 'A package holds the model, its diagnosis, digests of the measurements, and versions. A merge pools each parameter ' +
     'and names the laboratory that does not agree.', units: 'those of the parameters', page: 'exchange.md'},
   laboratory: {title: 'Runs of another controller', text: 'A robot that pushes a box with its own controller: joint states, torque, ' +
