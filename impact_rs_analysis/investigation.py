@@ -113,6 +113,7 @@ class RoundDecision(Schema):
     add: tuple[str, ...] = Field((), description="effects that the new models have, in order")
     models: tuple[str, ...] = Field((), description="their files, one for each effect")
     source: str = Field("", description="file of the round that has their estimates")
+    base: str = Field("", description="file of the model that they are added to; empty: the first model")
     verdict: str = Field("", description="the end: EXPLAINED, LAW-HOLDS, NOTHING-MISSING or UNDECIDED")
     tied: tuple[tuple[str, ...], ...] = Field(
         (), description="effects and laws that may be missing, those together that the trials cannot distinguish"
@@ -394,7 +395,8 @@ class Investigation:
         index = done.models.index(name)
         source = here.directory / done.source
         document = read_document(source)
-        parent = self.settings.model if index == 0 else str(self.directory / done.models[index - 1])
+        before = done.base if index == 0 else done.models[index - 1]
+        parent = str(self.directory / before) if before else self.settings.model
         model = load_model(parent)
         # Estimates are those of all effects together, so that a child takes them from the diagnosis of its parent.
         document = document.model_copy(update={"model": _identity(model)})
@@ -492,11 +494,11 @@ def decide(settings: Settings, rounds: Sequence[Round], budget: int) -> RoundDec
             budget=budget,
         )
 
-    def add(names: Sequence[str], source: str, reason: str) -> RoundDecision:
+    def add(names: Sequence[str], source: str, reason: str, base: str = "") -> RoundDecision:
         first = 2 + sum(len(one.decision.models) for one in rounds if one.decision is not None)
         files = tuple(f"model_{first + index}.yaml" for index in range(len(names)))
         tried = "It is tried on new trials."
-        if here.model != settings.model and set(names) == _added(rounds):
+        if here.model != settings.model and not base and set(names) == _added(rounds):
             tried = "The estimates are renewed with all trials. They are tried on new ones."
         if left <= 0:
             tried = f"No trial is left to try {files[-1]} on: the budget of {budget} trials is spent."
@@ -507,7 +509,8 @@ def decide(settings: Settings, rounds: Sequence[Round], budget: int) -> RoundDec
             add=tuple(names),
             models=files,
             source=source,
-            tied=() if left > 0 else tuple((name,) for name in names),
+            base=base,
+            tied=() if left > 0 else tuple((name,) for name in (*sorted(_added(rounds) if base else ()), *names)),
             spent=left <= 0,
             budget=budget,
         )
@@ -560,6 +563,10 @@ def decide(settings: Settings, rounds: Sequence[Round], budget: int) -> RoundDec
             reason += f" {here.discovery.verdict}: {here.discovery.summary}"
             stop = f"{count} discoveries have found no law" if count >= MOST_DISCOVERIES else ""
         return more(reason, (possible,) if possible else (), stop)
+    if further := _further(rounds):
+        assert here.diagnosis is not None
+        reason = f"Beside what {here.model} has, {' and '.join(further)} is named again: {here.diagnosis.summary}"
+        return add(further, "diagnosis.json", reason, here.model)
     return _named(basis, "again.json" if here.again is not None else "diagnosis.json", basis.summary, add, more)
 
 
@@ -733,19 +740,43 @@ def _last_addition(rounds: Sequence[Round]) -> RoundDecision | None:
     return next((one.decision for one in reversed(rounds) if one.decision is not None and one.decision.models), None)
 
 
+def _additions(rounds: Sequence[Round]) -> list[RoundDecision]:
+    """The decisions that led from the first model to the newest one."""
+    made = {one.decision.models[-1]: one.decision for one in rounds if one.decision is not None and one.decision.models}
+    found, last = list[RoundDecision](), _last_addition(rounds)
+    while last is not None:
+        found.insert(0, last)
+        last = made[last.base] if last.base else None
+    return found
+
+
 def _added(rounds: Sequence[Round]) -> set[str]:
     """Effects that the newest model has beyond the first one."""
-    last = _last_addition(rounds)
-    return set() if last is None else set(last.add)
+    return {name for one in _additions(rounds) for name in one.add}
+
+
+def _further(rounds: Sequence[Round]) -> tuple[str, ...]:
+    """Effects that the newest model lacks for certain, in two rounds in a row, although nothing else is to be had.
+
+    The first model is explained by what the newest one has, because a small effect beside a large one lowers the
+    error of the first model by too little.
+    """
+    if len(rounds) < 2 or rounds[-1].again is None or set(rounds[-1].again.named) != _added(rounds):
+        return ()
+    before, now = rounds[-2].diagnosis, rounds[-1].diagnosis
+    if before is None or now is None or not now.named or set(before.named) != set(now.named):
+        return ()
+    if rounds[-2].model == rounds[-1].model or {*now.named} & _added(rounds):
+        return ()  # the same estimates, which may be off
+    confirmed = all((effect := now.effect(name)) is not None and effect.verdict == CONFIRMED for name in now.named)
+    return now.named if confirmed else ()
 
 
 def _laws_added(rounds: Sequence[Round]) -> tuple[str, ...]:
     """Those of them that a discovery proposed."""
-    last = _last_addition(rounds)
-    if last is None or last.source != "discovery.json":
-        return ()
     laws = {law.name for one in rounds if one.discovery is not None for law in one.discovery.laws}
-    return tuple(name for name in last.add if name in laws)
+    proposed = (one for one in _additions(rounds) if one.source == "discovery.json")
+    return tuple(name for one in proposed for name in one.add if name in laws)
 
 
 def _identity(model: Model) -> ModelIdentity:

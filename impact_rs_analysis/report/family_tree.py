@@ -110,9 +110,10 @@ def family_of(settings: Settings, rounds: Sequence[Round]) -> list[FamilyMember]
     for number, here in enumerate(rounds, start=1):
         if here.decision is None:
             continue
-        parent = settings.model
+        parent = here.decision.base or settings.model
+        first = 1 + next(one.generation for one in found if one.name == parent)
         pairs = zip(here.decision.models, here.decision.add, strict=True)
-        for generation, (name, effect) in enumerate(pairs, start=1):
+        for generation, (name, effect) in enumerate(pairs, start=first):
             found.append(FamilyMember(name, parent, effect, generation, measured(rounds[:number])))
             parent = name
     newest = {found[-1].name}

@@ -280,6 +280,29 @@ def test_no_more_trials_than_the_budget(start: Start, budget: int) -> None:
         assert investigation_.run().trials == len(bench.measured) <= budget
 
 
+@pytest.mark.parametrize("sure", [True, False])
+def test_a_small_effect_that_is_named_again_beside_a_large_one_is_added_to_it(start: Start, sure: bool) -> None:
+    """The first model is explained by the large one alone, however often it is asked. A doubtful one is not added."""
+
+    def answer(model: Model, trials: int) -> DiagnosisDocument:
+        found = {one.name for one in model.effects}
+        if not found:
+            return said(FRICTION, FRICTION)
+        return CLEAN if MASS in found else said(MASS, MASS, of="CONFIRMED" if sure else "PRESENT-BUT-SMALL")
+
+    investigation_, _ = start(answer, budget=20)
+    ending = investigation_.run()
+    rounds = read_rounds(investigation_.directory, SETTINGS)
+    if not sure:
+        assert (ending.verdict, ending.candidates, ending.trials) == ("UNDECIDED", (FRICTION,), 20)
+        return
+    assert (ending.verdict, ending.effects, ending.trials) == ("EXPLAINED", (MASS, FRICTION), 14)
+    model = load_model(investigation_.directory / ending.model)
+    assert [one.name for one in model.effects] == [FRICTION, MASS]
+    last = family_of(SETTINGS, rounds)[-1]
+    assert (last.name, last.parent, last.generation) == ("model_4.yaml", "model_3.yaml", 2)
+
+
 @pytest.mark.parametrize(("after", "ends"), [(0.55, True), (0.8, False)])
 def test_a_tie_that_no_trial_splits_ends_before_the_budget_is_spent(
     start: Start, monkeypatch: pytest.MonkeyPatch, after: float, ends: bool
