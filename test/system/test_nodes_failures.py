@@ -128,7 +128,13 @@ def test_a_bag_that_was_closed_before_the_answer_was_lost_is_kept(
 def test_without_the_impact_map_a_trial_goes_on(
     graph: Graph, tmp_path: Path, short: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    attempts = Attempts(graph, tmp_path, graph.processes["impact_map"].kill)
+    process = graph.processes["impact_map"]
+
+    def kill() -> None:  # the trial may end before a process that was killed is gone
+        process.kill()
+        process.wait()
+
+    attempts = Attempts(graph, tmp_path, kill)
     restarts = counted_restarts(graph, monkeypatch)
     monkeypatch.setattr(graph, "call_trial", attempts)
     manifest = one_trial(short)
