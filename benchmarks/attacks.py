@@ -379,7 +379,7 @@ BYTES: dict[str, Callable[[bytes, Rng], bytes]] = {
 
 
 def _saved(path: Path, arrays: dict[str, Any]) -> None:
-    """Arrays in the format that the suffix says; version 4 and 7.3 of MATLAB by turns is left to the attacks."""
+    """Write arrays in the format that the suffix says; MATLAB files are of version 5."""
     if path.suffix == ".npz":
         np.savez(path, **arrays)
     elif path.suffix == ".npy":
@@ -640,7 +640,7 @@ def campaign(
         chosen: Which.
         seed: Of the generator.
         folder: For the files, empty.
-        every: Is told each case when it is judged.
+        every: Called with each case after it is judged.
     """
     os.environ["COLUMNS"] = "2000"
     scene, found = Scene(folder), []

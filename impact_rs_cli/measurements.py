@@ -9,8 +9,6 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Self
 
-import numpy as np
-
 from impact_rs_analysis.diagnosis.bounds import read_ranges
 from impact_rs_analysis.evidence.cluster import Added
 from impact_rs_analysis.evidence.command_clock import read_laboratory_runs
@@ -25,7 +23,6 @@ from impact_rs_analysis.evidence.source import Source
 from impact_rs_analysis.evidence.tracks import Track
 from impact_rs_cli.arguments import started, warn_skipped
 from impact_rs_cli.terminal import Terminal
-from impact_rs_sim.effects.base import Joints
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.impact_map.contacts import GAP_TOLERANCE
 from impact_rs_sim.model import Model
@@ -280,22 +277,3 @@ def only_trials(measurements: Measurements, option: str) -> Runs:
     if measurements.trials is None:
         raise InputError(f"{option} is for trials; for {measurements.what} use --json or the report")
     return measurements.trials
-
-
-def added_of(names: tuple[str, ...], parameters: dict[str, Any], model: Model, joints: Joints) -> Added:
-    """Named effects with estimates of a diagnosis, as a source takes them.
-
-    Args:
-        names: Effects.
-        parameters: Estimates by effect and parameter.
-        model: Knows the effects.
-        joints: Those of an arm.
-    """
-    known = model.known_effects
-    return tuple(
-        (
-            name,
-            tuple(float(np.float64(parameters[name][scalar.name].estimate)) for scalar in known[name].scalars(joints)),
-        )
-        for name in names
-    )

@@ -7,12 +7,12 @@ from pathlib import Path
 
 import numpy as np
 
+from impact_rs_analysis.diagnosis.diagnose import added_of
 from impact_rs_analysis.diagnosis.document import DiagnosisDocument
 from impact_rs_analysis.evidence.impact_tables import ImpactTableSource
 from impact_rs_analysis.evidence.tracks import Track
 from impact_rs_analysis.report.figures import BLUE
 from impact_rs_analysis.report.plots import GREY
-from impact_rs_cli.measurements import added_of
 from impact_rs_sim.model import load_model
 from impact_rs_trials.recordings.impact_table import read_impact_table
 
@@ -28,8 +28,7 @@ def tracks_of(table: Path, document: DiagnosisDocument) -> tuple[Track, ...]:
         InputError: The table cannot be read.
     """
     source = ImpactTableSource(read_impact_table(table), load_model("nominal"), remarks=False)
-    parameters = {effect.name: effect.parameters for effect in document.effects}
-    return source.tracks(map, added_of(document.named, parameters, source.model, source.joints))
+    return source.tracks(map, added_of(document, source))
 
 
 def draw(tracks: tuple[Track, ...], path: Path) -> Path:

@@ -136,16 +136,12 @@ def trials_of(path: str, scenario: Scenario, envelope: Envelope = NO_ENVELOPE) -
         scenario: What is there.
         envelope: Of the cell.
     """
+    cases = _cases(scenario, envelope.fastest or max(map(_speed, scenario.cases.values())))
     for settings, aside in _variants(scenario):
-        yield from _of_variant(path, scenario, settings, aside, _cases(scenario, _fastest(scenario, envelope)))
+        yield from _of_variant(path, scenario, settings, aside, cases)
     if _side(scenario) is not None:
-        for name, aside, cases in _slanted(scenario, _fastest(scenario, envelope)):
-            yield from _of_variant(path, scenario, {"name": f"{scenario.name}_from_{name}"}, aside, cases)
-
-
-def _fastest(scenario: Scenario, envelope: Envelope) -> float:
-    """Largest approach speed of a scenario within an envelope [m/s]."""
-    return envelope.fastest or max(map(_speed, scenario.cases.values()))
+        for where, aside, slanted in _slanted(cases, scenario.contact.friction):
+            yield from _of_variant(path, scenario, {"name": f"{scenario.name}_from_{where}"}, aside, slanted)
 
 
 def _of_variant(
@@ -203,11 +199,11 @@ def _side(scenario: Scenario) -> Array | None:
     return None if abs(normal[2]) > HORIZONTAL else np.cross([0.0, 0.0, 1.0], normal)
 
 
-def _slanted(scenario: Scenario, fastest: float) -> Iterator[tuple[str, str, dict[str, Case]]]:
+def _slanted(cases: Mapping[str, Case], friction: float) -> Iterator[tuple[str, str, dict[str, Case]]]:
     """The fastest case of every pose from the left and from the right, so far from the normal that the pad slips."""
-    angle = min(float(np.arctan(BEYOND * scenario.contact.friction)), STEEPEST)
+    angle = min(float(np.arctan(BEYOND * friction)), STEEPEST)
     poses: dict[str, tuple[str, Case]] = {}
-    for name, case in _cases(scenario, fastest).items():
+    for name, case in cases.items():
         if (pose := _pose(case)) not in poses or _speed(case) > _speed(poses[pose][1]):
             poses[pose] = name, case
     for where, turned in (("left", -angle), ("right", angle)):  # as seen along the approach

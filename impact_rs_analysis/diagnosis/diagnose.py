@@ -113,14 +113,19 @@ def diagnose(
         update={"views": tuple(_view(view, model, own, dependences) for view, own in others)}
     )
     document = _over_ranges(document)
-    unseen = whole.unseen(source, _added(document, source))
+    unseen = whole.unseen(source, added_of(document, source))
     document = document.model_copy(update={"runs": _runs(whole), "remarks": (*document.remarks, *unseen)})
     summary = " ".join(filter(None, [summary_of(document), doubt_of(document.drift)]))
     return document.model_copy(update={"summary": summary})
 
 
-def _added(document: DiagnosisDocument, source: Source) -> Added:
-    """The named effects with their estimates."""
+def added_of(document: DiagnosisDocument, source: Source) -> Added:
+    """The named effects with their estimates, as a source takes them.
+
+    Args:
+        document: A diagnosis.
+        source: Knows the effects. One that depends on a covariate has no single estimate, and is left out.
+    """
     found = []
     for name in document.named:
         effect = document.effect(name)

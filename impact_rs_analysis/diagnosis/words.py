@@ -43,9 +43,7 @@ def not_excluded(document: DiagnosisDocument) -> str:
         effect = document.effect(name)
         assert effect is not None
         own = effect.parameters[parameter]
-        low, high = own.interval
-        unit = "" if own.unit == "-" else f" {own.unit}"
-        found.append(f"{name} ({parameter} {low:.3g} to {high:.3g}{unit})")
+        found.append(f"{name} ({parameter} {_span(own.interval, own.unit)})")
     return ", ".join(found)
 
 

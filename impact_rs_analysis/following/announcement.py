@@ -95,7 +95,7 @@ CHECKS = (
 
 
 @dataclass(frozen=True)
-class Telling:
+class ProposedMeasurement:
     """A hit or another measurement, and how well it distinguishes the likeliest cause from each of the others.
 
     Attributes:
@@ -109,7 +109,7 @@ class Telling:
     what: str
 
 
-def most_telling(found: Iterable[Telling], shares: Sequence[float]) -> Telling | None:
+def most_decisive(found: Iterable[ProposedMeasurement], shares: Sequence[float]) -> ProposedMeasurement | None:
     """What decides rightly between the likeliest cause and each of the others with the largest probability.
 
     Args:
@@ -121,7 +121,7 @@ def most_telling(found: Iterable[Telling], shares: Sequence[float]) -> Telling |
     return next((one for one, own in zip(found, right, strict=True) if own > max(right) - SAME * sum(shares)), None)
 
 
-def telling_words(one: Telling, likeliest: str, others: Sequence[str]) -> str:
+def measurement_words(one: ProposedMeasurement, likeliest: str, others: Sequence[str]) -> str:
     """What to do, and which causes it distinguishes."""
     parted = [other for other, distance in zip(others, one.distances, strict=True) if distance > APART]
     between = "them" if len(parted) == len(others) else f"{likeliest} from {' and '.join(parted)}"

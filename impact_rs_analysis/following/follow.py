@@ -33,10 +33,10 @@ from impact_rs_analysis.following.announcement import (
     APART,
     CHECKS,
     HitlessCheck,
-    Telling,
+    ProposedMeasurement,
     in_words,
-    most_telling,
-    telling_words,
+    measurement_words,
+    most_decisive,
 )
 from impact_rs_analysis.following.change import MEAN_TIME, TIED, Calibration, ChangeExplanation, ChangeTest, support
 from impact_rs_analysis.following.hits import Door, Hit
@@ -851,23 +851,23 @@ class Follower:
         shares = self.probabilities().tolist()[1:]
         measured = [(name, hit) for name, hit in self._last.items() if name]
         measured = measured or [(f"the kind of {hit.name}", hit) for hit in self._last.values()]
-        found = [self._telling(f"one hit of {name}", hit) for name, hit in measured]
+        found = [self._proposed_hit(f"one hit of {name}", hit) for name, hit in measured]
         found += [self._checked(check) for check in CHECKS]
         free = [self._seen_free(name) for name in names]
         if any(free) and self._last[""].physics.arms:
             seen = " and ".join(name for name, own in zip(names, free, strict=True) if own)
             apart = tuple(math.inf if own != free[0] else 0.0 for own in free[1:])
-            found.append(Telling("a free motion", apart, f"{seen} would show there"))
-        best = most_telling(found, shares)
+            found.append(ProposedMeasurement("a free motion", apart, f"{seen} would show there"))
+        best = most_decisive(found, shares)
         if best is None or min(best.distances) <= APART:
             hits = self.door.unmeasured([hit for _, hit in measured])
-            found += [self._telling(f"a hit of {hit.condition}, not measured yet,", hit) for hit in hits]
-            best = most_telling(found, shares)
+            found += [self._proposed_hit(f"a hit of {hit.condition}, not measured yet,", hit) for hit in hits]
+            best = most_decisive(found, shares)
         if best is not None:
-            return telling_words(best, names[0], names[1:])
+            return measurement_words(best, names[0], names[1:])
         return "no hit of these kinds and nothing that can be measured without one distinguishes them"
 
-    def _telling(self, words: str, hit: Hit) -> Telling:
+    def _proposed_hit(self, words: str, hit: Hit) -> ProposedMeasurement:
         """How well a hit distinguishes the likeliest explanation from the others."""
         first, *others = (self._forecast(one, hit) for one in self.hypotheses)
         distances = []
@@ -877,7 +877,7 @@ class Follower:
                 continue
             apart, covariance = first[0] - other[0], 0.5 * (first[1] + other[1])
             distances.append(math.sqrt(squared_distance(apart, covariance, self.calibration.of_hits)))
-        return Telling(words, tuple(distances), f"{min(distances):.1f} standard deviations")
+        return ProposedMeasurement(words, tuple(distances), f"{min(distances):.1f} standard deviations")
 
     def _forecast(self, hypothesis: Hypothesis, hit: Hit) -> tuple[Array, Array] | None:
         """Mean ``(F,)`` and covariance ``(F, F)`` of what a hit will measure, whitened; None without a contact."""
@@ -889,7 +889,7 @@ class Follower:
         innovation, covariance = posterior.innovation(evidence)
         return self._scatter[hit.layout].whiten @ hit.measured - innovation, covariance
 
-    def _checked(self, check: HitlessCheck) -> Telling:
+    def _checked(self, check: HitlessCheck) -> ProposedMeasurement:
         """How well a measurement without a hit distinguishes the likeliest explanation from the others."""
         read = [self._read(check, one) for one in self.hypotheses]
         (first, width), *others = read
@@ -897,7 +897,7 @@ class Follower:
         distances = tuple(abs(first - other) / math.sqrt(noise**2 + width**2 + own**2) for other, own in others)
         unit = f" {check.unit}" if check.unit else ""
         expected = (f"{value:.3g}{unit} if {one.effect}" for (value, _), one in zip(read, self.hypotheses, strict=True))
-        return Telling(f"one measurement, {check.words},", distances, ", ".join(expected))
+        return ProposedMeasurement(f"one measurement, {check.words},", distances, ", ".join(expected))
 
     def _read(self, check: HitlessCheck, hypothesis: Hypothesis) -> tuple[float, float]:
         """What a measurement without a hit reads, and its standard deviation for the parameters are uncertain."""

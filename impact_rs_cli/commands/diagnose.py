@@ -11,7 +11,7 @@ from rich.table import Table
 
 from impact_rs_analysis.diagnosis.bounds import NO_BOUNDS, Bounds, read_bounds
 from impact_rs_analysis.diagnosis.compare import compare
-from impact_rs_analysis.diagnosis.diagnose import diagnose
+from impact_rs_analysis.diagnosis.diagnose import added_of, diagnose
 from impact_rs_analysis.diagnosis.document import (
     NO_IMPROVEMENT,
     TOO_FEW,
@@ -25,7 +25,7 @@ from impact_rs_analysis.diagnosis.history import history
 from impact_rs_analysis.diagnosis.words import not_excluded
 from impact_rs_analysis.report.diagnosis import write_diagnosis
 from impact_rs_cli.arguments import number, on_local_runs
-from impact_rs_cli.measurements import Measurements, added_of, measured
+from impact_rs_cli.measurements import Measurements, measured
 from impact_rs_cli.parser import PROGRAM
 from impact_rs_cli.terminal import Terminal, output_folder
 from impact_rs_sim.effects.formula import load_formulas
@@ -153,8 +153,7 @@ def report_of(
     with measurements.progress():
         source = measurements.against(model)
         versions = history(model_file, measurements.against) if model.parent is not None else None
-        parameters = {effect.name: effect.parameters for effect in document.effects}
-        added = added_of(document.named, parameters, source.model, source.joints)
+        added = added_of(document, source)
         tracks = measurements.tracks(source.model, added)
     return write_diagnosis(document, compare(source), tracks, versions, directory)
 

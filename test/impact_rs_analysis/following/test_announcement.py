@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from impact_rs_analysis.following.announcement import Telling, in_words, most_telling, telling_words
+from impact_rs_analysis.following.announcement import ProposedMeasurement, in_words, measurement_words, most_decisive
 from impact_rs_analysis.following.lessons import Followed
 from impact_rs_sim.effects import library
 from impact_rs_sim.physics import Physics
@@ -59,7 +59,7 @@ def test_friction_of_a_pad_without_any_is_said_as_it_is() -> None:
     assert words("pad_friction", "friction", [0.0], [0.25], smooth).startswith("friction of the pad is 0.25 higher (")
 
 
-HIT, LIFT = Telling("a hit", (1.0, 9.0), "9"), Telling("a lift", (9.0, 1.0), "12 N")
+HIT, LIFT = ProposedMeasurement("a hit", (1.0, 9.0), "9"), ProposedMeasurement("a lift", (9.0, 1.0), "12 N")
 
 
 @pytest.mark.parametrize(
@@ -67,16 +67,20 @@ HIT, LIFT = Telling("a hit", (1.0, 9.0), "9"), Telling("a lift", (9.0, 1.0), "12
     [
         ((HIT, LIFT), (0.3, 0.2), "a lift distinguishes mass from friction (12 N)"),
         ((HIT, LIFT), (0.2, 0.3), "a hit distinguishes mass from inertia (9)"),
-        ((HIT, LIFT, Telling("both", (9.0, 9.0), "1")), (0.2, 0.3), "both distinguishes them (1)"),
-        ((Telling("another hit", (1.0, 9.0), "9"), HIT), (0.2, 0.3), "another hit distinguishes mass from inertia (9)"),
+        ((HIT, LIFT, ProposedMeasurement("both", (9.0, 9.0), "1")), (0.2, 0.3), "both distinguishes them (1)"),
+        (
+            (ProposedMeasurement("another hit", (1.0, 9.0), "9"), HIT),
+            (0.2, 0.3),
+            "another hit distinguishes mass from inertia (9)",
+        ),
     ],
 )
 def test_what_tells_the_likelier_causes_apart_is_proposed_and_of_equals_the_first(
-    found: Sequence[Telling], shares: Sequence[float], expected: str
+    found: Sequence[ProposedMeasurement], shares: Sequence[float], expected: str
 ) -> None:
-    best = most_telling(found, shares)
-    assert best is not None and telling_words(best, "mass", ("friction", "inertia")) == expected
+    best = most_decisive(found, shares)
+    assert best is not None and measurement_words(best, "mass", ("friction", "inertia")) == expected
 
 
 def test_what_tells_nothing_apart_is_not_proposed() -> None:
-    assert most_telling([Telling("a hit", (1.0, 1.9), "1")], (0.2, 0.3)) is None
+    assert most_decisive([ProposedMeasurement("a hit", (1.0, 1.9), "1")], (0.2, 0.3)) is None
