@@ -51,6 +51,7 @@ from impact_rs_analysis.diagnosis.verdicts import (
     rests_of,
     supported_by_hold_out,
     unsupported_words,
+    within_discrepancy,
     without_the_doubtful,
 )
 from impact_rs_analysis.diagnosis.words import summary_of
@@ -182,12 +183,11 @@ def effects_for(source: Source, only: Sequence[str] | None = None, bounds: Bound
 
     Args:
         source: Measurements with the model's predictions.
-        only: Their names; None: all that the model does not contain, in trials and tables without those that recordings
-            calibrate.
+        only: Their names; None: all that the model does not contain and the source offers.
         bounds: Ranges of parameters that a user knows better.
     """
     known, present = source.model.known_effects, {item.name for item in source.model.effects}
-    offered = [name for name, effect in known.items() if source.kind == "recordings" or not effect.calibrates]
+    offered = [name for name, effect in known.items() if source.offers(effect)]
     return [
         bounded(known[name].in_proportion(source.proportion), bounds) for name in only or offered if name not in present
     ]
@@ -230,6 +230,8 @@ def findings_of(source: Source, effects: Sequence[Effect], progress: ProgressCal
             chosen, rivals = supported, () if supported is None else search.rivals(supported)
         if chosen is None:
             held = None
+    if chosen is None and not suspected and search.evidence.null.shortage is None:
+        suspected = within_discrepancy(search)
     return Findings(
         search=search,
         chosen=chosen,

@@ -143,9 +143,10 @@ class Search:
         """
         if not any(concerns(effect, item) for effect in candidate.effects for item in self.evidence.clusters):
             return candidate
+        features = sum(item.sigma.size for item in self.evidence.clusters)
         for index, scalar in enumerate(candidate.scalars):
             here = _changed([jacobian[:, index] for jacobian in candidate.jacobians])
-            if scalar.shape or (here and self.source.of_motion):
+            if scalar.shape or (here and self.source.of_motion) or MORE * here >= features:
                 continue
             best, most = None, MORE * here
             for point in candidate.probes(index):
@@ -527,7 +528,7 @@ class Search:
 
         A constant vertical force is attributed to a payload rather than to a spring or to gains of all joints.
         """
-        rivals = self.rivals(chosen)
+        rivals, known = self.rivals(chosen), {frozenset(chosen.candidate.names)}
         for _ in range(MOST_EFFECTS):
             alternatives = [rival.fit for rival in rivals if rival.tied]
             if len(chosen.candidate.names) > 1:  # what takes the place of one may explain the others as well
@@ -538,8 +539,11 @@ class Search:
                 break
             best = min(simpler, key=lambda fit: (self._cost(fit), fit.score))
             # The replaced effect may have explained more, which is missing now.
-            chosen = self._extend(self._measured_again(best)) or chosen
-            rivals = self.rivals(chosen)
+            extended = self._extend(self._measured_again(best)) or chosen
+            if (names := frozenset(extended.candidate.names)) in known:
+                break
+            known.add(names)
+            chosen, rivals = extended, self.rivals(extended)
         return chosen, rivals
 
     def rivals(self, chosen: Fit, count: int = 3, hopeless: float = HOPELESS) -> list[Rival]:

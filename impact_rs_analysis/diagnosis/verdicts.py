@@ -64,7 +64,8 @@ class Findings:
         rivals: Alternatives to the chosen effects.
         hold_out: Held-out errors; None with too few clusters.
         p_values: By effect, adjusted: of unchosen ones given the chosen, of chosen ones given the other chosen.
-        suspected: Effects that lower the error of all data, and the held-out error by less than its interval.
+        suspected: Effects that lower the error of all data, and the held-out error by less than its interval, or an
+            error of impacts that is within the discrepancy of the rigid map.
         unsupported: Which effects of all data the hold-out does not support, and why; empty: none.
     """
 
@@ -225,6 +226,19 @@ def lowers(search: Search, held: HoldOut) -> bool:
     """Whether searches that have not seen a fold predict it better than the model does, however little."""
     before, after = _held_out_sizes(search, held)
     return after < before
+
+
+def within_discrepancy(search: Search) -> tuple[str, ...]:
+    """The effect that predicts unseen impacts best, if it more than halves the squared error; empty: none does.
+
+    Where a search names nothing although one does, the discrepancy of the rigid map is as large as what it explains.
+    """
+    if search.evidence.source.of_motion or not search.evidence.source.discrepancy_document.used:
+        return ()
+    scores = {name: search.alone(name).score for name in search.singles}
+    best = min(scores, key=lambda name: scores[name], default="")
+    before = float(np.mean([np.mean(np.square(item.mean)) for item in search.evidence.clusters]))
+    return (best,) if best and scores[best] < (1.0 - MOST) * before else ()
 
 
 def _held_out_sizes(search: Search, held: HoldOut | None) -> tuple[float, float]:

@@ -30,6 +30,8 @@ from impact_rs_analysis.evidence.motion_difference import minus_references
 from impact_rs_analysis.evidence.source import Source
 from impact_rs_analysis.evidence.torque_balance import Motion, TorqueBalance, prepare
 from impact_rs_analysis.evidence.tracks import ComparedSignal, Track, track_of_motion
+from impact_rs_sim.effects import Effect
+from impact_rs_sim.effects.actuation import TORQUE_GAIN
 from impact_rs_sim.errors import InputError, NotABody
 from impact_rs_sim.model import Model
 from impact_rs_sim.physics import Physics
@@ -59,7 +61,8 @@ REMARKS = (
     "come from an effect of the library",
 )
 DIFFERENCE = (
-    "differences of recordings of one motion: what both have in common cancels, and an effect is a change between them"
+    "differences of recordings of one motion: what both have in common cancels, and an effect is a change between "
+    "them. A gain of the torque that both have scales the load: its mass is what the recorded torques weigh"
 )
 COUNTED = (
     "intervals count the scatter over the motion and a standard deviation of {scale:.0%} of the scale of each joint's "
@@ -202,6 +205,10 @@ class RecordingSource(Source):
                 last, torque = added, self._torque(added)
             found.append(None if torque is None else torque[self._stretches[number].rows].ravel())
         return found
+
+    def offers(self, effect: Effect) -> bool:
+        """See :meth:`Source.offers`; in a difference no gain of the torque, which scales a load as its mass does."""
+        return not (self._minus and effect.name == TORQUE_GAIN.name)
 
     def measure_again(self, added: Added, like: Sequence[Cluster]) -> list[Cluster] | None:
         """See :meth:`Source.measure_again`."""

@@ -246,6 +246,10 @@ class Source(ABC):
         """Effects that it predicts with, by name."""
         return self.model.known_effects
 
+    def offers(self, effect: Effect) -> bool:
+        """Whether a search considers an effect that nobody names; what describes the bare arm takes recordings."""
+        return not effect.calibrates
+
     def knowing(self, effects: Sequence[Depending]) -> Source:
         """The same measurements, predicted with further effects that depend on covariates, and held out in turn.
 

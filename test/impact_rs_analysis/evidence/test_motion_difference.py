@@ -75,6 +75,19 @@ def test_the_load_remains_and_nothing_else(folder: Path, mapping: Mapping) -> No
     assert source.recording.minus == (str(folder / "unloaded.npz"),)
 
 
+def test_a_gain_of_the_torque_that_both_have_scales_the_load(mapping: Mapping, tmp_path: Path) -> None:
+    gain = {f"gain_joint{joint}": 0.9 for joint in (1, 2, 3)}  # true over recorded torque
+    loaded = {"end_effector_payload": {"mass": MASS, **PLACE}, "torque_gain": gain}
+    write_npz(tmp_path / "unloaded.npz", swung(mapping, {"torque_gain": gain}, seed=1))
+    write_npz(tmp_path / "loaded.npz", swung(mapping, loaded, seed=2, start=LATER))
+    source = source_of(tmp_path, mapping)
+    found = diagnose(source, source.model)
+    assert found.named == ("end_effector_payload",) and found.effect("torque_gain") is None
+    low, high = found.effect("end_effector_payload").parameters["mass"].interval
+    assert MASS < low <= MASS / 0.9 <= high
+    assert any("its mass is what the recorded torques weigh" in remark for remark in found.remarks)
+
+
 def test_friction_that_the_load_adds_to_one_joint_is_seen_beside_what_nothing_explains(
     mapping: Mapping, tmp_path: Path
 ) -> None:

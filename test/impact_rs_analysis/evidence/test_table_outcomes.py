@@ -173,3 +173,13 @@ def test_noise_of_place_and_normal_reaches_the_prediction(tmp_path: Path) -> Non
     assert noise["angular velocity after across"] == pytest.approx(turned, rel=1e-3)
     assert noise["velocity after normal"] < 1e-2 * noise["velocity after across"]
     assert any("p_noise and n_noise" in remark for remark in source.remarks)
+
+
+@pytest.mark.parametrize("mass, doubt", [(1.25, ("object_mass",)), (1.0, ())])
+def test_an_error_that_the_discrepancy_of_the_map_covers_is_no_proof_that_nothing_is_missing(
+    tmp_path: Path, mass: float, doubt: tuple[str, ...]
+) -> None:
+    read = read_impact_table(write_csv(tmp_path / "pushes.csv", *arm_table({"object_mass": [mass]}, 3)), PUSH)
+    document = diagnose(ImpactTableSource(read, NOMINAL), NOMINAL, ["object_mass", "pad_friction"])
+    assert document.named == () and document.suspected == doubt
+    assert ("the discrepancy of the rigid map" in document.summary) == bool(doubt)
