@@ -18,7 +18,6 @@ from impact_rs_sim.robot import Array
 MOST_NAMED = 3  # parameters of an effect in a sentence, those that are surest
 APART = 2.0  # standard deviations between what two causes predict; one measurement then decides
 SAME = 0.02  # difference between probabilities that is none
-GRAVITY = 9.81  # m/s^2
 LEAST = 1e-9  # of a value of which a share is given, and of a change
 
 
@@ -82,11 +81,15 @@ class HitlessCheck(NamedTuple):
     least: float
 
 
+def _weight(physics: Physics) -> float:
+    """Weight of the object [N]."""
+    return float(np.linalg.norm(physics.gravity)) * physics.object.mass
+
+
 CHECKS = (
-    HitlessCheck("lift the object", "N", lambda physics: GRAVITY * physics.object.mass, 0.5),
+    HitlessCheck("lift the object", "N", _weight, 0.5),
     HitlessCheck(
-        "pull the object slowly over its support", "N",
-        lambda physics: GRAVITY * physics.object.mass * physics.support_friction, 0.5,
+        "pull the object slowly over its support", "N", lambda physics: _weight(physics) * physics.support_friction, 0.5
     ),
     HitlessCheck("pull the object along the pad, by the force on it", "", lambda physics: physics.pad_friction, 0.1),
     HitlessCheck("weigh the tool", "kg", _mean(lambda arm: arm.end_effector.mass), 0.02),

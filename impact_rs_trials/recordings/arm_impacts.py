@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.robot import Array
+from impact_rs_sim.robot_model import STANDARD_GRAVITY
 from impact_rs_trials.recordings.clock_offset import OBJECT_SIGNALS, clocks_apart
 from impact_rs_trials.recordings.experiment import RunRow
 from impact_rs_trials.recordings.force_onset import onset_of
@@ -244,7 +245,7 @@ def _with_object(seen: _Seen, jumps: Jumps, between: tuple[float, float]) -> Imp
         post_twist, noise = post.at(time)[2], post.noise
         sliding = -float(post.acceleration @ post_twist[:3]) / max(float(np.linalg.norm(post_twist[:3])), 1e-9)
         if law == "sliding" and sliding > 0.0:
-            outcomes = {"support_friction [-]": sliding / 9.81, **outcomes}
+            outcomes = {"support_friction [-]": sliding / -STANDARD_GRAVITY[2], **outcomes}
     noise = (float(np.hypot(noise[0], ante.noise[0])), float(np.hypot(noise[1], ante.noise[1])))
     before = ante.at(time)[2]
     if float(np.linalg.norm(post_twist[:3] - before[:3])) < JUMPS * noise[0]:
@@ -290,8 +291,8 @@ def _after(time: Array, positions: Array, rotations: Array, rows: Rows, at: floa
     first = rows[time[rows] <= at + AFTER[0]]
     first = first if first.size >= LEAST_OBJECT else rows[:LEAST_OBJECT]
     slide = move(time[first], positions[first], rotations[first], at)
-    if slide.acceleration[2] < -FALLS * 9.81:
-        gravity = np.array([0.0, 0.0, -9.81])
+    if slide.acceleration[2] < FALLS * STANDARD_GRAVITY[2]:
+        gravity = np.array(STANDARD_GRAVITY)
         return fly(time[rows], positions[rows], rotations[rows], gravity, np.ones(3), at), "free flight"
     speed, slows = float(np.linalg.norm(slide.at(at)[2][:3])), float(np.linalg.norm(slide.acceleration))
     lasts = SLIDING * speed / slows if slows > 0.0 else AFTER[1]

@@ -13,7 +13,9 @@ from impact_rs_analysis.diagnosis.compare import compare
 from impact_rs_analysis.diagnosis.diagnose import diagnose
 from impact_rs_analysis.evidence.impact_tables import ImpactTableSource
 from impact_rs_analysis.evidence.map_discrepancy import NO_MAP_DISCREPANCY
+from impact_rs_sim.effects import library
 from impact_rs_sim.errors import InputError
+from impact_rs_sim.impact_map.measured import MeasuredImpacts
 from impact_rs_sim.model import load_model
 from impact_rs_sim.scenario import load_scenario
 from impact_rs_trials.recordings.impact_table import read_impact_table
@@ -183,3 +185,24 @@ def test_an_error_that_the_discrepancy_of_the_map_covers_is_no_proof_that_nothin
     document = diagnose(ImpactTableSource(read, NOMINAL), NOMINAL, ["object_mass", "pad_friction"])
     assert document.named == () and document.suspected == doubt
     assert ("the discrepancy of the rigid map" in document.summary) == bool(doubt)
+
+
+def test_impacts_solved_near_another_answer_have_the_same_answer(tmp_path: Path) -> None:
+    rows = read_impact_table(write_csv(tmp_path / "pushes.csv", *arm_table({}, 3)), PUSH).rows
+    impacts, nominal = [row.impact for row in rows], [row.physics for row in rows]
+    resumed = MeasuredImpacts(impacts, nominal)
+    resumed.solve(nominal)
+    rng = np.random.default_rng(0)
+    for _ in range(10):
+        drawn = (
+            ("object_mass", [rng.uniform(0.5, 2.0)]),
+            ("restitution", [rng.uniform(0.0, 0.6)]),
+            ("support_friction", [rng.uniform(-0.3, 0.5)]),
+        )
+        changed = {id(one): one for one in nominal}
+        for name, values in drawn:
+            changed = {key: library()[name].apply_vector(one, np.array(values)) for key, one in changed.items()}
+        physics = [changed[id(one)] for one in nominal]
+        found, _ = resumed.solve(physics)
+        anew, _ = MeasuredImpacts(impacts, physics).solve(physics)
+        np.testing.assert_allclose(found, anew, atol=1e-6)
