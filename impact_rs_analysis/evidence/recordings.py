@@ -32,6 +32,7 @@ from impact_rs_analysis.evidence.torque_balance import Motion, TorqueBalance, pr
 from impact_rs_analysis.evidence.tracks import ComparedSignal, Track, track_of_motion
 from impact_rs_sim.effects import Effect
 from impact_rs_sim.effects.actuation import TORQUE_GAIN
+from impact_rs_sim.effects.surroundings import BASE_TILT
 from impact_rs_sim.errors import InputError, NotABody
 from impact_rs_sim.model import Model
 from impact_rs_sim.physics import Physics
@@ -127,7 +128,8 @@ class RecordingSource(Source):
         self.motions, self.physics = tuple(motions), physics
         at_motor = mapping.torque_measured_at == "motor"
         self.balance = TorqueBalance(list(motions), at_motor)
-        self.rest = self.balance.recorded - self.balance.predict(physics)
+        self._of_the_model = self.balance.predict(physics)
+        self.rest = self.balance.recorded - self._of_the_model
         self.sigma = np.maximum(np.sqrt(np.mean(np.square(self.rest), axis=0)), 1e-12)
         self._units = [(int(joint), physics.arms[ARM].facts.units[joint]) for joint in self.balance.joints]
         self.size_unit = self.residual_unit = joined_units(units.effort for _, units in self._units)
@@ -207,8 +209,8 @@ class RecordingSource(Source):
         return found
 
     def offers(self, effect: Effect) -> bool:
-        """See :meth:`Source.offers`; in a difference no gain of the torque, which scales a load as its mass does."""
-        return not (self._minus and effect.name == TORQUE_GAIN.name)
+        """See :meth:`Source.offers`; recordings calibrate the bare arm."""
+        return True
 
     def measure_again(self, added: Added, like: Sequence[Cluster]) -> list[Cluster] | None:
         """See :meth:`Source.measure_again`."""
@@ -328,13 +330,23 @@ class RecordingSource(Source):
         return self._predicted.of(added, lambda: self._torque_anew(added))
 
     def _torque_anew(self, added: Added) -> Array | None:
-        physics = self.physics
         try:
-            for name, values in added:
-                physics = self._known[name].apply_vector(physics, np.array(values))
-            return self.balance.predict(physics)
+            torque = self.balance.predict(self._with(added))
+            shared = tuple(one for one in added if self._shared(one[0])) if self._minus else ()
+            return torque - self.balance.predict(self._with(shared)) + self._of_the_model if shared else torque
         except NotABody:
             return None
+
+    def _with(self, added: Added) -> Physics:
+        """The physics of the model with effects."""
+        physics = self.physics
+        for name, values in added:
+            physics = self._known[name].apply_vector(physics, np.array(values))
+        return physics
+
+    def _shared(self, name: str) -> bool:
+        """Whether two recordings of one motion have an effect in common: how arm and sensors are made."""
+        return self._known[name].calibrates or name in (TORQUE_GAIN.name, BASE_TILT.name)
 
     def _cluster(self, number: int) -> Cluster:
         stretch = self._stretches[number]

@@ -16,7 +16,7 @@ from impact_rs_analysis.evidence.recordings import RecordingSource
 from impact_rs_analysis.evidence.torque_balance import Motion, prepare
 from impact_rs_cli.main import main
 from impact_rs_sim.errors import InputError
-from impact_rs_sim.model import Model
+from impact_rs_sim.model import Model, ModelEffect, ParameterValue
 from impact_rs_trials.recordings.mapping import Mapping
 from impact_rs_trials.recordings.recording import read_recordings
 
@@ -75,17 +75,43 @@ def test_the_load_remains_and_nothing_else(folder: Path, mapping: Mapping) -> No
     assert source.recording.minus == (str(folder / "unloaded.npz"),)
 
 
-def test_a_gain_of_the_torque_that_both_have_scales_the_load(mapping: Mapping, tmp_path: Path) -> None:
-    gain = {f"gain_joint{joint}": 0.9 for joint in (1, 2, 3)}  # true over recorded torque
-    loaded = {"end_effector_payload": {"mass": MASS, **PLACE}, "torque_gain": gain}
-    write_npz(tmp_path / "unloaded.npz", swung(mapping, {"torque_gain": gain}, seed=1))
-    write_npz(tmp_path / "loaded.npz", swung(mapping, loaded, seed=2, start=LATER))
-    source = source_of(tmp_path, mapping)
+def with_gains(folder: Path, mapping: Mapping, *gains: float) -> RecordingSource:
+    """Recordings with and without the load, both with the same gains of the torque: true over recorded."""
+    common = {"torque_gain": {f"gain_joint{joint}": gain for joint, gain in enumerate(gains, start=1)}}
+    loaded = common | {"end_effector_payload": {"mass": MASS, **PLACE}}
+    write_npz(folder / "unloaded.npz", swung(mapping, common, seed=1))
+    write_npz(folder / "loaded.npz", swung(mapping, loaded, seed=2, start=LATER))
+    return source_of(folder, mapping)
+
+
+def test_a_gain_of_the_torque_that_all_joints_have_scales_the_load(mapping: Mapping, tmp_path: Path) -> None:
+    source = with_gains(tmp_path, mapping, 0.9, 0.9, 0.9)
     found = diagnose(source, source.model)
-    assert found.named == ("end_effector_payload",) and found.effect("torque_gain") is None
+    assert found.named == ("end_effector_payload",)
     low, high = found.effect("end_effector_payload").parameters["mass"].interval
     assert MASS < low <= MASS / 0.9 <= high
     assert any("its mass is what the recorded torques weigh" in remark for remark in found.remarks)
+
+
+def test_what_the_model_knows_of_the_torque_does_not_scale_the_load(mapping: Mapping, tmp_path: Path) -> None:
+    with_gains(tmp_path, mapping, 0.8, 1.0, 1.2)
+    known = {
+        f"gain_joint{n}": ParameterValue(estimate=gain, unit="-") for n, gain in enumerate((0.8, 1.0, 1.2), start=1)
+    }
+    gain = ModelEffect(name="torque_gain", parameters=known)
+    model = Model(name="calibrated", effects=(gain,))
+    recorded, references = (read_recordings(tmp_path / name, mapping) for name in ("loaded.npz", "unloaded.npz"))
+    found = diagnose(RecordingSource.of(recorded, mapping, model, references), model)
+    assert found.named == ("end_effector_payload",)
+    low, high = found.effect("end_effector_payload").parameters["mass"].interval
+    assert low <= MASS <= high < 1.05 * MASS
+
+
+def test_how_the_arm_is_made_changes_no_difference(folder: Path, mapping: Mapping) -> None:
+    source = source_of(folder, mapping)
+    load = ("end_effector_payload", (MASS, PLACE["com_x"], PLACE["com_y"], PLACE["com_z"]))
+    heavy = ("link_mass", (1.5, 0.7, 1.2))
+    np.testing.assert_allclose(source.rest_with((load, heavy)), source.rest_with((load,)), atol=1e-9)
 
 
 def test_friction_that_the_load_adds_to_one_joint_is_seen_beside_what_nothing_explains(
