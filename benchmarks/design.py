@@ -22,7 +22,7 @@ import numpy as np
 
 from benchmarks.blind import matrix
 from benchmarks.board import Entry, Row, arguments, diagnosed, run_board, share
-from impact_rs_analysis.design.design import Decide, decision_of, planned
+from impact_rs_analysis.design.design import WHICH_EFFECT, Decide, planned
 from impact_rs_analysis.design.forecast import Forecast, forecast_of
 from impact_rs_analysis.design.possible_trials import possible_trials
 from impact_rs_analysis.diagnosis.document import DiagnosisDocument
@@ -116,7 +116,7 @@ class Planner:
             return self._designed.model_copy(update={"seed": seed})
         if self._first is None:
             self._first = forecast_of(load_model("nominal"), self._trials, ReplayCache(self._map))
-        plan = planned(self._first, decision_of(self._first), BUDGET, method, seed)
+        plan = planned(self._first, WHICH_EFFECT(self._first.source), BUDGET, method, seed)
         if method == "design":
             self._designed = plan
         return plan
@@ -126,7 +126,7 @@ class Planner:
         if not path.exists():
             model = load_model("nominal")
             forecast = forecast_of(model, self._trials, ReplayCache(self._map), runs=runs, seed=seed)
-            write_plan(planned(forecast, decision_of(forecast, decide), TIE_BUDGET, method, seed), path)
+            write_plan(planned(forecast, decide(forecast.source), TIE_BUDGET, method, seed), path)
         return read_plan(path)
 
 

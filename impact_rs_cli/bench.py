@@ -7,7 +7,7 @@ from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
 
-from impact_rs_analysis.design.design import design
+from impact_rs_analysis.design.design import design, missing_effect
 from impact_rs_analysis.design.possible_trials import Envelope
 from impact_rs_analysis.diagnosis.document import DiagnosisDocument
 from impact_rs_analysis.diagnosis.next_experiment import considered, left_open
@@ -102,6 +102,8 @@ class PlantBench:
             decide, known = None, model
             if document is not None:
                 decide, known = left_open(document, model), considered(document, model)
+            if decide is None:
+                decide = missing_effect(self.settings.effects, whether_any=bool(done) and document is None)
             runs = self._runs() if done else None
             with self.terminal.stages() as stage:
                 plan = design(
@@ -114,8 +116,6 @@ class PlantBench:
                     envelope=limits,
                     seed=seed,
                     progress=stage,
-                    effects=self.settings.effects,
-                    whether_any=bool(done) and document is None,
                 )
             self.check(plan)
             return plan

@@ -15,9 +15,9 @@ from impact_rs_analysis.design.possible_trials import NO_ENVELOPE, Envelope, Pos
 from impact_rs_analysis.design.selection import Counts, chosen, missing_conditions
 from impact_rs_analysis.evidence.measured_runs import Runs
 from impact_rs_analysis.evidence.replay_cache import Progress, ReplayCache
-from impact_rs_sim.effects.base import SINGLE_IMPACT, Joints
+from impact_rs_analysis.evidence.source import Source
+from impact_rs_sim.effects.base import SINGLE_IMPACT
 from impact_rs_sim.model import Model
-from impact_rs_sim.physics import Physics
 from impact_rs_sim.robot import Array
 from impact_rs_trials.campaign import PlannedTrials
 from impact_rs_trials.experiment_plan import ExperimentPlan, Method, PlannedCampaign, PlannedPair
@@ -27,7 +27,33 @@ SURE = 0.95  # probability of the right decision above which a pair counts as di
 MOST_PAIRS = 20  # listed in a plan, least certain first
 LISTED = 3  # pairs named in a sentence
 
-Decide = Callable[[Model, Joints, Sequence[Physics]], Decision]
+Decide = Callable[[Source], Decision]
+
+
+def missing_effect(names: Sequence[str] = (), whether_any: bool = False) -> Decide:
+    """The decision which effect is missing, of all that a model lacks and that trials show.
+
+    Args:
+        names: Those that come into question; none: the library and the formulas of the model.
+        whether_any: Decide whether one of them is missing, no matter which.
+    """
+
+    def decide(source: Source) -> Decision:
+        present = {item.name for item in source.model.effects}
+        possible = [
+            effect.in_proportion(source.proportion)
+            for name, effect in source.known_effects.items()
+            if name not in present
+            and (not names or name in names)
+            and source.offers(effect)
+            and effect.phases != SINGLE_IMPACT
+        ]
+        return which_effect(possible, source.joints, source.worlds, whether_any)
+
+    return decide
+
+
+WHICH_EFFECT = missing_effect()
 
 
 def design(
@@ -35,14 +61,12 @@ def design(
     scenarios: Sequence[str],
     budget: int,
     map_tasks: Map,
-    decide: Decide | None = None,
+    decide: Decide = WHICH_EFFECT,
     runs: Runs | None = None,
     method: Method = "design",
     envelope: Envelope = NO_ENVELOPE,
     seed: int = 0,
     progress: Progress | None = None,
-    effects: Sequence[str] = (),
-    whether_any: bool = False,
 ) -> ExperimentPlan:
     """The most informative trials for the coming decision.
 
@@ -51,15 +75,12 @@ def design(
         scenarios: Names or paths of what the cell can run.
         budget: Largest number of trials.
         map_tasks: Parallel map.
-        decide: What shall be decided, from the model with the parameters of the arms at hand, their joints and all
-            physics; None: which effect is missing, of all that the model lacks.
+        decide: What shall be decided, from a source with the model and all physics.
         runs: Trials measured so far; their scatter counts, and their information.
         method: How trials are chosen.
         envelope: Of the cell.
         seed: Of the planned trials, and of a random choice. Another plan for the same folder needs another seed.
         progress: Called with (what, done, total).
-        effects: Names of the effects that may be missing, where nothing else is to be decided; none: the library.
-        whether_any: Decide whether one of them is missing, no matter which.
 
     Raises:
         InputError: No such scenario, too small a budget, no trial within the limits, or nothing to decide.
@@ -67,27 +88,7 @@ def design(
     missing_conditions(budget, 0 if runs is None else len(runs.conditions))  # refused before minutes of simulation
     trials = possible_trials(scenarios, envelope)
     forecast = forecast_of(model, trials, ReplayCache(map_tasks, progress), envelope, runs, seed)
-    decision = decision_of(forecast, decide, effects, whether_any)
-    return planned(forecast, decision, budget, method, seed)
-
-
-def decision_of(
-    forecast: Forecast, decide: Decide | None = None, effects: Sequence[str] = (), whether_any: bool = False
-) -> Decision:
-    """What shall be decided, see :func:`design`."""
-    source = forecast.source
-    if decide is not None:
-        return decide(source.model, source.joints, source.worlds)
-    present = {item.name for item in source.model.effects}
-    possible = [
-        effect.in_proportion(source.proportion)
-        for name, effect in source.model.known_effects.items()
-        if name not in present
-        and (not effects or name in effects)
-        and not effect.calibrates
-        and effect.phases != SINGLE_IMPACT
-    ]
-    return which_effect(possible, source.joints, source.worlds, whether_any)
+    return planned(forecast, decide(forecast.source), budget, method, seed)
 
 
 def planned(

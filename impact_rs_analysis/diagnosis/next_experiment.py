@@ -18,12 +18,11 @@ from impact_rs_analysis.diagnosis.document import DiagnosisDocument, NextExperim
 from impact_rs_analysis.diagnosis.verdicts import Findings
 from impact_rs_analysis.evidence.measured_runs import Runs
 from impact_rs_analysis.evidence.replays import ReplaySource
+from impact_rs_analysis.evidence.source import Source
 from impact_rs_sim.effects import Effect
-from impact_rs_sim.effects.base import Joints
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.model import Model
 from impact_rs_sim.numbers import NORMAL_95
-from impact_rs_sim.physics import Physics
 from impact_rs_sim.scenario import load_scenario
 
 COMPANION = "excite"
@@ -87,19 +86,19 @@ def left_open(document: DiagnosisDocument, model: Model) -> Decide | None:
     if not document.named and not others:
         return None
 
-    def decide(model: Model, joints: Joints, worlds: Sequence[Physics]) -> Decision:
-        effects = model.known_effects
+    def decide(source: Source) -> Decision:
+        effects = source.known_effects
 
         def explanation(names: Sequence[str]) -> Explanation:
             centre: list[tuple[str, tuple[float, ...]]] = []
             deviations, bounds = {}, {}
             for one in names:
-                scalars = effects[one].scalars(joints)
+                scalars = effects[one].scalars(source.joints)
                 values = found[one].parameters
                 centre.append((one, tuple(values[scalar.name].estimate for scalar in scalars)))
                 widths = [np.diff(values[scalar.name].interval)[0] / (2.0 * NORMAL_95) for scalar in scalars]
                 deviations[one] = np.minimum(widths, [WIDEST * scalar.scale for scalar in scalars])
-                bounds[one] = effects[one].bounds_in(worlds)
+                bounds[one] = effects[one].bounds_in(source.worlds)
             return estimated("+".join(names) or AS_IS, tuple(centre), deviations, bounds)
 
         first = explanation(document.named)

@@ -7,7 +7,7 @@ import argparse
 
 from rich.table import Table
 
-from impact_rs_analysis.design.design import design
+from impact_rs_analysis.design.design import WHICH_EFFECT, design
 from impact_rs_analysis.design.possible_trials import Envelope
 from impact_rs_analysis.diagnosis.document import read_document
 from impact_rs_analysis.diagnosis.next_experiment import considered, left_open
@@ -33,13 +33,13 @@ def run(args: argparse.Namespace, terminal: Terminal) -> int:
         raise InputError("this is a folder; name a file, for example plan.yaml", file=args.output)
     cell = None if args.envelope is None else load(CellEnvelope, args.envelope)
     envelope = Envelope(args.speed, args.force, cell)
-    decide, earlier = None, ""
+    decide, earlier = WHICH_EFFECT, ""
     if args.after is not None:
         document = read_document(args.after)
         if document.source != "trials":
             raise InputError("expected a diagnosis of trials: a plan is one of trials", file=args.after)
         try:
-            decide = left_open(document, model)
+            decide = left_open(document, model) or WHICH_EFFECT
         except InputError as error:
             raise error.in_file(args.after) from None
         model = considered(document, model)

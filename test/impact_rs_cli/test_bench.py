@@ -8,6 +8,7 @@ from typing import Any
 
 import pytest
 from documents import tied_laws
+from scene_source import of_scene
 
 from impact_rs_analysis.diagnosis.document import DiagnosisDocument
 from impact_rs_analysis.investigation import Round, Settings
@@ -69,7 +70,7 @@ def test_a_design_after_a_discovery_knows_its_laws(tmp_path: Path, monkeypatch: 
     decided, world = list[Any](), Physics.nominal(load_scenario("push"), "juice")
 
     def design(known: Any, scenarios: Any, budget: int, map_tasks: Any, decide: Any, *_: Any, **__: Any) -> Any:
-        decided.append(decide(known, world.joints, [world]))
+        decided.append(decide(of_scene(known, world)))
         return designed()
 
     monkeypatch.setattr(bench, "design", design)
@@ -84,15 +85,18 @@ def test_a_new_model_is_tried_where_any_further_effect_would_show(
     done: int, document: DiagnosisDocument | None, wanted: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """No matter which; the first trials, and those after a diagnosis, are to tell effects apart."""
-    asked = dict[str, Any]()
+    asked = list[Any]()
 
-    def design(*_: Any, **options: Any) -> ExperimentPlan:
-        asked.update(options)
+    def missing_effect(*names: Any, **options: Any) -> None:
+        asked.append((names, options["whether_any"]))
+
+    def design(*_: Any, **__: Any) -> ExperimentPlan:
         return designed()
 
     monkeypatch.setattr(bench, "design", design)
+    monkeypatch.setattr(bench, "missing_effect", missing_effect)
     monkeypatch.setattr(PlantBench, "measured_runs", lambda self: None)
     settings = SETTINGS.model_copy(update={"effects": ("object_mass",)})
     plant = PlantBench(tmp_path, settings, map, Terminal(as_json=True))
     plant.design(load_model("nominal"), [Round(1, tmp_path, "nominal", designed())] * done, document, 4, 1)
-    assert (asked["whether_any"], asked["effects"]) == (wanted, ("object_mass",))
+    assert asked == ([] if document is not None else [((("object_mass",),), wanted)])

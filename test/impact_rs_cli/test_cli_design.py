@@ -7,6 +7,7 @@ from typing import Any
 
 import pytest
 from documents import tied_laws
+from scene_source import of_scene
 
 from impact_rs_analysis.diagnosis.discovery_document import FOUND, DiscoveryDocument, write_discovery
 from impact_rs_sim.model import Model
@@ -63,7 +64,7 @@ def test_a_plan_after_a_discovery_is_for_its_laws(
     decisions = []
 
     def design(model: Model, scenarios: Any, budget: int, map_tasks: Any, decide: Any, *rest: Any) -> ExperimentPlan:
-        decisions.append(decide(model, world.joints, [world]))
+        decisions.append(decide(of_scene(model, world)))
         part = PlannedTrials(object="juice", case="case_2", trials=2)
         push = PlannedCampaign(folder="push", scenario="push", conditions=(part,))
         return ExperimentPlan(

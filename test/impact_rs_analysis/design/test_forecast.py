@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from impact_rs_analysis.design.design import decision_of, planned
+from impact_rs_analysis.design.design import missing_effect, planned
 from impact_rs_analysis.design.discrimination import Discrimination
 from impact_rs_analysis.design.explanations import Decision, Explanation, estimated, which_effect
 from impact_rs_analysis.design.forecast import Forecast, forecast_of
@@ -43,7 +43,7 @@ def between(forecast: Forecast, *names: str) -> Decision:
 def test_whether_any_effect_is_missing_asks_for_none_by_name(forecast: Forecast) -> None:
     """Each effect against the model as it is, and no two against each other."""
     names = ("object_mass", "support_friction", "restitution")
-    every, any_ = decision_of(forecast, None, names), decision_of(forecast, None, names, whether_any=True)
+    every, any_ = (missing_effect(names, whether_any)(forecast.source) for whether_any in (False, True))
     assert every.explanations == any_.explanations and len(every.pairs) == 6
     assert any_.pairs == ((0, 1), (0, 2), (0, 3))
 
@@ -52,7 +52,7 @@ def test_friction_of_the_pad_shows_where_the_pad_slips() -> None:
     """A square hit sticks, and a change of 0.1 of the coefficient changes next to nothing."""
     names = ("push/juice/case_2", "push_from_right/juice/case_2_right")
     own = forecast_of(load_model("nominal"), some(names), ReplayCache(map))
-    decision = decision_of(own, None, ("pad_friction",))
+    decision = missing_effect(("pad_friction",))(own.source)
     trials = own.under(decision)
     counts = Discrimination(decision, trials)
     square, slanted = (float(counts.probabilities(counts.total({name: 2}))[0]) for name in names)

@@ -7,6 +7,7 @@ from typing import cast
 
 import numpy as np
 import pytest
+from scene_source import of_scene
 
 from impact_rs_analysis.diagnosis.candidate import Candidate
 from impact_rs_analysis.diagnosis.document import DiagnosisDocument, EffectDocument, EstimateDocument, read_document
@@ -53,7 +54,7 @@ def tied(document: DiagnosisDocument) -> DiagnosisDocument:
 def test_a_tie_leaves_open_which_of_both_is_there(document: DiagnosisDocument, world: Physics) -> None:
     decide = left_open(tied(document), load_model("nominal"))
     assert decide is not None
-    decision = decide(load_model("nominal"), world.joints, [world])
+    decision = decide(of_scene(load_model("nominal"), world))
     assert decision.aim == "rivals"
     assert decision.pairs == ((0, 1),)
     first, second = decision.explanations
@@ -92,7 +93,7 @@ def test_the_next_experiment_after_a_tie_in_contact_is_a_push(hidden_campaign: P
 def test_without_a_tie_the_size_is_open(document: DiagnosisDocument, world: Physics) -> None:
     decide = left_open(document, load_model("nominal"))
     assert decide is not None
-    decision = decide(load_model("nominal"), world.joints, [world])
+    decision = decide(of_scene(load_model("nominal"), world))
     assert decision.aim == "parameters"
     assert decision.explanations[0].effects == set(document.named)
     assert len(decision.explanations[0].varied) == 1
@@ -108,7 +109,7 @@ def test_an_unknown_interval_is_as_wide_as_the_prior_and_not_infinite(
     )
     decide = left_open(open_ended, load_model("nominal"))
     assert decide is not None
-    ((_, (moved,)),) = decide(load_model("nominal"), world.joints, [world]).explanations[1].varied[0]
+    ((_, (moved,)),) = decide(of_scene(load_model("nominal"), world)).explanations[1].varied[0]
     assert np.isfinite(moved) and moved != 1.3
 
 
@@ -120,7 +121,7 @@ def test_a_suspicion_leaves_open_whether_the_effect_is_there(document: Diagnosis
     suspicion = document.model_copy(update={"named": (), "suspected": document.named})
     decide = left_open(suspicion, load_model("nominal"))
     assert decide is not None
-    decision = decide(load_model("nominal"), world.joints, [world])
+    decision = decide(of_scene(load_model("nominal"), world))
     assert (decision.aim, decision.pairs) == ("rivals", ((0, 1),))
     without, suspected = decision.explanations
     assert without.centre == () and suspected.effects == set(document.named)
@@ -129,7 +130,7 @@ def test_a_suspicion_leaves_open_whether_the_effect_is_there(document: Diagnosis
 def test_a_suspicion_beside_an_effect_is_tried_beside_it(document: DiagnosisDocument, world: Physics) -> None:
     decide = left_open(tied(document).model_copy(update={"suspected": ("object_mass",)}), load_model("nominal"))
     assert decide is not None
-    *_, beside = decide(load_model("nominal"), world.joints, [world]).explanations
+    *_, beside = decide(of_scene(load_model("nominal"), world)).explanations
     assert [name for name, _ in beside.centre] == [*document.named, "object_mass"]
 
 
@@ -156,7 +157,7 @@ def test_a_formula_of_the_diagnosis_can_be_decided_on(document: DiagnosisDocumen
     model = load_model("nominal")
     decide = left_open(found, model)
     assert decide is not None
-    first, second = decide(considered(found, model), world.joints, [world]).explanations
+    first, second = decide(of_scene(considered(found, model), world)).explanations
     assert first.centre == (("drag", (5.0,)),) and second.centre == (("object_mass", (1.3,)),)
     assert considered(found, model).containing(()).digest == model.digest
 
