@@ -63,7 +63,8 @@ REMARKS = (
 )
 DIFFERENCE = (
     "differences of recordings of one motion: what both have in common cancels, and an effect is a change between "
-    "them. A gain of the torque that both have scales the load: its mass is what the recorded torques weigh"
+    "them. A gain of the torque that both have scales the load: its mass is what the recorded torques weigh, unless "
+    "--model knows the gain (diagnose the recording without the load first)"
 )
 COUNTED = (
     "intervals count the scatter over the motion and a standard deviation of {scale:.0%} of the scale of each joint's "
