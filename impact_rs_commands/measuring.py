@@ -435,6 +435,7 @@ negative.""",
     examples="""\
 impact-rs rehearse push_fr3
 impact-rs rehearse push_fr3 -o rehearsals/push_fr3
+impact-rs rehearse push_fr3 --parameters config/drivers/fr3_cell.yaml
 impact-rs rehearse push_fr3 juice 2 --reflex-torque 80 --reflex-force 40
 impact-rs rehearse my_push.yaml --driver ros2_control --json""",
     output="""\
@@ -448,6 +449,11 @@ rehearsal.json.""",
         option(
             "--driver", choices=("franka_ros2", "ur_robot_driver", "lbr_fri_ros2_stack", "ros2_control"),
             help="profile of the driver", label="driver", otherwise="that of the scenario's robot",
+        ),
+        option(
+            "--parameters", kind="file", metavar="FILE.yaml", label="parameters of the cell", advanced=True,
+            otherwise="the defaults, with names and conventions of the driver",
+            help="parameter file of cell and watchdog, as the launch files load it (config/drivers)",
         ),
         *REFLEXES,
         SETTINGS,

@@ -306,7 +306,7 @@ class StandIn:
         self.seen: list[Callable[[], None]] = []
         self.commands: dict[str, Array] = {}
         self.error = ""
-        self._reflexes = reflexes
+        self.reflexes = reflexes
         self._motor_inertia = {arm: own.motor_inertia_reduced for arm, own in scene.physics.arms.items()}
         self.external = {
             arm: ExternalTorque(model, reflexes[arm].observer_gain, self.period) for arm, model in self.models.items()
@@ -360,7 +360,7 @@ class StandIn:
 
     def _reflex(self, arm: str) -> str:
         """Why an arm stops itself now; empty: it does not."""
-        own, observer, when = self._reflexes[arm], self.external[arm], f"at {self.clock.time:.3f} s"
+        own, observer, when = self.reflexes[arm], self.external[arm], f"at {self.clock.time:.3f} s"
         if own.external_torque_Nm is not None:
             for joint in np.flatnonzero(np.abs(observer.torque) > np.array(own.external_torque_Nm)):
                 unit = self.models[arm].facts.units[joint].effort
@@ -420,6 +420,7 @@ def rehearse(
     reflexes: Mapping[str, Reflexes],
     seed: int = 0,
     say: Callable[[str], None] = lambda line: None,
+    given: Mapping[str, Mapping[str, Any]] | None = None,
 ) -> Checklist:
     """Rehearse a trial; a failure of the trial is part of the result.
 
@@ -429,39 +430,52 @@ def rehearse(
         reflexes: Thresholds of the robot's own reflexes, by arm.
         seed: Of noise and scatter.
         say: Called with a line about what is rehearsed now.
+        given: Values of all parameters of ``cell`` and ``watchdog``; None: their defaults with names, gravity
+            convention and torque rate of the profile.
     """
+    if given is None:
+        own = {
+            "joints": profile.joints_of(plan.arms),
+            "robot_adds_gravity": profile.adds_gravity,
+            "torque_rate_limit": profile.torque_rate,
+        }
+        given = {kind: defaults_of(kind) | own for kind in ("cell", "watchdog")}
     found = Checklist(profile.name, blocking=profile.blocking)
+    if given["cell"]["mocap"]:
+        found.unknown.append("mocap is true: poses of the object from motion capture are not rehearsed")
     for name, arm in plan.arms.items():
         found.log.append(f"{name} starts at [{', '.join(f'{value:.4f}' for value in arm.initial)}]")
     say("arming and trial")
-    _rehearse_trial(plan, profile, reflexes, seed, found)
+    _rehearse_trial(_Cell(plan, profile, reflexes, seed, given), found)
     if found.stopped or not found.failure:
         say("the cell dies before the hit")
-        _rehearse_death(plan, profile, reflexes, seed, found)
+        _rehearse_death(_Cell(plan, profile, reflexes, seed, given), found)
     return found
 
 
 class _Cell:
     """The cell, armed, at a stand-in."""
 
-    def __init__(self, plan: TrialPlan, profile: DriverProfile, reflexes: Mapping[str, Reflexes], seed: int) -> None:
+    def __init__(
+        self,
+        plan: TrialPlan,
+        profile: DriverProfile,
+        reflexes: Mapping[str, Reflexes],
+        seed: int,
+        given: Mapping[str, Mapping[str, Any]],
+    ) -> None:
         self.plan, self.clock = plan, VirtualTime()
         self.robot = StandIn(plan, profile, reflexes, self.clock, seed)
         self.inbox = VirtualInbox(self.clock)
         self.outbox = VirtualOutbox(plan, self.clock, self.inbox)
-        parameters = defaults_of("cell") | {
-            "joints": profile.joints_of(plan.arms),
-            "robot_adds_gravity": profile.adds_gravity,
-            "torque_rate_limit": profile.torque_rate,
-        }
-        self.parameters = parameters
-        self.arms = self._arms(self._send)
+        self.parameters, self._watchdog_parameters = given["cell"], given["watchdog"]
+        self.arms = self._arms(self._send, self.parameters)
         self.robot.listeners.append(lambda data: self.inbox.waiting.append((STATES, data)))
         self.watchdog: Watchdog | None = None
         self.alive = True
 
-    def _arms(self, send: Callable[[str, Array], None]) -> EffortArms:
-        return arms_of(self.plan, self.parameters.__getitem__, self.clock, send)
+    def _arms(self, send: Callable[[str, Array], None], parameters: Mapping[str, Any]) -> EffortArms:
+        return arms_of(self.plan, parameters.__getitem__, self.clock, send)
 
     def _send(self, arm: str, torque: Array) -> None:
         if not self.alive:
@@ -473,7 +487,8 @@ class _Cell:
 
     def watch(self) -> Watchdog:
         """Start a watchdog beside the cell."""
-        watchdog = self.watchdog = Watchdog(self._arms(self.robot.command), defaults_of("watchdog")["command_timeout"])
+        own = self._watchdog_parameters
+        watchdog = self.watchdog = Watchdog(self._arms(self.robot.command, own), own["command_timeout"])
         self.robot.listeners.append(lambda data: _read(watchdog, data))
 
         def look() -> None:
@@ -508,11 +523,8 @@ def _read(watchdog: Watchdog, data: bytes) -> None:
     watchdog.arms.states.read(data)
 
 
-def _rehearse_trial(
-    plan: TrialPlan, profile: DriverProfile, reflexes: Mapping[str, Reflexes], seed: int, found: Checklist
-) -> None:
+def _rehearse_trial(cell: _Cell, found: Checklist) -> None:
     """Arm, run the trial to its end, and leave it."""
-    cell = _Cell(plan, profile, reflexes, seed)
     extremes = _Extremes(cell.robot)
     try:
         found.log.append(f"armed: {cell.arm()}")
@@ -549,7 +561,7 @@ def _rehearse_trial(
     finally:
         found.stopped = cell.robot.error
         cell.robot.plant.close()
-    _margins(cell.robot, extremes, reflexes, found)
+    _margins(cell.robot, extremes, cell.robot.reflexes, found)
 
 
 def _margins(robot: StandIn, extremes: _Extremes, reflexes: Mapping[str, Reflexes], found: Checklist) -> None:
@@ -602,11 +614,9 @@ def _stopped_words(robot: StandIn, trial: CellTrial) -> str:
     return f"the robot stopped itself ({robot.error}); {states}; {noticed}"
 
 
-def _rehearse_death(
-    plan: TrialPlan, profile: DriverProfile, reflexes: Mapping[str, Reflexes], seed: int, found: Checklist
-) -> None:
+def _rehearse_death(cell: _Cell, found: Checklist) -> None:
     """The cell falls silent before the hit; the watchdog brakes the arms."""
-    cell = _Cell(plan, profile, reflexes, seed)
+    plan = cell.plan
     try:
         watchdog = cell.watch()
         cell.arm()

@@ -110,6 +110,8 @@ PROFILES = {
             blocking=(
                 "no torque-only mode: the robot adds commanded torques to the springs of its joint impedance, which "
                 "pull the arm back, and the cell does not know them",
+                "torques of an effort controller are not passed on: the driver writes torques only while commanded "
+                "positions stand beside them",  # torque_command.cpp
             ),
         ),
         DriverProfile(

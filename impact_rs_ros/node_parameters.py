@@ -15,9 +15,10 @@ from rcl_interfaces.msg import FloatingPointRange, ParameterDescriptor, SetParam
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
-from impact_rs_sim.errors import InputError
+from impact_rs_sim.errors import InputError, did_you_mean
 from impact_rs_sim.impact_map import CONTACTS, DEFAULT_ENGINE, ENGINES, FORMER_NAMES
 from impact_rs_sim.scenario import load_scenario
+from impact_rs_sim.schema import load_mapping
 
 Value = bool | float | str
 FULL_TURN = 6.283185  # rad
@@ -321,6 +322,62 @@ def complaint_about(kind: str, name: str, wanted: Any) -> str:
 def defaults_of(kind: str) -> dict[str, Any]:
     """Default values of all parameters of a node, by name."""
     return {parameter.name: parameter.default for parameter in PARAMETERS[kind]}
+
+
+NODE_NAMES = {"cell": "plant"}  # of nodes that are not called as their kind
+EVERY_NODE = "/**"  # section of a parameter file
+
+
+def values_of(path: Path, kind: str) -> dict[str, Any]:
+    """Values of all parameters that a node has when it is started with ``--params-file``.
+
+    The node itself passes over a parameter that it does not know; here it is a mistake.
+
+    Args:
+        path: File in the format of ROS 2; sections of other nodes are theirs.
+        kind: Node, a key of ``PARAMETERS``.
+
+    Raises:
+        InputError: The file cannot be read, has no section of the node, or one with an unknown name or a value that
+            the node refuses.
+    """
+    name, known = NODE_NAMES.get(kind, kind), {parameter.name: parameter for parameter in PARAMETERS[kind]}
+    values, content = defaults_of(kind), load_mapping(path)
+    own = {section: _own(content, section) for section in content if section.rpartition("/")[2] in (name, "**")}
+    if not any(own.values()):
+        raise InputError(f"no section of the {kind}, expected /**/{name} with ros__parameters in it", file=path)
+    for section in sorted(own, key=len):  # that of the node goes before that of all
+        for key, wanted in own[section].items():
+            place = f"{section}.{key}"
+            if key in known:
+                _check(known[key], kind, wanted, path, place)
+                values[key] = wanted
+            elif section != EVERY_NODE:
+                hint = did_you_mean(str(key), known) or f"; known: {', '.join(known)}"
+                raise InputError(f"the {kind} has no such parameter{hint}", file=path, key=place)
+    return values
+
+
+def _own(content: dict[str, Any], section: str) -> dict[str, Any]:
+    """Values of a section of a parameter file; none where it has no ``ros__parameters``."""
+    given = content[section].get("ros__parameters") if isinstance(content[section], dict) else None
+    return given if isinstance(given, dict) else {}
+
+
+def _check(parameter: NodeParameter, kind: str, wanted: Any, path: Path, place: str) -> None:
+    """Refuse what the node refuses."""
+    expected = {bool: "true or false", float: "a number with a point", str: "a text"}[type(parameter.default)]
+    limits = parameter.range
+    if type(wanted) is not type(parameter.default):
+        raise InputError(
+            f"expected {expected}: {parameter.description} [{parameter.unit}]", file=path, key=place, value=wanted
+        )
+    if limits is not None and not limits[0] <= float(wanted) <= limits[1]:
+        raise InputError(
+            f"expected {limits[0]:g} to {limits[1]:g} {parameter.unit}", file=path, key=place, value=wanted
+        )
+    if complaint := complaint_about(kind, parameter.name, wanted):
+        raise InputError(complaint, file=path)
 
 
 def value(node: Node, name: str) -> Any:

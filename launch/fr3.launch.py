@@ -12,16 +12,15 @@ from launch.substitutions import LaunchConfiguration, PathJoinSubstitution
 from launch_ros.actions import Node
 from launch_ros.substitutions import FindPackageShare
 
-STATES = ("joint_states", "/franka/joint_states")
-COMMANDS = ("arm/effort_controller/commands", "/effort_controller/commands")
+STATES = "/franka/joint_states"
+COMMANDS = "/effort_controller/commands"
 
 
 def generate_launch_description() -> LaunchDescription:
     """Return driver, controllers, watchdog and cell."""
-    scenario = LaunchConfiguration("scenario")
-    robot = {"scenario": scenario, "joints": "fr3_joint{number}", "robot_adds_gravity": True}
+    share = FindPackageShare("impact_rs")
     driver = PathJoinSubstitution([FindPackageShare("franka_bringup"), "launch", "franka.launch.py"])
-    controllers = PathJoinSubstitution([FindPackageShare("impact_rs"), "config", "drivers", "fr3_controllers.yaml"])
+    controllers = PathJoinSubstitution([share, "config", "drivers", "fr3_controllers.yaml"])
     return LaunchDescription(
         [
             DeclareLaunchArgument("robot_ip", description="Address of the robot's controller."),
@@ -37,19 +36,14 @@ def generate_launch_description() -> LaunchDescription:
             ),
             _spawner("joint_trajectory_controller"),
             _spawner("effort_controller", "--inactive"),
-            Node(
-                package="impact_rs",
-                executable="watchdog",
-                output="screen",
-                parameters=[robot],
-                remappings=[STATES, COMMANDS],
-            ),
-            Node(
-                package="impact_rs",
-                executable="cell",
-                output="screen",
-                parameters=[{**robot, "watchdog": True}],
-                remappings=[STATES, COMMANDS],
+            IncludeLaunchDescription(
+                PythonLaunchDescriptionSource([PathJoinSubstitution([share, "launch", "cell.launch.py"])]),
+                launch_arguments={
+                    "parameters": PathJoinSubstitution([share, "config", "drivers", "fr3_cell.yaml"]),
+                    "scenario": LaunchConfiguration("scenario"),
+                    "states": STATES,
+                    "commands": COMMANDS,
+                }.items(),
             ),
         ]
     )

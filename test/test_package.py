@@ -19,8 +19,9 @@ import pytest
 import yaml
 from catkin_pkg.package import parse_package
 
-from impact_rs_ros.driver_profiles import PROFILES
+from impact_rs_ros.driver_profiles import PROFILES, profile_of
 from impact_rs_ros.middleware import CHOICES, PROFILE, set_middleware
+from impact_rs_ros.node_parameters import values_of
 from impact_rs_ros.node_processes import NODES
 from impact_rs_ros.robot_states import joint_names
 from impact_rs_sim.scenario import load_scenario
@@ -142,9 +143,11 @@ def launch_file(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
     actions = ("DeclareLaunchArgument", "EmitEvent", "IncludeLaunchDescription", "LogInfo", "OpaqueFunction")
     actions += ("RegisterEventHandler",)
     substitutions = {"LaunchConfiguration": lambda name: Configuration(name=name), "PathJoinSubstitution": "/".join}
+    substitutions["Command"] = list
     stand_ins: dict[str, dict[str, Any]] = {
         "launch": {"LaunchContext": dict, "LaunchDescription": list, "LaunchDescriptionEntity": object},
         "launch.actions": {name: action(name) for name in actions},
+        "launch.conditions": {"IfCondition": lambda value: value},
         "launch.event_handlers": {"OnProcessExit": SimpleNamespace},
         "launch.events": {"matches_action": lambda action: action},
         "launch.events.process": {"ProcessExited": SimpleNamespace, "ShutdownProcess": SimpleNamespace},
@@ -152,6 +155,7 @@ def launch_file(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
         "launch.substitutions": substitutions,
         "launch_ros": {},
         "launch_ros.actions": {"Node": action("Node")},
+        "launch_ros.parameter_descriptions": {"ParameterValue": lambda value, value_type: value},
         "launch_ros.substitutions": {"FindPackageShare": str},
     }
     for name, content in stand_ins.items():
@@ -161,29 +165,111 @@ def launch_file(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
     return runpy.run_path(str(ROOT / "launch" / "impact_rs.launch.py"))
 
 
-def test_the_launch_file_of_an_fr3_starts_driver_watchdog_and_cell_with_the_same_names(
-    launch_file: dict[str, Any],
+DRIVERS = {  # launch file, and beginning of the names of its files: profile of the driver, arm that it is for
+    "fr3": ("franka_ros2", "franka_fr3"),
+    "ur5e": ("ur_robot_driver", "ur5e"),
+    "iiwa7": ("lbr_fri_ros2_stack", "kuka_iiwa7"),
+    "ros2_control": ("ros2_control", None),
+}
+DRIVER_FILES = ROOT / "config" / "drivers"
+
+
+def urdf_joints(robot: str | None) -> list[str]:
+    """Names that the URDF gives the joints, from the facts that were imported from it; None: of the template."""
+    if robot is None:
+        return [f"arm_joint{number}" for number in range(1, 8)]
+    return re.findall(r"- \{xyz:.*# (\S+)$", (ROOT / "config" / "robots" / f"{robot}.yaml").read_text(), re.MULTILINE)
+
+
+def controllers_of(name: str) -> dict[str, Any]:
+    """Parameters of the controller manager and its controllers by node."""
+    content = yaml.safe_load((DRIVER_FILES / f"{name}_controllers.yaml").read_text())
+    content = content.get("/**", content)
+    return {node.removeprefix("/**/"): section["ros__parameters"] for node, section in content.items()}
+
+
+@pytest.mark.parametrize("name", DRIVERS)
+def test_a_launch_file_of_a_robot_starts_the_cell_on_the_topics_of_its_driver(
+    launch_file: dict[str, Any], name: str
 ) -> None:
-    """Its modules stand in as for the other launch file; the controllers are those of its joints and its rate."""
+    """Its modules stand in as for the other launch file; the file of controllers has every one that it starts."""
     del launch_file
-    file = runpy.run_path(str(ROOT / "launch" / "fr3.launch.py"))
+    file = runpy.run_path(str(ROOT / "launch" / f"{name}.launch.py"))
     entities = file["generate_launch_description"]()
-    nodes = {node.executable: node for node in entities if node.kind == "Node" and node.package == "impact_rs"}
-    assert set(nodes) == {"watchdog", "cell"}
-    assert nodes["watchdog"].remappings == nodes["cell"].remappings == [file["STATES"], file["COMMANDS"]]
-    profile = PROFILES["franka_ros2"]
-    assert (file["STATES"][1], file["COMMANDS"][1]) == (profile.states, profile.commands)
-    (own,) = nodes["cell"].parameters
-    assert own["watchdog"] and own["joints"] == profile.joints
-    spawned = [node.arguments for node in entities if node.kind == "Node" and node.executable == "spawner"]
-    assert spawned == [["joint_trajectory_controller"], ["effort_controller", "--inactive"]]
-    content = yaml.safe_load((ROOT / "config" / "drivers" / "fr3_controllers.yaml").read_text())["/**"]
-    manager, names = content["controller_manager"]["ros__parameters"], joint_names(profile.joints, {"arm": 7})["arm"]
-    assert manager["update_rate"] * load_scenario("push_fr3").timing.control_period == 1.0
-    for name in ("effort_controller", "joint_trajectory_controller"):
-        assert "type" in manager[name]
-        assert content[name]["ros__parameters"]["joints"] == names
-    assert list(content["joint_trajectory_controller"]["ros__parameters"]["gains"]) == names
+    included = {one.inputs[0][0]: one for one in entities if one.kind == "IncludeLaunchDescription"}
+    cell = included.pop("impact_rs/launch/cell.launch.py")
+    given, profile = dict(cell.launch_arguments), PROFILES[DRIVERS[name][0]]
+    defaults = {
+        one.inputs[0]: getattr(one, "default_value", None) for one in entities if one.kind.startswith("Declare")
+    }
+    if profile.blocking:  # the cell cannot run with the driver as it is released
+        assert cell.condition.name == "cell" and defaults["cell"] == "false"
+    states = file["STATES"] if name == "ur5e" else given["states"]  # there an argument
+    assert (states, given["commands"]) == (profile.states, profile.commands.replace("/ARM", ""))
+    parameters = given["parameters"]
+    if name != "ros2_control":  # there an argument
+        assert (ROOT / parameters.removeprefix("impact_rs/")).is_file()
+        assert len(included) == 1  # the driver
+    spawned = [node.arguments[0] for node in entities if node.kind == "Node" and node.executable == "spawner"]
+    if spawned:
+        assert set(spawned) <= set(controllers_of(name)["controller_manager"])
+        inactive = [node.arguments[0] for node in entities if "--inactive" in getattr(node, "arguments", ())]
+        assert inactive == ["effort_controller"]
+
+
+def test_cell_and_watchdog_are_launched_with_one_file_and_the_same_topics(launch_file: dict[str, Any]) -> None:
+    del launch_file
+    entities = runpy.run_path(str(ROOT / "launch" / "cell.launch.py"))["generate_launch_description"]()
+    watchdog, cell = (one for one in entities if one.kind == "Node")
+    assert (watchdog.executable, cell.executable, cell.name) == ("watchdog", "cell", "plant")
+    assert watchdog.remappings == cell.remappings and watchdog.parameters == cell.parameters
+    assert [source for source, _ in cell.remappings] == ["joint_states", "arm/effort_controller/commands"]
+
+
+@pytest.mark.parametrize("name", DRIVERS)
+def test_parameters_of_a_robots_cell_are_those_of_its_driver_and_its_urdf(name: str) -> None:
+    driver, robot = DRIVERS[name]
+    profile, joints = PROFILES[driver], urdf_joints(robot)
+    file = DRIVER_FILES / f"{name}_cell.yaml"
+    cell, watchdog = values_of(file, "cell"), values_of(file, "watchdog")
+    scenario = load_scenario(cell["scenario"])
+    period = scenario.timing.control_period
+    assert cell["watchdog"]
+    for values in (cell, watchdog):
+        assert joint_names(values["joints"], {"arm": len(joints)})["arm"] == joints
+        assert values["robot_adds_gravity"] == profile.adds_gravity
+        assert values["torque_rate_limit"] <= profile.torque_rate
+        assert values["state_timeout"] >= 5 * period
+    shared = set(cell) & set(watchdog)
+    assert {key: cell[key] for key in shared} == {key: watchdog[key] for key in shared}
+    assert watchdog["command_timeout"] > cell["answer_timeout"] + cell["state_timeout"]
+    if robot is not None:
+        assert profile_of(scenario) is profile and period == profile.period
+        assert scenario.robots["arm"].facts == robot
+
+
+@pytest.mark.parametrize("name", ["fr3", "iiwa7", "ros2_control"])  # ur_robot_driver has its own
+def test_controllers_of_a_robot_run_at_the_rate_of_its_cell_and_command_its_joints(name: str) -> None:
+    controllers = controllers_of(name)
+    manager = controllers["controller_manager"]
+    scenario = load_scenario(values_of(DRIVER_FILES / f"{name}_cell.yaml", "cell")["scenario"])
+    assert manager["update_rate"] * scenario.timing.control_period == 1.0
+    assert manager["effort_controller"]["type"] == "effort_controllers/JointGroupEffortController"
+    assert set(controllers) - {"controller_manager"} <= set(manager)
+    for controller in ("effort_controller", "joint_trajectory_controller"):
+        assert controllers[controller]["joints"] == urdf_joints(DRIVERS[name][1])
+    trajectory = controllers["joint_trajectory_controller"]
+    if trajectory["command_interfaces"] == ["effort"]:
+        assert list(trajectory["gains"]) == trajectory["joints"]
+
+
+def test_fri_is_set_up_alike_in_both_command_modes_and_smooths_no_hit_away() -> None:
+    position, torque = (
+        yaml.safe_load((DRIVER_FILES / f"iiwa7_{mode}.yaml").read_text())["hardware"] for mode in ("position", "torque")
+    )
+    assert position.pop("client_command_mode") == "position" and torque.pop("client_command_mode") == "torque"
+    assert position == torque
+    assert torque["measured_torque_tau"] < 0.2 * load_scenario("push_iiwa7").timing.control_period
 
 
 PARAMETERS = str(ROOT / "config" / "nodes.yaml")

@@ -13,6 +13,7 @@ from impact_rs_cli.arguments import check_robots, settings_of
 from impact_rs_cli.terminal import Terminal, output_folder
 from impact_rs_ros.cell_rehearsal import Checklist, rehearse
 from impact_rs_ros.driver_profiles import profile_of
+from impact_rs_ros.node_parameters import values_of
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.robot import Reflexes, RobotFacts
 from impact_rs_sim.scenario import load_scenario
@@ -37,6 +38,8 @@ def run(args: argparse.Namespace, terminal: Terminal) -> int:
         name: _reflexes(arm.facts, args.reflex_torque, args.reflex_force)
         for name, arm in plan.scene.physics.arms.items()
     }
+    file = args.parameters
+    given = None if file is None else {kind: values_of(file, kind) for kind in ("cell", "watchdog")}
     done = 0
     with terminal.stages() as report:
 
@@ -45,7 +48,7 @@ def run(args: argparse.Namespace, terminal: Terminal) -> int:
             report(what, done, PHASES)
             done += 1
 
-        found = rehearse(plan, profile, reflexes, args.seed, say)
+        found = rehearse(plan, profile, reflexes, args.seed, say, given)
     document = {"scenario": scenario.name, "object": item, "case": plan.scene.case_name} | found.to_json()
     page = None
     if args.output is not None:
@@ -59,7 +62,8 @@ def run(args: argparse.Namespace, terminal: Terminal) -> int:
     terminal.result(document)
     terminal.say(
         f"{scenario.name}, {item}, {plan.scene.case_name}, against a stand-in of {profile.name} ({profile.source})",
-        f"cell: joints {profile.joints_of(plan.arms)}, states on {profile.states}, torques on {profile.commands}",
+        f"driver: joints {profile.joints_of(plan.arms)}, states on {profile.states}, torques on {profile.commands}",
+        *(() if file is None else (f"cell and watchdog: with the parameters of {file}",)),
         *found.log,
         _table(found),
     )

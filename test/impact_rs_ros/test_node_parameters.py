@@ -21,6 +21,7 @@ from impact_rs_ros.node_processes import NODES
 from impact_rs_ros.plant_node import PlantNode
 from impact_rs_ros.process import NodeProgram
 from impact_rs_ros.recorder_node import RecorderNode
+from impact_rs_sim.errors import InputError
 
 ROOT = Path(__file__).resolve().parents[2]
 ALONE = "identify"  # started by itself, with the same file
@@ -120,3 +121,35 @@ def test_a_node_does_not_start_with_such_a_value(
     output = capfd.readouterr().err
     assert "parameter refused: " in output
     assert argument.partition(":=")[0] in output
+
+
+@pytest.mark.parametrize(
+    ("kind", "section", "values", "told"),
+    [
+        ("cell", "plant", {"torque_rate_limt": 9.0}, r"torque_rate_limt: the cell has no such .* 'torque_rate_limit'"),
+        ("cell", "plant", {"torque_rate_limit": 9}, r"torque_rate_limit = 9: expected a number with a point"),
+        ("cell", "plant", {"state_timeout": 20.0}, r"state_timeout = 20\.0: expected 0\.001 to 10 s"),
+        ("cell", "plant", {"joints": "fr3_joint"}, r"joints 'fr3_joint': expected \{number\} in it"),
+        ("watchdog", "plant", {"joints": "a{number}"}, r"no section of the watchdog, expected /\*\*/watchdog"),
+    ],
+)
+def test_a_parameter_file_that_a_node_would_pass_over_is_refused_with_its_key(
+    kind: str, section: str, values: dict[str, object], told: str, tmp_path: Path
+) -> None:
+    file = tmp_path / "cell.yaml"
+    file.write_text(yaml.safe_dump({section: {"ros__parameters": values}}))
+    with pytest.raises(InputError, match=rf"cell\.yaml: .*{told}"):
+        node_parameters.values_of(file, kind)
+
+
+def test_values_of_a_file_are_those_that_the_node_has(tmp_path: Path) -> None:
+    """Section by section as rclpy resolves them: that of all nodes, then that of the node in any namespace."""
+    file = tmp_path / "cell.yaml"
+    sections = {
+        "/**/plant": {"ros__parameters": {"state_timeout": 0.02, "joints": "a{number}"}},
+        "/**": {"ros__parameters": {"state_timeout": 0.03, "scenario": "grab", "of_another_node": 1}},
+        "other": {"ros__parameters": {"scenario": "nonsense"}},
+    }
+    file.write_text(yaml.safe_dump(sections, sort_keys=False))
+    wanted = {"state_timeout": 0.02, "joints": "a{number}", "scenario": "grab"}
+    assert node_parameters.values_of(file, "cell") == node_parameters.defaults_of("cell") | wanted

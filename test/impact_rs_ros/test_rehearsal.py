@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -13,6 +14,7 @@ from impact_rs_cli.main import main
 from impact_rs_ros import cell_rehearsal
 from impact_rs_ros.cell_rehearsal import Checklist, ExternalTorque, Margin, StandIn, VirtualTime, rehearse
 from impact_rs_ros.driver_profiles import PROFILES, profile_of
+from impact_rs_ros.node_parameters import defaults_of
 from impact_rs_ros.robot_states import joint_names
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.robot import Reflexes
@@ -101,6 +103,30 @@ def test_a_robot_that_has_stopped_itself_obeys_no_torque_and_reports_why(states_
 def test_a_shipped_scenario_passes_its_own_rehearsal(name: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["rehearse", name]) == 0
     assert capsys.readouterr().out.rstrip().endswith("rehearsal passed")
+
+
+def test_a_rehearsal_takes_the_file_that_the_launch_file_loads(
+    passed: Checklist, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """With a slower watchdog the arm rests that much later; with joint names of another robot there is no state."""
+    shipped = (Path(__file__).resolve().parents[2] / "config" / "drivers" / "fr3_cell.yaml").read_text()
+    own = tmp_path / "cell.yaml"
+    own.write_text(shipped.replace("command_timeout: 0.05", "command_timeout: 0.3"))
+    assert main(["rehearse", "push_fr3", "--parameters", str(own), "--json"]) == 0
+    margins = json.loads(capsys.readouterr().out)["margins"]
+    (stop,) = [one["value"] for one in margins if one["name"].startswith("time to stop")]
+    assert stop - margin_of(passed, "time to stop").value == pytest.approx(0.3 - 0.05, abs=0.1)
+    own.write_text(shipped.replace("fr3_joint{number}", "lbr_A{number}"))
+    assert main(["rehearse", "push_fr3", "--parameters", str(own), "--json"]) == 1
+    assert "no state of lbr_A1" in json.loads(capsys.readouterr().out)["failure"]
+
+
+def test_poses_of_motion_capture_are_named_as_not_rehearsed() -> None:
+    given = {kind: dict(defaults_of(kind), joints=FRANKA.joints) for kind in ("cell", "watchdog")}
+    given["cell"] |= {"mocap": True, "robot_adds_gravity": False}
+    found = rehearse(PLAN, FRANKA, NO_REFLEXES, given=given)
+    assert "mocap is true" in found.unknown[0]
+    assert "while it was held" in found.failure  # the weight twice
 
 
 def test_a_driver_that_the_cell_cannot_use_is_not_passed(capsys: pytest.CaptureFixture[str]) -> None:
