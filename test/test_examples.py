@@ -23,10 +23,12 @@ from impact_table_cases import cube, tossed
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.impact_map.measured import MeasuredImpact, corners_that_touch, solve_measured
 from impact_rs_sim.physics import ObjectPhysics, Physics
+from impact_rs_sim.scenario import load_scenario
 from impact_rs_trials.bags.reader import TrialBag
 from impact_rs_trials.recordings.experiment import load_experiment
 from impact_rs_trials.recordings.impact_table import read_impact_table
 from impact_rs_trials.recordings.laboratory import read_laboratory
+from impact_rs_trials.spec import TrialSpec
 
 LONG = ("ball_bounces", "cube_tosses", "draw_robot", "foreign_plant")  # beside files, nodes or views of others, in full
 EXAMPLES = Path(__file__).resolve().parent.parent / "examples"
@@ -233,3 +235,27 @@ def test_an_example_is_short_and_says_how_to_run_it(path: Path) -> None:
     text = path.read_text(encoding="utf-8")
     assert f"./run python examples/{path.name}" in text
     assert len(text.splitlines()) <= (75 if path.stem not in LONG else 300)
+
+
+@pytest.mark.parametrize("name", ["push_ur5e", "push_iiwa7"])
+def test_a_trajectory_goal_leads_the_pad_straight_through_the_place_of_the_hit(name: str) -> None:
+    """Its speed there is that of the case, between two points too, and at its end the arm rests."""
+    module = load("trajectory_goal")
+    points = module.goal(name)["trajectory"]["points"]
+    scenario = load_scenario(name)
+    spec = TrialSpec.of(scenario, next(iter(scenario.objects)), next(iter(scenario.cases)))
+    model, (arm,) = spec.scene.models["arm"], spec.plan.arms.values()
+    times = np.array([point["time_from_start"]["sec"] + 1e-9 * point["time_from_start"]["nanosec"] for point in points])
+    q, dq = (np.array([point[key] for point in points]) for key in ("positions", "velocities"))
+    assert np.diff(times) == pytest.approx(module.PERIOD)
+    assert module.goal(name, start=True)["trajectory"]["points"][0]["positions"] == pytest.approx(arm.initial, abs=1e-6)
+    assert q[0] == pytest.approx(arm.initial, abs=1e-3) and dq[-1] == pytest.approx(0.0 * dq[-1], abs=1e-6)
+    hit = int(np.argmin(np.abs(times - scenario.timing.nominal_impact)))
+    case = scenario.cases[spec.scene.case_name].robots["arm"]
+    assert model.placement(q[hit]).translation == pytest.approx(scenario.robots["arm"].impact.position, abs=1e-5)
+    assert (model.jacobian(q[hit]) @ dq[hit])[:3] == pytest.approx(case.ante_velocity, abs=1e-4)
+    mean = (q[1:] - q[:-1]) / module.PERIOD
+    assert np.abs(mean - 0.5 * (dq[1:] + dq[:-1])).max() < 0.02 * np.abs(dq).max()
+    path = np.array([model.placement(joints).translation for joints in q])
+    across = np.delete(path - path[hit], scenario.axis_index, axis=1)
+    assert np.abs(across).max() < 1e-5
