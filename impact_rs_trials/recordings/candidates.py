@@ -51,6 +51,7 @@ class SignalCandidate:
         guess: The signal that its name hints at; empty: none.
         width: How many numbers a sample has.
         joints: Names of its joints, base to tip where the names show it; empty: the recording names none.
+        stamped: Whether its samples have stamps of their own; messages of a bag without a header have none.
     """
 
     label: str
@@ -59,6 +60,7 @@ class SignalCandidate:
     guess: str = ""
     width: int = 0
     joints: tuple[str, ...] = ()
+    stamped: bool = True
 
 
 @dataclass(frozen=True)
@@ -204,7 +206,8 @@ def _in_message(topic: str, kind: str, message: Any) -> Iterator[SignalCandidate
             joints = tuple(sorted(names, key=_base_to_tip))
         guess = {"effort": "torque"}.get(place, place)
         guess = "command" if "command" in topic else guess if "names" in source else ""
-        yield SignalCandidate(f"{topic}: {place} ({numbers})", source, False, guess, numbers, joints)
+        label, stamped = f"{topic}: {place} ({numbers})", hasattr(message, "header")
+        yield SignalCandidate(label, source, False, guess, numbers, joints, stamped)
 
 
 def _names(message: Any) -> list[str] | None:

@@ -95,6 +95,9 @@ AXES = ("x", "y", "z")
 QUATERNION = (("x", "y", "z", "w"), ("w", "x", "y", "z"))
 MOST_COMPARED = 10  # runs beside the first
 USUAL_VELOCITIES = ("rad/s", "deg/s", "m/s")
+NEAR = 0.5  # of the measured torque, rms, within which a torque that was asked for lies
+PLAINLY = 2.0  # by which it is nearer with the arm's weight than without it, or the other way round
+NO_HEADER = "its messages have no header: times at which the bag received them"
 RAW_UNITS = {"position": "rad", "velocity": "rad/s", "torque": "N m"}
 
 
@@ -149,6 +152,7 @@ class _Part:
     series: dict[int, Series] = field(default_factory=dict)
     run: str = ""
     run_column: str | None = None
+    on_log: bool = False  # times are those at which a bag received its messages
 
     @property
     def names(self) -> Names:
@@ -468,8 +472,23 @@ class _Importer:
             )
         else:
             signals["velocity"] = self._joint_signal(*motion.velocity, part)
+        part.on_log = not motion.position.candidate.stamped
         own = {"joints": list(self._joints(part, motion.position.number, facts.joint_count))}
-        return part, own | self._torque(torques, facts, robot, signals, part), signals
+        own |= self._torque(torques, facts, robot, signals, part)
+        _, torque, unit = max(torques, key=lambda one: one[0])
+        asked = [
+            (one, copied)
+            for one, copied in _beside(motion, every)
+            if one.part.is_bag and not one.overlaps(torque) and one.candidate.guess == "command"
+        ]
+        self._remarks += [f"{one.label} is left out: it {copied}" for one, copied in asked if copied is not None]
+        torques_asked = [one for one, copied in asked if copied is None]
+        if torques_asked and "torque_constant" in own:
+            why = "nothing but currents was measured beside it"
+            self._remarks += [f"{one.label} is left out: {why}" for one in torques_asked]
+        elif torques_asked:
+            own |= self._command(motion, torques_asked, (torque, unit), model, signals, part)
+        return part, own, signals
 
     def _refuse_several(self, part: _Part, what: str, whose: str) -> None:
         """Files that differ in a word are of objects that a robot hits, and of nothing else."""
@@ -522,7 +541,8 @@ class _Importer:
     ) -> dict[str, Any]:  # fmt: skip
         """The torque of the joints, which is added to the signals; keys of the mapping that go with it."""
         _, chosen, best = max(found, key=lambda one: one[0])
-        others = [other.label for _, other, _ in found if not other.overlaps(chosen)]
+        free = [other for _, other, _ in found if not other.overlaps(chosen)]
+        others = [other.label for other in free if not (part.is_bag and other.candidate.guess == "command")]
         if others:
             said = f"{best.evidence}; so do {'; '.join(others)}: take the one that was measured"
             best = replace(best, evidence=said, sure=False)
@@ -540,6 +560,38 @@ class _Importer:
             )
             own["torque_constant"] = constant
         return own
+
+    def _command(
+        self, motion: _Motion, asked: Sequence[_Found], measured: tuple[_Found, Guess], model: RobotModel,
+        signals: dict[str, dict[str, Any]], part: _Part,
+    ) -> dict[str, Any]:  # fmt: skip
+        """The torque that was asked for, which is added to the signals, by how near it is to the measured one."""
+        found, unit = measured
+        time, q = motion.position.series.time, motion.places
+        torque = found.series.at(time) * _si(unit, "torque") * np.asarray(unit.further.get("factor", 1.0))
+        weight = np.array([model.gravity_torque(row) for row in q])
+        size = max(float(np.sqrt(np.mean(np.square(torque)))), 1e-12)
+
+        def apart(one: _Found, missing: Array | float) -> float:
+            """How far from the measured torque, over that torque, rms."""
+            return float(np.sqrt(np.mean(np.square(one.series.at(time) + missing - torque)))) / size
+
+        tried = [(apart(one, 0.0), apart(one, weight), one) for one in asked]
+        taken = min(tried, key=lambda one: min(one[:2]))
+        for alone, lifted, one in tried:
+            if one is not taken[2] or min(alone, lifted) > NEAR:
+                far = f"{100.0 * min(alone, lifted):.0f} % of the measured torque away from it"
+                self._remarks.append(f"{one.label} is left out: by its name it was asked for, and it is {far}")
+        alone, lifted, one = taken
+        if min(alone, lifted) > NEAR:
+            return {}
+        included, both = alone <= lifted, f"{100.0 * alone:.0f} % of the measured torque away from it as it is"
+        guess = Guess("N m", f"{both}, {100.0 * lifted:.0f} % with the arm's weight added (rms)")
+        signals["command"] = self._joint_signal(one, "command", guess, part)
+        sure = max(alone, lifted) > PLAINLY * min(alone, lifted)
+        said = f"it is nearer to the measured torque {'as it is' if included else 'with the weight of the arm added'}"
+        self._say("command_includes_gravity", str(included).lower(), said, sure)
+        return {"command_includes_gravity": included}
 
     def _joint_signal(self, one: _Found, name: str, guess: Guess, main: _Part) -> dict[str, Any]:
         """Section of a signal of the joints, with the layout of its file where that is not the one of the positions."""
@@ -566,6 +618,8 @@ class _Importer:
                 continue
             source = SignalSource(unit="rad", **one.source)
             named = self._raw_mapping(part, robot, joints_of(one.joints, "", False, count), one.source)
+            if not one.stamped:
+                named = named.model_copy(update={"time": named.time.model_copy(update={"stamp": "log"})})
             try:
                 series = (shared or open_file(part.path, named, part.names, ("position",))).series("position", source)
             except InputError as error:
@@ -580,6 +634,16 @@ class _Importer:
                     f"more than {FEWEST_SAMPLES} are needed; stamps were taken from {part.stamps}, the key time of a "
                     "mapping names others, or a rate"
                 )
+        self._put_on_stamps(part)
+
+    def _put_on_stamps(self, part: _Part) -> None:
+        """Put signals without stamps on the clock of the others, as the reader does."""
+        stamped = [one for number, one in part.series.items() if part.candidates[number].stamped]
+        shifts = [float(np.median(one.log - one.time)) for one in stamped if one.log is not None]
+        if shifts:
+            for number, one in part.series.items():
+                if not part.candidates[number].stamped:
+                    part.series[number] = replace(one, time=one.time - shifts[0])
 
     def _settle_clock(self, part: _Part, facts: RobotFacts) -> None:
         """Give stamps whose unit nothing else shows the one in which a signal is a velocity in a usual unit."""
@@ -647,6 +711,7 @@ class _Importer:
         if one.is_cut:
             shown += "; what stands behind the joints is left out, as a gripper"
             self._remarks.append(f"signals.{name}: of {one.candidate.label} numbers are taken for the joints")
+        shown += "" if one.candidate.stamped else f"; {NO_HEADER}"
         self._say(f"signals.{name}", one.candidate.label, shown, not one.is_cut)
         self._say(f"signals.{name}.unit", flow(guess.value), guess.evidence, guess.sure)
         self._remarks += guess.remarks
@@ -760,7 +825,7 @@ class _Importer:
         if self._wishes.rate is not None:
             return {"rate": self._wishes.rate}
         if not part.columns:
-            return {}
+            return {"stamp": "log"} if part.on_log else {}
         if part.clock is None:
             raise InputError(
                 "no column holds time stamps: none increases at a rate of 1 Hz to 100 kHz; --rate says the sampling "
@@ -774,6 +839,8 @@ class _Importer:
         keys = self._clock_keys(part)
         if self._wishes.rate is not None:
             self._say("time.rate", f"{self._wishes.rate:g}", "given with --rate")
+        elif part.on_log:
+            self._say("time", flow(keys), f"of the positions: {NO_HEADER}")
         elif part.clock is not None:
             self._say("time", flow(keys), part.clock.evidence, part.clock.sure)
             self._remarks += part.clock.remarks
@@ -960,5 +1027,5 @@ def _axes(names: Sequence[str]) -> tuple[list[list[str]], list[list[str]]]:
 
 
 def _si(guess: Guess, quantity: str) -> Array:
-    units = {"rad/s": 1.0, "deg/s": np.pi / 180.0, "mrad/s": 1e-3, "m/s": 1.0, "mm/s": 1e-3}
-    return np.array([units[unit] for unit in ([guess.value] if isinstance(guess.value, str) else guess.value)])
+    units = [guess.value] if isinstance(guess.value, str) else guess.value
+    return np.array([UNITS[quantity][unit] for unit in units])

@@ -11,10 +11,13 @@ import pytest
 import scipy.io
 from joint_recordings import Columns, swinging
 from refusals import refusal
+from ros_messages import message
+from rosbags.rosbag2 import StoragePlugin, Writer
 
 from impact_rs_sim.robot import load_facts
 from impact_rs_sim.robot_model import RobotModel
 from impact_rs_trials.bags import topics
+from impact_rs_trials.bags.types import typestore
 from impact_rs_trials.recordings.experiment import Experiment, load_experiment, read_runs
 from impact_rs_trials.recordings.file_groups import group_files
 from impact_rs_trials.recordings.importing import ImportDraft, Wishes, draft_import
@@ -68,13 +71,13 @@ def described(draft: ImportDraft, folder: Path) -> Path:
     return folder / "mapping.yaml"
 
 
-def check_reading(draft: ImportDraft, folder: Path, target: Path, motion: Columns) -> None:
-    """What is written reads the planted motion in SI units."""
+def check_reading(draft: ImportDraft, folder: Path, target: Path, motion: Columns, near: float = 1e-6) -> None:
+    """What is written reads the planted motion in SI units, torques within ``near`` [N m]."""
     (run,) = read_recordings(target, load_mapping(described(draft, folder)))
     arm = run.signals.arms["arm"]
     np.testing.assert_allclose(arm.position, motion["position"], atol=1e-9)
     np.testing.assert_allclose(arm.velocity, motion["velocity"], atol=1e-8)
-    np.testing.assert_allclose(arm.torque, motion["effort"], atol=1e-6)
+    np.testing.assert_allclose(arm.torque, motion["effort"], atol=near)
 
 
 def test_units_and_signs_are_found_from_the_numbers(tmp_path: Path, motion: Columns) -> None:
@@ -703,6 +706,109 @@ def test_a_bag_with_the_pose_of_an_object_is_a_hit_and_one_without_is_free_motio
     assert mapping.signals["object_pose"].topic == topics.OBJECT_POSE
     assert draft.texts["runs.csv"].splitlines()[1:] == ["run_1,parcel,hit", "run_2,none,free motion"]
     assert not any("refuses" in remark for remark in draft.remarks)
+
+
+BAG_TIME = np.arange(0.0, 4.0, 0.002)
+LATE = 0.15e-3  # s, by which commands are logged after the joint states that they answer
+
+
+def bag_of(path: Path, topics_of: dict[str, Callable[[int], object]], late: dict[str, float]) -> Path:
+    """A bag with one message a topic and row; all are logged 2 ms after their stamps, some later."""
+    store = typestore()
+    with Writer(path, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
+        kinds = {topic: make(0).__msgtype__ for topic, make in topics_of.items()}
+        connections = {topic: writer.add_connection(topic, kind, typestore=store) for topic, kind in kinds.items()}
+        for row, time in enumerate(BAG_TIME):
+            for topic, make in topics_of.items():
+                data = store.serialize_cdr(make(row), kinds[topic])
+                writer.write(connections[topic], round(1e9 * (1e9 + time + 0.002 + late.get(topic, 0.0))), data)
+    return path
+
+
+def numbers(values: np.ndarray) -> Callable[[int], object]:
+    """Messages without a header."""
+    return lambda row: message("std_msgs/msg/Float64MultiArray", {"data": values[row]})
+
+
+def states(**values: np.ndarray) -> Callable[[int], object]:
+    """Messages with stamps and names."""
+    names = [f"fer_joint{joint}" for joint in range(1, 8)]
+
+    def make(row: int) -> object:
+        stamp = divmod(round(1e9 * (1e9 + BAG_TIME[row])), 10**9)
+        own = {name: rows[row] for name, rows in values.items()}
+        return message("sensor_msgs/msg/JointState", {"header.stamp": stamp, "name": names, **own})
+
+    return make
+
+
+@pytest.fixture(scope="module")
+def fer() -> Columns:
+    """A FER that swings about a bent pose, with the weight of its links."""
+    import pinocchio as pin
+
+    model = RobotModel(load_facts("franka_fer"), MountedEndEffector().build(), pin.SE3.Identity())
+    frequencies = (np.linspace(0.31, 0.53, 7), np.linspace(0.71, 0.97, 7))
+    own = swinging(model, BAG_TIME, np.array([0.1, -0.3, 0.2, -1.9, 0.3, 1.6, 0.1]), frequencies, (0.2, 0.05))
+    return own | {"weight": np.array([model.gravity_torque(q) for q in own["position"]])}
+
+
+def import_fer(path: Path, folder: Path) -> ImportDraft:
+    return draft_import([path], folder, Wishes(robot="franka_fer"))
+
+
+@pytest.mark.parametrize("included", [True, False])
+def test_a_commanded_torque_without_stamps_is_taken_with_the_times_of_the_bag(
+    tmp_path: Path, fer: Columns, included: bool
+) -> None:
+    command = 1.02 * fer["effort"] - (0.0 if included else fer["weight"])
+    bag = bag_of(
+        tmp_path / "run_1",
+        {
+            "/joint_states": states(position=fer["position"], velocity=fer["velocity"], effort=fer["effort"]),
+            "/effort_controller/commands": numbers(command),
+        },
+        {"/effort_controller/commands": LATE},
+    )
+    draft = import_fer(bag, tmp_path / "lab")
+    mapping = load_mapping(described(draft, tmp_path / "lab"))
+    assert mapping.signals["command"].topic == "/effort_controller/commands"
+    assert mapping.command_includes_gravity == included
+    assert mapping.signals["torque"].field == "effort" and mapping.time.stamp == "header"
+    assert "no header: times at which the bag received them" in said_of(draft, "signals.command")
+    assert "2 % of the measured torque away" in said_of(draft, "signals.command.unit") or not included
+    (run,) = read_recordings(bag, mapping)
+    arm = run.signals.arms["arm"]
+    later = np.column_stack([np.interp(BAG_TIME - LATE, BAG_TIME, column) for column in command.T])
+    assert arm.command is not None
+    np.testing.assert_allclose(arm.command, later, atol=1e-4)
+
+
+def test_commands_that_are_no_torques_are_left_out_with_the_reason(tmp_path: Path, fer: Columns) -> None:
+    measured = states(position=fer["position"], velocity=fer["velocity"], effort=fer["effort"])
+    late = np.roll(fer["position"], 5, axis=0)
+    for name, command, told in (
+        ("places", late, "is left out: it repeats the positions"),
+        ("others", 3.0 * fer["effort"], "is left out: by its name it was asked for, and it is 200 % of the measured"),
+    ):
+        bag = bag_of(tmp_path / name, {"/joint_states": measured, "/controller/commands": numbers(command)}, {})
+        draft = import_fer(bag, tmp_path / "lab")
+        assert "command" not in load_mapping(described(draft, tmp_path / "lab")).signals
+        assert any(remark.startswith(f"/controller/commands: data (7) {told}") for remark in draft.remarks)
+
+
+def test_torques_or_all_signals_without_stamps_are_read(tmp_path: Path, fer: Columns) -> None:
+    """Efforts of another topic are put on the stamps; where no signal has any, all have the times of the bag."""
+    measured = states(position=fer["position"], velocity=fer["velocity"])
+    bag = bag_of(tmp_path / "some", {"/joint_states": measured, "/efforts": numbers(fer["effort"])}, {})
+    draft = import_fer(bag, tmp_path / "lab")
+    assert "no header" in said_of(draft, "signals.torque")
+    check_reading(draft, tmp_path / "lab", bag, fer, 1e-4)  # stamps of this century are floats to 0.2 us
+    own = {f"/{name}": numbers(fer[name]) for name in ("position", "velocity", "effort")}
+    bag = bag_of(tmp_path / "none", own, {})
+    draft = import_fer(bag, tmp_path / "lab")
+    assert "stamp: log" in said_of(draft, "time") and "no header" in said_of(draft, "time")
+    check_reading(draft, tmp_path / "lab", bag, fer, 1e-4)  # stamps of this century are floats to 0.2 us
 
 
 def test_a_log_of_rtde_is_read_by_its_own_names(tmp_path: Path, motion: Columns) -> None:
