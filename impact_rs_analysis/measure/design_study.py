@@ -9,8 +9,10 @@ ante-impact speed along the pad's normal n, with the smallest joint velocity. It
     sensitivity    (v^+(1.05 B) - v^+(0.95 B)) / (0.1 v^+)     of the object's velocity v^+ to motor inertia [-]
 
 Intervals are those of draws from the uncertainties of a scenario (:mod:`impact_rs_sim.impact_map.uncertainty`): the
-value of the nominal design, and Student's t times the deviation of the draws. Every draw orders all designs once, with
-the same object and the same errors of setting up, for these are common to them; a rank has the range of these orders.
+value of the nominal design, and Student's t times the deviation of the draws' logarithms. A motor inertia that is
+assumed, as of a drive scaled from another arm, is drawn from none to three times the number. Every draw orders all
+designs once, with the same object and the same errors of setting up, for these are common to them; a rank has the range
+of these orders.
 """
 
 from __future__ import annotations
@@ -22,7 +24,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import scipy
 
-from impact_rs_sim.assumed_drive import assumed_drive
+from impact_rs_sim.assumed_drive import assumed_drive, assumed_numbers
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.impact_map import DEFAULT_ENGINE, ENGINES, Engine, ImpactMapError, ImpactProblem
 from impact_rs_sim.impact_map.perturbation import change
@@ -30,7 +32,7 @@ from impact_rs_sim.impact_map.uncertainty import answer_of, draw, sources_of, to
 from impact_rs_sim.physics import JointFriction, Physics
 from impact_rs_sim.robot import Array, EndEffector, load_facts
 from impact_rs_sim.robot_model import RobotModel
-from impact_rs_sim.scenario import Scenario
+from impact_rs_sim.scenario import ASSUMED_MOTOR_INERTIA, DriveSettings, Scenario, Uncertainties
 from impact_rs_sim.scene import ArmState, BodyState
 from impact_rs_trials.scenario_draft import NORMAL, upright_poses
 from impact_rs_trials.workers import Map
@@ -268,7 +270,7 @@ def ask(task: tuple[DesignQuestion, Stance]) -> tuple[list[Design], dict[str, st
     for motor_inertia, pad, problem in problems_of(question, stance):
         name = f"{stance.robot}/{stance.number}/{motor_inertia}/{pad}"
         try:
-            measures = _measured(problem, question)
+            measures = _measured(problem, question, uncertainties_of(question, stance.robot, motor_inertia))
         except (InputError, ImpactMapError) as error:
             failed[name] = str(error)
             continue
@@ -284,7 +286,7 @@ def problems_of(question: DesignQuestion, stance: Stance) -> Iterator[tuple[str,
     arm = next(iter(template.arms.values()))
     for pad_name in question.pads:
         pad, effector = PADS[pad_name], replace(_effector(question, pad_name), mount_yaw=0.0)
-        drive = _drive(stance.robot, effector, question.scenario.timing.drive_period)
+        drive = _drive(question, stance.robot, effector)
         rotor = np.array(drive["motor_inertia_rotor"])
         reduced = np.array(drive.get("motor_inertia_reduced", drive["motor_inertia_rotor"]))
         model = RobotModel(facts, effector)
@@ -352,11 +354,26 @@ def values_by(engine_name: str, problem: ImpactProblem) -> dict[str, float]:
         engine.close()
 
 
-def _measured(problem: ImpactProblem, question: DesignQuestion) -> dict[str, Estimate]:
+def uncertainties_of(question: DesignQuestion, robot: str, motor_inertia: str) -> Uncertainties:
+    """Uncertainties of a scenario; of an assumed motor inertia, none to three times the number.
+
+    Args:
+        question: What is asked.
+        robot: Name of the robot, or path of its facts.
+        motor_inertia: ``reduced`` or ``rotor``.
+    """
+    stated, own = question.scenario.uncertainty, _in_scenario(question, robot)
+    assumed = assumed_numbers(load_facts(robot)) if own is None else own.assumed
+    if f"motor_inertia_{motor_inertia}" not in assumed:
+        return stated
+    return stated.model_copy(update={"motor_inertia": max(stated.motor_inertia, ASSUMED_MOTOR_INERTIA)})
+
+
+def _measured(problem: ImpactProblem, question: DesignQuestion, uncertain: Uncertainties) -> dict[str, Estimate]:
     """The measures of a problem with their intervals."""
     models = problem.physics.robot_models()
     nominal = values_by(DEFAULT_ENGINE, problem)
-    sources, pads = sources_of(problem, question.scenario.uncertainty), touching_pads(problem, models)
+    sources, pads = sources_of(problem, uncertain), touching_pads(problem, models)
     found = np.full((question.draws, len(nominal)), np.nan)
     for number in range(question.draws):
         amounts: dict[str, float] = {}
@@ -371,11 +388,20 @@ def _measured(problem: ImpactProblem, question: DesignQuestion) -> dict[str, Est
     answered = found[~np.isnan(found[:, 0])]
     if len(answered) < 2:
         raise ImpactMapError(f"{len(answered)} of {question.draws} draws have an answer, expected two or more")
-    half = scipy.stats.t.ppf(0.5 + LEVEL / 2.0, len(answered) - 1) * np.std(answered, axis=0, ddof=1)
     return {
-        name: Estimate(value, value - width, value + width, tuple(column))
-        for (name, value), width, column in zip(nominal.items(), half.tolist(), found.T.tolist(), strict=True)
+        name: _estimate(value, own, tuple(column))
+        for (name, value), own, column in zip(nominal.items(), answered.T, found.T.tolist(), strict=True)
     }
+
+
+def _estimate(value: float, answered: Array, draws: tuple[float, ...]) -> Estimate:
+    """Student's t times the deviation of the draws about a value; of their logarithms where all are above 0."""
+    quantile = float(scipy.stats.t.ppf(0.5 + LEVEL / 2.0, answered.size - 1))
+    if value > 0.0 and np.all(answered > 0.0):
+        factor = float(np.exp(quantile * np.std(np.log(answered), ddof=1)))
+        return Estimate(value, value / factor, value * factor, draws)
+    half = quantile * float(np.std(answered, ddof=1))
+    return Estimate(value, value - half, value + half, draws)
 
 
 def _drawn(
@@ -413,8 +439,27 @@ def _values(problem: ImpactProblem, answer: Array, more: Array, less: Array) -> 
     }
 
 
+def _in_scenario(question: DesignQuestion, robot: str) -> DriveSettings | None:
+    """Drive of a robot that the scenario has; None: it has no such robot."""
+    return next((own.drive for own in question.scenario.robots.values() if own.facts == robot), None)
+
+
+def _drive(question: DesignQuestion, robot: str, effector: EndEffector) -> dict[str, list[float]]:
+    """The drive of a robot as in the scenario, as published, or scaled from another's."""
+    own = _in_scenario(question, robot)
+    if own is None:
+        return _scaled_drive(robot, effector, question.scenario.timing.drive_period)
+    given = {
+        "motor_inertia_rotor": own.motor_inertia_rotor,
+        "motor_inertia_reduced": own.motor_inertia_reduced or own.motor_inertia_rotor,
+        "stiffness": own.stiffness,
+        "damping": own.damping,
+    }
+    return {name: list(values) for name, values in given.items()}
+
+
 @functools.lru_cache(maxsize=64)
-def _drive(robot: str, effector: EndEffector, period: float) -> dict[str, list[float]]:
+def _scaled_drive(robot: str, effector: EndEffector, period: float) -> dict[str, list[float]]:
     """The drive of a robot as published, or scaled from another's."""
     return assumed_drive(load_facts(robot), effector, period)
 

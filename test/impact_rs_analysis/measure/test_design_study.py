@@ -20,6 +20,7 @@ from impact_rs_analysis.measure.design_study import (
     problems_of,
     stances_of,
     study_designs,
+    uncertainties_of,
     values_by,
 )
 from impact_rs_analysis.report.design_page import design_table, write_design_study
@@ -102,8 +103,44 @@ def test_ranks_have_the_range_of_the_draws() -> None:
 
 def test_designs_share_the_object_of_a_draw(study: DesignStudy) -> None:
     """A heavier object takes more impulse from every arm: draws of different robots go together."""
-    one, two = (of(study, robot, "rotor", "narrow")[0].measures["impulse"].draws for robot in ("franka_fer", "ur5e"))
+    other = study_designs(QUESTION, ("franka_fr3",), poses=1)
+    one, two = (
+        of(found, robot, "rotor", "narrow")[0].measures["impulse"].draws
+        for found, robot in ((study, "franka_fer"), (other, "franka_fr3"))
+    )
     assert np.corrcoef(one, two)[0, 1] > 0.5
+
+
+def test_a_motor_inertia_is_as_sure_as_it_is_known() -> None:
+    """That of the scenario's robot to 10 %, a published one too; one scaled from another arm, none to three times."""
+    stated = QUESTION.scenario.uncertainty.motor_inertia
+    own = replace(QUESTION, scenario=load_scenario("push_ur5e"))
+    for question, robot, motor_inertia, known in (
+        (QUESTION, "franka_fer", "reduced", True),
+        (QUESTION, "franka_fr3", "rotor", True),
+        (QUESTION, "franka_fr3", "reduced", False),
+        (QUESTION, "ur5e", "rotor", False),
+        (own, "ur5e", "rotor", False),
+    ):
+        found = uncertainties_of(question, robot, motor_inertia).motor_inertia
+        assert found == (stated if known else 2.0)
+
+
+def test_what_is_assumed_makes_intervals_wide_and_none_reaches_below_zero(study: DesignStudy) -> None:
+    """Of one arm, with the assumed B_theta and with the published B_rho; the scenario's robot has its own drive."""
+    fr3 = study_designs(QUESTION, ("franka_fr3",), poses=2)
+
+    def width(motor_inertia: str, measure: str) -> float:
+        own = [one.measures[measure] for one in of(fr3, "franka_fr3", motor_inertia, "narrow")]
+        return float(np.mean([one.high / one.low for one in own]))
+
+    for measure in ("joint_jump", "sensitivity"):
+        assert width("reduced", measure) > 1.5 * width("rotor", measure)
+    for design in (*study.designs, *fr3.designs):
+        for one in design.measures.values():
+            assert 0.0 < one.low < one.value < one.high
+    motors = next(problems_of(QUESTION, stances_of("franka_fer", QUESTION, 1)[0][0]))[2].motor_inertia["arm"]
+    assert motors.tolist() == list(QUESTION.scenario.robots["arm"].drive.motor_inertia_reduced or ())
 
 
 def test_table_holds_every_design_and_the_page_is_written(study: DesignStudy, tmp_path: Path) -> None:
