@@ -119,7 +119,7 @@ class Folder(Store):
     def stamps(self) -> dict[str, int]:
         """Stamps of whatever looks like a bag, damaged ones too, from sizes and times of its files."""
         if not self.path.is_dir():
-            raise InputError("no such folder", file=self.path)
+            raise InputError("no such file or folder" if self.path.suffix else "no such folder", file=self.path)
         found = {}
         for folder, folders, files in os.walk(self.path):
             folders[:] = [name for name in folders if not name.startswith(".")]

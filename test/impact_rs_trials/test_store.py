@@ -80,6 +80,8 @@ def test_only_a_folder_has_stamps_of_bags_without_metadata(tmp_path: Path, memor
     assert not open_store(memory).stamps()
     with pytest.raises(InputError, match="no such folder"):
         Folder(tmp_path / "nowhere").stamps()
+    with pytest.raises(InputError, match="no such file or folder"):
+        Folder(tmp_path / "nowhere.csv").stamps()
 
 
 def test_a_bag_that_was_uploaded_by_half_is_run_again(memory: str, manifest: Manifest) -> None:
