@@ -49,7 +49,8 @@ def run(args: argparse.Namespace, terminal: Terminal) -> int:
             done += 1
 
         found = rehearse(plan, profile, reflexes, args.seed, say, given)
-    document = {"scenario": scenario.name, "object": item, "case": plan.scene.case_name} | found.to_json()
+    document = {"scenario": scenario.name, "object": item, "case": plan.scene.case_name, "parameters": given}
+    document |= found.to_json()
     page = None
     if args.output is not None:
         bounds = [

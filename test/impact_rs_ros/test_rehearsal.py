@@ -113,7 +113,9 @@ def test_a_rehearsal_takes_the_file_that_the_launch_file_loads(
     own = tmp_path / "cell.yaml"
     own.write_text(shipped.replace("command_timeout: 0.05", "command_timeout: 0.3"))
     assert main(["rehearse", "push_fr3", "--parameters", str(own), "--json"]) == 0
-    margins = json.loads(capsys.readouterr().out)["margins"]
+    document = json.loads(capsys.readouterr().out)
+    assert document["parameters"]["watchdog"]["command_timeout"] == 0.3
+    margins = document["margins"]
     (stop,) = [one["value"] for one in margins if one["name"].startswith("time to stop")]
     assert stop - margin_of(passed, "time to stop").value == pytest.approx(0.3 - 0.05, abs=0.1)
     own.write_text(shipped.replace("fr3_joint{number}", "lbr_A{number}"))
