@@ -237,6 +237,18 @@ def test_an_example_is_short_and_says_how_to_run_it(path: Path) -> None:
     assert len(text.splitlines()) <= (75 if path.stem not in LONG else 300)
 
 
+def test_on_a_changing_day_the_last_pushes_are_of_a_heavier_object(tmp_path: Path) -> None:
+    """The same trial before and after the change: the pad goes on more slowly behind the heavier object."""
+    example, speeds = load("changing_day"), []
+    for name, quiet, changed in (("before", 3, 0), ("after", 0, 3)):
+        example.main(tmp_path / name, quiet, changed)
+        bag = TrialBag.open(min((tmp_path / name / "push").iterdir()))
+        state, hit = bag.controller("arm"), bag.impact_time("arm")
+        assert bag.outcome == "OK" and hit is not None
+        speeds.append(abs(float(state.twist[np.searchsorted(state.time, hit + 0.02), 1])))
+    assert speeds[1] < 0.98 * speeds[0]
+
+
 @pytest.mark.parametrize("name", ["push_ur5e", "push_iiwa7"])
 def test_a_trajectory_goal_leads_the_pad_straight_through_the_place_of_the_hit(name: str) -> None:
     """Its speed there is that of the case, between two points too, and at its end the arm rests."""
