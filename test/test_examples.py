@@ -237,12 +237,16 @@ def test_an_example_is_short_and_says_how_to_run_it(path: Path) -> None:
     assert len(text.splitlines()) <= (75 if path.stem not in LONG else 300)
 
 
-def test_on_a_changing_day_the_last_pushes_are_of_a_heavier_object(tmp_path: Path) -> None:
+def test_on_a_changing_day_the_last_pushes_are_of_a_heavier_object(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """The same trial before and after the change: the pad goes on more slowly behind the heavier object."""
     example, speeds = load("changing_day"), []
-    for name, quiet, changed in (("before", 3, 0), ("after", 0, 3)):
+    monkeypatch.setattr(example, "KINDS", example.KINDS[:1])
+    for name, quiet, changed in (("before", 1, 0), ("after", 0, 1)):
         example.main(tmp_path / name, quiet, changed)
-        bag = TrialBag.open(min((tmp_path / name / "push").iterdir()))
+        (path,) = (tmp_path / name / "push").iterdir()
+        bag = TrialBag.open(path)
         state, hit = bag.controller("arm"), bag.impact_time("arm")
         assert bag.outcome == "OK" and hit is not None
         speeds.append(abs(float(state.twist[np.searchsorted(state.time, hit + 0.02), 1])))
