@@ -35,6 +35,7 @@ from impact_rs_sim.effects.actuation import TORQUE_GAIN
 from impact_rs_sim.effects.surroundings import BASE_TILT
 from impact_rs_sim.errors import InputError, NotABody
 from impact_rs_sim.model import Model
+from impact_rs_sim.numbers import NORMAL_95
 from impact_rs_sim.physics import Physics
 from impact_rs_sim.recent import Recent
 from impact_rs_sim.robot import Array, joined_units
@@ -369,13 +370,25 @@ class RecordingSource(Source):
             calibrations=self._of_scales(stretch.rows),
         )
 
+    @cached_property
+    def _scale_deviations(self) -> Array:
+        """Standard deviations of the scale of each joint's torque, with that of a gain in the model, ``(n,)`` [-]."""
+        found = np.full(self.physics.arms[ARM].facts.joint_count, TORQUE_SCALE[self.mapping.torque_measured_at])
+        for effect in self.model.effects:
+            if effect.name == TORQUE_GAIN.name:
+                for joint, scalar in enumerate(TORQUE_GAIN.scalars(self.joints)):
+                    known = effect.parameters[scalar.name]
+                    low, high = known.ci95 or (known.estimate, known.estimate)
+                    found[joint] = np.hypot(found[joint], (high - low) / (2.0 * NORMAL_95 * known.estimate))
+        return found[self.balance.joints]
+
     def _of_scales(self, rows: slice) -> Array:
         """Change of the residuals by one standard deviation of the scale of each joint's torque, ``(n, k n)`` [-].
 
         In a difference of recordings the torque that both have is wrong by as much, and cancels.
         """
         torque = (self.rest if self._minus else self.balance.recorded)[rows] / self.sigma
-        each = TORQUE_SCALE[self.mapping.torque_measured_at] * torque[None, :, :] * np.eye(self.sigma.size)[:, None, :]
+        each = self._scale_deviations[:, None, None] * torque[None, :, :] * np.eye(self.sigma.size)[:, None, :]
         return np.asarray(each.reshape(self.sigma.size, -1))
 
 
