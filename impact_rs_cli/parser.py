@@ -26,6 +26,7 @@ class Parser(argparse.ArgumentParser):
 
     def __init__(self, *args: Any, **settings: Any) -> None:
         settings.setdefault("formatter_class", argparse.RawDescriptionHelpFormatter)
+        settings.setdefault("allow_abbrev", False)  # a shortened option may be a mistyped one, and start hours of work
         super().__init__(*args, **settings)
         self.add_argument(
             "--debug",

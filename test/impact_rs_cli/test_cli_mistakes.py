@@ -25,6 +25,7 @@ MISTAKES = {  # {} is a folder with one file, CUBES a table of impacts
     "map push cat_food 2 --json --motor-inertia rotro": "did you mean 'rotor'",
     "map push cat_food 2 --engin": "expected one argument",
     "map push cat_food 2 --enginee bullet": "did you mean '--engine'",
+    "study -o {}/new --job 2": "did you mean '--jobs'",
     "map push": "expected SCENARIO OBJECT CASE, or --table FILE -o FILE",
     "map push juice 1 --contact settled --engine bullet": "are for the first contact only",
     "map push juice 1 --model nowhere.yaml": "nowhere.yaml",
