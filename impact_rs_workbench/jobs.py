@@ -215,8 +215,8 @@ class Jobs:
         self.get(number)
         return "\n".join(_tail(self._folder(number) / OUTPUT)[-SHOWN:])
 
-    def close(self) -> None:
-        """Stop all running jobs, and wait for them."""
+    def close(self) -> list[Job]:
+        """Stop all running jobs, and wait for them; returns them as they have ended."""
         with self._lock:
             running = [number for number, job in self._jobs.items() if job.runs]
         for number in running:
@@ -226,6 +226,7 @@ class Jobs:
             if self._waiting[number].is_alive():
                 _signal(self._processes[number], signal.SIGKILL)
                 self._waiting[number].join()
+        return [self.get(number) for number in running]
 
     def _wait(self, number: int, process: subprocess.Popen[bytes]) -> None:
         code = process.wait()
