@@ -185,6 +185,9 @@ class RunsIdentity(Schema):
     digest: str = Field(description="digest of the bags' names, scenarios and seeds; empty for recordings")
     trials: int = Field(description="usable trials, or recordings")
     conditions: tuple[str, ...] = Field(description="conditions that were measured, or files")
+    recorded: float | None = Field(
+        None, description="when the last trial was recorded, seconds since 1970; null: not known"
+    )
 
 
 class RestDocument(Schema):

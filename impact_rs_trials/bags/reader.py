@@ -141,18 +141,34 @@ def recorded_at(path: Path) -> float:
     Args:
         path: Folder of the bag; its messages may be damaged.
     """
-    found = None
+    found = _recorded(_custom(path))
+    return path.stat().st_mtime if found is None else found
+
+
+def stamped_at(path: Path) -> float | None:
+    """When the recorder stamped a bag, seconds since 1970, simulated or not, by its metadata alone; None: it did not.
+
+    Args:
+        path: Folder of the bag; its messages may be damaged.
+    """
+    return _stamp(_custom(path))
+
+
+def _custom(path: Path) -> dict[str, str]:
+    """Custom metadata of a bag; empty: there are none that can be read."""
     with suppress(OSError, yaml.YAMLError, UnicodeDecodeError, KeyError, TypeError):
         text = (path / checksums.METADATA).read_text(encoding="utf-8")
-        custom = yaml.load(text, yaml.CSafeLoader)["rosbag2_bagfile_information"]["custom_data"]
-        found = _recorded(custom)
-    return path.stat().st_mtime if found is None else found
+        return dict(yaml.load(text, yaml.CSafeLoader)["rosbag2_bagfile_information"]["custom_data"] or {})
+    return {}
 
 
 def _recorded(metadata: Mapping[str, str]) -> float | None:
     """When a bag was recorded, seconds since 1970; None: by another program, or simulated, when time means nothing."""
-    if metadata.get("via") in VIA.values():
-        return None
+    return None if metadata.get("via") in VIA.values() else _stamp(metadata)
+
+
+def _stamp(metadata: Mapping[str, str]) -> float | None:
+    """When a bag was written, by its recorder, seconds since 1970; None: it has no stamp."""
     with suppress(KeyError, ValueError, TypeError):
         return datetime.fromisoformat(metadata[RECORDED]).timestamp()
     return None
