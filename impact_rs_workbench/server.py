@@ -19,7 +19,7 @@ from starlette.concurrency import run_in_threadpool
 from starlette.requests import Request
 from starlette.responses import FileResponse, HTMLResponse, JSONResponse, PlainTextResponse, Response, StreamingResponse
 from starlette.routing import Route
-from starlette.types import ASGIApp
+from starlette.types import ASGIApp, Receive, Scope, Send
 
 from impact_rs_analysis.report.page import BUNDLE, PLOTLY, TEMPLATES
 from impact_rs_commands.predicting import EFFECTS
@@ -33,7 +33,7 @@ from impact_rs_trials.store import Folder, owned
 from impact_rs_workbench import formula_editor, manual, prediction, recording_description, results
 from impact_rs_workbench.forms import FORMS, form_of, named, order_of, seen
 from impact_rs_workbench.formula_editor import FormulaText
-from impact_rs_workbench.jobs import Job, Jobs
+from impact_rs_workbench.jobs import Job, Jobs, PageAnswer
 from impact_rs_workbench.kept_choices import ListChoice, choices, keep
 from impact_rs_workbench.live_page import Sources, Watch
 from impact_rs_workbench.local import listening, serve_locally
@@ -170,6 +170,9 @@ def _routes(workbench: Workbench) -> list[Route]:
     def keep_choice(data: Any) -> Any:
         return keep(workspace, validate(ListChoice, data, None)).model_dump()
 
+    def answer(data: Any) -> Any:
+        return asdict(jobs.answer(validate(PageAnswer, data, None)))
+
     def check(data: Any) -> Any:
         return formula_editor.check(validate(FormulaText, data, None).text)
 
@@ -215,6 +218,9 @@ def _routes(workbench: Workbench) -> list[Route]:
         Route("/api/formulas", _posted(lambda data: _kept(workbench, data)), methods=["POST"]),
         Route("/api/command", _posted(lambda data: _command(workbench, data)), methods=["POST"]),
         Route("/api/jobs", _posted(lambda data: asdict(jobs.start(order_of(data, workspace)))), methods=["POST"]),
+        Route(
+            "/api/answer", _posted(lambda data: asdict(jobs.answer(validate(PageAnswer, data, None)))), methods=["POST"]
+        ),
         Route("/api/jobs/{number}/stop", _done(jobs.stop), methods=["POST"]),
         Route("/api/jobs/{number}/again", _done(jobs.again), methods=["POST"]),
     ]
@@ -374,9 +380,27 @@ def _events(workbench: Workbench) -> Endpoint:
             await asyncio.sleep(LOOKED_AT)
 
     async def endpoint(request: Request) -> Response:
-        return StreamingResponse(stream(request), media_type="text/event-stream")
+        return _OpenPage(stream(request), workbench.jobs)
 
     return endpoint
+
+
+class _OpenPage(StreamingResponse):
+    """A stream of events to a page, which is open as long as it takes them.
+
+    Args:
+        events: The events.
+        jobs: Jobs, whose questions the page shows.
+    """
+
+    def __init__(self, events: AsyncIterator[str], jobs: Jobs) -> None:
+        super().__init__(events, media_type="text/event-stream")
+        self._jobs = jobs
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Send the events."""
+        with self._jobs.seen():
+            await super().__call__(scope, receive, send)
 
 
 def _live(workbench: Workbench) -> Endpoint:

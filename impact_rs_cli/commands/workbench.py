@@ -27,7 +27,7 @@ def run(args: argparse.Namespace, terminal: Terminal) -> int:
     stopped = serve(args.directory, PROGRAM, _nodes, args.port, not args.no_browser, announce)
     jobs = ", ".join(f"job {job.number} ({job.step})" for job in stopped)
     terminal.say(f"the workbench has ended; stopped: {jobs}" if jobs else "the workbench has ended; no job was running")
-    if threading.active_count() > 1:  # a long request, whose answer nobody awaits any more
+    if threading.active_count() > 1:  # a long request, whose answer no page awaits
         sys.stdout.flush()
         os._exit(0)
     return 0
