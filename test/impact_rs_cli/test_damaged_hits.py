@@ -164,6 +164,39 @@ def test_a_damaged_trial_is_a_hit_or_refused_with_its_reason(live: Live, damage:
     assert all(np.isfinite(one.estimate) for one in live.follower.followed())
 
 
+REFUSED = [
+    (Damage("names", JOINTS, 0.5, "position", 0.0), "joint_states: other joints, or another order, at t = 0.9"),
+    (Damage("swapped names", MOTORS, 0.5, "position", 0.0), "motor_states: other joints, or another order, at t"),
+    (Damage("same stamp", JOINTS, 0.5, "position", 0.0), "joint_states: time stamps run backwards at t = 0.9"),
+    (Damage("same stamp", MOTORS, 0.5, "position", 0.0), "have different stamps at t = 0.9"),
+    (Damage("backwards", POSE, 0.5, "position", 0.0), "object/pose: time stamps run backwards at t"),
+    (Damage("number", JOINTS, 0.5, "velocity", np.nan), "velocity is not finite at t = 0.9"),
+    (Damage("lost topic", MOTORS, 0.5, "position", 0.0), "no /arm/motor_states"),
+    (Damage("cut", JOINTS, 0.3, "position", 0.0), "hits nothing"),
+]
+
+
+@pytest.mark.parametrize(("damage", "reason"), REFUSED, ids=[f"{one.kind} of {one.topic}" for one, _ in REFUSED])
+def test_what_would_be_misread_is_refused_with_place_and_time(live: Live, damage: Damage, reason: str) -> None:
+    name = live.add(lambda messages: damaged(messages, damage))
+    hits, refused = live.taken()
+    assert not hits and reason in refused[name]
+
+
+def test_joints_in_another_order_than_the_robots_are_refused(live: Live) -> None:
+    """The same in all messages, as another program may name them."""
+
+    def turned(messages: Messages) -> Messages:
+        for topic, _, message in messages:
+            if topic in (JOINTS, MOTORS):
+                message.name = message.name[::-1]
+        return messages
+
+    name = live.add(turned)
+    hits, refused = live.taken()
+    assert not hits and "joints in the order arm_" in refused[name]
+
+
 @pytest.mark.timeout(600)
 def test_after_damaged_trials_a_sound_one_is_a_hit(live: Live) -> None:
     name = live.add(lambda messages: messages)
