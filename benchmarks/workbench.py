@@ -83,8 +83,10 @@ def served(folder: Path) -> Iterator[tuple[str, float]]:
         assert process.stdout is not None
         found = re.search(r"http://\S+", process.stdout.readline())
         assert found is not None
-        yield found[0], time.perf_counter() - begun
-        process.send_signal(signal.SIGINT)
+        try:
+            yield found[0], time.perf_counter() - begun
+        finally:
+            process.send_signal(signal.SIGINT)
 
 
 def opened(browser: Browser, address: str) -> tuple[Page, float]:

@@ -32,6 +32,7 @@ class Lessons:
         self._followed, self._diagnosis = followed, diagnosis
         self._restored = False
         self._arriving: Iterator[HitDocument] = iter(())
+        self._refused: set[str] = set()  # names that were said
 
     def arrived(self) -> Sequence[Lesson]:
         """What the hits since the last call taught, of many that wait the first.
@@ -46,7 +47,7 @@ class Lessons:
         if not documents:
             self._arriving = self._followed.arrived()
             documents = list(islice(self._arriving, AT_ONCE))
-        lessons = [self._lesson(document) for document in documents]
+        lessons = [*self._refusals(), *map(self._lesson, documents)]
         if not documents and (begun := self._followed.diagnose()):
             lessons.append(Lesson(begun, hit=False))
         if (ended := self._diagnosis.ended()) is not None:
@@ -64,6 +65,13 @@ class Lessons:
     def close(self) -> None:
         """Stop a diagnosis that runs."""
         self._diagnosis.stop()
+
+    def _refusals(self) -> Iterator[Lesson]:
+        """What gave no hit since the last call."""
+        for name, reason in self._followed.follower.door.skipped.items():
+            if name not in self._refused:
+                self._refused.add(name)
+                yield Lesson(f"{name}: {reason}", refused=json.dumps({"hit": name, "reason": reason}), hit=False)
 
     def _lesson(self, document: HitDocument) -> Lesson:
         if document.error is None:

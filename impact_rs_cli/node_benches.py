@@ -6,20 +6,23 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from impact_rs_analysis.evidence.command_clock import read_laboratory_runs
+from impact_rs_analysis.evidence.command_clock import read_runs_of_scenes
 from impact_rs_analysis.evidence.measured_runs import Runs
 from impact_rs_analysis.investigation import PlannedTrial, Settings
 from impact_rs_cli.bench import PlantBench
 from impact_rs_cli.cell_guard import CellGuard
 from impact_rs_cli.terminal import Terminal
 from impact_rs_ros.graph import Graph, run_trial
+from impact_rs_sim.errors import InputError
 from impact_rs_sim.files import write_whole
 from impact_rs_sim.model import Model
-from impact_rs_sim.scenario import load_scenario
+from impact_rs_sim.scenario import Scenario, load_scenario
 from impact_rs_trials.bags.reader import TrialBag
 from impact_rs_trials.campaign import Manifest, TrialReport
 from impact_rs_trials.experiment_plan import SCENARIO_FILE, write_scenario
-from impact_rs_trials.recordings.experiment import FREE_MOTION, HIT, NO_OBJECT, load_experiment
+from impact_rs_trials.recordings.experiment import FREE_MOTION, HIT, NO_OBJECT, YAML, Experiment, load_experiment
+from impact_rs_trials.recordings.mapping import load_mapping
+from impact_rs_trials.spec import TrialSpec
 from impact_rs_trials.workers import Map
 
 
@@ -104,6 +107,9 @@ class CellBench(NodesBench):
     Args:
         guard: Admits trials.
         mapping: Where the signals are in its bags.
+
+    Raises:
+        InputError: There is no such mapping.
     """
 
     def __init__(
@@ -117,7 +123,9 @@ class CellBench(NodesBench):
         mapping: str = "impact_rs",
     ) -> None:
         super().__init__(directory, settings, map_tasks, terminal, without=("plant",), namespace=namespace)
-        self._guard, self._mapping = guard, mapping
+        load_mapping(mapping)  # a wrong one is refused before anything moves
+        self._guard = guard
+        self._mapping = str(Path(mapping).absolute()) if mapping.endswith(YAML) else mapping
 
     def measure(self, trials: Sequence[PlannedTrial]) -> None:
         """Run trials on the cell, after the last stop was answered for."""
@@ -140,18 +148,33 @@ class CellBench(NodesBench):
         return report
 
     def measured_runs(self) -> Runs:
-        """All trials, from measured signals alone: a robot reports no motor states."""
-        rows, specs = ["bag,object,kind,scenario,case,scale"], {}
+        """All trials, from measured signals alone: a robot reports no motor states.
+
+        Hits are read in the scene of their own scenario, free motions in that of the first; without hits in their own.
+        """
+        specs: dict[Path, TrialSpec] = {}
+        hits: dict[str, tuple[Scenario, list[str]]] = {}  # with the rows of the table, by the text of the scenario
+        free: list[str] = []
         for path in sorted(self.runs.glob("*/*/*/metadata.yaml")):
             bag = TrialBag.open(path.parent)
-            spec = bag.info.spec
+            spec = specs[path.parent.absolute()] = bag.info.spec
             hit = spec.scenario.excursion is None
             kind, what = (HIT, spec.object) if hit else (FREE_MOTION, NO_OBJECT)
-            specs[path.parent.absolute()] = spec
             name = path.parent.relative_to(self.runs).as_posix()
+            rows = hits.setdefault(spec.scenario_json, (spec.scenario, []))[1] if hit else free
             rows.append(f"{name},{what},{kind},{bag.info.scenario},{spec.case},{spec.scale:g}")
-        hit_scenarios = [name for name in self.settings.scenarios if load_scenario(name).excursion is None]
-        write_whole(self.runs / "runs.csv", "\n".join(rows) + "\n")
-        experiment = self.runs / "experiment.yaml"
-        write_whole(experiment, f"scenario: {hit_scenarios[0]}\nmapping: {self._mapping}\n")
-        return read_laboratory_runs(self.runs.absolute(), load_experiment(experiment), self.map_tasks).named(specs)
+        if not specs:
+            raise InputError("no trial was recorded here", file=self.runs)
+        (scene, rows), *others = hits.values() or [(next(iter(specs.values())).scenario, [])]
+        tables = [(scene, rows + free), *others]
+        experiments = [self._described(number, *table) for number, table in enumerate(tables, start=1)]
+        return read_runs_of_scenes(self.runs.absolute(), experiments, self.map_tasks).named(specs)
+
+    def _described(self, number: int, scenario: Scenario, rows: Sequence[str]) -> Experiment:
+        """Description of the trials of one scenario, written beside them."""
+        end = "" if number == 1 else f"_{number}"
+        write_whole(self.runs / f"runs{end}.csv", "\n".join(["bag,object,kind,scenario,case,scale", *rows]) + "\n")
+        write_scenario(scenario, self.runs / f"scenario{end}.yaml")
+        experiment = self.runs / f"experiment{end}.yaml"
+        write_whole(experiment, f"scenario: scenario{end}.yaml\nmapping: {self._mapping}\nruns: runs{end}.csv\n")
+        return load_experiment(experiment)

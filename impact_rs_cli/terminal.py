@@ -18,6 +18,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.progress import ProgressFile
+from impact_rs_sim.questions import PageQuestions
 from impact_rs_trials.store import is_bag, is_url
 
 Report = Callable[[int, int], None]
@@ -45,6 +46,7 @@ class Terminal:
         self._document: dict[str, Any] | None = None
         self._errors = Console(stderr=True, highlight=False)
         self._file = ProgressFile()
+        self._page = PageQuestions.of_environment()
         self._bars = 0  # that are shown
 
     def result(self, document: dict[str, Any]) -> None:
@@ -67,8 +69,12 @@ class Terminal:
         self._errors.print(text, soft_wrap=True, markup=False)
 
     def ask(self, question: str) -> bool:
-        """A question to the operator; False without a clear yes, or where there is no terminal."""
+        """A question to the operator, at the terminal or the page that started this; False without a clear yes."""
         self._errors.print(f"{question} [y/N] ", end="", markup=False, soft_wrap=True)
+        if self._page is not None:
+            agreed = self._page.ask(question)
+            self._errors.print("yes, in the page" if agreed else "no, or the page was closed")
+            return agreed
         if not sys.stdin.isatty():
             self._errors.print("no one to answer")
             return False

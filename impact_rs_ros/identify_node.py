@@ -6,12 +6,14 @@ Topics, each a JSON document in a string (``docs/following.md`` lists their keys
     ~/prediction   what the next hit will measure, with intervals, and the parameters believed now
     ~/change       a change of the cell, with its evidence and explanations
     ~/diagnosis    how the full diagnosis of the hits since then has ended
+    ~/refused      what gives no hit, and why
 
 How a hit is judged is not known here: the program that starts the node hands it an :class:`Identifier`.
 """
 
 from __future__ import annotations
 
+import json
 import time
 from abc import abstractmethod
 from collections.abc import Mapping, Sequence
@@ -35,6 +37,7 @@ class Lesson:
         change: A change as a JSON document; empty: none.
         words: The same in words.
         diagnosis: How a full diagnosis has ended, as a JSON document; empty: none has.
+        refused: What gives no hit, and why, as a JSON document; empty: it is a hit, or a diagnosis.
         hit: Whether it is about a hit.
     """
 
@@ -42,6 +45,7 @@ class Lesson:
     change: str = ""
     words: str = ""
     diagnosis: str = ""
+    refused: str = ""
     hit: bool = True
 
 
@@ -68,10 +72,12 @@ class IdentifyNode(NodeProgram):
         self._prediction = self.node.create_publisher(String, "~/prediction", LATCHED)
         self._change = self.node.create_publisher(String, "~/change", LATCHED)
         self._diagnosis = self.node.create_publisher(String, "~/diagnosis", LATCHED)
+        self._refused = self.node.create_publisher(String, "~/refused", LATCHED)
         self._identifier: Identifier | None = None
         self._looked = -float("inf")
         self._hits, self._changes, self._spent = 0, 0, 0.0
         self._last, self._complaint = "", ""
+        self._refusals, self._refusal = 0, ""
 
     @abstractmethod
     def identifier(self) -> Identifier:
@@ -93,7 +99,10 @@ class IdentifyNode(NodeProgram):
             self._identifier.close()
 
     def status(self) -> tuple[str, Mapping[str, object]]:
-        numbers = {"hits": self._hits, "changes": self._changes, "last look [s]": round(self._spent, 3)}
+        numbers: dict[str, object] = {"hits": self._hits, "changes": self._changes, "refused": self._refusals}
+        numbers["last look [s]"] = round(self._spent, 3)
+        if self._refusal:
+            numbers["last refused"] = self._refusal
         if self._complaint:
             return self._complaint, numbers
         return f"changed: {self._last}" if self._last else "ok", numbers
@@ -114,6 +123,7 @@ class IdentifyNode(NodeProgram):
         except Exception as error:  # no file ends a node
             self._complaint = f"hits could not be followed: {type(error).__name__}: {error}"
             self.log.error(full_traceback(error), throttle_duration_sec=5.0)
+            self._refuse(self._complaint, json.dumps({"hit": "", "reason": self._complaint}))
             return
         self._complaint = ""
         hits = [lesson for lesson in lessons if lesson.hit]
@@ -121,6 +131,10 @@ class IdentifyNode(NodeProgram):
         if hits:
             self._looked = -float("inf")  # more may wait
         for lesson in lessons:
+            if lesson.refused:
+                self.log.warning(f"refused {lesson.line}")
+                self._refuse(lesson.line, lesson.refused)
+                continue
             self.log.info(lesson.line)
             if lesson.diagnosis:
                 self._diagnosis.publish(String(data=lesson.diagnosis))
@@ -132,3 +146,8 @@ class IdentifyNode(NodeProgram):
         if hits and (text := self._identifier.prediction()):
             self._prediction.publish(String(data=text))
         self._spent = time.monotonic() - now
+
+    def _refuse(self, line: str, document: str) -> None:
+        """Count and publish what gives no hit."""
+        self._refusals, self._refusal = self._refusals + 1, line
+        self._refused.publish(String(data=document))

@@ -6,6 +6,9 @@
                          output.txt      what it printed
 
 A job is stopped as by Ctrl-C, and continued by the same command. Two jobs never write into one folder at a time.
+
+A job may ask (:mod:`impact_rs_sim.questions`). Only :meth:`Jobs.answer` to the question that stands is a yes; while no
+page is open the answer is no.
 """
 
 from __future__ import annotations
@@ -15,19 +18,25 @@ import os
 import re
 import shlex
 import signal
+import socket
 import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable, Sequence
-from contextlib import suppress
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
+from pydantic import Field, StrictBool, StrictInt
+
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.files import write_whole
 from impact_rs_sim.progress import VARIABLE
+from impact_rs_sim.questions import VARIABLE as QUESTIONS
+from impact_rs_sim.questions import said
+from impact_rs_sim.schema import Schema
 from impact_rs_workbench.remaining import STAGES, Remaining, remaining, shown
 
 RECORD, PROGRESS, OUTPUT = "job.json", "progress.json", "output.txt"
@@ -35,6 +44,8 @@ MOST = 10  # candidate effects that a running diagnosis shows
 SHOWN = 200  # last lines of a log that are shown
 LARGEST_TAIL = 40_000  # bytes of a log that are looked at
 KILLED_AFTER = 5.0  # s, that a stopped job has to end when the workbench ends
+LEFT = 3.0  # s, after the last page has gone, until questions are answered with no: one that is loaded again is back
+LOOKED_AT = 0.1  # s, between two looks whether a page is open
 LOST = "ended with the workbench that had started it; the same command goes on where it stopped"
 
 
@@ -87,6 +98,23 @@ class Job:
         return self.ended is None
 
 
+class PageAnswer(Schema):
+    """What a page answers to the question of a job."""
+
+    job: StrictInt = Field(description="number of the job")
+    question: StrictInt = Field(description="number of the question")
+    yes: StrictBool = Field(description="whether it may go on; texts and numbers are no answer")
+
+
+@dataclass
+class _Asking:
+    """What a running job asks, and the socket that takes the answer."""
+
+    socket: socket.socket
+    number: int = 0
+    text: str = ""  # empty: it asks nothing
+
+
 @dataclass
 class Jobs:
     """The jobs of a workbench.
@@ -104,6 +132,9 @@ class Jobs:
     _processes: dict[int, subprocess.Popen[bytes]] = field(default_factory=dict)
     _waiting: dict[int, threading.Thread] = field(default_factory=dict)
     _shown: dict[int, Remaining] = field(default_factory=dict)
+    _asking: dict[int, _Asking] = field(default_factory=dict)
+    _pages: int = 0  # that are open
+    _left: float = -LEFT  # when the last one has gone [s of the monotonic clock]
     _lock: threading.RLock = field(default_factory=threading.RLock)
 
     def __post_init__(self) -> None:
@@ -140,16 +171,22 @@ class Jobs:
             folder.mkdir(parents=True)
             self._jobs[number] = job
             self._keep(job)
-            with (folder / OUTPUT).open("wb") as output:
+            ours, its = socket.socketpair()
+            with (folder / OUTPUT).open("wb") as output, its:
                 process = subprocess.Popen(
                     [sys.executable, "-m", "impact_rs_cli.main", *order.arguments],
                     stdin=subprocess.DEVNULL,
                     stdout=output,
                     stderr=subprocess.STDOUT,
-                    env=os.environ | {VARIABLE: str(folder / PROGRESS), "COLUMNS": "96", "PYTHONUNBUFFERED": "1"},
+                    env=os.environ
+                    | {VARIABLE: str(folder / PROGRESS), QUESTIONS: str(its.fileno())}
+                    | {"COLUMNS": "96", "PYTHONUNBUFFERED": "1"},
+                    pass_fds=(its.fileno(),),
                     start_new_session=True,  # so that stopping it reaches its workers, and Ctrl-C of ours does not
                 )
             self._processes[number] = process
+            self._asking[number] = _Asking(ours)
+            threading.Thread(target=self._hear, args=(number,), daemon=True).start()
             thread = threading.Thread(target=self._wait, args=(number, process), daemon=True)
             self._waiting[number] = thread
             thread.start()
@@ -185,6 +222,36 @@ class Jobs:
         self.changed()
         return job
 
+    def answer(self, given: PageAnswer) -> Job:
+        """PageAnswer what a job asks.
+
+        Raises:
+            InputError: There is no such job, or it does not ask this any more.
+        """
+        number, question, yes = given.job, given.question, given.yes
+        job = self.get(number)
+        with self._lock:
+            asking = self._asking.get(number)
+            if asking is None or not asking.text or asking.number != question or (yes and self.get(number).stopping):
+                raise InputError(f"job {number} does not ask this any more; the answer does not count")
+            asking.text = ""
+            with suppress(OSError):  # it has just ended
+                asking.socket.sendall((json.dumps({"number": question, "yes": yes}) + "\n").encode())
+        self.changed()
+        return job
+
+    @contextmanager
+    def seen(self) -> Iterator[None]:
+        """A page is open."""
+        with self._lock:
+            self._pages += 1
+        try:
+            yield
+        finally:
+            with self._lock:
+                self._pages -= 1
+                self._left = time.monotonic()
+
     def get(self, number: int) -> Job:
         """A job.
 
@@ -204,7 +271,11 @@ class Jobs:
         """All jobs, the newest first, with their progress and, while they run, the size of what they printed [byte]."""
         with self._lock:
             jobs = sorted(self._jobs.values(), key=lambda job: -job.number)
-        return [asdict(job) | {"progress": self._progress(job), "printed": self._printed(job)} for job in jobs]
+        return [
+            asdict(job)
+            | {"progress": self._progress(job), "printed": self._printed(job), "question": self._question(job)}
+            for job in jobs
+        ]
 
     def log(self, number: int) -> str:
         """The last lines that a job has printed.
@@ -215,8 +286,8 @@ class Jobs:
         self.get(number)
         return "\n".join(_tail(self._folder(number) / OUTPUT)[-SHOWN:])
 
-    def close(self) -> None:
-        """Stop all running jobs, and wait for them."""
+    def close(self) -> list[Job]:
+        """Stop all running jobs, and wait for them; returns them as they have ended."""
         with self._lock:
             running = [number for number, job in self._jobs.items() if job.runs]
         for number in running:
@@ -226,6 +297,7 @@ class Jobs:
             if self._waiting[number].is_alive():
                 _signal(self._processes[number], signal.SIGKILL)
                 self._waiting[number].join()
+        return [self.get(number) for number in running]
 
     def _wait(self, number: int, process: subprocess.Popen[bytes]) -> None:
         code = process.wait()
@@ -236,6 +308,37 @@ class Jobs:
             self._jobs[number] = job
             self._keep(job)
         self.changed()
+
+    def _hear(self, number: int) -> None:
+        """Take the questions of a job, one after the other, until it ends."""
+        asking = self._asking[number]
+        with asking.socket, asking.socket.makefile("r", encoding="utf-8", errors="replace") as lines:
+            for line in lines:
+                question = said(line)
+                if question is None:
+                    continue
+                with self._lock:
+                    asking.number, asking.text = int(question["number"]), str(question["text"])
+                self.changed()
+                self._wait_for_answer(number, asking)
+        with self._lock:
+            del self._asking[number]
+        self.changed()
+
+    def _wait_for_answer(self, number: int, asking: _Asking) -> None:
+        """Until a page has answered, or the job has ended; with no page the answer is no."""
+        while asking.text and self.get(number).runs:
+            if not self._pages and time.monotonic() - self._left >= LEFT:
+                with suppress(InputError):  # answered meanwhile
+                    self.answer(PageAnswer(job=number, question=asking.number, yes=False))
+            time.sleep(LOOKED_AT)
+
+    def _question(self, job: Job) -> dict[str, Any] | None:
+        """What a job asks that goes on; None: nothing."""
+        asking = self._asking.get(job.number)
+        if asking is None or not asking.text or not job.runs or job.stopping:
+            return None
+        return {"number": asking.number, "text": asking.text}
 
     def _folder(self, number: int) -> Path:
         return self.folder / f"{number:04d}"

@@ -23,11 +23,11 @@ from impact_rs_analysis.report.page import BUNDLE, STYLE, TEMPLATES
 from impact_rs_analysis.report.scene_3d import described_scene, moving_joints, scene_data
 from impact_rs_sim.errors import InputError
 from impact_rs_trials.snapshot import Snapshot
-from impact_rs_workbench.local import Ended, listening, serve_locally
+from impact_rs_workbench.local import listening, serve_locally
 from impact_rs_workbench.request_guard import Guard
 
 PERIOD = 0.04  # s, between two looks at the graph
-PATIENCE = 0.25  # s, after which an idle stream checks whether it has to end
+PATIENCE = 0.25  # s, after which an idle stream checks whether its page is still there
 LINGER = 2.0  # s, that a graph is watched after the last page has left
 STATIC = {
     "page.css": STYLE,
@@ -74,21 +74,20 @@ class LiveView:
         source: Source of snapshots.
         program: How a terminal calls ``impact-rs``.
         say: Prints every new status line.
-        ended: Whether streams are to end.
     """
 
-    def __init__(self, source: Lookout, program: str, say: Callable[[str], None], ended: Ended) -> None:
-        self._source, self._program, self._say, self.ended = source, program, say, ended
+    def __init__(self, source: Lookout, program: str, say: Callable[[str], None]) -> None:
+        self._source, self._program, self._say = source, program, say
         self._number = -1
         self._scene = DrawnScene()
         self._changed = asyncio.Condition()
         self.news: dict[str, str] = {}  # newest content by name of the event
 
     async def follow(self) -> None:
-        """Poll the graph until the end."""
+        """Poll the graph until it is cancelled."""
         clock = asyncio.get_running_loop().time
         due = clock()
-        while not self.ended():
+        while True:
             snapshot = self._source.look()
             if snapshot.number != self._number:
                 self._number = snapshot.number
@@ -110,7 +109,7 @@ class LiveView:
     async def stream(self, request: Request) -> AsyncIterator[str]:
         """Server-sent events: ``scene``, ``status`` and ``state``, each as a whole and only when it has changed."""
         sent: dict[str, str] = {}
-        while not (self.ended() or await request.is_disconnected()):
+        while not await request.is_disconnected():
             for name, text in self.news.items():
                 if sent.get(name) != text:
                     sent[name] = text
@@ -193,7 +192,7 @@ class Watch:
         self._lock = asyncio.Lock()
         self._leaving: set[asyncio.Task[None]] = set()
 
-    async def enter(self, namespace: str, ended: Ended) -> LiveView:
+    async def enter(self, namespace: str) -> LiveView:
         """A page begins to look; :meth:`leave` ends it.
 
         Raises:
@@ -201,7 +200,7 @@ class Watch:
         """
         async with self._lock:
             if namespace not in self._watched:
-                self._watched[namespace] = await self._open(namespace, ended)
+                self._watched[namespace] = await self._open(namespace)
             self._watched[namespace].pages += 1
             return self._watched[namespace].view
 
@@ -212,16 +211,24 @@ class Watch:
         self._leaving.add(task)
         task.add_done_callback(self._leaving.discard)
 
-    async def _open(self, namespace: str, ended: Ended) -> _Watched:
+    async def _open(self, namespace: str) -> _Watched:
         watching = self._source(namespace)
         source = await run_in_threadpool(watching.__enter__)
         end = AsyncExitStack()
         end.push_async_callback(run_in_threadpool, watching.__exit__, None, None, None)
-        view = LiveView(source, self._program, lambda _: None, ended)
+        view = LiveView(source, self._program, lambda _: None)
         following = asyncio.create_task(view.follow())
         following.add_done_callback(_log_failure)
         end.callback(following.cancel)
         return _Watched(view, end)
+
+    async def close(self) -> None:
+        """Look at no graph any more."""
+        for task in self._leaving:
+            task.cancel()
+        async with self._lock:
+            while self._watched:
+                await self._watched.popitem()[1].end.aclose()
 
     async def _close(self, namespace: str) -> None:
         await asyncio.sleep(LINGER)  # the page is only being loaded again
@@ -288,8 +295,10 @@ def serve(source: Lookout, program: str, port: int, browser: bool, say: Callable
         InputError: The port is taken.
     """
     with listening(port) as listener:
-
-        def make(token: str, number: int, ended: Ended) -> ASGIApp:
-            return application(LiveView(source, program, say, ended), token, number)
-
-        serve_locally(listener, make, browser, lambda address: say(f"live: {address}"))
+        view = LiveView(source, program, say)
+        serve_locally(
+            listener,
+            lambda token, number: application(view, token, number),
+            browser,
+            lambda address: say(f"live: {address}"),
+        )

@@ -3,19 +3,22 @@
 
 from __future__ import annotations
 
+import asyncio
 import secrets
 import socket
 import webbrowser
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
+from types import FrameType
 
 import uvicorn
-from starlette.types import ASGIApp
+from starlette.responses import JSONResponse
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from impact_rs_sim.errors import InputError
 
-Ended = Callable[[], bool]
-MakeApplication = Callable[[str, int, Ended], ASGIApp]
+MakeApplication = Callable[[str, int], ASGIApp]
+LOOKED_AT = 0.05  # s, between two looks whether the server ends
 
 
 @contextmanager
@@ -47,25 +50,63 @@ def serve_locally(
 
     Args:
         listener: Socket of the server (:func:`listening`).
-        application: Makes the application from its token, its port, and a function that says whether streams must end.
+        application: Makes the application from its token and its port.
         browser: Whether to open a browser.
         say: Prints the address.
     """
     number = listener.getsockname()[1]
     token = secrets.token_urlsafe(24)
     address = f"http://127.0.0.1:{number}/?token={token}"
-    server: uvicorn.Server | None = None
-
-    def ended() -> bool:
-        return server is not None and server.should_exit
-
-    server = uvicorn.Server(
-        uvicorn.Config(
-            application(token, number, ended), log_level="warning", access_log=False, timeout_graceful_shutdown=1
-        )
-    )
+    guarded = _UntilTheEnd(application(token, number))
+    server = _Server(uvicorn.Config(guarded, log_level="warning", access_log=False, timeout_graceful_shutdown=1))
+    guarded.ended = lambda: server.should_exit
     say(address)
     if browser:
         webbrowser.open(address)
-    with suppress(KeyboardInterrupt):  # which uvicorn passes on when it has ended
+    with suppress(KeyboardInterrupt):  # before uvicorn has taken the signals
         server.run(sockets=[listener])
+
+
+class _Server(uvicorn.Server):
+    """A server that ends in order, however often Ctrl-C is pressed."""
+
+    def handle_exit(self, sig: int, frame: FrameType | None) -> None:
+        """Begin to end."""
+        self.should_exit = True
+
+
+class _UntilTheEnd:
+    """Ends every request with the server: a stream is complete, and a request that waits for work is refused.
+
+    Args:
+        app: The application.
+    """
+
+    def __init__(self, app: ASGIApp) -> None:
+        self._app = app
+        self.ended: Callable[[], bool] = lambda: False
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Answer a request."""
+        if scope["type"] != "http":
+            await self._app(scope, receive, send)
+            return
+        sent = {"started": False, "complete": False}
+
+        async def passed(message: Message) -> None:
+            sent["started"] = True
+            sent["complete"] = message["type"] == "http.response.body" and not message.get("more_body", False)
+            await send(message)
+
+        answer = asyncio.ensure_future(self._app(scope, receive, passed))
+        while not (answer.done() or self.ended()):
+            await asyncio.wait({answer}, timeout=LOOKED_AT)
+        if not answer.done():
+            answer.cancel()
+            await asyncio.wait({answer})
+        if not answer.cancelled():
+            answer.result()
+        elif not sent["started"]:
+            await JSONResponse({"error": "the program that serves this page has ended"}, 503)(scope, receive, send)
+        elif not sent["complete"]:
+            await send({"type": "http.response.body", "body": b""})

@@ -7,8 +7,6 @@ import functools
 import json
 import os
 import re
-from contextlib import suppress
-from datetime import datetime
 from pathlib import Path
 from typing import Any
 
@@ -35,7 +33,6 @@ from impact_rs_sim.errors import InputError
 from impact_rs_sim.numbers import estimate_text
 from impact_rs_sim.schema import validate
 from impact_rs_trials.bags.reader import BagError, TrialBag
-from impact_rs_trials.bags.writer import RECORDED
 from impact_rs_trials.blind import RUNS, TRUTH
 from impact_rs_trials.experiment_plan import read_plan
 from impact_rs_trials.recordings.experiment import Experiment, load_experiment, read_runs
@@ -192,7 +189,7 @@ def reveal(workspace: Workspace, path: str) -> dict[str, Any]:
     campaigns = [given] if given.is_dir() else [workspace.existing(name) for name in contents.blinds]
     files = [workspace.existing(name) for name in newest_first] if given.is_dir() else [given]
     for campaign in campaigns:
-        digest, _ = _identity(campaign / RUNS)
+        digest = _digest(campaign / RUNS)
         for file in files:
             document = read_document(file)
             if document.runs.digest == digest:
@@ -223,15 +220,14 @@ def _revealed(campaign: Path, file: Path, document: DiagnosisDocument) -> dict[s
 def estimates(workspace: Workspace) -> list[dict[str, Any]]:
     """Every estimate of a parameter in the diagnoses of the folder, in the order of measurement.
 
-    ``when`` is when the last of the diagnosed trials was recorded [s of the wall clock], where they are in the folder
+    ``when`` is when the last of the diagnosed trials was recorded [s of the wall clock], where the diagnosis says it
     (``measured``), else when the diagnosis was written.
     """
     contents = workspace.contents()
-    measured = dict(_identity(workspace.existing(name)) for name in contents.runs)
     found = []
     for one in contents.diagnoses:
         document = read_document(workspace.existing(one.path))
-        last = measured.get(document.runs.digest)
+        last = document.runs.recorded
         for effect in document.effects:
             for name, value in effect.parameters.items():
                 low, high = value.interval
@@ -272,25 +268,20 @@ def nearest_signal(cell: Cell) -> str:
 def practice_of(workspace: Workspace, document: DiagnosisDocument) -> str | None:
     """The practice campaign whose runs were diagnosed, as it is seen from the folder; None: there is none."""
     for name in workspace.contents().blinds:
-        if _identity(workspace.existing(name) / RUNS)[0] == document.runs.digest:
+        if _digest(workspace.existing(name) / RUNS) == document.runs.digest:
             return name
     return None
 
 
-def _identity(folder: Path) -> tuple[str, float | None]:
-    """Digest of the trials in a folder, and when the last one was recorded [s of the wall clock]; None: unknown."""
-    bags = find_bags(folder)
-    return _identity_of(folder, tuple((path, path.stat().st_mtime_ns) for path in bags))
+def _digest(folder: Path) -> str:
+    """Digest of the trials in a folder."""
+    return _digest_of(folder, tuple((path, path.stat().st_mtime_ns) for path in find_bags(folder)))
 
 
 @functools.lru_cache(maxsize=200)
-def _identity_of(folder: Path, bags: tuple[tuple[Path, int], ...]) -> tuple[str, float | None]:
+def _digest_of(folder: Path, bags: tuple[tuple[Path, int], ...]) -> str:
     """What is read of a folder while its bags stay as they are."""
-    times = []
-    for path, _ in bags:
-        with suppress(BagError, KeyError, ValueError):
-            times.append(datetime.fromisoformat(TrialBag.open(path).metadata[RECORDED]).timestamp())
-    return runs_digest(folder), max(times, default=None)
+    return runs_digest(folder)
 
 
 def diagnosis(workspace: Workspace, name: str) -> dict[str, Any]:

@@ -19,7 +19,7 @@ from starlette.concurrency import run_in_threadpool
 from starlette.requests import Request
 from starlette.responses import FileResponse, HTMLResponse, JSONResponse, PlainTextResponse, Response, StreamingResponse
 from starlette.routing import Route
-from starlette.types import ASGIApp
+from starlette.types import ASGIApp, Receive, Scope, Send
 
 from impact_rs_analysis.report.page import BUNDLE, PLOTLY, TEMPLATES
 from impact_rs_commands.predicting import EFFECTS
@@ -33,10 +33,10 @@ from impact_rs_trials.store import Folder, owned
 from impact_rs_workbench import formula_editor, manual, prediction, recording_description, results
 from impact_rs_workbench.forms import FORMS, form_of, named, order_of, seen
 from impact_rs_workbench.formula_editor import FormulaText
-from impact_rs_workbench.jobs import Jobs
+from impact_rs_workbench.jobs import Job, Jobs, PageAnswer
 from impact_rs_workbench.kept_choices import ListChoice, choices, keep
 from impact_rs_workbench.live_page import Sources, Watch
-from impact_rs_workbench.local import Ended, listening, serve_locally
+from impact_rs_workbench.local import listening, serve_locally
 from impact_rs_workbench.prediction import Question
 from impact_rs_workbench.recording_description import Description, PreviewRequest
 from impact_rs_workbench.request_guard import FILE_POLICY, Guard
@@ -71,7 +71,7 @@ class Workbench:
         self.program = program
         self.watch = Watch(nodes, program)
         self.jobs = Jobs(self.workspace.root / HIDDEN / "jobs", program)
-        self.ended: Ended = lambda: False  # whether streams are to end
+        self.stopped: list[Job] = []  # jobs that its end has stopped
         self._asked = 0  # predictions for sliders that move, so far
         self._map = threading.Lock()  # the impact map keeps engines warm and answers one question at a time
 
@@ -151,7 +151,8 @@ def application(workbench: Workbench, token: str, port: int) -> ASGIApp:
     @asynccontextmanager
     async def lifespan(app: Starlette) -> AsyncIterator[None]:
         yield
-        await run_in_threadpool(workbench.jobs.close)
+        workbench.stopped = await run_in_threadpool(workbench.jobs.close)
+        await workbench.watch.close()
 
     return Guard(Starlette(routes=_routes(workbench), lifespan=lifespan), token, port, "workbench")
 
@@ -168,6 +169,9 @@ def _routes(workbench: Workbench) -> list[Route]:
 
     def keep_choice(data: Any) -> Any:
         return keep(workspace, validate(ListChoice, data, None)).model_dump()
+
+    def answer(data: Any) -> Any:
+        return asdict(jobs.answer(validate(PageAnswer, data, None)))
 
     def check(data: Any) -> Any:
         return formula_editor.check(validate(FormulaText, data, None).text)
@@ -214,6 +218,9 @@ def _routes(workbench: Workbench) -> list[Route]:
         Route("/api/formulas", _posted(lambda data: _kept(workbench, data)), methods=["POST"]),
         Route("/api/command", _posted(lambda data: _command(workbench, data)), methods=["POST"]),
         Route("/api/jobs", _posted(lambda data: asdict(jobs.start(order_of(data, workspace)))), methods=["POST"]),
+        Route(
+            "/api/answer", _posted(lambda data: asdict(jobs.answer(validate(PageAnswer, data, None)))), methods=["POST"]
+        ),
         Route("/api/jobs/{number}/stop", _done(jobs.stop), methods=["POST"]),
         Route("/api/jobs/{number}/again", _done(jobs.again), methods=["POST"]),
     ]
@@ -358,7 +365,7 @@ def _events(workbench: Workbench) -> Endpoint:
         scanned = -SCANNED_AT
         clock = asyncio.get_running_loop().time
         running: set[int] = set()
-        while not (workbench.ended() or await request.is_disconnected()):
+        while not await request.is_disconnected():
             jobs = workbench.jobs.all()
             news: dict[str, Any] = {"jobs": jobs}
             before, running = running, {job["number"] for job in jobs if job["ended"] is None}
@@ -373,9 +380,27 @@ def _events(workbench: Workbench) -> Endpoint:
             await asyncio.sleep(LOOKED_AT)
 
     async def endpoint(request: Request) -> Response:
-        return StreamingResponse(stream(request), media_type="text/event-stream")
+        return _OpenPage(stream(request), workbench.jobs)
 
     return endpoint
+
+
+class _OpenPage(StreamingResponse):
+    """A stream of events to a page, which is open as long as it takes them.
+
+    Args:
+        events: The events.
+        jobs: Jobs, whose questions the page shows.
+    """
+
+    def __init__(self, events: AsyncIterator[str], jobs: Jobs) -> None:
+        super().__init__(events, media_type="text/event-stream")
+        self._jobs = jobs
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Send the events."""
+        with self._jobs.seen():
+            await super().__call__(scope, receive, send)
 
 
 def _live(workbench: Workbench) -> Endpoint:
@@ -384,7 +409,7 @@ def _live(workbench: Workbench) -> Endpoint:
     async def endpoint(request: Request) -> Response:
         namespace = request.query_params.get("namespace", "")
         try:
-            view = await workbench.watch.enter(namespace, workbench.ended)
+            view = await workbench.watch.enter(namespace)
         except InputError as error:
             return _mistake(str(error))
 
@@ -400,7 +425,7 @@ def _live(workbench: Workbench) -> Endpoint:
     return endpoint
 
 
-def serve(root: Path, program: str, nodes: Sources, port: int, browser: bool, say: Callable[[str], None]) -> None:
+def serve(root: Path, program: str, nodes: Sources, port: int, browser: bool, say: Callable[[str], None]) -> list[Job]:
     """Serve the workbench of a folder until Ctrl-C.
 
     Args:
@@ -411,6 +436,9 @@ def serve(root: Path, program: str, nodes: Sources, port: int, browser: bool, sa
         browser: Whether to open a browser.
         say: Prints the address.
 
+    Returns:
+        The jobs that Ctrl-C has stopped.
+
     Raises:
         InputError: Another workbench has this folder, or the folder cannot be made, or the port is taken.
     """
@@ -418,8 +446,5 @@ def serve(root: Path, program: str, nodes: Sources, port: int, browser: bool, sa
     with listening(port) as listener, owned(Folder(root / HIDDEN), "workbench"):
         workbench = Workbench(root, program, nodes)
 
-        def make(token: str, number: int, ended: Ended) -> ASGIApp:
-            workbench.ended = ended
-            return application(workbench, token, number)
-
-        serve_locally(listener, make, browser, say)
+        serve_locally(listener, lambda token, number: application(workbench, token, number), browser, say)
+        return workbench.stopped

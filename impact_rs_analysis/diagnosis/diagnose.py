@@ -332,7 +332,7 @@ def _limits(source: Source) -> tuple[LimitDocument, ...]:
 
 def _runs(source: Source) -> RunsIdentity:
     found = source.identity
-    return RunsIdentity(digest=found.digest, trials=found.count, conditions=found.conditions)
+    return RunsIdentity(digest=found.digest, trials=found.count, conditions=found.conditions, recorded=found.recorded)
 
 
 def _hold_out(found: HoldOut | None, source: Source) -> HoldOutDocument:

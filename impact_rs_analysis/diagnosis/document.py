@@ -20,7 +20,7 @@ from impact_rs_analysis.evidence.levels import RecordingDocument
 from impact_rs_sim.effects.formula import FormulaSpec
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.files import write_whole
-from impact_rs_sim.schema import Schema, read_json, validate
+from impact_rs_sim.schema import Schema, omitted, read_json, validate
 
 LARGEST = 50_000_000  # bytes; a diagnosis usually has about ten thousand
 NOTHING = "NOTHING-MISSING"
@@ -185,6 +185,9 @@ class RunsIdentity(Schema):
     digest: str = Field(description="digest of the bags' names, scenarios and seeds; empty for recordings")
     trials: int = Field(description="usable trials, or recordings")
     conditions: tuple[str, ...] = Field(description="conditions that were measured, or files")
+    recorded: float | None = omitted(
+        None, description="when the last trial was recorded, seconds since 1970; null: not known"
+    )
 
 
 class RestDocument(Schema):

@@ -37,7 +37,22 @@ def read_laboratory_runs(directory: Path, experiment: Experiment, map_tasks: Map
     Raises:
         InputError: A file cannot be used; the message names it.
     """
-    runs, skipped = read_laboratory(directory, experiment, map_tasks)
+    return read_runs_of_scenes(directory, (experiment,), map_tasks)
+
+
+def read_runs_of_scenes(directory: Path, experiments: Sequence[Experiment], map_tasks: Map) -> Runs:
+    """Every run of several experiments with the same arms, each in the scene of its own; their clock is one.
+
+    Args:
+        directory: Folder of the recordings.
+        experiments: Descriptions of the recordings, each with its scenario and its table of runs.
+        map_tasks: Parallel map.
+
+    Raises:
+        InputError: A file cannot be used; the message names it.
+    """
+    read = [read_laboratory(directory, experiment, map_tasks) for experiment in experiments]
+    runs, skipped = ([item for part in parts for item in part] for parts in zip(*read, strict=True))
     remarks = [f"{run.name}: {remark}" for run in runs for remark in run.remarks]
     estimates = {arm: command_offset(runs, arm) for arm in runs[0].signals.arms}
     offsets = {arm: offset for arm, (offset, _) in estimates.items()}

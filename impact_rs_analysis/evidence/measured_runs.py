@@ -24,7 +24,7 @@ from impact_rs_sim.recent import Recent
 from impact_rs_sim.robot import Array
 from impact_rs_sim.robot_model import RobotModel
 from impact_rs_trials.bags.checksums import says_so, unsealed_words
-from impact_rs_trials.bags.reader import BagError, TrialBag, reason_of, recorded_at
+from impact_rs_trials.bags.reader import BagError, TrialBag, reason_of, recorded_at, stamped_at
 from impact_rs_trials.runs import DriveName, Run, Signals, label_of
 from impact_rs_trials.since import measured_since
 from impact_rs_trials.spec import TrialSpec
@@ -264,6 +264,12 @@ class Runs:
             return _digest([run.path for run in self.runs]) if self.part else runs_digest(self.directory)
         rows = sorted(f"{run.condition} {run.setup.digest}" for run in self.runs)
         return hashlib.sha256("\n".join(rows).encode()).hexdigest()[:16]
+
+    @property
+    def recorded(self) -> float | None:
+        """When the last of the trials was recorded, simulated or not, seconds since 1970; None: not known."""
+        stamps = (stamped_at(run.path) if run.recorded is None else run.recorded for run in self.runs)
+        return max((stamp for stamp in stamps if stamp is not None), default=None)
 
     @property
     def conditions(self) -> dict[str, list[MeasuredRun]]:

@@ -221,7 +221,7 @@ class ReplaySource(Source):
     @property
     def identity(self) -> Identity:
         """See :attr:`Source.identity`."""
-        return Identity(self.runs.digest, len(self.runs.runs), tuple(self.runs.conditions))
+        return Identity(self.runs.digest, len(self.runs.runs), tuple(self.runs.conditions), self.runs.recorded)
 
     @classmethod
     def of(

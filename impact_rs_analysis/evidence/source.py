@@ -39,11 +39,13 @@ class Identity:
         digest: Digest of all measurements; empty: not known.
         count: Number of runs, rows or recordings.
         conditions: Names of the conditions.
+        recorded: When the last run was recorded, seconds since 1970; None: not known.
     """
 
     digest: str
     count: int
     conditions: tuple[str, ...]
+    recorded: float | None = None
 
 
 @dataclass(frozen=True)

@@ -31,7 +31,7 @@ from impact_rs_sim.physics import Physics
 from impact_rs_sim.robot import Array
 from impact_rs_sim.scenario import Scenario
 from impact_rs_sim.scene import ArmState
-from impact_rs_trials.bags.reader import recorded_at
+from impact_rs_trials.bags.reader import reason_of, recorded_at
 from impact_rs_trials.recordings.impact_table import ImpactRow, ImpactTable, name_of_row
 from impact_rs_trials.runs import label_of
 from impact_rs_trials.spec import TrialSpec
@@ -284,8 +284,8 @@ class BagHit(Hit):
 
     @property
     def shared(self) -> str:
-        """See :attr:`Hit.shared`: repeats start alike."""
-        return self.condition
+        """See :attr:`Hit.shared`: repeats with the same signals start alike."""
+        return self.group
 
 
 class BagDoor(Door):
@@ -320,11 +320,11 @@ class BagDoor(Door):
         for given, path in enumerate(fresh, start=1):
             self._known.add(path)
             self.waiting = len(fresh) - given
-            run = read_trial(path)
-            if isinstance(run, MeasuredRun):
-                yield self._arrived(run, path)
+            hit = self._read(path)
+            if isinstance(hit, BagHit):
+                yield hit
             else:
-                self.skipped[str(path.relative_to(self._directory))] = run[1]
+                self.skipped[str(path.relative_to(self._directory))] = hit
 
     def recalled(self, names: Sequence[str], known: Sequence[str]) -> dict[str, Hit]:
         """See :meth:`Door.recalled`."""
@@ -359,6 +359,16 @@ class BagDoor(Door):
         """See :meth:`Door.predict`."""
         assert isinstance(hit, BagHit)
         return self._store([Replay(hit.run.setup, self.model, one) for one in added])
+
+    def _read(self, path: Path) -> BagHit | str:
+        """The hit of a bag, or why it gives none."""
+        run = read_trial(path)
+        if not isinstance(run, MeasuredRun):
+            return run[1]
+        try:
+            return self._arrived(run, path)
+        except Exception as error:  # a trial with odd numbers must not stop the next ones
+            return reason_of(error)
 
     def _arrived(self, run: MeasuredRun, path: Path) -> BagHit:
         """A trial that was measured."""

@@ -10,6 +10,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from impact_rs_analysis.following.follow import Follower
+from impact_rs_analysis.following.hits import Door
 from impact_rs_analysis.following.lessons import ChangeDiagnosis, FollowDocument, HitDocument, NextHit
 from impact_rs_cli.arguments import number, on_local_runs
 from impact_rs_cli.following import FollowedHits, HitsArguments, diagnose_words, door_of, folder_of_diagnoses
@@ -44,23 +45,25 @@ def run(args: argparse.Namespace, terminal: Terminal) -> int:
     if count := followed.restore():
         terminal.say(f"state: goes on after {count} hits")
     documents: list[HitDocument] = []
+    refused: set[str] = set()
     with terminal.progress("following hits") as report:
         for document in followed.arrived():
             documents.append(document)
             _say(document, diagnosis, terminal)
             report(len(documents), len(documents) + door.waiting)
+            _warn_of_refused(door, refused, terminal)
+    _warn_of_refused(door, refused, terminal)
     followed.save()
     found = None
     try:
         _say_more(followed, terminal)
         if args.live:
-            documents += _live(followed, diagnosis, terminal)
+            documents += _live(followed, diagnosis, refused, terminal)
         else:
             found = _awaited(diagnosis, terminal)
     finally:
         diagnosis.stop()
-    for name, reason in door.skipped.items():
-        terminal.warn(f"left out: {name}: {reason}")
+    _warn_of_refused(door, refused, terminal)
     result = FollowDocument(
         model=model.name,
         hits=tuple(documents),
@@ -77,7 +80,15 @@ def run(args: argparse.Namespace, terminal: Terminal) -> int:
     return 0
 
 
-def _live(followed: FollowedHits, diagnosis: FullDiagnosis, terminal: Terminal) -> list[HitDocument]:
+def _warn_of_refused(door: Door, said: set[str], terminal: Terminal) -> None:
+    """Warn of what gave no hit, once for each."""
+    for name, reason in door.skipped.items():
+        if name not in said:
+            said.add(name)
+            terminal.warn(f"left out: {name}: {reason}")
+
+
+def _live(followed: FollowedHits, diagnosis: FullDiagnosis, refused: set[str], terminal: Terminal) -> list[HitDocument]:
     """Wait for further hits until Ctrl-C."""
     terminal.say(f"waiting for hits in {followed.hits.where}; Ctrl-C ends")
     found: list[HitDocument] = []
@@ -86,6 +97,7 @@ def _live(followed: FollowedHits, diagnosis: FullDiagnosis, terminal: Terminal) 
             for document in followed.arrived():
                 found.append(document)
                 _say(document, diagnosis, terminal, every=True)
+            _warn_of_refused(followed.follower.door, refused, terminal)
             _say_more(followed, terminal)
             _say_diagnosis(diagnosis.ended(), terminal)
             time.sleep(POLLED)

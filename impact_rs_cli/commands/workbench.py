@@ -4,6 +4,9 @@
 from __future__ import annotations
 
 import argparse
+import os
+import sys
+import threading
 from contextlib import AbstractContextManager
 
 from impact_rs_cli.parser import PROGRAM
@@ -21,7 +24,12 @@ def run(args: argparse.Namespace, terminal: Terminal) -> int:
     def announce(address: str) -> None:
         terminal.say(f"workbench of {args.directory}: {address}", "Ctrl-C ends it and stops running jobs")
 
-    serve(args.directory, PROGRAM, _nodes, args.port, not args.no_browser, announce)
+    stopped = serve(args.directory, PROGRAM, _nodes, args.port, not args.no_browser, announce)
+    jobs = ", ".join(f"job {job.number} ({job.step})" for job in stopped)
+    terminal.say(f"the workbench has ended; stopped: {jobs}" if jobs else "the workbench has ended; no job was running")
+    if threading.active_count() > 1:  # a long request, whose answer no page awaits
+        sys.stdout.flush()
+        os._exit(0)
     return 0
 
 

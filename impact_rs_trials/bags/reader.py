@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import math
+import struct
 import weakref
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack, suppress
@@ -22,6 +23,7 @@ from rosbags.typesys.store import Typestore
 
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.robot import Array
+from impact_rs_sim.urdf import joint_names
 from impact_rs_trials.bags import checksums, topics
 from impact_rs_trials.bags.cdr import decode
 from impact_rs_trials.bags.recovery import recover
@@ -34,6 +36,8 @@ OF_THE_TWIN = (
     "the twin made these trials, and it is what the model replays them with: the simulator explains itself, so that no "
     "difference between simulators shows"
 )
+STAMPED_TOGETHER = 1e-6  # s, between joint and motor states of one tick
+FRAME = 12  # byte at which the frame of a serialized message with a header stands
 
 
 class BagError(Exception):
@@ -141,18 +145,34 @@ def recorded_at(path: Path) -> float:
     Args:
         path: Folder of the bag; its messages may be damaged.
     """
-    found = None
+    found = _recorded(_custom(path))
+    return path.stat().st_mtime if found is None else found
+
+
+def stamped_at(path: Path) -> float | None:
+    """When the recorder stamped a bag, seconds since 1970, simulated or not, by its metadata alone; None: it did not.
+
+    Args:
+        path: Folder of the bag; its messages may be damaged.
+    """
+    return _stamp(_custom(path))
+
+
+def _custom(path: Path) -> dict[str, str]:
+    """Custom metadata of a bag; empty: there are none that can be read."""
     with suppress(OSError, yaml.YAMLError, UnicodeDecodeError, KeyError, TypeError):
         text = (path / checksums.METADATA).read_text(encoding="utf-8")
-        custom = yaml.load(text, yaml.CSafeLoader)["rosbag2_bagfile_information"]["custom_data"]
-        found = _recorded(custom)
-    return path.stat().st_mtime if found is None else found
+        return dict(yaml.load(text, yaml.CSafeLoader)["rosbag2_bagfile_information"]["custom_data"] or {})
+    return {}
 
 
 def _recorded(metadata: Mapping[str, str]) -> float | None:
     """When a bag was recorded, seconds since 1970; None: by another program, or simulated, when time means nothing."""
-    if metadata.get("via") in VIA.values():
-        return None
+    return None if metadata.get("via") in VIA.values() else _stamp(metadata)
+
+
+def _stamp(metadata: Mapping[str, str]) -> float | None:
+    """When a bag was written, by its recorder, seconds since 1970; None: it has no stamp."""
     with suppress(KeyError, ValueError, TypeError):
         return datetime.fromisoformat(metadata[RECORDED]).timestamp()
     return None
@@ -300,6 +320,9 @@ class TrialBag:
         if time is None:
             raise BagError(self.path, "names no robots")
         pose = self.poses(topics.OBJECT_POSE)
+        if np.any(back := np.diff(pose.time) < 0.0):  # a tracker may repeat its last sample
+            first = float(pose.time[1:][np.argmax(back)])
+            raise BagError(self.path, f"{topics.OBJECT_POSE}: time stamps run backwards at t = {first:.3f} s")
         return Signals(time, arms, pose.time, pose.position, pose.quaternion)
 
     def _read_ahead(self, *names: str) -> None:
@@ -328,6 +351,12 @@ class TrialBag:
         ):
             if size != time.size:
                 raise BagError(self.path, f"{topic} has {size} messages, {topics.joint_states(arm)} has {time.size}")
+        if np.any(other := np.abs(motor.time - time) > STAMPED_TOGETHER):
+            first = float(time[np.argmax(other)])
+            both = f"{topics.motor_states(arm)} and {topics.joint_states(arm)}"
+            raise BagError(self.path, f"{both} have different stamps at t = {first:.3f} s")
+        for topic in (topics.joint_states(arm), topics.motor_states(arm)):
+            self._check_joints(topic, arm, time)
         for name, values in (
             ("position", measured.position),
             ("velocity", measured.velocity),
@@ -346,10 +375,40 @@ class TrialBag:
             command=controller.commanded_torque,
         )
 
+    def _check_joints(self, topic: str, arm: str, time: Array) -> None:
+        """Every message names the same joints, in the order of the robot where they are those of the robot."""
+        _, rows = _raw(self.path, self._reader, topic, self._ahead)
+        names, part = _joints_of(rows[0])
+        if (place := next((n for n, row in enumerate(rows) if row[part] != rows[0][part]), None)) is not None:
+            raise BagError(self.path, f"{topic}: other joints, or another order, at t = {time[place]:.3f} s")
+        facts = self.info.spec.scenario.robots[arm].robot_facts
+        expected = [f"{arm}_{joint}" for joint in joint_names(facts)]
+        if names != expected and sorted(names) == sorted(expected):
+            raise BagError(
+                self.path, f"{topic}: joints in the order {', '.join(names)}; expected {', '.join(expected)}"
+            )
+
     def impact_time(self, arm: str) -> float:
         """Detected impact time of an arm [s]; NaN where nothing was detected."""
         found = self.messages(topics.impact_event(arm))
         return float(found[0].detected_time) if found else math.nan
+
+
+def _joints_of(row: bytes) -> tuple[list[str], slice]:
+    """Names of the joints in a serialized ``sensor_msgs/JointState``, and where they stand."""
+    order = "<" if row[1] else ">"
+    (length,) = struct.unpack_from(f"{order}I", row, FRAME)
+    at = FRAME + 4 + length
+    start = at = at + -at % 4
+    (count,) = struct.unpack_from(f"{order}I", row, at)
+    at += 4
+    names = []
+    for _ in range(count):
+        at += -at % 4
+        (length,) = struct.unpack_from(f"{order}I", row, at)
+        at += 4 + length
+        names.append(bytes(row[at - length : at - 1]).decode("utf-8", "replace"))
+    return names, slice(start, at)
 
 
 def columns_of(kind: str, rows: Sequence[bytes], store: Typestore | None = None) -> dict[str, Array]:

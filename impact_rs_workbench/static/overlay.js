@@ -259,7 +259,7 @@ const estimates = {
     const times = own.map((one) => 1000 * one.when), wide = Math.max(60_000, 0.08 * (Math.max(...times) - Math.min(...times)));
     const unknown = own.filter((one) => !one.measured).length;
     this.note.textContent = `${own.length} diagnos${own.length === 1 ? 'is' : 'es'}, each at the time of its last trial; bars are 95 % intervals.` +
-      (unknown ? ` Of ${unknown} the trials are not in this folder: they stand at the time of their file.` : '');
+      (unknown ? ` ${unknown} of them do${unknown === 1 ? 'es' : ''} not say when that was, and stand${unknown === 1 ? 's' : ''} at the time of the file.` : '');
     await draw(this.plot, {data, layout: {height: 360, margin: {l: 60, r: 12, t: 10, b: 80}, showlegend: true, xaxis: {title: {text: 'time of the measurement'}, type: 'date', nticks: 6,
         range: [new Date(Math.min(...times) - wide), new Date(Math.max(...times) + wide)]},
       yaxis: {title: {text: `${this.parameter.value}${unit}`}, automargin: true}, legend: {orientation: 'h', yref: 'container', y: 0, yanchor: 'bottom', x: 0}}});

@@ -1765,7 +1765,7 @@ function chooseModel(one) {
 
 function progressText(job) {
   const {what = job.arguments[0], done = 0, total = null, left = null, share = null} = job.progress ?? {};
-  return [job.stopping ? 'stopping' : what, total ? `${done} of ${total}` : '', share === null ? '' : `${Math.round(100 * share)} % of the job`,
+  return [job.stopping ? 'stopping' : job.question ? 'asks' : what, total ? `${done} of ${total}` : '', share === null ? '' : `${Math.round(100 * share)} % of the job`,
     seconds(left)].filter(Boolean).join(', ');
 }
 
@@ -1811,6 +1811,24 @@ function jobRow(job) {
     h('pre', {hidden: !opened.has(job.number), tabindex: 0}, opened.get(job.number)?.text ?? ''));
 }
 
+// What a job asks before it moves something. No comes first; a question keeps its buttons until it stands no more.
+function questionRow(job) {
+  const {number, text} = job.question, reply = h('output', {class: 'reply'});
+  const answer = (yes) => async () => {
+    reply.textContent = 'sending …';
+    try { await ask('/api/answer', {job: job.number, question: number, yes}); } catch (error) { reply.textContent = error.message; }
+  };
+  return h('div', {'data-question': `${job.number} ${number}`}, h('strong', {}, `Job ${job.number} asks: `), inFolder(text),
+    h('span', {class: 'buttons'}, h('button', {type: 'button', class: 'primary', onclick: answer(false)}, 'No'),
+      h('button', {type: 'button', onclick: answer(true)}, 'Yes'), reply));
+}
+
+function showQuestions(jobs) {
+  const list = $('questions'), asking = jobs.filter((job) => job.question), key = (job) => `${job.number} ${job.question.number}`;
+  for (const item of [...list.children]) if (!asking.some((job) => key(job) === item.dataset.question)) item.remove();
+  for (const job of asking) if (![...list.children].some((item) => item.dataset.question === key(job))) list.append(questionRow(job));
+}
+
 const MOST_JOBS = 8;
 
 // The drawer at the lower edge: closed, it shows the job that runs, or the last one.
@@ -1832,6 +1850,7 @@ function showJobs(jobs) {
   state.jobs = jobs;
   const list = $('job-list'), shown = jobs.slice(0, MOST_JOBS);
   for (const job of jobs) answerBeside(job);
+  showQuestions(jobs);
   drawer(jobs);
   if (!jobs.length) { list.replaceChildren(h('li', {class: 'quiet'}, 'None yet. Jobs that you start appear here; they continue when this page is closed.')); return; }
   for (const item of [...list.children]) if (!shown.some((job) => String(job.number) === item.dataset.job)) item.remove();

@@ -12,6 +12,7 @@ from typing import Any
 
 import pytest
 import yaml
+from trials import recorded
 
 from impact_rs_analysis.design.possible_trials import possible_trials
 from impact_rs_analysis.investigation import PlannedTrial, Settings, trials_of
@@ -27,6 +28,7 @@ from impact_rs_trials.blind import Secret
 from impact_rs_trials.campaign import PlannedTrials, TrialReport
 from impact_rs_trials.envelope import CellEnvelope
 from impact_rs_trials.experiment_plan import ExperimentPlan, PlannedCampaign
+from impact_rs_trials.spec import TrialSpec
 
 ENVELOPE = CellEnvelope(scenarios=("push",), objects=("parcel", "juice"), speed=0.75, impulse=2.0)
 
@@ -280,6 +282,39 @@ def test_bags_of_a_cell_are_read_by_measured_signals_alone(tmp_path: Path, hidde
     assert all(run.spec is None for run in runs.runs)  # a laboratory's: nothing of controller and plan is known
     table = (tmp_path / "runs" / "runs.csv").read_text().splitlines()
     assert sum(",free motion," in row for row in table) == 2 and sum(",hit," in row for row in table) == 4
+
+
+def test_hits_of_every_scenario_are_read_in_their_own_scene(tmp_path: Path, hidden_campaign: Path) -> None:
+    """One has an object that the other does not know, and a heavier juice; the free motions belong to both."""
+    for name in ("push", "excite"):
+        shutil.copytree(hidden_campaign / name, tmp_path / "runs" / "round_01" / name)
+    push = load_scenario("push").with_settings({"name": "push_heavy", "objects.juice.mass": 2.5})
+    other = push.model_copy(update={"objects": {"carton": push.objects["parcel"], "juice": push.objects["juice"]}})
+    for item in other.objects:
+        plan = TrialSpec.of(other, item, "case_1").plan
+        assert recorded(plan, tmp_path / "runs" / "round_02" / "push_heavy" / item).outcome == "OK"
+    runs = bench(tmp_path, Operator()).measured_runs()
+    masses = {(run.place[0], run.place[1]): run.setup.physics.object.mass for run in runs.runs if run.hit}
+    assert (
+        masses["push_heavy", "juice"] == 2.5 and masses["push", "juice"] == load_scenario("push").objects["juice"].mass
+    )
+    assert ("push_heavy", "carton") in masses
+    assert len(runs.runs) == 8 and not runs.skipped
+
+
+def test_free_motions_alone_are_read_in_their_own_scene(tmp_path: Path, hidden_campaign: Path) -> None:
+    shutil.copytree(hidden_campaign / "excite", tmp_path / "runs" / "round_01" / "excite")
+    runs = bench(tmp_path, Operator()).measured_runs()
+    assert {run.place[0] for run in runs.runs} == {"excite"} and not any(run.hit for run in runs.runs)
+
+
+def test_a_cell_without_trials_and_an_unknown_mapping_are_refused_in_words(tmp_path: Path) -> None:
+    (tmp_path / "runs").mkdir()
+    with pytest.raises(InputError, match="no trial was recorded here"):
+        bench(tmp_path, Operator()).measured_runs()
+    guard = CellGuard(tmp_path, ENVELOPE, Operator())
+    with pytest.raises(InputError, match="did you mean 'impact_rs'"):
+        CellBench(tmp_path, SETTINGS, map, Terminal(as_json=True), guard, mapping="impact_r")  # type: ignore[arg-type]
 
 
 class FakeNodes(FakeCell):

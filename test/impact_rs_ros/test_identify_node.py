@@ -52,6 +52,9 @@ class Offline(IdentifyNode):
         self._change = SimpleNamespace(publish=self.changed.append)  # type: ignore[assignment]
         self.diagnosed: list[String] = []
         self._diagnosis = SimpleNamespace(publish=self.diagnosed.append)  # type: ignore[assignment]
+        self.refused: list[String] = []
+        self._refused = SimpleNamespace(publish=self.refused.append)  # type: ignore[assignment]
+        self._refusals, self._refusal = 0, ""
         self._identifier, self._looked = followed, -float("inf")
         self._hits, self._changes, self._spent, self._last, self._complaint = 0, 0, 0.0, "", ""
 
@@ -95,6 +98,19 @@ def test_hits_that_cannot_be_read_are_a_warning_and_the_next_ones_are_taken(erro
     node.look()
     line, _ = node.status()
     assert str(error) in line
+    assert len(node.refused) == (not isinstance(error, InputError))  # a look that failed for a reason unknown
     node.look()
     assert node.status()[0] == "ok"
     assert len(node.predicted) == 1
+
+
+def test_what_gives_no_hit_is_published_warned_of_and_counted() -> None:
+    refused = Lesson("r3: velocity is not finite", refused=json.dumps({"hit": "r3", "reason": "nan"}), hit=False)
+    node = Offline(Lessons([refused, Lesson("r4: off")], []))
+    node.look()
+    node.look()
+    assert [json.loads(message.data) for message in node.refused] == [{"hit": "r3", "reason": "nan"}]
+    assert ("warning", "refused r3: velocity is not finite") in node.log.lines
+    line, numbers = node.status()
+    assert (line, numbers["hits"], numbers["refused"]) == ("ok", 1, 1)
+    assert numbers["last refused"] == "r3: velocity is not finite"

@@ -88,15 +88,22 @@ def test_a_new_scene_is_made_once_and_what_goes_on_is_told_when_it_changes() -> 
     absent = Snapshot("absent", "here")
     graph = Graph(absent, absent, SEEN, replace(SEEN, time=0.6), replace(SEEN, situation="over", time=0.6))
     told: list[str] = []
-    view = LiveView(graph, "impact-rs", told.append, lambda: len(told) == 3)
-    asyncio.run(view.follow())
+    view = LiveView(graph, "impact-rs", told.append)
+
+    async def until_it_is_over() -> None:
+        following = asyncio.create_task(view.follow())
+        while len(told) < 3:
+            await asyncio.sleep(0.0)
+        following.cancel()
+
+    asyncio.run(until_it_is_over())
     assert [line.split()[0] for line in told] == ["no", "now:", "at"]
     assert json.loads(view.news["scene"])["arms"] == ["left", "right"]
     assert json.loads(view.news["state"])["time"] == 0.6
 
 
 def test_nobody_without_the_key_is_told_anything() -> None:
-    view = LiveView(Graph(SEEN), "impact-rs", lambda _: None, lambda: True)
+    view = LiveView(Graph(SEEN), "impact-rs", lambda _: None)
     stranger = TestClient(application(view, TOKEN, PORT), base_url=f"http://127.0.0.1:{PORT}", follow_redirects=False)
     for path in ("/", "/api/events", "/static/replay.js", "/?token=guessed"):
         answer = stranger.get(path)

@@ -11,6 +11,7 @@ import json
 import os
 import re
 import shutil
+import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -19,8 +20,10 @@ from typing import Literal
 import pytest
 import yaml
 from axe_playwright_python.sync_playwright import Axe
+from cell_investigations import about_to_move
 from mixed_grab import FILE
 from playwright.sync_api import Browser, Locator, Page, Request, Route, ViewportSize, expect, sync_playwright
+from processes import until
 
 from impact_rs_cli.main import main
 from impact_rs_sim.scenario import load_scenario
@@ -634,6 +637,46 @@ def test_an_investigation_is_followed_stopped_and_can_go_on(page: Page, folder: 
     expect(job).to_have_attribute("data-state", "130")
     expect(job.get_by_role("button", name="Continue")).to_be_visible()
     assert (folder / "investigations" / "1" / "investigation.yaml").exists()
+
+
+def test_a_cell_asks_in_the_page_no_comes_first_and_a_closed_page_is_a_no(
+    browser: Browser, served: Callable[[Path], str], tmp_path: Path
+) -> None:
+    about_to_move(tmp_path / "cell", tmp_path / "envelope.yaml")
+    form = {"command": "investigate", "directory": "cell", "scenarios": ["push"], "via": "cell", "budget": 6}
+    body = json.dumps(form | {"envelope": "envelope.yaml"})
+    start = f"fetch('/api/jobs', {{method: 'POST', body: JSON.stringify({body})}})"
+    address = served(tmp_path)
+    with opened(browser, address) as (page, _):
+        go(page, "investigate")
+        page.evaluate(start)
+        row = page.locator("#questions > div")
+        expect(row).to_contain_text("Is the cell safe, the arm at rest, and shall it go on?")
+        buttons = row.get_by_role("button")
+        expect(buttons).to_have_text(["No", "Yes"])
+        expect(row.get_by_role("button", name="No")).to_have_class("primary")
+        accessible(page)
+        picture(page, "workbench_question", tmp_path)
+        sent: list[str | None] = []
+
+        def kept(route: Route) -> None:
+            sent.append(route.request.post_data)
+            route.fulfill(status=400, body=json.dumps({"error": "kept by the test"}), content_type="application/json")
+
+        page.route("**/api/answer", kept)
+        row.get_by_role("button", name="Yes").click()
+        expect(row.locator(".reply")).to_have_text("kept by the test")
+        assert sent == [json.dumps({"job": 1, "question": 1, "yes": True}, separators=(",", ":"))]
+        page.unroute("**/api/answer")
+        row.get_by_role("button", name="No").click()
+        expect(row).to_have_count(0)
+        expect(page.locator("#jobs-line")).to_contain_text("Nothing was moved")
+        page.evaluate(start)
+        expect(row).to_have_count(1)
+    record = tmp_path / ".workbench" / "jobs" / "0002" / "job.json"
+    until(lambda: json.loads(record.read_text())["ended"], lambda: time.sleep(0.05))
+    assert "Nothing was moved" in json.loads(record.read_text())["line"]
+    assert "no, or the page was closed" in (record.parent / "output.txt").read_text()
 
 
 def test_a_campaign_is_offered_counted_and_refused_on_the_page(page: Page) -> None:

@@ -77,25 +77,23 @@ def test_an_investigation_has_an_ending_once_its_last_round_says_so(tmp_path: Pa
 
 
 def test_an_estimate_stands_at_the_time_of_its_measurement(
-    tmp_path: Path, hidden_campaign: Path, diagnosed: Path
+    tmp_path: Path, hidden_campaign: Path, diagnosed: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Whenever its diagnosis was written; where the runs are not in the folder, at the time of that file."""
-    shutil.copytree(hidden_campaign, tmp_path / "blind" / "runs")
-    found = json.loads(diagnosed.read_text())
-    for name, runs, written in (
-        ("late", found["runs"], 3e9),
-        ("other", found["runs"] | {"digest": "of other runs"}, 2e9),
-    ):
-        (tmp_path / f"{name}.json").write_text(json.dumps(found | {"runs": runs}))
-        os.utime(tmp_path / f"{name}.json", (written, written))
+    """Whenever its diagnosis was written, and from the diagnosis alone; an older one stands at the time of its file."""
+    shutil.copytree(hidden_campaign, tmp_path / "runs")
     recorded = [
         datetime.fromisoformat(TrialBag.open(bag.parent).metadata["recorded"]).timestamp()
         for bag in hidden_campaign.rglob("metadata.yaml")
     ]
+    found = json.loads(diagnosed.read_text())
+    for name, runs, written in (("new", found["runs"], 3e9), ("old", found["runs"] | {"recorded": None}, 2e9)):
+        (tmp_path / f"{name}.json").write_text(json.dumps(found | {"runs": runs}))
+        os.utime(tmp_path / f"{name}.json", (written, written))
+    monkeypatch.setattr(TrialBag, "open", None)
     rows = estimates(Workspace(tmp_path))
     assert {(row["diagnosis"], row["when"], row["measured"]) for row in rows} == {
-        ("late.json", max(recorded), True),
-        ("other.json", 2e9, False),
+        ("new.json", max(recorded), True),
+        ("old.json", 2e9, False),
     }
     assert [row["when"] for row in rows] == sorted(row["when"] for row in rows)
 

@@ -1,0 +1,58 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Questions of a command to the person at the page that started it, over a socket that only the two have.
+
+With ``IMPACT_RS_QUESTIONS=N`` in its environment a command has an end of that socket as file descriptor N. A question
+is one line of JSON, ``{"number": 1, "text": "May it run?"}``, and so is its answer, ``{"number": 1, "yes": true}``.
+Whatever else comes is no yes: another number, another text, or the end of the other process.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import socket
+from typing import Any
+
+VARIABLE = "IMPACT_RS_QUESTIONS"
+
+
+class PageQuestions:
+    """The end of the command. The variable is taken from the environment: processes that it starts ask no one.
+
+    Args:
+        descriptor: File descriptor of a connected socket.
+    """
+
+    def __init__(self, descriptor: int) -> None:
+        self._socket = socket.socket(fileno=descriptor)
+        self._socket.set_inheritable(False)
+        self._answers = self._socket.makefile("r", encoding="utf-8", errors="replace")
+        self._asked = 0
+
+    @classmethod
+    def of_environment(cls) -> PageQuestions | None:
+        """That of this process; None: no page has started it."""
+        given = os.environ.pop(VARIABLE, "")
+        try:
+            return cls(int(given)) if given else None
+        except (ValueError, OSError):  # no number, or no socket
+            return None
+
+    def ask(self, text: str) -> bool:
+        """Ask, and wait for the answer; False without a clear yes to this very question."""
+        self._asked += 1
+        try:
+            self._socket.sendall((json.dumps({"number": self._asked, "text": text}) + "\n").encode())
+            line = self._answers.readline()
+        except OSError:
+            return False
+        return said(line) == {"number": self._asked, "yes": True}
+
+
+def said(line: str) -> dict[str, Any] | None:
+    """What a line says; None: nothing."""
+    try:
+        found = json.loads(line)
+    except (ValueError, RecursionError):
+        return None
+    return found if isinstance(found, dict) else None
