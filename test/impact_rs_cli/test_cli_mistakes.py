@@ -23,7 +23,7 @@ MISTAKES = {  # {} is a folder with one file, CUBES a table of impacts
     "map push catfood 2": "parcel, cat_food, juice; did you mean 'cat_food'",
     "map push cat_food case_9": "case_1, case_2, case_3",
     "map push cat_food 2 --json --motor-inertia rotro": "did you mean 'rotor'",
-    "map push cat_food 2 --engin": "expected one argument",
+    "map push cat_food 2 --engin": "did you mean '--engine'",
     "map push cat_food 2 --enginee bullet": "did you mean '--engine'",
     "study -o {}/new --job 2": "did you mean '--jobs'",
     "map push": "expected SCENARIO OBJECT CASE, or --table FILE -o FILE",
