@@ -7,6 +7,7 @@ which every array lies the other way round.
 
 from __future__ import annotations
 
+from collections.abc import Mapping as AbstractMapping
 from pathlib import Path
 from typing import Any
 
@@ -200,6 +201,8 @@ def _read_hdf5(path: Path, within: set[str] | None = None) -> tuple[dict[str, Ar
             raise InputError(f"not a readable HDF5 file (name {name!r})", file=path)
         if not isinstance(item, h5py.Dataset):
             return
+        if not _holds_numbers(item.attrs):
+            return
         if within is not None and name not in within:
             arrays[name] = np.zeros(0)
             return
@@ -219,3 +222,9 @@ def _read_hdf5(path: Path, within: set[str] | None = None) -> tuple[dict[str, Ar
         said = (str(error).splitlines() or [type(error).__name__])[0]
         raise InputError(f"not a readable HDF5 file ({said})", file=path) from None
     return arrays, frozenset(unsealed)
+
+
+def _holds_numbers(attributes: AbstractMapping[str, Any]) -> bool:
+    """Whether an array is one of numbers; MATLAB stores texts, truth values and the size of empty ones as integers."""
+    kind = attributes.get("MATLAB_class", b"double")
+    return kind not in (b"char", b"logical", b"cell") and not attributes.get("MATLAB_empty", 0)

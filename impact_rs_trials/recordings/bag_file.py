@@ -31,6 +31,8 @@ LATE = (-0.005, 0.05)  # s, range of the log delay behind the joint states outsi
 
 FIELDLESS: tuple[SignalName, ...] = ("object_pose", "wrench")  # what its message type says where it is
 
+STORED = (".db3", ".mcap", ".zstd")  # endings of files of messages
+
 POSE_PARTS = (("position", "orientation"), ("translation", "rotation"))
 
 
@@ -88,8 +90,11 @@ class BagFile:
         self._joints = tuple(names.fill(joint) for joint in mapping.joints)
         self._store = typestore_for(mapping)
         self._messages: dict[str, list[tuple[int, Any]]] = {}
+        self._lost: dict[str, tuple[str, ...]] = {}
+        _check_pages(path)
         try:
             with Reader(path) as reader:
+                unread = _files_beside(path, reader)
                 self._connections = list(reader.connections)
                 chosen = self._chosen(wanted)
                 for connection in chosen:
@@ -103,6 +108,14 @@ class BagFile:
         except Exception as error:  # a damaged file can fail anywhere inside the library
             text = str(error).splitlines()[0] if str(error) else ""
             raise InputError(f"not a readable bag ({type(error).__name__}: {text})", file=path) from None
+        for connection in chosen:
+            found = len(self._messages[connection.topic])
+            if found != connection.msgcount:
+                said = f"{connection.topic}: {found} messages, {connection.msgcount} are counted in the bag's metadata"
+                if not found:
+                    raise InputError(said, file=path)
+                self._lost[connection.topic] = (f"{said}: a part is lost, or the metadata are of another bag",)
+        self._unread = unread
         self._shift: tuple[float, str] | None = None
 
     def series(self, name: SignalName, source: SignalSource) -> Series:
@@ -125,6 +138,7 @@ class BagFile:
             headers = [getattr(messages[index][1], "header", None) for index in kept]
         log = 1e-9 * np.array(logs, dtype=float)
         time, remarks = self._clock(name, source, connection.topic, headers, log)
+        remarks += (*self._unread, *self._lost.get(connection.topic, ()))
         return Series(place, time + source.delay, values, log, remarks)
 
     def _chosen(self, wanted: tuple[SignalName, ...]) -> list[Connection]:
@@ -223,12 +237,17 @@ class BagFile:
         orders: dict[tuple[str, ...], list[int] | None] = {}
         kept: list[int] = []
         rows: list[Array] = []
-        width = self._mapping.width(name)
+        width, entries = self._mapping.width(name), source.entries
+        whole = None if entries is None else np.size(self._field(place, messages[0], source.field))
+        if entries is not None and whole is not None and 0 < whole < max(entries):
+            said = f"{place} has {whole} numbers, expected at least the {max(entries)} of entries"
+            raise InputError(said, file=self._path, key=f"signals.{name}.entries of the mapping")
         for index, message in enumerate(messages):
             row = self._field(place, message, source.field)
             joints = () if source.names is None else tuple(self._field(place, message, source.names))
             if joints not in orders:
-                orders[joints] = self._order(place, joints) if joints else list(range(width))
+                nameless = list(range(width)) if entries is None else [entry - 1 for entry in entries]
+                orders[joints] = self._order(place, joints) if joints else nameless
             order = orders[joints]
             if order is None:  # another device on the same topic, a gripper for example
                 continue
@@ -236,12 +255,15 @@ class BagFile:
                 if name in ("position", "velocity", "torque"):
                     raise InputError(f"{place} is empty; expected {width} numbers", file=self._path)
                 raise MissingSignal(f"{place} is empty; expected {width} numbers", file=self._path)
-            if np.size(row) != (len(joints) or width):
-                expected = f"{len(joints)} joint names" if joints else f"{width} joints"
-                raise InputError(
-                    f"{place}: message {index} has {np.size(row)} numbers for {expected}, expected one each",
-                    file=self._path,
+            if np.size(row) != (len(joints) or whole or width):
+                expected = (
+                    f"{len(joints)} joint names, expected one each" if joints else f"{width} joints, expected one each"
                 )
+                if not joints and whole is not None:
+                    expected = f"the {whole} of the first message, expected as many in all"
+                elif not joints and np.size(row) > width:
+                    expected += f"; entries in the mapping says which of the {np.size(row)}"
+                raise InputError(f"{place}: message {index} has {np.size(row)} numbers for {expected}", file=self._path)
             kept.append(index)
             rows.append(np.asarray(row, dtype=float)[order])
         if not rows:
@@ -347,6 +369,33 @@ class BagFile:
             f"{place}: expected a PoseStamped, TransformStamped, TFMessage or Odometry, or a field that holds a pose",
             file=self._path,
         )
+
+
+def _check_pages(path: Path) -> None:
+    """SQLite reads a file that was cut off as far as it goes; its head says how many pages there are."""
+    for file in sorted(path.glob("*.db3")) if path.is_dir() else [path]:
+        if file.suffix != ".db3":
+            continue
+        with file.open("rb") as opened:
+            head = opened.read(100)
+        if not head.startswith(b"SQLite format 3\0") or head[24:28] != head[92:96]:  # no such file, or an old count
+            continue
+        size, pages = int.from_bytes(head[16:18], "big"), int.from_bytes(head[28:32], "big")
+        size = 65536 if size == 1 else size
+        if file.stat().st_size < size * pages:
+            said = f"cut off: {file.stat().st_size} bytes are left of {size * pages}, expected the whole file"
+            raise InputError(said, file=file)
+
+
+def _files_beside(path: Path, reader: Reader) -> tuple[str, ...]:
+    """A remark on files of messages in the folder of a bag that its metadata do not name."""
+    if not path.is_dir():
+        return ()
+    named = {Path(str(storage.path)).name for storage in getattr(reader.storage, "storages", ())}
+    others = sorted(
+        file.name for file in path.iterdir() if {file.name, file.stem}.isdisjoint(named) and file.suffix in STORED
+    )
+    return (f"not read, for metadata.yaml does not name them: {', '.join(others)}",) if others else ()
 
 
 def _stamps(headers: list[Any]) -> Array:

@@ -71,9 +71,10 @@ def _strange(unit: Any) -> bool:
 
 
 def usable_rows(series: Series) -> NDArray[np.signedinteger]:
-    """Numbers of the rows with finite values and a later stamp than the one before, as many as are looked at."""
+    """Numbers of the rows with finite values and a later stamp than all before, as many as are looked at."""
     usable = np.isfinite(series.values).all(axis=1) & np.isfinite(series.time)
-    usable &= np.diff(series.time, prepend=-np.inf) > 0.0
+    latest = np.fmax.accumulate(np.where(np.isfinite(series.time), series.time, -np.inf))
+    usable &= np.diff(latest, prepend=-np.inf) > 0.0
     return np.flatnonzero(usable)[:MOST_SAMPLES]
 
 

@@ -630,7 +630,7 @@ class _Importer:
                 part.series[number] = replace(series, time=series.time[rows], values=series.values[rows])
             else:
                 self._refused[one.label] = (
-                    f"{rows.size} of {series.time.size} samples have numbers and a later stamp than the one before, "
+                    f"{rows.size} of {series.time.size} samples have numbers and a later stamp than all before, "
                     f"more than {FEWEST_SAMPLES} are needed; stamps were taken from {part.stamps}, the key time of a "
                     "mapping names others, or a rate"
                 )

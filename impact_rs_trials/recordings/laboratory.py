@@ -53,6 +53,7 @@ from impact_rs_trials.recordings.experiment import (
     run_named,
 )
 from impact_rs_trials.recordings.faults import without_faults
+from impact_rs_trials.recordings.guesses import UNIT_LENGTH
 from impact_rs_trials.recordings.joint_checks import doubts_of_arm
 from impact_rs_trials.recordings.joint_jumps import impact_time
 from impact_rs_trials.recordings.mapping import REQUIRED, SignalName
@@ -475,7 +476,7 @@ def with_object(path: Path, series: ArmSeries, remarks: list[str]) -> ArmSeries:
         remarks: What is said is added to them.
 
     Raises:
-        InputError: Its parts have other stamps, or it is never seen.
+        InputError: Its parts have other stamps, its quaternions no unit length, or it is never seen.
     """
     series = dict(series)
     position, quaternion = series.pop("object_position", None), series.pop("object_quaternion", None)
@@ -493,6 +494,13 @@ def with_object(path: Path, series: ArmSeries, remarks: list[str]) -> ArmSeries:
     seen = ~(np.isnan(pose.values[:, :3]).all(axis=1) | np.isnan(pose.values[:, 3:]).all(axis=1) | (norm == 0.0))
     if not np.any(seen):
         raise InputError(f"{pose.place}: the object is seen in none of {seen.size} samples", file=path)
+    lengths = norm[seen & np.isfinite(norm)]
+    if np.any(np.abs(lengths - 1.0) > UNIT_LENGTH):
+        raise InputError(
+            f"{pose.place}: quaternions have lengths of {lengths.min():.3g} ... {lengths.max():.3g}, expected 1: "
+            "columns of something else?",
+            file=path,
+        )
     if not np.all(seen):
         remarks.append(f"{pose.place}: the object is not seen in {int(np.sum(~seen))} of {seen.size} samples")
     log = None if pose.log is None else pose.log[seen]
