@@ -66,7 +66,7 @@ from impact_rs_trials.recordings.plausibility import (
     gravity_torques,
     height_on_support,
 )
-from impact_rs_trials.recordings.recording import check_arm
+from impact_rs_trials.recordings.recording import TooShort, check_arm
 from impact_rs_trials.recordings.series import Names, Series
 from impact_rs_trials.recordings.sources import read_series
 from impact_rs_trials.runs import NONE, ArmSignals, Run, Signals
@@ -94,10 +94,6 @@ OUT_OF_REACH = 5.0  # m, distance of the object in free motion
 BEYOND = 0.1  # s, command and pose are kept this long before and after the joint signals
 
 ArmSeries = dict[SignalName, Series]
-
-
-class TooShort(InputError):
-    """A run of which too little is left between its gaps; it is left out, and the others are read."""
 
 
 @dataclass(frozen=True)
@@ -553,7 +549,7 @@ def _start_in_the_impact(laboratory: Laboratory, run: RunRow, arms: dict[str, Ar
 def _check(path: Path, name: SignalName, series: Series) -> None:
     """Stamps that increase without a jump, and finite numbers."""
     if name in REQUIRED and series.time.size < LEAST_SAMPLES:
-        raise InputError(f"{series.place}: {series.time.size} samples, at least {LEAST_SAMPLES} are needed", file=path)
+        raise TooShort(f"{series.place}: {series.time.size} samples, at least {LEAST_SAMPLES} are needed", file=path)
     check_stamps(path, series.place, series.time)
     if series.time.size > 1:
         largest = max(JUMP, 5.0 * float(np.median(np.diff(series.time))))
