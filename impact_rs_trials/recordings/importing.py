@@ -29,12 +29,11 @@ from impact_rs_sim.scenario import load_scenario
 from impact_rs_sim.schema import validate
 from impact_rs_trials.recordings.array_file import ArrayFile
 from impact_rs_trials.recordings.candidates import (
-    FIRST,
     SignalCandidate,
     candidates_of,
-    first_of,
     guess_of,
     joints_of,
+    parts_of,
     vector_width,
     width_of,
 )
@@ -190,8 +189,8 @@ class _Found:
 
     @property
     def is_cut(self) -> bool:
-        """Whether it is the first numbers of a wider signal."""
-        return FIRST in self.candidate.label
+        """Whether it is a part of a wider signal."""
+        return self.candidate.first is not None
 
     @property
     def series(self) -> Series:
@@ -203,6 +202,12 @@ class _Found:
         """Its name, with that of its file if a run has several."""
         return f"{self.part.pattern}: {self.candidate.label}" if self.part.pattern else self.candidate.label
 
+    def stands_apart(self, other: _Found) -> bool:
+        """Whether both cannot be of the same joints: they share a column, or are other parts of wider signals."""
+        if self.is_cut and other.is_cut and self.candidate.first != other.candidate.first:
+            return True
+        return self.overlaps(other)
+
     def overlaps(self, other: _Found) -> bool:
         """Whether both have a column in common."""
         return self.part is other.part and (self.number == other.number or bool(self._numbers & other._numbers))
@@ -211,7 +216,7 @@ class _Found:
     def _numbers(self) -> set[tuple[str, int]]:
         """Columns, and entries of vectors, in which its numbers are."""
         source = self.candidate.source
-        whole = str(source.get("column") or source.get("array") or "")
+        whole = str(source.get("column") or source.get("array") or (source.get("topic"), source.get("field")))
         entries = {(whole, entry) for entry in source.get("entries") or ()}
         return entries or {(column, 0) for column in source.get("columns") or ()}
 
@@ -257,10 +262,21 @@ def _with_velocity(place: _Found, unit: Guess, every: Sequence[_Found], facts: R
     """Motions whose velocity is a signal."""
     motion, time = _Motion(place, unit), place.series.time
     for other in every:
-        if not other.overlaps(place):
+        if not other.stands_apart(place):
             found = velocity_of(time, motion.places, other.series.at(time), facts)
             if found is not None:
                 yield _Motion(place, unit, (other, "velocity", found[1]), found[0])
+
+
+def _best_of_parts(motions: Sequence[_Motion]) -> list[_Motion]:
+    """The motion that is the surest; where it is a part of a wider signal, also those of its other parts."""
+    best = max(motions, key=lambda one: one.score)
+    if not best.position.is_cut:
+        return [best]
+    parts: dict[int | None, _Motion] = {}
+    for motion in sorted(motions, key=lambda one: one.score):
+        parts[motion.position.candidate.first] = motion
+    return list(parts.values())
 
 
 def _torques(motion: _Motion, every: Sequence[_Found], model: RobotModel) -> list[tuple[float, _Found, Guess]]:
@@ -285,7 +301,7 @@ def _beside(motion: _Motion, every: Sequence[_Found]) -> Iterator[tuple[_Found, 
     time, q, dq = motion.position.series.time, motion.places, motion.speeds
     taken = [motion.position, *([motion.velocity[0]] if motion.velocity else [])]
     for one in every:
-        if not any(one.overlaps(other) for other in taken):
+        if not any(one.stands_apart(other) for other in taken):
             yield one, copy_of_motion(time, q, dq, one.series.at(time))
 
 
@@ -445,7 +461,7 @@ class _Importer:
             motions = [_Motion(*place) for place in places if place[0].named("position") >= 0.0]
         if not motions:
             raise self._nothing(every, robot, facts.joint_count)
-        motions = [max(motions, key=lambda one: one.score)] if moving else motions
+        motions = _best_of_parts(motions) if moving else motions
         model = RobotModel(facts, MountedEndEffector().build(), pin.SE3.Identity())
         tried = [(motion, _torques(motion, every, model)) for motion in motions]
         motion, torques = max(
@@ -610,7 +626,7 @@ class _Importer:
     def _read(self, part: _Part, robot: str, count: int) -> None:
         """Raw numbers of all candidates that are as wide as the robot has joints."""
         self._windows(part, count)
-        part.candidates += [first for one in part.candidates if (first := first_of(one, count)) is not None]
+        part.candidates += [own for one in part.candidates for own in parts_of(one, count)]
         numbered = tuple(f"joint{number}" for number in range(1, count + 1))
         shared = None if part.is_bag else open_file(part.path, self._raw_mapping(part, robot, numbered), part.names, ())
         for number, one in enumerate(part.candidates):
@@ -709,7 +725,7 @@ class _Importer:
         one = _Found(part, number)
         shown = "by its numbers; see unit"
         if one.is_cut:
-            shown += "; what stands behind the joints is left out, as a gripper"
+            shown += "; what stands beside the joints is left out, as a gripper"
             self._remarks.append(f"signals.{name}: of {one.candidate.label} numbers are taken for the joints")
         shown += "" if one.candidate.stamped else f"; {NO_HEADER}"
         self._say(f"signals.{name}", one.candidate.label, shown, not one.is_cut)

@@ -281,6 +281,28 @@ def test_a_gripper_beside_the_joints_is_cut_off_and_said(tmp_path: Path, motion:
     assert "nothing goes with the torque" in said
 
 
+@pytest.mark.parametrize("form", [".csv", " vectors.csv", ".npz"])
+def test_a_gripper_before_the_joints_is_cut_off_and_said(tmp_path: Path, motion: Columns, form: str) -> None:
+    """Two numbers stand before the joints, one or none behind them; the numbers show which are the joints."""
+    wide = {
+        short: np.column_stack((0.02 + 0.001 * np.sin(TIME), 0.001 * np.cos(TIME), motion[signal]))
+        for short, signal in (("q", "position"), ("dq", "velocity"), ("tau", "effort"))
+    }
+    file = tmp_path / f"log{form}"
+    if form == ".npz":
+        np.savez(file, t=TIME, **wide)
+    elif form == ".csv":
+        write(file, ["t", *(f"{short}_{n}" for short in wide for n in range(1, 10))], [TIME, *wide.values()])
+    else:
+        cells = [[" ".join(f"{one:.12g}" for one in row) for row in values] for values in wide.values()]
+        rows = [f"{time:.3f},{','.join(row)}" for time, row in zip(TIME, zip(*cells, strict=True), strict=True)]
+        file.write_text("\n".join(["t,q,dq,tau", *rows]) + "\n")
+    draft = draft_import([file], tmp_path / "lab", Wishes(robot="kuka_iiwa7"))
+    assert sum("the last 7 numbers are taken for the joints" in remark for remark in draft.remarks) == 3
+    assert [line.sure for line in draft.lines if line.key == "signals.position"] == [False]
+    check_reading(draft, tmp_path / "lab", file, motion)
+
+
 def test_numbers_with_decimal_commas_are_read(tmp_path: Path, motion: Columns) -> None:
     names = ["Zeit [s]", *numbered("q"), *numbered("dq"), *numbered("tau")]
     columns = [TIME, motion["position"], motion["velocity"], motion["effort"]]
