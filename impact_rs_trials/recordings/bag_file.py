@@ -29,7 +29,7 @@ from impact_rs_trials.recordings.series import MissingSignal, Names, Series
 DRIFT = 0.002  # s, drift between log and header stamps above which a remark is made
 LATE = (-0.005, 0.05)  # s, range of the log delay behind the joint states outside which a remark is made
 
-FIELDLESS: tuple[SignalName, ...] = ("object_pose", "wrench")  # what its message type says where it is
+FIELDLESS: tuple[SignalName, ...] = ("object_pose", "wrench", "acceleration")  # what its message type says where it is
 
 STORED = (".db3", ".mcap", ".zstd")  # endings of files of messages
 
@@ -314,7 +314,7 @@ class BagFile:
     def _samples(
         self, place: str, name: SignalName, source: SignalSource, messages: list[tuple[int, Any]]
     ) -> list[tuple[int, Any, list[float]]]:
-        """Log time [ns], header and numbers of every pose or wrench."""
+        """Log time [ns], header and numbers of every pose, wrench or acceleration."""
         if name == "object_pose" and source.field is None and hasattr(messages[0][1], "transforms"):
             child = self._child(place, source, [message for _, message in messages])
             return [
@@ -323,10 +323,11 @@ class BagFile:
                 for transform in message.transforms
                 if transform.child_frame_id == child
             ]
+        read = {"object_pose": self._pose, "wrench": self._wrench, "acceleration": self._acceleration}[name]
         found = []
         for log, message in messages:
             holder = message if source.field is None else self._field(place, message, source.field)
-            numbers = self._pose(place, holder) if name == "object_pose" else self._wrench(place, holder)
+            numbers = read(place, holder)
             found.append((log, getattr(message, "header", None), numbers))
         return found
 
@@ -354,6 +355,15 @@ class BagFile:
             raise InputError(f"{place}: expected a WrenchStamped, or a field that holds a wrench", file=self._path)
         factor = float(self._mapping.factor("wrench"))
         return [factor * number for number in (*_xyz(holder.force), *_xyz(holder.torque))]
+
+    def _acceleration(self, place: str, holder: Any) -> list[float]:
+        """Linear acceleration of an Imu or AccelStamped, or of a field that holds it."""
+        holder = getattr(holder, "accel", holder)
+        holder = getattr(holder, "linear_acceleration", getattr(holder, "linear", holder))
+        if not all(hasattr(holder, axis) for axis in "xyz"):
+            raise InputError(f"{place}: expected an Imu, an AccelStamped, or a field x, y, z", file=self._path)
+        factor = float(self._mapping.factor("acceleration"))
+        return [factor * number for number in _xyz(holder)]
 
     def _pose(self, place: str, holder: Any) -> list[float]:
         """Position and quaternion, x y z w, of a pose or transform, however deep it lies."""

@@ -41,6 +41,7 @@ UNITS: dict[str, dict[str, float]] = {
     "length": {"m": 1.0, "mm": 1e-3},
     "orientation": {"-": 1.0},
     "wrench": {"N, N m": 1.0},
+    "acceleration": {"m/s^2": 1.0, "g": 9.80665},
     "time": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "date": 1e-9},  # dates are read as whole nanoseconds
 }
 QUANTITY = {  # quantity of each signal
@@ -55,6 +56,7 @@ QUANTITY = {  # quantity of each signal
     "object_position": "length",
     "object_quaternion": "orientation",
     "wrench": "wrench",
+    "acceleration": "acceleration",
 }
 SignalName = Literal[
     "position",
@@ -68,10 +70,17 @@ SignalName = Literal[
     "object_position",
     "object_quaternion",
     "wrench",
+    "acceleration",
 ]
 NO_ROBOT = "none"  # robot of a mapping whose recordings hold an object alone
 REQUIRED: tuple[SignalName, ...] = ("position", "velocity", "torque")
-WIDTH: dict[SignalName, int] = {"object_pose": 7, "object_position": 3, "object_quaternion": 4, "wrench": 6}
+WIDTH: dict[SignalName, int] = {
+    "object_pose": 7,
+    "object_position": 3,
+    "object_quaternion": 4,
+    "wrench": 6,
+    "acceleration": 3,
+}
 JOINT_SIGNALS: tuple[SignalName, ...] = tuple(name for name in get_args(SignalName) if name not in WIDTH)
 
 

@@ -102,3 +102,31 @@ def test_entries_name_the_joints_among_the_numbers_of_a_message(tmp_path: Path) 
 def test_entries_are_not_for_messages_that_name_their_joints() -> None:
     with pytest.raises(ValueError, match="joints those of messages with names"):
         mapping_of(names="name", entries=range(1, 8))
+
+
+@pytest.mark.parametrize(
+    ("kind", "field"),
+    [("sensor_msgs/msg/Imu", "linear_acceleration"), ("geometry_msgs/msg/AccelStamped", "accel.linear")],
+)
+def test_the_acceleration_of_an_imu_is_read_in_si_units(tmp_path: Path, kind: str, field: str) -> None:
+    """Beside the joint states, in multiples of 9.80665 m/s^2."""
+    bag, store = tmp_path / "bag", typestore()
+    felt = np.column_stack((np.sin(TIME), np.cos(TIME), np.ones(200)))
+    state = "sensor_msgs/msg/JointState"
+    names = [f"fer_joint{joint}" for joint in range(1, 8)]
+    with Writer(bag, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
+        arm = writer.add_connection("/arm/joint_states", state, typestore=store)
+        sensor = writer.add_connection("/tool/imu", kind, typestore=store)
+        for row, time in enumerate(np.round(1e9 * TIME).astype(int).tolist()):
+            stamp = divmod(time, 10**9)
+            content = {"header.stamp": stamp, "name": names, "position": MOTION["position"][row]}
+            writer.write(arm, time, store.serialize_cdr(message(state, content), state))
+            writer.write(
+                sensor, time, store.serialize_cdr(message(kind, {"header.stamp": stamp, field: felt[row]}), kind)
+            )
+    shipped = load_mapping("joint_state").model_dump()
+    source = {"topic": "/tool/imu", "unit": "g"}
+    mapping = Mapping.model_validate(shipped | {"signals": shipped["signals"] | {"acceleration": source}})
+    found = read_series(bag, mapping, ["acceleration"], ["acceleration"])["acceleration"]
+    np.testing.assert_allclose(found.values, 9.80665 * felt, rtol=1e-12)
+    np.testing.assert_allclose(found.time, TIME, atol=1e-9)
