@@ -72,6 +72,7 @@ from impact_rs_trials.recordings.mapping import (
     SignalSource,
     TableLayout,
 )
+from impact_rs_trials.recordings.moving_objects import moving_objects
 from impact_rs_trials.recordings.recording import read_recordings
 from impact_rs_trials.recordings.series import Names, Series
 from impact_rs_trials.recordings.sources import (
@@ -748,12 +749,26 @@ class _Importer:
                 found = self._pose_sections(part, place, quaternion)
                 if found is None:
                     continue
+                if with_robot and self._groups.spread:
+                    self._choose_objects(part, found)
                 if part is not joints or not with_robot:
                     for section in found.values():
                         section |= self._own_layout(part, joints, with_robot)
                 signals |= found
                 return part
         return None if with_robot else self._ball(signals)
+
+    def _choose_objects(self, part: _Part, sections: dict[str, dict[str, Any]]) -> None:
+        """Where every run has a file of each of several objects, take that of the object which moves in the run."""
+        sources = {name: SignalSource.model_validate(section) for name, section in sections.items()}
+        mapping = self._raw_mapping(part, NO_ROBOT, ()).model_copy(update={"signals": sources})
+        found = moving_objects(self._groups, part.pattern, mapping)
+        if found is None:
+            return
+        self._groups = found.groups
+        for section in sections.values():
+            section["file"] = found.pattern
+        self._say(f"{OBJECT} of {found.pattern}", flow(list(found.objects)), "in every run the object that moves most")
 
     def _ball(self, signals: dict[str, dict[str, Any]]) -> _Part | None:
         """Places of an object whose turn was not tracked, added to the signals; a ball may be one."""

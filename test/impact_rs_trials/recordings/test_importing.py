@@ -491,6 +491,37 @@ def test_the_object_of_a_run_is_found_in_the_name_of_its_file(tmp_path: Path, mo
     assert any("files call the objects parcel, cup, push_iiwa7 has parcel, " in remark for remark in strange.remarks)
 
 
+def in_folders(raw: Path, lab: Path, objects: dict[int, tuple[str, ...]], name: str) -> Path:
+    """Runs of :func:`hits` in a folder each, with files of objects: the first moves, the others lie still."""
+    for run, (hit, *still) in objects.items():
+        folder = lab / f"run_{run}"
+        folder.mkdir(parents=True)
+        (raw / f"IIWA_7_hit_{run}.csv").rename(folder / "joints.csv")
+        text = (raw / f"object_1_hit_{run}.csv").read_text()
+        head, first, *rest = text.splitlines()
+        rows = [f"{row.split(',')[0]},{first.split(',', 1)[1]}" for row in (first, *rest)]
+        (folder / name.format(hit)).write_text(text)
+        for other in still:
+            (folder / name.format(other)).write_text("\n".join([head, *rows]))
+    return lab
+
+
+@pytest.mark.parametrize("name", ["object_{}.csv", "{}.csv"])
+@pytest.mark.parametrize("objects", [{0: ("1",), 1: ("2",), 2: ("1",)}, {0: ("1", "2"), 1: ("2", "1"), 2: ("1", "2")}])
+def test_an_object_whose_files_are_only_numbered_is_the_one_that_is_hit(
+    tmp_path: Path, motion: Columns, name: str, objects: dict[int, tuple[str, ...]]
+) -> None:
+    """A run has the file of its object alone, or those of all objects, of which one moves."""
+    raw = hits(tmp_path / "raw", motion, tuple(objects))
+    lab = in_folders(raw, tmp_path / "lab", objects, name)
+    draft = draft_import([lab], tmp_path / "out", Wishes(robot="kuka_iiwa7", scenario="push_iiwa7"))
+    mapping = load_mapping(described(draft, tmp_path / "out"))
+    assert mapping.signals["object_position"].file == name.format("{object}")
+    assert draft.texts["runs.csv"].splitlines()[1:] == ["run_0,1,hit", "run_1,2,hit", "run_2,1,hit"]
+    assert not any("refuses" in remark or "not read" in remark for remark in draft.remarks)
+    assert any("files call the objects 1, 2" in remark for remark in draft.remarks)
+
+
 def test_robots_in_one_folder_are_imported_by_themselves(tmp_path: Path, motion: Columns) -> None:
     """Files of joints whose names differ in a word are no files of different objects."""
     hits(tmp_path / "raw", motion, (0, 1))
