@@ -21,6 +21,7 @@ from impact_rs_trials.recordings.clock import seconds_of, seconds_of_pair
 from impact_rs_trials.recordings.mapping import UNITS, WIDTH, Mapping, SignalName, SignalSource
 from impact_rs_trials.recordings.mat_file import read_mat
 from impact_rs_trials.recordings.series import MissingSignal, Names, Series
+from impact_rs_trials.recordings.transforms import are_transforms, poses_of
 
 UNSEALED = (
     "{} has arrays without checksums (or with blocks of zeros, whose checksum is that of a lost block): accidental "
@@ -94,6 +95,12 @@ class ArrayFile:
         values = self._array(self._names.fill(source.array), name, f"signals.{name}.array")
         if width == 1 and values.ndim == 1:
             values = values[:, None]
+        if name == "object_pose" and are_transforms(values.shape):
+            poses = poses_of(values)
+            if poses is None:
+                said = f"{place} is {values.shape}, expected matrices of a rotation and a place above 0 0 0 1"
+                raise InputError(said, file=self._path)
+            values = poses
         time = self._time(source, name, values)
         remarks: tuple[str, ...] = (UNSEALED.format(self._path.name),) if self.unsealed else ()
         whole = values.shape[1] if source.entries is not None and values.ndim == 2 else width

@@ -25,6 +25,7 @@ from impact_rs_trials.recordings.mapping import REQUIRED, TableLayout
 from impact_rs_trials.recordings.sources import ARRAY_SUFFIXES, BAG_SUFFIXES, TABLE_SUFFIXES, is_bag_folder
 from impact_rs_trials.recordings.table_columns import read_columns
 from impact_rs_trials.recordings.table_file import BETWEEN, BRACKETS
+from impact_rs_trials.recordings.transforms import are_transforms
 
 MOST_WIDE = 40  # numbers in a sample of what may be joints
 DEEPEST = 3  # fields of a message inside of each other
@@ -305,6 +306,10 @@ def _alike_but_a_word(columns: Sequence[str]) -> Iterator[SignalCandidate]:
 def _in_arrays(path: Path) -> list[SignalCandidate]:
     found = []
     for name, shape in ArrayFile.shapes_of(path).items():
+        if are_transforms(shape):
+            label = f"{name} ({' × '.join(map(str, shape))})"
+            found.append(SignalCandidate(label, {"array": name}, True, OBJECT_POSE, len(POSE_COLUMNS)))
+            continue
         width = width_of(shape)
         if width < 2:
             continue

@@ -85,8 +85,10 @@ from impact_rs_trials.recordings.sources import (
 )
 from impact_rs_trials.recordings.table_columns import read_columns, read_rows
 from impact_rs_trials.recordings.table_layout import find_layout
+from impact_rs_trials.recordings.transforms import are_transforms
 
 MOST_SHOWN = 3  # signals of a kind in a message
+MOST_POSES = 10
 NAMED = 0.3  # correlation that a name is worth
 ASKED_FOR = re.compile(r"des|ref|target|goal|cmd|cmp|command|comput|set_?point|(^|_)d(_|\d|$)|filt|err", re.IGNORECASE)
 OF_THE_ROBOT = re.compile(r"eef|(^|_)ee(_|$)|tcp|tool|flange|hand", re.IGNORECASE)
@@ -751,12 +753,22 @@ class _Importer:
                     continue
                 if with_robot and self._groups.spread:
                     self._choose_objects(part, found)
+                self._say_other_poses(part, place)
                 if part is not joints or not with_robot:
                     for section in found.values():
                         section |= self._own_layout(part, joints, with_robot)
                 signals |= found
                 return part
         return None if with_robot else self._ball(signals)
+
+    def _say_other_poses(self, part: _Part, taken: dict[str, Any]) -> None:
+        """Arrays and topics that may be poses as well, of which none is taken."""
+        others = [one.label for one in part.candidates if one.pose and one.source != taken]
+        if others:
+            self._remarks.append(
+                f"{part.path.name} holds other poses, of which none is taken: {', '.join(others[:MOST_POSES])}"
+                + (f" and {len(others) - MOST_POSES} more" if len(others) > MOST_POSES else "")
+            )
 
     def _choose_objects(self, part: _Part, sections: dict[str, dict[str, Any]]) -> None:
         """Where every run has a file of each of several objects, take that of the object which moves in the run."""
@@ -818,10 +830,15 @@ class _Importer:
         label = place.get("column") or place.get("array") or place.get("topic") or ", ".join(place.get("columns", ()))
         if quaternion is None:
             pose = numbers("object_pose", place)
+            matrices = are_transforms(np.shape(part.columns.get(place.get("array", ""), ())))
             guess = None if pose is None else pose_of(pose)
-            if guess is None:
+            if guess is None or pose is None:
                 return None
-            self._say("signals.object_pose", label, "holds a place and a unit quaternion")
+            if matrices:
+                length = unit_of_length(pose)
+                guess = Guess(length.value, length.evidence)
+            said = "holds homogeneous matrices" if matrices else "holds a place and a unit quaternion"
+            self._say("signals.object_pose", label, said)
             self._say("signals.object_pose.unit", guess.value, guess.evidence, guess.sure)
             return {"object_pose": {**self._source(part, dict(place)), "unit": guess.value, **guess.further}}
         where, turned = numbers("object_position", place), numbers("object_quaternion", quaternion)

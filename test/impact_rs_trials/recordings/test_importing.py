@@ -22,7 +22,7 @@ from impact_rs_trials.recordings.experiment import Experiment, load_experiment, 
 from impact_rs_trials.recordings.file_groups import group_files
 from impact_rs_trials.recordings.importing import ImportDraft, Wishes, draft_import
 from impact_rs_trials.recordings.laboratory import Laboratory
-from impact_rs_trials.recordings.mapping import MountedEndEffector, load_mapping
+from impact_rs_trials.recordings.mapping import Mapping, MountedEndEffector, load_mapping
 from impact_rs_trials.recordings.recording import read_recordings
 from impact_rs_trials.recordings.sources import read_series
 from impact_rs_trials.recordings.table_layout import find_layout
@@ -675,6 +675,48 @@ def test_joints_that_show_nothing_keep_their_sign_where_the_others_contradict_ea
     draft = draft_import([file], tmp_path / "lab", Wishes(robot="kuka_iiwa7"))
     factor = np.array(load_mapping(described(draft, tmp_path / "lab")).signals["torque"].factor)
     assert set(np.abs(factor)) == {1.0} and factor[heavy].tolist() == [1.0, -1.0]
+
+
+@pytest.mark.parametrize("turned", [False, True])
+@pytest.mark.parametrize("last", [False, True])
+def test_poses_of_an_archive_are_homogeneous_matrices(tmp_path: Path, last: bool, turned: bool) -> None:
+    """Recordings of a box and a tool without stamps, in HDF5: samples first or last, a matrix as it is or turned."""
+    import pinocchio as pin
+
+    turns = np.array([pin.rpy.rpyToMatrix(0.3 * t, -0.2 * t, 2.5) for t in TIME])
+    matrices = np.tile(np.eye(4), (TIME.size, 1, 1))
+    matrices[:, :3, :3], matrices[:, :3, 3] = turns, np.outer(np.sin(TIME), [0.1, 0.2, 0.3])
+    stored = np.swapaxes(matrices, 1, 2) if turned else matrices
+    stored = np.moveaxis(stored, 0, 2) if last else stored
+    file = tmp_path / "archive.h5"
+    with pytest.importorskip("h5py").File(file, "w") as archive:
+        for run in (1, 2):
+            for body in ("Box007", "Gripper"):
+                archive[f"Rec_{run:03d}/Mocap/{body}/transforms"] = stored
+    draft = draft_import([file], tmp_path / "lab", Wishes(robot="none", rate=360.0))
+    mapping = load_mapping(described(draft, tmp_path / "lab"))
+    assert mapping.signals["object_pose"].array == "{run}/Mocap/Box007/transforms"
+    assert "holds homogeneous matrices" in said_of(draft, "signals.object_pose")
+    assert any("other poses, of which none is taken: {run}/Mocap/Gripper/transforms" in one for one in draft.remarks)
+    read = read_series(file / "Rec_002", mapping, ["object_pose"], ["object_pose"])["object_pose"]
+    np.testing.assert_allclose(read.time, np.arange(TIME.size) / 360.0)
+    for pose, matrix in zip(read.values[::50], matrices[::50], strict=True):
+        np.testing.assert_allclose(pin.XYZQUATToSE3(pose).homogeneous, matrix, atol=1e-12)
+
+
+def test_matrices_that_are_no_rigid_motion_are_refused(tmp_path: Path) -> None:
+    mapping = Mapping.model_validate(
+        {
+            "description": "",
+            "robot": "none",
+            "time": {"rate": 100.0},
+            "signals": {"object_pose": {"array": "T", "unit": "m"}},
+        }
+    )
+    for number, scale in enumerate((1.5, -1.0)):  # stretched, and a mirror
+        np.savez(tmp_path / f"{number}.npz", T=np.tile(np.diag([scale, 1.0, 1.0, 1.0]), (20, 1, 1)))
+        said = refusal(read_series, tmp_path / f"{number}.npz", mapping, ["object_pose"], ["object_pose"])
+        assert "expected matrices of a rotation and a place above 0 0 0 1" in said
 
 
 def test_an_object_alone_needs_no_robot(tmp_path: Path) -> None:
