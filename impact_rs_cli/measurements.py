@@ -30,7 +30,7 @@ from impact_rs_sim.scenario import load_scenario
 from impact_rs_trials.recordings.experiment import load_experiment
 from impact_rs_trials.recordings.impact_table import read_impact_table
 from impact_rs_trials.recordings.mapping import load_mapping
-from impact_rs_trials.recordings.recording import is_foreign, read_recordings
+from impact_rs_trials.recordings.recording import is_foreign, read_long_enough
 from impact_rs_trials.workers import Map
 
 DEFAULT_MAPPING = "joint_state"
@@ -188,12 +188,12 @@ def measured(
             if args.since is not None:
                 raise InputError("--since goes with trials and with --impacts; leave it out for recordings")
             mapping = load_mapping(args.mapping or DEFAULT_MAPPING)
-            recordings = read_recordings(path, mapping)
-            minus = [] if args.minus is None else read_recordings(args.minus, mapping)
+            recordings, left_out = read_long_enough(path, mapping)
+            minus, short = ([], []) if args.minus is None else read_long_enough(args.minus, mapping)
             yield Measurements(
                 map_tasks,
                 terminal,
-                lambda model, _: RecordingSource.of(recordings, mapping, model, minus),
+                lambda model, _: RecordingSource.of(recordings, mapping, model, minus, [*left_out, *short]),
                 what="recordings without a scenario",
             )
             return

@@ -11,7 +11,7 @@ import csv
 import io
 import math
 import os
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Literal, get_args
 
@@ -25,7 +25,14 @@ from impact_rs_sim.physics import Physics
 from impact_rs_sim.robot import Array
 from impact_rs_sim.scenario import Scenario, load_scenario
 from impact_rs_sim.schema import Name, Schema, load_mapping, validate
-from impact_rs_trials.recordings.candidates import MOST_WIDE, OBJECT_POSE, candidates_of, propose
+from impact_rs_trials.recordings.candidates import (
+    MOST_WIDE,
+    OBJECT_POSE,
+    Proposal,
+    SignalCandidate,
+    candidates_of,
+    propose,
+)
 from impact_rs_trials.recordings.experiment import (
     FREE_MOTION,
     HIT,
@@ -34,6 +41,7 @@ from impact_rs_trials.recordings.experiment import (
     MotionCapture,
     read_runs,
 )
+from impact_rs_trials.recordings.importing import Wishes, draft_import
 from impact_rs_trials.recordings.laboratory import IMPACT_SHARE, Laboratory, placed, read_run
 from impact_rs_trials.recordings.mapping import (
     JOINT_SIGNALS,
@@ -45,6 +53,8 @@ from impact_rs_trials.recordings.mapping import (
     Mapping,
     SignalName,
     SignalSource,
+    TableLayout,
+    TimeSource,
 )
 from impact_rs_trials.recordings.plausibility import check_weight
 from impact_rs_trials.recordings.recording import check_limits, check_velocity
@@ -69,6 +79,8 @@ class PreviewRequest(Schema):
     position: SignalSource = Field(description="where the joint positions are, whose clock the others are brought to")
     joints: tuple[str, ...] = Field(min_length=1, max_length=MOST_WIDE, description="joints in order")
     command_includes_gravity: bool = Field(True, description="whether the command holds the arm's own weight")
+    time: TimeSource = Field(default_factory=TimeSource, description="time stamps")
+    table: TableLayout = Field(default_factory=TableLayout, description="where a text table has its names and rows")
 
 
 class RunEntry(Schema):
@@ -86,6 +98,8 @@ class ArmDescription(Schema):
     joints: tuple[str, ...] = Field(min_length=1, max_length=MOST_WIDE, description="joints in order")
     command_includes_gravity: bool = Field(True, description="whether the command holds the arm's own weight")
     signals: dict[ArmSignal, SignalSource] = Field(description="where each signal is")
+    time: TimeSource = Field(default_factory=TimeSource, description="time stamps")
+    table: TableLayout = Field(default_factory=TableLayout, description="where a text table has its names and rows")
 
 
 class Description(Schema):
@@ -118,7 +132,13 @@ def look(workspace: Workspace, folder: str, scenario_name: str) -> dict[str, Any
     scenario = load_scenario(workspace.scenario_path(scenario_name))
     robots = scenario.robots
     own = _own_table(directory, scenario_name, scenario)
+    files = {arm: _robot(workspace, scenario_name, scenario, arm) for arm in robots}
     proposals = propose(found, {arm: robot.robot_facts.joint_count for arm, robot in robots.items()})
+    guesses = {arm: _Guesses({}, {}, ()) for arm in robots}
+    if len(robots) == 1:  # import describes one robot
+        ((arm, file),) = files.items()
+        guesses[arm] = _by_numbers(path, directory, file)
+        proposals[arm] = _chosen(found, proposals[arm], guesses[arm])
     return {
         "recording": lab.recordings[0],
         "table": own,
@@ -126,9 +146,12 @@ def look(workspace: Workspace, folder: str, scenario_name: str) -> dict[str, Any
         "streams": [asdict(stream) for stream in found],
         "arms": {
             arm: {
-                "robot": Path(_robot(workspace, scenario_name, scenario, arm)).stem,
+                "robot": Path(files[arm]).stem,
                 "slides": [kind == "prismatic" for kind in robots[arm].robot_facts.joint_types],
                 **asdict(proposal),
+                "units": {name: section["unit"] for name, section in guesses[arm].signals.items()},
+                **guesses[arm].layout,
+                "said": guesses[arm].said,
             }
             for arm, proposal in proposals.items()
         },
@@ -138,6 +161,56 @@ def look(workspace: Workspace, folder: str, scenario_name: str) -> dict[str, Any
         | {OBJECT_POSE: [list(UNITS[QUANTITY[OBJECT_POSE]]), []]},
         "object_pose": next((number for number, one in enumerate(found) if one.guess == OBJECT_POSE), None),
     }
+
+
+@dataclass(frozen=True)
+class _Guesses:
+    """What import finds in a recording.
+
+    Attributes:
+        signals: Sections of a mapping, by signal.
+        layout: Sections ``time`` and ``table`` of a mapping, where it needs them.
+        said: What shows it, line by line.
+        joints: Names of the joints.
+    """
+
+    signals: dict[str, dict[str, Any]]
+    layout: dict[str, Any]
+    said: tuple[str, ...]
+    joints: tuple[str, ...] = ()
+
+
+def _by_numbers(path: Path, folder: Path, robot: str) -> _Guesses:
+    """What ``impact-rs import`` writes of a recording; where it refuses that, why."""
+    try:
+        draft = draft_import([path], folder, Wishes(robot=robot))
+    except InputError as error:
+        return _Guesses({}, {}, (f"Chosen by names alone, for impact-rs import says: {error.message}",))
+    content = yaml.safe_load(draft.texts["mapping.yaml"])
+    wanted = (*get_args(ArmSignal), OBJECT_POSE)
+    signals = {name: section for name, section in content["signals"].items() if name in wanted}
+    if "torque_constant" in content:  # of currents, which runs with contact have not
+        del signals["torque"]
+    layout = {name: content[name] for name in ("time", "table") if name in content}
+    about = [line for line in draft.lines if line.key.split(".")[0] in ("signals", "time", "joints")]
+    assumed = ("", "assumed: ")
+    said = tuple(f"{line.key}: {line.value} ({assumed[not line.sure]}{line.evidence})" for line in about)
+    return _Guesses(signals, layout, said, tuple(content["joints"]))
+
+
+def _chosen(streams: list[SignalCandidate], named: Proposal, guesses: _Guesses) -> Proposal:
+    """A proposal with what numbers show in place of what names hint at; new sources are added to the streams."""
+    signals = dict(named.signals)
+    for name, section in guesses.signals.items():
+        source = {key: value for key, value in section.items() if key != "unit"}
+        known = next((number for number, one in enumerate(streams) if one.source == source), None)
+        if known is None:
+            known = len(streams)
+            label = ", ".join(f"{key} {value}" for key, value in source.items())
+            streams.append(SignalCandidate(label, source, name == OBJECT_POSE, name, 0, named.joints))
+        if name != OBJECT_POSE:
+            signals[name] = known
+    return Proposal(guesses.joints or named.joints, signals)
 
 
 def _own_table(folder: Path, scenario_name: str, scenario: Scenario) -> dict[str, Any] | None:
@@ -168,7 +241,7 @@ def preview(workspace: Workspace, request: PreviewRequest) -> dict[str, Any]:
         raise InputError(f"scenario {scenario.name!r} has no arm {request.arm!r}", key="arm")
     signals: dict[SignalName, SignalSource] = {"position": request.position, request.signal: request.source}
     robot = _robot(workspace, request.scenario, scenario, request.arm)
-    mapping = _mapping(robot, request.joints, signals, request.command_includes_gravity, path)
+    mapping = _mapping(robot, request, signals, path)
     wanted: list[SignalName] = ["position", request.signal]
     read = read_series(path, mapping, wanted, [request.signal])
     series, pose = read[request.signal], request.signal == OBJECT_POSE
@@ -317,11 +390,11 @@ def _mapping_of(workspace: Workspace, description: Description, scenario: Scenar
     if description.object_pose is not None and arm == next(iter(scenario.robots)):
         signals[OBJECT_POSE] = _for_all_objects(description.object_pose, scenario)
     robot = _robot(workspace, description.scenario, scenario, arm)
-    return _mapping(robot, own.joints, signals, own.command_includes_gravity, file)
+    return _mapping(robot, own, signals, file)
 
 
 def _mapping(
-    robot: str, joints: tuple[str, ...], signals: dict[SignalName, SignalSource], gravity: bool, file: Path
+    robot: str, asked: PreviewRequest | ArmDescription, signals: dict[SignalName, SignalSource], file: Path
 ) -> Mapping:
     """A mapping; where needed signals are not chosen yet, one that is chosen stands for them.
 
@@ -329,7 +402,7 @@ def _mapping(
         InputError: It breaks its schema.
     """
     first_name, first = next(iter(signals.items()))
-    units = first.units if len(first.units) > 1 else first.units * len(joints)
+    units = first.units if len(first.units) > 1 else first.units * len(asked.joints)
     stand_ins = {
         name: first.model_copy(update={"unit": tuple(_si(name, unit, first_name) for unit in units)})
         for name in REQUIRED
@@ -338,8 +411,10 @@ def _mapping(
     content = {
         "description": "recordings as described in the workbench",
         "robot": robot,
-        "joints": list(joints),
-        "command_includes_gravity": gravity,
+        "joints": list(asked.joints),
+        "command_includes_gravity": asked.command_includes_gravity,
+        "time": asked.time.model_dump(exclude_defaults=True),
+        "table": asked.table.model_dump(exclude_defaults=True),
         "signals": {
             name: source.model_dump(exclude_defaults=True) for name, source in {**signals, **stand_ins}.items()
         },

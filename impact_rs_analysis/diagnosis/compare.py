@@ -71,7 +71,9 @@ def compare(source: Source) -> ComparisonDocument:
     """
     found, runs, noise = source.compare_levels(), source.runs, source.noise_size()
     jump, remarks = ({}, []) if runs is None else jump_level(runs, source.model, source.discrepancy)
-    skipped = () if runs is None else [(path.removeprefix(f"{runs.directory}/"), why) for path, why in runs.skipped]
+    skipped = source.left_out
+    if runs is not None:
+        skipped = tuple((path.removeprefix(f"{runs.directory}/"), why) for path, why in runs.skipped)
     arms = arms_of(source.worlds)
     return ComparisonDocument(
         source=source.kind,

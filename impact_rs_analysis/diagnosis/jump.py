@@ -21,6 +21,7 @@ from impact_rs_analysis.evidence.features import AXES, SETTLED
 from impact_rs_analysis.evidence.levels import JumpLevel, Level, root_mean_square, rounded
 from impact_rs_analysis.evidence.measured_runs import MeasuredRun, Runs
 from impact_rs_analysis.evidence.replays import clusters_of
+from impact_rs_analysis.measure.departure import departures, objects_left
 from impact_rs_analysis.measure.linear_fit import FitError, fit_zero_crossing
 from impact_rs_analysis.measure.net_feedback import net_feedback
 from impact_rs_sim.errors import InputError
@@ -140,6 +141,8 @@ def jump_entries(runs: Runs, measured: Sequence[Cluster], model: Model) -> tuple
                 JumpEntry(*key, name, feature.index, float(value * sigma), expected, feature.unit, float(sigma))
             )
         spec = group[0].spec
+        if spec is not None:
+            remarks += _left_the_pad(key, [run for entry, _ in items for run in entry])
         if spec is not None and len({_scale(entry[0]) for entry, _ in items}) > 1:
             estimate = _estimate([run for entry, _ in items for run in entry])
             if estimate is not None:
@@ -148,6 +151,18 @@ def jump_entries(runs: Runs, measured: Sequence[Cluster], model: Model) -> tuple
                 after = predicted[("post-impact velocity", axis, 0)][1]
                 entries.append(JumpEntry(*key, "post-impact velocity (net feedback)", axis, value, after, "m/s", noise))
     return entries, remarks
+
+
+def _left_the_pad(key: tuple[str, str, str], runs: Sequence[MeasuredRun]) -> list[str]:
+    """What is said of a set whose object does not stay at the pad, which the impact map takes for granted."""
+    found = []
+    for run in runs:
+        try:
+            bag = TrialBag.open(run.path)
+            found.append(departures(bag, {arm: bag.controller(arm) for arm in run.physics.arms}))
+        except BagError:
+            continue
+    return [f"{left.object} {left.case}: {left.words}" for left in objects_left({key: found})]
 
 
 def _scale(run: MeasuredRun) -> float:

@@ -12,6 +12,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from pathlib import Path
 
 import numpy as np
 
@@ -40,7 +41,7 @@ from impact_rs_sim.physics import Physics
 from impact_rs_sim.recent import Recent
 from impact_rs_sim.robot import Array, joined_units
 from impact_rs_trials.recordings.mapping import Mapping
-from impact_rs_trials.recordings.recording import ARM
+from impact_rs_trials.recordings.recording import ARM, TooShort
 from impact_rs_trials.runs import Run
 from impact_rs_trials.workers import Map
 
@@ -100,6 +101,7 @@ class RecordingSource(Source):
         physics: Of the arm under the model.
         stretches: Their stretches.
         minus: Recordings of the same motions that were subtracted.
+        left_out: Path and reason of recordings that are too short.
 
     Attributes:
         balance: Prediction of their torque.
@@ -123,9 +125,11 @@ class RecordingSource(Source):
         physics: Physics,
         stretches: Sequence[Stretch],
         minus: Sequence[Run] = (),
+        left_out: Sequence[tuple[str, str]] = (),
     ) -> None:
         self.recordings, self.mapping, self.model = tuple(recordings), mapping, model
         self._minus = tuple(minus)
+        self.left_out = tuple(left_out)
         self._known = model.known_effects
         self.motions, self.physics = tuple(motions), physics
         at_motor = mapping.torque_measured_at == "motor"
@@ -138,7 +142,8 @@ class RecordingSource(Source):
         self._stretches = tuple(stretches)
         self._predicted = Recent[Array | None](max(LEAST_KEPT, int(MOST_MEMORY / self.balance.recorded.nbytes)))
         self.clusters = tuple(self._cluster(number) for number in range(len(self._stretches)))
-        remarks = (f"{item.path.name}: {remark}" for item in (*recordings, *minus) for remark in item.remarks)
+        remarks = [f"{item.path.name}: {remark}" for item in (*recordings, *minus) for remark in item.remarks]
+        remarks += [f"{Path(path).name} is left out: {why}" for path, why in left_out]
         self.reading = tuple(dict.fromkeys(remarks))
         self.remarks = (
             *REMARKS,
@@ -150,26 +155,34 @@ class RecordingSource(Source):
 
     @classmethod
     def of(
-        cls, recordings: Sequence[Run], mapping: Mapping, model: Model, minus: Sequence[Run] = ()
+        cls,
+        recordings: Sequence[Run],
+        mapping: Mapping,
+        model: Model,
+        minus: Sequence[Run] = (),
+        left_out: Sequence[tuple[str, str]] = (),
     ) -> RecordingSource:
-        """Filter recordings and predict them.
+        """Filter recordings and predict them; those that are too short for the filter are left out.
 
         Args:
             recordings: The recordings.
             mapping: Mapping of their signals, and the mounted mass.
             model: The model.
             minus: Recordings of the same motions to subtract (:mod:`impact_rs_analysis.evidence.motion_difference`).
+            left_out: Path and reason of recordings that were too short before.
 
         Raises:
-            InputError: Sampled too slowly, too short for a hold-out, or of another motion than those to subtract.
+            InputError: Sampled too slowly, all of them too short, too short for a hold-out, or of another motion than
+                those to subtract.
         """
-        motions = [prepare(recording, mapping.low_pass) for recording in recordings]
+        short = list(left_out)
+        recordings, motions = _prepared(recordings, mapping.low_pass, short)
         physics = model.apply(_physics_of(recordings))
         if minus:
-            references = [prepare(recording, mapping.low_pass) for recording in minus]
+            minus, references = _prepared(minus, mapping.low_pass, short)
             files = [recording.path for recording in recordings]
             motions = minus_references(motions, files, references, physics, mapping.torque_measured_at == "motor")
-        return cls(recordings, mapping, model, motions, physics, _cut(recordings, motions), minus)
+        return cls(recordings, mapping, model, motions, physics, _cut(recordings, motions), minus, short)
 
     @property
     def comparison_remarks(self) -> tuple[str, ...]:
@@ -401,6 +414,28 @@ def _physics_of(runs: Sequence[Run]) -> Physics:
     physics = runs[0].physics
     places = [run.physics.arms[ARM].impact_position for run in runs]
     return replace(physics, arms={ARM: replace(physics.arms[ARM], impact_position=np.mean(places, axis=0))})
+
+
+def _prepared(
+    recordings: Sequence[Run], cut_off: float, short: list[tuple[str, str]]
+) -> tuple[list[Run], list[Motion]]:
+    """Recordings that are long enough for the filter, and their motions; the others are added to those too short.
+
+    Raises:
+        InputError: Sampled too slowly, or none is long enough.
+    """
+    kept: list[Run] = []
+    motions: list[Motion] = []
+    for recording in recordings:
+        try:
+            motions.append(prepare(recording, cut_off))
+            kept.append(recording)
+        except TooShort as error:
+            where = f"from {recording.begin:.3g} s on: " if recording.begin else ""
+            short.append((str(recording.path), f"{where}{error.message}"))
+    if not kept:
+        raise TooShort(short[-1][1], file=recordings[-1].path)
+    return kept, motions
 
 
 def _cut(recordings: Sequence[Run], motions: Sequence[Motion]) -> list[Stretch]:

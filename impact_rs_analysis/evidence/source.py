@@ -102,6 +102,7 @@ class Source(ABC):
         remarks: Remarks on the measurements, for the reader.
         comparison_remarks: Those of them that a comparison shows.
         runs: Runs of trials; None: recordings or a table of impacts.
+        left_out: Path and reason of recordings that are too short; those of trials are with the runs.
         recording: How recordings were read; None: no recordings.
         discrepancy: Model discrepancy that is allowed for.
         size_is: Definition of :meth:`size`.
@@ -129,6 +130,7 @@ class Source(ABC):
     repeated: bool
     remarks: Sequence[str] = ()
     runs: Runs | None = None
+    left_out: tuple[tuple[str, str], ...] = ()
     recording: RecordingDocument | None = None
     discrepancy: Discrepancy = NO_DISCREPANCY
     size_is: str = "size of the difference between measurement and model, in multiples of repeatability"

@@ -26,7 +26,7 @@ from impact_rs_sim.errors import InputError
 from impact_rs_sim.physics import LoadState, Physics
 from impact_rs_sim.robot import Array
 from impact_rs_sim.robot_model import RobotModel
-from impact_rs_trials.recordings.recording import ARM
+from impact_rs_trials.recordings.recording import ARM, TooShort
 from impact_rs_trials.runs import Run
 
 ORDER = 4
@@ -83,7 +83,8 @@ def prepare(run: Run, cut_off: float) -> Motion:
     """Filter and differentiate a recording of free motion.
 
     Raises:
-        InputError: Sampled too slowly for the cut-off, or too short.
+        TooShort: Too short for the cut-off.
+        InputError: Sampled too slowly for it.
     """
     arm = run.signals.arms[ARM]
     start = run.signals.time - run.signals.time[0]
@@ -106,7 +107,7 @@ def prepare(run: Run, cut_off: float) -> Motion:
     q, dq = (_low_pass(resampled(values), cut_off, sampled)[::stride] for values in (arm.position, arm.velocity))
     edge = int(np.ceil(EDGE * rate / cut_off))
     if q.shape[0] < 2 * edge + 60:
-        raise InputError(
+        raise TooShort(
             f"{start[-1]:.3g} s long, at least {(2 * edge + 60) / rate:.2g} s needed with low_pass = {cut_off:g} Hz",
             file=run.path,
         )

@@ -5,8 +5,8 @@ Joint velocities jump (:mod:`joint_jumps`). The object rests or moves before; af
 deceleration are fitted) or flies (if it falls with g). Where it is seen too seldom for that, and comes to rest, the way
 D that it slid gives v with v^2 = 2 mu g D and the friction of the scenario's support.
 
-Where a force-torque sensor at the wrist is twice as fast as the joint positions and more, the onset of its force says
-when the impact was, and the motion is fitted about that time (:mod:`force_onset`).
+Where a force-torque sensor at the wrist, or an accelerometer, is twice as fast as the joint positions and more, its
+onset says when the impact was, and the motion is fitted about that time (:mod:`contact_onset`).
 
 A run may hold several impacts. Each changes the velocities of joints and object by a part of the largest change at
 least, because a pushed object rattles at the pad; the motion of the object is fitted between one and the next.
@@ -25,8 +25,8 @@ from impact_rs_sim.errors import InputError
 from impact_rs_sim.robot import Array
 from impact_rs_sim.robot_model import STANDARD_GRAVITY
 from impact_rs_trials.recordings.clock_offset import OBJECT_SIGNALS, clocks_apart
+from impact_rs_trials.recordings.contact_onset import onset_of
 from impact_rs_trials.recordings.experiment import RunRow
-from impact_rs_trials.recordings.force_onset import onset_of
 from impact_rs_trials.recordings.impact_rows import BY_WAY, ArmInImpact, Impact, NoRow
 from impact_rs_trials.recordings.joint_jumps import SMALLEST, JointJump, jump_at, jumps_of
 from impact_rs_trials.recordings.laboratory import (
@@ -43,6 +43,7 @@ from impact_rs_trials.recordings.plausibility import check_touch
 Jumps = Mapping[str, JointJump]  # of every arm, in one impact
 Rows = NDArray[np.signedinteger]
 
+ONSETS: dict[SignalName, str] = {"wrench": "the force at the wrist", "acceleration": "the acceleration"}
 NEEDED: tuple[SignalName, ...] = ("position", "velocity")
 TOGETHER = 0.1  # s, within which all arms hit
 BEFORE = 0.2  # s before the impact, in which the object rests or moves
@@ -87,7 +88,7 @@ def impacts_of_run(laboratory: Laboratory, run: RunRow) -> tuple[list[Impact | N
     """
     assert run.object is not None
     remarks: list[str] = []
-    wanted: tuple[SignalName, ...] = (*NEEDED, "wrench", *OBJECT_SIGNALS)
+    wanted: tuple[SignalName, ...] = (*NEEDED, *ONSETS, *OBJECT_SIGNALS)
     try:
         arms = on_clock_of_joints(laboratory, run, wanted, NEEDED, remarks)
     except InputError as error:
@@ -98,7 +99,7 @@ def impacts_of_run(laboratory: Laboratory, run: RunRow) -> tuple[list[Impact | N
     moments = _moments(laboratory, arms)
     if isinstance(moments, str):
         return [NoRow(run.label, moments)], tuple(remarks)
-    moments = by_force(arms, moments, remarks)
+    moments = by_onset(arms, moments, remarks)
     values = in_inertial_frame(laboratory.motion_capture, run, pose.values)
     rotations = np.array([pin.XYZQUATToSE3(row).rotation for row in values])
     start = float(arms[laboratory.tracker]["position"].time[0])
@@ -179,8 +180,8 @@ def _moments(laboratory: Laboratory, arms: Mapping[str, ArmSeries]) -> list[Jump
     return sorted(moments, key=_time)
 
 
-def by_force(arms: Mapping[str, ArmSeries], moments: list[Jumps], remarks: list[str]) -> list[Jumps]:
-    """Jumps at the times of the force at the wrist, where it is faster than the joints.
+def by_onset(arms: Mapping[str, ArmSeries], moments: list[Jumps], remarks: list[str]) -> list[Jumps]:
+    """Jumps at the times of a force or an acceleration, where it is faster than the joints; of two the sharper one.
 
     Args:
         arms: Signals of every arm.
@@ -188,20 +189,25 @@ def by_force(arms: Mapping[str, ArmSeries], moments: list[Jumps], remarks: list[
         remarks: What is said is added to them.
     """
     found: list[Jumps] = []
-    moved = 0
+    used: list[str] = []
     for jumps in moments:
         own = dict(jumps)
         for arm, jump in jumps.items():
-            wrench, position = arms[arm].get("wrench"), arms[arm]["position"]
-            onset = None if wrench is None else onset_of(wrench, position, jump.time)
-            again = None if onset is None else jump_at(position, onset.time, onset.error)
+            position = arms[arm]["position"]
+            seen = {what: arms[arm][name] for name, what in ONSETS.items() if name in arms[arm]}
+            onsets = [(one, what) for what, sensor in seen.items() if (one := onset_of(sensor, position, jump.time))]
+            if not onsets:
+                continue
+            onset, what = min(onsets, key=lambda one: one[0].error)
+            again = jump_at(position, onset.time, onset.error)
             if again is not None:
-                own[arm], moved = again, moved + 1
+                own[arm] = again
+                used.append(what)
         found.append(own)
-    if moved:
-        remarks.append(
-            "impacts are timed by the onset of the force at the wrist, which is faster than the joint positions"
-        )
+    remarks += [
+        f"impacts are timed by the onset of {what}, which is faster than the joint positions"
+        for what in dict.fromkeys(used)
+    ]
     return found
 
 

@@ -7,6 +7,7 @@ which every array lies the other way round.
 
 from __future__ import annotations
 
+from collections.abc import Mapping as AbstractMapping
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +21,7 @@ from impact_rs_trials.recordings.clock import seconds_of, seconds_of_pair
 from impact_rs_trials.recordings.mapping import UNITS, WIDTH, Mapping, SignalName, SignalSource
 from impact_rs_trials.recordings.mat_file import read_mat
 from impact_rs_trials.recordings.series import MissingSignal, Names, Series
+from impact_rs_trials.recordings.transforms import are_transforms, poses_of
 
 UNSEALED = (
     "{} has arrays without checksums (or with blocks of zeros, whose checksum is that of a lost block): accidental "
@@ -93,6 +95,12 @@ class ArrayFile:
         values = self._array(self._names.fill(source.array), name, f"signals.{name}.array")
         if width == 1 and values.ndim == 1:
             values = values[:, None]
+        if name == "object_pose" and are_transforms(values.shape):
+            poses = poses_of(values)
+            if poses is None:
+                said = f"{place} is {values.shape}, expected matrices of a rotation and a place above 0 0 0 1"
+                raise InputError(said, file=self._path)
+            values = poses
         time = self._time(source, name, values)
         remarks: tuple[str, ...] = (UNSEALED.format(self._path.name),) if self.unsealed else ()
         whole = values.shape[1] if source.entries is not None and values.ndim == 2 else width
@@ -200,6 +208,8 @@ def _read_hdf5(path: Path, within: set[str] | None = None) -> tuple[dict[str, Ar
             raise InputError(f"not a readable HDF5 file (name {name!r})", file=path)
         if not isinstance(item, h5py.Dataset):
             return
+        if not _holds_numbers(item.attrs):
+            return
         if within is not None and name not in within:
             arrays[name] = np.zeros(0)
             return
@@ -219,3 +229,9 @@ def _read_hdf5(path: Path, within: set[str] | None = None) -> tuple[dict[str, Ar
         said = (str(error).splitlines() or [type(error).__name__])[0]
         raise InputError(f"not a readable HDF5 file ({said})", file=path) from None
     return arrays, frozenset(unsealed)
+
+
+def _holds_numbers(attributes: AbstractMapping[str, Any]) -> bool:
+    """Whether an array is one of numbers; MATLAB stores texts, truth values and the size of empty ones as integers."""
+    kind = attributes.get("MATLAB_class", b"double")
+    return kind not in (b"char", b"logical", b"cell") and not attributes.get("MATLAB_empty", 0)

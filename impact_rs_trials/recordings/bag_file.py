@@ -29,7 +29,9 @@ from impact_rs_trials.recordings.series import MissingSignal, Names, Series
 DRIFT = 0.002  # s, drift between log and header stamps above which a remark is made
 LATE = (-0.005, 0.05)  # s, range of the log delay behind the joint states outside which a remark is made
 
-FIELDLESS: tuple[SignalName, ...] = ("object_pose", "wrench")  # what its message type says where it is
+FIELDLESS: tuple[SignalName, ...] = ("object_pose", "wrench", "acceleration")  # what its message type says where it is
+
+STORED = (".db3", ".mcap", ".zstd")  # endings of files of messages
 
 POSE_PARTS = (("position", "orientation"), ("translation", "rotation"))
 
@@ -88,8 +90,11 @@ class BagFile:
         self._joints = tuple(names.fill(joint) for joint in mapping.joints)
         self._store = typestore_for(mapping)
         self._messages: dict[str, list[tuple[int, Any]]] = {}
+        self._lost: dict[str, tuple[str, ...]] = {}
+        _check_pages(path)
         try:
             with Reader(path) as reader:
+                unread = _files_beside(path, reader)
                 self._connections = list(reader.connections)
                 chosen = self._chosen(wanted)
                 for connection in chosen:
@@ -103,6 +108,14 @@ class BagFile:
         except Exception as error:  # a damaged file can fail anywhere inside the library
             text = str(error).splitlines()[0] if str(error) else ""
             raise InputError(f"not a readable bag ({type(error).__name__}: {text})", file=path) from None
+        for connection in chosen:
+            found = len(self._messages[connection.topic])
+            if found != connection.msgcount:
+                said = f"{connection.topic}: {found} messages, {connection.msgcount} are counted in the bag's metadata"
+                if not found:
+                    raise InputError(said, file=path)
+                self._lost[connection.topic] = (f"{said}: a part is lost, or the metadata are of another bag",)
+        self._unread = unread
         self._shift: tuple[float, str] | None = None
 
     def series(self, name: SignalName, source: SignalSource) -> Series:
@@ -125,6 +138,7 @@ class BagFile:
             headers = [getattr(messages[index][1], "header", None) for index in kept]
         log = 1e-9 * np.array(logs, dtype=float)
         time, remarks = self._clock(name, source, connection.topic, headers, log)
+        remarks += (*self._unread, *self._lost.get(connection.topic, ()))
         return Series(place, time + source.delay, values, log, remarks)
 
     def _chosen(self, wanted: tuple[SignalName, ...]) -> list[Connection]:
@@ -223,12 +237,17 @@ class BagFile:
         orders: dict[tuple[str, ...], list[int] | None] = {}
         kept: list[int] = []
         rows: list[Array] = []
-        width = self._mapping.width(name)
+        width, entries = self._mapping.width(name), source.entries
+        whole = None if entries is None else np.size(self._field(place, messages[0], source.field))
+        if entries is not None and whole is not None and 0 < whole < max(entries):
+            said = f"{place} has {whole} numbers, expected at least the {max(entries)} of entries"
+            raise InputError(said, file=self._path, key=f"signals.{name}.entries of the mapping")
         for index, message in enumerate(messages):
             row = self._field(place, message, source.field)
             joints = () if source.names is None else tuple(self._field(place, message, source.names))
             if joints not in orders:
-                orders[joints] = self._order(place, joints) if joints else list(range(width))
+                nameless = list(range(width)) if entries is None else [entry - 1 for entry in entries]
+                orders[joints] = self._order(place, joints) if joints else nameless
             order = orders[joints]
             if order is None:  # another device on the same topic, a gripper for example
                 continue
@@ -236,12 +255,15 @@ class BagFile:
                 if name in ("position", "velocity", "torque"):
                     raise InputError(f"{place} is empty; expected {width} numbers", file=self._path)
                 raise MissingSignal(f"{place} is empty; expected {width} numbers", file=self._path)
-            if np.size(row) != (len(joints) or width):
-                expected = f"{len(joints)} joint names" if joints else f"{width} joints"
-                raise InputError(
-                    f"{place}: message {index} has {np.size(row)} numbers for {expected}, expected one each",
-                    file=self._path,
+            if np.size(row) != (len(joints) or whole or width):
+                expected = (
+                    f"{len(joints)} joint names, expected one each" if joints else f"{width} joints, expected one each"
                 )
+                if not joints and whole is not None:
+                    expected = f"the {whole} of the first message, expected as many in all"
+                elif not joints and np.size(row) > width:
+                    expected += f"; entries in the mapping says which of the {np.size(row)}"
+                raise InputError(f"{place}: message {index} has {np.size(row)} numbers for {expected}", file=self._path)
             kept.append(index)
             rows.append(np.asarray(row, dtype=float)[order])
         if not rows:
@@ -292,7 +314,7 @@ class BagFile:
     def _samples(
         self, place: str, name: SignalName, source: SignalSource, messages: list[tuple[int, Any]]
     ) -> list[tuple[int, Any, list[float]]]:
-        """Log time [ns], header and numbers of every pose or wrench."""
+        """Log time [ns], header and numbers of every pose, wrench or acceleration."""
         if name == "object_pose" and source.field is None and hasattr(messages[0][1], "transforms"):
             child = self._child(place, source, [message for _, message in messages])
             return [
@@ -301,10 +323,11 @@ class BagFile:
                 for transform in message.transforms
                 if transform.child_frame_id == child
             ]
+        read = {"object_pose": self._pose, "wrench": self._wrench, "acceleration": self._acceleration}[name]
         found = []
         for log, message in messages:
             holder = message if source.field is None else self._field(place, message, source.field)
-            numbers = self._pose(place, holder) if name == "object_pose" else self._wrench(place, holder)
+            numbers = read(place, holder)
             found.append((log, getattr(message, "header", None), numbers))
         return found
 
@@ -333,6 +356,15 @@ class BagFile:
         factor = float(self._mapping.factor("wrench"))
         return [factor * number for number in (*_xyz(holder.force), *_xyz(holder.torque))]
 
+    def _acceleration(self, place: str, holder: Any) -> list[float]:
+        """Linear acceleration of an Imu or AccelStamped, or of a field that holds it."""
+        holder = getattr(holder, "accel", holder)
+        holder = getattr(holder, "linear_acceleration", getattr(holder, "linear", holder))
+        if not all(hasattr(holder, axis) for axis in "xyz"):
+            raise InputError(f"{place}: expected an Imu, an AccelStamped, or a field x, y, z", file=self._path)
+        factor = float(self._mapping.factor("acceleration"))
+        return [factor * number for number in _xyz(holder)]
+
     def _pose(self, place: str, holder: Any) -> list[float]:
         """Position and quaternion, x y z w, of a pose or transform, however deep it lies."""
         scale = float(self._mapping.factor("object_pose"))
@@ -347,6 +379,33 @@ class BagFile:
             f"{place}: expected a PoseStamped, TransformStamped, TFMessage or Odometry, or a field that holds a pose",
             file=self._path,
         )
+
+
+def _check_pages(path: Path) -> None:
+    """SQLite reads a file that was cut off as far as it goes; its head says how many pages there are."""
+    for file in sorted(path.glob("*.db3")) if path.is_dir() else [path]:
+        if file.suffix != ".db3":
+            continue
+        with file.open("rb") as opened:
+            head = opened.read(100)
+        if not head.startswith(b"SQLite format 3\0") or head[24:28] != head[92:96]:  # no such file, or an old count
+            continue
+        size, pages = int.from_bytes(head[16:18], "big"), int.from_bytes(head[28:32], "big")
+        size = 65536 if size == 1 else size
+        if file.stat().st_size < size * pages:
+            said = f"cut off: {file.stat().st_size} bytes are left of {size * pages}, expected the whole file"
+            raise InputError(said, file=file)
+
+
+def _files_beside(path: Path, reader: Reader) -> tuple[str, ...]:
+    """A remark on files of messages in the folder of a bag that its metadata do not name."""
+    if not path.is_dir():
+        return ()
+    named = {Path(str(storage.path)).name for storage in getattr(reader.storage, "storages", ())}
+    others = sorted(
+        file.name for file in path.iterdir() if {file.name, file.stem}.isdisjoint(named) and file.suffix in STORED
+    )
+    return (f"not read, for metadata.yaml does not name them: {', '.join(others)}",) if others else ()
 
 
 def _stamps(headers: list[Any]) -> Array:

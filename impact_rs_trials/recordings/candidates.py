@@ -25,6 +25,7 @@ from impact_rs_trials.recordings.mapping import REQUIRED, TableLayout
 from impact_rs_trials.recordings.sources import ARRAY_SUFFIXES, BAG_SUFFIXES, TABLE_SUFFIXES, is_bag_folder
 from impact_rs_trials.recordings.table_columns import read_columns
 from impact_rs_trials.recordings.table_file import BETWEEN, BRACKETS
+from impact_rs_trials.recordings.transforms import are_transforms
 
 MOST_WIDE = 40  # numbers in a sample of what may be joints
 DEEPEST = 3  # fields of a message inside of each other
@@ -35,7 +36,6 @@ OBJECT_POSE: Final = "object_pose"
 PARTS = ("rail", "base", "shoulder_pan", "shoulder_lift", "shoulder", "upper_arm", "elbow", "forearm", "wrist")
 PART_OF_ARM = re.compile(rf"({'|'.join(PARTS)})(_?\d)?(_joint)?(?=[^a-z]|$)", re.IGNORECASE)
 MOST_BESIDE = 2  # numbers of a gripper beside those of the joints
-FIRST = ", the first "  # behind it stands how many numbers of a wider signal are taken
 MOST_LOOKED_AT = 50  # rows
 FINGERS = re.compile("finger|gripper|hand", re.IGNORECASE)
 
@@ -52,6 +52,7 @@ class SignalCandidate:
         width: How many numbers a sample has.
         joints: Names of its joints, base to tip where the names show it; empty: the recording names none.
         stamped: Whether its samples have stamps of their own; messages of a bag without a header have none.
+        first: Of a part of a wider signal, how many of its numbers stand before; None: it is whole.
     """
 
     label: str
@@ -61,6 +62,7 @@ class SignalCandidate:
     width: int = 0
     joints: tuple[str, ...] = ()
     stamped: bool = True
+    first: int | None = None
 
 
 @dataclass(frozen=True)
@@ -144,24 +146,31 @@ def joints_of(names: Sequence[str], arm: str, several: bool, count: int) -> tupl
     return tuple(own[:count])
 
 
-def first_of(candidate: SignalCandidate, count: int) -> SignalCandidate | None:
-    """The first numbers of a wider signal, as many as an arm has joints: a gripper may stand behind them.
+def parts_of(candidate: SignalCandidate, count: int) -> list[SignalCandidate]:
+    """As many neighbouring numbers of a wider signal as an arm has joints: a gripper may stand beside them.
 
     Args:
         candidate: What may be wider.
         count: How many joints the arm has.
 
     Returns:
-        None: it is no wider signal of a table or of arrays.
+        The first numbers, those behind them, and so on; none where it is not a little wider, or names its joints.
     """
-    source = candidate.source
-    if candidate.pose or candidate.joints or "topic" in source or not 0 < candidate.width - count <= MOST_BESIDE:
-        return None
-    if "columns" in source:
-        source = {"columns": source["columns"][:count]}
-    elif "{joint}" not in source.get("column", ""):  # which stands for as many as there are joints
-        source = {**source, "entries": list(range(1, count + 1))}
-    return replace(candidate, label=f"{candidate.label}{FIRST}{count}", source=source, width=count)
+    beside, source = candidate.width - count, candidate.source
+    if candidate.pose or candidate.joints or "names" in source or not 0 < beside <= MOST_BESIDE:
+        return []
+    found = []
+    for first in range(beside + 1):
+        which = "first" if first == 0 else "last" if first == beside else "middle"
+        own = {**source, "entries": list(range(first + 1, first + count + 1))}
+        if "columns" in source:
+            own = {"columns": source["columns"][first : first + count]}
+        elif "{joint}" in source.get("column", ""):
+            named = [source["column"].replace("{joint}", str(number)) for number in own["entries"]]
+            own = {"columns": named} if first else source  # {joint} stands for as many as there are joints
+        label = f"{candidate.label}, the {which} {count}"
+        found.append(replace(candidate, label=label, source=own, width=count, first=first))
+    return found
 
 
 def width_of(shape: tuple[int, ...]) -> int:
@@ -297,6 +306,10 @@ def _alike_but_a_word(columns: Sequence[str]) -> Iterator[SignalCandidate]:
 def _in_arrays(path: Path) -> list[SignalCandidate]:
     found = []
     for name, shape in ArrayFile.shapes_of(path).items():
+        if are_transforms(shape):
+            label = f"{name} ({' × '.join(map(str, shape))})"
+            found.append(SignalCandidate(label, {"array": name}, True, OBJECT_POSE, len(POSE_COLUMNS)))
+            continue
         width = width_of(shape)
         if width < 2:
             continue

@@ -6,6 +6,7 @@
     object_{object}_hit_{run}.csv                              the same, where the name of the object differs as well
     q_loaded.csv, tau_loaded.csv, q_empty.csv, tau_empty.csv   the same, where words in place of numbers name the runs
     run_1/joints.csv, run_1/pose.csv, run_2/joints.csv, ...    a folder per run
+    run_1/joints.csv, run_1/object_2.csv, run_2/object_1.csv   the same, where the number is that of the object
     monday/hit_1.csv, tuesday/hit_1.csv, ...                   any of these in a folder per session
 
 Names that differ in numbers alone are of one kind; the last number that differs is the run's, or several at the end
@@ -114,6 +115,8 @@ def group_files(files: Sequence[Path]) -> FileGroups:
         by_folder.setdefault(file.parent, []).append(file.name)
     if _are_runs(by_folder):
         return _grouped(root, {file: (file.name, "") for file in files})
+    if numbered := _numbered_objects(files):
+        return _with_numbered_objects(root, numbered)
     shapes: dict[str, list[Path]] = {}
     for file in files:
         shapes.setdefault(_shape(file.name), []).append(file)
@@ -168,6 +171,50 @@ def _are_runs(by_folder: dict[Path, list[str]]) -> bool:
     names = next(iter(by_folder.values()))
     shapes = [_shape(name) for name in names]
     return len(names) > 1 and any(shapes.count(shape) == 1 for shape in shapes)
+
+
+def _numbered_objects(files: Sequence[Path]) -> dict[Path, tuple[str, str]]:
+    """Kind and object of every file, where folders are runs with a file of each kind; empty: it is not so.
+
+    One kind has the same name in all folders. The number of another is an object's: it comes back in other folders, or
+    is not the number of its folder.
+    """
+    folders = {file.parent for file in files}
+    shapes: dict[str, list[Path]] = {}
+    for file in files:
+        shapes.setdefault(_shape(file.name), []).append(file)
+    once = all(len({file.parent for file in alike}) == len(alike) == len(folders) for alike in shapes.values())
+    if len(folders) < 2 or len(shapes) < 2 or not once:
+        return {}
+    places = {shape: _differing(alike) for shape, alike in shapes.items()}
+    if all(places.values()) or not any(places.values()) or any(len(own) > 1 for own in places.values()):
+        return {}
+    found: dict[Path, tuple[str, str]] = {}
+    for shape, alike in shapes.items():
+        if not places[shape]:
+            found |= {file: (file.name, "") for file in alike}
+            continue
+        (place,) = places[shape]
+        numbers = [NUMBER.findall(file.name)[place] for file in alike]
+        of_run = all(number in NUMBER.findall(file.parent.name) for file, number in zip(alike, numbers, strict=True))
+        if of_run and len(set(numbers)) == len(numbers):
+            return {}
+        kinds = [_split(file.name, place, place)[0].replace(RUN, OBJECT) for file in alike]
+        found |= {file: (kind, number) for file, kind, number in zip(alike, kinds, numbers, strict=True)}
+    return found
+
+
+def _with_numbered_objects(root: Path, named: Mapping[Path, tuple[str, str]]) -> FileGroups:
+    """Files by kind and folder, of kind and object of every file."""
+    kinds: dict[str, dict[str, Path]] = {}
+    objects: dict[str, str] = {}
+    for file, (kind, number) in named.items():
+        run = str(file.parent.relative_to(root))
+        kinds.setdefault(kind, {})[run] = file
+        if number:
+            objects[run] = number
+    runs = sorted({run for by_run in kinds.values() for run in by_run}, key=natural)
+    return FileGroups(root, kinds, tuple(runs), True, objects)
 
 
 def _with_runs(shapes: Sequence[Sequence[Path]]) -> Iterator[tuple[Path, tuple[str, str]]]:

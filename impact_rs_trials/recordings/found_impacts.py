@@ -38,6 +38,9 @@ WAYS = (
     "the table has no columns v_after and w_after, and predictions depend on the friction of the support"
 )
 FARTHEST = 1e4  # m, at which a tracker sees nothing
+BESIDE = 4  # samples about a step whose speeds are compared with its own
+JUMP = 5.0  # times the speed before and after, which no impact on a fixed plane makes
+STILL = ("", "a motion in a plane, or it was not tracked", "a motion along a line, or they were not tracked")
 
 
 @dataclass(frozen=True)
@@ -200,6 +203,28 @@ def _track(task: tuple[RunRow, Mapping, Body, Plane]) -> tuple[TrackedBody, list
             raise InputError(f"{pose.place} is up to {farthest:.3g} m from the tracker's origin: wrong unit or column?")
         if not finite.all():
             remarks.append(f"{pose.place}: {np.sum(~finite)} of {finite.size} samples are no finite numbers: left out")
+        remarks += _doubts_of_motion(pose.place, pose.time[finite], pose.values[finite, :3])
         return tracked_body(row.label, pose.time[finite], pose.values[finite], body, plane, spin), remarks
     except InputError as error:
         return error
+
+
+def _doubts_of_motion(place: str, time: Array, position: Array) -> list[str]:
+    """What a free body does not do: keep a coordinate while it moves, or jump between two samples; ``(k, 3)`` [m]."""
+    moves = np.ptp(position, axis=0) > 0.0
+    said = []
+    if still := [axis for axis, own in zip("xyz", moves, strict=True) if not own and moves.any()]:
+        said.append(f"{place}: {' and '.join(still)} the same in all samples: {STILL[len(still)]}")
+    steps = np.linalg.norm(np.diff(position, axis=0), axis=1) / np.diff(time)
+    if steps.size <= 2 * BESIDE:
+        return said
+    around = np.array([np.roll(steps, shift) for shift in range(-BESIDE, BESIDE + 1) if abs(shift) > 1]).max(axis=0)
+    inside = slice(BESIDE, -BESIDE)  # rolled steps come from the other end
+    jumps = BESIDE + np.flatnonzero(steps[inside] > JUMP * np.maximum(around[inside], np.median(steps)))
+    if jumps.size:
+        far = np.linalg.norm(position[jumps[0] + 1] - position[jumps[0]])
+        said.append(
+            f"{place}: jumps by {1e3 * far:.3g} mm between two samples at t = {time[jumps[0]] - time[0]:.3f} s, "
+            f"{JUMP:g} times as fast as before and after: columns, units or a marker that changed?"
+        )
+    return said

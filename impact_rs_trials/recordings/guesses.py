@@ -243,8 +243,8 @@ def velocity_of(time: Array, position: Array, raw: Array, facts: RobotFacts) -> 
 
 def _against_each_other(moving: NDArray[np.bool_], ratio: Array, together: Array) -> tuple[str, ...]:
     """Joints whose velocity has another sign than that of the others, or is not the derivative of their position."""
-    apart = np.flatnonzero(moving & (np.abs(together) < HARDLY))
-    other = np.flatnonzero(moving & (np.abs(together) >= HARDLY) & (np.sign(ratio) != _usual_sign(ratio[moving])))
+    apart = np.flatnonzero(moving & (np.abs(together) < TOGETHER))
+    other = np.flatnonzero(moving & (np.abs(together) >= TOGETHER) & (np.sign(ratio) != _usual_sign(ratio[moving])))
     said = []
     if apart.size:
         said.append(f"velocities of joints {_joints(apart)} are not the derivative of their positions: other columns?")

@@ -23,7 +23,7 @@ a factor something is said of free bodies alone: joints of real arms do not jump
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -41,6 +41,9 @@ CURED = 0.25  # of the squares; a factor that leaves more of them is no explanat
 CURED_ROWS = 0.75  # of the rows that break a law, which have to get better with it
 ALIKE = 1.5  # times what the best factor leaves; the data do not distinguish factors within it
 SHOWN = 3
+BESIDE = 8  # rows on either side of one from which a column may be in another unit
+OTHER_UNIT = 20.0  # ratio of sizes that units differ by (57 and more), with its scatter,
+STEADY = 3.0  # and that of velocities before the impacts, below which these do not change
 ALONE = 0.5  # of the whole change; so much is reported although no single factor explains it
 
 
@@ -121,12 +124,13 @@ def doubts_of(table: ImpactTable) -> list[str]:
         np.concatenate([*(arm.velocity for arm in row.impact.arms.values()), row.impact.object.twist]) for row in rows
     ]
     after = [row.after for row in rows]
+    scaled = _other_scale(table, rows, np.array(before), np.array(after))
     broken = np.array([law.broken(b, a) for law, b, a in zip(laws, before, after, strict=True)])
     whole = _rms([float(np.linalg.norm(law.root @ (a - b))) for law, b, a in zip(laws, before, after, strict=True)])
     speeds = np.linalg.norm(broken, axis=1)
     size = _rms(speeds)
     if size <= NOTICED * whole:
-        return []
+        return scaled
     found = []
     for remedy in remedies(table):
         tried = np.array(
@@ -146,10 +150,45 @@ def doubts_of(table: ImpactTable) -> list[str]:
             if rest <= ALIKE * left and not any(remedy.covers(other) for other in simplest):
                 simplest.append(remedy)
         words = [f"factor: {remedy.factor:.4g} for {', '.join(remedy.columns)}" for remedy in simplest[:SHOWN]]
-        return [f"{law}: wrong sign or unit? {left:.2g} m/s are left with {', or '.join(words)}"]
+        return [f"{law}: wrong sign or unit? {left:.2g} m/s are left with {', or '.join(words)}", *scaled]
     if size > ALONE * whole and not table.arms:
-        return [f"{law}: no factor of one signal explains it; are contact points, axes and inertia right?"]
-    return []
+        return [f"{law}: no factor of one signal explains it; are contact points, axes and inertia right?", *scaled]
+    return scaled
+
+
+def _other_scale(table: ImpactTable, rows: Sequence[ImpactRow], before: Array, after: Array) -> list[str]:
+    """Velocities after impacts that are of another size from a row on, where those before are not; ``(k, nv)``."""
+    if len(rows) < 2 * BESIDE:
+        return []
+    before_jumps, after_jumps = _jumps_of_size(before), _jumps_of_size(after)
+    steady = np.all((before_jumps < STEADY) & (before_jumps > 1.0 / STEADY), axis=1)
+    sizes = np.where(steady[:, None], np.maximum(after_jumps, 1.0 / after_jumps), 1.0)
+    place, column = np.unravel_index(int(np.argmax(sizes)), sizes.shape)
+    if sizes[place, column] < OTHER_UNIT:
+        return []
+    row, name = rows[int(place) + BESIDE].number, _signals(table)[int(column)]
+    return [
+        f"{name}_after is {after_jumps[place, column]:.2g} times as large from row {row} on, while nothing changes "
+        "before the impacts: another unit?"
+    ]
+
+
+def _jumps_of_size(columns: Array) -> Array:
+    """Median size of some rows over that of as many before them, ``(k - 2 BESIDE + 1, nv)`` [-]; 1 where it is 0."""
+    windows = np.lib.stride_tricks.sliding_window_view(np.abs(columns), BESIDE, axis=0)
+    sizes = np.median(windows, axis=-1)
+    earlier, later = sizes[:-BESIDE], sizes[BESIDE:]
+    known = (earlier > 0.0) & (later > 0.0)
+    return np.where(known, later / np.where(known, earlier, 1.0), 1.0)
+
+
+def _signals(table: ImpactTable) -> list[str]:
+    """Names of the velocities, as columns have them."""
+    names = []
+    for name, arm in table.rows[0].impact.arms.items():
+        label = f"{name}." if len(table.arms) > 1 else ""
+        names += [f"{label}dq{joint + 1}" for joint in range(arm.velocity.size)]
+    return [*names, *(f"{stem}{axis}" for stem in "vw" for axis in AXES)]
 
 
 def _rms(values: Array | list[float]) -> float:

@@ -71,14 +71,15 @@ def _strange(unit: Any) -> bool:
 
 
 def usable_rows(series: Series) -> NDArray[np.signedinteger]:
-    """Numbers of the rows with finite values and a later stamp than the one before, as many as are looked at."""
+    """Numbers of the rows with finite values and a later stamp than all before, as many as are looked at."""
     usable = np.isfinite(series.values).all(axis=1) & np.isfinite(series.time)
-    usable &= np.diff(series.time, prepend=-np.inf) > 0.0
+    latest = np.fmax.accumulate(np.where(np.isfinite(series.time), series.time, -np.inf))
+    usable &= np.diff(latest, prepend=-np.inf) > 0.0
     return np.flatnonzero(usable)[:MOST_SAMPLES]
 
 
-def object_moves(path: Path, mapping: Mapping, names: Names) -> bool:
-    """Whether the object of a run was recorded and changes its place.
+def travel_of(path: Path, mapping: Mapping, names: Names) -> float | None:
+    """How far the object of a run moves from where it is at first [m]; None: it was not recorded.
 
     Args:
         path: The run.
@@ -90,10 +91,13 @@ def object_moves(path: Path, mapping: Mapping, names: Names) -> bool:
     """
     name: SignalName = "object_pose" if "object_pose" in mapping.signals else "object_position"
     read = read_series(path, mapping, [name], [], names).get(name)
-    if read is None:
-        return False
-    seen = read.values[np.isfinite(read.values).all(axis=1), :3]
-    return bool(len(seen)) and float(np.max(np.linalg.norm(seen - np.median(seen[:5], axis=0), axis=1))) > MOVED
+    seen = np.zeros((0, 3)) if read is None else read.values[np.isfinite(read.values).all(axis=1), :3]
+    return float(np.max(np.linalg.norm(seen - np.median(seen[:5], axis=0), axis=1))) if len(seen) else None
+
+
+def object_moves(path: Path, mapping: Mapping, names: Names) -> bool:
+    """Whether the object of a run was recorded and changes its place; see :func:`travel_of`."""
+    return (travel_of(path, mapping, names) or 0.0) > MOVED
 
 
 def doubts_of_hit(read: AbstractMapping[SignalName, Series], mapping: Mapping) -> list[str]:

@@ -29,12 +29,11 @@ from impact_rs_sim.scenario import load_scenario
 from impact_rs_sim.schema import validate
 from impact_rs_trials.recordings.array_file import ArrayFile
 from impact_rs_trials.recordings.candidates import (
-    FIRST,
     SignalCandidate,
     candidates_of,
-    first_of,
     guess_of,
     joints_of,
+    parts_of,
     vector_width,
     width_of,
 )
@@ -73,6 +72,7 @@ from impact_rs_trials.recordings.mapping import (
     SignalSource,
     TableLayout,
 )
+from impact_rs_trials.recordings.moving_objects import moving_objects
 from impact_rs_trials.recordings.recording import read_recordings
 from impact_rs_trials.recordings.series import Names, Series
 from impact_rs_trials.recordings.sources import (
@@ -85,8 +85,10 @@ from impact_rs_trials.recordings.sources import (
 )
 from impact_rs_trials.recordings.table_columns import read_columns, read_rows
 from impact_rs_trials.recordings.table_layout import find_layout
+from impact_rs_trials.recordings.transforms import are_transforms
 
 MOST_SHOWN = 3  # signals of a kind in a message
+MOST_POSES = 10
 NAMED = 0.3  # correlation that a name is worth
 ASKED_FOR = re.compile(r"des|ref|target|goal|cmd|cmp|command|comput|set_?point|(^|_)d(_|\d|$)|filt|err", re.IGNORECASE)
 OF_THE_ROBOT = re.compile(r"eef|(^|_)ee(_|$)|tcp|tool|flange|hand", re.IGNORECASE)
@@ -190,8 +192,8 @@ class _Found:
 
     @property
     def is_cut(self) -> bool:
-        """Whether it is the first numbers of a wider signal."""
-        return FIRST in self.candidate.label
+        """Whether it is a part of a wider signal."""
+        return self.candidate.first is not None
 
     @property
     def series(self) -> Series:
@@ -203,6 +205,12 @@ class _Found:
         """Its name, with that of its file if a run has several."""
         return f"{self.part.pattern}: {self.candidate.label}" if self.part.pattern else self.candidate.label
 
+    def stands_apart(self, other: _Found) -> bool:
+        """Whether both cannot be of the same joints: they share a column, or are other parts of wider signals."""
+        if self.is_cut and other.is_cut and self.candidate.first != other.candidate.first:
+            return True
+        return self.overlaps(other)
+
     def overlaps(self, other: _Found) -> bool:
         """Whether both have a column in common."""
         return self.part is other.part and (self.number == other.number or bool(self._numbers & other._numbers))
@@ -211,7 +219,7 @@ class _Found:
     def _numbers(self) -> set[tuple[str, int]]:
         """Columns, and entries of vectors, in which its numbers are."""
         source = self.candidate.source
-        whole = str(source.get("column") or source.get("array") or "")
+        whole = str(source.get("column") or source.get("array") or (source.get("topic"), source.get("field")))
         entries = {(whole, entry) for entry in source.get("entries") or ()}
         return entries or {(column, 0) for column in source.get("columns") or ()}
 
@@ -257,10 +265,21 @@ def _with_velocity(place: _Found, unit: Guess, every: Sequence[_Found], facts: R
     """Motions whose velocity is a signal."""
     motion, time = _Motion(place, unit), place.series.time
     for other in every:
-        if not other.overlaps(place):
+        if not other.stands_apart(place):
             found = velocity_of(time, motion.places, other.series.at(time), facts)
             if found is not None:
                 yield _Motion(place, unit, (other, "velocity", found[1]), found[0])
+
+
+def _best_of_parts(motions: Sequence[_Motion]) -> list[_Motion]:
+    """The motion that is the surest; where it is a part of a wider signal, also those of its other parts."""
+    best = max(motions, key=lambda one: one.score)
+    if not best.position.is_cut:
+        return [best]
+    parts: dict[int | None, _Motion] = {}
+    for motion in sorted(motions, key=lambda one: one.score):
+        parts[motion.position.candidate.first] = motion
+    return list(parts.values())
 
 
 def _torques(motion: _Motion, every: Sequence[_Found], model: RobotModel) -> list[tuple[float, _Found, Guess]]:
@@ -285,7 +304,7 @@ def _beside(motion: _Motion, every: Sequence[_Found]) -> Iterator[tuple[_Found, 
     time, q, dq = motion.position.series.time, motion.places, motion.speeds
     taken = [motion.position, *([motion.velocity[0]] if motion.velocity else [])]
     for one in every:
-        if not any(one.overlaps(other) for other in taken):
+        if not any(one.stands_apart(other) for other in taken):
             yield one, copy_of_motion(time, q, dq, one.series.at(time))
 
 
@@ -445,7 +464,7 @@ class _Importer:
             motions = [_Motion(*place) for place in places if place[0].named("position") >= 0.0]
         if not motions:
             raise self._nothing(every, robot, facts.joint_count)
-        motions = [max(motions, key=lambda one: one.score)] if moving else motions
+        motions = _best_of_parts(motions) if moving else motions
         model = RobotModel(facts, MountedEndEffector().build(), pin.SE3.Identity())
         tried = [(motion, _torques(motion, every, model)) for motion in motions]
         motion, torques = max(
@@ -610,7 +629,7 @@ class _Importer:
     def _read(self, part: _Part, robot: str, count: int) -> None:
         """Raw numbers of all candidates that are as wide as the robot has joints."""
         self._windows(part, count)
-        part.candidates += [first for one in part.candidates if (first := first_of(one, count)) is not None]
+        part.candidates += [own for one in part.candidates for own in parts_of(one, count)]
         numbered = tuple(f"joint{number}" for number in range(1, count + 1))
         shared = None if part.is_bag else open_file(part.path, self._raw_mapping(part, robot, numbered), part.names, ())
         for number, one in enumerate(part.candidates):
@@ -630,7 +649,7 @@ class _Importer:
                 part.series[number] = replace(series, time=series.time[rows], values=series.values[rows])
             else:
                 self._refused[one.label] = (
-                    f"{rows.size} of {series.time.size} samples have numbers and a later stamp than the one before, "
+                    f"{rows.size} of {series.time.size} samples have numbers and a later stamp than all before, "
                     f"more than {FEWEST_SAMPLES} are needed; stamps were taken from {part.stamps}, the key time of a "
                     "mapping names others, or a rate"
                 )
@@ -709,7 +728,7 @@ class _Importer:
         one = _Found(part, number)
         shown = "by its numbers; see unit"
         if one.is_cut:
-            shown += "; what stands behind the joints is left out, as a gripper"
+            shown += "; what stands beside the joints is left out, as a gripper"
             self._remarks.append(f"signals.{name}: of {one.candidate.label} numbers are taken for the joints")
         shown += "" if one.candidate.stamped else f"; {NO_HEADER}"
         self._say(f"signals.{name}", one.candidate.label, shown, not one.is_cut)
@@ -732,12 +751,36 @@ class _Importer:
                 found = self._pose_sections(part, place, quaternion)
                 if found is None:
                     continue
+                if with_robot and self._groups.spread:
+                    self._choose_objects(part, found)
+                self._say_other_poses(part, place)
                 if part is not joints or not with_robot:
                     for section in found.values():
                         section |= self._own_layout(part, joints, with_robot)
                 signals |= found
                 return part
         return None if with_robot else self._ball(signals)
+
+    def _say_other_poses(self, part: _Part, taken: dict[str, Any]) -> None:
+        """Arrays and topics that may be poses as well, of which none is taken."""
+        others = [one.label for one in part.candidates if one.pose and one.source != taken]
+        if others:
+            self._remarks.append(
+                f"{part.path.name} holds other poses, of which none is taken: {', '.join(others[:MOST_POSES])}"
+                + (f" and {len(others) - MOST_POSES} more" if len(others) > MOST_POSES else "")
+            )
+
+    def _choose_objects(self, part: _Part, sections: dict[str, dict[str, Any]]) -> None:
+        """Where every run has a file of each of several objects, take that of the object which moves in the run."""
+        sources = {name: SignalSource.model_validate(section) for name, section in sections.items()}
+        mapping = self._raw_mapping(part, NO_ROBOT, ()).model_copy(update={"signals": sources})
+        found = moving_objects(self._groups, part.pattern, mapping)
+        if found is None:
+            return
+        self._groups = found.groups
+        for section in sections.values():
+            section["file"] = found.pattern
+        self._say(f"{OBJECT} of {found.pattern}", flow(list(found.objects)), "in every run the object that moves most")
 
     def _ball(self, signals: dict[str, dict[str, Any]]) -> _Part | None:
         """Places of an object whose turn was not tracked, added to the signals; a ball may be one."""
@@ -787,10 +830,15 @@ class _Importer:
         label = place.get("column") or place.get("array") or place.get("topic") or ", ".join(place.get("columns", ()))
         if quaternion is None:
             pose = numbers("object_pose", place)
+            matrices = are_transforms(np.shape(part.columns.get(place.get("array", ""), ())))
             guess = None if pose is None else pose_of(pose)
-            if guess is None:
+            if guess is None or pose is None:
                 return None
-            self._say("signals.object_pose", label, "holds a place and a unit quaternion")
+            if matrices:
+                length = unit_of_length(pose)
+                guess = Guess(length.value, length.evidence)
+            said = "holds homogeneous matrices" if matrices else "holds a place and a unit quaternion"
+            self._say("signals.object_pose", label, said)
             self._say("signals.object_pose.unit", guess.value, guess.evidence, guess.sure)
             return {"object_pose": {**self._source(part, dict(place)), "unit": guess.value, **guess.further}}
         where, turned = numbers("object_position", place), numbers("object_quaternion", quaternion)

@@ -43,8 +43,7 @@ BETTER = 30.0  # log likelihood by which a lag must fit better than none
 REPEATED = 0.3  # of the samples, from which repeats are said
 COARSE = 10.0  # steps of the resolution, from which a change was missed by the samples before
 PAUSE = 0.2  # s, from which equal samples are a rest
-TOGETHER = 0.8  # least correlation of signals that differ by a factor
-APART = 0.5  # correlation, after moving averages, below which a velocity is not the derivative of its position
+TOGETHER = 0.8  # least correlation of signals that differ by a factor, after moving averages
 AGAINST = -0.5  # correlation of torque and velocity below which a torque drives nothing
 MOVES = 0.02  # of the data sheet's velocity, rms, from which a joint moves
 
@@ -75,13 +74,14 @@ def doubts_of_arm(
     factors = {"velocity": np.ones(len(moves)), "torque": np.ones(len(moves))}
     for joint, moving in enumerate(moves):
         own, heavy = weight[:, joint], _rms(weight[:, joint]) > noticed(model)
-        if moving and abs(_together(means[:, joint], slopes[:, joint])) >= TOGETHER:
+        together = abs(_together(means[:, joint], slopes[:, joint]))
+        if moving and together >= TOGETHER:
             ratio, error, *lag = motion.fit(joint, means[:, joint])
             if abs(ratio - 1.0) > max(SAME, SURE * error):
                 speeds[joint] = f"is {ratio:.3g} times the derivative of its position (+- {error:.1g}), expected 1"
                 factors["velocity"][joint] = _remedy(ratio)
             lags.append((lag[0], lag[1]))
-        if moving and abs(together := _together(means[:, joint], slopes[:, joint])) < APART:
+        elif moving:
             mixed.append(f"of joint {joint + 1} (correlation {together:.2f})")
         if contact or not np.ptp(arm.torque[:, joint]):  # not measured
             continue

@@ -53,6 +53,7 @@ from impact_rs_trials.recordings.experiment import (
     run_named,
 )
 from impact_rs_trials.recordings.faults import without_faults
+from impact_rs_trials.recordings.guesses import UNIT_LENGTH
 from impact_rs_trials.recordings.joint_checks import doubts_of_arm
 from impact_rs_trials.recordings.joint_jumps import impact_time
 from impact_rs_trials.recordings.mapping import REQUIRED, SignalName
@@ -65,7 +66,7 @@ from impact_rs_trials.recordings.plausibility import (
     gravity_torques,
     height_on_support,
 )
-from impact_rs_trials.recordings.recording import check_arm
+from impact_rs_trials.recordings.recording import TooShort, check_arm
 from impact_rs_trials.recordings.series import Names, Series
 from impact_rs_trials.recordings.sources import read_series
 from impact_rs_trials.runs import NONE, ArmSignals, Run, Signals
@@ -93,10 +94,6 @@ OUT_OF_REACH = 5.0  # m, distance of the object in free motion
 BEYOND = 0.1  # s, command and pose are kept this long before and after the joint signals
 
 ArmSeries = dict[SignalName, Series]
-
-
-class TooShort(InputError):
-    """A run of which too little is left between its gaps; it is left out, and the others are read."""
 
 
 @dataclass(frozen=True)
@@ -475,7 +472,7 @@ def with_object(path: Path, series: ArmSeries, remarks: list[str]) -> ArmSeries:
         remarks: What is said is added to them.
 
     Raises:
-        InputError: Its parts have other stamps, or it is never seen.
+        InputError: Its parts have other stamps, its quaternions no unit length, or it is never seen.
     """
     series = dict(series)
     position, quaternion = series.pop("object_position", None), series.pop("object_quaternion", None)
@@ -493,6 +490,13 @@ def with_object(path: Path, series: ArmSeries, remarks: list[str]) -> ArmSeries:
     seen = ~(np.isnan(pose.values[:, :3]).all(axis=1) | np.isnan(pose.values[:, 3:]).all(axis=1) | (norm == 0.0))
     if not np.any(seen):
         raise InputError(f"{pose.place}: the object is seen in none of {seen.size} samples", file=path)
+    lengths = norm[seen & np.isfinite(norm)]
+    if np.any(np.abs(lengths - 1.0) > UNIT_LENGTH):
+        raise InputError(
+            f"{pose.place}: quaternions have lengths of {lengths.min():.3g} ... {lengths.max():.3g}, expected 1: "
+            "columns of something else?",
+            file=path,
+        )
     if not np.all(seen):
         remarks.append(f"{pose.place}: the object is not seen in {int(np.sum(~seen))} of {seen.size} samples")
     log = None if pose.log is None else pose.log[seen]
@@ -545,7 +549,7 @@ def _start_in_the_impact(laboratory: Laboratory, run: RunRow, arms: dict[str, Ar
 def _check(path: Path, name: SignalName, series: Series) -> None:
     """Stamps that increase without a jump, and finite numbers."""
     if name in REQUIRED and series.time.size < LEAST_SAMPLES:
-        raise InputError(f"{series.place}: {series.time.size} samples, at least {LEAST_SAMPLES} are needed", file=path)
+        raise TooShort(f"{series.place}: {series.time.size} samples, at least {LEAST_SAMPLES} are needed", file=path)
     check_stamps(path, series.place, series.time)
     if series.time.size > 1:
         largest = max(JUMP, 5.0 * float(np.median(np.diff(series.time))))

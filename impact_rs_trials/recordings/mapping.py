@@ -41,6 +41,7 @@ UNITS: dict[str, dict[str, float]] = {
     "length": {"m": 1.0, "mm": 1e-3},
     "orientation": {"-": 1.0},
     "wrench": {"N, N m": 1.0},
+    "acceleration": {"m/s^2": 1.0, "g": 9.80665},
     "time": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "date": 1e-9},  # dates are read as whole nanoseconds
 }
 QUANTITY = {  # quantity of each signal
@@ -55,6 +56,7 @@ QUANTITY = {  # quantity of each signal
     "object_position": "length",
     "object_quaternion": "orientation",
     "wrench": "wrench",
+    "acceleration": "acceleration",
 }
 SignalName = Literal[
     "position",
@@ -68,10 +70,17 @@ SignalName = Literal[
     "object_position",
     "object_quaternion",
     "wrench",
+    "acceleration",
 ]
 NO_ROBOT = "none"  # robot of a mapping whose recordings hold an object alone
 REQUIRED: tuple[SignalName, ...] = ("position", "velocity", "torque")
-WIDTH: dict[SignalName, int] = {"object_pose": 7, "object_position": 3, "object_quaternion": 4, "wrench": 6}
+WIDTH: dict[SignalName, int] = {
+    "object_pose": 7,
+    "object_position": 3,
+    "object_quaternion": 4,
+    "wrench": 6,
+    "acceleration": 3,
+}
 JOINT_SIGNALS: tuple[SignalName, ...] = tuple(name for name in get_args(SignalName) if name not in WIDTH)
 
 
@@ -114,8 +123,8 @@ class SignalSource(Schema):
     columns: tuple[str, ...] | None = Field(None, description="columns of a table one by one, in order")
     entries: tuple[Annotated[int, Field(ge=1)], ...] | None = Field(
         None,
-        description="which numbers of a cell or of a sample of an array, counted from 1, where a gripper, for example, "
-        "stands beside the joints; absent: all",
+        description="which numbers of a cell, of a sample of an array or of a message without names, counted from 1, "
+        "where a gripper, for example, stands beside the joints; absent: all",
     )
     time_column: StampNames | None = Field(
         None, description="column of this signal's own time, or two as in time.column; absent: that of the mapping"
@@ -279,10 +288,14 @@ class Mapping(Schema):
                 raise ValueError(f"signals.{name}.columns names {len(source.columns)}, expected {wanted}")
             if source.entries is not None and len(source.entries) != wanted:
                 raise ValueError(f"signals.{name}.entries lists {len(source.entries)} numbers, expected {wanted}")
-            if source.entries is not None and source.array is None and "{joint}" in (source.column or "{joint}"):
+            several = (
+                source.array is not None or source.field is not None or "{joint}" not in (source.column or "{joint}")
+            )
+            if source.entries is not None and (not several or source.names is not None):
                 raise ValueError(
-                    f"signals.{name}.entries is for an array, or a column whose cells hold several numbers; columns "
-                    "names those of tables with one number in a cell"
+                    f"signals.{name}.entries is for an array, a field of messages without names, or a column whose "
+                    "cells hold several numbers; columns names those of tables with one number in a cell, joints those "
+                    "of messages with names"
                 )
             if source.columns is not None and source.column is not None:
                 raise ValueError(f"signals.{name} has both column and columns, expected one of them")

@@ -41,9 +41,14 @@ ARM = "arm"  # name of the arm of a recording
 LARGEST_GAP = 5.0  # sampling periods, or
 GAP_IN_LOW_PASS = 0.1  # periods of the low-pass, which is what a gap falls into
 LEAST_SAMPLES = 100
+MOST_NAMED = 3  # recordings in a message
 LEAST_TAIL = 4.2  # periods of the low-pass that a piece loses at its ends,
 LEAST_KEPT = 60  # and samples that must be left,
 LEAST_RATE = 10.0  # at most so many per period of the low-pass
+
+
+class TooShort(InputError):
+    """A recording of which too little is left; among others it is left out, with the reason."""
 
 
 def find_recordings(path: Path) -> list[Path]:
@@ -98,6 +103,33 @@ def read_recordings(path: Path, mapping: Mapping) -> list[Run]:
     Raises:
         InputError: A recording cannot be used; the message says what was expected.
     """
+    return [piece for item in _recordings_at(path, mapping) for piece in _pieces(item, mapping)]
+
+
+def read_long_enough(path: Path, mapping: Mapping) -> tuple[list[Run], list[tuple[str, str]]]:
+    """The recordings of :func:`read_recordings` but for those that are too short; their paths, and why.
+
+    Raises:
+        InputError: A recording cannot be used, or none is long enough.
+    """
+    found = _recordings_at(path, mapping)
+    runs: list[Run] = []
+    left_out: list[tuple[str, str]] = []
+    for item in found:
+        try:
+            runs += _pieces(item, mapping)
+        except TooShort as error:
+            if len(found) == 1:
+                raise
+            left_out.append((str(item), error.message))
+    if not runs:
+        said = "; ".join(f"{Path(name).name}: {why}" for name, why in left_out[:MOST_NAMED])
+        raise TooShort(f"none of {len(left_out)} recordings is long enough: {said}", file=path)
+    return runs, left_out
+
+
+def _recordings_at(path: Path, mapping: Mapping) -> list[Path]:
+    """What :func:`read_recordings` reads, each a run."""
     if path.is_dir() and all(source.file is not None for source in mapping.signals.values()):
         found = runs_below(path, mapping) if mapping.spread else run_folders(path, mapping)
         if not found:
@@ -116,7 +148,7 @@ def read_recordings(path: Path, mapping: Mapping) -> list[Run]:
         found = [run for file in whole for run in runs_inside(file, mapping)] or [path]
     else:
         found = find_recordings(path)
-    return [piece for item in found for piece in _pieces(item, mapping)]
+    return found
 
 
 def _pieces(path: Path, mapping: Mapping) -> list[Run]:
@@ -158,7 +190,7 @@ def _pieces(path: Path, mapping: Mapping) -> list[Run]:
             )
         )
     if not found:
-        raise InputError(f"no piece is long enough: {'; '.join(remarks)}", file=path)
+        raise TooShort(f"no piece is long enough: {'; '.join(remarks)}", file=path)
     return found
 
 
@@ -239,7 +271,7 @@ def _longest_gap(period: float, low_pass: float) -> float:
 def _check_time(path: Path, time: Array, what: str, low_pass: float) -> list[str]:
     """Stamps that increase; returns what is said of gaps, which cut the recording into pieces."""
     if time.size < LEAST_SAMPLES:
-        raise InputError(f"{what}: {time.size} samples, at least {LEAST_SAMPLES} are needed", file=path)
+        raise TooShort(f"{what}: {time.size} samples, at least {LEAST_SAMPLES} are needed", file=path)
     check_stamps(path, what, time)
     period = float(np.median(np.diff(time)))
     found = gaps(time, _longest_gap(period, low_pass))

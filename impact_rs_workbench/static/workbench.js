@@ -1517,6 +1517,9 @@ const ARM_SIGNALS = [{name: 'position', text: 'joint position'}, {name: 'velocit
   {name: 'torque', text: 'joint torque'}, {name: 'command', text: 'commanded torque', optional: true}];
 const OBJECT_POSE = {name: 'object_pose', text: 'pose of the object', optional: true};
 
+// Where stamps and rows are in the files of an arm, as far as import has found it.
+const layoutOf = ({given: {time, table}}) => ({...(time && {time}), ...(table && {table})});
+
 const laboratory = {
   questions: new Questions(),
 
@@ -1596,6 +1599,7 @@ const laboratory = {
     own.gravity = h('input', {type: 'checkbox', checked: true, onchange: () => own.signals.at(-1).show()});
     own.signals = ARM_SIGNALS.map((signal) => this.signal(signal, own, given.signals[signal.name]));
     own.node = h('section', {'data-lab-arm': name}, several ? h('h3', {}, `Arm ${name}, ${given.robot}`) : '',
+      given.said.length ? h('details', {'data-lab-said': name}, h('summary', {}, 'what shows it'), ...given.said.map((one) => h('p', {class: 'note'}, one))) : '',
       named ? labelled(`joints in order, base to tip (${given.slides.length} of ${given.robot})`, own.names) : '', ...own.signals.map((one) => one.node),
       h('label', {class: 'tick'}, own.gravity, ' the commanded torque includes gravity compensation'));
     return own;
@@ -1607,9 +1611,11 @@ const laboratory = {
     const source = h('select', {'data-signal': signal.name}, ...(signal.optional ? [new Option('not recorded', '')] : []),
       ...streams.flatMap((stream, number_) => stream.pose === pose ? [new Option(stream.label, number_)] : []));
     source.value = proposed ?? (signal.optional ? '' : source.options[0]?.value ?? '');
+    const shown = arm.given.units[signal.name];
     const slides = pose ? [] : arm.given.slides, [turning, sliding] = this.found.units[signal.name];
     const kinds = [[turning, slides.every((one) => one) && !pose ? '' : 'turn'], [sliding, slides.some((one) => one) ? 'slide' : '']].filter(([, how]) => how);
     const units = kinds.map(([all, how]) => ({how, select: h('select', {}, ...all.map((one) => new Option(one, one)))}));
+    for (const {select} of units) for (const unit of [shown].flat()) if ([...select.options].some((one) => one.value === unit)) select.value = unit;
     const plot = h('div', {class: 'plot', role: 'img', 'aria-label': `preview of ${what}`});
     const line = h('p', {class: 'note', 'aria-live': 'polite'});
     const unitOf = (how) => (units.find((one) => one.how === how) ?? units[0]).select.value;
@@ -1622,7 +1628,7 @@ const laboratory = {
       if (source.value === '') { clear('', 'note'); return; }
       try {
         const seen_ = await turn.ask('/api/laboratory/preview', {path: this.found.path, scenario: this.scenario.value, arm: arm.name, signal: signal.name,
-          source: value(), position: arm.signals?.[0].value() ?? value(), joints: arm.joints(), command_includes_gravity: arm.gravity.checked});
+          source: value(), position: arm.signals?.[0].value() ?? value(), joints: arm.joints(), command_includes_gravity: arm.gravity.checked, ...layoutOf(arm)});
         const ranges = seen_.ranges.map((one) => `from ${number(one.low)} to ${number(one.high)} ${one.unit}`).join(', ');
         line.className = seen_.wrong ? 'error' : 'note';
         line.textContent = seen_.wrong || `${seen_.place}; ${seen_.samples} samples at ${number(seen_.rate)} Hz; ${ranges}`;
@@ -1665,7 +1671,7 @@ const laboratory = {
     try {
       const done = await this.turn.of(ask('/api/laboratory', {path: folder, scenario: this.scenario.value, object_pose: this.pose.value(),
         world_from_hits: this.world.checked, runs, arms: Object.fromEntries(this.arms.map((arm) => [arm.name,
-          {joints: arm.joints(), command_includes_gravity: arm.gravity.checked, signals: chosen(arm)}]))}));
+          {joints: arm.joints(), command_includes_gravity: arm.gravity.checked, signals: chosen(arm), ...layoutOf(arm)}]))}));
       this.message.show(h('p', {class: 'good', id: 'lab-written'}, `Written: ${done.written.join(', ')}.`),
         ...done.remarks.map((remark) => h('p', {class: 'note'}, `Note: ${remark}`)), h('p', {}, 'Next:'), commandLine(done.command),
         h('div', {class: 'actions'}, h('button', {type: 'button', onclick: () => { compare.form.chooseSoon(folder); go('compare'); }}, 'Compare')));

@@ -230,3 +230,44 @@ def test_a_robot_with_a_sliding_joint_is_described_with_its_units(client: TestCl
     (tmp_path / "lift.yaml").write_text(yaml.safe_dump(scenario))
     answer = client.get("/api/laboratory", params={"path": "lab", "scenario": "lift.yaml"})
     assert "robots.arm.facts: the robot is described in the scenario itself" in answer.json()["error"]
+
+
+def test_the_page_takes_units_signs_and_stamps_as_import_finds_them(client: TestClient, tmp_path: Path) -> None:
+    """A log in ms, degrees and with torques turned round, whose columns are named a, b and c: names hint at nothing."""
+    (tmp_path / "lab").mkdir()
+    time = np.arange(0.0, 6.0, 0.005)
+    model = Physics.nominal(load_scenario("push"), "parcel").robot_model("arm")
+    speed = 2.0 * np.pi * np.linspace(0.2, 0.5, 7)
+    q = KNOWN.position[0] + 0.2 * np.sin(np.outer(time, speed))
+    dq, ddq = 0.2 * speed * np.cos(np.outer(time, speed)), -0.2 * speed**2 * np.sin(np.outer(time, speed))
+    tau = np.array([model.inverse_dynamics(*state) for state in zip(q, dq, ddq, strict=True)])
+    names = ["stamp_ms", *(f"{letter}{joint}" for letter in "abc" for joint in range(1, 8))]
+    rows = np.column_stack((1e3 * time, np.degrees(q), np.degrees(dq), -tau))
+    np.savetxt(tmp_path / "lab" / "up.csv", rows, delimiter=",", header=",".join(names), comments="", fmt="%.12g")
+
+    folder = Folder(client)
+    own = folder.found["arms"]["arm"]
+    assert own["units"] == {"position": "deg", "velocity": "deg/s", "torque": "N m"}
+    assert own["time"] == {"column": "stamp_ms", "unit": "ms"}
+    assert any("derivative of the position in deg" in line for line in own["said"])
+    layout = {"time": own["time"]}
+    for name, unit in own["units"].items():
+        folder.arms["arm"]["signals"][name]["unit"] = unit
+    folder.arms["arm"] |= layout
+    assert folder.arms["arm"]["signals"]["torque"]["factor"] == -1.0
+    for name in ("position", "velocity", "torque"):
+        assert folder.preview(name, **layout)["wrong"] == ""
+    run = {"bag": "up.csv", "object": "none", "kind": "free motion", "condition": "up"}
+    assert "written" in folder.describe(runs=[run])
+    arm = read(tmp_path / "lab").signals.arms["arm"]
+    np.testing.assert_allclose(arm.position, q, atol=1e-9)
+    np.testing.assert_allclose(arm.torque, tau, atol=1e-8)
+
+
+def test_where_import_refuses_the_page_says_why_and_goes_by_names(client: TestClient, tmp_path: Path) -> None:
+    (tmp_path / "lab").mkdir()
+    at_rest = {"time": 1e-9 * KNOWN.time, "q": np.tile(KNOWN.position[0], (700, 1)), "dq": np.zeros((700, 7))}
+    np.savez(tmp_path / "lab" / "rest.npz", **at_rest, tau=np.zeros((700, 7)))
+    own = Folder(client).found["arms"]["arm"]
+    assert own["signals"] == {"position": 0, "velocity": 1, "torque": 2} and own["units"] == {}
+    assert "Chosen by names alone, for impact-rs import says" in own["said"][0]

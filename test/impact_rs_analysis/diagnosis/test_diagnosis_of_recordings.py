@@ -289,3 +289,37 @@ def test_a_real_robot_lacks_joint_friction_and_no_payload(real_bag: Path, capsys
     assert payload.verdict != "CONFIRMED" and abs(payload.parameters["mass"].estimate) < 0.2
     after = np.array([row.after for row in found.joints])
     assert np.all(after < [0.36, 0.27, 0.25, 0.25, 0.25, 0.12, 0.11])  # of searches that have not seen it
+
+
+def compared(path: Path, capsys: pytest.CaptureFixture) -> Any:
+    assert main(["compare", str(path), "--mapping", "joint_state", "--json"]) == 0
+    return json.loads(capsys.readouterr().out)
+
+
+def test_a_recording_that_is_too_short_is_left_out_of_a_folder_and_named(
+    planted: Columns, tmp_path: Path, capsys: pytest.CaptureFixture
+) -> None:
+    """60 samples are none; 110 are, and too few for the low-pass. The others are compared as without them."""
+    write_npz(tmp_path / "a.npz", planted)
+    alone = compared(tmp_path, capsys)
+    write_npz(tmp_path / "few.npz", part(planted, 0, 60))
+    write_npz(tmp_path / "short.npz", part(planted, 0, 110))
+    found = compared(tmp_path, capsys)
+    assert (found["score"], found["trials"]) == (alone["score"], alone["trials"])
+    few, short = found["skipped"]
+    assert few["name"].endswith("few.npz") and "60 samples, at least 100" in few["reason"]
+    assert short["name"].endswith("short.npz") and "2.18 s long, at least" in short["reason"]
+    left_out = [remark for remark in found["remarks"] if "is left out" in remark]
+    assert [remark.split(":")[0] for remark in left_out] == ["few.npz is left out", "short.npz is left out"]
+
+
+def test_recordings_that_are_all_too_short_or_named_are_refused(
+    planted: Columns, tmp_path: Path, capsys: pytest.CaptureFixture
+) -> None:
+    for name in ("few", "fewer"):
+        write_npz(tmp_path / f"{name}.npz", part(planted, 0, 60))
+    assert main(["compare", str(tmp_path), "--mapping", "joint_state"]) == 2
+    assert "none of 2 recordings is long enough: few.npz" in capsys.readouterr().err.replace("\n", " ")
+    write_npz(tmp_path / "long.npz", planted)
+    assert main(["compare", str(tmp_path / "few.npz"), "--mapping", "joint_state"]) == 2
+    assert "60 samples, at least 100" in capsys.readouterr().err.replace("\n", " ")

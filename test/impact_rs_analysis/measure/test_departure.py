@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -82,6 +83,15 @@ def test_analysis_terminal_and_report_say_it(bouncy: Path, tmp_path: Path, capsy
     said = " ".join(capsys.readouterr().err.split())
     assert "parcel case_2: the object leaves the pad of arm in 3 of 3 trials" in said
     assert "what is predicted goes on together" in said
+
+
+def test_a_comparison_of_replayed_trials_says_it(bouncy: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The twin replays the spring of the pad; the impact map beside it takes for granted that both go on together."""
+    capsys.readouterr()
+    assert main(["compare", str(bouncy), "--json"]) == 0
+    remarks = json.loads(capsys.readouterr().out)["remarks"]
+    (said,) = (remark for remark in remarks if "leaves the pad" in remark)
+    assert "parcel case_2: the object leaves the pad of arm in 3 of 3 trials" in said
 
 
 def test_a_prediction_with_restitution_is_reported_with_it() -> None:

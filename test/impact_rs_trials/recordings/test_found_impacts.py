@@ -77,3 +77,46 @@ def test_a_place_that_no_tracker_sees_is_refused(tmp_path: Path) -> None:
     (tmp_path / "lab" / "experiment.yaml").write_text(EXPERIMENT)
     found = find_impacts(tmp_path / "lab", load_experiment(tmp_path / "lab" / "experiment.yaml"), map)
     assert not found.impacts and "wrong unit or column?" in found.left_out[0].reason
+
+
+def laboratory(folder: Path, lines: list[str]) -> Path:
+    """One run of a ball with its description."""
+    folder.mkdir()
+    (folder / "run_1.csv").write_text("\n".join(lines) + "\n")
+    (folder / "mapping.yaml").write_text(MAPPING)
+    (folder / "experiment.yaml").write_text(EXPERIMENT)
+    return folder
+
+
+def remarks_of(folder: Path) -> list[str]:
+    return [
+        one
+        for one in find_impacts(folder, load_experiment(folder / "experiment.yaml"), map).remarks
+        if "spin" not in one
+    ]
+
+
+def test_a_coordinate_that_never_changes_is_said(tmp_path: Path) -> None:
+    """Zeros are those of a motion in a plane, or of an axis that was not tracked: nothing tells them apart."""
+    bounce(tmp_path / "clean" / "run_1.csv", 0.5)
+    names, *rows = (tmp_path / "clean" / "run_1.csv").read_text().splitlines()
+    cells = [row.split(",") for row in rows]
+    plane = laboratory(tmp_path / "plane", [names, *(",".join(row) for row in cells)])
+    line = laboratory(tmp_path / "line", [names, *(",".join([*row[:2], "0", row[3]]) for row in cells)])
+    space = laboratory(
+        tmp_path / "space", [names, *(",".join([row[0], f"{0.2 * float(row[0]):.6f}", *row[2:]]) for row in cells)]
+    )
+    assert ["x the same in all samples: a motion in a plane" in remark for remark in remarks_of(plane)] == [True]
+    assert ["x and y the same in all samples" in remark for remark in remarks_of(line)] == [True]
+    assert remarks_of(space) == []
+
+
+def test_a_jump_between_two_samples_is_no_motion_of_a_body(tmp_path: Path) -> None:
+    """From the 30th sample on the place is 50 mm beside, as that of another marker."""
+    bounce(tmp_path / "clean" / "run_1.csv", 0.5)
+    names, *rows = (tmp_path / "clean" / "run_1.csv").read_text().splitlines()
+    cells = [row.split(",") for row in rows]
+    moved = [[row[0], f"{0.2 * float(row[0]) + 0.05 * (n >= 30):.6f}", *row[2:]] for n, row in enumerate(cells)]
+    lab = laboratory(tmp_path / "lab", [names, *(",".join(row) for row in moved)])
+    (remark,) = remarks_of(lab)
+    assert "jumps by 5" in remark and "at t = 0.116 s" in remark

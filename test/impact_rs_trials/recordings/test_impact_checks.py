@@ -88,3 +88,21 @@ def test_what_no_factor_explains_is_said_without_a_remedy(tmp_path: Path) -> Non
         row[first : last + 1] = list(values)
     (doubt,) = doubts_of(read_impact_table(write_csv(tmp_path / "noise.csv", CUBE_HEADER, rows)))
     assert "no factor" in doubt and "factor: " not in doubt
+
+
+def test_an_outcome_in_another_unit_from_a_row_on_is_named(tmp_path: Path) -> None:
+    """A ball's lateral velocity, which is noise: no law of mechanics sees that it is in mm/s from the 21st row on."""
+    rng = np.random.default_rng(1)
+    header = [f"v{axis}_before [m/s]" for axis in "xyz"] + [f"w{axis}_before [rad/s]" for axis in "xyz"]
+    header += [f"v{axis}_after [m/s]" for axis in "xyz"] + ["mass [kg]", "radius [m]"]
+    rows = []
+    for number in range(40):
+        vx, vz = rng.uniform(1.0, 2.0), -rng.uniform(1.0, 3.0)
+        lateral = 1e-4 * rng.standard_normal() * (1e3 if number >= 20 else 1.0)
+        rows.append([vx, 0.0, vz, 0.0, 0.0, 0.0, vx + 0.16 * vz, lateral, -0.6 * vz, 0.05, 0.03])
+    (doubt,) = doubts_of(read_impact_table(write_csv(tmp_path / "balls.csv", header, rows)))
+    assert doubt.startswith("vy_after is") and "another unit?" in doubt
+    steps = [[*row[:7], row[7] / (1e3 if n >= 20 else 1.0), *row[8:]] for n, row in enumerate(rows)]
+    assert doubts_of(read_impact_table(write_csv(tmp_path / "right.csv", header, steps))) == []
+    slow = [[0.01 * row[0], *row[1:6], 0.01 * row[6], *row[7:]] if n < 20 else row for n, row in enumerate(steps)]
+    assert doubts_of(read_impact_table(write_csv(tmp_path / "blocks.csv", header, slow))) == []  # another condition

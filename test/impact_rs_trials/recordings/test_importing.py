@@ -22,7 +22,7 @@ from impact_rs_trials.recordings.experiment import Experiment, load_experiment, 
 from impact_rs_trials.recordings.file_groups import group_files
 from impact_rs_trials.recordings.importing import ImportDraft, Wishes, draft_import
 from impact_rs_trials.recordings.laboratory import Laboratory
-from impact_rs_trials.recordings.mapping import MountedEndEffector, load_mapping
+from impact_rs_trials.recordings.mapping import Mapping, MountedEndEffector, load_mapping
 from impact_rs_trials.recordings.recording import read_recordings
 from impact_rs_trials.recordings.sources import read_series
 from impact_rs_trials.recordings.table_layout import find_layout
@@ -281,6 +281,28 @@ def test_a_gripper_beside_the_joints_is_cut_off_and_said(tmp_path: Path, motion:
     assert "nothing goes with the torque" in said
 
 
+@pytest.mark.parametrize("form", [".csv", " vectors.csv", ".npz"])
+def test_a_gripper_before_the_joints_is_cut_off_and_said(tmp_path: Path, motion: Columns, form: str) -> None:
+    """Two numbers stand before the joints, one or none behind them; the numbers show which are the joints."""
+    wide = {
+        short: np.column_stack((0.02 + 0.001 * np.sin(TIME), 0.001 * np.cos(TIME), motion[signal]))
+        for short, signal in (("q", "position"), ("dq", "velocity"), ("tau", "effort"))
+    }
+    file = tmp_path / f"log{form}"
+    if form == ".npz":
+        np.savez(file, t=TIME, **wide)
+    elif form == ".csv":
+        write(file, ["t", *(f"{short}_{n}" for short in wide for n in range(1, 10))], [TIME, *wide.values()])
+    else:
+        cells = [[" ".join(f"{one:.12g}" for one in row) for row in values] for values in wide.values()]
+        rows = [f"{time:.3f},{','.join(row)}" for time, row in zip(TIME, zip(*cells, strict=True), strict=True)]
+        file.write_text("\n".join(["t,q,dq,tau", *rows]) + "\n")
+    draft = draft_import([file], tmp_path / "lab", Wishes(robot="kuka_iiwa7"))
+    assert sum("the last 7 numbers are taken for the joints" in remark for remark in draft.remarks) == 3
+    assert [line.sure for line in draft.lines if line.key == "signals.position"] == [False]
+    check_reading(draft, tmp_path / "lab", file, motion)
+
+
 def test_numbers_with_decimal_commas_are_read(tmp_path: Path, motion: Columns) -> None:
     names = ["Zeit [s]", *numbered("q"), *numbered("dq"), *numbered("tau")]
     columns = [TIME, motion["position"], motion["velocity"], motion["effort"]]
@@ -469,6 +491,37 @@ def test_the_object_of_a_run_is_found_in_the_name_of_its_file(tmp_path: Path, mo
     assert any("files call the objects parcel, cup, push_iiwa7 has parcel, " in remark for remark in strange.remarks)
 
 
+def in_folders(raw: Path, lab: Path, objects: dict[int, tuple[str, ...]], name: str) -> Path:
+    """Runs of :func:`hits` in a folder each, with files of objects: the first moves, the others lie still."""
+    for run, (hit, *still) in objects.items():
+        folder = lab / f"run_{run}"
+        folder.mkdir(parents=True)
+        (raw / f"IIWA_7_hit_{run}.csv").rename(folder / "joints.csv")
+        text = (raw / f"object_1_hit_{run}.csv").read_text()
+        head, first, *rest = text.splitlines()
+        rows = [f"{row.split(',')[0]},{first.split(',', 1)[1]}" for row in (first, *rest)]
+        (folder / name.format(hit)).write_text(text)
+        for other in still:
+            (folder / name.format(other)).write_text("\n".join([head, *rows]))
+    return lab
+
+
+@pytest.mark.parametrize("name", ["object_{}.csv", "{}.csv"])
+@pytest.mark.parametrize("objects", [{0: ("1",), 1: ("2",), 2: ("1",)}, {0: ("1", "2"), 1: ("2", "1"), 2: ("1", "2")}])
+def test_an_object_whose_files_are_only_numbered_is_the_one_that_is_hit(
+    tmp_path: Path, motion: Columns, name: str, objects: dict[int, tuple[str, ...]]
+) -> None:
+    """A run has the file of its object alone, or those of all objects, of which one moves."""
+    raw = hits(tmp_path / "raw", motion, tuple(objects))
+    lab = in_folders(raw, tmp_path / "lab", objects, name)
+    draft = draft_import([lab], tmp_path / "out", Wishes(robot="kuka_iiwa7", scenario="push_iiwa7"))
+    mapping = load_mapping(described(draft, tmp_path / "out"))
+    assert mapping.signals["object_position"].file == name.format("{object}")
+    assert draft.texts["runs.csv"].splitlines()[1:] == ["run_0,1,hit", "run_1,2,hit", "run_2,1,hit"]
+    assert not any("refuses" in remark or "not read" in remark for remark in draft.remarks)
+    assert any("files call the objects 1, 2" in remark for remark in draft.remarks)
+
+
 def test_robots_in_one_folder_are_imported_by_themselves(tmp_path: Path, motion: Columns) -> None:
     """Files of joints whose names differ in a word are no files of different objects."""
     hits(tmp_path / "raw", motion, (0, 1))
@@ -622,6 +675,48 @@ def test_joints_that_show_nothing_keep_their_sign_where_the_others_contradict_ea
     draft = draft_import([file], tmp_path / "lab", Wishes(robot="kuka_iiwa7"))
     factor = np.array(load_mapping(described(draft, tmp_path / "lab")).signals["torque"].factor)
     assert set(np.abs(factor)) == {1.0} and factor[heavy].tolist() == [1.0, -1.0]
+
+
+@pytest.mark.parametrize("turned", [False, True])
+@pytest.mark.parametrize("last", [False, True])
+def test_poses_of_an_archive_are_homogeneous_matrices(tmp_path: Path, last: bool, turned: bool) -> None:
+    """Recordings of a box and a tool without stamps, in HDF5: samples first or last, a matrix as it is or turned."""
+    import pinocchio as pin
+
+    turns = np.array([pin.rpy.rpyToMatrix(0.3 * t, -0.2 * t, 2.5) for t in TIME])
+    matrices = np.tile(np.eye(4), (TIME.size, 1, 1))
+    matrices[:, :3, :3], matrices[:, :3, 3] = turns, np.outer(np.sin(TIME), [0.1, 0.2, 0.3])
+    stored = np.swapaxes(matrices, 1, 2) if turned else matrices
+    stored = np.moveaxis(stored, 0, 2) if last else stored
+    file = tmp_path / "archive.h5"
+    with pytest.importorskip("h5py").File(file, "w") as archive:
+        for run in (1, 2):
+            for body in ("Box007", "Gripper"):
+                archive[f"Rec_{run:03d}/Mocap/{body}/transforms"] = stored
+    draft = draft_import([file], tmp_path / "lab", Wishes(robot="none", rate=360.0))
+    mapping = load_mapping(described(draft, tmp_path / "lab"))
+    assert mapping.signals["object_pose"].array == "{run}/Mocap/Box007/transforms"
+    assert "holds homogeneous matrices" in said_of(draft, "signals.object_pose")
+    assert any("other poses, of which none is taken: {run}/Mocap/Gripper/transforms" in one for one in draft.remarks)
+    read = read_series(file / "Rec_002", mapping, ["object_pose"], ["object_pose"])["object_pose"]
+    np.testing.assert_allclose(read.time, np.arange(TIME.size) / 360.0)
+    for pose, matrix in zip(read.values[::50], matrices[::50], strict=True):
+        np.testing.assert_allclose(pin.XYZQUATToSE3(pose).homogeneous, matrix, atol=1e-12)
+
+
+def test_matrices_that_are_no_rigid_motion_are_refused(tmp_path: Path) -> None:
+    mapping = Mapping.model_validate(
+        {
+            "description": "",
+            "robot": "none",
+            "time": {"rate": 100.0},
+            "signals": {"object_pose": {"array": "T", "unit": "m"}},
+        }
+    )
+    for number, scale in enumerate((1.5, -1.0)):  # stretched, and a mirror
+        np.savez(tmp_path / f"{number}.npz", T=np.tile(np.diag([scale, 1.0, 1.0, 1.0]), (20, 1, 1)))
+        said = refusal(read_series, tmp_path / f"{number}.npz", mapping, ["object_pose"], ["object_pose"])
+        assert "expected matrices of a rotation and a place above 0 0 0 1" in said
 
 
 def test_an_object_alone_needs_no_robot(tmp_path: Path) -> None:

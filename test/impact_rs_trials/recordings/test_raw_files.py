@@ -306,3 +306,21 @@ def test_a_log_that_ends_in_the_middle_of_its_last_line_is_read_without_it(tmp_p
     assert remark == f"cut.csv: line {len(VALUES) + 1}, the last, is cut off (7 of 8 numbers): left out"
     cut.write_text(cut.read_text() + "\n")  # a line that ends is no line that was cut
     assert "7 numbers, expected 8" in refusal(read, cut, mapping_of({}, **BY_NAME))
+
+
+@pytest.mark.parametrize(("kind", "said"), [("char", 1), ("logical", 1), ("double", 0)])
+def test_texts_and_truth_values_of_matlab_are_no_numbers(tmp_path: Path, kind: str, said: int) -> None:
+    """MATLAB 7.3 stores them as integers, and of an empty array its size."""
+    path = newest_mat(tmp_path / "run.mat")
+    with pytest.importorskip("h5py").File(path, "r+") as file:
+        file["data/q"].attrs["MATLAB_class"] = np.bytes_(kind)
+        file["time"].attrs["MATLAB_empty"] = np.uint8(0)
+    mapping = mapping_of({}, {}, array="data/q")
+    if said:
+        assert "no array 'data/q'" in refusal(lambda: read_series(path, mapping, ["position"], ["position"]))
+    else:
+        np.testing.assert_array_equal(read_series(path, mapping, ["position"], ["position"])["position"].values, VALUES)
+    with pytest.importorskip("h5py").File(path, "r+") as file:
+        file["time"].attrs["MATLAB_empty"] = np.uint8(1)
+        file["data/q"].attrs["MATLAB_class"] = np.bytes_("double")
+    assert "no array 'time'" in refusal(lambda: read_series(path, mapping, ["position"], ["position"]))

@@ -1,13 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The begin of a contact by the force at the wrist: planted, between two samples of slow joints."""
+"""The begin of a contact by force or acceleration: planted, between two samples of slow joints."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
 
-from impact_rs_trials.recordings.arm_impacts import by_force
-from impact_rs_trials.recordings.force_onset import onset_of
+from impact_rs_trials.recordings.arm_impacts import by_onset
+from impact_rs_trials.recordings.contact_onset import onset_of
 from impact_rs_trials.recordings.joint_jumps import joint_jump, jump_at
 from impact_rs_trials.recordings.series import Series
 
@@ -63,11 +63,36 @@ def test_a_run_is_timed_by_its_fastest_signal_and_says_so() -> None:
     jump = joint_jump(position, IMPACT + 0.004)
     assert jump is not None
     said: list[str] = []
-    (timed,) = by_force({"arm": {"position": position, "wrench": force()}}, [{"arm": jump}], said)
+    (timed,) = by_onset({"arm": {"position": position, "wrench": force()}}, [{"arm": jump}], said)
     assert timed["arm"].time == pytest.approx(IMPACT, abs=1e-3)
     assert len(said) == 1 and "timed by the onset of the force" in said[0]
-    (left,) = by_force({"arm": {"position": position}}, [{"arm": jump}], said)
+    (left,) = by_onset({"arm": {"position": position}}, [{"arm": jump}], said)
     assert left["arm"] is jump and len(said) == 1
+
+
+def acceleration(rate: float, seed: int = 0) -> Series:
+    """That of a tool: its weight turns slowly, and it rings at 300 Hz from the impact on."""
+    time = np.arange(0.0, 1.0, 1.0 / rate)
+    t = np.maximum(time - IMPACT, 0.0)
+    values = np.column_stack((2.0 * np.sin(time), 0.0 * time, 9.81 * np.cos(0.2 * time)))
+    values[:, 0] -= 80.0 * np.cos(2.0 * np.pi * 300.0 * t) * np.exp(-t / 0.01) * (time > IMPACT)
+    return Series("acceleration", time, values + 0.1 * np.random.default_rng(seed).standard_normal(values.shape))
+
+
+def test_an_accelerometer_says_when_slow_joints_were_hit() -> None:
+    """To a fraction of a millisecond at 5 kHz, and of two sensors the sharper one is taken."""
+    position = joints(100.0)
+    jump = joint_jump(position, IMPACT + 0.004)
+    assert jump is not None
+    for further, error in (({}, 3e-4), ({"wrench": force()}, 3e-4)):
+        said: list[str] = []
+        signals = {"position": position, "acceleration": acceleration(5000.0), **further}
+        (timed,) = by_onset({"arm": signals}, [{"arm": jump}], said)
+        assert timed["arm"].time == pytest.approx(IMPACT, abs=error)
+        assert said == ["impacts are timed by the onset of the acceleration, which is faster than the joint positions"]
+    slow = {"position": position, "acceleration": acceleration(500.0), "wrench": force()}
+    (timed,) = by_onset({"arm": slow}, [{"arm": jump}], said)
+    assert "the force at the wrist" in said[-1]
 
 
 @pytest.mark.parametrize(
