@@ -18,7 +18,7 @@ from __future__ import annotations
 
 import heapq
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -44,6 +44,7 @@ from impact_rs_sim.robot_model import RobotModel
 from impact_rs_sim.sensors import ArmMeasurement
 from impact_rs_trials.bags import topics
 from impact_rs_trials.bags.streams import StreamMaker
+from impact_rs_trials.checked_bound import CheckedBound
 
 BEGAN = 1_700_000_000  # s, what the driver's clock shows at the start
 LIFETIME = 8.0  # s of simulated time, for which the plant draws its noise
@@ -51,39 +52,7 @@ COMPUTING = 0.0003  # s, that the controller takes for a torque; assumed
 LOOKS = 0.002  # s, between two looks of the watchdog
 DIES = 0.02  # s before the nominal impact, when the cell falls silent
 STOPPING = 1.5  # s, in which arms must rest after that; as the test of the watchdog node asks
-ROUNDING = 1e-6  # of a bound
 SETTLING = 1.0  # s, that the arms may take to rest after a trial
-
-
-@dataclass(frozen=True)
-class Margin:
-    """One line of the checklist.
-
-    Attributes:
-        name: What was measured.
-        value: The largest value, of ``at least`` the smallest.
-        bound: What it is held against.
-        unit: Unit of both.
-        where: Joint, time or remark.
-        at_least: Whether the bound is a lower one.
-    """
-
-    name: str
-    value: float
-    bound: float
-    unit: str
-    where: str
-    at_least: bool = False
-
-    @property
-    def margin(self) -> float:
-        """How far the value is from the bound, in the unit; negative: beyond. Rounding errors are none."""
-        left = self.value - self.bound if self.at_least else self.bound - self.value
-        return 0.0 if abs(left) <= ROUNDING * abs(self.bound) else left
-
-    def to_json(self) -> dict[str, object]:
-        """As JSON."""
-        return asdict(self) | {"margin": self.margin}
 
 
 @dataclass
@@ -102,7 +71,7 @@ class Checklist:
 
     driver: str
     log: list[str] = field(default_factory=list)
-    margins: list[Margin] = field(default_factory=list)
+    margins: list[CheckedBound] = field(default_factory=list)
     unknown: list[str] = field(default_factory=list)
     blocking: tuple[str, ...] = ()
     stopped: str = ""
@@ -111,7 +80,7 @@ class Checklist:
     @property
     def objections(self) -> list[str]:
         """Why the trial must not run on the robot."""
-        beyond = [one.name for one in self.margins if one.margin < 0.0]
+        beyond = [one.name for one in self.margins if not one.holds]
         return [
             *self.blocking,
             *([f"the robot stopped itself: {self.stopped}"] if self.stopped else []),
@@ -547,14 +516,14 @@ def _rehearse_trial(cell: _Cell, found: Checklist) -> None:
         found.log.append(f"{cell.arms.limited} torques were spread over several periods, as torque_rate_limit asks")
         _, status = trial.status()
         found.margins += [
-            Margin("age of a state", cell.arms.states.oldest, cell.parameters["state_timeout"], "s", ""),
-            Margin(
+            CheckedBound("age of a state", cell.arms.states.oldest, cell.parameters["state_timeout"], "s", ""),
+            CheckedBound(
                 "answer of the controller", float(str(status["slowest_answer [s]"])),
                 cell.parameters["answer_timeout"], "s", f"{COMPUTING:g} s of it assumed for computing",
             ),
         ]  # fmt: skip
         if not cell.robot.error:
-            found.margins.append(Margin("rest after the trial", cell.clock.time - ended, SETTLING, "s", ""))
+            found.margins.append(CheckedBound("rest after the trial", cell.clock.time - ended, SETTLING, "s", ""))
     except InputError as error:
         found.failure = str(error)
         found.log.append(f"refused: {error}")
@@ -596,12 +565,14 @@ def _margins(robot: StandIn, extremes: _Extremes, reflexes: Mapping[str, Reflexe
             worst = int(np.argmax(values / bound))
             joint = "" if what == "force" else f"joint {worst + 1}, "
             where = f"{joint}at {when[worst]:.3f} s"
-            found.margins.append(Margin(f"{arm} {name}", float(values[worst]), float(bound[worst]), unit[worst], where))
+            found.margins.append(
+                CheckedBound(f"{arm} {name}", float(values[worst]), float(bound[worst]), unit[worst], where)
+            )
         values, when = extremes.largest.get((arm, "distance"), (np.zeros(0), np.zeros(0)))
         if values.size:
             worst = int(np.argmax(values))
             where = f"joint {worst + 1}, at {when[worst]:.3f} s"
-            margin = Margin(
+            margin = CheckedBound(
                 f"{arm} distance to joint limits", -float(values[worst]), 0.0, units[worst].position, where, True
             )
             found.margins.append(margin)
@@ -638,7 +609,9 @@ def _rehearse_death(cell: _Cell, found: Checklist) -> None:
             f"the arms rest after {rested - died:.2f} s"
             + (f"; the robot stopped itself ({cell.robot.error})" if cell.robot.error else "")
         )
-        found.margins.append(Margin("time to stop when the cell dies", rested - died, STOPPING, "s", "by the watchdog"))
+        found.margins.append(
+            CheckedBound("time to stop when the cell dies", rested - died, STOPPING, "s", "by the watchdog")
+        )
     except InputError as error:  # a robot that stops itself while it is armed
         found.log.append(f"with a watchdog: refused: {error}")
     finally:

@@ -14,41 +14,9 @@ import plotly.graph_objects as go
 from impact_rs_analysis.report.figures import BLUE, RED
 from impact_rs_analysis.report.page import Plot, render, write_files
 from impact_rs_analysis.report.plots import GREY, TEMPLATE
+from impact_rs_trials.checked_bound import CheckedBound
 
 HIGHEST = 1.5  # of a bound; a longer bar ends there
-
-
-@dataclass(frozen=True)
-class CheckedBound:
-    """One line of the checklist.
-
-    Attributes:
-        name: What was measured.
-        value: Largest value, of ``at_least`` the smallest.
-        bound: What it is held against.
-        margin: How far the value is from the bound; negative: beyond.
-        unit: Unit of all three.
-        where: Joint, time or remark.
-        at_least: Whether the bound is a lower one.
-    """
-
-    name: str
-    value: float
-    bound: float
-    margin: float
-    unit: str
-    where: str
-    at_least: bool
-
-    @property
-    def holds(self) -> bool:
-        """Whether the value is within its bound."""
-        return self.margin >= 0.0
-
-    @property
-    def share(self) -> float | None:
-        """Value over bound [-]; None: the bound is a lower one, or 0."""
-        return None if self.at_least or self.bound == 0.0 else self.value / self.bound
 
 
 @dataclass(frozen=True)

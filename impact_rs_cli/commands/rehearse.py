@@ -8,7 +8,7 @@ import math
 
 from rich.table import Table
 
-from impact_rs_analysis.report.rehearsal import CheckedBound, write_rehearsal
+from impact_rs_analysis.report.rehearsal import write_rehearsal
 from impact_rs_cli.arguments import check_robots, settings_of
 from impact_rs_cli.terminal import Terminal, output_folder
 from impact_rs_ros.cell_rehearsal import Checklist, rehearse
@@ -53,13 +53,9 @@ def run(args: argparse.Namespace, terminal: Terminal) -> int:
     document |= found.to_json()
     page = None
     if args.output is not None:
-        bounds = [
-            CheckedBound(one.name, one.value, one.bound, one.margin, one.unit, one.where, one.at_least)
-            for one in found.margins
-        ]
         title = f"{scenario.name}, {item}, {plan.scene.case_name}"
         with output_folder(args.output):
-            page = write_rehearsal(title, f"{profile.name} ({profile.source})", bounds, document, args.output)
+            page = write_rehearsal(title, f"{profile.name} ({profile.source})", found.margins, document, args.output)
     terminal.result(document)
     terminal.say(
         f"{scenario.name}, {item}, {plan.scene.case_name}, against a stand-in of {profile.name} ({profile.source})",
@@ -96,7 +92,7 @@ def _table(found: Checklist) -> Table:
     table.add_column("")
     for one in found.margins:
         sign = "≥" if one.at_least else "≤"
-        verdict = "ok" if one.margin >= 0.0 else "BEYOND"
+        verdict = "ok" if one.holds else "BEYOND"
         table.add_row(
             one.name, f"{one.value:.4g}", f"{sign} {one.bound:.4g}", f"{one.margin:.4g}", one.unit, one.where, verdict
         )

@@ -12,7 +12,7 @@ import pytest
 
 from impact_rs_cli.main import main
 from impact_rs_ros import cell_rehearsal
-from impact_rs_ros.cell_rehearsal import Checklist, ExternalTorque, Margin, StandIn, VirtualTime, rehearse
+from impact_rs_ros.cell_rehearsal import Checklist, ExternalTorque, StandIn, VirtualTime, rehearse
 from impact_rs_ros.driver_profiles import PROFILES, profile_of
 from impact_rs_ros.node_parameters import defaults_of
 from impact_rs_ros.robot_states import joint_names
@@ -20,6 +20,7 @@ from impact_rs_sim.errors import InputError
 from impact_rs_sim.robot import Reflexes
 from impact_rs_sim.scenario import load_scenario
 from impact_rs_sim.sensors import ArmMeasurement
+from impact_rs_trials.checked_bound import CheckedBound
 from impact_rs_trials.spec import TrialSpec
 
 PLAN = TrialSpec.of(load_scenario("push_fr3"), "parcel", "case_1").plan
@@ -27,7 +28,7 @@ FRANKA = PROFILES["franka_ros2"]
 NO_REFLEXES = {"arm": Reflexes()}
 
 
-def margin_of(found: Checklist, name: str) -> Margin:
+def margin_of(found: Checklist, name: str) -> CheckedBound:
     (margin,) = [one for one in found.margins if name in one.name]
     return margin
 

@@ -1,0 +1,49 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A measured value beside its bound: one line of a rehearsal's checklist."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+
+ROUNDING = 1e-6  # of a bound
+
+
+@dataclass(frozen=True)
+class CheckedBound:
+    """One line of the checklist.
+
+    Attributes:
+        name: What was measured.
+        value: Largest value, of ``at_least`` the smallest.
+        bound: What it is held against.
+        unit: Unit of both.
+        where: Joint, time or remark.
+        at_least: Whether the bound is a lower one.
+    """
+
+    name: str
+    value: float
+    bound: float
+    unit: str
+    where: str
+    at_least: bool = False
+
+    @property
+    def margin(self) -> float:
+        """How far the value is from the bound, in the unit; negative: beyond. Rounding errors are none."""
+        left = self.value - self.bound if self.at_least else self.bound - self.value
+        return 0.0 if abs(left) <= ROUNDING * abs(self.bound) else left
+
+    @property
+    def holds(self) -> bool:
+        """Whether the value is within its bound."""
+        return self.margin >= 0.0
+
+    @property
+    def share(self) -> float | None:
+        """Value over bound [-]; None: the bound is a lower one, or 0."""
+        return None if self.at_least or self.bound == 0.0 else self.value / self.bound
+
+    def to_json(self) -> dict[str, object]:
+        """As JSON."""
+        return asdict(self) | {"margin": self.margin}
