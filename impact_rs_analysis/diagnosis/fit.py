@@ -35,6 +35,7 @@ BENT = 0.5  # of the rise of the squares in a straight model; below, an end of a
 CURVED = 2.0  # times that rise; above, the others have to be fitted again there
 SLOW = 0.5  # of the error is left by a step whose sensitivities are those of another place
 WIDENINGS = 4  # of the range of a parameter, to sixteen times its declared width
+SIMPLEX, SIMPLEX_LOOKS = 0.3, 25  # parameter scales, its first edges; predictions for each parameter
 HOPELESS = 3.0  # times the squared error of the best fit; a fit above it is dropped
 
 
@@ -571,6 +572,27 @@ def look_elsewhere(fitted: Fit) -> Fit:
             break
         fitted = again
     return fitted
+
+
+def by_simplex(fitted: Fit) -> Fit:
+    """The fit at the best point that a downhill simplex finds (Nelder and Mead 1965), or as it is.
+
+    Where joints stick and slip, the error has many small minima, in which steps by sensitivities end.
+    """
+    candidate, evidence, scale = fitted.candidate, fitted.evidence, fitted.candidate.scale
+
+    def error(vector: Array) -> float:
+        there = evaluate_at(candidate, vector * scale, evidence)
+        return np.inf if there is None else Fit.of(there, evidence).error_at_point
+
+    start, ends = fitted.estimate / scale, (candidate.lower / scale, candidate.upper / scale)
+    corners = np.clip(start + np.vstack((np.zeros(start.size), SIMPLEX * np.eye(start.size))), *ends)
+    found = scipy.optimize.minimize(
+        error, start, method="Nelder-Mead", bounds=np.transpose(ends),
+        options={"initial_simplex": corners, "maxfev": SIMPLEX_LOOKS * start.size},
+    )  # fmt: skip
+    moved = evaluate_at(candidate, found.x * scale, evidence) if found.fun < fitted.misfit else None
+    return fitted if moved is None else Fit.of(_relinearised(moved, evidence, NEAR_STEPS[-1]), evidence)
 
 
 def measure_again(fitted: Fit, near: bool = False) -> Fit:

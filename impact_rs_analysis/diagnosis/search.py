@@ -23,6 +23,7 @@ from impact_rs_analysis.diagnosis.fit import (
     HOPELESS,
     Evidence,
     Fit,
+    by_simplex,
     evaluate_at,
     has_shape_parameter,
     look_elsewhere,
@@ -323,7 +324,20 @@ class Search:
         chosen = self._without_the_superfluous(chosen)
         if self.source.repeated and len(chosen.candidate.effects) >= 2:
             chosen = self._try_pairs(chosen)
-        return chosen
+        return self._out_of_small_minima(chosen)
+
+    def _out_of_small_minima(self, chosen: Fit) -> Fit:
+        """The chosen effects at a lower error, where more than noise is left of trials and no effect explains it.
+
+        A hold-out begins where the search of all clusters has ended.
+        """
+        left = chosen.lack_of_fit() if self.source.of_motion and not self._known else None
+        if left is None or left > SIGNIFICANT:
+            return chosen
+        moved = by_simplex(chosen)
+        if moved.misfit > (1.0 - LEAST_GAIN) * chosen.misfit:
+            return chosen
+        return self._extend(self._measured_again(moved)) or chosen
 
     def _extend(self, chosen: Fit | None, names: Collection[str] | None = None) -> Fit | None:
         """Add effects until none is accepted; of some alone if ``names`` says which."""
