@@ -53,6 +53,7 @@ EFFECTS = {
             "sizes_and_rate", (*(parameter(f"size{n}") for n in range(4)), parameter("common_rate", 1.0, True, 0.01))
         ),
         effect("rippled", (parameter("r"),)),
+        effect("stick_slip", tuple(parameter(f"breakaway{n}") for n in range(3))),
         effect("saturated", (parameter("u", lower=0.0),)),
         effect("turning", (parameter("v"),)),
         effect("slight", (parameter("w"),), ("contact",)),
@@ -107,6 +108,9 @@ def features(cluster: int, added: Added) -> Array:
             result += sum(value * faded * along(70 + joint) for joint, value in enumerate(values[:-1]))
         elif name == "rippled":  # as an object that touches once more or once less
             result += (first + 0.2 * np.sin(12.0 * first)) * along(80)
+        elif name == "stick_slip":  # as joints that slip once more or once less: small minima beside the valley
+            for joint, value in enumerate(values):
+                result += value * along(100 + joint) + 0.5 * np.sin(12.0 * value) * along(110 + joint)
         elif name == "saturated":  # as a damping that takes most of the velocity
             result += 30.0 * (1.0 - np.exp(-first / 12.0)) * along(90)
         elif name == "turning":  # as restitution, which first shows where a contact opens

@@ -27,7 +27,15 @@ from scipy.stats import binom
 
 from impact_rs_analysis.diagnosis import fit
 from impact_rs_analysis.diagnosis.candidate import Candidate, Problem, bounded, linearise
-from impact_rs_analysis.diagnosis.fit import Evidence, Fit, evaluate_at, look_elsewhere, refine, refine_again
+from impact_rs_analysis.diagnosis.fit import (
+    Evidence,
+    Fit,
+    by_simplex,
+    evaluate_at,
+    look_elsewhere,
+    refine,
+    refine_again,
+)
 from impact_rs_analysis.diagnosis.search import Search, adjusted, tied
 from impact_rs_analysis.diagnosis.thresholds import SIGNIFICANT
 from impact_rs_sim.robot import Array
@@ -462,3 +470,16 @@ def test_a_valley_whose_start_has_no_answer_any_more_keeps_its_fit(monkeypatch: 
     fitted = SimpleNamespace(candidate=candidate, evidence=SimpleNamespace(clusters=[SimpleNamespace(sigma=one)]))
     monkeypatch.setattr(fit, "evaluate_at", lambda *_: None)
     assert fit._to_the_bottom(fitted) is fitted  # type: ignore[arg-type, comparison-overlap]
+
+
+def test_a_fit_leaves_a_small_minimum_that_slips_have_made() -> None:
+    truth = (5.9, -3.4, 1.7)
+    source = AnalyticSource(9, (("stick_slip", truth),))
+    evidence = Evidence.of(source)
+    start = Search([EFFECTS["stick_slip"]], evidence).singles["stick_slip"]
+    stuck = refine_again(refine(start, evidence))
+    assert stuck.poor and np.any(np.abs(stuck.estimate - truth) > 0.2)
+    free = by_simplex(stuck)
+    assert not free.poor and np.all(np.abs(free.estimate - truth) < 0.1)
+    found = Search([EFFECTS["stick_slip"]], evidence).choose()
+    assert found is not None and np.all(np.abs(found.estimate - truth) < 0.1)
