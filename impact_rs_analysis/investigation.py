@@ -198,6 +198,17 @@ class Round:
         return self.again or self.diagnosis
 
     @property
+    def open(self) -> DiagnosisDocument | None:
+        """What the next trials shall decide: laws or effects found, and what a model that did not hold may lack."""
+        found = self.laws or self.basis
+        if found is None or self.again is None or self.laws is not None:
+            return found
+        known = {effect.name for effect in found.effects if effect.parameters}
+        beside = () if self.diagnosis is None else self.diagnosis.suspected
+        names = dict.fromkeys((*found.suspected, *(name for name in beside if name in known - set(found.named))))
+        return found.model_copy(update={"suspected": tuple(names)})
+
+    @property
     def laws(self) -> DiagnosisDocument | None:
         """The diagnosis with the laws that its discovery found; None: there are none."""
         return None if self.discovery is None or self.discovery.verdict != FOUND else self.discovery.diagnosis
@@ -317,7 +328,7 @@ class Investigation:
         number = len(rounds) + 1
         here = _folder(self.directory, number)
         left = self.budget - measured(rounds)
-        document = (rounds[-1].laws or rounds[-1].basis) if rounds else None
+        document = rounds[-1].open if rounds else None
         fresh = bool(rounds) and self._to_be_tried(rounds[-1])
         count = min(left, FIRST if not rounds else CHECK if fresh else MORE)
         self._say(f"Round {number}: design of {count} trials at most, {left} are left")

@@ -230,8 +230,7 @@ def findings_of(source: Source, effects: Sequence[Effect], progress: ProgressCal
             chosen, rivals = supported, () if supported is None else search.rivals(supported)
         if chosen is None:
             held = None
-    if chosen is None and not suspected and search.evidence.null.shortage is None:
-        suspected = within_discrepancy(search)
+    decided = chosen is not None or suspected or search.evidence.null.shortage is not None
     return Findings(
         search=search,
         chosen=chosen,
@@ -239,6 +238,7 @@ def findings_of(source: Source, effects: Sequence[Effect], progress: ProgressCal
         hold_out=held,
         p_values=_p_values(search, chosen),
         suspected=suspected,
+        within_discrepancy=() if decided else within_discrepancy(search),
         unsupported=unsupported,
     )
 
@@ -272,6 +272,7 @@ def document_of(found: Findings, source: Source, model: Model) -> DiagnosisDocum
         verdict=verdict.verdict,
         named=found.names,
         suspected=found.suspected,
+        within_discrepancy=found.within_discrepancy,
         effects=effects,
         confusable=tuple((name, *rivals[name]) for name in found.names if rivals[name]),
         unexplained=UnexplainedDocument(

@@ -333,9 +333,10 @@ class DiagnosisDocument(Schema):
     summary: str = Field("", description="the verdict in words, with the largest residuals in units")
     named: tuple[str, ...] = Field((), description="effects that the diagnosis chose")
     suspected: tuple[str, ...] = Field(
-        (),
-        description="effects that lower the error of all data, and the held-out error by less than its interval, or an "
-        "error of impacts that is within the discrepancy of the rigid map",
+        (), description="effects that lower the error of all data, and the held-out error by less than its interval"
+    )
+    within_discrepancy: tuple[str, ...] = Field(
+        (), description="effects that lower an error of impacts that is within the discrepancy of the rigid map"
     )
     effects: tuple[EffectDocument, ...] = Field(description="all effects, best first")
     confusable: tuple[tuple[str, ...], ...] = Field(description="effects that the data cannot distinguish")

@@ -64,8 +64,8 @@ class Findings:
         rivals: Alternatives to the chosen effects.
         hold_out: Held-out errors; None with too few clusters.
         p_values: By effect, adjusted: of unchosen ones given the chosen, of chosen ones given the other chosen.
-        suspected: Effects that lower the error of all data, and the held-out error by less than its interval, or an
-            error of impacts that is within the discrepancy of the rigid map.
+        suspected: Effects that lower the error of all data, and the held-out error by less than its interval.
+        within_discrepancy: Effects that lower an error of impacts that is within the discrepancy of the rigid map.
         unsupported: Which effects of all data the hold-out does not support, and why; empty: none.
     """
 
@@ -75,6 +75,7 @@ class Findings:
     hold_out: HoldOut | None
     p_values: dict[str, float]
     suspected: tuple[str, ...] = ()
+    within_discrepancy: tuple[str, ...] = ()
     unsupported: str = ""
 
     @property

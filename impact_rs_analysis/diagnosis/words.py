@@ -248,17 +248,17 @@ def _fall(before: float, after: float) -> str:
 
 def _suspicion(document: DiagnosisDocument) -> str:
     """Effects that may be missing, and what it takes to know; empty: none."""
-    if not document.suspected:
-        return ""
-    it = "it" if len(document.suspected) == 1 else "them"
-    if not document.hold_out.folds:
-        best = document.effect(document.suspected[0])
+    if document.within_discrepancy:
+        best = document.effect(document.within_discrepancy[0])
         assert best is not None
         fall = _fall(best.held_out_error_before or 0.0, best.held_out_error_alone or 0.0)
         return (
             f"{best.name} may be missing: with it the held-out error falls ({fall} {_unit(document)}), but by no more "
             "than the discrepancy of the rigid map. Measure it apart, or take the map as exact (--no-discrepancy)."
         )
+    if not document.suspected:
+        return ""
+    it = "it" if len(document.suspected) == 1 else "them"
     return (
         f"{' and '.join(document.suspected)} may be missing: with {it} the held-out error falls, but not beyond noise. "
         "More conditions decide."

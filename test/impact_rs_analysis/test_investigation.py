@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -197,6 +198,15 @@ def test_a_model_that_fails_on_new_trials_is_left_and_the_first_one_diagnosed_ag
         ("nominal", FRICTION, False),
         ("nominal", MASS, True),
     ]
+
+
+def test_what_a_model_that_fails_may_lack_is_decided_by_the_next_trials(tmp_path: Path) -> None:
+    """Beside what the first model is found to lack, and no more than that diagnosis knows."""
+    first = said(f"PARTLY{{{FRICTION}}}", FRICTION, MASS, named=(FRICTION,))
+    failed = said("NONE-EXPLAINS").model_copy(update={"suspected": (MASS, "unheard_of")})
+    here = investigation.Round(2, tmp_path, "model_2.yaml", diagnosis=failed, again=first)
+    assert here.open is not None and here.open.suspected == (MASS,) and here.open.named == (FRICTION,)
+    assert replace(here, again=None).open is failed
 
 
 def test_renewed_estimates_of_the_same_effect_are_tried_on_new_trials(start: Start) -> None:

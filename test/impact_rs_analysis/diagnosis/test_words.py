@@ -22,7 +22,6 @@ from impact_rs_analysis.diagnosis.document import (
     DiagnosisDocument,
     EffectDocument,
     EstimateDocument,
-    HoldOutDocument,
     ModelIdentity,
     RestDocument,
     RunsIdentity,
@@ -138,7 +137,6 @@ def test_what_the_hold_out_does_not_support_is_suspected() -> None:
     source = AnalyticSource(1)
     nothing = diagnose(source, source.model).model_copy(update={"verdict": "NOTHING-MISSING", "named": ()})
     assert "show nothing missing in model" in summary_of(nothing) and "straight" not in summary_of(nothing)
-    nothing = nothing.model_copy(update={"hold_out": HoldOutDocument(what="conditions, in 6 folds", folds=6)})
     doubtful = summary_of(nothing.model_copy(update={"suspected": ("straight",)}))
     assert "for certain. straight may be missing" in doubtful and "More conditions decide" in doubtful
     unexplained = nothing.model_copy(update={"verdict": "NONE-EXPLAINS", "suspected": ("straight",)})

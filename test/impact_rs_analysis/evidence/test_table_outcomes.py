@@ -183,7 +183,7 @@ def test_an_error_that_the_discrepancy_of_the_map_covers_is_no_proof_that_nothin
 ) -> None:
     read = read_impact_table(write_csv(tmp_path / "pushes.csv", *arm_table({"object_mass": [mass]}, 3)), PUSH)
     document = diagnose(ImpactTableSource(read, NOMINAL), NOMINAL, ["object_mass", "pad_friction"])
-    assert document.named == () and document.suspected == doubt
+    assert document.named == () and document.within_discrepancy == doubt
     assert ("the discrepancy of the rigid map" in document.summary) == bool(doubt)
 
 
