@@ -767,7 +767,7 @@ def _added(rounds: Sequence[Round]) -> set[str]:
 
 
 def _further(rounds: Sequence[Round]) -> tuple[str, ...]:
-    """Effects that the newest model lacks for certain, in two rounds in a row, although nothing else is to be had.
+    """Effects that the newest model lacks for certain, and the one before as well or perhaps, beside nothing else.
 
     The first model is explained by what the newest one has, because a small effect beside a large one lowers the
     error of the first model by too little.
@@ -775,7 +775,7 @@ def _further(rounds: Sequence[Round]) -> tuple[str, ...]:
     if len(rounds) < 2 or rounds[-1].again is None or set(rounds[-1].again.named) != _added(rounds):
         return ()
     before, now = rounds[-2].diagnosis, rounds[-1].diagnosis
-    if before is None or now is None or not now.named or set(before.named) != set(now.named):
+    if before is None or now is None or not now.named or not {*now.named} <= {*before.named, *before.suspected}:
         return ()
     if rounds[-2].model == rounds[-1].model or {*now.named} & _added(rounds):
         return ()  # the same estimates, which may be off

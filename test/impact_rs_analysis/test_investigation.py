@@ -290,15 +290,21 @@ def test_no_more_trials_than_the_budget(start: Start, budget: int) -> None:
         assert investigation_.run().trials == len(bench.measured) <= budget
 
 
-@pytest.mark.parametrize("sure", [True, False])
-def test_a_small_effect_that_is_named_again_beside_a_large_one_is_added_to_it(start: Start, sure: bool) -> None:
+@pytest.mark.parametrize(("sure", "suspected"), [(True, False), (True, True), (False, False)])
+def test_a_small_effect_that_is_named_again_beside_a_large_one_is_added_to_it(
+    start: Start, sure: bool, suspected: bool
+) -> None:
     """The first model is explained by the large one alone, however often it is asked. A doubtful one is not added."""
 
     def answer(model: Model, trials: int) -> DiagnosisDocument:
         found = {one.name for one in model.effects}
         if not found:
             return said(FRICTION, FRICTION)
-        return CLEAN if MASS in found else said(MASS, MASS, of="CONFIRMED" if sure else "PRESENT-BUT-SMALL")
+        if MASS in found:
+            return CLEAN
+        if suspected and trials == investigation.FIRST + investigation.CHECK:
+            return CLEAN.model_copy(update={"suspected": (MASS,)})
+        return said(MASS, MASS, of="CONFIRMED" if sure else "PRESENT-BUT-SMALL")
 
     investigation_, _ = start(answer, budget=20)
     ending = investigation_.run()
