@@ -82,7 +82,7 @@ def run_board(
                 row = run(entry, folder, map_tasks)
                 (folder / SCORE).write_text(json.dumps(row, default=list) + "\n")
             rows.append(row)
-            judged = "right" if row["correct"] else "WRONG"
+            judged = "right" if row["correct"] else "not right"
             print(f"[{number}/{len(wanted)}] {entry.name}: {judged}, {row['verdict']}", flush=True)
     print(f"\n{len(rows)} of {len(wanted)} campaigns")
     return rows
