@@ -36,11 +36,13 @@ class Client:
         return self._opener.open(Request(self._base + path, data=body, headers={"origin": self._base}))
 
     def status(self, path: str, data: Any) -> int:
-        """Status of an answer."""
+        """Status of an answer; 0: the server did not take the connection any more."""
         try:
             return int(self.open(path, data).status)
         except HTTPError as error:
             return error.code
+        except OSError:
+            return 0
 
 
 def command(folder: Path) -> list[str]:
@@ -67,7 +69,7 @@ def test_ctrl_c_ends_an_open_page_and_stops_its_jobs_in_one_line(tmp_path: Path,
 def test_ctrl_c_waits_for_no_answer_that_takes_long(tmp_path: Path) -> None:
     """Predictions wait for each other; the last of them would come seconds later."""
     question = {"scenario": "push", "object": "cat_food", "case": "case_2"}
-    with running(command(tmp_path)) as workbench, ThreadPoolExecutor() as pages:
+    with running(command(tmp_path)) as workbench, ThreadPoolExecutor(20) as pages:
         client = Client(workbench.address())
         client.open("/api/predict", question).read()
         answers = [pages.submit(client.status, "/api/predict", question) for _ in range(20)]
@@ -76,4 +78,4 @@ def test_ctrl_c_waits_for_no_answer_that_takes_long(tmp_path: Path) -> None:
         code, printed = workbench.end(signal.SIGINT)
         statuses = [answer.result() for answer in answers]
     assert (code, printed.partition(ENDS)[2]) == (0, "the workbench has ended; no job was running\n")
-    assert set(statuses) == {200, 503} and statuses.count(503) > 10
+    assert set(statuses) <= {200, 503, 0} and statuses.count(503) > 10 and 200 in statuses
