@@ -251,7 +251,7 @@ class Source(ABC):
         return self.model.known_effects
 
     def offers(self, effect: Effect) -> bool:
-        """Whether a search considers an effect that nobody names; what describes the bare arm takes recordings."""
+        """Whether a search without a list of effects considers this one; those of the bare arm need recordings."""
         return not effect.calibrates
 
     def knowing(self, effects: Sequence[Depending]) -> Source:

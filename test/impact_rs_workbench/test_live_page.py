@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The page of a running graph: what is told of a snapshot, to whom, and when."""
+"""The page of a running graph: what it reports of a snapshot, to whom, and when."""
 
 from __future__ import annotations
 
@@ -87,17 +87,17 @@ def test_a_scene_that_cannot_be_drawn_is_told_with_the_reason() -> None:
 def test_a_new_scene_is_made_once_and_what_goes_on_is_told_when_it_changes() -> None:
     absent = Snapshot("absent", "here")
     graph = Graph(absent, absent, SEEN, replace(SEEN, time=0.6), replace(SEEN, situation="over", time=0.6))
-    told: list[str] = []
-    view = LiveView(graph, "impact-rs", told.append)
+    lines: list[str] = []
+    view = LiveView(graph, "impact-rs", lines.append)
 
     async def until_it_is_over() -> None:
         following = asyncio.create_task(view.follow())
-        while len(told) < 3:
+        while len(lines) < 3:
             await asyncio.sleep(0.0)
         following.cancel()
 
     asyncio.run(until_it_is_over())
-    assert [line.split()[0] for line in told] == ["no", "now:", "at"]
+    assert [line.split()[0] for line in lines] == ["no", "now:", "at"]
     assert json.loads(view.news["scene"])["arms"] == ["left", "right"]
     assert json.loads(view.news["state"])["time"] == 0.6
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What lies in a folder: seen as it is, whoever made it; broken files are told and hide nothing."""
+"""What lies in a folder: seen as it is, whoever made it; broken files are named and hide nothing."""
 
 from __future__ import annotations
 

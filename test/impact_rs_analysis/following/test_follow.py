@@ -384,18 +384,18 @@ def test_a_state_that_is_saved_between_hits_loses_none_and_announces_each_change
     rows = QUIET + rows_of({"object_mass": [1.3]}, 2, seed=8)
     path = write(tmp_path / "hits.csv", rows, [float(number // 3) for number in range(len(rows))])
     whole = [document.name for document in following(path).arrived()]
-    state, told = tmp_path / "state.npz", []
+    state, reported = tmp_path / "state.npz", []
     found: list[Change] = []
     for _ in range(len(rows)):  # killed in the middle of every fifth instant
         follower = following(path)
         if state.exists():
             restore_state(follower, state)
         own = list(islice(follower.arrived(partial(save_state, follower, state)), 13))
-        told += [document.name for document in own]
+        reported += [document.name for document in own]
         found += changes(own)
         if len(own) < 13:
             break
-    assert set(told) == set(whole)
+    assert set(reported) == set(whole)
     assert {change.hit for change in found} == {change.hit for change in changes(list(following(path).arrived()))}
 
 
