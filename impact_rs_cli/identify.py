@@ -3,13 +3,12 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterator, Sequence
 from itertools import islice
 from pathlib import Path
 
 from impact_rs_analysis.following.follow import Follower
-from impact_rs_analysis.following.lessons import HitDocument
+from impact_rs_analysis.following.lessons import HitDocument, PublishedChange, PublishedPrediction, Refusal
 from impact_rs_cli.following import FollowedHits, HitsArguments, diagnose_words, door_of, folder_of_diagnoses
 from impact_rs_cli.full_diagnosis import FullDiagnosis
 from impact_rs_ros.identify_node import Identifier, IdentifyNode, Lesson
@@ -59,8 +58,7 @@ class Lessons:
         found = self._followed.follower.prediction()
         if found is None:
             return ""
-        followed = [one.model_dump(mode="json") for one in self._followed.follower.followed()]
-        return json.dumps({**found.model_dump(mode="json"), "followed": followed})
+        return PublishedPrediction(**vars(found), followed=self._followed.follower.followed()).model_dump_json()
 
     def close(self) -> None:
         """Stop a diagnosis that runs."""
@@ -71,7 +69,7 @@ class Lessons:
         for name, reason in self._followed.follower.door.skipped.items():
             if name not in self._refused:
                 self._refused.add(name)
-                yield Lesson(f"{name}: {reason}", refused=json.dumps({"hit": name, "reason": reason}), hit=False)
+                yield Lesson(f"{name}: {reason}", refused=Refusal(hit=name, reason=reason).model_dump_json(), hit=False)
 
     def _lesson(self, document: HitDocument) -> Lesson:
         if document.error is None:
@@ -80,7 +78,7 @@ class Lessons:
         if (change := document.change) is None:
             return Lesson(line)
         command = self._diagnosis.command(change.since)
-        text = json.dumps({**change.model_dump(mode="json"), "diagnose": command})
+        text = PublishedChange(**vars(change), diagnose=command).model_dump_json()
         return Lesson(line, text, change.words)
 
 

@@ -11,6 +11,7 @@ import os
 import time
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
+from dataclasses import replace
 from typing import Any, Self
 
 import numpy as np
@@ -29,11 +30,13 @@ from impact_rs_sim.physics import Physics
 from impact_rs_sim.robot import Array
 from impact_rs_trials.bags import topics
 from impact_rs_trials.bags.trial_info import TrialInfo
-from impact_rs_trials.snapshot import Situation, Snapshot
+from impact_rs_trials.snapshot import FollowedHits, Situation, Snapshot
 
 STATES = "/joint_states"  # of a robot without a trial, beside its /robot_description
 SILENT = 1.0  # s without a joint state, after which the robot counts as at rest
 PRESENT_EVERY = 0.5  # s, between two counts of publishers
+FOLLOWED = {f"/identify/{name}": topics.STRING for name in ("prediction", "change", "diagnosis", "refused")}
+MOST_CHANGES = 20  # that are kept, the newest
 DESCRIBING = {topics.TRIAL_INFO: topics.TRIAL_INFO_TYPE, topics.ROBOT_DESCRIPTION: topics.STRING}
 
 
@@ -48,7 +51,7 @@ class Spectator:
         self._node = node
         self._place = f"ROS domain {node.context.get_domain_id()}, namespace {node.get_namespace()}"
         self._latched = Inbox(node, "latched", LATCHED)
-        self._latched.connect(DESCRIBING)
+        self._latched.connect(DESCRIBING | FOLLOWED)
         self._signals = Inbox(node, "signals", WATCH, raw=True)
         self._signals.connect({STATES: topics.JOINT_STATE})
         self._info: TrialInfo | None = None
@@ -87,6 +90,8 @@ class Spectator:
         for topic, message in self._latched.take():
             if topic == topics.TRIAL_INFO:
                 self._take_trial(message)
+            elif topic in FOLLOWED:
+                self._with(followed=_with_document(self._known.followed, topic, message.data))
             elif self._info is None:
                 self._show(description=message.data)
         self._signals.gather()
@@ -127,8 +132,8 @@ class Spectator:
 
     def _show(self, **scene: Any) -> None:
         """Begin a new scene, of which no state is known yet."""
-        number = self._known.number + 1
-        self._known = Snapshot(self._known.situation, self._place, number, **scene)
+        known = self._known
+        self._known = Snapshot(known.situation, self._place, known.number + 1, followed=known.followed, **scene)
 
     def _take_trial(self, message: Any) -> None:
         """A trial begins: another scene, or the same once more."""
@@ -183,3 +188,13 @@ def _seen(pose: Any) -> Array | None:
     at, turned = pose.position, pose.orientation
     found = np.array([at.x, at.y, at.z, turned.x, turned.y, turned.z, turned.w])
     return found if np.isfinite(found).all() and np.any(found[3:]) else None
+
+
+def _with_document(followed: FollowedHits, topic: str, text: str) -> FollowedHits:
+    """What is known of followed hits, with one more document."""
+    name = topic.rpartition("/")[2]
+    news: dict[str, Any] = {name: text}
+    if name == "change":
+        before = [change for change in followed.changes if change != text]  # a node that was started again repeats it
+        news = {"changes": (*before, text)[-MOST_CHANGES:]}
+    return replace(followed, **news)

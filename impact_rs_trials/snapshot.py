@@ -15,6 +15,23 @@ stopped. ``gone``: they have stopped, and the nodes have ended."""
 
 
 @dataclass(frozen=True)
+class FollowedHits:
+    """The newest JSON documents of a node ``identify``, as published; empty: none yet.
+
+    Attributes:
+        prediction: Of the next hit, with the parameters believed.
+        changes: Changes of the cell, in the order in which they were found.
+        diagnosis: How the last full diagnosis ended.
+        refused: What gave no hit last, and why.
+    """
+
+    prediction: str = ""
+    changes: tuple[str, ...] = ()
+    diagnosis: str = ""
+    refused: str = ""
+
+
+@dataclass(frozen=True)
 class Snapshot:
     """The newest state of a graph.
 
@@ -31,6 +48,7 @@ class Snapshot:
         velocities: Joint velocities by the same names [rad/s, m/s]; empty where they are not published.
         object: Position of the object's centre in A [m] and quaternion x y z w, ``(7,)``; None: unknown.
         forces: By arm, true force of the arm on the object, axes of A, ``(3,)`` [N]; empty where it is not published.
+        followed: What the node ``identify`` of the graph has published.
     """
 
     situation: Situation
@@ -45,3 +63,4 @@ class Snapshot:
     velocities: dict[str, float] = field(default_factory=dict)
     object: Array | None = None
     forces: dict[str, Array] = field(default_factory=dict)
+    followed: FollowedHits = FollowedHits()

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from importlib.resources import files
 from typing import Any, Protocol
 
+from pydantic import ValidationError
 from starlette.applications import Starlette
 from starlette.concurrency import run_in_threadpool
 from starlette.requests import Request
@@ -19,10 +20,12 @@ from starlette.responses import FileResponse, HTMLResponse, PlainTextResponse, R
 from starlette.routing import Route
 from starlette.types import ASGIApp
 
+from impact_rs_analysis.following.lessons import ChangeDiagnosis, PublishedChange, PublishedPrediction, Refusal
 from impact_rs_analysis.report.page import BUNDLE, STYLE, TEMPLATES
 from impact_rs_analysis.report.scene_3d import described_scene, moving_joints, scene_data
 from impact_rs_sim.errors import InputError
-from impact_rs_trials.snapshot import Snapshot
+from impact_rs_sim.schema import Schema
+from impact_rs_trials.snapshot import FollowedHits, Snapshot
 from impact_rs_workbench.local import listening, serve_locally
 from impact_rs_workbench.request_guard import Guard
 
@@ -34,7 +37,7 @@ STATIC = {
     "three.min.js": BUNDLE / "three.min.js",
     "replay.js": TEMPLATES / "replay.js",
 }
-SCRIPTS = ("live.js", "show.js")
+SCRIPTS = ("followed.js", "live.js", "show.js", "tools.js")
 
 
 log = logging.getLogger(__name__)
@@ -80,6 +83,7 @@ class LiveView:
         self._source, self._program, self._say = source, program, say
         self._number = -1
         self._scene = DrawnScene()
+        self._followed, self._text = FollowedHits(), "null"
         self._changed = asyncio.Condition()
         self.news: dict[str, str] = {}  # newest content by name of the event
 
@@ -96,6 +100,7 @@ class LiveView:
                 "scene": self._scene.text,
                 "status": json.dumps(status_text(snapshot, self._scene, self._program)),
                 "state": json.dumps(state_of(snapshot, self._scene), allow_nan=False),
+                "followed": self._followed_text(snapshot.followed),
             }
             if news != self.news:
                 if news["status"] != self.news.get("status"):
@@ -106,8 +111,14 @@ class LiveView:
             due = max(due + PERIOD, clock())
             await asyncio.sleep(due - clock())
 
+    def _followed_text(self, followed: FollowedHits) -> str:
+        """What hits have taught, as JSON; made once for each snapshot with news."""
+        if followed is not self._followed:
+            self._followed, self._text = followed, json.dumps(followed_of(followed), allow_nan=False)
+        return self._text
+
     async def stream(self, request: Request) -> AsyncIterator[str]:
-        """Server-sent events: ``scene``, ``status`` and ``state``, each as a whole and only when it has changed."""
+        """Server-sent events ``scene``, ``status``, ``state`` and ``followed``: each whole, when it has changed."""
         sent: dict[str, str] = {}
         while not await request.is_disconnected():
             for name, text in self.news.items():
@@ -153,6 +164,29 @@ def state_of(snapshot: Snapshot, scene: DrawnScene) -> dict[str, Any] | None:
         "object": None if snapshot.object is None else snapshot.object.tolist(),
         "forces": forces,
     }
+
+
+def followed_of(followed: FollowedHits) -> dict[str, Any]:
+    """What a node ``identify`` has published, as the page shows it; what is no such document is said.
+
+    ``prediction``, ``diagnosis`` and ``refused`` are None while there is none; ``changes`` are the newest first.
+    """
+    unreadable: list[str] = []
+
+    def read(schema: type[Schema], text: str) -> dict[str, Any] | None:
+        try:
+            return schema.model_validate_json(text).model_dump(mode="json") if text else None
+        except ValidationError as error:
+            unreadable.append(f"a message of identify is no {schema.__name__}: {error.errors()[0]['msg']}")
+            return None
+
+    found = {
+        "prediction": read(PublishedPrediction, followed.prediction),
+        "changes": [one for text in reversed(followed.changes) if (one := read(PublishedChange, text)) is not None],
+        "diagnosis": read(ChangeDiagnosis, followed.diagnosis),
+        "refused": read(Refusal, followed.refused),
+    }
+    return found | {"unreadable": unreadable}
 
 
 def status_text(snapshot: Snapshot, scene: DrawnScene, program: str) -> str:

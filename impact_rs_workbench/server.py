@@ -43,7 +43,8 @@ from impact_rs_workbench.request_guard import FILE_POLICY, Guard
 from impact_rs_workbench.workspace import HIDDEN, NOMINAL, Workspace
 
 SCRIPTS = (
-    "workbench.js", "explain.js", "figures.js", "live.js", "live_view.js", "overlay.js", "picture.js", "tools.js"
+    "workbench.js", "explain.js", "figures.js", "followed.js", "live.js", "live_view.js", "overlay.js", "picture.js",
+    "tools.js",
 )  # fmt: skip
 LIBRARIES = {"plotly.js": PLOTLY, "three.js": BUNDLE / "three.min.js", "replay.js": TEMPLATES / "replay.js"}
 STATIC = {"workbench.css": "text/css", **dict.fromkeys(SCRIPTS, "text/javascript")}

@@ -38,6 +38,12 @@ class Followed(Schema):
     unit: str = Field(description="unit")
 
 
+class PublishedPrediction(NextHit):
+    """Message of ``identify/prediction``."""
+
+    followed: tuple[Followed, ...] = Field(description="believed parameters")
+
+
 class Cause(Schema):
     """One explanation of a change."""
 
@@ -62,6 +68,19 @@ class Change(Schema):
     instead: str = Field("", description="effect that was named for the same hits before; empty: it is a new change")
     apart: str = Field("", description="what decides between the explanations")
     words: str = Field(description="the change in a sentence")
+
+
+class PublishedChange(Change):
+    """Message of ``identify/change``."""
+
+    diagnose: str = Field(description="command of the full diagnosis")
+
+
+class Refusal(Schema):
+    """What gives no hit: message of ``identify/refused``."""
+
+    hit: str = Field(description="bag or row; empty: the look itself failed")
+    reason: str = Field(description="why")
 
 
 class HitDocument(Schema):

@@ -2,8 +2,9 @@
 /* global ImpactLive */
 // Running nodes in 3D: receives scene, status and state, and draws the newest state once per frame. Needs replay.js and its library.
 
-// `status` is given each status line, `scene` each new scene, `state` each state; `lost` whether the server is gone.
-export function watch(address, node, {status, lost, scene = () => {}, state = () => {}}) {
+// `status` is given each status line, `scene` each new scene, `state` each state, `followed` what a node identify has published;
+// `lost` whether the server is gone.
+export function watch(address, node, {status, lost, followed, scene = () => {}, state = () => {}}) {
   const live = new ImpactLive(node), events = new EventSource(address);
   let newest = null, drawing = false;
 
@@ -28,6 +29,7 @@ export function watch(address, node, {status, lost, scene = () => {}, state = ()
     if (!drawing) requestAnimationFrame(draw);
     drawing = true;
   });
+  events.addEventListener('followed', ({data}) => followed(JSON.parse(data)));
   events.addEventListener('open', () => lost(false));
   events.addEventListener('error', () => lost(true));
   return {live, events};

@@ -2,6 +2,7 @@
 // Running nodes in a tab of Measure: in 3D, as `impact-rs show --live` shows them, and their newest signals over time.
 
 import {draw} from './figures.js';
+import {showFollowed} from './followed.js';
 import {watch} from './live.js';
 import {threeD} from './picture.js';
 import {ask, h, inFolder, labelled, query, Questions, state} from './tools.js';
@@ -48,10 +49,11 @@ export const live = {
     this.status = h('p', {id: 'live-status', role: 'status'});
     this.inside = h('p', {class: 'note', id: 'live-inside'});
     this.place = h('div', {class: 'replay', id: 'live-scene'});
+    this.followed = h('div', {id: 'live-followed'});
     this.plots = Object.fromEntries(Object.entries(SIGNALS).map(([name, {title}]) => [name,
       h('div', {class: 'plot', id: `live-${name}`, role: 'img', 'aria-label': `${title}, live`})]));
     this.parts = Object.entries(SIGNALS).map(([name, {title}]) => h('div', {hidden: true}, h('h3', {}, title), this.plots[name]));
-    return h('div', {}, h('div', {class: 'fields'}, labelled('ROS namespace', this.namespace)), this.inside, this.status, this.place, ...this.parts);
+    return h('div', {}, h('div', {class: 'fields'}, labelled('ROS namespace', this.namespace)), this.inside, this.status, this.place, this.followed, ...this.parts);
   },
 
   // Whether the tab is in sight: nodes are watched only then.
@@ -73,6 +75,7 @@ export const live = {
       this.place.replaceChildren();
       const watched = this.watched = watch(address, this.place, {
         status: (text) => { this.status.textContent = text; },
+        followed: (found) => showFollowed(this.followed, found),
         lost: (is_) => { if (is_ && watched.events.readyState === EventSource.CLOSED) this.refused(address, turn); },
         scene: (scene) => { this.scene = scene; this.samples.clear(); },
         state: (newest) => { if (this.scene) { this.samples.add(newest, this.scene); this.paint(turn); } },

@@ -15,7 +15,7 @@ from std_msgs.msg import String
 from impact_rs_ros.spectator import Spectator
 from impact_rs_sim.errors import InputError
 from impact_rs_trials.bags import topics
-from impact_rs_trials.snapshot import Snapshot
+from impact_rs_trials.snapshot import FollowedHits, Snapshot
 
 POSE = np.array([0.4, -0.1, 0.5, 0.0, 0.0, 0.6, 0.8])
 URDF = "<robot name='r'><link name='a'/></robot>"
@@ -126,6 +126,26 @@ def test_positions_without_a_number_and_unseen_objects_are_left_out(graph: FakeG
     graph.joints("arm", np.full(7, np.nan), 0.1)
     until(spectator, lambda seen: seen.object is None, lambda: graph.object(np.zeros(7)))
     assert spectator.look().positions == {}
+
+
+def test_what_identify_publishes_is_kept_through_trials_with_every_change_once(
+    graph: FakeGraph, spectator: Spectator
+) -> None:
+    def publish(name: str, text: str) -> None:
+        graph.say(f"/identify/{name}", topics.STRING, String(data=text), latched=True)
+
+    told: tuple[str, ...] = ()
+    for text in ("first", "second", "second", "third"):  # one twice, by a node that was started again
+        publish("change", text)
+        told = tuple(dict.fromkeys((*told, text)))
+        until(spectator, lambda seen, told=told: seen.followed.changes == told)
+    publish("prediction", "older")
+    publish("prediction", "newest")
+    publish("refused", "a bag")
+    found = until(spectator, lambda seen: seen.followed.refused and seen.followed.prediction == "newest")
+    assert found.followed == FollowedHits("newest", told, "", "a bag")
+    graph.trial("push")
+    assert until(spectator, lambda seen: seen.physics).followed == found.followed
 
 
 def test_a_namespace_that_ros_does_not_have_is_refused() -> None:

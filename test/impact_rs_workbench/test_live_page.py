@@ -13,8 +13,8 @@ from mixed_grab import MIXED
 from starlette.testclient import TestClient
 
 from impact_rs_sim.physics import Physics
-from impact_rs_trials.snapshot import Snapshot
-from impact_rs_workbench.live_page import LiveView, application, drawn_scene, state_of, status_text
+from impact_rs_trials.snapshot import FollowedHits, Snapshot
+from impact_rs_workbench.live_page import LiveView, application, drawn_scene, followed_of, state_of, status_text
 
 PORT, TOKEN = 8124, "the-key-of-the-tests"
 PHYSICS = Physics.nominal(MIXED, next(iter(MIXED.objects)))
@@ -102,6 +102,19 @@ def test_a_new_scene_is_made_once_and_what_goes_on_is_told_when_it_changes() -> 
     assert json.loads(view.news["state"])["time"] == 0.6
 
 
+def test_followed_hits_are_shown_newest_change_first_and_what_cannot_be_read_is_said() -> None:
+    cause = {"effect": "object_mass", "share": 1.0, "since": "r3", "parameters": [], "words": "heavier"}
+    change = {"hit": "r4", "since": "r3", "hits": 2, "log10_ratio": 5.0, "false_alarm": 1e5, "causes": [cause],
+              "words": "since r3 the object is heavier", "diagnose": "impact-rs diagnose day --since r3"}  # fmt: skip
+    texts = tuple(json.dumps(change | {"hit": hit}) for hit in ("r4", "r9"))
+    found = followed_of(FollowedHits(changes=(*texts, "NaN"), refused='{"hit": "r7", "reason": "NaN in a signal"}'))
+    assert [one["hit"] for one in found["changes"]] == ["r9", "r4"]
+    assert (found["prediction"], found["diagnosis"]) == (None, None)
+    assert found["refused"] == {"hit": "r7", "reason": "NaN in a signal"}
+    assert len(found["unreadable"]) == 1
+    assert found["unreadable"][0].startswith("a message of identify is no PublishedChange: ")
+
+
 def test_nobody_without_the_key_is_told_anything() -> None:
     view = LiveView(Graph(SEEN), "impact-rs", lambda _: None)
     stranger = TestClient(application(view, TOKEN, PORT), base_url=f"http://127.0.0.1:{PORT}", follow_redirects=False)
@@ -112,6 +125,6 @@ def test_nobody_without_the_key_is_told_anything() -> None:
         )  # fmt: skip
     assert stranger.get("/", params={"token": TOKEN}).status_code == 303
     assert "default-src 'none'" in stranger.get("/").headers["content-security-policy"]
-    for name in ("page.css", "three.min.js", "replay.js", "live.js", "show.js"):
+    for name in ("page.css", "three.min.js", "replay.js", "followed.js", "live.js", "show.js", "tools.js"):
         assert stranger.get(f"/static/{name}").status_code == 200, name
     assert stranger.get("/static/live.html").status_code == 404

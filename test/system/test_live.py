@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import shutil
 import signal
@@ -16,9 +17,11 @@ import pytest
 from fake_graph import FakeGraph, fake_graph
 from playwright.sync_api import Page, expect, sync_playwright
 from processes import Running, running, until
+from std_msgs.msg import String
 
 from impact_rs_sim.rotations import quaternion_of
 from impact_rs_sim.scene import Scene
+from impact_rs_trials.bags import topics
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
 SOFTWARE = ("--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader")
@@ -159,8 +162,52 @@ def test_running_nodes_are_seen_in_the_workbench_with_their_signals(workbench: P
         assert page.evaluate(newest) == pytest.approx(speed)
         until(lambda: page.locator("#live-force .scatterlayer .trace").count(), tell)
         assert page.evaluate(newest.replace("velocity", "force")) == pytest.approx([50.0])
+        _what_identify_says(page, graph)
         page.locator("[data-step=predict]").click()
         until(lambda: graph.node.count_subscribers("/cell_a/arm/joint_states") == 0, lambda: page.evaluate("1"))
+
+
+def _what_identify_says(page: Page, graph: FakeGraph) -> None:
+    """Believed parameters, the next hit, and a change with its command."""
+    believed = {
+        "parameter": "object_mass.scale",
+        "estimate": 1.2496,
+        "ci95": [1.2454, 1.2538],
+        "change": 0.2496,
+        "unit": "-",
+    }
+    value = {
+        "signal": "object velocity",
+        "index": "y",
+        "phase": "push",
+        "value": -0.488,
+        "ci95": [-0.51, -0.46],
+        "unit": "m/s",
+    }
+    cause = {
+        "effect": "object_mass",
+        "share": 1.0,
+        "since": "r36",
+        "parameters": [believed],
+        "words": "0.15 kg heavier",
+    }
+    words = "since r36 the object is 0.15 kg heavier (object_mass: scale +0.252 [0.233, 0.271])"
+    change = {"hit": "r37", "since": "r36", "hits": 2, "log10_ratio": 5.9, "false_alarm": 1e5, "causes": [cause]}
+    documents = {
+        "prediction": {"condition": "juice", "like": "push/r40", "values": [value], "followed": [believed]},
+        "change": change | {"words": words, "diagnose": "impact-rs diagnose day --since r36"},
+        "refused": {"hit": "r41", "reason": "NaN in joint velocities"},
+    }
+    for name, document in documents.items():
+        graph.say(f"/identify/{name}", topics.STRING, String(data=json.dumps(document)), latched=True)
+    place = page.locator("#live-followed")
+    expect(place).to_contain_text("Followed hits")
+    expect(place).to_contain_text("the object is 0.15 kg heavier")
+    expect(place.locator(".command code")).to_have_text("impact-rs diagnose day --since r36")
+    expect(place.locator("table").first).to_contain_text("1.2454 to 1.2538")
+    expect(place).to_contain_text("No hit: r41: NaN in joint velocities")
+    place.locator("summary").click()
+    expect(place.locator("details table")).to_contain_text("−0.510 to −0.460 m/s")
 
 
 @needs_browser
