@@ -8,7 +8,7 @@ from itertools import islice
 from pathlib import Path
 
 from impact_rs_analysis.following.follow import Follower
-from impact_rs_analysis.following.lessons import HitDocument, PublishedChange, PublishedPrediction, Refusal
+from impact_rs_analysis.following.lessons import HitDocument, PublishedChange, PublishedPrediction, RefusedHit
 from impact_rs_cli.following import FollowedHits, HitsArguments, diagnose_words, door_of, folder_of_diagnoses
 from impact_rs_cli.full_diagnosis import FullDiagnosis
 from impact_rs_ros.identify_node import Identifier, IdentifyNode, Lesson
@@ -69,7 +69,9 @@ class Lessons:
         for name, reason in self._followed.follower.door.skipped.items():
             if name not in self._refused:
                 self._refused.add(name)
-                yield Lesson(f"{name}: {reason}", refused=Refusal(hit=name, reason=reason).model_dump_json(), hit=False)
+                yield Lesson(
+                    f"{name}: {reason}", refused=RefusedHit(hit=name, reason=reason).model_dump_json(), hit=False
+                )
 
     def _lesson(self, document: HitDocument) -> Lesson:
         if document.error is None:

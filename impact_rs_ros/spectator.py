@@ -30,7 +30,7 @@ from impact_rs_sim.physics import Physics
 from impact_rs_sim.robot import Array
 from impact_rs_trials.bags import topics
 from impact_rs_trials.bags.trial_info import TrialInfo
-from impact_rs_trials.snapshot import FollowedHits, Situation, Snapshot
+from impact_rs_trials.snapshot import IdentifyMessages, Situation, Snapshot
 
 STATES = "/joint_states"  # of a robot without a trial, beside its /robot_description
 SILENT = 1.0  # s without a joint state, after which the robot counts as at rest
@@ -190,7 +190,7 @@ def _seen(pose: Any) -> Array | None:
     return found if np.isfinite(found).all() and np.any(found[3:]) else None
 
 
-def _with_document(followed: FollowedHits, topic: str, text: str) -> FollowedHits:
+def _with_document(followed: IdentifyMessages, topic: str, text: str) -> IdentifyMessages:
     """What is known of followed hits, with one more document."""
     name = topic.rpartition("/")[2]
     news: dict[str, Any] = {name: text}

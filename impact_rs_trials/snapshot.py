@@ -15,7 +15,7 @@ stopped. ``gone``: they have stopped, and the nodes have ended."""
 
 
 @dataclass(frozen=True)
-class FollowedHits:
+class IdentifyMessages:
     """The newest JSON documents of a node ``identify``, as published; empty: none yet.
 
     Attributes:
@@ -63,4 +63,4 @@ class Snapshot:
     velocities: dict[str, float] = field(default_factory=dict)
     object: Array | None = None
     forces: dict[str, Array] = field(default_factory=dict)
-    followed: FollowedHits = FollowedHits()
+    followed: IdentifyMessages = IdentifyMessages()

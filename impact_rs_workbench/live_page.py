@@ -20,12 +20,12 @@ from starlette.responses import FileResponse, HTMLResponse, PlainTextResponse, R
 from starlette.routing import Route
 from starlette.types import ASGIApp
 
-from impact_rs_analysis.following.lessons import ChangeDiagnosis, PublishedChange, PublishedPrediction, Refusal
+from impact_rs_analysis.following.lessons import ChangeDiagnosis, PublishedChange, PublishedPrediction, RefusedHit
 from impact_rs_analysis.report.page import BUNDLE, STYLE, TEMPLATES
 from impact_rs_analysis.report.scene_3d import described_scene, moving_joints, scene_data
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.schema import Schema
-from impact_rs_trials.snapshot import FollowedHits, Snapshot
+from impact_rs_trials.snapshot import IdentifyMessages, Snapshot
 from impact_rs_workbench.local import listening, serve_locally
 from impact_rs_workbench.request_guard import Guard
 
@@ -83,7 +83,7 @@ class LiveView:
         self._source, self._program, self._say = source, program, say
         self._number = -1
         self._scene = DrawnScene()
-        self._followed, self._text = FollowedHits(), "null"
+        self._followed, self._text = IdentifyMessages(), "null"
         self._changed = asyncio.Condition()
         self.news: dict[str, str] = {}  # newest content by name of the event
 
@@ -111,7 +111,7 @@ class LiveView:
             due = max(due + PERIOD, clock())
             await asyncio.sleep(due - clock())
 
-    def _followed_text(self, followed: FollowedHits) -> str:
+    def _followed_text(self, followed: IdentifyMessages) -> str:
         """What hits have taught, as JSON; made once for each snapshot with news."""
         if followed is not self._followed:
             self._followed, self._text = followed, json.dumps(followed_of(followed), allow_nan=False)
@@ -166,7 +166,7 @@ def state_of(snapshot: Snapshot, scene: DrawnScene) -> dict[str, Any] | None:
     }
 
 
-def followed_of(followed: FollowedHits) -> dict[str, Any]:
+def followed_of(followed: IdentifyMessages) -> dict[str, Any]:
     """What a node ``identify`` has published, as the page shows it; what is no such document is said.
 
     ``prediction``, ``diagnosis`` and ``refused`` are None while there is none; ``changes`` are the newest first.
@@ -184,7 +184,7 @@ def followed_of(followed: FollowedHits) -> dict[str, Any]:
         "prediction": read(PublishedPrediction, followed.prediction),
         "changes": [one for text in reversed(followed.changes) if (one := read(PublishedChange, text)) is not None],
         "diagnosis": read(ChangeDiagnosis, followed.diagnosis),
-        "refused": read(Refusal, followed.refused),
+        "refused": read(RefusedHit, followed.refused),
     }
     return found | {"unreadable": unreadable}
 

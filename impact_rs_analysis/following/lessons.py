@@ -76,7 +76,7 @@ class PublishedChange(Change):
     diagnose: str = Field(description="command of the full diagnosis")
 
 
-class Refusal(Schema):
+class RefusedHit(Schema):
     """What gives no hit: message of ``identify/refused``."""
 
     hit: str = Field(description="bag or row; empty: the look itself failed")

@@ -15,7 +15,7 @@ from std_msgs.msg import String
 from impact_rs_ros.spectator import Spectator
 from impact_rs_sim.errors import InputError
 from impact_rs_trials.bags import topics
-from impact_rs_trials.snapshot import FollowedHits, Snapshot
+from impact_rs_trials.snapshot import IdentifyMessages, Snapshot
 
 POSE = np.array([0.4, -0.1, 0.5, 0.0, 0.0, 0.6, 0.8])
 URDF = "<robot name='r'><link name='a'/></robot>"
@@ -143,7 +143,7 @@ def test_what_identify_publishes_is_kept_through_trials_with_every_change_once(
     publish("prediction", "newest")
     publish("refused", "a bag")
     found = until(spectator, lambda seen: seen.followed.refused and seen.followed.prediction == "newest")
-    assert found.followed == FollowedHits("newest", told, "", "a bag")
+    assert found.followed == IdentifyMessages("newest", told, "", "a bag")
     graph.trial("push")
     assert until(spectator, lambda seen: seen.physics).followed == found.followed
 

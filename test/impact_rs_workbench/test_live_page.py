@@ -13,7 +13,7 @@ from mixed_grab import MIXED
 from starlette.testclient import TestClient
 
 from impact_rs_sim.physics import Physics
-from impact_rs_trials.snapshot import FollowedHits, Snapshot
+from impact_rs_trials.snapshot import IdentifyMessages, Snapshot
 from impact_rs_workbench.live_page import LiveView, application, drawn_scene, followed_of, state_of, status_text
 
 PORT, TOKEN = 8124, "the-key-of-the-tests"
@@ -107,7 +107,7 @@ def test_followed_hits_are_shown_newest_change_first_and_what_cannot_be_read_is_
     change = {"hit": "r4", "since": "r3", "hits": 2, "log10_ratio": 5.0, "false_alarm": 1e5, "causes": [cause],
               "words": "since r3 the object is heavier", "diagnose": "impact-rs diagnose day --since r3"}  # fmt: skip
     texts = tuple(json.dumps(change | {"hit": hit}) for hit in ("r4", "r9"))
-    found = followed_of(FollowedHits(changes=(*texts, "NaN"), refused='{"hit": "r7", "reason": "NaN in a signal"}'))
+    found = followed_of(IdentifyMessages(changes=(*texts, "NaN"), refused='{"hit": "r7", "reason": "NaN in a signal"}'))
     assert [one["hit"] for one in found["changes"]] == ["r9", "r4"]
     assert (found["prediction"], found["diagnosis"]) == (None, None)
     assert found["refused"] == {"hit": "r7", "reason": "NaN in a signal"}
