@@ -18,7 +18,9 @@ from impact_rs_analysis.evidence.command_clock import read_laboratory_runs
 from impact_rs_analysis.evidence.measured_runs import Runs
 from impact_rs_analysis.evidence.replay_cache import ReplayCache
 from impact_rs_analysis.evidence.replays import ReplaySource
+from impact_rs_sim.effects import of_trials
 from impact_rs_sim.model import load_model
+from impact_rs_trials.blind import BlindTask, run_task
 from impact_rs_trials.recordings.experiment import load_experiment
 from impact_rs_trials.workers import Map, Workforce, workers
 
@@ -57,6 +59,29 @@ def arguments(text: str | None) -> argparse.ArgumentParser:
     parser.add_argument("--only", default="", help="run entries whose name starts with this (':' for '__')")
     parser.add_argument("--seconds", type=float, default=math.inf, help="start no further campaign after this time [s]")
     return parser
+
+
+def plant_argument(parser: argparse.ArgumentParser) -> None:
+    """The argument that names what hides an effect."""
+    parser.add_argument("--plant", choices=("bullet", "mujoco"), default="bullet", help="what hides the effect")
+
+
+def recorder(plant: str) -> Callable[[BlindTask], str]:
+    """Records a trial on our plant (``bullet``), or on the cell of ``benchmarks.foreign`` (``mujoco``)."""
+    if plant == "bullet":
+        return run_task
+    from benchmarks.foreign.campaign import record_task  # MuJoCo is a peer, not installed everywhere
+
+    return record_task
+
+
+def hidden_in(plant: str) -> tuple[str, ...]:
+    """Effects of the library that a plant can hide."""
+    if plant == "bullet":
+        return tuple(of_trials())
+    from benchmarks.foreign.cell import UNKNOWN_HERE
+
+    return tuple(name for name in of_trials() if name not in UNKNOWN_HERE)
 
 
 def run_board(

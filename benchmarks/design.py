@@ -5,6 +5,8 @@ Every blind campaign of the matrix is measured in three ways with the same hidde
 ``blind make`` (18 trials), and half as many trials by design and at random. Each is diagnosed and scored. Where one
 ends in a tie, ``TIE_BUDGET`` further trials are proposed by design and at random, and all are diagnosed again.
 
+``--plant mujoco`` hides the effects in the MuJoCo cell of ``benchmarks.foreign``, in a folder of its own.
+
 Few of these end in a tie. ``--only tie`` hides every effect in six pushes of one object, which often do.
 """
 
@@ -12,7 +14,7 @@ from __future__ import annotations
 
 import json
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict
 from functools import partial
 from pathlib import Path
@@ -21,7 +23,17 @@ from typing import Any
 import numpy as np
 
 from benchmarks.blind import matrix
-from benchmarks.board import Entry, Row, arguments, diagnosed, run_board, share
+from benchmarks.board import (
+    Entry,
+    Row,
+    arguments,
+    diagnosed,
+    hidden_in,
+    plant_argument,
+    recorder,
+    run_board,
+    share,
+)
 from impact_rs_analysis.design.design import WHICH_EFFECT, Decide, planned
 from impact_rs_analysis.design.forecast import Forecast, forecast_of
 from impact_rs_analysis.design.possible_trials import possible_trials
@@ -32,7 +44,7 @@ from impact_rs_analysis.evidence.measured_runs import Runs, read_runs
 from impact_rs_analysis.evidence.replay_cache import ReplayCache
 from impact_rs_sim.effects import of_trials
 from impact_rs_sim.model import load_model
-from impact_rs_trials.blind import RUNS, SCENARIOS, TRUTH, BlindTask, Hidden, Secret, make, run_task
+from impact_rs_trials.blind import RUNS, SCENARIOS, TRUTH, BlindTask, Hidden, Secret, make
 from impact_rs_trials.campaign import PlannedTrials
 from impact_rs_trials.experiment_plan import (
     ExperimentPlan,
@@ -78,7 +90,10 @@ def hidden_of(directory: Path) -> tuple[tuple[Hidden, ...], str | None, float]:
     return hidden, truth["outside"], truth["outside_magnitude"]
 
 
-def record(plan: ExperimentPlan, directory: Path, truth: Path, map_tasks: Map) -> None:
+Record = Callable[[BlindTask], str]
+
+
+def record(plan: ExperimentPlan, directory: Path, truth: Path, map_tasks: Map, work: Record) -> None:
     """Run a plan on the plant of a blind campaign; bags that exist are kept."""
     hidden, outside, magnitude = hidden_of(truth)
     directory.mkdir(parents=True, exist_ok=True)
@@ -87,7 +102,7 @@ def record(plan: ExperimentPlan, directory: Path, truth: Path, map_tasks: Map) -
         for manifest in manifests_of(plan).values()
         for key in manifest.in_order
     ]
-    for _ in map_tasks(run_task, tasks):
+    for _ in map_tasks(work, tasks):
         pass
 
 
@@ -130,21 +145,21 @@ class Planner:
         return read_plan(path)
 
 
-def run(planner: Planner, entry: Entry, directory: Path, map_tasks: Map) -> Row:
+def run(planner: Planner, entry: Entry, directory: Path, map_tasks: Map, work: Record) -> Row:
     """Measure, diagnose and score one campaign in all ways; what exists is kept."""
-    for _ in make(directory, entry.seed, map_tasks, entry.kind, entry.effect, "small", entry.magnitude):
+    for _ in make(directory, entry.seed, map_tasks, entry.kind, entry.effect, "small", entry.magnitude, work):
         pass
     began = time.perf_counter()
     fixed = diagnosed(directory / "fixed.json", partial(read_runs, directory / RUNS, map_tasks), map_tasks)
     found = {"fixed": (directory / RUNS, fixed)}
     for method in METHODS:
         plan = planner.first(directory / f"{method}.yaml", method, 1000 + entry.seed)
-        record(plan, directory / method, directory, map_tasks)
+        record(plan, directory / method, directory, map_tasks, work)
         read = partial(read_runs, directory / method, map_tasks)
         found[method] = directory / method, diagnosed(directory / f"{method}.json", read, map_tasks)
     row: dict[str, Any] = {way: judged(directory, document) for way, (_, document) in found.items()}
     row["ties"] = [
-        split(planner, directory, way, method, entry.seed, before, document, map_tasks)
+        split(planner, directory, way, method, entry.seed, before, document, map_tasks, work)
         for way, (before, document) in found.items()
         if document.confusable
         for method in METHODS
@@ -159,16 +174,16 @@ def run(planner: Planner, entry: Entry, directory: Path, map_tasks: Map) -> Row:
     }
 
 
-def run_few(planner: Planner, entry: Entry, directory: Path, map_tasks: Map) -> Row:
+def run_few(planner: Planner, entry: Entry, directory: Path, map_tasks: Map, work: Record) -> Row:
     """Measure few trials of one effect and, if they end in a tie, those that are proposed to split it."""
     directory.mkdir(parents=True, exist_ok=True)
     Secret.drawn(entry.seed, "single", entry.effect, entry.magnitude).keep(directory)
     began = time.perf_counter()
     runs = directory / RUNS
-    record(FEW.model_copy(update={"seed": entry.seed}), runs, directory, map_tasks)
+    record(FEW.model_copy(update={"seed": entry.seed}), runs, directory, map_tasks, work)
     first = diagnosed(directory / "few.json", partial(read_runs, runs, map_tasks), map_tasks)
     ties = [
-        split(planner, directory, "few", method, entry.seed, runs, first, map_tasks)
+        split(planner, directory, "few", method, entry.seed, runs, first, map_tasks, work)
         for method in METHODS
         if first.confusable
     ]
@@ -191,13 +206,14 @@ def split(
     runs: Path,
     tied: DiagnosisDocument,
     map_tasks: Map,
+    work: Record,
 ) -> dict[str, Any]:
     """Whether the first proposal after a tie splits it."""
     decide = left_open(tied, load_model("nominal"))
     assert decide is not None
     name, before = f"{way}_tie_{method}", read_runs(runs, map_tasks)
     plan = planner.next(directory / f"{name}.yaml", method, 2000 + seed, before, decide)
-    record(plan, directory / name, directory, map_tasks)
+    record(plan, directory / name, directory, map_tasks, work)
     after = diagnosed(directory / f"{name}.json", partial(together, before, directory / name, map_tasks), map_tasks)
     return judged(directory, after) | {
         "way": way,
@@ -250,17 +266,23 @@ def main() -> None:
     """Run the board."""
     parser = arguments(__doc__)
     parser.add_argument("--seeds", type=int, default=1, help="campaigns of every effect and magnitude")
+    plant_argument(parser)
     options = parser.parse_args()
-    entries = matrix(options.seeds, 0, NULLS)
+    possible, work = hidden_in(options.plant), recorder(options.plant)
+    entries = [
+        entry
+        for entry in matrix(options.seeds, 0, NULLS)
+        if entry.kind == "null" or (entry.kind == "single" and entry.effect in possible) or options.plant == "bullet"
+    ]
     order = np.random.default_rng(0).permutation(len(entries))  # those that are done in time are a sample
     there = [(options.output / entry.name / "fixed.json").exists() for entry in entries]
     order = sorted(order, key=lambda number: not there[number])  # fixed campaigns that exist are used first
-    ties = [Entry("tie", name, CLEAR, 500 + number) for number, name in enumerate(of_trials())]
+    ties = [Entry("tie", name, CLEAR, 500 + number) for number, name in enumerate(of_trials()) if name in possible]
     planners: dict[int, Planner] = {}
 
     def one(entry: Entry, directory: Path, map_tasks: Map) -> Row:
         planner = planners.setdefault(id(map_tasks), Planner(map_tasks))
-        return (run_few if entry.kind == "tie" else run)(planner, entry, directory, map_tasks)
+        return (run_few if entry.kind == "tie" else run)(planner, entry, directory, map_tasks, work)
 
     print(scoreboard(run_board([*(entries[number] for number in order), *ties], options, one)))
 

@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Scoreboard of blind investigations: ``./run python -m benchmarks.investigate -o DIR``.
 
-Effects of the library alone and in pairs, laws outside it, and nulls. It resumes where it stopped, within an
+Effects of the library alone and in pairs, laws outside it, and nulls. ``--plant mujoco`` hides effects and nulls in the
+MuJoCo cell of ``benchmarks.foreign``, in a folder of its own. It resumes where it stopped, within an
 investigation as well; ``--only single`` runs those whose name starts so.
 """
 
@@ -12,7 +13,9 @@ import time
 from collections.abc import Sequence
 from pathlib import Path
 
-from benchmarks.board import Entry, Row, arguments, run_board, share
+import numpy as np
+
+from benchmarks.board import Entry, Row, arguments, hidden_in, plant_argument, recorder, run_board, share
 from benchmarks.discovery import RIGHT
 from impact_rs_analysis.diagnosis.document import DiagnosisDocument
 from impact_rs_analysis.diagnosis.scoring import truth_of
@@ -52,6 +55,13 @@ def matrix(singles: int, pairs: int, laws: int, nulls: int) -> list[Entry]:
     return [kind[index] for index in range(longest) for kind in kinds if index < len(kind)]
 
 
+def foreign_matrix(singles: int, nulls: int) -> list[Entry]:
+    """Investigations on the MuJoCo cell: effects drawn without repetition of those that it can hide, and nulls."""
+    names = np.random.default_rng(600).permutation(hidden_in("mujoco"))[:singles]
+    found = [Entry("single", str(name), MAGNITUDE, 600 + seed) for seed, name in enumerate(names)]
+    return found + [Entry("null", None, None, 700 + seed) for seed in range(nulls)]
+
+
 class SharedFirstPlan(PlantBench):
     """Our plant; the first plan, which is the same for all, is made once and read by the others."""
 
@@ -67,7 +77,7 @@ class SharedFirstPlan(PlantBench):
         return read_plan(path).model_copy(update={"seed": seed})
 
 
-def run(entry: Entry, directory: Path, map_tasks: Map, budget: int) -> Row:
+def run(entry: Entry, directory: Path, map_tasks: Map, budget: int, plant: str) -> Row:
     """Investigate one plant, and hold the end against the truth."""
     blind = BlindChoice(seed=entry.seed, kind=entry.kind, effect=entry.effect, magnitude=entry.magnitude)
     settings = Settings(
@@ -79,7 +89,7 @@ def run(entry: Entry, directory: Path, map_tasks: Map, budget: int) -> Row:
     begin(directory, settings)
     secret.keep(directory)
     started, spent = time.perf_counter(), time.process_time()
-    bench = SharedFirstPlan(directory, settings, map_tasks, Terminal(as_json=True), secret)
+    bench = SharedFirstPlan(directory, settings, map_tasks, Terminal(as_json=True), secret, recorder(plant))
     ending = Investigation(directory, settings, budget, bench).run()
     kind, hidden = truth_of(directory)
     right, wrong = judged(ending, kind, hidden, RIGHT[hidden[0]] if kind == "outside" else None)
@@ -144,9 +154,16 @@ def main() -> None:
     for name, count in (("singles", 10), ("pairs", 6), ("laws", 4), ("nulls", 10)):
         parser.add_argument(f"--{name}", type=int, default=count, help=f"number of {name}")
     parser.add_argument("--budget", type=int, default=30, help="trials of each at most")
+    plant_argument(parser)
     options = parser.parse_args()
-    entries = matrix(options.singles, options.pairs, options.laws, options.nulls)
-    rows = run_board(entries, options, lambda entry, folder, map_tasks: run(entry, folder, map_tasks, options.budget))
+    entries = (
+        matrix(options.singles, options.pairs, options.laws, options.nulls)
+        if options.plant == "bullet"
+        else foreign_matrix(options.singles, options.nulls)
+    )
+    rows = run_board(
+        entries, options, lambda entry, folder, map_tasks: run(entry, folder, map_tasks, options.budget, options.plant)
+    )
     print(scoreboard(rows))
 
 

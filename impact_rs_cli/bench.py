@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from impact_rs_analysis.design.design import design, missing_effect
@@ -41,12 +41,20 @@ class PlantBench:
         map_tasks: Workers.
         terminal: Shows progress and warnings.
         secret: What the plant hides.
+        record: Records a trial; :func:`run_task` on another cell than our plant.
     """
 
     def __init__(
-        self, directory: Path, settings: Settings, map_tasks: Map, terminal: Terminal, secret: Secret = NO_SECRET
+        self,
+        directory: Path,
+        settings: Settings,
+        map_tasks: Map,
+        terminal: Terminal,
+        secret: Secret = NO_SECRET,
+        record: Callable[[BlindTask], str] = run_task,
     ) -> None:
         self.runs, self.settings, self.secret = directory / RUNS, settings, secret
+        self._record = record
         self.map_tasks, self.terminal = map_tasks, terminal
         self._store = ReplayCache(map_tasks)
         self._known: tuple[int, Runs, dict[str, Source]] | None = None
@@ -64,7 +72,9 @@ class PlantBench:
             BlindTask(runs, one.trial, secret.hidden, secret.outside, secret.strength, one.folder) for one in trials
         ]
         with self.terminal.progress("trials") as report:
-            for count, (one, outcome) in enumerate(zip(trials, self.map_tasks(run_task, tasks), strict=True), start=1):
+            for count, (one, outcome) in enumerate(
+                zip(trials, self.map_tasks(self._record, tasks), strict=True), start=1
+            ):
                 if outcome != "OK":
                     self.terminal.warn(f"{one.path}: {outcome}")
                 report(count, len(tasks))

@@ -104,6 +104,10 @@ def record(task: BlindTask, plan: TrialPlan, info: TrialInfo, path: Path, physic
     return record_cell(plan, info, path, cell)[0].outcome
 
 
+record_task = functools.partial(run_task, record=record)
+"""Records a trial of a blind campaign on the cell, in the place of :func:`impact_rs_trials.blind.run_task`."""
+
+
 def make_campaign(
     directory: Path,
     seed: int,
@@ -118,6 +122,5 @@ def make_campaign(
     Raises:
         InputError: Unknown kind, effect or size, or a folder that holds another blind campaign.
     """
-    work = functools.partial(run_task, record=record)
-    for _ in make(directory, seed, map_tasks, kind, effect, size, magnitude, work, tuple(OUTSIDE)):
+    for _ in make(directory, seed, map_tasks, kind, effect, size, magnitude, record_task, tuple(OUTSIDE)):
         pass
