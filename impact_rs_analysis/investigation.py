@@ -69,7 +69,7 @@ from impact_rs_trials.runs import label_of
 from impact_rs_trials.spec import TrialSpec
 
 SETTINGS, ROUNDS, ENDING, LOG = "investigation.yaml", "rounds", "ending.json", "log.md"
-FIRST, CHECK, MORE = 8, 2, 4  # trials of the first round, of one that tries a new model, and of any other
+FIRST, FEW, MORE = 6, 2, 4  # trials of the first round, of one with little to decide, and of any other
 LOUD = 1.5  # times the noise, of an error that is not nothing, however few trials it comes from
 FALL = 0.7  # of the held-out error of the round before, below which trials and no law are missing
 MOST_DISCOVERIES = 2  # that find no law; each takes minutes
@@ -330,7 +330,7 @@ class Investigation:
         left = self.budget - measured(rounds)
         document = rounds[-1].open if rounds else None
         fresh = bool(rounds) and self._to_be_tried(rounds[-1])
-        count = min(left, FIRST if not rounds else CHECK if fresh else MORE)
+        count = min(left, FEW if fresh else size_of_round(rounds[-1] if rounds else None))
         self._say(f"Round {number}: design of {count} trials at most, {left} are left")
         plan = self._bench.design(
             self._model(_model_after(self.settings, rounds) if fresh else self.settings.model),
@@ -440,6 +440,22 @@ class Investigation:
 
     def _write(self, here: Round, name: str, document: Schema) -> None:
         write_whole(here.directory / name, _json(document))
+
+
+def size_of_round(last: Round | None) -> int:
+    """Trials of the next round, unless it tries a model.
+
+    Few between effects that have names: a diagnosis is cheaper than trials that were not needed. That nothing is
+    missing, that no effect explains what is, and which law does, takes more.
+
+    Args:
+        last: The round before; None: nothing was measured yet.
+    """
+    if last is None:
+        return FIRST
+    found = last.open
+    named = found is not None and (found.named or found.suspected) and not found.calls_for_a_law
+    return FEW if named and last.laws is None else MORE
 
 
 def holds(document: DiagnosisDocument) -> bool:

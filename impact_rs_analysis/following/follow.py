@@ -17,7 +17,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from itertools import groupby
 from typing import Any
 
@@ -58,6 +58,7 @@ from impact_rs_analysis.following.posterior import (
     squared_distance,
     weight_of,
 )
+from impact_rs_analysis.following.recent_residuals import RecentResiduals
 from impact_rs_analysis.following.scatter import HitScatter, deviations_of, scatter_of
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.model import Model, ModelEffect, ParameterValue
@@ -108,6 +109,7 @@ class Hypothesis:
         effect: Effect that changed last; empty: none did.
         origin: What that change started from; None: none did, or it is older than the window.
         tried: Statistic at which nothing was found that explains a change; it is looked for again once it has grown.
+        recent: What it left of the last hits.
     """
 
     point: Array
@@ -116,6 +118,7 @@ class Hypothesis:
     effect: str = ""
     origin: Origin | None = None
     tried: float = -math.inf
+    recent: RecentResiduals = field(default_factory=RecentResiduals)
 
 
 @dataclass(frozen=True)
@@ -329,6 +332,7 @@ class Follower:
                     "log_weight": one.log_weight,
                     "effect": one.effect,
                     "tried": None if math.isinf(one.tried) else one.tried,
+                    "recent": one.recent.saved(),
                 }
             )
         for number, scatter in enumerate(self._scatter.values()):
@@ -383,7 +387,10 @@ class Follower:
                 evidence = [(self._evidence(hits[name], point), weight) for name, weight in instant]
                 posterior.add([replace(e, weight=weight) for e, weight in evidence if e is not None])
             tried = -math.inf if one["tried"] is None else one["tried"]
-            self.hypotheses.append(Hypothesis(point, posterior, one["log_weight"], one["effect"], origin, tried))
+            recent = RecentResiduals.restored(one["recent"])
+            self.hypotheses.append(
+                Hypothesis(point, posterior, one["log_weight"], one["effect"], origin, tried, recent)
+            )
 
     def _enough(self, layout: str) -> bool:
         """Whether the first hits of a layout teach its scatter."""
@@ -508,8 +515,10 @@ class Follower:
                 weight = weight_of(distance, innovation.size)
                 hypothesis.log_weight += log_density(distance, covariance, self.calibration.freedom)
                 taken.append(replace(evidence, weight=weight))
-                size = math.sqrt(float(np.mean(np.square(innovation))))
+                left = innovation - hypothesis.recent.expected(hit.group, innovation.size)
+                hypothesis.recent.take(hit.group, innovation, weight)
                 if hypothesis is best:
+                    size = math.sqrt(float(np.mean(np.square(left))))
                     self.calibration.hits += 1
                     self.calibration.odd += weight < 1.0
                     errors[hit.name] = size, self._error_of_model(hit, evidence, hypothesis.point), weight < 1.0
@@ -808,7 +817,7 @@ class Follower:
             return hypothesis
         hits = [[e.hit for e in instant] for instant in hypothesis.posterior.window]
         found = self._complete(self._fitted(hypothesis.origin, hits, self._values(hypothesis), hypothesis.effect))
-        found.log_weight = hypothesis.log_weight
+        found.log_weight, found.recent = hypothesis.log_weight, hypothesis.recent
         return found
 
     def _values(self, hypothesis: Hypothesis) -> Array:
@@ -934,6 +943,7 @@ class Follower:
             return None
         hypothesis.posterior.make_room([(hit.group, evidence.patterns.shape[1])])
         innovation, covariance = hypothesis.posterior.innovation(evidence)
+        innovation = innovation - hypothesis.recent.expected(hit.group, innovation.size)
         unwhiten = np.linalg.inv(self._scatter[hit.layout].whiten)
         return hit.measured - unwhiten @ innovation, np.diag(unwhiten @ covariance @ unwhiten.T)
 
