@@ -16,7 +16,7 @@ from impact_table_cases import arm_table, write_csv
 
 from impact_rs_analysis.evidence.measured_runs import read_trial
 from impact_rs_analysis.evidence.replay_cache import ReplayCache
-from impact_rs_analysis.following import follow, hits
+from impact_rs_analysis.following import follow, hits, recent_residuals
 from impact_rs_analysis.following.follow import Follower, HitsSince
 from impact_rs_analysis.following.hits import BagDoor, TableDoor
 from impact_rs_analysis.following.lessons import Change, HitDocument
@@ -407,3 +407,21 @@ def test_a_table_without_conditions_is_followed(tmp_path: Path) -> None:
     bare = write_csv(path, [n for n in rows[0] if n != "condition"], [r[:place] + r[place + 1 :] for r in rows[1:]])
     (change,) = changes(list(following(bare).arrived()))
     assert change.causes[0].effect == "restitution"
+
+
+def test_a_misfit_that_wears_in_and_no_effect_explains_is_predicted_from_recent_hits(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The object seems to turn about an axis that no contact here can turn it about, more and more."""
+    rows = rows_of({}, 12, seed=3)
+    for number, row in enumerate(rows):
+        row[-3] = float(str(row[-3])) + 0.6 * max(number - 25, 0) / len(rows)
+    path = write(tmp_path / "hits.csv", rows)
+
+    def late() -> float:
+        documents = [one for one in following(path).arrived() if one.error is not None]
+        return float(np.sqrt(np.mean([one.error**2 for one in documents[-25:] if one.error is not None])))
+
+    corrected = late()
+    monkeypatch.setattr(recent_residuals, "LEAD", 1e9)
+    assert corrected < 0.85 * late()

@@ -1,0 +1,110 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Distances that a hit object slid, in time order.
+
+``./run python -m benchmarks.sliding_distances TABLE.csv --robot 7``: the table has the columns of
+``data/airhockey_processed/raw`` of github.com/epfl-lasa/air_hockey, one row a hit: ``HitNumber`` (their order in time),
+``RecSession``, ``IiwaNumber`` (the robot), ``HittingFlux`` phi [m/s] and ``DistanceTraveled`` D [m].
+
+phi is the velocity that robot and object would share. Seen from it the object is a body that comes at -phi and leaves
+at sqrt(2 mu g D) - phi, with mu assumed, so restitution stands for all that changes D. Compared is the error of D of
+the model after the first hits, which is then frozen, and of the one that is followed.
+"""
+
+from __future__ import annotations
+
+import argparse
+import copy
+import csv
+import sys
+import tempfile
+from pathlib import Path
+
+import numpy as np
+
+from impact_rs_analysis.following.follow import LEARNT, Follower
+from impact_rs_analysis.following.hits import TableDoor
+from impact_rs_sim.model import load_model
+from impact_rs_sim.robot import Array
+from impact_rs_trials.recordings.impact_table import read_impact_table
+
+MU, GRAVITY = 0.2, 9.81  # any mu for which no hit gains energy; m/s^2
+LEAST = 0.02  # m, of a hit that moved the object
+HEADER = [
+    "time [s]", "condition", "radius [m]", "mass [kg]", "restitution [-]",
+    *(f"{name}_before [m/s]" for name in ("vx", "vy", "vz")),
+    *(f"{name}_before [rad/s]" for name in ("wx", "wy", "wz")),
+    *(f"{name}_after [m/s]" for name in ("vx", "vy", "vz")),
+]  # fmt: skip
+
+
+def hits_of(path: Path, robot: str, session: str) -> tuple[Array, Array, int]:
+    """Flux and distance of hits of one robot in time order, and how many were left out because they moved nothing."""
+    csv.field_size_limit(sys.maxsize)
+    with path.open(newline="", encoding="utf-8") as file:
+        rows = [row for row in csv.DictReader(file) if row["IiwaNumber"] == robot and session in row["RecSession"]]
+    if not rows:
+        sys.exit(f"{path}: no hit of robot {robot}" + (f" in a session {session}" if session else ""))
+    rows.sort(key=lambda row: (row["RecSession"], int(row["HitNumber"])))
+    found = np.array([(float(row["HittingFlux"]), float(row["DistanceTraveled"])) for row in rows])
+    moved = found[found[:, 1] > LEAST]
+    return moved[:, 0], moved[:, 1], len(found) - len(moved)
+
+
+def write_table(path: Path, flux: Array, distance: Array) -> Array:
+    """The hits as a table of impacts of a free body; its velocities after the hits, ``(n,)`` [m/s]."""
+    after = np.sqrt(2.0 * MU * GRAVITY * distance) - flux
+    assumed = float(np.median((after / flux)[:LEARNT]))
+    with path.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file)
+        writer.writerow(HEADER)
+        for number, (before, own) in enumerate(zip(flux, after, strict=True)):
+            writer.writerow(
+                [number, "box", 0.05, 0.4, round(assumed, 3), 0.0, 0.0, -before, 0.0, 0.0, 0.0, 0.0, 0.0, own]
+            )
+    return np.asarray(after)
+
+
+def errors_of(path: Path, flux: Array, after: Array, distance: Array) -> tuple[Array, Array, list[str]]:
+    """Errors of the distance of the followed and of the frozen model [m], and the changes that were announced."""
+    model = load_model("nominal")
+    door = TableDoor(lambda: read_impact_table(path, None), model)
+    follower, frozen = Follower(door, model), None
+    errors: list[tuple[float, float]] = []
+    changes = []
+    for hit, phi, own, true in zip(list(door.arrived()), flux, after, distance, strict=True):
+        if follower.watching:
+            frozen = copy.deepcopy(follower.likeliest) if frozen is None else frozen
+            place = int(np.argmin(np.abs(hit.measured - own)))
+            found = [follower._predicted(one, hit) for one in (follower.likeliest, frozen)]
+            speeds = [phi + float(one[0][place]) for one in found if one is not None]
+            errors.append((speeds[0] ** 2 / (2.0 * MU * GRAVITY) - true, speeds[1] ** 2 / (2.0 * MU * GRAVITY) - true))
+        for document in follower.take([hit]):
+            if document.change is not None:
+                changes.append(document.change.words)
+    followed, kept = np.array(errors).T
+    return followed, kept, changes
+
+
+def main() -> None:
+    """Follow the hits of one robot, and print the errors."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("table", type=Path, help="table with one row a hit")
+    parser.add_argument("--robot", default="7", help="IiwaNumber of the hits")
+    parser.add_argument("--session", default="", help="part of the name of the sessions to take (default: all)")
+    options = parser.parse_args()
+    flux, distance, left_out = hits_of(options.table, options.robot, options.session)
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "hits.csv"
+        after = write_table(path, flux, distance)
+        followed, frozen, changes = errors_of(path, flux, after, distance)
+    size, other = (1e3 * float(np.sqrt(np.mean(np.square(one)))) for one in (followed, frozen))
+    median, kept = (1e3 * float(np.median(np.abs(one))) for one in (followed, frozen))
+    print(f"{len(flux)} hits, {left_out} left out (moved less than {1e3 * LEAST:g} mm); {LEARNT} teach the scatter")
+    print(f"distance, rms error: followed {size:.1f} mm, frozen {other:.1f} mm ({100 * (size / other - 1):+.0f} %)")
+    print(f"... median: followed {median:.1f} mm, frozen {kept:.1f} mm")
+    for words in changes:
+        print(f"change: {words}")
+
+
+if __name__ == "__main__":
+    main()
