@@ -32,6 +32,7 @@ PROBES = (0.25, 0.5, 1.0)  # shares of the way to the ends of a range, where an 
 LEAST_ROOM = 0.2  # of a finite-difference step; nearer a bound it goes the other way
 FITTED = 1e-3  # of the square of what a calibration changes; with less left, the parameters of a fit stand for it
 LEAST_NOISE = 1e-4  # mean square, scaled [-]; beside less, a parameter that the data do not determine is not bounded
+ROOM = 1e-9  # parameter scales, between bounds that coincide
 ACTIVE_SETS = 20  # tried for the bounds that hold; three are usual
 PRIOR = 100.0  # parameter scales; only bounds parameters that the data do not determine
 
@@ -337,7 +338,7 @@ class Problem:
         self._powers = np.array([target @ target / target.size for target in self.targets])
         scale = candidate.scale
         self._lower = (candidate.lower - candidate.point) / scale
-        self._upper = np.maximum((candidate.upper - candidate.point) / scale, self._lower + 1e-9)
+        self._upper = np.maximum((candidate.upper - candidate.point) / scale, self._lower + ROOM)
         self._nominal = (candidate.nominal - candidate.point) / scale
         self._weigh_prior(1.0)
         if independent:
@@ -365,7 +366,8 @@ class Problem:
             chosen = list(without)
             information = information - self.information[chosen].sum(axis=0)
             score = score - self.scores[chosen].sum(axis=0)
-        return bounded(information, score, np.maximum(self._lower, -within), np.minimum(self._upper, within))
+        lower, upper = np.clip(self._lower, -within, within), np.clip(self._upper, -within, within)
+        return bounded(information, score, lower, np.maximum(upper, lower + ROOM))
 
     def errors(self, change: Array) -> Array:
         """Mean square scaled error per cluster, ``(c,)`` [-], at a change from the point, ``(p,)`` or ``(c, p)``."""

@@ -443,7 +443,8 @@ def _shape(item: Number, unit: str, low: float, high: float, start: float) -> Fo
     """A shape parameter of a quantity with this unit and range."""
     span = high - low
     if item.shape == "wave_number":
-        own, lower, upper, scale = unit_of("-", unit, 1), 0.0, 2.0 * HIGHEST, 0.1 * item.starts[0] / span
+        own, lower, scale = unit_of("-", unit, 1), 0.0, 0.1 * item.starts[0] / span
+        upper = max(2.0 * HIGHEST, 4.0 * start)
     elif item.shape == "width":
         own, lower, upper, scale = unit, NARROWEST * span, 10.0 * span, 0.1 * span
     else:

@@ -138,6 +138,16 @@ def test_fits_of_a_ripple_start_a_quarter_of_a_turn_apart_over_the_range() -> No
     assert [effect.parameters[-1].nominal for effect in law("motor4_position_ripple").effects] == starts
 
 
+@pytest.mark.parametrize("share", [1e-4, 1e-2, 1.0, 30.0])
+def test_fits_of_shapes_start_within_their_bounds_however_little_was_moved(share: float) -> None:
+    """A pad that gives by 4 mm has ripples of 694 radians a metre."""
+    ranges = {name: (share * low, share * high) for name, (low, high) in RANGES.items()}
+    for one in laws_of(load_grammar(), ranges, 7):
+        for effect in one.effects:
+            for parameter in effect.parameters:
+                assert parameter.lower <= parameter.nominal <= parameter.upper, (one.name, parameter)
+
+
 @pytest.mark.parametrize(
     ("place", "quantity", "power", "unit"),
     [

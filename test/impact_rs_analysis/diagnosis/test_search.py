@@ -268,6 +268,15 @@ def test_errors_of_a_change_are_those_of_the_residuals_it_leaves() -> None:
     np.testing.assert_allclose(problem.errors(change), direct, rtol=1e-9)
 
 
+@pytest.mark.parametrize(("point", "step"), [(50.0, -3.0), (-50.0, 3.0)])
+def test_a_point_outside_its_bounds_comes_back_by_the_trusted_step(point: float, step: float) -> None:
+    source = AnalyticSource(9, (("of_joints", tuple(range(7))),))
+    single = searched(source, "of_joints").singles["of_joints"]
+    away = replace(single, point=single.nominal + point * single.scale, lower=single.nominal - single.scale,
+                   upper=single.nominal + single.scale)  # fmt: skip
+    np.testing.assert_allclose(Problem(away, source.clusters).solve(within=3.0), step)
+
+
 def test_bounds_hold_and_the_optimum_obeys_kuhn_and_tucker() -> None:
     rng = np.random.default_rng(0)
     for _ in range(50):
