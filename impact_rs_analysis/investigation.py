@@ -32,6 +32,7 @@ from pathlib import Path
 from statistics import NormalDist
 from typing import Any, Literal, Protocol
 
+import scipy
 import yaml
 from pydantic import Field
 
@@ -622,7 +623,8 @@ def _named(
 def promise(plan: ExperimentPlan, left: int) -> float:
     """Largest probability of the right decision between two explanations that all trials left can promise [-].
 
-    The squared distance of two explanations grows at most in proportion to the trials. 1: the plan is not for rivals.
+    The squared distance of two explanations grows at most in proportion to the trials, and every further one is a
+    degree of freedom of the scatter. 1: the plan is not for rivals.
 
     Args:
         plan: The next trials.
@@ -631,7 +633,10 @@ def promise(plan: ExperimentPlan, left: int) -> float:
     if plan.aim != "rivals" or not plan.pairs:
         return 1.0
     best = min(max(pair.after for pair in plan.pairs), CERTAIN)
-    return NormalDist().cdf(NormalDist().inv_cdf(best) * math.sqrt(left / plan.trials))
+    if not plan.freedom:
+        return NormalDist().cdf(NormalDist().inv_cdf(best) * math.sqrt(left / plan.trials))
+    half = scipy.special.stdtrit(plan.freedom, best) * math.sqrt(left / plan.trials)
+    return float(scipy.special.stdtr(plan.freedom + left - plan.trials, half))
 
 
 def measured(rounds: Sequence[Round]) -> int:

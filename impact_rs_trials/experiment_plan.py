@@ -68,6 +68,7 @@ class ExperimentPlan(Schema):
     method: Method = Field(description="design: the most informative trials; random, fixed: for comparison")
     budget: int = Field(ge=1, description="largest number of trials")
     seed: int = Field(0, ge=0, description="seed of the trials")
+    freedom: int = Field(0, ge=0, description="degrees of freedom of the scatter after the plan; 0: not stated")
     summary: str = Field("", description="what the plan buys, in words")
     pairs: tuple[PlannedPair, ...] = Field((), description="what it decides, least certain first")
     campaigns: tuple[PlannedCampaign, ...] = Field(min_length=1, description="the trials, by scenario")

@@ -102,7 +102,8 @@ def planned(
     picked = chosen(method, counts, can_run, budget, seed)
     before = counts.total(counts.counted)
     after = counts.total(counts.with_more(picked))
-    pairs = _pairs(decision, counts.probabilities(before), counts.probabilities(after))
+    known, freedom = counts.freedom({}), counts.freedom(picked)
+    pairs = _pairs(decision, counts.probabilities(before, known), counts.probabilities(after, freedom))
     words = {name: _buys(counts, decision, after, picked, name) for name in picked}
     return ExperimentPlan(
         model=model.name,
@@ -111,6 +112,7 @@ def planned(
         method=method,
         budget=budget,
         seed=seed,
+        freedom=int(freedom),
         summary=_summary(decision, pairs, picked, counts.information(after) if decision.aim == "parameters" else 0.0),
         pairs=tuple(pairs[:MOST_PAIRS]),
         campaigns=_campaigns({trial.name: trial for trial in can_run}, picked, words),
@@ -175,7 +177,9 @@ def _buys(counts: Discrimination, decision: Decision, total: Array, picked: Coun
     if decision.aim == "parameters":
         gained = counts.information(total) - counts.information(without)
         return f"{times} add {gained:.2g} nat of information on the parameters"
-    now, less = counts.probabilities(total), counts.probabilities(without)
+    rest = {other: repeats for other, repeats in picked.items() if other != name}
+    now = counts.probabilities(total, counts.freedom(picked))
+    less = counts.probabilities(without, counts.freedom(rest))
     best = int(np.argmax(now - less))
     i, j = decision.pairs[best]
     first, second = decision.explanations[i].name, decision.explanations[j].name

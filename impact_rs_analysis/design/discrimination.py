@@ -19,10 +19,11 @@ rival models*: T-optimality, the rival fitted anew),
     g_ijk = S_ik^T V_j^-1 S_ik,    V_j = var(e) + P^T P + w^2 S_j^T S_j
 
 with a range of w scales for the rival's parameters. The log likelihood ratio of two normal distributions a distance
-sqrt(g) apart is normal with mean +-g/2 and variance g, so with equal odds the likelier explanation is the right one
-with probability
+sqrt(g) apart is normal with mean +-g/2 and variance g, so with equal odds and a known scatter the likelier explanation
+is the right one with probability Phi(sqrt(g) / 2). A diagnosis has to estimate the scatter from repeats, n - 1 of each
+condition, and with few of them much can be chance; as in Student's test of two means
 
-    p = Phi(sqrt(g) / 2)
+    p = T_f(sqrt(g) / 2),    f = sum over conditions of (n_c - 1)
 
 of a pair without estimates in the mean over the parameters, in the direction in which that is less. For parameters the
 gain is their information, log det(1 + S V^-1 S^T) / 2 (D-optimality; Lindley 1956, *On a measure of the information
@@ -92,6 +93,11 @@ class Discrimination:
         """Counted repeats by condition with further ones."""
         return {name: self.counted.get(name, 0) + picked.get(name, 0) for name in {**self.counted, **picked}}
 
+    def freedom(self, picked: Mapping[str, int]) -> float:
+        """Degrees of freedom of the scatter, from the repeats of all trials before the plan and further ones."""
+        names = {**self.measured, **picked}
+        return float(sum(max(self.measured.get(name, 0) + picked.get(name, 0) - 1, 0) for name in names))
+
     def total(self, counts: Mapping[str, int]) -> Array:
         """Inner products summed over conditions with so many repeats."""
         found = np.zeros((self._size, self._size))
@@ -129,9 +135,15 @@ class Discrimination:
             found.append([left[other][self._spreads[own] - offset] for one, own, other in directions if one.varied])
         return found
 
-    def probabilities(self, total: Array) -> Array:
-        """Probability of the right decision for every pair, ``(pairs,)`` [-]."""
-        return np.array([min(float(probability(cases).mean()) for cases in ways) for ways in self.gains(total)])
+    def probabilities(self, total: Array, freedom: float = np.inf) -> Array:
+        """Probability of the right decision for every pair, ``(pairs,)`` [-].
+
+        Args:
+            total: Inner products.
+            freedom: Degrees of freedom of the scatter; infinite: it is known.
+        """
+        gains = self.gains(total)
+        return np.array([min(float(probability(cases, freedom).mean()) for cases in ways) for ways in gains])
 
     def information(self, total: Array) -> float:
         """Information on the parameters of all explanations, half the log determinant [nat]."""
@@ -139,17 +151,21 @@ class Discrimination:
         inner = self._without_patterns(total)[np.ix_(rows, rows)]
         return 0.5 * float(np.linalg.slogdet(np.eye(len(rows)) + inner)[1])
 
-    def utility(self, total: Array) -> float:
+    def utility(self, total: Array, freedom: float = np.inf) -> float:
         """What the choice of trials maximises: it never falls with a further trial.
 
         The mean probability of the right decision over the pairs, and to a small part the mean of log(1 + g), which
         chooses between trials where everything is decided; for parameters their information.
+
+        Args:
+            total: Inner products.
+            freedom: Degrees of freedom of the scatter; infinite: it is known.
         """
         if self.decision.aim == "parameters":
             return self.information(total)
         first, second = [], []
         for ways in self.gains(total):
-            first.append(min(float(probability(cases).mean()) for cases in ways))
+            first.append(min(float(probability(cases, freedom).mean()) for cases in ways))
             second.append(min(float(np.log1p(np.maximum(cases, 0.0)).mean()) for cases in ways))
         return float(np.mean(first) + TIES * np.mean(second))
 
@@ -189,9 +205,17 @@ def variance(item: Cluster, repeats: int) -> Array:
     return np.maximum(scatter / repeats + limit + alone * systematic, LEAST_VARIANCE)
 
 
-def probability(gain: Array) -> Array:
-    """Probability that the likelier of two explanations is the right one, from their squared distance [-]."""
-    return np.asarray(scipy.special.ndtr(np.sqrt(np.maximum(gain, 0.0)) / 2.0))
+def probability(gain: Array, freedom: float = np.inf) -> Array:
+    """Probability that the likelier of two explanations is the right one [-].
+
+    Args:
+        gain: Their squared distance [-].
+        freedom: Degrees of freedom of the scatter; infinite: it is known; none: a single repeat says nothing of it.
+    """
+    half = np.sqrt(np.maximum(gain, 0.0)) / 2.0
+    if np.isinf(freedom):
+        return np.asarray(scipy.special.ndtr(half))
+    return np.asarray(scipy.special.stdtr(freedom, half)) if freedom > 0.0 else np.full_like(half, 0.5)
 
 
 def _patterns(item: Cluster) -> Array:

@@ -78,13 +78,14 @@ def _greedy(trials: Sequence[ForecastTrial], counts: Discrimination, budget: int
     measured = counts.measured
     picked: Counts = {}
     total = counts.total(counts.counted)
-    here = counts.utility(total)
+    freedom = counts.freedom({}) + budget // REPEATS  # at least so many, whichever trials are chosen
+    here = counts.utility(total, freedom)
     left = budget
     while left > 0:
         best: tuple[float, str, int] | None = None
         for name, cost in _options(names, measured, picked, left, missing):
             before = counts.counted.get(name, 0) + picked.get(name, 0)
-            gain = (counts.utility(counts.added(total, name, before, before + cost)) - here) / cost
+            gain = (counts.utility(counts.added(total, name, before, before + cost), freedom) - here) / cost
             if best is None or gain > best[0] * (1.0 + 1e-9):
                 best = gain, name, cost
         if best is None:
@@ -93,7 +94,7 @@ def _greedy(trials: Sequence[ForecastTrial], counts: Discrimination, budget: int
         picked[name] = picked.get(name, 0) + cost
         left -= cost
         total = counts.total(counts.with_more(picked))
-        here = counts.utility(total)
+        here = counts.utility(total, freedom)
     return picked
 
 
