@@ -20,12 +20,12 @@ rival models*: T-optimality, the rival fitted anew),
 
 with a range of w scales for the rival's parameters. The log likelihood ratio of two normal distributions a distance
 sqrt(g) apart is normal with mean +-g/2 and variance g, so with equal odds and a known scatter the likelier explanation
-is the right one with probability Phi(sqrt(g) / 2). A diagnosis has to estimate the scatter from repeats, n - 1 of each
-condition, and with few of them much can be chance; as in Student's test of two means
+is the right one with probability Phi(sqrt(g) / 2). A diagnosis estimates the scatter from repeats, n - 1 of each
+condition. In the mean over what so few may say of it this is Student's distribution (1908),
 
     p = T_f(sqrt(g) / 2),    f = sum over conditions of (n_c - 1)
 
-of a pair without estimates in the mean over the parameters, in the direction in which that is less. For parameters the
+and of a pair without estimates in the mean over the parameters, in the direction in which that is less. For parameters the
 gain is their information, log det(1 + S V^-1 S^T) / 2 (D-optimality; Lindley 1956, *On a measure of the information
 provided by an experiment*). All follow from one matrix of inner products, a sum over conditions.
 """

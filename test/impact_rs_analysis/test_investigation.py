@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -798,3 +799,15 @@ def test_an_end_says_what_its_trials_would_hardly_show(start: Start) -> None:
 )
 def test_laws_that_are_known_to_be_right_are_asked_for(ending: Ending, right: bool, wrong: bool) -> None:
     assert judged(ending, "outside", ("drag",), ("drag_square", "slip_square")) == (right, wrong)
+
+
+@pytest.mark.parametrize("freedom", [0, 2, 9])
+def test_all_trials_left_promise_what_the_plan_does_and_more_with_every_further_one(
+    tmp_path: Path, freedom: int
+) -> None:
+    pair = PlannedPair(first=FRICTION, second=MASS, before=0.5, after=0.7)
+    plan = FakeBench(tmp_path, tie).design(load_model("nominal"), [], None, 4, 0)
+    plan = plan.model_copy(update={"aim": "rivals", "pairs": (pair,), "freedom": freedom})
+    promised = [investigation.promise(plan, plan.trials + further) for further in range(20)]
+    assert promised[0] == pytest.approx(0.7)
+    assert all(more > less for less, more in itertools.pairwise(promised))

@@ -160,3 +160,20 @@ def test_what_estimates_contain_is_not_counted_again() -> None:
     assert tied.measured == fresh.measured == {"a": 4}
     assert tied.probabilities(tied.total(tied.counted))[0] == 0.5
     assert fresh.probabilities(fresh.total(fresh.counted))[0] > 0.6
+
+
+@pytest.mark.parametrize("freedom", [3, 6, 20])
+def test_of_few_repeats_the_probability_is_the_mean_over_what_they_may_say_of_the_scatter(freedom: int) -> None:
+    ratio = np.sqrt(np.random.default_rng(freedom).chisquare(freedom, 200_000) / freedom)
+    for gain in (0.5, 4.0, 16.0):
+        mean = float(np.mean(probability(gain * ratio**2)))
+        assert float(probability(np.array(gain), freedom)) == pytest.approx(mean, abs=2e-3)
+    assert probability(np.array(4.0), 1e7) == pytest.approx(probability(np.array(4.0)), abs=1e-6)
+    assert probability(np.array([4.0, 9.0]), 0.0) == pytest.approx(0.5)
+
+
+def test_repeats_before_and_of_the_plan_count_for_the_scatter() -> None:
+    trials = [trial("a", [[0.0], [1.0]], repeats=3), trial("b", [[0.0], [1.0]])]
+    counts = Discrimination(estimated_pair(0), trials)
+    assert counts.freedom({}) == 2.0
+    assert counts.freedom({"a": 1, "b": 2}) == 4.0
