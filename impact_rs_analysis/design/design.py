@@ -188,7 +188,7 @@ def _buys(counts: Discrimination, decision: Decision, total: Array, picked: Coun
 
 def _summary(decision: Decision, pairs: Sequence[PlannedPair], picked: Counts, information: float) -> str:
     """What the plan buys, in a sentence."""
-    trials = f"{sum(picked.values())} trials of {len(picked)} conditions"
+    trials = f"{sum(picked.values())} trials of {len(picked)} condition{'s' if len(picked) > 1 else ''}"
     if decision.aim == "parameters":
         return f"{trials}: {information:.2g} nat of information on the parameters of {decision.explanations[0].name}"
     sure = [pair for pair in pairs if pair.after >= SURE]

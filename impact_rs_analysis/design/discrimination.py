@@ -25,8 +25,8 @@ condition. In the mean over what so few may say of it this is Student's distribu
 
     p = T_f(sqrt(g) / 2),    f = sum over conditions of (n_c - 1)
 
-and of a pair without estimates in the mean over the parameters, in the direction in which that is less. For parameters the
-gain is their information, log det(1 + S V^-1 S^T) / 2 (D-optimality; Lindley 1956, *On a measure of the information
+and of a pair without estimates in the mean over the parameters, in the direction in which that is less. For parameters
+the gain is their information, log det(1 + S V^-1 S^T) / 2 (D-optimality; Lindley 1956, *On a measure of the information
 provided by an experiment*). All follow from one matrix of inner products, a sum over conditions.
 """
 
