@@ -31,7 +31,6 @@ class Lessons:
         self._followed, self._diagnosis = followed, diagnosis
         self._restored = False
         self._arriving: Iterator[HitDocument] = iter(())
-        self._refused: set[str] = set()  # names that were said
 
     def arrived(self) -> Sequence[Lesson]:
         """What the hits since the last call taught, of many that wait the first.
@@ -66,12 +65,9 @@ class Lessons:
 
     def _refusals(self) -> Iterator[Lesson]:
         """What gave no hit since the last call."""
-        for name, reason in self._followed.follower.door.skipped.items():
-            if name not in self._refused:
-                self._refused.add(name)
-                yield Lesson(
-                    f"{name}: {reason}", refused=RefusedHit(hit=name, reason=reason).model_dump_json(), hit=False
-                )
+        for name, reason in self._followed.follower.door.newly_skipped().items():
+            document = RefusedHit(hit=name, reason=reason).model_dump_json()
+            yield Lesson(f"{name}: {reason}", refused=document, hit=False)
 
     def _lesson(self, document: HitDocument) -> Lesson:
         if document.error is None:

@@ -92,6 +92,7 @@ class Door(ABC):
 
     model: Model
     skipped: dict[str, str]
+    _told = 0  # of them
     waiting: int = 0
 
     @abstractmethod
@@ -113,6 +114,12 @@ class Door(ABC):
         Raises:
             InputError: One of them is gone.
         """
+
+    def newly_skipped(self) -> dict[str, str]:
+        """Of ``skipped`` what came since the last call."""
+        found = dict(itertools.islice(self.skipped.items(), self._told, None))
+        self._told = len(self.skipped)
+        return found
 
     def limits(self, first: Sequence[Hit], layout: str) -> Array:
         """Relevance limits of the features of a layout, ``(F,)``.

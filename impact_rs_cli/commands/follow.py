@@ -45,25 +45,24 @@ def run(args: argparse.Namespace, terminal: Terminal) -> int:
     if count := followed.restore():
         terminal.say(f"state: goes on after {count} hits")
     documents: list[HitDocument] = []
-    refused: set[str] = set()
     with terminal.progress("following hits") as report:
         for document in followed.arrived():
             documents.append(document)
             _say(document, diagnosis, terminal)
             report(len(documents), len(documents) + door.waiting)
-            _warn_of_refused(door, refused, terminal)
-    _warn_of_refused(door, refused, terminal)
+            _warn_of_refused(door, terminal)
+    _warn_of_refused(door, terminal)
     followed.save()
     found = None
     try:
         _say_more(followed, terminal)
         if args.live:
-            documents += _live(followed, diagnosis, refused, terminal)
+            documents += _live(followed, diagnosis, terminal)
         else:
             found = _awaited(diagnosis, terminal)
     finally:
         diagnosis.stop()
-    _warn_of_refused(door, refused, terminal)
+    _warn_of_refused(door, terminal)
     result = FollowDocument(
         model=model.name,
         hits=tuple(documents),
@@ -80,15 +79,13 @@ def run(args: argparse.Namespace, terminal: Terminal) -> int:
     return 0
 
 
-def _warn_of_refused(door: Door, said: set[str], terminal: Terminal) -> None:
+def _warn_of_refused(door: Door, terminal: Terminal) -> None:
     """Warn of what gave no hit, once for each."""
-    for name, reason in door.skipped.items():
-        if name not in said:
-            said.add(name)
-            terminal.warn(f"left out: {name}: {reason}")
+    for name, reason in door.newly_skipped().items():
+        terminal.warn(f"left out: {name}: {reason}")
 
 
-def _live(followed: FollowedHits, diagnosis: FullDiagnosis, refused: set[str], terminal: Terminal) -> list[HitDocument]:
+def _live(followed: FollowedHits, diagnosis: FullDiagnosis, terminal: Terminal) -> list[HitDocument]:
     """Wait for further hits until Ctrl-C."""
     terminal.say(f"waiting for hits in {followed.hits.where}; Ctrl-C ends")
     found: list[HitDocument] = []
@@ -97,7 +94,7 @@ def _live(followed: FollowedHits, diagnosis: FullDiagnosis, refused: set[str], t
             for document in followed.arrived():
                 found.append(document)
                 _say(document, diagnosis, terminal, every=True)
-            _warn_of_refused(followed.follower.door, refused, terminal)
+            _warn_of_refused(followed.follower.door, terminal)
             _say_more(followed, terminal)
             _say_diagnosis(diagnosis.ended(), terminal)
             time.sleep(POLLED)
