@@ -377,14 +377,14 @@ class Investigation:
         self._diagnosis(here, here.model, "diagnosis.json")
 
     def _diagnose_again(self, here: Round) -> None:
-        self._diagnosis(here, self.settings.model, "again.json")
+        self._diagnosis(here, self.settings.model, "again.json", self._model(here.model))
 
-    def _diagnosis(self, here: Round, file: str, name: str) -> None:
+    def _diagnosis(self, here: Round, file: str, name: str, earlier: Model | None = None) -> None:
         self._say(f"Round {here.number}: what model {file} lacks")
         model = self._model(file)
         present = {item.name for item in model.effects}
         only = [effect for effect in self.settings.effects if effect not in present] or None
-        document = diagnose(self._bench.read()(model), model, only, self._bench.rank)
+        document = diagnose(self._bench.read()(model), model, only, self._bench.rank, earlier=earlier)
         write_document(document, here.directory / name)
 
     def _discover(self, here: Round) -> None:

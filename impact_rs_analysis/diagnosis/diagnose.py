@@ -35,7 +35,7 @@ from impact_rs_analysis.diagnosis.drift import doubt_of, drift_in_words, drift_o
 from impact_rs_analysis.diagnosis.fit import Evidence, Fit
 from impact_rs_analysis.diagnosis.hold_out import HoldOut, hold_out
 from impact_rs_analysis.diagnosis.next_experiment import next_experiment
-from impact_rs_analysis.diagnosis.search import NOTHING_KNOWN, ProgressCallback, Rival, Search
+from impact_rs_analysis.diagnosis.search import NO_ESTIMATES, NOTHING_KNOWN, Estimates, ProgressCallback, Rival, Search
 from impact_rs_analysis.diagnosis.thresholds import LEAST_CLUSTERS, LEAST_P, WIDE_TIE
 from impact_rs_analysis.diagnosis.verdicts import (
     MOST_RESTS,
@@ -73,6 +73,7 @@ def diagnose(
     only: Sequence[str] | None = None,
     progress: ProgressCallback = lambda *_: None,
     bounds: Bounds = NO_BOUNDS,
+    earlier: Model | None = None,
 ) -> DiagnosisDocument:
     """Find out which effects are missing in a model.
 
@@ -83,13 +84,14 @@ def diagnose(
             those that recordings calibrate.
         progress: Called with effects and their held-out error during the search (:class:`Search`).
         bounds: Ranges of parameters that a user knows better.
+        earlier: A model with effects that this one may lack: fits of them may begin at its estimates.
 
     Raises:
         InputError: Too few conditions for a hold-out.
     """
     whole, source = source, source.searched()
     effects = effects_for(source, only, bounds)
-    found = findings_of(source, effects, progress)
+    found = findings_of(source, effects, progress, {} if earlier is None else _estimates_of(earlier))
     present = [item.name for item in source.model.effects]
     known = [bounded(source.known_effects[name].in_proportion(source.proportion), bounds) for name in present]
     dependences = dependences_of(found, known, progress)
@@ -193,13 +195,24 @@ def effects_for(source: Source, only: Sequence[str] | None = None, bounds: Bound
     ]
 
 
-def findings_of(source: Source, effects: Sequence[Effect], progress: ProgressCallback = lambda *_: None) -> Findings:
+def _estimates_of(model: Model) -> dict[str, dict[str, float]]:
+    """Estimates by effect and parameter."""
+    return {item.name: {name: value.estimate for name, value in item.parameters.items()} for item in model.effects}
+
+
+def findings_of(
+    source: Source,
+    effects: Sequence[Effect],
+    progress: ProgressCallback = lambda *_: None,
+    earlier: Estimates = NO_ESTIMATES,
+) -> Findings:
     """Search for missing effects, and hold out.
 
     Args:
         source: Measurements with the model's predictions.
         effects: Effects to consider.
         progress: Called with effects and their held-out error during the search (:class:`Search`).
+        earlier: Estimates of an earlier model, at which fits may begin.
 
     Raises:
         InputError: Too few conditions for a hold-out.
@@ -210,7 +223,7 @@ def findings_of(source: Source, effects: Sequence[Effect], progress: ProgressCal
             f"{len(source.clusters)} condition(s) measured ({names}): at least {LEAST_CLUSTERS} are needed to hold one "
             "out; `impact-rs compare` still shows where the model fails"
         )
-    search = Search(effects, Evidence.of(source), progress)
+    search = Search(effects, Evidence.of(source), progress, earlier=earlier)
     chosen = None if search.evidence.null.shortage is not None else search.choose()
     rivals: Sequence[Rival] = ()
     held, unsupported = None, ""

@@ -74,6 +74,9 @@ class Rival:
 
 NOTHING_KNOWN: Mapping[tuple[str, ...], Candidate] = MappingProxyType({})
 
+Estimates = Mapping[str, Mapping[str, float]]
+NO_ESTIMATES: Estimates = MappingProxyType({})
+
 ProgressCallback = Callable[[str, float], None]
 
 
@@ -88,6 +91,8 @@ class Search:
             :meth:`Evidence.size`.
         known: Results of fits of the same effects to all clusters of the source, by the names of the effects: a fit
             begins there. It ends where the evidence leads it.
+        earlier: Estimates of an earlier model, by effect and parameter: where the chosen effects leave more than noise,
+            their fit begins there once more.
 
     Attributes:
         singles: Every measurable effect alone, linearised at nominal.
@@ -101,8 +106,10 @@ class Search:
         evidence: Evidence,
         progress: ProgressCallback = lambda *_: None,
         known: Mapping[tuple[str, ...], Candidate] = NOTHING_KNOWN,
+        earlier: Estimates = NO_ESTIMATES,
     ) -> None:
         self.evidence, self.source, self._progress, self._known = evidence, evidence.source, progress, known
+        self._earlier = earlier
         self.singles: dict[str, Candidate] = {}
         self.ended: dict[tuple[str, ...], Candidate] = {}
         self._looks = Counter(effect.name for effect in effects)
@@ -334,10 +341,25 @@ class Search:
         left = chosen.lack_of_fit() if self.source.of_motion and not self._known else None
         if left is None or left > SIGNIFICANT:
             return chosen
-        moved = by_simplex(chosen)
-        if moved.misfit > (1.0 - LEAST_GAIN) * chosen.misfit:
+        earlier = self._from_earlier(chosen)
+        moved = by_simplex(chosen) if earlier is None or self._hardly_better(earlier, chosen) else earlier
+        if self._hardly_better(moved, chosen):
             return chosen
         return self._extend(self._measured_again(moved)) or chosen
+
+    def _hardly_better(self, moved: Fit, chosen: Fit) -> bool:
+        return moved.misfit > (1.0 - LEAST_GAIN) * chosen.misfit
+
+    def _from_earlier(self, chosen: Fit) -> Fit | None:
+        """The fit of the chosen effects from the estimates of an earlier model; None: it does not have them all."""
+        candidate, point = chosen.candidate, chosen.candidate.point.copy()
+        for effect, part in candidate.parts:
+            values = self._earlier.get(effect.name)
+            if values is None:
+                return None
+            point[part] = [values[scalar.name] for scalar in candidate.scalars[part]]
+        start = self._linearised(replace(candidate, point=point, origin=()))
+        return None if start is None else refine_again(refine(start, self.evidence))
 
     def _extend(self, chosen: Fit | None, names: Collection[str] | None = None) -> Fit | None:
         """Add effects until none is accepted; of some alone if ``names`` says which."""

@@ -116,8 +116,12 @@ Start = Callable[..., tuple[Investigation, FakeBench]]
 def start(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Start:
     """An investigation with given diagnoses."""
 
-    def diagnosed(source: tuple[FakeBench, Model], model: Model, *_: Any) -> DiagnosisDocument:
+    def diagnosed(
+        source: tuple[FakeBench, Model], model: Model, *_: Any, earlier: Model | None = None
+    ) -> DiagnosisDocument:
         bench, _ = source
+        if earlier is not None:
+            assert earlier.effects and not model.effects  # the first model again, from the estimates of the newest
         found = bench.answer(model, len(list((bench.directory / "runs").glob("*/*/*"))))
         return found.model_copy(update={"model": ModelIdentity(name=model.name, digest=model.digest)})
 

@@ -492,3 +492,16 @@ def test_a_fit_leaves_a_small_minimum_that_slips_have_made() -> None:
     assert not free.poor and np.all(np.abs(free.estimate - truth) < 0.1)
     found = Search([EFFECTS["stick_slip"]], evidence).choose()
     assert found is not None and np.all(np.abs(found.estimate - truth) < 0.1)
+
+
+def test_a_fit_begins_at_the_estimates_of_an_earlier_model_where_it_is_stuck(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Without the simplex, which would find out as well; what the earlier model does not have is no start."""
+    truth = np.array((5.9, -3.4, 1.7))
+    evidence = Evidence.of(AnalyticSource(9, (("stick_slip", tuple(truth)),)))
+    monkeypatch.setattr("impact_rs_analysis.diagnosis.search.by_simplex", lambda fitted: fitted)
+    start = Search([EFFECTS["stick_slip"]], evidence).singles["stick_slip"]
+    stuck = refine_again(refine(start, evidence))
+    near = {scalar.name: value + 0.05 for scalar, value in zip(start.scalars, truth.tolist(), strict=True)}
+    for name, free in (("stick_slip", True), ("straight", False)):
+        found = Search([EFFECTS["stick_slip"]], evidence, earlier={name: near})._out_of_small_minima(stuck)
+        assert bool(np.all(np.abs(found.estimate - truth) < 0.1)) == free
