@@ -92,7 +92,7 @@ class Search:
         known: Results of fits of the same effects to all clusters of the source, by the names of the effects: a fit
             begins there. It ends where the evidence leads it.
         earlier: Estimates of an earlier model, by effect and parameter: where the chosen effects leave more than noise,
-            their fit begins there once more.
+            they are looked at there.
 
     Attributes:
         singles: Every measurable effect alone, linearised at nominal.
@@ -341,8 +341,10 @@ class Search:
         left = chosen.lack_of_fit() if self.source.of_motion and not self._known else None
         if left is None or left > SIGNIFICANT:
             return chosen
-        earlier = self._from_earlier(chosen)
-        moved = by_simplex(chosen) if earlier is None or self._hardly_better(earlier, chosen) else earlier
+        earlier = self._at_earlier(chosen)
+        if earlier is not None and not self._hardly_better(earlier, chosen):
+            return self._extend(earlier) or chosen
+        moved = by_simplex(chosen)
         if self._hardly_better(moved, chosen):
             return chosen
         return self._extend(self._measured_again(moved)) or chosen
@@ -350,8 +352,11 @@ class Search:
     def _hardly_better(self, moved: Fit, chosen: Fit) -> bool:
         return moved.misfit > (1.0 - LEAST_GAIN) * chosen.misfit
 
-    def _from_earlier(self, chosen: Fit) -> Fit | None:
-        """The fit of the chosen effects from the estimates of an earlier model; None: it does not have them all."""
+    def _at_earlier(self, chosen: Fit) -> Fit | None:
+        """The chosen effects near the estimates of an earlier model; None: it does not have them all.
+
+        All runs are looked at from there. One that stands for its repeats leads elsewhere where joints stick.
+        """
         candidate, point = chosen.candidate, chosen.candidate.point.copy()
         for effect, part in candidate.parts:
             values = self._earlier.get(effect.name)
@@ -359,7 +364,9 @@ class Search:
                 return None
             point[part] = [values[scalar.name] for scalar in candidate.scalars[part]]
         start = self._linearised(replace(candidate, point=point, origin=()))
-        return None if start is None else refine_again(refine(start, self.evidence))
+        if start is None:
+            return None
+        return self._measured_again(Fit(start, self.evidence, self.evidence.problem(start), np.zeros_like(point)))
 
     def _extend(self, chosen: Fit | None, names: Collection[str] | None = None) -> Fit | None:
         """Add effects until none is accepted; of some alone if ``names`` says which."""
