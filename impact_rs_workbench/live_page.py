@@ -9,6 +9,7 @@ import logging
 from collections.abc import AsyncIterator, Callable
 from contextlib import AbstractContextManager, AsyncExitStack, asynccontextmanager
 from dataclasses import dataclass
+from functools import lru_cache
 from importlib.resources import files
 from typing import Any, Protocol
 
@@ -83,7 +84,6 @@ class LiveView:
         self._source, self._program, self._say = source, program, say
         self._number = -1
         self._scene = DrawnScene()
-        self._followed, self._text = IdentifyMessages(), "null"
         self._changed = asyncio.Condition()
         self.news: dict[str, str] = {}  # newest content by name of the event
 
@@ -100,7 +100,7 @@ class LiveView:
                 "scene": self._scene.text,
                 "status": json.dumps(status_text(snapshot, self._scene, self._program)),
                 "state": json.dumps(state_of(snapshot, self._scene), allow_nan=False),
-                "followed": self._followed_text(snapshot.followed),
+                "followed": followed_text(snapshot.followed),
             }
             if news != self.news:
                 if news["status"] != self.news.get("status"):
@@ -110,12 +110,6 @@ class LiveView:
                     self._changed.notify_all()
             due = max(due + PERIOD, clock())
             await asyncio.sleep(due - clock())
-
-    def _followed_text(self, followed: IdentifyMessages) -> str:
-        """What hits have taught, as JSON; made once for each snapshot with news."""
-        if followed is not self._followed:
-            self._followed, self._text = followed, json.dumps(followed_of(followed), allow_nan=False)
-        return self._text
 
     async def stream(self, request: Request) -> AsyncIterator[str]:
         """Server-sent events ``scene``, ``status``, ``state`` and ``followed``: each whole, when it has changed."""
@@ -187,6 +181,12 @@ def followed_of(followed: IdentifyMessages) -> dict[str, Any]:
         "refused": read(RefusedHit, followed.refused),
     }
     return found | {"unreadable": unreadable}
+
+
+@lru_cache(maxsize=8)
+def followed_text(followed: IdentifyMessages) -> str:
+    """:func:`followed_of` as JSON, kept: it is asked for with every look at the graph."""
+    return json.dumps(followed_of(followed), allow_nan=False)
 
 
 def status_text(snapshot: Snapshot, scene: DrawnScene, program: str) -> str:

@@ -134,16 +134,16 @@ def test_what_identify_publishes_is_kept_through_trials_with_every_change_once(
     def publish(name: str, text: str) -> None:
         graph.say(f"/identify/{name}", topics.STRING, String(data=text), latched=True)
 
-    told: tuple[str, ...] = ()
+    changes: tuple[str, ...] = ()
     for text in ("first", "second", "second", "third"):  # one twice, by a node that was started again
         publish("change", text)
-        told = tuple(dict.fromkeys((*told, text)))
-        until(spectator, lambda seen, told=told: seen.followed.changes == told)
+        changes = tuple(dict.fromkeys((*changes, text)))
+        until(spectator, lambda seen, expected=changes: seen.followed.changes == expected)
     publish("prediction", "older")
     publish("prediction", "newest")
     publish("refused", "a bag")
     found = until(spectator, lambda seen: seen.followed.refused and seen.followed.prediction == "newest")
-    assert found.followed == IdentifyMessages("newest", told, "", "a bag")
+    assert found.followed == IdentifyMessages("newest", changes, "", "a bag")
     graph.trial("push")
     assert until(spectator, lambda seen: seen.physics).followed == found.followed
 
