@@ -66,11 +66,17 @@ class SharedFirstPlan(PlantBench):
     """Our plant; the first plan, which is the same for all, is made once and read by the others."""
 
     def design(
-        self, model: Model, done: Sequence[Round], document: DiagnosisDocument | None, budget: int, seed: int
+        self,
+        model: Model,
+        done: Sequence[Round],
+        document: DiagnosisDocument | None,
+        budget: int,
+        seed: int,
+        show: Sequence[str] = (),
     ) -> ExperimentPlan:
         """The next trials."""
         if done:
-            return super().design(model, done, document, budget, seed)
+            return super().design(model, done, document, budget, seed, show)
         path = self.runs.parent.parent / f"first_plan_{budget}.yaml"
         if not path.exists():
             write_plan(super().design(model, done, document, budget, 0), path)

@@ -122,6 +122,7 @@ class RoundDecision(Schema):
     not_excluded: tuple[str, ...] = Field(
         (), description="effects that could be there at a noticeable size, and that the trials would hardly show"
     )
+    show: tuple[str, ...] = Field((), description="effects that the next trials shall show or exclude; none: any")
     spent: bool = Field(False, description="whether it ends because the budget is spent")
     budget: int = Field(description="trials that were allowed")
 
@@ -239,9 +240,18 @@ class Bench(Protocol):
         """All trials against a model."""
 
     def design(
-        self, model: Model, done: Sequence[Round], document: DiagnosisDocument | None, budget: int, seed: int
+        self,
+        model: Model,
+        done: Sequence[Round],
+        document: DiagnosisDocument | None,
+        budget: int,
+        seed: int,
+        show: Sequence[str] = (),
     ) -> ExperimentPlan:
-        """The next trials, at most ``budget``."""
+        """The next trials, at most ``budget``, for what a document leaves open.
+
+        Without a document they show whether one of the effects of ``show`` is missing (none: of all).
+        """
 
     @property
     def rank(self) -> ProgressCallback:
@@ -331,14 +341,16 @@ class Investigation:
         left = self.budget - measured(rounds)
         document = rounds[-1].open if rounds else None
         fresh = bool(rounds) and self._to_be_tried(rounds[-1])
-        count = min(left, FEW if fresh else size_of_round(rounds[-1] if rounds else None))
+        show = rounds[-1].decision.show if rounds and rounds[-1].decision is not None else ()
+        count = min(left, FEW if fresh or show else size_of_round(rounds[-1] if rounds else None))
         self._say(f"Round {number}: design of {count} trials at most, {left} are left")
         plan = self._bench.design(
             self._model(_model_after(self.settings, rounds) if fresh else self.settings.model),
             rounds,
-            None if fresh else document,
+            None if fresh or show else document,
             count,
             self.settings.seed + number - 1,
+            show,
         )
         if rounds and (promised := promise(plan, left)) < WORTHWHILE:
             self._give_up(rounds[-1], promised, left)
@@ -509,9 +521,11 @@ def decide(settings: Settings, rounds: Sequence[Round], budget: int) -> RoundDec
     assert here.diagnosis is not None and basis is not None
     left = budget - measured(rounds)
 
-    def more(reason: str, candidates: tuple[tuple[str, ...], ...] = (), stop: str = "") -> RoundDecision:
+    def more(
+        reason: str, candidates: tuple[tuple[str, ...], ...] = (), stop: str = "", show: tuple[str, ...] = ()
+    ) -> RoundDecision:
         if left > 0 and not stop:
-            return RoundDecision(action="measure", reason=reason, tied=candidates, budget=budget)
+            return RoundDecision(action="measure", reason=reason, tied=candidates, show=show, budget=budget)
         why = stop or f"the budget of {budget} trials is spent"
         return RoundDecision(
             action="end",
@@ -543,7 +557,10 @@ def decide(settings: Settings, rounds: Sequence[Round], budget: int) -> RoundDec
             budget=budget,
         )
 
+    show = _worth_a_look(rounds, basis) if left > 0 else ()
     if _settled(settings, here):
+        if show:
+            return more(f"{here.model} holds. {_look(basis, show)}", show=show)
         laws, found = _laws_added(rounds), here.prediction_error
         assert found is not None
         return RoundDecision(
@@ -561,6 +578,8 @@ def decide(settings: Settings, rounds: Sequence[Round], budget: int) -> RoundDec
         before = rounds[-2].basis if len(rounds) > 1 else None
         if before is None or not holds(before) or not _tried(here):
             return more(f"{basis.summary} New trials have to confirm it.")
+        if show:
+            return more(f"{basis.summary} {_look(basis, show)}", show=show)
         return RoundDecision(
             action="end",
             verdict=MISSES_NOTHING,
@@ -596,6 +615,29 @@ def decide(settings: Settings, rounds: Sequence[Round], budget: int) -> RoundDec
         reason = f"Beside what {here.model} has, {' and '.join(further)} is named again: {here.diagnosis.summary}"
         return add(further, "diagnosis.json", reason, here.model)
     return _named(basis, "again.json" if here.again is not None else "diagnosis.json", basis.summary, add, more)
+
+
+def _worth_a_look(rounds: Sequence[Round], document: DiagnosisDocument) -> tuple[str, ...]:
+    """Effects of which more trials are measured before an end, as long as these make them more significant."""
+    before = rounds[-2] if len(rounds) > 1 else None
+    looked = before.decision.show if before is not None and before.decision is not None else ()
+    return tuple(
+        name
+        for name in document.nominally_significant
+        if name not in looked or _alone(document, name) < _alone(before.basis if before else None, name)
+    )
+
+
+def _alone(document: DiagnosisDocument | None, name: str) -> float:
+    """p-value of an effect as if it were tested alone."""
+    effect = None if document is None else document.effect(name)
+    return 1.0 if effect is None or effect.p_value_alone is None else effect.p_value_alone
+
+
+def _look(document: DiagnosisDocument, names: Sequence[str]) -> str:
+    """Why more trials of some effects are measured."""
+    found = [f"{name} (p = {_alone(document, name):.2g})" for name in names]
+    return f"Tested alone, {' and '.join(found)} would be significant: trials that show it or exclude it."
 
 
 def _what_trials_hardly_show(document: DiagnosisDocument) -> str:

@@ -104,7 +104,13 @@ class PlantBench:
         return read(self.runs, self.map_tasks, self.terminal)
 
     def design(
-        self, model: Model, done: Sequence[Round], document: DiagnosisDocument | None, budget: int, seed: int
+        self,
+        model: Model,
+        done: Sequence[Round],
+        document: DiagnosisDocument | None,
+        budget: int,
+        seed: int,
+        show: Sequence[str] = (),
     ) -> ExperimentPlan:
         """The trials that decide most of what is open; where none can be planned so, those of a rule."""
         limits = Envelope(cell=self.settings.envelope)
@@ -113,7 +119,8 @@ class PlantBench:
             if document is not None:
                 decide, known = left_open(document, model), considered(document, model)
             if decide is None:
-                decide = missing_effect(self.settings.effects, whether_any=bool(done) and document is None)
+                effects = show or self.settings.effects
+                decide = missing_effect(effects, whether_any=bool(done) and document is None)
             runs = self._runs() if done else None
             with self.terminal.stages() as stage:
                 plan = design(

@@ -35,7 +35,7 @@ from impact_rs_analysis.diagnosis.drift import doubt_of, drift_in_words, drift_o
 from impact_rs_analysis.diagnosis.fit import Evidence, Fit
 from impact_rs_analysis.diagnosis.hold_out import HoldOut, hold_out
 from impact_rs_analysis.diagnosis.next_experiment import next_experiment
-from impact_rs_analysis.diagnosis.search import NO_ESTIMATES, NOTHING_KNOWN, Estimates, ProgressCallback, Rival, Search
+from impact_rs_analysis.diagnosis.search import NOTHING_KNOWN, ProgressCallback, Rival, Search
 from impact_rs_analysis.diagnosis.thresholds import LEAST_CLUSTERS, LEAST_P, WIDE_TIE
 from impact_rs_analysis.diagnosis.verdicts import (
     MOST_RESTS,
@@ -91,7 +91,7 @@ def diagnose(
     """
     whole, source = source, source.searched()
     effects = effects_for(source, only, bounds)
-    found = findings_of(source, effects, progress, {} if earlier is None else _estimates_of(earlier))
+    found = findings_of(source, effects, progress, () if earlier is None else _estimates_of(earlier, source))
     present = [item.name for item in source.model.effects]
     known = [bounded(source.known_effects[name].in_proportion(source.proportion), bounds) for name in present]
     dependences = dependences_of(found, known, progress)
@@ -195,16 +195,18 @@ def effects_for(source: Source, only: Sequence[str] | None = None, bounds: Bound
     ]
 
 
-def _estimates_of(model: Model) -> dict[str, dict[str, float]]:
-    """Estimates by effect and parameter."""
-    return {item.name: {name: value.estimate for name, value in item.parameters.items()} for item in model.effects}
+def _estimates_of(model: Model, source: Source) -> Added:
+    """Estimates of the effects of a model that a source knows."""
+    known = {item.name: item.parameters for item in model.effects if item.name in source.known_effects}
+    scalars = {name: source.known_effects[name].scalars(source.joints) for name in known}
+    return tuple((name, tuple(known[name][scalar.name].estimate for scalar in scalars[name])) for name in known)
 
 
 def findings_of(
     source: Source,
     effects: Sequence[Effect],
     progress: ProgressCallback = lambda *_: None,
-    earlier: Estimates = NO_ESTIMATES,
+    earlier: Added = (),
 ) -> Findings:
     """Search for missing effects, and hold out.
 
@@ -257,11 +259,9 @@ def findings_of(
 
 
 def _p_values(search: Search, chosen: Fit | None) -> dict[str, float]:
-    """Adjusted p-values: of unchosen effects given the chosen ones, of chosen effects given the other chosen ones."""
-    raw = search.raw_p_values(chosen)
-    if chosen is not None:
-        raw |= {name: search.p_value_of_chosen(chosen, name) for name in chosen.candidate.names}
-    return search.adjusted(raw)
+    """p-values of unchosen effects given the chosen ones, of chosen effects given the other chosen ones."""
+    own = () if chosen is None else chosen.candidate.names
+    return search.raw_p_values(chosen) | {name: search.p_value_of_chosen(chosen, name) for name in own if chosen}
 
 
 def document_of(found: Findings, source: Source, model: Model) -> DiagnosisDocument:

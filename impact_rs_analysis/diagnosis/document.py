@@ -14,6 +14,7 @@ from typing import Any, Literal
 
 from pydantic import Field
 
+from impact_rs_analysis.diagnosis.thresholds import NOMINAL
 from impact_rs_analysis.evidence.cluster import TIMES, ErrorUnit
 from impact_rs_analysis.evidence.discrepancy import DiscrepancyDocument
 from impact_rs_analysis.evidence.levels import RecordingDocument
@@ -119,8 +120,14 @@ class EffectDocument(Schema):
         "difference is the contribution of this effect; null: not measured",
     )
     p_value: float | None = Field(description="p-value, adjusted for testing all effects; null: not measured")
+    p_value_alone: float | None = Field(None, description="the same if it were tested alone; null: not measured")
     sizes: tuple[SizeDocument, ...] = Field((), description="changes of signals that it causes, largest first")
     chosen_in_folds: int | None = Field(None, description="folds of the hold-out whose search also found it")
+
+    @property
+    def lowers(self) -> bool:
+        """Whether the error on unseen clusters is lower with it."""
+        return (self.held_out_error_after or 0.0) < (self.held_out_error_before or 0.0)
 
 
 class CovariateDocument(Schema):
@@ -391,6 +398,20 @@ class DiagnosisDocument(Schema):
                 if widest.reach > 1.0:
                     found.append((-widest.reach, effect.name, name))
         return {effect: name for _, effect, name in sorted(found)}
+
+    @property
+    def nominally_significant(self) -> tuple[str, ...]:
+        """Effects that are not excluded at a noticeable size, and would be significant (5 %) if tested alone.
+
+        Of twenty that are not there one is. More trials of it decide. None where the error is no larger than noise and
+        discrepancy alone make it: an effect that explains less than that is never named.
+        """
+        if self.held_out_error_after <= self.noise_floor:
+            return ()
+        found = [effect for name in self.not_excluded if (effect := self.effect(name)) is not None]
+        return tuple(
+            one.name for one in found if one.lowers and one.p_value_alone is not None and one.p_value_alone < NOMINAL
+        )
 
     def effect(self, name: str) -> EffectDocument | None:
         """Document of one effect; None if there is none."""

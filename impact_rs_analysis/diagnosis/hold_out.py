@@ -120,10 +120,9 @@ def hold_out(
         return None
     rest: dict[int, Array] = {}
     names, only_fitted = [], 0
-    own = tuple(effect.name for effect in chosen.effects)
     few = [_seen_by(chosen, fold.training) < LEAST_TO_CHOOSE for fold in folds]
     tasks = list(zip(folds, few, strict=True))
-    results = source.spread(partial(_predicted, effects, own, dict(known)), tasks, "hold-out")
+    results = source.spread(partial(_predicted, effects, chosen, dict(known)), tasks, "hold-out")
     for (fold, alone), (found, left) in zip(tasks, results, strict=True):
         names.append(found)
         only_fitted += alone
@@ -140,15 +139,15 @@ def _seen_by(chosen: Candidate, clusters: Sequence[int]) -> int:
 
 def _predicted(
     effects: Sequence[Effect],
-    chosen: tuple[str, ...],
+    chosen: Candidate,
     known: Mapping[tuple[str, ...], Candidate],
     source: Source,
     task: tuple[Fold, bool],
 ) -> tuple[tuple[str, ...], list[Array]]:
     """Effects that the search finds without a fold, and the mean residuals of the fold with them."""
     fold, only_fit = task
-    search = Search(effects, Evidence.of(source, fold.training), known=known)
-    found = search.fitted(chosen) if only_fit else search.choose()
+    search = Search(effects, Evidence.of(source, fold.training), known=known, earlier=chosen.split(chosen.point))
+    found = search.fitted(chosen.names) if only_fit else search.choose()
     if found is not None and not only_fit:
         found, _ = search.simplified(found)
     added = () if found is None else found.candidate.split(found.estimate)

@@ -74,9 +74,6 @@ class Rival:
 
 NOTHING_KNOWN: Mapping[tuple[str, ...], Candidate] = MappingProxyType({})
 
-Estimates = Mapping[str, Mapping[str, float]]
-NO_ESTIMATES: Estimates = MappingProxyType({})
-
 ProgressCallback = Callable[[str, float], None]
 
 
@@ -91,8 +88,8 @@ class Search:
             :meth:`Evidence.size`.
         known: Results of fits of the same effects to all clusters of the source, by the names of the effects: a fit
             begins there. It ends where the evidence leads it.
-        earlier: Estimates of an earlier model, by effect and parameter: where the chosen effects leave more than noise,
-            they are looked at there.
+        earlier: Estimates of an earlier search or model: the chosen effects are looked at there too, where they leave
+            more than noise.
 
     Attributes:
         singles: Every measurable effect alone, linearised at nominal.
@@ -106,7 +103,7 @@ class Search:
         evidence: Evidence,
         progress: ProgressCallback = lambda *_: None,
         known: Mapping[tuple[str, ...], Candidate] = NOTHING_KNOWN,
-        earlier: Estimates = NO_ESTIMATES,
+        earlier: Added = (),
     ) -> None:
         self.evidence, self.source, self._progress, self._known = evidence, evidence.source, progress, known
         self._earlier = earlier
@@ -334,16 +331,15 @@ class Search:
         return self._out_of_small_minima(chosen)
 
     def _out_of_small_minima(self, chosen: Fit) -> Fit:
-        """The chosen effects at a lower error, where more than noise is left of trials and no effect explains it.
-
-        A hold-out begins where the search of all clusters has ended.
-        """
-        left = chosen.lack_of_fit() if self.source.of_motion and not self._known else None
+        """The chosen effects at a lower error, where more than noise is left of trials and no effect explains it."""
+        left = chosen.lack_of_fit() if self.source.of_motion else None
         if left is None or left > SIGNIFICANT:
             return chosen
         earlier = self._at_earlier(chosen)
         if earlier is not None and not self._hardly_better(earlier, chosen):
             return self._extend(earlier) or chosen
+        if self._known:  # a hold-out: the search of all clusters has looked
+            return chosen
         moved = by_simplex(chosen)
         if self._hardly_better(moved, chosen):
             return chosen
@@ -353,16 +349,14 @@ class Search:
         return moved.misfit > (1.0 - LEAST_GAIN) * chosen.misfit
 
     def _at_earlier(self, chosen: Fit) -> Fit | None:
-        """The chosen effects near the estimates of an earlier model; None: it does not have them all.
+        """The chosen effects near earlier estimates; None: some of them have none.
 
         All runs are looked at from there. One that stands for its repeats leads elsewhere where joints stick.
         """
-        candidate, point = chosen.candidate, chosen.candidate.point.copy()
-        for effect, part in candidate.parts:
-            values = self._earlier.get(effect.name)
-            if values is None:
-                return None
-            point[part] = [values[scalar.name] for scalar in candidate.scalars[part]]
+        candidate, estimates = chosen.candidate, dict(self._earlier)
+        if not estimates.keys() >= set(candidate.names):
+            return None
+        point = np.concatenate([estimates[name] for name in candidate.names])
         start = self._linearised(replace(candidate, point=point, origin=()))
         if start is None:
             return None

@@ -2,6 +2,7 @@
 """Thresholds of the verdicts, each with its reason."""
 
 SIGNIFICANT = 0.01  # false-discovery rate: one verdict in a hundred may be chance
+NOMINAL = 0.05  # p of an effect as if it were tested alone, below which an investigation looks once more
 DRAWS = 4999  # of a null distribution; its smallest p, 0.0002, survives the adjustment for 25 effects
 LEAST_P = 0.0005  # printed as a bound: the tails of a real robot's noise are not known further out
 LEAST_FREEDOM = 3  # degrees of freedom of the pure error; with fewer its estimate may be wrong by a factor of 10

@@ -6,6 +6,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import scipy
@@ -63,7 +64,8 @@ class Findings:
         chosen: The accepted fit; None if no effect was accepted.
         rivals: Alternatives to the chosen effects.
         hold_out: Held-out errors; None with too few clusters.
-        p_values: By effect, adjusted: of unchosen ones given the chosen, of chosen ones given the other chosen.
+        p_values: By effect, each as if it were tested alone: of unchosen ones given the chosen, of chosen ones given
+            the other chosen.
         suspected: Effects that lower the error of all data, and the held-out error by less than its interval.
         within_discrepancy: Effects that lower an error of impacts that is within the discrepancy of the rigid map.
         unsupported: Which effects of all data the hold-out does not support, and why; empty: none.
@@ -82,6 +84,11 @@ class Findings:
     def evidence(self) -> Evidence:
         """Residuals of the model."""
         return self.search.evidence
+
+    @cached_property
+    def adjusted(self) -> dict[str, float]:
+        """p-values adjusted for testing all effects."""
+        return self.search.adjusted(self.p_values)
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -410,7 +417,8 @@ def _chosen_document(found: Findings, effect: Effect) -> EffectDocument:
         held_out_error_after=residual_size(chosen.evidence, chosen.problem.left_out_rest),
         held_out_error_alone=_error_alone(found, name),
         held_out_error_others=_error_without(found, name),
-        p_value=clip_p(found.p_values[name]),
+        p_value=clip_p(found.adjusted[name]),
+        p_value_alone=clip_p(found.p_values[name]),
         sizes=tuple(sizes_of(chosen, name)),
         chosen_in_folds=folds,
     )
@@ -425,7 +433,7 @@ def _other_document(found: Findings, effect: Effect) -> EffectDocument:
     fitted = search.beside(found.chosen, name) if best is None else best.fit
     part = fitted.candidate.part(name)
     shown = np.array([not scalar.shape for scalar in fitted.candidate.scalars[part]])
-    p = found.p_values.get(name, 1.0)
+    p = found.adjusted.get(name, 1.0)
     rivals = tuple(dict.fromkeys(rival.instead_of for rival in tied))
     if evidence.null.shortage is not None:
         verdict, reason = TOO_FEW, evidence.null.shortage
@@ -459,6 +467,7 @@ def _other_document(found: Findings, effect: Effect) -> EffectDocument:
         held_out_error_alone=_error_alone(found, name),
         held_out_error_others=residual_size(evidence, base) if best is None else _error_without(found, best.instead_of),
         p_value=clip_p(p),
+        p_value_alone=clip_p(found.p_values.get(name, 1.0)),
         sizes=tuple(sizes_of(fitted, name)) if verdict != NO_IMPROVEMENT else (),
     )
 

@@ -270,9 +270,7 @@ def _lowering(document: DiagnosisDocument) -> str:
     found = [
         effect.name
         for effect in document.effects
-        if effect.p_value is not None
-        and effect.p_value < SIGNIFICANT
-        and (effect.held_out_error_after or 0.0) < (effect.held_out_error_before or 0.0)
+        if effect.p_value is not None and effect.p_value < SIGNIFICANT and effect.lowers
     ]
     return f"Significant, but too little or not supported by the hold-out: {', '.join(found)}." if found else ""
 

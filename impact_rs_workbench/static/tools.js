@@ -98,6 +98,13 @@ export function refill(node, items) {
   for (const item of before.slice(items.length)) item.remove();
 }
 
+// Rows of cells, of which the first few columns are texts and the others numbers.
+export function table(id, heads, rows, texts = heads.length) {
+  const kind = (place) => (place < texts ? 'text' : null);
+  return h('div', {class: 'scroll'}, h('table', {id}, h('thead', {}, h('tr', {}, ...heads.map((text, place) => h('th', {scope: 'col', class: kind(place)}, text)))),
+    h('tbody', {}, ...rows.map((cells) => h('tr', {}, ...cells.map((text, place) => h('td', {class: kind(place)}, String(text))))))));
+}
+
 export const plain = (values) => values.map((value) => ({value, text: value}));
 
 export function labelled(text, control, attributes = {}) {

@@ -6,7 +6,7 @@ import {cursor, darkScheme, draw, erase, seen} from './figures.js';
 import {live, watchable} from './live_view.js';
 import {overlay} from './overlay.js';
 import {Impact, replayIn} from './picture.js';
-import {$, ask, commandLine, fill, fitAll, fixed, h, inFolder, labelled, messageArea, number, plain, query, Questions, refill, seconds, slug, state, stem, Tabs, unit} from './tools.js';
+import {$, ask, commandLine, fill, fitAll, fixed, h, inFolder, labelled, messageArea, number, plain, query, Questions, refill, seconds, slug, state, stem, table, Tabs, unit} from './tools.js';
 
 // ---- explanations ------------------------------------------------------------------------------------------------
 
@@ -868,15 +868,11 @@ const design = {
       h('div', {class: 'actions'}, ...jobButton('Run the plan', () => ({command: 'campaign', plan: path, output: `campaigns/${stem(path)}`}), {class: 'primary'})),
       table('planned', ['trials', 'condition', 'what they add'], found.conditions.map((one) => [one.trials, one.what, one.adds])),
       ...(found.pairs.length ? [h('h3', {}, 'Probability of the right decision, the least certain first'), table('pairs', ['explanation', 'against', 'before', 'after'],
-        found.pairs.map((one) => [one.first, one.second, percent(one.before), percent(one.after)]))] : []));
+        found.pairs.map((one) => [one.first, one.second, percent(one.before), percent(one.after)]), 2)] : []));
   },
 };
 
 const mistake = (error) => h('p', {class: 'error', role: 'alert'}, inFolder(error.message));
-
-// Rows of texts and numbers.
-const table = (id, heads, rows) => h('div', {class: 'scroll'}, h('table', {id}, h('thead', {}, h('tr', {}, ...heads.map((text) => h('th', {scope: 'col', class: 'text'}, text)))),
-  h('tbody', {}, ...rows.map((cells) => h('tr', {}, ...cells.map((text) => h('td', {class: 'text'}, String(text))))))));
 
 // ---- rehearsal ----------------------------------------------------------------------------------------------------------
 

@@ -84,6 +84,7 @@ class FakeBench:
         self.directory, self.answer = directory, answer
         self.measured: list[str] = []
         self.last: DiagnosisDocument | None = None
+        self.shown: list[tuple[str, ...]] = []
 
     def measure(self, trials: Sequence[PlannedTrial]) -> None:
         for one in trials:
@@ -94,9 +95,16 @@ class FakeBench:
         return lambda model: (self, model)
 
     def design(
-        self, model: Model, done: Sequence[Round], document: DiagnosisDocument | None, budget: int, seed: int
+        self,
+        model: Model,
+        done: Sequence[Round],
+        document: DiagnosisDocument | None,
+        budget: int,
+        seed: int,
+        show: Sequence[str] = (),
     ) -> ExperimentPlan:
         self.last = document
+        self.shown.append(tuple(show))
         one = PlannedTrials(object="parcel", case="case_1", trials=budget)
         return ExperimentPlan(
             model=model.name,
@@ -185,6 +193,79 @@ def test_nothing_is_missing_only_where_a_second_batch_of_trials_says_so_too(star
     ending = investigation_.run()
     assert (ending.verdict, ending.effects, ending.model) == ("NOTHING-MISSING", (), "nominal")
     assert ending.rounds == 2 and len(bench.measured) == investigation.FIRST + investigation.MORE
+
+
+def hinting(p_value: float, after: float = 1.1, most: float = 1.5, error: float = 1.2) -> DiagnosisDocument:
+    """Nothing is missing; mass lowers the error, and could be up to ``most`` (nominal 1, a noticeable change 0.1)."""
+    scale = EstimateDocument(estimate=1.1, ci95=(1.0, most), unit="-", nominal=1.0, scale=0.1)
+    mass = EffectDocument(
+        name=MASS,
+        verdict="NO-IMPROVEMENT",
+        parameters={"scale": scale},
+        held_out_error_before=error,
+        held_out_error_after=after,
+        p_value=0.5,
+        p_value_alone=p_value,
+    )
+    return CLEAN.model_copy(update={"effects": (mass,), "held_out_error_before": error, "held_out_error_after": error})
+
+
+def test_what_would_be_significant_if_tested_alone_is_looked_at_once_more_before_the_end(start: Start) -> None:
+    """Of a model that holds, and of the first one; no longer once trials exclude it."""
+    for first, done in ((said(FRICTION, FRICTION), ("EXPLAINED", (FRICTION,))), (CLEAN, ("NOTHING-MISSING", ()))):
+        last = investigation.FIRST + (investigation.FEW if first is not CLEAN else investigation.MORE)
+
+        def answer(model: Model, trials: int, first: Any = first, last: int = last) -> DiagnosisDocument:
+            return first if not model.effects and first is not CLEAN else hinting(0.01 if trials <= last else 0.3)
+
+        investigation_, bench = start(answer, folder=done[0])
+        ending = investigation_.run()
+        assert (ending.verdict, ending.effects) == done
+        assert bench.shown == [(), (), (MASS,)] and bench.last is None
+        assert ending.trials == last + investigation.FEW
+        reason = read_rounds(investigation_.directory, SETTINGS)[1].decision
+        assert reason is not None and f"{MASS} (p = 0.01) would be significant" in reason.reason
+
+
+def test_a_small_second_effect_is_found_by_trials_that_show_it(start: Start) -> None:
+    """Friction is found at once; mass only by the trials that are measured because it could be there."""
+    last = investigation.FIRST + investigation.FEW
+
+    def answer(model: Model, trials: int) -> DiagnosisDocument:
+        if {item.name for item in model.effects} == {FRICTION, MASS}:
+            return CLEAN
+        if model.effects:
+            return hinting(0.02) if trials <= last else said(MASS, MASS)
+        return said(FRICTION, FRICTION) if trials <= last else said(f"{FRICTION}+{MASS}", FRICTION, MASS)
+
+    ending = start(answer)[0].run()
+    assert (ending.verdict, ending.effects) == ("EXPLAINED", (MASS, FRICTION))
+    assert ending.trials == last + 2 * investigation.FEW
+
+
+@pytest.mark.parametrize(
+    "hint", [hinting(0.06), hinting(0.01, after=1.3), hinting(0.01, most=1.09), hinting(0.01, 0.8, 1.5, 0.9)]
+)
+def test_what_is_excluded_or_not_significant_even_alone_or_cannot_lower_the_error_ends(
+    start: Start, hint: DiagnosisDocument
+) -> None:
+    ending = start(lambda model, trials: hint if model.effects else said(FRICTION, FRICTION))[0].run()
+    assert ending.trials == investigation.FIRST + investigation.FEW
+
+
+def test_looks_go_on_while_trials_make_an_effect_more_significant(start: Start) -> None:
+    values = iter([0.04, 0.03, 0.02, 0.02])
+    investigation_, bench = start(lambda model, _: hinting(next(values)) if model.effects else said(FRICTION, FRICTION))
+    ending = investigation_.run()
+    assert (ending.verdict, ending.effects) == ("EXPLAINED", (FRICTION,))
+    assert [show for show in bench.shown if show] == [(MASS,)] * 3
+    assert MASS in ending.not_excluded
+    few, _ = start(
+        lambda model, trials: hinting(0.01) if model.effects else said(FRICTION, FRICTION),
+        budget=investigation.FIRST + investigation.FEW,
+        folder="few",
+    )
+    assert few.run().verdict == "EXPLAINED"  # no trial is left for it
 
 
 def test_a_model_that_fails_on_new_trials_is_left_and_the_first_one_diagnosed_again(start: Start) -> None:

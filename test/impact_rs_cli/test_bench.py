@@ -100,3 +100,5 @@ def test_a_new_model_is_tried_where_any_further_effect_would_show(
     plant = PlantBench(tmp_path, settings, map, Terminal(as_json=True))
     plant.design(load_model("nominal"), [Round(1, tmp_path, "nominal", designed())] * done, document, 4, 1)
     assert asked == ([] if document is not None else [((("object_mass",),), wanted)])
+    plant.design(load_model("nominal"), [Round(1, tmp_path, "nominal", designed())], None, 2, 1, ("restitution",))
+    assert asked[-1] == ((("restitution",),), True)  # whether this one is there
