@@ -830,17 +830,24 @@ def _added(rounds: Sequence[Round]) -> set[str]:
 
 
 def _further(rounds: Sequence[Round]) -> tuple[str, ...]:
-    """Effects that the newest model lacks for certain, and the one before as well or perhaps, beside nothing else.
+    """Effects that the newest model lacks for certain, beside nothing else, and not for the first time.
 
-    The first model is explained by what the newest one has, because a small effect beside a large one lowers the
-    error of the first model by too little.
+    The one before lacked them as well or perhaps, or the newest trials were measured to show them. The first model is
+    explained by what the newest one has, because a small effect beside a large one lowers the error of the first model
+    by too little.
     """
     if len(rounds) < 2 or rounds[-1].again is None or set(rounds[-1].again.named) != _added(rounds):
         return ()
     before, now = rounds[-2].diagnosis, rounds[-1].diagnosis
-    if before is None or now is None or not now.named or not {*now.named} <= {*before.named, *before.suspected}:
+    looked = () if rounds[-2].decision is None else rounds[-2].decision.show
+    if (
+        before is None
+        or now is None
+        or not now.named
+        or not {*now.named} <= {*before.named, *before.suspected, *looked}
+    ):
         return ()
-    if rounds[-2].model == rounds[-1].model or {*now.named} & _added(rounds):
+    if (rounds[-2].model == rounds[-1].model and not looked) or {*now.named} & _added(rounds):
         return ()  # the same estimates, which may be off
     confirmed = all((effect := now.effect(name)) is not None and effect.verdict == CONFIRMED for name in now.named)
     return now.named if confirmed else ()

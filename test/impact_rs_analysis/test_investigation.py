@@ -243,6 +243,25 @@ def test_a_small_second_effect_is_found_by_trials_that_show_it(start: Start) -> 
     assert ending.trials == last + 2 * investigation.FEW
 
 
+def test_a_small_second_effect_that_the_first_model_hardly_shows_is_added_to_the_newest(start: Start) -> None:
+    """The first model is explained by friction alone, with all trials."""
+    last = investigation.FIRST + investigation.FEW
+
+    def answer(model: Model, trials: int) -> DiagnosisDocument:
+        if {item.name for item in model.effects} == {FRICTION, MASS}:
+            return CLEAN
+        if model.effects:
+            return hinting(0.02) if trials <= last else said(MASS, MASS)
+        return said(FRICTION, FRICTION)
+
+    investigation_, _ = start(answer)
+    ending = investigation_.run()
+    assert (ending.verdict, ending.effects) == ("EXPLAINED", (MASS, FRICTION))
+    assert ending.trials == last + 2 * investigation.FEW
+    family = family_of(SETTINGS, read_rounds(investigation_.directory, SETTINGS))
+    assert [one.parent for one in family] == [None, "nominal", "model_2.yaml"]
+
+
 @pytest.mark.parametrize(
     "hint", [hinting(0.06), hinting(0.01, after=1.3), hinting(0.01, most=1.09), hinting(0.01, 0.8, 1.5, 0.9)]
 )
