@@ -94,6 +94,23 @@ def test_a_fold_ends_at_the_same_place_from_wherever_it_begins(seed: int) -> Non
     np.testing.assert_allclose(np.concatenate(warm.rest), np.concatenate(cold.rest), atol=0.05)  # of the noise
 
 
+@pytest.mark.parametrize("looked", [True, False])
+def test_a_fold_that_is_stuck_looks_where_the_search_of_all_clusters_has_ended(
+    looked: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Joints that stick make small minima; without the look some fold ends in one."""
+    source = AnalyticSource(9, (("stick_slip", (8.3, -6.1, 5.2)),))
+    chosen = Search([EFFECTS["stick_slip"]], Evidence.of(source)).choose()
+    assert chosen is not None
+    if not looked:
+        monkeypatch.setattr(Search, "_at_earlier", lambda *_: None)
+    elsewhere = {("straight",): chosen.candidate}  # no fit of these effects to begin at
+    found = hold_out(source, [EFFECTS["stick_slip"]], chosen.candidate, elsewhere)
+    assert found is not None
+    expected = float(Evidence.of(source).expected.mean())
+    assert bool(found.errors.mean() < 1.5 * expected) == looked
+
+
 def test_what_only_a_held_out_cluster_shows_is_unknown_to_its_fold() -> None:
     """A parameter that nothing else sees is where it does nothing, although the search over all has found it."""
     source = AnalyticSource(4, (("local", (5.0, 8.0)),))

@@ -501,7 +501,7 @@ def test_a_fit_begins_at_the_estimates_of_an_earlier_model_where_it_is_stuck(mon
     monkeypatch.setattr("impact_rs_analysis.diagnosis.search.by_simplex", lambda fitted: fitted)
     start = Search([EFFECTS["stick_slip"]], evidence).singles["stick_slip"]
     stuck = refine_again(refine(start, evidence))
-    near = {scalar.name: value + 0.05 for scalar, value in zip(start.scalars, truth.tolist(), strict=True)}
+    near = tuple((truth + 0.05).tolist())
     for name, free in (("stick_slip", True), ("straight", False)):
-        found = Search([EFFECTS["stick_slip"]], evidence, earlier={name: near})._out_of_small_minima(stuck)
+        found = Search([EFFECTS["stick_slip"]], evidence, earlier=((name, near),))._out_of_small_minima(stuck)
         assert bool(np.all(np.abs(found.estimate - truth) < 0.1)) == free
