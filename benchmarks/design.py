@@ -7,7 +7,7 @@ ends in a tie, ``TIE_BUDGET`` further trials are proposed by design and at rando
 
 ``--plant mujoco`` hides the effects in the MuJoCo cell of ``benchmarks.foreign``, in a folder of its own.
 
-Few of these end in a tie. ``--only tie`` hides every effect in six pushes of one object, which often do.
+Few of these end in a tie. ``--only tie`` hides every effect in six pushes of one object, clearly and very clearly.
 """
 
 from __future__ import annotations
@@ -60,7 +60,7 @@ BUDGET = 9  # half of the fixed campaign
 TIE_BUDGET = 4
 NULLS = 8
 METHODS: tuple[Method, ...] = ("design", "random")
-CLEAR = 3.0  # parameter scales, of an effect that few trials should show
+CLEAR = (3.0, 8.0)  # parameter scales, of effects that few trials should show
 SURE = 0.95
 FEW = ExperimentPlan(
     model="nominal",
@@ -277,7 +277,11 @@ def main() -> None:
     order = np.random.default_rng(0).permutation(len(entries))  # those that are done in time are a sample
     there = [(options.output / entry.name / "fixed.json").exists() for entry in entries]
     order = sorted(order, key=lambda number: not there[number])  # fixed campaigns that exist are used first
-    ties = [Entry("tie", name, CLEAR, 500 + number) for number, name in enumerate(of_trials()) if name in possible]
+    names = [name for name in of_trials() if name in possible]
+    ties = [
+        Entry("tie", name, magnitude, 500 + number)
+        for number, (magnitude, name) in enumerate((magnitude, name) for magnitude in CLEAR for name in names)
+    ]
     planners: dict[int, Planner] = {}
 
     def one(entry: Entry, directory: Path, map_tasks: Map) -> Row:
