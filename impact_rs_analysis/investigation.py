@@ -561,13 +561,10 @@ def decide(settings: Settings, rounds: Sequence[Round], budget: int) -> RoundDec
     if _settled(settings, here):
         if show:
             return more(f"{here.model} holds. {_look(basis, show)}", show=show)
-        laws, found = _laws_added(rounds), here.prediction_error
-        assert found is not None
         return RoundDecision(
             action="end",
-            verdict=LAW if laws else EXPLAINED,
-            reason=f"{here.model} predicts the {found.trials} trials that were measured after it was made with an "
-            f"error of {found.error:.3g} {found.unit}, and lacks nothing in all {here.diagnosis.runs.trials}: "
+            verdict=LAW if _laws_added(rounds) else EXPLAINED,
+            reason=f"{_predicts(here)}, and lacks nothing in all {here.diagnosis.runs.trials}: "
             f"{here.diagnosis.summary}{_what_trials_hardly_show(here.diagnosis)}",
             not_excluded=tuple(here.diagnosis.not_excluded),
             budget=budget,
@@ -614,7 +611,39 @@ def decide(settings: Settings, rounds: Sequence[Round], budget: int) -> RoundDec
         assert here.diagnosis is not None
         reason = f"Beside what {here.model} has, {' and '.join(further)} is named again: {here.diagnosis.summary}"
         return add(further, "diagnosis.json", reason, here.model)
+    if _explained_again(rounds):
+        renewed = add(basis.named, "again.json", "")
+        reason = (
+            f"{_predicts(here)}. By all {basis.runs.trials} trials the first model lacks the same: {basis.summary} The "
+            f"estimates of {renewed.models[-1]} are from all of them.{_what_trials_hardly_show(basis)}"
+        )
+        end = {"action": "end", "verdict": EXPLAINED, "reason": reason, "tied": (), "spent": False}
+        return renewed.model_copy(update={**end, "not_excluded": tuple(basis.not_excluded)})
     return _named(basis, "again.json" if here.again is not None else "diagnosis.json", basis.summary, add, more)
+
+
+def _predicts(here: Round) -> str:
+    """How well the newest model predicts the newest trials."""
+    found = here.prediction_error
+    assert found is not None
+    return (
+        f"{here.model} predicts the {found.trials} trials that were measured after it was made with an error of "
+        f"{found.error:.3g} {found.unit}"
+    )
+
+
+def _explained_again(rounds: Sequence[Round]) -> bool:
+    """Whether the first model is explained by what the newest one has, which has predicted the newest trials.
+
+    No more than noise is left. What the newest model seems to lack is then the error of its estimates, from fewer
+    trials: it is alike in all of them, and something explains a part of it.
+    """
+    again, checked = rounds[-1].again, rounds[-1].prediction_error
+    if again is None or checked is None or checked.error is None or set(again.named) != _added(rounds):
+        return False
+    confirmed = all((effect := again.effect(name)) is not None and effect.verdict == CONFIRMED for name in again.named)
+    predicted = checked.error <= LOUD * again.noise_floor and again.held_out_error_after <= again.noise_floor
+    return confirmed and predicted and not _laws_added(rounds)
 
 
 def _worth_a_look(rounds: Sequence[Round], document: DiagnosisDocument) -> tuple[str, ...]:
@@ -623,7 +652,7 @@ def _worth_a_look(rounds: Sequence[Round], document: DiagnosisDocument) -> tuple
     looked = before.decision.show if before is not None and before.decision is not None else ()
     return tuple(
         name
-        for name in document.nominally_significant
+        for name in (document.nominally_significant if document.verdict == NOTHING else ())
         if name not in looked or _alone(document, name) < _alone(before.basis if before else None, name)
     )
 

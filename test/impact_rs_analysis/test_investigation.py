@@ -272,6 +272,12 @@ def test_what_is_excluded_or_not_significant_even_alone_or_cannot_lower_the_erro
     assert ending.trials == investigation.FIRST + investigation.FEW
 
 
+def test_what_is_too_small_to_matter_is_not_looked_at(start: Start) -> None:
+    small = hinting(0.01).model_copy(update={"verdict": "PRESENT-BUT-SMALL"})
+    ending = start(lambda model, trials: small if model.effects else said(FRICTION, FRICTION))[0].run()
+    assert ending.trials == investigation.FIRST + investigation.FEW
+
+
 def test_looks_go_on_while_trials_make_an_effect_more_significant(start: Start) -> None:
     values = iter([0.04, 0.03, 0.02, 0.02])
     investigation_, bench = start(lambda model, _: hinting(next(values)) if model.effects else said(FRICTION, FRICTION))
@@ -326,6 +332,29 @@ def test_renewed_estimates_of_the_same_effect_are_tried_on_new_trials(start: Sta
     ending = investigation_.run()
     assert (ending.verdict, ending.effects, ending.model) == ("EXPLAINED", (FRICTION,), "model_3.yaml")
     assert ending.trials == investigation.FIRST + 2 * investigation.FEW
+
+
+@pytest.mark.parametrize(
+    ("left", "of", "ends"), [(0.8, "CONFIRMED", True), (1.1, "CONFIRMED", False), (0.8, "AT-BOUND", False)]
+)
+def test_what_a_model_that_predicts_new_trials_seems_to_lack_is_the_error_of_its_estimates(
+    start: Start, left: float, of: str, ends: bool
+) -> None:
+    """New trials are off by 1.23 times repeatability, and the first model is explained down to noise by the same."""
+
+    def answer(model: Model, trials: int) -> DiagnosisDocument:
+        if model.effects:
+            return said(MASS, MASS, held_out_error_before=1.05, noise_floor=1.0)
+        verdict = "CONFIRMED" if trials <= investigation.FIRST else of
+        return said(FRICTION, FRICTION, of=verdict, held_out_error_after=left, noise_floor=1.0)
+
+    investigation_, _ = start(answer, investigation.FIRST + 3 * investigation.FEW)
+    ending = investigation_.run()
+    assert (ending.trials == investigation.FIRST + investigation.FEW) == ends
+    if ends:
+        assert (ending.verdict, ending.effects, ending.model) == ("EXPLAINED", (FRICTION,), "model_3.yaml")
+        assert "predicts the 2 trials that were measured after it was made" in ending.summary
+        assert (investigation_.directory / "model_3.yaml").exists()
 
 
 @pytest.mark.parametrize("answer", ["effect", "nothing"])
