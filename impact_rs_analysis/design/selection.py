@@ -3,7 +3,9 @@
 
 Greedy: the next choice is the one with the largest gain of utility per trial. A condition that was not measured costs
 two trials at first, because without a repeat it has no scatter of its own. The first conditions of a campaign are
-distinct, because a diagnosis holds conditions out. More budget never informs less.
+distinct, because a diagnosis holds conditions out. Between rivals it compares their errors from condition to condition,
+and a condition is one however often it is repeated: a new one is taken where it gains half as much as the best repeat.
+More budget never informs less.
 """
 
 from __future__ import annotations
@@ -18,6 +20,7 @@ from impact_rs_sim.errors import InputError
 from impact_rs_trials.experiment_plan import Method
 
 REPEATS = 2  # of a new condition: one alone has no scatter
+AS_GOOD = 0.5  # share of the gain of a repeat for which a new condition is taken, between rivals
 CONDITIONS = 3  # of a campaign, so that the diagnosis can hold each out and has repeats enough
 
 Counts = dict[str, int]
@@ -82,20 +85,28 @@ def _greedy(trials: Sequence[ForecastTrial], counts: Discrimination, budget: int
     here = counts.utility(total, freedom)
     left = budget
     while left > 0:
-        best: tuple[float, str, int] | None = None
+        gains = []
         for name, cost in _options(names, measured, picked, left, missing):
             before = counts.counted.get(name, 0) + picked.get(name, 0)
             gain = (counts.utility(counts.added(total, name, before, before + cost), freedom) - here) / cost
-            if best is None or gain > best[0] * (1.0 + 1e-9):
-                best = gain, name, cost
-        if best is None:
+            gains.append((gain, name, cost))
+        if not gains:
             break
-        _, name, cost = best
+        gain, name, cost = _largest(gains)
+        new = [one for one in gains if one[1] not in measured and one[1] not in picked]
+        if counts.decision.aim == "rivals" and new and _largest(new)[0] >= AS_GOOD * gain:
+            _, name, cost = _largest(new)
         picked[name] = picked.get(name, 0) + cost
         left -= cost
         total = counts.total(counts.with_more(picked))
         here = counts.utility(total, freedom)
     return picked
+
+
+def _largest(gains: Sequence[tuple[float, str, int]]) -> tuple[float, str, int]:
+    """The first choice with the largest gain, but for rounding."""
+    most = max(gain for gain, _, _ in gains)
+    return next(one for one in gains if one[0] >= most - 1e-9 * abs(most))
 
 
 def _options(

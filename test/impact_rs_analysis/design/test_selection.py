@@ -51,6 +51,19 @@ def test_where_the_rivals_differ_at_one_speed_that_speed_is_chosen(speed: str) -
     assert next(iter(first)) == speed and first[speed] == max(first.values())
 
 
+@pytest.mark.parametrize(("new", "names"), [(0.6, ["at_0900"]), (0.3, ["at_0250"])])
+def test_between_rivals_a_condition_that_was_not_measured_is_worth_more_than_a_repeat(
+    new: float, names: list[str]
+) -> None:
+    """At 0.5 a repeat gains more per trial; the diagnosis compares rivals from condition to condition."""
+    difference = {"at_0250": 0.5, "at_0900": new}
+    trials = [
+        trial(name, [[difference.get(name, 0.0), 0.0], [0.0, 0.0]], repeats=3 if number < 3 else 0)
+        for number, name in enumerate(SPEEDS)
+    ]
+    assert list(choice(trials, 2)) == names
+
+
 def test_the_order_in_which_trials_are_listed_does_not_matter() -> None:
     trials = random_trials(3)
     plans = {tuple(choice(list(order), 9).items()) for order in itertools.permutations(trials, len(trials))}
