@@ -227,37 +227,37 @@ def test_what_would_be_significant_if_tested_alone_is_looked_at_once_more_before
         assert reason is not None and f"{MASS} (p = 0.01) would be significant" in reason.reason
 
 
+FOUND_AT = investigation.FIRST + investigation.FEW  # trials; with more of them mass shows
+
+
+def little_mass(model: Model, trials: int, first: DiagnosisDocument) -> DiagnosisDocument:
+    """Friction is found at once; mass only by the trials that are measured because it could be there.
+
+    Args:
+        model: The diagnosed model.
+        trials: All that were measured.
+        first: What the first model is found to lack once mass shows.
+    """
+    if {item.name for item in model.effects} == {FRICTION, MASS}:
+        return CLEAN
+    if model.effects:
+        return hinting(0.02) if trials <= FOUND_AT else said(MASS, MASS)
+    return said(FRICTION, FRICTION) if trials <= FOUND_AT else first
+
+
 def test_a_small_second_effect_is_found_by_trials_that_show_it(start: Start) -> None:
-    """Friction is found at once; mass only by the trials that are measured because it could be there."""
-    last = investigation.FIRST + investigation.FEW
-
-    def answer(model: Model, trials: int) -> DiagnosisDocument:
-        if {item.name for item in model.effects} == {FRICTION, MASS}:
-            return CLEAN
-        if model.effects:
-            return hinting(0.02) if trials <= last else said(MASS, MASS)
-        return said(FRICTION, FRICTION) if trials <= last else said(f"{FRICTION}+{MASS}", FRICTION, MASS)
-
-    ending = start(answer)[0].run()
+    both = said(f"{FRICTION}+{MASS}", FRICTION, MASS)
+    ending = start(lambda model, trials: little_mass(model, trials, both))[0].run()
     assert (ending.verdict, ending.effects) == ("EXPLAINED", (MASS, FRICTION))
-    assert ending.trials == last + 2 * investigation.FEW
+    assert ending.trials == FOUND_AT + 2 * investigation.FEW
 
 
 def test_a_small_second_effect_that_the_first_model_hardly_shows_is_added_to_the_newest(start: Start) -> None:
     """The first model is explained by friction alone, with all trials."""
-    last = investigation.FIRST + investigation.FEW
-
-    def answer(model: Model, trials: int) -> DiagnosisDocument:
-        if {item.name for item in model.effects} == {FRICTION, MASS}:
-            return CLEAN
-        if model.effects:
-            return hinting(0.02) if trials <= last else said(MASS, MASS)
-        return said(FRICTION, FRICTION)
-
-    investigation_, _ = start(answer)
+    investigation_, _ = start(lambda model, trials: little_mass(model, trials, said(FRICTION, FRICTION)))
     ending = investigation_.run()
     assert (ending.verdict, ending.effects) == ("EXPLAINED", (MASS, FRICTION))
-    assert ending.trials == last + 2 * investigation.FEW
+    assert ending.trials == FOUND_AT + 2 * investigation.FEW
     family = family_of(SETTINGS, read_rounds(investigation_.directory, SETTINGS))
     assert [one.parent for one in family] == [None, "nominal", "model_2.yaml"]
 
