@@ -30,7 +30,7 @@ from impact_rs_analysis.diagnosis.discovery_document import (
 from impact_rs_analysis.diagnosis.document import NONE, NOTHING, PARTLY, SMALL, TOO_FEW, DiagnosisDocument
 from impact_rs_analysis.diagnosis.fit import HOPELESS, Evidence, Fit, refine
 from impact_rs_analysis.diagnosis.grammar import KNOTS, Grammar, Law, curve_of, laws_of
-from impact_rs_analysis.diagnosis.search import ProgressCallback, Rival, Search
+from impact_rs_analysis.diagnosis.search import ProgressCallback, Rival, Search, p_value_beside
 from impact_rs_analysis.diagnosis.thresholds import LEAST_GAIN, SIGNIFICANT
 from impact_rs_analysis.diagnosis.verdicts import Findings, headline, residual_unit, rests_of
 from impact_rs_analysis.evidence.source import Source
@@ -253,12 +253,9 @@ def _rivals(found: Findings) -> tuple[Rival, ...]:
 
 
 def _adds_nothing(chosen: Fit, rival: Rival) -> bool:
-    """Whether the chosen effect is not significant beside the rival that takes its place (rotation test)."""
-    part = chosen.candidate.part(rival.instead_of)
-    own = [jacobian[:, part] for jacobian in chosen.candidate.jacobians]
-    left, fit = rival.fit.left, rival.fit
-    near = fit.score <= max(HOPELESS * chosen.score, float(fit.evidence.expected.mean()))
-    return near and left.null.p_value(own, fit.candidate.jacobians) > SIGNIFICANT
+    """Whether the chosen effect is not significant beside the rival that takes its place."""
+    near = rival.fit.score <= max(HOPELESS * chosen.score, float(rival.fit.evidence.expected.mean()))
+    return near and p_value_beside(chosen, rival.instead_of, rival.fit) > SIGNIFICANT
 
 
 def _of_library(source: Source, library: Sequence[Effect], progress: ProgressCallback) -> Findings:

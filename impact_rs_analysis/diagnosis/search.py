@@ -38,6 +38,7 @@ from impact_rs_analysis.diagnosis.thresholds import (
     MANY,
     MOST_EFFECTS,
     MOST_TESTED,
+    NOMINAL,
     NOTHING,
     SHORTLIST,
     SIGNIFICANT,
@@ -63,7 +64,7 @@ class Rival:
         name: The effect.
         instead_of: The chosen one.
         fit: All other chosen effects and this one, fitted together.
-        tied: Whether it predicts unseen clusters as well.
+        tied: Whether it predicts unseen clusters as well, and repeats do not decide between both.
     """
 
     name: str
@@ -608,7 +609,8 @@ class Search:
                 if linear.score > hopeless * chosen.score:
                     continue
                 fitted = refine_again(self._refined(linear.candidate, chosen.evidence, hopeless * chosen.score))
-                found.append(Rival(other, name, fitted, tied(chosen, fitted) and not _in_the_limit(fitted, other)))
+                equal = tied(chosen, fitted) and not _in_the_limit(fitted, other)
+                found.append(Rival(other, name, fitted, equal and not encompasses(chosen, name, fitted, other)))
         return found
 
 
@@ -630,6 +632,34 @@ def tied(chosen: Fit, rival: Fit) -> bool:
     Clusters in which both predict the same are ignored.
     """
     return tied_errors(chosen.held_out, rival.held_out, chosen.evidence.expected / 2.0 + 1e-12)
+
+
+def p_value_beside(chosen: Fit, name: str, rival: Fit) -> float:
+    """p-value of an effect of a fit adding nothing to what another fit explains.
+
+    It is tested along its sensitivities (encompassing test, Mizon and Richard 1986, Econometrica 54) and along the
+    difference of both predictions (J test, Davidson and MacKinnon 1981, Econometrica 49), for sensitivities bend.
+    """
+    part = chosen.candidate.part(name)
+    columns = [
+        np.column_stack((jacobian[:, part], other - own))
+        for jacobian, own, other in zip(chosen.candidate.jacobians, chosen.rest, rival.rest, strict=True)
+    ]
+    return rival.left.null.p_value(columns, rival.candidate.jacobians)
+
+
+def encompasses(chosen: Fit, name: str, rival: Fit, other: str) -> bool:
+    """Whether repeats show that a chosen effect explains what its rival leaves, and leaves nothing for the rival.
+
+    Args:
+        chosen: The chosen effects.
+        name: One of them.
+        rival: The others with its rival.
+        other: The rival.
+    """
+    if not chosen.evidence.source.repeated or rival.score <= chosen.score:
+        return False
+    return p_value_beside(chosen, name, rival) < SIGNIFICANT and p_value_beside(rival, other, chosen) > NOMINAL
 
 
 def tied_errors(own: Array, other: Array, floor: Array | float) -> bool:

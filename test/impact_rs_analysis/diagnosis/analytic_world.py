@@ -57,6 +57,7 @@ EFFECTS = {
         effect("saturated", (parameter("u", lower=0.0),)),
         effect("turning", (parameter("v"),)),
         effect("slight", (parameter("w"),), ("contact",)),
+        effect("nearly_bent", (parameter("x"),), ("contact",)),
         effect("dry", (parameter("f", lower=0.0), parameter("fade", 1.0, True, 0.01, (0.1, 1.0, 10.0)))),
     )
 }
@@ -84,6 +85,9 @@ def features(cluster: int, added: Added) -> Array:
             result += 0.5 * first * along(0) + second * along(6)
         elif name == "bent":
             result += 20.0 * np.tanh(first / 6.0) * along(1) + 0.05 * first**2 * along(2)
+        elif name == "nearly_bent":  # as creep and shear of a pad, which differ where a contact lasts
+            result += 20.0 * np.tanh(first / 6.0) * along(1) + 0.05 * first**2 * along(2)
+            result += 0.7 * np.clip(first - 2.0, 0.0, 1.0) * along(94) if cluster == 0 else 0.0
         elif name == "payload":
             result += first * along(3) + first * second * along(4)
         elif name == "of_joints":

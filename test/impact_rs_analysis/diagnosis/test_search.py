@@ -36,7 +36,7 @@ from impact_rs_analysis.diagnosis.fit import (
     refine,
     refine_again,
 )
-from impact_rs_analysis.diagnosis.search import Search, adjusted, tied
+from impact_rs_analysis.diagnosis.search import Search, adjusted, encompasses, p_value_beside, tied
 from impact_rs_analysis.diagnosis.thresholds import SIGNIFICANT
 from impact_rs_sim.robot import Array
 
@@ -437,6 +437,46 @@ def test_a_fit_ties_with_itself_and_not_with_one_that_is_twice_as_wrong() -> Non
     both = chosen_of(search, "straight", "bent")
     assert tied(both, both)
     assert not tied(both, Fit.of(search.singles["bent"], search.evidence))
+
+
+LIKE = ("bent", "nearly_bent")
+
+
+def both_of(seed: int, truth: str, discrepancy: float = 0.0) -> tuple[Fit, Fit]:
+    """Fits of two effects that act nearly alike, the true one first."""
+    search = searched(AnalyticSource(seed, ((truth, (6.0,)),), (2,) * 5, discrepancy=discrepancy), *LIKE)
+    other = LIKE[1 - LIKE.index(truth)]
+    found = [refine_again(refine(search.singles[name], search.evidence)) for name in (truth, other)]
+    return found[0], found[1]
+
+
+@pytest.mark.parametrize("truth", LIKE)
+def test_repeats_decide_between_effects_whose_errors_are_hardly_different(truth: str) -> None:
+    """The right one encompasses the other in nearly all of 40 campaigns, the wrong one in none."""
+    other = LIKE[1 - LIKE.index(truth)]
+    fits = [both_of(seed, truth) for seed in range(40)]
+    assert np.mean([tied(right, wrong) for right, wrong in fits]) > 0.5
+    assert np.mean([encompasses(right, truth, wrong, other) for right, wrong in fits]) > 0.8
+    assert not any(encompasses(wrong, other, right, truth) for right, wrong in fits)
+
+
+def test_a_wrong_effect_is_as_seldom_significant_beside_the_right_one_as_stated() -> None:
+    found = [p_value_beside(wrong, "nearly_bent", right) for right, wrong in (both_of(s, "bent") for s in range(100))]
+    for level in (0.05, 0.3):
+        assert np.count_nonzero(np.array(found) < level) <= binom.ppf(1 - 1e-3, len(found), level)
+
+
+def test_of_two_effects_that_explain_a_part_each_none_encompasses_the_other() -> None:
+    search = searched(AnalyticSource(3, (("straight", (0.8,)), ("bent", (0.8,))), (2,) * 5), "straight", "bent")
+    straight, bent = (refine_again(refine(search.singles[name], search.evidence)) for name in ("straight", "bent"))
+    assert p_value_beside(straight, "straight", bent) < SIGNIFICANT
+    assert p_value_beside(bent, "bent", straight) < SIGNIFICANT
+    assert not encompasses(straight, "straight", bent, "bent") and not encompasses(bent, "bent", straight, "straight")
+
+
+def test_a_difference_within_simulator_error_decides_nothing() -> None:
+    fits = [both_of(seed, "bent", discrepancy=2.0) for seed in range(20)]
+    assert not any(encompasses(right, "bent", wrong, "nearly_bent") for right, wrong in fits)
 
 
 @pytest.mark.parametrize("first", [3.0, 45.0])
