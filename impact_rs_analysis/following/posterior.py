@@ -12,10 +12,13 @@ and Moore 1979, *Optimal Filtering*, sec. 6.3)
 
     L = L_0 + sum w_i H_i^T H_i,        h = h_0 + sum w_i H_i^T r_i,        x ~ N(L^-1 h, L^-1)
 
-the order of hits does not matter. A hit that the posterior finds beyond the quantile q of chi square weighs w = q / d^2
-with d its Mahalanobis distance, else 1 (Huber 1964), so that one odd hit moves nothing far.
+the order of hits in the window does not matter. A hit that the posterior finds beyond the quantile q of chi square
+weighs w = q / d^2 with d its Mahalanobis distance, else 1 (Huber 1964), so that one odd hit moves nothing far.
 
-The last hits are kept one by one (the *window*): a change is looked for among them (:mod:`.change`).
+The last hits are kept one by one (the *window*): a change is looked for among them (:mod:`.change`). Before the window
+the misfit of a model may wander, as where joints warm up or a sensor drifts: from one instant of its group to the next
+every amplitude is a' = sqrt(1 - q) a + sqrt(q) w with w standard normal and q = ``DRIFT`` (a first-order Gauss-Markov
+process whose variance stays 1; Anderson and Moore 1979, sec. 2.3). What goes slowly is then no change of a parameter.
 """
 
 from __future__ import annotations
@@ -34,6 +37,7 @@ from impact_rs_sim.robot import Array
 WINDOW = 48  # instants; a change older than that is believed
 WIDTH = 3.0  # parameter scales; changes that are looked for are about as large
 WIDE = 10.0  # parameter scales; prior of a parameter whose change was found, which hits then determine
+DRIFT = 0.003  # of the variance of an amplitude, renewed from one instant of its group to the next
 ODD = 1e-3  # share of hits beyond the quantile at which they lose weight
 
 
@@ -180,14 +184,32 @@ class Posterior:
 
     def _believe(self) -> None:
         """Move the oldest instant of the window into what is believed."""
-        self.window.pop(0)
         for one in self._sums.pop(0):
             self._take(one)
+        for group in sorted({evidence.hit.group for evidence in self.window.pop(0)}):
+            self.drift(group)
 
     def believe_before(self, start: int) -> None:
         """Believe the instants of the window before one of them."""
         for _ in range(start):
             self._believe()
+        self._total = None
+
+    def drift(self, group: str) -> None:
+        """Let the amplitudes of a group wander by one instant, see the module.
+
+        Args:
+            group: Of hits.
+        """
+        own = self.groups[group]
+        unit, kept = np.eye(own.stop - own.start), math.sqrt(1.0 - DRIFT)
+        coupling, past = self.information[:, own].copy(), self.vector[own].copy()
+        coupling[own] = -kept / DRIFT * unit  # with the amplitudes as they will be
+        gone = np.linalg.solve(self.information[own, own] + kept**2 / DRIFT * unit, coupling.T)
+        self.information[own], self.information[:, own], self.vector[own] = 0.0, 0.0, 0.0
+        self.information[own, own] = unit / DRIFT
+        self.information -= coupling @ gone
+        self.vector -= gone.T @ past
         self._total = None
 
     def forget_window(self) -> None:
