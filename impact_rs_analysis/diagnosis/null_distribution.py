@@ -30,8 +30,8 @@ conservative rather than wrong: an outlier of one repeat is in its mean row and 
 Where the model discrepancy is known, residuals have a second source: sum_k a_k P_k, with patterns P_k in which
 simulators differ and a_k standard normal, the same in all clusters of one kind. Patterns are used instead of single
 features because simulators differ in friction or stiffness of a contact, which changes many features at once. T is then
-also compared with draws of noise (normal, with the contrasts' covariance and its Student factor) plus discrepancy, all
-in the metric of their covariance, and the larger p-value counts.
+also compared with draws of noise (normal, with the contrasts' covariance and its Student factor) plus discrepancy, and
+the larger p-value counts.
 
 **Blocks** (:class:`SignFlipNull`). A recording has no repeats. Stretches longer than the correlation time of its
 noise are independent, and their scores are about symmetric: signs are flipped at random (wild cluster bootstrap of the
@@ -377,29 +377,21 @@ class RotationNull(NullDistribution):
         if fitted and (before := fitted[0].shape[1]):
             explained -= _explained(scores[:, :before], information[:, :before, :before])
         p = rarity_in_the_tail(float(explained[0]), explained[1:])
-        return max(p, self._p_value_with_discrepancy(turned)) if self.discrepant else p
+        if self.discrepant:
+            own = np.sum([j.T @ item.mean * item.count for j, item in zip(turned, self.clusters, strict=True)], axis=0)
+            p = max(p, rarity_in_the_tail(float(own @ own), self._with_discrepancy(turned)))
+        return p
 
-    def _p_value_with_discrepancy(self, jacobians: Sequence[Array]) -> float:
-        """p-value under noise and discrepancy; sensitivities as of :func:`_normalised`.
-
-        Scores are in the metric of their covariance: a direction in which simulators differ much hides no other.
-        """
-        count = jacobians[0].shape[1]
+    def _with_discrepancy(self, jacobians: Sequence[Array]) -> Array:
+        """Draws of T under noise and discrepancy, ``(B,)``; sensitivities as of :func:`_normalised`."""
         weights, rng = self._weights[0], copy.deepcopy(self._weights[1])
-        draws, covariance = np.zeros((DRAWS, count)), TINY * np.eye(count)
+        total = np.zeros((DRAWS, jacobians[0].shape[1]))
         for layout, own in zip(self._layouts, weights, strict=True):
             if own is not None:
-                products = layout.products(jacobians).reshape(-1, count)
-                draws += own @ products
-                covariance += products.T @ products / layout.freedom
+                total += own @ layout.products(jacobians).reshape(-1, total.shape[1])
         shared = np.asarray(np.linalg.qr(self._discrepancy_scores(jacobians), mode="r"))
-        draws += rng.standard_normal((DRAWS, shared.shape[0])) @ shared
-        whiten = np.linalg.inv(np.linalg.cholesky(covariance + shared.T @ shared)).T
-        scores = np.sum(
-            [j.T @ item.mean * item.count for j, item in zip(jacobians, self.clusters, strict=True)], axis=0
-        )
-        drawn = np.sum(np.square(draws @ whiten), axis=1)
-        return rarity_in_the_tail(float(np.sum(np.square(scores @ whiten))), drawn)
+        total += rng.standard_normal((DRAWS, shared.shape[0])) @ shared
+        return np.asarray(np.einsum("bp,bp->b", total, total))
 
     @cached_property
     def _weights(self) -> tuple[list[Array | None], np.random.Generator]:

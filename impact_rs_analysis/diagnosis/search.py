@@ -637,14 +637,15 @@ def tied(chosen: Fit, rival: Fit) -> bool:
 def p_value_beside(chosen: Fit, name: str, rival: Fit) -> float:
     """p-value of an effect of a fit adding nothing to what another fit explains.
 
-    It is tested along its sensitivities (encompassing test, Mizon and Richard 1986, Econometrica 54) and along the
-    difference of both predictions (J test, Davidson and MacKinnon 1981, Econometrica 49), for sensitivities bend.
+    It is tested along the difference of both predictions (J test, Davidson and MacKinnon 1981, Econometrica 49), for
+    sensitivities bend; one with several parameters along its sensitivities as well, for it was fitted in all of these
+    directions (encompassing test, Mizon and Richard 1986, Econometrica 54).
     """
     part = chosen.candidate.part(name)
-    columns = [
-        np.column_stack((jacobian[:, part], other - own))
-        for jacobian, own, other in zip(chosen.candidate.jacobians, chosen.rest, rival.rest, strict=True)
-    ]
+    tangent = [jacobian[:, part] for jacobian in chosen.candidate.jacobians]
+    columns = [(other - own)[:, None] for own, other in zip(chosen.rest, rival.rest, strict=True)]
+    if tangent[0].shape[1] > 1:
+        columns = [np.hstack(both) for both in zip(columns, tangent, strict=True)]
     return rival.left.null.p_value(columns, rival.candidate.jacobians)
 
 

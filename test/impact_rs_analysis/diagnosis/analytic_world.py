@@ -58,6 +58,7 @@ EFFECTS = {
         effect("turning", (parameter("v"),)),
         effect("slight", (parameter("w"),), ("contact",)),
         effect("nearly_bent", (parameter("x"),), ("contact",)),
+        effect("more_than_straight", tuple(parameter(f"y{n}") for n in range(6))),
         effect("dry", (parameter("f", lower=0.0), parameter("fade", 1.0, True, 0.01, (0.1, 1.0, 10.0)))),
     )
 }
@@ -85,6 +86,8 @@ def features(cluster: int, added: Added) -> Array:
             result += 0.5 * first * along(0) + second * along(6)
         elif name == "bent":
             result += 20.0 * np.tanh(first / 6.0) * along(1) + 0.05 * first**2 * along(2)
+        elif name == "more_than_straight":
+            result += first * along(0) + sum(value * along(120 + n) for n, value in enumerate(values[1:]))
         elif name == "nearly_bent":  # as creep and shear of a pad, which differ where a contact lasts
             result += 20.0 * np.tanh(first / 6.0) * along(1) + 0.05 * first**2 * along(2)
             result += 0.7 * np.clip(first - 2.0, 0.0, 1.0) * along(94) if cluster == 0 else 0.0

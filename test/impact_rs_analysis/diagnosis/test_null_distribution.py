@@ -214,23 +214,6 @@ def test_a_difference_is_seen_across_simulator_error_and_not_along_it() -> None:
     assert p["across"] < 0.01
 
 
-def test_a_parameter_along_simulator_error_does_not_hide_the_other_one_of_an_effect() -> None:
-    """One parameter goes with a pattern of twice the noise, the other at right angles to it; found and uniform."""
-    pattern, across = 2.0 * np.linalg.qr(np.random.default_rng(0).standard_normal((100, 2)))[0].T * 10.0
-    absent, present = [], []
-    for seed in range(200):
-        rng = np.random.default_rng(seed)
-        off = rng.standard_normal() * pattern  # the same in every condition
-        rows = [rng.standard_normal((3, 100)) + off for _ in range(4)]
-        for size, found in ((0.0, absent), (0.3, present)):
-            items = [of_signals(own + size * across, ["all"] * 100, pattern[None]) for own in rows]
-            jacobians = [np.stack((pattern, across), axis=1) / items[0].sigma[:, None]] * 4
-            found.append(RotationNull(items).p_value(jacobians))
-    for level in (0.05, 0.3):
-        assert np.count_nonzero(np.array(absent) < level) <= binom.ppf(1 - 1e-4, len(absent), level)
-    assert np.mean(np.array(present) < 0.01) > 0.9
-
-
 def test_the_smallest_of_several_p_counts_all_that_were_looked_at() -> None:
     """Of one statistic it is its own p; of k independent ones about k times the smallest; copies cost nothing."""
     null = np.random.default_rng(0).standard_normal((4000, 5)) ** 2
