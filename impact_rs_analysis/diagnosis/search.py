@@ -640,6 +640,11 @@ def p_value_beside(chosen: Fit, name: str, rival: Fit) -> float:
     It is tested along the difference of both predictions (J test, Davidson and MacKinnon 1981, Econometrica 49), for
     sensitivities bend; one with several parameters along its sensitivities as well, for it was fitted in all of these
     directions (encompassing test, Mizon and Richard 1986, Econometrica 54).
+
+    Args:
+        chosen: Some effects.
+        name: One of them.
+        rival: The others with another effect in its place, fitted to the same clusters.
     """
     part = chosen.candidate.part(name)
     tangent = [jacobian[:, part] for jacobian in chosen.candidate.jacobians]
