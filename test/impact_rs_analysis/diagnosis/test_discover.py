@@ -105,6 +105,7 @@ def test_a_quadratic_drag_is_found_with_its_amplitude(drag: tuple[Path, Discover
     assert law.valid is not None and 0.2 < law.valid.high < 0.8
 
 
+@pytest.mark.timeout(600)
 def test_a_law_with_memory_is_found_in_replays_of_short_windows(tmp_path: Path) -> None:
     """A Maxwell element on motor 4 of the plant, 7 times repeatability, among friction of other forms."""
     runs = recorded(tmp_path / "runs", None, [], lambda own: RELAXING.apply_vector(own, np.array([DAMPER, RELAXATION])))
