@@ -439,50 +439,48 @@ def test_a_fit_ties_with_itself_and_not_with_one_that_is_twice_as_wrong() -> Non
     assert not tied(both, Fit.of(search.singles["bent"], search.evidence))
 
 
-LIKE = ("bent", "nearly_bent")
+ALIKE = [("bent", "nearly_bent"), ("nearly_bent", "bent")]
 
 
-def both_of(seed: int, truth: str, discrepancy: float = 0.0) -> tuple[Fit, Fit]:
-    """Fits of two effects that act nearly alike, the true one first."""
-    search = searched(AnalyticSource(seed, ((truth, (6.0,)),), (2,) * 5, discrepancy=discrepancy), *LIKE)
-    other = LIKE[1 - LIKE.index(truth)]
-    found = [refine_again(refine(search.singles[name], search.evidence)) for name in (truth, other)]
-    return found[0], found[1]
+def both_of(seed: int, truth: str, wrong: str, discrepancy: float = 0.0) -> tuple[Fit, Fit]:
+    """Fits of the true effect and of a wrong one, each alone."""
+    search = searched(AnalyticSource(seed, ((truth, (6.0,)),), (2,) * 5, discrepancy=discrepancy), truth, wrong)
+    return fit_alone(search, truth), fit_alone(search, wrong)
 
 
-@pytest.mark.parametrize("truth", LIKE)
-def test_repeats_decide_between_effects_whose_errors_are_hardly_different(truth: str) -> None:
+def fit_alone(search: Search, name: str) -> Fit:
+    return refine_again(refine(search.singles[name], search.evidence))
+
+
+@pytest.mark.parametrize(("truth", "wrong"), ALIKE)
+def test_repeats_decide_between_effects_whose_errors_are_hardly_different(truth: str, wrong: str) -> None:
     """The right one encompasses the other in nearly all of 40 campaigns, the wrong one in none."""
-    other = LIKE[1 - LIKE.index(truth)]
-    fits = [both_of(seed, truth) for seed in range(40)]
-    assert np.mean([tied(right, wrong) for right, wrong in fits]) > 0.5
-    assert np.mean([encompasses(right, truth, wrong, other) for right, wrong in fits]) > 0.8
-    assert not any(encompasses(wrong, other, right, truth) for right, wrong in fits)
+    fits = [both_of(seed, truth, wrong) for seed in range(40)]
+    assert np.mean([tied(right, other) for right, other in fits]) > 0.5
+    assert np.mean([encompasses(right, truth, other, wrong) for right, other in fits]) > 0.8
+    assert not any(encompasses(other, wrong, right, truth) for right, other in fits)
 
 
 @pytest.mark.parametrize(("truth", "wrong"), [("bent", "nearly_bent"), ("straight", "more_than_straight")])
 def test_a_wrong_effect_is_as_seldom_significant_beside_the_right_one_as_stated(truth: str, wrong: str) -> None:
     """Also one with five parameters more, whose predictions differ by the noise alone."""
-    found = []
-    for seed in range(100):
-        search = searched(AnalyticSource(seed, ((truth, (6.0,)),), (2,) * 5), truth, wrong)
-        right, other = (refine_again(refine(search.singles[name], search.evidence)) for name in (truth, wrong))
-        found.append(p_value_beside(other, wrong, right))
+    fits = [both_of(seed, truth, wrong) for seed in range(100)]
+    found = np.array([p_value_beside(other, wrong, right) for right, other in fits])
     for level in (0.05, 0.3):
-        assert np.count_nonzero(np.array(found) < level) <= binom.ppf(1 - 1e-3, len(found), level)
+        assert np.count_nonzero(found < level) <= binom.ppf(1 - 1e-3, len(found), level)
 
 
 def test_of_two_effects_that_explain_a_part_each_none_encompasses_the_other() -> None:
     search = searched(AnalyticSource(3, (("straight", (0.8,)), ("bent", (0.8,))), (2,) * 5), "straight", "bent")
-    straight, bent = (refine_again(refine(search.singles[name], search.evidence)) for name in ("straight", "bent"))
+    straight, bent = fit_alone(search, "straight"), fit_alone(search, "bent")
     assert p_value_beside(straight, "straight", bent) < SIGNIFICANT
     assert p_value_beside(bent, "bent", straight) < SIGNIFICANT
     assert not encompasses(straight, "straight", bent, "bent") and not encompasses(bent, "bent", straight, "straight")
 
 
 def test_a_difference_within_simulator_error_decides_nothing() -> None:
-    fits = [both_of(seed, "bent", discrepancy=4.0) for seed in range(20)]
-    assert not any(encompasses(right, "bent", wrong, "nearly_bent") for right, wrong in fits)
+    fits = [both_of(seed, "bent", "nearly_bent", discrepancy=4.0) for seed in range(20)]
+    assert not any(encompasses(right, "bent", other, "nearly_bent") for right, other in fits)
 
 
 @pytest.mark.parametrize("first", [3.0, 45.0])

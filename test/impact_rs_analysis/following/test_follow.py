@@ -163,7 +163,7 @@ def test_a_slow_drift_is_followed_with_its_sign(tmp_path: Path) -> None:
     documents = list(follower.arrived())
     found = changes(documents)
     named = [change for change in found if change.causes[0].effect == "restitution"]
-    assert len(named) >= 2 and len(named) >= 0.75 * len(found)
+    assert len(named) >= max(2, len(found) - 1) and found[0] is named[0]  # one of five may have another name
     assert all(change.causes[0].parameters[0].change > 0.0 for change in named)
     assert all(change.again for change in named[1:])
     late = [document for document in documents[-20:] if document.error is not None and document.of_model is not None]
