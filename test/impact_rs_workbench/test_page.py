@@ -850,8 +850,8 @@ def test_a_form_shows_the_command_of_its_newest_content_alone(page: Page) -> Non
     expect(command).to_be_visible()
     held.let_go()
     assert "--trials 8" in command.inner_text()
-    page.locator("#campaign-output").fill("campaigns/" + 60 * "long_")  # a command of several lines
-    expect(command).to_contain_text("long_long")
+    page.locator("#campaign-output").fill("campaigns/" + 60 * "long/")  # a command of several lines
+    expect(command).to_contain_text("long/long")
     assert page.get_by_role("button", name="Start the campaign").bounding_box() == place
 
 
