@@ -24,6 +24,8 @@ p < 1 % in 11 to 31 % of all campaigns). So the variance is estimated anew from 
 with v_f the variance of feature f by d contrasts, v_g its mean over the time bins of the signal, and d_0 =
 ``PRIOR_FREEDOM``: the moderated variance of Smyth (2004, *Linear models and empirical Bayes methods*, Statistical
 Applications in Genetics 3), in rotations as in Wu et al. (2010, *ROAST: rotation gene set tests*, Bioinformatics 26).
+Where a layout has fewer than ``LEAST_FREEDOM`` contrasts, v_g is the mean over all layouts with the signal. By itself
+it would have the tails of Student's t with one or two degrees of freedom, in which 300 times the noise is not rare.
 With a single feature and condition the test is Student's t with n - 1 degrees of freedom. Heavy tails make it
 conservative rather than wrong: an outlier of one repeat is in its mean row and in its contrasts alike.
 
@@ -59,7 +61,7 @@ TINY = 1e-12  # keeps a zero covariance invertible
 MANY_DRAWS = 49999  # of signs, where hardly one of fewer lies beyond an observation
 FEW_BEYOND, TAIL = 10, 250  # draws beyond an observation, below which its p-value comes from those of the tail
 LIGHTEST = 1e-3  # shape of the tail: about exponential
-PRIOR_FREEDOM = 3.0  # of the mean variance of a signal; with as many contrasts of its own, a feature counts the same
+PRIOR_FREEDOM = 3  # of the mean variance of a signal; with as many contrasts of its own, a feature counts the same
 
 
 class NullDistribution(ABC):
@@ -249,6 +251,7 @@ class _Rows:
         unit: Of the features, ``(F,)``: the scale of the first cluster.
         means: Number of means.
         freedom: Number of contrasts.
+        lenders: Layouts whose contrasts give the mean variance of a signal: its own, or all where it has few.
     """
 
     def __init__(self, numbers: list[int], clusters: Sequence[Cluster], means: Sequence[Array]) -> None:
@@ -262,6 +265,7 @@ class _Rows:
             contrasts.extend((_contrasts(item.count)[1:] @ item.residuals) * scale)
         self.rows = np.array(firsts + contrasts)
         self.means, self.freedom = len(firsts), len(contrasts)
+        self.lenders: Sequence[_Rows] = (self,)
 
     def rotated(self, seed: int, draws: slice = slice(None)) -> Iterator[Array]:
         """Every mean row, as measured and in all or some rotations, ``(1 + B, F)`` each."""
@@ -272,27 +276,69 @@ class _Rows:
         """Sum of squares of the mean rows, as :meth:`rotated`, ``(1 + B, F)``."""
         return reduce(np.add, map(np.square, self.rotated(seed, draws)))
 
-    def weights(self, squares: Array) -> Array:
-        """W of the module in every rotation, from the sums of squares of the mean rows, ``(1 + B, F)``."""
-        apart = [np.square(item.sigma / self.unit) * (1.0 - np.square(item.pure)) for item in self.items]
-        contrasts = np.maximum(np.sum(np.square(self.rows), axis=0) - squares, 0.0)
-        # Averaged over the bins of a signal in their own units, for `unit` comes from the contrasts itself.
-        keys = [feature.group for feature in self.items[0].features]
-        signals = list(dict.fromkeys(keys))
-        place = np.array([signals.index(key) for key in keys])
-        member = np.equal.outer(place, np.arange(len(signals))) / np.bincount(place)
-        shared = ((contrasts * np.square(self.unit)) @ member)[:, place] / np.square(self.unit)
-        own = PRIOR_FREEDOM * shared / max(self.freedom, 1) + contrasts
-        return np.asarray(1.0 / (own / (PRIOR_FREEDOM + self.freedom) + np.maximum(np.mean(apart, axis=0), 0.0) + TINY))
+    @cached_property
+    def noise(self) -> Array:
+        """Contrasts, and for a layout that has few of them draws of the variance that it borrows, ``(m, F)``."""
+        own = self.rows[self.means :]
+        if not self.borrows:
+            return own
+        drawn = np.random.default_rng(3).standard_normal((PRIOR_FREEDOM, self.unit.size))
+        shared = _shared(self, self.lenders, [each.left(each.squares_of_means()) for each in self.lenders])
+        return np.vstack((own, np.sqrt(shared[0]) * drawn))
+
+    @property
+    def borrows(self) -> bool:
+        """Whether its contrasts are too few for the size of the noise."""
+        return self.freedom < LEAST_FREEDOM and len(self.lenders) > 1
+
+    def squares_of_means(self) -> Array:
+        """Sum of squares of the mean rows as measured, ``(1, F)``."""
+        return np.asarray(np.sum(np.square(self.rows[: self.means]), axis=0))[None]
+
+    def left(self, squares: Array) -> Array:
+        """Sum of squares of the contrasts in every rotation, from that of the mean rows, ``(1 + B, F)``."""
+        return np.maximum(np.sum(np.square(self.rows), axis=0) - squares, 0.0)
+
+    def signals_of(self, keys: Sequence[tuple[str, str, str]]) -> Array:
+        """Membership of its features in signals, ``(F, S)``."""
+        place = {key: number for number, key in enumerate(keys)}
+        member = np.zeros((self.unit.size, len(keys)))
+        for number, feature in enumerate(self.items[0].features):
+            if feature.group in place:
+                member[number, place[feature.group]] = 1.0
+        return member
 
     def products(self, jacobians: Sequence[Array]) -> Array:
-        """Scores of every contrast with every mean's sensitivity, ``(means, contrasts, p)``."""
+        """Scores of every row of noise with every mean's sensitivity, ``(means, m, p)``."""
         return np.array(
             [
-                np.sqrt(item.count) * (self.rows[self.means :] @ (jacobians[n] * (self.unit / item.sigma)[:, None]))
+                np.sqrt(item.count) * (self.noise @ (jacobians[n] * (self.unit / item.sigma)[:, None]))
                 for n, item in zip(self.numbers, self.items, strict=True)
             ]
         )
+
+
+def _shared(layout: _Rows, lenders: Sequence[_Rows], left: Sequence[Array]) -> Array:
+    """Mean variance of the signals of a layout in every rotation, ``(1 + B, F)`` in its unit, from lenders' contrasts.
+
+    It is averaged over the bins of a signal in their own units, for ``unit`` comes from the contrasts itself.
+    """
+    keys = list(dict.fromkeys(feature.group for feature in layout.items[0].features))
+    members = [lender.signals_of(keys) for lender in lenders]
+    total = sum((each * np.square(own.unit)) @ m for each, own, m in zip(left, lenders, members, strict=True))
+    number = sum(own.freedom * m.sum(axis=0) for own, m in zip(lenders, members, strict=True))
+    place = np.argmax(layout.signals_of(keys), axis=1)
+    return np.asarray((total / np.maximum(number, 1.0))[:, place] / np.square(layout.unit))
+
+
+def _weights(layouts: Sequence[_Rows], squares: Sequence[Array]) -> Iterator[Array]:
+    """W of the module by layout in every rotation, from the sums of squares of the mean rows, ``(1 + B, F)`` each."""
+    left = {id(own): own.left(each) for own, each in zip(layouts, squares, strict=True)}
+    for own in layouts:
+        apart = [np.square(item.sigma / own.unit) * (1.0 - np.square(item.pure)) for item in own.items]
+        shared = _shared(own, own.lenders, [left[id(lender)] for lender in own.lenders])
+        variance = (PRIOR_FREEDOM * shared + left[id(own)]) / (PRIOR_FREEDOM + own.freedom)
+        yield np.asarray(1.0 / (variance + np.maximum(np.mean(apart, axis=0), 0.0) + TINY))
 
 
 def _contrasts(count: int) -> Array:
@@ -317,12 +363,16 @@ class RotationNull(NullDistribution):
         numbers: dict[str, list[int]] = {}
         for number, item in enumerate(self.clusters):
             numbers.setdefault(item.layout, []).append(number)
-        return [_Rows(chosen, self.clusters, means) for chosen in numbers.values()]
+        layouts = [_Rows(chosen, self.clusters, means) for chosen in numbers.values()]
+        for own in layouts:
+            if own.freedom < LEAST_FREEDOM:
+                own.lenders = layouts
+        return layouts
 
     @cached_property
     def _scales(self) -> list[Array]:
         """W of every layout in all rotations, ``(1 + B, F)``."""
-        return [own.weights(own.squares(seed)) for seed, own in enumerate(self._layouts)]
+        return list(_weights(self._layouts, [own.squares(seed) for seed, own in enumerate(self._layouts)]))
 
     @property
     def freedom(self) -> int:
@@ -395,15 +445,18 @@ class RotationNull(NullDistribution):
 
     @cached_property
     def _weights(self) -> tuple[list[Array | None], np.random.Generator]:
-        """:meth:`_noise` of every layout, ``(B, means * contrasts)``, None without contrasts; and the generator."""
+        """:meth:`_noise` of every layout, ``(B, means * m)``, None without noise; and the generator."""
         rng = np.random.default_rng(1)
-        return [self._noise(rng, own, DRAWS).reshape(DRAWS, -1) if own.freedom else None for own in self._layouts], rng
+        return [
+            self._noise(rng, own, DRAWS).reshape(DRAWS, -1) if len(own.noise) else None for own in self._layouts
+        ], rng
 
     @staticmethod
     def _noise(rng: np.random.Generator, layout: _Rows, draws: int) -> Array:
-        """Weights of the contrasts in draws of mean rows, ``(B, means, contrasts)``."""
-        weights = rng.standard_normal((draws, layout.means, layout.freedom))
-        return np.asarray(weights / np.sqrt(rng.chisquare(layout.freedom, draws))[:, None, None])
+        """Weights of the rows of noise in draws of mean rows, ``(B, means, m)``."""
+        count = len(layout.noise)
+        weights = rng.standard_normal((draws, layout.means, count))
+        return np.asarray(weights / np.sqrt(rng.chisquare(count, draws))[:, None, None])
 
     def lack_of_fit(self, rest: Sequence[Array]) -> float | None:
         """See :meth:`NullDistribution.lack_of_fit`; as :meth:`p_value`, with every feature a parameter of its own.
@@ -420,11 +473,11 @@ class RotationNull(NullDistribution):
 
     def _lack_of_fit(self, rest: Sequence[Array], draws: int) -> float:
         """:meth:`lack_of_fit` from a number of draws."""
-        squares: Array | float = 0.0
-        for seed, own in enumerate(self._rows(rest)):
-            each = own.squares(seed, slice(1 + draws))
-            squares = squares + (each * own.weights(each)) @ _members(own.items[0], self._groups).T
-        squares = np.asarray(squares)
+        layouts = self._rows(rest)
+        every = [own.squares(seed, slice(1 + draws)) for seed, own in enumerate(layouts)]
+        squares = np.zeros((1 + draws, len(self._groups) + 1))
+        for own, each, weights in zip(layouts, every, _weights(layouts, every), strict=True):
+            squares += (each * weights) @ _members(own.items[0], self._groups).T
         p = smallest(squares[0], squares[1:])
         return max(p, smallest(self._by_themselves(rest), self._by_chance(draws))) if self.discrepant else p
 
@@ -467,9 +520,8 @@ class RotationNull(NullDistribution):
         self, rng: np.random.Generator, draws: int, layout: _Rows, members: NDArray[np.bool_], scales: Sequence[Array]
     ) -> Array:
         """Squares of scaled mean rows under noise and discrepancy, by group of features, ``(B, G)``."""
-        contrasts = layout.rows[layout.means :]
         squares = np.zeros((draws, len(members)))
-        noise = self._noise(rng, layout, draws) if layout.freedom else np.zeros((draws, layout.means, 0))
+        noise = self._noise(rng, layout, draws) if len(layout.noise) else np.zeros((draws, layout.means, 0))
         off: dict[str, tuple[Array, Array]] = {}
         for item in layout.items:
             if alike(item) not in off:
@@ -478,7 +530,7 @@ class RotationNull(NullDistribution):
         for group, (own, scale) in enumerate(zip(members, scales, strict=True)):
             if not scale.size:
                 continue
-            turned = contrasts[:, own] @ scale
+            turned = layout.noise[:, own] @ scale
             moved = {name: drawn @ (root[own].T @ scale) for name, (drawn, root) in off.items()}
             for place, item in enumerate(layout.items):
                 seen = noise[:, place] @ turned + np.sqrt(item.count) * moved[alike(item)]

@@ -87,7 +87,13 @@ def scaled_by_their_repeats(clusters, jacobians):
     found = pooled_error([item.residuals for item in clusters])
     scale = np.sqrt(found**2 + 1.0 - np.square(clusters[0].pure))
     items = [
-        replace(item, residuals=item.residuals / scale, sigma=item.sigma * scale, pure=found / scale)
+        replace(
+            item,
+            residuals=item.residuals / scale,
+            sigma=item.sigma * scale,
+            pure=found / scale,
+            discrepancy=item.discrepancy / scale,
+        )
         for item in clusters
     ]
     return RotationNull(items), [jacobian / scale[:, None] for jacobian in jacobians]
@@ -299,6 +305,41 @@ def test_an_effect_in_one_of_two_layouts_is_seen() -> None:
             ]
         )
         assert reference.p_value(jacobians) < 0.01
+
+
+def in_two_layouts(seed: int, design: tuple[int, ...], **options) -> list:
+    """Clusters of which the last has a layout of its own."""
+    clusters = AnalyticSource(seed, design=design, **options).clusters
+    return [replace(item, layout="free" if item is clusters[-1] else "hit") for item in clusters]
+
+
+@pytest.mark.parametrize("repeats", [1, 2])
+def test_p_is_uniform_where_a_layout_has_hardly_any_repeats(repeats: int) -> None:
+    draws, jacobians, levels = 300, sensitivity(1, 4, 2), (0.01, 0.05, 0.3)
+    sources = (in_two_layouts(seed, (2, 2, 2, repeats), correlation=correlated()) for seed in range(draws))
+    scaled = [scaled_by_their_repeats(clusters, jacobians) for clusters in sources]
+    assert_uniform([p_of(reference, own) for reference, own in scaled], levels)
+    assert_uniform([lack_of_fit(reference) for reference, _ in scaled], levels)
+
+
+def test_a_condition_of_another_layout_does_not_hide_what_all_show() -> None:
+    """By itself a layout with two repeats has Student's t with one degree of freedom."""
+    jacobians = sensitivity(4, 5, 1)
+    for seed in range(4):
+        reference = shifted(in_two_layouts(seed, (2,) * 5, discrepancy=0.3), jacobians, [5.0] * 5)
+        assert p_of(reference, jacobians) < 2e-5
+        assert lack_of_fit(reference) < 0.005
+
+
+@pytest.mark.parametrize("repeats", [1, 2])
+def test_a_layout_with_hardly_any_repeats_raises_no_alarm_of_simulator_error(repeats: int) -> None:
+    draws, jacobians, low = 200, sensitivity(1, 4, 2), np.zeros(2)
+    for seed in range(draws):
+        options = {"correlation": correlated(), "discrepancy": 0.5, "simulator": seed}
+        clusters = in_two_layouts(seed, (2, 2, 2, repeats), **options)
+        reference, own = scaled_by_their_repeats(clusters, jacobians)
+        low += np.array([p_of(reference, own), lack_of_fit(reference)]) < 0.05
+    assert np.all(low <= binom.ppf(0.9999, draws, 0.05)), low
 
 
 def test_covariance_adds_up_over_conditions_of_two_repeats_and_more() -> None:
