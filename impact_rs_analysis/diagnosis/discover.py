@@ -3,7 +3,8 @@
 
 A law is an effect made of a formula, so the search, the hold-out, the p-values and the verdicts are those of a
 diagnosis, with the laws of the grammar (:mod:`impact_rs_analysis.diagnosis.grammar`) beside the library. It runs only
-where the library alone leaves more than noise; laws stand at places where free motion or contact leaves a residual.
+where the library alone leaves more than noise; laws stand at places where free motion or contact leaves a residual. One
+that begins beyond the places of free motion, as a stop or a slack cable, is looked for where contact leaves one.
 """
 
 from __future__ import annotations
@@ -299,27 +300,39 @@ def _where(known: Findings, laws: Iterable[Law]) -> list[str]:
             elif law.needs and not law.joints and len(seen) > 1:  # a force is felt by several joints
                 apart[law.spec.name,] = law.spec.name
         return list(apart.values())
-    sizes: dict[str, dict[str, float]] = {}
+    sizes: dict[str, dict[str, dict[str, float]]] = {"free": {}, "push": {}}
     in_contact = 0.0
     for rest in rests_of(evidence, [item.mean for item in evidence.clusters]):
         joint = rest.index.rpartition(".")[2]
         if rest.phase in ("impact", "push"):
             in_contact = max(in_contact, rest.times_noise)
-        if rest.phase not in ("impact",):
-            own = sizes.setdefault(rest.signal, {})
-            own[joint] = max(own.get(joint, 0.0), rest.times_noise if rest.phase != "push" else 0.0)
-    found = []
-    for law in laws:
-        if not law.needs:
-            if in_contact > SEEN:
-                found.append(law.spec.name)
-            continue
-        signal = sizes.get(law.needs, {})
+        if rest.phase in sizes:
+            own = sizes[rest.phase].setdefault(rest.signal, {})
+            own[joint] = max(own.get(joint, 0.0), rest.times_noise)
+    free = visited(evidence.source, after=0.0)
+
+    def shown(law: Law, phase: str) -> bool:
+        signal = sizes[phase].get(law.needs, {})
         largest = max(signal.values(), default=0.0)
         own_size = max((signal.get(joint, 0.0) for joint in law.joints), default=largest)
-        if own_size > max(SEEN, SHARE * largest):
-            found.append(law.spec.name)
-    return found
+        return own_size > max(SEEN, SHARE * largest)
+
+    def possible(law: Law) -> bool:
+        if not law.needs:
+            return in_contact > SEEN
+        beyond = in_contact > SEEN and _begins_beyond(law, free)
+        return shown(law, "free") or (beyond and (law.needs not in sizes["push"] or shown(law, "push")))
+
+    return [law.spec.name for law in laws if possible(law)]
+
+
+def _begins_beyond(law: Law, ranges: Mapping[str, Range]) -> bool:
+    """Whether a force or torque may act, from one of its starts, and nowhere in these ranges."""
+    if law.symbol not in ranges or not any(one.shape for one in law.spec.parameters.values()):
+        return False
+    at = np.linspace(*ranges[law.symbol], POINTS)
+    amplitudes = {name: 1.0 for name, one in law.spec.parameters.items() if not one.shape}
+    return any(not np.any(law.force(at, amplitudes | dict(start))) for start in law.starts)
 
 
 def _document(tried: _Tried, model: Model, laws: Mapping[str, Law], ranges: Mapping[str, Range]) -> DiscoveryDocument:

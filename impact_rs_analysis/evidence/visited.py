@@ -21,17 +21,18 @@ MARGIN = 0.02  # of a range; less is not beyond it
 ENDS = (0.5, 99.5)  # percentiles that count as the ends of a range
 
 
-def visited(source: Source, quantities: Iterable[str] = ()) -> dict[str, Range]:
+def visited(source: Source, quantities: Iterable[str] = (), after: float = AFTER_IMPACT) -> dict[str, Range]:
     """Range of the symbols over all runs, up to the end of the replay; those that were not measured are missing.
 
     Args:
         source: Measurements.
         quantities: Formulas of symbols whose ranges are wanted as well; those that remember have none.
+        after: End of what counts, after the first impact of a run [s].
     """
     found: dict[str, list[Array]] = {}
     formulas = [_formula(text) for text in quantities if text not in SYMBOLS]
     for run in _runs(source):
-        signals = dict(_signals(run))
+        signals = dict(_signals(run, after))
         for name, values in signals.items():
             found.setdefault(name, []).append(values)
         for formula in formulas:
@@ -70,10 +71,10 @@ def _runs(source: Source) -> Sequence[Run]:
     return source.recordings if isinstance(source, RecordingSource) else ()
 
 
-def _signals(run: Run) -> Iterator[tuple[str, Array]]:
+def _signals(run: Run, after: float) -> Iterator[tuple[str, Array]]:
     """Symbols with their values along a run."""
     impacts = getattr(run, "impacts", {})
-    end = min(impacts.values()) + AFTER_IMPACT if impacts else np.inf
+    end = min(impacts.values()) + after if impacts else np.inf
     signals = run.signals
     rows = np.flatnonzero(signals.time <= end)
     rows = rows[:: max(1, rows.size // SAMPLES)]
@@ -100,4 +101,4 @@ def _signals(run: Run) -> Iterator[tuple[str, Array]]:
     size = np.linalg.norm(velocity, axis=1)
     yield "object_speed", size
     yield "support_slip", size
-    yield "since_contact", np.array([0.0, min(AFTER_IMPACT, float(signals.time[-1]) - min(impacts.values()))])
+    yield "since_contact", np.array([0.0, min(after, float(signals.time[-1]) - min(impacts.values()))])

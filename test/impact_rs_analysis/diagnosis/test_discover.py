@@ -106,6 +106,21 @@ def test_a_quadratic_drag_is_found_with_its_amplitude(drag: tuple[Path, Discover
 
 
 @pytest.mark.timeout(600)
+def test_a_cable_that_is_slack_until_the_impact_is_found_where_it_pulls(tmp_path: Path) -> None:
+    """6 N/m times the amplitude beyond y = -0.1 m, which free motion does not reach; the object is pushed along y."""
+    runs = recorded(tmp_path / "runs", "end_effector_cable", [])
+    places = load_grammar().places
+    along_y = {name: {key: ("above", "below")} for name, key in (("object", "object_y"), ("end_effector", "y"))}
+    own = {name: places[name].model_copy(update={"laws": laws}) for name, laws in along_y.items()}
+    document = found_in(runs, load_grammar().model_copy(update={"places": own}))
+    assert (document.verdict, document.diagnosis.named) == (FOUND, ("end_effector_y_y_below",))
+    law = document.laws[0]
+    assert law.tied_with == ()
+    for name, truth, within in (("c", 6.0 * AMPLITUDE, 3.0), ("start", -0.1, 0.01)):
+        assert law.parameters[name].estimate == pytest.approx(truth, abs=within), name
+
+
+@pytest.mark.timeout(600)
 def test_a_law_with_memory_is_found_in_replays_of_short_windows(tmp_path: Path) -> None:
     """A Maxwell element on motor 4 of the plant, 7 times repeatability, among friction of other forms."""
     runs = recorded(tmp_path / "runs", None, [], lambda own: RELAXING.apply_vector(own, np.array([DAMPER, RELAXATION])))
