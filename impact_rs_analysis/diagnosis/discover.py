@@ -290,16 +290,7 @@ def _where(known: Findings, laws: Iterable[Law]) -> list[str]:
     """Names of the laws that act where a residual is seen; in recordings, where the library leaves one."""
     evidence = known.evidence
     if not evidence.source.repeated:
-        rows = evidence.source.joint_sizes(known.unexplained)
-        left = {joint: size / noise for joint, size, noise, _ in rows if noise > 0.0}
-        seen = {joint for joint, size in left.items() if size > max(SEEN, SHARE * max(left.values()))}
-        apart: dict[tuple[str, ...], str] = {}  # a torque on a motor and one on its link are the same there
-        for law in laws:
-            if seen & set(law.joints):
-                apart.setdefault((law.where, law.symbol, law.form), law.spec.name)
-            elif law.needs and not law.joints and len(seen) > 1:  # a force is felt by several joints
-                apart[law.spec.name,] = law.spec.name
-        return list(apart.values())
+        return _where_in_recordings(known, laws)
     sizes: dict[str, dict[str, dict[str, float]]] = {"free": {}, "push": {}}
     in_contact = 0.0
     for rest in rests_of(evidence, [item.mean for item in evidence.clusters]):
@@ -324,6 +315,20 @@ def _where(known: Findings, laws: Iterable[Law]) -> list[str]:
         return shown(law, "free") or (beyond and (law.needs not in sizes["push"] or shown(law, "push")))
 
     return [law.spec.name for law in laws if possible(law)]
+
+
+def _where_in_recordings(known: Findings, laws: Iterable[Law]) -> list[str]:
+    """Names of the laws at joints whose torque is unexplained, and of forces where that of several is."""
+    rows = known.evidence.source.joint_sizes(known.unexplained)
+    left = {joint: size / noise for joint, size, noise, _ in rows if noise > 0.0}
+    seen = {joint for joint, size in left.items() if size > max(SEEN, SHARE * max(left.values()))}
+    apart: dict[tuple[str, ...], str] = {}  # a torque on a motor and one on its link are the same there
+    for law in laws:
+        if seen & set(law.joints):
+            apart.setdefault((law.where, law.symbol, law.form), law.spec.name)
+        elif law.needs and not law.joints and len(seen) > 1:
+            apart[law.spec.name,] = law.spec.name
+    return list(apart.values())
 
 
 def _begins_beyond(law: Law, ranges: Mapping[str, Range]) -> bool:
