@@ -562,9 +562,10 @@ class Search:
         return chosen
 
     def simplified(self, chosen: Fit) -> tuple[Fit, list[Rival]]:
-        """Replace effects by equivalent ones with fewer parameters, and list the remaining alternatives.
+        """Replace effects by better ones, or by equivalent ones with fewer parameters; list the remaining alternatives.
 
-        A constant vertical force is attributed to a payload rather than to a spring or to gains of all joints.
+        A constant vertical force is attributed to a payload rather than to a spring or to gains of all joints. In the
+        place of an effect that was chosen first, another may predict far better beside those that were found later.
         """
         rivals, known = self.rivals(chosen), {frozenset(chosen.candidate.names)}
         for _ in range(MOST_EFFECTS):
@@ -573,9 +574,13 @@ class Search:
                 alternatives += [self._without_the_superfluous(fitted, TIE) for fitted in alternatives]
             limit = chosen.score * math.exp(TIE)
             simpler = [fit for fit in alternatives if fit.score <= limit and self._cost(fit) < self._cost(chosen)]
-            if not simpler:
+            better = [rival.fit for rival in rivals if rival.fit.score < (1.0 - LEAST_GAIN) * chosen.score]
+            if self.source.repeated and better:
+                best = min(better, key=lambda fit: fit.score)
+            elif simpler:
+                best = min(simpler, key=lambda fit: (self._cost(fit), fit.score))
+            else:
                 break
-            best = min(simpler, key=lambda fit: (self._cost(fit), fit.score))
             # The replaced effect may have explained more, which is missing now.
             extended = self._extend(self._measured_again(best)) or chosen
             if (names := frozenset(extended.candidate.names)) in known:
