@@ -10,10 +10,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from impact_rs_analysis.diagnosis.discover import discover
+from impact_rs_analysis.diagnosis.discover import _begins_beyond, discover
 from impact_rs_analysis.diagnosis.discovery_document import FOUND, LIBRARY, DiscoveryDocument, write_discovery
 from impact_rs_analysis.diagnosis.document import NOTHING, read_document
-from impact_rs_analysis.diagnosis.grammar import Grammar, load_grammar
+from impact_rs_analysis.diagnosis.grammar import Grammar, laws_of, load_grammar
 from impact_rs_analysis.evidence.measured_runs import read_runs
 from impact_rs_analysis.evidence.replay_cache import ReplayCache
 from impact_rs_analysis.evidence.replays import ReplaySource
@@ -106,8 +106,8 @@ def test_a_quadratic_drag_is_found_with_its_amplitude(drag: tuple[Path, Discover
 
 
 @pytest.mark.timeout(600)
-def test_a_cable_that_is_slack_until_the_impact_is_found_where_it_pulls(tmp_path: Path) -> None:
-    """6 N/m times the amplitude beyond y = -0.1 m, which free motion does not reach; the object is pushed along y."""
+def test_a_cable_on_the_end_effector_is_told_from_a_force_on_the_object(tmp_path: Path) -> None:
+    """6 N/m times the amplitude beyond y = -0.1 m; the object is pushed along y."""
     runs = recorded(tmp_path / "runs", "end_effector_cable", [])
     places = load_grammar().places
     along_y = {name: {key: ("above", "below")} for name, key in (("object", "object_y"), ("end_effector", "y"))}
@@ -118,6 +118,16 @@ def test_a_cable_that_is_slack_until_the_impact_is_found_where_it_pulls(tmp_path
     assert law.tied_with == ()
     for name, truth, within in (("c", 6.0 * AMPLITUDE, 3.0), ("start", -0.1, 0.01)):
         assert law.parameters[name].estimate == pytest.approx(truth, abs=within), name
+
+
+def test_a_limit_that_lies_beyond_free_motion_needs_no_residual_there() -> None:
+    """End effector from y = 0.2 to -0.23 m, before the impact to -0.06 m; a ripple acts everywhere."""
+    laws = {law.spec.name: law for law in laws_of(load_grammar(), {"y": (-0.23, 0.2)}, 7)}
+    below = laws["end_effector_y_y_below"]
+    assert _begins_beyond(below, {"y": (-0.06, 0.2)})
+    assert not _begins_beyond(below, {"y": (-0.23, 0.2)}) and not _begins_beyond(below, {})
+    for other in ("end_effector_y_y_above", "end_effector_y_y_ripple"):
+        assert not _begins_beyond(laws[other], {"y": (-0.06, 0.2)}), other
 
 
 @pytest.mark.timeout(600)
