@@ -283,17 +283,14 @@ class _Rows:
         if not self.borrows:
             return own
         drawn = np.random.default_rng(3).standard_normal((PRIOR_FREEDOM, self.unit.size))
-        shared = _shared(self, self.lenders, [each.left(each.squares_of_means()) for each in self.lenders])
+        squares = [np.sum(np.square(each.rows[each.means :]), axis=0)[None] for each in self.lenders]
+        shared = _shared(self, self.lenders, squares)
         return np.vstack((own, np.sqrt(shared[0]) * drawn))
 
     @property
     def borrows(self) -> bool:
         """Whether its contrasts are too few for the size of the noise."""
         return self.freedom < LEAST_FREEDOM and len(self.lenders) > 1
-
-    def squares_of_means(self) -> Array:
-        """Sum of squares of the mean rows as measured, ``(1, F)``."""
-        return np.asarray(np.sum(np.square(self.rows[: self.means]), axis=0))[None]
 
     def left(self, squares: Array) -> Array:
         """Sum of squares of the contrasts in every rotation, from that of the mean rows, ``(1 + B, F)``."""
@@ -331,7 +328,7 @@ def _shared(layout: _Rows, lenders: Sequence[_Rows], left: Sequence[Array]) -> A
     return np.asarray((total / np.maximum(number, 1.0))[:, place] / np.square(layout.unit))
 
 
-def _weights(layouts: Sequence[_Rows], squares: Sequence[Array]) -> Iterator[Array]:
+def _weights_of(layouts: Sequence[_Rows], squares: Sequence[Array]) -> Iterator[Array]:
     """W of the module by layout in every rotation, from the sums of squares of the mean rows, ``(1 + B, F)`` each."""
     left = {id(own): own.left(each) for own, each in zip(layouts, squares, strict=True)}
     for own in layouts:
@@ -372,7 +369,7 @@ class RotationNull(NullDistribution):
     @cached_property
     def _scales(self) -> list[Array]:
         """W of every layout in all rotations, ``(1 + B, F)``."""
-        return list(_weights(self._layouts, [own.squares(seed) for seed, own in enumerate(self._layouts)]))
+        return list(_weights_of(self._layouts, [own.squares(seed) for seed, own in enumerate(self._layouts)]))
 
     @property
     def freedom(self) -> int:
@@ -476,7 +473,7 @@ class RotationNull(NullDistribution):
         layouts = self._rows(rest)
         every = [own.squares(seed, slice(1 + draws)) for seed, own in enumerate(layouts)]
         squares = np.zeros((1 + draws, len(self._groups) + 1))
-        for own, each, weights in zip(layouts, every, _weights(layouts, every), strict=True):
+        for own, each, weights in zip(layouts, every, _weights_of(layouts, every), strict=True):
             squares += (each * weights) @ _members(own.items[0], self._groups).T
         p = smallest(squares[0], squares[1:])
         return max(p, smallest(self._by_themselves(rest), self._by_chance(draws))) if self.discrepant else p
