@@ -150,10 +150,16 @@ class ForeignPlant:
         self.commands: dict[str, Subscription] = {}
         self.over: Future | None = None  # present while a trial runs
         self.ready = self.begun = False
+        self.attempt = 0  # at a trial, the last one that was configured
+        self.finished: FinishTrial.Response | None = None  # answer on its end
         self.node.get_logger().info("ready")
 
     def configure(self, request: ConfigureTrial.Request, response: ConfigureTrial.Response) -> ConfigureTrial.Response:
-        """Get ready for a trial, whatever became of the one before."""
+        """Get ready for a trial, whatever became of the one before; once, though the request may be sent again."""
+        if request.attempt and request.attempt == self.attempt:
+            response.success = True
+            return response
+        self.attempt, self.finished = 0, None
         self.end("another trial was configured")
         try:
             spec = TrialInfo.from_message(request.trial).spec
@@ -177,6 +183,7 @@ class ForeignPlant:
         self.counts: Counter[str] = Counter()
         self.torques: dict[str, np.ndarray] = {}  # those of the present tick
         self.tick, self.begun, self.since = 0, False, time.monotonic()
+        self.attempt = request.attempt
         self.ready = response.success = True
         return response
 
@@ -192,16 +199,17 @@ class ForeignPlant:
 
     def finish(self, request: FinishTrial.Request, response: FinishTrial.Response) -> FinishTrial.Response:
         """Leave the trial, and say how many messages of each topic the recorder shall have."""
-        self.end("the trial was aborted")
-        if not self.ready:
+        if not self.ready or request.attempt not in (0, self.attempt):
             response.message = "plant: there is no trial to finish"
-            return response
+            return self.finished or response
+        self.end("the trial was aborted")
         self.ready, response.success = False, True
         response.outcome = "ABORTED" if request.aborted else "OK"
         response.topics, response.counts = list(self.counts), list(self.counts.values())
         response.messages = self.counts.total()
         after = f"{response.outcome} after {1e-9 * self.tick * self.period_ns:.3f} s"
         self.node.get_logger().info(f"{self.trial}: {after} {request.reason}")
+        self.finished = response
         return response
 
     def offer(self, topic: str, kind: type) -> None:

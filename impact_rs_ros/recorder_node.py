@@ -229,7 +229,7 @@ class RecorderNode(NodeProgram):
         self._inbox = Inbox(self.node, "inbox", RECORD, raw=True)
         self._open = ExitStack()  # the bag of the trial that is recorded
         self._recording: OpenTrial | None = None
-        self._configured: ConfigureTrial.Request | None = None  # the trial that is recorded
+        self._attempt = 0  # the last one that was configured
         self._finished: FinishTrial.Response | None = None  # answer on the end of the trial before
         self._messages = 0
         self._failure = ""  # why the last bag is not a complete trial
@@ -334,12 +334,11 @@ class RecorderNode(NodeProgram):
     def _on_configure(
         self, request: ConfigureTrial.Request, response: ConfigureTrial.Response
     ) -> ConfigureTrial.Response:
-        recording = self._recording
-        if recording is not None and request == self._configured and not recording.counts.keys() - {topics.DIAGNOSTICS}:
+        if request.attempt and request.attempt == self._attempt:
             response.success = True  # a repeated request, because the answer took long
             return response
         self._abort()
-        self._configured = self._finished = None
+        self._attempt, self._finished = 0, None
         self._failure = ""
         with self.answering(response, "open the bag"):
             info = TrialInfo.from_message(request.trial)
@@ -365,7 +364,7 @@ class RecorderNode(NodeProgram):
                 else plan.scene.scenario.timing.ticks * plan.scene.scenario.timing.control_period
             )
             self._recording = OpenTrial(name, bag, self._arms, duration, plan, tracked)
-            self._configured = request
+            self._attempt = request.attempt
             self.log.debug(f"recording {path}")
             response.success = True
         if not response.success:
@@ -375,7 +374,7 @@ class RecorderNode(NodeProgram):
 
     def _on_finish(self, request: FinishTrial.Request, response: FinishTrial.Response) -> FinishTrial.Response:
         recording = self._recording
-        if recording is None:
+        if recording is None or request.attempt not in (0, self._attempt):
             response.message = "recorder: there is no bag to finish"
             return self._finished or response  # a repeated request, whose first answer was lost
         bag = recording.bag

@@ -96,7 +96,7 @@ class TrialNode(NodeProgram, Generic[AnyTrial]):
         self.trial: AnyTrial | None = None
         self.running = False
         self._name = ""
-        self._configured: ConfigureTrial.Request | None = None  # the trial that runs
+        self._attempt = 0  # the last one that was configured
         self._finished: FinishTrial.Response | None = None  # answer on the end of the trial before
         self.inbox = Inbox(self.node, "inbox", AWAITED, raw=True)
         self.outbox = Outbox(self.node)
@@ -172,10 +172,10 @@ class TrialNode(NodeProgram, Generic[AnyTrial]):
     def _on_configure(
         self, request: ConfigureTrial.Request, response: ConfigureTrial.Response
     ) -> ConfigureTrial.Response:
-        if self.running and request == self._configured and not any(self.outbox.counts.values()):
+        if request.attempt and request.attempt == self._attempt:
             response.success = True  # a repeated request, because the answer took long
             return response
-        self._configured = self._finished = None
+        self._attempt, self._finished = 0, None
         with self.answering(response, "prepare the trial"):
             if self.running:
                 self._leave()
@@ -186,7 +186,7 @@ class TrialNode(NodeProgram, Generic[AnyTrial]):
             self.outbox.reset(self.streams(StreamMaker(plan)))
             self.trial = self.prepare(plan, info)
             self.running = True
-            self._configured = request
+            self._attempt = request.attempt
             self._name = f"{info.scenario}/{info.key.name}"
             gc.collect()
             gc.disable()  # a collection takes longer than a tick
@@ -195,7 +195,7 @@ class TrialNode(NodeProgram, Generic[AnyTrial]):
         return response
 
     def _on_finish(self, request: FinishTrial.Request, response: FinishTrial.Response) -> FinishTrial.Response:
-        if not self.running or self.trial is None:
+        if not self.running or self.trial is None or request.attempt not in (0, self._attempt):
             response.message = f"{self.kind}: there is no trial to finish"
             return self._finished or response  # a repeated request, whose first answer was lost
         self.outbox.flush()

@@ -110,6 +110,7 @@ class TrialSession:
         self._states = Inbox(node, "states", WATCH)
         self._events = Inbox(node, "events", EVENT)
         self._newest: dict[str, Any] = {}  # controller states by topic
+        self._attempt = 0  # at a trial, which its requests name
 
     def watch(self, arms: list[str]) -> None:
         """Subscribe to the controller states and impact events of these arms."""
@@ -157,6 +158,7 @@ class TrialSession:
         self._states.clear()
         self._events.clear()
         self._newest.clear()
+        self._attempt = time.time_ns()  # not that of an earlier process either
         progress = Progress()
         reason = ""
         try:
@@ -274,7 +276,7 @@ class TrialSession:
 
     def _configure_all(self, plan: TrialPlan, trial: Any, secret: Any, path: Path) -> None:
         """Configure the nodes; only the plant gets the ``secret`` trial with hidden effects, and the initial state."""
-        requests = {name: ConfigureTrial.Request(trial=trial) for name in self._configure}
+        requests = {name: ConfigureTrial.Request(attempt=self._attempt, trial=trial) for name in self._configure}
         requests["plant"].trial = secret
         requests["plant"].start = [
             RobotState(robot=name, joint_position=arm.initial.tolist(), joint_velocity=[0.0] * arm.initial.size)
@@ -307,9 +309,7 @@ class TrialSession:
     ) -> None:
         """Start the plant, and report progress until the trial is over."""
         period = node_parameters.value(self._node, "feedback_period")
-        patience = node_parameters.value(
-            self._node, "service_timeout"
-        )  # until the first sample: discovery takes its time
+        patience = node_parameters.value(self._node, "service_timeout")  # until time passes: discovery takes its own
         over = threading.Event()
         future = self._run.call_async(Trigger.Request())
         future.add_done_callback(lambda _: over.set())
@@ -325,7 +325,8 @@ class TrialSession:
                 self._look(progress)
                 if progress.time != before and not math.isnan(progress.time):
                     alive = time.monotonic()
-                    patience = node_parameters.value(self._node, "progress_timeout")
+                    if progress.time > 0.0:
+                        patience = node_parameters.value(self._node, "progress_timeout")
                     feedback(progress)
                 elif time.monotonic() - alive > patience:
                     raise TrialError(
@@ -360,14 +361,14 @@ class TrialSession:
 
     def _finish_all(self, progress: Progress, reason: str, path: Path) -> TrialResult:
         aborted = bool(reason)
-        request = FinishTrial.Request(aborted=aborted, reason=reason)
+        request = FinishTrial.Request(attempt=self._attempt, aborted=aborted, reason=reason)
         lost = self._presence.lost("plant", "controller")
         calls = {name: (self._finish[name], request) for name in ("plant", "controller") if name not in lost}
         answers, failures = self._call_all(calls, FINISH)
         if not aborted:
             failures |= {name: answer.message for name, answer in answers.items() if not answer.success}
             reason = self._cause("; ".join(failures.values())) if failures else ""
-        last = FinishTrial.Request(aborted=bool(reason), reason=reason)
+        last = FinishTrial.Request(attempt=self._attempt, aborted=bool(reason), reason=reason)
         if not reason:
             last.reason = "; ".join(answer.message for answer in answers.values() if answer.message)  # a note
             last.topics = [topic for answer in answers.values() for topic in answer.topics]
@@ -376,7 +377,7 @@ class TrialSession:
             closed = self._close_bag(last)
             if not reason and not (closed.success or closed.outcome):  # for the recorder the trial is not over
                 reason = self._cause(closed.message)
-                self._close_bag(FinishTrial.Request(aborted=True, reason=reason))
+                self._close_bag(FinishTrial.Request(attempt=self._attempt, aborted=True, reason=reason))
         except TrialError as error:
             return TrialResult("ABORTED", reason or str(error), partial_path(path), progress)
         if reason:

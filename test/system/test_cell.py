@@ -48,6 +48,7 @@ PATIENT: dict[
     "late_torque_share": 1.0,
     "arm_jitter_limit": 5.0,
 }
+EXPERIMENT = "/**/experiment: {ros__parameters: {service_timeout: 60.0, progress_timeout: 10.0, finish_timeout: 20.0}}"
 
 
 class Cell:
@@ -102,10 +103,12 @@ def cell(domain_ids: Callable[[], int], tmp_path_factory: pytest.TempPathFactory
     domain_id, root = domain_ids(), tmp_path_factory.mktemp("cell")
     environment = {"ROS_DOMAIN_ID": str(domain_id)}
     values = [word for name, value in PATIENT.items() for word in ("-p", f"{name}:={value}")]
+    patient = root / "experiment.yaml"
+    patient.write_text(EXPERIMENT)
     command = [sys.executable, "-m", "impact_rs_ros.cell_node", "--ros-args", *values]
     with (
         running(command, environment) as node,
-        Graph.running("push", domain_id, root=root, without=["plant"]) as graph,
+        Graph.running("push", domain_id, parameters=patient, root=root, without=["plant"]) as graph,
     ):
         yield Cell(graph, environment, root, node)
 

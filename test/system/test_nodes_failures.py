@@ -12,20 +12,32 @@ from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 
+import numpy as np
 import pytest
 from impact_rs.action import RunTrial
+from impact_rs.msg import RobotState
 from impact_rs.srv import ConfigureTrial, FinishTrial
 from node_trials import TRIES, goal, one_trial, result_of, spin_until
 from processes import PATIENCE, running, until
+from sensor_msgs.msg import JointState
+from std_srvs.srv import Trigger
 
+from impact_msgs_py.conversions import pose_to_message
 from impact_rs_ros import graph as graphs
 from impact_rs_ros.graph import Graph, GraphError, run_trial, run_trials_through_nodes
+from impact_rs_ros.message_types import RosidlTypes
 from impact_rs_ros.node_processes import NODES
+from impact_rs_ros.qos import WATCH
 from impact_rs_sim.effects.formula import FormulaParameter, FormulaSpec
 from impact_rs_sim.model import Model, ModelEffect, ParameterValue
+from impact_rs_sim.rotations import quaternion_of
+from impact_rs_sim.scenario import load_scenario
 from impact_rs_trials.bags import topics
+from impact_rs_trials.bags.messages import MessageMaker
 from impact_rs_trials.bags.reader import BagError, TrialBag
+from impact_rs_trials.bags.trial_info import TrialInfo, TrialKey
 from impact_rs_trials.campaign import FAILURES
+from impact_rs_trials.spec import TrialSpec
 
 STATES = topics.joint_states("arm")
 NOTICED = 8.0  # s, some of which a busy machine takes; no timeout of a service is as short
@@ -255,7 +267,7 @@ def test_a_recorder_names_what_is_missing_and_answers_again(graph: Graph, tmp_pa
     configure = graph.node.create_client(ConfigureTrial, "recorder/configure_trial")
     finish = graph.node.create_client(FinishTrial, "recorder/finish_trial")
     spin_until(graph, lambda: configure.service_is_ready() and finish.service_is_ready(), "no recorder")
-    request = ConfigureTrial.Request(bag_path=str(tmp_path / "bag"))
+    request = ConfigureTrial.Request(attempt=1, bag_path=str(tmp_path / "bag"))
     request.trial.robots = ["arm"]
     ready = result_of(graph, configure.call_async(request))
     assert ready.success, ready.message
@@ -267,6 +279,49 @@ def test_a_recorder_names_what_is_missing_and_answers_again(graph: Graph, tmp_pa
     assert result_of(graph, finish.call_async(FinishTrial.Request())) == done  # repeated, because the answer was lost
     assert (done.success, done.outcome) == (False, "ABORTED")
     assert "/arm/joint_states 0 of 5" in done.message
+
+
+def test_requests_that_come_late_leave_the_trial_alone(graph: Graph, tmp_path: Path) -> None:
+    """A request that a busy node answers late is sent again; it stands in a queue until the trial runs or is over."""
+    plan = TrialSpec.of(load_scenario("push"), "parcel", "case_1").plan
+    placed = plan.scene.object
+    info = TrialInfo.of(plan, TrialKey("parcel", "case_1", 1.0, 0), 3, "nodes")
+    configure = ConfigureTrial.Request(
+        attempt=7,
+        trial=MessageMaker(RosidlTypes(), plan).trial_info(info),
+        bag_path=str(tmp_path / "bag"),
+        start=[
+            RobotState(robot=name, joint_position=arm.initial.tolist(), joint_velocity=[0.0] * arm.initial.size)
+            for name, arm in plan.arms.items()
+        ],
+        object_pose=pose_to_message(np.concatenate((placed.position, quaternion_of(placed.rotation)))),
+    )
+    members = ["plant", "controller", "recorder"]
+    for name in members:
+        answer = graph.call(ConfigureTrial, f"{name}/configure_trial", configure)
+        assert answer.success, answer.message
+
+    heard: list[object] = []
+    states = graph.node.create_subscription(JointState, STATES, heard.append, WATCH)
+    run = graph.node.create_client(Trigger, "plant/run_trial")
+    over = run.call_async(Trigger.Request())
+    spin_until(graph, lambda: len(heard) > 3, "no states")
+    for name in members:
+        assert graph.call(ConfigureTrial, f"{name}/configure_trial", configure).success
+        assert not graph.call(FinishTrial, f"{name}/finish_trial", FinishTrial.Request(attempt=6)).success
+    assert not over.done()
+    assert result_of(graph, over).success
+    graph.node.destroy_subscription(states)
+
+    finish = FinishTrial.Request(attempt=7)
+    for name in members:
+        done = graph.call(FinishTrial, f"{name}/finish_trial", finish)
+        assert (done.success, done.outcome, done.message) == (True, "OK", "")
+        finish.topics, finish.counts = [*finish.topics, *done.topics], [*finish.counts, *done.counts]
+        assert graph.call(ConfigureTrial, f"{name}/configure_trial", configure).success
+        assert graph.call(FinishTrial, f"{name}/finish_trial", finish) == done  # no other trial began
+    bag = TrialBag.open(tmp_path / "bag")
+    assert bag.counts[STATES] == bag.counts[topics.joint_command("arm")] == plan.scene.scenario.timing.ticks + 1
 
 
 def test_a_node_interrupted_while_importing_prints_no_traceback() -> None:
