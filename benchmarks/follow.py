@@ -24,6 +24,7 @@ from __future__ import annotations
 import argparse
 import copy
 import json
+import math
 import sys
 import tempfile
 import time
@@ -251,12 +252,12 @@ def changed_day(
         begun = time.process_time()
         (document,) = follower.take([hit])
         spent.append(1e3 * (time.process_time() - begun))
-        errors.append(document.error)
+        errors.append(math.nan if document.error is None else document.error)  # the model did not predict it
         if alarm is None and document.change is not None:
             alarm, delay = document, number
     offline, frozen = offline_errors(follower, base, effect, values, hits[before:])
     late = slice(5, None)  # from the sixth hit after the change on
-    size = float(np.sqrt(np.mean(np.square(np.array(errors)[late]))))
+    size = float(np.sqrt(np.nanmean(np.square(np.array(errors)[late]))))
     best = float(np.sqrt(np.mean(np.square(np.array(offline)[late]))))
     causes = [] if alarm is None or alarm.change is None else alarm.change.causes
     own = next((cause for cause in causes if cause.effect == effect), None)

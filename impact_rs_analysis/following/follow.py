@@ -56,6 +56,7 @@ from impact_rs_analysis.following.posterior import (
     Posterior,
     log_density,
     squared_distance,
+    unpredicted_log_density,
     weight_of,
 )
 from impact_rs_analysis.following.recent_residuals import RecentResiduals
@@ -78,6 +79,7 @@ STEPS = 4  # of Gauss-Newton about an explanation
 KEPT = 0.5  # of the promised fall of the residuals; an explanation with less is none
 LEAST_GAIN = 4.0  # fall of the squares of the others, of one parameter two standard deviations
 NEAR = 0.1  # parameter scales; a shorter step ends it
+UNPREDICTED = "the model predicts no impact, or no velocities that obey the contact laws"
 WALL_CLOCK = 1e9  # s since 1970; an earlier stamp counts from another moment
 
 
@@ -506,7 +508,9 @@ class Follower:
             for hit in fresh:
                 evidence = self._evidence(hit, hypothesis.point)
                 if evidence is None:
-                    self.door.skipped[hit.name] = "the model predicts no impact"
+                    hypothesis.log_weight += unpredicted_log_density(len(hit.features), self.calibration.freedom)
+                    if hypothesis is best:
+                        self.door.skipped[hit.name] = UNPREDICTED
                     continue
                 posterior = hypothesis.posterior
                 posterior.make_room([(hit.group, evidence.patterns.shape[1])])

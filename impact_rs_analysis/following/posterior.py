@@ -340,3 +340,13 @@ def log_density(distance: float, covariance: Array, freedom: float) -> float:
     """
     _, determinant = np.linalg.slogdet(covariance)
     return -0.5 * float(determinant) - 0.5 * (freedom + len(covariance)) * math.log1p(distance / freedom)
+
+
+def unpredicted_log_density(size: int, freedom: float) -> float:
+    """:func:`log_density` of a hit that a hypothesis does not predict at all: that of a certain prediction, just odd.
+
+    Args:
+        size: Number of features of the hit.
+        freedom: Degrees of freedom of the scatter.
+    """
+    return log_density(float(scipy.special.chdtri(size, ODD)), np.eye(size), freedom)

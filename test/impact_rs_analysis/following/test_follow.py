@@ -113,6 +113,29 @@ def test_a_likely_explanation_that_is_not_the_first_is_linearised_anew(tmp_path:
     assert follower.followed()[0].estimate == pytest.approx(1.5, abs=0.05)
 
 
+def test_an_explanation_that_predicts_nothing_is_ruled_out_by_one_that_does(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    follower = following(write(tmp_path / "hits.csv", QUIET))
+    *hits, first, second = list(follower.door.arrived())
+    for hit in hits:
+        follower.take([hit])
+    seeing, blind = follower.likeliest, copy.copy(follower.likeliest)
+    blind.point, blind.posterior = blind.point + 1e-9, blind.posterior.copy()
+    seeing.log_weight, blind.log_weight = 0.0, -1.0
+    follower.hypotheses, evidence = [seeing, blind], follower._evidence
+    monkeypatch.setattr(
+        follower, "_evidence", lambda hit, point, *rest: None if point is blind.point else evidence(hit, point, *rest)
+    )
+    follower.take([first])
+    assert follower.likeliest is seeing and not follower.door.skipped
+    assert follower.probabilities()[0] > 0.95
+    follower.hypotheses = [blind]
+    (document,) = follower.take([second])
+    assert document.error is None and "predicts no impact" in follower.door.skipped[second.name]
+    assert follower.hypotheses == [blind]
+
+
 @pytest.mark.parametrize(("effect", "values"), [("pad_friction", [-0.5]), ("object_mass", [0.5])])
 def test_large_changes_whose_sensitivities_bend_are_explained_by_their_effect_in_the_end(
     tmp_path: Path, effect: str, values: list[float]
