@@ -220,9 +220,11 @@ class MeasuredImpacts:
         if self._near is None:
             self._near = np.nan_to_num(found.impulse) if len(found.impulse) == len(self._owner) else None
         answers = np.array(found.velocity)
-        unsolved = (found.status != SOLVED) | ~(np.max(found.residual, axis=1) <= ExactEngine.tolerance)
-        for number in np.flatnonzero(unsolved).tolist():
-            answers[number] = self._by_cones(number, physics[number], contact)
+        obeys = np.max(found.residual, axis=1) <= ExactEngine.tolerance
+        for number in np.flatnonzero((found.status != SOLVED) | ~obeys).tolist():
+            other = self._by_cones(number, physics[number], contact)
+            if not obeys[number] or np.isfinite(other).all():
+                answers[number] = other
         return answers, found
 
     def _by_cones(self, number: int, physics: Physics, contact: ContactCondition) -> Array:
