@@ -231,7 +231,7 @@ def findings_of(
     held, unsupported = None, ""
     suspected: tuple[str, ...] = ()
     if chosen is not None:
-        chosen, rivals = search.simplified(chosen)
+        chosen, rivals = search.exchanged(chosen)
         if (sure := without_the_doubtful(search, chosen)) is not chosen:
             chosen, rivals = sure, () if sure is None else search.rivals(sure)
     known = search.ended if source.of_motion else NOTHING_KNOWN  # impacts are cheap, and bend where a contact slips

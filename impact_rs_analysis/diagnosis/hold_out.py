@@ -149,7 +149,7 @@ def _predicted(
     search = Search(effects, Evidence.of(source, fold.training), known=known, earlier=chosen.split(chosen.point))
     found = search.fitted(chosen.names) if only_fit else search.choose()
     if found is not None and not only_fit:
-        found, _ = search.simplified(found)
+        found, _ = search.exchanged(found)
     added = () if found is None else found.candidate.split(found.estimate)
     rest = []
     for item in (source.clusters[number] for number in fold.held):

@@ -561,7 +561,7 @@ class Search:
                 chosen = self._measured_again(pair)
         return chosen
 
-    def simplified(self, chosen: Fit) -> tuple[Fit, list[Rival]]:
+    def exchanged(self, chosen: Fit) -> tuple[Fit, list[Rival]]:
         """Replace effects by better ones, or by equivalent ones with fewer parameters; list the remaining alternatives.
 
         A constant vertical force is attributed to a payload rather than to a spring or to gains of all joints. In the

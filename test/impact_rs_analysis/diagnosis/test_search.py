@@ -449,7 +449,7 @@ def test_an_effect_in_whose_place_another_predicts_far_better_is_replaced() -> N
         search = searched(AnalyticSource(seed, planted), "straight", "bent", "one_sided", "turning")
         wrong = search.fitted(("bent", "turning"))
         assert wrong is not None
-        found, rivals = search.simplified(wrong)
+        found, rivals = search.exchanged(wrong)
         assert set(found.candidate.names) == {"straight", "bent"} and found.score < 0.5 * wrong.score
         assert not any(rival.fit.score < found.score for rival in rivals)
 
