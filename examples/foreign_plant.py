@@ -151,15 +151,14 @@ class ForeignPlant:
         self.over: Future | None = None  # present while a trial runs
         self.ready = self.begun = False
         self.attempt = 0  # at a trial, the last one that was configured
-        self.finished: FinishTrial.Response | None = None  # answer on its end
+        self.finished = FinishTrial.Response(message="plant: there is no trial to finish")  # answer on the last end
         self.node.get_logger().info("ready")
 
     def configure(self, request: ConfigureTrial.Request, response: ConfigureTrial.Response) -> ConfigureTrial.Response:
         """Get ready for a trial, whatever became of the one before; once, though the request may be sent again."""
-        if request.attempt and request.attempt == self.attempt:
-            response.success = True
+        response.success = 0 < request.attempt == self.attempt
+        if response.success:
             return response
-        self.attempt, self.finished = 0, None
         self.end("another trial was configured")
         try:
             spec = TrialInfo.from_message(request.trial).spec
@@ -183,8 +182,7 @@ class ForeignPlant:
         self.counts: Counter[str] = Counter()
         self.torques: dict[str, np.ndarray] = {}  # those of the present tick
         self.tick, self.begun, self.since = 0, False, time.monotonic()
-        self.attempt = request.attempt
-        self.ready = response.success = True
+        self.attempt, self.ready, response.success = request.attempt, True, True
         return response
 
     async def run(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
@@ -200,8 +198,7 @@ class ForeignPlant:
     def finish(self, request: FinishTrial.Request, response: FinishTrial.Response) -> FinishTrial.Response:
         """Leave the trial, and say how many messages of each topic the recorder shall have."""
         if not self.ready or request.attempt not in (0, self.attempt):
-            response.message = "plant: there is no trial to finish"
-            return self.finished or response
+            return self.finished
         self.end("the trial was aborted")
         self.ready, response.success = False, True
         response.outcome = "ABORTED" if request.aborted else "OK"
@@ -236,9 +233,7 @@ class ForeignPlant:
         waited = time.monotonic() - self.since
         if not self.begun:
             # Wait for the recorder on every topic and for the controller on the joints, or the first samples are lost.
-            deaf = [
-                t for t, p in self.publishers.items() if p.get_subscription_count() < 1 + t.endswith("joint_states")
-            ]
+            deaf = [n for n, p in self.publishers.items() if p.get_subscription_count() < 1 + n.endswith("states")]
             if not deaf:
                 self.begun = True
                 self.publish()
