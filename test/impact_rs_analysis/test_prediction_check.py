@@ -16,8 +16,6 @@ from impact_rs_sim.model import load_model
 from impact_rs_sim.scenario import load_scenario
 from impact_rs_trials.spec import TrialSpec
 
-pytestmark = pytest.mark.timeout(600)  # the campaign may have to be made first
-
 PARCEL = TrialSpec.of(load_scenario("push"), "parcel", "case_1")
 
 

@@ -171,7 +171,6 @@ def test_the_design_proposes_nothing_outside_the_envelope() -> None:
         simple_design(nothing, load_model("nominal"), [], None, 8, 0)
 
 
-@pytest.mark.timeout(300)
 def test_a_design_within_the_documented_envelope_is_one(tmp_path: Path) -> None:
     """It chooses among the trials that the envelope allows, instead of a rule after one outside was chosen."""
     text = (Path(__file__).parents[2] / "docs" / "real_robot.md").read_text(encoding="utf-8")

@@ -37,7 +37,6 @@ def scenario(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-@pytest.mark.timeout(600)
 def test_a_plan_is_made_for_which_effect_is_missing(document: Document, scenario: Path, tmp_path: Path) -> None:
     plan = tmp_path / "plan.yaml"
     made = document("design", "--budget", "6", "--scenarios", scenario, "--jobs", "1", "-o", plan)

@@ -133,7 +133,6 @@ def test_the_first_pass_says_how_far_it_is(
     assert (progress["what"], progress["done"], progress["total"]) == ("following hits", 42, 42)
 
 
-@pytest.mark.timeout(300)
 def test_a_change_starts_its_full_diagnosis_of_the_hits_since_then_and_says_how_it_ended(
     tmp_path: Path, document: Callable[..., dict[str, Any]]
 ) -> None:

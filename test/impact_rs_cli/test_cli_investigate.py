@@ -15,8 +15,6 @@ from impact_rs_sim.model import load_model
 from impact_rs_sim.scenario import load_scenario
 from impact_rs_trials.experiment_plan import write_scenario
 
-pytestmark = pytest.mark.timeout(600)  # the first test waits for the whole loop
-
 SEED, EFFECT = "0", "support_friction"
 Document = Callable[..., dict[str, Any]]
 Refused = Callable[..., str]

@@ -151,7 +151,6 @@ def live(hidden_campaign: Path, tmp_path_factory: pytest.TempPathFactory) -> Liv
     return found
 
 
-@pytest.mark.timeout(600)
 @repeatable(24)
 @given(damages)
 def test_a_damaged_trial_is_a_hit_or_refused_with_its_reason(live: Live, damage: Damage) -> None:
@@ -197,13 +196,11 @@ def test_joints_in_another_order_than_the_robots_are_refused(live: Live) -> None
     assert not hits and "joints in the order arm_" in refused[name]
 
 
-@pytest.mark.timeout(600)
 def test_after_damaged_trials_a_sound_one_is_a_hit(live: Live) -> None:
     name = live.add(lambda messages: messages)
     assert live.taken() == ([name], {})
 
 
-@pytest.mark.timeout(600)
 def test_repeats_of_one_condition_with_and_without_the_object_are_hits_alike(live: Live) -> None:
     """Sensitivities of the one are not those of the other: they have other features."""
     for lost in (True, True, True, False):

@@ -55,7 +55,6 @@ def test_a_job_that_fails_tells_its_one_line(jobs: Jobs) -> None:
     assert (job.exit_code, job.line) == (2, "unrecognized arguments: --nonsense (see impact-rs --help)")
 
 
-@pytest.mark.timeout(600)
 def test_a_campaign_tells_how_far_it_is_stops_as_ctrl_c_does_and_goes_on(
     client: TestClient, workbench: Workbench, tmp_path: Path
 ) -> None:

@@ -339,7 +339,6 @@ def test_a_found_model_is_predicted_with_the_model_that_is_chosen(page: Page, fo
     expect(after).to_have_text(nominal)
 
 
-@pytest.mark.timeout(900)
 def test_the_loop_by_mouse_names_the_effect_and_the_error_falls(page: Page, folder: Path) -> None:
     go(page, "compare")
     page.select_option("#compare-runs", "blind/runs")
@@ -441,7 +440,6 @@ def test_a_recorded_trial_opens_in_3d_with_one_click(page: Page, folder: Path) -
     picture(page, "workbench_trial", folder)
 
 
-@pytest.mark.timeout(600)
 def test_a_single_trial_is_shown_below_its_form_and_again_after_a_reload(page: Page, folder: Path) -> None:
     go(page, "measure", "trial")
     page.locator("#trial-output").fill("single")
@@ -467,7 +465,6 @@ def test_a_folder_that_has_the_trial_already_is_not_suggested_for_another(
     shutil.rmtree(folder / "trials")
 
 
-@pytest.mark.timeout(900)
 def test_how_fast_the_arm_may_hit_is_asked_and_the_hit_rehearsed_by_mouse(page: Page, folder: Path) -> None:
     command = go(page, "predict", "limits")
     expect(command).to_contain_text("limits push --objects parcel --cases case_1 -o workbench/limits/push")
@@ -589,7 +586,6 @@ def test_what_no_effect_explains_is_looked_for_as_a_law_by_a_button(page: Page, 
     assert (order["report"], order["output"]) == ("reports/open", "reports/open/discovery.json")
 
 
-@pytest.mark.timeout(600)
 def test_trials_are_designed_shown_and_run_by_a_button(page: Page, folder: Path) -> None:
     push = load_scenario("push")
     one = {name: dict([next(iter(getattr(push, name).items()))]) for name in ("objects", "cases")}
@@ -620,7 +616,6 @@ def test_trials_are_designed_shown_and_run_by_a_button(page: Page, folder: Path)
     assert order == {"command": "campaign", "plan": "plans/plan_1.yaml", "output": "campaigns/plan_1"}
 
 
-@pytest.mark.timeout(600)
 def test_an_investigation_is_followed_stopped_and_can_go_on(page: Page, folder: Path) -> None:
     command = go(page, "investigate")
     expect(command).to_contain_text("impact-rs investigate workbench/investigations/1")
@@ -898,7 +893,6 @@ def test_names_and_notes_are_text_and_no_markup(page: Page, folder: Path) -> Non
     (folder / "m.yaml").unlink()
 
 
-@pytest.mark.timeout(600)
 def test_a_folder_of_recordings_is_described_from_lists_and_compared(
     page: Page, folder: Path, hidden_campaign: Path, rewrite_bag: Callable[..., None]
 ) -> None:
@@ -955,7 +949,6 @@ def test_a_folder_of_recordings_is_described_from_lists_and_compared(
     shutil.rmtree(folder / "impacts")
 
 
-@pytest.mark.timeout(600)
 def test_raw_files_are_described_by_their_numbers(
     page: Page, folder: Path, hidden_campaign: Path, rewrite_bag: Callable[..., None]
 ) -> None:
@@ -1018,7 +1011,6 @@ def test_a_job_that_fails_shows_its_one_line(page: Page, folder: Path) -> None:
     assert str(folder) not in beside.inner_text()  # paths are those of the folder
 
 
-@pytest.mark.timeout(600)
 def test_a_running_job_is_seen_by_other_tabs_and_stopped_there(page: Page) -> None:
     command, jobs = go(page, "measure"), page.locator("#job-list > li")
     page.locator("#campaign-output").fill("campaigns/long")

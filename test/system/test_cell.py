@@ -27,8 +27,6 @@ from impact_rs_ros.graph import Graph
 from impact_rs_trials.bags import topics
 from impact_rs_trials.bags.reader import TrialBag
 
-pytestmark = pytest.mark.timeout(600)  # a fixture runs four trials, each of a robot of its own
-
 ROBOT = Path(__file__).resolve().parents[1] / "shared" / "effort_robot.py"
 TRIAL = ["push", "cat_food", "case_2"]
 SLOW = ("is the robot running?", " states in 3 s", "a state every ")  # refusals on a busy machine

@@ -29,7 +29,6 @@ from impact_rs_trials.bags import topics
 from impact_rs_trials.bags.reader import TrialBag
 
 EXAMPLE = Path(__file__).resolve().parents[2] / "examples" / "foreign_plant.py"
-pytestmark = pytest.mark.timeout(300)  # a campaign, and nodes that come and go
 WAITING = "waiting for a plant: services /plant/configure_trial, /plant/finish_trial, /plant/run_trial; for "
 TRIAL = "cat_food__case_2__s1.000__r0"
 

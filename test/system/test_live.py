@@ -26,7 +26,6 @@ from impact_rs_trials.bags import topics
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
 SOFTWARE = ("--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader")
 needs_browser = pytest.mark.skipif(CHROMIUM is None, reason="no chromium or chrome on this machine")
-pytestmark = pytest.mark.timeout(300)
 IMAGES = Path(__file__).resolve().parents[2] / "docs" / "images"
 expect.set_options(timeout=60_000.0)
 

@@ -24,8 +24,6 @@ CONDITIONS = (("parcel", "case_1"), ("cat_food", "case_1"), ("parcel", "case_2")
 COARSE = MIXED.timing.model_copy(update={"drive_period": 0.0005})  # s; half of the steps, in plant and replay alike
 SCENARIO = MIXED.model_copy(update={"timing": COARSE})
 
-pytestmark = pytest.mark.timeout(600)
-
 
 @pytest.fixture(scope="module")
 def runs(tmp_path_factory: pytest.TempPathFactory) -> Runs:

@@ -105,7 +105,6 @@ def test_a_quadratic_drag_is_found_with_its_amplitude(drag: tuple[Path, Discover
     assert law.valid is not None and 0.2 < law.valid.high < 0.8
 
 
-@pytest.mark.timeout(600)
 def test_a_cable_on_the_end_effector_is_told_from_a_force_on_the_object(tmp_path: Path) -> None:
     """6 N/m times the amplitude beyond y = -0.1 m; the object is pushed along y."""
     runs = recorded(tmp_path / "runs", "end_effector_cable", [])
@@ -130,7 +129,6 @@ def test_a_limit_that_lies_beyond_free_motion_needs_no_residual_there() -> None:
         assert not _begins_beyond(laws[other], {"y": (-0.06, 0.2)}), other
 
 
-@pytest.mark.timeout(600)
 def test_a_law_with_memory_is_found_in_replays_of_short_windows(tmp_path: Path) -> None:
     """A Maxwell element on motor 4 of the plant, 7 times repeatability, among friction of other forms."""
     runs = recorded(tmp_path / "runs", None, [], lambda own: RELAXING.apply_vector(own, np.array([DAMPER, RELAXATION])))

@@ -66,7 +66,6 @@ def test_a_tie_leaves_open_which_of_both_is_there(document: DiagnosisDocument, w
     assert moved - 1.3 == pytest.approx(0.2 / NORMAL_95)
 
 
-@pytest.mark.timeout(600)
 def test_the_next_experiment_after_a_tie_in_contact_is_a_push(hidden_campaign: Path) -> None:
     """Friction of the support against mass of the object: free motion, which was measured as well, shows neither."""
     source = ReplaySource.of(read_runs(hidden_campaign, map), load_model("nominal"), ReplayCache(map))

@@ -35,7 +35,6 @@ from impact_rs_trials.spec import TrialSpec
 NOMINAL = load_model("nominal")
 PUSH = load_scenario("push")
 Rows = list[list[object]]
-simulated = pytest.mark.timeout(600)  # the day of pushes may have to be simulated first
 
 
 def rows_of(hidden: dict[str, Sequence[float]], repeats: int, seed: int) -> Rows:
@@ -309,7 +308,6 @@ def day(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-@simulated
 def test_trials_and_tables_tell_the_same_change(day: Path, tmp_path: Path) -> None:
     """The same change of the plant, by the replay of trials, and of a rigid map, by its table."""
     trials = Follower(BagDoor(day, NOMINAL, ReplayCache(map)), NOMINAL, ["object_mass", "restitution"], learnt=12)
@@ -333,7 +331,6 @@ def test_the_next_hit_after_a_free_motion_is_one_with_an_impact(hidden_campaign:
     assert {"impact", "push"} <= {value.phase for value in prediction.values}
 
 
-@simulated
 def test_bags_are_read_when_they_are_due(day: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     read: list[str] = []
     monkeypatch.setattr(hits, "read_trial", lambda path: (read.append(path.name), read_trial(path))[1])
@@ -343,7 +340,6 @@ def test_bags_are_read_when_they_are_due(day: Path, monkeypatch: pytest.MonkeyPa
     assert next(arriving).name.endswith("r1") and len(read) == 2 and door.waiting == 14
 
 
-@simulated
 def test_where_measured_trials_do_not_decide_one_that_was_not_measured_is_proposed(
     day: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
