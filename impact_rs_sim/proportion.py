@@ -34,7 +34,7 @@ class Proportion:
 
     Attributes:
         mass: Of its links, or of the body [-].
-        length: Of its reach, or of its radius of gyration [-].
+        length: Of its reach (:func:`reach_of`), or of its radius of gyration [-].
         time: In which a body falls as far as it reaches, or comes as far [-].
     """
 
@@ -83,6 +83,18 @@ def _mass(facts: RobotFacts) -> float:
 
 
 def reach_of(facts: RobotFacts) -> float:
-    """Reach of an arm: length of the chain from its second joint to the flange [m]."""
-    places = [joint.xyz for joint in facts.joints[1:]] + [facts.flange.xyz]
-    return float(sum(np.linalg.norm(place) for place in places))
+    """Reach of an arm: length of the chain from its second joint to the flange [m].
+
+    Where axes and flange meet in one point, as those of a pan-tilt, the chain has no length, but the links have: the
+    reach is at least the rms distance of their mass from that joint, along the chain,
+
+        sum m_i (d_i + r_i)^2 / sum m_i,    r_i^2 = |c_i|^2 + tr(I_i) / (2 m_i)
+
+    with d_i the length of the chain to joint i, c_i the centre of mass of link i and I_i its inertia about it.
+    """
+    steps = np.linalg.norm([(0.0, 0.0, 0.0), *(joint.xyz for joint in facts.joints[1:]), facts.flange.xyz], axis=1)
+    *before, chain = np.cumsum(steps)
+    mass = np.array([link.mass for link in facts.links])
+    about = [np.sum(np.square(link.com)) + np.trace(link.inertia_matrix) / (2.0 * link.mass) for link in facts.links]
+    spread = float(mass @ np.square(np.array(before) + np.sqrt(about)) / np.sum(mass))
+    return max(float(chain), float(np.sqrt(spread)))

@@ -127,8 +127,6 @@ def look(workspace: Workspace, folder: str, scenario_name: str) -> dict[str, Any
         raise InputError("no recording of others in this folder", file=directory)
     path = directory / lab.recordings[0]
     found = candidates_of(path)
-    if not found:
-        raise InputError("nothing in it looks like the signals of a robot", file=path)
     scenario = load_scenario(workspace.scenario_path(scenario_name))
     robots = scenario.robots
     own = _own_table(directory, scenario_name, scenario)
@@ -139,6 +137,8 @@ def look(workspace: Workspace, folder: str, scenario_name: str) -> dict[str, Any
         ((arm, file),) = files.items()
         guesses[arm] = _by_numbers(path, directory, file)
         proposals[arm] = _chosen(found, proposals[arm], guesses[arm])
+    if not found:
+        raise InputError("nothing in it looks like the signals of a robot", file=path)
     return {
         "recording": lab.recordings[0],
         "table": own,

@@ -220,7 +220,7 @@ class TorqueBalance:
                         pin.computeJointTorqueRegressor(model.pinocchio, model.data, *state)
                         for state in zip(motion.position, motion.velocity, motion.acceleration, strict=True)
                     ]
-                )
+                ).reshape(*motion.position.shape, parameters.size)  # of one joint Pinocchio makes a vector
                 for motion in self.motions
             ]
         return [regressor @ parameters for regressor in self._regressors[key]]

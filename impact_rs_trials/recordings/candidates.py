@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Sequence
+from collections.abc import Mapping as AbstractMapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Final
@@ -181,6 +182,20 @@ def width_of(shape: tuple[int, ...]) -> int:
     return width if width <= MOST_WIDE else 0
 
 
+def single_candidates(columns: AbstractMapping[str, Sequence[str] | NDArray[Any]], key: str) -> list[SignalCandidate]:
+    """Columns or arrays with one number a sample, which is a signal of a robot with one joint.
+
+    Args:
+        columns: Contents by name.
+        key: How a mapping names them, ``column`` or ``array``.
+    """
+    return [
+        SignalCandidate(name, {key: name}, False, guess_of(name), 1)
+        for name, cells in columns.items()
+        if np.ndim(cells) == 1 and vector_width(cells) == 1
+    ]
+
+
 def _in_bag(path: Path) -> list[SignalCandidate]:
     """The first message of every topic."""
     found: list[SignalCandidate] = []
@@ -245,7 +260,7 @@ def _numbers(message: Any, before: str = "", depth: int = DEEPEST) -> Iterator[t
             continue
         place = f"{before}{name}"
         if isinstance(value, np.ndarray):
-            if value.ndim == 1 and 1 < value.size <= MOST_WIDE and np.issubdtype(value.dtype, np.floating):
+            if value.ndim == 1 and 0 < value.size <= MOST_WIDE and np.issubdtype(value.dtype, np.floating):
                 yield place, int(value.size)
         elif depth > 0 and hasattr(value, "__msgtype__") and name != "header":
             yield from _numbers(value, f"{place}.", depth - 1)

@@ -34,6 +34,7 @@ from impact_rs_trials.recordings.candidates import (
     guess_of,
     joints_of,
     parts_of,
+    single_candidates,
     vector_width,
     width_of,
 )
@@ -518,11 +519,11 @@ class _Importer:
 
     def _nothing(self, every: Sequence[_Found], robot: str, count: int) -> InputError:
         """What is said where no signal is the motion of the joints."""
-        said = f"no signal of {count} joints can be read"
+        said = f"no signal of {_joints_of(count)} can be read"
         if every:
             said = (
-                f"no two signals of {count} joints are positions within the limits of {robot} and their derivative; "
-                f"signals as wide as that: {'; '.join(one.label for one in every)}"
+                f"no two signals of {_joints_of(count)} are positions within the limits of {robot} and their "
+                f"derivative; signals as wide as that: {'; '.join(one.label for one in every)}"
             )
         others = [
             one.label for part in self._parts for one in part.candidates if not one.pose and one.width not in (1, count)
@@ -629,6 +630,9 @@ class _Importer:
     def _read(self, part: _Part, robot: str, count: int) -> None:
         """Raw numbers of all candidates that are as wide as the robot has joints."""
         self._windows(part, count)
+        if count == 1 and part.layout.header != 0:
+            key = "array" if part.path.suffix in ARRAY_SUFFIXES else "column"
+            part.candidates += single_candidates(part.columns, key)
         part.candidates += [own for one in part.candidates for own in parts_of(one, count)]
         numbered = tuple(f"joint{number}" for number in range(1, count + 1))
         shared = None if part.is_bag else open_file(part.path, self._raw_mapping(part, robot, numbered), part.names, ())
@@ -1072,6 +1076,10 @@ def _axes(names: Sequence[str]) -> tuple[list[list[str]], list[list[str]]]:
             first = min(quaternion, key=lambda letter: list(names).index(quaternion[letter]))
             turns.append([quaternion[letter] for letter in QUATERNION[first == "w"]])
     return places, turns
+
+
+def _joints_of(count: int) -> str:
+    return f"{count} joint{'s' if count > 1 else ''}"
 
 
 def _si(guess: Guess, quantity: str) -> Array:

@@ -15,7 +15,7 @@ import numpy as np
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.robot import Array
 from impact_rs_sim.urdf_repairs import Limits
-from impact_rs_trials.recordings.candidates import SignalCandidate, candidates_of
+from impact_rs_trials.recordings.candidates import SignalCandidate, candidates_of, single_candidates
 from impact_rs_trials.recordings.mapping import TableLayout
 from impact_rs_trials.recordings.sources import TABLE_SUFFIXES
 from impact_rs_trials.recordings.table_columns import Columns, read_columns
@@ -41,7 +41,8 @@ def measured_limits(path: Path, joints: Sequence[str]) -> Limits:
     layout = TableLayout() if path.suffix in (".parquet", ".npy") else find_layout(path).layout
     table = read_columns(path, layout)
     found: dict[tuple[str, str], tuple[float, ...]] = {}
-    for one in candidates_of(path, layout):
+    single = single_candidates(table.cells, "column") if len(joints) == 1 else []
+    for one in (*candidates_of(path, layout), *single):
         quantity = QUANTITIES.get(one.guess)
         if quantity is None or one.width != len(joints) or (joints[0], quantity) in found:
             continue

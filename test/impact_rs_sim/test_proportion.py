@@ -5,12 +5,15 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
 from impact_rs_sim.effects import library
 from impact_rs_sim.errors import InputError
+from impact_rs_sim.paths import config_directory
 from impact_rs_sim.physics import Physics
-from impact_rs_sim.proportion import Proportion
+from impact_rs_sim.proportion import Proportion, reach_of
+from impact_rs_sim.robot import RobotFacts, load_facts
 from impact_rs_sim.scenario import load_scenario
 
 
@@ -44,6 +47,32 @@ def test_on_the_moon_everything_takes_longer() -> None:
     moon = Proportion.of(replace(physics, gravity=physics.gravity / 6.0))
     assert moon.factor("s") == pytest.approx(6.0**0.5, rel=1e-4)
     assert moon.factor("N m") == pytest.approx(1.0 / 6.0, rel=1e-4)  # of its own weight
+
+
+@pytest.mark.parametrize("joints", [1, 2, 3])
+def test_axes_that_meet_in_one_point_have_the_reach_of_their_mass(joints: int) -> None:
+    """A point mass at 0.2 m about the common point: it can be moved as far as that, and no more."""
+    link = {"mass": 1.5, "com": (0.0, 0.12, 0.16), "inertia": (1e-9, 0, 0, 1e-9, 0, 1e-9)}
+    limit = (1.0,) * joints
+    limits = {"position_min_rad": (-1.0,) * joints, "position_max_rad": limit, "velocity_rad_s": limit}
+    facts = RobotFacts.model_validate(
+        {
+            "source": "by hand",
+            "joints": [{"xyz": (0.0, 0.0, 0.3 * (joint == 0)), "rpy": (0.0, 0.0, 0.0)} for joint in range(joints)],
+            "flange": {"xyz": (0.0, 0.0, 0.0)},
+            "limits": limits | {"torque_Nm": limit},
+            "links": [link] * joints,
+        }
+    )
+    assert reach_of(facts) == pytest.approx(0.2, rel=1e-6)
+    assert Proportion.of_robots([facts], np.array([0.0, 0.0, -9.81])).factor("m/N") > 0.0
+
+
+@pytest.mark.parametrize("robot", sorted(path.stem for path in (config_directory() / "robots").glob("*.yaml")))
+def test_the_reach_of_an_arm_is_the_length_of_its_chain(robot: str) -> None:
+    facts = load_facts(robot)
+    places = [*(joint.xyz for joint in facts.joints[1:]), facts.flange.xyz]
+    assert reach_of(facts) == pytest.approx(sum(float(np.linalg.norm(place)) for place in places), abs=1e-12)
 
 
 def test_a_scene_without_an_arm_has_no_proportion() -> None:

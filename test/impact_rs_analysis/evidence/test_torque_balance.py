@@ -45,6 +45,14 @@ def test_the_torque_of_any_links_is_that_of_inverse_dynamics(tmp_path: Path) -> 
         np.testing.assert_allclose(balance.predict(physics), newton_euler(balance, physics), rtol=0.0, atol=1e-9)
 
 
+@pytest.mark.parametrize("effects", [{}, {"link_mass": {"scale_joint1": 1.4}}, {"base_tilt": {"pitch": 0.1}}])
+def test_the_torque_of_a_single_joint_follows_its_motion(effects: dict[str, dict[str, float]], tmp_path: Path) -> None:
+    mapping = mapping_of(tmp_path, slender_arm(("revolute",)))
+    balance, physics = balance_of(tmp_path, mapping), with_effects(mapping, effects)
+    np.testing.assert_allclose(balance.predict(physics), newton_euler(balance, physics), rtol=0.0, atol=1e-9)
+    assert np.ptp(balance.predict(physics)) > 0.5  # N m
+
+
 @pytest.mark.parametrize("at_motor", [True, False])
 def test_motors_are_accelerated_by_the_torque_that_was_measured_at_them(at_motor: bool, tmp_path: Path) -> None:
     mapping = mapping_of(tmp_path, slender_arm(("revolute",) * 3))
