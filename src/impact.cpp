@@ -200,9 +200,12 @@ bool Impact::assemble(const std::vector<ArmState>& arms, const ObjectState& obje
     terms_.friction[i] = turns(i) ? law.rolling_arm / length_ : law.friction;
     terms_.spin[i] = turns(i) ? law.drilling_arm / length_ : 0.0;
     const Vector coming = vector(terms_.approach.data() + 3 * i);
-    const Vector along = dot(point.normal, coming) * point.normal;
+    const double opening = dot(point.normal, coming);
+    const Vector along = opening * point.normal;
+    // A point that opens has nothing to give back along the normal; with e J_n u^- > 0 it could close after the impact.
+    const Vector closing = std::min(opening, 0.0) * point.normal;
     const Vector back = turns(i) ? law.spin_restitution * along
-                                 : law.restitution * along + law.tangential_restitution * (coming - along);
+                                 : law.restitution * closing + law.tangential_restitution * (coming - along);
     std::copy(back.begin(), back.end(), terms_.rebound.begin() + 3 * i);
   }
   return true;

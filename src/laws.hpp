@@ -27,7 +27,7 @@ struct Terms {
   std::vector<double> friction;      // Coulomb coefficients, (m) [-]
   std::vector<double> spin;          // of turnings, (m) [-]
   std::vector<int> host;             // point of a turning; -1: a point, (m)
-  std::vector<double> rebound;       // velocity that restitution returns, e J u^-, (3 m) [m/s]
+  std::vector<double> rebound;       // velocity that restitution returns, e min(J_n u^-, 0) n, (3 m) [m/s]
   std::vector<double> least;         // bound a of the normal impulses, (m) [N s]
   std::vector<double> inverse_mass;  // g, (m) [1/kg]
   double mobility = 0.0;             // 1 / m of the object [1/kg]

@@ -24,9 +24,9 @@ Settings and their reasons:
   towards the object, and the support as much upwards: a translation, which changes no Jacobian, and every point that
   counts as touching overlaps. Contact ERP is 0, so no overlap turns into velocity.
 * Bullet applies joint torques before it evaluates Newton's restitution, whose approach velocity would contain p. Its
-  restitution is 0. Instead the step starts from u^- + s and s is taken off its answer, with J_n s = e J_n u^- and
-  J_t s = 0 at the contact points: the normal velocity that Bullet keeps from being negative is then that of
-  u^+ + e u^-, and the sliding velocity is that of u^+.
+  restitution is 0. Instead the step starts from u^- + s and s is taken off its answer, with J_n s = e min(J_n u^-, 0)
+  and J_t s = 0 at the contact points: the normal velocity that Bullet keeps from being negative is then
+  J_n u^+ + e min(J_n u^-, 0), and the sliding velocity is that of u^+.
 * Contact points survive in Bullet's manifolds from call to call. The object is moved out of reach first, which empties
   them, so a result depends on its problem only.
 * Bullet's sequential impulses converge linearly, and may end in a small limit cycle. Few iterations suffice for most
@@ -312,11 +312,10 @@ class _World:
 
 
 def _restitution_shift(terms: ContactTerms) -> Array:
-    """s with J_n s = e J_n u^- and J_t s = 0, ``(nv,)``."""
-    if terms.restitution == 0.0:
+    """s with J_n s = e min(J_n u^-, 0) and J_t s = 0, ``(nv,)``."""
+    if not np.any(terms.rebound):
         return np.zeros_like(terms.before)
-    before, _ = terms.split((terms.jacobian @ terms.before).reshape(-1, 3))
-    wanted = terms.restitution * before[:, None] * terms.normals
+    wanted = terms.rebound[:, None] * terms.normals
     return np.asarray(np.linalg.lstsq(terms.jacobian, wanted.ravel(), rcond=1e-10)[0])
 
 

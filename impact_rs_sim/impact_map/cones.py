@@ -2,7 +2,9 @@
 """The laws of an impact as one conic complementarity problem in the contact impulses, by Pinocchio's ADMM solver.
 
     v^+ = G L + J_c u^-,     G = J_c (M + B)^-1 J_c^T           (Delassus operator, B as armature)
-    K* contains  v^+ + e J_n u^- n + mu |v_t^+| n,  perpendicular to L in K      (K: Coulomb's cones, de Saxce's term)
+    K* contains  v^+ + e min(J_n u^-, 0) n + mu |v_t^+| n,  perpendicular to L in K      (K: Coulomb's cones)
+
+The term with mu is that of de Saxce.
 
 Where the solution is not unique, that of ADMM depends on its first guess: with sliding corners u^+ differs by up to
 some percent of the ante-impact speed. Newton's method (:mod:`impact_rs_sim.impact_map.laws`) continues from it to the
@@ -78,7 +80,7 @@ def solve_cones(terms: ContactTerms, feasibility: float = FEASIBILITY) -> tuple[
     response = np.einsum("vmj,mij->vmi", terms.response.reshape(-1, count, 3), frames).reshape(-1, 3 * count)
     delassus = jacobian @ response
     drift = jacobian @ terms.before
-    drift[2::3] *= 1.0 + terms.restitution
+    drift[2::3] += terms.rebound
     # In units of the mean inverse mass, impulses are velocities too, and one tolerance means the same to both.
     scale = np.trace(delassus) / len(delassus)
     operator = pin.DelassusOperatorDense((delassus + delassus.T) / (2.0 * scale))

@@ -4,7 +4,7 @@
 A measured impact (:mod:`impact_rs_sim.impact_map.measured`) has, at every contact point with the closing speed v and
 the slip s just before,
 
-    0 <= L_n  perpendicular to  u_n^+ + e(v) u_n^- >= 0                        restitution
+    0 <= L_n  perpendicular to  u_n^+ - e(v) max(v, 0) >= 0                    restitution
     |L_t| <= mu L_n                    against   u_t^+ + beta(s) u_t^-         friction and tangential restitution
     |M_n| <= a L_n                     against   omega_n^+ + gamma omega_n^-   drilling friction, spin restitution
     |M_t| <= b L_n                     against   omega_t^+                     rolling friction

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Derivatives of the impact map, in closed form at the active contact states.
 
-With the laws F(L, s, mu) = 0 of :mod:`impact_rs_sim.impact_map.laws`, s = J u^- + G L + e (J_n u^-) n and
-u^+ = u^- + H^-1 J^T L, a parameter theta moves u^+ by
+With the laws F(L, s, mu) = 0 of :mod:`impact_rs_sim.impact_map.laws`, s = J u^- + G L + e min(J_n u^-, 0) n
+and u^+ = u^- + H^-1 J^T L, a parameter theta moves u^+ by
 
     (F_L + F_s G) dL = -(F_s ds|_L + F_mu dmu)                       every point keeps its state: open, stick or slide
     du^+             = du^- + H^-1 (dJ^T L - dH (u^+ - u^-)) + H^-1 J^T dL
@@ -15,7 +15,9 @@ where L and s turn with the contact normals. What a parameter does to H, J and t
 * the object: dH a = W H a - H W a for a turn dphi with W = blockdiag(dphi x, dphi x);
 * contact points: :mod:`impact_rs_sim.impact_map.contact_motion`.
 
-They hold as long as no contact changes its state; ``margin`` says how near that is.
+They hold as long as no contact changes its state, and with e > 0 as long as no point turns from closing to opening
+before the impact; ``margin`` says how near that is. A point that rests, J_n u^- = 0, has the derivative of closing
+points; columns of the velocity of its body hold on that side.
 """
 
 from __future__ import annotations
@@ -60,7 +62,8 @@ class Derivatives:
         velocity: u^+, ``(nv,)`` [rad/s, m/s].
         jacobian: du^+ / dtheta, ``(nv, p)``.
         states: ``open``, ``stick`` or ``slide`` of every contact point.
-        margin: How far the nearest contact is from another state, as a velocity [m/s].
+        margin: How far the nearest contact is from another state, or with e > 0 a moving point from turning between
+            closing and opening, as a velocity [m/s].
         smooth: Whether contact points move smoothly with the bodies; else columns of poses hold on one side at best.
         end_effector: J of frame E in E[A] by arm ``(6, n)``, and du^+ of its twist at fixed u^+, ``(6, p)``.
     """
@@ -175,13 +178,14 @@ def differentiate(
         slip = yielding_velocity(terms, operator, impulses)
         linear = linearise(terms, impulses, slip)
         normals = terms.normals
+        opening = np.sum(normals * changes.relative_before, axis=1)
         pushes = []
         for effect, moved in zip(effects, shaken.T, strict=True):
             rate = (terms.jacobian @ moved).reshape(-1, 3) + effect.of_relative
             approach = (terms.jacobian @ effect.before).reshape(-1, 3) + effect.of_relative_before
             approach = approach - np.cross(effect.turned, changes.relative_before)
-            again = problem.restitution * np.sum(normals * approach, axis=1)
-            again = again + effect.restitution * np.sum(normals * changes.relative_before, axis=1)
+            again = problem.restitution * np.where(opening <= 0.0, np.sum(normals * approach, axis=1), 0.0)
+            again = again + effect.restitution * np.minimum(opening, 0.0)
             rate = rate + again[:, None] * normals - np.cross(effect.turned, changes.relative_after)
             rate = rate - compliance * terms.mobility**2 * effect.mass * impulses
             push = np.einsum("mij,mj->mi", linear.by_velocity, rate) + linear.by_friction * effect.friction[:, None]
@@ -189,6 +193,8 @@ def differentiate(
         answer = np.linalg.solve(slope(linear, operator), -np.array(pushes).T)
         jacobian = shaken + terms.response @ answer
         states, margin = linear.state, float(np.min(linear.margin))
+        if problem.restitution > 0.0:
+            margin = float(np.min(np.abs(opening[opening != 0.0]), initial=margin))
     return Derivatives(
         parameters=parameters,
         outputs=output_names(problem),

@@ -114,7 +114,7 @@ def check_energy(
         hint = "'poisson' sets impulses instead" if law == "newton" else "a smaller e does not"
         raise EnergyGain(
             f"the impact gains {gain:.3g} J, {gain / before:.2%} of the kinetic energy there was: restitution e = "
-            f"{restitution:g} by the law of {law!r} with friction and several contacts can; restitution_law {hint}"
+            f"{restitution:g} by the law of {law!r} with several contacts can; restitution_law {hint}"
         )
 
 

@@ -8,8 +8,9 @@ the twist of the object at its geometric centre, ``u = (dq_1, ..., dq_k, v_O, om
 
 with the laws of :mod:`impact_rs_sim.impact_map.problem` for the impulses L. Every engine shares these terms.
 
-**Residuals** are computed from the solution alone, by the same code for every engine. With w = J_n u^+ + e J_n u^- and,
-per point, the inverse mass g = tr(G_ii) / 3 that turns impulses into velocities,
+**Residuals** are computed from the solution alone, by the same code for every engine. With the closing velocity
+min(J_n u^-, 0) before the impact, w = J_n u^+ + e min(J_n u^-, 0) and, per point, the inverse mass g = tr(G_ii) / 3
+that turns impulses into velocities,
 
     penetration      max(0, -w)
     complementarity  max(w, 0) L_n / max(L_n),  g max(0, -L_n)
@@ -19,8 +20,8 @@ per point, the inverse mass g = tr(G_ii) / 3 that turns impulses into velocities
 The friction term is the natural map of Coulomb's law: zero exactly when the point sticks inside the cone or slides
 with the impulse on its edge, against the sliding velocity.
 
-**Newton's method.** With s_i = (J_c u^+)_i + e (J_n u^-)_i n_i + (rho / m) L_i, the mass m of the object, the impulse
-L_n >= a of every contact point, r_i = 1 / g_i and the projection P onto the disk of radius mu L_n, the laws are
+**Newton's method.** With s_i = (J_c u^+)_i + e min(J_n u^-, 0)_i n_i + (rho / m) L_i, the mass m of the object, the
+impulse L_n >= a of every contact point, r_i = 1 / g_i and the projection P onto the disk of radius mu L_n, the laws are
 
     F_n = L_n - max(a, L_n - r s_n) = 0,        F_t = L_t - P(L_t - r s_t) = 0
 
@@ -162,7 +163,7 @@ class ContactTerms:
         response: H^-1 J_c^T, ``(nv, 3 m)``.
         normals: Unit normals into the object, ``(m, 3)``.
         friction: Coulomb coefficients, ``(m,)`` [-].
-        rebound: e J_n u^-, ``(m,)`` [m/s].
+        rebound: e min(J_n u^-, 0): a point that opens before the impact has no restitution, ``(m,)`` [m/s].
         inverse_mass: Mean over the directions of a point of its J_c H^-1 J_c^T, ``(m,)`` [1/kg].
         mobility: 1 / m of the object [1/kg].
     """
@@ -199,7 +200,7 @@ class ContactTerms:
             response=response,
             normals=normals,
             friction=np.array([contact.friction for contact in contacts]),
-            rebound=restitution * approach,
+            rebound=restitution * np.minimum(approach, 0.0),
             inverse_mass=np.einsum("ij,ji->i", jacobian, response).reshape(-1, 3).mean(axis=1),
             mobility=float(1.0 / system.inertia[system.columns["object"].start, system.columns["object"].start]),
         )

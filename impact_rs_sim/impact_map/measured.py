@@ -240,7 +240,7 @@ class MeasuredImpacts:
         friction = contact.friction[own].tolist()
         points = [replace(point, friction=value) for point, value in zip(impact.points, friction, strict=True)]
         terms = ContactTerms.of(system, points, restitution_of(physics))
-        terms = replace(terms, rebound=-contact.restitution[own] * self._closing[own])
+        terms = replace(terms, rebound=-contact.restitution[own] * np.maximum(self._closing[own], 0.0))
         impulses, _ = solve_contacts(terms)
         velocity = np.asarray(system.velocity + terms.response @ impulses.ravel())
         return velocity if terms.residual(impulses, velocity).largest <= ExactEngine.tolerance else nothing

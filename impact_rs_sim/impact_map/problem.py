@@ -5,7 +5,7 @@ Given the configuration, the ante-impact velocities v^- of all bodies and the mo
 impulses L such that, with the generalised inertia of arms (M + B) and object,
 
     (M + B) (v^+ - v^-) = J_c^T L                              momentum balance
-    0 <= L_n  perpendicular to  J_n v^+ + e J_n v^- >= 0       Newton restitution, per contact point (or Poisson's:
+    0 <= L_n  perpendicular to  J_n v^+ + e min(J_n v^-, 0) >= 0   Newton restitution, per contact point (Poisson's:
                                                                :mod:`impact_rs_sim.impact_map.restitution`)
     |L_t| <= mu L_n, opposing the sliding velocity J_t v^+     Coulomb friction
 
@@ -112,9 +112,9 @@ class Residual:
     """Distance of a result from the laws above; each is a maximum over the contact points.
 
     Attributes:
-        penetration_velocity: Largest violation of J_n v^+ + e J_n v^- >= 0 [m/s].
-        complementarity: Largest separation velocity J_n v^+ + e J_n v^- of a point that carries an impulse, weighted
-            with its share of the largest impulse [m/s].
+        penetration_velocity: Largest violation of J_n v^+ + e min(J_n v^-, 0) >= 0 [m/s].
+        complementarity: Largest separation velocity J_n v^+ + e min(J_n v^-, 0) of a point that carries an impulse,
+            weighted with its share of the largest impulse [m/s].
         friction_cone: Largest violation of the friction law: impulse outside the cone, or not opposed to sliding, as
             a velocity [m/s].
         momentum: Largest entry of (M + B)^-1 ((M + B)(v^+ - v^-) - J_c^T L): momentum balance as a joint velocity

@@ -39,7 +39,7 @@ def planar(
         response=response,
         normals=up[None],
         friction=np.array([friction]),
-        rebound=np.array([restitution * jacobian[2] @ before]),
+        rebound=np.array([restitution * min(jacobian[2] @ before, 0.0)]),
         inverse_mass=np.array([np.trace(jacobian @ response) / 3.0]),
         mobility=float(1.0 / inertia[0, 0]),
     )
