@@ -38,13 +38,14 @@ console = Console(width=130)
 def solved(
     problem: ImpactProblem, models: dict[str, RobotModel], name: str, amount: float, compliance: float
 ) -> tuple[Array, object]:
-    """u^+ with one parameter changed, and the contact states (None: no answer)."""
+    """u^+ with one parameter changed, and the contact states with which points bounce (None: no answer)."""
     system, terms = change(problem, {name: amount}).terms(models)
     impulses, converged = newton(terms, solve_contacts(terms)[0], compliance=compliance)
     where = tuple(contact.partner for contact in terms.contacts)
     return system.velocity + terms.response @ impulses.ravel(), (
         where,
         states(terms, impulses, compliance),
+        tuple((terms.rebound < 0.0).tolist()),
     ) if converged else None
 
 
