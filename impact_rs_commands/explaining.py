@@ -403,8 +403,8 @@ Write a new model file: the old model and effects with the parameters of a diagn
 
 The new file names its parent, so impact-rs history can list all versions. Model files are never overwritten. The
 command refuses a diagnosis of another model, and an effect that the trials do not determine; --force adds effects
-whose verdict is NO-IMPROVEMENT. Effects that a diagnosis names together belong together: their parameters were fitted
-together.""",
+whose verdict is NO-IMPROVEMENT, and the mean of effects that depend on a covariate. Effects that a diagnosis names
+together belong together: their parameters were fitted together.""",
     examples="""\
 impact-rs add torque_offset --model config/models/nominal.yaml --from diagnosis.json -o model_2.yaml
 impact-rs compare campaigns/blind/runs --model model_2.yaml""",
@@ -421,7 +421,7 @@ impact-rs compare campaigns/blind/runs --model model_2.yaml""",
         ),
         output("new_file", "new model file", "FILE.yaml", required=True, label="new model"),
         option(
-            "--force", kind="switch", help="add effects even if their verdict is NO-IMPROVEMENT",
+            "--force", kind="switch", help="add effects even if they are NO-IMPROVEMENT, or depend on a covariate",
             label="add them even if they do not reduce the error",
         ),
         JSON,

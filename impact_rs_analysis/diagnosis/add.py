@@ -38,7 +38,7 @@ def add_effects(
         source: File of the diagnosis.
         names: Effects to add.
         output: File of the child, to name the parent relative to it.
-        force: Add them even if the diagnosis found no improvement.
+        force: Add them even if the diagnosis found no improvement, or that their parameters depend on a covariate.
 
     Raises:
         InputError: The diagnosis is of another model, does not contain an effect, or advises against it.
@@ -84,6 +84,13 @@ def _diagnosed(
             "--force adds it all the same",
             file=source,
         )
+    depends = " and ".join(document.dependent.get(name, ()))
+    if depends and not force:
+        raise InputError(
+            f"{name} depends on {depends}, and a model has one value for all: diagnose the rows at hand alone, take the "
+            f"values from 'dependences' of this file, or --force adds the mean over {depends}",
+            file=source,
+        )
     formulas = tuple(_with_room(spec, found) for spec in document.formulas if spec.name == name)
     effect = model.model_copy(update={"formulas": (*model.formulas, *formulas)}).known_effects.get(name)
     joints = len({value.joint for value in found.parameters.values()} - {None})
@@ -96,6 +103,7 @@ def _diagnosed(
     note = (
         f"{name}: {found.verdict}; held-out error {before:.3g} -> {after:.3g} {document.error_unit} in "
         f"{document.runs.trials} {document.source}"
+        f"{f'; depends on {depends}, the mean was taken' if depends else ''}"
     )
     return ModelEffect(name=name, parameters={**nominal, **estimated}), formulas, note
 

@@ -2,9 +2,9 @@
 """Dependence: whether an effect depends on a circumstance of the measurement (a covariate).
 
 Every effect is tried with every covariate, beside the effects that were found: with a value for each level, or, of a
-number, with a value at its mean and a change per standard deviation (:mod:`impact_rs_sim.effects.depending`). Those
-that were not found with one value for all are tried as well: what is more here and less there may be nothing on
-average, or drown in the scatter.
+number, with a value at its mean and a change per standard deviation, and with curves through a few values
+(:mod:`impact_rs_sim.effects.depending`). Those that were not found with one value for all are tried as well: what is
+more here and less there may be nothing on average, or drown in the scatter.
 
 A pair of an effect and a covariate is accepted as effects are: the score test of what the covariate adds is significant
 after adjustment for all pairs (Benjamini and Hochberg), the error on left-out clusters falls by enough, among equals
@@ -35,8 +35,10 @@ from impact_rs_analysis.diagnosis.thresholds import LEAST_NUMBERS, LEAST_ROWS_OF
 from impact_rs_analysis.diagnosis.verdicts import Findings, change_interval
 from impact_rs_analysis.evidence.source import MOST_AS_NAMES, Covariate, Source
 from impact_rs_sim.effects import Effect
-from impact_rs_sim.effects.depending import Depending, Levels, Slope, level_name
+from impact_rs_sim.effects.depending import Curve, Depending, Levels, Slope, Terms, level_name
 from impact_rs_sim.robot import Array
+
+CURVES = (3, 5, 8)  # knots of a curve along a number; held-out prediction chooses, fewer where it is equal
 
 
 @dataclass(frozen=True)
@@ -103,7 +105,7 @@ class Dependences:
         return replace(self, pairs=kept, fit=chosen, replaced=tuple(p.name for p in self.pairs if p not in kept))
 
 
-def terms_of(source: Source) -> dict[str, tuple[Levels | Slope, ...]]:
+def terms_of(source: Source) -> dict[str, tuple[Terms, ...]]:
     """Ways in which parameters may depend on every covariate of a source, by name; empty: it does not vary enough.
 
     A level has values of its own if it was measured beside every fold of a hold-out as well. A few different numbers
@@ -113,20 +115,38 @@ def terms_of(source: Source) -> dict[str, tuple[Levels | Slope, ...]]:
     return {item.name: _terms(item, folds) for item in source.covariates}
 
 
-def _terms(covariate: Covariate, folds: Sequence[Fold]) -> tuple[Levels | Slope, ...]:
+def _terms(covariate: Covariate, folds: Sequence[Fold]) -> tuple[Terms, ...]:
     """See :func:`terms_of`."""
     every = [value for rows in covariate.values for value in rows]
     different = dict.fromkeys(map(level_name, every))
-    found: list[Levels | Slope] = []
+    beside = [[v for number in fold.training for v in covariate.values[number]] for fold in folds]
+    found: list[Terms] = []
     if covariate.numeric and len(set(every)) >= LEAST_NUMBERS:
         numbers = np.array(every, dtype=float)
         found.append(Slope(float(numbers.mean()), float(numbers.std())))
+        if len(different) > MOST_AS_NAMES:
+            curves = dict.fromkeys(_curve(numbers, count) for count in CURVES)
+            found += [curve for curve in curves if _determined(curve, [np.array(rows, dtype=float) for rows in beside])]
     if not covariate.numeric or len(different) <= MOST_AS_NAMES:
-        beside = [[level_name(v) for number in fold.training for v in covariate.values[number]] for fold in folds]
-        least = {name: min((rows.count(name) for rows in beside), default=0) for name in different}
+        names_of = [[level_name(value) for value in rows] for rows in beside]
+        least = {name: min((rows.count(name) for rows in names_of), default=0) for name in different}
         names = tuple(name for name, rows in least.items() if rows >= LEAST_ROWS_OF_LEVEL)
         found += [Levels(names)] if len(names) > 1 else []
     return tuple(found)
+
+
+def _curve(numbers: Array, count: int) -> Curve:
+    """A curve whose knots have about as many rows each, ``numbers`` being those of all rows."""
+    knots = np.quantile(numbers, np.linspace(0.0, 1.0, count), method="nearest")
+    return Curve(tuple(np.unique(knots).tolist()))
+
+
+def _determined(curve: Curve, beside: Sequence[Array]) -> bool:
+    """Whether every knot has rows nearest to it beside every fold, and a line is not all that the knots allow."""
+    knots = np.array(curve.knots)
+    nearest = [np.argmin(np.abs(rows[:, None] - knots), axis=1) for rows in beside]
+    least = min((int(np.bincount(own, minlength=knots.size).min()) for own in nearest), default=0)
+    return knots.size >= LEAST_NUMBERS and least >= LEAST_ROWS_OF_LEVEL
 
 
 def dependences_of(

@@ -28,7 +28,7 @@ from impact_rs_analysis.diagnosis.fit import Fit
 from impact_rs_analysis.diagnosis.thresholds import GOES_WITH, SIGNIFICANT
 from impact_rs_analysis.diagnosis.verdicts import clip_p, residual_size
 from impact_rs_analysis.evidence.source import Covariate, Source
-from impact_rs_sim.effects.depending import Depending, Levels, Slope
+from impact_rs_sim.effects.depending import Curve, Depending, Levels, Slope, Terms
 from impact_rs_sim.robot import Array
 
 
@@ -47,10 +47,37 @@ def covariate_documents(source: Source) -> tuple[CovariateDocument, ...]:
                 mean=float(np.mean(numbers)) if numbers else None,
                 range=(min(numbers), max(numbers)) if numbers else None,
                 tried=bool(terms[item.name]),
+                ways=_ways(terms[item.name]),
+                why_not="" if terms[item.name] else _why_not(item, source),
                 goes_with={name: value for name, value in correlations.items() if value > GOES_WITH},
             )
         )
     return tuple(found)
+
+
+def _ways(terms: Sequence[Terms]) -> tuple[str, ...]:
+    """Ways in which parameters may depend on a covariate, in words."""
+    found = ["a value for each level"] if any(isinstance(one, Levels) for one in terms) else []
+    found += ["a straight line"] if any(isinstance(one, Slope) for one in terms) else []
+    knots = [str(len(one.knots)) for one in terms if isinstance(one, Curve)]
+    return (*found, f"curves of {', '.join(knots)} values") if knots else tuple(found)
+
+
+def _why_not(item: Covariate, source: Source) -> str:
+    """Why a covariate cannot be tried where the conditions are the reason; empty: it varies too little.
+
+    A condition is held out as a whole. A level that one condition alone has is then predicted from no other row.
+    """
+    units: dict[float | str, set[str]] = {}
+    for cluster, values in zip(source.clusters, item.values, strict=True):
+        for value in values:
+            units.setdefault(value, set()).add(cluster.unit)
+    if not source.repeated or len(units) < 2 or sum(len(own) > 1 for own in units.values()) > 1:
+        return ""
+    return (
+        f"each level of {item.name} was measured in one condition only, and conditions are held out as a whole: measure "
+        f"a condition at several levels of {item.name}, or leave out column 'condition'"
+    )
 
 
 def correlation_of(first: Covariate, second: Covariate) -> float:
@@ -111,6 +138,7 @@ def _accepted(found: Dependences, pair: Depending) -> DependenceDocument:
         p_value=clip_p(found.choice.p_values[pair.name]),
         rivals=rivals,
         levels=estimates if isinstance(pair.terms, Levels) else {},
+        curve=estimates if isinstance(pair.terms, Curve) else {},
         at_mean=estimates[pair.terms.labels[0]] if isinstance(pair.terms, Slope) else {},
         per_unit=per_unit,
         chosen_in_folds=sum(bool(ways_of(pair, found.tried) & set(names)) for names in found.folds),

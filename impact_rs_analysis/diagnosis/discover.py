@@ -4,7 +4,8 @@
 A law is an effect made of a formula, so the search, the hold-out, the p-values and the verdicts are those of a
 diagnosis, with the laws of the grammar (:mod:`impact_rs_analysis.diagnosis.grammar`) beside the library. It runs only
 where the library alone leaves more than noise; laws stand at places where free motion or contact leaves a residual. One
-that begins beyond the places of free motion, as a stop or a slack cable, is looked for where contact leaves one.
+that begins beyond the places of free motion, as a stop or a slack cable, is looked for where contact leaves one. In a
+table of impacts the laws are those of a single contact: its coefficients over closing and sliding speed.
 """
 
 from __future__ import annotations
@@ -30,7 +31,7 @@ from impact_rs_analysis.diagnosis.discovery_document import (
 )
 from impact_rs_analysis.diagnosis.document import NONE, NOTHING, PARTLY, SMALL, TOO_FEW, DiagnosisDocument
 from impact_rs_analysis.diagnosis.fit import HOPELESS, Evidence, Fit, refine
-from impact_rs_analysis.diagnosis.grammar import KNOTS, Grammar, Law, curve_of, laws_of
+from impact_rs_analysis.diagnosis.grammar import KNOTS, LEAST_SPAN, Grammar, Law, curve_of, laws_of
 from impact_rs_analysis.diagnosis.search import ProgressCallback, Rival, Search, p_value_beside
 from impact_rs_analysis.diagnosis.thresholds import LEAST_GAIN, SIGNIFICANT
 from impact_rs_analysis.diagnosis.verdicts import Findings, headline, residual_unit, rests_of
@@ -38,7 +39,9 @@ from impact_rs_analysis.evidence.source import Source
 from impact_rs_analysis.evidence.visited import Range, visited
 from impact_rs_sim.effects import Effect
 from impact_rs_sim.effects.formula import AXES
+from impact_rs_sim.impact_map.contact_laws import laws_of as laws_at
 from impact_rs_sim.model import Model
+from impact_rs_sim.physics import Physics
 from impact_rs_sim.robot import Array
 
 OPEN = (NONE, PARTLY)  # verdicts that leave something to discover
@@ -79,18 +82,20 @@ def discover(
         )
     ranges = visited(source)
     joints = min((len(kinds) for world in source.worlds for _, kinds in world.arm_joints), default=0)
-    laws = {law.spec.name: law for law in laws_of(grammar, ranges, joints)}
+    of_impacts = bool(source.contact_speeds)
+    laws = {law.spec.name: law for law in laws_of(grammar, ranges, joints) if bool(law.coefficient) == of_impacts}
     wanted = set(_where(known, laws.values()))
     laws = {name: law for name, law in laws.items() if name in wanted and name not in model.known_effects}
     domains = visited(
         source, {law.symbol for law in laws.values() if not law.quantity.of_place and not law.quantity.shapes}
     )
+    laws = {name: law for name, law in laws.items() if not law.coefficient or _varies(law, domains)}
     tried = _searched(source_of, model, library, laws, progress)
     document = _document(tried, model, laws, domains)
     if document.verdict == LIBRARY:
         return document
     if document.verdict == NO_LAW or _settled(tried.found) is None:
-        curves = {curve.spec.name: curve for curve in _curves(laws.values(), ranges, _has_offset(source, library))}
+        curves = {curve.spec.name: curve for curve in _curves(laws.values(), ranges, source, library)}
         over = {(curve.place, curve.where, curve.symbol) for curve in curves.values()}  # such a curve contains a law
         found = [laws[law.name] for law in document.laws]
         held = {law.spec.name: law for law in found if (law.place, law.where, law.symbol) not in over}
@@ -101,6 +106,12 @@ def discover(
             best = described.laws[0]
             return _with_first(described, _as_curve(curves[best.name], best)) if best.name in curves else described
     return _with_curve(source_of, model, tried, laws, domains, document) if document.verdict == FOUND else document
+
+
+def _varies(law: Law, domains: Mapping[str, Range]) -> bool:
+    """Whether the quantity of a law was measured at different values: else it is a constant, as the library has."""
+    low, high = domains.get(law.symbol, (0.0, 0.0))
+    return high - low > LEAST_SPAN * law.quantity.typical
 
 
 def _predicts_better(curves: DiscoveryDocument, laws: DiscoveryDocument) -> bool:
@@ -154,6 +165,9 @@ def _with_curve(
         return document
     curve = curve_of(best, ranges[best.symbol])
     beside = [(effect, part) for effect, part in chosen.candidate.parts if effect.name != best.spec.name]
+    others = [laws[effect.name] for effect, _ in beside if effect.name in laws]
+    if any((law.place, law.where, law.symbol) == (best.place, best.where, best.symbol) for law in others):
+        return document  # of a law and a curve over the same quantity only the sum is seen
     specs = [laws[effect.name].spec for effect, _ in beside if effect.name in laws]
     source = source_of(model.model_copy(update={"formulas": (*model.formulas, *specs, curve.spec)}))
     evidence, effect = Evidence.of(source), curve.effects[0]
@@ -217,15 +231,19 @@ def _band(law: Law, found: LawDocument, at: Array) -> tuple[Array, Array]:
     return said, np.sqrt(squares)
 
 
-def _curves(laws: Iterable[Law], ranges: Mapping[str, Range], offset: bool) -> Iterator[Law]:
+def _curves(
+    laws: Iterable[Law], ranges: Mapping[str, Range], source: Source, library: Sequence[Effect]
+) -> Iterator[Law]:
     """The free curves over every measured quantity at every place of some laws.
 
-    Where the search has an ``offset`` of joints, their curves do without one: of the two together only the sum is seen.
+    Where the search has an offset of joints, or of a coefficient of contacts, their curves do without one: of the two
+    together only the sum is seen.
     """
+    offset = _has_offset(source, library)
     apart = {(law.place, law.where, law.symbol): law for law in laws if law.symbol in ranges}
     for law in apart.values():
         for count in KNOTS:
-            absolute = not (offset and law.joints)
+            absolute = not (offset and law.joints) and not _shifts(source, library, law.coefficient)
             yield curve_of(law, ranges[law.symbol], count, absolute)
 
 
@@ -236,6 +254,25 @@ def _has_offset(source: Source, library: Sequence[Effect]) -> bool:
         moved = effect.apply_vector(source.physics, start + effect.steps(source.joints, start))
         pairs = ((arm, source.physics.arms[name]) for name, arm in moved.arms.items())
         if any(not np.array_equal(arm.torque_offset, before.torque_offset) for arm, before in pairs):
+            return True
+    return False
+
+
+def _shifts(source: Source, library: Sequence[Effect], coefficient: str) -> bool:
+    """Whether an effect of the library changes a coefficient of contacts by the same amount, however they close."""
+    if not coefficient:
+        return False
+    speeds = np.linspace(0.1, 1.0, POINTS)  # m/s; a constant is one at any
+    on_support = np.ones(POINTS, dtype=bool)
+
+    def values(physics: Physics) -> Array:
+        return np.asarray(getattr(laws_at(physics, speeds, speeds[::-1], on_support), coefficient))
+
+    before = values(source.physics)
+    for effect in library:
+        start = effect.nominal(source.joints)
+        change = values(effect.apply_vector(source.physics, start + effect.steps(source.joints, start))) - before
+        if np.any(change) and np.ptp(change) <= 1e-9 * np.max(np.abs(change)):
             return True
     return False
 
@@ -269,7 +306,9 @@ def _of_library(source: Source, library: Sequence[Effect], progress: ProgressCal
 def _settled(known: Findings) -> str | None:
     """Verdict where nothing is left to discover beside effects of the library; None: something is."""
     verdict, source = headline(known).verdict, known.evidence.source
-    if not source.repeated and verdict not in (TOO_FEW, NOTHING):
+    if source.contact_speeds and source.noise_size() is None and verdict != TOO_FEW:
+        return None  # how much of the rest is noise is not known: the hold-out decides on laws
+    if not source.contact_speeds and not source.repeated and verdict not in (TOO_FEW, NOTHING):
         left = max(rest.times_noise for rest in rests_of(known.evidence, known.unexplained))
         return None if left > SEEN else LIBRARY
     if verdict.startswith(OPEN):
@@ -287,8 +326,13 @@ def _no_need(verdict: str) -> str:
 
 
 def _where(known: Findings, laws: Iterable[Law]) -> list[str]:
-    """Names of the laws that act where a residual is seen; in recordings, where the library leaves one."""
+    """Names of the laws that act where a residual is seen; in recordings, where the library leaves one.
+
+    Every law of a contact acts in every impact of a table.
+    """
     evidence = known.evidence
+    if evidence.source.contact_speeds:
+        return [law.spec.name for law in laws]
     if not evidence.source.repeated:
         return _where_in_recordings(known, laws)
     sizes: dict[str, dict[str, dict[str, float]]] = {"free": {}, "push": {}}
@@ -409,7 +453,8 @@ def _law(diagnosis: DiagnosisDocument, law: Law, ranges: Mapping[str, Range], la
     key, table = law.formula
     rows = table if isinstance(table, dict) else {"": table}
     place = PLACES_OF[key] + ("s" if len(law.joints) > 1 else "")
-    where = f" {' and '.join(law.where.removeprefix('joint').split('_'))}" if law.where else ""
+    names = [law.coefficient.replace("_", " ")] if law.coefficient else law.where.removeprefix("joint").split("_")
+    where = f" {' and '.join(names)}" if law.where else ""
     domain = ranges.get(law.symbol)
     return LawDocument(
         name=law.spec.name,
@@ -455,6 +500,7 @@ PLACES_OF = {
     "contact_tangential": "friction between pad and object",
     "support_normal": "normal force between support and object",
     "support_tangential": "friction between support and object",
+    "contact": "coefficient of the contact:",
 }
 
 
@@ -469,7 +515,7 @@ def _tie(
     fitted = [laws[name] for name in rivals if name in laws and diagnosis.effect(name) is not None]
     alike = [other for other in fitted if other.symbol == law.symbol]
     if domain is None or not alike or law.knots:  # a curve says nothing beyond its range
-        return f"{text}: in these motions they are nearly the same force."
+        return f"{text}: in these measurements they are nearly the same."
     low, high = domain
     unit = law.quantity.unit
     text += f" between {low:.2g} and {high:.2g} {unit} of {law.symbol}"

@@ -139,6 +139,10 @@ class CovariateDocument(Schema):
     mean: float | None = Field(None, description="mean of numbers, in the unit")
     range: tuple[float, float] | None = Field(None, description="smallest and largest number, in the unit")
     tried: bool = Field(description="whether it varies enough to be tried")
+    ways: tuple[str, ...] = omitted((), description="how effects were allowed to depend on it, in words")
+    why_not: str = omitted(
+        "", description="why it could not be tried, in words; empty: it varies too little, or it was"
+    )
     goes_with: dict[str, float] = Field(
         {},
         description="other covariates, or the impact speed, that it hardly differs from, with the correlation [-]",
@@ -159,6 +163,9 @@ class DependenceDocument(Schema):
     )
     rivals: tuple[str, ...] = Field((), description="dependences that these measurements cannot distinguish from it")
     levels: dict[str, dict[str, EstimateDocument]] = Field({}, description="estimates by level and parameter")
+    curve: dict[str, dict[str, EstimateDocument]] = omitted(
+        {}, description="estimates along a curve, by value of a number and parameter; linear between them"
+    )
     at_mean: dict[str, EstimateDocument] = Field({}, description="estimates at the mean of a number, by parameter")
     per_unit: dict[str, EstimateDocument] = Field({}, description="their changes per unit of the number, by parameter")
     chosen_in_folds: int | None = Field(None, description="folds of the hold-out that also found it")
@@ -171,7 +178,7 @@ class DependenceDocument(Schema):
     @property
     def found(self) -> bool:
         """Whether the effect depends on the covariate, as far as these measurements say."""
-        return bool(self.levels or self.at_mean)
+        return bool(self.levels or self.curve or self.at_mean)
 
     @property
     def suspected(self) -> bool:
@@ -381,8 +388,17 @@ class DiagnosisDocument(Schema):
 
     @property
     def calls_for_a_law(self) -> bool:
-        """Whether something remains that no effect explains, in motions, along which a law could act."""
-        return self.source != "impacts" and self.verdict.startswith((NONE, PARTLY))
+        """Whether something remains that no effect explains."""
+        return self.verdict.startswith((NONE, PARTLY))
+
+    @property
+    def dependent(self) -> dict[str, tuple[str, ...]]:
+        """Covariates on which the parameters of an effect noticeably depend, by effect: one value would be wrong."""
+        found: dict[str, tuple[str, ...]] = {}
+        for one in self.dependences:
+            if one.found and one.verdict != SMALL:
+                found[one.effect] = (*found.get(one.effect, ()), one.covariate)
+        return found
 
     @property
     def not_excluded(self) -> dict[str, str]:

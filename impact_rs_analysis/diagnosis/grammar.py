@@ -20,7 +20,15 @@ from pydantic import Field
 
 from impact_rs_analysis.evidence.visited import Range
 from impact_rs_sim.effects.dimensions import check_units
-from impact_rs_sim.effects.formula import AXES, PLACES, Formula, FormulaEffect, FormulaParameter, FormulaSpec
+from impact_rs_sim.effects.formula import (
+    AXES,
+    COEFFICIENTS,
+    PLACES,
+    Formula,
+    FormulaEffect,
+    FormulaParameter,
+    FormulaSpec,
+)
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.paths import config_directory
 from impact_rs_sim.robot import Array
@@ -105,11 +113,12 @@ class Place(Schema):
     """What a law acts on."""
 
     formula: str = Field(description="key of a formula effect")
-    each: Literal["joint", "pair", "opposed", "axis", "vector", "once"] = Field(
+    each: Literal["joint", "pair", "opposed", "axis", "vector", "once", "restitution", "tangential_restitution",
+                  "friction"] = Field(
         "once",
         description="what there is one law of; pair: two joints in a row with the same torque, opposed: the second one "
-        "has its reaction",
-    )
+        "has its reaction; restitution, tangential_restitution, friction: this coefficient of a single impact",
+    )  # fmt: skip
     unit: str = Field(description="unit of the force or torque")
     noticeable: float = Field(gt=0.0, description="amplitude at which it matters, in the unit")
     words: str = Field(description="what it is, in a sentence")
@@ -169,6 +178,11 @@ class Law:
     def joints(self) -> tuple[str, ...]:
         """Joints that it acts on by itself, as ``joint4``; empty: a force, which all may feel."""
         return _joints(self.where)
+
+    @property
+    def coefficient(self) -> str:
+        """Coefficient of a single impact that it changes; empty: it acts along a motion."""
+        return self.where if self.where in COEFFICIENTS else ""
 
     @property
     def formula(self) -> tuple[str, dict[str, str] | str]:
@@ -253,6 +267,8 @@ def _wheres(place: Place, joints: int) -> Sequence[str]:
         return [f"joint{number}" for number in range(1, joints + 1)]
     if place.each in ("pair", "opposed"):
         return [f"joint{number}_{number + 1}" for number in range(1, joints)]
+    if place.each in COEFFICIENTS:
+        return (place.each,)
     return AXES if place.each == "axis" else ("",)
 
 
@@ -310,7 +326,7 @@ def _law(
         text = _inserted(profile, symbol)
         text = f"-({text})" if opposes else text
         formula = _on_joints(text, _joints(where), place.each == "opposed") or ({where: text} if where else text)
-    number = where.removeprefix("joint")
+    number = "" if where in COEFFICIENTS else where.removeprefix("joint")
     words = f"{place.words} {' and '.join(number.split('_'))}".strip()
     spec = FormulaSpec.model_validate(
         {
@@ -392,7 +408,8 @@ def curve_of(law: Law, domain: Range, count: int = KNOTS[0], absolute: bool = Tr
         absolute: Whether it contains a constant; else it is 0 at the knot nearest to 0, beside an offset.
     """
     (key, table), (low, high) = law.formula, domain
-    from_rest = 0.0 <= low < high / count  # a speed: at rest the force is 0, or sticks, which is no curve
+    # A speed: at rest the force is 0, or sticks, which is no curve. A coefficient has a value in the slowest impact too.
+    from_rest = 0.0 <= low < high / count and not law.coefficient
     every = np.linspace(0.0, high, count + 1)[1:] if from_rest else np.linspace(low, high, count)
     width = float(every[1] - every[0])
     knots = every if absolute else np.delete(every, np.argmin(np.abs(every)))

@@ -137,9 +137,11 @@ def _circumstances(document: DiagnosisDocument) -> list[str]:
     ]
     if document.dependences and not said:
         tried = dict.fromkeys(one.covariate for one in document.dependences)
-        said.append(f"No effect depends on {' or '.join(tried)}")
-    if still := [one.name for one in document.covariates if not one.tried]:
+        ways = {one.name: f" ({', '.join(one.ways)})" for one in document.covariates if one.ways}
+        said.append(f"No dependence was found on {' or '.join(name + ways.get(name, '') for name in tried)}")
+    if still := [one.name for one in document.covariates if not one.tried and not one.why_not]:
         said.append(f"Measured under too few circumstances to be judged: {', '.join(still)}")
+    said += [f"Not judged: {one.why_not}" for one in document.covariates if one.why_not]
     for one in document.covariates:
         if one.goes_with and one.name in {own.covariate for own in found}:
             others = " and ".join(f"{name} (correlation {value:.2f})" for name, value in one.goes_with.items())
@@ -149,11 +151,14 @@ def _circumstances(document: DiagnosisDocument) -> list[str]:
 
 def _dependence(one: DependenceDocument, document: DiagnosisDocument) -> str:
     """How an effect depends on a covariate."""
-    several = len(one.at_mean or next(iter(one.levels.values()))) > 1
+    terms = one.levels or one.curve
+    several = len(one.at_mean or next(iter(terms.values()))) > 1
+    (covariate,) = (item for item in document.covariates if item.name == one.covariate)
     if one.levels:
         parts = [(name, _by_level(one, name)) for name in next(iter(one.levels.values()))]
+    elif one.curve:
+        parts = [(name, _along_curve(one, name, covariate.unit)) for name in next(iter(one.curve.values()))]
     else:
-        (covariate,) = (item for item in document.covariates if item.name == one.covariate)
         mean = f"{covariate.mean or 0.0:.4g} {covariate.unit}".strip()
         parts = [
             (name, f"{_estimate(own)} at the mean of {mean}, {_change(one.per_unit[name])}")
@@ -174,6 +179,12 @@ def _by_level(one: DependenceDocument, parameter: str) -> str:
         f"{_estimate(values[level])} in {level}" for level in ([ordered[0], ordered[-1]] if many else values)
     )
     return f"{text} (lowest and highest of {len(values)})" if many else text
+
+
+def _along_curve(one: DependenceDocument, parameter: str, unit: str) -> str:
+    """Estimates of a parameter at the knots of a curve."""
+    text = ", ".join(f"{_estimate(every[parameter])} at {knot}" for knot, every in one.curve.items())
+    return f"{text} {unit} (a curve, linear between these)".replace("  ", " ")
 
 
 def _estimate(own: EstimateDocument) -> str:

@@ -82,6 +82,7 @@ from impact_rs_analysis.evidence.source import (
 from impact_rs_analysis.evidence.tracks import ComparedSignal, Track
 from impact_rs_sim.effects import Effect
 from impact_rs_sim.effects.depending import Depending, level_name
+from impact_rs_sim.effects.formula import CONTACT_SYMBOLS
 from impact_rs_sim.errors import InputError, NotABody
 from impact_rs_sim.impact_map.contacts import SUPPORT, contact_frame
 from impact_rs_sim.impact_map.laws import System
@@ -234,6 +235,13 @@ class ImpactTableSource(Source):
     def state(self) -> tuple[Covariate, ...]:
         """See :attr:`Source.state`: the impact speed."""
         return (self._covariate("impact speed", "m/s", self._impacts.closing_speeds.tolist()),)
+
+    @property
+    def contact_speeds(self) -> dict[str, Array]:
+        """See :attr:`Source.contact_speeds`."""
+        contact = self._impacts.contacts(self._of_rows(self._worlds))
+        closes = contact.closing > 0.0
+        return dict(zip(CONTACT_SYMBOLS, (contact.closing[closes], contact.slip[closes]), strict=True))
 
     def _covariate(self, name: str, unit: str, values: Sequence[float | str]) -> Covariate:
         """A covariate from its values by row."""

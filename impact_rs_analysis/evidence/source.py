@@ -156,6 +156,11 @@ class Source(ABC):
         return ()
 
     @property
+    def contact_speeds(self) -> dict[str, Array]:
+        """Closing and sliding speed of the points that close, by symbol of formulas [m/s]; empty: no single impacts."""
+        return {}
+
+    @property
     def comparison_remarks(self) -> Sequence[str]:
         """See the class."""
         return self.remarks

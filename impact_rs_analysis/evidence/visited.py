@@ -10,7 +10,7 @@ import numpy as np
 from impact_rs_analysis.evidence.recordings import RecordingSource
 from impact_rs_analysis.evidence.replay import AFTER_IMPACT
 from impact_rs_analysis.evidence.source import Source
-from impact_rs_sim.effects.formula import AXES, JOINT_SYMBOL, SYMBOLS, Formula
+from impact_rs_sim.effects.formula import AXES, CONTACT_SYMBOLS, JOINT_SYMBOL, SYMBOLS, Formula
 from impact_rs_sim.robot import Array
 from impact_rs_trials.runs import Run
 
@@ -31,8 +31,8 @@ def visited(source: Source, quantities: Iterable[str] = (), after: float = AFTER
     """
     found: dict[str, list[Array]] = {}
     formulas = [_formula(text) for text in quantities if text not in SYMBOLS]
-    for run in _runs(source):
-        signals = dict(_signals(run, after))
+    at_impacts = [source.contact_speeds] if source.contact_speeds else []
+    for signals in (*at_impacts, *(dict(_signals(run, after)) for run in _runs(source))):
         for name, values in signals.items():
             found.setdefault(name, []).append(values)
         for formula in formulas:
@@ -44,7 +44,7 @@ def visited(source: Source, quantities: Iterable[str] = (), after: float = AFTER
 
 
 def _formula(text: str) -> Formula:
-    return Formula(text, {*SYMBOLS, *(found[0] for found in JOINT_SYMBOL.finditer(text))})
+    return Formula(text, {*SYMBOLS, *CONTACT_SYMBOLS, *(found[0] for found in JOINT_SYMBOL.finditer(text))})
 
 
 def beyond(source: Source) -> tuple[str, ...]:

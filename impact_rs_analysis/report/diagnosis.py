@@ -202,6 +202,7 @@ def _relevance_limits(comparison: ComparisonDocument) -> tuple[RelevanceLimit, .
 
 def _dependence_row(one: DependenceDocument) -> DependenceRow:
     estimates = [(f"{name} in {level}", own) for level, every in one.levels.items() for name, own in every.items()]
+    estimates += [(f"{name} at {knot}", own) for knot, every in one.curve.items() for name, own in every.items()]
     estimates += [(f"{name} at the mean", own) for name, own in one.at_mean.items()]
     estimates += [(f"change of {name}", own) for name, own in one.per_unit.items()]
     return DependenceRow(one, tag_of(one.verdict), tuple(estimates))

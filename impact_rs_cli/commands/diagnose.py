@@ -55,8 +55,7 @@ def run(args: argparse.Namespace, terminal: Terminal) -> int:
     terminal.result(document.model_dump(mode="json"))
     if args.output is not None:
         terminal.say(f"diagnosis: {args.output}")
-        if document.named:
-            names = " ".join(document.named)
+        if names := " ".join(name for name in document.named if name not in document.dependent):
             terminal.say(f"next: {PROGRAM} add {names} --model {args.model} --from {args.output} -o model_2.yaml")
     if document.calls_for_a_law:
         terminal.say(f"a law that the library does not have: {_discover_command(args)}")
@@ -65,8 +64,8 @@ def run(args: argparse.Namespace, terminal: Terminal) -> int:
 
 def _discover_command(args: argparse.Namespace) -> str:
     """The command that looks for a law in the same measurements."""
-    words = [PROGRAM, "discover", str(args.runs)]
-    for option in ("experiment", "mapping"):
+    words = [PROGRAM, "discover", *([] if args.runs is None else [str(args.runs)])]
+    for option in ("experiment", "mapping", "impacts", "scenario"):
         if (value := getattr(args, option)) is not None:
             words += [f"--{option}", str(value)]
     if Path(args.model) != Path("nominal"):

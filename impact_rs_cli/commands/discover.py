@@ -28,8 +28,6 @@ def run(args: argparse.Namespace, terminal: Terminal) -> int:
     check_effects(model, args.effects)
     if args.output is not None and args.output.is_dir():
         raise InputError("this is a folder; name a file, for example discovery.json", file=args.output)
-    if args.impacts is not None:
-        raise InputError("laws act along a motion; tables of impacts have none. Give RUNS in place of --impacts")
     with measured(args, terminal) as measurements, measurements.progress():
         document = discover(measurements.against, model, grammar, args.effects, terminal.rank)
     if args.output is not None:

@@ -6,8 +6,9 @@ A *covariate* is a level (``A``, ``B``) or a number. The parameters of an effect
     theta = sum_j w_j theta_j
 
 with w_j = 1 for the level at hand and 0 for the others, or, of a number x with mean m and standard deviation s over the
-measurements, w = (1, (x - m) / s): a value at the mean and a change per standard deviation. Under a level that has no
-value of its own the mean over all levels holds. Shape parameters do not depend on anything.
+measurements, w = (1, (x - m) / s): a value at the mean and a change per standard deviation. Where a line is not enough,
+theta_j are values at knots x_j, and w_j are the hat functions of linear interpolation between them. Under a level that
+has no value of its own the mean over all levels holds. Shape parameters do not depend on anything.
 
 As with :class:`~impact_rs_sim.effects.each_arm.EachArm`, it is an effect like any other to those who fit it: a list of
 numbers.
@@ -89,6 +90,40 @@ class Slope:
         return np.array([1.0, (float(value) - self.mean) / self.spread])
 
 
+@dataclass(frozen=True)
+class Curve:
+    """A covariate that is a number, along which parameters follow a curve: linear between knots, constant beyond them.
+
+    Attributes:
+        knots: In ascending order, in the unit of the covariate, ``k`` of them.
+    """
+
+    knots: tuple[float, ...]
+
+    @property
+    def way(self) -> str:
+        """The dependence in words."""
+        return f"as a curve of {len(self.knots)} values over"
+
+    @property
+    def labels(self) -> tuple[str, ...]:
+        """Names of the terms, ``k`` of them."""
+        return tuple(map(level_name, self.knots))
+
+    @property
+    def changes(self) -> tuple[bool, ...]:
+        """Whether a term is a change, which is nominally 0, ``k`` of them."""
+        return (False,) * len(self.knots)
+
+    def weights(self, value: float | str) -> Array:
+        """w at a number, ``(k,)``."""
+        return np.array([np.interp(float(value), self.knots, hat) for hat in np.eye(len(self.knots))])
+
+
+Terms = Levels | Slope | Curve
+"""How parameters depend on a covariate."""
+
+
 class Depending(Effect):
     """An effect whose parameters depend on a covariate.
 
@@ -100,7 +135,7 @@ class Depending(Effect):
         terms: How parameters depend on it.
     """
 
-    def __init__(self, effect: Effect, covariate: str, terms: Levels | Slope) -> None:
+    def __init__(self, effect: Effect, covariate: str, terms: Terms) -> None:
         self.effect, self.covariate, self.terms = effect, covariate, terms
         self.name = f"{effect.name} {terms.way} {covariate}"
         self.acts_on, self.sentence, self.phases = effect.acts_on, effect.sentence, effect.phases

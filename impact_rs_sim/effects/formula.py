@@ -280,8 +280,9 @@ class FormulaSpec(Schema):
     @model_validator(mode="after")
     def _ranges_of_known_symbols(self) -> Self:
         for symbol, (low, high) in self.valid.items():
-            if symbol not in SYMBOLS and not JOINT_SYMBOL.fullmatch(symbol):
-                raise ValueError(f"valid: unknown symbol {symbol!r}; known: q1, dq1, tau1, ..., {', '.join(SYMBOLS)}")
+            known = [*SYMBOLS, *(name for name in CONTACT_SYMBOLS if name not in SYMBOLS)]
+            if symbol not in known and not JOINT_SYMBOL.fullmatch(symbol):
+                raise ValueError(f"valid: unknown symbol {symbol!r}; known: q1, dq1, tau1, ..., {', '.join(known)}")
             if low >= high:
                 raise ValueError(f"valid.{symbol}: {low:g} must be below {high:g}")
         return self

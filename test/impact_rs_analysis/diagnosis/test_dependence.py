@@ -11,6 +11,7 @@ import pytest
 from ball_impacts import MASS, RADIUS, TWIST, Racket, bounced, thrown
 from impact_table_cases import arm_table, write_csv
 
+from impact_rs_analysis.diagnosis.add import add_effects
 from impact_rs_analysis.diagnosis.dependence_verdicts import correlation_of, covariate_documents
 from impact_rs_analysis.diagnosis.diagnose import diagnose
 from impact_rs_analysis.diagnosis.document import CONFIRMED, DependenceDocument, DiagnosisDocument
@@ -18,6 +19,7 @@ from impact_rs_analysis.diagnosis.hold_out import folds_of
 from impact_rs_analysis.evidence.impact_tables import ImpactTableSource
 from impact_rs_analysis.evidence.map_discrepancy import NO_MAP_DISCREPANCY
 from impact_rs_analysis.evidence.source import Covariate
+from impact_rs_sim.errors import InputError
 from impact_rs_sim.model import Model, ModelEffect, ParameterValue, load_model
 from impact_rs_sim.scenario import load_scenario
 from impact_rs_trials.recordings.impact_table import read_impact_table
@@ -134,7 +136,11 @@ def test_where_nothing_depends_on_anything_nothing_is_said(tmp_path: Path, seed:
     path = made(tmp_path / "balls.csv", lambda own: Racket(lambda speed: 0.55, 0.2), everywhere, seed, names=names)
     document = diagnosed(path, "session", "temperature", "place")
     assert not found(document)
-    assert "No effect depends on session or temperature or place." in document.summary
+    assert (
+        "No dependence was found on session (a value for each level) or temperature (a straight line, curves of 3, 5"
+        in (document.summary)
+    )
+    assert "or place (a value for each level)." in document.summary
     assert all(item.tried and not item.goes_with for item in document.covariates)
 
 
@@ -282,6 +288,65 @@ def test_numbers_of_sessions_may_be_names(tmp_path: Path) -> None:
     }
     assert len(document.dependences) == len(CONSIDERED)  # a way each
     assert "in 1, 0.6" in document.summary
+
+
+SHEETS = (1.0, 2.0, 5.0, 10.0, 20.0, 40.0, 80.0, 160.0, 250.0, 340.0)  # of paper that a ball falls on
+
+
+def on_paper(own: Circumstances) -> Racket:
+    """Restitution that falls, rises and falls again with the number of sheets; a straight line through it is flat."""
+    at, restitution = (0.0, 3.5, 5.0, 6.0), (0.49, 0.34, 0.59, 0.24)
+    return Racket(lambda speed: float(np.interp(np.log(float(own["sheets"])), at, restitution)), 0.2)
+
+
+@pytest.fixture(scope="module")
+def paper(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, DiagnosisDocument]:
+    def measured(rng: np.random.Generator, row: int) -> Circumstances:
+        return {"sheets": SHEETS[rng.integers(len(SHEETS))], "height": float(rng.uniform(0.1, 0.5))}
+
+    path = made(
+        tmp_path_factory.mktemp("paper") / "balls.csv", on_paper, measured, rows=120, names=("sheets", "height")
+    )
+    return path, diagnosed(path, "sheets", "height")
+
+
+def test_a_restitution_that_falls_rises_and_falls_with_a_number_is_found_as_a_curve(
+    paper: tuple[Path, DiagnosisDocument],
+) -> None:
+    _, document = paper
+    ((pair, one),) = found(document).items()
+    assert (pair, one.verdict) == (("restitution", "sheets"), CONFIRMED)
+    values = {float(knot): own["restitution"].estimate for knot, own in one.curve.items()}
+    knots = sorted(values)
+    at = [np.interp(sheets, knots, [values[knot] for knot in knots]) for sheets in SHEETS]
+    truth = [on_paper({"sheets": sheets}).restitution(0.0) for sheets in SHEETS]
+    assert at == pytest.approx(truth, abs=0.06)
+    assert one.held_out_error_after < 0.9 * one.held_out_error_before
+    assert (
+        "restitution depends on sheets: " in document.summary and "(a curve, linear between these)" in document.summary
+    )
+
+
+def test_a_restitution_that_depends_on_a_number_is_not_added_as_one_value(
+    tmp_path: Path, paper: tuple[Path, DiagnosisDocument]
+) -> None:
+    _, document = paper
+    arguments = (NOMINAL, Path("nominal"), document, tmp_path / "diagnosis.json", ["restitution"], tmp_path / "m.yaml")
+    with pytest.raises(InputError, match="restitution depends on sheets, and a model has one value for all"):
+        add_effects(*arguments, False)
+    assert "depends on sheets, the mean was taken" in add_effects(*arguments, True).note
+    add_effects(*arguments[:4], ["support_friction"], tmp_path / "m.yaml", False)
+
+
+def test_a_covariate_that_is_constant_within_every_condition_is_said_to_be_undecidable(tmp_path: Path) -> None:
+    def own_surface(rng: np.random.Generator, row: int) -> Circumstances:
+        return {"surface": f"surface {row // 6}"}
+
+    path = made(tmp_path / "balls.csv", circumstances=lambda rng, row: own_surface(rng, row) | {"session": "A"},
+                rows=48, repeats=6, names=("surface", "session"))  # fmt: skip
+    document = diagnosed(path, "surface")
+    assert "each level of surface was measured in one condition only" in document.summary
+    assert "leave out column 'condition'" in document.summary
 
 
 def test_levels_that_were_measured_too_seldom_are_not_judged(tmp_path: Path) -> None:
