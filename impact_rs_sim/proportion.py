@@ -8,13 +8,14 @@ body falls as far,
     m,    l,    t = sqrt(l / |g|);    a quantity in kg^a m^b s^c is larger by m^a l^b t^c
 
 so that a torque is judged by the torque of the robot's own weight, and verdicts do not depend on the units of mass.
+Drives may be large beside a light arm: one whose torques exceed the limits of such an arm counts as a heavier one.
 Of a free body they are stated for a cube of 1 kg and 0.1 m that comes at 1 m/s.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -24,6 +25,7 @@ from impact_rs_sim.units import dimension_of
 
 FRANKA_MASS = 16.062132  # kg, links 1 to 7
 FRANKA_REACH = 0.98626233  # m, from joint 2 along all joints to the flange
+FRANKA_TORQUE = 87.0  # N m, limit of its strongest joints
 GRAVITY = 9.81  # m/s^2
 GYRATION = 0.1 / 6.0**0.5  # m, of the cube
 
@@ -62,6 +64,11 @@ class Proportion:
         """Proportion of a free body that comes at some speed [m/s]."""
         length = gyration_of(body) / GYRATION
         return Proportion(body.mass, length, length / speed)
+
+    def driven_by(self, torque: float) -> Proportion:
+        """The robot, as heavy as its largest torque [N m] says where the limits in proportion are below that."""
+        limit = FRANKA_TORQUE * self.factor("N m")
+        return replace(self, mass=self.mass * max(1.0, torque / limit))
 
     def factor(self, unit: str) -> float:
         """Factor of a quantity with this unit, ``N m`` for example.

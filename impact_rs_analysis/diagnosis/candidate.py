@@ -310,8 +310,9 @@ class Problem:
         candidate: Effects with sensitivities.
         clusters: Residuals, in the same order.
         neighbours: Per cluster, neighbours left out of the fit together with it, but not counted in its held-out error.
-        independent: Whether residuals are independent of each other, as impacts are and samples of a torque are not:
-            what a fit leaves is then the noise, beside which the prior is weighed.
+        noise_unknown: Whether residuals are scaled by what the model leaves, as without repeats: what a fit leaves is
+            then the noise, beside which the prior is weighed. Else it would pull the estimates of a light arm, whose
+            parameter scales are small, to their nominal values.
     """
 
     def __init__(
@@ -319,7 +320,7 @@ class Problem:
         candidate: Candidate,
         clusters: Sequence[Cluster],
         neighbours: Sequence[Sequence[int]] | None = None,
-        independent: bool = False,
+        noise_unknown: bool = False,
     ) -> None:
         self.candidate = candidate
         self.clusters = tuple(clusters)
@@ -341,7 +342,7 @@ class Problem:
         self._upper = np.maximum((candidate.upper - candidate.point) / scale, self._lower + ROOM)
         self._nominal = (candidate.nominal - candidate.point) / scale
         self._weigh_prior(1.0)
-        if independent:
+        if noise_unknown:
             self._weigh_prior(float(np.clip(np.mean(self.errors(self.solve())), LEAST_NOISE, 1.0)))
 
     def _weigh_prior(self, noise: float) -> None:

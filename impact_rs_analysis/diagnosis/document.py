@@ -295,7 +295,7 @@ class DriftDocument(Schema):
 class ProportionDocument(Schema):
     """Size of the robot beside the Franka arm for which ranges and relevance limits are stated."""
 
-    mass: float = Field(1.0, description="of its links [-]")
+    mass: float = Field(1.0, description="of its links, or of links that its recorded torques would drive [-]")
     length: float = Field(1.0, description="of its reach [-]")
     time: float = Field(1.0, description="in which a body falls as far as it reaches [-]")
 

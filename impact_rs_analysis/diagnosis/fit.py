@@ -122,7 +122,7 @@ class Evidence:
         )
 
     @cached_property
-    def _signals(self) -> list[list[NDArray[np.bool_]]]:
+    def signals(self) -> list[list[NDArray[np.bool_]]]:
         """Features by cluster, for every joint with a noise of its own; a single group of all where there is none."""
         if not self.source.noise_apart:
             return [[np.ones(len(item.features), dtype=bool) for item in self.clusters]]
@@ -154,7 +154,7 @@ class Evidence:
                 np.mean(
                     [max(np.mean(np.square(r[m]) - e[m]), 0.0) for r, e, m in zip(rest, expected, own, strict=True)]
                 )
-                for own in self._signals
+                for own in self.signals
             ]
         )
 
@@ -164,7 +164,8 @@ class Evidence:
 
     def problem(self, candidate: Candidate) -> Problem:
         """Least squares of a candidate that is linearised in these clusters."""
-        return Problem(candidate, self.clusters, self.neighbours, independent=not self.source.of_motion)
+        known = self.source.of_motion and self.source.repeated
+        return Problem(candidate, self.clusters, self.neighbours, noise_unknown=not known)
 
     def shifted(self, changes: Sequence[Array]) -> Evidence:
         """The evidence with ``changes`` subtracted from the residuals of every cluster, ``(F,)`` each [-]."""

@@ -15,6 +15,8 @@ LEAST_GAIN = 0.10  # share of the excess held-out error that an accepted effect 
 LEAST_GAIN_IN_ONE = 0.5  # or of the excess of one joint of a recording, whose noise is not known
 LEAST_GAIN_OF_JOINT = 0.05  # the same of one joint's whole error, for a verdict on that joint alone
 MOST = 0.5  # share of the excess that PARTLY must explain
+# Times noise and calibrations without repeats, from which a residual needs an explanation: noise is known to a third.
+PLAINLY_BEYOND = 2.0
 TIE = 0.05  # log held-out error; explanations closer than 5 % are equally good
 WIDE_TIE = 0.25  # upper limit of the same where the scatter between clusters is larger
 UNSEEN = 20.0  # parameter scales; a wider interval does not determine the parameter

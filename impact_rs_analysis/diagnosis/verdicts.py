@@ -10,6 +10,7 @@ from functools import cached_property
 
 import numpy as np
 import scipy
+from numpy.typing import NDArray
 
 from impact_rs_analysis.diagnosis.document import (
     AT_BOUND,
@@ -35,6 +36,7 @@ from impact_rs_analysis.diagnosis.thresholds import (
     LEAST_GAIN_OF_JOINT,
     LEAST_P,
     MOST,
+    PLAINLY_BEYOND,
     SIGNIFICANT,
     UNSEEN,
 )
@@ -136,6 +138,31 @@ def noise_size(evidence: Evidence) -> float:
     return residual_size(evidence, [item.pure for item in evidence.clusters])
 
 
+def exceeds_noise(evidence: Evidence, rest: Sequence[Array]) -> bool:
+    """Whether residuals without repeats are larger than noise and calibrations make them, in some signal.
+
+    A torque of 50 N m whose scale is uncertain by 1 % leaves 0.5 N m that no effect has to explain. Where the noise is
+    not known (0), nothing can be shown to exceed it.
+
+    Args:
+        evidence: The clusters.
+        rest: Mean residual of each, ``(F,)`` [-].
+    """
+    exact = [np.zeros_like(item.sigma) for item in evidence.clusters]
+    moved = [
+        none if item.calibrations is None else np.sum(np.square(item.calibrations), axis=0)
+        for item, none in zip(evidence.clusters, exact, strict=True)
+    ]
+    for own in evidence.signals:
+        squares, noise, unsure = (
+            np.mean(np.concatenate([values[mask] for values, mask in zip(rows, own, strict=True)]))
+            for rows in ([np.square(row) for row in rest], [item.expected_squares for item in evidence.clusters], moved)
+        )
+        if noise > 0.0 and squares > PLAINLY_BEYOND**2 * (noise + unsure):
+            return True
+    return False
+
+
 def residual_unit(evidence: Evidence) -> str:
     """Unit of :func:`residual_size`."""
     return TIMES if evidence.source.repeated else evidence.source.residual_unit
@@ -170,6 +197,16 @@ def matters(fitted: Fit, name: str) -> bool:
     if not source.repeated and source.least_change > 0.0:
         return noticeable(fitted)
     return moves_enough(fitted, fitted.candidate.part(name))
+
+
+def undetermined(fitted: Fit) -> NDArray[np.bool_]:
+    """Which parameters the data do not determine, ``(p,)``: wide intervals that hold the nominal value.
+
+    What is wide is measured by the size of the robot. A drive that is large beside a light arm has wide intervals on
+    that scale, which nevertheless say how large it is.
+    """
+    away = np.abs(fitted.estimate - fitted.candidate.nominal) / fitted.candidate.scale
+    return np.asarray((fitted.half_widths > UNSEEN) & (fitted.half_widths >= away))
 
 
 def certain(fitted: Fit, name: str) -> bool:
@@ -314,11 +351,10 @@ def headline(found: Findings) -> Headline:
     if evidence.null.shortage is not None:
         return Headline(TOO_FEW, share, before, after)
     if not evidence.source.repeated:
-        noise, left = noise_size(evidence), residual_size(evidence, found.unexplained)
+        more = exceeds_noise(evidence, found.unexplained)
         if chosen is None:
-            # With unknown noise (0), unexplained residuals cannot be shown to exceed it.
-            return Headline(NONE if left > 2.0 * noise > 0.0 else NOTHING, share, before, after)
-        if evidence.source.least_change == 0.0 and left > 2.0 * noise > 0.0:
+            return Headline(NONE if more else NOTHING, share, before, after)
+        if more:
             return Headline(_partly(found, share), share, before, after)
         return Headline("+".join(found.names), share, before, after)
     stays = after is not None and after < SIGNIFICANT
@@ -376,15 +412,11 @@ def _chosen_document(found: Findings, effect: Effect) -> EffectDocument:
     part = chosen.candidate.part(name)
     rivals = found.tied_with(name)
     own = np.array([not scalar.shape for scalar in chosen.candidate.scalars[part]])
-    widths, bound, shape = (
-        chosen.half_widths[part][own],
-        chosen.held_at_bound[part][own],
-        chosen.held_at_bound[part][~own],
-    )
+    bound, shape = chosen.held_at_bound[part][own], chosen.held_at_bound[part][~own]
     places = any(scalar.joint is not None or scalar.arm for scalar in chosen.candidate.scalars[part])
     if evidence.null.shortage is not None:
         verdict, reason = TOO_FEW, evidence.null.shortage
-    elif np.all(widths > UNSEEN):
+    elif np.all(undetermined(chosen)[part][own]):
         verdict, reason = UNIDENTIFIABLE, "the data do not determine it: its interval is too wide"
     elif np.all(bound) or (np.any(bound) and not places) or np.any(shape):
         verdict, reason = AT_BOUND, "the best value lies at a bound: another effect may be missing"
@@ -437,7 +469,7 @@ def _other_document(found: Findings, effect: Effect) -> EffectDocument:
     rivals = tuple(dict.fromkeys(rival.instead_of for rival in tied))
     if evidence.null.shortage is not None:
         verdict, reason = TOO_FEW, evidence.null.shortage
-    elif np.all(fitted.half_widths[part][shown] > UNSEEN):
+    elif np.all(undetermined(fitted)[part][shown]):
         verdict, reason = UNIDENTIFIABLE, "the data do not determine it: its interval is too wide"
     elif rivals:
         verdict = f"{CONFUSABLE}{{{', '.join(sorted(rivals))}}}"
@@ -573,7 +605,7 @@ def _joint(found: Findings, fitted: Fit, index: int) -> tuple[str, float, float 
         for name, other in found.search.joint_alternatives(candidate, index)
         if tied_errors(own, _of_joint(evidence, evidence.problem(other).left_out_rest, scalar.arm, joint), 1e-12)
     ]
-    if fitted.half_widths[index] > UNSEEN:
+    if undetermined(fitted)[index]:
         verdict = UNIDENTIFIABLE
     elif fitted.held_at_bound[index]:
         verdict = AT_BOUND

@@ -38,6 +38,7 @@ from impact_rs_sim.errors import InputError, NotABody
 from impact_rs_sim.model import Model
 from impact_rs_sim.numbers import NORMAL_95
 from impact_rs_sim.physics import Physics
+from impact_rs_sim.proportion import Proportion
 from impact_rs_sim.recent import Recent
 from impact_rs_sim.robot import Array, joined_units
 from impact_rs_trials.recordings.mapping import Mapping
@@ -55,6 +56,8 @@ WHAT = "torque balance of the arm in free motion, both sides low-passed"
 MOST_MEMORY = 2**28  # bytes, of predicted torques that are kept
 LEAST_KEPT = 64  # of them, as many as a linearisation asks for
 TORQUE_SCALE = {"link": 0.01, "motor": 0.02}  # standard deviation, over the torque (torque sensors of arms: 1 to 2 %)
+TORQUE_UNIT = "N m"  # of a joint that turns
+MOST_OF_TORQUE = 0.99  # of the samples, below the largest torque; a few may be wild
 LEAST_SAMPLES = 5  # of a phase of one joint; fewer are not reported
 
 REMARKS = (
@@ -188,6 +191,13 @@ class RecordingSource(Source):
     def comparison_remarks(self) -> tuple[str, ...]:
         """See :class:`Source`: those on how the recordings were read."""
         return self.reading
+
+    @cached_property
+    def proportion(self) -> Proportion:  # type: ignore[override]
+        """See :attr:`Source.proportion`; its drives may be large beside its links, and are in what was recorded."""
+        turning = [number for number, (_, units) in enumerate(self._units) if units.effort == TORQUE_UNIT]
+        largest = np.quantile(np.abs(self.balance.recorded[:, turning]), MOST_OF_TORQUE, axis=0).max(initial=0.0)
+        return super().proportion.driven_by(float(largest))
 
     @cached_property
     def recording(self) -> RecordingDocument:  # type: ignore[override]

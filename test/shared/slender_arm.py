@@ -47,6 +47,15 @@ def slender_arm(kinds: Sequence[JointType], rpy: tuple[float, float, float] = UP
     )
 
 
+def lighter(facts: RobotFacts, share: float) -> RobotFacts:
+    """The arm with links of so many times their mass."""
+    links = [
+        link.model_copy(update={"mass": share * link.mass, "inertia": tuple(share * one for one in link.inertia)})
+        for link in facts.links
+    ]
+    return facts.model_copy(update={"links": tuple(links)})
+
+
 def mapping_of(folder: Path, facts: RobotFacts, torque: dict[str, Any] | None = None, **further: Any) -> Mapping:
     """Mapping of arrays ``position``, ``velocity`` and ``effort`` of such an arm.
 

@@ -23,6 +23,7 @@ from impact_rs_analysis.diagnosis.discovery_document import (
     DESCRIBED,
     FOUND,
     LIBRARY,
+    NO_LAW,
     DiscoveryDocument,
     write_discovery,
 )
@@ -100,6 +101,11 @@ def driven(q: np.ndarray, dq: np.ndarray, tau: np.ndarray) -> np.ndarray:
     return -maxwell(q, dq, tau)
 
 
+def from_outside(q: np.ndarray, dq: np.ndarray, tau: np.ndarray) -> np.ndarray:
+    """What no state of the arm tells: somebody pushes now and then."""
+    return 0.8 * np.sin(2.0 * np.pi * 0.83 * np.arange(q.size) / SAMPLED)
+
+
 def nothing(q: np.ndarray, dq: np.ndarray, tau: np.ndarray) -> np.ndarray:
     return np.zeros_like(q)
 
@@ -166,6 +172,16 @@ def test_a_ripple_is_found_with_amplitude_and_wave_number(tmp_path: Path) -> Non
     low, high = law.parameters["k"].ci95
     assert low <= RATE <= high and high - low < 1.0
     assert law.held_out_error_after < 0.2 * law.held_out_error_before
+
+
+def test_what_no_law_explains_is_left_and_the_library_does_not_explain_it(tmp_path: Path) -> None:
+    """Friction is named and 0.6 N m stay, thirty times the noise."""
+    document = found_in(tmp_path, from_outside)
+    assert document.verdict == NO_LAW
+    assert "joint_coulomb_friction" in document.diagnosis.named
+    assert document.diagnosis.verdict.startswith("PARTLY{joint_coulomb_friction")
+    assert "joint_coulomb_friction" in document.summary and "at least one more" in document.summary
+    assert document.diagnosis.unexplained.where[0].value > 0.3
 
 
 def test_friction_of_the_load_is_found_alone(tmp_path: Path) -> None:

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 from joint_recordings import write_npz
-from slender_arm import FLAT, UPRIGHT, mapping_of, slender_arm, swung
+from slender_arm import FLAT, UPRIGHT, lighter, mapping_of, slender_arm, swung
 
 from impact_rs_analysis.diagnosis.diagnose import diagnose
 from impact_rs_analysis.diagnosis.document import DiagnosisDocument
@@ -58,3 +58,27 @@ def test_a_payload_that_is_there_is_found_beside_friction(name: str, payload: fl
     assert set(found.named) == {"joint_coulomb_friction", "end_effector_payload"}
     mass = {effect.name: effect for effect in found.effects}["end_effector_payload"].parameters["mass"]
     assert mass.interval[0] <= payload <= mass.interval[1]
+
+
+@pytest.mark.parametrize(("links", "inertia", "coulomb"), [(0.01, 0.0269, 0.3), (0.01, 0.5, 2.0), (0.001, 0.0269, 1.0)])
+def test_drives_that_are_large_beside_light_links_are_measured_as_others(
+    links: float, inertia: float, coulomb: float, tmp_path: Path
+) -> None:
+    """The weight of a small robot is no scale of its gears: neither range, nor prior, nor width follows from it."""
+    mapping = mapping_of(tmp_path, lighter(slender_arm(("revolute",) * 2), links), torque_measured_at="motor")
+    planted = {
+        "joint_coulomb_friction": {"coulomb_joint1": coulomb, "coulomb_joint2": coulomb / 2.0},
+        "added_motor_inertia": {"inertia_joint1": inertia, "inertia_joint2": inertia / 2.0},
+    }
+    write_npz(tmp_path / "run.npz", swung(mapping, planted, 0.002 * coulomb))
+    source = RecordingSource.of(read_recordings(tmp_path / "run.npz", mapping), mapping, Model(name="nominal"))
+    considered = [*planted, "joint_viscous_friction", "torque_offset", "torque_delay", "end_effector_payload"]
+    found = diagnose(source, source.model, considered)
+    assert set(found.named) == set(planted)
+    effects = {effect.name: effect for effect in found.effects}
+    for name, values in planted.items():
+        assert effects[name].verdict == "CONFIRMED"
+        for key, true in values.items():
+            estimate = effects[name].parameters[key]
+            low, high = estimate.interval
+            assert low - 0.002 * true <= true <= high + 0.002 * true and high - low < 0.2 * true

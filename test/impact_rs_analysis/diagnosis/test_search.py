@@ -233,7 +233,7 @@ def test_a_scale_larger_than_the_noise_does_not_make_the_prior_strong() -> None:
     fits = []
     for clusters, factor in ((source.clusters, 1.0), (shrunk, 50.0)):
         candidate = replace(single, jacobians=tuple(alike(jacobian) / factor for jacobian in single.jacobians))
-        fits.append(Problem(candidate, clusters, independent=True).solve())
+        fits.append(Problem(candidate, clusters, noise_unknown=True).solve())
     np.testing.assert_allclose(fits[1][:2], fits[0][:2], atol=0.1)
     assert fits[0][1] == pytest.approx(30.0, abs=2.0)
 

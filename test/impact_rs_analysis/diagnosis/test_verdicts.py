@@ -109,6 +109,24 @@ def test_what_explains_most_is_named_and_the_rest_given_in_units() -> None:
     assert rest.unit == "m/s" and rest.value > rest.floor
 
 
+@pytest.mark.parametrize(
+    ("outside", "verdict"), [(0.0, "straight"), (1.0, "straight"), (5.0, "PARTLY{straight}"), (30.0, "NONE-EXPLAINS")]
+)
+def test_without_repeats_the_headline_follows_from_what_is_left_beyond_noise(outside: float, verdict: str) -> None:
+    """As in recordings, of which a residual above twice the noise needs a cause."""
+    truth = (("straight", (20.0,)), ("outside", (outside,)))
+    document = said(AnalyticSource(3, truth, design=(1,) * 16, repeated=False))
+    assert document.named == ("straight",) and document.verdict == verdict
+
+
+def test_what_the_scale_of_a_torque_may_explain_needs_no_further_effect() -> None:
+    """The same residual is none of a signal whose calibration is uncertain by as much."""
+    source = AnalyticSource(3, (("straight", (20.0,)), ("outside", (5.0,))), design=(1,) * 16, repeated=False)
+    unsure = tuple(replace(item, calibrations=np.full((1, FEATURES), 5.0) / item.sigma) for item in source.clusters)
+    source.clusters = unsure
+    assert said(source).verdict == "straight"
+
+
 def test_what_nothing_explains_is_said() -> None:
     document = said(AnalyticSource(4, (("outside", (5.0,)),)))
     assert document.verdict == "NONE-EXPLAINS"
