@@ -415,6 +415,8 @@ class TwinRun:
 
     state: Array
     """A row of :func:`run_twins`."""
+    asleep: bool
+    """Whether the object rests on its support until it is touched."""
     residual: float
     """Largest residual of a step so far [m/s]."""
     failed: Sequence[float]

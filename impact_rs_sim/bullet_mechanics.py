@@ -16,6 +16,7 @@ from impact_rs_sim.memory import Memory
 from impact_rs_sim.physics import Physics
 from impact_rs_sim.robot import Array
 from impact_rs_sim.scene import ArmMotion, ArmState, BodyState
+from impact_rs_sim.twin import rests
 
 SOLVER_ITERATIONS = 60
 SOLVER_RESIDUAL = 1e-9
@@ -63,7 +64,7 @@ class BulletMechanics(Mechanics):
         """See :meth:`Mechanics.start`."""
         self._memory = Memory()
         self.world.set_object(object_)
-        if self._may_sleep and _rests(self.physics, object_):
+        if self._may_sleep and rests(self.physics, object_):
             self.world.rest_object()
         for name, link in arms.items():
             self.links[name] = link
@@ -147,11 +148,3 @@ class BulletMechanics(Mechanics):
     def close(self) -> None:
         """Free the Bullet world."""
         self.world.close()
-
-
-def _rests(physics: Physics, state: BodyState) -> bool:
-    """Whether the object stays where it is until it is touched: at rest on a support that does not let it slide."""
-    if physics.support_height is None or np.any(state.twist):
-        return False
-    across, down = float(np.hypot(*physics.gravity[:2])), -float(physics.gravity[2])
-    return across < physics.support_friction * down

@@ -126,6 +126,16 @@ def simulate(jobs: Sequence[TwinJob], threads: int = 1) -> list[Result]:
     return [_result(job, *found) for job, found in zip(jobs, _kernel.run_twins(prepared, threads), strict=True)]
 
 
+def rests(physics: Physics, state: BodyState) -> bool:
+    """Whether the object stays where it is until it is touched.
+
+    It does where it has no velocity, its support does not let it slide, and the line of gravity through its centre of
+    mass meets the support within the polygon of the points where it stands; points within 2 mm of the surface count.
+    """
+    alone = kernel_twin(replace(physics, arms={}, object_loads=()), period=1.0, joint_torque=False, refinement=1)
+    return _kernel.TwinRun(alone, [], box_start(state)).asleep
+
+
 def _prepared(model: _kernel.Twin, job: TwinJob) -> _kernel.TwinTask:
     """A job in the form of the kernel."""
     arms = [arm_start(job.arms[name], job.drives[name], job.before.get(name)) for name in job.physics.arms]

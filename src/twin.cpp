@@ -18,6 +18,7 @@ constexpr double SUPPORT_THICKNESS = 0.1;      // m
 constexpr double SUPPORT_DAMPING_RATIO = 0.5;  // of the object on a compliant support
 constexpr double RESOLVED = 1e-2;        // m/s; a pad that meets the object more slowly needs no shorter steps
 
+constexpr double PI = 3.14159265358979323846;
 constexpr double SLOW = 2e-3;            // m/s; sliding below it has less than its force, so that rest is a state
 
 constexpr Matrix IDENTITY{1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0};
@@ -103,10 +104,25 @@ void Twin::place(const BoxStart& box) {
   angular_ = box.angular;
   velocity_ = box.velocity + cross(angular_, lever);
   momentum_ = inertia() * angular_;
-  // At rest on a support that does not let it slide, the box stays where it is until it is touched.
+  awake_ = !(model_.support && is_zero(box.velocity) && is_zero(box.angular) && rests());
+}
+
+// Whether a box without velocity stays where it is until it is touched: gravity pulls it neither along its support,
+// against friction, nor over the edge of what it stands on. Normal forces only push, so that the line of gravity through
+// the centre of mass has to meet the support within the polygon of its points.
+bool Twin::rests() {
   const Vector& g = model_.gravity;
-  awake_ = !(model_.support && is_zero(box.velocity) && is_zero(box.angular) &&
-             std::hypot(g[0], g[1]) < -g[2] * model_.support->friction);
+  if (!(std::hypot(g[0], g[1]) < -g[2] * model_.support->friction)) return false;
+  const Box below = table();
+  touch(below, box(), MARGIN);
+  const double fall = (centre_[2] - below.centre[2] - below.half[2]) / -g[2];
+  std::vector<double> directions;  // of the points, seen from there; around a point inside is no gap of pi
+  for (const Touch& touch : touches_)
+    directions.push_back(std::atan2(touch.position[1] - centre_[1] - fall * g[1], touch.position[0] - centre_[0] - fall * g[0]));
+  std::sort(directions.begin(), directions.end());
+  for (std::size_t i = 0; i + 1 < directions.size(); ++i)
+    if (directions[i + 1] - directions[i] >= PI) return false;
+  return !directions.empty() && directions.back() - directions.front() > PI;
 }
 
 Matrix Twin::inertia() const {
@@ -118,6 +134,15 @@ Matrix Twin::inertia() const {
       found[3 * i + j] = sum;
     }
   return found;
+}
+
+// Unloaded, a compliant support is higher by what the object's weight presses it down.
+Box Twin::table() const {
+  const SupportModel& support = *model_.support;
+  const double surface = support.height - model_.gravity[2] * model_.box.mass * support.compliance;
+  return {{0.0, 0.0, surface - 0.5 * SUPPORT_THICKNESS},
+          IDENTITY,
+          {support.half_x, support.half_y, 0.5 * SUPPORT_THICKNESS}};
 }
 
 Box Twin::box() const { return {centre_ - rotation_ * model_.box.offset, rotation_, model_.box.half}; }
@@ -357,15 +382,9 @@ void Twin::look_at_pad(int number) {
 }
 
 void Twin::look_at_support() {
-  const SupportModel& support = *model_.support;
-  // Unloaded, a compliant support is higher by what the object's weight presses it down.
-  const double surface = support.height - model_.gravity[2] * model_.box.mass * support.compliance;
-  const Box object = box();
-  if (object.centre[2] - norm(object.half) > surface + MARGIN) return;
-  const Box table{{0.0, 0.0, surface - 0.5 * SUPPORT_THICKNESS},
-                  IDENTITY,
-                  {support.half_x, support.half_y, 0.5 * SUPPORT_THICKNESS}};
-  const Vector normal = touch(table, object, MARGIN);
+  const Box object = box(), below = table();
+  if (object.centre[2] - norm(object.half) > below.centre[2] + below.half[2] + MARGIN) return;
+  const Vector normal = touch(below, object, MARGIN);
   if (touches_.empty()) return;
   const std::size_t first = solver_.points.size();
   const double share = std::min(1.0, FACE_POINTS / static_cast<double>(touches_.size())) / FACE_POINTS;

@@ -96,6 +96,9 @@ class Twin {
   // One tick from `time` [s]: `substeps` periods with a desired torque by arm. False: a state is not finite.
   bool tick(double time, int substeps, const std::vector<const double*>& torques);
 
+  // Whether the box rests on its support until it is touched.
+  bool asleep() const { return has_box_ && !awake_; }
+
   // Force of the box on the pad of an arm in the last step [N].
   const Vector& pad_force(int arm) const { return pad_forces_[arm]; }
 
@@ -103,6 +106,7 @@ class Twin {
 
  private:
   void place(const BoxStart& box);
+  bool rests();
   void load(double time);
   void period(double time);
   bool look();  // contact points now; whether a pad meets the object faster than a step of a period resolves
@@ -120,6 +124,7 @@ class Twin {
   void recall();
   void move_box(double drift);
   Box box() const;
+  Box table() const;
   Matrix inertia() const;
   bool is_finite() const;
 

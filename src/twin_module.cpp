@@ -171,6 +171,7 @@ class TwinRun {
     const Vector& force = twin_.pad_force(static_cast<int>(arm));
     return Numbers(3, force.data());
   }
+  bool asleep() const { return twin_.asleep(); }
   double residual() const { return twin_.report().residual; }
   const std::vector<double>& failed() const { return twin_.report().failed; }
 
@@ -257,6 +258,7 @@ void add_twin(py::module_& module) {
       .def("step", &TwinRun::step, py::arg("time"), py::arg("substeps"), py::arg("torques"))
       .def("pad_force", &TwinRun::pad_force, py::arg("arm"))
       .def_property_readonly("state", &TwinRun::state)
+      .def_property_readonly("asleep", &TwinRun::asleep)
       .def_property_readonly("residual", &TwinRun::residual)
       .def_property_readonly("failed", &TwinRun::failed);
   module.def("run_twins", &run_twins, py::arg("jobs"), py::arg("threads"));
