@@ -33,7 +33,9 @@ another sign before k_theta, which would turn the pad away from R_d.
 within the limits of position, velocity and torque (paper eqs. const_q, const_dq, const_tau). The last rows of A and b
 slow down all joints, and are there only where the tasks leave joints over, 6 + k < n.
 
-**5. Torque** (paper eq. eom_ante): tau_d = (M + B_theta) ddq + h.
+**5. Torque** (paper eq. eom_ante): tau_d = (M + B_theta) ddq + h. Where the QP has failed, because a number is not
+finite, the arm is braked on its state (:mod:`impact_rs_control.fallback`); a state that is not finite leaves the weight
+of the arm at the last position that was.
 
 **6. Measure** (paper eq. a_fb_net): the net feedback is the integral of a_fb from t_1 to t_2.
 
@@ -50,6 +52,7 @@ from enum import IntEnum
 import numpy as np
 
 from impact_rs_control.detection import ImpactDetector
+from impact_rs_control.fallback import holding_torque
 from impact_rs_control.plan import ArmPlan, TrialPlan
 from impact_rs_control.qp import AccelerationProblem, AccelerationQp, JointLimits, QpStatus
 from impact_rs_sim import _kernel
@@ -153,6 +156,8 @@ class ArmController:
         timing, control = scenario.timing, scenario.control
         gains = control.gains
         self._model = model
+        self._motor_inertia = motor_inertia
+        self._position = plan.initial  # the last one that was finite
         self._period = timing.control_period
         self._last_tick = timing.ticks
         self._window = timing.window
@@ -206,7 +211,11 @@ class ArmController:
         )
         solution = self._qp.solve(AccelerationProblem(tasks, targets, self._weights, inertia, terms.bias, q, dq))
         torque = inertia @ solution.acceleration + terms.bias
-        if solution.status is not QpStatus.SOLVED:
+        if solution.status is QpStatus.FAILED:
+            torque = self._brake(q, dq)
+        else:
+            self._position = q
+        if solution.status is QpStatus.RELAXED:
             torque = np.clip(torque, -self._model.torque_max, self._model.torque_max)
         if self._window[0] <= now < self._window[1]:
             self._net = self._net + self._period * feedback[:3]
@@ -224,6 +233,12 @@ class ArmController:
             qp_solve_time=solution.solve_time,
             detection=watched.detection,
         )
+
+    def _brake(self, q: Array, dq: Array) -> Array:
+        """Torque without an answer of the QP."""
+        if np.isfinite(q).all() and np.isfinite(dq).all():
+            return holding_torque(self._model, self._motor_inertia, q, dq)
+        return self._model.gravity_torque(self._position)
 
     def _detect(self, now: float, measured: ArmMeasurement, terms: RigidTerms) -> ImpactDetection | None:
         hit = self._detector.update(measured.position, measured.velocity, measured.torque, terms)
@@ -287,3 +302,32 @@ class Controller:
             for controller in self.arms.values():
                 controller.begin_interim(tick)
         return {name: controller.command(tick, measured[name], watched[name]) for name, controller in self.arms.items()}
+
+
+def fallback_command(
+    model: RobotModel, motor_inertia: Array, position: Array, velocity: Array, tasks: int
+) -> ArmCommand:
+    """The holding torque as a command; its QP counts as failed.
+
+    Args:
+        model: The arm.
+        motor_inertia: B that the torque loop leaves, ``(n,)`` [kg m^2].
+        position: q, ``(n,)`` [rad].
+        velocity: dq, ``(n,)`` [rad/s].
+        tasks: Number of task accelerations that the arm's controller follows.
+    """
+    terms = model.terms(position, velocity)
+    return ArmCommand(
+        torque=holding_torque(model, motor_inertia, position, velocity),
+        mode=Mode.ANTE,
+        gamma=0.0,
+        position=terms.position.copy(),
+        twist=terms.twist,
+        task_feedback=np.zeros(tasks),
+        net_feedback=np.zeros(3),
+        wrench=np.zeros(6),
+        qp_status=QpStatus.FAILED,
+        qp_iterations=0,
+        qp_solve_time=0.0,
+        detection=None,
+    )

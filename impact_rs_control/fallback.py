@@ -14,8 +14,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from impact_rs_control.controller import ArmCommand, Mode
-from impact_rs_control.qp import QpStatus
 from impact_rs_sim.robot import Array
 from impact_rs_sim.robot_model import RobotModel
 
@@ -37,32 +35,3 @@ def holding_torque(model: RobotModel, motor_inertia: Array, position: Array, vel
     excess = float(np.max(np.abs(brake) / (SHARE * model.torque_max)))
     torque = model.gravity_torque(position) - brake / max(1.0, excess)
     return np.asarray(np.clip(torque, -model.torque_max, model.torque_max))
-
-
-def fallback_command(
-    model: RobotModel, motor_inertia: Array, position: Array, velocity: Array, tasks: int
-) -> ArmCommand:
-    """The same as a command; its QP counts as failed.
-
-    Args:
-        model: The arm.
-        motor_inertia: B that the torque loop leaves, ``(n,)`` [kg m^2].
-        position: q, ``(n,)`` [rad].
-        velocity: dq, ``(n,)`` [rad/s].
-        tasks: Number of task accelerations that the arm's controller follows.
-    """
-    terms = model.terms(position, velocity)
-    return ArmCommand(
-        torque=holding_torque(model, motor_inertia, position, velocity),
-        mode=Mode.ANTE,
-        gamma=0.0,
-        position=terms.position.copy(),
-        twist=terms.twist,
-        task_feedback=np.zeros(tasks),
-        net_feedback=np.zeros(3),
-        wrench=np.zeros(6),
-        qp_status=QpStatus.FAILED,
-        qp_iterations=0,
-        qp_solve_time=0.0,
-        detection=None,
-    )

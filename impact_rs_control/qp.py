@@ -7,8 +7,9 @@
 
 Far from every limit the unconstrained minimiser is the solution. It is computed first, by Cholesky, and ProxQP is
 called only if it violates a limit. When the limits contradict each other, for instance beyond a joint stop at full
-speed, the program is solved again with a slack on every constraint, and the status is RELAXED. The solution is never
-NaN.
+speed, the program is solved again with a slack on every constraint, and the status is RELAXED. A program with a number
+that is not finite, or whose relaxed solution is not, is FAILED: the acceleration is then zero and means nothing, and
+the controller brakes instead (:func:`impact_rs_control.fallback.holding_torque`).
 """
 
 from __future__ import annotations
@@ -103,7 +104,7 @@ class QpSolution:
     """Answer of one solve.
 
     Attributes:
-        acceleration: Joint acceleration, ``(n,)`` [rad/s^2].
+        acceleration: Joint acceleration, ``(n,)`` [rad/s^2]; finite, and zero where the status is FAILED.
         status: How it was found.
         iterations: ProxQP iterations; 0 where no limit was near.
         solve_time: Wall-clock time [s].
@@ -216,11 +217,7 @@ class AccelerationQp:
         linear = np.concatenate((program.gradient, np.zeros(2 * count)))
         qp.init(cost, linear, None, None, np.hstack((rows, np.eye(2 * count))), row_lower, row_upper)
         qp.solve()
-        acceleration = qp.results.x[:count]
-        status = QpStatus.RELAXED
+        acceleration, iterations = qp.results.x[:count], int(qp.results.info.iter)
         if not np.isfinite(acceleration).all():
-            acceleration = np.linalg.solve(program.hessian, -program.gradient)
-            status = QpStatus.FAILED
-        if not np.isfinite(acceleration).all():
-            acceleration = np.zeros(count)
-        return np.array(acceleration), int(qp.results.info.iter), status
+            return np.zeros(count), iterations, QpStatus.FAILED
+        return np.array(acceleration), iterations, QpStatus.RELAXED

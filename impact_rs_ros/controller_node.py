@@ -7,8 +7,7 @@ import time
 
 import numpy as np
 
-from impact_rs_control.controller import ArmCommand, Controller
-from impact_rs_control.fallback import fallback_command
+from impact_rs_control.controller import ArmCommand, Controller, fallback_command
 from impact_rs_control.plan import TrialPlan
 from impact_rs_control.qp import QpStatus
 from impact_rs_ros.exchange import Inbox, Outbox
@@ -132,10 +131,13 @@ class ControllerTrial(LockstepTrial):
             at = f"at t = {1e-9 * tick * self._period_ns:.3f} s"
             try:
                 commands = self._controller.update(tick, self._gathered)
-                wrong = [arm for arm, command in commands.items() if not np.isfinite(command.torque).all()]
-                if not wrong:
+                for arm, command in commands.items():
+                    if command.qp_status is QpStatus.FAILED:
+                        self._fail(f"the QP of {arm} {at} has failed")
+                    elif not np.isfinite(command.torque).all():
+                        self._fail(f"the torque for {arm} {at} is not finite")
+                if not self.failure:
                     return commands
-                self._fail(f"the torque for {wrong[0]} {at} is not finite")
             except Exception as error:  # the arms need a torque in any case
                 self._fail(f"the controller {at}: {type(error).__name__}: {error}")
         scene, plans = self._plan.scene, self._plan.arms

@@ -4,6 +4,9 @@
 namespace impact_rs {
 namespace {
 
+constexpr double SEPARABLE = 0.01;  // [-], as in detection.py
+constexpr double MOVABLE = 1e-4;    // [-], as in detection.py
+
 // y = A x, A row by row.
 void multiply(const double* a, const double* x, double* y, int rows, int columns) {
   for (int i = 0; i < rows; ++i) {
@@ -19,6 +22,44 @@ bool solve(std::vector<double>& a, int n, double* x, int columns) {
   forward(a.data(), n, x, columns);
   backward(a.data(), n, x, columns);
   return true;
+}
+
+// Solve a x = b in place for a mobility a, (6, 6), three forces first. A row without leverage, or that the rows before
+// it explain, is left out, and its x is 0.
+void solve_separable(double* a, double* x) {
+  const double least = MOVABLE * (a[0] + a[7] + a[14]);
+  double own[6];
+  for (int i = 0; i < 6; ++i) own[i] = a[7 * i];
+  for (int i = 0; i < 6; ++i) {
+    if (!(own[i] > least && a[7 * i] > SEPARABLE * own[i])) {
+      for (int k = i; k < 6; ++k) a[6 * i + k] = a[6 * k + i] = 0.0;
+      a[7 * i] = 1.0;
+      x[i] = 0.0;
+    }
+    for (int k = i + 1; k < 6; ++k) {
+      const double share = a[6 * k + i] / a[7 * i];
+      for (int j = i; j < 6; ++j) a[6 * k + j] -= share * a[6 * i + j];
+      x[k] -= share * x[i];
+    }
+  }
+  for (int i = 5; i >= 0; --i) {
+    for (int k = i + 1; k < 6; ++k) x[i] -= a[6 * i + k] * x[k];
+    x[i] /= a[7 * i];
+  }
+}
+
+// Orthonormal axes, row by row, of which the first is n; those of A where n is zero.
+Matrix axes_along(const Vector& n) {
+  if (!(norm(n) > 0.0)) return {1, 0, 0, 0, 1, 0, 0, 0, 1};
+  int least = 0;
+  for (int i = 1; i < 3; ++i)
+    if (std::abs(n[i]) < std::abs(n[least])) least = i;
+  Vector across{};
+  across[least] = 1.0;
+  across = cross(n, across);
+  across = (1.0 / norm(across)) * across;
+  const Vector third = cross(n, across);
+  return {n[0], n[1], n[2], across[0], across[1], across[2], third[0], third[1], third[2]};
 }
 
 // Rotation vector of a rotation, by its quaternion: exact for small and for large angles.
@@ -50,6 +91,16 @@ Matrix transposed(const double* m) { return {m[0], m[3], m[6], m[1], m[4], m[7],
 
 }  // namespace
 
+Observer::Observer(int joints, double gain, double period, double threshold, double forgetting, const Vector& direction)
+    : joints_(joints),
+      gain_(gain),
+      period_(period),
+      threshold_(threshold),
+      forgetting_(forgetting),
+      direction_(direction),
+      axes_(axes_along(direction)),
+      residual_(joints, 0.0) {}
+
 bool Observer::update(const double* dq, const double* torque, const RigidTerms& terms, const double* coriolis) {
   const int n = joints_;
   momentum_.resize(n);
@@ -59,6 +110,7 @@ bool Observer::update(const double* dq, const double* torque, const RigidTerms& 
     started_ = true;
   }
   right_.resize(7 * n);
+  rows_.resize(6 * n);  // J, its forces along axes_
   for (int i = 0; i < n; ++i) {
     double transposed = 0.0, straight = 0.0;
     for (int j = 0; j < n; ++j) {
@@ -68,21 +120,27 @@ bool Observer::update(const double* dq, const double* torque, const RigidTerms& 
     const double known = torque[i] + transposed - (terms.bias[i] - straight);
     integral_[i] += period_ * (known + residual_[i]);
     residual_[i] = gain_ * (momentum_[i] - integral_[i]);
-    for (int row = 0; row < 6; ++row) right_[7 * i + row] = terms.jacobian[n * row + i];
+    const double* column = terms.jacobian + i;
+    const Vector along = axes_ * Vector{column[0], column[n], column[2 * n]};
+    for (int row = 0; row < 6; ++row) {
+      rows_[n * row + i] = row < 3 ? along[row] : column[n * row];
+      right_[7 * i + row] = rows_[n * row + i];
+    }
     right_[7 * i + 6] = residual_[i];
   }
   factor_.assign(terms.inertia, terms.inertia + n * n);
   solve(factor_, n, right_.data(), 7);  // M^-1 J^T, and of the residual
-  std::vector<double>& mobility = factor_;
-  mobility.assign(36, 0.0);
-  wrench.fill(0.0);
+  std::array<double, 36> mobility{};    // J M^-1 J^T
+  wrench.fill(0.0);                     // J M^-1 r
   for (int row = 0; row < 6; ++row)
     for (int i = 0; i < n; ++i) {
-      for (int c = 0; c < 6; ++c) mobility[6 * row + c] += terms.jacobian[n * row + i] * right_[7 * i + c];
-      wrench[row] += terms.jacobian[n * row + i] * right_[7 * i + 6];
+      for (int c = 0; c < 6; ++c) mobility[6 * row + c] += rows_[n * row + i] * right_[7 * i + c];
+      wrench[row] += rows_[n * row + i] * right_[7 * i + 6];
     }
-  solve(mobility, 6, wrench.data(), 1);
-  force = -(direction_[0] * wrench[0] + direction_[1] * wrench[1] + direction_[2] * wrench[2]) - baseline_;
+  solve_separable(mobility.data(), wrench.data());
+  const Vector linear = transposed_times(axes_, vector(wrench.data()));
+  std::copy_n(linear.data(), 3, wrench.data());
+  force = -dot(direction_, linear) - baseline_;
   if (force < threshold_) baseline_ += forgetting_ * force;
   return force > threshold_;
 }

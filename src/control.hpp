@@ -20,14 +20,7 @@ struct RigidTerms {
 // Momentum observer: estimates the external wrench on E and detects a sudden force against a direction.
 class Observer {
  public:
-  Observer(int joints, double gain, double period, double threshold, double forgetting, const Vector& direction)
-      : joints_(joints),
-        gain_(gain),
-        period_(period),
-        threshold_(threshold),
-        forgetting_(forgetting),
-        direction_(direction),
-        residual_(joints, 0.0) {}
+  Observer(int joints, double gain, double period, double threshold, double forgetting, const Vector& direction);
 
   int joints() const { return joints_; }
 
@@ -41,9 +34,10 @@ class Observer {
   int joints_;
   double gain_, period_, threshold_, forgetting_;
   Vector direction_;
+  Matrix axes_;  // of forces, the direction first
   bool started_ = false;
   double baseline_ = 0.0;
-  std::vector<double> integral_, residual_, momentum_, factor_, right_;
+  std::vector<double> integral_, residual_, momentum_, factor_, rows_, right_;
 };
 
 // References of one phase at all ticks; t = 6 + k tasks.

@@ -22,6 +22,7 @@ import scipy
 from numpy.typing import NDArray
 
 from impact_rs_analysis.evidence.cluster import Feature
+from impact_rs_control.detection import separable_wrench
 from impact_rs_sim.physics import ArmPhysics
 from impact_rs_sim.robot import UNITS, Array, JointType
 from impact_rs_sim.robot_model import RobotModel
@@ -434,7 +435,7 @@ class Balances:
     def wrench_at(self, moments: Array, balances: Array) -> Array:
         """Contact wrench of the arm on its environment from link-side balances, at E in E[A], ``(B, w, 6)`` [N, N m].
 
-        With J the Jacobian of E and M the mass matrix, both of the nominal arm, the wrench is (J M^-1 J^T)^-1 J M^-1 b.
+        That of the nominal arm; see :func:`impact_rs_control.detection.separable_wrench`.
 
         Args:
             moments: Time of the configuration in each simulation, ``(B, w)`` [s].
@@ -443,9 +444,7 @@ class Balances:
         rows = np.minimum(np.searchsorted(self.time, moments), self.time.size - 1)
         q = self.arm.position[np.arange(len(rows))[:, None], rows]
         jacobians, masses = self._at(q.reshape(-1, q.shape[-1]))
-        known = np.concatenate((np.swapaxes(jacobians, 1, 2), balances.reshape(-1, q.shape[-1], 1)), axis=2)
-        both = jacobians @ np.linalg.solve(masses, known)
-        return np.linalg.solve(both[:, :, :6], both[:, :, 6:]).reshape(*rows.shape, 6)
+        return separable_wrench(jacobians, masses, balances.reshape(-1, q.shape[-1])).reshape(*rows.shape, 6)
 
     def _at(self, q: Array) -> tuple[Array, Array]:
         """Jacobians of E ``(k, 6, n)`` and mass matrices ``(k, n, n)``."""

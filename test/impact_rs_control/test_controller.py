@@ -15,8 +15,9 @@ import pytest
 from trials import plan_of
 
 from impact_rs_control.controller import ArmCommand, Controller, Mode
+from impact_rs_control.fallback import holding_torque
 from impact_rs_control.plan import TrialPlan, plan_trial
-from impact_rs_control.qp import QpStatus
+from impact_rs_control.qp import QpSolution, QpStatus
 from impact_rs_control.references import SampledPath
 from impact_rs_sim.robot import Limits
 from impact_rs_sim.scenario import load_scenario
@@ -284,6 +285,31 @@ def test_a_torque_within_its_limits_leaves_where_limits_contradict(plan: TrialPl
     assert command.qp_status is QpStatus.RELAXED
     assert np.all(np.abs(command.torque) <= bound)
     assert {-1.0, 1.0} <= set(command.torque / bound)
+
+
+def test_where_the_qp_fails_the_arm_is_braked(plan: TrialPlan, monkeypatch: pytest.MonkeyPatch) -> None:
+    """By gravity and damping; neither the failed acceleration nor the last torque is on the arm."""
+    controller, state = Controller(plan).arms[ARM], replace(measured(plan), velocity=np.full(STILL.size, 0.3))
+    led = controller.command(0, state, controller.watch(0, state))
+    failed = QpSolution(np.zeros(STILL.size), QpStatus.FAILED, 0, 0.0)
+    monkeypatch.setattr(controller._qp, "solve", lambda problem: failed)
+    command = controller.command(1, state, controller.watch(1, state))
+    model, motors = plan.scene.models[ARM], plan.scene.physics.arms[ARM].motor_inertia_reduced
+    braked = holding_torque(model, motors, state.position, state.velocity)
+    assert command.qp_status is QpStatus.FAILED
+    np.testing.assert_allclose(command.torque, braked)
+    assert state.velocity @ (braked - model.gravity_torque(state.position)) < 0.0
+    assert np.abs(command.torque - led.torque).max() > 1.0  # N m
+
+
+@pytest.mark.parametrize("signal", ["position", "velocity"])
+def test_a_reading_that_is_no_number_leaves_the_weight_at_the_last_one(plan: TrialPlan, signal: str) -> None:
+    controller, state = Controller(plan).arms[ARM], measured(plan)
+    controller.command(0, state, controller.watch(0, state))
+    broken = replace(state, **{signal: np.full(STILL.size, np.nan)})
+    command = controller.command(1, broken, controller.watch(1, broken))
+    assert command.qp_status is QpStatus.FAILED
+    np.testing.assert_allclose(command.torque, plan.scene.models[ARM].gravity_torque(state.position))
 
 
 def test_where_limits_bind_the_heavier_task_gives_way_less(plan: TrialPlan) -> None:

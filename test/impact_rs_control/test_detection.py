@@ -9,7 +9,9 @@ import numpy as np
 import pytest
 from trials import scene_of
 
-from impact_rs_control.detection import BASELINE_TIME, ImpactDetector
+from impact_rs_control.detection import BASELINE_TIME, ImpactDetector, separable_wrench
+from impact_rs_sim import _kernel
+from impact_rs_sim.robot_model import RigidTerms
 from impact_rs_sim.scenario import Detection
 
 SCENE = scene_of("push", "cat_food", "case_2")
@@ -21,6 +23,9 @@ FINE = 1e-4  # s; for the motions, so that what is left is not the observer's sa
 SUBSTEPS = 5
 DIRECTION = np.array([0.0, -1.0, 0.0])
 SETTINGS = Detection(observer_gain=500.0, threshold=15.0, arm_before=0.3)
+
+UR5E = scene_of("push_ur5e", "parcel", "case_1")
+ELBOWS = (None, 0.3, 0.05, 0.005, 0.0)  # rad, of the UR5e; None: as it starts, 0: singular
 
 Torque = Callable[[float], np.ndarray]
 
@@ -124,3 +129,95 @@ def test_what_counts_as_an_impact_is_not_forgotten_while_it_lasts() -> None:
     found = [push_at_rest(observer, -2.0 * SETTINGS.threshold * DIRECTION) for _ in range(500)]
     assert all(found[5:])
     assert observer.force == pytest.approx(2.0 * SETTINGS.threshold, rel=0.1)
+
+
+def bent(elbow: float | None) -> np.ndarray:
+    """The UR5e where its push starts, with another angle of the elbow."""
+    q = UR5E.arms["arm"].position.copy()
+    q[2] = q[2] if elbow is None else elbow
+    return q
+
+
+def ur5e_detector() -> ImpactDetector:
+    return ImpactDetector(UR5E.models["arm"], UR5E.scenario.control.detection, DIRECTION, PERIOD)
+
+
+@pytest.mark.parametrize("elbow", ELBOWS)
+def test_sensor_noise_is_no_impact_in_any_pose(elbow: float | None) -> None:
+    """0.05 N m and 2 mrad/s; the inverse of all six rows of J made 39 hits of it at 0.3 rad and 113 at 0.05 rad."""
+    model, q, observer, rng = UR5E.models["arm"], bent(elbow), ur5e_detector(), np.random.default_rng(0)
+    hits, forces = 0, []
+    for _ in range(200):
+        dq = 0.002 * rng.standard_normal(6)
+        torque = model.gravity_torque(q) + 0.05 * rng.standard_normal(6)
+        hits += observer.update(q, dq, torque, model.terms(q, dq))
+        forces.append(np.append(observer.wrench[:3], observer.force))
+    assert hits == 0
+    assert 1.0 < np.abs(forces).max() < 50.0  # N; across the approach, where it was up to 1.2 kN
+
+
+@pytest.mark.parametrize("elbow", ELBOWS)
+@pytest.mark.parametrize("force", [-30.0, 8.0, 200.0])
+def test_a_contact_force_against_the_approach_is_recovered_in_any_pose(elbow: float | None, force: float) -> None:
+    """r = -J^T n f. What is recorded as the wrench holds the same force."""
+    model, q, observer, still = UR5E.models["arm"], bent(elbow), ur5e_detector(), np.zeros(6)
+    observer.update(q, still, model.gravity_torque(q), model.terms(q, still))
+    pressed = model.gravity_torque(q) + model.jacobian(q)[:3].T @ DIRECTION * force  # tau_J = g - J^T f
+    share = UR5E.scenario.control.detection.observer_gain * PERIOD  # of the force, in the first tick
+    hit = observer.update(q, still, pressed, model.terms(q, still))
+    assert observer.force == pytest.approx(share * force, rel=1e-9)
+    assert hit == (share * force > observer.threshold)
+    np.testing.assert_allclose(observer.wrench, np.append(-share * force * DIRECTION, np.zeros(3)), atol=1e-6)
+
+
+def terms_of(jacobian: np.ndarray, inertia: np.ndarray) -> RigidTerms:
+    zero = np.zeros(len(inertia))
+    return RigidTerms(inertia, zero, jacobian, np.zeros(6), np.zeros(3), np.eye(3), np.zeros(6))
+
+
+def test_along_a_direction_in_which_the_arm_cannot_move_there_is_no_force() -> None:
+    """Bearings carry it: joints feel only what moves them, whatever rounding leaves of that row of J."""
+    rng = np.random.default_rng(3)
+    for left in (0.0, 1e-17, 1e-5):
+        jacobian = rng.standard_normal((6, 7))
+        jacobian[1] *= left
+        observer = _kernel.Observer(7, 500.0, PERIOD, 15.0, 0.02, DIRECTION)
+        for _ in range(20):
+            hit = observer.update(
+                np.zeros(7),
+                rng.standard_normal(7),
+                terms_of(jacobian, np.diag(rng.uniform(0.1, 2.0, 7))),
+                np.zeros((7, 7)),
+            )
+            assert not hit and observer.force == 0.0
+            assert observer.wrench[1] == 0.0
+            assert np.isfinite(observer.wrench).all()
+
+
+@pytest.mark.parametrize("elbow", [*ELBOWS, 1e-5])
+def test_the_wrench_is_that_of_all_components_that_can_be_told_apart(elbow: float | None) -> None:
+    """Forces first; compiled and in NumPy, and where all can be told apart the inverse of the whole mobility."""
+    model, q, observer, still = UR5E.models["arm"], bent(elbow), ur5e_detector(), np.zeros(6)
+    rng = np.random.default_rng(1)
+    axes = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])  # the approach first
+    jacobian, mass = model.jacobian(q), model.mass_matrix(q)
+    jacobian[:3] = axes @ jacobian[:3]
+    observer.update(q, still, model.gravity_torque(q), model.terms(q, still))
+    torque = rng.standard_normal(6)
+    observer.update(q, still, model.gravity_torque(q) - torque, model.terms(q, still))
+    gained = UR5E.scenario.control.detection.observer_gain * PERIOD * torque
+    (found,) = separable_wrench(jacobian[None], mass[None], gained[None])
+    np.testing.assert_allclose(observer.wrench, np.append(axes.T @ found[:3], found[3:]), rtol=1e-9, atol=1e-12)
+    response = jacobian @ np.linalg.solve(mass, np.column_stack((jacobian.T, gained)))
+    kept = np.arange(6 if elbow is None else 5)
+    np.testing.assert_allclose(found[kept], np.linalg.solve(response[np.ix_(kept, kept)], response[kept, 6]), rtol=1e-9)
+    if elbow is not None:
+        assert found[5] == 0.0
+
+
+def test_an_arm_of_three_joints_has_a_wrench_of_forces() -> None:
+    """J M^-1 J^T has rank 3: forces explain all that three joints feel."""
+    rng = np.random.default_rng(2)
+    jacobian, force = rng.standard_normal((6, 3)), np.array([3.0, -4.0, 5.0])
+    (found,) = separable_wrench(jacobian[None], np.diag([1.0, 2.0, 0.5])[None], (jacobian[:3].T @ force)[None])
+    np.testing.assert_allclose(found, np.append(force, np.zeros(3)), atol=1e-9)

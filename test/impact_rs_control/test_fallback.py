@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 from trials import scene_of
 
-from impact_rs_control.fallback import FRESH, SETTLE, SHARE, fallback_command, holding_torque
+from impact_rs_control.controller import fallback_command
+from impact_rs_control.fallback import FRESH, SETTLE, SHARE, holding_torque
 from impact_rs_control.qp import QpStatus
 
 SCENE = scene_of("push", "juice", "case_1")

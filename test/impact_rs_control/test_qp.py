@@ -107,6 +107,13 @@ def test_a_problem_with_nan_gets_a_finite_answer_marked_failed():
     np.testing.assert_array_equal(solution.acceleration, np.zeros(COUNT))
 
 
+def test_limits_that_overflow_have_no_answer():
+    """Neither bounds nor slack hold 1e200 rad; the minimiser without bounds would ignore them all."""
+    solution = make_qp().solve(random_problem(1, position=np.full(COUNT, 1e200)))
+    assert solution.status is QpStatus.FAILED
+    np.testing.assert_array_equal(solution.acceleration, 0.0)
+
+
 def test_singular_tasks_still_have_an_answer():
     tasks = np.zeros((COUNT, COUNT))
     tasks[0, 0] = 1.0
