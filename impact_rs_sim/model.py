@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import hashlib
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Annotated
 
@@ -23,7 +23,7 @@ import yaml
 from pydantic import Field
 
 from impact_rs_sim.effects import Effect, library
-from impact_rs_sim.effects.base import SLIDING, Joints
+from impact_rs_sim.effects.base import SLIDING, Joints, Parameter
 from impact_rs_sim.effects.contact import FORMER
 from impact_rs_sim.effects.each_arm import EachArm, of_each
 from impact_rs_sim.effects.formula import FormulaEffect, FormulaSpec
@@ -31,7 +31,7 @@ from impact_rs_sim.errors import InputError
 from impact_rs_sim.files import is_file, write_whole
 from impact_rs_sim.paths import config_directory
 from impact_rs_sim.physics import Physics
-from impact_rs_sim.robot import JointType
+from impact_rs_sim.robot import Array, JointType
 from impact_rs_sim.schema import Schema, load, parse_yaml, validate
 
 OF_SLIDING = {unit for unit, _ in SLIDING.values()}  # no parameter of a joint that turns has one of these units
@@ -50,6 +50,11 @@ class ModelEffect(Schema):
 
     name: str = Field(description="name of the effect (impact-rs effects lists them)")
     parameters: dict[str, ParameterValue] = Field(description="its parameters")
+
+    def vector(self, scalars: Sequence[Parameter]) -> Array:
+        """Estimates of the scalars of the effect, ``(p,)``; nominal where one with a prior is missing."""
+        known = self.parameters
+        return np.array([known[s.name].estimate if s.name in known else s.nominal for s in scalars])
 
 
 class Model(Schema):
@@ -114,13 +119,12 @@ class Model(Schema):
                 )
             scalars = effect.scalars(0 if count is None else physics.joints)
             for scalar in scalars:
-                if item.parameters[scalar.name].unit != scalar.unit:
+                if scalar.name in item.parameters and item.parameters[scalar.name].unit != scalar.unit:
                     raise InputError(
                         f"model {self.name!r} has {item.name}.{scalar.name} in {item.parameters[scalar.name].unit}, "
                         f"this arm has it in {scalar.unit}: that joint moves otherwise"
                     )
-            vector = np.array([item.parameters[scalar.name].estimate for scalar in scalars])
-            physics = effect.apply_vector(physics, vector)
+            physics = effect.apply_vector(physics, item.vector(scalars))
         return physics
 
     def with_effect(self, item: ModelEffect, name: str, parent: str, formulas: tuple[FormulaSpec, ...] = ()) -> Model:
@@ -195,6 +199,8 @@ def check_model(model: Model, file: str | Path) -> Model:
                 )
         for name, scalar in scalars.items():
             place = f"{key}.parameters.{name}"
+            if name not in item.parameters and scalar.prior is not None:
+                continue
             if name not in item.parameters:
                 fewer = scalar.joint is not None and count not in (None, scalar.joint + 1)
                 last = f"; joint {count} is here" if fewer else ""

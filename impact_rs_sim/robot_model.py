@@ -270,6 +270,17 @@ class RobotModel:
         return float(1.0 / (row @ np.linalg.solve(inertia, row)))
 
 
+def link_inertias(facts: RobotFacts, end_effector: EndEffector) -> list[pin.Inertia]:
+    """Inertias of all links in their own axes, base to tip; that of the last one contains the end effector."""
+    return list(_built(facts, end_effector).inertias)[1:]
+
+
+def mounted_inertia(facts: RobotFacts, end_effector: EndEffector) -> pin.Inertia:
+    """Inertia of the last link with its end effector in frame E."""
+    model = _built(facts, end_effector)
+    return model.frames[model.getFrameId(TIP)].placement.actInv(list(model.inertias)[-1])
+
+
 def _built(facts: RobotFacts, end_effector: EndEffector) -> pin.Model:
     """The arm on a base at the origin.
 
@@ -291,7 +302,7 @@ def _built(facts: RobotFacts, end_effector: EndEffector) -> pin.Model:
 
 
 def _inertia(mass: float, com: Array, inertia: Array) -> pin.Inertia:
-    """Inertia of a body, which a fit of torques may take beyond what a body can have: they are linear in it."""
+    """Inertia without Pinocchio's check: a payload that is taken away is a part with a negative mass."""
     found = pin.Inertia.Zero()
     found.mass, found.lever, found.inertia = mass, com, inertia
     return found

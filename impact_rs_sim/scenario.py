@@ -19,8 +19,9 @@ from typing import Annotated, Any, Literal, Self, TypeVar
 
 import numpy as np
 import pinocchio as pin
-from pydantic import Field, model_validator
+from pydantic import Field, field_validator, model_validator
 
+from impact_rs_sim.bodies import is_body
 from impact_rs_sim.errors import InputError, did_you_mean, shortened
 from impact_rs_sim.files import is_file
 from impact_rs_sim.friction_compensation import FrictionCompensation
@@ -82,6 +83,13 @@ class EndEffectorSpec(Schema):
     length: Positive = Field(description="distance from the flange to the pad's outer face [m]")
     mount_yaw: float = Field(0.0, description="rotation of the pad about the flange axis [rad]")
     pad: Pad = Field(description="the pad")
+
+    @field_validator("inertia")
+    @classmethod
+    def _of_a_body(cls, inertia: tuple[float, float, float]) -> tuple[float, float, float]:
+        if not is_body(1.0, np.diag(inertia)):
+            raise ValueError("no rigid body has these moments; expected none larger than the sum of the other two")
+        return inertia
 
     def build(self) -> EndEffector:
         """The rigid body for the URDF."""

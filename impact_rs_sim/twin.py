@@ -25,7 +25,6 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from impact_rs_sim import _kernel
-from impact_rs_sim.bullet_world import check_body
 from impact_rs_sim.drive import Drive, DriveStart
 from impact_rs_sim.effects.formula import JOINT_SYMBOL, LAG, Formula, FormulaLoad, FormulaObjectLoad
 from impact_rs_sim.effects.surroundings import Spring
@@ -113,7 +112,6 @@ def simulate(jobs: Sequence[TwinJob], threads: int = 1) -> list[Result]:
         threads: Largest number of threads.
 
     Raises:
-        NotABody: Mass and inertia of an end effector are those of no body.
         InputError: A load of a Python class raises it.
     """
     models: dict[tuple[int, float, bool, int], _kernel.Twin] = {}
@@ -207,7 +205,6 @@ def kernel_twin(physics: Physics, period: float, joint_torque: bool, refinement:
 
 def _arm(physics: Physics, name: str, period: float, joint_torque: bool) -> _kernel.TwinArm:
     arm = physics.arms[name]
-    check_body(name, arm.end_effector)
     links, tip = _links(arm, physics.gravity)
     pad = arm.end_effector.pad_placement
     springs = [load for load in arm.loads if isinstance(load, Spring)]

@@ -79,7 +79,7 @@ def draw(
     ``worlds`` is what it is hidden in, for its bounds (a centre of mass lies inside the box). Where the nominal value
     is a bound (friction cannot be negative) the effect goes the only way it can; values beyond a bound stop 10 % short
     of it. An effect with a shape drawn from a range of its own only ever adds: what is taken away from a place drawn at
-    random need not be there.
+    random need not be there. A parameter with a prior, which the data hardly determine, stays nominal.
     """
     effect = library()[name]
     scalars = effect.scalars(joints)
@@ -88,6 +88,9 @@ def draw(
         lowest, highest = effect.bounds_in(worlds)
     values = []
     for scalar, lower, upper in zip(scalars, lowest, highest, strict=True):
+        if scalar.prior is not None:
+            values.append(scalar.nominal)
+            continue
         size = magnitude * scalar.scale * rng.uniform(0.7, 1.3)
         up = upper - scalar.nominal > 0.0 and (scalar.nominal <= lower or rng.random() < 0.5)
         room = 0.9 * (upper - scalar.nominal if up else scalar.nominal - lower)

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -26,6 +26,8 @@ from impact_rs_analysis.evidence.source import Source
 from impact_rs_sim.effects import Effect, Parameter
 from impact_rs_sim.effects.base import Joints
 from impact_rs_sim.effects.formula import FormulaEffect
+from impact_rs_sim.errors import NotABody
+from impact_rs_sim.physics import Physics
 from impact_rs_sim.robot import Array
 
 PROBES = (0.25, 0.5, 1.0)  # shares of the way to the ends of a range, where an effect is looked for
@@ -35,6 +37,9 @@ LEAST_NOISE = 1e-4  # mean square, scaled [-]; beside less, a parameter that the
 ROOM = 1e-9  # parameter scales, between bounds that coincide
 ACTIVE_SETS = 20  # tried for the bounds that hold; three are usual
 PRIOR = 100.0  # parameter scales; only bounds parameters that the data do not determine
+EDGE = 1e-6  # share of the way from nominal to which the last point with bodies is found; bodies are exact to 1e-9
+AT_EDGE = 1e-3  # share of the way from nominal within which an estimate lies at the edge of the bodies; steps end there
+SHARES = (1.0, -1.0, 0.1, -0.1, 0.01, -0.01)  # of a finite-difference step; the first with bodies is taken
 
 
 def concerns(effect: Effect, cluster: Cluster) -> bool:
@@ -58,6 +63,8 @@ class Candidate:
         origin: Effects added to the model when the residuals were computed.
         share: Of the steps of the parameters, with which the sensitivities at ``point`` were computed; infinite: they
             are those of another point.
+        of_bodies: Which parameters belong to effects that change bodies, ``(p,)``.
+        worlds: Physics without the effects, in which the bodies have to exist.
     """
 
     effects: tuple[Effect, ...]
@@ -70,6 +77,8 @@ class Candidate:
     jacobians: tuple[Array, ...] = ()
     origin: Added = ()
     share: float = math.inf
+    of_bodies: NDArray[np.bool_] = field(default_factory=lambda: np.zeros(0, dtype=bool))
+    worlds: Sequence[Physics] = ()
 
     @staticmethod
     def of(effects: tuple[Effect, ...], source: Source, point: Array | None = None, origin: Added = ()) -> Candidate:
@@ -86,6 +95,13 @@ class Candidate:
             upper=np.concatenate([high for _, high in bounds]),
             point=point,
             origin=origin,
+            of_bodies=np.concatenate(
+                [
+                    np.full(len(low), effect.changes_bodies(source.worlds[0]))
+                    for effect, (low, _) in zip(effects, bounds, strict=True)
+                ]
+            ),
+            worlds=source.worlds,
         )
 
     @property
@@ -107,6 +123,44 @@ class Candidate:
     def nominal(self) -> Array:
         """Nominal values, at which the effects change nothing, ``(p,)``."""
         return np.array([scalar.nominal for scalar in self.scalars])
+
+    @cached_property
+    def prior(self) -> Array:
+        """Standard deviations of the prior about nominal, in parameter scales, ``(p,)``."""
+        return np.array([PRIOR if one.prior is None else one.prior / one.scale for one in self.scalars])
+
+    def has_bodies(self, vector: Array) -> bool:
+        """Whether rigid bodies can have the inertial parameters that effects give them at ``vector``, ``(p,)``."""
+        own = [(effect, vector[part]) for effect, part in self.parts if np.any(self.of_bodies[part])]
+        try:
+            for physics in self.worlds if own else ():
+                for effect, values in own:
+                    physics = effect.apply_vector(physics, values)
+        except NotABody:
+            return False
+        return True
+
+    def with_bodies(self, vector: Array, inside: Array | None = None) -> Array:
+        """``vector`` ``(p,)``, or the last point with bodies on the way there; other parameters stay.
+
+        Args:
+            vector: Parameters.
+            inside: Where the way begins, ``(p,)``; None: nominal values, at which bodies are those of the model.
+        """
+        if self.has_bodies(vector):
+            return vector
+        start = np.where(self.of_bodies, self.nominal if inside is None else inside, vector)
+        low, high = 0.0, 1.0
+        while high - low > EDGE:
+            middle = 0.5 * (low + high)
+            low, high = (middle, high) if self.has_bodies(start + middle * (vector - start)) else (low, middle)
+        return np.asarray(start + low * (vector - start))
+
+    def at_edge_of_bodies(self, vector: Array) -> NDArray[np.bool_]:
+        """Which parameters cannot be larger, all those of bodies together, because no body has them, ``(p,)``."""
+        away = np.where(self.of_bodies, vector - self.nominal, 0.0)
+        edge = not self.has_bodies(vector + AT_EDGE * away)
+        return np.asarray((away != 0.0) & edge)
 
     @cached_property
     def parts(self) -> tuple[tuple[Effect, slice], ...]:
@@ -166,7 +220,11 @@ class Candidate:
         """Finite-difference steps, up to a bound under the physics at hand or away from it, ``(p,)``."""
         steps = np.concatenate([effect.steps(joints, self.point[part]) for effect, part in self.parts])
         room = np.clip(self.point + steps, self.lower, self.upper) - self.point
-        return np.where(np.abs(room) < LEAST_ROOM * np.abs(steps), -steps, room)
+        steps = np.where(np.abs(room) < LEAST_ROOM * np.abs(steps), -steps, room)
+        for index in np.flatnonzero(self.of_bodies):
+            alone = steps[index] * (np.arange(steps.size) == index)
+            steps[index] *= next((s for s in SHARES if self.has_bodies(self.point + s * alone)), 1.0)
+        return steps
 
     def only(self, clusters: Sequence[int]) -> Candidate:
         """The candidate restricted to some clusters, by number."""
@@ -190,6 +248,7 @@ class Candidate:
             upper=self.upper[keep],
             point=self.point[keep],
             jacobians=tuple(jacobian[:, keep] for jacobian in self.jacobians),
+            of_bodies=self.of_bodies[keep],
         )
 
     def fixed(self, *indices: int) -> Candidate:
@@ -242,6 +301,8 @@ class Candidate:
             jacobians=tuple(np.hstack((a, b)) for a, b in zip(self.jacobians, other.jacobians, strict=True)),
             origin=self.origin,
             share=max(self.share, other.share),
+            of_bodies=np.concatenate((self.of_bodies, other.of_bodies)),
+            worlds=self.worlds,
         )
 
 
@@ -351,7 +412,7 @@ class Problem:
         Where the noise is not known, residuals are scaled by what the model leaves. A prior that is weak beside that is
         strong beside a better model.
         """
-        self._prior = np.full(self._nominal.size, noise / PRIOR**2)
+        self._prior = noise / np.square(self.candidate.prior)
         self.total = self.information.sum(axis=0) + np.diag(self._prior)
         self._total_score = self.scores.sum(axis=0) + self._nominal * self._prior
 
@@ -368,7 +429,18 @@ class Problem:
             information = information - self.information[chosen].sum(axis=0)
             score = score - self.scores[chosen].sum(axis=0)
         lower, upper = np.clip(self._lower, -within, within), np.clip(self._upper, -within, within)
-        return bounded(information, score, lower, np.maximum(upper, lower + ROOM))
+        upper = np.maximum(upper, lower + ROOM)
+        return self._with_bodies(bounded(information, score, lower, upper), information, score, lower, upper)
+
+    def _with_bodies(self, change: Array, information: Array, score: Array, lower: Array, upper: Array) -> Array:
+        """A change that leaves rigid bodies: as much of it as does, and the other parameters solved for beside."""
+        candidate = self.candidate
+        wanted = candidate.point + change * candidate.scale
+        found = candidate.with_bodies(wanted)
+        if found is wanted:
+            return change
+        ends, held = (found - candidate.point) / candidate.scale, candidate.of_bodies
+        return bounded(information, score, np.where(held, ends, lower), np.where(held, ends + ROOM, upper))
 
     def errors(self, change: Array) -> Array:
         """Mean square scaled error per cluster, ``(c,)`` [-], at a change from the point, ``(p,)`` or ``(c, p)``."""
@@ -397,7 +469,9 @@ class Problem:
         """:meth:`solve` without some clusters, for every such choice, ``(k, p)``; most ends lie within the bounds."""
         informations = np.array([self.total - self.information[chosen].sum(axis=0) for chosen in left_out])
         scores = np.array([self._total_score - self.scores[chosen].sum(axis=0) for chosen in left_out])
-        return bounded(informations, scores, self._lower, self._upper)
+        changes = bounded(informations, scores, self._lower, self._upper)
+        problems = zip(changes, informations, scores, strict=True)
+        return np.array([self._with_bodies(*problem, self._lower, self._upper) for problem in problems])
 
     @cached_property
     def held_out(self) -> Array:
@@ -415,12 +489,12 @@ class Problem:
         """Half widths of intervals in parameter scales, ``(p,)``.
 
         The prior pulls what the data do not determine to its nominal value; for parameters that vary as much as the
-        prior allows, S = PRIOR^2, the error of this has the covariance A^-1 P S P A^-1, with A all information and P
-        that of the prior.
+        prior allows, with the covariance S, the error of this has the covariance A^-1 P S P A^-1, with A all
+        information and P that of the prior.
         """
         inverse = np.linalg.inv(self.total)
         noise = null.covariance(self.candidate.jacobians, self.rest(change), inverse)
-        pulled = inverse @ ((PRIOR * self._prior[:, None]) ** 2 * inverse)
+        pulled = inverse @ (np.square(self.candidate.prior * self._prior)[:, None] * inverse)
         systematic = null.discrepancy(self.candidate.jacobians, inverse) + pulled
         return combined_half_width(
             np.sqrt(np.maximum(np.diag(noise), 0.0)),

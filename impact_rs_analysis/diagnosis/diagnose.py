@@ -197,9 +197,9 @@ def effects_for(source: Source, only: Sequence[str] | None = None, bounds: Bound
 
 def _estimates_of(model: Model, source: Source) -> Added:
     """Estimates of the effects of a model that a source knows."""
-    known = {item.name: item.parameters for item in model.effects if item.name in source.known_effects}
-    scalars = {name: source.known_effects[name].scalars(source.joints) for name in known}
-    return tuple((name, tuple(known[name][scalar.name].estimate for scalar in scalars[name])) for name in known)
+    effects, joints = source.known_effects, source.joints
+    known = [(item, effects[item.name].scalars(joints)) for item in model.effects if item.name in effects]
+    return tuple((item.name, tuple(item.vector(scalars).tolist())) for item, scalars in known)
 
 
 def findings_of(

@@ -217,7 +217,12 @@ class Fit:
 
     @cached_property
     def at_bound(self) -> NDArray[np.bool_]:
-        """Whether estimates lie at a bound other than their nominal value, ``(p,)``."""
+        """Whether estimates lie at a bound other than their nominal value, or at the edge of the bodies, ``(p,)``."""
+        return np.asarray(self.at_end | self.candidate.at_edge_of_bodies(self.estimate))
+
+    @property
+    def at_end(self) -> NDArray[np.bool_]:
+        """Whether estimates lie at an end of their ranges other than their nominal value, ``(p,)``."""
         low, high = self._at_ends
         return np.asarray(low | high)
 
@@ -232,9 +237,9 @@ class Fit:
     def at_end_of_range(self) -> NDArray[np.bool_]:
         """Whether estimates lie at a bound that is not one of physics, ``(p,)``."""
         candidate = self.candidate
-        wider = candidate.widened(self.at_bound, self.evidence.source)
+        wider = candidate.widened(self.at_end, self.evidence.source)
         if wider is None:
-            return np.zeros_like(self.at_bound)
+            return np.zeros_like(self.at_end)
         low, high = self._at_ends
         return np.asarray((low & (wider.lower < candidate.lower)) | (high & (wider.upper > candidate.upper)))
 
@@ -294,6 +299,7 @@ class Fit:
             for _ in range(DOUBLINGS):
                 steps = [side * reach[i] * inverse[:, i] / inverse[i, i] * candidate.scale for i in left]
                 points = [np.clip(self.estimate + step, candidate.lower, candidate.upper) for step in steps]
+                points = [candidate.with_bodies(point, self.estimate) for point in points]
                 rises = self._squares_at(points) - least
                 for number, (i, point) in enumerate(zip(left, points, strict=True)):
                     if rises[number] > CURVED * rise[i] and candidate.curved(i):
@@ -411,7 +417,8 @@ def _beyond_bounds(fit: Callable[[Candidate], Fit], start: Candidate) -> Fit:
     """A fit; where it ends at a bound that is not one of physics, it goes on with a wider range."""
     fitted = fit(start)
     for _ in range(WIDENINGS):
-        wider = fitted.candidate.widened(fitted.at_bound, fitted.evidence.source) if np.any(fitted.at_bound) else None
+        at = fitted.at_end
+        wider = fitted.candidate.widened(at, fitted.evidence.source) if np.any(at) else None
         if wider is None:
             break
         fitted = fit(wider)

@@ -15,7 +15,6 @@ import numpy as np
 
 from impact_rs_analysis.evidence.cluster import Added
 from impact_rs_analysis.evidence.measured_runs import Setup
-from impact_rs_sim.bullet_world import check_body
 from impact_rs_sim.errors import NotABody
 from impact_rs_sim.model import Model
 from impact_rs_sim.physics import Physics
@@ -69,8 +68,6 @@ def with_effects(model: Model, physics: Physics, added: Added) -> Physics:
     physics, known = model.apply(physics), model.known_effects
     for name, values in added:
         physics = known[name].apply_vector(physics, np.array(values))
-    for name, arm in physics.arms.items():
-        check_body(name, arm.end_effector)
     return physics
 
 

@@ -461,7 +461,9 @@ class Follower:
         for item in self._believed:
             part = candidate.part(item.name)
             for number in range(part.start, part.stop):
-                value = item.parameters[candidate.scalars[number].name]
+                value = item.parameters.get(candidate.scalars[number].name)
+                if value is None:  # nominal
+                    continue
                 point[number] = value.estimate
                 if value.ci95 is not None:
                     width = (value.ci95[1] - value.ci95[0]) / (2.0 * NORMAL_95)

@@ -22,7 +22,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from impact_rs_sim.errors import InputError
+from impact_rs_sim.effects.changed_bodies import check_bodies, differ
+from impact_rs_sim.errors import InputError, NotABody
 from impact_rs_sim.physics import ArmPhysics, Physics
 from impact_rs_sim.robot import Array, JointType
 
@@ -72,6 +73,8 @@ class Parameter:
         grid: Starting values of a shape parameter.
         far: Starting values for a second fit after a poor one, where the contact state changes on the way.
         hidden: Range of values in blind campaigns; None: some scales away from nominal.
+        prior: Standard deviation of what is known before the data, about nominal; None: next to nothing. A parameter
+            with a prior may be missing in a model: it is nominal then.
         joint: Joint of a scalar, counted from 0; None: the effect as a whole.
         arm: Arm that it belongs to; empty: all arms share it.
     """
@@ -90,6 +93,7 @@ class Parameter:
     grid: tuple[float, ...] = ()
     far: tuple[float, ...] = ()
     hidden: tuple[float, float] | None = None
+    prior: float | None = None
     joint: int | None = None
     arm: str = ""
 
@@ -146,6 +150,7 @@ class Parameter:
             grid=tuple(factor * value for value in self.grid),
             far=tuple(factor * value for value in self.far),
             hidden=None if self.hidden is None else (factor * self.hidden[0], factor * self.hidden[1]),
+            prior=None if self.prior is None else factor * self.prior,
         )
 
     @property
@@ -207,19 +212,27 @@ class Effect(ABC):
     def apply_vector(self, physics: Physics, vector: Array) -> Physics:
         """As :meth:`apply`, with all scalars in one vector ordered as :meth:`scalars`.
 
+        Of the last ones those with a prior may be missing: they are nominal.
+
         Raises:
             InputError: Wrong length or not finite; or one parameter per joint, and arms with unequal joint counts.
+            NotABody: No rigid body is left of a link, the object or a motor (:mod:`impact_rs_sim.bodies`).
         """
         spelled = self.spelled(self._joints(physics))
         count = sum(len(own) for _, own in spelled)
         vector = np.asarray(vector, dtype=float)
+        left_out = [scalar for _, own in spelled for scalar in own][vector.size :]
+        if vector.ndim == 1 and all(scalar.prior is not None for scalar in left_out):
+            vector = np.append(vector, [scalar.nominal for scalar in left_out])
         if vector.shape != (count,) or not np.isfinite(vector).all():
             raise InputError(f"effect {self.name!r} needs {count} finite numbers, got {vector.tolist()}")
         values, start = {}, 0
         for name, own in spelled:
             values[name] = vector[start : start + len(own)]
             start += len(own)
-        return self.apply(physics, values)
+        changed = self.apply(physics, values)
+        check_bodies(physics, changed, self.name)
+        return changed
 
     def nominal(self, joints: Joints) -> Array:
         """Values of all scalars at which the effect does nothing, ``(p,)``."""
@@ -242,6 +255,15 @@ class Effect(ABC):
         """Intersection of the bounds under several physics (at least one), ``(p,)`` each."""
         bounds = [self.bounds(physics) for physics in worlds]
         return np.max([low for low, _ in bounds], axis=0), np.min([high for _, high in bounds], axis=0)
+
+    def changes_bodies(self, physics: Physics) -> bool:
+        """Whether a step from nominal changes mass or inertia of a link, the end effector, a motor or the object."""
+        joints = self._joints(physics)
+        start = self.nominal(joints)
+        try:
+            return differ(physics, self.apply_vector(physics, start + self.steps(joints, start)))
+        except NotABody:
+            return True
 
     def with_parameters(self, change: Callable[[Parameter], Parameter]) -> Effect:
         """The effect with other ranges and steps of its parameters, which keep their names and units."""

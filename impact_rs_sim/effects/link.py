@@ -1,11 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
 """Effects on the inertia of the links.
 
-A point mass m at place p on the end effector of mass m_0, centre c_0:
+A payload of mass m with centre p and radius of gyration r on the end effector of mass m_0, centre c_0:
 
-    m' = m_0 + m,   m' c' = m_0 c_0 + m p,   I' = I_0 + m_0 S(c_0 - c') + m S(p - c'),   S(d) = |d|^2 1 - d d^T
+    m' = m_0 + m,   m' c' = m_0 c_0 + m p,   I' = I_0 + m_0 S(c_0 - c') + m (r^2 1 + S(p - c')),   S(d) = |d|^2 1 - d d^T
 
-m below zero takes mass away.
+m below zero takes mass away: no more than leaves a body, and from a place that a homogeneous ellipsoid with the inertia
+of last link and end effector reaches. r is the same about all axes: one number for the own inertia of the payload,
+which slow motions hardly show.
+
+A link whose moment about its joint axis z changes is stretched across z, by D = diag(s, s, 1) with s^2 = I'_zz / I_zz:
+its second moments of mass become D (tr(I)/2 1 - I) D, those of a body for any I'_zz > 0.
 
 Torque is linear in the inertial parameters of the links, and depends on combinations of them only. Of link i behind a
 joint that turns about its z, the mass, m z and the moment about y can be moved into link i-1 (Gautier and Khalil 1990,
@@ -16,40 +21,71 @@ centre as it is (:data:`LINK_MASS`), which stands for the same combinations with
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
+from impact_rs_sim.bodies import inertia_of, reaches, second_moments
 from impact_rs_sim.effects.base import ArmEffect, Parameter, Values, number, vector3
+from impact_rs_sim.errors import NotABody
 from impact_rs_sim.physics import ArmPhysics, Physics
 from impact_rs_sim.robot import Array, Link
+from impact_rs_sim.robot_model import mounted_inertia
 
-REMOVABLE = 0.9  # share of the mass on the flange that may be taken away
-REMOVABLE_MOMENT = 0.99  # the same of a link's moment of inertia about its centre, which may be that of a rod
+REMOVABLE_MOMENT = 0.99  # share of a link's moment of inertia about its axis, which may be that of a rod [-]
+LEAST_MASS = 1e-6  # kg; nearer 0 a mass that balances another one has its centre at infinity
 
 
 @dataclass(frozen=True)
 class PayloadEffect(ArmEffect):
-    """A point mass on the end effector, with its mass as first parameter."""
+    """A body on the end effector: mass, centre (3 parameters), and one parameter of its inertia."""
 
     def bounds(self, physics: Physics) -> tuple[Array, Array]:
-        """See :meth:`Effect.bounds`; only part of the mass on the flange is removable, none of a bare flange."""
+        """See :meth:`Effect.bounds`.
+
+        No more can be taken away than the last link weighs with its end effector, and nothing is longer than the tool
+        with the longest link of the arm that carries it. A range that a user gives for a length stays.
+        """
         lower, upper = super().bounds(physics)
-        lightest = min((arm.end_effector.mass for arm in physics.arms.values()), default=0.0)
-        lower[0] = max(lower[0], 0.0 - REMOVABLE * lightest)
+        for arm in physics.arms.values():
+            lower[0] = max(lower[0], -(arm.facts.links[-1].mass + arm.end_effector.mass))
+            reach = _reach(arm)
+            for number, parameter in enumerate(self.parameters[1:], start=1):
+                if not parameter.firm and reach > 0.0:
+                    lower[number], upper[number] = max(lower[number], -reach), min(upper[number], reach)
         return lower, upper
+
+
+def _reach(arm: ArmPhysics) -> float:
+    """Length of the tool and of the longest link [m]."""
+    places = [joint.xyz for joint in arm.facts.joints[1:]] + [arm.facts.flange.xyz]
+    return arm.end_effector.length + max(float(np.linalg.norm(place)) for place in places)
 
 
 def _payload(arm: ArmPhysics, values: Values) -> ArmPhysics:
     added, place = number(values, "mass"), vector3(values, ("com_x", "com_y", "com_z"))
     if added == 0.0:
         return arm
-    before = arm.end_effector
+    if added < 0.0:
+        _check_there(arm, added, place)
+    before, own = arm.end_effector, added * number(values, "gyration") ** 2 * np.eye(3)
     mass = before.mass + added
+    mass = mass if abs(mass) > LEAST_MASS else LEAST_MASS
     com = (before.mass * before.com + added * place) / mass
-    inertia = before.inertia + before.mass * _steiner(before.com - com) + added * _steiner(place - com)
+    inertia = before.inertia + before.mass * _steiner(before.com - com) + own + added * _steiner(place - com)
     return replace(arm, end_effector=replace(before, mass=mass, com=com, inertia=inertia))
+
+
+def _check_there(arm: ArmPhysics, added: float, place: Array) -> None:
+    """Refuse to take mass away from where neither last link nor end effector has any."""
+    body = mounted_inertia(arm.facts, arm.end_effector)
+    if body.mass > 0.0 and not reaches(body.mass, body.lever, body.inertia, place):
+        raise NotABody(
+            f"a payload of {added:.3g} kg with its centre at {np.round(place, 4).tolist()} m takes away mass that is not "
+            f"there: last link and end effector are {body.mass:.3g} kg about {np.round(body.lever, 4).tolist()} m"
+        )
 
 
 def _steiner(offset: Array) -> Array:
@@ -71,6 +107,17 @@ END_EFFECTOR_PAYLOAD = PayloadEffect(
         _place("x", 0.0, (-0.04, 0.04)),
         _place("y", 0.0, (-0.04, 0.04)),
         _place("z", -0.04, (-0.1, 0.02)),
+        Parameter(
+            "gyration",
+            "m",
+            0.0,
+            0.0,
+            0.1,
+            0.02,
+            "radius of gyration of the added mass about its centre",
+            shape=True,
+            prior=0.05,  # of a gripper; that of the Franka hand is 0.034 to 0.058 m
+        ),
     ),
     law=_payload,
 )
@@ -106,8 +153,20 @@ def _link_com(arm: ArmPhysics, values: Values) -> ArmPhysics:
 def _link_inertia(arm: ArmPhysics, values: Values) -> ArmPhysics:
     pairs = zip(arm.facts.links, values["inertia"].tolist(), strict=True)
     return _with_links(
-        arm, [link.model_copy(update={"inertia": (*link.inertia[:5], link.inertia[5] + more)}) for link, more in pairs]
+        arm, [link if more == 0.0 else link.model_copy(update={"inertia": _stretched(link, more)}) for link, more in pairs]
     )
+
+
+def _stretched(link: Link, more: float) -> tuple[float, ...]:
+    """Moments of a link with ``more`` [kg m^2] about its axis; of one that has none there, alike along x and y."""
+    moments, about_axis = second_moments(link.inertia_matrix), link.inertia[5]
+    if about_axis > 0.0:
+        across = math.sqrt(max(1.0 + more / about_axis, 0.0))
+        moments = moments * np.outer((across, across, 1.0), (across, across, 1.0))
+    else:
+        moments = moments + np.diag((more / 2.0, more / 2.0, 0.0))
+    (ixx, ixy, ixz), (_, iyy, iyz), (_, _, izz) = inertia_of(moments).tolist()
+    return ixx, ixy, ixz, iyy, iyz, izz
 
 
 @dataclass(frozen=True)

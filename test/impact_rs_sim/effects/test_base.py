@@ -29,7 +29,7 @@ def test_a_parameter_per_joint_has_a_scalar_for_every_joint():
 
 
 def test_shape_parameters_do_nothing_while_the_effect_is_off(physics):
-    assert [scalar.name for scalar in PAYLOAD.scalars(7) if scalar.shape] == ["com_x", "com_y", "com_z"]
+    assert [scalar.name for scalar in PAYLOAD.scalars(7) if scalar.shape] == ["com_x", "com_y", "com_z", "gyration"]
     assert PAYLOAD.complexity(7) == 1
     assert library()["torque_offset"].complexity(7) == 7
     for effect in library().values():
@@ -37,7 +37,9 @@ def test_shape_parameters_do_nothing_while_the_effect_is_off(physics):
         for index, scalar in enumerate(effect.scalars(7)):
             if scalar.shape:
                 off[index] += scalar.difference
-                assert scalar.hidden is not None and scalar.lower <= scalar.hidden[0] < scalar.hidden[1] <= scalar.upper
+                assert (scalar.hidden is None) == (scalar.prior is not None)  # then nothing is hidden of it
+                if scalar.hidden is not None:
+                    assert scalar.lower <= scalar.hidden[0] < scalar.hidden[1] <= scalar.upper
                 assert all(scalar.lower <= value <= scalar.upper for value in scalar.grid)
         same = effect.apply_vector(physics, off)
         if any(scalar.shape for scalar in effect.scalars(7)):

@@ -54,14 +54,16 @@ def test_what_all_arms_share_is_the_same_for_each(physics: Physics) -> None:
 
 
 def test_bounds_are_those_of_the_arm(physics: Physics) -> None:
-    """Nine tenths of what is on a flange may go; a light end effector says nothing of the other."""
+    """What the last link weighs with its end effector may go; a light one says nothing of the other arm."""
     left = physics.arms["left"]
-    light = replace(left, end_effector=replace(left.end_effector, mass=0.2))
+    *others, last = left.facts.links
+    facts = left.facts.model_copy(update={"links": (*others, last.model_copy(update={"mass": 0.1}))})
+    light = replace(left, facts=facts, end_effector=replace(left.end_effector, mass=0.2))
     lower, upper = each("end_effector_payload").bounds(replace(physics, arms={**physics.arms, "left": light}))
-    assert (lower[0], lower[4]) == pytest.approx((-0.18, -0.5))
-    assert upper.shape == (8,)
+    assert (lower[0], lower[5]) == pytest.approx((-0.3, -0.5))
+    assert upper.shape == (10,)
     lower, _ = each("end_effector_payload").bounds(replace(physics, arms={"left": light}))
-    assert (lower[0], lower[4]) == pytest.approx((-0.18, -0.5))
+    assert (lower[0], lower[5]) == pytest.approx((-0.3, -0.5))
 
 
 def test_an_arm_without_parameters_is_told(physics: Physics) -> None:

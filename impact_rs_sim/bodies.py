@@ -1,0 +1,54 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Which inertial parameters a rigid body can have.
+
+A mass density that is nowhere negative gives a body of mass m, centre c and inertia I about c the pseudo-inertia
+(Wensing, Kim and Slotine 2018, IEEE RA-L 3(1), eq. 8)
+
+    P = [[S + m c c^T, m c], [m c^T, m]],    S = tr(I)/2 1 - I    (second moments of mass about c)
+
+which is positive definite. By Schur's complement that is m > 0 and S positive definite, wherever c lies. Thin rods and
+point masses, whose S is singular, are limits of such bodies and are allowed.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from impact_rs_sim.robot import Array
+
+ROUNDING = 1e-9  # of the trace of S, by which an eigenvalue may lie below 0 [-]; bodies are sums of 10 terms of 1e-16
+
+
+def second_moments(inertia: Array) -> Array:
+    """Second moments of mass S about the centre for an inertia about it, ``(3, 3)`` each [kg m^2]."""
+    return np.asarray(0.5 * np.trace(inertia) * np.eye(3) - inertia)
+
+
+def inertia_of(moments: Array) -> Array:
+    """Inertia I = tr(S) 1 - S of second moments of mass S, ``(3, 3)`` [kg m^2]."""
+    return np.asarray(np.trace(moments) * np.eye(3) - moments)
+
+
+def is_body(mass: float, inertia: Array) -> bool:
+    """Whether a rigid body can have this mass [kg] and inertia about its centre of mass, ``(3, 3)`` [kg m^2]."""
+    moments = second_moments(inertia)
+    return mass > 0.0 and bool(np.linalg.eigvalsh(moments)[0] >= -ROUNDING * abs(float(np.trace(moments))))
+
+
+def reaches(mass: float, com: Array, inertia: Array, place: Array) -> bool:
+    """Whether a homogeneous ellipsoid with these inertial parameters reaches a place.
+
+    With semi-axes a_i along its principal axes it has the second moments m a_i^2 / 5, so d = place - com lies in it where
+    d^T S^-1 d <= 5 / m.
+
+    Args:
+        mass: m [kg].
+        com: Centre of mass, ``(3,)`` [m].
+        inertia: About the centre of mass, ``(3, 3)`` [kg m^2].
+        place: In the same axes, ``(3,)`` [m].
+    """
+    moments, axes = np.linalg.eigh(second_moments(inertia))
+    along = axes.T @ (place - com)
+    semi = np.sqrt(5.0 * np.maximum(moments, 0.0) / mass)
+    within = np.abs(along) <= semi  # an axis without extent has no quotient
+    return bool(np.all(within)) and float(np.sum(np.square(along[semi > 0.0] / semi[semi > 0.0]))) <= 1.0
