@@ -174,6 +174,22 @@ def parts_of(candidate: SignalCandidate, count: int) -> list[SignalCandidate]:
     return found
 
 
+def in_order(candidate: SignalCandidate, order: Sequence[int]) -> SignalCandidate:
+    """The same numbers with the joints in another order.
+
+    Args:
+        candidate: Signal of joints without names.
+        order: Which of its numbers, from 0, belongs to each joint, base to tip.
+    """
+    source = dict(candidate.source)
+    if "{joint}" in source.get("column", ""):
+        pattern = source.pop("column")
+        source["columns"] = [pattern.replace("{joint}", str(number + 1)) for number in range(len(order))]
+    key = "columns" if "columns" in source else "entries"
+    whole = source.get(key, range(1, len(order) + 1))
+    return replace(candidate, source={**source, key: [whole[number] for number in order]})
+
+
 def width_of(shape: tuple[int, ...]) -> int:
     """How many numbers a sample of an array has, samples x numbers or the other way round, as in MATLAB; 0: none."""
     if len(shape) != 2:

@@ -296,8 +296,7 @@ def torque_of(
     needed = np.array([model.inverse_dynamics(q[row], dq[row], ddq[row]) for row in rows])
     tau = tau[rows]
     ratio, together = _ratios(needed, tau)
-    size = Proportion.of_robots([model.facts], np.asarray(model.pinocchio.gravity.linear)).factor("N m")
-    heavy = np.sqrt(np.mean(np.square(needed), axis=0)) > NOTICED * size
+    heavy = takes_torque(needed, model)
     shown = heavy & (np.abs(together) > TOGETHER)
     clear = bool(np.any(shown))
     shown = shown if clear else heavy & (np.abs(together) > HARDLY)
@@ -326,6 +325,12 @@ def torque_of(
     said += ": no unit of torque; taken for motor currents, with the constants that the weight shows"
     written = [float(f"{constant:.3g}") for constant in constants]
     return sure, Guess("A", said, False, {**further, "torque_constant": written})
+
+
+def takes_torque(needed: Array, model: RobotModel) -> NDArray[np.bool_]:
+    """Which joints a motion drives noticeably, by the torque ``(k, n)`` [N m] that it takes; ``(n,)``."""
+    size = Proportion.of_robots([model.facts], np.asarray(model.pinocchio.gravity.linear)).factor("N m")
+    return np.asarray(np.sqrt(np.mean(np.square(needed), axis=0)) > NOTICED * size)
 
 
 def pose_of(raw: Array) -> Guess | None:

@@ -29,9 +29,11 @@ from impact_rs_sim.scenario import load_scenario
 from impact_rs_sim.schema import validate
 from impact_rs_trials.recordings.array_file import ArrayFile
 from impact_rs_trials.recordings.candidates import (
+    PART_OF_ARM,
     SignalCandidate,
     candidates_of,
     guess_of,
+    in_order,
     joints_of,
     parts_of,
     single_candidates,
@@ -41,12 +43,14 @@ from impact_rs_trials.recordings.candidates import (
 from impact_rs_trials.recordings.clock_offset import OBJECT_SIGNALS
 from impact_rs_trials.recordings.file_groups import OBJECT, RUN_TABLE, FileGroups, group_files, recordings_in
 from impact_rs_trials.recordings.guesses import (
+    OUTLIERS,
     Guess,
     clock_of,
     copy_of_motion,
     other_units,
     pose_of,
     quaternion_order,
+    takes_torque,
     times_derivative,
     torque_of,
     unit_of_length,
@@ -66,6 +70,7 @@ from impact_rs_trials.recordings.import_texts import ARM, BODY, FoundRun, Line, 
 from impact_rs_trials.recordings.inner_runs import RUN, run_column_of, run_groups_of, runs_of
 from impact_rs_trials.recordings.mapping import (
     NO_ROBOT,
+    TURNS,
     UNITS,
     Mapping,
     MountedEndEffector,
@@ -86,6 +91,13 @@ from impact_rs_trials.recordings.sources import (
 )
 from impact_rs_trials.recordings.table_columns import read_columns, read_rows
 from impact_rs_trials.recordings.table_layout import find_layout
+from impact_rs_trials.recordings.torque_readings import (
+    WHOLE_TORQUE,
+    MotionTorque,
+    is_computed,
+    lacks_weight,
+    order_of_joints,
+)
 from impact_rs_trials.recordings.transforms import are_transforms
 
 MOST_SHOWN = 3  # signals of a kind in a message
@@ -283,21 +295,78 @@ def _best_of_parts(motions: Sequence[_Motion]) -> list[_Motion]:
     return list(parts.values())
 
 
-def _torques(motion: _Motion, every: Sequence[_Found], model: RobotModel) -> list[tuple[float, _Found, Guess]]:
-    """Signals that go with the torque of a motion, or those whose names say so; how surely, and as what."""
+@dataclass(frozen=True)
+class _Torque:
+    """A signal that may be the torque of a motion, or motor currents.
+
+    Attributes:
+        score: How surely, with what its name is worth.
+        signal: Where it is.
+        guess: Its unit and signs.
+        computed: Whether it holds no friction of gears, so that nobody measured it.
+    """
+
+    score: float
+    signal: _Found
+    guess: Guess
+    computed: bool = False
+
+    @property
+    def rank(self) -> tuple[bool, float]:
+        """By which the best is chosen: a measurement before what was computed."""
+        return not self.computed, self.score
+
+
+def _torques(motion: _Motion, every: Sequence[_Found], model: RobotModel) -> tuple[list[_Torque], dict[str, str]]:
+    """Signals that go with the torque of a motion, or those whose names say so; and why others do not, by label."""
     time, q, dq = motion.position.series.time, motion.places, motion.speeds
     free = [one for one, copied in _beside(motion, every) if copied is None]
-    found = []
+    found, refused = [], {}
     cut = motion.position.is_cut  # of another robot, perhaps, for which the torque must speak
     for one in free:
         if one.candidate.guess in ("torque", "command", ""):
-            guess = torque_of(time, q, dq, one.series.at(time), model, one.candidate.label)
+            raw = one.series.at(time)
+            if (why := _lacks_weight(time, q, dq, raw, model)) is not None:
+                refused[one.label] = why
+                continue
+            guess = torque_of(time, q, dq, raw, model, one.candidate.label)
             if guess is not None and (guess[1].sure or not cut):
-                found.append((guess[0] + one.named("torque"), one, guess[1]))
-    if cut:
-        return found
-    said = Guess("N m", "nothing but its name: the motion takes too little torque to show it", False)
-    return found or [(0.0, one, said) for one in free if one.named("torque") > 0.0]
+                computed = _is_computed(MotionTorque.of(time, q, dq, raw, model), guess[1])
+                found.append(_Torque(guess[0] + one.named("torque"), one, guess[1], computed))
+    if not found and not cut:
+        named = [one for one in free if one.named("torque") > 0.0 and one.label not in refused]
+        found = [_Torque(0.0, one, _by_name(MotionTorque.of(time, q, dq, one.series.at(time), model))) for one in named]
+    return found, refused
+
+
+@OUTLIERS
+def _lacks_weight(time: Array, q: Array, dq: Array, raw: Array, model: RobotModel) -> str | None:
+    """What shows that a signal in N m or mN m is a torque without the arm's weight; None: nothing does."""
+    for unit in ("N m", "mN m"):
+        why = lacks_weight(MotionTorque.of(time, q, dq, TURNS["torque"][unit] * raw, model))
+        if why is not None:
+            return why
+    return None
+
+
+@OUTLIERS
+def _is_computed(seen: MotionTorque, guess: Guess) -> bool:
+    """Whether a torque at motors was computed; torque sensors behind the gears see no friction of theirs."""
+    at_motor = "torque_constant" in guess.further or not seen.model.facts.joint_torque_loop
+    return at_motor and is_computed(seen)
+
+
+def _by_name(seen: MotionTorque) -> Guess:
+    """A torque that only its name shows."""
+    said = "the motion takes too little torque to show it"
+    if np.any(takes_torque(seen.whole, seen.model)):
+        most, left = np.sqrt(np.mean(np.square(seen.whole), axis=0)), np.sqrt(seen.left(seen.whole) / len(seen.whole))
+        joint = int(np.argmax(most))
+        said = (
+            f"weight and inertia of the arm take {most[joint]:.3g} N m rms in joint {joint + 1}, from which the signal "
+            f"is {left[joint]:.3g} N m away: another robot, other joints or another quantity?"
+        )
+    return Guess("N m", f"nothing but its name: {said}", False)
 
 
 def _beside(motion: _Motion, every: Sequence[_Found]) -> Iterator[tuple[_Found, str | None]]:
@@ -331,6 +400,7 @@ class _Importer:
         self._lines: list[Line] = []
         self._remarks: list[str] = []
         self._refused: dict[str, str] = {}
+        self._order_shown = "columns hold the joints from base to tip"
         self._parts = [self._part(pattern, next(iter(files.values()))) for pattern, files in groups.kinds.items()]
 
     def draft(self) -> ImportDraft:
@@ -444,9 +514,11 @@ class _Importer:
             file=self._parts[0].path,
         )
 
-    def _joint_signals(self, robot: str, facts: RobotFacts) -> tuple[_Part, dict[str, Any], dict[str, dict[str, Any]]]:
+    def _joint_signals(
+        self, robot: str, facts: RobotFacts, reordered: bool = False
+    ) -> tuple[_Part, dict[str, Any], dict[str, dict[str, Any]]]:
         """Part of the positions, keys of the mapping beside its signals, and the signals."""
-        for part in self._parts:
+        for part in () if reordered else self._parts:
             self._read(part, robot, facts.joint_count)
             self._settle_clock(part, facts)
         every = [_Found(part, number) for part in self._parts for number in part.series]
@@ -467,10 +539,16 @@ class _Importer:
             raise self._nothing(every, robot, facts.joint_count)
         motions = _best_of_parts(motions) if moving else motions
         model = RobotModel(facts, MountedEndEffector().build(), pin.SE3.Identity())
-        tried = [(motion, _torques(motion, every, model)) for motion in motions]
-        motion, torques = max(
-            tried, key=lambda one: one[0].score + max((score for score, *_ in one[1]), default=-np.inf)
+        tried = [(motion, *_torques(motion, every, model)) for motion in motions]
+        motion, torques, lacking = max(
+            tried, key=lambda one: one[0].score + max((torque.score for torque in one[1]), default=-np.inf)
         )
+        if not reordered and (order := self._order(motion, torques, model)) is not None:
+            self._reorder(order)
+            return self._joint_signals(robot, facts, reordered=True)
+        if not torques and lacking:
+            label, why = next(iter(lacking.items()))
+            raise InputError(f"{label} {why}. {WHOLE_TORQUE}", file=motion.position.part.path, key="signals.torque")
         if not torques:
             copies = [f"{one.label} {copied}" for one, copied in _beside(motion, every) if copied is not None]
             repeated = f" ({'; '.join(copies)})" if copies else ""
@@ -495,7 +573,8 @@ class _Importer:
         part.on_log = not motion.position.candidate.stamped
         own = {"joints": list(self._joints(part, motion.position.number, facts.joint_count))}
         own |= self._torque(torques, facts, robot, signals, part)
-        _, torque, unit = max(torques, key=lambda one: one[0])
+        best = max(torques, key=lambda one: one.rank)
+        torque, unit = best.signal, best.guess
         asked = [
             (one, copied)
             for one, copied in _beside(motion, every)
@@ -509,6 +588,27 @@ class _Importer:
         elif torques_asked:
             own |= self._command(motion, torques_asked, (torque, unit), model, signals, part)
         return part, own, signals
+
+    def _order(self, motion: _Motion, torques: Sequence[_Torque], model: RobotModel) -> tuple[int, ...] | None:
+        """Order in which columns without names go with the torque of the arm; None: as they stand."""
+        one = motion.position
+        if one.is_cut or one.candidate.joints or PART_OF_ARM.search(one.candidate.label):
+            return None
+        time, q, dq = one.series.time, motion.places, motion.speeds
+        for torque in sorted(torques, key=lambda one: one.rank, reverse=True)[:MOST_SHOWN]:
+            unit = 1.0 if torque.guess.value == "A" else _si(torque.guess, "torque")  # no unit fits in a wrong order
+            seen = MotionTorque.of(time, q, dq, unit * torque.signal.series.at(time), model)
+            if (found := order_of_joints(seen)) is not None:
+                order, self._order_shown = found
+                return order
+        return None
+
+    def _reorder(self, order: tuple[int, ...]) -> None:
+        """Put all signals of the joints into another order."""
+        for part in self._parts:
+            for number, series in part.series.items():
+                part.candidates[number] = in_order(part.candidates[number], order)
+                part.series[number] = replace(series, values=series.values[:, list(order)])
 
     def _refuse_several(self, part: _Part, what: str, whose: str) -> None:
         """Files that differ in a word are of objects that a robot hits, and of nothing else."""
@@ -556,19 +656,36 @@ class _Importer:
                     )
 
     def _torque(
-        self, found: list[tuple[float, _Found, Guess]], facts: RobotFacts, robot: str,
+        self, found: list[_Torque], facts: RobotFacts, robot: str,
         signals: dict[str, dict[str, Any]], part: _Part,
     ) -> dict[str, Any]:  # fmt: skip
         """The torque of the joints, which is added to the signals; keys of the mapping that go with it."""
-        _, chosen, best = max(found, key=lambda one: one[0])
-        free = [other for _, other, _ in found if not other.overlaps(chosen)]
-        others = [other.label for other in free if not (part.is_bag and other.candidate.guess == "command")]
+        best = max(found, key=lambda one: one.rank)
+        chosen, guess = best.signal, best.guess
+        free = [
+            other
+            for other in found
+            if not other.signal.overlaps(chosen) and not (part.is_bag and other.signal.candidate.guess == "command")
+        ]
+        computed = (
+            "follows the model of the arm without any friction of its gears: a controller or a simulation computed it"
+        )
+        self._remarks += [
+            f"{other.signal.label} is left out: it {computed}" for other in free if other.computed and not best.computed
+        ]
+        if best.computed:
+            guess = replace(guess, sure=False)
+            self._remarks.append(
+                f"{chosen.label} {computed}, so nothing that the model lacks, as a load, can show in it. Take the "
+                "measured torque or the motor currents"
+            )
+        others = [other.signal.label for other in free if other.computed == best.computed]
         if others:
-            said = f"{best.evidence}; so do {'; '.join(others)}: take the one that was measured"
-            best = replace(best, evidence=said, sure=False)
-        constant = best.further.get("torque_constant")
-        further = {key: value for key, value in best.further.items() if key != "torque_constant"}
-        signals["torque"] = self._joint_signal(chosen, "torque", replace(best, further=further), part)
+            said = f"{guess.evidence}; so do {'; '.join(others)}: take the one that was measured"
+            guess = replace(guess, evidence=said, sure=False)
+        constant = guess.further.get("torque_constant")
+        further = {key: value for key, value in guess.further.items() if key != "torque_constant"}
+        signals["torque"] = self._joint_signal(chosen, "torque", replace(guess, further=further), part)
         at_motor = constant is not None or not facts.joint_torque_loop
         said = "currents are those of motors" if constant is not None else f"joint_torque_loop of {robot} is "
         said += "" if constant is not None else str(facts.joint_torque_loop).lower()
@@ -624,7 +741,7 @@ class _Importer:
         if one.joints:
             self._say("joints", flow(list(joints)), "the recording names them")
         else:
-            self._say("joints", flow(list(joints)), "columns hold the joints from base to tip", sure=False)
+            self._say("joints", flow(list(joints)), self._order_shown, sure=False)
         return joints
 
     def _read(self, part: _Part, robot: str, count: int) -> None:

@@ -21,7 +21,7 @@ from impact_rs_trials.recordings.clock import check_stamps, gaps, tell_gaps
 from impact_rs_trials.recordings.clock_offset import on_one_clock
 from impact_rs_trials.recordings.faults import EXCESS, FEW, MARGIN, without_faults
 from impact_rs_trials.recordings.joint_checks import doubts_of_arm
-from impact_rs_trials.recordings.mapping import JOINT_SIGNALS, REQUIRED, Mapping, SignalName
+from impact_rs_trials.recordings.mapping import CURRENTS, JOINT_SIGNALS, REQUIRED, Mapping, SignalName
 from impact_rs_trials.recordings.series import Series
 from impact_rs_trials.recordings.sources import (
     BAG_SUFFIXES,
@@ -33,6 +33,7 @@ from impact_rs_trials.recordings.sources import (
     runs_inside,
     spread_runs,
 )
+from impact_rs_trials.recordings.torque_readings import check_holds_weight
 from impact_rs_trials.runs import ArmSignals, Run, Signals
 
 logger = logging.getLogger(__name__)
@@ -175,6 +176,8 @@ def _pieces(path: Path, mapping: Mapping) -> list[Run]:
         command_time = {"command_time": time[rows]} if "command" in signals else {}
         arm = ArmSignals(**signals, **command_time)
         check_arm(path, time[rows], arm, mapping)
+        if mapping.signals["torque"].units[0] not in CURRENTS:
+            check_holds_weight(path, time[rows], arm, model)
         remarks += [doubt for doubt in doubts_of_arm(time[rows], arm, mapping, model) if doubt not in remarks]
         found.append(
             Run(

@@ -1,0 +1,232 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Readings of a torque signal, compared by their likelihood.
+
+A signal may be the torque that drives the joints, that torque without the arm's weight (which many controllers add on
+their own), or neither; its columns may stand in another order; and it may be computed by a controller instead of
+measured. Every reading predicts each joint's signal by
+
+    tau_j = a_j x_j + c_j tanh(dq_j / v) + d_j dq_j + noise,    1/2 <= abs(a_j) <= 2
+
+with x = M ddq + h, M ddq + C dq or 0: friction is fitted, and the factor leaves room for a load or a rough model. The
+log likelihood, with k independent samples and the residuals r of the best fit, is
+
+    -k/2 sum_j log sum r_j^2                                                                     (noise marginalised)
+
+A torque measured at a motor drives the friction of its gear. One without any was computed: with a dry friction
+c_j ~ N(0, s_j^2) as gears have and its estimate c_j +- e_j, the log Bayes factor of none against some is
+
+    sum_j  log(1 + s_j^2 / e_j^2) / 2 - c_j^2 s_j^2 / (2 e_j^2 (s_j^2 + e_j^2))
+"""
+
+from __future__ import annotations
+
+import functools
+import itertools
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from impact_rs_sim.errors import InputError
+from impact_rs_sim.robot import Array
+from impact_rs_sim.robot_model import RobotModel
+from impact_rs_trials.recordings.guesses import smoothed
+from impact_rs_trials.recordings.plausibility import noticed
+from impact_rs_trials.runs import ArmSignals
+
+FACTOR = (0.5, 2.0)  # of the torque that a motion takes: rough models and loads; a wrong unit differs by more
+WHOLE_TORQUE = (
+    "Its controller adds the weight by itself: take the measured torque or the motor currents, or add the weight that "
+    "the controller adds"
+)
+SLOW = 0.02  # rad/s, below which dry friction is not full
+LOOKED_AT = 300  # samples in which readings are compared
+SEARCHED = 30  # samples in which all orders of the joints are compared
+MOST_ORDERED = 7  # joints whose orders are searched: 7! = 5040
+CLEAR = 30.0  # log likelihood by which a reading must be the better one; models are wrong by more than noise is
+DRY = 0.03  # dry friction of geared joints over their largest torque; data sheets and identifications give 1 to 10 %
+FAINT = 1e-3  # of the largest torque: a tenth of the least of them, which differences of a motion may leave by chance
+DECISIVE = float(np.log(100.0))  # log Bayes factor (Jeffreys 1961)
+SHARE = 0.5  # of what is left over, rms, below which another reading explains more of the torque as well
+LITTLE = 0.3  # of the torque, rms: friction, a load and a rough model leave about as much
+SIGNALS = ("position", "velocity", "acceleration", "recorded")
+
+
+@dataclass(frozen=True)
+class MotionTorque:
+    """Torque that a motion takes, at some of its samples, beside the one that was recorded; ``(k, n)`` each.
+
+    Attributes:
+        position: q [rad].
+        velocity: dq [rad/s].
+        acceleration: ddq [rad/s^2].
+        recorded: Torque signal [N m].
+        model: Nominal arm.
+        independent: How many of the samples count as independent, for moving averages overlap [-].
+    """
+
+    position: Array
+    velocity: Array
+    acceleration: Array
+    recorded: Array
+    model: RobotModel
+    independent: float
+
+    @functools.cached_property
+    def whole(self) -> Array:
+        """M ddq + h, ``(k, n)`` [N m]."""
+        states = zip(self.position, self.velocity, self.acceleration, strict=True)
+        return np.array([self.model.inverse_dynamics(*state) for state in states])
+
+    @functools.cached_property
+    def weight(self) -> Array:
+        """g, ``(k, n)`` [N m]."""
+        return np.array([self.model.gravity_torque(q) for q in self.position])
+
+    @staticmethod
+    def of(
+        time: Array, position: Array, velocity: Array, torque: Array, model: RobotModel, samples: int = LOOKED_AT
+    ) -> MotionTorque:
+        """Of signals on the same stamps, after moving averages.
+
+        Args:
+            time: Stamps, ``(k,)`` [s].
+            position: q, ``(k, n)`` [rad].
+            velocity: dq, ``(k, n)`` [rad/s].
+            torque: Torque signal, ``(k, n)`` [N m].
+            model: Nominal arm.
+            samples: How many are looked at.
+        """
+        at, q = smoothed(time, position)
+        dq, tau = smoothed(time, velocity)[1], smoothed(time, torque)[1]
+        ddq = np.gradient(dq, at, axis=0)
+        rows = np.unique(np.linspace(0, at.size - 1, samples).astype(int))
+        independent = min(float(rows.size), time.size / max(1, time.size - at.size + 1))
+        return MotionTorque(q[rows], dq[rows], ddq[rows], tau[rows], model, independent)
+
+    def left(self, reading: Array) -> Array:
+        """Sum of squares of what a reading ``(k, n)`` leaves of the recorded torque, ``(n,)`` [N^2 m^2]."""
+        friction = np.linalg.qr(np.stack((np.tanh(self.velocity / SLOW), self.velocity), axis=-1).swapaxes(0, 1))[0]
+        x, tau = (
+            signal - np.einsum("jkf,jf->kj", friction, np.einsum("jkf,kj->jf", friction, signal))
+            for signal in (reading, self.recorded)
+        )
+        power = np.sum(np.square(x), axis=0)
+        best = np.sum(x * tau, axis=0) / np.where(power > 0.0, power, 1.0)
+        factor = np.where(best < 0.0, -1.0, 1.0) * np.clip(np.abs(best), *FACTOR)
+        left = np.sum(np.square(tau - factor * x), axis=0)
+        return np.asarray(np.where(np.ptp(self.recorded, axis=0) > 0.0, left, 0.0))  # 0: nothing was measured
+
+    def likelihood(self, reading: Array) -> float:
+        """Log likelihood of a reading ``(k, n)``, up to a constant of the signal."""
+        size, live = np.sum(np.square(self.recorded), axis=0), np.ptp(self.recorded, axis=0) > 0.0
+        return -0.5 * self.independent * float(np.sum(np.log(self.left(reading)[live] / size[live] + 1e-12)))
+
+    def ordered(self, order: tuple[int, ...], rows: slice = slice(None)) -> MotionTorque:
+        """The same samples, or some, with the joints in another order."""
+        return replace(self, **{name: getattr(self, name)[rows, list(order)] for name in SIGNALS})
+
+
+def lacks_weight(seen: MotionTorque) -> str | None:
+    """What shows that a torque signal holds the torque of inertia without the arm's weight; None: nothing does.
+
+    Args:
+        seen: Signal and motion.
+    """
+    weight = float(np.sqrt(np.mean(np.square(seen.weight)) * seen.weight.shape[1]))
+    if weight < noticed(seen.model):
+        return None
+    alone = seen.whole - seen.weight
+    without, whole, neither = (seen.likelihood(one) for one in (alone, seen.whole, np.zeros_like(alone)))
+    left_without, left = (_rms(seen.left(one), seen) for one in (alone, seen.whole))
+    if without < max(whole, neither) + CLEAR or left_without > SHARE * left:
+        return None
+    most = float(np.max(np.abs(seen.weight)))
+    return (
+        f"holds the torque of inertia without the arm's weight, of which this motion takes up to {most:.3g} N m: it is "
+        f"{left_without:.3g} N m rms away from that torque, {left:.3g} N m from the whole one (log likelihood "
+        f"{without - whole:+.0f})"
+    )
+
+
+def check_holds_weight(path: Path, time: Array, arm: ArmSignals, model: RobotModel) -> None:
+    """A recorded torque holds the arm's weight.
+
+    Args:
+        path: Recording, for messages.
+        time: Stamps, ``(k,)`` [s].
+        arm: Recorded signals of free motion.
+        model: Nominal arm.
+
+    Raises:
+        InputError: It holds the torque of inertia alone.
+    """
+    why = lacks_weight(MotionTorque.of(time, arm.position, arm.velocity, arm.torque, model))
+    if why is not None:
+        raise InputError(f"torque {why}. {WHOLE_TORQUE}", file=path, key="signals.torque of the mapping")
+
+
+def is_computed(seen: MotionTorque) -> bool:
+    """Whether a torque at the motors holds no dry friction, so that a controller or a simulation computed it.
+
+    Args:
+        seen: Signal and motion; the signal may be a current.
+    """
+    factor = 0.0
+    for joint, most in enumerate(seen.model.torque_max):
+        speed = seen.velocity[:, joint]
+        basis = np.column_stack((seen.whole[:, joint], np.tanh(speed / SLOW)))
+        if np.sqrt(np.mean(np.square(speed))) < SLOW or not np.any(seen.recorded[:, joint]):
+            continue
+        fit = np.linalg.lstsq(basis, seen.recorded[:, joint], rcond=None)[0]
+        noise = float(np.mean(np.square(seen.recorded[:, joint] - basis @ fit)))
+        inverse = np.linalg.pinv(basis.T @ basis / len(basis) * seen.independent)
+        scale = most * abs(float(fit[0])) + 1e-12  # of a current: that of the motor
+        error = float(np.hypot(np.sqrt(noise * inverse[1, 1]), FAINT * scale))
+        ratio = (DRY * scale / error) ** 2
+        factor += 0.5 * np.log1p(ratio) - 0.5 * (float(fit[1]) / error) ** 2 * ratio / (1.0 + ratio)
+    return factor > DECISIVE
+
+
+def order_of_joints(seen: MotionTorque) -> tuple[tuple[int, ...], str] | None:
+    """Order of columns in which they are the joints from base to tip, by the torque of the arm, and what shows it.
+
+    Args:
+        seen: Signal and motion as the columns stand.
+
+    Returns:
+        Number from 0 of every joint's column; None: the columns as they stand leave little, or no order is clearly
+        better.
+    """
+    count, before = seen.model.joint_count, _rms(seen.left(seen.whole), seen)
+    little = LITTLE * float(np.sqrt(np.mean(np.square(seen.recorded)) * count))
+    if not 1 < count <= MOST_ORDERED or before < little:
+        return None
+    low, high = seen.model.position_min, seen.model.position_max
+    least, most = seen.position.min(axis=0), seen.position.max(axis=0)
+    rows = slice(None, None, max(1, len(seen.position) // SEARCHED))
+    scores = {}
+    for order in itertools.permutations(range(count)):
+        columns = list(order)
+        if np.all(least[columns] >= low) and np.all(most[columns] <= high):
+            own = seen.ordered(order, rows)
+            scores[order] = own.likelihood(own.whole)
+    if not scores:
+        return None
+    best = max(scores, key=lambda order: scores[order])
+    if best == tuple(range(count)):
+        return None
+    own = seen.ordered(best)
+    after, gain = _rms(own.left(own.whole), own), own.likelihood(own.whole) - seen.likelihood(seen.whole)
+    if gain < CLEAR or after > SHARE * before:
+        return None
+    listed = ", ".join(str(column + 1) for column in best)
+    return best, (
+        f"base to tip the columns are {listed}: so the torque is {after:.3g} N m rms away from what weight and inertia "
+        f"of the arm take, as they stand {before:.3g} N m (log likelihood {gain:+.0f})"
+    )
+
+
+def _rms(left: Array, seen: MotionTorque) -> float:
+    """Root of the sum over joints of the mean squares [N m]."""
+    return float(np.sqrt(np.sum(left) / len(seen.recorded)))

@@ -1,0 +1,192 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a torque signal holds: with or without the arm's weight, measured or computed, in which order of the joints."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from joint_recordings import Columns, swinging
+from slender_arm import FLAT, mapping_of, slender_arm
+
+from impact_rs_sim.errors import InputError
+from impact_rs_sim.robot import load_facts
+from impact_rs_sim.robot_model import RobotModel
+from impact_rs_trials.recordings.importing import ImportDraft, Wishes, draft_import
+from impact_rs_trials.recordings.mapping import MountedEndEffector, load_mapping
+from impact_rs_trials.recordings.recording import read_recordings
+from impact_rs_trials.recordings.torque_readings import MotionTorque, is_computed, lacks_weight, order_of_joints
+
+SHARED = Path(__file__).resolve().parents[4] / "shared" / "data" / "cases"
+TIME = np.arange(0.0, 10.0, 0.01)
+CENTRES = {"ur10e": [0.0, -1.2, 1.4, -0.4, 0.5, 0.2], "kuka_iiwa7": [0.1, 0.6, 0.2, -1.2, 0.3, 0.9, 0.1]}  # rad
+FRICTION = 0.05  # of the largest torque
+
+
+def model_of(robot: str, load: float = 0.0) -> RobotModel:
+    tool = MountedEndEffector(mass=load, com=(0.0, 0.0, 0.05))
+    return RobotModel(load_facts(robot), tool.build())
+
+
+def swing(robot: str, load: float = 0.0, friction: float = FRICTION, speed: float = 1.0) -> Columns:
+    """An arm swings with a load against dry friction; ``weight`` and ``computed`` are those of the arm alone."""
+    model, bare = model_of(robot, load), model_of(robot)
+    joints = np.arange(model.joint_count)
+    frequencies = speed * (0.11 + 0.02 * joints), speed * (0.31 + 0.03 * joints)
+    moved, computed = (swinging(one, TIME, np.array(CENTRES[robot]), frequencies, (0.5, 0.1)) for one in (model, bare))
+    noise = np.random.default_rng(0).normal(0.0, 0.05, moved["effort"].shape)
+    dry = friction * model.torque_max * np.tanh(moved["velocity"] / 0.02)
+    weight = np.array([bare.gravity_torque(q) for q in moved["position"]])
+    return moved | {"effort": moved["effort"] + dry + noise, "weight": weight, "computed": computed["effort"]}
+
+
+def seen(robot: str, motion: Columns, torque: np.ndarray) -> MotionTorque:
+    return MotionTorque.of(motion["time"], motion["position"], motion["velocity"], torque, model_of(robot))
+
+
+def write(path: Path, motion: Columns, **signals: np.ndarray) -> Path:
+    """A table of positions, velocities and further signals, with numbered columns."""
+    signals = {"q": motion["position"], "dq": motion["velocity"], **signals}
+    names = [f"{name}_{joint}" for name, one in signals.items() for joint in range(1, one.shape[1] + 1)]
+    table = np.column_stack([motion["time"], *signals.values()])
+    np.savetxt(path, table, delimiter=",", header=",".join(["time", *names]), comments="", fmt="%.12g")
+    return path
+
+
+def described(draft: ImportDraft, folder: Path) -> Path:
+    (folder / "mapping.yaml").write_text(draft.texts["mapping.yaml"], encoding="utf-8")
+    return folder / "mapping.yaml"
+
+
+@pytest.mark.parametrize("robot", list(CENTRES))
+def test_a_torque_without_the_arms_weight_is_refused_by_import_and_by_a_mapping_by_hand(
+    robot: str, tmp_path: Path
+) -> None:
+    motion = swing(robot)
+    file = write(tmp_path / "run.csv", motion, effort=motion["effort"] - motion["weight"])
+    with pytest.raises(InputError, match="without the arm's weight") as refused:
+        draft_import([file], tmp_path, Wishes(robot=robot))
+    assert "effort_1" in str(refused.value) and "add the weight that the controller adds" in str(refused.value)
+    write(file, motion, effort=motion["effort"])
+    mapping = load_mapping(described(draft_import([file], tmp_path, Wishes(robot=robot)), tmp_path))
+    assert len(read_recordings(file, mapping)) == 1
+    write(file, motion, effort=motion["effort"] - motion["weight"])
+    with pytest.raises(InputError, match="torque holds the torque of inertia without the arm's weight"):
+        read_recordings(file, mapping)
+
+
+def test_the_torque_with_the_weight_is_taken_where_both_are_there(tmp_path: Path) -> None:
+    """That without it goes with the motion as well, in the joint whose axis is vertical."""
+    motion = swing("ur10e")
+    lifted = motion["effort"] - motion["weight"]
+    file = write(tmp_path / "run.csv", motion, tau_controller=lifted, tau_gear=motion["effort"])
+    draft = draft_import([file], tmp_path, Wishes(robot="ur10e"))
+    (run,) = read_recordings(file, load_mapping(described(draft, tmp_path)))
+    np.testing.assert_allclose(run.signals.arms["arm"].torque, motion["effort"], atol=1e-6)
+
+
+@pytest.mark.parametrize("robot", list(CENTRES))
+@pytest.mark.parametrize("load", [0.0, 3.0, 7.0])
+@pytest.mark.parametrize("friction", [0.0, 0.1])
+@pytest.mark.parametrize("speed", [0.2, 1.0, 3.0])
+def test_a_whole_torque_is_never_said_to_lack_the_weight(
+    robot: str, load: float, friction: float, speed: float
+) -> None:
+    motion = swing(robot, load, friction, speed)
+    for gain in (0.6, 1.0, 1.6):
+        assert lacks_weight(seen(robot, motion, gain * motion["effort"])) is None
+
+
+def test_a_torque_of_friction_alone_is_not_one_without_weight() -> None:
+    motion = swing("ur10e")
+    alone = motion["effort"] - motion["computed"]
+    assert lacks_weight(seen("ur10e", motion, alone)) is None
+
+
+def test_where_gravity_takes_no_torque_nothing_can_lack_it(tmp_path: Path) -> None:
+    """Vertical axes: the torque with and without the weight are the same."""
+    facts = slender_arm(("revolute",) * 3, FLAT)
+    model = RobotModel(facts, mapping_of(tmp_path, facts).end_effector.build())
+    motion = swinging(model, TIME, 0.2, (np.array([0.2, 0.3, 0.4]), np.array([0.5, 0.6, 0.7])), (0.4, 0.1))
+    found = MotionTorque.of(TIME, motion["position"], motion["velocity"], motion["effort"], model)
+    assert lacks_weight(found) is None
+
+
+@pytest.mark.parametrize("load", [0.0, 2.6])
+def test_motor_currents_are_preferred_to_a_torque_that_was_computed(load: float, tmp_path: Path) -> None:
+    """Names favour the computed one: it is called torque, the currents bear no name that says so."""
+    motion = swing("ur10e", load)
+    constants = np.array([12.0, 12.0, 11.0, 9.0, 9.0, 9.0])
+    file = write(tmp_path / "run.csv", motion, torque=motion["computed"], motor=motion["effort"] / constants)
+    draft = draft_import([file], tmp_path, Wishes(robot="ur10e"))
+    mapping = load_mapping(described(draft, tmp_path))
+    assert mapping.signals["torque"].column == "motor_{joint}" and mapping.signals["torque"].unit == "A"
+    (said,) = [remark for remark in draft.remarks if "torque_1 … torque_6" in remark]
+    assert "is left out: it follows the model of the arm without any friction" in said
+
+
+def test_a_computed_torque_alone_is_assumed_and_said(tmp_path: Path) -> None:
+    motion = swing("ur10e")
+    file = write(tmp_path / "run.csv", motion, effort=motion["computed"])
+    draft = draft_import([file], tmp_path, Wishes(robot="ur10e"))
+    assert not next(line.sure for line in draft.lines if line.key == "signals.torque.unit")
+    assert any("nothing that the model lacks, as a load, can show in it" in remark for remark in draft.remarks)
+
+
+@pytest.mark.parametrize("friction", [0.01, 0.03, 0.1])
+def test_a_torque_that_drives_friction_was_measured(friction: float) -> None:
+    motion = swing("ur10e", friction=friction)
+    assert not is_computed(seen("ur10e", motion, motion["effort"]))
+    assert is_computed(seen("ur10e", motion, motion["computed"]))
+
+
+def test_torque_sensors_behind_the_gears_see_no_friction_and_are_believed(tmp_path: Path) -> None:
+    motion = swing("kuka_iiwa7", friction=0.0)
+    file = write(tmp_path / "run.csv", motion, effort=motion["effort"])
+    assert draft_import([file], tmp_path, Wishes(robot="kuka_iiwa7")).remarks == ()
+
+
+@pytest.mark.parametrize(
+    ("robot", "order"),
+    [("ur10e", (2, 1, 0, 3, 4, 5)), ("ur10e", (3, 0, 1, 2, 5, 4)), ("kuka_iiwa7", (3, 4, 0, 1, 2, 6, 5))],
+)
+@pytest.mark.parametrize("load", [0.0, 2.0])
+def test_columns_in_another_order_are_put_right_by_the_torque_of_the_arm(
+    robot: str, order: tuple[int, ...], load: float, tmp_path: Path
+) -> None:
+    motion = swing(robot, load)
+    mixed = {name: values[:, list(order)] for name, values in motion.items() if name != "time"} | {"time": TIME}
+    file = write(tmp_path / "run.csv", mixed, effort=mixed["effort"])
+    draft = draft_import([file], tmp_path, Wishes(robot=robot))
+    joints = next(line for line in draft.lines if line.key == "joints")
+    listed = ", ".join(str(order.index(joint) + 1) for joint in range(len(order)))
+    assert f"base to tip the columns are {listed}:" in joints.evidence and not joints.sure
+    (run,) = read_recordings(file, load_mapping(described(draft, tmp_path)))
+    np.testing.assert_allclose(run.signals.arms["arm"].position, motion["position"], atol=1e-9)
+    np.testing.assert_allclose(run.signals.arms["arm"].torque, motion["effort"], atol=1e-6)
+
+
+@pytest.mark.parametrize("robot", list(CENTRES))
+@pytest.mark.parametrize("load", [0.0, 7.0])
+@pytest.mark.parametrize("friction", [0.0, 0.1, 0.3])
+def test_joints_in_order_are_left_alone(robot: str, load: float, friction: float) -> None:
+    motion = swing(robot, load, friction)
+    assert order_of_joints(seen(robot, motion, motion["effort"])) is None
+
+
+def test_a_signal_that_does_not_go_with_the_motion_is_not_excused(tmp_path: Path) -> None:
+    motion = swing("ur10e")
+    noise = np.random.default_rng(1).normal(0.0, 10.0, motion["effort"].shape)
+    file = write(tmp_path / "run.csv", motion, effort=noise)
+    draft = draft_import([file], tmp_path, Wishes(robot="ur10e"))
+    said = next(line for line in draft.lines if line.key == "signals.torque.unit")
+    assert not said.sure and "too little torque" not in said.evidence
+    assert "N m rms in joint 2, from which the signal is" in said.evidence
+
+
+def test_a_recording_of_another_laboratory_without_the_weight_is_refused(tmp_path: Path) -> None:
+    if not SHARED.is_dir():
+        pytest.skip("the shared recordings are not on this machine")
+    with pytest.raises(InputError, match="holds the torque of inertia without the arm's weight"):
+        draft_import([SHARED / "small" / "no_gravity.csv"], tmp_path, Wishes(robot="ur10e"))
