@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from impact_rs_analysis.evidence.discrepancy import NO_DISCREPANCY
 from impact_rs_analysis.evidence.map_discrepancy import NO_MAP_DISCREPANCY
@@ -153,18 +153,17 @@ class FollowedHits:
             self.save()
 
 
-def diagnose_words(hits: HitsArguments, effects: Sequence[str] | None = None) -> list[str]:
-    """Arguments of ``impact-rs diagnose`` for the same measurements, and the same effects where some were named."""
-    words = ["--impacts", str(hits.table)] if hits.table is not None else [str(hits.where)]
-    if hits.scenario is not None:
-        words += ["--scenario", hits.scenario]
-    if hits.model != "nominal":
-        words += ["--model", hits.model]
-    if hits.tolerance is not None:
-        words += ["--contact-tolerance", repr(hits.tolerance)]
-    if hits.exact:
-        words.append("--no-discrepancy")
-    return [*words, "--effects", *effects] if effects else words
+def diagnose_options(hits: HitsArguments, effects: Sequence[str] | None = None) -> dict[str, Any]:
+    """Options of ``impact-rs diagnose`` for the same measurements, and the same effects where some were named."""
+    return {
+        "runs": hits.where if hits.table is None else None,
+        "impacts": hits.table,
+        "scenario": hits.scenario,
+        "model": hits.model,
+        "contact_tolerance": hits.tolerance,
+        "no_discrepancy": hits.exact,
+        "effects": effects,
+    }
 
 
 def folder_of_diagnoses(given: Path | None, state: Path | None) -> Path:

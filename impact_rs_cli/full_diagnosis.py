@@ -10,22 +10,22 @@ from __future__ import annotations
 import contextlib
 import os
 import re
-import shlex
 import signal
 import subprocess
 import sys
 import tempfile
 import threading
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import IO
+from typing import IO, Any
 
 from impact_rs_analysis.diagnosis.document import read_document
 from impact_rs_analysis.following.lessons import ChangeDiagnosis
 from impact_rs_cli import main as program
-from impact_rs_cli.parser import PROGRAM
+from impact_rs_cli.parser import command_line
+from impact_rs_commands.explaining import DIAGNOSE
 from impact_rs_sim.errors import InputError
 
 PATIENCE = 5.0  # s, that a stopped diagnosis has to end
@@ -45,17 +45,17 @@ class FullDiagnosis:
     """Starts, stops and reads the diagnosis of the hits since a change; there is one at a time.
 
     Args:
-        words: Arguments of ``impact-rs diagnose`` without ``--since`` and ``-o``.
+        options: Options of ``impact-rs diagnose`` by name, without ``since`` and ``output``.
         folder: Where its files are.
     """
 
-    def __init__(self, words: Sequence[str], folder: Path) -> None:
-        self._words, self._folder = words, folder
+    def __init__(self, options: Mapping[str, Any], folder: Path) -> None:
+        self._options, self._folder = options, folder
         self._running: _Running | None = None
 
     def command(self, since: str) -> str:
         """The command of a terminal that does the same."""
-        return shlex.join([*shlex.split(PROGRAM), *self._arguments(since)])
+        return command_line("diagnose", self._of(since))
 
     def file(self, since: str) -> Path:
         """The file of the diagnosis of the hits since one of them."""
@@ -76,9 +76,10 @@ class FullDiagnosis:
         errors = tempfile.TemporaryFile()  # noqa: SIM115
         makes_folder = not self._folder.exists()
         cores = max(1, len(os.sched_getaffinity(0)) // 2)  # the next hits are followed meanwhile
+        words = DIAGNOSE.words({**self._of(since), "jobs": cores})
         try:
             process = subprocess.Popen(
-                [sys.executable, "-m", "impact_rs_cli.full_diagnosis", *self._arguments(since), "--jobs", str(cores)],
+                [sys.executable, "-m", "impact_rs_cli.full_diagnosis", *words],
                 stdin=subprocess.PIPE,  # nothing is written; see the module
                 stdout=subprocess.DEVNULL,
                 stderr=errors,
@@ -131,9 +132,9 @@ class FullDiagnosis:
             with contextlib.suppress(OSError):
                 self._folder.rmdir()
 
-    def _arguments(self, since: str) -> list[str]:
-        """Arguments of ``impact-rs``."""
-        return ["diagnose", *self._words, "--since", since, "-o", str(self.file(since))]
+    def _of(self, since: str) -> dict[str, Any]:
+        """Options of the diagnosis of the hits since one of them."""
+        return {**self._options, "since": since, "output": self.file(since)}
 
 
 def _hang_up(process: subprocess.Popen[bytes]) -> None:

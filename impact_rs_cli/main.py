@@ -1,7 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``impact-rs``: the command line, without logic of its own.
+"""``impact-rs``: reads the command line, runs the command, and makes one line and an exit code of its errors.
 
-Commands are declared in :mod:`impact_rs_commands`; each is run by a module of :mod:`impact_rs_cli.commands`.
+Commands are declared in :mod:`impact_rs_commands`; each is run by a module of :mod:`impact_rs_cli.commands`. What
+several commands share (measurements, benches of investigations, hits that are followed) stands in the modules beside
+this one.
 """
 
 from __future__ import annotations

@@ -6,11 +6,13 @@ from __future__ import annotations
 import argparse
 import os
 import re
+import shlex
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, NoReturn
 
+from impact_rs_commands import command_named
 from impact_rs_commands.declaration import READ, WRITTEN, Command, Option
 from impact_rs_sim.errors import did_you_mean, shortened
 
@@ -100,6 +102,16 @@ class CommandParser(Parser):
 def spelled(text: str) -> str:
     """A text of a declaration with the program as the user calls it."""
     return re.sub(r"\bimpact-rs(?= [a-z])", lambda _: PROGRAM, text)
+
+
+def command_line(words: str, values: Mapping[str, Any]) -> str:
+    """A command with values of its options, as a line for a terminal that reads them back.
+
+    Args:
+        words: The command, for example ``robot check``.
+        values: Values by name of the option; those of options that it does not have are left out.
+    """
+    return shlex.join([*shlex.split(PROGRAM), *command_named(words).words(values)])
 
 
 def _add(parser: argparse.ArgumentParser, option: Option) -> None:

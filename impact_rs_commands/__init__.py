@@ -41,3 +41,9 @@ COMMANDS: dict[str, Command] = {  # in the order of the help
         explaining.WORKBENCH,
     )
 }
+
+
+def command_named(words: str) -> Command:
+    """A command, or an action of one, by its words, for example ``robot check``."""
+    command = COMMANDS[words.split()[0]]
+    return next((action for action in command.actions if action.name == words), command)

@@ -75,11 +75,16 @@ class Option(NamedTuple):
         return "; ".join(part for part in (said, f"default: {given}" if given else "") if part)
 
     def words(self, value: Any) -> list[str]:
-        """The option with a value as words of a command line; none where it would change nothing."""
-        if value is None or value is False or value == () or value == self.default:
+        """The option with a value as words of a command line; none where it would change nothing.
+
+        A single word that begins with ``-`` is written ``--option=-word``, so that it is not read as an option.
+        """
+        words = _words(value)
+        if value is None or value is False or (value is not True and (not words or words == _words(self.default))):
             return []
-        values = value if isinstance(value, (tuple, list)) else (value,)
-        return [*self.flags[:1], *(() if value is True else map(_word, values))]
+        if self.flags and len(words) == 1 and words[0].startswith("-"):
+            return [f"{self.flags[-1]}={words[0]}"]
+        return [*self.flags[:1], *words]
 
 
 class Command(NamedTuple):
@@ -143,5 +148,16 @@ def option(*flags: str, name: str = "", help: str = "", **more: Any) -> Option:
     return Option(name or flags[-1].lstrip("-").replace("-", "_"), help, flags, **more)
 
 
+def _words(value: Any) -> list[str]:
+    """One value or several as words; a switch has none."""
+    if value is None or isinstance(value, bool):
+        return []
+    return [_word(one) for one in (value if isinstance(value, (tuple, list)) else (value,))]
+
+
 def _word(value: Any) -> str:
-    return f"{value:g}" if isinstance(value, float) else str(value)
+    """The shortest text that is read back as the same value."""
+    if not isinstance(value, float):
+        return str(value)
+    short = f"{value:g}"
+    return short if float(short) == value else repr(value)

@@ -159,6 +159,26 @@ def _writes(workspace: Workspace, command: Command, given: Mapping[str, Any]) ->
     return writes
 
 
+def values_of(workspace: Workspace, command: Command, options: Mapping[str, Any]) -> dict[str, Any]:
+    """Options of a document (with absolute paths) as values of a form, with paths as they are seen from the folder.
+
+    Args:
+        workspace: The folder.
+        command: Whose form.
+        options: Options by name; those that the form does not have are left out.
+
+    Raises:
+        InputError: A path leads out of the folder.
+    """
+    given = {option: options[option.name] for option in options_of(command) if option.name in options}
+    return {
+        option.name: workspace.name(workspace.inside(value))
+        if option.kind in (*NAMED, *READ) and Path(str(value)).is_absolute()
+        else value
+        for option, value in given.items()
+    }
+
+
 def _check_campaign(workspace: Workspace, given: Mapping[str, Any]) -> None:
     """What the command checks first."""
     if given["plan"] is not None:

@@ -223,7 +223,7 @@ class Jobs:
         return job
 
     def answer(self, given: PageAnswer) -> Job:
-        """PageAnswer what a job asks.
+        """Answer the question of a job.
 
         Raises:
             InputError: There is no such job, or it does not ask this any more.

@@ -21,13 +21,13 @@ from impact_rs_analysis.report.comparison import (
     comparison_in_words,
     on_scale,
     where_part,
-    yardstick_of,
     yardstick_of_rest,
 )
 from impact_rs_analysis.report.labels import phase_text, place_text, tag_of
 from impact_rs_analysis.report.page import number_text, p_text, quantity_text
 from impact_rs_analysis.report.plots import effects_plot
 from impact_rs_analysis.report.trial import TrialPage, run_page, trial_page
+from impact_rs_commands.explaining import DISCOVER
 from impact_rs_commands.measuring import BLIND
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.numbers import estimate_text
@@ -38,9 +38,10 @@ from impact_rs_trials.experiment_plan import read_plan
 from impact_rs_trials.recordings.experiment import Experiment, load_experiment, read_runs
 from impact_rs_trials.recordings.laboratory import Laboratory, read_one
 from impact_rs_trials.store import is_bag
-from impact_rs_workbench.forms import seen
+from impact_rs_workbench.forms import seen, values_of
 from impact_rs_workbench.workspace import EXPERIMENTS, Workspace, read_json
 
+MOST_RESTS = 5  # residuals that a diagnosis leaves
 MOST_PAIRS = 8  # of explanations, the least certain first
 
 
@@ -62,7 +63,7 @@ def comparison(folder: Path) -> dict[str, Any]:
         "score": document.score,
         "floor": document.noise_floor,
         "model": document.model.name,
-        "yardstick": yardstick_of(document),
+        "yardstick": part.yardstick,
         "figures": [
             {"title": plot.title, "caption": plot.caption, "figure": json.loads(str(plot.figure.to_json()))}
             for plot in part.plots
@@ -75,7 +76,8 @@ def comparison(folder: Path) -> dict[str, Any]:
                 "set": ", ".join(filter(None, (cell.object, cell.case))),
                 "signal": nearest_signal(cell),
                 "error": quantity_text(cell.error, cell.unit),
-                "times": number_text(cell.times_noise),
+                "times": number_text(cell.size),
+                "matters": cell.matters,
             }
             for cell in document.where
         ],
@@ -265,6 +267,16 @@ def nearest_signal(cell: Cell) -> str:
     return f"{before}end-effector velocity {index}"
 
 
+def _form_values(workspace: Workspace, document: DiagnosisDocument) -> dict[str, Any]:
+    """What ``discover`` is given to look at the same measurements; empty: they are not known, or not in the folder."""
+    formulas = {spec.name for spec in document.formulas}
+    effects = [name for name in document.options.get("effects", ()) if name not in formulas]
+    try:
+        return values_of(workspace, DISCOVER, document.options | {"effects": effects or None})
+    except InputError:
+        return {}
+
+
 def practice_of(workspace: Workspace, document: DiagnosisDocument) -> str | None:
     """The practice campaign whose runs were diagnosed, as it is seen from the folder; None: there is none."""
     for name in workspace.contents().blinds:
@@ -298,13 +310,16 @@ def diagnosis(workspace: Workspace, name: str) -> dict[str, Any]:
     document, discovered = read_document(path), is_discovery(path)
     figure = effects_plot(document)
     experiment = document.next_experiment
+    measured_by = _form_values(workspace, document)
     return {
         "verdict": document.verdict,
         "summary": document.summary,
         "model": document.model.name,
         "digest": document.model.digest,
         "named": list(document.named),
+        "runs": measured_by.get("runs"),
         "calls_for_a_law": document.calls_for_a_law and not discovered,
+        "law": measured_by,
         "report": "discovery.html" if discovered else "diagnosis.html",
         "unit": document.error_unit,
         "yardstick": yardstick_of_rest(document),
@@ -317,7 +332,7 @@ def diagnosis(workspace: Workspace, name: str) -> dict[str, Any]:
                 "floor": quantity_text(rest.floor, rest.unit),
                 "times": number_text(rest.times_noise),
             }
-            for rest in document.unexplained.where[:5]
+            for rest in [rest for rest in document.unexplained.where if rest.matters][:MOST_RESTS]
         ],
         "effects": [
             {
@@ -326,10 +341,8 @@ def diagnosis(workspace: Workspace, name: str) -> dict[str, Any]:
                 "verdict": effect.verdict,
                 "tag": tag_of(effect.verdict).value,
                 "reason": effect.reason,
-                "before": effect.held_out_error_before,
-                "after": effect.held_out_error_after,
-                "alone": effect.held_out_error_alone,
-                "others": effect.held_out_error_others,
+                "without": effect.held_out_error_without,
+                "with": effect.held_out_error_after,
                 "p": p_text(effect.p_value),
                 "parameters": [
                     {

@@ -171,9 +171,6 @@ def _routes(workbench: Workbench) -> list[Route]:
     def keep_choice(data: Any) -> Any:
         return keep(workspace, validate(ListChoice, data, None)).model_dump()
 
-    def answer(data: Any) -> Any:
-        return asdict(jobs.answer(validate(PageAnswer, data, None)))
-
     def check(data: Any) -> Any:
         return formula_editor.check(validate(FormulaText, data, None).text)
 

@@ -473,7 +473,7 @@ def _law(diagnosis: DiagnosisDocument, law: Law, ranges: Mapping[str, Range], la
         },
         curved=bool(law.knots),
         verdict=effect.verdict,
-        held_out_error_before=effect.held_out_error_others or effect.held_out_error_before or 0.0,
+        held_out_error_before=effect.held_out_error_without or 0.0,
         held_out_error_after=effect.held_out_error_after or 0.0,
         p_value=1.0 if effect.p_value is None else effect.p_value,
         tied_with=effect.rivals,

@@ -125,6 +125,15 @@ class EffectDocument(Schema):
     chosen_in_folds: int | None = Field(None, description="folds of the hold-out whose search also found it")
 
     @property
+    def held_out_error_without(self) -> float | None:
+        """Error on unseen clusters with the other effects of ``held_out_error_after``; null: not measured.
+
+        Documents of earlier versions lack it; the error without any effect stands for it.
+        """
+        others = self.held_out_error_others
+        return self.held_out_error_before if others is None else others
+
+    @property
     def lowers(self) -> bool:
         """Whether the error on unseen clusters is lower with it."""
         return (self.held_out_error_after or 0.0) < (self.held_out_error_before or 0.0)
@@ -215,6 +224,11 @@ class RestDocument(Schema):
     floor: float = Field(0.0, description="relevance limit: smallest difference that matters, in the unit")
     share: float = Field(description="share of the remaining sum of squares")
     times_noise: float = Field(description="root mean square in multiples of repeatability")
+
+    @property
+    def matters(self) -> bool:
+        """Whether it is above its relevance limit."""
+        return self.value >= self.floor
 
 
 class UnexplainedDocument(Schema):
@@ -385,6 +399,9 @@ class DiagnosisDocument(Schema):
     remarks: tuple[str, ...] = Field((), description="remarks for the reader")
     formulas: tuple[FormulaSpec, ...] = Field((), description="user-defined effects that were considered")
     arms: dict[str, int] = Field({}, description="joints of arms with parameters of their own; empty: shared")
+    options: dict[str, Any] = omitted(
+        {}, description="options of the command that say what was diagnosed, by name, with absolute paths"
+    )
 
     @property
     def calls_for_a_law(self) -> bool:

@@ -47,6 +47,21 @@ def not_excluded(document: DiagnosisDocument) -> str:
     return ", ".join(found)
 
 
+def remaining(document: DiagnosisDocument) -> str:
+    """Share of the error beyond noise that the effects leave; empty: not known.
+
+    Held-out errors scatter about the noise, so that the difference of their squares may be negative.
+    """
+    share = document.unexplained.share_of_excess
+    if share is None:
+        return ""
+    if share < 0.005 or document.held_out_error_before <= document.noise_floor:
+        return "Nothing is left beyond noise."
+    if share >= 0.995:
+        return "All of the error beyond noise remains."
+    return f"{100.0 * share:.0f} % of the error beyond noise remains."
+
+
 def _part(view: ViewDocument, document: DiagnosisDocument) -> str:
     """Verdict on a part of the signals."""
     unit = _unit(document)
@@ -236,7 +251,7 @@ def _verdict(document: DiagnosisDocument) -> str:
     fall = f"Held-out error: {_fall(before, after)} {unit}{noise_text}."
     doubts = " ".join(filter(None, [_bounds(document), _open(document), _confusable(document)]))
     text, one = f"Model '{name}' lacks {named}.", "s" if len(document.named) == 1 else ""
-    share = 100.0 * explained(before, after, document.noise_floor)
+    share = 100.0 * min(max(explained(before, after, document.noise_floor), 0.0), 1.0)
     if verdict.startswith(PARTLY):
         text = (
             f"Model '{name}' lacks {named}, which explain{one} {share:.0f} % of the error beyond noise, and at least "

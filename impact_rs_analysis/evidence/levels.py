@@ -32,6 +32,23 @@ class Cell(Schema):
     floor: float = Field(description="relevance limit: smallest difference that matters, in the unit")
     share: float = Field(description="share of the sum of all squares")
     times_noise: float = Field(description="root mean square in multiples of repeatability")
+    times_relevant: float | None = Field(
+        None,
+        description="root mean square in multiples of the larger of repeatability and relevance limit; null: a file of "
+        "an earlier version",
+    )
+
+    @property
+    def size(self) -> float:
+        """Root mean square in multiples of the larger of repeatability and relevance limit [-]."""
+        if self.times_relevant is not None:
+            return self.times_relevant
+        return min(self.times_noise, abs(self.error) / self.floor) if self.floor else self.times_noise
+
+    @property
+    def matters(self) -> bool:
+        """Whether it is above its relevance limit."""
+        return abs(self.error) >= self.floor
 
 
 class SignalLevel(Schema):
@@ -48,6 +65,11 @@ class SignalLevel(Schema):
     floor: float = Field(0.0, description="relevance limit: smallest difference that matters, in the unit")
     unit: str = Field(description="unit")
     times_noise: float = Field(description="the difference in multiples of repeatability")
+
+    @property
+    def size(self) -> float:
+        """The difference in multiples of the larger of repeatability and relevance limit [-]."""
+        return min(self.times_noise, self.error / self.floor) if self.floor else self.times_noise
 
 
 class JumpLevel(Schema):
@@ -140,6 +162,20 @@ def expected_of(item: Cluster, by_limit: bool = False) -> Array:
     return np.where(noise > 0.0, noise, 1.0)
 
 
+def relevant_of(item: Cluster, by_limit: bool = False) -> Array:
+    """The larger of :func:`expected_of` and the relevance limit, over the scale of each feature, ``(F,)`` [-].
+
+    A residual below it is either noise or too small to matter. Repeatability alone makes the most of a residual that a
+    simulator repeats to its last digits and that no robot measures.
+
+    Args:
+        item: The cluster.
+        by_limit: See :func:`expected_of`.
+    """
+    limits = np.array([feature.relevance_limit for feature in item.features]) / item.sigma
+    return np.maximum(expected_of(item, by_limit), limits)
+
+
 def level_of(what: str, clusters: Sequence[Cluster], phases: tuple[str, ...], by_limit: bool = False) -> Level:
     """Root mean square differences of the signals of some phases, over all conditions, arm by arm.
 
@@ -199,18 +235,19 @@ def signal_levels(
 
 
 def where_of(clusters: Sequence[Cluster], by_limit: bool = False) -> list[Cell]:
-    """Residuals by object, case, phase, signal and index, largest first.
+    """Residuals by object, case, phase, signal and index, largest (:attr:`Cell.size`) first.
 
     Args:
         clusters: The conditions.
         by_limit: Whether they are multiples of the relevance limit, because nothing was repeated.
     """
     total = sum(float(np.sum(np.square(item.mean))) for item in clusters)
-    found: dict[tuple[str, ...], list[tuple[float, float, float, str, float]]] = {}
+    found: dict[tuple[str, ...], list[tuple[float, float, float, str, float, float]]] = {}
     for item in clusters:
-        noise = expected_of(item, by_limit)
-        for feature, mean, sigma, own in zip(item.features, item.mean, item.sigma, noise, strict=True):
-            row = (float(mean / own), float(mean * sigma), float(mean), feature.unit, feature.relevance_limit)
+        noise, relevant = expected_of(item, by_limit), relevant_of(item, by_limit)
+        for feature, mean, sigma, own, most in zip(item.features, item.mean, item.sigma, noise, relevant, strict=True):
+            limit = feature.relevance_limit
+            row = (float(mean / own), float(mean * sigma), float(mean), feature.unit, limit, float(mean / most))
             found.setdefault((*item.place, *feature.group), []).append(row)
     cells = []
     for (scenario, object_name, case, phase, signal, index), rows in found.items():
@@ -228,11 +265,10 @@ def where_of(clusters: Sequence[Cluster], by_limit: bool = False) -> list[Cell]:
                 floor=worst[4],
                 share=rounded(sum(row[2] ** 2 for row in rows) / max(total, 1e-300)),
                 times_noise=rounded(root_mean_square([row[0] for row in rows])),
+                times_relevant=rounded(root_mean_square([row[5] for row in rows])),
             )
         )
-    return sorted(
-        cells, key=lambda cell: (-cell.times_noise, cell.scenario, cell.object, cell.case, cell.signal, cell.index)
-    )
+    return sorted(cells, key=lambda cell: (-cell.size, cell.scenario, cell.object, cell.case, cell.signal, cell.index))
 
 
 def where_of_blocks(clusters: Sequence[Cluster]) -> list[Cell]:
@@ -241,17 +277,19 @@ def where_of_blocks(clusters: Sequence[Cluster]) -> list[Cell]:
     Errors are root mean squares with the sign of the mean.
     """
     total = sum(float(np.sum(np.square(item.mean))) for item in clusters)
-    found: dict[tuple[str, str, str, str, str], list[tuple[float, float, float]]] = {}
+    found: dict[tuple[str, str, str, str, str], list[tuple[float, float, float, float]]] = {}
     facts: dict[tuple[str, str, str], tuple[str, float]] = {}
     for item in clusters:
-        for feature, mean, sigma, noise in zip(item.features, item.mean, item.sigma, expected_of(item), strict=True):
-            row = (float(mean * sigma), float(mean), float(mean / noise))
+        for feature, mean, sigma, noise, most in zip(
+            item.features, item.mean, item.sigma, expected_of(item), relevant_of(item), strict=True
+        ):
+            row = (float(mean * sigma), float(mean), float(mean / noise), float(mean / most))
             found.setdefault((*item.place[:2], *feature.group), []).append(row)
             facts[feature.group] = feature.unit, feature.relevance_limit
     cells = []
     for (file, object_name, *group), rows in found.items():
         phase, signal, index = group
-        error, scaled, times = np.array(rows).T
+        error, scaled, times, relevant = np.array(rows).T
         unit, limit = facts[phase, signal, index]
         cells.append(
             Cell(
@@ -266,6 +304,7 @@ def where_of_blocks(clusters: Sequence[Cluster]) -> list[Cell]:
                 floor=limit,
                 share=rounded(float(np.sum(np.square(scaled))) / max(total, 1e-300)),
                 times_noise=rounded(root_mean_square(times)),
+                times_relevant=rounded(root_mean_square(relevant)),
             )
         )
     return sorted(cells, key=lambda cell: -cell.share)

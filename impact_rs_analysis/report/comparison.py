@@ -103,10 +103,12 @@ class WherePart:
 
     Attributes:
         plots: Heat maps.
+        yardstick: Residuals are multiples of this.
         places: The worst places.
     """
 
     plots: tuple[Plot, ...]
+    yardstick: str
     places: tuple[PlaceRow, ...]
 
 
@@ -216,9 +218,9 @@ def comparison_in_words(document: ComparisonDocument) -> str:
         text = f"Residual of model '{name}' in {document.trials} {document.source}: {score} × {scale}."
     if noise is not None and document.score < HARDLY_MORE * noise:
         return f"{text} This is close to noise."
-    if not document.where:
-        return text
-    worst = document.where[0]
+    worst = next((cell for cell in document.where if cell.matters), None)
+    if worst is None:
+        return f"{text} All residuals are below their relevance limits." if document.where else text
     return (
         f"{text} Largest in {worst.signal} {worst.index} ({_place(worst)}): "
         f"{quantity_text(worst.error, worst.unit)}, {number_text(worst.times_noise)} × {yardstick}."
@@ -237,6 +239,13 @@ def yardstick_of(document: ComparisonDocument) -> str:
     if not on_scale(document):
         return NOISE
     return RELEVANCE_LIMIT if document.noise_floor is None else REPEATABILITY
+
+
+def yardstick_of_places(document: ComparisonDocument) -> str:
+    """Reference of residuals by place: the larger of :func:`yardstick_of` and relevance limit, where one is set."""
+    yardstick = yardstick_of(document)
+    limited = yardstick != RELEVANCE_LIMIT and any(cell.floor for cell in document.where)
+    return f"the larger of {yardstick} and relevance limit" if limited else yardstick
 
 
 def yardstick_of_rest(document: DiagnosisDocument) -> str:
@@ -298,14 +307,16 @@ def where_part(document: ComparisonDocument) -> WherePart:
     """Heat maps, and the worst places as numbers."""
     of_recordings = not on_scale(document)
     several = len({cell.scenario for cell in document.where}) > 1
+    yardstick = yardstick_of_places(document)
     return WherePart(
         plots=tuple(
             Plot(f"where-{number}", drawn, title=title)
-            for number, (title, drawn) in enumerate(where_plots(document.where, by_phase=of_recordings))
+            for number, (title, drawn) in enumerate(where_plots(document.where, of_recordings, yardstick))
         ),
+        yardstick=yardstick,
         places=tuple(
             PlaceRow(f"{_place(cell, several)}: {cell.signal} {cell.index}", cell)
-            for cell in document.where[:MOST_PLACES]
+            for cell in [cell for cell in document.where if cell.matters][:MOST_PLACES]
         ),
     )
 

@@ -17,10 +17,10 @@ from impact_rs_analysis.diagnosis.document import (
 )
 from impact_rs_analysis.diagnosis.history import VersionError
 from impact_rs_analysis.diagnosis.thresholds import SIGNIFICANT
-from impact_rs_analysis.diagnosis.words import not_excluded
+from impact_rs_analysis.diagnosis.words import not_excluded, remaining
 from impact_rs_analysis.evidence.cluster import TIMES
 from impact_rs_analysis.evidence.tracks import Track
-from impact_rs_analysis.report.comparison import TracksPart, WherePart, tracks_part, where_part, yardstick_of
+from impact_rs_analysis.report.comparison import TracksPart, WherePart, tracks_part, where_part
 from impact_rs_analysis.report.error_history import HistoryPart, history_part
 from impact_rs_analysis.report.labels import Tag, signal_text, tag_of
 from impact_rs_analysis.report.page import Plot, render, write_files
@@ -97,7 +97,6 @@ class DiagnosisPage:
 
     Attributes:
         title: Heading.
-        yardstick: Differences are given in multiples of this.
         on_scale: Whether errors are multiples of repeatability.
         document: The diagnosis.
         comparison: The model against the same measurements.
@@ -110,6 +109,7 @@ class DiagnosisPage:
         not_excluded: Effects that could be there at a noticeable size, in words; empty: none.
         dependences: Effects that were found by covariate.
         joints_plot: Errors joint by joint; None if not known.
+        remaining: Share of the error beyond noise that the effects leave, in words; empty: not known.
         rest_is_noise: Whether the remaining residuals are consistent with noise.
         where: Where the model fails.
         tracks: Measured against predicted over time.
@@ -117,7 +117,6 @@ class DiagnosisPage:
     """
 
     title: str
-    yardstick: str
     on_scale: bool
     document: DiagnosisDocument
     comparison: ComparisonDocument
@@ -130,6 +129,7 @@ class DiagnosisPage:
     not_excluded: str
     dependences: tuple[DependenceRow, ...]
     joints_plot: Plot | None
+    remaining: str
     rest_is_noise: bool
     where: WherePart
     tracks: TracksPart
@@ -162,7 +162,6 @@ def write_diagnosis(
     bars = effects_plot(document)
     page = DiagnosisPage(
         title=f"What model '{document.model.name}' lacks",
-        yardstick=yardstick_of(comparison),
         on_scale=document.error_unit == TIMES,
         document=document,
         comparison=comparison,
@@ -180,6 +179,7 @@ def write_diagnosis(
         not_excluded=not_excluded(document),
         dependences=tuple(map(_dependence_row, document.dependences)),
         joints_plot=Plot("joints", joints_plot(document.joints)) if document.joints else None,
+        remaining=remaining(document),
         rest_is_noise=after is not None and after > SIGNIFICANT,
         where=where_part(comparison),
         tracks=tracks_part(comparison, tracks),

@@ -28,7 +28,7 @@ GREY, GRID, ZERO = "#BBBBBB", "#E6E6E6", "#999999"
 TAG_COLOURS = {Tag.GOOD: GREEN, Tag.MAYBE: ORANGE, Tag.NO: GREY}
 DASHES = {"solid": "solid", "dashed": "dash", "none": "solid"}
 # Of heat maps, over the same range in every report: 2 times repeatability is nearly white, 10 dark, more the darkest.
-DARKEST = 10.0  # times repeatability
+DARKEST = 10.0  # times the larger of repeatability and relevance limit
 SIGNED = [
     [0.0, "#B2182B"],
     [0.2, "#EF8A62"],
@@ -40,7 +40,7 @@ SIGNED = [
 ]
 MOST_EFFECTS = 12
 DECADE = 10.0  # ratio of largest to smallest, from which an axis is logarithmic
-NOTICEABLE = 2.0  # times repeatability, from which a place is shown
+NOTICEABLE = 2.0  # times repeatability, from which a place is shown, where it is above its relevance limit
 
 _AXIS = {
     "automargin": True,
@@ -168,10 +168,7 @@ def effects_plot(document: DiagnosisDocument) -> go.Figure | None:
     colours = [TAG_COLOURS[tag_of(effect.verdict)] for effect, _ in shown]
     # Documents of earlier versions lack the error of an effect alone.
     alone = [effect.held_out_error_alone for effect, _ in shown]
-    others = [
-        effect.held_out_error_before if effect.held_out_error_others is None else effect.held_out_error_others
-        for effect, _ in shown
-    ]
+    others = [effect.held_out_error_without for effect, _ in shown]
     drawn = _figure()
     # Without a chosen effect every effect is alone.
     beside = len(document.named) > 0 or not any(error is not None for error in alone)
@@ -253,16 +250,22 @@ def _joint_bars(
     ).update_traces(hovertemplate="%{x}: %{y:.3g}")
 
 
-def where_plots(cells: Sequence[Cell], by_phase: bool) -> list[tuple[str, go.Figure]]:
+def noticeable(cell: Cell) -> bool:
+    """Whether a residual is clear of noise and above its relevance limit."""
+    return cell.times_noise > NOTICEABLE and cell.matters
+
+
+def where_plots(cells: Sequence[Cell], by_phase: bool, yardstick: str) -> list[tuple[str, go.Figure]]:
     """Heat maps of signed residuals, with their titles.
 
     Args:
         cells: Places, largest first.
         by_phase: Whether a map has a column per phase, as of recordings; else there is a map per phase with a column
             per object and case.
+        yardstick: Residuals are multiples of this.
     """
     if by_phase:
-        drawn = _heat_map(cells, [(phase_text(cell.phase), cell) for cell in cells])
+        drawn = _heat_map(cells, [(phase_text(cell.phase), cell) for cell in cells], yardstick)
         title = "By joint and motion" if all(cell.signal == "torque" for cell in cells) else "By signal"
         return [] if drawn is None else [(title, drawn)]
     several = len({cell.scenario for cell in cells}) > 1
@@ -270,7 +273,7 @@ def where_plots(cells: Sequence[Cell], by_phase: bool) -> list[tuple[str, go.Fig
     for phase in sorted({cell.phase for cell in cells}, key=_order_of_phase):
         own = [cell for cell in cells if cell.phase == phase]
         places = [(place_text(cell, several), cell) for cell in own]
-        drawn = _heat_map(own, sorted(places, key=lambda entry: entry[0]))
+        drawn = _heat_map(own, sorted(places, key=lambda entry: entry[0]), yardstick)
         if drawn is not None:
             found.append((phase_text(phase), drawn))
     return found
@@ -287,9 +290,9 @@ def _arm_first(row: tuple[str, str]) -> tuple[bool, str, tuple[str, str]]:
     return not arm, arm, row
 
 
-def _heat_map(cells: Sequence[Cell], columns: Sequence[tuple[str, Cell]]) -> go.Figure | None:
-    """Rows are signals by joint or axis, without those below ``NOTICEABLE`` everywhere; None if no row remains."""
-    shown = {(cell.signal, cell.index) for cell in cells if cell.times_noise > NOTICEABLE}
+def _heat_map(cells: Sequence[Cell], columns: Sequence[tuple[str, Cell]], yardstick: str) -> go.Figure | None:
+    """Rows are signals by joint or axis, without those that :func:`noticeable` excludes; None if no row remains."""
+    shown = {(cell.signal, cell.index) for cell in cells if noticeable(cell)}
     if not shown:
         return None
     rows = sorted(shown, key=_arm_first)
@@ -298,11 +301,11 @@ def _heat_map(cells: Sequence[Cell], columns: Sequence[tuple[str, Cell]]) -> go.
     found = [[known.get((*row, name)) for name in names] for row in rows]
     drawn = _figure(
         go.Heatmap(
-            z=[[None if c is None else round(math.copysign(c.times_noise, c.error), 2) for c in row] for row in found],
+            z=[[None if c is None else round(math.copysign(c.size, c.error), 2) for c in row] for row in found],
             x=[_plain(name) for name in names],
             y=[_plain(f"{signal} {index}") for signal, index in rows],
             text=[["" if c is None else quantity_text(c.error, c.unit) for c in row] for row in found],
-            hovertemplate="%{y}<br>%{x}<br>%{z:.1f} × repeatability<br>%{text}<extra></extra>",
+            hovertemplate=f"%{{y}}<br>%{{x}}<br>%{{z:.1f}} × {yardstick}<br>%{{text}}<extra></extra>",
             zmin=-DARKEST,
             zmax=DARKEST,
             colorscale=SIGNED,

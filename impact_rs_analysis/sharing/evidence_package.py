@@ -136,7 +136,7 @@ def make_package(
             **{name: version(name) for name in LIBRARIES},
         },
         model=model,
-        diagnosis=diagnosis,
+        diagnosis=diagnosis.model_copy(update={"options": {}}),  # paths of this machine
         data=digests_of(data, progress),
     ).sealed()
 

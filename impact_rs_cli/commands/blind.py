@@ -10,7 +10,7 @@ from impact_rs_analysis.diagnosis.scoring import score as score_diagnosis
 from impact_rs_analysis.diagnosis.scoring import truth_of
 from impact_rs_analysis.investigation import judged, read_ending
 from impact_rs_cli.arguments import started
-from impact_rs_cli.parser import PROGRAM
+from impact_rs_cli.parser import command_line
 from impact_rs_cli.terminal import Terminal, output_folder
 from impact_rs_sim.errors import InputError
 from impact_rs_trials import blind
@@ -27,7 +27,9 @@ def make(args: argparse.Namespace, terminal: Terminal) -> int:
             report_progress(done, total)
     runs = args.output / blind.RUNS
     terminal.result({"directory": str(args.output), "runs": str(runs), "trials": done, "kind": args.kind})
-    terminal.say(f"{done} trials in {runs}", f"next: {PROGRAM} diagnose {runs} -o diagnosis.json")
+    terminal.say(
+        f"{done} trials in {runs}", f"next: {command_line('diagnose', {'runs': runs, 'output': 'diagnosis.json'})}"
+    )
     return 0
 
 

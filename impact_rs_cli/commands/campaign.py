@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import nullcontext
 
 from impact_rs_cli.arguments import check_robots, settings_of, workforce_of
-from impact_rs_cli.parser import PROGRAM
+from impact_rs_cli.parser import command_line
 from impact_rs_cli.terminal import Terminal, output_folder
 from impact_rs_ros.names import full_namespace
 from impact_rs_sim.errors import InputError
@@ -92,9 +92,15 @@ def run(args: argparse.Namespace, terminal: Terminal) -> int:
         }
     )
     warn_wrong(ran, terminal)
+    analyzed = args.plan is None
+    further = (
+        command_line("analyze", {"directory": args.output})
+        if analyzed
+        else command_line("diagnose", {"runs": args.output})
+    )
     terminal.say(
         f"{done} of {wanted} trials are there ({counted(ran) or 'none had to be run'})",
-        f"next: {PROGRAM} {'analyze' if args.plan is None else 'diagnose'} {args.output}",
+        f"next: {further}",
     )
     none_is_ok = bool(ran) and not outcomes["OK"]
     return 1 if done < wanted or outcomes["ABORTED"] or none_is_ok else 0

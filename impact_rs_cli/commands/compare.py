@@ -24,6 +24,8 @@ from impact_rs_cli.terminal import Terminal, output_folder
 from impact_rs_sim.model import Model, load_model
 from impact_rs_sim.robot import joined_units
 
+MOST_PLACES = 8
+
 
 @on_local_runs
 def run(args: argparse.Namespace, terminal: Terminal) -> int:
@@ -116,7 +118,7 @@ def _show_levels(document: ComparisonDocument, terminal: Terminal) -> None:
     table.add_column("worst signal")
     for name, level in document.levels.items():
         if level.signals:
-            row = max(level.signals, key=lambda row: row.times_noise)
+            row = max(level.signals, key=lambda row: row.size)
             worst = f"{row.arm + ', ' if row.arm else ''}{row.signal}: {number(row.error)} {row.unit} rms"
         elif entries := [entry for entry in level.entries if entry.signal != JOINTS]:
             entry = max(entries, key=lambda entry: entry.times_noise)
@@ -131,10 +133,15 @@ def _show_levels(document: ComparisonDocument, terminal: Terminal) -> None:
     places.add_column("", no_wrap=True)  # of two arms it begins with the arm's name
     places.add_column("error", justify="right")
     shared = document.source == "impacts" and document.noise_floor is None
-    limited = yardstick == RELEVANCE_LIMIT
-    places.add_column("share" if shared else "x limit" if limited else "x noise", justify="right")
-    for cell in document.where[:8]:
+    shown = [cell for cell in document.where if cell.matters][:MOST_PLACES]
+    if not shown:
+        terminal.say("all residuals are below their relevance limits")
+        return
+    limited = any(cell.floor for cell in shown)
+    size = "x limit" if yardstick == RELEVANCE_LIMIT else "x noise or limit" if limited else "x noise"
+    places.add_column("share" if shared else size, justify="right")
+    for cell in shown:
         error = f"{cell.error:+.3g} {cell.unit}"
-        size = f"{100 * cell.share:.0f} %" if shared else number(cell.times_noise)
+        size = f"{100 * cell.share:.0f} %" if shared else number(cell.size)
         places.add_row(cell.object, cell.case, cell.phase, cell.signal, cell.index, error, size)
     terminal.say(places)

@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import argparse
 import os
-import shlex
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -23,7 +22,7 @@ from impact_rs_cli.commands.compare import comparison_of
 from impact_rs_cli.commands.diagnose import diagnosis_of, report_of
 from impact_rs_cli.commands.history import show_history
 from impact_rs_cli.measurements import Measurements, read
-from impact_rs_cli.parser import PROGRAM
+from impact_rs_cli.parser import command_line
 from impact_rs_cli.terminal import Terminal, output_folder
 from impact_rs_ros.graph import Graph, run_trial
 from impact_rs_sim.model import Model, load_model, save_model
@@ -135,7 +134,8 @@ def walk_the_loop(
             links = {"../diagnosis.html": "what it lacks", "../compare.html": "the better model"}
             write_comparison(before, measurements.tracks(model), None, before_reports, links)
         terminal.say("", f"3. Which effect is missing? Considered here: {', '.join(considered)}.")
-        document = diagnosis_of(measurements, model, model, considered, terminal)
+        options = {"runs": str(runs_directory.absolute()), "effects": considered}
+        document = diagnosis_of(measurements, model, model, considered, terminal, options=options)
         write_document(document, diagnosis_file)
         report_of(document, measurements, Path(MODEL), model, reports)
         correct = hidden.name in document.named or any(hidden.name in group for group in document.confusable)
@@ -157,7 +157,6 @@ def walk_the_loop(
     found = document.effect(name)
     assert found is not None
     truth, estimate = next(iter(hidden.parameters.values())), next(iter(found.parameters.values()))
-    folder = shlex.quote(str(runs_directory))
     terminal.say(
         "",
         f"The plant hid {hidden.name} = {truth.estimate:g}. The diagnosis named {' and '.join(document.named)} = "
@@ -169,9 +168,9 @@ def walk_the_loop(
         f"  what it lacks           {(reports / 'diagnosis.html').resolve()}",
         f"  the better model        {(reports / 'compare.html').resolve()}",
         "Type next:",
-        f"  {PROGRAM} diagnose {folder} -o diagnosis.json",
-        f"  {PROGRAM} effects",
-        f"  {PROGRAM} blind make 7 -o blind_7",
+        f"  {command_line('diagnose', {'runs': runs_directory, 'output': 'diagnosis.json'})}",
+        f"  {command_line('effects', {})}",
+        f"  {command_line('blind make', {'seed': 7, 'output': 'blind_7'})}",
         "to search the whole library, to list it, and to make a campaign whose hidden effect you do not know.",
     )
     return story | {

@@ -13,7 +13,7 @@ from impact_rs_analysis.diagnosis.document import read_document
 from impact_rs_analysis.diagnosis.next_experiment import considered, left_open
 from impact_rs_cli.arguments import started
 from impact_rs_cli.measurements import read
-from impact_rs_cli.parser import PROGRAM
+from impact_rs_cli.parser import command_line
 from impact_rs_cli.terminal import Terminal, output_folder
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.model import load_model
@@ -59,7 +59,9 @@ def run(args: argparse.Namespace, terminal: Terminal) -> int:
     _show(plan, terminal)
     terminal.result(plan.model_dump(mode="json"))
     if args.output is not None:
-        terminal.say(f"plan: {args.output}", f"next: {PROGRAM} campaign --plan {args.output} -o DIR")
+        terminal.say(
+            f"plan: {args.output}", f"next: {command_line('campaign', {'plan': args.output, 'output': 'DIR'})}"
+        )
     return 0
 
 

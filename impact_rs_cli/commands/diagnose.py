@@ -4,7 +4,10 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from types import MappingProxyType
+from typing import Any
 
 from rich.markup import escape
 from rich.table import Table
@@ -26,15 +29,20 @@ from impact_rs_analysis.diagnosis.words import not_excluded
 from impact_rs_analysis.report.diagnosis import write_diagnosis
 from impact_rs_cli.arguments import number, on_local_runs
 from impact_rs_cli.measurements import Measurements, measured
-from impact_rs_cli.parser import PROGRAM
+from impact_rs_cli.parser import command_line
 from impact_rs_cli.terminal import Terminal, output_folder
+from impact_rs_commands.declaration import NAMED, READ, WRITTEN, Option
+from impact_rs_commands.explaining import DIAGNOSE
+from impact_rs_commands.shared import JOBS
 from impact_rs_sim.effects.formula import load_formulas
 from impact_rs_sim.errors import InputError, did_you_mean
 from impact_rs_sim.model import Model, load_model
 from impact_rs_sim.numbers import estimate_text
 from impact_rs_sim.robot import joined_units
+from impact_rs_trials.store import is_url
 
 MOST_SHOWN = 8
+NO_OPTIONS: Mapping[str, Any] = MappingProxyType({})
 
 
 @on_local_runs
@@ -47,7 +55,8 @@ def run(args: argparse.Namespace, terminal: Terminal) -> int:
     check_effects(extended, args.effects)
     bounds = read_bounds(args.bounds, extended.known_effects)
     with measured(args, terminal, args.each_arm, args.unsure) as measurements:
-        document = diagnosis_of(measurements, model, extended, args.effects, terminal, args.output, bounds)
+        options = options_of(args)
+        document = diagnosis_of(measurements, model, extended, args.effects, terminal, args.output, bounds, options)
         if args.report is not None:
             with output_folder(args.report):
                 path = report_of(document, measurements, args.model, extended, args.report)
@@ -55,22 +64,51 @@ def run(args: argparse.Namespace, terminal: Terminal) -> int:
     terminal.result(document.model_dump(mode="json"))
     if args.output is not None:
         terminal.say(f"diagnosis: {args.output}")
-        if names := " ".join(name for name in document.named if name not in document.dependent):
-            terminal.say(f"next: {PROGRAM} add {names} --model {args.model} --from {args.output} -o model_2.yaml")
+        if names := [name for name in document.named if name not in document.dependent]:
+            terminal.say(f"next: {add_command(names, args.model, args.output)}")
     if document.calls_for_a_law:
-        terminal.say(f"a law that the library does not have: {_discover_command(args)}")
+        terminal.say(f"a law that the library does not have: {discover_command(args, model)}")
     return 0
 
 
-def _discover_command(args: argparse.Namespace) -> str:
-    """The command that looks for a law in the same measurements."""
-    words = [PROGRAM, "discover", *([] if args.runs is None else [str(args.runs)])]
-    for option in ("experiment", "mapping", "impacts", "scenario"):
-        if (value := getattr(args, option)) is not None:
-            words += [f"--{option}", str(value)]
-    if Path(args.model) != Path("nominal"):
-        words += ["--model", str(args.model)]
-    return " ".join([*words, "-o", "discovery.json"])
+def options_of(args: argparse.Namespace) -> dict[str, Any]:
+    """The given options that say what is diagnosed, by name; paths are absolute, so that they hold in every folder."""
+    saying = [one for one in DIAGNOSE.options if one not in JOBS and one.kind not in (*WRITTEN, "json")]
+    given = {one.name: getattr(args, one.name) for one in saying if one.words(getattr(args, one.name))}
+    options = {one.name: one for one in saying}
+    return {name: _absolute(options[name], value, args.runs) for name, value in given.items()}
+
+
+def _absolute(option: Option, value: Any, runs: str | None) -> Any:
+    """A value with an absolute path; names and URLs unchanged. An experiment file may stand in the folder of runs."""
+    named = option.kind in NAMED and Path(value).suffix not in (".yaml", ".yml")
+    if named or option.kind not in (*NAMED, *READ) or is_url(str(value)):
+        return value
+    folders = [Path(), *([Path(runs)] if option.kind == "experiment" and runs is not None else [])]
+    return next((str((folder / value).absolute()) for folder in folders if (folder / value).exists()), str(value))
+
+
+def add_command(effects: Sequence[str], model: Path, source: Path) -> str:
+    """The command that adds effects to a model.
+
+    Args:
+        effects: Their names.
+        model: File of the model that was diagnosed.
+        source: File of the diagnosis or discovery.
+    """
+    return command_line("add", {"effect": effects, "model": model, "source": source, "output": "model_2.yaml"})
+
+
+def discover_command(args: argparse.Namespace, model: Model) -> str:
+    """The command that looks for a law in the same measurements.
+
+    Args:
+        args: Arguments of ``diagnose``.
+        model: The model that was diagnosed; formulas beyond it are unknown to ``discover``.
+    """
+    effects = None if args.effects is None else [name for name in args.effects if name in model.known_effects]
+    own = {"effects": effects, "report": None, "output": "discovery.json", "json": False}
+    return command_line("discover", vars(args) | own)
 
 
 def with_formulas(model: Model, path: Path | None) -> Model:
@@ -114,6 +152,7 @@ def diagnosis_of(
     terminal: Terminal,
     output: Path | None = None,
     bounds: Bounds = NO_BOUNDS,
+    options: Mapping[str, Any] = NO_OPTIONS,
 ) -> DiagnosisDocument:
     """Diagnose, write the result, and show it.
 
@@ -125,15 +164,16 @@ def diagnosis_of(
         terminal: Where to show it.
         output: File for it, which is there before anything is shown; None: none.
         bounds: Ranges of parameters that the user knows better.
+        options: Options of the command, for the document (:func:`options_of`).
     """
     with measurements.progress():
         document = diagnose(measurements.against(extended), model, only, terminal.rank, bounds)
     new = tuple(spec for spec in extended.formulas if spec not in model.formulas)
-    document = document.model_copy(update={"formulas": new})
+    document = document.model_copy(update={"formulas": new, "options": dict(options)})
     if output is not None:
         with output_folder(output.parent):
             write_document(document, output)
-    _show(document, terminal)
+    show(document, terminal)
     return document
 
 
@@ -157,7 +197,8 @@ def report_of(
     return write_diagnosis(document, compare(source), tracks, versions, directory)
 
 
-def _show(document: DiagnosisDocument, terminal: Terminal) -> None:
+def show(document: DiagnosisDocument, terminal: Terminal) -> None:
+    """Print a diagnosis for people."""
     terminal.say(document.verdict, document.summary)
     if document.hold_out.folds:
         terminal.say(f"held out: {document.hold_out.what}")
@@ -177,8 +218,7 @@ def _show(document: DiagnosisDocument, terminal: Terminal) -> None:
     table.add_column("without → with", justify="right", no_wrap=True)
     table.add_column("p", justify="right", no_wrap=True)
     for effect in shown[:MOST_SHOWN]:
-        without = effect.held_out_error_before if effect.held_out_error_others is None else effect.held_out_error_others
-        error = f"{number(without or 0.0)} → {number(effect.held_out_error_after or 0.0)}"
+        error = f"{number(effect.held_out_error_without or 0.0)} → {number(effect.held_out_error_after or 0.0)}"
         alone = "–" if effect.held_out_error_alone is None else number(effect.held_out_error_alone)
         table.add_row(effect.name, effect.verdict, alone, error, p_text(effect.p_value, document.design.least_p))
     terminal.say(table)

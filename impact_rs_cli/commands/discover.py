@@ -12,9 +12,8 @@ from impact_rs_analysis.diagnosis.discovery_document import DiscoveryDocument, L
 from impact_rs_analysis.diagnosis.grammar import load_grammar
 from impact_rs_analysis.report.discovery import write_report
 from impact_rs_cli.arguments import number, on_local_runs
-from impact_rs_cli.commands.diagnose import check_effects
+from impact_rs_cli.commands.diagnose import add_command, check_effects
 from impact_rs_cli.measurements import measured
-from impact_rs_cli.parser import PROGRAM
 from impact_rs_cli.terminal import Terminal, output_folder
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.model import load_model
@@ -42,8 +41,8 @@ def run(args: argparse.Namespace, terminal: Terminal) -> int:
         terminal.say(f"discovery: {args.output}")
         if document.laws:
             named = document.diagnosis.named if document.diagnosis is not None else ()
-            names = " ".join(named or [document.laws[0].name])
-            terminal.say(f"next: {PROGRAM} add {names} --model {args.model} --from {args.output} -o model_2.yaml")
+            effects = named or (document.laws[0].name,)
+            terminal.say(f"next: {add_command(effects, args.model, args.output)}")
     return 0
 
 

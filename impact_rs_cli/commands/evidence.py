@@ -11,7 +11,7 @@ from rich.table import Table
 from impact_rs_analysis.diagnosis.document import read_document
 from impact_rs_analysis.sharing.evidence_package import check_package, make_package, read_package, write_package
 from impact_rs_analysis.sharing.merged_evidence import MergedEvidence, merge_packages
-from impact_rs_cli.parser import PROGRAM
+from impact_rs_cli.parser import command_line
 from impact_rs_cli.terminal import Terminal, output_folder
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.files import write_whole
@@ -33,7 +33,8 @@ def pack(args: argparse.Namespace, terminal: Terminal) -> int:
     terminal.say(
         f"{args.output}: {package.name}; {diagnosis.verdict}; {len(package.data)} files of measurements, "
         f"seal {package.seal[:16]}",
-        f"next, in another laboratory: {PROGRAM} evidence check {args.output.name} --data FOLDER",
+        "next, in another laboratory: "
+        + command_line("evidence check", {"package": args.output.name, "data": "FOLDER"}),
     )
     return 0
 

@@ -13,7 +13,7 @@ from impact_rs_analysis.following.follow import Follower
 from impact_rs_analysis.following.hits import Door
 from impact_rs_analysis.following.lessons import ChangeDiagnosis, FollowDocument, HitDocument, NextHit
 from impact_rs_cli.arguments import number, on_local_runs
-from impact_rs_cli.following import FollowedHits, HitsArguments, diagnose_words, door_of, folder_of_diagnoses
+from impact_rs_cli.following import FollowedHits, HitsArguments, diagnose_options, door_of, folder_of_diagnoses
 from impact_rs_cli.full_diagnosis import FullDiagnosis
 from impact_rs_cli.parser import PROGRAM
 from impact_rs_cli.terminal import Terminal
@@ -40,7 +40,7 @@ def run(args: argparse.Namespace, terminal: Terminal) -> int:
     model = load_model(args.model)
     door = door_of(hits, model)
     follower = Follower(door, model, args.effects, args.learn, args.mean_time)
-    diagnosis = FullDiagnosis(diagnose_words(hits, args.effects), folder_of_diagnoses(args.diagnoses, args.state))
+    diagnosis = FullDiagnosis(diagnose_options(hits, args.effects), folder_of_diagnoses(args.diagnoses, args.state))
     followed = FollowedHits(hits, follower, args.state, None if args.no_diagnosis else diagnosis)
     if count := followed.restore():
         terminal.say(f"state: goes on after {count} hits")

@@ -8,7 +8,7 @@ import argparse
 import numpy as np
 
 from impact_rs_cli.arguments import started
-from impact_rs_cli.parser import PROGRAM
+from impact_rs_cli.parser import command_line
 from impact_rs_cli.terminal import Terminal, output_folder
 from impact_rs_sim.model import load_model
 from impact_rs_sim.scenario import load_scenario
@@ -45,6 +45,7 @@ def identify(args: argparse.Namespace, terminal: Terminal) -> int:
             f"{row['largest_post_m_s2']:.2f} m/s^2 after the impact"
         )
     terminal.say(
-        f"{args.output}: averages of {found.runs} runs", f"next: {PROGRAM} campaign {copy} -o campaigns/compensated"
+        f"{args.output}: averages of {found.runs} runs",
+        f"next: {command_line('campaign', {'scenario': copy, 'output': 'campaigns/compensated'})}",
     )
     return 0

@@ -11,7 +11,7 @@ import numpy as np
 
 from impact_rs_cli.arguments import MOST_SHOWN, started
 from impact_rs_cli.measurements import experiment_file
-from impact_rs_cli.parser import PROGRAM
+from impact_rs_cli.parser import command_line
 from impact_rs_cli.terminal import Terminal
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.files import write_whole
@@ -40,9 +40,9 @@ def run(args: argparse.Namespace, terminal: Terminal) -> int:
             "left_out": [asdict(one) for one in found.left_out], "remarks": list(found.remarks),
         }
     )  # fmt: skip
-    scenario = "" if experiment.scenario is None else f" --scenario {experiment.scenario}"
     terminal.say(f"{args.output}: {len(found.impacts)} impacts of {found.runs} runs")
-    terminal.say(f"next: {PROGRAM} compare --impacts {args.output}{scenario}")
+    further = command_line("compare", {"impacts": args.output, "scenario": experiment.scenario})
+    terminal.say(f"next: {further}")
     return 0
 
 

@@ -9,7 +9,7 @@ from functools import partial
 
 from rich.table import Table
 
-from impact_rs_cli.parser import PROGRAM
+from impact_rs_cli.parser import command_line
 from impact_rs_cli.terminal import Terminal, output_folder
 from impact_rs_sim.robot import load_facts
 from impact_rs_sim.robot_check import check_drives, check_facts
@@ -38,7 +38,7 @@ def import_robot(args: argparse.Namespace, terminal: Terminal) -> int:
     terminal.say(*robot.notes)
     terminal.say(
         f"{args.output}: {len(robot.joints)} joints ({', '.join(robot.joints)})",
-        f"next: {PROGRAM} robot check {args.output}",
+        f"next: {command_line('robot check', {'robot': args.output})}",
     )
     return 0
 

@@ -6,7 +6,7 @@ from __future__ import annotations
 import argparse
 import os
 
-from impact_rs_cli.parser import PROGRAM
+from impact_rs_cli.parser import command_line
 from impact_rs_cli.terminal import Terminal, output_folder
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.files import write_whole
@@ -39,5 +39,6 @@ def new(args: argparse.Namespace, terminal: Terminal) -> int:
     terminal.say("choices, which the head of the file repeats:", *(f"  {k}: {why}" for k, why in found.choices.items()))
     if found.speed < 1.0:
         terminal.say(f"at {100.0 * found.speed:.0f} % of the shipped speeds, which are too fast for these joints")
-    terminal.say(f"{args.output}: next: {PROGRAM} campaign {args.output} -o campaigns/{args.output.stem}")
+    further = command_line("campaign", {"scenario": args.output, "output": f"campaigns/{args.output.stem}"})
+    terminal.say(f"{args.output}: next: {further}")
     return 0

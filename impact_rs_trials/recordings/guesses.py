@@ -365,7 +365,7 @@ def quaternion_order(quaternion: Array) -> Guess | None:
 
 
 def _ratios(expected: Array, measured: Array) -> tuple[Array, Array]:
-    """Factor and correlation of every column, about their means where those do not go together."""
+    """Factor of the least-squares line through the origin and uncentred correlation of every column, ``(k,)`` each."""
     power = np.maximum(np.sum(expected**2, axis=0), 1e-300)
     product = np.sum(expected * measured, axis=0)
     size = np.sqrt(power) * np.sqrt(np.maximum(np.sum(measured**2, axis=0), 1e-300))

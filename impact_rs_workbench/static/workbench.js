@@ -1041,8 +1041,8 @@ const compare = {
     this.frame = wholeReport(path, false);
     this.replay = replayOf(path, turn);
     const choose = h('select', {'aria-label': 'place', id: 'cell', onchange: () => this.openSignal(found.cells[choose.value], path)},
-      ...found.cells.slice(0, 60).map((cell, index) => new Option(`${cell.row}, ${cell.column} ${cell.map ? `(${cell.map})` : ''}: ${cell.error}, ` +
-        `${cell.times} ×`, index)));
+      ...found.cells.map((cell, index) => [cell, index]).filter(([cell]) => cell.matters).slice(0, 60).map(([cell, index]) =>
+        new Option(`${cell.row}, ${cell.column} ${cell.map ? `(${cell.map})` : ''}: ${cell.error}, ${cell.times} ×`, index)));
     const maps = found.figures.map(({title, figure}) => {
       const node = h('div', {class: 'plot clickable', role: 'img', 'aria-label': `Where the model fails: ${title}`});
       return {title, figure, node};
@@ -1050,7 +1050,7 @@ const compare = {
     this.yardstick = found.yardstick;
     says('compare', `${found.model}: score ${number(found.score)}, where ${number(found.floor)} is noise.`);
     this.result.replaceChildren(h('p', {class: 'answer'}, h('b', {}, `Score ${number(found.score)}`), found.headline),
-      maps.length ? h('p', {class: 'note'}, `Measured minus model, in multiples of ${found.yardstick}. Click on a cell to see its signal over time.`) : '',
+      maps.length ? h('p', {class: 'note'}, `Measured minus model, in multiples of ${found.yardstick} (blue: measured larger, red: smaller). Click on a cell to see its signal over time.`) : '',
       ...maps.flatMap(({title, node}) => [h('h3', {}, title), node]),
       found.cells.length ? labelled('or choose a place, the worst first', choose) : '', this.signal, this.replay.node, ...this.frame,
       ...found.remarks.map((text) => h('p', {class: 'note'}, `Note: ${text}`)));
@@ -1185,7 +1185,7 @@ const diagnose = {
     const plot = h('div', {class: 'plot', role: 'img', 'aria-label': 'Held-out error by effect'});
     const rows = found.effects.slice(0, 12).map((effect) => h('tr', {class: effect.tag === 'good' ? 'main' : ''},
       h('td', {title: effect.sentence}, effect.name), h('td', {class: 'text'}, effect.verdict),
-      h('td', {}, `${number(effect.before)} → ${number(effect.after)}`), h('td', {}, effect.p),
+      h('td', {}, `${number(effect.without)} → ${number(effect.with)}`), h('td', {}, effect.p),
       h('td', {}, effect.tag === 'no' ? '' : h('button', {type: 'button', onclick: () => add.start(this.opened, effect.name)}, 'Add'))));
     const named = found.effects.filter((effect) => found.named.includes(effect.name));
     says('diagnose', `${found.model}: ${found.verdict}.`);
@@ -1200,22 +1200,23 @@ const diagnose = {
         `${one.what} (${one.phase}): ${one.value}, ${one.times} × ${found.yardstick}; relevance limit ${one.floor}`)))) : '',
       found.calls_for_a_law ? this.law(found) : '',
       found.practice ? this.revealed() : '',
-      found.next ? this.next(found.next) : '',
+      found.next ? this.next(found.next, found.runs) : '',
       replayOf(this.opened.replace(/[^/]*$/, found.report), turn).node,
       ...wholeReport(this.opened.replace(/[^/]*$/, found.report), false),
       ...found.remarks.map((text) => h('p', {class: 'note'}, `Note: ${text}`)));
     if (found.figure) draw(plot, found.figure); else plot.remove();
   },
 
-  // What no effect explains may be a law of the same measurements: discover is given what diagnose was given.
+  // What no effect explains may be a law of the same measurements: discover gets the options of the opened diagnosis.
   law(found) {
-    const place = this.opened.replace(/[^/]*$/, ''), model = state.workspace.models.find((one) => one.digest === found.digest)?.path;
-    const given = FORMS.discover.fields.map((one) => one.name).filter((name) => FORMS.diagnose.fields.some((one) => one.name === name));
+    const place = this.opened.replace(/[^/]*$/, ''), known = found.law.runs || found.law.impacts;
+    const model = state.workspace.models.find((one) => one.digest === found.digest)?.path ?? found.law.model;
     return h('div', {class: 'answer', id: 'law'}, h('b', {}, 'A law that the library does not have'),
       h('p', {}, 'Formulas of a grammar may explain what remains; where none holds, a curve describes it.'),
-      h('div', {class: 'actions'}, ...jobButton('Look for a law', () => ({command: 'discover',
-        ...Object.fromEntries(given.map((name) => [name, this.form.value(name)])),
-        model, effects: null, report: place.slice(0, -1) || '.', output: `${place}discovery.json`}), {class: 'primary'})));
+      known ? h('div', {class: 'actions'}, ...jobButton('Look for a law', () => ({command: 'discover', ...found.law, model,
+        report: place.slice(0, -1) || '.', output: `${place}discovery.json`}), {class: 'primary'})) :
+        h('p', {class: 'note'}, 'The measurements of this diagnosis are not in this folder, or an earlier version wrote it: ',
+          'diagnose them here, or use impact-rs discover in a terminal.'));
   },
 
   revealed() {
@@ -1224,13 +1225,13 @@ const diagnose = {
       'Reveal what was hidden'), h('span', {class: 'note'}, 'of a practice campaign')), answer);
   },
 
-  next(experiment) {
+  next(experiment, runs) {
     const run = experiment.scenario ? jobButton('Run it', () => ({command: 'campaign', scenario: experiment.scenario,
-      output: `${nextFolder(this.form.value('runs'))}/next_${slug(experiment.scenario)}_${slug(experiment.object ?? '')}`,
+      output: `${nextFolder(runs)}/next_${slug(experiment.scenario)}_${slug(experiment.object ?? '')}`,
       objects: experiment.object ? [experiment.object] : null, cases: experiment.case ? [experiment.case] : null, scales: [1], trials: 3}),
     {class: 'primary'}) : [];
     return h('div', {class: 'answer'}, h('b', {}, 'Next experiment'), h('p', {}, experiment.advice), h('div', {class: 'actions'}, ...run,
-      h('button', {type: 'button', id: 'design-next', onclick: () => design.after(this.opened, this.form.value('runs'))}, 'Design more trials')));
+      h('button', {type: 'button', id: 'design-next', onclick: () => design.after(this.opened, runs)}, 'Design more trials')));
   },
 };
 

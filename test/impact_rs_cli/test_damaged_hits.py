@@ -99,7 +99,7 @@ class Live:
             custom = dict(reader.storage.metadata.custom or {})
         self._custom = {key: value for key, value in custom.items() if key != checksums.NAME}
         self.follower = Follower(BagDoor(folder, NOMINAL, ReplayCache(map)), NOMINAL, ["object_mass"], learnt=4)
-        diagnosis = FullDiagnosis([], folder)
+        diagnosis = FullDiagnosis({}, folder)
         self.lessons = Lessons(FollowedHits(HitsArguments(folder), self.follower, None, None), diagnosis)
 
     def add(self, change: Callable[[Messages], Messages]) -> str:

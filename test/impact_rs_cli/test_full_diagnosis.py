@@ -22,13 +22,14 @@ def table(tmp_path: Path) -> Path:
 
 
 def test_a_diagnosis_that_fails_is_reported_with_its_reason_and_command(table: Path, tmp_path: Path) -> None:
-    diagnosis = FullDiagnosis(["--impacts", str(table), "--scenario", "push"], tmp_path / "more")
+    diagnosis = FullDiagnosis({"impacts": table, "scenario": "push"}, tmp_path / "more")
     diagnosis.start("row 99")
     assert diagnosis.running
     found = diagnosis.ended(wait=True)
     assert found is not None and found.verdict == ""
     assert found.words.startswith("exit code 2: ") and "no such run or row" in found.words
-    assert found.command.endswith(f"--since 'row 99' -o {tmp_path}/more/diagnosis_since_row_99.json")
+    assert found.command.endswith(f"--impacts {table} --scenario push --since 'row 99'")
+    assert f"-o {tmp_path}/more/diagnosis_since_row_99.json" in found.command
     assert not diagnosis.running and diagnosis.ended() is None and not (tmp_path / "more").exists()
 
 
@@ -38,7 +39,7 @@ def test_a_diagnosis_that_is_stopped_has_ended_and_leaves_nothing(
 ) -> None:
     """By Ctrl-C, and by a kill where it does not end in time."""
     monkeypatch.setattr("impact_rs_cli.full_diagnosis.PATIENCE", patience)
-    diagnosis = FullDiagnosis(["--impacts", str(table), "--scenario", "push"], tmp_path / "more")
+    diagnosis = FullDiagnosis({"impacts": table, "scenario": "push"}, tmp_path / "more")
     diagnosis.start("row 3")
     process = diagnosis._running.process  # type: ignore[union-attr]
     diagnosis.stop()
@@ -50,7 +51,7 @@ FOLLOWING = """
 import sys, time
 from pathlib import Path
 from impact_rs_cli.full_diagnosis import FullDiagnosis
-diagnosis = FullDiagnosis(["--impacts", sys.argv[1], "--scenario", "push"], Path(sys.argv[2]))
+diagnosis = FullDiagnosis({"impacts": sys.argv[1], "scenario": "push"}, Path(sys.argv[2]))
 diagnosis.start("row 3")
 print(diagnosis._running.process.pid, flush=True)
 time.sleep(1000)

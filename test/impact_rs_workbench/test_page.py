@@ -568,8 +568,9 @@ def test_runs_are_chosen_filtered_and_pinned_over_each_other(page: Page, reporte
 
 
 def test_what_no_effect_explains_is_looked_for_as_a_law_by_a_button(page: Page, reported: Path) -> None:
-    """In the measurements of the form, beside the diagnosis; where effects explain everything there is no button."""
+    """In the measurements of the opened diagnosis, beside it; where effects explain everything there is no button."""
     found = json.loads((reported / "reports" / "diagnosed" / "diagnosis.json").read_text())
+    found["options"] |= {"runs": str(reported / "blind" / "runs" / "push"), "since": "push/parcel", "effects": ["gap"]}
     (reported / "reports" / "open").mkdir(exist_ok=True)
     (reported / "reports" / "open" / "diagnosis.json").write_text(json.dumps(found | {"verdict": "NONE-EXPLAINS"}))
     go(page, "diagnose")
@@ -577,13 +578,27 @@ def test_what_no_effect_explains_is_looked_for_as_a_law_by_a_button(page: Page, 
     expect(page.locator("#ranking")).to_be_visible()
     expect(page.locator("#law")).to_have_count(0)
     page.select_option("#diagnose-file", "reports/open/diagnosis.json")
-    page.select_option("#diagnose-runs", "blind/runs")
+    page.select_option("#diagnose-runs", "blind/runs")  # the form stands for the next diagnosis
     page.route("**/api/jobs", lambda route: route.abort())
     with page.expect_request("**/api/jobs") as asked:
         page.locator("#law button").click()
     order = asked.value.post_data_json
-    assert (order["command"], order["runs"]) == ("discover", "blind/runs")
+    assert (order["command"], order["runs"]) == ("discover", "blind/runs/push")
+    assert (order["since"], order["effects"]) == ("push/parcel", ["gap"])
     assert (order["report"], order["output"]) == ("reports/open", "reports/open/discovery.json")
+
+
+def test_the_ranking_shows_what_an_effect_adds_to_the_other_chosen_ones(page: Page, reported: Path) -> None:
+    """As terminal and report do: the error with the other effects, and with it as well."""
+    found = json.loads((reported / "reports" / "diagnosed" / "diagnosis.json").read_text())
+    best = found["effects"][0]
+    best |= {"held_out_error_before": 61.8, "held_out_error_others": 4.25, "held_out_error_after": 1.5}
+    (reported / "reports" / "two").mkdir()
+    (reported / "reports" / "two" / "diagnosis.json").write_text(json.dumps(found))
+    go(page, "diagnose")
+    page.select_option("#diagnose-file", "reports/two/diagnosis.json")
+    expect(page.locator("#ranking tbody tr").filter(has_text=best["name"]).first).to_contain_text("4.25 → 1.5")
+    shutil.rmtree(reported / "reports" / "two")
 
 
 def test_trials_are_designed_shown_and_run_by_a_button(page: Page, folder: Path) -> None:

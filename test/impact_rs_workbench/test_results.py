@@ -5,16 +5,23 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import shutil
 from collections.abc import Callable
 from datetime import datetime
 from pathlib import Path
 
+import documents
 import pytest
 from starlette.testclient import TestClient
 
+from impact_rs_analysis.diagnosis.document import DiagnosisDocument, write_document
 from impact_rs_analysis.evidence.levels import Cell
 from impact_rs_analysis.investigation import RoundDecision, Settings, begin
+from impact_rs_analysis.report.diagnosis import write_diagnosis
+from impact_rs_analysis.report.plots import effects_plot
+from impact_rs_cli.commands import diagnose as diagnose_command
+from impact_rs_cli.terminal import Terminal
 from impact_rs_sim.model import load_model
 from impact_rs_trials.bags.reader import TrialBag
 from impact_rs_trials.campaign import PlannedTrials
@@ -128,3 +135,56 @@ def test_runs_of_a_laboratory_are_listed_and_shown_as_they_are_described(
     assert found["replay"]["runs"][0]["impact"] is not None
     answer = client.get("/api/run", params={"path": "lab", "run": "run_9"})
     assert (answer.status_code, "\n" in answer.json()["error"]) == (400, False)
+
+
+ERRORS = {"object_mass": (9.5, 1.3), "joint_coulomb_friction": (4.25, 1.3)}  # without and with it, beside the other
+
+
+def two_effects() -> DiagnosisDocument:
+    """A diagnosis that has chosen two effects: each adds to what the other one explains."""
+    document = documents.diagnosis()
+    changed = {
+        name: {"held_out_error_others": own, "held_out_error_after": all_} for name, (own, all_) in ERRORS.items()
+    }
+    effects = [effect.model_copy(update=changed.get(effect.name, {})) for effect in document.effects]
+    return document.model_copy(update={"effects": tuple(effects)})
+
+
+def test_terminal_report_and_page_show_the_same_held_out_errors_of_two_effects(
+    tmp_path: Path, capsys: pytest.CaptureFixture
+) -> None:
+    document = two_effects()
+    write_document(document, tmp_path / "diagnosis.json")
+    write_diagnosis(document, documents.comparison(), (), None, tmp_path)
+    html = re.sub(r"<[^>]*>|\s+", " ", (tmp_path / "diagnosis.html").read_text())
+    diagnose_command.show(document, Terminal(as_json=False))
+    terminal = capsys.readouterr().out
+    page = {one["name"]: one for one in diagnosis(Workspace(tmp_path), "diagnosis.json")["effects"]}
+    figure = effects_plot(document)
+    assert figure is not None
+    lines = {trace.y[0]: tuple(trace.x) for trace in figure.data if trace.mode == "lines"}
+    for name, (without, error) in ERRORS.items():
+        assert (page[name]["without"], page[name]["with"]) == (without, error)
+        assert lines[name] == (without, error)
+        assert re.search(rf"{name}.*{without:g} → {error:g}", terminal)
+        assert re.search(rf"{name}[^%]*?{without:g} *→ *{error:g}", html)
+
+
+def test_a_law_is_looked_for_in_the_measurements_of_the_diagnosis(tmp_path: Path) -> None:
+    """With the options that it was made with; effects of its own formulas are unknown to ``discover``."""
+    runs = tmp_path / "lab" / "my runs"
+    runs.mkdir(parents=True)
+    formula = documents.tied_laws().formulas[0]
+    options = {"runs": str(runs), "since": "row 7", "no_discrepancy": True, "effects": ["restitution", formula.name]}
+    options |= {"mapping": "joint_state", "bounds": ["restitution.e=0:1"]}
+    document = two_effects().model_copy(update={"options": options, "formulas": (formula,)})
+    write_document(document, tmp_path / "diagnosis.json")
+    found = diagnosis(Workspace(tmp_path), "diagnosis.json")
+    assert found["runs"] == "lab/my runs"
+    assert found["law"] == {
+        "runs": "lab/my runs", "since": "row 7", "no_discrepancy": True, "effects": ["restitution"],
+        "mapping": "joint_state",
+    }  # fmt: skip
+    elsewhere = document.model_copy(update={"options": {"runs": "/somewhere/else"}})
+    write_document(elsewhere, tmp_path / "diagnosis.json")
+    assert diagnosis(Workspace(tmp_path), "diagnosis.json")["law"] == {}

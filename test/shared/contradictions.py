@@ -40,7 +40,7 @@ def _of_errors(document: DiagnosisDocument) -> list[str]:
     large = document.verdict not in (NOTHING, SMALL)
     if document.named and large and change is not None and not change[1] < 0.0:
         found.append(f"{document.verdict} is named, and the error may change by {change[1]:.3g}")
-    share = explained(document.held_out_error_before, document.held_out_error_after, document.noise_floor)
+    share = min(explained(document.held_out_error_before, document.held_out_error_after, document.noise_floor), 1.0)
     said = re.search(r"(\d+) % of the error beyond noise", text)
     if said and abs(float(said[1]) - 100.0 * share) > 0.51:
         found.append(f"{said[0]}, and the errors say {100 * share:.1f}")

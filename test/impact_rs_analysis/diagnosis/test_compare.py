@@ -58,7 +58,7 @@ def test_the_document_has_its_schema(nominal: ComparisonDocument) -> None:
     assert set(document["levels"]) == {"jump", "free_motion", "trial"}
     keys = {"object", "case", "phase", "signal", "index", "error", "unit", "times_noise"}
     assert all(keys <= set(cell) for cell in document["where"])
-    sizes = [cell["times_noise"] for cell in document["where"]]
+    sizes = [cell["times_relevant"] for cell in document["where"]]
     assert sizes == sorted(sizes, reverse=True)
     assert document["score"] > document["noise_floor"] == 1.0
     entries = document["levels"]["jump"]["entries"]

@@ -30,7 +30,7 @@ from impact_rs_analysis.diagnosis.document import (
     ViewDocument,
     explained,
 )
-from impact_rs_analysis.diagnosis.words import summary_of
+from impact_rs_analysis.diagnosis.words import remaining, summary_of
 from impact_rs_analysis.evidence.cluster import TIMES, Added
 
 NAMES = ("friction", "offset", "restitution", "payload")
@@ -171,3 +171,20 @@ def test_a_diagnosis_contradicts_nothing(hidden: Added, design: tuple[int, ...])
         knowing(source, *(EFFECTS[name] for name in ("straight", "bent", "payload", "of_joints", "one_sided")))
         document = diagnose(source, source.model)
         assert contradictions(document) == [], (seed, document.summary)
+
+
+@pytest.mark.parametrize(
+    ("share", "text"),
+    [
+        (-0.01, "Nothing is left beyond noise."),
+        (0.004, "Nothing is left beyond noise."),
+        (0.07, "7 % of the error beyond noise remains."),
+        (1.2, "All of the error beyond noise remains."),
+        (None, ""),
+    ],
+)
+def test_no_negative_share_of_the_error_remains(share: float | None, text: str) -> None:
+    source = AnalyticSource(1)
+    document = diagnose(source, source.model).model_copy(update={"held_out_error_before": 2.0, "noise_floor": 1.0})
+    left = document.unexplained.model_copy(update={"share_of_excess": share})
+    assert remaining(document.model_copy(update={"unexplained": left})) == text

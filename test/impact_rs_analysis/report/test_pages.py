@@ -200,6 +200,11 @@ def test_effects_are_drawn_alone_and_beside_the_chosen_one() -> None:
     assert [trace.name for trace in drawn((), alone=False) if trace.name] == ["with the chosen effects"]
 
 
+def test_a_page_listens_to_no_other_window(tmp_path: Path) -> None:
+    diagnosis_page(tmp_path)
+    assert "addEventListener('message'" not in (tmp_path / "diagnosis.html").read_text()
+
+
 def test_versions_of_one_name_are_not_drawn_on_top_of_each_other(tmp_path: Path) -> None:
     figure = diagnosis_page(tmp_path).data["history"]
     assert figure["layout"]["xaxis"]["ticktext"] == ["nominal", "nominal"]
