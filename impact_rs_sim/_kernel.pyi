@@ -15,15 +15,18 @@ ACCEPTED: float
 _Box = tuple[Array, Array, Array]
 """Centre in A [m], axes in A, half extents [m]."""
 
-def separating_face(partner: _Box, object: _Box, aligned: float) -> tuple[float, Array, bool]:
-    """The face direction that separates two boxes best; of those within ``aligned`` [m] that of the larger face.
+def meet(partner: _Box, object: _Box, aligned: float) -> tuple[float, Array, bool, tuple[int, int] | None]:
+    """How two boxes stand to each other; of face directions within ``aligned`` [m] that of the larger face counts.
 
     Returns:
-        Separation along it (negative: overlap) [m]; unit normal from ``partner`` into ``object``, ``(3,)``; whether the
-        face belongs to ``object``.
+        Separation along the direction that separates them best, of a face or of two edges that cross (negative:
+        overlap) [m]; unit normal of the contact from ``partner`` into ``object``, ``(3,)``; whether it belongs to a face
+        of ``object``; and the axes of partner and object whose edges own it, None: a face does.
     """
 
-def touching(partner: _Box, object: _Box, normal: Array, on_object: bool, tolerance: float) -> tuple[Array, Array]:
+def touching(
+    partner: _Box, object: _Box, normal: Array, on_object: bool, edges: tuple[int, int] | None, tolerance: float
+) -> tuple[Array, Array]:
     """Points on ``object`` ``(k, 3)`` and their gaps ``(k,)`` [m], up to ``tolerance``; the rest as above."""
 
 class Terms:
@@ -34,7 +37,7 @@ class Terms:
         approach: J_c u^-, ``(3 m,)`` [m/s].
         normals: Into the object, ``(m, 3)``.
         friction: Coulomb coefficients, ``(m,)`` [-].
-        rebound: e J_n u^-, ``(m,)`` [m/s].
+        rebound: e min(J_n u^-, 0), ``(m,)`` [m/s].
         inverse_mass: g, ``(m,)`` [1/kg].
         mobility: 1 / m of the object [1/kg].
     """

@@ -24,10 +24,15 @@ double reach(const Box& box, const Vector& axis) {
   return std::abs(local[0]) * box.half[0] + std::abs(local[1]) * box.half[1] + std::abs(local[2]) * box.half[2];
 }
 
-// Four corners and one more for each of four cuts; more only where rounding bends an edge.
+// Four corners and one more for each of four cuts. Where rounding bends an edge, a cut may add more; what does not fit is
+// left out.
 struct Polygon {
   std::array<Vector, 16> corners;
   int count = 0;
+
+  void add(const Vector& corner) {
+    if (count < static_cast<int>(corners.size())) corners[count++] = corner;
+  }
 };
 
 // Corners of the face that looks most along `direction`, in order around it, in A.
@@ -37,12 +42,12 @@ Polygon corners_of(const Box& box, const Vector& direction) {
   const int u = axis == 0 ? 1 : 0, v = axis == 2 ? 1 : 2;
   const double first[] = {1.0, -1.0, -1.0, 1.0}, second[] = {1.0, 1.0, -1.0, -1.0};
   Polygon face;
-  for (face.count = 0; face.count < 4; ++face.count) {
+  for (int i = 0; i < 4; ++i) {
     Vector corner;
     corner[axis] = std::copysign(box.half[axis], local[axis]);
-    corner[u] = first[face.count] * box.half[u];
-    corner[v] = second[face.count] * box.half[v];
-    face.corners[face.count] = box.centre + box.rotation * corner;
+    corner[u] = first[i] * box.half[u];
+    corner[v] = second[i] * box.half[v];
+    face.add(box.centre + box.rotation * corner);
   }
   return face;
 }
@@ -57,14 +62,47 @@ void clip(Polygon& polygon, int axis, double sign, double limit) {
     const Vector& corner = polygon.corners[i];
     const Vector& last = polygon.corners[(i + polygon.count - 1) % polygon.count];
     const double here = sign * corner[axis] - limit, previous = sign * last[axis] - limit;
-    if ((here <= 0.0) != (previous <= 0.0))
-      kept.corners[kept.count++] = last + (previous / (previous - here)) * (corner - last);
-    if (here <= 0.0) kept.corners[kept.count++] = corner;
+    if ((here <= 0.0) != (previous <= 0.0)) kept.add(last + (previous / (previous - here)) * (corner - last));
+    if (here <= 0.0) kept.add(corner);
   }
   polygon = kept;
 }
 
-constexpr double PARALLEL = 1e-2;  // sine of the angle of two edges
+constexpr double PARALLEL = 1e-2;  // sine of the angle of two edges, below which they do not cross
+constexpr double CROSSED = 0.995;  // cosine; a common normal of edges that is nearer to that of a face is that of the face
+
+// The six directions of faces, the partner's first.
+struct Faces {
+  Vector axes[6];
+  double distance[6], separation[6];
+  int chosen = 0;
+
+  Vector normal() const { return (distance[chosen] >= 0.0 ? 1.0 : -1.0) * axes[chosen]; }
+};
+
+// Chosen is, of faces that separate as well as the best one up to `aligned` [m], the larger one.
+Faces compare_faces(const Box& partner, const Box& object, double aligned) {
+  const Vector apart = object.centre - partner.centre;
+  Faces faces;
+  double best = -INFINITY;
+  for (int i = 0; i < 6; ++i) {
+    faces.axes[i] = column(i < 3 ? partner.rotation : object.rotation, i % 3);
+    faces.distance[i] = dot(faces.axes[i], apart);
+    faces.separation[i] =
+        std::abs(faces.distance[i]) - (reach(partner, faces.axes[i]) + reach(object, faces.axes[i]));
+    best = std::max(best, faces.separation[i]);
+  }
+  double least = INFINITY;
+  for (int i = 0; i < 6; ++i) {
+    if (!(faces.separation[i] >= best - aligned)) continue;
+    const double across = extent(i >= 3 ? partner : object, faces.axes[i]);
+    if (across < least) {
+      least = across;
+      faces.chosen = i;
+    }
+  }
+  return faces;
+}
 
 // Middle of the edge along `axis` that is furthest along `direction`.
 Vector edge(const Box& box, int axis, const Vector& direction) {
@@ -76,37 +114,85 @@ Vector edge(const Box& box, int axis, const Vector& direction) {
   return place;
 }
 
-}  // namespace
-
-Face separating_face(const Box& partner, const Box& object, double aligned) {
-  const Vector apart = object.centre - partner.centre;
-  Vector axes[6];
-  double distance[6], separation[6], best = -INFINITY;
-  for (int i = 0; i < 6; ++i) {
-    axes[i] = column(i < 3 ? partner.rotation : object.rotation, i % 3);
-    distance[i] = dot(axes[i], apart);
-    separation[i] = std::abs(distance[i]) - (reach(partner, axes[i]) + reach(object, axes[i]));
-    best = std::max(best, separation[i]);
-  }
-  int chosen = 0;
-  double least = INFINITY;
-  for (int i = 0; i < 6; ++i) {
-    if (!(separation[i] >= best - aligned)) continue;
-    const double across = extent(i >= 3 ? partner : object, axes[i]);
-    if (across < least) {
-      least = across;
-      chosen = i;
-    }
-  }
-  const double sign = distance[chosen] >= 0.0 ? 1.0 : -1.0;
-  return {separation[chosen], sign * axes[chosen], chosen >= 3};
+// Distance of two boxes along a direction, negative: overlap [m].
+double separation_along(const Box& partner, const Box& object, const Vector& normal) {
+  return dot(normal, object.centre - partner.centre) - (reach(partner, normal) + reach(object, normal));
 }
 
-void touching(const Box& partner, const Box& object, const Face& face, double tolerance, std::vector<Touch>& found) {
+// Where the foremost edges along two axes are nearest to each other; nowhere: beyond their ends.
+std::optional<Touch> crossing(const Box& partner, const Box& object, Edges edges, const Vector& normal, double separation) {
+  const Vector a = column(partner.rotation, edges.partner), b = column(object.rotation, edges.object);
+  const double sine = norm(cross(a, b)), cosine = dot(a, b);
+  const Vector own = edge(object, edges.object, -1.0 * normal), between = own - edge(partner, edges.partner, normal);
+  const double along_a = dot(between, a), along_b = dot(between, b);
+  const double on_a = (along_a - cosine * along_b) / (sine * sine), on_b = (cosine * along_a - along_b) / (sine * sine);
+  if (std::abs(on_a) > partner.half[edges.partner] || std::abs(on_b) > object.half[edges.object]) return std::nullopt;
+  return Touch{own + on_b * b, separation};
+}
+
+// The meeting of two boxes whose faces were compared: that of the edges that cross and separate them best, if these do it
+// better than a face. Edges that cross at a small angle to a face are corners of the faces, clipped to each other.
+Meeting best_of(const Box& partner, const Box& object, const Faces& faces) {
+  const Vector apart = object.centre - partner.centre, facing = faces.normal();
+  Meeting best{faces.separation[faces.chosen], facing, faces.chosen >= 3, std::nullopt};
+  std::optional<Edges> edges;
+  Vector common{};
+  for (int i = 0; i < 3; ++i) {
+    for (int j = 0; j < 3; ++j) {
+      const Vector across = cross(column(partner.rotation, i), column(object.rotation, j));
+      const double sine = norm(across);
+      if (sine < PARALLEL) continue;
+      const Vector normal = std::copysign(1.0 / sine, dot(across, apart)) * across;
+      const double separation = separation_along(partner, object, normal);
+      if (separation <= best.separation || !crossing(partner, object, {i, j}, normal, separation)) continue;
+      best.separation = separation;
+      common = normal;
+      edges = Edges{i, j};
+    }
+  }
+  if (edges && dot(common, facing) < CROSSED) {
+    best.normal = common;
+    best.on_object = false;
+    best.edges = edges;
+  }
+  return best;
+}
+
+// Whether edges cannot touch in place of faces, so that they need not be looked at. Boxes that are turned against each
+// other by less than PARALLEL have edges that are parallel, and others whose common normal is within 2 PARALLEL of that
+// of a face. Along it the separation differs by no more than this angle times the distances of centres and corners.
+bool faces_touch(const Box& partner, const Box& object, const Faces& faces) {
+  const Vector facing = faces.axes[faces.chosen];
+  const double least = std::sqrt(1.0 - PARALLEL * PARALLEL);
+  const double changed =
+      2.0 * PARALLEL * (norm(object.centre - partner.centre) + norm(partner.half) + norm(object.half));
+  for (int i = 0; i < 3; ++i) {
+    double along = 0.0;
+    for (int j = 3; j < 6; ++j) along = std::max(along, std::abs(dot(faces.axes[i], faces.axes[j])));
+    if (along < least) return false;
+    const bool own = std::abs(dot(faces.axes[i], facing)) > CROSSED;
+    if (!own && faces.separation[i] + changed >= faces.separation[faces.chosen]) return false;
+  }
+  return true;
+}
+
+}  // namespace
+
+Meeting meet(const Box& partner, const Box& object, double aligned) {
+  return best_of(partner, object, compare_faces(partner, object, aligned));
+}
+
+void touching(const Box& partner, const Box& object, const Meeting& meeting, double tolerance, std::vector<Touch>& found) {
+  if (meeting.edges) {
+    const double separation = separation_along(partner, object, meeting.normal);
+    if (separation > tolerance) return;
+    if (const auto touch = crossing(partner, object, *meeting.edges, meeting.normal, separation)) found.push_back(*touch);
+    return;
+  }
   // The reference face owns the normal; the incident face of the other box is clipped to it.
-  const Box& reference = face.on_object ? object : partner;
-  const Box& incident = face.on_object ? partner : object;
-  const Vector outward = face.on_object ? -1.0 * face.normal : face.normal;
+  const Box& reference = meeting.on_object ? object : partner;
+  const Box& incident = meeting.on_object ? partner : object;
+  const Vector outward = meeting.on_object ? -1.0 * meeting.normal : meeting.normal;
   const int axis = largest(transposed_times(reference.rotation, outward));
   const double facing = std::copysign(1.0, dot(column(reference.rotation, axis), outward));
   Polygon polygon = corners_of(incident, -1.0 * outward);
@@ -122,31 +208,20 @@ void touching(const Box& partner, const Box& object, const Face& face, double to
     const double height = facing * point[axis] - reference.half[axis];
     if (height > tolerance) continue;
     Vector position = reference.centre + reference.rotation * point;
-    if (face.on_object) position = position - height * outward;
+    if (meeting.on_object) position = position - height * outward;
     found.push_back({position, height});
   }
 }
 
-std::optional<Crossing> crossing_edges(const Box& partner, const Box& object) {
-  const Vector apart = object.centre - partner.centre;
-  std::optional<Crossing> best;
-  for (int i = 0; i < 3; ++i) {
-    for (int j = 0; j < 3; ++j) {
-      const Vector a = column(partner.rotation, i), b = column(object.rotation, j), across = cross(a, b);
-      const double sine = norm(across);
-      if (sine < PARALLEL) continue;
-      const Vector normal = std::copysign(1.0 / sine, dot(across, apart)) * across;
-      const double separation = dot(normal, apart) - (reach(partner, normal) + reach(object, normal));
-      if (best && separation <= best->separation) continue;
-      // The points of both lines that are nearest to each other.
-      const Vector own = edge(object, j, -1.0 * normal), between = own - edge(partner, i, normal);
-      const double cosine = dot(a, b), along_a = dot(between, a), along_b = dot(between, b);
-      const double on_a = (along_a - cosine * along_b) / (sine * sine), on_b = (cosine * along_a - along_b) / (sine * sine);
-      if (std::abs(on_a) > partner.half[i] || std::abs(on_b) > object.half[j]) continue;
-      best = Crossing{separation, normal, {own + on_b * b, separation}};
-    }
-  }
-  return best;
+Vector touch(const Box& partner, const Box& object, double aligned, double margin, double tolerance,
+             std::vector<Touch>& found) {
+  const Faces faces = compare_faces(partner, object, aligned);
+  const double separation = faces.separation[faces.chosen];
+  Meeting meeting{separation, faces.normal(), faces.chosen >= 3, std::nullopt};
+  if (separation >= margin) return meeting.normal;
+  if (!faces_touch(partner, object, faces)) meeting = best_of(partner, object, faces);
+  touching(partner, object, meeting, tolerance, found);
+  return meeting.normal;
 }
 
 }  // namespace impact_rs

@@ -16,10 +16,16 @@ struct Box {
   Vector half;      // half extents [m]
 };
 
-struct Face {
-  double separation;  // along the normal, negative: overlap [m]
-  Vector normal;      // from the partner into the object
-  bool on_object;     // whether the normal belongs to a face of the object
+struct Edges {
+  int partner, object;  // axes of the boxes along which they run
+};
+
+// How two boxes stand to each other.
+struct Meeting {
+  double separation;           // along the direction that separates them best, negative: overlap [m]
+  Vector normal;               // of the contact, from the partner into the object
+  bool on_object;              // whether the normal belongs to a face of the object
+  std::optional<Edges> edges;  // that cross and own the normal; without: a face does
 };
 
 struct Touch {
@@ -27,19 +33,15 @@ struct Touch {
   double gap;       // from the partner's surface along the normal [m]
 };
 
-// The face direction that separates two boxes best; of those within `aligned` [m] the one of the larger face.
-Face separating_face(const Box& partner, const Box& object, double aligned);
+// Of faces that separate two boxes as well as the best one, up to `aligned` [m], the larger face owns the normal.
+Meeting meet(const Box& partner, const Box& object, double aligned);
 
-// Corners of the incident face, clipped to the reference face, that are within `tolerance` [m] of it.
-void touching(const Box& partner, const Box& object, const Face& face, double tolerance, std::vector<Touch>& found);
+// Points of the object within `tolerance` [m] of the partner: corners of the incident face, clipped to the reference
+// face, or the point where two edges cross.
+void touching(const Box& partner, const Box& object, const Meeting& meeting, double tolerance, std::vector<Touch>& found);
 
-struct Crossing {
-  double separation;  // along the normal [m]
-  Vector normal;      // from the partner into the object
-  Touch touch;
-};
-
-// The two edges whose common normal separates two boxes best, where they cross; parallel ones never do.
-std::optional<Crossing> crossing_edges(const Box& partner, const Box& object);
+// Both at once, of boxes whose faces are nearer than `margin` [m], for every step of a simulation; returns the normal.
+Vector touch(const Box& partner, const Box& object, double aligned, double margin, double tolerance,
+             std::vector<Touch>& found);
 
 }  // namespace impact_rs

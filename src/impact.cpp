@@ -87,14 +87,14 @@ bool Impact::find_points(const std::vector<ArmState>& arms, const ObjectState& o
     } else {
       other = {vector(contact.support), {1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0}, vector(contact.support + 3)};
     }
-    const Face face = separating_face(other, box, rules_.aligned);
-    if (!(-face.separation <= rules_.penetration)) return false;
-    if (!(face.separation <= rules_.gap)) continue;
+    const Meeting meeting = meet(other, box, rules_.aligned);
+    if (!(-meeting.separation <= rules_.penetration)) return false;
+    if (!(meeting.separation <= rules_.gap)) continue;
     touches_.clear();
-    touching(other, box, face, rules_.gap, touches_);
+    touching(other, box, meeting, rules_.gap, touches_);
     const ContactLaw law{partner < count ? *contact.pad_friction : *contact.support_friction, *contact.restitution};
     for (const Touch& touch : touches_)
-      points.push_back({partner, touch.position, face.normal, {}, touch.gap, State::open, law});
+      points.push_back({partner, touch.position, meeting.normal, {}, touch.gap, State::open, law});
   }
   return true;
 }

@@ -46,15 +46,25 @@ using BoxOfPython = std::tuple<Numbers, Numbers, Numbers>;
 
 Box box_of(const BoxOfPython& box) { return box_of(std::get<0>(box), std::get<1>(box), std::get<2>(box)); }
 
-py::tuple separating_face_of(const BoxOfPython& partner, const BoxOfPython& object, double aligned) {
-  const Face face = separating_face(box_of(partner), box_of(object), aligned);
-  return py::make_tuple(face.separation, Numbers(3, face.normal.data()), face.on_object);
+using EdgesOfPython = std::optional<std::pair<int, int>>;
+
+py::tuple meet_of(const BoxOfPython& partner, const BoxOfPython& object, double aligned) {
+  const Meeting meeting = meet(box_of(partner), box_of(object), aligned);
+  EdgesOfPython edges;
+  if (meeting.edges) edges.emplace(meeting.edges->partner, meeting.edges->object);
+  return py::make_tuple(meeting.separation, Numbers(3, meeting.normal.data()), meeting.on_object, edges);
 }
 
 py::tuple touching_of(const BoxOfPython& partner, const BoxOfPython& object, const Numbers& normal, bool on_object,
-                      double tolerance) {
+                      const EdgesOfPython& edges, double tolerance) {
+  Meeting meeting{0.0, vector(checked(normal, 3, "normal")), on_object, std::nullopt};
+  if (edges) {
+    if (std::min(edges->first, edges->second) < 0 || std::max(edges->first, edges->second) > 2)
+      throw py::value_error("edges: expected two axes of boxes, 0 to 2");
+    meeting.edges = Edges{edges->first, edges->second};
+  }
   std::vector<Touch> found;
-  touching(box_of(partner), box_of(object), {0.0, vector(checked(normal, 3, "normal")), on_object}, tolerance, found);
+  touching(box_of(partner), box_of(object), meeting, tolerance, found);
   std::vector<double> positions, gaps;
   for (const Touch& touch : found) {
     positions.insert(positions.end(), touch.position.begin(), touch.position.end());
@@ -298,9 +308,9 @@ py::tuple solve_impacts(py::ssize_t count, const py::sequence& arms, const py::s
 PYBIND11_MODULE(_kernel, module) {
   using namespace impact_rs;
   module.attr("ACCEPTED") = ACCEPTED;
-  module.def("separating_face", &separating_face_of, py::arg("partner"), py::arg("object"), py::arg("aligned"));
+  module.def("meet", &meet_of, py::arg("partner"), py::arg("object"), py::arg("aligned"));
   module.def("touching", &touching_of, py::arg("partner"), py::arg("object"), py::arg("normal"), py::arg("on_object"),
-             py::arg("tolerance"));
+             py::arg("edges"), py::arg("tolerance"));
   py::class_<TermsOfPython>(module, "Terms")
       .def(py::init<const Numbers&, const Numbers&, const Numbers&, const Numbers&, const Numbers&, const Numbers&,
                     double>(),

@@ -11,7 +11,6 @@ constexpr double ALIGNED = 1e-9;         // m, as in impact_rs_sim/impact_map/co
 constexpr double MARGIN = 2e-3;          // m; what is closer may touch soon
 constexpr double IN_REACH = 1e-4;        // m; what is closer, but for its speed, may touch within a step or did so in the last one
 constexpr double WHOLE_FACE = 2e-2;      // m; corners that far apart belong to one face
-constexpr double CROSSED = 0.995;        // cosine; a common normal of edges that is nearer to that of a face is that of the face
 constexpr double FACE_POINTS = 4.0;      // that share stiffness and damping of a face
 constexpr double RIGID = 1e4;            // of the object's mass stops it within a step, and holds what sticks
 constexpr double SUPPORT_THICKNESS = 0.1;      // m
@@ -114,7 +113,8 @@ bool Twin::rests() {
   const Vector& g = model_.gravity;
   if (!(std::hypot(g[0], g[1]) < -g[2] * model_.support->friction)) return false;
   const Box below = table();
-  touch(below, box(), MARGIN);
+  touches_.clear();
+  touch(below, box(), ALIGNED, MARGIN, MARGIN, touches_);
   const double fall = (centre_[2] - below.centre[2] - below.half[2]) / -g[2];
   std::vector<double> directions;  // of the points, seen from there; around a point inside is no gap of pi
   for (const Touch& touch : touches_)
@@ -313,21 +313,6 @@ bool Twin::look() {
   return fast;
 }
 
-// Points of two boxes in `touches_`, up to a distance [m]; their normal.
-Vector Twin::touch(const Box& partner, const Box& object, double tolerance) {
-  touches_.clear();
-  const Face face = separating_face(partner, object, ALIGNED);
-  if (face.separation >= MARGIN) return face.normal;
-  // Edges that cross at a small angle are corners of the faces, clipped to each other.
-  const std::optional<Crossing> crossing = crossing_edges(partner, object);
-  if (crossing && crossing->separation > face.separation && dot(crossing->normal, face.normal) < CROSSED) {
-    if (crossing->separation < tolerance) touches_.push_back(crossing->touch);
-    return crossing->normal;
-  }
-  touching(partner, object, face, tolerance, touches_);
-  return face.normal;
-}
-
 void Twin::look_at_pad(int number) {
   TwinArm& arm = arms_[number];
   const Box object = box(), pad = arm.pad_box();
@@ -338,7 +323,8 @@ void Twin::look_at_pad(int number) {
     arm.shear = {};
     return;
   }
-  const Vector normal = touch(pad, object, WHOLE_FACE);
+  touches_.clear();
+  const Vector normal = touch(pad, object, ALIGNED, MARGIN, WHOLE_FACE, touches_);
   const std::size_t first = solver_.points.size();
   const double share = std::min(1.0, FACE_POINTS / static_cast<double>(touches_.size())) / FACE_POINTS;
   std::vector<double>& motions = motions_[number];
@@ -384,7 +370,8 @@ void Twin::look_at_pad(int number) {
 void Twin::look_at_support() {
   const Box object = box(), below = table();
   if (object.centre[2] - norm(object.half) > below.centre[2] + below.half[2] + MARGIN) return;
-  const Vector normal = touch(below, object, MARGIN);
+  touches_.clear();
+  const Vector normal = touch(below, object, ALIGNED, MARGIN, MARGIN, touches_);
   if (touches_.empty()) return;
   const std::size_t first = solver_.points.size();
   const double share = std::min(1.0, FACE_POINTS / static_cast<double>(touches_.size())) / FACE_POINTS;

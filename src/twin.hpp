@@ -110,7 +110,6 @@ class Twin {
   void load(double time);
   void period(double time);
   bool look();  // contact points now; whether a pad meets the object faster than a step of a period resolves
-  Vector touch(const Box& partner, const Box& object, double tolerance);
   void look_at_pad(int arm);
   void look_at_support();
   void step(double length, double time);

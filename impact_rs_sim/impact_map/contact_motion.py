@@ -8,6 +8,12 @@ with the motion w(y) = dp + dphi x (y - p) keeps x in it if n_k . dx = n_k . w(x
     (n_1, n_2, n_3)^T dx = (n_k . w_k(x))_k
 
 and the normal n, of the reference face, turns with its body. The point of the other body is x moved along n by the gap.
+
+Where two edges cross, along a of the partner and b of the object, x is the point of the object's edge and y that of the
+partner's, with x - y = g n and n along a x b. Either edge turns with its body, and its point slides along it:
+
+    dn = (1 - n n^T) (dphi_P x a x b + a x dphi_O x b) / |a x b|
+    w_O(x) + b dt - w_P(y) - a ds = n dg + g dn
 """
 
 from __future__ import annotations
@@ -44,6 +50,8 @@ class PointMotion:
 
 def point_motion(meeting: Meeting, contact: ContactPoint) -> PointMotion:
     """How a contact point of a meeting moves; motions are about the centres of the two boxes."""
+    if meeting.edges is not None:
+        return _crossing_motion(meeting, contact, meeting.edges)
     object_, partner = meeting.object, meeting.box
     incident, reference = (partner, object_) if meeting.on_object else (object_, partner)
     x = contact.partner_position if meeting.on_object else contact.position
@@ -64,6 +72,22 @@ def point_motion(meeting: Meeting, contact: ContactPoint) -> PointMotion:
                 moved = np.linalg.solve(normals, np.array([normal @ motion for normal, motion in trio]))
                 return _both_sides(meeting, contact, moved, smooth)
     return _both_sides(meeting, contact, of_incident, False)
+
+
+def _crossing_motion(meeting: Meeting, contact: ContactPoint, edges: tuple[int, int]) -> PointMotion:
+    """How the point of two edges that cross moves."""
+    a, b = meeting.box.rotation[:, edges[0]], meeting.object.rotation[:, edges[1]]
+    n, gap = meeting.normal, contact.gap
+    of_object, of_partner, along, across = (np.zeros((3, 12)) for _ in range(4))
+    of_object[:, :6] = point_maps((contact.position - meeting.object.centre)[None])[0]
+    of_partner[:, 6:] = point_maps((contact.partner_position - meeting.box.centre)[None])[0]
+    along[:, 3:6], across[:, 9:] = -_cross(b), -_cross(a)  # db and da
+    normal = np.cross(a, b)
+    moved = (_cross(a) @ along - _cross(b) @ across) * np.sign(normal @ n) / np.linalg.norm(normal)
+    moved -= np.outer(n, n @ moved)  # dn
+    sliding = np.linalg.solve(np.column_stack((b, -a, -n)), of_partner - of_object + gap * moved)
+    turned = _cross(n) @ moved
+    return PointMotion(of_object + np.outer(b, sliding[0]), of_partner + np.outer(a, sliding[1]), turned, True)
 
 
 def _both_sides(meeting: Meeting, contact: ContactPoint, moved: Array, smooth: bool) -> PointMotion:

@@ -1,10 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """Contact points between pads and object, and between object and support.
 
-All shapes are boxes. Of the six face directions of a pair, the one that separates the two boxes best is the contact
-normal; the nearest face of the other box is clipped to that face, and its corners within ``GAP_TOLERANCE`` of it touch.
-Face, edge and corner contacts come out as polygon, segment and point. Bullet's box-box detector follows the same
-rules, so that both engines see the same contacts. Of aligned faces the one is taken that separates after a tilt too:
+All shapes are boxes. Of the six face directions of a pair, and the common normals of edges that cross, the one that
+separates the two boxes best is the contact normal. The nearest face of the other box is clipped to the face of the
+normal, and its corners within ``GAP_TOLERANCE`` of it touch: face, edge and corner contacts come out as polygon, segment
+and point. Two edges touch in one point, where they cross. Edges whose common normal is within 6 degrees of that of a face
+are left to the face. Bullet's box-box detector follows the same rules, so that both engines see the same contacts, and so
+does the twin. Of aligned faces the one is taken that separates after a tilt too:
 a tilt by dphi costs the direction of a face the extent of the other box along that face, times dphi; of two faces that
 lie on each other, that of the larger box keeps the normal on either side.
 
@@ -84,9 +86,10 @@ class Meeting:
         partner: Name of the arm, or ``support``.
         box: The partner.
         object: The object.
-        separation: Distance along the normal, negative: overlap [m].
-        normal: Unit normal from the partner into the object, in A, ``(3,)``.
+        separation: Distance along the direction that separates them best, negative: overlap [m].
+        normal: Unit normal of the contact from the partner into the object, in A, ``(3,)``.
         on_object: Whether the face that the normal belongs to is the object's.
+        edges: Axes of partner and object along which the edges run that cross and own the normal; None: a face does.
     """
 
     partner: str
@@ -95,14 +98,14 @@ class Meeting:
     separation: float
     normal: Array
     on_object: bool
+    edges: tuple[int, int] | None = None
 
 
 def meetings(physics: Physics, state: BodyState, placements: Mapping[str, pin.SE3]) -> list[Meeting]:
     """The object and every partner it may touch; ``placements`` are those of frame E in A by arm."""
     object_, partners = _boxes(physics, state, placements)
     return [
-        Meeting(name, box, object_, *_kernel.separating_face(box.parts, object_.parts, ALIGNED))
-        for name, box in partners.items()
+        Meeting(name, box, object_, *_kernel.meet(box.parts, object_.parts, ALIGNED)) for name, box in partners.items()
     ]
 
 
@@ -144,7 +147,7 @@ def find_contacts(
             continue
         friction = physics.support_friction if meeting.partner == SUPPORT else physics.pad_friction
         positions, gaps = _kernel.touching(
-            meeting.box.parts, meeting.object.parts, meeting.normal, meeting.on_object, tolerance
+            meeting.box.parts, meeting.object.parts, meeting.normal, meeting.on_object, meeting.edges, tolerance
         )
         contacts += [
             ContactPoint(meeting.partner, position, meeting.normal, gap, friction)

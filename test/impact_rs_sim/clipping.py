@@ -3,9 +3,54 @@
 
 from __future__ import annotations
 
+import itertools
+
 import numpy as np
 
 from impact_rs_sim.impact_map.contacts import ALIGNED, Box, Meeting
+
+CROSSED = 0.995  # cosine; edges whose common normal is nearer to that of a face are corners of faces that touch
+PARALLEL = 1e-2  # sine of the angle of two edges, below which they do not cross
+
+
+def meet(partner: Box, thing: Box) -> tuple[float, np.ndarray, bool, tuple[int, int] | None]:
+    """How two boxes stand to each other.
+
+    Returns:
+        Separation along the direction that separates them best, of a face or of two edges that cross (negative:
+        overlap) [m]; unit normal from ``partner`` into ``thing``, ``(3,)``; whether it belongs to a face of ``thing``;
+        the axes of the edges that own it, None: a face does.
+    """
+    separation, normal, on_object = separating_face(partner, thing)
+    best, edges, along = separation, None, normal
+    for pair in itertools.product(range(3), range(3)):
+        across = np.cross(partner.rotation[:, pair[0]], thing.rotation[:, pair[1]])
+        if np.linalg.norm(across) < PARALLEL:
+            continue
+        direction = across / np.linalg.norm(across)
+        direction *= np.copysign(1.0, direction @ (thing.centre - partner.centre))
+        found = crossing(partner, thing, pair, direction)
+        if found is not None and found[1] > best:
+            best, edges, along = found[1], pair, direction
+    if edges is None or along @ normal >= CROSSED:
+        return best, normal, on_object, None
+    return best, along, False, edges
+
+
+def crossing(partner: Box, thing: Box, pair: tuple[int, int], normal: np.ndarray) -> tuple[np.ndarray, float] | None:
+    """Point on the foremost edge of ``thing`` where it passes that of ``partner``, and its gap; None: beyond an end."""
+    ends = []
+    for box, axis, direction in ((partner, pair[0], normal), (thing, pair[1], -normal)):
+        corners = np.array(list(itertools.product((-1.0, 1.0), repeat=3))) * box.half
+        first = corners[np.argmax(corners @ (box.rotation.T @ direction))]
+        low, high = (np.where(np.arange(3) == axis, side * box.half, first) for side in (-1.0, 1.0))
+        ends.append((box.centre + box.rotation @ low, box.rotation @ (high - low)))
+    (start, along), (own, mine) = ends
+    shares = np.linalg.lstsq(np.column_stack((along, -mine)), own - start, rcond=None)[0]
+    if np.any(shares < 0.0) or np.any(shares > 1.0):
+        return None
+    point = own + shares[1] * mine
+    return point, float(normal @ (point - start - shares[0] * along))
 
 
 def separating_face(partner: Box, thing: Box) -> tuple[float, np.ndarray, bool]:
@@ -36,6 +81,9 @@ def _extent(box: Box, axis: np.ndarray) -> float:
 
 def touching(meeting: Meeting, tolerance: float) -> list[tuple[np.ndarray, float]]:
     """Points on the object with their gaps."""
+    if meeting.edges is not None:
+        found = crossing(meeting.box, meeting.object, meeting.edges, meeting.normal)
+        return [found] if found is not None and found[1] <= tolerance else []
     # The reference face owns the normal; the incident face of the other box is clipped to it.
     on_object = meeting.on_object
     reference, incident = (meeting.object, meeting.box) if on_object else (meeting.box, meeting.object)

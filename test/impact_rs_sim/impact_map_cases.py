@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -15,6 +16,7 @@ from impact_rs_sim.scene import ArmState, BodyState, Scene
 ENGINES = ("bullet", "exact")
 PUSH = load_scenario("push")
 GRAB = load_scenario("grab")
+LEAN = 0.5  # rad, of the common normal of edges that cross to the pad's
 SCENE = Scene.resolve(PUSH, "cat_food", "case_2")
 MODEL = SCENE.models["arm"]
 
@@ -42,6 +44,23 @@ def one_point(**physics: object) -> ImpactProblem:
     first = np.max((pad.T + placement.translation) @ face)
     centre = problem.object.position + face * (first + half[1] - problem.object.position @ face)
     return replace(problem, object=BodyState(centre, tilt, np.zeros(6)))
+
+
+def crossed(gap: float, turned: Sequence[float] = (0.0, 0.0, 0.0), **physics: object) -> ImpactProblem:
+    """The object hangs free; one of its edges crosses an edge of the pad at some distance [m].
+
+    They cross at right angles, or ``turned`` about the point where they do, by a rotation vector [rad].
+    """
+    problem = nominal(support_height=None, **physics)
+    end_effector = problem.physics.arms["arm"].end_effector
+    pad, half = MODEL.placement(problem.arms["arm"].position) * end_effector.pad_placement, end_effector.pad_size
+    along, normal = pad.rotation[:, 0], pad.rotation @ np.array([0.0, np.sin(LEAN), np.cos(LEAN)])
+    across = np.cross(normal, along)
+    right = np.column_stack(((along - normal) / np.sqrt(2.0), (-along - normal) / np.sqrt(2.0), across))
+    rotation = pin.exp3(np.array(turned)) @ right
+    size = problem.physics.object.size / 2.0
+    meets = pad.act(np.array([0.0, half[1], half[2]]) / 2.0) + gap * normal
+    return replace(problem, object=BodyState(meets - rotation[:, :2] @ size[:2], rotation, np.zeros(6)))
 
 
 def with_velocity(problem: ImpactProblem, velocity: np.ndarray) -> ImpactProblem:

@@ -8,9 +8,10 @@ from dataclasses import replace
 import numpy as np
 import pinocchio as pin
 import pytest
-from impact_map_cases import MODEL, nominal, one_point
+from impact_map_cases import ENGINES, LEAN, MODEL, crossed, nominal, one_point
 
-from impact_rs_sim.impact_map import BulletEngine, ExactEngine, ImpactProblem
+from impact_rs_sim.errors import Infeasible
+from impact_rs_sim.impact_map import BulletEngine, ExactEngine, ImpactProblem, check_problem, compute_impact_map
 from impact_rs_sim.impact_map.contacts import ContactPoint, contact_frame, find_contacts, meetings
 from impact_rs_sim.scene import BodyState
 
@@ -104,3 +105,32 @@ def test_each_pair_has_its_own_friction() -> None:
     problem = nominal(pad_friction=0.7, support_friction=0.2)
     assert {point.friction for point in contacts_of(problem, "arm")} == {0.7}
     assert {point.friction for point in contacts_of(problem, "support")} == {0.2}
+
+
+@pytest.mark.parametrize(("gap", "count"), [(0.02, 0), (0.0005, 1), (0.0, 1), (-0.0005, 1)])
+def test_edges_that_cross_touch_in_one_point_along_their_common_normal(gap: float, count: int) -> None:
+    problem = crossed(gap)
+    (meeting,) = check_problem(problem)  # 20 mm of air are no overlap
+    assert meeting.separation == pytest.approx(gap, abs=1e-12)
+    points = compute_impact_map(problem).contacts
+    assert len(points) == len(contacts_of(problem, "arm")) == count
+    for point in points:
+        pad = MODEL.placement(problem.arms["arm"].position) * problem.physics.arms["arm"].end_effector.pad_placement
+        np.testing.assert_allclose(pad.rotation.T @ point.normal, [0.0, np.sin(LEAN), np.cos(LEAN)], atol=1e-12)
+        assert point.gap == pytest.approx(gap, abs=1e-12)
+
+
+def test_edges_that_overlap_are_refused_by_what_they_overlap() -> None:
+    with pytest.raises(Infeasible, match="penetrates 'arm' by 3 mm"):
+        check_problem(crossed(-0.003))
+
+
+@pytest.mark.parametrize("restitution", [0.0, 0.6])
+def test_bullet_hits_an_edge_with_an_edge_as_the_exact_engine_does(restitution: float) -> None:
+    problem = replace(crossed(0.0, pad_friction=0.4), restitution=restitution)
+    exact, bullet = (compute_impact_map(problem, engine) for engine in ENGINES[::-1])
+    (point,), (other,) = exact.contacts, bullet.contacts
+    np.testing.assert_allclose(other.position, point.position, atol=1e-5)
+    np.testing.assert_allclose(other.normal, point.normal, atol=1e-6)
+    assert np.linalg.norm(point.impulse) > 0.1  # N s
+    np.testing.assert_allclose(bullet.object_twist, exact.object_twist, atol=2e-3)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, reject, settings
 from hypothesis import strategies as st
-from impact_map_cases import PUSH, nominal, one_point
+from impact_map_cases import PUSH, crossed, nominal, one_point
 from trials import scene_of
 
 from impact_rs_sim.errors import InputError
@@ -64,6 +64,22 @@ def test_every_column_is_the_central_difference_of_the_map(seed: int) -> None:
         error = np.linalg.norm(found.of(name) - wanted) / max(np.linalg.norm(wanted), 1e-2)
         assert error <= 1e-4, f"{name}: {error:.1e}"
     assert compared >= 20
+
+
+def test_poses_move_the_point_where_edges_cross_as_central_differences_do() -> None:
+    problem = replace(crossed(0.0005, turned=(0.1, -0.2, 0.15), pad_friction=0.3), restitution=0.3)
+    models = {"arm": problem.physics.robot_model("arm")}
+    found = differentiate(problem, models, COMPLIANCE)
+    assert found.smooth and len(found.states) == 1
+    for name in kinds(problem):
+        slopes = []
+        for step in (2e-4, 1e-4):
+            (high, above), (low, below) = (answer(problem, models, {name: sign * step}) for sign in (1.0, -1.0))
+            assert above == below
+            slopes.append((high - low) / (2.0 * step))
+        wanted = (4.0 * slopes[1] - slopes[0]) / 3.0
+        error = np.linalg.norm(found.of(name) - wanted) / max(np.linalg.norm(wanted), 1e-2)
+        assert error <= 1e-5, f"{name}: {error:.1e}"
 
 
 def test_a_point_that_opens_gives_restitution_no_part_in_the_derivatives() -> None:
