@@ -27,6 +27,7 @@ from impact_rs_sim.scene import Scene
 
 POSE_TASKS = 6  # position and orientation of E
 STANDS = 1e-3  # m/s; what is referred to move more slowly than this is about to stand
+RESTITUTION_TOLERANCE = 0.05  # [-], between impact map and pad; a third of what a damped pad has anyway
 LARGEST_SCALE = 3.0  # a reference far beyond the prediction is no test of it, and soon beyond the arm
 
 
@@ -142,8 +143,8 @@ def plan_trial(
         engine: Engine of the impact map; the settled contact has one solver.
 
     Raises:
-        InputError: A scale or motor-inertia model that is none, an arm with fewer than six joints, or a friction
-            compensation that was not identified for this object and case.
+        InputError: A scale or motor-inertia model that is none, an arm with fewer than six joints, a restitution that
+            no pad has, or a friction compensation that was not identified for this object and case.
         Infeasible: A start that cannot be reached, or arms that collide.
     """
     check_scale(velocity_scale)
@@ -153,12 +154,40 @@ def plan_trial(
     if scene.scenario.excursion is not None:
         arms = {name: _plan_excursion(scene, name) for name in scene.arms}
         return TrialPlan(scene, velocity_scale, motor_inertia, None, arms)
+    check_restitution(scene)
     check_clearance(scene.models, {name: state.position for name, state in scene.arms.items()}, "at the impact")
     problem = ImpactProblem.at_nominal_impact(scene, motor_inertia)
     impact = predict_impact(problem, scene.scenario.control.reference_contact, engine)
     arms = {name: _plan_hit(scene, name, impact, velocity_scale) for name in scene.arms}
     check_clearance(scene.models, {name: arm.initial for name, arm in arms.items()}, "at the start")
     return TrialPlan(scene, velocity_scale, motor_inertia, impact, arms)
+
+
+def check_restitution(scene: Scene) -> None:
+    """Check that the pads of a trial have the restitution that its references are made from.
+
+    A restitution of 0 fits every pad: one that goes on pushing ends a series of bounces where a single inelastic impact
+    ends (paper sec. Single-arm hit-and-push scenario).
+
+    Raises:
+        InputError: A restitution that a pad does not have; says what would give it.
+    """
+    assumed, mass = scene.physics.restitution, scene.physics.object.mass
+    for name, arm in scene.physics.arms.items() if assumed > 0.0 else ():
+        pad, found = f"robots.{name}.end_effector.pad", arm.pad_restitution(mass)
+        if abs(found - assumed) <= RESTITUTION_TOLERANCE:
+            continue
+        if arm.pad_stiffness is None:
+            has, remedy = "does not bounce, for it is rigid", f"give {pad} a stiffness and a damping"
+        else:
+            has = f"bounces off {scene.object_name} with {found:.2f}, by its stiffness and damping"
+            remedy = f"set {pad}.damping: {arm.pad_damping_of(assumed, mass):.4g} [N s/m]"
+        raise InputError(
+            f"the pad of {name!r} {has}, so that no trial could follow the prediction; {remedy}, or "
+            "contact.restitution: 0, with which a pad that goes on pushing ends its bounces",
+            key="contact.restitution",
+            value=assumed,
+        )
 
 
 def check_joint_counts(scenario: Scenario) -> None:

@@ -8,6 +8,7 @@ model.
 
 from __future__ import annotations
 
+import math
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -15,6 +16,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 import pinocchio as pin
 
+from impact_rs_sim.damping_of_restitution import damping_ratio_of, restitution_of
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.memory import Memory
 from impact_rs_sim.robot import Array, EndEffector, JointType, RobotFacts, SigmoidFriction
@@ -236,6 +238,8 @@ class ArmPhysics:
         pad_stiffness: Stiffness of the whole pad face [N/m]; None: rigid.
         pad_damping: Damping of the whole pad face [N s/m].
         impact_position: Where frame E is at the nominal impact, ``(3,)`` [m].
+        pad_mobility: Velocity of E along the pad's axis per impulse there, n^T J (M + B_theta)^-1 J^T n, where the
+            scenario looks for the impact pose [1/kg]; 0: the arm does not give way.
         loads: What else acts on links and motors.
         pad_shear_compliance: Yield of the pad along its face per friction force, back when it ends [m/N].
         pad_creep: Speed at which a pad that sticks is dragged along its face, per friction force [m/(s N)].
@@ -257,6 +261,7 @@ class ArmPhysics:
     pad_stiffness: float | None
     pad_damping: float
     impact_position: Array
+    pad_mobility: float = 0.0
     loads: tuple[Load, ...] = ()
     pad_shear_compliance: float = 0.0
     pad_creep: float = 0.0
@@ -270,6 +275,22 @@ class ArmPhysics:
             "rotor": self.motor_inertia_rotor,
             "zero": np.zeros_like(self.motor_inertia_rotor),
         }[model]
+
+    def pad_restitution(self, object_mass: float) -> float:
+        """Restitution of a square impact of the pad on an object of that mass [kg]; 0 for a rigid pad [-].
+
+        Spring and damper of the pad part when their force is 0 (:mod:`impact_rs_sim.damping_of_restitution`).
+        """
+        critical = self._critical_damping(object_mass)
+        return restitution_of(self.pad_damping / critical) if critical else 0.0
+
+    def pad_damping_of(self, restitution: float, object_mass: float) -> float:
+        """Damping with which :meth:`pad_restitution` is ``restitution`` [N s/m]; of a rigid pad 0."""
+        return self._critical_damping(object_mass) * damping_ratio_of(restitution)
+
+    def _critical_damping(self, object_mass: float) -> float:
+        """2 sqrt(k m) of the mass m with which arm and object meet [N s/m]; 0 for a rigid pad."""
+        return 2.0 * math.sqrt((self.pad_stiffness or 0.0) / (self.pad_mobility + 1.0 / object_mass))
 
     def load_torques(self, state: LoadState, jacobian: Array) -> tuple[Array, Array]:
         """Torques of all loads.
@@ -390,10 +411,13 @@ class Physics:
             friction = JointFriction.none(facts.joint_count)
             if drive.friction == "identified":
                 friction = replace(friction, sigmoid=facts.friction)
+            effector, base = robot.end_effector.build(), robot.base.placement
+            pose = np.array(robot.impact.joint_position or robot.impact.joint_guess)
+            model = RobotModel(facts, effector, base)
             arms[name] = ArmPhysics(
                 facts=facts,
-                base=robot.base.placement,
-                end_effector=robot.end_effector.build(),
+                base=base,
+                end_effector=effector,
                 motor_inertia_rotor=np.array(drive.motor_inertia_rotor),
                 motor_inertia_reduced=np.array(drive.reflected_inertia),
                 stiffness=np.array(drive.stiffness),
@@ -405,6 +429,9 @@ class Physics:
                 pad_stiffness=pad.stiffness,
                 pad_damping=pad.damping,
                 impact_position=scenario.impact_placement(name, object_name).translation,
+                pad_mobility=model.mobility(
+                    pose, model.placement(pose).rotation[:, 2], np.array(drive.reflected_inertia)
+                ),
                 assumed=robot.assumed,
             )
         return Physics(

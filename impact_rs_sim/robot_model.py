@@ -257,17 +257,21 @@ class RobotModel:
             q[free] += step * min(1.0, LONGEST_STEP / float(np.abs(step).max()))
         return None
 
-    def effective_mass(self, q: Array, direction: Array, motor_inertia: Array) -> float:
-        """Effective mass along ``direction`` at E: ``1 / (n^T J (M + B)^-1 J^T n)`` [kg].
+    def mobility(self, q: Array, direction: Array, motor_inertia: Array) -> float:
+        """Velocity of E along ``direction`` per impulse there: ``n^T J (M + B)^-1 J^T n`` [1/kg].
 
         Args:
             q: Joint positions, ``(n,)`` [rad].
-            direction: Unit vector in A, ``(3,)``.
+            direction: Unit vector n in A, ``(3,)``.
             motor_inertia: Diagonal of B, ``(n,)`` [kg m^2].
         """
         row = np.asarray(direction) @ self.jacobian(q)[:3]
         inertia = self.mass_matrix(q) + np.diag(motor_inertia)
-        return float(1.0 / (row @ np.linalg.solve(inertia, row)))
+        return float(row @ np.linalg.solve(inertia, row))
+
+    def effective_mass(self, q: Array, direction: Array, motor_inertia: Array) -> float:
+        """Effective mass along ``direction`` at E, the inverse of :meth:`mobility` [kg]; arguments as there."""
+        return 1.0 / self.mobility(q, direction, motor_inertia)
 
 
 def link_inertias(facts: RobotFacts, end_effector: EndEffector) -> list[pin.Inertia]:

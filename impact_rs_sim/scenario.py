@@ -317,7 +317,7 @@ class Contact(Schema):
 
     friction: NonNegative = Field(description="friction between pad and object [-]")
     restitution: Annotated[float, Field(ge=0.0, le=1.0)] = Field(
-        0.0, description="restitution of the rigid impact map [-]"
+        0.0, description="restitution of the rigid impact map; in a trial 0, or that of the pads [-]"
     )
     restitution_law: Literal["newton", "poisson"] = omitted(
         "newton",

@@ -174,7 +174,7 @@ def _predict(group: Sequence[MeasuredRun], model: Model) -> dict[tuple[str, str,
     """Name and mean of each predicted number, by signal, index and time window of the measured feature."""
     first = group[0]
     if first.spec is not None:
-        scene = first.spec.plan.scene
+        scene = first.spec.scene
         physics = model.apply(scene.physics)
         problems = [ImpactProblem.at_nominal_impact(replace(scene, physics=physics), first.spec.motor_inertia)]
     else:

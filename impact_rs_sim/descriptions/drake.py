@@ -5,7 +5,7 @@
   ``friction`` out, so Coulomb friction is listed as left out.
 * Point contact: stiffness ``drake:point_contact_stiffness`` of a corner of the pad, a sphere; dissipation of Hunt and
   Crossley, and ``drake:relaxation_time`` C / K of the SAP solver, both from the restitution
-  (:mod:`impact_rs_sim.descriptions.damping_of_restitution`), or from K and C where pads are compliant. Pads overlap the
+  (:mod:`impact_rs_sim.damping_of_restitution`), or from K and C where pads are compliant. Pads overlap the
   object by a micrometre at the impact: Drake sees no shapes that only touch.
 * Hydroelastic contact of a compliant pad: its pressure grows from 0 at the face to the modulus E at its middle, half
   the thickness h below, so that the face A has the stiffness ``K = 2 E A / h`` (Elandt et al. 2019).
@@ -20,7 +20,7 @@ from xml.etree import ElementTree as Xml
 import numpy as np
 import pinocchio as pin
 
-from impact_rs_sim.descriptions.damping_of_restitution import damping_ratio_of, dissipation_of
+from impact_rs_sim.damping_of_restitution import damping_ratio_of, dissipation_of
 from impact_rs_sim.descriptions.exported_scene import ExportedQuantity, ExportedScene
 from impact_rs_sim.impact_map.contacts import SUPPORT, SUPPORT_THICKNESS
 from impact_rs_sim.physics import ArmPhysics

@@ -19,7 +19,7 @@ from enum import Enum
 
 import numpy as np
 
-from impact_rs_sim.descriptions.damping_of_restitution import restitution_of
+from impact_rs_sim.damping_of_restitution import restitution_of
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.impact_map.problem import ImpactProblem, check_physics
 from impact_rs_sim.model import Model
@@ -144,10 +144,10 @@ class ExportedScene:
 
         ``1 / m = n^T J (M + B)^-1 J^T n + 1 / m_object``
         """
-        model, state = self.physics.robot_model(name), self.arms[name]
-        inertia = model.mass_matrix(state.position) + np.diag(self.motor_inertia[name])
-        row = self._axis(name) @ self._jacobian(name)
-        return float(1.0 / (row @ np.linalg.solve(inertia, row) + 1.0 / self.physics.object.mass))
+        mobility = self.physics.robot_model(name).mobility(
+            self.arms[name].position, self._axis(name), self.motor_inertia[name]
+        )
+        return 1.0 / (mobility + 1.0 / self.physics.object.mass)
 
     def restitution_of_pad(self, name: str) -> float:
         """Restitution of a square impact of a pad: the scene's, or what stiffness and damping of the pad give [-]."""

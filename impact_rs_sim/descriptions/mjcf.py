@@ -5,7 +5,7 @@
   torque are those of the actuators.
 * A contact of MuJoCo accelerates as ``a = -b v - k r`` where it alone acts (MuJoCo documentation, "Computation",
   solver parameters). Of a rigid pad ``solref`` is a time constant T = 2 / b and a damping ratio, from which the
-  restitution follows (:mod:`impact_rs_sim.descriptions.damping_of_restitution`).
+  restitution follows (:mod:`impact_rs_sim.damping_of_restitution`).
 * Of a compliant pad and of the support ``solref`` is negative, and has N/m and N s/m. A contact of MuJoCo adds a mass
   m to what it touches (its regularisation is R = 1 / m), and an impedance ``d = w m / (1 + w m)``, with the inverse
   weight w of both bodies, means this mass. A stiffness K and a damping C are then ``-(1 - d) w K`` and
@@ -21,7 +21,7 @@ from xml.etree import ElementTree as Xml
 import numpy as np
 import pinocchio as pin
 
-from impact_rs_sim.descriptions.damping_of_restitution import damping_ratio_of, restitution_of
+from impact_rs_sim.damping_of_restitution import damping_ratio_of, restitution_of
 from impact_rs_sim.descriptions.exported_scene import ExportedQuantity, ExportedScene
 from impact_rs_sim.impact_map.contacts import SUPPORT, SUPPORT_THICKNESS
 from impact_rs_sim.physics import ArmPhysics

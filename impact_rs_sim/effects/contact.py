@@ -25,7 +25,6 @@ from impact_rs_sim.physics import ArmPhysics, ContactCondition, ContactLaw, Phys
 from impact_rs_sim.robot import Array
 
 TO_SLIP = -0.4  # of a friction coefficient
-REDUCED_MASS = 1.0  # kg, of arm and object together; turns a coefficient into a damping
 
 
 @dataclass(frozen=True)
@@ -79,32 +78,23 @@ def _restitution(physics: Physics, values: Values) -> Physics:
     """Bounce of a single rigid impact, and damping of compliant pads.
 
     One impact that is looked at by itself leaves with e = restitution + bounce. A plant has compliant pads and no e;
-    there the damping changes (:func:`_less_damping`), and restitution comes out of it.
+    there the damping changes (:func:`_less_damping`), and restitution comes out of it. The impact map of a whole push
+    keeps its e: a series of bounces under a constant push ends where a single inelastic impact ends (paper sec.
+    Single-arm hit-and-push scenario).
     """
     more = number(values, "restitution")
     if more == 0.0:
         return physics
-    arms = {name: _less_damping(arm, more) for name, arm in physics.arms.items()}
+    arms = {name: _less_damping(arm, more, physics.object.mass) for name, arm in physics.arms.items()}
     return replace(physics, arms=arms, bounce=physics.bounce + more)
 
 
-def _less_damping(arm: ArmPhysics, more: float) -> ArmPhysics:
-    """Damping for more restitution.
-
-    A spring-damper with damping ratio z throws a mass back with e = exp(-pi z / sqrt(1 - z^2)); the pad's damping is
-    set so that a reduced mass of 1 kg would leave with ``restitution``. The formula lets the pad pull, which it cannot:
-    little restitution comes out as more (0.1 as about 0.23). The impact map of a whole push keeps its e: a series of
-    bounces under a constant push ends where a single inelastic impact ends (paper sec. Single-arm hit-and-push
-    scenario).
-    """
+def _less_damping(arm: ArmPhysics, more: float, object_mass: float) -> ArmPhysics:
+    """The pad with less damping, for more restitution; e stays between 0 and 1."""
     if arm.pad_stiffness is None:
         return arm
-    root = 2.0 * np.sqrt(arm.pad_stiffness * REDUCED_MASS)
-    present = np.clip(arm.pad_damping / root, 0.0, 0.999)
-    assumed = np.exp(-np.pi * present / np.sqrt(1.0 - present**2))
-    logarithm = np.log(np.clip(assumed + more, 1e-6, 0.999))
-    ratio = -logarithm / np.hypot(np.pi, logarithm)
-    return replace(arm, pad_damping=float(ratio * root))
+    restitution = arm.pad_restitution(object_mass) + more
+    return replace(arm, pad_damping=arm.pad_damping_of(restitution, object_mass))
 
 
 def _pad_compliance(arm: ArmPhysics, values: Values) -> ArmPhysics:

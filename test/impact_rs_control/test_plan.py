@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -11,6 +12,7 @@ import pytest
 from trials import scene_of
 
 from impact_rs_control.plan import TrialPlan, plan_trial, tick_times
+from impact_rs_sim.errors import InputError
 from impact_rs_sim.friction_compensation import TASKS, AccelerationSamples, ArmFriction, FrictionCompensation
 from impact_rs_sim.impact_map import ImpactProblem, compute_impact_map, settle
 from impact_rs_sim.physics import Physics
@@ -224,3 +226,33 @@ def test_a_compensation_is_planned_for_its_own_mode_and_time() -> None:
     without = plan_trial(PUSH).arms["arm"]
     assert not np.any(without.ante_friction)
     assert not np.any(without.post_friction)
+
+
+PAD = "robots.arm.end_effector.pad"
+
+
+def bouncing(**settings: float | None) -> Scene:
+    """The push with another restitution and another pad."""
+    keys = {"restitution": "contact.restitution", "damping": f"{PAD}.damping", "stiffness": f"{PAD}.stiffness"}
+    changed = PUSH.scenario.with_settings({keys[name]: value for name, value in settings.items()})
+    return Scene.resolve(changed, PUSH.object_name, PUSH.case_name)
+
+
+def test_a_restitution_that_the_pad_does_not_have_is_refused_with_the_damping_that_gives_it() -> None:
+    with pytest.raises(
+        InputError, match=r"^contact\.restitution = 0\.5: the pad of 'arm' bounces off \w+ with 0\.20"
+    ) as refused:
+        plan_trial(bouncing(restitution=0.5))
+    damping = re.search(rf"set {re.escape(PAD)}\.damping: (\d+\.?\d*) \[N s/m\]", str(refused.value))
+    assert damping is not None
+    plan = plan_trial(bouncing(restitution=0.5, damping=float(damping[1])))
+    assert abs(plan.predicted_post_velocity) < 0.95 * abs(plan_trial(PUSH).predicted_post_velocity)
+
+
+def test_a_rigid_pad_has_no_restitution() -> None:
+    with pytest.raises(InputError, match="'arm' does not bounce, for it is rigid"):
+        plan_trial(bouncing(restitution=0.5, stiffness=None))
+
+
+def test_a_pad_that_goes_on_pushing_may_be_planned_without_restitution() -> None:
+    assert plan_trial(bouncing(damping=0.0)).impact is not None

@@ -12,8 +12,8 @@ import pinocchio as pin
 import pytest
 from trials import scene_of
 
+from impact_rs_sim.damping_of_restitution import damping_ratio_of, dissipation_of, restitution_of
 from impact_rs_sim.descriptions import FORMATS, ExportedScene
-from impact_rs_sim.descriptions.damping_of_restitution import damping_ratio_of, dissipation_of, restitution_of
 from impact_rs_sim.effects import library
 from impact_rs_sim.impact_map import ImpactProblem, compute_impact_map
 from impact_rs_sim.model import Model, ModelEffect, ParameterValue, load_model

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Damping with which a compliant contact has a given restitution, for simulators that have no restitution.
+"""Damping with which a compliant contact has a given restitution.
 
 Spring and damper ``m x'' = -k x - c x'``, which part when the force is 0 (Schwager and Pöschel 2007), with
 ``zeta = c / (2 sqrt(k m))`` and ``s = sqrt(|1 - zeta^2|)``:
