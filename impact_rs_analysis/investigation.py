@@ -53,7 +53,7 @@ from impact_rs_analysis.diagnosis.document import (
 )
 from impact_rs_analysis.diagnosis.grammar import load_grammar
 from impact_rs_analysis.diagnosis.search import ProgressCallback
-from impact_rs_analysis.diagnosis.words import not_excluded
+from impact_rs_analysis.diagnosis.words import not_excluded, shown_unnamed
 from impact_rs_analysis.evidence.source import Source
 from impact_rs_analysis.prediction_check import PredictionError, Predictions, predicted, prediction_error
 from impact_rs_sim.effects import library
@@ -671,7 +671,7 @@ def _look(document: DiagnosisDocument, names: Sequence[str]) -> str:
 
 def _what_trials_hardly_show(document: DiagnosisDocument) -> str:
     """A sentence about effects that could be there at a noticeable size; empty: there are none."""
-    effects = not_excluded(document)
+    effects = ", ".join(filter(None, [shown_unnamed(document), not_excluded(document)]))
     return f" Not excluded at a noticeable size: {effects}." if effects else ""
 
 

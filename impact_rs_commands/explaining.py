@@ -211,7 +211,8 @@ Find out which physical effect a model lacks.
 Fits every effect of the library (impact-rs effects lists them) and of your own formulas to the measurements, and
 judges it by its held-out error: how well it predicts conditions that the search has not seen. The verdict on an effect
 is CONFIRMED, CONFUSABLE-WITH{...}, PRESENT-BUT-SMALL, NOT-IDENTIFIABLE, NO-IMPROVEMENT or AT-BOUND; the verdict on
-the model names the missing effects, or is NOTHING-MISSING, NONE-EXPLAINS, PARTLY{...} or TOO-FEW-REPEATS.
+the model names the missing effects, or is NOTHING-MISSING, NONE-EXPLAINS, PARTLY{...}, TOO-FEW-REPEATS, or, where
+impacts break a law of mechanics, IMPOSSIBLE-DATA.
 
 Needs at least three conditions (object x case) and three extra repeats (runs minus conditions >= 3). A free motion
 (scenario excite) separates friction, offset and gain of the torque.""",
@@ -357,9 +358,11 @@ DISCOVER = Command(
 Look for a formula that explains what no effect of the library does: the step after NONE-EXPLAINS and PARTLY.
 
 A law is a place, a quantity and a form (config/grammar.yaml): torque on a motor × its velocity × cube, force on the
-object × its speed × square. Laws stand where a residual is seen. All are screened linearly, the best are fitted by
-simulation with thresholds, widths and periods free, and judged by the held-out error of a search that has not seen
-the condition, beside the effects of the library. Laws that predict equally well are listed together.
+object × its speed × square; of a table of impacts, restitution or friction × closing or sliding speed × step. Laws
+stand where a residual is seen. All are screened linearly, the best are fitted by simulation with thresholds, widths
+and periods free, and judged by the held-out error of a search that has not seen the condition, beside the effects of
+the library. Laws that predict equally well are listed together. Dependences on columns of a table, such as the session,
+are found by diagnose --covariates.
 
 Nothing is proposed where the library explains the measurements, where nothing is missing, and where the hold-out does
 not support a law. The same data as for diagnose are needed.""",
@@ -368,10 +371,13 @@ impact-rs discover campaigns/blind/runs -o discovery.json
 impact-rs add object_drag_square --from discovery.json -o model_2.yaml
 impact-rs compare campaigns/blind/runs --model model_2.yaml
 
+# a restitution that is a curve over the closing speed, in a table with one row per impact
+impact-rs discover --impacts tosses.csv -o discovery.json
+
 # runs recorded with another controller, and terms of your own beside the shipped grammar
 impact-rs discover lab/ --experiment experiment.yaml --grammar my_terms.yaml -o discovery.json""",
     output="the law as a formula with intervals, laws tied with it; with -o a JSON file, with --report discovery.html.",
-    units="beside each estimate; errors are multiples of repeatability, for recordings N m.",
+    units="beside each estimate; errors are multiples of repeatability, for recordings N m, for impacts m/s.",
     options=(
         RUNS,
         MODEL,

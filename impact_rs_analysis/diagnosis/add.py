@@ -87,7 +87,7 @@ def _diagnosed(
     depends = " and ".join(document.dependent.get(name, ()))
     if depends and not force:
         raise InputError(
-            f"{name} depends on {depends}, and a model has one value for all: diagnose the rows at hand alone, take the "
+            f"{name} depends on {depends}, and a model has one value for all: diagnose some of the rows alone, take the "
             f"values from 'dependences' of this file, or --force adds the mean over {depends}",
             file=source,
         )

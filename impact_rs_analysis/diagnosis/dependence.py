@@ -161,6 +161,8 @@ def dependences_of(
     """
     if not found.evidence.source.covariates or found.evidence.null.shortage is not None:
         return None
+    if found.evidence.source.impossible:
+        return None
     source = found.evidence.source.knowing(())
     chosen = () if found.chosen is None else found.chosen.candidate.effects
     others = [single.effects[0] for name, single in found.search.singles.items() if name not in found.names]

@@ -75,8 +75,8 @@ def _why_not(item: Covariate, source: Source) -> str:
     if not source.repeated or len(units) < 2 or sum(len(own) > 1 for own in units.values()) > 1:
         return ""
     return (
-        f"each level of {item.name} was measured in one condition only, and conditions are held out as a whole: measure "
-        f"a condition at several levels of {item.name}, or leave out column 'condition'"
+        f"each level of {item.name} was measured in one condition only, and conditions are held out as a whole: "
+        f"measure a condition at several levels of {item.name}, or leave out column 'condition'"
     )
 
 

@@ -16,6 +16,7 @@ from impact_rs_analysis.diagnosis.dependence_verdicts import (
     with_plain_names,
 )
 from impact_rs_analysis.diagnosis.document import (
+    IMPOSSIBLE,
     TOO_FEW,
     CorrelatedPair,
     DesignDocument,
@@ -110,7 +111,7 @@ def diagnose(
     )
     others = [
         (view, effects_for(view.source, only, bounds))
-        for view in (() if document.verdict == TOO_FEW else source.views())
+        for view in (() if document.verdict in (TOO_FEW, IMPOSSIBLE) else source.views())
     ]
     document = document.model_copy(
         update={"views": tuple(_view(view, model, own, dependences) for view, own in others)}
@@ -226,7 +227,8 @@ def findings_of(
             "out; `impact-rs compare` still shows where the model fails"
         )
     search = Search(effects, Evidence.of(source), progress, earlier=earlier)
-    chosen = None if search.evidence.null.shortage is not None else search.choose()
+    undecidable = search.evidence.null.shortage is not None or bool(source.impossible)
+    chosen = None if undecidable else search.choose()
     rivals: Sequence[Rival] = ()
     held, unsupported = None, ""
     suspected: tuple[str, ...] = ()
@@ -245,7 +247,7 @@ def findings_of(
             chosen, rivals = supported, () if supported is None else search.rivals(supported)
         if chosen is None:
             held = None
-    decided = chosen is not None or suspected or search.evidence.null.shortage is not None
+    decided = chosen is not None or suspected or undecidable
     return Findings(
         search=search,
         chosen=chosen,
@@ -283,6 +285,7 @@ def document_of(found: Findings, source: Source, model: Model) -> DiagnosisDocum
     return DiagnosisDocument(
         source=source.kind,
         verdict=verdict.verdict,
+        impossible=source.impossible,
         named=found.names,
         suspected=found.suspected,
         within_discrepancy=found.within_discrepancy,

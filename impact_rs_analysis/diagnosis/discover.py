@@ -29,7 +29,15 @@ from impact_rs_analysis.diagnosis.discovery_document import (
     NumberDocument,
     PointDocument,
 )
-from impact_rs_analysis.diagnosis.document import NONE, NOTHING, PARTLY, SMALL, TOO_FEW, DiagnosisDocument
+from impact_rs_analysis.diagnosis.document import (
+    IMPOSSIBLE,
+    NONE,
+    NOTHING,
+    PARTLY,
+    SMALL,
+    TOO_FEW,
+    DiagnosisDocument,
+)
 from impact_rs_analysis.diagnosis.fit import HOPELESS, Evidence, Fit, refine
 from impact_rs_analysis.diagnosis.grammar import KNOTS, LEAST_SPAN, Grammar, Law, curve_of, laws_of
 from impact_rs_analysis.diagnosis.search import ProgressCallback, Rival, Search, p_value_beside
@@ -306,6 +314,8 @@ def _of_library(source: Source, library: Sequence[Effect], progress: ProgressCal
 def _settled(known: Findings) -> str | None:
     """Verdict where nothing is left to discover beside effects of the library; None: something is."""
     verdict, source = headline(known).verdict, known.evidence.source
+    if verdict == IMPOSSIBLE:
+        return verdict
     if source.contact_speeds and source.noise_size() is None and verdict != TOO_FEW:
         return None  # how much of the rest is noise is not known: the hold-out decides on laws
     if not source.contact_speeds and not source.repeated and verdict not in (TOO_FEW, NOTHING):
@@ -322,6 +332,8 @@ def _no_need(verdict: str) -> str:
         NOTHING: "These measurements show nothing missing in the model: there is no law to discover.",
         SMALL: "What these measurements show beyond noise is below the relevance limits: no law is proposed.",
         TOO_FEW: "These measurements have too few repeats to decide what the model lacks.",
+        IMPOSSIBLE: "These measurements break a law of every impact, which no law of a contact explains: "
+        "`impact-rs diagnose` says which.",
     }.get(verdict, "Effects of the library explain these measurements up to noise: `impact-rs diagnose` names them.")
 
 

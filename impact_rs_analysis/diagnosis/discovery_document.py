@@ -78,8 +78,8 @@ class DiscoveryDocument(Schema):
 
     format: int = Field(1, description="version of this format")
     verdict: str = Field(
-        description="LAW-FOUND, CURVE-FOUND, NO-LAW-HOLDS, LIBRARY-EXPLAINS, NOTHING-MISSING, PRESENT-BUT-SMALL or "
-        "TOO-FEW-REPEATS"
+        description="LAW-FOUND, CURVE-FOUND, NO-LAW-HOLDS, LIBRARY-EXPLAINS, NOTHING-MISSING, PRESENT-BUT-SMALL, "
+        "TOO-FEW-REPEATS or IMPOSSIBLE-DATA"
     )
     summary: str = Field(description="the verdict in words")
     laws: tuple[LawDocument, ...] = Field((), description="the law and those tied with it, best first")

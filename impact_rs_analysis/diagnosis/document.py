@@ -29,6 +29,7 @@ NONE = "NONE-EXPLAINS"
 SMALL = "PRESENT-BUT-SMALL"
 TOO_FEW = "TOO-FEW-REPEATS"
 PARTLY = "PARTLY"
+IMPOSSIBLE = "IMPOSSIBLE-DATA"
 CONFIRMED = "CONFIRMED"
 CONFUSABLE = "CONFUSABLE-WITH"
 UNIDENTIFIABLE = "NOT-IDENTIFIABLE"
@@ -355,8 +356,11 @@ class DiagnosisDocument(Schema):
     format: int = Field(2, description="version of this format")
     source: Literal["trials", "recordings", "impacts"] = Field("trials", description="what was diagnosed")
     verdict: str = Field(
-        description="NOTHING-MISSING, NONE-EXPLAINS, PRESENT-BUT-SMALL, TOO-FEW-REPEATS, PARTLY{...}, or the missing "
-        "effects joined by +"
+        description="NOTHING-MISSING, NONE-EXPLAINS, PRESENT-BUT-SMALL, TOO-FEW-REPEATS, IMPOSSIBLE-DATA, PARTLY{...}, or "
+        "the missing effects joined by +"
+    )
+    impossible: str = omitted(
+        "", description="how the measurements break a law of every impact, whatever the contact; empty: they do not"
     )
     summary: str = Field("", description="the verdict in words, with the largest residuals in units")
     named: tuple[str, ...] = Field((), description="effects that the diagnosis chose")
@@ -423,6 +427,8 @@ class DiagnosisDocument(Schema):
 
         By name of the effect, those of the largest reach first. An effect that no signal depends on is not among them.
         """
+        if self.impossible:
+            return {}
         near = {*self.named, *(name for group in self.confusable for name in group)}
         found = []
         for effect in self.effects:

@@ -134,7 +134,8 @@ class Evidence:
 
         Enough is ``LEAST_GAIN`` of the whole. Where every joint has a noise of its own that is not known, a gain counts
         against what is left of the joint, and ``LEAST_GAIN_IN_ONE`` of it is enough: on the scale of what the model
-        without effects leaves, whatever acts in a well explained joint is small.
+        without effects leaves, whatever acts in a well explained joint is small. In a table of single impacts a gain
+        counts against what is left of the signals that the effect moves (:meth:`_gain_where_it_acts`).
 
         Args:
             before: Mean residuals without an effect, ``(F,)`` per cluster [-].
@@ -144,7 +145,37 @@ class Evidence:
         first, second = (self.excess(rest) for rest in (before, after))
         least, in_one = of_enough * LEAST_GAIN, of_enough * LEAST_GAIN_IN_ONE
         whole = float(np.sum(first - second)) > least * float(np.sum(first))
-        return whole or (self.source.noise_apart and bool(np.any(first - second > in_one * first)))
+        if whole or (self.source.noise_apart and bool(np.any(first - second > in_one * first))):
+            return True
+        single = not self.source.of_motion and not self.source.repeated
+        return single and self._gain_where_it_acts(before, after) > least
+
+    def _gain_where_it_acts(self, before: Sequence[Array], after: Sequence[Array]) -> float:
+        """Share of the excess of the signals of a table that goes, weighted by how plainly an effect moves them [-].
+
+        With the excess a_s of signal s, and the mean square c_s of its change, the weight is c_s / a_s: what the effect
+        explains of it at most. Noise of a signal that the effect does not move, as that of a spin beside the velocity
+        along the normal, has no weight.
+        """
+        gained, weights = 0.0, 0.0
+        for signal in {(f.signal, f.index) for item in self.clusters for f in item.features}:
+            masks = [np.array([(f.signal, f.index) == signal for f in item.features]) for item in self.clusters]
+            first, second = (
+                np.mean(
+                    np.concatenate(
+                        [
+                            np.square(own[mask]) - item.expected_squares[mask]
+                            for own, mask, item in zip(rest, masks, self.clusters, strict=True)
+                        ]
+                    )
+                )
+                for rest in (before, after)
+            )
+            moved = [(a - b)[mask] for a, b, mask in zip(before, after, masks, strict=True)]
+            if first > 0.0:
+                weight = float(np.mean(np.square(np.concatenate(moved))) / first)
+                gained, weights = gained + weight * float(first - second) / float(first), weights + weight
+        return gained / weights if weights else 0.0
 
     def excess(self, rest: Sequence[Array]) -> Array:
         """Mean square error beyond repeatability and discrepancy, by joint with a noise of its own, ``(g,)`` [-]."""

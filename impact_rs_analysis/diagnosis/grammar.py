@@ -408,7 +408,7 @@ def curve_of(law: Law, domain: Range, count: int = KNOTS[0], absolute: bool = Tr
         absolute: Whether it contains a constant; else it is 0 at the knot nearest to 0, beside an offset.
     """
     (key, table), (low, high) = law.formula, domain
-    # A speed: at rest the force is 0, or sticks, which is no curve. A coefficient has a value in the slowest impact too.
+    # A speed: at rest the force is 0, or sticks, which is no curve. A slow impact has its coefficients as well.
     from_rest = 0.0 <= low < high / count and not law.coefficient
     every = np.linspace(0.0, high, count + 1)[1:] if from_rest else np.linspace(low, high, count)
     width = float(every[1] - every[0])

@@ -365,39 +365,67 @@ class Search:
 
     def _extend(self, chosen: Fit | None, names: Collection[str] | None = None) -> Fit | None:
         """Add effects until none is accepted; of some alone if ``names`` says which."""
-        decidable = self.evidence.null.shortage is None
         while chosen is None or len({e.family or e.name for e in chosen.candidate.effects}) < MOST_EFFECTS:
             if chosen is not None and (left := chosen.lack_of_fit()) is not None and left > SIGNIFICANT:
                 break
-            p_values = self.p_values(chosen)
-            evidence = self.evidence if chosen is None else chosen.evidence
-            before = self._unexplained(chosen)
-            possible = [
-                group
-                for group in self._groups(() if chosen is None else chosen.candidate.names, names)
-                if group not in self.ruled_out
-            ]
-            likely = [group for group in possible if p_values[group] < SIGNIFICANT or not decidable]
-            # Sensitivities at nominal may not show what an effect does further on: then fits and hold-out decide.
-            if not likely and chosen is None and self.lacking and self.source.repeated:
-                likely = sorted(possible, key=lambda group: p_values[group])[:SHORTLIST]
-            apart = {name for group in likely for name in group.split("+")}
-            self._starts |= {n: self._best_shape(self.singles[n]) for n in apart if n not in self._starts}
-            linear = self._with_shapes([self.beside(chosen, group) for group in likely])
-            for entry in linear:
-                self._report_progress(entry)
-            # Small effects are linear: a proposal without gain in the linear fit has none by simulation.
-            if chosen is not None:
-                linear = [e for e in linear if evidence.gains(before, e.problem.left_out_rest, 0.5)]
-            # Where residuals are no larger than noise, no more than relevant effects are looked for.
-            if self.source.repeated and chosen is None and not all(map(moves_enough, linear)) and not self.lacking:
-                linear = [entry for entry in linear if moves_enough(entry)]
-            best = self._best(linear[: LONG_LIST if len(possible) > MANY else SHORTLIST], chosen)
+            best = self._next(chosen, self._groups(() if chosen is None else chosen.candidate.names, names))
+            if best is None and not self.source.of_motion:
+                best = self._pair_at_once(chosen)
             if best is None:
                 break
             chosen = self._measured_again(best)
             self._look_beside(chosen)
         return chosen
+
+    def _next(
+        self, chosen: Fit | None, groups: Sequence[str], p_values: Mapping[str, float] | None = None
+    ) -> Fit | None:
+        """The best of some effects or groups beside the chosen ones, fitted by simulation; None: none is accepted.
+
+        Args:
+            chosen: The chosen effects.
+            groups: What may be added at once.
+            p_values: Adjusted, of the groups; None: those of all effects and groups that may be accepted.
+        """
+        decidable = self.evidence.null.shortage is None
+        p_values = self.p_values(chosen) if p_values is None else p_values
+        evidence = self.evidence if chosen is None else chosen.evidence
+        before = self._unexplained(chosen)
+        possible = [group for group in groups if group not in self.ruled_out]
+        likely = [group for group in possible if p_values[group] < SIGNIFICANT or not decidable]
+        # Sensitivities at nominal may not show what an effect does further on: then fits and hold-out decide.
+        if not likely and chosen is None and self.lacking and self.source.repeated:
+            likely = sorted(possible, key=lambda group: p_values[group])[:SHORTLIST]
+        apart = {name for group in likely for name in group.split("+")}
+        self._starts |= {n: self._best_shape(self.singles[n]) for n in apart if n not in self._starts}
+        linear = self._with_shapes([self.beside(chosen, group) for group in likely])
+        for entry in linear:
+            self._report_progress(entry)
+        # Small effects are linear: a proposal without gain in the linear fit has none by simulation.
+        if chosen is not None:
+            linear = [e for e in linear if evidence.gains(before, e.problem.left_out_rest, 0.5)]
+        # Where residuals are no larger than noise, no more than relevant effects are looked for.
+        if self.source.repeated and chosen is None and not all(map(moves_enough, linear)) and not self.lacking:
+            linear = [entry for entry in linear if moves_enough(entry)]
+        return self._best(linear[: LONG_LIST if len(possible) > MANY else SHORTLIST], chosen)
+
+    def _pair_at_once(self, chosen: Fit | None) -> Fit | None:
+        """Two effects that help together where neither does alone, as more restitution and a fall of it; None: no two.
+
+        Each must explain something beside the other. Tables of impacts alone: their predictions are cheap.
+        """
+        if self.evidence.null.shortage is not None:
+            return None
+        present = () if chosen is None else chosen.candidate.names
+        alone = [name for name in self._groups(present) if "+" not in name and not self.singles[name].effects[0].family]
+        pairs = ["+".join(pair) for pair in combinations(alone, 2)]
+        p_values = adjusted(self.p_values_of(pairs, chosen), len(alone) + len(pairs))
+        pairs = [pair for pair in pairs if p_values[pair] < SIGNIFICANT]
+        best = self._next(chosen, pairs, p_values) if pairs else None
+        added = () if best is None else tuple(name for name in best.candidate.names if name not in present)
+        if best is None or any(self.p_value_of_chosen(best, name) >= SIGNIFICANT for name in added):
+            return None
+        return best
 
     def _with_shapes(self, linear: Sequence[Fit]) -> list[Fit]:
         """Linear fits, best first; the leaders with unseen shapes are linearised again where the fit puts amplitudes.
@@ -660,7 +688,9 @@ def p_value_beside(chosen: Fit, name: str, rival: Fit) -> float:
 
 
 def encompasses(chosen: Fit, name: str, rival: Fit, other: str) -> bool:
-    """Whether repeats show that a chosen effect explains what its rival leaves, and leaves nothing for the rival.
+    """Whether a chosen effect explains what its rival leaves, and leaves nothing for the rival.
+
+    Repeats show that, or the rows of a table; samples of a recording are not independent.
 
     Args:
         chosen: The chosen effects.
@@ -668,7 +698,8 @@ def encompasses(chosen: Fit, name: str, rival: Fit, other: str) -> bool:
         rival: The others with its rival.
         other: The rival.
     """
-    if not chosen.evidence.source.repeated or rival.score <= chosen.score:
+    source = chosen.evidence.source
+    if (source.of_motion and not source.repeated) or rival.score <= chosen.score:
         return False
     return p_value_beside(chosen, name, rival) < SIGNIFICANT and p_value_beside(rival, other, chosen) > NOMINAL
 

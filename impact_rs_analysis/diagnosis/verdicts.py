@@ -16,6 +16,7 @@ from impact_rs_analysis.diagnosis.document import (
     AT_BOUND,
     CONFIRMED,
     CONFUSABLE,
+    IMPOSSIBLE,
     NO_IMPROVEMENT,
     NONE,
     NOTHING,
@@ -332,7 +333,7 @@ class Headline:
     Attributes:
         verdict: See :class:`~impact_rs_analysis.diagnosis.document.DiagnosisDocument`.
         share: Share of the squared held-out error beyond noise that remains.
-        before: p-value of the model's residuals being noise; None without repeats.
+        before: p-value of the model's residuals being noise; None without repeats or stated noise.
         after: The same of the remaining residuals.
     """
 
@@ -350,7 +351,14 @@ def headline(found: Findings) -> Headline:
     share = 1.0 - explained(*found.held_out_sizes, noise_size(evidence))
     if evidence.null.shortage is not None:
         return Headline(TOO_FEW, share, before, after)
-    if not evidence.source.repeated:
+    if evidence.source.impossible:
+        return Headline(IMPOSSIBLE, share, before, after)
+    stated = _stated(evidence)
+    if stated:
+        fitted = 0 if chosen is None else chosen.change.size
+        before = beyond_stated_noise(evidence, [item.mean for item in evidence.clusters])
+        after = beyond_stated_noise(evidence, found.unexplained, fitted)
+    elif not evidence.source.repeated:
         more = exceeds_noise(evidence, found.unexplained)
         if chosen is None:
             return Headline(NONE if more else NOTHING, share, before, after)
@@ -358,7 +366,8 @@ def headline(found: Findings) -> Headline:
             return Headline(_partly(found, share), share, before, after)
         return Headline("+".join(found.names), share, before, after)
     stays = after is not None and after < SIGNIFICANT
-    large = any(rest.value > rest.floor for rest in rests_of(evidence, found.unexplained))
+    rests = rests_of(evidence, found.unexplained)
+    large = any(rest.value > rest.floor for rest in rests if not stated or (rest.signal, rest.index) in stated)
     if chosen is None:
         # An effect may be significant alone; if the residuals are noise, it does not explain a deficit of the model.
         verdict = NONE if stays and large else SMALL if stays else NOTHING
@@ -369,6 +378,46 @@ def headline(found: Findings) -> Headline:
     else:
         verdict = "+".join(found.names)
     return Headline(verdict, share, before, after)
+
+
+def _stated(evidence: Evidence) -> set[tuple[str, str]]:
+    """Signals of a table without repeats whose noise is stated, each with its axis or joint."""
+    if evidence.source.repeated or evidence.source.of_motion:
+        return set()
+    pairs = ((f, pure) for item in evidence.clusters for f, pure in zip(item.features, item.pure, strict=True))
+    return {(feature.signal, feature.index) for feature, pure in pairs if pure > 0.0}
+
+
+def beyond_stated_noise(evidence: Evidence, rest: Sequence[Array], fitted: int = 0) -> float:
+    """p-value of residuals being stated noise and discrepancy: chi-square of every signal, and of all together.
+
+    With the noise p_i and the discrepancy d_i of a residual r_i the statistic is T = sum r_i^2 / (p_i^2 + d_i^2), and
+    a_i = p_i^2 / (p_i^2 + d_i^2). Noise is independent; discrepancies may all be one and the same amplitude. So T has
+    the mean N and at most the variance 2 (sum a_i^2 + (sum 1 - a_i)^2), and is compared with the scaled chi-square of
+    that mean and variance (Satterthwaite 1946, Biometrics Bulletin 2): without discrepancy that of N degrees of
+    freedom. The smallest p counts, times the number of tests (Bonferroni).
+
+    Args:
+        evidence: The clusters of a table.
+        rest: Mean residual of each, ``(F,)`` [-].
+        fitted: Number of fitted parameters, which take as many degrees of freedom, from every signal its share.
+    """
+    signals: list[tuple[str, str]] = []
+    squares, shares = [], []
+    for item, values in zip(evidence.clusters, rest, strict=True):
+        known = item.pure > 0.0
+        expected = item.expected_squares[known]
+        signals += [(f.signal, f.index) for f, own in zip(item.features, known, strict=True) if own]
+        squares.append(np.square(values[known]) / expected)
+        shares.append(np.square(item.pure[known]) / item.count / expected)
+    statistic, share = np.concatenate(squares), np.concatenate(shares)
+    left = max(1.0 - fitted / statistic.size, 1.0 / statistic.size)
+    p_values = []
+    for own in (np.ones(statistic.size, dtype=bool), *(np.array([s == one for s in signals]) for one in set(signals))):
+        mean = left * np.count_nonzero(own)
+        spread = 2.0 * (left * np.sum(np.square(share[own])) + np.sum(1.0 - share[own]) ** 2)
+        p_values.append(float(scipy.stats.chi2.sf(2.0 * mean * statistic[own].sum() / spread, 2.0 * mean**2 / spread)))
+    return min(1.0, len(p_values) * min(p_values))
 
 
 def _partly(found: Findings, share: float) -> str:
@@ -469,6 +518,8 @@ def _other_document(found: Findings, effect: Effect) -> EffectDocument:
     rivals = tuple(dict.fromkeys(rival.instead_of for rival in tied))
     if evidence.null.shortage is not None:
         verdict, reason = TOO_FEW, evidence.null.shortage
+    elif evidence.source.impossible:
+        verdict, reason = UNIDENTIFIABLE, "the measurements break a law that holds for every contact"
     elif np.all(undetermined(fitted)[part][shown]):
         verdict, reason = UNIDENTIFIABLE, "the data do not determine it: its interval is too wide"
     elif rivals:

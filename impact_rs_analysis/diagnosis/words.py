@@ -7,6 +7,7 @@ import math
 from collections.abc import Sequence
 
 from impact_rs_analysis.diagnosis.document import (
+    IMPOSSIBLE,
     NONE,
     NOTHING,
     PARTLY,
@@ -38,12 +39,23 @@ def summary_of(document: DiagnosisDocument) -> str:
 
 def not_excluded(document: DiagnosisDocument) -> str:
     """Effects that could be there at a noticeable size although nothing shows them, with the largest; empty: none."""
+    return _intervals(document, beyond_nominal=False)
+
+
+def shown_unnamed(document: DiagnosisDocument) -> str:
+    """Effects that are not named although their interval excludes the value at which they do nothing; empty: none."""
+    return _intervals(document, beyond_nominal=True)
+
+
+def _intervals(document: DiagnosisDocument, beyond_nominal: bool) -> str:
+    """Effects of noticeable size that are not named, whose interval excludes the nominal value or does not."""
     found = []
     for name, parameter in document.not_excluded.items():
         effect = document.effect(name)
         assert effect is not None
         own = effect.parameters[parameter]
-        found.append(f"{name} ({parameter} {_span(own.interval, own.unit)})")
+        if own.excludes_nominal == beyond_nominal:
+            found.append(f"{name} ({parameter} {_span(own.interval, own.unit)})")
     return ", ".join(found)
 
 
@@ -231,6 +243,8 @@ def _verdict(document: DiagnosisDocument) -> str:
     suspicion = _suspicion(document)
     if verdict == TOO_FEW:
         return f"These {runs} cannot decide what model '{name}' lacks. Needed: {document.design.shortage}."
+    if verdict == IMPOSSIBLE:
+        return f"These {runs} break a law of every impact, so no effect is named: {document.impossible}. {error}"
     if verdict == NOTHING:
         if suspicion:
             return f"These {runs} show nothing missing in model '{name}' for certain. {suspicion} {error}"

@@ -44,6 +44,7 @@ from functools import cached_property, partial
 
 import numpy as np
 import pinocchio as pin
+import scipy
 
 from impact_rs_analysis.evidence.ante_impact import obliqueness_of
 from impact_rs_analysis.evidence.cluster import TIMES, Added, Cluster, Feature, pooled_error
@@ -114,6 +115,8 @@ TELLING = 0.8  # of what the model leaves; scatter of neighbours above it says n
 MOST_SHOWN = 8  # levels of a covariate in a remark
 DECIDES = 0.2  # of what the model leaves; contacts that move predictions by more may decide
 GAINED = 1.05  # kinetic energy after over before; rows above it are reported
+LEAST_GAINING = 3  # rows whose mean is judged
+SURELY_GAINED = 0.999  # one-sided confidence of the mean of all rows, above which no impact is behind a table
 
 AXES = ("x", "y", "z")
 CONTACT_AXES = ("normal", "sliding", "across")
@@ -208,6 +211,7 @@ class ImpactTableSource(Source):
         self._altered = Recent[Physics | None](ALTERED)
         self._known = Recent[Array](self._kept_answers)
         self._judge(_entries(table, joints=table.joints, body=True))
+        self.impossible = self._gain_of_energy()
         self.remarks = tuple(self._remarks()) if remarks else ()
 
     def _judge(self, seen: Places) -> None:
@@ -431,7 +435,7 @@ class ImpactTableSource(Source):
             return None
         found = self.table.noise
         if self._distances:
-            ways = [np.nan if row.distance is None else row.distance.noise for row in self.table.rows]
+            ways = [np.nan if row.distance is None else row.distance.noise or 0.0 for row in self.table.rows]
             found = np.column_stack((found, np.array(ways, dtype=float)))
         return np.hypot(found, self._noise_of_contacts)
 
@@ -765,8 +769,8 @@ class ImpactTableSource(Source):
             remarks.append(
                 f"place and normal of the contacts, known to p_noise and n_noise, are {own:.2g} m/s of the noise"
             )
-        gained = [row.number for row, ratio in zip(self.table.rows, self._gained(), strict=True) if ratio > GAINED]
-        if gained:
+        gained = [row.number for row, ratio in zip(self.table.rows, self._gained, strict=True) if ratio > GAINED]
+        if gained and not self.impossible:
             shown = ", ".join(str(number) for number in gained[:5]) + (" ..." if len(gained) > 5 else "")
             remarks.append(
                 f"{len(gained)} of {len(self.table.rows)} rows leave with over {100.0 * (GAINED - 1.0):.0f} % more "
@@ -855,6 +859,22 @@ class ImpactTableSource(Source):
         """Standard deviation of the noise columns by feature, ``(nv,)``; None: there are none."""
         return None if self.noise is None else np.sqrt(np.mean(np.square(self.noise), axis=0))
 
+    def _gain_of_energy(self) -> str:
+        """That the rows as a whole leave with more kinetic energy than they came with; empty: they do not."""
+        ratios = self._gained[np.isfinite(self._gained)]
+        if ratios.size < LEAST_GAINING:
+            return ""
+        error = float(ratios.std(ddof=1)) / np.sqrt(ratios.size)
+        if float(ratios.mean()) - float(scipy.stats.t.ppf(SURELY_GAINED, ratios.size - 1)) * error <= GAINED:
+            return ""
+        return (
+            f"kinetic energy grows in {np.count_nonzero(ratios > 1.0)} of {len(self.table.rows)} rows, by "
+            f"{100.0 * (float(ratios.mean()) - 1.0):.0f} % on average, which no impact can cause: an external force "
+            "acted, velocities before and after are not those of the same body in the same axes and units, or they are "
+            "exchanged"
+        )
+
+    @cached_property
     def _gained(self) -> Array:
         """Measured kinetic energy after over before, ``(rows,)`` [-]."""
         found = []

@@ -100,6 +100,7 @@ class Source(ABC):
         worlds: All distinct physics of the clusters under the model, for bounds of parameters.
         repeated: Whether clusters hold repeats; if not, clusters are stretches of time.
         remarks: Remarks on the measurements, for the reader.
+        impossible: How the measurements break a law of every impact, whatever the contact is like; empty: they do not.
         comparison_remarks: Those of them that a comparison shows.
         runs: Runs of trials; None: recordings or a table of impacts.
         left_out: Path and reason of recordings that are too short; those of trials are with the runs.
@@ -135,6 +136,7 @@ class Source(ABC):
     discrepancy: Discrepancy = NO_DISCREPANCY
     size_is: str = "size of the difference between measurement and model, in multiples of repeatability"
     not_measured: tuple[str, ...] = ()
+    impossible: str = ""
     noise_apart: bool = False
     residual_unit: str = "N m"
     size_unit: str = TIMES

@@ -17,7 +17,7 @@ from impact_rs_analysis.diagnosis.document import (
 )
 from impact_rs_analysis.diagnosis.history import VersionError
 from impact_rs_analysis.diagnosis.thresholds import SIGNIFICANT
-from impact_rs_analysis.diagnosis.words import not_excluded, remaining
+from impact_rs_analysis.diagnosis.words import not_excluded, remaining, shown_unnamed
 from impact_rs_analysis.evidence.cluster import TIMES
 from impact_rs_analysis.evidence.tracks import Track
 from impact_rs_analysis.report.comparison import TracksPart, WherePart, tracks_part, where_part
@@ -107,6 +107,7 @@ class DiagnosisPage:
         effects_plot: Their errors; None without effects.
         unmeasured: Effects without influence on the measured signals.
         not_excluded: Effects that could be there at a noticeable size, in words; empty: none.
+        shown_unnamed: Effects that are not named though their interval excludes zero effect, likewise.
         dependences: Effects that were found by covariate.
         joints_plot: Errors joint by joint; None if not known.
         remaining: Share of the error beyond noise that the effects leave, in words; empty: not known.
@@ -127,6 +128,7 @@ class DiagnosisPage:
     effects_plot: Plot | None
     unmeasured: tuple[str, ...]
     not_excluded: str
+    shown_unnamed: str
     dependences: tuple[DependenceRow, ...]
     joints_plot: Plot | None
     remaining: str
@@ -177,6 +179,7 @@ def write_diagnosis(
         effects_plot=None if bars is None else Plot("effects", bars),
         unmeasured=tuple(effect.name for effect in document.effects if not effect.measured),
         not_excluded=not_excluded(document),
+        shown_unnamed=shown_unnamed(document),
         dependences=tuple(map(_dependence_row, document.dependences)),
         joints_plot=Plot("joints", joints_plot(document.joints)) if document.joints else None,
         remaining=remaining(document),

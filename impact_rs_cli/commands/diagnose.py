@@ -25,7 +25,7 @@ from impact_rs_analysis.diagnosis.document import (
 )
 from impact_rs_analysis.diagnosis.formulas import try_out
 from impact_rs_analysis.diagnosis.history import history
-from impact_rs_analysis.diagnosis.words import not_excluded
+from impact_rs_analysis.diagnosis.words import not_excluded, shown_unnamed
 from impact_rs_analysis.report.diagnosis import write_diagnosis
 from impact_rs_cli.arguments import number, on_local_runs
 from impact_rs_cli.measurements import Measurements, measured
@@ -233,6 +233,8 @@ def show(document: DiagnosisDocument, terminal: Terminal) -> None:
         terminal.say(f"and {len(shown) - MOST_SHOWN} more effects, none of them better")
     if missing := [effect.name for effect in document.effects if not effect.measured]:
         terminal.say(f"not measured here: {', '.join(missing)}")
+    if shown := shown_unnamed(document):
+        terminal.say(f"beyond zero alone, but not named: {shown}")
     if small := not_excluded(document):
         terminal.say(f"not excluded at a noticeable size: {small}")
     for remark in document.remarks:

@@ -982,27 +982,40 @@ class _Reader:
         )
 
     def _noise(self, rows: Sequence[ImpactRow]) -> Array | None:
-        """Standard deviations in the order of ``after``, ``(rows, nv)``; None where the table says nothing."""
-        wanted = {"v_noise": "m/s"} if self._centre_after else {"distance_noise": "m"}
-        wanted |= {"w_noise": "rad/s"} if self._turning_after else {}
-        wanted |= {"dq_noise": "rad/s"} if self._joints_after else {}
+        """Standard deviations in the order of ``after``, ``(rows, nv)``; None where the table says nothing.
+
+        Of what the table states no noise of, while it does of others, it is 0: not known.
+        """
+        wanted = self._noise_columns()
         if not any(name in self._where for name in (*wanted, *OF_CONTACTS)) or self.questions:
             return None
-        for name, unit in wanted.items():
-            if name not in self._where:
-                raise InputError(f"no column '{name} [{unit}]', though other noise is given", file=self.path)
         found = []
         for row, cells in zip(rows, self.cells, strict=True):
             names = ["dq_noise"] * (row.after.size - 6) + ["v_noise"] * 3 + ["w_noise"] * 3
-            found.append([self._value(row.number, cells, name) if name in wanted else np.nan for name in names])
+            own = {name: self._value(row.number, cells, name) if name in self._where else 0.0 for name in wanted}
+            found.append([own.get(name, np.nan) for name in names])
         return np.array(found)
+
+    def _noise_columns(self) -> dict[str, str]:
+        """Noise columns of what was measured after the impact, with what they are the noise of."""
+        wanted = {"v_noise": "v*_after"} if self._centre_after else {"distance_noise": "distances"}
+        wanted |= {"w_noise": "w*_after"} if self._turning_after else {}
+        return wanted | ({"dq_noise": "dq*_after"} if self._joints_after else {})
 
     def _assumed(self) -> tuple[str, ...]:
         """What is taken where the table says nothing."""
+        noise = self._noise_columns()
+        some = any(name in self._where for name in (*noise, *OF_CONTACTS))
+        unknown = tuple(
+            f"no column '{name}', though other noise is stated: how much of the residual of {columns} is noise is not "
+            f"known{'' if columns == 'distances' else '; without these columns the other signals are compared alone'}"
+            for name, columns in noise.items()
+            if some and name not in self._where
+        )
         if self.scenario is not None:
-            return ()
+            return unknown
         taken = {FRICTION: ASSUMED_FRICTION, RESTITUTION: 0.0}
-        return tuple(
+        return unknown + tuple(
             f"no column '{name} [-]': {value:g} is assumed, and estimates are relative to that"
             for name, value in taken.items()
             if name not in self._where

@@ -62,7 +62,10 @@ def test_what_depends_on_a_covariate_is_said_in_text_document_and_page(
     assert estimates == pytest.approx([0.2, 0.4], abs=0.02)
     page = (report / "diagnosis.html").read_text(encoding="utf-8")
     assert "<h2>Circumstances</h2>" in page and "restitution in B: 0." in page
-    assert main(["add", "restitution", "--from", str(diagnosis), "-o", str(tmp_path / "model_2.yaml")]) == 0
+    assert "next: " not in shown  # a model has one value for all sessions
+    add = ["add", "restitution", "--from", str(diagnosis), "-o", str(tmp_path / "model_2.yaml")]
+    assert main(add) == 2 and "restitution depends on session" in capfd.readouterr().err
+    assert main([*add, "--force"]) == 0
 
 
 def test_an_arm_needs_its_scenario(tmp_path: Path, document: Document, refused: Callable[..., str]) -> None:

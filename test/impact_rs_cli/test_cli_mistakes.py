@@ -103,7 +103,7 @@ MISTAKES = {  # {} is a folder with one file, CUBES a table of impacts
     "compare --impacts CUBES --mapping joint_state": "--mapping is for recordings",
     "compare --impacts CUBES --mcap {}/mcap": "--mcap is for trials; for tables of impacts use --json",
     "discover memory://runs": "no bags of trials here",
-    "discover --impacts CUBES": "laws act along a motion",
+    "discover --impacts CUBES --covariates session": "--covariates: no column 'session'",
     "discover {} --effects torque_ofset": "did you mean 'torque_offset'",
     "discover {} --grammar {}/no.yaml": "no.yaml",
     "discover {} --grammar {}/file": "file",

@@ -21,7 +21,7 @@ from impact_rs_sim.memory import Memory
 
 RANGES = {"dq4": (-0.6, 0.8), "q4": (-2.4, -1.6), "object_speed": (0.0, 0.5)}
 SHIPPED = list(laws_of(load_grammar(), RANGES, 7))
-RIGHT = {"joint_torque": "N m", "motor_torque": "N m"}
+RIGHT = {"joint_torque": "N m", "motor_torque": "N m", "contact": "-"}
 
 
 def law(name: str) -> Law:
@@ -169,7 +169,7 @@ def test_a_tie_with_a_law_that_was_not_kept_is_still_said() -> None:
     laws, diagnosis = {one.spec.name: one for one in SHIPPED}, DiagnosisDocument.model_construct(effects=())
     said = _tie(diagnosis, law("motor4_velocity_cube"), ["motor4_velocity_square"], RANGES, laws)
     assert said.endswith(
-        "motor4_velocity_square cannot be distinguished: in these motions they are nearly the same force."
+        "motor4_velocity_square cannot be distinguished: in these measurements they are nearly the same."
     )
 
 

@@ -12,7 +12,12 @@ from ball_impacts import NOISE, Racket, ball_table
 from impact_table_cases import write_csv
 
 from impact_rs_analysis.diagnosis.diagnose import diagnose
+from impact_rs_analysis.diagnosis.discover import discover
 from impact_rs_analysis.diagnosis.document import DiagnosisDocument
+from impact_rs_analysis.diagnosis.fit import Evidence
+from impact_rs_analysis.diagnosis.grammar import load_grammar
+from impact_rs_analysis.diagnosis.verdicts import beyond_stated_noise
+from impact_rs_analysis.evidence.cluster import Cluster, Feature
 from impact_rs_analysis.evidence.impact_tables import ImpactTableSource
 from impact_rs_analysis.evidence.map_discrepancy import LINEAR
 from impact_rs_sim.effects.formula import FormulaParameter, FormulaSpec
@@ -152,3 +157,105 @@ def test_a_ball_whose_spin_was_not_measured_after_the_impact_is_compared_by_its_
     for name, parameter, truth in (("restitution", "restitution", 0.08), ("support_friction", "friction", -0.088)):
         low, high = document.effect(name).parameters[parameter].interval
         assert low <= truth <= high
+
+
+@pytest.mark.parametrize("stated", [True, False])
+def test_a_small_fall_of_restitution_is_named_beside_a_noisy_spin(tmp_path: Path, stated: bool) -> None:
+    """Noise of 30 rad/s is nine tenths of the error, and the fall moves the velocity along the normal alone."""
+    racket = Racket(lambda v: 0.7 - 0.0217 * v, 0.2)
+    path = ball_table(tmp_path / "balls.csv", racket, rows=120, noise=(0.1, 30.0), stated=stated)
+    source = ImpactTableSource(read_impact_table(path), NOMINAL)
+    document = diagnose(source, NOMINAL, ["restitution", "support_friction", "restitution_fall", "drilling_friction"])
+    assert set(document.named) == {"restitution", "support_friction", "restitution_fall"}
+    fall = document.effect("restitution_fall")
+    low, high = fall.parameters["fall"].interval
+    assert fall.verdict == "CONFIRMED" and 0.017 < low < 0.0217 < high < 0.026
+    assert fall.p_value <= 0.0005
+
+
+def test_what_is_left_beyond_stated_noise_is_lack_of_fit(tmp_path: Path) -> None:
+    """A face that is slippery in every second impact leaves 1.5 times the noise that is stated, and no effect is two."""
+    rng = np.random.default_rng(3)
+    slippery, rough = (Racket(lambda v: 0.6, friction) for friction in (0.1, 0.3))
+    (first, *one), (_, *other) = (
+        list(csv.reader(ball_table(tmp_path / f"{n}.csv", racket, rows=120, seed=5, noise=(0.3, 10.0)).open()))
+        for n, racket in enumerate((slippery, rough))
+    )
+    rows = [pair[int(rng.integers(2))] for pair in zip(one, other, strict=True)]
+    mixed = read_impact_table(write_csv(tmp_path / "mixed.csv", first, rows))
+    document = diagnose(ImpactTableSource(mixed, NOMINAL), NOMINAL, ["restitution", "support_friction"])
+    assert document.noise_floor < document.held_out_error_after < 2.0 * document.noise_floor
+    assert document.verdict.startswith("PARTLY{") and "at least one more effect" in document.summary
+    assert document.lack_of_fit.after <= 0.0005
+    alike = read_impact_table(write_csv(tmp_path / "alike.csv", first, one))
+    document = diagnose(ImpactTableSource(alike, NOMINAL), NOMINAL, ["restitution", "support_friction"])
+    assert document.verdict == "+".join(document.named) and document.lack_of_fit.after > 0.01
+
+
+def test_noise_passes_for_lack_of_fit_as_often_as_it_should() -> None:
+    """The chi-square test, with noise alone and with a discrepancy that all rows share: p < 5 % in 5 % or fewer."""
+    rng = np.random.default_rng(0)
+    features = tuple(Feature("impact", "velocity", axis, 0, "m/s", 0.0) for axis in "xyz")
+    for discrepancy, beyond in ((0.0, 1.4), (0.5, 5.0)):
+        found = []
+        for _ in range(400):
+            shared = discrepancy * rng.standard_normal(3)
+            rest = [shared + 0.5 * rng.standard_normal(3) for _ in range(40)]
+            clusters = tuple(one_row(features, values, discrepancy) for values in rest)
+            evidence = Evidence(None, tuple(range(40)), clusters)
+            found.append(beyond_stated_noise(evidence, rest))
+        assert np.mean(np.array(found) < 0.05) < 0.08
+        assert beyond_stated_noise(evidence, [beyond * values for values in rest]) < 0.01
+
+
+def one_row(features: tuple[Feature, ...], values: np.ndarray, discrepancy: float) -> Cluster:
+    """A row with noise of 0.5 and a discrepancy, on the scale of 1."""
+    own = {"name": "row", "place": ("", "", ""), "layout": "impacts", "unit": "row", "contact": True}
+    sizes = {"sigma": np.ones(3), "pure": np.full(3, 0.5), "discrepancy": np.full(3, discrepancy)}
+    return Cluster(**own, features=features, residuals=values[None], **sizes)
+
+
+@pytest.mark.parametrize("stated", [True, False])
+def test_more_restitution_and_a_fall_of_it_are_found_together_where_neither_helps_alone(
+    tmp_path: Path, stated: bool
+) -> None:
+    """A restitution of 0.54 is right at the speeds that decide, so that more of it, or a fall of it alone, is wrong."""
+    racket = Racket(lambda v: 0.7 - 0.03 * v, 0.2)
+    assumed = {"friction": 0.2, "restitution": 0.54}
+    path = ball_table(tmp_path / "balls.csv", racket, rows=120, noise=(0.1, 10.0), stated=stated, **assumed)
+    document = diagnose(ImpactTableSource(read_impact_table(path), NOMINAL), NOMINAL, CONSIDERED)
+    assert set(document.named) == {"restitution", "restitution_fall"}
+    found = {name: document.effect(name).parameters for name in document.named}
+    low, high = found["restitution"]["restitution"].interval
+    assert 0.12 < low < 0.16 < high < 0.2
+    low, high = found["restitution_fall"]["fall"].interval
+    assert 0.025 < low < 0.03 < high < 0.035
+
+
+@pytest.mark.parametrize("stated", [True, False])
+def test_impacts_that_gain_energy_in_every_row_are_no_lack_of_an_effect(tmp_path: Path, stated: bool) -> None:
+    """A face that moves towards the ball by 1 m/s: what the table holds is not the velocity against it."""
+    source = ImpactTableSource(read_impact_table(driven(tmp_path / "balls.csv", 1.0, stated)), NOMINAL)
+    document = diagnose(source, NOMINAL, ["restitution", "support_friction"])
+    assert document.verdict == "IMPOSSIBLE-DATA" and not document.named
+    assert document.summary.startswith("These 60 impacts break a law of every impact, so no effect is named: kinetic ")
+    assert "kinetic energy grows in 60 of 60 rows" in document.summary and "lacks" not in document.summary
+    assert {effect.verdict for effect in document.effects} == {"NOT-IDENTIFIABLE"}
+    assert not document.calls_for_a_law and not document.not_excluded
+    found = discover(lambda model: source, NOMINAL, load_grammar(), ["restitution"])
+    assert found.verdict == "IMPOSSIBLE-DATA" and not found.laws
+
+
+def test_a_perfectly_elastic_ball_with_noise_gains_no_energy(tmp_path: Path) -> None:
+    """Every second row gains some by noise."""
+    source = ImpactTableSource(read_impact_table(driven(tmp_path / "balls.csv", 0.0, True)), NOMINAL)
+    assert not source.impossible
+    assert diagnose(source, NOMINAL, ["restitution", "support_friction"]).named == ("restitution",)
+
+
+def driven(path: Path, speed: float, stated: bool) -> Path:
+    """A table of 60 elastic balls on a smooth face that moves by ``speed`` [m/s] towards them."""
+    path = ball_table(path, Racket(lambda v: 1.0, 0.0), rows=60, noise=(0.1, 5.0), stated=stated, friction=0.0)
+    header, *rows = list(csv.reader(path.open()))
+    up = header.index("vz_after [m/s]")
+    return write_csv(path, header, [[*row[:up], float(row[up]) + 2.0 * speed, *row[up + 1 :]] for row in rows])

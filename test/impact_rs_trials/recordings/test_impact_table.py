@@ -167,7 +167,6 @@ def without(*names: str) -> Callable[[dict[str, Any]], dict[str, Any]]:
         (without("size_x", "size_y", "size_z"), r"nothing says where the body touches; expected its size"),
         (without("size_y"), r"no column 'size_y \[m\]'; there are: x \[m\], "),
         (lambda row: row | {"q1 [rad]": 0.0}, r"column 'q1 \[rad\]' is of an arm; --scenario NAME says which"),
-        (lambda row: row | {"v_noise [m/s]": 0.1}, r"no column 'w_noise \[rad/s\]', though other noise is given"),
         (lambda row: row | {f"n{a} [-]": 1.0 for a in "xyz"}, r"length of \(nx, ny, nz\) \[-\] = 1.732051: expected a"),
     ],
 )  # fmt: skip
@@ -230,6 +229,14 @@ def test_noise_stands_in_the_order_of_the_velocities(tmp_path: Path, cubes: Rows
     np.testing.assert_allclose(free.noise, np.tile([0.01] * 3 + [0.2] * 3, (5, 1)))
     arm = read_pushes(tmp_path, pushes, **own, **{"dq_noise [rad/s]": 0.003})
     np.testing.assert_allclose(arm.noise[0], [0.003] * 7 + [0.01] * 3 + [0.2] * 3)
+
+
+def test_noise_of_one_kind_may_be_unknown_and_that_is_said(tmp_path: Path, cubes: Rows) -> None:
+    table = read_cubes(tmp_path, cubes, **{"v_noise [m/s]": 0.01})
+    np.testing.assert_allclose(table.noise, np.tile([0.01] * 3 + [0.0] * 3, (5, 1)))
+    (said,) = (text for text in table.assumed if "w_noise" in text)
+    assert "of w*_after is noise is not known; without these columns" in said
+    assert not any("v_noise" in text for text in table.assumed)
 
 
 def test_every_column_is_documented() -> None:
