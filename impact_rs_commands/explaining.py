@@ -264,6 +264,12 @@ m/s.""",
             "[LOW, HIGH]; they are not widened",
         ),
         option(
+            "--budget", kind="number", metavar="SECONDS", unit="s", least=0.0, default=120.0,
+            advanced=True, label="processor time",  # twice what 16 runs of a right model take on a slow machine (55 s)
+            help="processor time, of all worker processes together; when it is spent, the best answer so far is "
+            "judged, and what was not tried is listed",
+        ),
+        option(
             "--unsure", kind="text", many=True, default=(), metavar="NAME=LOW:HIGH", advanced=True,
             label="geometry that is not known well", otherwise="none",
             help="with --impacts: ranges of what is not known well, in SI units: columns of the body (size_x, radius, "

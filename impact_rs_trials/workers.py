@@ -8,6 +8,7 @@ import logging
 import pickle
 import tempfile
 import threading
+import time
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
@@ -29,6 +30,16 @@ WORKERS_TIMEOUT = 30.0  # s, for its first worker to be there
 ON_THE_WAY = 1000  # tasks that the scheduler knows of at a time, so that its memory does not grow with a campaign
 
 _alone = threading.Lock()  # trials of one process share models that must not be used by two threads at a time
+
+
+@dataclass
+class _Spent:
+    """Processor time of the tasks that workers have ended [s]."""
+
+    seconds: float = 0.0
+
+
+_of_workers = _Spent()
 
 
 class SchedulerLost(RuntimeError):
@@ -225,10 +236,18 @@ def _packed(function: Callable[..., Any], item: Any) -> bytes:
     return bytes(dumps((function, item)))
 
 
-def _work(packed: bytes) -> Any:
+def processor_time() -> float:
+    """Processor time of this process, and of the tasks that its workers have ended [s]."""
+    return time.process_time() + _of_workers.seconds
+
+
+def _work(packed: bytes) -> tuple[Any, float]:
+    """Result of a task, and its processor time [s]."""
     function, item = pickle.loads(packed)
     with _alone:
-        return function(item)
+        begin = time.thread_time()
+        result = function(item)
+        return result, time.thread_time() - begin
 
 
 def _result(client: Client, future: Any) -> Any:
@@ -240,7 +259,9 @@ def _result(client: Client, future: Any) -> Any:
     from distributed.client import FutureCancelledError
 
     try:
-        return future.result()
+        result, seconds = future.result()
     except FutureCancelledError:
         address = client.scheduler.address if client.scheduler else "its address"
         raise SchedulerLost(f"the dask scheduler at {address} went away") from None
+    _of_workers.seconds += seconds
+    return result

@@ -9,6 +9,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from impact_rs_analysis.diagnosis.bounds import NO_BOUNDS, Bounds, bounded
+from impact_rs_analysis.diagnosis.budget import FOR_THE_SEARCH, UNLIMITED, Budget
 from impact_rs_analysis.diagnosis.dependence import Dependences, dependences_of
 from impact_rs_analysis.diagnosis.dependence_verdicts import (
     covariate_documents,
@@ -18,6 +19,7 @@ from impact_rs_analysis.diagnosis.dependence_verdicts import (
 from impact_rs_analysis.diagnosis.document import (
     IMPOSSIBLE,
     TOO_FEW,
+    BudgetDocument,
     CorrelatedPair,
     DesignDocument,
     DiagnosisDocument,
@@ -55,7 +57,7 @@ from impact_rs_analysis.diagnosis.verdicts import (
     within_discrepancy,
     without_the_doubtful,
 )
-from impact_rs_analysis.diagnosis.words import summary_of
+from impact_rs_analysis.diagnosis.words import not_tried, summary_of
 from impact_rs_analysis.evidence.cluster import Added
 from impact_rs_analysis.evidence.source import Source, View
 from impact_rs_analysis.evidence.visited import beyond
@@ -75,6 +77,7 @@ def diagnose(
     progress: ProgressCallback = lambda *_: None,
     bounds: Bounds = NO_BOUNDS,
     earlier: Model | None = None,
+    budget: Budget = UNLIMITED,
 ) -> DiagnosisDocument:
     """Find out which effects are missing in a model.
 
@@ -86,20 +89,24 @@ def diagnose(
         progress: Called with effects and their held-out error during the search (:class:`Search`).
         bounds: Ranges of parameters that a user knows better.
         earlier: A model with effects that this one may lack: fits of them may begin at its estimates.
+        budget: Processor time for all of it; what was not tried is in the document.
 
     Raises:
         InputError: Too few conditions for a hold-out.
     """
     whole, source = source, source.searched()
     effects = effects_for(source, only, bounds)
-    found = findings_of(source, effects, progress, () if earlier is None else _estimates_of(earlier, source))
+    known_estimates = () if earlier is None else _estimates_of(earlier, source)
+    found = findings_of(source, effects, progress, known_estimates, budget)
     present = [item.name for item in source.model.effects]
     known = [bounded(source.known_effects[name].in_proportion(source.proportion), bounds) for name in present]
-    dependences = dependences_of(found, known, progress)
+    covariates = [item.name for item in source.covariates]
+    late = bool(covariates) and budget.leaves_out(f"what depends on {' and '.join(covariates)}")
+    dependences = None if late else dependences_of(found, known, progress)
     document = document_of(found, source, model)
     if dependences is not None and dependences.pairs and not {p.effect.name for p in dependences.pairs} & set(present):
         # What depends on circumstances was scatter to the first search, which hides effects, or passes for some.
-        again = findings_of(dependences.source, dependences.in_place_of(effects), progress)
+        again = findings_of(dependences.source, dependences.in_place_of(effects), progress, budget=budget)
         if dependences.settled_by(found, again) and again.chosen is not None:
             dependences, pairs = dependences.beside(again.chosen), dependences.pairs
             document = with_plain_names(document_of(again, dependences.source, model), pairs, document)
@@ -114,11 +121,20 @@ def diagnose(
         for view in (() if document.verdict in (TOO_FEW, IMPOSSIBLE) else source.views())
     ]
     document = document.model_copy(
-        update={"views": tuple(_view(view, model, own, dependences) for view, own in others)}
+        update={
+            "views": tuple(
+                _view(view, model, own, dependences, budget)
+                for view, own in others
+                if not budget.leaves_out(f"the verdict on {view.name}")
+            )
+        }
     )
     document = _over_ranges(document)
     unseen = whole.unseen(source, added_of(document, source))
-    document = document.model_copy(update={"runs": _runs(whole), "remarks": (*document.remarks, *unseen)})
+    limit = None if math.isinf(budget.limit) else budget.limit
+    spent = BudgetDocument(limit=limit, left_out=tuple(budget.left_out))
+    remarks = (*filter(None, [not_tried(spent)]), *document.remarks, *unseen)
+    document = document.model_copy(update={"runs": _runs(whole), "budget": spent, "remarks": remarks})
     summary = " ".join(filter(None, [summary_of(document), doubt_of(document.drift)]))
     return document.model_copy(update={"summary": summary})
 
@@ -140,12 +156,15 @@ def added_of(document: DiagnosisDocument, source: Source) -> Added:
     return tuple(found)
 
 
-def _view(view: View, model: Model, effects: Sequence[Effect], dependences: Dependences | None) -> ViewDocument:
+def _view(
+    view: View, model: Model, effects: Sequence[Effect], dependences: Dependences | None, budget: Budget
+) -> ViewDocument:
     """The verdict on a view of the measurements, with the dependences that were found."""
     source, pairs = view.source, () if dependences is None else dependences.pairs
     if dependences is not None and pairs:
         source, effects = source.knowing(pairs), dependences.in_place_of(effects)
-    found = with_plain_names(document_of(findings_of(source, effects), source, model), pairs)
+    findings = findings_of(source, effects, budget=budget)
+    found = with_plain_names(document_of(findings, source, model), pairs)
     return ViewDocument(
         name=view.name,
         option=view.option,
@@ -208,6 +227,7 @@ def findings_of(
     effects: Sequence[Effect],
     progress: ProgressCallback = lambda *_: None,
     earlier: Added = (),
+    budget: Budget = UNLIMITED,
 ) -> Findings:
     """Search for missing effects, and hold out.
 
@@ -216,6 +236,7 @@ def findings_of(
         effects: Effects to consider.
         progress: Called with effects and their held-out error during the search (:class:`Search`).
         earlier: Estimates of an earlier model, at which fits may begin.
+        budget: Processor time; half of it is for the hold-out. What was not tried is noted there.
 
     Raises:
         InputError: Too few conditions for a hold-out.
@@ -226,7 +247,8 @@ def findings_of(
             f"{len(source.clusters)} condition(s) measured ({names}): at least {LEAST_CLUSTERS} are needed to hold one "
             "out; `impact-rs compare` still shows where the model fails"
         )
-    search = Search(effects, Evidence.of(source), progress, earlier=earlier)
+    own = budget.part(FOR_THE_SEARCH)
+    search = Search(effects, Evidence.of(source, budget=own), progress, earlier=earlier)
     undecidable = search.evidence.null.shortage is not None or bool(source.impossible)
     chosen = None if undecidable else search.choose()
     rivals: Sequence[Rival] = ()
@@ -237,7 +259,7 @@ def findings_of(
         if (sure := without_the_doubtful(search, chosen)) is not chosen:
             chosen, rivals = sure, () if sure is None else search.rivals(sure)
     known = search.ended if source.of_motion else NOTHING_KNOWN  # impacts are cheap, and bend where a contact slips
-    if chosen is not None and (held := hold_out(source, effects, chosen.candidate, known)) is not None:
+    if chosen is not None and (held := hold_out(source, effects, chosen.candidate, known, budget)) is not None:
         supported = supported_by_hold_out(search, chosen, held)
         if supported is not chosen:
             kept = () if supported is None else supported.candidate.names

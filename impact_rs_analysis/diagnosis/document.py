@@ -294,6 +294,13 @@ class DesignDocument(Schema):
     shortage: str | None = Field(None, description="missing data for a verdict; null: enough")
 
 
+class BudgetDocument(Schema):
+    """Processor time that a diagnosis may take."""
+
+    limit: float | None = Field(None, description="processor time [s]; null: no limit")
+    left_out: tuple[str, ...] = Field((), description="what was not tried because the time was spent")
+
+
 class DriftDocument(Schema):
     """The signal that changes most with the order of measurement, among repeats of the same condition."""
 
@@ -400,6 +407,7 @@ class DiagnosisDocument(Schema):
     views: tuple[ViewDocument, ...] = Field((), description="verdicts on parts of the signals, or other contact points")
     covariates: tuple[CovariateDocument, ...] = Field((), description="circumstances that were declared")
     dependences: tuple[DependenceDocument, ...] = Field((), description="effects found by covariate, found ones first")
+    budget: BudgetDocument = Field(default_factory=BudgetDocument, description="processor time, and what it left out")
     remarks: tuple[str, ...] = Field((), description="remarks for the reader")
     formulas: tuple[FormulaSpec, ...] = Field((), description="user-defined effects that were considered")
     arms: dict[str, int] = Field({}, description="joints of arms with parameters of their own; empty: shared")

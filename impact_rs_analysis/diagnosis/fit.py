@@ -12,6 +12,7 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
+from impact_rs_analysis.diagnosis.budget import UNLIMITED, Budget
 from impact_rs_analysis.diagnosis.candidate import Candidate, Problem, linearise
 from impact_rs_analysis.diagnosis.null_distribution import NullDistribution, RotationNull, SignFlipNull
 from impact_rs_analysis.diagnosis.thresholds import LEAST_GAIN, LEAST_GAIN_IN_ONE
@@ -36,6 +37,7 @@ CURVED = 2.0  # times that rise; above, the others have to be fitted again there
 SLOW = 0.5  # of the error is left by a step whose sensitivities are those of another place
 WIDENINGS = 4  # of the range of a parameter, to sixteen times its declared width
 SIMPLEX, SIMPLEX_LOOKS = 0.3, 25  # parameter scales, its first edges; predictions for each parameter
+WORST = 1e100  # mean square error of what cannot be simulated; the simplex subtracts errors, so it is not infinite
 HOPELESS = 3.0  # times the squared error of the best fit; a fit above it is dropped
 
 
@@ -47,17 +49,19 @@ class Evidence:
         source: The measurements, with the model that predicts them.
         numbers: Their numbers in the source.
         clusters: Residuals.
+        budget: Processor time that fits to them may take.
     """
 
     source: Source
     numbers: tuple[int, ...]
     clusters: tuple[Cluster, ...]
+    budget: Budget = UNLIMITED
 
     @staticmethod
-    def of(source: Source, numbers: Sequence[int] | None = None) -> Evidence:
+    def of(source: Source, numbers: Sequence[int] | None = None, budget: Budget = UNLIMITED) -> Evidence:
         """Residuals of the model; None: in all clusters."""
         chosen = tuple(range(len(source.clusters)) if numbers is None else numbers)
-        return Evidence(source, chosen, tuple(source.clusters[number] for number in chosen))
+        return Evidence(source, chosen, tuple(source.clusters[number] for number in chosen), budget)
 
     @cached_property
     def null(self) -> NullDistribution:
@@ -123,11 +127,13 @@ class Evidence:
 
     @cached_property
     def signals(self) -> list[list[NDArray[np.bool_]]]:
-        """Features by cluster, for every joint with a noise of its own; a single group of all where there is none."""
+        """Features by cluster, for every signal with a noise of its own; a single group of all where there is none."""
         if not self.source.noise_apart:
             return [[np.ones(len(item.features), dtype=bool) for item in self.clusters]]
-        names = dict.fromkeys(feature.index for item in self.clusters for feature in item.features)
-        return [[np.array([f.index == name for f in item.features]) for item in self.clusters] for name in names]
+        names = dict.fromkeys((f.signal, f.index) for item in self.clusters for f in item.features)
+        return [
+            [np.array([(f.signal, f.index) == name for f in item.features]) for item in self.clusters] for name in names
+        ]
 
     def gains(self, before: Sequence[Array], after: Sequence[Array], of_enough: float = 1.0) -> bool:
         """Whether enough of the error in excess of repeatability and discrepancy goes.
@@ -410,6 +416,11 @@ class Fit:
         return self.error_at_point - self.misfit < ENOUGH * self.error_at_point
 
     @property
+    def out_of_time(self) -> bool:
+        """Whether a fit that goes on from here has to stop, which is noted."""
+        return self.evidence.budget.leaves_out(f"further steps of the fit of {' and '.join(self.candidate.names)}")
+
+    @property
     def poor(self) -> bool:
         """Whether more than noise and discrepancy is left, so that the fit may have missed the optimum."""
         return self.misfit > float(self.evidence.expected.mean())
@@ -450,7 +461,7 @@ def _beyond_bounds(fit: Callable[[Candidate], Fit], start: Candidate) -> Fit:
     for _ in range(WIDENINGS):
         at = fitted.at_end
         wider = fitted.candidate.widened(at, fitted.evidence.source) if np.any(at) else None
-        if wider is None:
+        if wider is None or fitted.out_of_time:
             break
         fitted = fit(wider)
     return fitted
@@ -468,7 +479,7 @@ def _refine(candidate: Candidate, evidence: Evidence, give_up: float) -> Fit:
     shaped = any(scalar.shape and not scalar.grid for scalar in candidate.scalars)
     may_be_slow = evidence.source.repeated and not shaped
     for number in range(_steps(evidence)):
-        if fitted.converged or (number >= 1 and (unseen or fitted.misfit > give_up)):
+        if fitted.converged or (number >= 1 and (unseen or fitted.misfit > give_up or fitted.out_of_time)):
             break
         moved, trust = _moved(fitted, trust)
         if moved is None:  # the sensitivities promise what simulations do not keep
@@ -542,6 +553,8 @@ def _descended(candidate: Candidate, evidence: Evidence) -> Fit:
     for share in NEAR_STEPS:
         trust = np.inf
         for _ in range(_steps(evidence)):
+            if not fitted.converged and fitted.out_of_time:
+                break
             if fitted.candidate.share > share:
                 fitted = Fit.of(_relinearised(fitted.candidate, evidence, share), evidence)
             if fitted.converged:
@@ -592,7 +605,7 @@ def look_elsewhere(fitted: Fit) -> Fit:
     scalars = fitted.candidate.scalars
     for _ in scalars:
         evidence = fitted.evidence
-        if not fitted.poor:
+        if not fitted.poor or fitted.out_of_time:
             break
         places = []
         for index, scalar in enumerate(scalars):
@@ -622,12 +635,17 @@ def by_simplex(fitted: Fit) -> Fit:
 
     def error(vector: Array) -> float:
         there = evaluate_at(candidate, vector * scale, evidence)
-        return np.inf if there is None else Fit.of(there, evidence).error_at_point
+        return WORST if there is None else Fit.of(there, evidence).error_at_point
+
+    def in_time(intermediate_result: scipy.optimize.OptimizeResult) -> None:
+        del intermediate_result  # SciPy passes it to a parameter of this name
+        if fitted.out_of_time:
+            raise StopIteration
 
     start, ends = fitted.estimate / scale, (candidate.lower / scale, candidate.upper / scale)
     corners = np.clip(start + np.vstack((np.zeros(start.size), SIMPLEX * np.eye(start.size))), *ends)
     found = scipy.optimize.minimize(
-        error, start, method="Nelder-Mead", bounds=np.transpose(ends),
+        error, start, method="Nelder-Mead", bounds=np.transpose(ends), callback=in_time,
         options={"initial_simplex": corners, "maxfev": SIMPLEX_LOOKS * start.size},
     )  # fmt: skip
     moved = evaluate_at(candidate, found.x * scale, evidence) if found.fun < fitted.misfit else None
@@ -662,7 +680,7 @@ def measure_again(fitted: Fit, near: bool = False) -> Fit:
             share = NEAR_STEPS[-1]
             fresh = linearise(fresh, clusters, like.numbers, like.source, "final sensitivities", share) or fresh
         fitted = _confirmed(refine(fresh, evidence))
-        if np.all(np.abs(fitted.estimate - point) < NEAR * candidate.scale):
+        if fitted.out_of_time or np.all(np.abs(fitted.estimate - point) < NEAR * candidate.scale):
             break
     return fitted
 

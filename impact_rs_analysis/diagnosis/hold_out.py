@@ -22,6 +22,7 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
+from impact_rs_analysis.diagnosis.budget import UNLIMITED, Budget, Clock
 from impact_rs_analysis.diagnosis.candidate import Candidate
 from impact_rs_analysis.diagnosis.fit import Evidence
 from impact_rs_analysis.diagnosis.search import Search
@@ -105,7 +106,11 @@ def _neighbours(source: Source, held: Sequence[int]) -> set[int]:
 
 
 def hold_out(
-    source: Source, effects: Sequence[Effect], chosen: Candidate, known: Mapping[tuple[str, ...], Candidate]
+    source: Source,
+    effects: Sequence[Effect],
+    chosen: Candidate,
+    known: Mapping[tuple[str, ...], Candidate],
+    budget: Budget = UNLIMITED,
 ) -> HoldOut | None:
     """Run the search on all but one fold in turn; None with too few clusters for a hold-out.
 
@@ -114,21 +119,26 @@ def hold_out(
         effects: Effects to consider.
         chosen: Effects that the search of all clusters found.
         known: Where its fits ended, by names of effects (:attr:`Search.ended`).
+        budget: Processor time for it, in equal shares for all folds; what one does not try is noted here.
     """
     folds = folds_of(source)
     if not folds:
         return None
     rest: dict[int, Array] = {}
-    names, only_fitted = [], 0
+    names, only_fitted, short = [], 0, 0
     few = [_seen_by(chosen, fold.training) < LEAST_TO_CHOOSE for fold in folds]
     tasks = list(zip(folds, few, strict=True))
-    results = source.spread(partial(_predicted, effects, chosen, dict(known)), tasks, "hold-out")
-    for (fold, alone), (found, left) in zip(tasks, results, strict=True):
+    limit = budget.remaining / len(folds)
+    results = source.spread(partial(_predicted, effects, chosen, dict(known), limit, budget.clock), tasks, "hold-out")
+    for (fold, alone), (found, left, left_out) in zip(tasks, results, strict=True):
         names.append(found)
+        short += bool(left_out)
         only_fitted += alone
         rest.update(zip(fold.held, left, strict=True))
     ordered = tuple(rest[number] for number in range(len(source.clusters)))
     errors = np.array([float(np.mean(np.square(values))) for values in ordered])
+    if short:
+        budget.add(f"all of the search in {short} of {len(folds)} folds of the hold-out")
     return HoldOut(tuple(folds), errors, ordered, tuple(names), only_fitted)
 
 
@@ -141,12 +151,16 @@ def _predicted(
     effects: Sequence[Effect],
     chosen: Candidate,
     known: Mapping[tuple[str, ...], Candidate],
+    limit: float,
+    clock: Clock,
     source: Source,
     task: tuple[Fold, bool],
-) -> tuple[tuple[str, ...], list[Array]]:
-    """Effects that the search finds without a fold, and the mean residuals of the fold with them."""
+) -> tuple[tuple[str, ...], list[Array], tuple[str, ...]]:
+    """Effects that the search finds without a fold, mean residuals of the fold with them, and what was not tried."""
     fold, only_fit = task
-    search = Search(effects, Evidence.of(source, fold.training), known=known, earlier=chosen.split(chosen.point))
+    budget = Budget(limit, clock)
+    evidence = Evidence.of(source, fold.training, budget)
+    search = Search(effects, evidence, known=known, earlier=chosen.split(chosen.point))
     found = search.fitted(chosen.names) if only_fit else search.choose()
     if found is not None and not only_fit:
         found, _ = search.exchanged(found)
@@ -157,4 +171,4 @@ def _predicted(
         predicted = source.measure_again(added, [item])
         # Effects that cannot be simulated in the fold predict nothing.
         rest.append(item.mean if predicted is None else predicted[0].mean)
-    return () if found is None else found.candidate.names, rest
+    return () if found is None else found.candidate.names, rest, tuple(budget.left_out)

@@ -107,6 +107,7 @@ class Search:
         earlier: Added = (),
     ) -> None:
         self.evidence, self.source, self._progress, self._known = evidence, evidence.source, progress, known
+        self._budget = evidence.budget
         self._earlier = earlier
         self.singles: dict[str, Candidate] = {}
         self.ended: dict[tuple[str, ...], Candidate] = {}
@@ -334,7 +335,7 @@ class Search:
     def _out_of_small_minima(self, chosen: Fit) -> Fit:
         """The chosen effects at a lower error, where more than noise is left of trials and no effect explains it."""
         left = chosen.lack_of_fit() if self.source.of_motion else None
-        if left is None or left > SIGNIFICANT:
+        if left is None or left > SIGNIFICANT or self._budget.leaves_out("other minima of the error"):
             return chosen
         earlier = self._at_earlier(chosen)
         if earlier is not None and not self._hardly_better(earlier, chosen):
@@ -367,6 +368,8 @@ class Search:
         """Add effects until none is accepted; of some alone if ``names`` says which."""
         while chosen is None or len({e.family or e.name for e in chosen.candidate.effects}) < MOST_EFFECTS:
             if chosen is not None and (left := chosen.lack_of_fit()) is not None and left > SIGNIFICANT:
+                break
+            if self._budget.leaves_out("further effects beside " + _named(chosen)):
                 break
             best = self._next(chosen, self._groups(() if chosen is None else chosen.candidate.names, names))
             if best is None and not self.source.of_motion:
@@ -505,6 +508,8 @@ class Search:
         """The shortlist fitted by simulation: the best, or among equals the one with the fewest parameters."""
         found: list[Fit] = []
         for entry in shortlist:
+            if found and self._budget.leaves_out(_named(entry)):  # the best by its sensitivities is tried in any case
+                continue
             beat = min((proposal.score for proposal in found), default=np.inf)
             found.append(self._refined(entry.candidate, entry.evidence, HOPELESS * beat))
             self._report_progress(found[-1])
@@ -513,6 +518,8 @@ class Search:
         found = sorted(found, key=lambda proposal: proposal.score)[:SHORTLIST]
         top = found[0].score
         for number, proposal in enumerate(found):
+            if proposal.out_of_time:
+                break
             if proposal.score <= HOPELESS * top and proposal.candidate.names not in self._known:
                 found[number] = self._kept(look_elsewhere(refine_again(proposal)))
         first = 0 if chosen is None else chosen.change.size
@@ -584,6 +591,8 @@ class Search:
                 joined = self._start(first).beside(self._start(second))
                 ranked.append((Fit.of(joined, self.evidence).score, joined))
         for _, joined in sorted(ranked, key=lambda entry: entry[0])[:PAIRS]:
+            if self._budget.leaves_out(" and ".join(joined.names)):
+                continue
             pair = self._refined(joined, self.evidence, HOPELESS * chosen.score)
             if pair.score < (1.0 - LEAST_GAIN) * chosen.score:
                 chosen = self._measured_again(pair)
@@ -641,10 +650,17 @@ class Search:
             for other, linear in proposals[:count]:
                 if linear.score > hopeless * chosen.score:
                     continue
+                if self._budget.leaves_out(f"{other} in the place of {name}"):
+                    continue
                 fitted = refine_again(self._refined(linear.candidate, chosen.evidence, hopeless * chosen.score))
                 equal = tied(chosen, fitted) and not _in_the_limit(fitted, other)
                 found.append(Rival(other, name, fitted, equal and not encompasses(chosen, name, fitted, other)))
         return found
+
+
+def _named(fitted: Fit | None) -> str:
+    """Effects of a fit in words."""
+    return "the model" if fitted is None else " and ".join(fitted.candidate.names)
 
 
 def _changed(columns: Sequence[Array]) -> int:

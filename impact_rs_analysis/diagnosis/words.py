@@ -14,6 +14,7 @@ from impact_rs_analysis.diagnosis.document import (
     SMALL,
     TOO_FEW,
     UNIDENTIFIABLE,
+    BudgetDocument,
     DependenceDocument,
     DiagnosisDocument,
     EstimateDocument,
@@ -35,6 +36,16 @@ def summary_of(document: DiagnosisDocument) -> str:
     ranges = [_range(name, document) for name in dict.fromkeys(view.of for view in document.views if view.of)]
     sentences = [_verdict(document), *(_part(view, document) for view in parts)]
     return " ".join([*sentences, *(_turn(view) for view in turned), *ranges, *_circumstances(document)])
+
+
+def not_tried(budget: BudgetDocument) -> str:
+    """What was not tried because the processor time was spent; empty: all was tried."""
+    if not budget.left_out:
+        return ""
+    return (
+        f"not tried, because the processor time of {budget.limit:.3g} s was spent: {', '.join(budget.left_out)}. A "
+        "larger --budget tries them"
+    )
 
 
 def not_excluded(document: DiagnosisDocument) -> str:

@@ -13,6 +13,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from impact_rs_analysis.diagnosis.bounds import NO_BOUNDS, Bounds, read_bounds
+from impact_rs_analysis.diagnosis.budget import UNLIMITED, Budget
 from impact_rs_analysis.diagnosis.compare import compare
 from impact_rs_analysis.diagnosis.diagnose import added_of, diagnose
 from impact_rs_analysis.diagnosis.document import (
@@ -40,6 +41,7 @@ from impact_rs_sim.model import Model, load_model
 from impact_rs_sim.numbers import estimate_text
 from impact_rs_sim.robot import joined_units
 from impact_rs_trials.store import is_url
+from impact_rs_trials.workers import processor_time
 
 MOST_SHOWN = 8
 NO_OPTIONS: Mapping[str, Any] = MappingProxyType({})
@@ -55,8 +57,10 @@ def run(args: argparse.Namespace, terminal: Terminal) -> int:
     check_effects(extended, args.effects)
     bounds = read_bounds(args.bounds, extended.known_effects)
     with measured(args, terminal, args.each_arm, args.unsure) as measurements:
-        options = options_of(args)
-        document = diagnosis_of(measurements, model, extended, args.effects, terminal, args.output, bounds, options)
+        document = diagnosis_of(
+            measurements, model, extended, args.effects, terminal, args.output, bounds,
+            options=options_of(args), budget=Budget(args.budget, processor_time),
+        )  # fmt: skip
         if args.report is not None:
             with output_folder(args.report):
                 path = report_of(document, measurements, args.model, extended, args.report)
@@ -153,6 +157,7 @@ def diagnosis_of(
     output: Path | None = None,
     bounds: Bounds = NO_BOUNDS,
     options: Mapping[str, Any] = NO_OPTIONS,
+    budget: Budget = UNLIMITED,
 ) -> DiagnosisDocument:
     """Diagnose, write the result, and show it.
 
@@ -165,9 +170,10 @@ def diagnosis_of(
         output: File for it, which is there before anything is shown; None: none.
         bounds: Ranges of parameters that the user knows better.
         options: Options of the command, for the document (:func:`options_of`).
+        budget: Processor time of the diagnosis.
     """
     with measurements.progress():
-        document = diagnose(measurements.against(extended), model, only, terminal.rank, bounds)
+        document = diagnose(measurements.against(extended), model, only, terminal.rank, bounds, budget=budget)
     new = tuple(spec for spec in extended.formulas if spec not in model.formulas)
     document = document.model_copy(update={"formulas": new, "options": dict(options)})
     if output is not None:

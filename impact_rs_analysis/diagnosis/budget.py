@@ -1,0 +1,66 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Processor time that a diagnosis may take, and what it left out to stay within it.
+
+A search asks between two fits whether its time is spent. From then on it keeps the best answer so far, begins nothing
+new, and notes what it did not try. A fit that has begun ends with the step at hand, so the limit is exceeded by one
+step at most.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable
+
+FOR_THE_SEARCH = 0.5  # of the time; the rest is for the hold-out, without which nothing is named
+
+Clock = Callable[[], float]
+
+
+class Budget:
+    """Processor time of one search.
+
+    Args:
+        limit: Processor time from now on [s].
+        clock: Processor time that was spent by this process, and by its workers if there are any [s].
+
+    Attributes:
+        limit: See above [s].
+        clock: See above.
+        left_out: What was not tried because the time was spent, in words, in order.
+    """
+
+    def __init__(self, limit: float = math.inf, clock: Clock = time.process_time) -> None:
+        self.limit, self.clock = limit, clock
+        self._begin = None if math.isinf(limit) else clock()
+        self.left_out: dict[str, None] = {}
+
+    @property
+    def remaining(self) -> float:
+        """Processor time that is left, not below 0 [s]."""
+        return math.inf if self._begin is None else max(0.0, self.limit - (self.clock() - self._begin))
+
+    @property
+    def spent(self) -> bool:
+        """Whether nothing may be begun any more."""
+        return self.remaining <= 0.0
+
+    def leaves_out(self, what: str) -> bool:
+        """Whether the time is spent; then ``what`` is noted as not tried."""
+        if self.spent:
+            self.left_out[what] = None
+            return True
+        return False
+
+    def part(self, share: float) -> Budget:
+        """A share of what remains, from now on; what it leaves out is noted here as well."""
+        found = Budget(share * self.remaining, self.clock)
+        found.left_out = self.left_out
+        return found
+
+    def add(self, *left_out: str) -> None:
+        """Note what a part of the work did not try."""
+        self.left_out.update(dict.fromkeys(left_out))
+
+
+UNLIMITED = Budget()

@@ -1,0 +1,83 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A diagnosis of a model that is far off ends in its processor time, and says what it did not try.
+
+The clock counts simulations, of which equal ones are made once, so that the same search always ends at the same place.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import cache
+
+import pytest
+from analytic_world import EFFECTS, AnalyticSource, knowing
+
+from impact_rs_analysis.diagnosis.budget import UNLIMITED, Budget
+from impact_rs_analysis.diagnosis.diagnose import diagnose
+from impact_rs_analysis.diagnosis.document import DiagnosisDocument
+from impact_rs_analysis.evidence.cluster import Added
+from impact_rs_sim.robot import Array
+
+pytestmark = pytest.mark.usefixtures("few_draws")
+
+CONSIDERED = ("straight", "bent", "payload", "stick_slip", "of_joints", "of_motors", "rippled", "saturated")
+FAR_OFF = (("straight", (20.0,)), ("stick_slip", (3.0, 2.0, -2.5)), ("saturated", (9.0,)), ("outside", (6.0,)))
+ENOUGH, LIMIT = 1e6, 1000.0  # simulations
+ONE_STEP = 100  # of them, of one fit, which nothing interrupts
+
+
+class Counted(AnalyticSource):
+    """The world with a count of its different simulations."""
+
+    def __init__(self) -> None:
+        super().__init__(3, FAR_OFF)
+        self.made: set[tuple[int, Added]] = set()
+
+    def predict(self, wanted: Sequence[tuple[int, Added]], what: str) -> list[Array | None]:
+        self.made.update(wanted)
+        return super().predict(wanted, what)
+
+
+@cache
+def diagnosed(limit: float | None) -> tuple[DiagnosisDocument, int]:
+    """Diagnosis of a model that is far off, and the simulations that it took."""
+    source = Counted()
+    knowing(source, *(EFFECTS[name] for name in CONSIDERED))
+    budget = UNLIMITED if limit is None else Budget(limit, lambda: len(source.made))
+    return diagnose(source, source.model, budget=budget), len(source.made)
+
+
+def test_a_search_ends_in_its_time_with_the_best_answer_so_far() -> None:
+    whole, needed = diagnosed(None)
+    assert whole.budget.left_out == () and needed > 3 * LIMIT
+    found, taken = diagnosed(LIMIT)
+    assert taken < LIMIT + 7 * ONE_STEP  # of the search, and of each fold of the hold-out
+    assert "straight" in found.named  # by far the largest
+    assert found.hold_out.folds == 6 and found.held_out_error_after < 0.7 * found.held_out_error_before
+    assert found.verdict.startswith(("PARTLY", "NONE"))
+
+
+def test_what_was_not_tried_is_said() -> None:
+    found, _ = diagnosed(LIMIT)
+    assert found.budget.limit == LIMIT
+    assert any(what.startswith("further effects beside straight") for what in found.budget.left_out)
+    first = found.remarks[0]
+    assert first.startswith("not tried, because the processor time of 1e+03 s was spent: ") and "--budget" in first
+    assert all(what in first for what in found.budget.left_out)
+
+
+def test_the_same_time_gives_the_same_answer() -> None:
+    assert diagnosed(LIMIT) == diagnosed.__wrapped__(LIMIT)
+
+
+def test_enough_time_changes_nothing() -> None:
+    assert diagnosed(ENOUGH)[0].model_copy(update={"budget": diagnosed(None)[0].budget}) == diagnosed(None)[0]
+
+
+def test_a_part_of_a_budget_notes_what_it_leaves_out_with_the_whole() -> None:
+    now = [0.0]
+    whole = Budget(10.0, lambda: now[0])
+    half = whole.part(0.5)
+    now[0] = 6.0
+    assert half.leaves_out("a fit") and not whole.leaves_out("another fit")
+    assert whole.remaining == pytest.approx(4.0) and list(whole.left_out) == ["a fit"]
