@@ -5,12 +5,13 @@ from __future__ import annotations
 
 import csv
 import io
-import json
 import re
 from collections.abc import Mapping as AbstractMapping
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
+
+import yaml
 
 from impact_rs_trials.recordings.file_groups import run_name
 from impact_rs_trials.recordings.series import Names
@@ -85,14 +86,20 @@ def flow(value: Any) -> str:
     if isinstance(value, list | tuple):
         return "[" + ", ".join(flow(one) for one in value) + "]"
     if isinstance(value, str):
-        return (
-            value
-            if re.fullmatch(r"[A-Za-z_][\w/. ]*", value) and value not in ("y", "n", "yes", "no")
-            else json.dumps(value)
-        )
+        return value if _plain(value) else yaml.safe_dump(value, default_style='"', width=float("inf")).strip()
     if isinstance(value, bool):
         return str(value).lower()
-    return f"{value:.6g}" if isinstance(value, float) else str(value)
+    if isinstance(value, float):
+        text = f"{value:.6g}"  # YAML 1.1 takes a power of ten without a decimal point for a text
+        return text.replace("e", ".0e", 1) if "e" in text and "." not in text else text
+    return str(value)
+
+
+def _plain(text: str) -> bool:
+    """Whether a text without quotation marks is that text to a reader of YAML, not a truth value, a number or null."""
+    if not re.fullmatch(r"[A-Za-z_][\w/. ]*", text) or text.lower() in ("y", "n"):  # YAML 1.1 takes these two as well
+        return False
+    return bool(yaml.safe_load(text) == text)
 
 
 def mapping_text(content: AbstractMapping[str, Any], lines: Sequence[Line]) -> str:

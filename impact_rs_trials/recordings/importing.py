@@ -1124,9 +1124,10 @@ class _Importer:
                 f"experiment.yaml names scenario.yaml, which is not there: impact-rs scenario new --robot {robot} -o "
                 "scenario.yaml in the same folder, with masses and sizes of your objects and the place of the robot"
             )
-        elif scenario.endswith((".yaml", ".yml")):
+            return ARM.format(scenario="scenario.yaml   # to be made, see docs/scenarios.md")
+        if scenario.endswith((".yaml", ".yml")):
             scenario = os.path.relpath(scenario, self._output)
-        return ARM.format(scenario=scenario or "scenario.yaml   # to be made, see docs/scenarios.md")
+        return ARM.format(scenario=flow(scenario))
 
     def _try(self, mapping: Mapping, rows: Sequence[FoundRun]) -> None:
         """What the reader says of the first run."""

@@ -79,6 +79,20 @@ def test_a_recording_of_one_joint_is_imported(form: str, tmp_path: Path) -> None
     assert run.remarks == ()
 
 
+def test_columns_that_yaml_takes_for_truth_values_are_read_by_what_import_writes(tmp_path: Path) -> None:
+    robot = robot_of(tmp_path, PENDULUM)
+    motion = motion_of(robot)
+    table = np.column_stack([motion[name] for name in ("time", "position", "velocity", "effort")])
+    file = tmp_path / "swing.csv"
+    np.savetxt(file, table, delimiter=",", header="time,on,null,No", comments="", fmt="%.15g")
+    draft = draft_import([file], tmp_path, Wishes(robot=robot))
+    (tmp_path / "mapping.yaml").write_text(draft.texts["mapping.yaml"], encoding="utf-8")
+    mapping = load_mapping(tmp_path / "mapping.yaml")
+    assert [mapping.signals[name].column for name in ("position", "velocity", "torque")] == ["on", "null", "No"]
+    (run,) = read_recordings(file, mapping)
+    np.testing.assert_allclose(run.signals.arms["arm"].torque, motion["effort"], atol=1e-9)
+
+
 def test_a_recording_of_a_pan_tilt_without_reach_is_imported(tmp_path: Path) -> None:
     robot = robot_of(tmp_path, PAN_TILT)
     motion = motion_of(robot)
