@@ -108,6 +108,7 @@ class Link(Schema):
         description="ixx, ixy, ixz, iyy, iyz, izz about the centre of mass [kg m^2]"
     )
     meshes: tuple[Mesh, ...] = omitted((), description="what viewers show; none: a simple shape")
+    name: str = omitted("", description="name of the link in the file that the numbers come from, for messages")
 
     @property
     def inertia_matrix(self) -> Array:

@@ -35,6 +35,11 @@ from impact_rs_sim.urdf_repairs import about_centre, given_limits, locked_joints
 
 FULL_TURN = 2.0 * math.pi  # rad; what a joint without position limits gets to either side
 TYPED: dict[JointType, str] = {"revolute": "", "prismatic": "type: prismatic, "}  # as a file of facts says it
+UNSAID = (
+    "A URDF does not say whether joints measure their torque behind the gears. Most do not, so joint_torque_loop is "
+    "false: torques are taken for those of the motors. Arms that do, as Franka, KUKA LBR and Kinova Gen3, need true."
+)
+NEGATIVE = 1e-6  # of the largest moment: digits of a URDF leave a principal moment of a flat body as far below 0
 INERTIA = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
 
 
@@ -107,7 +112,7 @@ def import_urdf(
             )
         origin = _placement(before.T @ placement.translation, before.T @ placement.rotation @ turn)
         joints.append(JointOrigin.model_validate({"type": _type(joint), **origin}))
-        links.append(_link(body, turn, meshes.get(index, [])))
+        links.append(_link(body, turn, meshes.get(index, []), child_of(joint)))
         rows.append(_limits(tree, joint, given, shown, notes))
         before = turn
     frame = model.frames[model.getFrameId(chain.tip, pin.FrameType.BODY)].placement
@@ -120,9 +125,10 @@ def import_urdf(
         limits=Limits(**dict(zip(Limits.model_fields, columns, strict=True))),
         links=tuple(links),
         base_meshes=tuple(_mesh(one, np.eye(3)) for one in meshes.get(0, [])),
+        joint_torque_loop=False,
     )
     joint_names = tuple(joint.get("name", "") for joint in chain.joints)
-    return ImportedRobot(facts, joint_names, (*_notes(chain), *notes, *_missing_meshes(facts)))
+    return ImportedRobot(facts, joint_names, (*_notes(chain), *notes, *_missing_meshes(facts), UNSAID))
 
 
 def frame_of_axis(axis: Array) -> Array:
@@ -158,7 +164,7 @@ def facts_text(robot: ImportedRobot, title: str) -> str:
         *(["# Of prismatic joints all of them, and the limits below, are in kg, N, m and s."] if slides else []),
         "#   robots.NAME.drive.friction               none, or identified with a section friction: in this file",
         f"source: {json.dumps(facts.source, ensure_ascii=False)}",
-        "joint_torque_loop: true   # a URDF does not say; false where joints have no torque sensors (drive.type rigid)",
+        "joint_torque_loop: false   # ASSUMED, a URDF does not say; true where joints have torque sensors",
         "joints:   # origin of joint i in link i-1 [m], roll-pitch-yaw [rad]; every axis is +z",
     ]
     lines += [
@@ -170,7 +176,8 @@ def facts_text(robot: ImportedRobot, title: str) -> str:
     lines += [f"  {name}: {_row(getattr(limits, name))}" for name in Limits.model_fields]
     lines.append("links:    # mass [kg], com [m], inertia [ixx, ixy, ixz, iyy, iyz, izz] [kg m^2]")
     lines += [
-        f"  - {{mass: {_number(link.mass)}, com: {_row(link.com)}, inertia: {_row(link.inertia)}{_shown(link.meshes)}}}"
+        f"  - {{name: {json.dumps(link.name, ensure_ascii=False)}, mass: {_number(link.mass)}, com: {_row(link.com)}, "
+        f"inertia: {_row(link.inertia)}{_shown(link.meshes)}}}"
         for link in facts.links
     ]
     if facts.base_meshes:
@@ -214,8 +221,9 @@ def save_facts(robot: ImportedRobot, title: str, path: Path) -> None:
 
 
 def _check_inertials(tree: UrdfTree, chain: Chain) -> None:
-    """Refuse what Pinocchio would misread: an incomplete <inertial>, or invalid numbers."""
+    """Refuse what Pinocchio would misread: an incomplete <inertial>, invalid numbers, negative moments."""
     robot = Xml.fromstring(chain.urdf)
+    wrong = []
     for link in robot.findall("link"):
         key = f"link {link.get('name')}"
         inertial = link.find("inertial")
@@ -224,13 +232,29 @@ def _check_inertials(tree: UrdfTree, chain: Chain) -> None:
         mass = tree.numbers(inertial.find("mass"), "value", 1, None, f"{key}: inertial mass")
         if mass[0] < 0.0:
             raise InputError(f"expected >= 0 [kg], found {mass[0]:g}", file=tree.file, key=f"{key}: inertial mass")
-        for entry in INERTIA:
-            tree.numbers(inertial.find("inertia"), entry, 1, None, f"{key}: inertia {entry}")
+        tensor = inertial.find("inertia")
+        entries = [tree.numbers(tensor, entry, 1, None, f"{key}: inertia {entry}")[0] for entry in INERTIA]
+        wrong += [f"{key} has {moment}" for moment in _negative_moments(entries)]
+    if wrong:
+        raise InputError(f"moments of inertia of bodies are positive, but {'; '.join(wrong)}", file=tree.file)
     for element in robot:
         for origin in element.iter("origin"):
             for attribute in ("xyz", "rpy"):
                 key = f"{element.tag} {element.get('name')}: origin {attribute}"
                 tree.numbers(origin, attribute, 3, "0 0 0", key)
+
+
+def _negative_moments(entries: Sequence[float]) -> list[str]:
+    """Moments below 0 of a tensor ixx, ixy, ixz, iyy, iyz, izz [kg m^2], each with its axis."""
+    diagonal = dict(zip("xyz", (entries[0], entries[3], entries[5]), strict=True))
+    found = [f"i{axis}{axis} = {moment:.3g} kg m^2" for axis, moment in diagonal.items() if moment < 0.0]
+    upper = np.zeros((3, 3))
+    upper[np.triu_indices(3)] = entries
+    moments, axes = np.linalg.eigh(upper + np.triu(upper, 1).T)
+    if not found and moments[0] < -NEGATIVE * moments[2]:
+        axis = ", ".join(f"{value:.2f}" for value in axes[:, 0])
+        found.append(f"a principal moment of {moments[0]:.3g} kg m^2 about ({axis})")
+    return found
 
 
 def _axis(tree: UrdfTree, joint: Xml.Element) -> Array:
@@ -405,11 +429,11 @@ def _mesh(found: tuple[str, pin.SE3, list[float]], turn: Array) -> Mesh:
     return Mesh.model_validate({"file": file, "scale": scale, **placed})
 
 
-def _link(body: pin.Inertia, turn: Array, meshes: Iterable[tuple[str, pin.SE3, list[float]]]) -> Link:
+def _link(body: pin.Inertia, turn: Array, meshes: Iterable[tuple[str, pin.SE3, list[float]]], name: str) -> Link:
     inertia = turn.T @ body.inertia @ turn
     entries = _clean(inertia[np.triu_indices(3)])
     shown = tuple(_mesh(one, turn) for one in meshes)
-    return Link(mass=float(body.mass), com=_clean(turn.T @ body.lever), inertia=entries, meshes=shown)
+    return Link(mass=float(body.mass), com=_clean(turn.T @ body.lever), inertia=entries, meshes=shown, name=name)
 
 
 def _clean(values: Iterable[float]) -> tuple[float, ...]:

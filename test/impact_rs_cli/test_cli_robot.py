@@ -47,7 +47,7 @@ def test_a_robot_is_imported_and_passes_its_checks(
     assert "limits are sane" in capfd.readouterr().out
     assert document("robot", "import", urdf, "-o", tmp_path / "b.yaml")["joints"] == ["shoulder", "elbow"]
     found = document("robot", "check", target)
-    assert found["ok"] and [check["outcome"] for check in found["checks"]] == ["ok"] * 4
+    assert found["ok"] and [check["outcome"] for check in found["checks"]] == ["ok"] * 5
 
 
 def test_meshes_of_a_package_are_found_where_the_user_says(urdf: Path, tmp_path: Path, document: Document) -> None:

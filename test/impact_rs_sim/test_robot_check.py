@@ -12,7 +12,14 @@ import pytest
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.paths import config_directory
 from impact_rs_sim.robot import RobotFacts, load_facts
-from impact_rs_sim.robot_check import Check, check_drives, check_facts, failures_of, random_positions
+from impact_rs_sim.robot_check import (
+    Check,
+    check_drives,
+    check_facts,
+    failures_of,
+    least_density,
+    random_positions,
+)
 from impact_rs_sim.robot_model import RobotModel
 from impact_rs_sim.scenario import Scenario, load_scenario
 
@@ -51,8 +58,10 @@ def test_every_shipped_robot_passes_its_checks(name: str) -> None:
     checks = check_facts(load_facts(name))
     told = {check.name: check.found for check in checks if check.outcome != "ok"}
     estimates = load_facts(name).assumed
+    if name == "franka_fr3":  # as published: 0.63 kg with the moments of a rod without thickness
+        assert told.pop("links are like those of arms").startswith("link 7: a body of 0.627 kg with principal moments")
     assert told == ({"facts are measured or published": f"assumed: {estimates[0]}"} if estimates else {}), checks
-    assert len(checks) == 4 + len(told)
+    assert len(checks) == 5 + len(estimates)
 
 
 def test_a_link_that_is_no_body_fails_and_is_named() -> None:
@@ -62,7 +71,87 @@ def test_a_link_that_is_no_body_fails_and_is_named() -> None:
     ):
         checks = check_facts(with_inertia(2, *entries))
         assert checks[0].outcome == "failed" and message in checks[0].found
-        assert len(checks) == 2  # no engine is asked about what is no body
+        assert len(checks) == 3  # no engine is asked about what is no body
+
+
+def likeness(facts: RobotFacts) -> Check:
+    return next(check for check in check_facts(facts) if check.name == "links are like those of arms")
+
+
+def with_link(index: int, **values: Any) -> RobotFacts:
+    facts = load_facts("kuka_iiwa7")
+    return changed(facts, "links", index, facts.links[index].model_dump() | values)
+
+
+def test_all_links_that_are_no_bodies_are_listed_with_name_axis_and_value() -> None:
+    facts = with_link(1, inertia=(0.01, 0.0, 0.0, 0.01, 0.0, -0.02))
+    bad = facts.links[4].model_dump() | {"inertia": (0.01, 0.0, 0.0, 0.05, 0.0, 0.01)}
+    found = check_facts(changed(facts, "links", 4, bad | {"name": "elbow_link"}))[0]
+    assert found.outcome == "failed"
+    first, second = found.found.split("; ")
+    assert first == "link 2: principal moment -0.02 kg m^2 about z, expected > 0"
+    assert second == (
+        "link 5 (elbow_link): largest principal moment is 2.5 of the sum of the others (0.05 kg m^2 about y), "
+        "expected <= 1"
+    )
+
+
+def test_a_link_much_heavier_than_its_neighbours_is_named() -> None:
+    """As large as it is heavy, so that nothing but its mass is strange."""
+    heavy = {"mass": 42.9, "inertia": (0.5, 0.0, 0.0, 0.5, 0.0, 0.3), "name": "forearm"}
+    found = likeness(with_link(3, **heavy))
+    assert found.outcome == "warning"
+    assert found.found == (
+        "link 4 (forearm): 42.9 kg beside neighbours of 4.03, 3.39, 1.53, 2.4 kg, expected at most 4 times the "
+        "heaviest of them"
+    )
+
+
+@pytest.mark.parametrize("size", [0.02, 0.1, 0.5])
+@pytest.mark.parametrize("density", [100.0, 2700.0, 20000.0])
+def test_a_solid_ball_has_its_own_density_and_other_shapes_need_more(size: float, density: float) -> None:
+    mass = density * 4.0 / 3.0 * np.pi * size**3
+    ball = np.full(3, 0.4 * mass * size**2)
+    assert least_density(mass, ball) == pytest.approx(density)
+    # a box: moments m (b^2 + c^2) / 12 of its full edges
+    edges = np.array([1.0, 2.0, 3.0]) * size
+    mass = density * np.prod(edges)
+    box = mass * (np.sum(np.square(edges)) - np.square(edges)) / 12.0
+    assert 0.85 * density < least_density(mass, box) < density
+    shell = np.full(3, 2.0 / 3.0 * mass * size**2)
+    assert least_density(mass, shell) < 0.5 * mass / (4.0 / 3.0 * np.pi * size**3)
+
+
+@pytest.mark.parametrize(("factor", "said"), [(0.1, "denser than"), (1000.0, "kg m^2 about x (radius of gyration")])
+@pytest.mark.parametrize("index", range(7))
+def test_moments_in_another_unit_are_noticed_in_every_link(factor: float, said: str, index: int) -> None:
+    link = load_facts("kuka_iiwa7").links[index]
+    found = likeness(with_link(index, inertia=tuple(factor * value for value in link.inertia), name="some_link"))
+    assert found.outcome == "warning" and f"link {index + 1} (some_link): " in found.found and said in found.found
+
+
+def test_a_compact_link_between_axes_that_meet_is_no_offence() -> None:
+    """A cube of 3 kg and 120 mm whose joints and centre lie in one point."""
+    moment = 3.0 * 0.12**2 / 6.0
+    facts = with_link(1, mass=3.0, com=(0.0, 0.0, 0.0), inertia=(moment, 0.0, 0.0, moment, 0.0, moment))
+    joints = [joint.model_copy(update={"xyz": (0.0, 0.0, 0.0)}) for joint in facts.joints]
+    assert likeness(facts.model_copy(update={"joints": tuple(joints)})).outcome == "ok"
+
+
+@pytest.mark.parametrize(("torque", "velocity"), [(10.0, 10.0), (1000.0, 3.0), (0.5, 1.0)])
+def test_limits_that_are_all_alike_are_taken_for_placeholders(torque: float, velocity: float) -> None:
+    limits = {"torque_Nm": (torque,) * 7, "velocity_rad_s": (velocity,) * 7}
+    facts = load_facts("kuka_iiwa7")
+    found = check_facts(facts.model_copy(update={"limits": facts.limits.model_copy(update=limits)}))[-1]
+    assert found.outcome == "warning"
+    assert f"all joints have the same limits, {torque:g} N m and {velocity:g} rad/s: placeholders" in found.found
+
+
+def test_limits_that_carry_several_arms_are_taken_for_placeholders() -> None:
+    facts = load_facts("kuka_iiwa7")
+    strong = {"torque_Nm": tuple(6.0 * limit for limit in facts.limits.torque_Nm)}
+    found = check_facts(facts.model_copy(update={"limits": facts.limits.model_copy(update=strong)}))[-1]
+    assert found.outcome == "warning" and "times the 19 kg of the arm, expected at most 3 times" in found.found
 
 
 def test_rounded_moments_of_a_plate_pass() -> None:
@@ -72,7 +161,7 @@ def test_rounded_moments_of_a_plate_pass() -> None:
 def test_a_joint_without_a_way_fails() -> None:
     checks = check_facts(changed(load_facts("franka_fer"), "limits.position_min_rad", 3, 0.5))
     assert outcomes(checks)["limits are sane"] == "failed"
-    assert "joint 4: position from 0.5 to -0.0698 rad" in checks[1].found
+    assert "joint 4: position from 0.5 to -0.0698 rad" in checks[2].found
 
 
 def test_a_joint_too_weak_for_its_arm_is_a_warning() -> None:

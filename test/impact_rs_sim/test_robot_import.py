@@ -135,7 +135,7 @@ def test_any_chain_hits_a_box_without_diverging(
     rng = np.random.default_rng(seed)
     folder = tmp_path_factory.mktemp("chain")
     (folder / "arm.urdf").write_text(random_chain(rng, count), encoding="utf-8")
-    facts = import_urdf(folder / "arm.urdf", tip="tool").facts
+    facts = import_urdf(folder / "arm.urdf", tip="tool").facts.model_copy(update={"joint_torque_loop": True})
     push = nominal_physics("cat_food")
     effector = push.arms["arm"].end_effector
     drive = {name: np.array(row) for name, row in assumed_drive(facts, effector, PERIOD).items()}
@@ -250,6 +250,25 @@ def test_the_file_tells_what_a_urdf_does_not_hold(tmp_path: Path) -> None:
     path = tmp_path / "arm.yaml"
     path.write_text(text, encoding="utf-8")
     assert load_facts(str(path)).source == 'a "maker", BSD'
+
+
+def test_torque_sensors_are_not_made_up_and_links_keep_their_names(tmp_path: Path) -> None:
+    robot = import_urdf(write(tmp_path, *ARM))
+    save_facts(robot, "An arm.", tmp_path / "arm.yaml")
+    facts = load_facts(str(tmp_path / "arm.yaml"))
+    assert not facts.joint_torque_loop
+    assert any("A URDF does not say whether joints measure their torque" in note for note in robot.notes)
+    assert [link.name for link in facts.links] == ["upper", "fore"]
+
+
+def test_negative_moments_of_all_links_are_refused_by_name_and_axis(tmp_path: Path) -> None:
+    """Of the second link no entry on the diagonal is negative, but a principal moment is."""
+    negative = BODY.replace('iyy="0.03"', 'iyy="-0.03"')
+    tilted = BODY.replace('ixy="0.001"', 'ixy="0.05"')
+    file = write(tmp_path, link("base"), link("upper", negative), link("fore", tilted), *ARM[3:])
+    with pytest.raises(InputError, match="moments of inertia of bodies are positive") as refused:
+        import_urdf(file)
+    assert "link upper has iyy = -0.03 kg m^2; link fore has a principal moment of -0.02" in str(refused.value)
 
 
 REFUSED = {
