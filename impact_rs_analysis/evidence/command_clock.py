@@ -17,6 +17,7 @@ from impact_rs_sim.errors import InputError
 from impact_rs_sim.robot import Array
 from impact_rs_trials.recordings.experiment import Experiment
 from impact_rs_trials.recordings.laboratory import read_laboratory
+from impact_rs_trials.recordings.remarks import Number, Remark, merged
 from impact_rs_trials.runs import ArmSignals, Run
 from impact_rs_trials.workers import Map
 
@@ -53,7 +54,7 @@ def read_runs_of_scenes(directory: Path, experiments: Sequence[Experiment], map_
     """
     read = [read_laboratory(directory, experiment, map_tasks) for experiment in experiments]
     runs, skipped = ([item for part in parts for item in part] for parts in zip(*read, strict=True))
-    remarks = [f"{run.name}: {remark}" for run in runs for remark in run.remarks]
+    remarks = [(run.name, remark) for run in runs for remark in run.remarks]
     estimates = {arm: command_offset(runs, arm) for arm in runs[0].signals.arms}
     offsets = {arm: offset for arm, (offset, _) in estimates.items()}
     runs = [run.commands_later(offsets) for run in runs]
@@ -61,22 +62,22 @@ def read_runs_of_scenes(directory: Path, experiments: Sequence[Experiment], map_
         if offset == 0.0:
             continue
         whose = f"commands of arm {arm!r}" if len(offsets) > 1 else "commands"
-        remarks.append(
+        said = (
             f"{whose} act {1e3 * abs(offset):.2f} ms {'after' if offset > 0.0 else 'before'} their stamps, by the "
             "torque balance of free motion; they are shifted by that (below half a sampling period it is an offset of "
             "clocks)"
         )
+        remarks.append(("", said))
     measured = list(map_tasks(measured_or_why_not, runs))
     remarks += [
-        f"{run.name}: {len(run.lost)} of {run.free} windows of free motion touch a gap, and are dropped "
-        "from all runs of this kind"
+        (run.name, Remark(*_share(run), " windows of free motion touch a gap, and are dropped from all such runs"))
         for run in measured
         if isinstance(run, MeasuredRun) and run.lost
     ]
     found = Runs.of(directory, [*measured, *skipped])
     clock = LARGEST_OFFSET * max((run.period for run in runs if run.commanded), default=0.0)
     late = _late(found, runs, {arm: error for arm, (_, error) in estimates.items()}, map_tasks)
-    return replace(found, remarks=tuple(_merged(remarks)), clock=clock, late=late)
+    return replace(found, remarks=tuple(merged(remarks)), clock=clock, late=late)
 
 
 def _late(found: Runs, runs: Sequence[Run], errors: Mapping[str, float], map_tasks: Map) -> dict[str, MeasuredRun]:
@@ -192,19 +193,6 @@ def _held_mean(sent: Array, values: Array, start: float, end: float) -> Array:
     return np.asarray(held_means(sent, values, np.array([start, end]))[0])
 
 
-def _merged(remarks: Sequence[str]) -> list[str]:
-    """Remarks, each once with the runs that share it."""
-    grouped: dict[str, list[str]] = {}
-    for remark in remarks:
-        name, separator, text = remark.partition(": ")
-        grouped.setdefault(text if separator else remark, []).append(name if separator else "")
-    merged = []
-    for text, names in grouped.items():
-        named = [name for name in names if name]
-        if not named:
-            merged.append(text)
-        elif len(named) > 3:
-            merged.append(f"{len(named)} runs: {text}")
-        else:
-            merged.append(f"{', '.join(named)}: {text}")
-    return merged
+def _share(run: MeasuredRun) -> tuple[Number, str, Number]:
+    """Windows of free motion that a gap drops, of all."""
+    return Number(len(run.lost), "d"), " of ", Number(run.free, "d")

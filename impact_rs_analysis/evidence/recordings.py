@@ -43,6 +43,7 @@ from impact_rs_sim.recent import Recent
 from impact_rs_sim.robot import Array, joined_units
 from impact_rs_trials.recordings.mapping import Mapping
 from impact_rs_trials.recordings.recording import ARM, TooShort
+from impact_rs_trials.recordings.remarks import merged
 from impact_rs_trials.runs import Run
 from impact_rs_trials.workers import Map
 
@@ -145,7 +146,7 @@ class RecordingSource(Source):
         self._stretches = tuple(stretches)
         self._predicted = Recent[Array | None](max(LEAST_KEPT, int(MOST_MEMORY / self.balance.recorded.nbytes)))
         self.clusters = tuple(self._cluster(number) for number in range(len(self._stretches)))
-        remarks = [f"{item.path.name}: {remark}" for item in (*recordings, *minus) for remark in item.remarks]
+        remarks = merged((item.path.name, remark) for item in (*recordings, *minus) for remark in item.remarks)
         remarks += [f"{Path(path).name} is left out: {why}" for path, why in left_out]
         self.reading = tuple(dict.fromkeys(remarks))
         self.remarks = (

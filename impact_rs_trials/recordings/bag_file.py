@@ -24,6 +24,7 @@ from impact_rs_sim.errors import InputError, did_you_mean
 from impact_rs_sim.paths import config_directory
 from impact_rs_sim.robot import Array
 from impact_rs_trials.recordings.mapping import WIDTH, Mapping, SignalName, SignalSource
+from impact_rs_trials.recordings.remarks import Number, Remark
 from impact_rs_trials.recordings.series import MissingSignal, Names, Series
 
 DRIFT = 0.002  # s, drift between log and header stamps above which a remark is made
@@ -192,7 +193,11 @@ class BagFile:
             raise InputError(f"{topic}: messages have no header: set time.stamp to log in the mapping", file=self._path)
         if clock == "header" and (source.stamp == "log" or not stamped):
             shift, remark = self._log_after_stamp()
-            return log - shift, (f"{topic}: log time, less {1e3 * shift:.1f} ms to be on the stamps' clock{remark}",)
+            return log - shift, (
+                Remark(
+                    f"{topic}: log time, less ", Number(1e3 * shift, ".1f"), " ms to be on the stamps' clock", remark
+                ),
+            )
         if not stamped:
             raise InputError(f"{topic}: messages have no header, but signals.{name}.stamp asks for it", file=self._path)
         stamps = _stamps(headers)
@@ -207,8 +212,12 @@ class BagFile:
         late = float(np.median(log - stamps)) - self._log_after_stamp()[0]
         if name in WIDTH and not LATE[0] < late < LATE[1]:
             return stamps, (
-                f"{topic}: logged {1e3 * late:+.1f} ms after joint states of the same stamp: a slow tracker, or "
-                f"another clock? signals.{name}.delay corrects it",
+                Remark(
+                    f"{topic}: logged ",
+                    Number(1e3 * late, "+.1f"),
+                    " ms after joint states of the same stamp: a slow "
+                    f"tracker, or another clock? signals.{name}.delay corrects it",
+                ),
             )
         return stamps, ()
 
@@ -223,7 +232,8 @@ class BagFile:
             later = log - _stamps([message.header for _, message in messages])
             tenth = max(1, later.size // 10)
             drift = float(np.median(later[-tenth:]) - np.median(later[:tenth]))
-            remark = f" (which drifts by {1e3 * drift:.1f} ms during the run)" if abs(drift) > DRIFT else ""
+            drifts = Remark(" (which drifts by ", Number(1e3 * drift, ".1f"), " ms during the run)")
+            remark = drifts if abs(drift) > DRIFT else ""
             self._shift = float(np.median(later)), remark
         return self._shift
 

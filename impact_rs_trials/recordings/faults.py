@@ -39,6 +39,7 @@ from impact_rs_sim.robot import Array
 from impact_rs_sim.robot_model import RobotModel
 from impact_rs_trials.recordings.joint_jumps import impact_time
 from impact_rs_trials.recordings.mapping import Mapping, SignalName
+from impact_rs_trials.recordings.remarks import Number, Remark
 from impact_rs_trials.recordings.series import Series
 
 Mask = NDArray[np.bool_]
@@ -302,12 +303,14 @@ def _remarks(series: Series, wrong: Mask, kind: str, mapping: Mapping, name: Sig
         start = series.time[rows] - series.time[0]
         units = mapping.facts.units[joint]
         unit = units.position if name.endswith("position") else units.effort if name == "torque" else units.velocity
-        value = series.values[rows[0], joint]
-        share = f"{rows.size} of {series.time.size} samples"
+        value = Number(float(series.values[rows[0], joint]), ".4g")
+        share = Remark(Number(rows.size, "d"), " of ", Number(series.time.size, "d"), " samples")
+        begin, end = (Number(float(start[row]), ".3f") for row in (0, -1))
+        where = f"{series.place}: joint {joint + 1}: "
         if kind == "outlier":
-            found = f"{share} {'is an outlier' if rows.size == 1 else 'are outliers'}, first {value:.4g} {unit}"
-            remarks.append(f"{series.place}: joint {joint + 1}: {found} at t = {start[0]:.3f} s: left out")
+            what = " is an outlier, first " if rows.size == 1 else " are outliers, first "
+            remarks.append(Remark(where, share, what, value, f" {unit} at t = ", begin, " s: left out"))
         else:
-            found = f"frozen at {value:.4g} {unit} within t = {start[0]:.3f} ... {start[-1]:.3f} s ({share})"
-            remarks.append(f"{series.place}: joint {joint + 1}: {found}: left out")
+            within = Remark(f" {unit} within t = ", begin, " ... ", end, " s (")
+            remarks.append(Remark(where, "frozen at ", value, within, share, "): left out"))
     return remarks

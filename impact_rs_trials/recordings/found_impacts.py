@@ -3,8 +3,6 @@
 
 from __future__ import annotations
 
-from collections import Counter
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -21,6 +19,7 @@ from impact_rs_trials.recordings.impact_rows import Impact, NoRow
 from impact_rs_trials.recordings.laboratory import Laboratory, placed, with_object
 from impact_rs_trials.recordings.mapping import Mapping
 from impact_rs_trials.recordings.recording import find_recordings
+from impact_rs_trials.recordings.remarks import Number, Remark, merged
 from impact_rs_trials.recordings.series import Names
 from impact_rs_trials.recordings.sources import read_series, runs_inside
 from impact_rs_trials.workers import Map
@@ -83,12 +82,13 @@ def find_impacts(directory: Path, experiment: Experiment, map_tasks: Map) -> Fou
     laboratory = placed(laboratory, table, map_tasks)
     impacts: list[Impact] = []
     left_out: list[NoRow] = []
-    remarks: Counter[str] = Counter()
-    for results, said in map_tasks(_arm_task, [(laboratory, run) for run in hits]):
-        remarks.update(dict.fromkeys(said, 1))
+    remarks: list[tuple[str, str]] = []
+    tasks = [(laboratory, run) for run in hits]
+    for run, (results, found) in zip(hits, map_tasks(_arm_task, tasks), strict=True):
+        remarks += [(run.label, remark) for remark in found]
         impacts += [one for one in results if isinstance(one, Impact)]
         left_out += [one for one in results if isinstance(one, NoRow)]
-    said = list(_counted(remarks, len(hits)))
+    said = merged(remarks, len(hits))
     if unknown := sum(not impact.turn_tracked for impact in impacts):
         said.append(WAYS if unknown == len(impacts) else NO_TURN.format(unknown, len(impacts)))
     return FoundImpacts(tuple(impacts), tuple(left_out), len(hits), {}, tuple(said))
@@ -96,11 +96,6 @@ def find_impacts(directory: Path, experiment: Experiment, map_tasks: Map) -> Fou
 
 def _arm_task(task: tuple[Laboratory, RunRow]) -> tuple[list[Impact | NoRow], tuple[str, ...]]:
     return impacts_of_run(*task)
-
-
-def _counted(remarks: Counter[str], runs: int) -> Iterator[str]:
-    for remark, count in remarks.items():
-        yield remark if count == runs == 1 else f"{count} of {runs} runs: {remark}"
 
 
 # ---- a body on a plane ----------------------------------------------------------------------------------------------
@@ -114,20 +109,20 @@ def _of_bodies(directory: Path, experiment: Experiment, body: Body, map_tasks: M
     if any(table.is_file() for table in tables):
         rows = [row for row in read_runs(directory, experiment, None) if row.hit]
     runs, left_out = [], []
-    remarks: Counter[str] = Counter()
+    remarks: list[tuple[str, str]] = []
     for row, result in zip(rows, map_tasks(_track, [(row, mapping, body, plane) for row in rows]), strict=True):
         if isinstance(result, InputError):
             left_out.append(NoRow(row.label, result.message))
         else:
             run, said = result
             runs.append(run)
-            remarks.update(dict.fromkeys(said, 1))
+            remarks += [(row.label, remark) for remark in said]
     impacts, out = impacts_of_bodies(runs, body)
     by_name = {row.label: row for row in rows}
     named = [_with_condition(impact, by_name) for impact in impacts]
     constants = body_columns(body, plane)
     assumed = () if all(impact.turn_tracked for impact in impacts) else (SPIN,)
-    remarks_said = (*_counted(remarks, len(rows)), *assumed)
+    remarks_said = (*merged(remarks, len(rows)), *assumed)
     return FoundImpacts(tuple(named), (*left_out, *out), len(rows), constants, remarks_said)
 
 
@@ -202,7 +197,8 @@ def _track(task: tuple[RunRow, Mapping, Body, Plane]) -> tuple[TrackedBody, list
         if farthest > FARTHEST:
             raise InputError(f"{pose.place} is up to {farthest:.3g} m from the tracker's origin: wrong unit or column?")
         if not finite.all():
-            remarks.append(f"{pose.place}: {np.sum(~finite)} of {finite.size} samples are no finite numbers: left out")
+            share = Number(int(np.sum(~finite)), "d"), " of ", Number(finite.size, "d")
+            remarks.append(Remark(f"{pose.place}: ", *share, " samples are no finite numbers: left out"))
         remarks += _doubts_of_motion(pose.place, pose.time[finite], pose.values[finite, :3])
         return tracked_body(row.label, pose.time[finite], pose.values[finite], body, plane, spin), remarks
     except InputError as error:
@@ -224,7 +220,12 @@ def _doubts_of_motion(place: str, time: Array, position: Array) -> list[str]:
     if jumps.size:
         far = np.linalg.norm(position[jumps[0] + 1] - position[jumps[0]])
         said.append(
-            f"{place}: jumps by {1e3 * far:.3g} mm between two samples at t = {time[jumps[0]] - time[0]:.3f} s, "
-            f"{JUMP:g} times as fast as before and after: columns, units or a marker that changed?"
+            Remark(
+                f"{place}: jumps by ",
+                Number(1e3 * float(far)),
+                " mm between two samples at t = ",
+                Number(float(time[jumps[0]] - time[0]), ".3f"),
+                f" s, {JUMP:g} times as fast as before and after: columns, units or a marker that changed?",
+            )
         )
     return said

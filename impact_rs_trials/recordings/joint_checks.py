@@ -29,6 +29,7 @@ from impact_rs_sim.robot_model import RobotModel
 from impact_rs_trials.recordings.guesses import smoothed
 from impact_rs_trials.recordings.mapping import Mapping, SignalName
 from impact_rs_trials.recordings.plausibility import CHECKED, gravity_torques, noticed
+from impact_rs_trials.recordings.remarks import Number, Remark, joined
 from impact_rs_trials.runs import ArmSignals
 
 RATIO = (0.5, 2.0)  # of torque and weight; friction and loads are in it
@@ -78,21 +79,30 @@ def doubts_of_arm(
         if moving and together >= TOGETHER:
             ratio, error, *lag = motion.fit(joint, means[:, joint])
             if abs(ratio - 1.0) > max(SAME, SURE * error):
-                speeds[joint] = f"is {ratio:.3g} times the derivative of its position (+- {error:.1g}), expected 1"
+                speeds[joint] = Remark(
+                    "is ",
+                    Number(ratio),
+                    " times the derivative of its position (+- ",
+                    Number(error, ".1g"),
+                    "), expected 1",
+                )
                 factors["velocity"][joint] = _remedy(ratio)
             lags.append((lag[0], lag[1]))
         elif moving:
-            mixed.append(f"of joint {joint + 1} (correlation {together:.2f})")
+            mixed.append(Remark(f"of joint {joint + 1} (correlation ", Number(together, ".2f"), ")"))
         if contact or not np.ptp(arm.torque[:, joint]):  # not measured
             continue
         if heavy and (ratio_of_weight := _ratio(arm.torque[rows, joint], own)) is not None:
-            torques[joint] = f"is {ratio_of_weight:.2g} times the arm's weight, expected 1"
+            torques[joint] = Remark("is ", Number(ratio_of_weight, ".2g"), " times the arm's weight, expected 1")
             factors["torque"][joint] = _remedy(ratio_of_weight)
         against = _together(arm.torque[rows, joint] - own, factors["velocity"][joint] * arm.velocity[rows, joint])
         if moving and not heavy and against < AGAINST:
-            torques[joint] = f"points against its motion (correlation {against:.2f}), as if friction drove it"
+            torques[joint] = Remark(
+                "points against its motion (correlation ", Number(against, ".2f"), "), as if friction drove it"
+            )
             factors["torque"][joint] = -1.0
-    remark = f"velocity {', '.join(mixed)} is not the derivative of its position: columns of other joints?"
+    is_not = " is not the derivative of its position: columns of other joints?"
+    remark = Remark("velocity ", joined(", ", mixed), is_not)
     period = float(np.median(np.diff(time)))
     return [
         *([remark] if mixed and "velocity" in mapping.signals else []),
@@ -182,10 +192,9 @@ def _late(what: str, reference: str, lag: float, error: float, name: SignalName,
     """A lag with its remedy."""
     delay = mapping.signals[name].delay - lag
     how = "behind" if lag > 0.0 else "ahead of"
-    return (
-        f"{what} are {1e3 * abs(lag):.0f} ms (+- {1e3 * error:.1g} ms) {how} {reference}: low-passed, or columns of "
-        f"different age? Remedy in the mapping: signals.{name}.delay: {delay:.4g}"
-    )
+    size = Number(1e3 * abs(lag), ".0f"), " ms (+- ", Number(1e3 * error, ".1g"), f" ms) {how} {reference}"
+    why = f": low-passed, or columns of different age? Remedy in the mapping: signals.{name}.delay: "
+    return Remark(f"{what} are ", *size, why, Number(delay, ".4g", remedy=True))
 
 
 def _repeats(time: Array, arm: ArmSignals) -> list[str]:
@@ -194,7 +203,7 @@ def _repeats(time: Array, arm: ArmSignals) -> list[str]:
     for name in ("position", "velocity", "torque"):
         if (text := _repeated(time, getattr(arm, name))) is not None:
             found.setdefault(text, []).append(name)
-    return [f"{', '.join(names)} of all joints {text}" for text, names in found.items()]
+    return [Remark(f"{', '.join(names)} of all joints ", text) for text, names in found.items()]
 
 
 def _repeated(time: Array, values: Array) -> str | None:
@@ -211,11 +220,12 @@ def _repeated(time: Array, values: Array) -> str | None:
     if repeated < REPEATED * time.size:
         return None
     each = float(np.mean(lasts[missed]))
-    return (
-        f"stay the same in {100.0 * repeated / time.size:.0f} % of the samples while the arm moves: every number "
-        f"stands {each:.2g} times, as if measured at {1.0 / period / each:.3g} Hz and written at {1.0 / period:.3g} "
-        f"Hz. Remedy: of equal rows keep the first, or low_pass: {0.25 / period / each:.2g} in the mapping"
-    )
+    return Remark(
+        "stay the same in ", Number(100.0 * repeated / time.size, ".0f"), " % of the samples while the arm moves: "
+        "every number stands ", Number(each, ".2g"), " times, as if measured at ", Number(1.0 / period / each),
+        " Hz and written at ", Number(1.0 / period), " Hz. Remedy: of equal rows keep the first, or low_pass: ",
+        Number(0.25 / period / each, ".2g", remedy=True), " in the mapping",
+    )  # fmt: skip
 
 
 def _remarks(name: SignalName, doubts: dict[int, str], factors: Array, mapping: Mapping) -> list[str]:
@@ -223,10 +233,11 @@ def _remarks(name: SignalName, doubts: dict[int, str], factors: Array, mapping: 
     if not doubts or name not in mapping.signals:
         return []
     every = factors * np.array(mapping.signals[name].factor)
-    remedy = f"{every[0]:.3g}" if np.all(every == every[0]) else f"[{', '.join(f'{value:.3g}' for value in every)}]"
-    what = "; ".join(f"of joint {joint + 1} {text}" for joint, text in doubts.items())
+    numbers = [Remark(Number(value, remedy=True)) for value in every.tolist()]
+    remedy = numbers[0] if np.all(every == every[0]) else Remark("[", joined(", ", numbers), "]")
+    what = joined("; ", [Remark(f"of joint {joint + 1} ", text) for joint, text in doubts.items()])
     why = "wrong sign, unit or joint" + (", or a load that the mapping lacks" if name == "torque" else "")
-    return [f"{name} {what}: {why}? Remedy in the mapping: signals.{name}.factor: {remedy}"]
+    return [Remark(f"{name} ", what, f": {why}? Remedy in the mapping: signals.{name}.factor: ", remedy)]
 
 
 def _ratio(values: Array, expected: Array) -> float | None:

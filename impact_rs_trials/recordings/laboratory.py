@@ -67,6 +67,7 @@ from impact_rs_trials.recordings.plausibility import (
     height_on_support,
 )
 from impact_rs_trials.recordings.recording import TooShort, check_arm
+from impact_rs_trials.recordings.remarks import Number, Remark
 from impact_rs_trials.recordings.series import Names, Series
 from impact_rs_trials.recordings.sources import read_series
 from impact_rs_trials.runs import NONE, ArmSignals, Run, Signals
@@ -437,7 +438,7 @@ def _arm_of(
         remedy = "wrong sign or unit, or without the arm's own weight?"
         check_weight(path, "torque", laboratory.models[arm], own["position"], own["torque"], remedy)
         doubts = doubts_of_arm(time, joints, mapping, laboratory.models[arm], run.hit)
-        remarks += [f"{laboratory.label(arm)}{doubt}" for doubt in doubts]
+        remarks += [Remark(laboratory.label(arm), doubt) for doubt in doubts]
         command_time, command = _part(series.get("command"), grid, none)
         if command_time.size:
             command = _with_weight(laboratory, path, arm, time, own["position"], command_time, command)
@@ -498,7 +499,8 @@ def with_object(path: Path, series: ArmSeries, remarks: list[str]) -> ArmSeries:
             file=path,
         )
     if not np.all(seen):
-        remarks.append(f"{pose.place}: the object is not seen in {int(np.sum(~seen))} of {seen.size} samples")
+        share = Number(int(np.sum(~seen)), "d"), " of ", Number(seen.size, "d")
+        remarks.append(Remark(f"{pose.place}: the object is not seen in ", *share, " samples"))
     log = None if pose.log is None else pose.log[seen]
     series["object_pose"] = replace(pose, time=pose.time[seen], values=pose.values[seen], log=log)
     return series
@@ -700,11 +702,15 @@ def _tell_rates(
     worst = float(np.percentile(beside, 99.0))
     if worst > JITTER:
         remarks.append(
-            f"{position.place}: stamps lie up to {100.0 * worst:.0f} % of a period beside an even grid; the "
-            "samples are interpolated onto it"
+            Remark(
+                f"{position.place}: stamps lie up to ",
+                Number(100.0 * worst, ".0f"),
+                " % of a period beside an even grid; the samples are interpolated onto it",
+            )
         )
     if 1.0 / period < SLOW_JOINTS:
-        remarks.append(f"joints at {1.0 / period:.0f} Hz: the jump of an impact is seen, its force is not")
+        rate = Number(1.0 / period, ".0f")
+        remarks.append(Remark("joints at ", rate, " Hz: the jump of an impact is seen, its force is not"))
 
 
 def _tell_pose_rate(pose: Series | None, remarks: list[str]) -> None:
@@ -713,8 +719,11 @@ def _tell_pose_rate(pose: Series | None, remarks: list[str]) -> None:
         rate = 1.0 / float(np.median(np.diff(pose.time)))
         if rate < SLOW_POSE:
             remarks.append(
-                f"object pose at {rate:.0f} Hz: where the object goes is seen, its velocity right after the "
-                "impact is not"
+                Remark(
+                    "object pose at ",
+                    Number(rate, ".0f"),
+                    " Hz: where the object goes is seen, its velocity right after the impact is not",
+                )
             )
 
 
@@ -827,5 +836,5 @@ def _check_object(
     touching = check_touch(run.path, laboratory.models[arm], run.object, size, at, pose[during])
     slow = object_time.size > 1 and float(np.median(np.diff(object_time))) > 1.0 / SLOW_POSE
     return (
-        remarks if slow else [*remarks, *(f"{laboratory.label(arm)}{remark}" for remark in touching)]
+        remarks if slow else [*remarks, *(Remark(laboratory.label(arm), remark) for remark in touching)]
     )  # a slow tracker does not see where they meet

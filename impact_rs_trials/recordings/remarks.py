@@ -1,0 +1,113 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Remarks on how runs were read, with their numbers, so that one remark on many runs is printed once.
+
+A text alone hides that two remarks are of one kind: "is 1.07 times the derivative" and "is 1.08 times the derivative".
+A :class:`Remark` keeps its numbers apart from its words, and :func:`merged` prints the range of every number.
+"""
+
+from __future__ import annotations
+
+import statistics
+from collections.abc import Iterable, Sequence
+from typing import NamedTuple
+
+MOST_NAMED = 3  # runs; of more only their number is printed
+
+
+class Number(NamedTuple):
+    """A number in a remark.
+
+    Attributes:
+        value: The number, in the unit that the words after it state.
+        digits: How it is printed, a format specification.
+        remedy: Whether it is a value to be written into a file, of which several runs give one: their median.
+    """
+
+    value: float
+    digits: str = ".3g"
+    remedy: bool = False
+
+    def __str__(self) -> str:
+        """As it is printed."""
+        return format(self.value, self.digits)
+
+
+class Remark(str):
+    """A remark as its text, with the parts that it is made of.
+
+    Args:
+        parts: Words, numbers, and other remarks.
+    """
+
+    parts: tuple[str | Number, ...]
+
+    def __new__(cls, *parts: str | Number) -> Remark:
+        """Join the parts."""
+        flat: list[str | Number] = []
+        for part in (inner for one in parts for inner in (one.parts if isinstance(one, Remark) else (one,))):
+            if part == "":
+                continue
+            if isinstance(part, Number) or not flat or isinstance(flat[-1], Number):
+                flat.append(part)
+            else:
+                flat[-1] = f"{flat[-1]}{part}"
+        made = super().__new__(cls, "".join(map(str, flat)))
+        made.parts = tuple(flat)
+        return made
+
+    def __getnewargs__(self) -> tuple[str | Number, ...]:
+        """What makes it again in another process."""
+        return self.parts
+
+
+def joined(separator: str, remarks: Sequence[str]) -> Remark:
+    """Remarks with a separator between them, as :meth:`str.join`."""
+    return Remark(*[part for one in remarks for part in (separator, one)][1:])
+
+
+def merged(remarks: Iterable[tuple[str, str]], of: int = 0) -> list[str]:
+    """Remarks, each kind once, with the runs that share it and the range of its numbers.
+
+    Args:
+        remarks: Run and remark; a remark on no run in particular has the run ``""``.
+        of: How many runs there are, so that runs are counted; 0: up to :data:`MOST_NAMED` are named.
+    """
+    groups: dict[tuple[object, ...], list[tuple[str, str]]] = {}
+    for run, remark in remarks:
+        groups.setdefault(_kind(remark), []).append((run, remark))
+    return [
+        f"{_whose(list(dict.fromkeys(run for run, _ in own if run)), of)}{in_one([text for _, text in own])}"
+        for own in groups.values()
+    ]
+
+
+def in_one(remarks: Sequence[str]) -> str:
+    """Remarks of one kind as one text, with the range of every number."""
+    parts = [remark.parts if isinstance(remark, Remark) else (remark,) for remark in remarks]
+    return "".join(_together(column) for column in zip(*parts, strict=True))
+
+
+def _whose(runs: Sequence[str], of: int) -> str:
+    """The runs of a remark, as it begins."""
+    if not runs or of == 1:
+        return ""
+    if of:
+        return f"{len(runs)} of {of} runs: "
+    return f"{len(runs)} runs: " if len(runs) > MOST_NAMED else f"{', '.join(runs)}: "
+
+
+def _kind(remark: str) -> tuple[object, ...]:
+    """Words, and how numbers between them are printed."""
+    parts = remark.parts if isinstance(remark, Remark) else (str(remark),)
+    return tuple(part[1:] if isinstance(part, Number) else part for part in parts)
+
+
+def _together(column: Sequence[str | Number]) -> str:
+    """The same part of several remarks."""
+    numbers = [part for part in column if isinstance(part, Number)]
+    if not numbers:
+        return str(column[0])
+    if numbers[0].remedy:
+        return str(numbers[0]._replace(value=statistics.median(one.value for one in numbers)))
+    ends = dict.fromkeys(str(end(numbers, key=lambda one: one.value)) for end in (min, max))
+    return " to ".join(ends)
