@@ -440,10 +440,10 @@ def _document(tried: _Tried, model: Model, laws: Mapping[str, Law], ranges: Mapp
 
 def _summary(verdict: str, laws: Sequence[LawDocument], diagnosis: DiagnosisDocument, count: int) -> str:
     if verdict == NO_LAW and diagnosis.named:
-        named, s = " and ".join(diagnosis.named), "s" if len(diagnosis.named) == 1 else ""
+        s = "s" if len(diagnosis.named) == 1 else ""
         return (
-            f"None of {count} laws and effects holds beside {named} of the library, which explain{s} a part: at least "
-            "one more cause is missing."
+            f"None of {count} laws and effects holds beside {' and '.join(diagnosis.named)} of the library, which "
+            f"explain{s} a part: at least one more cause is missing."
         )
     if verdict == NO_LAW:
         return (
