@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """A real robot in the plant's place: ros2_control on one side, controller, recorder and experiment on the other.
 
-From when a robot is armed until the node ends, its arms are led by the controller, in a trial, or braked and held.
+From when a robot is armed until the node ends, its arms are led by the controller, in a trial, or braked and held. With
+the parameter ``watchdog`` its torques go to the watchdog node, which alone sends them to the robot.
 ``docs/real_robot.md`` has the safety argument.
 """
 
@@ -17,7 +18,7 @@ from std_msgs.msg import Bool, Float64MultiArray
 from impact_rs_control.plan import TrialPlan
 from impact_rs_ros.arming import Arming, ArmingLimits
 from impact_rs_ros.cell_trial import CellTrial, TrialLimits
-from impact_rs_ros.effort_arms import EffortArms, arms_of, commands_topic, rest_until
+from impact_rs_ros.effort_arms import BRAKING, EffortArms, arms_of, commands_topic, rest_until, watched_topic
 from impact_rs_ros.motion_capture import COORDINATES, MOCAP, TrackerPoses
 from impact_rs_ros.names import on_network, resolved
 from impact_rs_ros.presence import UNKNOWN
@@ -26,15 +27,13 @@ from impact_rs_ros.qos import COMMAND, LATCHED
 from impact_rs_ros.robot_clock import RobotClock
 from impact_rs_ros.robot_states import STATES
 from impact_rs_ros.trial_node import MATCHING, SLICE, LeadingNode
-from impact_rs_ros.watchdog_node import BRAKING as BRAKING_TOPIC
-from impact_rs_ros.watchdog_node import WatchdogNode
+from impact_rs_ros.watchdog_node import BRAKING_TOPIC, WatchdogNode
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.robot import Array
 from impact_rs_trials.bags import topics
 from impact_rs_trials.bags.streams import Stream, StreamMaker
 from impact_rs_trials.bags.trial_info import TrialInfo
 
-BRAKING = 0.6  # s, that the arms may take to rest before a trial is left; six times the time constant of the brake
 LISTENING = 1.0  # s, until the effort controllers, and the names of those who can send torques, must have been found
 SURVEY = 0.1  # s, between two looks at who else publishes what only this cell or one robot may publish
 
@@ -47,7 +46,8 @@ class CellNode(LeadingNode[CellTrial]):
 
     def __init__(self) -> None:
         super().__init__()
-        self._commands: dict[str, Publisher] = {}
+        self._topics: dict[str, str] = {}  # where the torques of an arm go: to the watchdog, or to the robot
+        self._publishers: dict[str, Publisher] = {}  # of torques, by topic
         self._clock = RobotClock(self.node)
         self._held: EffortArms | None = None  # the arms that were sent something, which are held unless they are led
         self._robots = 1  # publishers of joint states when the trial was armed
@@ -68,10 +68,13 @@ class CellNode(LeadingNode[CellTrial]):
 
     def connect(self, arms: list[str]) -> None:
         super().connect(arms)
-        for arm in arms:
-            if arm not in self._commands:
-                name = on_network(commands_topic(arm))
-                self._commands[arm] = self.node.create_publisher(Float64MultiArray, name, COMMAND)
+        topic_of = watched_topic if self.parameter("watchdog") else commands_topic
+        self._topics = {arm: topic_of(arm) for arm in arms}
+        wanted = set(self._topics.values())
+        for topic in set(self._publishers) - wanted:  # one publisher to the robot: another one is a stranger
+            self.node.destroy_publisher(self._publishers.pop(topic))
+        for topic in wanted - set(self._publishers):
+            self._publishers[topic] = self.node.create_publisher(Float64MultiArray, on_network(topic), COMMAND)
 
     def turn(self) -> None:
         if self.running or self._held is None:
@@ -143,7 +146,7 @@ class CellNode(LeadingNode[CellTrial]):
         self._watchdog_brakes = message.data
 
     def _send(self, arm: str, torque: Array) -> None:
-        self._commands[arm].publish(Float64MultiArray(data=array("d", torque.tobytes())))
+        self._publishers[self._topics[arm]].publish(Float64MultiArray(data=array("d", torque.tobytes())))
 
     def _leave(self) -> str:
         """Leave the trial with arms that rest: while the next one is loaded, the robot keeps its last torque."""
@@ -153,16 +156,17 @@ class CellNode(LeadingNode[CellTrial]):
 
     def _strangers(self) -> str:
         """Who publishes what they should not, by name; empty: no one."""
-        for arm in self.arms:
-            topic = resolved(self.node, commands_topic(arm))
-            own = self.node.get_name(), self.node.get_namespace()
+        own = self.node.get_name(), self.node.get_namespace()
+        watchdog = WatchdogNode.kind, own[1]
+        for topic, allowed in self._torque_ways().items():
             found = [(info.node_name, info.node_namespace) for info in self.node.get_publishers_info_by_topic(topic)]
-            if own in found:
-                found.remove(own)
-            found = [other for other in found if other[0] != WatchdogNode.kind]
+            if (only := own if allowed else watchdog) in found:
+                found.remove(only)
             if found:
                 names = ", ".join(f"{namespace.rstrip('/')}/{name}" for name, namespace in found)
                 remedy = "stop it (one that was killed is forgotten after 20 s)"
+                if watchdog in found and not self.parameter("watchdog"):
+                    remedy = "set the parameter watchdog, so that torques go through it, or stop it"
                 return f"{names} can send torques on {topic} as well: {remedy}"
         if self._watchdog_brakes:
             return (
@@ -175,29 +179,37 @@ class CellNode(LeadingNode[CellTrial]):
             return f"{robots} publishers on {resolved(self.node, STATES)}, {self._robots} when the trial was armed"
         return ""
 
+    def _torque_ways(self) -> dict[str, bool]:
+        """Full names of all topics that carry torques to the robot, and whether this cell publishes them itself."""
+        ways = [name for arm in self.arms for name in {self._topics[arm], commands_topic(arm)}]
+        return {resolved(self.node, name): name in self._publishers for name in ways}
+
     def _await_names(self) -> None:
         """Wait for the names of those who can send torques: one without a name is a stranger, a watchdog is none."""
         until = time.monotonic() + LISTENING
-        topics_of_arms = [resolved(self.node, commands_topic(arm)) for arm in self.arms]
         while time.monotonic() < until and any(
             info.node_name == UNKNOWN
-            for topic in topics_of_arms
+            for topic in self._torque_ways()
             for info in self.node.get_publishers_info_by_topic(topic)
         ):
             self.inbox.wait(MATCHING)
             self._rest(MATCHING)
 
     def _await_listeners(self) -> None:
-        """Wait for the effort controllers, which may have been found after the states."""
+        """Wait for who takes the torques, who may have been found after the states."""
         until = time.monotonic() + LISTENING
         for arm in self.arms:
-            while not self._commands[arm].get_subscription_count():
-                if time.monotonic() > until:
-                    topic = resolved(self.node, commands_topic(arm))
-                    remedy = "is the effort controller active, is the topic remapped?"
-                    raise InputError(f"not armed: nothing listens to torques on {topic}: {remedy}")
-                self.inbox.wait(MATCHING)
-                self._rest(MATCHING)
+            for topic in {self._topics[arm]: None, commands_topic(arm): None}:
+                name = resolved(self.node, topic)
+                own = self._publishers.get(topic)
+                while not (self.node.count_subscribers(name) if own is None else own.get_subscription_count()):
+                    if time.monotonic() > until:
+                        remedy = "is the effort controller active, is the topic remapped?"
+                        if topic != commands_topic(arm):
+                            remedy = "does the watchdog have the scenario of the trial?"
+                        raise InputError(f"not armed: nothing listens to torques on {name}: {remedy}")
+                    self.inbox.wait(MATCHING)
+                    self._rest(MATCHING)
 
 
 def main() -> None:

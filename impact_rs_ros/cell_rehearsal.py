@@ -11,7 +11,8 @@ are not part of it.
 A robot whose external torque or force passes a threshold of its reflexes stops itself, as its driver says: it brakes,
 takes no more torques, and its states end where they do so with that driver.
 
-In a second run the cell falls silent just before the hit, as after ``kill -9``, and the watchdog brakes the arms.
+The watchdog stands between cell and driver, as on the robot. In a second run the cell falls silent just before the hit,
+as after ``kill -9``, and the watchdog brakes the arms.
 """
 
 from __future__ import annotations
@@ -50,6 +51,7 @@ BEGAN = 1_700_000_000  # s, what the driver's clock shows at the start
 LIFETIME = 8.0  # s of simulated time, for which the plant draws its noise
 COMPUTING = 0.0003  # s, that the controller takes for a torque; assumed
 LOOKS = 0.002  # s, between two looks of the watchdog
+HOP = 0.0002  # s, from the cell's torque until the watchdog has passed it on; docs/real_robot.md has what was measured
 DIES = 0.02  # s before the nominal impact, when the cell falls silent
 STOPPING = 1.5  # s, in which arms must rest after that; as the test of the watchdog node asks
 SETTLING = 1.0  # s, that the arms may take to rest after a trial
@@ -400,7 +402,7 @@ def rehearse(
         seed: Of noise and scatter.
         say: Called with a line about what is rehearsed now.
         given: Values of all parameters of ``cell`` and ``watchdog``; None: their defaults with names, gravity
-            convention and torque rate of the profile.
+            convention and torque rate of the profile, and with the watchdog.
     """
     if given is None:
         own = {
@@ -408,7 +410,7 @@ def rehearse(
             "robot_adds_gravity": profile.adds_gravity,
             "torque_rate_limit": profile.torque_rate,
         }
-        given = {kind: defaults_of(kind) | own for kind in ("cell", "watchdog")}
+        given = {"cell": defaults_of("cell") | own | {"watchdog": True}, "watchdog": defaults_of("watchdog") | own}
     found = Checklist(profile.name, blocking=profile.blocking)
     if given["cell"]["mocap"]:
         found.unknown.append("mocap is true: poses of the object from motion capture are not rehearsed")
@@ -416,14 +418,16 @@ def rehearse(
         found.log.append(f"{name} starts at [{', '.join(f'{value:.4f}' for value in arm.initial)}]")
     say("arming and trial")
     _rehearse_trial(_Cell(plan, profile, reflexes, seed, given), found)
-    if found.stopped or not found.failure:
+    if not given["cell"]["watchdog"]:
+        found.unknown.append("watchdog is false: nothing brakes the arms when the cell dies")
+    elif found.stopped or not found.failure:
         say("the cell dies before the hit")
         _rehearse_death(_Cell(plan, profile, reflexes, seed, given), found)
     return found
 
 
 class _Cell:
-    """The cell, armed, at a stand-in."""
+    """The cell, armed, and its watchdog, at a stand-in."""
 
     def __init__(
         self,
@@ -437,10 +441,10 @@ class _Cell:
         self.robot = StandIn(plan, profile, reflexes, self.clock, seed)
         self.inbox = VirtualInbox(self.clock)
         self.outbox = VirtualOutbox(plan, self.clock, self.inbox)
-        self.parameters, self._watchdog_parameters = given["cell"], given["watchdog"]
+        self.parameters = given["cell"]
         self.arms = self._arms(self._send, self.parameters)
         self.robot.listeners.append(lambda data: self.inbox.waiting.append((STATES, data)))
-        self.watchdog: Watchdog | None = None
+        self.watchdog = self._watch(given["watchdog"]) if self.parameters["watchdog"] else None
         self.alive = True
 
     def _arms(self, send: Callable[[str, Array], None], parameters: Mapping[str, Any]) -> EffortArms:
@@ -449,15 +453,15 @@ class _Cell:
     def _send(self, arm: str, torque: Array) -> None:
         if not self.alive:
             return
-        self.robot.command(arm, torque)
-        if self.watchdog is not None:
-            data = bytes(serialize_message(Float64MultiArray(data=torque.tolist())))
-            self.watchdog.heard(arm, data, self.clock.steady())
+        if (watchdog := self.watchdog) is None:
+            self.robot.command(arm, torque)
+            return
+        data = bytes(serialize_message(Float64MultiArray(data=torque.tolist())))
+        self.clock.at(self.clock.time + HOP, lambda: watchdog.heard(arm, data, self.clock.steady()))
 
-    def watch(self) -> Watchdog:
-        """Start a watchdog beside the cell."""
-        own = self._watchdog_parameters
-        watchdog = self.watchdog = Watchdog(self._arms(self.robot.command, own), own["command_timeout"])
+    def _watch(self, own: Mapping[str, Any]) -> Watchdog:
+        """A watchdog between the cell and the robot."""
+        watchdog = Watchdog(self._arms(self.robot.command, own), own["command_timeout"])
         self.robot.listeners.append(lambda data: _read(watchdog, data))
 
         def look() -> None:
@@ -589,7 +593,6 @@ def _rehearse_death(cell: _Cell, found: Checklist) -> None:
     """The cell falls silent before the hit; the watchdog brakes the arms."""
     plan = cell.plan
     try:
-        watchdog = cell.watch()
         cell.arm()
         trial = cell.trial()
         dies = round(1e9 * (plan.scene.scenario.timing.nominal_impact - DIES))
@@ -604,9 +607,9 @@ def _rehearse_death(cell: _Cell, found: Checklist) -> None:
             cell.inbox.waiting.clear()
             if not cell.robot.at_rest:
                 rested = cell.clock.time
+        does = "brakes" if cell.watchdog is not None and cell.watchdog.braking else "does nothing"
         found.log.append(
-            f"cell silent at {fastest:.2f} rad/s: the watchdog {'brakes' if watchdog.braking else 'does nothing'}; "
-            f"the arms rest after {rested - died:.2f} s"
+            f"cell silent at {fastest:.2f} rad/s: the watchdog {does}; the arms rest after {rested - died:.2f} s"
             + (f"; the robot stopped itself ({cell.robot.error})" if cell.robot.error else "")
         )
         found.margins.append(

@@ -21,11 +21,17 @@ from impact_rs_ros.robot_states import STATES, ArmStates, Clock, RobotStates, jo
 from impact_rs_sim.robot import Array
 
 REST = 0.02  # rad/s, m/s; slower is at rest: the holding torque then changes by a thousandth of what an arm weighs
+BRAKING = 0.6  # s, that arms may take to rest before they are left; six times the time constant of the brake
 
 
 def commands_topic(arm: str) -> str:
     """Topic of the arm's JointGroupEffortController."""
     return f"/{arm}/effort_controller/commands"
+
+
+def watched_topic(arm: str) -> str:
+    """Topic of the torques that the watchdog passes on to the arm's effort controller."""
+    return f"/watchdog/{arm}/commands"
 
 
 class EffortArms:
@@ -70,10 +76,19 @@ class EffortArms:
         self._braked = None
         self._set(arm, torque)
 
-    def continue_from(self, arm: str, sent: Array) -> None:
-        """Another process sent this torque last, ``(n,)`` [N m]: the next one changes it no faster than allowed."""
-        if sent.shape == (self.states.models[arm].joint_count,) and np.isfinite(sent).all():
-            self._sent[arm] = self.states.clock.steady(), sent
+    def pass_on(self, arm: str, wanted: Array) -> bool:
+        """Send what another process wants the effort controller to have, ``(n,)`` [N m], as far as the rate allows.
+
+        Returns:
+            Whether it was sent; not if there is no state yet, or not one finite torque per joint.
+        """
+        known = self.states.latest is not None and wanted.shape == (self.states.models[arm].joint_count,)
+        if not known or not np.isfinite(wanted).all():
+            return False
+        self.held = False
+        self._braked = None
+        self._limited(arm, wanted)
+        return True
 
     def rest(self) -> None:
         """Brake and hold on a fresh state, once a state; without one carry the arms' weight and no more.
@@ -99,20 +114,27 @@ class EffortArms:
         self.held = all(reached)
 
     def _set(self, arm: str, torque: Array) -> bool:
-        """Send a torque as far as the rate allows; whether all of it could be sent."""
-        assert self.states.latest is not None
-        gravity = self.states.models[arm].gravity_torque(self.states.latest.arms[arm].position)
-        carried = gravity if self.adds_gravity else np.zeros_like(gravity)
+        """Send a torque with gravity as far as the rate allows; whether all of it could be sent."""
+        return self._limited(arm, torque - self._weight(arm) if self.adds_gravity else torque)
+
+    def _limited(self, arm: str, wanted: Array) -> bool:
+        """Send what the effort controller shall have as far as the rate allows; whether all of it could be sent."""
         now = self.states.clock.steady()
-        last, before = self._sent.get(arm, (now - self.states.period, gravity - carried))
+        if arm not in self._sent:  # an arm at rest that its weight was carried for
+            self._sent[arm] = now - self.states.period, 0.0 * wanted if self.adds_gravity else self._weight(arm)
+        last, before = self._sent[arm]
         elapsed = min(max(now - last, 0.0), self.states.period)  # a pause permits no jump
-        wanted = torque - carried
         sent = rate_limited(wanted, before, self._rate * elapsed)
         reached = bool(np.allclose(sent, wanted))
         self.limited += not reached
         self._sent[arm] = now, sent
         self._send(arm, sent)
         return reached
+
+    def _weight(self, arm: str) -> Array:
+        """Gravity torque at the last state, ``(n,)`` [N m]."""
+        assert self.states.latest is not None
+        return self.states.models[arm].gravity_torque(self.states.latest.arms[arm].position)
 
 
 def arms_of(

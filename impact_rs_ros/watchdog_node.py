@@ -1,17 +1,20 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Brakes a real robot whose cell has died: a process of its own, for an effort controller keeps its last torque.
+"""Stands between the cell and a real robot, passes its torques on, and brakes when they stop coming.
 
-A JointGroupEffortController of ros2_control holds the last command for ever. This node hears the same joint states and
-commands as the robot. Commands that have stopped for ``command_timeout`` of the robot's clock while a joint moves make
-it take over: it brakes and holds the arms as the cell does (:meth:`impact_rs_ros.effort_arms.EffortArms.rest`) until a
-call of ``~/reset``. It says so on ``~/braking`` (latched), where the cell arms nothing.
+A JointGroupEffortController of ros2_control holds the last command for ever. This node is a process of its own and the
+only one that sends it commands: those of the cell come to it on a topic of its own, and it passes each on at once,
+changed no faster than the robot allows in the stream that the robot sees. When none has come for ``command_timeout`` of
+the robot's clock while a joint moves, it takes over: it brakes and holds the arms as the cell does
+(:meth:`impact_rs_ros.effort_arms.EffortArms.rest`), and what the cell sends goes nowhere, until a call of ``~/reset``.
+It says so on ``~/braking`` (latched), where the cell arms nothing.
+
+It shares machine, Python and middleware with the cell: it is no safety function.
 """
 
 from __future__ import annotations
 
 import time
 from array import array
-from contextlib import suppress
 
 import numpy as np
 from rclpy.publisher import Publisher
@@ -19,7 +22,7 @@ from rclpy.serialization import deserialize_message
 from std_msgs.msg import Bool, Float64MultiArray
 from std_srvs.srv import Trigger
 
-from impact_rs_ros.effort_arms import REST, EffortArms, arms_of, commands_topic
+from impact_rs_ros.effort_arms import BRAKING, REST, EffortArms, arms_of, commands_topic, rest_until, watched_topic
 from impact_rs_ros.exchange import Inbox
 from impact_rs_ros.names import on_network
 from impact_rs_ros.process import NodeProgram, run
@@ -30,13 +33,13 @@ from impact_rs_sim.robot import Array
 from impact_rs_trials.bags import topics
 from impact_rs_trials.spec import TrialSpec
 
-BRAKING = "/watchdog/braking"
+BRAKING_TOPIC = "/watchdog/braking"
 TORQUES = "std_msgs/msg/Float64MultiArray"
 SLICE = 0.02  # s, between two looks at services
 
 
 class Watchdog:
-    """When to take over.
+    """Passes torques on until they stop coming, and then brakes.
 
     Args:
         arms: The arms.
@@ -50,34 +53,47 @@ class Watchdog:
         self.arms = arms
         self.braking = False
         self._timeout = timeout
-        self._commands: dict[str, tuple[float, bytes]] = {}  # the last one and when it came [s], by arm
+        self._heard: dict[str, float] = {}  # when the last command came [s], by arm
 
     def heard(self, arm: str, data: bytes, now: float) -> None:
-        """A command came."""
-        self._commands[arm] = now, data
+        """A command of the cell came; it goes to the robot, unless the arms were taken over or it cannot be read."""
+        if not self.braking and self.arms.pass_on(arm, _torques(data)):
+            self._heard[arm] = now
+
+    def silent(self, now: float) -> bool:
+        """Whether an arm moves that no command has come for."""
+        if self.braking or not self._heard or self.arms.states.latest is None:
+            return False
+        speed = max(float(np.abs(arm.velocity).max()) for arm in self.arms.states.latest.arms.values())
+        return now - min(self._heard.values()) > self._timeout and speed > REST
 
     def look(self, now: float) -> bool:
         """Whether the arms are taken over just now."""
-        if self.braking or not self._commands or self.arms.states.latest is None:
-            return False
-        silent = now - min(when for when, _ in self._commands.values())
-        speed = max(float(np.abs(arm.velocity).max()) for arm in self.arms.states.latest.arms.values())
-        if silent <= self._timeout or speed <= REST:
-            return False
-        for arm, (_, data) in self._commands.items():
-            with suppress(Exception):  # a last command that cannot be read is no reason not to brake
-                self.arms.continue_from(arm, np.array(deserialize_message(data, Float64MultiArray).data))
-        self.braking = True
-        return True
+        taken = self.silent(now)
+        self.braking |= taken
+        return taken
+
+    @property
+    def commanded(self) -> bool:
+        """Whether the robot was sent anything since the last reset."""
+        return self.braking or bool(self._heard)
 
     def reset(self) -> None:
-        """Watch again, from the next command on."""
+        """Pass torques on again, and watch from the next one on."""
         self.braking = False
-        self._commands.clear()
+        self._heard.clear()
+
+
+def _torques(data: bytes) -> Array:
+    """Numbers of a serialized ``std_msgs/Float64MultiArray``; none where the bytes are not one."""
+    try:
+        return np.array(deserialize_message(data, Float64MultiArray).data)
+    except Exception:  # the middleware raises whatever it likes
+        return np.empty(0)
 
 
 class WatchdogNode(NodeProgram):
-    """Watches the commands of the cell."""
+    """Passes the commands of the cell on to the robot."""
 
     kind = "watchdog"
     background = False
@@ -87,16 +103,15 @@ class WatchdogNode(NodeProgram):
         self._clock = RobotClock(self.node)
         self._inbox = Inbox(self.node, "inbox", AWAITED, raw=True)
         self._publishers: dict[str, Publisher] = {}
-        self._braking = self.node.create_publisher(Bool, on_network(BRAKING), LATCHED)
+        self._braking = self.node.create_publisher(Bool, on_network(BRAKING_TOPIC), LATCHED)
         self._arm_of: dict[str, str] = {}
         self._watchdog: Watchdog | None = None
 
     def connect(self, arms: list[str]) -> None:
-        self._arm_of = {commands_topic(arm): arm for arm in arms}
+        self._arm_of = {watched_topic(arm): arm for arm in arms}
         self._inbox.connect({STATES: topics.JOINT_STATE} | dict.fromkeys(self._arm_of, TORQUES))
         self._publishers = {
-            arm: self.node.create_publisher(Float64MultiArray, on_network(topic), COMMAND)
-            for topic, arm in self._arm_of.items()
+            arm: self.node.create_publisher(Float64MultiArray, on_network(commands_topic(arm)), COMMAND) for arm in arms
         }
 
     def rehearse(self, spec: TrialSpec) -> None:
@@ -116,20 +131,32 @@ class WatchdogNode(NodeProgram):
         self.diagnose()
 
     def _look(self) -> None:
-        """Hear all that has come, then judge the silence up to the moment before, and brake if it is due."""
+        """Pass on what has come, judge the silence up to now, and brake if it is due."""
         assert self._watchdog is not None
-        watchdog, now = self._watchdog, self._clock.steady()
-        self._inbox.gather()  # commands that waited while this process did not run are no silence of the cell
-        for topic, data in self._inbox.take():
-            if topic == STATES:
-                watchdog.arms.states.read(data)
-            elif not watchdog.braking:  # else it hears itself
-                watchdog.heard(self._arm_of[topic], data, now)
-        if watchdog.look(now):
+        watchdog = self._watchdog
+        self._take()
+        if watchdog.silent(self._clock.steady()):
+            self._inbox.gather()  # commands that waited while this process did not run are no silence of the cell
+            self._take()
+        if watchdog.look(self._clock.steady()):
             self.log.error("no torques of the cell while the arm moves: braking until ~/reset is called")
             self._braking.publish(Bool(data=True))
         if watchdog.braking:
             watchdog.arms.rest()
+
+    def _take(self) -> None:
+        """Pass on the newest command of each arm first: the robot waits for it. Then read the states."""
+        assert self._watchdog is not None
+        states, commands = [], {}
+        for topic, data in self._inbox.take():
+            if topic == STATES:
+                states.append(data)
+            else:
+                commands[self._arm_of[topic]] = data
+        for arm, data in commands.items():
+            self._watchdog.heard(arm, data, self._clock.steady())
+        for data in states:
+            self._watchdog.arms.states.read(data)
 
     def status(self) -> tuple[str, dict[str, object]]:
         if self._watchdog is None or not self._watchdog.braking:
@@ -137,8 +164,18 @@ class WatchdogNode(NodeProgram):
         return "braking: the cell sent no torques while the arm moved; call ~/reset", {"braking": True}
 
     def close(self) -> None:
+        self.brake()
         self._inbox.close()
         self._clock.close()
+
+    def brake(self) -> None:
+        """Go on until the torques that the robot was sent last may stay: nobody else can change them."""
+        watchdog, until = self._watchdog, time.monotonic() + BRAKING
+        while watchdog is not None and watchdog.commanded and not watchdog.arms.held:
+            if time.monotonic() > until:
+                self.log.error(f"the arms did not come to rest within {BRAKING:g} s: press the emergency stop")
+                return
+            rest_until(watchdog.arms, self._inbox, time.monotonic() + SLICE, time.monotonic)
 
     def _on_reset(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         del request

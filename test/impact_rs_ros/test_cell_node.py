@@ -6,6 +6,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 import rclpy
 from processes import PATIENCE, until
@@ -19,6 +20,7 @@ from impact_rs_ros.qos import COMMAND, LATCHED
 from impact_rs_sim.errors import InputError
 
 COMMANDS = "/arm/effort_controller/commands"
+WATCHED = "/watchdog/arm/commands"
 
 
 class Arms:
@@ -57,6 +59,17 @@ def other(cell: CellNode) -> Iterator[rclpy.node.Node]:
 
 def eventually(cell: CellNode, condition: Callable[[], bool]) -> bool:
     return bool(until(condition, lambda: cell.serve(0.01)))
+
+
+@pytest.fixture
+def watched(cell: CellNode, monkeypatch: pytest.MonkeyPatch) -> Iterator[CellNode]:
+    """The cell with the parameter ``watchdog``."""
+    with monkeypatch.context() as asked:
+        own = cell.parameter
+        asked.setattr(cell, "parameter", lambda name: name == "watchdog" or own(name))
+        cell.connect(["arm"])
+        yield cell
+    cell.connect(["arm"])
 
 
 @pytest.fixture(autouse=True)
@@ -122,8 +135,61 @@ def test_whoever_else_can_send_torques_is_named_and_nothing_is_armed(cell: CellN
     assert eventually(cell, lambda: cell._strangers() == "")
 
 
+@pytest.fixture
+def watchdog(cell: CellNode) -> Iterator[rclpy.node.Node]:
+    """A node of this name that can send torques."""
+    node = rclpy.create_node("watchdog", context=cell.node.context)
+    node.create_publisher(Float64MultiArray, COMMANDS, COMMAND)
+    node.create_publisher(Bool, "/watchdog/braking", LATCHED)
+    yield node
+    node.destroy_node()
+    assert eventually(cell, lambda: cell.node.count_publishers("/watchdog/braking") == 0)
+
+
+def test_with_a_watchdog_it_alone_sends_the_robot_torques_and_the_cell_sends_them_to_it(
+    watched: CellNode, watchdog: rclpy.node.Node
+) -> None:
+    assert eventually(watched, lambda: watched.node.count_publishers(COMMANDS) == 1)  # the watchdog's
+    assert watched.node.count_publishers(WATCHED) == 1
+    assert eventually(watched, lambda: watched._strangers() == "")
+    came: list[list[float]] = []
+    watchdog.create_subscription(Float64MultiArray, WATCHED, lambda message: came.append(list(message.data)), 10)
+
+    def send() -> bool:
+        watched._send("arm", np.arange(7.0))
+        rclpy.spin_once(watchdog, timeout_sec=0.01)
+        return bool(came)
+
+    assert eventually(watched, send)
+    assert came[0] == list(range(7))
+    for topic in (COMMANDS, WATCHED):  # a second watchdog, a second cell
+        second = watchdog.create_publisher(Float64MultiArray, topic, COMMAND)
+        said = f"/watchdog can send torques on {topic} as well"
+        assert eventually(watched, lambda said=said: watched._strangers().startswith(said))
+        watchdog.destroy_publisher(second)
+        assert eventually(watched, lambda: watched._strangers() == "")
+
+
+def test_a_watchdog_that_the_torques_do_not_go_through_is_a_stranger(cell: CellNode, watchdog: rclpy.node.Node) -> None:
+    assert eventually(cell, lambda: cell._strangers() != "")
+    assert eventually(cell, lambda: "UNKNOWN" not in cell._strangers())
+    assert cell._strangers() == (
+        f"/watchdog can send torques on {COMMANDS} as well: set the parameter watchdog, so that torques go through it, "
+        "or stop it"
+    )
+
+
+def test_without_a_watchdog_that_listens_nothing_is_armed(
+    watched: CellNode, other: rclpy.node.Node, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    other.create_subscription(Float64MultiArray, COMMANDS, lambda message: None, 10)
+    monkeypatch.setattr(cell_node, "LISTENING", 0.01)
+    with pytest.raises(InputError, match=f"^not armed: nothing listens to torques on {WATCHED}: does the watchdog"):
+        watched._await_listeners()
+
+
 def test_a_publisher_without_a_name_is_waited_for_and_then_a_stranger(
-    cell: CellNode, monkeypatch: pytest.MonkeyPatch
+    watched: CellNode, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The middleware knows a publisher of a node that starts before its name, which may be that of a watchdog."""
     looks: list[str] = []
@@ -132,19 +198,22 @@ def test_a_publisher_without_a_name_is_waited_for_and_then_a_stranger(
         looks.clear()
 
         def found(topic: str) -> list[SimpleNamespace]:
+            if topic == WATCHED:
+                return []
             looks.append(topic)
             name = "_NODE_NAME_UNKNOWN_" if len(looks) <= count else "watchdog"
             return [SimpleNamespace(node_name=name, node_namespace="/")]
 
-        monkeypatch.setattr(cell.node, "get_publishers_info_by_topic", found)
+        monkeypatch.setattr(watched.node, "get_publishers_info_by_topic", found)
 
+    monkeypatch.setattr(watched.node, "count_publishers", lambda topic: 1)
     watchdog_after(3)
-    cell._await_names()
-    assert len(looks) == 4 and cell._strangers() == ""
+    watched._await_names()
+    assert len(looks) == 4 and watched._strangers() == ""
     watchdog_after(10**9)
     monkeypatch.setattr(cell_node, "LISTENING", 0.01)
-    cell._await_names()
-    assert "can send torques" in cell._strangers()
+    watched._await_names()
+    assert "can send torques" in watched._strangers()
 
 
 def test_a_second_publisher_of_joint_states_ends_the_trial(cell: CellNode, other: rclpy.node.Node) -> None:
@@ -179,15 +248,13 @@ def test_what_is_found_while_a_trial_runs_ends_it(cell: CellNode, monkeypatch: p
 
 
 def test_a_watchdog_that_brakes_or_is_missing_where_one_is_wanted_is_said(
-    cell: CellNode, other: rclpy.node.Node, monkeypatch: pytest.MonkeyPatch
+    watched: CellNode, other: rclpy.node.Node
 ) -> None:
-    wanted = cell.parameter
-    monkeypatch.setattr(cell, "parameter", lambda name: name == "watchdog" or wanted(name))
-    assert "there is no watchdog" in cell._strangers()
+    assert "there is no watchdog" in watched._strangers()
     braking = other.create_publisher(Bool, "/watchdog/braking", LATCHED)
-    assert eventually(cell, lambda: cell._strangers() == "")
+    assert eventually(watched, lambda: watched._strangers() == "")
     braking.publish(Bool(data=True))
-    assert eventually(cell, lambda: cell._strangers() != "")
-    assert "ros2 service call /watchdog/reset std_srvs/srv/Trigger" in cell._strangers()
+    assert eventually(watched, lambda: watched._strangers() != "")
+    assert "ros2 service call /watchdog/reset std_srvs/srv/Trigger" in watched._strangers()
     braking.publish(Bool(data=False))
-    assert eventually(cell, lambda: cell._strangers() == "")
+    assert eventually(watched, lambda: watched._strangers() == "")

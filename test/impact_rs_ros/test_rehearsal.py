@@ -14,6 +14,7 @@ from impact_rs_cli.main import main
 from impact_rs_ros import cell_rehearsal
 from impact_rs_ros.cell_rehearsal import Checklist, ExternalTorque, StandIn, VirtualTime, rehearse
 from impact_rs_ros.driver_profiles import PROFILES, profile_of
+from impact_rs_ros.effort_arms import rest_until
 from impact_rs_ros.node_parameters import defaults_of
 from impact_rs_ros.robot_states import joint_names
 from impact_rs_sim.errors import InputError
@@ -225,3 +226,101 @@ def test_the_command_fails_where_a_margin_is_negative(capsys: pytest.CaptureFixt
     document = json.loads(capsys.readouterr().out)
     assert not document["passed"] and "threshold 40" in document["stopped"]
     assert {one["name"] for one in document["margins"] if one["margin"] < 0.0} == {"arm external force"}
+
+
+IMPACT = PLAN.scene.scenario.timing.nominal_impact  # s
+
+
+class Stalled(cell_rehearsal._Cell):
+    """A cell whose process does not run for a while, and the torques that its robot was sent."""
+
+    def __init__(self) -> None:
+        own = {"joints": FRANKA.joints_of(PLAN.arms), "watchdog": True}
+        given = {"cell": defaults_of("cell") | own, "watchdog": defaults_of("watchdog") | {"joints": own["joints"]}}
+        super().__init__(PLAN, FRANKA, NO_REFLEXES, 0, given)
+        self.merged = [(-self.robot.period, np.zeros(7))]  # franka_ros2 carries the weight itself
+        command = self.robot.command
+        self.robot.command = lambda arm, torque: (  # type: ignore[method-assign]
+            self.merged.append((self.clock.time, torque.copy())),
+            command(arm, torque),
+        )
+        assert self.watchdog is not None
+        self.watchdog.arms._send = self.robot.command
+
+    def stall(self, seconds: float) -> None:
+        """States and torques go on, and come to a process that does not take them."""
+        self.clock.pass_until(self.clock.time + seconds, lambda: False)
+
+    def rest(self, seconds: float) -> None:
+        """Held as after a trial."""
+        until = self.clock.time + seconds
+        while self.clock.time < until:
+            rest_until(self.arms, self.inbox, self.clock.time + self.robot.period, self.clock)  # type: ignore[arg-type]
+
+    def steepest(self) -> float:
+        """Fastest change of a torque in the stream that reaches the robot [N m/s]; a pause permits no jump."""
+        pairs = zip(self.merged, self.merged[1:], strict=False)
+        return max(np.abs(b - a).max() / min(max(tb - ta, 1e-9), self.robot.period) for (ta, a), (tb, b) in pairs)
+
+
+@pytest.mark.parametrize(
+    ("phase", "stall"),
+    [
+        (0.2 - IMPACT, 0.1),  # at rest, before the approach
+        (-0.3, 0.03),
+        (-0.15, 0.1),
+        (-0.05, 0.5),
+        (0.0, 0.05),
+        (0.01, 0.2),  # interim
+        (0.2, 0.03),
+        (0.3, 0.5),  # post
+        (1.0, 0.2),  # after the end
+    ],
+)
+def test_whenever_and_however_long_a_cell_stalls_the_robot_gets_one_stream_within_the_rate(
+    phase: float, stall: float
+) -> None:
+    """``phase`` [s] from the nominal impact. Beside each other cell and watchdog made 4.3 N m from one to the next."""
+    cell = Stalled()
+    try:
+        cell.arm()
+        trial = cell.trial()
+        while not trial.over and trial.now < round(1e9 * (IMPACT + phase)):
+            trial.work(cell.clock.time + cell.robot.period)
+        moving = not cell.robot.at_rest
+        cell.stall(stall)
+        watchdog = cell.watchdog
+        assert watchdog is not None
+        if moving:
+            assert watchdog.braking == (stall > 0.05 + cell_rehearsal.LOOKS)
+        while not trial.over:
+            trial.work(cell.clock.time + cell.robot.period)
+        assert bool(trial.failure) == (phase < 1.0)
+        cell.rest(1.0)
+        assert cell.robot.at_rest
+        assert 100.0 < cell.steepest() <= FRANKA.torque_rate * (1.0 + 1e-6)
+        if watchdog.braking:  # what the cell sends goes nowhere until the reset, and then follows the hold
+            sent = len(cell.merged)
+            watchdog.reset()
+            cell.rest(0.1)
+            assert len(cell.merged) - sent == pytest.approx(100, abs=2)
+            assert cell.steepest() <= FRANKA.torque_rate * (1.0 + 1e-6)
+    finally:
+        cell.robot.plant.close()
+
+
+@pytest.mark.parametrize(("begin", "looking"), [(0.2, True), (0.6, False)])
+def test_a_cell_that_stalls_while_it_looks_or_holds_arms_nothing(begin: float, looking: bool) -> None:
+    """``begin`` [s] of 0.1 s: the look lasts 0.5 s, and the hold 0.2 s more."""
+    cell = Stalled()
+    try:
+        cell.clock.at(begin, lambda: cell.stall(0.1))
+        with pytest.raises(InputError, match="the robot's state is 0.1"):
+            cell.arm()
+        assert (len(cell.merged) == 1) == looking
+        if not looking:
+            cell.rest(0.2)
+            assert cell.steepest() <= FRANKA.torque_rate * (1.0 + 1e-6)
+        assert cell.robot.at_rest
+    finally:
+        cell.robot.plant.close()
