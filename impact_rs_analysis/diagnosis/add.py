@@ -87,8 +87,8 @@ def _diagnosed(
     depends = " and ".join(document.dependent.get(name, ()))
     if depends and not force:
         raise InputError(
-            f"{name} depends on {depends}, and a model has one value for all: diagnose some of the rows alone, take the "
-            f"values from 'dependences' of this file, or --force adds the mean over {depends}",
+            f"{name} depends on {depends}, and a model has one value for all: diagnose some of the rows alone, take "
+            f"the values from 'dependences' of this file, or --force adds the mean over {depends}",
             file=source,
         )
     formulas = tuple(_with_room(spec, found) for spec in document.formulas if spec.name == name)

@@ -363,8 +363,8 @@ class DiagnosisDocument(Schema):
     format: int = Field(2, description="version of this format")
     source: Literal["trials", "recordings", "impacts"] = Field("trials", description="what was diagnosed")
     verdict: str = Field(
-        description="NOTHING-MISSING, NONE-EXPLAINS, PRESENT-BUT-SMALL, TOO-FEW-REPEATS, IMPOSSIBLE-DATA, PARTLY{...}, or "
-        "the missing effects joined by +"
+        description="NOTHING-MISSING, NONE-EXPLAINS, PRESENT-BUT-SMALL, TOO-FEW-REPEATS, IMPOSSIBLE-DATA, PARTLY{...}, "
+        "or the missing effects joined by +"
     )
     impossible: str = omitted(
         "", description="how the measurements break a law of every impact, whatever the contact; empty: they do not"

@@ -285,6 +285,11 @@ class ImpactTableSource(Source):
             numbers[group] = numbers[group].mean()
         return list(numbers.tolist())
 
+    def offers(self, effect: Effect) -> bool:
+        """See :meth:`Source.offers`; sensors are those of a free body whose turn was measured."""
+        turned = bool(self.table.turning and not self.table.arms)
+        return super().offers(effect) and (turned or effect.acts_on != "sensing")
+
     @property
     def known_effects(self) -> dict[str, Effect]:
         """See :attr:`Source.known_effects`."""
@@ -1016,7 +1021,7 @@ def _what_the_map_knows(physics: Physics) -> bytes:
     """All numbers that the solution of an impact map depends on, besides its state."""
     body = physics.object
     contact = (physics.support_friction, physics.pad_friction, restitution_of(physics), physics.rolling_arm)
-    parts = [np.array(contact), body.com_offset]
+    parts = [np.array(contact), np.array(physics.spin_axes), body.com_offset]
     if physics.arms:
         parts += [np.array([body.mass]), body.inertia]
     else:

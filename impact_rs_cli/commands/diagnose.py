@@ -239,8 +239,8 @@ def show(document: DiagnosisDocument, terminal: Terminal) -> None:
         terminal.say(f"and {len(shown) - MOST_SHOWN} more effects, none of them better")
     if missing := [effect.name for effect in document.effects if not effect.measured]:
         terminal.say(f"not measured here: {', '.join(missing)}")
-    if unnamed := shown_unnamed(document):
-        terminal.say(f"beyond zero alone, but not named: {unnamed}")
+    if beyond_zero := shown_unnamed(document):
+        terminal.say(f"beyond zero alone, but not named: {beyond_zero}")
     if small := not_excluded(document):
         terminal.say(f"not excluded at a noticeable size: {small}")
     for remark in document.remarks:

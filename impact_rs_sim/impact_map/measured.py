@@ -19,6 +19,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+import pinocchio as pin
 
 from impact_rs_sim import _kernel
 from impact_rs_sim.errors import Infeasible
@@ -186,6 +187,8 @@ class MeasuredImpacts:
         Returns:
             u^+, ``(N, nv)`` [rad/s, m/s], nan where no answer obeys the laws; and what the compiled map returns.
         """
+        if any(any(one.spin_axes) for one in physics):
+            return self._solve_turned(physics)
         contact = self.contacts(physics)
         arms = []
         for name in self._names:
@@ -226,6 +229,21 @@ class MeasuredImpacts:
             if not obeys[number] or np.isfinite(other).all():
                 answers[number] = other
         return answers, found
+
+    def _solve_turned(self, physics: Sequence[Physics]) -> tuple[Array, Compiled]:
+        """As :meth:`solve`, of angular velocities that were measured in other axes, into which u^+ is turned."""
+        axes = np.array([pin.exp3(np.array(one.spin_axes)) for one in physics])  # measured = axes @ omega
+        impacts = []
+        for impact, own in zip(self._impacts, axes, strict=True):
+            twist = np.concatenate((impact.object.twist[:3], own.T @ impact.object.twist[3:]))
+            impacts.append(replace(impact, object=replace(impact.object, twist=twist)))
+        distinct = {id(one): replace(one, spin_axes=(0.0, 0.0, 0.0)) for one in physics}
+        straight = [distinct[id(one)] for one in physics]
+        turned = MeasuredImpacts(impacts, straight)
+        turned._near = self._near
+        velocity, found = turned.solve(straight)
+        velocity[:, -3:] = np.einsum("nij,nj->ni", axes, velocity[:, -3:])
+        return velocity, found
 
     def _by_cones(self, number: int, physics: Physics, contact: ContactCondition) -> Array:
         """u^+ of one impact from another first guess; nan without an answer, or with laws that cones do not have."""

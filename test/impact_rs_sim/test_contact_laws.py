@@ -6,6 +6,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+import pinocchio as pin
 import pytest
 from ball_impacts import HOLLOW, MASS, RADIUS, SOLID, Racket, bounced, thrown
 from impact_table_cases import cube, tossed
@@ -146,6 +147,16 @@ def test_a_cube_on_its_face_stops_spinning_by_the_moment_that_it_presses_with() 
     found, _ = solve_measured(physics, MeasuredImpact({}, body, points_on_plane(corners, UP)))
     mass, moment = physics.object.mass, physics.object.inertia[2]
     np.testing.assert_allclose(found, [0.0, 0.0, 0.0, 0.0, 0.0, spin - arm * mass * fall / moment], atol=1e-7)
+
+
+def test_a_spin_that_is_measured_in_turned_axes_leaves_in_the_same_axes() -> None:
+    """u^+ of a ball whose spin is seen from other axes is its true u^+, seen from there."""
+    twist, turn = thrown(np.random.default_rng(2)), np.array([0.1, -0.2, 0.05])
+    axes = np.asarray(pin.exp3(turn))
+    seen = np.concatenate((twist[:3], axes @ twist[3:]))
+    true = after(ball(), twist)
+    found = after(with_effects(ball(), spin_axes=tuple(turn)), seen)
+    np.testing.assert_allclose(found, np.concatenate((true[:3], axes @ true[3:])), atol=1e-9)
 
 
 def test_impacts_together_are_those_one_by_one() -> None:

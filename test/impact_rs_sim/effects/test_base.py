@@ -104,6 +104,7 @@ def test_effects_of_the_contact_are_not_seen_in_free_motion():
         "restitution_fall",
         "tangential_restitution",
         "drilling_friction",
+        "spin_axes",
     ]
     assert all(effect.seen_in(contact=True) for effect in library().values())
 
