@@ -46,8 +46,10 @@ COPIED, COPIED_FACTOR = 0.9, (0.8, 1.25)  # correlation and factor of a copy of 
 EXACTLY, EXACT_FACTOR = 0.999, (0.98, 1.02)  # and of fewer, of which a torque might look like one
 FEWEST_COPIED = 3
 MOST_APART = 30.0  # ratio of torque constants of one arm
+STILL = 1e-3  # of the range of a joint, below which it does not move; encoders and sag make less
 MOVES = 0.02  # of the data sheet's velocity, rms, from which a joint moves
 NOTICED = 0.3  # of what the largest joint takes by weight and inertia, in proportion to the robot [N m]
+MOST_SHOWN = 3  # steps back in a message
 LOOKED_AT = 400  # samples in which the torque is compared
 OUTLIERS = np.errstate(over="ignore", invalid="ignore")  # may be of any size; what they spoil fits nothing
 UNIT_LENGTH = 0.02  # by which a quaternion may be off length 1
@@ -85,6 +87,23 @@ def clock_of(columns: AbstractMapping[str, Sequence[str] | NDArray[Any]]) -> Gue
             found.append((2.0 * bool(STAMP.search(name)) - 0.01 * place, name, guess))
     pair = _clock_of_two(columns)
     return pair or (max(found)[2] if found else None)
+
+
+def steps_back(columns: AbstractMapping[str, Sequence[str] | NDArray[Any]]) -> str | None:
+    """Which column is called a clock and would be one, did it not step back, and where; None: none is."""
+    for name, cells in columns.items():
+        try:
+            stamps = np.asarray(cells, dtype=float) if STAMP.search(name) else np.zeros(0)
+        except (ValueError, TypeError):
+            continue
+        steps = np.diff(stamps)
+        if stamps.ndim != 1 or stamps.size < 3 or not np.isfinite(stamps).all() or not 0.0 < np.mean(steps < 0.0) < 0.5:
+            continue
+        rows = np.flatnonzero(steps < 0.0) + 1
+        listed = [f"from {stamps[row - 1]:.10g} to {stamps[row]:.10g} at sample {row + 1}" for row in rows[:MOST_SHOWN]]
+        more = f" and {rows.size - MOST_SHOWN} times more" if rows.size > MOST_SHOWN else ""
+        return f"{name!r} steps back {', '.join(listed)}{more}: the clock was set, or rows are not in order"
+    return None
 
 
 def _clock_of_two(columns: AbstractMapping[str, Sequence[str] | NDArray[Any]]) -> Guess | None:
@@ -177,6 +196,26 @@ def smoothed(time: Array, values: Array) -> tuple[Array, Array]:
     window = np.ones(width) / width
     mean = np.column_stack([np.convolve(column, window, "valid") for column in values.T])
     return np.convolve(time, window, "valid"), mean
+
+
+def at_rest(time: Array, position: Array, facts: RobotFacts) -> str | None:
+    """That no joint moves, so that units, signs, inertia and friction cannot be seen; None: some joint does.
+
+    Args:
+        time: Stamps, ``(k,)`` [s].
+        position: q, ``(k, n)`` [rad].
+        facts: Know the ranges of the joints.
+    """
+    ranges = np.array(facts.limits.position_max_rad) - np.array(facts.limits.position_min_rad)
+    moved = np.ptp(smoothed(time, position)[1], axis=0)
+    if np.any(moved > STILL * ranges):
+        return None
+    joint = int(np.argmax(moved / ranges))
+    unit = facts.units[joint].position
+    return (
+        f"no motion, nothing to identify: joint {joint + 1} moves most, by {moved[joint]:.2g} {unit} in "
+        f"{time[-1] - time[0]:.3g} s, expected at least {STILL * ranges[joint]:.2g} {unit}"
+    )
 
 
 def unit_of_position(raw: Array, facts: RobotFacts, name: str) -> Guess | None:

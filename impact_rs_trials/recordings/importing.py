@@ -44,12 +44,15 @@ from impact_rs_trials.recordings.clock_offset import OBJECT_SIGNALS
 from impact_rs_trials.recordings.file_groups import OBJECT, RUN_TABLE, FileGroups, group_files, recordings_in
 from impact_rs_trials.recordings.guesses import (
     OUTLIERS,
+    STAMP,
     Guess,
+    at_rest,
     clock_of,
     copy_of_motion,
     other_units,
     pose_of,
     quaternion_order,
+    steps_back,
     takes_torque,
     times_derivative,
     torque_of,
@@ -495,10 +498,10 @@ class _Importer:
             self._say("robot", self._wishes.robot, "given with --robot")
             return self._wishes.robot
         known = sorted(path.stem for path in (config_directory() / "robots").glob("*.yaml"))
-        texts = [str(part.path) for part in self._parts]
-        texts += [one.label + " ".join(one.joints) for part in self._parts for one in part.candidates]
-        words = " ".join(texts).lower().replace("_", "").replace(" ", "")
-        named = [name for name in known if name.replace("_", "").removeprefix("kuka").removeprefix("franka") in words]
+        texts = [text for part in self._parts for text in (part.path.parent.name, part.path.stem)]
+        texts += [text for part in self._parts for one in part.candidates for text in (one.label, *one.joints)]
+        words = set().union(*map(_runs_of_words, texts))
+        named = [name for name in known if {name.replace("_", ""), name.partition("_")[2].replace("_", "")} & words]
         if len(named) == 1:
             self._say("robot", named[0], "its name stands in the files; assumed, give --robot to be sure", sure=False)
             return named[0]
@@ -529,6 +532,7 @@ class _Importer:
             if (unit := unit_of_position(one.series.values, facts, one.candidate.label)) is not None
             and np.ptp(one.series.values, axis=0).any()
         ]
+        self._check_motion([place for place in places if place[0].named("position") > 0.0], facts)
         motions = [motion for place, unit in places for motion in _with_velocity(place, unit, every, facts)]
         moving = bool(motions)
         if not moving and self._wishes.rate is not None:
@@ -543,6 +547,7 @@ class _Importer:
         motion, torques, lacking = max(
             tried, key=lambda one: one[0].score + max((torque.score for torque in one[1]), default=-np.inf)
         )
+        self._check_motion([(motion.position, motion.unit)], facts)
         if not reordered and (order := self._order(motion, torques, model)) is not None:
             self._reorder(order)
             return self._joint_signals(robot, facts, reordered=True)
@@ -610,6 +615,12 @@ class _Importer:
                 part.candidates[number] = in_order(part.candidates[number], order)
                 part.series[number] = replace(series, values=series.values[:, list(order)])
 
+    def _check_motion(self, places: Sequence[tuple[_Found, Guess]], facts: RobotFacts) -> None:
+        """Refuse an arm that does not move, of which noise would be taken for velocity and torque."""
+        found = [at_rest(one.series.time, _Motion(one, unit).places, facts) for one, unit in places]
+        if found and None not in found:
+            raise InputError(f"{places[0][0].label}: {found[0]}", file=places[0][0].part.path)
+
     def _refuse_several(self, part: _Part, what: str, whose: str) -> None:
         """Files that differ in a word are of objects that a robot hits, and of nothing else."""
         if OBJECT in part.pattern:
@@ -630,6 +641,8 @@ class _Importer:
         ]
         said += f"; signals of other widths: {', '.join(others[:MOST_SHOWN])}" if others else ""
         said += "".join(f"; the reader refuses {why}" for why in self._refusals())
+        backwards = [back for part in self._parts if (back := steps_back(part.columns)) is not None]
+        said += "".join(f"; {back}, so another clock was taken" for back in backwards)
         remedy = "Another --robot, or a mapping by hand" if every else "A mapping by hand"
         return InputError(f"{said}. {remedy} (docs/your_data.md)", file=self._parts[0].path)
 
@@ -996,6 +1009,9 @@ class _Importer:
         if not part.columns:
             return {"stamp": "log"} if part.on_log else {}
         if part.clock is None:
+            if (back := steps_back(part.columns)) is not None:
+                said = f"{back}; sort the rows by time, or cut the recording there into several"
+                raise InputError(said, file=part.path)
             raise InputError(
                 "no column holds time stamps: none increases at a rate of 1 Hz to 100 kHz; --rate says the sampling "
                 "rate of files without stamps",
@@ -1013,6 +1029,8 @@ class _Importer:
         elif part.clock is not None:
             self._say("time", flow(keys), part.clock.evidence, part.clock.sure)
             self._remarks += part.clock.remarks
+            if not any(STAMP.search(name) for name in part.clock_columns) and (back := steps_back(part.columns)):
+                self._remarks.append(f"{back}; {flow(part.clock.value)} is taken for the clock in its place")
             if part.clock.remarks and not self._wishes.dedupe:
                 self._remarks.append("repeated stamps are refused; --dedupe keeps the first sample of each")
         if self._wishes.dedupe:
@@ -1194,6 +1212,12 @@ def _axes(names: Sequence[str]) -> tuple[list[list[str]], list[list[str]]]:
             first = min(quaternion, key=lambda letter: list(names).index(quaternion[letter]))
             turns.append([quaternion[letter] for letter in QUATERNION[first == "w"]])
     return places, turns
+
+
+def _runs_of_words(text: str) -> set[str]:
+    """Words of a text, and up to three neighbours joined: ``xarm 6`` and ``xarm_6`` hold ``xarm6``."""
+    words = re.findall(r"[a-z0-9]+", text.lower())
+    return {"".join(words[first : first + count]) for first in range(len(words)) for count in (1, 2, 3)}
 
 
 def _joints_of(count: int) -> str:

@@ -20,8 +20,10 @@ from impact_rs_sim.robot_model import RobotModel
 from impact_rs_trials.recordings.clock import check_stamps, gaps, tell_gaps
 from impact_rs_trials.recordings.clock_offset import on_one_clock
 from impact_rs_trials.recordings.faults import EXCESS, FEW, MARGIN, without_faults
+from impact_rs_trials.recordings.guesses import at_rest
 from impact_rs_trials.recordings.joint_checks import doubts_of_arm
 from impact_rs_trials.recordings.mapping import CURRENTS, JOINT_SIGNALS, REQUIRED, Mapping, SignalName
+from impact_rs_trials.recordings.sampling_times import doubt_of_timestamps
 from impact_rs_trials.recordings.series import Series
 from impact_rs_trials.recordings.sources import (
     BAG_SUFFIXES,
@@ -168,6 +170,7 @@ def _pieces(path: Path, mapping: Mapping) -> list[Run]:
     series, remarks = without_faults(recorded, mapping, model)
     remarks = [*gaps_said, *_unmeasured(path, series["torque"], mapping), *remarks]
     time = series["position"].time
+    check_moves(path, series["position"], mapping)
     remarks = list(dict.fromkeys([*(remark for one in series.values() for remark in one.remarks), *remarks]))
     found = []
     for first, last in _between_faults(series, mapping.low_pass):
@@ -178,7 +181,9 @@ def _pieces(path: Path, mapping: Mapping) -> list[Run]:
         check_arm(path, time[rows], arm, mapping)
         if mapping.signals["torque"].units[0] not in CURRENTS:
             check_holds_weight(path, time[rows], arm, model)
-        remarks += [doubt for doubt in doubts_of_arm(time[rows], arm, mapping, model) if doubt not in remarks]
+        nominal = doubt_of_timestamps(time[rows], arm.position)
+        doubts = [*doubts_of_arm(time[rows], arm, mapping, model), *([] if nominal is None else [nominal])]
+        remarks += [doubt for doubt in doubts if doubt not in remarks]
         found.append(
             Run(
                 path=path,
@@ -282,6 +287,21 @@ def _check_time(path: Path, time: Array, what: str, low_pass: float) -> list[str
         return []
     said = tell_gaps(found, time[0])
     return [f"{what}: gap of {said} (period {period:.4f} s, low-pass {low_pass:g} Hz); the pieces between are used"]
+
+
+def check_moves(path: Path, position: Series, mapping: Mapping) -> None:
+    """Some joint moves; an arm at rest shows no velocity, inertia or friction, and its units and signs cannot be seen.
+
+    Args:
+        path: Recording, for messages.
+        position: q, ``(k, n)`` [rad].
+        mapping: Knows the robot.
+
+    Raises:
+        TooShort: None does.
+    """
+    if (why := at_rest(position.time, position.values, mapping.facts)) is not None:
+        raise TooShort(why, file=path)
 
 
 def check_arm(path: Path, time: Array, arm: ArmSignals, mapping: Mapping, briefly: float = 0.0) -> None:

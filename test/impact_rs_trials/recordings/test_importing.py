@@ -209,6 +209,61 @@ def test_what_the_files_do_not_say_is_asked_for(tmp_path: Path, motion: Columns)
     assert "no table of numbers begins" in refusal(draft_import, [tmp_path / "words.csv"], tmp_path, Wishes())
 
 
+def test_timestamps_that_step_back_are_named(tmp_path: Path, motion: Columns) -> None:
+    names = ["time", *numbered("q"), *numbered("dq"), *numbered("tau")]
+    columns = [motion["position"], motion["velocity"], motion["effort"]]
+    back = TIME - 0.5 * (TIME >= 4.0)
+    file = write(tmp_path / "log.csv", names, [back, *columns])
+    said = refusal(draft_import, [file], tmp_path / "lab", Wishes(robot="kuka_iiwa7"))
+    assert "'time' steps back from 3.99 to 3.5 at sample 401: the clock was set, or rows are not in order" in said
+    counter = write(tmp_path / "counted.csv", ["row", *names], [np.arange(TIME.size), back, *columns])
+    said = refusal(draft_import, [counter], tmp_path / "lab", Wishes(robot="kuka_iiwa7"))
+    assert "'time' steps back from 3.99 to 3.5" in said and "another clock was taken" in said
+    other = write(tmp_path / "two.csv", ["own", *names], [TIME, back, *columns])
+    remarks = draft_import([other], tmp_path / "lab", Wishes(robot="kuka_iiwa7")).remarks
+    assert any("'time' steps back from 3.99 to 3.5" in one and "own is taken for the clock" in one for one in remarks)
+
+
+def test_an_arm_at_rest_is_said_to_show_nothing(tmp_path: Path, motion: Columns) -> None:
+    rng = np.random.default_rng(0)
+    still = {name: np.tile(motion[name][:1], (TIME.size, 1)) for name in ("position", "effort")}
+    position = still["position"] + 1e-5 * rng.standard_normal(motion["position"].shape)
+    velocity = 1e-3 * rng.standard_normal(position.shape)
+    torque = still["effort"] + 0.3 * rng.standard_normal(position.shape)
+    names = ["time", *numbered("q"), *numbered("dq"), *numbered("tau")]
+    for heads in (names, None):
+        file = write(tmp_path / "rest.csv", heads, [TIME, position, velocity, torque])
+        said = refusal(draft_import, [file], tmp_path / "lab", Wishes(robot="kuka_iiwa7"))
+        assert "no motion, nothing to identify: joint " in said and "unit" not in said
+    write(file, names, [TIME, motion["position"], motion["velocity"], motion["effort"]])
+    mapping = load_mapping(
+        described(draft_import([file], tmp_path / "lab", Wishes(robot="kuka_iiwa7")), tmp_path / "lab")
+    )
+    write(file, names, [TIME, position, velocity, torque])
+    assert "no motion, nothing to identify" in refusal(read_recordings, file, mapping)
+
+
+@pytest.mark.parametrize("place", ["transfer/log.csv", "reference_runs/log.csv", "runs/offer.csv", "curious/run.csv"])
+def test_a_word_that_only_holds_the_name_of_a_robot_names_none(place: str, tmp_path: Path, motion: Columns) -> None:
+    names = ["time", *numbered("q"), *numbered("dq"), *numbered("tau")]
+    file = tmp_path / "xarm7" / place  # of folders further up nothing follows
+    file.parent.mkdir(parents=True)
+    write(file, names, [TIME, motion["position"], motion["velocity"], motion["effort"]])
+    assert "--robot is needed" in refusal(draft_import, [file], tmp_path / "lab", Wishes())
+
+
+@pytest.mark.parametrize(
+    "place", ["iiwa7/log.csv", "runs/kuka_iiwa7_03.csv", "runs/LBR iiwa 7.csv", "runs/KUKA-iiwa7.csv"]
+)
+def test_a_robot_that_file_or_folder_name_is_assumed(place: str, tmp_path: Path, motion: Columns) -> None:
+    names = ["time", *numbered("q"), *numbered("dq"), *numbered("tau")]
+    file = tmp_path / place
+    file.parent.mkdir(parents=True)
+    write(file, names, [TIME, motion["position"], motion["velocity"], motion["effort"]])
+    robot = next(line for line in draft_import([file], tmp_path / "lab", Wishes()).lines if line.key == "robot")
+    assert robot.value == "kuka_iiwa7" and not robot.sure
+
+
 def test_repeated_stamps_are_said_and_removed_on_request(tmp_path: Path, motion: Columns) -> None:
     names = ["t", *numbered("q"), *numbered("dq"), *numbered("tau")]
     twice = [np.repeat(one, 2, axis=0) for one in (TIME, motion["position"], motion["velocity"], motion["effort"])]

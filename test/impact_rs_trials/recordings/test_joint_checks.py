@@ -139,6 +139,18 @@ def test_rows_that_are_repeated_are_named_with_the_true_rate(signals: tuple[str,
     assert "every number stands 3 times, as if measured at 66.7 Hz and written at 200 Hz" in doubt
 
 
+@pytest.mark.parametrize("share", [0.05, 0.2])
+def test_single_rows_that_are_repeated_are_said(share: float) -> None:
+    """A writer that now and then finds no new sample and writes the last one again."""
+    columns = swung()
+    rows = np.arange(TIME.size)
+    rows = rows - (np.random.default_rng(0).uniform(size=rows.size) < share) * (rows > 0)
+    found = said_of(*(columns[name][rows] for name in ("position", "velocity", "effort")))
+    (doubt,) = (text for text in found if " behind " not in text)
+    assert doubt.startswith("position, velocity, torque of all joints stay the same in ")
+    assert float(doubt.split("same in ")[1].split()[0]) == pytest.approx(100.0 * share, rel=0.2)
+
+
 @pytest.mark.parametrize("step", [1e-5, 1e-4, 1e-3])
 def test_encoders_noise_and_rests_are_no_repeats_lags_or_factors(step: float) -> None:
     """Every joint rests for a quarter of the time; noise of 10 mrad/s and 0.5 N m."""
