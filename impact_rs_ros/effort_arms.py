@@ -124,8 +124,9 @@ class EffortArms:
             self._sent[arm] = now - self.states.period, 0.0 * wanted if self.adds_gravity else self._weight(arm)
         last, before = self._sent[arm]
         elapsed = min(max(now - last, 0.0), self.states.period)  # a pause permits no jump
-        sent = rate_limited(wanted, before, self._rate * elapsed)
-        reached = bool(np.allclose(sent, wanted))
+        largest = self._rate * elapsed
+        sent = rate_limited(wanted, before, largest)
+        reached = bool(np.abs(wanted - before).max() <= largest)
         self.limited += not reached
         self._sent[arm] = now, sent
         self._send(arm, sent)

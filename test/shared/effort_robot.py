@@ -9,10 +9,12 @@ Once it is sent torques it waits for the one of each state, so that a slow machi
 is the clock of who uses its time.
 
     python effort_robot.py SCENARIO OBJECT CASE [--no-gravity] [--offset RAD] [--silent-after N] [--nan-after N]
-                           [--tracker X Y Z ROLL PITCH YAW] [--kill PID] [--kill-after N]
+                           [--tracker X Y Z ROLL PITCH YAW] [--kill PID] [--kill-after N] [--stall PID AFTER FOR]
 
 N counts states from when the arm has left its place. With ``--kill`` the robot kills the cell after N of them, waits
-for torques no longer, as no robot does, and prints whether its arm comes to rest.
+for torques no longer, as no robot does, and prints whether its arm comes to rest. With ``--stall`` it stops a process
+AFTER so many states FOR so many, in which it waits for no torque, and prints what torques it was sent until a second
+after that.
 """
 
 from __future__ import annotations
@@ -24,6 +26,7 @@ import sys
 import time
 from collections import deque
 from contextlib import suppress
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -47,11 +50,13 @@ from impact_rs_trials.spec import TrialSpec  # noqa: E402
 
 LIFETIME = 240.0  # s of the robot's time, which the cell draws its noise for; longer than any test
 WAITING = 5.0  # s, for a torque, once some came
+AFTERWARDS = 1000  # states after a stall, whose torques are still looked at
 QUIET = 0.1  # s, in which the torques come that are still on their way
 WATCHED, RESTING = 4000, 0.02  # states after the cell was killed, and rad/s
 AWAY = 0.02  # rad; who is further from where it started takes part in a trial, and is not held
 POSE_EVERY = 4  # states
 POSE_LATE = 6  # states, until a pose that was taken is on its way
+QUEUE = 1000  # torques, of which none may get lost where they are looked at
 FINGERS = ("fr3_finger_joint1", "fr3_finger_joint2")
 TRACKER = "tracker"  # what motion capture calls its frame
 
@@ -75,6 +80,7 @@ def main() -> None:
     parser.add_argument("--nan-after", type=int, default=sys.maxsize)
     parser.add_argument("--kill", type=int, default=0)
     parser.add_argument("--kill-after", type=int, default=sys.maxsize)
+    parser.add_argument("--stall", type=int, nargs=3, default=[0, sys.maxsize, 0])
     options = parser.parse_args()
     name, item, case = options.trial
     spec = TrialSpec.of(load_scenario(name), item, case)
@@ -91,7 +97,7 @@ def main() -> None:
         Float64MultiArray,
         f"{arm}/effort_controller/commands",
         lambda message: received.append(np.array(message.data)),
-        10,
+        QUEUE,
     )
     states = node.create_publisher(JointState, "joint_states", 10)
     poses = node.create_publisher(PoseStamped, "mocap/object_pose", 10)
@@ -103,6 +109,7 @@ def main() -> None:
     taken: deque[tuple[int, PoseStamped]] = deque()  # with the state in which they are published
     moved, led = 0, False
     killed, resting, since = False, 0, 0
+    stall, merged = range(0), [(0, np.zeros(model.joint_count))]  # steps of the stall; every torque, and in which step
     began, step = time.time_ns(), 0
     print("ready", flush=True)
     while True:
@@ -118,6 +125,17 @@ def main() -> None:
             os.kill(options.kill, signal.SIGKILL)
             killed, since = True, step
             print(f"killed at {np.abs(moving.velocity).max():.3f} rad/s", flush=True)
+        if not stall and moved >= options.stall[1]:
+            os.kill(options.stall[0], signal.SIGSTOP)
+            stall = range(step, step + options.stall[2])
+            print(f"stalled at {np.abs(moving.velocity).max():.3f} rad/s", flush=True)
+        if stall and step == stall.stop:
+            os.kill(options.stall[0], signal.SIGCONT)
+        if stall and step == stall.stop + AFTERWARDS:
+            jumps = [float(np.abs(b - a).max()) for (_, a), (_, b) in pairwise(merged)]
+            late = sum(when > stall.stop for when, _ in merged)
+            fastest = float(np.abs(moving.velocity).max())
+            print(f"merged: at most {max(jumps):.6f} N m, {late} after the stall, {fastest:.3f} rad/s", flush=True)
         if killed and resting >= 0:
             resting = resting + 1 if np.abs(moving.velocity).max() < RESTING else 0
             if resting == 100 or step - since == WATCHED:
@@ -139,16 +157,24 @@ def main() -> None:
             taken.append((step + POSE_LATE, seen))
         if taken and taken[0][0] <= step:
             poses.publish(taken.popleft()[1])
-        until = time.monotonic() + WAITING if led and not killed else due
+        waits = led and not killed and step not in stall
+        until = time.monotonic() + WAITING if waits else due
         while not received and (left := until - time.monotonic()) > 0.0:
             executor.spin_once(timeout_sec=left)
-        if received and not led and not killed:  # torques of states that it did not wait for: from now on it does
+        if (
+            received and not led and not killed and step not in stall
+        ):  # torques of states that it did not wait for: from now on it does
             quiet = time.monotonic() + QUIET
             while (left := quiet - time.monotonic()) > 0.0:
                 executor.spin_once(timeout_sec=left)
+        before = 0
+        while stall and len(received) > before:  # every torque, also of several in one step
+            before = len(received)
+            executor.spin_once(timeout_sec=0.0)
         led = bool(received)
         if led:
             sent = received[-1]
+            merged += [(step, torque) for torque in received]
             received.clear()
         if sent is not None:
             world.step({arm: sent + carried})

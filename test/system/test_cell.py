@@ -29,7 +29,12 @@ from impact_rs_trials.bags.reader import TrialBag
 
 ROBOT = Path(__file__).resolve().parents[1] / "shared" / "effort_robot.py"
 TRIAL = ["push", "cat_food", "case_2"]
-SLOW = ("is the robot running?", " states in 3 s", "a state every ")  # refusals on a busy machine
+SLOW = (  # refusals on a busy machine; the last one until a new watchdog is heard
+    "is the robot running?",
+    " states in 3 s",
+    "a state every ",
+    "not armed: the watchdog brakes",
+)
 READY = 60.0  # s, until such a robot is armed; never reached on a machine that works
 SCALES = (0.8, 1.0, 1.2)  # of the predicted velocity; the zero crossing of the net feedback needs three
 TRACKER = (1.2, -0.7, 0.3, 0.05, -0.03, 2.1)  # m and rad, where motion capture has its frame
@@ -41,6 +46,7 @@ PATIENT: dict[
     "mocap_frame": "tracker",
     **dict(zip(("mocap_x", "mocap_y", "mocap_z", "mocap_roll", "mocap_pitch", "mocap_yaw"), TRACKER, strict=True)),
     "use_sim_time": True,
+    "watchdog": False,
     "state_timeout": 5.0,
     "answer_timeout": 5.0,
     "late_torque_share": 1.0,
@@ -70,15 +76,18 @@ class Cell:
             yield robot
             self._robot = False
 
+    def set(self, name: str, value: bool | float) -> None:
+        """Give the cell another value of a parameter."""
+        message = RclParameter(name, value=value).to_parameter_msg()
+        request = SetParameters.Request(parameters=[message])
+        assert self.graph.call(SetParameters, "plant/set_parameters", request).results[0].successful
+
     @contextmanager
     def parameter(self, name: str, value: bool | float) -> Iterator[None]:
         """A cell with another value of a parameter."""
-        for wanted in (value, PATIENT[name]):
-            message = RclParameter(name, value=wanted).to_parameter_msg()
-            request = SetParameters.Request(parameters=[message])
-            assert self.graph.call(SetParameters, "plant/set_parameters", request).results[0].successful
-            if wanted is value:
-                yield
+        self.set(name, value)
+        yield
+        self.set(name, PATIENT[name])
 
     def run(self, scale: float = 1.0, folder: Path | None = None) -> RunTrial.Result:
         """One trial; a robot that is switched on is asked for until it is found, and fast enough."""
@@ -267,10 +276,34 @@ def watchdog(cell: Cell) -> Iterator[None]:
         yield
 
 
+@pytest.mark.parametrize(("after", "stall"), [(100, 30), (290, 100), (450, 500)])
+def test_a_cell_that_stalls_in_a_trial_and_comes_back_makes_one_stream_with_its_watchdog(
+    cell: Cell, after: int, stall: int
+) -> None:
+    """SIGSTOP before, at and after the impact, for so many milliseconds of the robot's time.
+
+    Each torque that reaches the robot, whoever decided it, follows the one before within the rate of a period.
+    """
+    options = ("--stall", str(cell.node.process.pid), str(after), str(stall))
+    with watchdog(cell), cell.parameter("watchdog", True), cell.robot(*options) as robot:
+        result = cell.run()
+        begun, merged = robot.line("stalled at"), robot.line("merged: at most")
+    if braked := stall > 50:  # command_timeout; the limits of this cell are patient, and a busy machine adds to 30 ms
+        assert result.outcome == "ABORTED"
+        assert "the watchdog brakes the arms" in result.message
+    assert float(begun.split()[2]) > 0.1  # rad/s
+    largest, late, speed = (float(merged.split()[index]) for index in (3, 6, 10))
+    assert 0.0 < largest <= 1000.0 * 0.001 + 1e-6, result.message  # torque_rate_limit by the period
+    assert late > 100
+    assert speed < 0.02 or not braked  # rad/s
+
+
 # Last: the cell does not survive it.
 def test_after_a_cell_is_killed_in_a_trial_the_watchdog_brakes_the_arm(cell: Cell) -> None:
     """The effort controller keeps the torque of that moment; nothing but another process can take it away."""
-    with watchdog(cell), cell.robot("--kill", str(cell.node.process.pid), "--kill-after", "300") as robot:
+    options = ("--kill", str(cell.node.process.pid), "--kill-after", "300")
+    cell.set("watchdog", True)
+    with watchdog(cell), cell.robot(*options) as robot:
         result = cell.run()
         assert cell.node.process.poll() == -signal.SIGKILL, f"the trial ended before the cell was killed: {result}"
         killed, after = robot.line("killed at"), robot.line(" after ")
