@@ -38,8 +38,8 @@ def is_body(mass: float, inertia: Array) -> bool:
 def reaches(mass: float, com: Array, inertia: Array, place: Array) -> bool:
     """Whether a homogeneous ellipsoid with these inertial parameters reaches a place.
 
-    With semi-axes a_i along its principal axes it has the second moments m a_i^2 / 5, so d = place - com lies in it where
-    d^T S^-1 d <= 5 / m.
+    With semi-axes a_i along its principal axes it has the second moments m a_i^2 / 5, so d = place - com lies in it
+    where d^T S^-1 d <= 5 / m.
 
     Args:
         mass: m [kg].

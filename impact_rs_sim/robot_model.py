@@ -274,19 +274,26 @@ class RobotModel:
         return 1.0 / self.mobility(q, direction, motor_inertia)
 
 
-def link_inertias(facts: RobotFacts, end_effector: EndEffector) -> list[pin.Inertia]:
-    """Inertias of all links in their own axes, base to tip; that of the last one contains the end effector."""
-    return list(_built(facts, end_effector).inertias)[1:]
-
-
 def mounted_inertia(facts: RobotFacts, end_effector: EndEffector) -> pin.Inertia:
-    """Inertia of the last link with its end effector in frame E."""
-    model = _built(facts, end_effector)
-    return model.frames[model.getFrameId(TIP)].placement.actInv(list(model.inertias)[-1])
+    """Inertia of the last link with its end effector, in frame E."""
+    model, link = _skeleton(facts, end_effector), facts.links[-1]
+    tip = model.frames[model.getFrameId(TIP)].placement
+    bare = _inertia(link.mass, np.array(link.com), link.inertia_matrix)
+    return tip.actInv(bare) + _inertia(end_effector.mass, end_effector.com, end_effector.inertia)
 
 
 def _built(facts: RobotFacts, end_effector: EndEffector) -> pin.Model:
-    """The arm on a base at the origin.
+    """The arm on a base at the origin."""
+    model = _skeleton(facts, end_effector).copy()
+    for index, link in enumerate(facts.links, start=1):
+        model.inertias[index] = _inertia(link.mass, np.array(link.com), link.inertia_matrix)
+    mounted = _inertia(end_effector.mass, end_effector.com, end_effector.inertia)
+    model.inertias[model.njoints - 1] += model.frames[model.getFrameId(TIP)].placement.act(mounted)
+    return model
+
+
+def _skeleton(facts: RobotFacts, end_effector: EndEffector) -> pin.Model:
+    """An arm of the same geometry on a base at the origin, with other inertias; shared by all who ask.
 
     A search moves masses of few arms thousands of times, so that of the same geometry only the inertias are new.
     Objects stand for themselves in the key, for the hash of all numbers takes longer than the model.
@@ -297,12 +304,7 @@ def _built(facts: RobotFacts, end_effector: EndEffector) -> pin.Model:
         (*map(id, parts), *place), lambda: (parts, pin.buildModelFromXML(write_urdf(facts, end_effector)))
     )
     del kept  # as long as it is known, no other object has its identity
-    model = skeleton.copy()
-    for index, link in enumerate(facts.links, start=1):
-        model.inertias[index] = _inertia(link.mass, np.array(link.com), link.inertia_matrix)
-    mounted = _inertia(end_effector.mass, end_effector.com, end_effector.inertia)
-    model.inertias[model.njoints - 1] += model.frames[model.getFrameId(TIP)].placement.act(mounted)
-    return model
+    return skeleton
 
 
 def _inertia(mass: float, com: Array, inertia: Array) -> pin.Inertia:

@@ -25,6 +25,7 @@ from impact_rs_analysis.evidence.cluster import Added, Cluster
 from impact_rs_analysis.evidence.source import Source
 from impact_rs_sim.effects import Effect, Parameter
 from impact_rs_sim.effects.base import Joints
+from impact_rs_sim.effects.changed_bodies import of_other_bodies
 from impact_rs_sim.effects.formula import FormulaEffect
 from impact_rs_sim.errors import NotABody
 from impact_rs_sim.physics import Physics
@@ -37,7 +38,7 @@ LEAST_NOISE = 1e-4  # mean square, scaled [-]; beside less, a parameter that the
 ROOM = 1e-9  # parameter scales, between bounds that coincide
 ACTIVE_SETS = 20  # tried for the bounds that hold; three are usual
 PRIOR = 100.0  # parameter scales; only bounds parameters that the data do not determine
-EDGE = 1e-6  # share of the way from nominal to which the last point with bodies is found; bodies are exact to 1e-9
+EDGE = 1e-4  # share of the way from nominal to which the last point with bodies is found, a hundredth of an interval
 AT_EDGE = 1e-3  # share of the way from nominal within which an estimate lies at the edge of the bodies; steps end there
 SHARES = (1.0, -1.0, 0.1, -0.1, 0.01, -0.01)  # of a finite-difference step; the first with bodies is taken
 
@@ -85,6 +86,8 @@ class Candidate:
         """Effects without sensitivities, at ``point`` (None: nominal values)."""
         joints = source.joints
         bounds = [effect.bounds_in(source.worlds) for effect in effects]
+        changing = [effect.changes_bodies(source.worlds[0]) for effect in effects]
+        of_bodies = np.repeat(changing, [len(low) for low, _ in bounds])
         if point is None:
             point = np.concatenate([effect.nominal(joints) for effect in effects])
         return Candidate(
@@ -95,13 +98,8 @@ class Candidate:
             upper=np.concatenate([high for _, high in bounds]),
             point=point,
             origin=origin,
-            of_bodies=np.concatenate(
-                [
-                    np.full(len(low), effect.changes_bodies(source.worlds[0]))
-                    for effect, (low, _) in zip(effects, bounds, strict=True)
-                ]
-            ),
-            worlds=source.worlds,
+            of_bodies=of_bodies,
+            worlds=of_other_bodies(source.worlds) if np.any(of_bodies) else (),
         )
 
     @property
@@ -131,7 +129,8 @@ class Candidate:
 
     def has_bodies(self, vector: Array) -> bool:
         """Whether rigid bodies can have the inertial parameters that effects give them at ``vector``, ``(p,)``."""
-        own = [(effect, vector[part]) for effect, part in self.parts if np.any(self.of_bodies[part])]
+        moved = self.of_bodies & (vector != self.nominal)
+        own = [(effect, vector[part]) for effect, part in self.parts if np.any(moved[part])]
         try:
             for physics in self.worlds if own else ():
                 for effect, values in own:
@@ -140,21 +139,27 @@ class Candidate:
             return False
         return True
 
-    def with_bodies(self, vector: Array, inside: Array | None = None) -> Array:
-        """``vector`` ``(p,)``, or the last point with bodies on the way there; other parameters stay.
+    def possible(self, vector: Array) -> Array:
+        """``vector``, but no further from nominal than there are bodies, ``(p,)``."""
+        return vector if self.has_bodies(vector) else self.edges_of_bodies(vector)[0]
 
-        Args:
-            vector: Parameters.
-            inside: Where the way begins, ``(p,)``; None: nominal values, at which bodies are those of the model.
+    def edges_of_bodies(self, vector: Array) -> list[Array]:
+        """Points with bodies nearest to one without, ``(p,)`` each.
+
+        On the way back to nominal, where bodies are those of the model, go all parameters of effects on bodies, or
+        their shapes alone (a mass nearer to the rest), or all but the shapes (less mass in the same place).
         """
-        if self.has_bodies(vector):
-            return vector
-        start = np.where(self.of_bodies, self.nominal if inside is None else inside, vector)
-        low, high = 0.0, 1.0
-        while high - low > EDGE:
-            middle = 0.5 * (low + high)
-            low, high = (middle, high) if self.has_bodies(start + middle * (vector - start)) else (low, middle)
-        return np.asarray(start + low * (vector - start))
+        found = []
+        for moved in (self.of_bodies, self.of_bodies & self._shapes, self.of_bodies & ~self._shapes):
+            start = np.where(moved, self.nominal, vector)
+            if not self.has_bodies(start):
+                continue
+            low, high = 0.0, 1.0
+            while high - low > EDGE:
+                middle = 0.5 * (low + high)
+                low, high = (middle, high) if self.has_bodies(start + middle * (vector - start)) else (low, middle)
+            found.append(start + low * (vector - start))
+        return found
 
     def at_edge_of_bodies(self, vector: Array) -> NDArray[np.bool_]:
         """Which parameters cannot be larger, all those of bodies together, because no body has them, ``(p,)``."""
@@ -221,10 +226,14 @@ class Candidate:
         steps = np.concatenate([effect.steps(joints, self.point[part]) for effect, part in self.parts])
         room = np.clip(self.point + steps, self.lower, self.upper) - self.point
         steps = np.where(np.abs(room) < LEAST_ROOM * np.abs(steps), -steps, room)
-        for index in np.flatnonzero(self.of_bodies):
-            alone = steps[index] * (np.arange(steps.size) == index)
-            steps[index] *= next((s for s in SHARES if self.has_bodies(self.point + s * alone)), 1.0)
-        return steps
+        return np.array([self.step_with_bodies(self.point, index, step) for index, step in enumerate(steps.tolist())])
+
+    def step_with_bodies(self, vector: Array, index: int, step: float) -> float:
+        """A step of one parameter from a point; backwards or shorter where it leaves no bodies."""
+        if not self.of_bodies[index]:
+            return step
+        alone = step * (np.arange(vector.size) == index)
+        return step * next((share for share in SHARES if self.has_bodies(vector + share * alone)), 1.0)
 
     def only(self, clusters: Sequence[int]) -> Candidate:
         """The candidate restricted to some clusters, by number."""
@@ -302,7 +311,7 @@ class Candidate:
             origin=self.origin,
             share=max(self.share, other.share),
             of_bodies=np.concatenate((self.of_bodies, other.of_bodies)),
-            worlds=self.worlds,
+            worlds=self.worlds or other.worlds,
         )
 
 
@@ -433,14 +442,16 @@ class Problem:
         return self._with_bodies(bounded(information, score, lower, upper), information, score, lower, upper)
 
     def _with_bodies(self, change: Array, information: Array, score: Array, lower: Array, upper: Array) -> Array:
-        """A change that leaves rigid bodies: as much of it as does, and the other parameters solved for beside."""
+        """A change that leaves rigid bodies: at the edge of their set, with all other parameters solved for there."""
         candidate = self.candidate
         wanted = candidate.point + change * candidate.scale
-        found = candidate.with_bodies(wanted)
-        if found is wanted:
+        if candidate.has_bodies(wanted):
             return change
-        ends, held = (found - candidate.point) / candidate.scale, candidate.of_bodies
-        return bounded(information, score, np.where(held, ends, lower), np.where(held, ends + ROOM, upper))
+        held, found = candidate.of_bodies, []
+        for edge in candidate.edges_of_bodies(wanted):
+            ends = (edge - candidate.point) / candidate.scale
+            found.append(bounded(information, score, np.where(held, ends, lower), np.where(held, ends + ROOM, upper)))
+        return min(found, key=lambda one: 0.5 * one @ information @ one - score @ one, default=np.zeros_like(change))
 
     def errors(self, change: Array) -> Array:
         """Mean square scaled error per cluster, ``(c,)`` [-], at a change from the point, ``(p,)`` or ``(c, p)``."""
@@ -470,8 +481,15 @@ class Problem:
         informations = np.array([self.total - self.information[chosen].sum(axis=0) for chosen in left_out])
         scores = np.array([self._total_score - self.scores[chosen].sum(axis=0) for chosen in left_out])
         changes = bounded(informations, scores, self._lower, self._upper)
-        problems = zip(changes, informations, scores, strict=True)
-        return np.array([self._with_bodies(*problem, self._lower, self._upper) for problem in problems])
+        candidate, held = self.candidate, self.candidate.of_bodies
+        if not np.any(held):
+            return changes
+        whole = self.solve()
+        for number, change in enumerate(changes):
+            if not candidate.has_bodies(candidate.point + change * candidate.scale):  # as in the fit to all clusters
+                lower, upper = np.where(held, whole, self._lower), np.where(held, whole + ROOM, self._upper)
+                changes[number] = bounded(informations[number], scores[number], lower, upper)
+        return changes
 
     @cached_property
     def held_out(self) -> Array:

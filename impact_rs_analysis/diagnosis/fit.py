@@ -336,7 +336,6 @@ class Fit:
             for _ in range(DOUBLINGS):
                 steps = [side * reach[i] * inverse[:, i] / inverse[i, i] * candidate.scale for i in left]
                 points = [np.clip(self.estimate + step, candidate.lower, candidate.upper) for step in steps]
-                points = [candidate.with_bodies(point, self.estimate) for point in points]
                 rises = self._squares_at(points) - least
                 for number, (i, point) in enumerate(zip(left, points, strict=True)):
                     if rises[number] > CURVED * rise[i] and candidate.curved(i):

@@ -456,7 +456,7 @@ class Follower:
         effects = tuple(library[name].in_proportion(proportion) for name in names)
         candidate = Candidate.of(effects, source)
         point = candidate.nominal.copy()
-        deviations = np.full(point.size, WIDE)
+        deviations = np.minimum(WIDE, candidate.prior)
         followed: list[int] = []
         for item in self._believed:
             part = candidate.part(item.name)
@@ -779,13 +779,16 @@ class Follower:
         followed = tuple(dict.fromkeys((*origin.past.followed, *numbers)))
         point = point.copy()
         point[numbers] = np.clip(point[numbers], lower, upper)
+        point = own.possible(point)
         for step in range(STEPS):
             posterior = self._believed_since(origin, followed, hits, point, followed)
             place = [posterior.followed.index(n) for n in numbers]
-            there = np.clip(point[numbers] + scale * posterior.mean[place], lower, upper)
-            if step == STEPS - 1 or np.all(np.abs(there - point[numbers]) < NEAR * scale):
+            there = point.copy()
+            there[numbers] = np.clip(point[numbers] + scale * posterior.mean[place], lower, upper)
+            there = own.possible(there)
+            if step == STEPS - 1 or np.all(np.abs(there - point)[numbers] < NEAR * scale):
                 break
-            point[numbers] = there
+            point = there
         return Hypothesis(point, posterior, effect=effect, origin=origin)
 
     def _complete(self, fitted: Hypothesis) -> Hypothesis:
@@ -832,7 +835,7 @@ class Follower:
         values = hypothesis.point.copy()
         for place, number in enumerate(hypothesis.posterior.followed):
             values[number] += self.candidate.scale[number] * hypothesis.posterior.mean[place]
-        return np.clip(values, self.candidate.lower, self.candidate.upper)
+        return self.candidate.possible(np.clip(values, self.candidate.lower, self.candidate.upper))
 
     def _followed(self, hypothesis: Hypothesis, numbers: Sequence[int], old: Array) -> tuple[Followed, ...]:
         """Parameters with their intervals and changes."""
@@ -923,6 +926,7 @@ class Follower:
         for number in hypothesis.posterior.followed:
             step = 0.1 * self.candidate.scale[number]
             step = step if values[number] + step <= self.candidate.upper[number] else -step
+            step = self.candidate.step_with_bodies(values, number, step)
             moved = values + step * (np.arange(values.size) == number)
             slopes.append((check.of(self._scene(moved, physics)) - centre) * self.candidate.scale[number] / step)
         covariance = hypothesis.posterior.covariance_of_followed()

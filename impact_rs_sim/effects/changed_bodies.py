@@ -9,7 +9,7 @@ edge of that set.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -17,8 +17,10 @@ import numpy as np
 from impact_rs_sim.bodies import is_body, second_moments
 from impact_rs_sim.errors import NotABody
 from impact_rs_sim.physics import ArmPhysics, Physics
-from impact_rs_sim.robot import Array
-from impact_rs_sim.robot_model import link_inertias
+from impact_rs_sim.robot import Array, Link
+from impact_rs_sim.robot_model import mounted_inertia
+
+MOST_VALUES = 8  # of a circumstance, which may be names of levels with parameters of their own
 
 
 class Body(NamedTuple):
@@ -57,7 +59,11 @@ def check_bodies(before: Physics, after: Physics, effect: str) -> None:
     for name, arm in after.arms.items():
         was = before.arms[name]
         if arm.facts is not was.facts or arm.end_effector is not was.end_effector:
-            _check(list(_links(name, was)), list(_links(name, arm)), effect)
+            *others, last = zip(was.facts.links, arm.facts.links, strict=True)
+            for number, (link, changed) in enumerate(others, start=1):
+                if changed is not link:
+                    _check(_link(name, number, link), _link(name, number, changed), effect)
+            _check(_last_link(name, was), _last_link(name, arm), effect)
         if arm.motor_inertia_reduced is not was.motor_inertia_reduced:
             negative = (arm.motor_inertia_reduced < 0.0) & (was.motor_inertia_reduced >= 0.0)
             if np.any(negative):
@@ -67,12 +73,31 @@ def check_bodies(before: Physics, after: Physics, effect: str) -> None:
                     f"{arm.motor_inertia_reduced[joint]:.3g} kg m^2; expected 0 or more"
                 )
     if after.object is not before.object:
-        _check([_object(before)], [_object(after)], effect)
+        _check(_object(before), _object(after), effect)
 
 
 def differ(one: Physics, other: Physics) -> bool:
     """Whether inertial parameters of arms or object are other ones."""
     return _numbers(one) != _numbers(other)
+
+
+def of_other_bodies(worlds: Sequence[Physics]) -> list[Physics]:
+    """Those of several physics that differ in bodies, or in circumstances on which bodies may depend.
+
+    A circumstance with many different numbers, on which parameters depend linearly, is kept at its smallest and
+    largest.
+    """
+    found: dict[str, dict[object, Physics]] = {}
+    for physics in worlds:
+        found.setdefault(repr(_numbers(physics)), {}).setdefault(tuple(physics.circumstances.items()), physics)
+    kept: dict[int, Physics] = {}
+    for alike in found.values():
+        for name in next(iter(alike.values())).circumstances or ("",):
+            by_value = {physics.circumstances.get(name, ""): physics for physics in alike.values()}
+            numbers = sorted(value for value in by_value if isinstance(value, float))
+            chosen = [numbers[0], numbers[-1]] if len(numbers) > MOST_VALUES else list(by_value)
+            kept |= {id(by_value[value]): by_value[value] for value in chosen}
+    return list(kept.values())
 
 
 def _numbers(physics: Physics) -> list[object]:
@@ -85,21 +110,25 @@ def _numbers(physics: Physics) -> list[object]:
     return numbers
 
 
-def _check(before: list[Body], after: list[Body], effect: str) -> None:
-    for was, body in zip(before, after, strict=True):
-        if not body.exists and was.exists:
-            moments = ", ".join(f"{value:.3g}" for value in np.linalg.eigvalsh(second_moments(body.inertia)))
-            raise NotABody(
-                f"effect {effect!r} leaves {body.name} a mass of {body.mass:.4g} kg with principal second moments "
-                f"{moments} kg m^2, which no rigid body has; expected a positive mass and no negative moment: take less "
-                "away, or take it from where the body has it"
-            )
+def _check(before: Body, after: Body, effect: str) -> None:
+    """Refuse that a body becomes none."""
+    if not after.exists and before.exists:
+        moments = ", ".join(f"{value:.3g}" for value in np.linalg.eigvalsh(second_moments(after.inertia)))
+        raise NotABody(
+            f"effect {effect!r} leaves {after.name} a mass of {after.mass:.4g} kg with principal second moments "
+            f"{moments} kg m^2, which no rigid body has; expected a positive mass and no negative moment: take less "
+            "away, or take it from where the body has it"
+        )
 
 
-def _links(name: str, arm: ArmPhysics) -> Iterator[Body]:
-    """The links of an arm, the last one with its end effector."""
-    for number, inertia in enumerate(link_inertias(arm.facts, arm.end_effector), start=1):
-        yield Body(f"link {number} of arm {name!r}", inertia.mass, inertia.inertia)
+def _link(name: str, number: int, link: Link) -> Body:
+    return Body(f"link {number} of arm {name!r}", link.mass, link.inertia_matrix)
+
+
+def _last_link(name: str, arm: ArmPhysics) -> Body:
+    """The last link with its end effector."""
+    inertia = mounted_inertia(arm.facts, arm.end_effector)
+    return Body(f"link {arm.facts.joint_count} of arm {name!r}", inertia.mass, inertia.inertia)
 
 
 def _object(physics: Physics) -> Body:

@@ -3,7 +3,9 @@
 
 A payload of mass m with centre p and radius of gyration r on the end effector of mass m_0, centre c_0:
 
-    m' = m_0 + m,   m' c' = m_0 c_0 + m p,   I' = I_0 + m_0 S(c_0 - c') + m (r^2 1 + S(p - c')),   S(d) = |d|^2 1 - d d^T
+    m' = m_0 + m,    m' c' = m_0 c_0 + m p,    I' = I_0 + m_0 S(c_0 - c') + m (r^2 1 + S(p - c'))
+
+with S(d) = |d|^2 1 - d d^T.
 
 m below zero takes mass away: no more than leaves a body, and from a place that a homogeneous ellipsoid with the inertia
 of last link and end effector reaches. r is the same about all axes: one number for the own inertia of the payload,
@@ -52,9 +54,9 @@ class PayloadEffect(ArmEffect):
         for arm in physics.arms.values():
             lower[0] = max(lower[0], -(arm.facts.links[-1].mass + arm.end_effector.mass))
             reach = _reach(arm)
-            for number, parameter in enumerate(self.parameters[1:], start=1):
+            for place, parameter in enumerate(self.parameters[1:], start=1):
                 if not parameter.firm and reach > 0.0:
-                    lower[number], upper[number] = max(lower[number], -reach), min(upper[number], reach)
+                    lower[place], upper[place] = max(lower[place], -reach), min(upper[place], reach)
         return lower, upper
 
 
@@ -83,8 +85,8 @@ def _check_there(arm: ArmPhysics, added: float, place: Array) -> None:
     body = mounted_inertia(arm.facts, arm.end_effector)
     if body.mass > 0.0 and not reaches(body.mass, body.lever, body.inertia, place):
         raise NotABody(
-            f"a payload of {added:.3g} kg with its centre at {np.round(place, 4).tolist()} m takes away mass that is not "
-            f"there: last link and end effector are {body.mass:.3g} kg about {np.round(body.lever, 4).tolist()} m"
+            f"a payload of {added:.3g} kg with its centre at {np.round(place, 4).tolist()} m takes away mass that is "
+            f"not there: last link and end effector are {body.mass:.3g} kg about {np.round(body.lever, 4).tolist()} m"
         )
 
 
@@ -153,12 +155,15 @@ def _link_com(arm: ArmPhysics, values: Values) -> ArmPhysics:
 def _link_inertia(arm: ArmPhysics, values: Values) -> ArmPhysics:
     pairs = zip(arm.facts.links, values["inertia"].tolist(), strict=True)
     return _with_links(
-        arm, [link if more == 0.0 else link.model_copy(update={"inertia": _stretched(link, more)}) for link, more in pairs]
+        arm,
+        [link if more == 0.0 else link.model_copy(update={"inertia": _stretched(link, more)}) for link, more in pairs],
     )
 
 
 def _stretched(link: Link, more: float) -> tuple[float, ...]:
     """Moments of a link with ``more`` [kg m^2] about its axis; of one that has none there, alike along x and y."""
+    if more == 0.0:
+        return link.inertia
     moments, about_axis = second_moments(link.inertia_matrix), link.inertia[5]
     if about_axis > 0.0:
         across = math.sqrt(max(1.0 + more / about_axis, 0.0))

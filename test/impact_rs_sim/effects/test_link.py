@@ -135,8 +135,8 @@ def test_a_link_with_any_moment_about_its_axis_is_a_body(moments, share):
     ixx, iyy, izz = moments
     arm = bench().arms["arm"]
     link = arm.facts.links[0].model_copy(update={"inertia": (ixx, 0.001, 0.0005, iyy, -0.0005, izz)})
-    before = second_moments(link.inertia_matrix)
-    link = link.model_copy(update={"inertia": tuple(np.ravel(inertia_of(before + 0.002 * np.eye(3)))[[0, 1, 2, 4, 5, 8]])})
+    thicker = inertia_of(second_moments(link.inertia_matrix) + 0.002 * np.eye(3))
+    link = link.model_copy(update={"inertia": tuple(thicker[np.triu_indices(3)].tolist())})
     facts = arm.facts.model_copy(update={"links": (link,)})
     physics = replace(bench(), arms={"arm": replace(arm, facts=facts)})
     more = share * link.inertia[5]
