@@ -1,0 +1,121 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Payloads that exist are found with what they resist being turned; those that cannot exist are at a bound, at most."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from joint_recordings import swinging, write_npz
+
+from impact_rs_analysis.diagnosis.candidate import Candidate
+from impact_rs_analysis.diagnosis.diagnose import diagnose
+from impact_rs_analysis.diagnosis.document import EffectDocument
+from impact_rs_analysis.evidence.recordings import RecordingSource
+from impact_rs_sim.model import Model
+from impact_rs_sim.robot import EndEffector
+from impact_rs_sim.robot_model import RobotModel
+from impact_rs_trials.recordings.mapping import Mapping, MountedEndEffector, load_mapping
+from impact_rs_trials.recordings.recording import read_recordings
+
+BARE = load_mapping("joint_state")
+TOOL = MountedEndEffector(mass=0.6, com=(0.0, 0.0, -0.04), inertia=(1e-3, 0.0, 0.0, 1e-3, 0.0, 5e-4), length=0.1)
+WITH_TOOL = BARE.model_copy(update={"end_effector": TOOL})
+CENTRE = np.array([0.0, -0.3, 0.0, -2.0, 0.0, 1.8, 0.5])  # rad
+NOISE = 0.02  # N m
+HAND = 0.73, np.array([-0.01, 0.0, 0.03]), np.diag([0.001, 0.0025, 0.0017])  # Franka hand: kg, m, kg m^2
+PAYLOAD = "end_effector_payload"
+
+
+def mounted(mapping: Mapping, mass: float, place: np.ndarray, inertia: np.ndarray | float = 0.0) -> EndEffector:
+    """The end effector with something added, or taken away where mass and inertia are negative."""
+
+    def about(offset: np.ndarray) -> np.ndarray:
+        return offset @ offset * np.eye(3) - np.outer(offset, offset)
+
+    tool = mapping.end_effector.build()
+    com = (tool.mass * tool.com + mass * place) / (tool.mass + mass)
+    moments = tool.inertia + tool.mass * about(tool.com - com) + inertia + mass * about(place - com)
+    return replace(tool, mass=tool.mass + mass, com=com, inertia=moments)
+
+
+def source_of(
+    folder: Path, mapping: Mapping, end: EndEffector, fast: float = 1.0, noise: float = NOISE
+) -> RecordingSource:
+    """24 s of free motion of an arm with another end effector than the mapping says."""
+    frequencies = fast * (0.11 + 0.017 * np.arange(7)), fast * (0.31 - 0.013 * np.arange(7))
+    columns = swinging(RobotModel(mapping.facts, end), np.arange(0.0, 24.0, 0.02), CENTRE, frequencies, (0.45, 0.12))
+    columns["effort"] += np.random.default_rng(1).normal(0.0, noise, columns["effort"].shape)
+    recordings = read_recordings(write_npz(folder / "a.npz", columns), mapping)
+    return RecordingSource.of(recordings, mapping, Model(name="nominal"))
+
+
+def found_in(source: RecordingSource, effects: list[str]) -> dict[str, EffectDocument]:
+    document = diagnose(source, source.model, effects)
+    return {name: entry for name in effects if (entry := document.effect(name)) is not None}
+
+
+def exists(source: RecordingSource, entry: EffectDocument) -> bool:
+    """Whether the estimate leaves bodies."""
+    candidate = Candidate.of((source.known_effects[entry.name],), source)
+    return candidate.has_bodies(np.array([value.estimate for value in entry.parameters.values()]))
+
+
+def assert_holds(entry: EffectDocument, name: str, true: float, widest: float) -> None:
+    """The interval holds the truth and is no wider than stated."""
+    low, high = entry.parameters[name].interval
+    assert low <= true <= high and high - low < widest
+
+
+@pytest.mark.parametrize("place", [(0.25, 0.0, 0.0), (0.0, -0.3, 0.0)])
+def test_a_payload_that_no_body_can_lose_is_at_a_bound(place: tuple[float, float, float], tmp_path: Path) -> None:
+    """Planted is what only an impossible body explains; the estimate is the nearest one that can exist."""
+    source = source_of(tmp_path, WITH_TOOL, mounted(WITH_TOOL, -0.2, np.array(place)))
+    entry = found_in(source, [PAYLOAD])[PAYLOAD]
+    assert entry.verdict == "AT-BOUND" and exists(source, entry)
+    assert all(value.at_bound for value in entry.parameters.values())
+    assert np.linalg.norm([entry.parameters[f"com_{axis}"].estimate for axis in "xyz"]) < 0.5 * np.linalg.norm(place)
+
+
+@pytest.mark.parametrize(
+    ("mapping", "mass", "place"),
+    [
+        (BARE, 0.5, (0.02, 0.01, 0.05)),
+        (BARE, -0.3, (0.01, 0.0, -0.03)),  # of a last link of 0.7355 kg
+        (WITH_TOOL, -0.3, (0.01, 0.0, -0.03)),
+    ],
+)
+def test_what_can_be_added_or_taken_away_is_found(
+    mapping: Mapping, mass: float, place: tuple[float, float, float], tmp_path: Path
+) -> None:
+    source = source_of(tmp_path, mapping, mounted(mapping, mass, np.array(place)))
+    entry = found_in(source, [PAYLOAD])[PAYLOAD]
+    assert entry.verdict == "CONFIRMED" and exists(source, entry)
+    assert_holds(entry, "mass", mass, 0.2 * 0.735)
+    assert entry.parameters["mass"].estimate == pytest.approx(mass, abs=0.03)
+    for axis, true, widest in zip("xyz", place, (0.02, 0.02, 0.08), strict=True):
+        assert_holds(entry, f"com_{axis}", true, widest)
+
+
+def test_slow_motion_beside_noise_leaves_the_radius_of_gyration_at_its_prior(tmp_path: Path) -> None:
+    """0.0017 kg m^2 at 1 rad/s^2 are a hundredth of the noise; what nothing shows is no reason to doubt the mass."""
+    source = source_of(tmp_path, BARE, mounted(BARE, *HAND), noise=0.2)
+    entry = found_in(source, [PAYLOAD])[PAYLOAD]
+    assert entry.verdict == "CONFIRMED"
+    assert_holds(entry, "mass", HAND[0], 0.3)
+    gyration = entry.parameters["gyration"]
+    assert not gyration.at_bound
+    assert gyration.interval[0] == 0.0 and 0.05 < gyration.interval[1] < 0.2  # the prior: 0.05 m about 0
+
+
+def test_an_extended_gripper_is_named_with_its_radius_of_gyration(tmp_path: Path) -> None:
+    """A Franka hand resists being turned about joint 7 like a ring of 48 mm; a point mass leaves that to the links."""
+    source = source_of(tmp_path, BARE, mounted(BARE, *HAND), fast=4.0)
+    entries = found_in(source, [PAYLOAD, "link_mass", "link_inertia"])
+    payload = entries[PAYLOAD]
+    assert payload.verdict.startswith(("CONFIRMED", "CONFUSABLE-WITH"))
+    assert {entry.verdict for name, entry in entries.items() if name != PAYLOAD} != {"CONFIRMED"}
+    assert_holds(payload, "mass", HAND[0], 0.1)
+    assert_holds(payload, "gyration", np.sqrt(0.0017 / HAND[0]), 0.02)
