@@ -645,9 +645,11 @@ class Search:
                 swapped = replace(others, offsets=tuple(np.zeros(o.shape) for o in single.offsets)).beside(start)
                 moved = evaluate_at(replace(swapped, origin=chosen.candidate.origin), swapped.point, chosen.evidence)
                 if moved is not None:
-                    proposals.append((other, Fit.of(moved, chosen.evidence)))
-            proposals.sort(key=lambda entry: entry[1].score)
-            for other, linear in proposals[:count]:
+                    proposals.append(Fit.of(moved, chosen.evidence))
+            if self.source.recording is not None:  # whose predictions are cheap
+                proposals = self._with_shapes(proposals)
+            for linear in sorted(proposals, key=lambda entry: entry.score)[:count]:
+                other = linear.candidate.names[-1]
                 if linear.score > hopeless * chosen.score:
                     continue
                 if self._budget.leaves_out(f"{other} in the place of {name}"):

@@ -117,6 +117,7 @@ END_EFFECTOR_PAYLOAD = PayloadEffect(
             0.1,
             0.02,
             "radius of gyration of the added mass about its centre",
+            step=0.05,  # its square acts, so that smaller steps from 0 show nothing
             shape=True,
             prior=0.05,  # of a gripper; that of the Franka hand is 0.034 to 0.058 m
         ),

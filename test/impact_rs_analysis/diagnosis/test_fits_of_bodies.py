@@ -11,8 +11,10 @@ import pytest
 from joint_recordings import swinging, write_npz
 
 from impact_rs_analysis.diagnosis.candidate import Candidate
-from impact_rs_analysis.diagnosis.diagnose import diagnose
+from impact_rs_analysis.diagnosis.diagnose import diagnose, effects_for
 from impact_rs_analysis.diagnosis.document import EffectDocument
+from impact_rs_analysis.diagnosis.fit import Evidence, measure_again
+from impact_rs_analysis.diagnosis.search import Search
 from impact_rs_analysis.evidence.recordings import RecordingSource
 from impact_rs_sim.model import Model
 from impact_rs_sim.robot import EndEffector
@@ -119,3 +121,14 @@ def test_an_extended_gripper_is_named_with_its_radius_of_gyration(tmp_path: Path
     assert {entry.verdict for name, entry in entries.items() if name != PAYLOAD} != {"CONFIRMED"}
     assert_holds(payload, "mass", HAND[0], 0.1)
     assert_holds(payload, "gyration", np.sqrt(0.0017 / HAND[0]), 0.02)
+
+
+def test_a_payload_that_predicts_as_well_as_another_density_of_the_last_link_is_tied_with_it(tmp_path: Path) -> None:
+    """A hand about the centre of link 7: its place is not seen before it has a mass, and it is a rival all the same."""
+    source = source_of(tmp_path, BARE, mounted(BARE, HAND[0], np.array([0.0105, -0.0043, -0.0454]), HAND[2]))
+    search = Search(effects_for(source, [PAYLOAD, "link_mass"]), Evidence.of(source))
+    links = search.fitted(["link_mass"])
+    assert links is not None
+    (rival,) = search.rivals(measure_again(links))
+    assert (rival.name, rival.tied) == (PAYLOAD, True)
+    assert rival.fit.estimate[0] == pytest.approx(HAND[0], abs=0.03)
