@@ -94,6 +94,16 @@ def test_no_law_is_proposed_where_the_noise_is_not_known_and_the_hold_out_suppor
     assert set(document.diagnosis.named) == {"restitution", "support_friction"}
 
 
+def test_a_restitution_below_a_speed_of_which_nothing_comes_back_is_found_as_a_step(tmp_path: Path) -> None:
+    racket = Racket(lambda v: 0.5 if v > 4.0 else 0.0, 0.2)
+    document = discovered(read_impact_table(ball_table(tmp_path / "balls.csv", racket, rows=90, noise=NOISE)))
+    best = document.laws[0]
+    assert (document.verdict, best.name) == (FOUND, "restitution_closing_speed_step")
+    low, high = best.parameters["start"].ci95
+    assert 3.5 < low < 4.0 < high < 4.5
+    assert best.parameters["c"].estimate == pytest.approx(0.5, abs=0.02)
+
+
 def test_laws_of_a_contact_depend_on_the_speeds_at_the_contact(bent: tuple[ImpactTable, DiscoveryDocument]) -> None:
     """The slip of a ball is that of its lowest point, v + omega x (-r n)."""
     table, _ = bent

@@ -30,7 +30,7 @@ from impact_rs_analysis.diagnosis.document import (
     ViewDocument,
     explained,
 )
-from impact_rs_analysis.diagnosis.words import remaining, summary_of
+from impact_rs_analysis.diagnosis.words import not_excluded, remaining, shown_unnamed, summary_of
 from impact_rs_analysis.evidence.cluster import TIMES, Added
 
 NAMES = ("friction", "offset", "restitution", "payload")
@@ -141,6 +141,33 @@ def test_what_the_hold_out_does_not_support_is_suspected() -> None:
     assert "for certain. straight may be missing" in doubtful and "More conditions decide" in doubtful
     unexplained = nothing.model_copy(update={"verdict": "NONE-EXPLAINS", "suspected": ("straight",)})
     assert "explains why for certain. straight may be missing" in summary_of(unexplained)
+
+
+def test_an_interval_beyond_zero_is_not_said_to_leave_an_effect_possible() -> None:
+    """Of two effects that are not named, one is shown by its interval, the other may or may not be there."""
+    effects = tuple(
+        EffectDocument(
+            name=name,
+            verdict=NO_IMPROVEMENT,
+            parameters={"size": EstimateDocument(estimate=2.0, ci95=(low, 4.0), unit="N m", nominal=0.0, scale=1.0)},
+            held_out_error_before=2.0,
+            held_out_error_after=1.9,
+            p_value=0.5,
+        )
+        for name, low in (("friction", 1.0), ("offset", -1.0))
+    )
+    document = DiagnosisDocument(
+        verdict=NOTHING,
+        effects=effects,
+        confusable=(),
+        model=ModelIdentity(name="m", digest=""),
+        runs=RunsIdentity(digest="", trials=6, conditions=()),
+        noise_floor=1.0,
+        held_out_error_before=2.0,
+        held_out_error_after=2.0,
+    )
+    assert not_excluded(document) == "offset (size -1 to 4 N m)"
+    assert shown_unnamed(document) == "friction (size 1 to 4 N m)"
 
 
 def test_shares_are_those_of_squared_errors_beyond_noise() -> None:
