@@ -11,6 +11,8 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from joint_recordings import swinging, write_npz
+from slender_arm import lighter, mapping_of, slender_arm
+from slender_arm import swung as slender_swung
 
 from impact_rs_sim.robot_model import RobotModel
 from impact_rs_trials.recordings.experiment import Experiment
@@ -125,6 +127,40 @@ def test_torques_of_another_age_are_named_with_their_lag(lag: float, friction: f
     (doubt,) = said_of(columns["position"], columns["velocity"], older(columns["effort"], lag) + noise)
     assert doubt.startswith("torques are ") and ("behind" in doubt) == (lag > 0.0)
     assert float(doubt.rpartition("signals.torque.delay: ")[2]) == pytest.approx(-lag, abs=3e-3)
+
+
+@pytest.mark.parametrize("inertia", [0.3, 1.0])
+def test_the_inertia_of_motors_is_no_lag(inertia: float) -> None:
+    """A torque that was measured behind it seems 5 to 18 ms ahead of what the links take; beside it a lag is seen."""
+    columns = swung()
+    torque = columns["effort"] + inertia * np.gradient(columns["velocity"], TIME, axis=0)
+    assert said_of(columns["position"], columns["velocity"], torque) == []
+    (doubt,) = said_of(columns["position"], columns["velocity"], older(torque, -0.03))
+    assert float(doubt.rpartition("signals.torque.delay: ")[2]) == pytest.approx(0.03, abs=3e-3)
+
+
+def doubts_of_light_arm(folder: Path, effects: dict[str, dict[str, float]], factor: float = 1.0) -> list[str]:
+    """Of an arm of three links of 0.4 kg; the torque of the first joint times a factor."""
+    mapping = mapping_of(folder, lighter(slender_arm(("revolute",) * 3), 0.2))
+    columns = slender_swung(mapping, effects)
+    columns["effort"][:, 0] *= factor
+    arm = ArmSignals(columns["position"], columns["velocity"], columns["effort"])
+    return doubts_of_arm(columns["time"], arm, mapping, RobotModel(mapping.facts, mapping.end_effector.build()))
+
+
+def test_a_heavy_load_is_no_factor_of_the_torque(tmp_path: Path) -> None:
+    """Factors of 0.39, 0.29 and 0.16 would hide it, and give a gain of the torque later."""
+    friction = {"coulomb_joint1": 0.3}
+    load = {"end_effector_payload": {"mass": 0.926, "com_z": 0.05}, "joint_coulomb_friction": friction}
+    (doubt,) = doubts_of_light_arm(tmp_path, load)
+    assert doubt.startswith("torques hold 0.92 kg more at the end effector than the mapping says")
+    assert "factor:" not in doubt and "Remedy in the mapping: end_effector" in doubt
+
+
+def test_a_factor_of_one_joint_is_no_load(tmp_path: Path) -> None:
+    (doubt,) = doubts_of_light_arm(tmp_path, {}, 2.5)
+    assert doubt.startswith("torque of joint 1 is 2.5 times the arm's weight")
+    assert doubt.endswith("signals.torque.factor: [0.401, 1, 1]")
 
 
 @pytest.mark.parametrize("signals", [("position", "velocity", "effort"), ("velocity",)])
