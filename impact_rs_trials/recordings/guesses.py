@@ -252,6 +252,14 @@ def times_derivative(time: Array, position: Array, raw: Array) -> float | None:
 
 
 @OUTLIERS
+def are_derivatives(time: Array, values: Array, raw: Array) -> NDArray[np.bool_]:
+    """Which columns of signals ``(k, c)`` are the derivatives of the columns beside them in ``values``, ``(c,)``."""
+    at, smooth = smoothed(time, values)
+    ratio, together = _ratios(np.gradient(smooth, at, axis=0), smoothed(time, raw)[1])
+    return np.asarray((ratio > CLOSE[0]) & (ratio < CLOSE[1]) & (together > SURELY))
+
+
+@OUTLIERS
 def velocity_of(time: Array, position: Array, raw: Array, facts: RobotFacts) -> tuple[float, Guess] | None:
     """How surely a signal is the velocity of positions ``(k, n)`` [rad], and its unit and signs; None: it is not."""
     at, q = smoothed(time, position)

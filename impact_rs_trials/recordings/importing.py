@@ -29,6 +29,7 @@ from impact_rs_sim.scenario import load_scenario
 from impact_rs_sim.schema import validate
 from impact_rs_trials.recordings.array_file import ArrayFile
 from impact_rs_trials.recordings.candidates import (
+    MOST_BESIDE,
     PART_OF_ARM,
     SignalCandidate,
     candidates_of,
@@ -46,6 +47,7 @@ from impact_rs_trials.recordings.guesses import (
     OUTLIERS,
     STAMP,
     Guess,
+    are_derivatives,
     at_rest,
     clock_of,
     copy_of_motion,
@@ -99,6 +101,7 @@ from impact_rs_trials.recordings.torque_readings import (
     MotionTorque,
     is_computed,
     lacks_weight,
+    leaves_little,
     order_of_joints,
 )
 from impact_rs_trials.recordings.transforms import are_transforms
@@ -108,6 +111,9 @@ MOST_POSES = 10
 NAMED = 0.3  # correlation that a name is worth
 ASKED_FOR = re.compile(r"des|ref|target|goal|cmd|cmp|command|comput|set_?point|(^|_)d(_|\d|$)|filt|err", re.IGNORECASE)
 OF_THE_ROBOT = re.compile(r"eef|(^|_)ee(_|$)|tcp|tool|flange|hand", re.IGNORECASE)
+OF_A_POSE = re.compile(
+    r"pos(ition)?|place|trans(lation)?|rot(ation)?|quat(ernion)?|ori(entation)?|[pqrtwxyz]|xyz|xyzw|wxyz"
+)
 MOST_RUNS = 5  # whose clocks are looked at
 AXES = ("x", "y", "z")
 QUATERNION = (("x", "y", "z", "w"), ("w", "x", "y", "z"))
@@ -372,6 +378,36 @@ def _by_name(seen: MotionTorque) -> Guess:
     return Guess("N m", f"nothing but its name: {said}", False)
 
 
+def _check_width(motion: _Motion, robot: str, count: int) -> None:
+    """Refuse a few joints of a wider arm: columns without names, beside which others are derivatives as well."""
+    part, series = motion.position.part, motion.position.series
+    free = [name for name, cells in part.columns.items() if np.ndim(cells) == 1 and vector_width(cells) == 1]
+    free = [name for name in free if name not in part.clock_columns]
+    if motion.velocity is None or not free or series.time.size != len(part.columns[free[0]]):
+        return
+    first, other = (_first_of(free, one.candidate) for one in (motion.position, motion.velocity[0]))
+    if first is None or other is None or motion.velocity[0].part is not part:
+        return
+    apart = other - first
+    own, within = range(first, first + count), range(max(0, -apart), len(free) - max(0, apart))
+    around = [n for n in range(first - abs(apart) + 1, first + abs(apart)) if n in within and n not in own]
+    if not around:
+        return
+    values, raw = (
+        np.column_stack([np.asarray(part.columns[free[n + shift]], dtype=float) for n in around])
+        for shift in (0, apart)
+    )
+    shown = are_derivatives(series.time, values, raw)
+    block = [*own, *(n for n, derivative in zip(around, shown, strict=True) if derivative)]
+    if len(block) > count + MOST_BESIDE:
+        blocks = " and ".join(f"{free[min(block) + shift]} … {free[max(block) + shift]}" for shift in (0, apart))
+        raise InputError(
+            f"columns {blocks} hold positions and velocities of {len(block)} joints, and {robot} has {count}: another "
+            "--robot, or a mapping by hand that says which columns are its own (docs/your_data.md)",
+            file=part.path,
+        )
+
+
 def _beside(motion: _Motion, every: Sequence[_Found]) -> Iterator[tuple[_Found, str | None]]:
     """Signals beside a motion, and which part of it they repeat."""
     time, q, dq = motion.position.series.time, motion.places, motion.speeds
@@ -568,6 +604,7 @@ class _Importer:
         ]
         part = motion.position.part
         self._refuse_several(part, "joints", "robot")
+        _check_width(motion, robot, facts.joint_count)
         signals = {"position": self._joint_signal(motion.position, "position", replace(motion.unit, further={}), part)}
         if motion.velocity is None:
             self._say(
@@ -601,8 +638,11 @@ class _Importer:
             return None
         time, q, dq = one.series.time, motion.places, motion.speeds
         for torque in sorted(torques, key=lambda one: one.rank, reverse=True)[:MOST_SHOWN]:
-            unit = 1.0 if torque.guess.value == "A" else _si(torque.guess, "torque")  # no unit fits in a wrong order
-            seen = MotionTorque.of(time, q, dq, unit * torque.signal.series.at(time), model)
+            raw, constant = torque.signal.series.at(time), torque.guess.further.get("torque_constant")
+            unit = _si(torque.guess, "torque")
+            if constant is not None and leaves_little(MotionTorque.of(time, q, dq, raw * np.array(constant), model)):
+                continue  # currents; else a torque in a wrong order, of which no unit fits
+            seen = MotionTorque.of(time, q, dq, unit * raw, model)
             if (found := order_of_joints(seen)) is not None:
                 order, self._order_shown = found
                 return order
@@ -881,8 +921,8 @@ class _Importer:
     def _object(self, joints: _Part, with_robot: bool, signals: dict[str, dict[str, Any]]) -> _Part | None:
         """Pose of an object, if there is one; it is added to the signals."""
         for part in sorted(self._parts, key=lambda one: one is joints and with_robot):
-            for place, quaternion in self._poses(part, with_robot):
-                found = self._pose_sections(part, place, quaternion)
+            for place, quaternion, named in self._poses(part, with_robot):
+                found = self._pose_sections(part, place, quaternion, named)
                 if found is None:
                     continue
                 if with_robot and self._groups.spread:
@@ -932,9 +972,9 @@ class _Importer:
                 return part
         return None
 
-    def _poses(self, part: _Part, with_robot: bool) -> list[tuple[dict[str, Any], dict[str, Any] | None]]:
-        """Sources of a pose: of seven numbers alone, or of place and quaternion."""
-        whole = [(one.source, None) for one in part.candidates if one.pose or one.width == 7 and not with_robot]
+    def _poses(self, part: _Part, with_robot: bool) -> list[tuple[dict[str, Any], dict[str, Any] | None, bool]]:
+        """Sources of a pose: of seven numbers alone, or of position and quaternion, and whether names pair these."""
+        whole = [(one.source, None, True) for one in part.candidates if one.pose or one.width == 7 and not with_robot]
         vectors = {name: vector_width(cells) for name, cells in part.columns.items()}
         sources = {name: {"column": name} for name in vectors}
         for name, column in part.columns.items():  # arrays of an array file are no columns
@@ -944,12 +984,10 @@ class _Importer:
         groups = _axes(names)
         places = [sources[name] for name in names if vectors[name] == 3] + [{"columns": own} for own in groups[0]]
         turns = [sources[name] for name in names if vectors[name] == 4] + [{"columns": own} for own in groups[1]]
-        pairs: list[tuple[dict[str, Any], dict[str, Any] | None]] = list(whole)
-        pairs += list(zip(places, turns, strict=False))
-        return pairs
+        return [*whole, *_paired(places, turns)]
 
     def _pose_sections(
-        self, part: _Part, place: dict[str, Any], quaternion: dict[str, Any] | None
+        self, part: _Part, place: dict[str, Any], quaternion: dict[str, Any] | None, named: bool
     ) -> dict[str, dict[str, Any]] | None:
         source = place if quaternion is None else None
         file = open_file(part.path, self._raw_mapping(part, NO_ROBOT, (), source), part.names, ("object_pose",))
@@ -983,8 +1021,12 @@ class _Importer:
         if names := quaternion.get("columns"):
             order = Guess("wxyz" if names[0].lower().endswith("w") else "xyzw", "the names of its columns")
         further = {} if order.value == "xyzw" else {"quaternion_order": order.value}
-        self._say("signals.object_position", label, length.evidence)
-        self._say("signals.object_quaternion", order.value, order.evidence, order.sure)
+        turned_label = quaternion.get("column") or quaternion.get("array") or ", ".join(names or ())
+        by_order = (
+            "" if named else f"; taken for the position of the body that {turned_label} turns, by their order alone"
+        )
+        self._say("signals.object_position", label, f"{length.evidence}{by_order}", named)
+        self._say("signals.object_quaternion", order.value, order.evidence, order.sure and named)
         return {
             "object_position": {**self._source(part, dict(place)), "unit": length.value},
             "object_quaternion": {**self._source(part, dict(quaternion)), "unit": "-", **further},
@@ -1214,6 +1256,13 @@ def _axes(names: Sequence[str]) -> tuple[list[list[str]], list[list[str]]]:
     return places, turns
 
 
+def _first_of(names: Sequence[str], candidate: SignalCandidate) -> int | None:
+    """Number of the first of a signal's columns, where these stand side by side; None: they do not."""
+    own = candidate.source.get("columns") or []
+    first = names.index(own[0]) if own and own[0] in names else None
+    return first if first is not None and list(names[first : first + len(own)]) == list(own) else None
+
+
 def _runs_of_words(text: str) -> set[str]:
     """Words of a text, and up to three neighbours joined: ``xarm 6`` and ``xarm_6`` hold ``xarm6``."""
     words = re.findall(r"[a-z0-9]+", text.lower())
@@ -1222,6 +1271,31 @@ def _runs_of_words(text: str) -> set[str]:
 
 def _joints_of(count: int) -> str:
     return f"{count} joint{'s' if count > 1 else ''}"
+
+
+def _paired(
+    places: Sequence[dict[str, Any]], turns: Sequence[dict[str, Any]]
+) -> Iterator[tuple[dict[str, Any], dict[str, Any], bool]]:
+    """Positions and quaternions of one body: those whose names agree, then the others by their order; which it was."""
+    free = list(turns)
+    left = []
+    for place in places:
+        own = next((turn for turn in free if _body_of(turn) == _body_of(place)), None)
+        if own is None:
+            left.append(place)
+        else:
+            free.remove(own)
+            yield place, own, True
+    alone = len(places) == len(turns) == 1
+    yield from ((place, turn, alone) for place, turn in zip(left, free, strict=False))
+
+
+def _body_of(source: dict[str, Any]) -> tuple[str, ...]:
+    """What a name says besides that it is a position or a quaternion: which body."""
+    columns = source.get("columns") or [source.get("column") or source.get("array") or ""]
+    words = [re.findall(r"[A-Z]?[a-z]+|[A-Z]+|\d+", name) for name in columns]
+    common = [word.lower() for word in words[0] if all(word in other for other in words)]
+    return tuple(word for word in common if not OF_A_POSE.fullmatch(word))
 
 
 def _si(guess: Guess, quantity: str) -> Array:

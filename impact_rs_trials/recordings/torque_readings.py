@@ -188,6 +188,12 @@ def is_computed(seen: MotionTorque) -> bool:
     return factor > DECISIVE
 
 
+def leaves_little(seen: MotionTorque) -> bool:
+    """Whether weight, inertia and friction of the arm are most of a torque signal."""
+    size = float(np.sqrt(np.mean(np.square(seen.recorded)) * seen.model.joint_count))
+    return _rms(seen.left(seen.whole), seen) < LITTLE * size
+
+
 def order_of_joints(seen: MotionTorque) -> tuple[tuple[int, ...], str] | None:
     """Order of columns in which they are the joints from base to tip, by the torque of the arm, and what shows it.
 
@@ -199,8 +205,7 @@ def order_of_joints(seen: MotionTorque) -> tuple[tuple[int, ...], str] | None:
         better.
     """
     count, before = seen.model.joint_count, _rms(seen.left(seen.whole), seen)
-    little = LITTLE * float(np.sqrt(np.mean(np.square(seen.recorded)) * count))
-    if not 1 < count <= MOST_ORDERED or before < little:
+    if not 1 < count <= MOST_ORDERED or leaves_little(seen):
         return None
     low, high = seen.model.position_min, seen.model.position_max
     least, most = seen.position.min(axis=0), seen.position.max(axis=0)

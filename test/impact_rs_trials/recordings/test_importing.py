@@ -14,7 +14,7 @@ from refusals import refusal
 from ros_messages import message
 from rosbags.rosbag2 import StoragePlugin, Writer
 
-from impact_rs_sim.robot import load_facts
+from impact_rs_sim.robot import RobotFacts, load_facts
 from impact_rs_sim.robot_model import RobotModel
 from impact_rs_trials.bags import topics
 from impact_rs_trials.bags.types import typestore
@@ -105,6 +105,20 @@ def test_a_table_without_names_is_read_by_its_numbers_alone(tmp_path: Path, moti
     assert said_of(draft, "signals.torque.unit").startswith("mN m")
     assert "no line of 24 names" in said_of(draft, "table (log.txt)")
     check_reading(draft, tmp_path / "lab", file, motion)
+
+
+@pytest.mark.parametrize("order", [("position", "velocity", "effort"), ("effort", "velocity", "position")])
+def test_joints_are_not_taken_out_of_the_blocks_of_a_wider_arm(
+    order: tuple[str, ...], tmp_path: Path, motion: Columns
+) -> None:
+    facts = load_facts("kuka_iiwa7")
+    limits = {name: values[:2] for name, values in facts.limits.model_dump().items()}
+    small = facts.model_dump(mode="json") | {"joints": facts.joints[:2], "links": facts.links[:2], "limits": limits}
+    small = RobotFacts.model_validate({name: value for name, value in small.items() if value is not None})
+    (tmp_path / "small.yaml").write_text(small.model_dump_json(exclude_none=True))
+    file = write(tmp_path / "log.txt", None, [TIME, *(motion[name] for name in order)], separator=" ")
+    said = refusal(draft_import, [file], tmp_path, Wishes(robot=str(tmp_path / "small.yaml")))
+    assert "hold positions and velocities of 7 joints, and " in said and "has 2" in said
 
 
 def test_a_desired_signal_is_not_taken_for_a_measured_one(tmp_path: Path, motion: Columns) -> None:
@@ -757,6 +771,53 @@ def test_poses_of_an_archive_are_homogeneous_matrices(tmp_path: Path, last: bool
     np.testing.assert_allclose(read.time, np.arange(TIME.size) / 360.0)
     for pose, matrix in zip(read.values[::50], matrices[::50], strict=True):
         np.testing.assert_allclose(pin.XYZQUATToSE3(pose).homogeneous, matrix, atol=1e-12)
+
+
+BODIES = {"marker": np.array([0.3, 0.0, 0.1]), "body": np.array([0.5, 0.2, 0.4])}  # m, where each is at first
+
+
+def tracked(file: Path, names: dict[str, str]) -> Path:
+    """Positions of two bodies, and the quaternion of the second, as arrays or as columns x, y, z (, w).
+
+    Args:
+        file: What is written, ``.npz`` or ``.csv``.
+        names: What ``marker``, ``body`` and ``turn`` are called.
+    """
+    import pinocchio as pin
+
+    turn = np.array([pin.Quaternion(pin.rpy.rpyToMatrix(0.0, 0.0, 0.2 * t)).coeffs() for t in TIME])
+    moved = {body: place + np.outer(np.sin(TIME), [0.1, 0.0, 0.0]) for body, place in BODIES.items()}
+    signals = {names["marker"]: moved["marker"], names["body"]: moved["body"], names["turn"]: turn}
+    if file.suffix == ".npz":
+        np.savez(file, time=TIME, **signals)
+        return file
+    heads = [f"{name}{axis}" for name, one in signals.items() for axis in "xyzw"[: one.shape[1]]]
+    return write(file, ["time", *heads], [TIME, *signals.values()])
+
+
+@pytest.mark.parametrize(
+    ("file", "names"),
+    [
+        ("a.npz", {"marker": "marker_pos_xyz", "body": "body_pos_xyz", "turn": "body_rot_xyzw"}),
+        ("b.npz", {"marker": "target/position", "body": "box7/position", "turn": "box7/orientation"}),
+        ("c.npz", {"marker": "markerPosition", "body": "boxPosition", "turn": "boxQuaternion"}),
+        ("d.csv", {"marker": "marker_", "body": "box_pos_", "turn": "box_rot_"}),
+    ],
+)
+def test_a_position_goes_with_the_quaternion_of_the_same_body(file: str, names: dict[str, str], tmp_path: Path) -> None:
+    draft = draft_import([tracked(tmp_path / file, names)], tmp_path / "lab", Wishes(robot="none"))
+    mapping = load_mapping(described(draft, tmp_path / "lab"))
+    read = read_series(tmp_path / file, mapping, ["object_position"], ["object_position"])["object_position"]
+    np.testing.assert_allclose(read.values[0, :3], BODIES["body"], atol=1e-9)
+    lines = {line.key: line for line in draft.lines}
+    assert "order alone" not in lines["signals.object_position"].evidence and lines["signals.object_position"].sure
+
+
+def test_a_position_that_no_name_pairs_with_a_quaternion_is_assumed(tmp_path: Path) -> None:
+    file = tracked(tmp_path / "a.npz", {"marker": "first", "body": "second", "turn": "third"})
+    draft = draft_import([file], tmp_path / "lab", Wishes(robot="none"))
+    line = next(line for line in draft.lines if line.key == "signals.object_position")
+    assert not line.sure and "by their order alone" in line.evidence
 
 
 def test_matrices_that_are_no_rigid_motion_are_refused(tmp_path: Path) -> None:
