@@ -17,7 +17,7 @@ from impact_rs_sim.errors import InputError
 from impact_rs_sim.robot import Array
 from impact_rs_trials.recordings.experiment import Experiment
 from impact_rs_trials.recordings.laboratory import read_laboratory
-from impact_rs_trials.recordings.remarks import Number, Remark, merged
+from impact_rs_trials.recordings.remarks import Amount, Remark, merged
 from impact_rs_trials.runs import ArmSignals, Run
 from impact_rs_trials.workers import Map
 
@@ -193,6 +193,6 @@ def _held_mean(sent: Array, values: Array, start: float, end: float) -> Array:
     return np.asarray(held_means(sent, values, np.array([start, end]))[0])
 
 
-def _share(run: MeasuredRun) -> tuple[Number, str, Number]:
+def _share(run: MeasuredRun) -> tuple[Amount, str, Amount]:
     """Windows of free motion that a gap drops, of all."""
-    return Number(len(run.lost), "d"), " of ", Number(run.free, "d")
+    return Amount(len(run.lost), "d"), " of ", Amount(run.free, "d")

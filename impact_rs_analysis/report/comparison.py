@@ -90,11 +90,13 @@ class JointTable:
         title: The arm.
         signals: Headings of the columns.
         rows: By joint, a cell per column; None: not measured.
+        small: Signals below their relevance limit in every joint, with the largest difference; they have no column.
     """
 
     title: str
     signals: tuple[str, ...]
     rows: dict[str, list[SignalLevel | None]]
+    small: tuple[str, ...]
 
 
 @dataclass(frozen=True)
@@ -292,12 +294,21 @@ def joint_tables(document: ComparisonDocument) -> tuple[JointTable, ...]:
     for arm in dict.fromkeys(row.arm for row in document.joints):
         own = {(row.index, row.phase, row.signal): row for row in document.joints if row.arm == arm}
         joints = sorted({index for index, *_ in own}, key=lambda index: int(index.removeprefix("joint")))
-        signals = list(dict.fromkeys((phase, signal) for _, phase, signal in own))
+        columns: dict[tuple[str, str], list[SignalLevel]] = {}
+        for (_, *signal), row in own.items():
+            columns.setdefault((signal[0], signal[1]), []).append(row)
+        largest = {signal: max(rows, key=lambda row: row.error) for signal, rows in columns.items()}
+        signals = [signal for signal, row in largest.items() if row.error >= row.floor]
         found.append(
             JointTable(
                 title=titles.get(arm, "") if arm else ", ".join(titles.values()),
                 signals=tuple(f"{phase_text(phase)}: {signal}" for phase, signal in signals),
-                rows={joint: [own.get((joint, *signal)) for signal in signals] for joint in joints},
+                rows={joint: [own.get((joint, *signal)) for signal in signals] for joint in joints} if signals else {},
+                small=tuple(
+                    f"{phase_text(phase)}: {signal} ({quantity_text(row.error, row.unit)})"
+                    for (phase, signal), row in largest.items()
+                    if (phase, signal) not in signals
+                ),
             )
         )
     return tuple(found)

@@ -16,8 +16,7 @@ from impact_rs_analysis.diagnosis.jump import JOINTS
 from impact_rs_analysis.evidence.aligned_bags import check_free, write_aligned
 from impact_rs_analysis.evidence.cluster import SCALE
 from impact_rs_analysis.evidence.tracks import track_of_run
-from impact_rs_analysis.report.comparison import write_comparison, yardstick_of
-from impact_rs_analysis.report.labels import RELEVANCE_LIMIT
+from impact_rs_analysis.report.comparison import write_comparison, yardstick_of, yardstick_of_places
 from impact_rs_cli.arguments import number, on_local_runs
 from impact_rs_cli.measurements import Measurements, measured, only_trials
 from impact_rs_cli.terminal import Terminal, output_folder
@@ -120,6 +119,7 @@ def _show_levels(document: ComparisonDocument, terminal: Terminal) -> None:
         if level.signals:
             row = max(level.signals, key=lambda row: row.size)
             worst = f"{row.arm + ', ' if row.arm else ''}{row.signal}: {number(row.error)} {row.unit} rms"
+            worst += ", below its relevance limit" if row.error < row.floor else ""
         elif entries := [entry for entry in level.entries if entry.signal != JOINTS]:
             entry = max(entries, key=lambda entry: entry.times_noise)
             worst = f"{entry.signal} {entry.index}: {entry.error:+.3g} {entry.unit}"
@@ -127,19 +127,18 @@ def _show_levels(document: ComparisonDocument, terminal: Terminal) -> None:
             continue
         table.add_row(name.replace("_", " "), number(level.times_noise), worst)
     terminal.say(table)
-    places = Table(title="Where it fails (measured minus model)")
+    shared = document.source == "impacts" and document.noise_floor is None
+    size = "" if shared else f"; size: times {yardstick_of_places(document)}"
+    places = Table(title=escape(f"Where it fails (measured minus model{size})"))
     for heading in ("object", "case", "phase", "signal"):
         places.add_column(heading)
     places.add_column("", no_wrap=True)  # of two arms it begins with the arm's name
     places.add_column("error", justify="right")
-    shared = document.source == "impacts" and document.noise_floor is None
     shown = [cell for cell in document.where if cell.matters][:MOST_PLACES]
     if not shown:
         terminal.say("all residuals are below their relevance limits")
         return
-    limited = any(cell.floor for cell in shown)
-    size = "x limit" if yardstick == RELEVANCE_LIMIT else "x noise or limit" if limited else "x noise"
-    places.add_column("share" if shared else size, justify="right")
+    places.add_column("share" if shared else "size", justify="right")
     for cell in shown:
         error = f"{cell.error:+.3g} {cell.unit}"
         size = f"{100 * cell.share:.0f} %" if shared else number(cell.size)

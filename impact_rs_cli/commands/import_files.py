@@ -8,7 +8,7 @@ from dataclasses import asdict
 
 from rich.table import Table
 
-from impact_rs_cli.parser import PROGRAM
+from impact_rs_cli.parser import command_line
 from impact_rs_cli.terminal import Terminal
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.files import whole_folder
@@ -38,12 +38,13 @@ def run(args: argparse.Namespace, terminal: Terminal) -> int:
         terminal.say(f"note: {remark}")
     terminal.say(f"{args.output}: {', '.join(draft.texts)}; {draft.runs} runs, {draft.hits} of them hits")
     if "experiment.yaml" in draft.texts:
-        steps = f"impacts {draft.folder} --experiment {args.output / 'experiment.yaml'} -o impacts.csv"
+        described = {"experiment": args.output / "experiment.yaml", "output": "impacts.csv"}
+        further = command_line("impacts", {"directory": draft.folder, **described})
     else:
         folders = {file.parent for file in args.files}
         target = args.files[0] if len(args.files) == 1 else folders.pop() if len(folders) == 1 else draft.folder
-        steps = f"compare {target} --mapping {args.output / 'mapping.yaml'}"
-    terminal.say(f"next: look at what is assumed, then {PROGRAM} {steps}")
+        further = command_line("compare", {"runs": target, "mapping": args.output / "mapping.yaml"})
+    terminal.say(f"next: check the lines marked ASSUMED, then {further}")
     return 0
 
 

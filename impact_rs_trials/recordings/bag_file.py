@@ -24,7 +24,7 @@ from impact_rs_sim.errors import InputError, did_you_mean
 from impact_rs_sim.paths import config_directory
 from impact_rs_sim.robot import Array
 from impact_rs_trials.recordings.mapping import WIDTH, Mapping, SignalName, SignalSource
-from impact_rs_trials.recordings.remarks import Number, Remark
+from impact_rs_trials.recordings.remarks import Amount, Remark
 from impact_rs_trials.recordings.series import MissingSignal, Names, Series
 
 DRIFT = 0.002  # s, drift between log and header stamps above which a remark is made
@@ -195,7 +195,10 @@ class BagFile:
             shift, remark = self._log_after_stamp()
             return log - shift, (
                 Remark(
-                    f"{topic}: log time, less ", Number(1e3 * shift, ".1f"), " ms to be on the stamps' clock", remark
+                    f"{topic}: log time, less ",
+                    Amount(1e3 * shift, ".1f"),
+                    " ms to be on the stamps' clock",
+                    remark,
                 ),
             )
         if not stamped:
@@ -214,7 +217,7 @@ class BagFile:
             return stamps, (
                 Remark(
                     f"{topic}: logged ",
-                    Number(1e3 * late, "+.1f"),
+                    Amount(1e3 * late, "+.1f"),
                     " ms after joint states of the same stamp: a slow "
                     f"tracker, or another clock? signals.{name}.delay corrects it",
                 ),
@@ -232,7 +235,7 @@ class BagFile:
             later = log - _stamps([message.header for _, message in messages])
             tenth = max(1, later.size // 10)
             drift = float(np.median(later[-tenth:]) - np.median(later[:tenth]))
-            drifts = Remark(" (which drifts by ", Number(1e3 * drift, ".1f"), " ms during the run)")
+            drifts = Remark(" (which drifts by ", Amount(1e3 * drift, ".1f"), " ms during the run)")
             remark = drifts if abs(drift) > DRIFT else ""
             self._shift = float(np.median(later)), remark
         return self._shift

@@ -29,7 +29,7 @@ from impact_rs_sim.robot_model import RobotModel
 from impact_rs_trials.recordings.joint_jumps import JointJump, jumps_of
 from impact_rs_trials.recordings.mapping import Mapping, SignalName
 from impact_rs_trials.recordings.plausibility import gravity_torques
-from impact_rs_trials.recordings.remarks import Number, Remark
+from impact_rs_trials.recordings.remarks import Amount, Remark
 from impact_rs_trials.recordings.series import Series
 
 FOUND_BY: dict[SignalName, str] = {
@@ -205,7 +205,7 @@ def clocks_apart(pose: Series, position: Series, jumps: Sequence[JointJump], pat
 
 def shifted(series: Series, offset: float, error: float, found_by: str) -> Series:
     """A signal with its stamps moved by an offset [s], and a remark that says so."""
-    moved = "stamps moved by ", Number(offset, "+.6g"), " s (+- ", Number(1e3 * error, ".2g"), " ms)"
+    moved = "stamps moved by ", Amount(offset, "+.6g"), " s (+- ", Amount(1e3 * error, ".2g"), " ms)"
     said = Remark(f"{series.place}: clock of its own; ", *moved, f", by {found_by}")
     return replace(series, time=series.time + offset, remarks=(*series.remarks, said))
 

@@ -39,7 +39,7 @@ from impact_rs_sim.robot import Array
 from impact_rs_sim.robot_model import RobotModel
 from impact_rs_trials.recordings.joint_jumps import impact_time
 from impact_rs_trials.recordings.mapping import Mapping, SignalName
-from impact_rs_trials.recordings.remarks import Number, Remark
+from impact_rs_trials.recordings.remarks import Amount, Remark
 from impact_rs_trials.recordings.series import Series
 
 Mask = NDArray[np.bool_]
@@ -297,15 +297,15 @@ def _without(series: Series, wrong: Mask) -> Series:
 
 def _remarks(series: Series, wrong: Mask, kind: str, mapping: Mapping, name: SignalName) -> list[str]:
     """One remark for every joint with faulty samples."""
-    remarks = []
+    remarks: list[str] = []
     for joint in np.flatnonzero(wrong.any(axis=0)).tolist():
         rows = np.flatnonzero(wrong[:, joint])
         start = series.time[rows] - series.time[0]
         units = mapping.facts.units[joint]
         unit = units.position if name.endswith("position") else units.effort if name == "torque" else units.velocity
-        value = Number(float(series.values[rows[0], joint]), ".4g")
-        share = Remark(Number(rows.size, "d"), " of ", Number(series.time.size, "d"), " samples")
-        begin, end = (Number(float(start[row]), ".3f") for row in (0, -1))
+        value = Amount(float(series.values[rows[0], joint]), ".4g")
+        share = Remark(Amount(rows.size, "d"), " of ", Amount(series.time.size, "d"), " samples")
+        begin, end = (Amount(float(start[row]), ".3f") for row in (0, -1))
         where = f"{series.place}: joint {joint + 1}: "
         if kind == "outlier":
             what = " is an outlier, first " if rows.size == 1 else " are outliers, first "

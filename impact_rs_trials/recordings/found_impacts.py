@@ -19,7 +19,7 @@ from impact_rs_trials.recordings.impact_rows import Impact, NoRow
 from impact_rs_trials.recordings.laboratory import Laboratory, placed, with_object
 from impact_rs_trials.recordings.mapping import Mapping
 from impact_rs_trials.recordings.recording import find_recordings
-from impact_rs_trials.recordings.remarks import Number, Remark, merged
+from impact_rs_trials.recordings.remarks import Amount, Remark, merged
 from impact_rs_trials.recordings.series import Names
 from impact_rs_trials.recordings.sources import read_series, runs_inside
 from impact_rs_trials.workers import Map
@@ -197,7 +197,7 @@ def _track(task: tuple[RunRow, Mapping, Body, Plane]) -> tuple[TrackedBody, list
         if farthest > FARTHEST:
             raise InputError(f"{pose.place} is up to {farthest:.3g} m from the tracker's origin: wrong unit or column?")
         if not finite.all():
-            share = Number(int(np.sum(~finite)), "d"), " of ", Number(finite.size, "d")
+            share = Amount(int(np.sum(~finite)), "d"), " of ", Amount(finite.size, "d")
             remarks.append(Remark(f"{pose.place}: ", *share, " samples are no finite numbers: left out"))
         remarks += _doubts_of_motion(pose.place, pose.time[finite], pose.values[finite, :3])
         return tracked_body(row.label, pose.time[finite], pose.values[finite], body, plane, spin), remarks
@@ -222,9 +222,9 @@ def _doubts_of_motion(place: str, time: Array, position: Array) -> list[str]:
         said.append(
             Remark(
                 f"{place}: jumps by ",
-                Number(1e3 * float(far)),
+                Amount(1e3 * float(far)),
                 " mm between two samples at t = ",
-                Number(float(time[jumps[0]] - time[0]), ".3f"),
+                Amount(float(time[jumps[0]] - time[0]), ".3f"),
                 f" s, {JUMP:g} times as fast as before and after: columns, units or a marker that changed?",
             )
         )

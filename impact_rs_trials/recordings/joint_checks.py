@@ -32,7 +32,7 @@ from impact_rs_sim.robot_model import RobotModel
 from impact_rs_trials.recordings.guesses import smoothed
 from impact_rs_trials.recordings.mapping import Mapping, SignalName
 from impact_rs_trials.recordings.plausibility import CHECKED, gravity_torques, noticed
-from impact_rs_trials.recordings.remarks import Number, Remark, joined
+from impact_rs_trials.recordings.remarks import Amount, Remark, joined
 from impact_rs_trials.runs import ArmSignals
 
 RATIO = (0.5, 2.0)  # of torque and weight; friction and loads are in it
@@ -85,24 +85,24 @@ def doubts_of_arm(
             if abs(ratio - 1.0) > max(SAME, SURE * error):
                 speeds[joint] = Remark(
                     "is ",
-                    Number(ratio),
+                    Amount(ratio),
                     " times the derivative of its position (+- ",
-                    Number(error, ".1g"),
+                    Amount(error, ".1g"),
                     "), expected 1",
                 )
                 factors["velocity"][joint] = _remedy(ratio)
             lags.append((lag[0], lag[1]))
         elif moving:
-            mixed.append(Remark(f"of joint {joint + 1} (correlation ", Number(together, ".2f"), ")"))
+            mixed.append(Remark(f"of joint {joint + 1} (correlation ", Amount(together, ".2f"), ")"))
         if contact or not np.ptp(arm.torque[:, joint]):  # not measured
             continue
         if heavy and (ratio_of_weight := _ratio(arm.torque[rows, joint], own)) is not None:
-            torques[joint] = Remark("is ", Number(ratio_of_weight, ".2g"), " times the arm's weight, expected 1")
+            torques[joint] = Remark("is ", Amount(ratio_of_weight, ".2g"), " times the arm's weight, expected 1")
             factors["torque"][joint] = _remedy(ratio_of_weight)
         against = _together(arm.torque[rows, joint] - own, factors["velocity"][joint] * arm.velocity[rows, joint])
         if moving and not heavy and against < AGAINST:
             torques[joint] = Remark(
-                "points against its motion (correlation ", Number(against, ".2f"), "), as if friction drove it"
+                "points against its motion (correlation ", Amount(against, ".2f"), "), as if friction drove it"
             )
             factors["torque"][joint] = -1.0
     load = _load(model, arm, rows, weight, torques) if torques else None
@@ -240,9 +240,9 @@ def _late(what: str, reference: str, lag: float, error: float, name: SignalName,
     """A lag with its remedy."""
     delay = mapping.signals[name].delay - lag
     how = "behind" if lag > 0.0 else "ahead of"
-    size = Number(1e3 * abs(lag), ".0f"), " ms (+- ", Number(1e3 * error, ".1g"), f" ms) {how} {reference}"
+    size = Amount(1e3 * abs(lag), ".0f"), " ms (+- ", Amount(1e3 * error, ".1g"), f" ms) {how} {reference}"
     why = f": low-passed, or columns of different age? Remedy in the mapping: signals.{name}.delay: "
-    return Remark(f"{what} are ", *size, why, Number(delay, ".4g", remedy=True))
+    return Remark(f"{what} are ", *size, why, Amount(delay, ".4g", remedy=True))
 
 
 def _repeats(time: Array, arm: ArmSignals) -> list[str]:
@@ -269,10 +269,10 @@ def _repeated(time: Array, values: Array) -> str | None:
         return None
     each = float(np.mean(lasts[missed]))
     return Remark(
-        "stay the same in ", Number(100.0 * repeated / time.size, ".0f"), " % of the samples while the arm moves: "
-        "every number stands ", Number(each, ".2g"), " times, as if measured at ", Number(1.0 / period / each),
-        " Hz and written at ", Number(1.0 / period), " Hz. Remedy: of equal rows keep the first, or low_pass: ",
-        Number(0.25 / period / each, ".2g", remedy=True), " in the mapping",
+        "stay the same in ", Amount(100.0 * repeated / time.size, ".0f"), " % of the samples while the arm moves: "
+        "every number stands ", Amount(each, ".2g"), " times, as if measured at ", Amount(1.0 / period / each),
+        " Hz and written at ", Amount(1.0 / period), " Hz. Remedy: of equal rows keep the first, or low_pass: ",
+        Amount(0.25 / period / each, ".2g", remedy=True), " in the mapping",
     )  # fmt: skip
 
 
@@ -281,7 +281,7 @@ def _remarks(name: SignalName, doubts: dict[int, str], factors: Array, mapping: 
     if not doubts or name not in mapping.signals:
         return []
     every = factors * np.array(mapping.signals[name].factor)
-    numbers = [Remark(Number(value, remedy=True)) for value in every.tolist()]
+    numbers = [Remark(Amount(value, remedy=True)) for value in every.tolist()]
     remedy = numbers[0] if np.all(every == every[0]) else Remark("[", joined(", ", numbers), "]")
     what = joined("; ", [Remark(f"of joint {joint + 1} ", text) for joint, text in doubts.items()])
     why = "wrong sign, unit or joint" + (", or a load that the mapping lacks" if name == "torque" else "")

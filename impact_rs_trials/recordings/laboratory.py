@@ -67,7 +67,7 @@ from impact_rs_trials.recordings.plausibility import (
     height_on_support,
 )
 from impact_rs_trials.recordings.recording import TooShort, check_arm
-from impact_rs_trials.recordings.remarks import Number, Remark
+from impact_rs_trials.recordings.remarks import Amount, Remark
 from impact_rs_trials.recordings.series import Names, Series
 from impact_rs_trials.recordings.sources import read_series
 from impact_rs_trials.runs import NONE, ArmSignals, Run, Signals
@@ -499,7 +499,7 @@ def with_object(path: Path, series: ArmSeries, remarks: list[str]) -> ArmSeries:
             file=path,
         )
     if not np.all(seen):
-        share = Number(int(np.sum(~seen)), "d"), " of ", Number(seen.size, "d")
+        share = Amount(int(np.sum(~seen)), "d"), " of ", Amount(seen.size, "d")
         remarks.append(Remark(f"{pose.place}: the object is not seen in ", *share, " samples"))
     log = None if pose.log is None else pose.log[seen]
     series["object_pose"] = replace(pose, time=pose.time[seen], values=pose.values[seen], log=log)
@@ -704,12 +704,12 @@ def _tell_rates(
         remarks.append(
             Remark(
                 f"{position.place}: stamps lie up to ",
-                Number(100.0 * worst, ".0f"),
+                Amount(100.0 * worst, ".0f"),
                 " % of a period beside an even grid; the samples are interpolated onto it",
             )
         )
     if 1.0 / period < SLOW_JOINTS:
-        rate = Number(1.0 / period, ".0f")
+        rate = Amount(1.0 / period, ".0f")
         remarks.append(Remark("joints at ", rate, " Hz: the jump of an impact is seen, its force is not"))
 
 
@@ -721,7 +721,7 @@ def _tell_pose_rate(pose: Series | None, remarks: list[str]) -> None:
             remarks.append(
                 Remark(
                     "object pose at ",
-                    Number(rate, ".0f"),
+                    Amount(rate, ".0f"),
                     " Hz: where the object goes is seen, its velocity right after the impact is not",
                 )
             )

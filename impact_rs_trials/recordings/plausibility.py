@@ -16,7 +16,7 @@ from impact_rs_sim.proportion import Proportion
 from impact_rs_sim.robot import Array
 from impact_rs_sim.robot_model import RobotModel
 from impact_rs_sim.scenario import Scenario
-from impact_rs_trials.recordings.remarks import Number, Remark
+from impact_rs_trials.recordings.remarks import Amount, Remark
 
 REST = 0.1  # s, from which the first pose of the object is taken
 HEIGHT_TOLERANCE = 0.05  # m
@@ -149,7 +149,7 @@ def check_touch(path: Path, model: RobotModel, name: str, size: Array, position:
         return [
             Remark(
                 "where they are nearest, the middle of the pad is ",
-                Number(1e3 * abs(nearest), ".1f"),
+                Amount(1e3 * abs(nearest), ".1f"),
                 f" mm {how} {name!r}: motion capture and robot disagree by that much, or their clocks do; or another "
                 "object is hit, or only by an edge",
             )

@@ -14,7 +14,7 @@ from typing import NamedTuple
 MOST_NAMED = 3  # runs; of more only their number is printed
 
 
-class Number(NamedTuple):
+class Amount(NamedTuple):
     """A number in a remark.
 
     Attributes:
@@ -39,15 +39,15 @@ class Remark(str):
         parts: Words, numbers, and other remarks.
     """
 
-    parts: tuple[str | Number, ...]
+    parts: tuple[str | Amount, ...]
 
-    def __new__(cls, *parts: str | Number) -> Remark:
+    def __new__(cls, *parts: str | Amount) -> Remark:
         """Join the parts."""
-        flat: list[str | Number] = []
+        flat: list[str | Amount] = []
         for part in (inner for one in parts for inner in (one.parts if isinstance(one, Remark) else (one,))):
             if part == "":
                 continue
-            if isinstance(part, Number) or not flat or isinstance(flat[-1], Number):
+            if isinstance(part, Amount) or not flat or isinstance(flat[-1], Amount):
                 flat.append(part)
             else:
                 flat[-1] = f"{flat[-1]}{part}"
@@ -55,9 +55,9 @@ class Remark(str):
         made.parts = tuple(flat)
         return made
 
-    def __getnewargs__(self) -> tuple[str | Number, ...]:
-        """What makes it again in another process."""
-        return self.parts
+    def __reduce__(self) -> tuple[type[Remark], tuple[str | Amount, ...]]:
+        """How it is made again in another process."""
+        return Remark, self.parts
 
 
 def joined(separator: str, remarks: Sequence[str]) -> Remark:
@@ -99,12 +99,12 @@ def _whose(runs: Sequence[str], of: int) -> str:
 def _kind(remark: str) -> tuple[object, ...]:
     """Words, and how numbers between them are printed."""
     parts = remark.parts if isinstance(remark, Remark) else (str(remark),)
-    return tuple(part[1:] if isinstance(part, Number) else part for part in parts)
+    return tuple(part[1:] if isinstance(part, Amount) else part for part in parts)
 
 
-def _together(column: Sequence[str | Number]) -> str:
+def _together(column: Sequence[str | Amount]) -> str:
     """The same part of several remarks."""
-    numbers = [part for part in column if isinstance(part, Number)]
+    numbers = [part for part in column if isinstance(part, Amount)]
     if not numbers:
         return str(column[0])
     if numbers[0].remedy:

@@ -9,7 +9,7 @@ import numpy as np
 
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.robot import Array
-from impact_rs_trials.recordings.remarks import Number, Remark
+from impact_rs_trials.recordings.remarks import Amount, Remark
 
 BASELINE = 0.002  # s, of the differences that give a velocity; short beside a motion, long beside an encoder's steps
 
@@ -69,7 +69,7 @@ class Series:
         if kept.all():
             return self
         repeats = int(np.sum(~kept))
-        share = Number(repeats, "d"), " of ", Number(kept.size, "d")
+        share = Amount(repeats, "d"), " of ", Amount(kept.size, "d")
         said = Remark(f"{self.place}: ", *share, " samples have the stamp of the one before; the first is kept")
         log = None if self.log is None else self.log[kept]
         return replace(self, time=self.time[kept], values=self.values[kept], log=log, remarks=(*self.remarks, said))

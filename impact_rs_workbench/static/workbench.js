@@ -1017,7 +1017,10 @@ const compare = {
     this.none.hidden = runsChoices().length > 0;
     this.form.update();
     const found = state.workspace.reports.filter((path) => path.endsWith('compare.html') || path.endsWith('report.html'));
-    fill(this.report, plain(found), this.wanted && found.includes(this.wanted) ? this.wanted : undefined);
+    // At first the newest comparison; an analysis (report.html) has no heat maps.
+    const age = (path) => state.workspace.stamps[path] ?? 0;
+    const newest = this.opened ? undefined : found.filter((path) => path.endsWith('compare.html')).sort((a, b) => age(b) - age(a))[0];
+    fill(this.report, plain(found), this.wanted && found.includes(this.wanted) ? this.wanted : newest);
     this.report.parentElement.hidden = !found.length;
     const stamp = state.workspace.stamps[this.report.value];
     if (this.report.value && (this.report.value !== this.opened || stamp !== this.stamp)) this.open();
@@ -1029,7 +1032,11 @@ const compare = {
     this.signals.begin();
     this.stamp = state.workspace.stamps[path];
     this.result.replaceChildren(reading(path));
-    if (path.endsWith('report.html')) { this.result.replaceChildren(...wholeReport(path, true)); return; }
+    if (path.endsWith('report.html')) {
+      says('compare', `An analysis of measured jumps: ${path}.`);
+      this.result.replaceChildren(...wholeReport(path, true));
+      return;
+    }
     try {
       const folder = path.replace(/\/?compare\.html$/, '') || '.';
       this.show(await turn.ask(`/api/comparison?${query({path: folder})}`), path, turn);
@@ -1188,6 +1195,7 @@ const diagnose = {
       h('td', {}, `${number(effect.without)} → ${number(effect.with)}`), h('td', {}, effect.p),
       h('td', {}, effect.tag === 'no' ? '' : h('button', {type: 'button', onclick: () => add.start(this.opened, effect.name)}, 'Add'))));
     const named = found.effects.filter((effect) => found.named.includes(effect.name));
+    const report = this.opened.replace(/[^/]*$/, found.report);
     says('diagnose', `${found.model}: ${found.verdict}.`);
     this.result.replaceChildren(h('p', {class: 'answer', id: 'verdict'}, h('b', {}, found.verdict), found.summary),
       ...named.map((effect) => h('div', {class: 'scroll'}, h('h3', {}, effect.name), h('table', {}, h('thead', {}, h('tr', {},
@@ -1195,14 +1203,14 @@ const diagnose = {
         ...effect.parameters.map((one) => h('tr', {}, h('td', {}, one.name), h('td', {}, one.text[0]),
           h('td', {}, one.text.slice(1).join(' … ') || '–'), h('td', {}, unit(one.unit)))))))),
       h('h3', {}, 'Ranking'), h('p', {class: 'note'}, `Held-out error without and with the effect, ${found.unit}.`), plot, h('div', {class: 'scroll'}, h('table', {id: 'ranking'}, h('thead', {}, h('tr', {},
-        ...['effect', 'verdict', 'error', 'p', 'add to the model'].map((text) => h('th', {scope: 'col', class: text === 'verdict' ? 'text' : null}, text)))), h('tbody', {}, ...rows))),
+        ...['effect', 'verdict', 'without → with', 'p', 'add to the model'].map((text) => h('th', {scope: 'col', class: text === 'verdict' ? 'text' : null}, text)))), h('tbody', {}, ...rows))),
       found.left.length ? h('div', {}, h('h3', {}, 'Unexplained'), h('ul', {}, ...found.left.map((one) => h('li', {},
         `${one.what} (${one.phase}): ${one.value}, ${one.times} × ${found.yardstick}; relevance limit ${one.floor}`)))) : '',
       found.calls_for_a_law ? this.law(found) : '',
       found.practice ? this.revealed() : '',
       found.next ? this.next(found.next, found.runs) : '',
-      replayOf(this.opened.replace(/[^/]*$/, found.report), turn).node,
-      ...wholeReport(this.opened.replace(/[^/]*$/, found.report), false),
+      ...(state.workspace.reports.includes(report) ? [replayOf(report, turn).node, ...wholeReport(report, false)] :
+        [emptyNote('There is no report beside this file: a diagnosis with a folder of the report writes one.')]),
       ...found.remarks.map((text) => h('p', {class: 'note'}, `Note: ${text}`)));
     if (found.figure) draw(plot, found.figure); else plot.remove();
   },

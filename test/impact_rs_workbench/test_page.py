@@ -598,6 +598,7 @@ def test_the_ranking_shows_what_an_effect_adds_to_the_other_chosen_ones(page: Pa
     go(page, "diagnose")
     page.select_option("#diagnose-file", "reports/two/diagnosis.json")
     expect(page.locator("#ranking tbody tr").filter(has_text=best["name"]).first).to_contain_text("4.25 → 1.5")
+    expect(page.locator("#diagnose-result a")).to_have_count(0)  # no report was written beside it: none is offered
     shutil.rmtree(reported / "reports" / "two")
 
 

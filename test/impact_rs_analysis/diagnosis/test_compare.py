@@ -115,7 +115,7 @@ def test_without_repeats_the_terminal_names_the_relevance_limit(
     assert main(["compare", str(tmp_path), "--jobs", "1"]) == 0
     shown = capsys.readouterr().out
     assert "How large the differences are [times the relevance limit]" in shown
-    assert "x limit" in shown and "x noise" not in shown and "times repeatability" not in shown
+    assert "size: times the" in shown and "times repeatability" not in shown
 
 
 def test_others_read_an_aligned_bag_whose_residual_is_the_difference(track: tuple[Track, str], tmp_path: Path) -> None:

@@ -21,11 +21,12 @@ from impact_rs_analysis.diagnosis.compare import ComparisonDocument
 from impact_rs_analysis.diagnosis.document import DiagnosisDocument, read_document
 from impact_rs_analysis.diagnosis.history import VersionError
 from impact_rs_analysis.evidence.cluster import TIMES
+from impact_rs_analysis.evidence.levels import SignalLevel
 from impact_rs_analysis.evidence.tracks import ComparedSignal, Track
 from impact_rs_analysis.report import page as skeleton
 from impact_rs_analysis.report.analysis import AnalysisPage, Listing
 from impact_rs_analysis.report.animation import ReplayPart
-from impact_rs_analysis.report.comparison import write_comparison
+from impact_rs_analysis.report.comparison import joint_tables, write_comparison
 from impact_rs_analysis.report.diagnosis import write_diagnosis
 from impact_rs_analysis.report.error_history import write_history
 from impact_rs_analysis.report.page import p_text, quantity_text, sentence_text, subscripts_text, track_data
@@ -198,6 +199,20 @@ def test_effects_are_drawn_alone_and_beside_the_chosen_one() -> None:
     assert lines == [[61.8, 1.3], [1.3, 1.3], [1.3, 1.3]]
     assert [trace.name for trace in drawn(())] == ["alone"]
     assert [trace.name for trace in drawn((), alone=False) if trace.name] == ["with the chosen effects"]
+
+
+def test_a_signal_below_its_relevance_limit_in_every_joint_has_no_column(tmp_path: Path) -> None:
+    """The deflection of a simulated spring differs by 0.2 microradians, which no robot measures."""
+    joint = {"phase": "free", "index": "joint1", "unit": "rad", "noise_floor": 1e-9}
+    rows = (
+        SignalLevel(signal="elastic deflection", error=2e-7, floor=4e-6, times_noise=200.0, **joint),
+        SignalLevel(signal="motor torque balance", error=0.05, floor=0.01, times_noise=5.0, **joint | {"unit": "N m"}),
+    )
+    (table,) = joint_tables(documents.comparison().model_copy(update={"joints": rows}))
+    assert table.signals == ("Free motion: motor torque balance",)
+    assert [cell and cell.size for cell in table.rows["joint1"]] == [pytest.approx(5.0)]
+    text = comparison_page(tmp_path, joints=rows).text
+    assert "Below their relevance limits in every joint: Free motion: elastic deflection (0.2 µrad)." in text
 
 
 def test_a_page_listens_to_no_other_window(tmp_path: Path) -> None:

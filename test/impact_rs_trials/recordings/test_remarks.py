@@ -8,16 +8,16 @@ import pickle
 from hypothesis import given
 from hypothesis import strategies as st
 
-from impact_rs_trials.recordings.remarks import Number, Remark, joined, merged
+from impact_rs_trials.recordings.remarks import Amount, Remark, joined, merged
 
 WORDS = st.text(max_size=5)
 PARTS = st.lists(
-    st.one_of(WORDS, st.builds(Number, st.floats(-1e3, 1e3), st.sampled_from([".3g", "+.1f"]))), max_size=6
+    st.one_of(WORDS, st.builds(Amount, st.floats(-1e3, 1e3), st.sampled_from([".3g", "+.1f"]))), max_size=6
 )
 
 
 def late(ms: float) -> Remark:
-    return Remark("/commands: log time, less ", Number(ms, ".1f"), " ms to be on the stamps' clock")
+    return Remark("/commands: log time, less ", Amount(ms, ".1f"), " ms to be on the stamps' clock")
 
 
 def test_sixteen_runs_whose_last_digit_differs_make_one_remark() -> None:
@@ -37,16 +37,16 @@ def test_a_few_runs_are_named_and_other_words_stay_apart() -> None:
 
 
 @given(parts=PARTS, other=st.lists(st.floats(-1e3, 1e3), min_size=6, max_size=6))
-def test_other_numbers_make_no_other_kind(parts: list[str | Number], other: list[float]) -> None:
+def test_other_numbers_make_no_other_kind(parts: list[str | Amount], other: list[float]) -> None:
     changed = [
-        part._replace(value=new) if isinstance(part, Number) else part for part, new in zip(parts, other, strict=False)
+        part._replace(value=new) if isinstance(part, Amount) else part for part, new in zip(parts, other, strict=False)
     ]
     assert len(merged([("a", Remark(*parts)), ("b", Remark(*changed))])) == 1
     assert merged([("", Remark(*parts))]) == ["".join(map(str, parts))]
 
 
 @given(parts=PARTS)
-def test_a_remark_comes_back_from_another_process_with_its_numbers(parts: list[str | Number]) -> None:
+def test_a_remark_comes_back_from_another_process_with_its_numbers(parts: list[str | Amount]) -> None:
     remark = Remark("arm: ", joined(", ", [Remark(*parts), "a"]))
     again = pickle.loads(pickle.dumps(remark))
     assert (again, again.parts) == (remark, remark.parts)
