@@ -13,7 +13,7 @@ import {$, ask, commandLine, fill, fitAll, fixed, h, inFolder, labelled, message
 const ABOUT = {
   predict: {title: 'Impact map', text: 'Maps the velocities just before an impact to those just after it: rigid bodies, instantaneous, ' +
     'finite forces neglected. B is the reflected inertia of the motors: B_θ with the torque loop, B_ρ of the rotors without it.',
-    equation: '(M + B)(v⁺ − v⁻) = J_cᵀ Λ\n0 ≤ Λₙ ⊥ Jₙ v⁺ + e Jₙ v⁻ ≥ 0\n|Λₜ| ≤ µ Λₙ, against sliding',
+    equation: '(M + B)(v⁺ − v⁻) = J_cᵀ Λ\nw = Jₙ v⁺ + e min(Jₙ v⁻, 0)\n0 ≤ Λₙ ⊥ w ≥ 0\n|Λₜ| ≤ µ Λₙ, against sliding',
     units: 'm/s, rad/s; impulses in N s; axes of the world frame', page: 'physics.md'},
   measure: {title: 'Trials', text: 'A trial is one hit and the push after it, recorded as one bag. A campaign repeats it for ' +
     'post-impact references below and above the prediction. Run an interrupted campaign again to continue it.',

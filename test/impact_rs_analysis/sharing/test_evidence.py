@@ -70,6 +70,12 @@ def test_other_measurements_are_noticed(runs: Path, what: str) -> None:
     assert failed(package, runs) == ["measurements"]
 
 
+def test_a_package_holds_no_paths_of_the_machine_that_made_it(runs: Path) -> None:
+    diagnosis = diagnosis_of({"law": (1.0, ERROR)}, options={"runs": "/home/someone/runs"})
+    package = make_package(diagnosis, load_model("nominal"), runs, "north", "arm", "box")
+    assert package.diagnosis.options == {}
+
+
 def test_a_diagnosis_of_another_model_is_refused(runs: Path) -> None:
     other = diagnosis_of({"law": (1.0, ERROR)}, model={"name": "other", "digest": "abc"})
     with pytest.raises(InputError, match="give the model that was diagnosed"):
