@@ -144,9 +144,9 @@ def _load(model: RobotModel, arm: ArmSignals, rows: Array, weight: Array, doubte
         return None
     rms = {what: float(np.sqrt(squares / beyond.size)) for what, squares in left.items()}
     return Remark(
-        "torques hold ", Number(mass, ".2g"), " kg more at the end effector than the mapping says: a load and its "
-        "place predict them better (", Number(rms["load"], ".2g"), " N m rms left) than factors of joints "
-        f"{', '.join(str(joint + 1) for joint in doubted)} do (", Number(rms["factors"], ".2g"), " N m). "
+        "torques hold ", Amount(mass, ".2g"), " kg more at the end effector than the mapping says: a load and its "
+        "place predict them better (", Amount(rms["load"], ".2g"), " N m rms left) than factors of joints "
+        f"{', '.join(str(joint + 1) for joint in doubted)} do (", Amount(rms["factors"], ".2g"), " N m). "
         "Remedy in the mapping: end_effector, if it is known; diagnose finds it, if it is not",
     )  # fmt: skip
 
