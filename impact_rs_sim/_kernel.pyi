@@ -20,8 +20,8 @@ def meet(partner: _Box, object: _Box, aligned: float) -> tuple[float, Array, boo
 
     Returns:
         Separation along the direction that separates them best, of a face or of two edges that cross (negative:
-        overlap) [m]; unit normal of the contact from ``partner`` into ``object``, ``(3,)``; whether it belongs to a face
-        of ``object``; and the axes of partner and object whose edges own it, None: a face does.
+        overlap) [m]; unit normal of the contact from ``partner`` into ``object``, ``(3,)``; whether it belongs to a
+        face of ``object``; and the axes of partner and object whose edges own it, None: a face does.
     """
 
 def touching(

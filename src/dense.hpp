@@ -83,4 +83,32 @@ inline void backward(const double* factor, int n, double* x, int columns) {
   }
 }
 
+// Solve a x = b in place of both, a (n, n), by elimination with partial pivoting; false where a is singular.
+inline bool eliminate(double* a, double* b, int n) {
+  for (int k = 0; k < n; ++k) {
+    int pivot = k;
+    for (int i = k + 1; i < n; ++i)
+      if (std::abs(a[i * n + k]) > std::abs(a[pivot * n + k])) pivot = i;
+    const double inverse = 1.0 / a[pivot * n + k];
+    if (!std::isfinite(inverse)) return false;
+    if (pivot != k) {
+      std::swap_ranges(a + k * n + k, a + k * n + n, a + pivot * n + k);
+      std::swap(b[k], b[pivot]);
+    }
+    const double* top = a + k * n;
+    for (int i = k + 1; i < n; ++i) {
+      double* row = a + i * n;
+      if (row[k] == 0.0) continue;
+      const double factor = row[k] * inverse;
+      for (int j = k + 1; j < n; ++j) row[j] -= factor * top[j];
+      b[i] -= factor * b[k];
+    }
+  }
+  for (int i = n - 1; i >= 0; --i) {
+    for (int j = i + 1; j < n; ++j) b[i] -= a[i * n + j] * b[j];
+    b[i] /= a[i * n + i];
+  }
+  return true;
+}
+
 }  // namespace impact_rs

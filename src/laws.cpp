@@ -18,33 +18,6 @@ constexpr int EASY = 5;          // with at most so many Newton steps, the next 
 constexpr int RESUMED = 12;      // Newton steps from impulses near the answer, at most; from nothing it takes some hundred
 constexpr int REFINEMENTS = 2;   // of a step computed through the root; each removes seven digits of rounding error
 
-// Solve a x = b in place of both, by elimination with partial pivoting; false where a is singular.
-bool eliminate(double* a, double* b, int n) {
-  for (int k = 0; k < n; ++k) {
-    int pivot = k;
-    for (int i = k + 1; i < n; ++i)
-      if (std::abs(a[i * n + k]) > std::abs(a[pivot * n + k])) pivot = i;
-    if (!(std::abs(a[pivot * n + k]) > 0.0)) return false;
-    if (pivot != k) {
-      std::swap_ranges(a + k * n + k, a + k * n + n, a + pivot * n + k);
-      std::swap(b[k], b[pivot]);
-    }
-    const double* top = a + k * n;
-    for (int i = k + 1; i < n; ++i) {
-      double* row = a + i * n;
-      const double factor = row[k] / top[k];
-      if (factor == 0.0) continue;
-      for (int j = k + 1; j < n; ++j) row[j] -= factor * top[j];
-      b[i] -= factor * b[k];
-    }
-  }
-  for (int i = n - 1; i >= 0; --i) {
-    for (int j = i + 1; j < n; ++j) b[i] -= a[i * n + j] * b[j];
-    b[i] /= a[i * n + i];
-  }
-  return true;
-}
-
 // The inverse of a; false where it is singular.
 bool invert(const Matrix& a, Matrix& inverse) {
   const Vector first = cross(row(a, 1), row(a, 2)), second = cross(row(a, 2), row(a, 0)),
@@ -361,10 +334,10 @@ void Solver::sweep(const Terms& terms, std::vector<double>& impulses, double yie
     } else if (dot(normal, alone) < 0.0) {
       Vector holding = -1.0 * alone;
       Matrix work = block;
-      eliminate(work.data(), holding.data(), 3);
+      const bool holds = eliminate(work.data(), holding.data(), 3);
       const double pressing = dot(normal, holding);
       const double pull = norm(holding - pressing * normal);
-      if (pressing >= 0.0 && pull <= terms.friction[i] * pressing) {
+      if (holds && pressing >= 0.0 && pull <= terms.friction[i] * pressing) {
         next = holding;
       } else {
         const double stiff = dot(normal, block * normal);

@@ -11,30 +11,6 @@ constexpr int EARLY_ROUNDS = 6;   // of them, for a guess only
 constexpr int CONVEX_STEPS = 60;  // of Newton's method with friction held
 constexpr double HELD_TOLERANCE = 1e-6;  // m/s, of such a guess
 
-// x = A^-1 x by Gaussian elimination with partial pivoting; A is overwritten.
-void eliminate(double* a, double* x, int n) {
-  for (int k = 0; k < n; ++k) {
-    int pivot = k;
-    for (int i = k + 1; i < n; ++i)
-      if (std::abs(a[i * n + k]) > std::abs(a[pivot * n + k])) pivot = i;
-    if (pivot != k) {
-      for (int j = k; j < n; ++j) std::swap(a[k * n + j], a[pivot * n + j]);
-      std::swap(x[k], x[pivot]);
-    }
-    const double inverse = 1.0 / a[k * n + k];
-    for (int i = k + 1; i < n; ++i) {
-      if (a[i * n + k] == 0.0) continue;
-      const double factor = a[i * n + k] * inverse;
-      for (int j = k + 1; j < n; ++j) a[i * n + j] -= factor * a[k * n + j];
-      x[i] -= factor * x[k];
-    }
-  }
-  for (int i = n - 1; i >= 0; --i) {
-    for (int j = i + 1; j < n; ++j) x[i] -= a[i * n + j] * x[j];
-    x[i] /= a[i * n + i];
-  }
-}
-
 }  // namespace
 
 // Twist of the object against a partner, about its centre of mass.
@@ -111,10 +87,11 @@ double StepSolver::residual() const {
   return std::sqrt(sum / object_mass);
 }
 
-void StepSolver::newton_step() {
+// The step that the linear equations ask for; false: they are singular.
+bool StepSolver::newton_step() {
   step_ = rest_;
-  eliminate(matrix_.data(), step_.data(), size);
   ++iterations_;
+  return eliminate(matrix_.data(), step_.data(), size);
 }
 
 // Newton's method from `velocity`; that is left where it was where it does not arrive.
@@ -126,7 +103,7 @@ bool StepSolver::newton(bool augmented, bool as_before) {
       guess.as_before = as_before && k == 0;
     }
     evaluate(velocity, true);
-    newton_step();
+    if (!newton_step()) break;
     for (int i = 0; i < size; ++i) velocity[i] -= step_[i];
     update_guesses();
     evaluate(velocity, false);
@@ -167,8 +144,7 @@ void StepSolver::hold_friction(double tolerance) {
   holds_ = true;
   for (int k = 0; k < CONVEX_STEPS; ++k) {
     evaluate(velocity, true);
-    if (!(residual() > tolerance)) break;
-    newton_step();
+    if (!(residual() > tolerance) || !newton_step()) break;
     double first = 0.0;
     for (int i = 0; i < size; ++i) first -= step_[i] * rest_[i];
     double fraction = 1.0, low = 0.0, high = 1.0, at_low = first, at_high = slope(1.0);

@@ -59,7 +59,7 @@ class StepSolver {
   bool newton(bool augmented, bool as_before);
   void update_guesses();
   void hold_friction(double tolerance);
-  void newton_step();
+  bool newton_step();
   double slope(double fraction);
 
   bool holds_ = false;  // whether friction is limited by held_

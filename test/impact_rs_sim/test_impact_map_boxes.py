@@ -97,6 +97,28 @@ def test_a_box_that_juts_out_beyond_a_tilted_pad_does_not_overlap_it() -> None:
     assert min(gaps) == pytest.approx(1e-3, rel=2.0 * (1.0 - np.cos(tilt)))
 
 
+def test_boxes_that_are_nearly_parallel_touch_in_a_few_points_within_their_faces() -> None:
+    # Corners on edges of the other face, up to rounding: clipping keeps or cuts them, and may bend the polygon.
+    rng = np.random.default_rng(11)
+    counts = set()
+    for _ in range(600):
+        half = rng.choice([0.05, 0.05, 0.03, 0.1], 3)
+        other = half if rng.random() < 0.5 else rng.choice([0.05, 0.03, 0.1], 3)
+        turn = pin.exp3(rng.normal(size=3))
+        tilt = 10.0 ** rng.uniform(-17.0, -3.0, 3) * rng.normal(size=3)
+        rotation = turn @ pin.exp3(tilt) @ pin.exp3(np.array([0.0, 0.0, rng.choice([0.0, 0.25, 0.5, 1.0]) * np.pi]))
+        aside = rng.choice([0.0, 0.02, 1e-17, 0.05], 2) * rng.normal(size=2)
+        apart = turn @ np.array([*aside, half[2] + other[2] + 10.0 ** rng.uniform(-17.0, -4.0) * rng.normal()])
+        centre = rng.normal(size=3)
+        partner, thing = Box(centre, turn, half), Box(centre + apart, rotation, other)
+        _, normal, on_object, edges = _kernel.meet(partner.parts, thing.parts, ALIGNED)
+        positions, gaps = _kernel.touching(partner.parts, thing.parts, normal, on_object, edges, 1e-3)
+        counts.add(len(positions))
+        for box, points in ((thing, positions), (partner, positions - gaps[:, None] * normal)):
+            assert np.all(np.abs((points - box.centre) @ box.rotation) <= box.half + 1e-9 + np.abs(gaps)[:, None])
+    assert {4, 8} <= counts <= set(range(9))
+
+
 def test_a_box_of_the_wrong_size_is_told() -> None:
     box = Box(np.zeros(3), np.eye(3), np.ones(3))
     with pytest.raises(ValueError, match="centre: expected 3 numbers, got 2"):

@@ -25,12 +25,13 @@ from twin_scene import (
     scene,
 )
 
+from impact_rs_sim.drive import DriveStart
 from impact_rs_sim.impact_map import compute_impact_map
 from impact_rs_sim.impact_map.problem import ImpactProblem
 from impact_rs_sim.physics import ObjectPhysics, Physics
 from impact_rs_sim.robot import Array
 from impact_rs_sim.scene import ArmState, BodyState
-from impact_rs_sim.twin import Result
+from impact_rs_sim.twin import Result, TwinJob, simulate
 
 REDUCED = RAIL_MASS * BOX_MASS / (RAIL_MASS + BOX_MASS)  # kg
 STIFFNESS, SPEED, G = 2e5, 0.5, 9.81
@@ -286,3 +287,23 @@ def test_a_box_that_leaves_the_pad_flies_on_by_itself(ratio: float) -> None:
     assert result.poses[-1, 2] == pytest.approx(-0.5 * G * duration**2, rel=5e-3)
     ahead = -result.poses[-1, 1] - (result.arms["rail"].position[-1, 0] - gap)
     assert ahead == pytest.approx(e * SPEED * (duration - gap / SPEED), rel=0.05)
+
+
+def test_a_step_whose_equations_are_singular_is_reported_and_leaves_numbers() -> None:
+    """A pad of 1e290 N/m overflows, so that Newton's method has no step."""
+    ticks, still = 40, np.zeros(1)
+    mass = rail(np.array([0.0, SIZE[1] / 2.0 + 1e-4, 0.0]), AGAINST_Y, pad_stiffness=1e290)
+    job = TwinJob(
+        scene({"rail": mass}),
+        {"rail": ArmState(still, np.full(1, SPEED))},
+        {"rail": DriveStart(still, still)},
+        {"rail": still[None]},
+        {"rail": np.zeros(ticks, dtype=np.int32)},
+        np.arange(ticks + 1) * PERIOD,
+        PERIOD,
+        object=resting(),
+        joint_torque=True,
+    )
+    (result,) = simulate([job])
+    assert len(result.failed) > 0
+    assert np.isfinite(result.twists).all() and np.isfinite(result.arms["rail"].velocity).all()
