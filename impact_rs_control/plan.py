@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,16 +16,19 @@ from impact_rs_control.references import (
     post_impact_path,
     there_and_back_path,
 )
-from impact_rs_sim.clearance import check_clearance
-from impact_rs_sim.errors import InputError, UnreachablePose
+from impact_rs_sim.clearance import check_clearance, deepest_penetration
+from impact_rs_sim.errors import Infeasible, InputError, UnreachablePose
 from impact_rs_sim.impact_map import DEFAULT_ENGINE, predict_impact
 from impact_rs_sim.impact_map.problem import ImpactProblem, ImpactResult
 from impact_rs_sim.physics import MOTOR_INERTIA_MODELS
 from impact_rs_sim.robot import Array
+from impact_rs_sim.robot_model import RobotModel
 from impact_rs_sim.scenario import Scenario
 from impact_rs_sim.scene import Scene
 
 POSE_TASKS = 6  # position and orientation of E
+SAMPLED = 0.01  # m, of the way of E between two poses that are checked against support and ground
+SINGULAR = 1e-3  # of the largest singular value of the tasks; along smaller ones an arm cannot follow
 STANDS = 1e-3  # m/s; what is referred to move more slowly than this is about to stand
 RESTITUTION_TOLERANCE = 0.05  # [-], between impact map and pad; a third of what a damped pad has anyway
 LARGEST_SCALE = 3.0  # a reference far beyond the prediction is no test of it, and soon beyond the arm
@@ -145,7 +148,7 @@ def plan_trial(
     Raises:
         InputError: A scale or motor-inertia model that is none, an arm with fewer than six joints, a restitution that
             no pad has, or a friction compensation that was not identified for this object and case.
-        Infeasible: A start that cannot be reached, or arms that collide.
+        Infeasible: A start that cannot be reached, or arms that collide with each other, support or ground.
     """
     check_scale(velocity_scale)
     if motor_inertia not in MOTOR_INERTIA_MODELS:
@@ -153,6 +156,7 @@ def plan_trial(
     check_joint_counts(scene.scenario)
     if scene.scenario.excursion is not None:
         arms = {name: _plan_excursion(scene, name) for name in scene.arms}
+        _check_surroundings(scene, arms)
         return TrialPlan(scene, velocity_scale, motor_inertia, None, arms)
     check_restitution(scene)
     check_clearance(scene.models, {name: state.position for name, state in scene.arms.items()}, "at the impact")
@@ -160,7 +164,75 @@ def plan_trial(
     impact = predict_impact(problem, scene.scenario.control.reference_contact, engine)
     arms = {name: _plan_hit(scene, name, impact, velocity_scale) for name in scene.arms}
     check_clearance(scene.models, {name: arm.initial for name, arm in arms.items()}, "at the start")
+    _check_surroundings(scene, arms)
     return TrialPlan(scene, velocity_scale, motor_inertia, impact, arms)
+
+
+def _check_surroundings(scene: Scene, arms: Mapping[str, ArmPlan]) -> None:
+    """Check that no arm touches support or ground on its references, the object's own contacts aside.
+
+    Raises:
+        Infeasible: Names arm, link or pad, partner, depth and time.
+    """
+    scenario, physics = scene.scenario, scene.physics
+    pushed = scenario.excursion is None and scenario.control.clamp_force == 0.0
+    way = np.mean([arm.post_position.position[-1] - _at_impact(scene, arm) for arm in arms.values()], axis=0)
+    for name, arm in arms.items():
+        times, positions = _reference_poses(scene, name, arm)
+        found = deepest_penetration(physics, name, positions, scene.object, way if pushed else np.zeros(3))
+        if found is None:
+            continue
+        remedy = f"raise robots.{name}.impact.position, or choose another pose there (pad_normal, pad_up, joint_guess)"
+        if found.partner == "ground":
+            remedy += "; if the floor is lower, raise bases, poses and support by as much"
+        raise Infeasible(
+            f"arm {name!r}: {found.part} would be {found.depth:.3f} m inside the {found.partner}, whose surface is at "
+            f"z = {found.surface:g} m, at {times[found.index]:.3f} s of its reference; {remedy}"
+        )
+
+
+def _at_impact(scene: Scene, arm: ArmPlan) -> Array:
+    """Where the post-impact reference is at T_nom, ``(3,)`` [m]."""
+    timing = scene.scenario.timing
+    return np.asarray(arm.post_position.position[round(timing.nominal_impact / timing.control_period)])
+
+
+def _reference_poses(scene: Scene, name: str, arm: ArmPlan) -> tuple[Array, Array]:
+    """Joint positions along both references, the ante-impact one to its end and the other from T_nom on.
+
+    Returns:
+        Times ``(k,)`` [s] and joint positions ``(k, n)`` [rad] of samples between which E moves by ``SAMPLED`` at most.
+    """
+    model, timing = scene.models[name], scene.scenario.timing
+    impact = round(timing.nominal_impact / timing.control_period)
+    times, rows = [], []
+    for path, posture, first, q in (
+        (arm.ante_position, arm.ante_posture, 0, arm.initial),
+        (arm.post_position, arm.post_posture, impact, scene.arms[name].position),
+    ):
+        way = np.linalg.norm(np.diff(path.position[first:], axis=0), axis=1)
+        cells = np.floor(np.cumsum(way) / SAMPLED)
+        ticks = first + np.concatenate(([0], 1 + np.flatnonzero(np.diff(cells)), [len(way)])).astype(int)
+        for tick in dict.fromkeys(ticks.tolist()):
+            q = _followed(model, q, pin.SE3(arm.orientation[tick], path.position[tick]), arm, posture.position[tick])
+            times.append(tick * timing.control_period)
+            rows.append(q)
+    return np.array(times), np.array(rows)
+
+
+def _followed(model: RobotModel, q: Array, target: pin.SE3, arm: ArmPlan, posture: Array) -> Array:
+    """Joint positions near ``q`` with E at a target and the joints of the posture task where they shall be, ``(n,)``.
+
+    Two steps of the Gauss-Newton method; where the tasks leave joints over, or cannot be met, the shortest.
+    """
+    held = list(arm.posture)
+    for _ in range(2):
+        place = model.placement(q)
+        turn = place.rotation @ pin.log3(place.rotation.T @ target.rotation)
+        missing = np.concatenate((target.translation - place.translation, turn, posture - q[held]))
+        tasks = np.vstack((model.jacobian(q), np.eye(model.joint_count)[held]))
+        q = q + np.linalg.lstsq(tasks, missing, rcond=SINGULAR)[0]
+    return q
 
 
 def check_restitution(scene: Scene) -> None:

@@ -1,23 +1,40 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Clearance between two arms, checked before a trial starts.
+"""Clearance of arms from each other, and of arms and pads from support and ground, checked before a trial starts.
 
-Every link is a capsule from its joint to the next one; Coal, the collision library below Pinocchio, finds distances. A
-coarse hull, on the safe side where a real link is slimmer.
+Coal, the collision library below Pinocchio, finds distances.
+
+Between two arms every link is a capsule from its joint to the next one: a coarse hull, on the safe side where a real
+link is slimmer. Against support and ground a link has its simple shapes (:mod:`impact_rs_sim.link_shapes`), the end
+effector its tube, and the pad its box.
+
+A scenario does not say where its table ends: arms stand in it, and pads that grab come from beside it. What is certain
+is the part below the object, from where it stands to where it is pushed, and a rim around it. The ground is the plane
+z = 0 of A, or lower where a base or the support is. Links next to the base that overlap the ground in every sampled
+pose are the mounting, and no collision.
 """
 
 from __future__ import annotations
 
+import functools
+from dataclasses import dataclass
 from itertools import combinations
 
 import coal
 import numpy as np
+import pinocchio as pin
 
 from impact_rs_sim.errors import Infeasible
+from impact_rs_sim.impact_map.contacts import SUPPORT_THICKNESS
+from impact_rs_sim.link_shapes import TOOL_RADIUS, Shape, link_shapes
+from impact_rs_sim.physics import Physics
 from impact_rs_sim.robot import Array
-from impact_rs_sim.robot_model import RobotModel
+from impact_rs_sim.robot_model import TIP, RobotModel
+from impact_rs_sim.scene import BodyState
 
 RADIUS = 0.06  # m, of a link of the arm
 SHORTEST = 1e-6  # m; joints that share an origin have no link between them
+TOUCHES = 1e-6  # m; an overlap below it is rounding
+RIM = 0.02  # m, by which a table reaches at least beyond what stands on it; assumed, as thick as the pads
 
 Capsule = tuple[str, coal.Capsule, coal.Transform3s]
 
@@ -68,3 +85,137 @@ def check_clearance(models: dict[str, RobotModel], positions: dict[str, Array], 
                         f"arms {first!r} and {second!r} collide {when}: {name} and {other} overlap by {-gap:.3f} m; "
                         "move their bases apart or choose other impact poses"
                     )
+
+
+@dataclass(frozen=True)
+class Penetration:
+    """The deepest overlap of an arm with support or ground along a path.
+
+    Attributes:
+        part: The link, the end effector or the pad, in words.
+        partner: ``support`` or ``ground``.
+        surface: Height of its surface [m].
+        depth: How deep [m].
+        index: In which sample of the path.
+    """
+
+    part: str
+    partner: str
+    surface: float
+    depth: float
+    index: int
+
+
+def deepest_penetration(
+    physics: Physics, name: str, positions: Array, object_: BodyState, way: Array
+) -> Penetration | None:
+    """The deepest overlap of an arm with support or ground along a path; None: it keeps clear.
+
+    Args:
+        physics: Parameters of the scene.
+        name: The arm.
+        positions: Joint positions along the path, ``(k, n)`` [rad].
+        object_: Where the object stands.
+        way: How far it is pushed across its support, in A, ``(3,)`` [m].
+    """
+    model, surroundings = physics.robot_model(name), _surroundings(physics, object_, way)
+    parts = _parts(model)
+    depths = np.zeros((len(surroundings), len(positions), len(parts)))
+    for index, q in enumerate(positions):
+        links = model.link_placements(q)
+        for number, part in enumerate(parts):
+            for which, partner in enumerate(surroundings):
+                depths[which, index, number] = partner.depth(part, links[part.link])
+    mounting = np.minimum.accumulate((depths[-1] > TOUCHES).all(axis=0)) & [part.link != TIP for part in parts]
+    depths[-1][:, mounting] = 0.0
+    which, index, number = np.unravel_index(np.argmax(depths), depths.shape)
+    deepest = float(depths[which, index, number])
+    if deepest <= TOUCHES:
+        return None
+    partner = surroundings[which]
+    return Penetration(parts[number].name, partner.name, partner.top, deepest, int(index))
+
+
+Solid = tuple[coal.CollisionGeometry, coal.Transform3s]
+
+
+@dataclass(frozen=True)
+class _Part:
+    """Convex shapes that move with a link: placements in it, and bounding spheres, ``(m, 3)`` and ``(m,)`` [m]."""
+
+    name: str
+    link: str
+    shapes: list[tuple[coal.CollisionGeometry, pin.SE3]]
+
+    @functools.cached_property
+    def spheres(self) -> tuple[Array, Array]:
+        for shape, _ in self.shapes:
+            shape.computeLocalAABB()
+        centres = np.array([place.act(shape.aabb_center) for shape, place in self.shapes])
+        return centres, np.array([shape.aabb_radius for shape, _ in self.shapes])
+
+
+@dataclass(frozen=True)
+class _Surrounding:
+    """What an arm must keep clear of: the common part of some solids, of which nothing is above ``top`` [m]."""
+
+    name: str
+    solids: tuple[Solid, ...]
+    top: float
+
+    def depth(self, part: _Part, link: pin.SE3) -> float:
+        """How deep a part overlaps [m]; 0: it keeps clear."""
+        centres, radii = part.spheres
+        deepest, low = 0.0, centres @ link.rotation[2] + link.translation[2] - radii
+        for index in np.flatnonzero(low < self.top):
+            shape, own = part.shapes[index]
+            at = link * own
+            place = coal.Transform3s(at.rotation, at.translation)
+            deepest = max(deepest, min(_overlap((shape, place), solid) for solid in self.solids))
+        return deepest
+
+
+def _overlap(one: Solid, other: Solid) -> float:
+    """How deep two convex solids overlap; negative: their distance [m]."""
+    return -float(coal.distance(*one, *other, coal.DistanceRequest(), coal.DistanceResult()))
+
+
+def _surroundings(physics: Physics, object_: BodyState, way: Array) -> list[_Surrounding]:
+    """The certain part of the support, where there is one, and the ground."""
+    height, found = physics.support_height, []
+    ground = min(0.0, *(float(arm.base.translation[2]) for arm in physics.arms.values()))
+    if height is not None:
+        ground, middle = min(ground, height), height - SUPPORT_THICKNESS / 2.0
+        reach = np.abs(object_.rotation[:2]) @ physics.object.size / 2.0 + RIM
+        low, high = (ends(np.zeros(2), way[:2]) for ends in (np.minimum, np.maximum))
+        certain = coal.Box(*(high - low + 2.0 * reach), SUPPORT_THICKNESS)
+        below = np.append(object_.position[:2] + (low + high) / 2.0, middle)
+        table = coal.Box(*physics.support_size, SUPPORT_THICKNESS)
+        places = (coal.Transform3s(np.eye(3), place) for place in (below, np.array([0.0, 0.0, middle])))
+        found.append(_Surrounding("support", tuple(zip((certain, table), places, strict=True)), height))
+    plane = coal.Halfspace(np.array([0.0, 0.0, 1.0]), ground)
+    return [*found, _Surrounding("ground", ((plane, coal.Transform3s.Identity()),), ground)]
+
+
+def _parts(model: RobotModel) -> list[_Part]:
+    """Links from the base on without it, end effector and pad."""
+    effector = model.end_effector
+    links = link_shapes(model.facts)[1:]
+    tube = Shape(np.array([0.0, 0.0, -effector.length]), np.array([0.0, 0.0, -effector.pad_size[2]]), TOOL_RADIUS)
+    return [
+        *(
+            _Part(f"link {number}", f"link{number}", [_collider(one) for one in shapes])
+            for number, shapes in enumerate(links, start=1)
+        ),
+        _Part("its end effector", TIP, [_collider(tube)]),
+        _Part("its pad", TIP, [(coal.Box(*effector.pad_size), effector.pad_placement)]),
+    ]
+
+
+def _collider(shape: Shape) -> tuple[coal.CollisionGeometry, pin.SE3]:
+    """A simple shape and its placement in the link."""
+    length = float(np.linalg.norm(shape.end - shape.start))
+    if length < SHORTEST:
+        return coal.Sphere(shape.radius), pin.SE3(np.eye(3), shape.start)
+    axis = pin.Quaternion.FromTwoVectors(np.array([0.0, 0.0, 1.0]), (shape.end - shape.start) / length)
+    return coal.Cylinder(shape.radius, length), pin.SE3(axis.matrix(), (shape.start + shape.end) / 2.0)

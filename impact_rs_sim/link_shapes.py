@@ -23,6 +23,7 @@ HOUSING = (1.12, 1.15)  # radius and half length of a housing over the radius of
 RING = 0.22  # length of the ring at each end of a housing over its radius
 PARALLEL = 0.999  # cosine of the angle between axes
 SHORTEST = 1e-4  # m, of a tube
+TOOL_RADIUS = 0.03  # m, of the tube from flange to pad
 FOOT = (1.35, 0.06)  # radius of the foot over that of the first tube, and its height over the length of the arm
 
 

@@ -2,8 +2,9 @@
 """The one URDF: written from the facts, loaded by Pinocchio and PyBullet, and, mounted in the world, by viewers.
 
 Links are ``base``, ``link1`` ... ``linkN`` and ``end_effector``; joints are ``joint1`` ... ``jointN``. Only the pad has
-a collision shape: arm against scene is out of scope, and a self-collision of coarse shapes would be a
-force that no real robot feels. Visual shapes are meshes, or the simple ones of :mod:`impact_rs_sim.link_shapes`.
+a collision shape: a collision of coarse shapes would be a force that no real robot feels. Whether links keep clear is
+checked before a trial (:mod:`impact_rs_sim.clearance`). Visual shapes are meshes, or the simple ones of
+:mod:`impact_rs_sim.link_shapes`.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ from xml.etree import ElementTree as Xml
 import numpy as np
 import pinocchio as pin
 
-from impact_rs_sim.link_shapes import Shape, link_shapes
+from impact_rs_sim.link_shapes import TOOL_RADIUS, Shape, link_shapes
 from impact_rs_sim.robot import Array, Colours, EndEffector, Mesh, RobotFacts
 
 WORLD = "world"  # the inertial frame A
@@ -145,7 +146,7 @@ def write_urdf(
         link,
         np.array([0.0, 0.0, -end_effector.length]),
         np.array([0.0, 0.0, -thickness]),
-        0.03,
+        TOOL_RADIUS,
         "0.25 0.27 0.30 1",
     )
     for kind in ("visual", "collision"):

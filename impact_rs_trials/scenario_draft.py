@@ -3,7 +3,8 @@
 
 The impact pose is chosen among random poses of the arm. For each pose the end effector follows its whole path with
 minimum-norm joint velocity. The score combines the distance from joint limits, the smallest singular value of the
-Jacobian, and the used share of speed and torque. The best poses are simulated in turn until a trial succeeds.
+Jacobian, and the used share of speed and torque. The best poses whose plans keep clear of support and ground are
+simulated in turn until a trial succeeds.
 """
 
 from __future__ import annotations
@@ -20,6 +21,7 @@ from typing import Any, Literal
 import numpy as np
 import pinocchio as pin
 
+from impact_rs_control.plan import plan_trial
 from impact_rs_sim.assumed_drive import REDUCED, ROTOR_INERTIA, assumed_drive, assumed_numbers
 from impact_rs_sim.errors import Infeasible, InputError
 from impact_rs_sim.paths import config_directory
@@ -27,6 +29,7 @@ from impact_rs_sim.robot import Array, RobotFacts, joined_units
 from impact_rs_sim.robot_check import failures_of, failures_of_facts, random_positions
 from impact_rs_sim.robot_model import RobotModel
 from impact_rs_sim.scenario import ASSUMED_MOTOR_INERTIA, ImpactPose, Scenario, load_scenario
+from impact_rs_sim.scene import Scene
 from impact_rs_sim.schema import parse_yaml, validate
 from impact_rs_trials.bags.record import record_trial
 from impact_rs_trials.bags.trial_info import TrialInfo, TrialKey
@@ -125,7 +128,11 @@ def draft(facts_name: str, facts: RobotFacts, kind: Kind, report: Report = lambd
     failures: list[str] = []
     for round_, speed in enumerate(SPEEDS):
         rated = sorted((_rated(model, start, shipped, speed, motors) for start in starts), key=lambda one: -one.score)
-        for number, pose in enumerate([pose for pose in rated if pose.score > 0.0][:BEST]):
+        texts = (
+            (pose, scenario_text(facts_name, facts, kind, model, pose, speed)) for pose in rated if pose.score > 0.0
+        )
+        clear = (pose for pose, text in texts if _can_be_planned(_read(text, facts)))
+        for number, pose in enumerate(itertools.islice(clear, BEST)):
             report("trials of poses", round_ * BEST + number, len(SPEEDS) * BEST)
             for threshold in THRESHOLDS:
                 text = scenario_text(facts_name, facts, kind, model, pose, speed, threshold)
@@ -455,18 +462,33 @@ def _read(text: str, facts: RobotFacts) -> Scenario:
     return validate(Scenario, data, "the new scenario")
 
 
+def _sets(scenario: Scenario) -> list[tuple[str, str]]:
+    """Every case with the heaviest object, and the first one with the lightest."""
+    by_mass = sorted(scenario.objects, key=lambda name: scenario.object(name).mass)
+    sets = [(by_mass[-1], case) for case in scenario.cases] + [(by_mass[0], next(iter(scenario.cases)))]
+    return list(dict.fromkeys(sets))
+
+
+def _can_be_planned(scenario: Scenario) -> bool:
+    """Whether arms keep clear of support and ground, and reach every start."""
+    try:
+        for object_name, case in _sets(scenario):
+            plan_trial(Scene.resolve(scenario, object_name, case))
+    except Infeasible:
+        return False
+    return True
+
+
 def _try(scenario: Scenario) -> None:
-    """Run every case with the heaviest object, and the first one with the lightest.
+    """Run the trials of :func:`_sets`.
 
     Raises:
         Infeasible: A drive is unstable, a pose cannot be reached, or a trial does not end well.
     """
     for check in failures_of(scenario):
         raise Infeasible(f"{check.name}: {check.found}")
-    by_mass = sorted(scenario.objects, key=lambda name: scenario.object(name).mass)
-    sets = [(by_mass[-1], case) for case in scenario.cases] + [(by_mass[0], next(iter(scenario.cases)))]
     with tempfile.TemporaryDirectory() as directory:
-        for object_name, case in dict.fromkeys(sets):
+        for object_name, case in _sets(scenario):
             plan = TrialSpec.of(scenario, object_name, case).plan
             key = TrialKey(object_name, case, 1.0, 0)
             verdict, _ = record_trial(plan, TrialInfo.of(plan, key, SEED, ""), Path(directory) / key.name)

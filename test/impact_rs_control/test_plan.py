@@ -12,10 +12,11 @@ import pytest
 from trials import scene_of
 
 from impact_rs_control.plan import TrialPlan, plan_trial, tick_times
-from impact_rs_sim.errors import InputError
+from impact_rs_sim.errors import Infeasible, InputError
 from impact_rs_sim.friction_compensation import TASKS, AccelerationSamples, ArmFriction, FrictionCompensation
 from impact_rs_sim.impact_map import ImpactProblem, compute_impact_map, settle
 from impact_rs_sim.physics import Physics
+from impact_rs_sim.scenario import load_scenario
 from impact_rs_sim.scene import Scene
 
 PUSH = scene_of("push", "juice", "case_1")
@@ -256,3 +257,47 @@ def test_a_rigid_pad_has_no_restitution() -> None:
 
 def test_a_pad_that_goes_on_pushing_may_be_planned_without_restitution() -> None:
     assert plan_trial(bouncing(damping=0.0)).impact is not None
+
+
+def pushed_at(height: float) -> Scene:
+    """The push with the middle of the pad, which is 100 mm high, at another height; the table's top is at 0.405 m."""
+    scenario = load_scenario("push").with_settings({"robots.arm.impact.position": [0.428, -0.061, height]})
+    return Scene.resolve(scenario, "cat_food", "case_1")
+
+
+@pytest.mark.parametrize(("height", "pad"), [(0.36, 0.095), (0.42, 0.035)])
+def test_a_pad_below_the_table_is_refused_before_anything_moves(height: float, pad: float) -> None:
+    """Named is what is deepest in it: the pad, or the flange, which is 23 mm thicker and follows the pad."""
+    with pytest.raises(Infeasible, match=r"surface is at z = 0\.405 m, .*; raise robots\.arm\.impact") as refused:
+        plan_trial(pushed_at(height))
+    words = re.search(
+        r"arm 'arm': (its pad|link 7) would be (\S+) m inside the support, .*, at (\S+) s of its reference",
+        str(refused.value),
+    )
+    assert words is not None
+    assert pad - 1e-3 < float(words[2]) < pad + 0.03
+    timing = PUSH.scenario.timing
+    assert timing.nominal_impact < float(words[3]) <= timing.duration
+
+
+def test_a_link_that_comes_into_the_table_behind_the_pad_is_refused() -> None:
+    """The flange is thicker than the pad is high, and goes where the object stood before it was pushed."""
+    with pytest.raises(Infeasible, match=r"arm 'arm': link 7 would be 0\.0\d+ m inside the support"):
+        plan_trial(pushed_at(0.452))
+
+
+def test_an_excursion_into_the_ground_is_refused() -> None:
+    changes = {"excursion.end": [0.0, 0.0, -0.5], "timing.duration": 5.0, "support.height": 0.01}
+    down = load_scenario("excite").with_settings(changes)
+    with pytest.raises(
+        Infeasible, match=r"inside the ground, whose surface is at z = 0 m, at \d\.\d+ s of its reference"
+    ):
+        plan_trial(Scene.resolve(down, "none", "fast"))
+
+
+def test_pads_that_grab_may_come_from_beside_and_below_the_table() -> None:
+    """They start 0.1 m below its top; nobody says where it ends, and at the object they are above it."""
+    scene = scene_of("grab", "cat_food", "case_2")
+    plan = plan_trial(scene)
+    lowest = min(arm.ante_position.position[0, 2] for arm in plan.arms.values())
+    assert lowest < scene.scenario.support.height - 0.05

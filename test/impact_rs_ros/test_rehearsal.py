@@ -143,6 +143,19 @@ def test_a_driver_that_the_cell_cannot_use_is_not_passed(capsys: pytest.CaptureF
     assert not FRANKA.blocking
 
 
+def test_a_rehearsal_whose_pad_would_be_in_the_table_is_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The pad, whose lower edge is 30 mm above the table, 70 mm lower."""
+    shipped = load_scenario("push_fr3")
+    position = [*shipped.robots["arm"].impact.placement.translation[:2], shipped.support.height + 0.01]
+    low = shipped.with_settings({"robots.arm.impact.position": [float(value) for value in position]})
+    path = tmp_path / "low.yaml"
+    path.write_text(low.model_dump_json())
+    assert main(["rehearse", str(path)]) == 2
+    assert "inside the support, whose surface is at z = 0.523 m" in " ".join(capsys.readouterr().err.split())
+
+
 def test_the_verdict_says_what_was_not_checked() -> None:
     unknown = "arm external force: up to 80 N, no threshold is known"
     assert Checklist("driver").verdict == "rehearsal passed"
