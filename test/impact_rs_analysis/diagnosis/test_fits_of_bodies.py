@@ -8,17 +8,23 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from impact_table_cases import arm_table, write_csv
 from joint_recordings import swinging, write_npz
 
-from impact_rs_analysis.diagnosis.candidate import Candidate
+from impact_rs_analysis.diagnosis.candidate import Candidate, linearise
 from impact_rs_analysis.diagnosis.diagnose import diagnose, effects_for
 from impact_rs_analysis.diagnosis.document import EffectDocument
-from impact_rs_analysis.diagnosis.fit import Evidence, measure_again
+from impact_rs_analysis.diagnosis.fit import Evidence, Fit, measure_again
 from impact_rs_analysis.diagnosis.search import Search
+from impact_rs_analysis.evidence.impact_tables import ImpactTableSource
+from impact_rs_analysis.evidence.map_discrepancy import NO_MAP_DISCREPANCY
 from impact_rs_analysis.evidence.recordings import RecordingSource
+from impact_rs_sim.effects.depending import Depending, Slope
 from impact_rs_sim.model import Model
 from impact_rs_sim.robot import EndEffector
 from impact_rs_sim.robot_model import RobotModel
+from impact_rs_sim.scenario import load_scenario
+from impact_rs_trials.recordings.impact_table import read_impact_table
 from impact_rs_trials.recordings.mapping import Mapping, MountedEndEffector, load_mapping
 from impact_rs_trials.recordings.recording import read_recordings
 
@@ -132,3 +138,30 @@ def test_a_payload_that_predicts_as_well_as_another_density_of_the_last_link_is_
     (rival,) = search.rivals(measure_again(links))
     assert (rival.name, rival.tied) == (PAYLOAD, True)
     assert rival.fit.estimate[0] == pytest.approx(HAND[0], abs=0.03)
+
+
+def test_a_fit_does_not_step_to_an_object_whose_mass_is_negative_under_some_circumstances(tmp_path: Path) -> None:
+    """Mass along a covariate: a slope within its range leads below zero at the ends; no row then has a solution."""
+    header, rows = arm_table({"object_mass": [1.1]}, 2)
+    table = read_impact_table(
+        write_csv(tmp_path / "a.csv", [*header, "fill"], [[*row, float(n)] for n, row in enumerate(rows)]),
+        load_scenario("push"),
+        covariates=["fill"],
+    )
+    nominal = Model(name="nominal")
+    source = ImpactTableSource(table, nominal, discrepancy=NO_MAP_DISCREPANCY)
+    values = np.arange(float(len(rows)))
+    mass = Depending(source.known_effects["object_mass"], "fill", Slope(float(values.mean()), float(values.std())))
+    knowing = source.knowing([mass])
+    assert knowing.predict([(0, ((mass.name, (1.1, -0.9)),))], "test") == [None]
+    candidate = Candidate.of((mass,), knowing)
+    assert candidate.has_bodies(np.array([1.1, 0.1])) and not candidate.has_bodies(np.array([1.1, -0.9]))
+    clusters, numbers = knowing.clusters, range(len(knowing.clusters))
+    seen = linearise(candidate, clusters, numbers, knowing)
+    assert seen is not None
+    wild = [
+        replace(item, residuals=item.residuals - 30.0 * jacobian[:, 1])
+        for item, jacobian in zip(clusters, seen.jacobians, strict=True)
+    ]
+    fitted = Fit.of(seen, Evidence(knowing, tuple(numbers), tuple(wild)))
+    assert candidate.has_bodies(fitted.estimate) and fitted.at_bound.any()
