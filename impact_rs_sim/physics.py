@@ -377,8 +377,8 @@ class Physics:
         object_loads: What else acts on the object, and between it and the support.
         circumstances: Under which it was measured, numbers and names of levels by covariate; an effect may depend on
             them (:mod:`impact_rs_sim.effects.depending`).
-        spin_axes: Rotation vector from A to the axes in which angular velocities of a body were measured at a single
-            impact, ``(3,)`` [rad].
+        angular_velocity_axes: Rotation vector from A to the axes in which angular velocities of a body were measured at
+            a single impact, ``(3,)`` [rad].
     """
 
     arms: dict[str, ArmPhysics]
@@ -396,7 +396,7 @@ class Physics:
     contact_laws: tuple[ContactLaw, ...] = ()
     object_loads: tuple[ObjectLoad, ...] = ()
     circumstances: Mapping[str, float | str] = field(default_factory=dict)
-    spin_axes: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    angular_velocity_axes: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
     @staticmethod
     def nominal(scenario: Scenario, object_name: str) -> Physics:

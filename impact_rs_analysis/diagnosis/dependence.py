@@ -35,7 +35,7 @@ from impact_rs_analysis.diagnosis.thresholds import LEAST_NUMBERS, LEAST_ROWS_OF
 from impact_rs_analysis.diagnosis.verdicts import Findings, change_interval
 from impact_rs_analysis.evidence.source import MOST_AS_NAMES, Covariate, Source
 from impact_rs_sim.effects import Effect
-from impact_rs_sim.effects.depending import Curve, Depending, Levels, Slope, Terms, level_name
+from impact_rs_sim.effects.depending import Depending, Knots, Levels, Slope, Terms, level_name
 from impact_rs_sim.robot import Array
 
 CURVES = (3, 5, 8)  # knots of a curve along a number; held-out prediction chooses, fewer where it is equal
@@ -135,13 +135,13 @@ def _terms(covariate: Covariate, folds: Sequence[Fold]) -> tuple[Terms, ...]:
     return tuple(found)
 
 
-def _curve(numbers: Array, count: int) -> Curve:
+def _curve(numbers: Array, count: int) -> Knots:
     """A curve whose knots have about as many rows each, ``numbers`` being those of all rows."""
     knots = np.quantile(numbers, np.linspace(0.0, 1.0, count), method="nearest")
-    return Curve(tuple(np.unique(knots).tolist()))
+    return Knots(tuple(np.unique(knots).tolist()))
 
 
-def _determined(curve: Curve, beside: Sequence[Array]) -> bool:
+def _determined(curve: Knots, beside: Sequence[Array]) -> bool:
     """Whether every knot has rows nearest to it beside every fold, and a line is not all that the knots allow."""
     knots = np.array(curve.knots)
     nearest = [np.argmin(np.abs(rows[:, None] - knots), axis=1) for rows in beside]

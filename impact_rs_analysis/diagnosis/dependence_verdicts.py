@@ -28,7 +28,7 @@ from impact_rs_analysis.diagnosis.fit import Fit
 from impact_rs_analysis.diagnosis.thresholds import GOES_WITH, SIGNIFICANT
 from impact_rs_analysis.diagnosis.verdicts import clip_p, residual_size
 from impact_rs_analysis.evidence.source import Covariate, Source
-from impact_rs_sim.effects.depending import Curve, Depending, Levels, Slope, Terms
+from impact_rs_sim.effects.depending import Depending, Knots, Levels, Slope, Terms
 from impact_rs_sim.robot import Array
 
 
@@ -59,7 +59,7 @@ def _ways(terms: Sequence[Terms]) -> tuple[str, ...]:
     """Ways in which parameters may depend on a covariate, in words."""
     found = ["a value for each level"] if any(isinstance(one, Levels) for one in terms) else []
     found += ["a straight line"] if any(isinstance(one, Slope) for one in terms) else []
-    knots = [str(len(one.knots)) for one in terms if isinstance(one, Curve)]
+    knots = [str(len(one.knots)) for one in terms if isinstance(one, Knots)]
     return (*found, f"curves of {', '.join(knots)} values") if knots else tuple(found)
 
 
@@ -138,7 +138,7 @@ def _accepted(found: Dependences, pair: Depending) -> DependenceDocument:
         p_value=clip_p(found.choice.p_values[pair.name]),
         rivals=rivals,
         levels=estimates if isinstance(pair.terms, Levels) else {},
-        curve=estimates if isinstance(pair.terms, Curve) else {},
+        curve=estimates if isinstance(pair.terms, Knots) else {},
         at_mean=estimates[pair.terms.labels[0]] if isinstance(pair.terms, Slope) else {},
         per_unit=per_unit,
         chosen_in_folds=sum(bool(ways_of(pair, found.tried) & set(names)) for names in found.folds),

@@ -24,6 +24,7 @@ from impact_rs_sim.effects.formula import (
     AXES,
     COEFFICIENTS,
     PLACES,
+    Coefficient,
     Formula,
     FormulaEffect,
     FormulaParameter,
@@ -113,12 +114,11 @@ class Place(Schema):
     """What a law acts on."""
 
     formula: str = Field(description="key of a formula effect")
-    each: Literal["joint", "pair", "opposed", "axis", "vector", "once", "restitution", "tangential_restitution",
-                  "friction"] = Field(
+    each: Literal["joint", "pair", "opposed", "axis", "vector", "once"] | Coefficient = Field(
         "once",
         description="what there is one law of; pair: two joints in a row with the same torque, opposed: the second one "
-        "has its reaction; restitution, tangential_restitution, friction: this coefficient of a single impact",
-    )  # fmt: skip
+        "has its reaction; a coefficient of formulas: that of a contact of a single impact",
+    )
     unit: str = Field(description="unit of the force or torque")
     noticeable: float = Field(gt=0.0, description="amplitude at which it matters, in the unit")
     words: str = Field(description="what it is, in a sentence")

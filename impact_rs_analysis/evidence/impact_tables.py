@@ -1021,7 +1021,7 @@ def _what_the_map_knows(physics: Physics) -> bytes:
     """All numbers that the solution of an impact map depends on, besides its state."""
     body = physics.object
     contact = (physics.support_friction, physics.pad_friction, restitution_of(physics), physics.rolling_arm)
-    parts = [np.array(contact), np.array(physics.spin_axes), body.com_offset]
+    parts = [np.array(contact), np.array(physics.angular_velocity_axes), body.com_offset]
     if physics.arms:
         parts += [np.array([body.mass]), body.inertia]
     else:

@@ -91,7 +91,7 @@ class Slope:
 
 
 @dataclass(frozen=True)
-class Curve:
+class Knots:
     """A covariate that is a number, along which parameters follow a curve: linear between knots, constant beyond them.
 
     Attributes:
@@ -120,7 +120,7 @@ class Curve:
         return np.array([np.interp(float(value), self.knots, hat) for hat in np.eye(len(self.knots))])
 
 
-Terms = Levels | Slope | Curve
+Terms = Levels | Slope | Knots
 """How parameters depend on a covariate."""
 
 

@@ -54,7 +54,7 @@ import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Self
+from typing import Literal, Self, get_args
 
 import numpy as np
 from pydantic import Field, model_validator
@@ -113,7 +113,10 @@ OF_OBJECT = frozenset(
     name for name in SYMBOLS if name in ("t", "normal_force", "since_contact") or name.startswith(("object", "support"))
 )
 SLOW = 2e-3  # m/s; sliding below it is opposed by less than the formula says, so that rest is a state
-COEFFICIENTS = ("restitution", "tangential_restitution", "friction")
+Coefficient = Literal["restitution", "tangential_restitution", "friction"]
+"""Coefficients of a contact point of a single impact, to which formulas add."""
+
+COEFFICIENTS = get_args(Coefficient)
 CONTACT_SYMBOLS = ("v", "slip")
 JOINT = re.compile(r"joint([1-9][0-9]{0,2})")
 JOINT_SYMBOL = re.compile(r"\b(q|dq|tau)([1-9][0-9]{0,2})\b")

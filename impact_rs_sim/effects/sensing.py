@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Effects of sensors: clocks, ``recorded(t) = torque(t - delay)``, and axes, ``measured = R(spin_axes) omega``."""
+"""Effects of sensors: clocks, ``recorded(t) = torque(t - delay)``, and axes, ``measured = R omega``."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ def _torque_delay(arm: ArmPhysics, values: Values) -> ArmPhysics:
 
 
 def _spin_axes(physics: Physics, values: Values) -> Physics:
-    x, y, z = (before + number(values, axis) for before, axis in zip(physics.spin_axes, AXES, strict=True))
-    return replace(physics, spin_axes=(x, y, z))
+    x, y, z = (before + number(values, axis) for before, axis in zip(physics.angular_velocity_axes, AXES, strict=True))
+    return replace(physics, angular_velocity_axes=(x, y, z))
 
 
 TORQUE_DELAY = ArmEffect(

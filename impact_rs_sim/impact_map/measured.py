@@ -187,7 +187,7 @@ class MeasuredImpacts:
         Returns:
             u^+, ``(N, nv)`` [rad/s, m/s], nan where no answer obeys the laws; and what the compiled map returns.
         """
-        if any(any(one.spin_axes) for one in physics):
+        if any(any(one.angular_velocity_axes) for one in physics):
             return self._solve_turned(physics)
         contact = self.contacts(physics)
         arms = []
@@ -232,12 +232,12 @@ class MeasuredImpacts:
 
     def _solve_turned(self, physics: Sequence[Physics]) -> tuple[Array, Compiled]:
         """As :meth:`solve`, of angular velocities that were measured in other axes, into which u^+ is turned."""
-        axes = np.array([pin.exp3(np.array(one.spin_axes)) for one in physics])  # measured = axes @ omega
+        axes = np.array([pin.exp3(np.array(one.angular_velocity_axes)) for one in physics])  # measured = axes @ omega
         impacts = []
         for impact, own in zip(self._impacts, axes, strict=True):
             twist = np.concatenate((impact.object.twist[:3], own.T @ impact.object.twist[3:]))
             impacts.append(replace(impact, object=replace(impact.object, twist=twist)))
-        distinct = {id(one): replace(one, spin_axes=(0.0, 0.0, 0.0)) for one in physics}
+        distinct = {id(one): replace(one, angular_velocity_axes=(0.0, 0.0, 0.0)) for one in physics}
         straight = [distinct[id(one)] for one in physics]
         turned = MeasuredImpacts(impacts, straight)
         turned._near = self._near
