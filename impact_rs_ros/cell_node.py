@@ -1,9 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """A real robot in the plant's place: ros2_control on one side, controller, recorder and experiment on the other.
 
-From when a robot is armed until the node ends, its arms are led by the controller, in a trial, or braked and held. With
-the parameter ``watchdog`` its torques go to the watchdog node, which alone sends them to the robot.
-``docs/real_robot.md`` has the safety argument.
+From when a robot is armed until the node ends, its arms are led by the controller, in a trial, or braked and held.
+
+With the parameter ``watchdog`` its torques go to the watchdog node, which alone sends them to the robot. Where none has
+come out of it for ``PASSING``, because it has died, the cell sends them itself and brakes; it tells the watchdog, which
+then sends nothing any more. ``docs/real_robot.md`` has the safety argument.
 """
 
 from __future__ import annotations
@@ -18,16 +20,25 @@ from std_msgs.msg import Bool, Float64MultiArray
 from impact_rs_control.plan import TrialPlan
 from impact_rs_ros.arming import Arming, ArmingLimits
 from impact_rs_ros.cell_trial import CellTrial, TrialLimits
-from impact_rs_ros.effort_arms import BRAKING, EffortArms, arms_of, commands_topic, rest_until, watched_topic
+from impact_rs_ros.effort_arms import (
+    BRAKING,
+    EffortArms,
+    arms_of,
+    commands_topic,
+    rest_until,
+    torques_of,
+    watched_topic,
+)
+from impact_rs_ros.exchange import Inbox
 from impact_rs_ros.motion_capture import COORDINATES, MOCAP, TrackerPoses
 from impact_rs_ros.names import on_network, resolved
 from impact_rs_ros.presence import UNKNOWN
 from impact_rs_ros.process import run
-from impact_rs_ros.qos import COMMAND, LATCHED
+from impact_rs_ros.qos import COMMAND, LATCHED, WATCH
 from impact_rs_ros.robot_clock import RobotClock
 from impact_rs_ros.robot_states import STATES
 from impact_rs_ros.trial_node import MATCHING, SLICE, LeadingNode
-from impact_rs_ros.watchdog_node import BRAKING_TOPIC, WatchdogNode
+from impact_rs_ros.watchdog_node import BRAKING_TOPIC, TORQUES, WatchdogNode
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.robot import Array
 from impact_rs_trials.bags import topics
@@ -35,6 +46,8 @@ from impact_rs_trials.bags.streams import Stream, StreamMaker
 from impact_rs_trials.bags.trial_info import TrialInfo
 
 LISTENING = 1.0  # s, until the effort controllers, and the names of those who can send torques, must have been found
+PASSING = 0.1  # s of the robot's time without a torque that the watchdog passed on; twice its command_timeout
+ECHOES = 0.005  # s, between two looks at what it passed on
 SURVEY = 0.1  # s, between two looks at who else publishes what only this cell or one robot may publish
 
 
@@ -49,6 +62,11 @@ class CellNode(LeadingNode[CellTrial]):
         self._topics: dict[str, str] = {}  # where the torques of an arm go: to the watchdog, or to the robot
         self._publishers: dict[str, Publisher] = {}  # of torques, by topic
         self._clock = RobotClock(self.node)
+        self._echo = Inbox(self.node, "echo", WATCH, raw=True)  # what the watchdog passes on
+        self._passed: dict[str, Array] = {}  # the last torque that it passed on, by arm
+        self._waiting: float | None = None  # since when the cell sends torques that do not come out [s]
+        self._echoed = 0.0  # when the echo was looked at [s]
+        self._past = False  # the watchdog has died, and the cell sends torques past it
         self._held: EffortArms | None = None  # the arms that were sent something, which are held unless they are led
         self._robots = 1  # publishers of joint states when the trial was armed
         self._surveyed = 0.0
@@ -70,8 +88,11 @@ class CellNode(LeadingNode[CellTrial]):
         super().connect(arms)
         topic_of = watched_topic if self.parameter("watchdog") else commands_topic
         self._topics = {arm: topic_of(arm) for arm in arms}
-        wanted = set(self._topics.values())
-        for topic in set(self._publishers) - wanted:  # one publisher to the robot: another one is a stranger
+        watched = {commands_topic(arm): TORQUES for arm in arms if self.parameter("watchdog")}
+        if set(self._echo.publishers()) != set(watched):
+            self._echo.connect(watched)
+        wanted = set(self._topics.values()) | set(watched)
+        for topic in set(self._publishers) - wanted:
             self.node.destroy_publisher(self._publishers.pop(topic))
         for topic in wanted - set(self._publishers):
             self._publishers[topic] = self.node.create_publisher(Float64MultiArray, on_network(topic), COMMAND)
@@ -90,6 +111,8 @@ class CellNode(LeadingNode[CellTrial]):
 
     def work(self, trial: CellTrial, until: float) -> None:
         now = time.monotonic()
+        if self._past and trial.begun and not trial.over:
+            trial.stop(f"the watchdog passed no torques on for {PASSING:g} s: is it alive?")
         if trial.begun and not trial.over and now - self._surveyed > SURVEY:
             self._surveyed = now
             if complaint := self._strangers():
@@ -115,7 +138,7 @@ class CellNode(LeadingNode[CellTrial]):
         found = arming.look()
         self._await_listeners()
         self._held = arms
-        self.log.info(f"armed: {found}{arming.hold()}")
+        self.log.info(f"armed: {found}{self._hold(arming)}")
         limits = TrialLimits(
             state_timeout=self.parameter("state_timeout"),
             answer_timeout=self.parameter("answer_timeout"),
@@ -124,8 +147,27 @@ class CellNode(LeadingNode[CellTrial]):
         )
         return CellTrial(plan, arms, limits, mocap, self.inbox, self.outbox)
 
+    def _hold(self, arming: Arming) -> str:
+        """Hold the arms for a moment, through the watchdog where there is one; what was found.
+
+        Raises:
+            InputError: They do not stay, or the watchdog passes nothing on.
+        """
+        past, self._past = self._past, False  # a watchdog that was started again may have arms that rest
+        self._echo.clear()
+        self._passed, self._waiting = {}, None
+        try:
+            found = arming.hold()
+            if self.parameter("watchdog") and (self._past or len(self._passed) < len(self.arms)):
+                raise InputError("not armed: the watchdog passes no torques on: does it hear the robot's states?")
+        except InputError:
+            self._past = self._past or past
+            raise
+        return found
+
     def close(self) -> None:
         self.brake()
+        self._echo.close()
         self._clock.close()
         super().close()
 
@@ -146,7 +188,32 @@ class CellNode(LeadingNode[CellTrial]):
         self._watchdog_brakes = message.data
 
     def _send(self, arm: str, torque: Array) -> None:
-        self._publishers[self._topics[arm]].publish(Float64MultiArray(data=array("d", torque.tobytes())))
+        message, direct = Float64MultiArray(data=array("d", torque.tobytes())), commands_topic(arm)
+        if self._past:
+            self._publishers[direct].publish(message)
+            self._publishers[self._topics[arm]].publish(Float64MultiArray())  # tells a watchdog that comes back
+            return
+        self._publishers[self._topics[arm]].publish(message)
+        if self._topics[arm] != direct:
+            self._listen(self._clock.steady())
+
+    def _listen(self, now: float) -> None:
+        """Hear what the watchdog passes on; where it has passed nothing on for long, go past it."""
+        if 0.0 <= now - self._echoed < ECHOES:
+            return
+        stalled, self._echoed = now - self._echoed > PASSING / 2.0, now
+        self._echo.gather()
+        arm_of = {commands_topic(arm): arm for arm in self.arms}
+        came = {arm_of[topic]: torque for topic, data in self._echo.take() if (torque := torques_of(data)) is not None}
+        self._passed |= came
+        if came or stalled or self._waiting is None:  # what this process did not send cannot be passed on
+            self._waiting = now
+        if now - self._waiting <= PASSING or self._held is None or len(self._passed) < len(self.arms):
+            return
+        self._past = True
+        self.log.error(f"the watchdog passed no torques on for {PASSING:g} s: braking without it")
+        for arm, torque in self._passed.items():
+            self._held.continue_from(arm, torque)
 
     def _leave(self) -> str:
         """Leave the trial with arms that rest: while the next one is loaded, the robot keeps its last torque."""
@@ -158,10 +225,15 @@ class CellNode(LeadingNode[CellTrial]):
         """Who publishes what they should not, by name; empty: no one."""
         own = self.node.get_name(), self.node.get_namespace()
         watchdog = WatchdogNode.kind, own[1]
-        for topic, allowed in self._torque_ways().items():
+        robots = {resolved(self.node, commands_topic(arm)) for arm in self.arms}
+        for topic in self._torque_ways():
             found = [(info.node_name, info.node_namespace) for info in self.node.get_publishers_info_by_topic(topic)]
-            if (only := own if allowed else watchdog) in found:
-                found.remove(only)
+            allowed = [own]
+            if self.parameter("watchdog") and topic in robots:
+                allowed.append(watchdog)
+            for node in allowed:
+                if node in found:
+                    found.remove(node)
             if found:
                 names = ", ".join(f"{namespace.rstrip('/')}/{name}" for name, namespace in found)
                 remedy = "stop it (one that was killed is forgotten after 20 s)"
@@ -174,15 +246,14 @@ class CellNode(LeadingNode[CellTrial]):
             )
         if self.parameter("watchdog") and not self.node.count_publishers(resolved(self.node, BRAKING_TOPIC)):
             return "there is no watchdog, and the parameter watchdog asks for one: ros2 run impact_rs watchdog"
-        robots = self.node.count_publishers(resolved(self.node, STATES))
-        if robots > max(1, self._robots):
-            return f"{robots} publishers on {resolved(self.node, STATES)}, {self._robots} when the trial was armed"
+        sources = self.node.count_publishers(resolved(self.node, STATES))
+        if sources > max(1, self._robots):
+            return f"{sources} publishers on {resolved(self.node, STATES)}, {self._robots} when the trial was armed"
         return ""
 
-    def _torque_ways(self) -> dict[str, bool]:
-        """Full names of all topics that carry torques to the robot, and whether this cell publishes them itself."""
-        ways = [name for arm in self.arms for name in {self._topics[arm], commands_topic(arm)}]
-        return {resolved(self.node, name): name in self._publishers for name in ways}
+    def _torque_ways(self) -> list[str]:
+        """Full names of all topics that carry torques to the robot."""
+        return [resolved(self.node, topic) for topic in self._publishers]
 
     def _await_names(self) -> None:
         """Wait for the names of those who can send torques: one without a name is a stranger, a watchdog is none."""
@@ -201,8 +272,8 @@ class CellNode(LeadingNode[CellTrial]):
         for arm in self.arms:
             for topic in {self._topics[arm]: None, commands_topic(arm): None}:
                 name = resolved(self.node, topic)
-                own = self._publishers.get(topic)
-                while not (self.node.count_subscribers(name) if own is None else own.get_subscription_count()):
+                echo = topic != self._topics[arm]  # the cell itself listens, to what the watchdog passes on
+                while self._publishers[topic].get_subscription_count() <= echo:
                     if time.monotonic() > until:
                         remedy = "is the effort controller active, is the topic remapped?"
                         if topic != commands_topic(arm):

@@ -12,6 +12,8 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
+from rclpy.serialization import deserialize_message
+from std_msgs.msg import Float64MultiArray
 
 from impact_rs_control.arm_limits import rate_limited
 from impact_rs_control.fallback import FRESH, holding_torque
@@ -90,6 +92,11 @@ class EffortArms:
         self._limited(arm, wanted)
         return True
 
+    def continue_from(self, arm: str, sent: Array) -> None:
+        """Another process sent the robot this torque last, ``(n,)`` [N m]: the next one changes it within the rate."""
+        if sent.shape == (self.states.models[arm].joint_count,) and np.isfinite(sent).all():
+            self._sent[arm] = self.states.clock.steady(), sent
+
     def rest(self) -> None:
         """Brake and hold on a fresh state, once a state; without one carry the arms' weight and no more.
 
@@ -136,6 +143,14 @@ class EffortArms:
         """Gravity torque at the last state, ``(n,)`` [N m]."""
         assert self.states.latest is not None
         return self.states.models[arm].gravity_torque(self.states.latest.arms[arm].position)
+
+
+def torques_of(data: bytes) -> Array | None:
+    """Numbers of a serialized ``std_msgs/Float64MultiArray``; None where the bytes are not one."""
+    try:
+        return np.array(deserialize_message(data, Float64MultiArray).data)
+    except Exception:  # the middleware raises whatever it likes
+        return None
 
 
 def arms_of(

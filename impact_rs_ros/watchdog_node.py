@@ -18,11 +18,19 @@ from array import array
 
 import numpy as np
 from rclpy.publisher import Publisher
-from rclpy.serialization import deserialize_message
 from std_msgs.msg import Bool, Float64MultiArray
 from std_srvs.srv import Trigger
 
-from impact_rs_ros.effort_arms import BRAKING, REST, EffortArms, arms_of, commands_topic, rest_until, watched_topic
+from impact_rs_ros.effort_arms import (
+    BRAKING,
+    REST,
+    EffortArms,
+    arms_of,
+    commands_topic,
+    rest_until,
+    torques_of,
+    watched_topic,
+)
 from impact_rs_ros.exchange import Inbox
 from impact_rs_ros.names import on_network
 from impact_rs_ros.process import NodeProgram, run
@@ -36,6 +44,7 @@ from impact_rs_trials.spec import TrialSpec
 BRAKING_TOPIC = "/watchdog/braking"
 TORQUES = "std_msgs/msg/Float64MultiArray"
 SLICE = 0.02  # s, between two looks at services
+STALLED = 0.01  # s between two looks at the inbox; after that everything that has come is heard before anything is sent
 
 
 class Watchdog:
@@ -47,22 +56,30 @@ class Watchdog:
 
     Attributes:
         braking: Whether they were taken over.
+        deposed: Whether the cell, which saw no torque passed on, sends them to the robot itself.
     """
 
     def __init__(self, arms: EffortArms, timeout: float) -> None:
         self.arms = arms
         self.braking = False
+        self.deposed = False
         self._timeout = timeout
         self._heard: dict[str, float] = {}  # when the last command came [s], by arm
 
     def heard(self, arm: str, data: bytes, now: float) -> None:
-        """A command of the cell came; it goes to the robot, unless the arms were taken over or it cannot be read."""
-        if not self.braking and self.arms.pass_on(arm, _torques(data)):
+        """A command of the cell came; it goes to the robot, unless the arms were taken over or it cannot be read.
+
+        One without torques says that the cell sends them itself: who had passed torques on sends nothing any more.
+        """
+        torque = torques_of(data)
+        if torque is not None and not torque.size:
+            self.deposed, self.braking = self.deposed or self.commanded, False
+        elif torque is not None and not self.braking and not self.deposed and self.arms.pass_on(arm, torque):
             self._heard[arm] = now
 
     def silent(self, now: float) -> bool:
         """Whether an arm moves that no command has come for."""
-        if self.braking or not self._heard or self.arms.states.latest is None:
+        if self.braking or self.deposed or not self._heard or self.arms.states.latest is None:
             return False
         speed = max(float(np.abs(arm.velocity).max()) for arm in self.arms.states.latest.arms.values())
         return now - min(self._heard.values()) > self._timeout and speed > REST
@@ -75,21 +92,13 @@ class Watchdog:
 
     @property
     def commanded(self) -> bool:
-        """Whether the robot was sent anything since the last reset."""
-        return self.braking or bool(self._heard)
+        """Whether the robot was sent anything since the last reset, and by no one else after it."""
+        return self.braking or (bool(self._heard) and not self.deposed)
 
     def reset(self) -> None:
         """Pass torques on again, and watch from the next one on."""
         self.braking = False
         self._heard.clear()
-
-
-def _torques(data: bytes) -> Array:
-    """Numbers of a serialized ``std_msgs/Float64MultiArray``; none where the bytes are not one."""
-    try:
-        return np.array(deserialize_message(data, Float64MultiArray).data)
-    except Exception:  # the middleware raises whatever it likes
-        return np.empty(0)
 
 
 class WatchdogNode(NodeProgram):
@@ -106,6 +115,7 @@ class WatchdogNode(NodeProgram):
         self._braking = self.node.create_publisher(Bool, on_network(BRAKING_TOPIC), LATCHED)
         self._arm_of: dict[str, str] = {}
         self._watchdog: Watchdog | None = None
+        self._looked = 0.0  # when [s]
 
     def connect(self, arms: list[str]) -> None:
         self._arm_of = {watched_topic(arm): arm for arm in arms}
@@ -133,7 +143,10 @@ class WatchdogNode(NodeProgram):
     def _look(self) -> None:
         """Pass on what has come, judge the silence up to now, and brake if it is due."""
         assert self._watchdog is not None
-        watchdog = self._watchdog
+        watchdog, now = self._watchdog, time.monotonic()
+        if now - self._looked > STALLED:
+            self._inbox.gather()
+        self._looked = now
         self._take()
         if watchdog.silent(self._clock.steady()):
             self._inbox.gather()  # commands that waited while this process did not run are no silence of the cell
@@ -159,6 +172,8 @@ class WatchdogNode(NodeProgram):
             self._watchdog.arms.states.read(data)
 
     def status(self) -> tuple[str, dict[str, object]]:
+        if self._watchdog is not None and self._watchdog.deposed:
+            return "passed over: the cell saw no torque passed on; start this node again", {"braking": False}
         if self._watchdog is None or not self._watchdog.braking:
             return "ok", {"braking": False}
         return "braking: the cell sent no torques while the arm moved; call ~/reset", {"braking": True}

@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 import rclpy
 from processes import PATIENCE, until
-from robot_bench import PUSH
+from rclpy.serialization import serialize_message
+from robot_bench import PUSH, WEIGHT, Robot
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Bool, Float64MultiArray
 
@@ -87,7 +88,8 @@ def test_leaving_a_trial_and_closing_the_node_go_on_until_the_arms_rest(
     closed: list[str] = []
     cell._held = Arms(5)  # type: ignore[assignment]
     monkeypatch.setattr(cell_node.LeadingNode, "close", lambda self: closed.append("node"))
-    monkeypatch.setattr(cell._clock, "close", lambda: None)
+    for own in (cell._clock, cell._echo):
+        monkeypatch.setattr(own, "close", lambda: None)
     cell.close()
     assert cell._held.looks == 0 and closed == ["node"]  # type: ignore[attr-defined]
     cell._held = None
@@ -149,10 +151,11 @@ def watchdog(cell: CellNode) -> Iterator[rclpy.node.Node]:
 def test_with_a_watchdog_it_alone_sends_the_robot_torques_and_the_cell_sends_them_to_it(
     watched: CellNode, watchdog: rclpy.node.Node
 ) -> None:
-    assert eventually(watched, lambda: watched.node.count_publishers(COMMANDS) == 1)  # the watchdog's
+    assert eventually(watched, lambda: watched.node.count_publishers(COMMANDS) == 2)  # the cell's own is for its death
     assert watched.node.count_publishers(WATCHED) == 1
     assert eventually(watched, lambda: watched._strangers() == "")
     came: list[list[float]] = []
+    watchdog.create_subscription(Float64MultiArray, COMMANDS, lambda message: pytest.fail("past the watchdog"), 10)
     watchdog.create_subscription(Float64MultiArray, WATCHED, lambda message: came.append(list(message.data)), 10)
 
     def send() -> bool:
@@ -177,6 +180,47 @@ def test_a_watchdog_that_the_torques_do_not_go_through_is_a_stranger(cell: CellN
         f"/watchdog can send torques on {COMMANDS} as well: set the parameter watchdog, so that torques go through it, "
         "or stop it"
     )
+
+
+def test_a_watchdog_that_passes_no_torques_on_is_passed_over_and_told(
+    watched: CellNode, watchdog: rclpy.node.Node, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The robot has the last torque that came out; the cell goes on from it. A pause of its own is no silence."""
+    with monkeypatch.context() as patched:
+        robot = Robot()
+        robot.state()
+        robot.arms._send = watched._send
+        for name, value in (("_held", robot.arms), ("_clock", robot.clock), ("_past", False), ("_waiting", None)):
+            patched.setattr(watched, name, value)
+        patched.setattr(watched, "_passed", {})
+        patched.setattr(watched, "_echoed", 0.0)
+        echoes: list[tuple[str, bytes]] = []
+        patched.setattr(
+            watched, "_echo", SimpleNamespace(gather=lambda: None, take=lambda: [echoes.pop() for _ in echoes[:1]])
+        )
+        sent: dict[str, list[list[float]]] = {COMMANDS: [], WATCHED: []}
+        for topic, own in sent.items():
+            publish = SimpleNamespace(publish=lambda message, own=own: own.append(list(message.data)))
+            patched.setitem(watched._publishers, topic, publish)
+
+        def send(ticks: int, passed: float | None) -> None:
+            for _ in range(ticks):
+                robot.state()
+                if passed is not None:
+                    echoes[:] = [(COMMANDS, serialize_message(Float64MultiArray(data=[passed] * 7)))]
+                robot.arms.command("arm", WEIGHT + 5.0)
+
+        send(20, passed=5.0)
+        robot.clock.time += 1.0  # the whole machine stood still
+        send(90, passed=None)
+        assert not sent[COMMANDS] and sent[WATCHED][-1] == pytest.approx([5.0] * 7)
+        send(20, passed=None)
+        assert watched._past
+        np.testing.assert_allclose(sent[COMMANDS][0], 5.0, atol=1e-9)
+        assert sent[WATCHED][-1] == []
+        trial = Trial()
+        watched.work(trial, 0.0)  # type: ignore[arg-type]
+        assert trial.failure == "the watchdog passed no torques on for 0.1 s: is it alive?"
 
 
 def test_without_a_watchdog_that_listens_nothing_is_armed(

@@ -171,6 +171,23 @@ def test_of_two_arms_the_one_whose_commands_stop_counts() -> None:
     assert sent == {arms[0]: tick + 1, arms[1]: 20}
 
 
+def test_a_watchdog_that_was_passed_over_sends_nothing_any_more() -> None:
+    """It comes back after a stall, in which the cell has taken the robot: a command without torques says so."""
+    fresh = Bench()
+    fresh.watchdog.heard("arm", command(np.empty(0)), fresh.robot.clock())
+    assert not fresh.watchdog.deposed  # one that was started since
+    for last in (np.full(7, 5.0), None):  # before it brakes, and while it does
+        bench = Bench()
+        for _ in range(20 if last is not None else 100):
+            bench.period(np.full(7, 5.0) if bench.count < 20 else None)
+        sent = len(bench.robot.sent)
+        bench.watchdog.heard("arm", command(np.empty(0)), bench.robot.clock())
+        for _ in range(100):
+            assert not bench.period(last)
+        assert bench.watchdog.deposed and not bench.watchdog.braking and not bench.watchdog.commanded
+        assert len(bench.robot.sent) == sent
+
+
 class Gathered(Wires):
     """An inbox in which some of what has come waits until all of it is gathered."""
 
@@ -188,6 +205,7 @@ class Offline(WatchdogNode):
     def __init__(self) -> None:
         self.bench, self.wires = Bench(), Gathered()
         self.said: list[bool] = []
+        self._looked = 0.0
         self._clock, self._inbox, self._watchdog = self.bench.robot.clock, self.wires, self.bench.watchdog  # type: ignore[assignment]
         self._arm_of = {watched_topic("arm"): "arm"}
         self._braking = SimpleNamespace(publish=lambda message: self.said.append(message.data))  # type: ignore[assignment]

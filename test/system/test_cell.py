@@ -29,11 +29,12 @@ from impact_rs_trials.bags.reader import TrialBag
 
 ROBOT = Path(__file__).resolve().parents[1] / "shared" / "effort_robot.py"
 TRIAL = ["push", "cat_food", "case_2"]
-SLOW = (  # refusals on a busy machine; the last one until a new watchdog is heard
+SLOW = (  # refusals on a busy machine; the last two until a new watchdog is heard, and a killed one forgotten
     "is the robot running?",
     " states in 3 s",
     "a state every ",
     "not armed: the watchdog brakes",
+    "one that was killed is forgotten",
 )
 READY = 60.0  # s, until such a robot is armed; never reached on a machine that works
 SCALES = (0.8, 1.0, 1.2)  # of the predicted velocity; the zero crossing of the net feedback needs three
@@ -267,13 +268,13 @@ def test_a_robot_with_nonsense_or_no_states_ends_the_trial(cell: Cell) -> None:
 
 
 @contextmanager
-def watchdog(cell: Cell) -> Iterator[None]:
+def watchdog(cell: Cell) -> Iterator[Running]:
     """A watchdog of the robot, ready."""
     values = ["-p", "joints:=fr3_joint{number}", "-p", "use_sim_time:=true", "-p", "state_timeout:=5.0"]
     command = [sys.executable, "-m", "impact_rs_ros.watchdog_node", "--ros-args", *values]
     with running(command, cell.environment) as node:
         node.line("ready: serves")
-        yield
+        yield node
 
 
 @pytest.mark.parametrize(("after", "stall"), [(100, 30), (290, 100), (450, 500)])
@@ -289,16 +290,31 @@ def test_a_cell_that_stalls_in_a_trial_and_comes_back_makes_one_stream_with_its_
         result = cell.run()
         begun, merged = robot.line("stalled at"), robot.line("merged: at most")
     if braked := stall > 50:  # command_timeout; the limits of this cell are patient, and a busy machine adds to 30 ms
-        assert result.outcome == "ABORTED"
-        assert "the watchdog brakes the arms" in result.message
-    assert float(begun.split()[2]) > 0.1  # rad/s
+        assert result.outcome == "ABORTED", result.message
+    assert float(begun.split()[2]) > 0.1, result.message  # rad/s
     largest, late, speed = (float(merged.split()[index]) for index in (3, 6, 10))
     assert 0.0 < largest <= 1000.0 * 0.001 + 1e-6, result.message  # torque_rate_limit by the period
     assert late > 100
     assert speed < 0.02 or not braked  # rad/s
 
 
-# Last: the cell does not survive it.
+# The last two: the cell has no watchdog then, and does not survive it.
+def test_after_a_watchdog_is_killed_in_a_trial_the_cell_brakes_the_arm_itself(cell: Cell) -> None:
+    """Whoever is left of the two brakes the arm: its effort controller keeps the last torque for ever."""
+    cell.set("watchdog", True)
+    with watchdog(cell) as node:
+        options = ("--kill", str(node.process.pid), "--kill-after", "300")
+        with cell.robot(*options) as robot:
+            result = cell.run()
+            assert node.process.poll() == -signal.SIGKILL, f"the trial ended before: {result}"
+            killed, after = robot.line("killed at"), robot.line(" after ")
+    assert result.outcome == "ABORTED"
+    assert "the watchdog passed no torques on for 0.1 s" in result.message
+    assert float(killed.split()[2]) > 0.1, result.message  # rad/s
+    assert after.startswith("at rest after ")
+    assert int(after.split()[3]) < 3500  # states, of 1 ms of the robot's time, which does not wait for a busy machine
+
+
 def test_after_a_cell_is_killed_in_a_trial_the_watchdog_brakes_the_arm(cell: Cell) -> None:
     """The effort controller keeps the torque of that moment; nothing but another process can take it away."""
     options = ("--kill", str(cell.node.process.pid), "--kill-after", "300")
