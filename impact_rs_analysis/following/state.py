@@ -16,7 +16,7 @@ from impact_rs_analysis.following.follow import Follower
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.files import whole
 
-VERSION = 3
+VERSION = 4
 TEXT = "document"
 
 

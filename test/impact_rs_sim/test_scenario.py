@@ -49,6 +49,7 @@ def broken(text, key, value):
         ("contact.frictoin", 0.3, ["contact.frictoin", "did you mean 'friction'"]),
         ("robots.arm.drive.motor_inertia_rotor", [0.6, 0.6, 0.45, 0.45, 0.2, 0.2, -0.2], ["every entry", "[kg m^2]"]),
         ("robots.arm.drive.stiffness", [14000] * 6, ["6 entries", "one per joint (7)"]),
+        ("robots.arm.end_effector.inertia", [1e-3, 1e-3, 3e-3], ["no rigid body", "the sum of the other two"]),
         ("robots.arm.impact.pad_normal", [0, -2, 0], ["unit vectors"]),
         ("contact.restitution", 1.5, ["contact.restitution = 1.5", "[-]"]),
         ("timing.window_after", 5.0, ["window ends after the trial", "[s]"]),
