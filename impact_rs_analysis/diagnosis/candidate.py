@@ -510,18 +510,40 @@ class Problem:
         prior allows, with the covariance S, the error of this has the covariance A^-1 P S P A^-1, with A all
         information and P that of the prior.
         """
-        inverse = np.linalg.inv(self.total)
-        noise = null.covariance(self.candidate.jacobians, self.rest(change), inverse)
-        pulled = inverse @ (np.square(self.candidate.prior * self._prior)[:, None] * inverse)
-        systematic = null.discrepancy(self.candidate.jacobians, inverse) + pulled
+        noise, jackknife, systematic, freedom = self._errors(change, null)
+        clusters: float | Array = sum(bool(np.any(jacobian)) for jacobian in self.candidate.jacobians)
         return combined_half_width(
-            np.sqrt(np.maximum(np.diag(noise), 0.0)),
-            null.quantile(confidence),
-            self.jackknife(),
-            sum(bool(np.any(jacobian)) for jacobian in self.candidate.jacobians),
-            np.sqrt(np.maximum(np.diag(systematic), 0.0)),
+            noise,
+            scipy.stats.t.ppf(0.5 + confidence / 2.0, freedom),
+            jackknife,
+            np.minimum(clusters, freedom + 1.0) if null.by_blocks else clusters,
+            systematic,
             confidence,
         )
+
+    def p_by_interval(self, change: Array, null: NullDistribution, index: int) -> float:
+        """p-value of one parameter being nominal, by the error that its interval has; without calibrations.
+
+        Flipped signs of blocks decide nothing where few of them see a parameter, however well these determine it.
+        """
+        noise, jackknife, systematic, freedom = (part[index] for part in self._errors(change, null))
+        error = math.hypot(max(noise, jackknife), systematic)
+        distance = abs(float(change[index] - self._nominal[index]))
+        return float(2.0 * scipy.stats.t.sf(distance / max(error, 1e-300), freedom))
+
+    def _errors(self, change: Array, null: NullDistribution) -> tuple[Array, Array, Array, Array]:
+        """Standard errors from noise, from the clusters, and from discrepancy and prior; degrees of freedom, ``(p,)``.
+
+        See :meth:`half_widths`.
+        """
+        inverse = np.linalg.inv(self.total)
+        jacobians = self.candidate.jacobians
+        noise = null.covariance(jacobians, self.rest(change), inverse)
+        pulled = inverse @ (np.square(self.candidate.prior * self._prior)[:, None] * inverse)
+        systematic = null.discrepancy(jacobians, inverse) + pulled
+        roots = (np.sqrt(np.maximum(np.diag(part), 0.0)) for part in (noise, systematic))
+        from_noise, from_others = roots
+        return from_noise, self.jackknife(), from_others, null.freedoms(jacobians, inverse)
 
     def moved_by_calibrations(self) -> Array:
         """Standard errors of the estimate from calibrations that all clusters share, ``(p,)``.

@@ -69,7 +69,12 @@ class NullDistribution(ABC):
 
     Args:
         clusters: Residuals of the tested model.
+
+    Attributes:
+        by_blocks: Whether clusters are blocks without repeats, whose scatter is the noise.
     """
+
+    by_blocks = False
 
     def __init__(self, clusters: Sequence[Cluster]) -> None:
         self.clusters = tuple(clusters)
@@ -133,6 +138,11 @@ class NullDistribution(ABC):
     def quantile(self, confidence: float = 0.95) -> float:
         """Half width of an interval in standard errors of :meth:`covariance`."""
         return float(scipy.stats.t.ppf(0.5 + confidence / 2.0, max(self.freedom, 1)))
+
+    def freedoms(self, jacobians: Sequence[Array], inverse: Array) -> Array:
+        """Degrees of freedom of the standard errors of :meth:`covariance`, ``(p,)``."""
+        del jacobians
+        return np.full(inverse.shape[0], float(max(self.freedom, 1)))
 
 
 def _normalised(clusters: Sequence[Cluster], jacobians: Sequence[Array], fitted: Sequence[Array]) -> list[Array] | None:
@@ -566,6 +576,7 @@ def _signs(draws: int, blocks: int) -> Array:
 class SignFlipNull(NullDistribution):
     """Null distribution from stretches of recordings, see the module; arguments as for :class:`NullDistribution`."""
 
+    by_blocks = True
     LEAST = 12  # blocks: 2^11 patterns of signs resolve p = 0.0005
 
     @property
@@ -607,6 +618,16 @@ class SignFlipNull(NullDistribution):
         del rest
         return None
 
+    def freedoms(self, jacobians: Sequence[Array], inverse: Array) -> Array:
+        """See :meth:`NullDistribution.freedoms`: blocks that would tell as much if all told the same, less one.
+
+        A variance is a sum over blocks with the weights w of their information on a parameter: of a joint that moves in
+        three of twenty stretches these three (Satterthwaite 1946; of clusters Imbens and Kolesár 2016).
+        """
+        moved = np.array([np.sum(np.square(jacobian @ inverse), axis=0) for jacobian in jacobians])
+        squares = np.maximum(np.sum(np.square(moved), axis=0), 1e-300)
+        return np.asarray(np.maximum(np.square(moved.sum(axis=0)) / squares - 1.0, 1.0))
+
     def covariance(self, jacobians: Sequence[Array], rest: Sequence[Array], inverse: Array) -> Array:
         """See :meth:`NullDistribution.covariance`; blocks are independent, neighbouring samples are not."""
         scores = np.array([j.T @ left for left, j in zip(rest, jacobians, strict=True)])
@@ -615,7 +636,12 @@ class SignFlipNull(NullDistribution):
 
 
 def combined_half_width(
-    noise: Array, quantile: float, jackknife: Array, clusters: int, discrepancy: Array, confidence: float = 0.95
+    noise: Array,
+    quantile: float | Array,
+    jackknife: Array,
+    clusters: float | Array,
+    discrepancy: Array,
+    confidence: float = 0.95,
 ) -> Array:
     """Half width of intervals, ``(p,)``.
 
@@ -624,12 +650,12 @@ def combined_half_width(
 
     Args:
         noise: Standard errors from noise, ``(p,)``.
-        quantile: Of Student's t with the degrees of freedom of the noise.
+        quantile: Of Student's t with the degrees of freedom of the noise, of each parameter or of all.
         jackknife: Standard errors from leaving one cluster out, ``(p,)``.
-        clusters: Number of clusters left out in turn.
+        clusters: Number of clusters left out in turn that say something, likewise.
         discrepancy: Standard errors from model discrepancy, ``(p,)``.
         confidence: Of the intervals.
     """
     tail = 0.5 + confidence / 2.0
-    own = np.maximum(quantile * noise, scipy.stats.t.ppf(tail, max(clusters - 1, 1)) * jackknife)
+    own = np.maximum(quantile * noise, scipy.stats.t.ppf(tail, np.maximum(np.asarray(clusters) - 1, 1)) * jackknife)
     return np.asarray(np.hypot(own, scipy.stats.norm.ppf(tail) * discrepancy))

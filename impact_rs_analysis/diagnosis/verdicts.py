@@ -645,7 +645,10 @@ def _joint(found: Findings, fitted: Fit, index: int) -> tuple[str, float, float 
     without = evidence.problem(candidate.fixed(index))
     left = without.rest(without.solve())
     shifts = [item.mean - rest for item, rest in zip(evidence.clusters, left, strict=True)]
-    p = fitted.problem.p_value(evidence.shifted(shifts).null, [index])
+    if evidence.null.by_blocks:
+        p = fitted.problem.p_by_interval(fitted.change, evidence.null, index)
+    else:
+        p = fitted.problem.p_value(evidence.shifted(shifts).null, [index])
     rest, rest_without = fitted.problem.left_out_rest, without.left_out_rest
     own, own_without = (_of_joint(evidence, values, scalar.arm, joint) for values in (rest, rest_without))
     if not own.size:  # nothing of the joint was measured

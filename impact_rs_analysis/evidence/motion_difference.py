@@ -27,6 +27,7 @@ from impact_rs_sim.robot import Array
 
 SHIFTS = 4.0  # tried per period of the cut-off frequency, before the best is refined
 LEAST_OVERLAP = 0.5  # of the shorter motion
+PLACES = 200  # on the way of a motion, at which two are compared
 SAME = 0.05  # of the size of the motion, rms; two motions further apart are not one
 
 
@@ -64,7 +65,7 @@ def minus_references(
     Raises:
         InputError: No reference follows the motion of a recording.
     """
-    predicted = TorqueBalance(list(references), at_motor).predicted(physics)
+    predicted = TorqueBalance([one.without_motors for one in references], at_motor).predicted(physics)
     rests = [reference.torque - torque for reference, torque in zip(references, predicted, strict=True)]
     found = []
     for motion, file in zip(motions, files, strict=True):
@@ -72,9 +73,15 @@ def minus_references(
         size = float(np.sqrt(np.mean(np.square(motion.position - motion.position.mean(axis=0)))))
         if match is None or match.apart > SAME * size:
             apart = "too short" if match is None else f"{match.apart:.3g} rad rms apart at best"
+            reason = f"{apart}; the motion has {size:.3g} rad rms"
+            if (speed := _other_speed(motion, references, SAME * size)) is not None:
+                reason = (
+                    f"one goes the same way {speed:.2g} times as fast; friction and the torque that inertia takes are "
+                    "then others, and what the model leaves of them does not cancel"
+                )
             raise InputError(
-                f"follows the motion of no recording of --minus ({apart}; the motion has {size:.3g} rad rms): record "
-                "the same motion twice, without and with the load",
+                f"follows the motion of no recording of --minus ({reason}): record the same motion twice at the same "
+                "speed, without and with the load",
                 file=file,
             )
         reference = references[match.number]
@@ -83,13 +90,29 @@ def minus_references(
         inside = np.flatnonzero((place >= first) & (place <= last))
         found.append(
             replace(
-                motion,
+                motion.without_motors,
                 torque=motion.torque - _at(place, reference.time, rests[match.number]),
                 noise=np.hypot(motion.noise, reference.noise),
                 kept=slice(max(motion.kept.start, int(inside[0])), min(motion.kept.stop, int(inside[-1]) + 1)),
             )
         )
     return found
+
+
+def _other_speed(motion: Motion, references: Sequence[Motion], near: float) -> float | None:
+    """How many times as fast a reference goes the same way, its places nearer than ``near`` [rad]; None: none does."""
+    way, speed = _way(motion)
+    for other in references:
+        its_way, its_speed = _way(other)
+        if np.sqrt(np.mean(np.square(way - its_way))) <= near:
+            return its_speed / speed
+    return None
+
+
+def _way(motion: Motion) -> tuple[Array, float]:
+    """Positions at equal shares of the length of the way, ``(k, n)`` [rad], and the mean speed on it [rad/s]."""
+    length = np.concatenate(([0.0], np.cumsum(np.linalg.norm(np.diff(motion.position, axis=0), axis=1))))
+    return _at(np.linspace(0.0, length[-1], PLACES), length, motion.position), float(length[-1] / motion.time[-1])
 
 
 def nearest(motion: Motion, references: Sequence[Motion]) -> Match | None:

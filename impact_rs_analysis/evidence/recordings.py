@@ -15,6 +15,7 @@ from functools import cached_property
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from impact_rs_analysis.evidence.cluster import Added, Cluster, Feature
 from impact_rs_analysis.evidence.levels import (
@@ -29,11 +30,10 @@ from impact_rs_analysis.evidence.levels import (
 )
 from impact_rs_analysis.evidence.motion_difference import minus_references
 from impact_rs_analysis.evidence.source import Source
-from impact_rs_analysis.evidence.torque_balance import Motion, TorqueBalance, prepare
+from impact_rs_analysis.evidence.torque_balance import Motion, TorqueBalance, motor_ratios, prepare
 from impact_rs_analysis.evidence.tracks import ComparedSignal, Track, track_of_motion
 from impact_rs_sim.effects import Effect
 from impact_rs_sim.effects.actuation import TORQUE_GAIN
-from impact_rs_sim.effects.surroundings import BASE_TILT
 from impact_rs_sim.errors import InputError, NotABody
 from impact_rs_sim.model import Model
 from impact_rs_sim.numbers import NORMAL_95
@@ -50,8 +50,9 @@ from impact_rs_trials.workers import Map
 STRETCHES = 24  # at least, if they are not shorter than SHORTEST
 LONGEST, SHORTEST = 2.0, 0.5  # s
 LEAST_STRETCHES = 12
+CLIPPINGS = 10  # of densities of information, until they settle
 SLOW = 0.05  # rad/s, m/s
-SIGNAL = "torque"
+SIGNAL, DEFLECTION = "torque", "deflection"
 PHASES = ("moving up", "moving down", "slow")
 WHAT = "torque balance of the arm in free motion, both sides low-passed"
 MOST_MEMORY = 2**28  # bytes, of predicted torques that are kept
@@ -69,12 +70,22 @@ REMARKS = (
 )
 DIFFERENCE = (
     "differences of recordings of one motion: what both have in common cancels, and an effect is a change between "
-    "them. A gain of the torque that both have scales the load: its mass is what the recorded torques weigh, unless "
-    "--model knows the gain (diagnose the recording without the load first)"
+    "them; how arm, sensors and base are made does not change. A gain of the torque that both have scales the load: "
+    "its mass is what the recorded torques weigh, unless --model knows the gain (diagnose the recording without the "
+    "load first)"
 )
 COUNTED = (
     "intervals count the scatter over the motion and a standard deviation of {scale:.0%} of the scale of each joint's "
     "torque; links of the model count as exact"
+)
+MOTORS = (
+    "the motors of joints {joints} have encoders: their inertia and friction act on the motion of the motors, and the "
+    "deflection of the transmission is a signal of its own, up to its mean"
+)
+MOTORS_OF_A_DIFFERENCE = "motor_position is not used: in a difference of recordings what the motors do cancels"
+NO_ENCODERS = (
+    "no motor has an encoder of its own: a transmission that yields shows only in what its motor does, and resembles a "
+    "delay, a damping or another inertia; positions of the motors tell them apart (signals.motor_position)"
 )
 BEHIND_MOTORS = "the torque was measured behind the motors, so their inertia is not in it"
 
@@ -94,6 +105,26 @@ class Stretch:
     rows: slice
 
 
+@dataclass(frozen=True)
+class Column:
+    """A signal of one joint.
+
+    Attributes:
+        signal: Torque, or deflection of the transmission.
+        joint: Number of the joint.
+        unit: Unit.
+    """
+
+    signal: str
+    joint: int
+    unit: str
+
+    @property
+    def index(self) -> str:
+        """Name of its joint."""
+        return f"joint{self.joint + 1}"
+
+
 class RecordingSource(Source):
     """Recordings of free motion against the torque balance of a model.
 
@@ -109,8 +140,8 @@ class RecordingSource(Source):
 
     Attributes:
         balance: Prediction of their torque.
-        rest: Recorded minus predicted torque of the model, ``(k, n)`` [N m].
-        sigma: Scale of every joint, ``(n,)`` [N m].
+        rest: Recorded minus predicted torque and deflection of the model, ``(k, c)`` [N m, rad].
+        sigma: Scale of every column, ``(c,)`` [N m, rad].
         reading: Remarks on how the recordings were read.
     """
 
@@ -141,19 +172,25 @@ class RecordingSource(Source):
         self._of_the_model = self.balance.predict(physics)
         self.rest = self.balance.recorded - self._of_the_model
         self.sigma = np.maximum(np.sqrt(np.mean(np.square(self.rest), axis=0)), 1e-12)
-        self._units = [(int(joint), physics.arms[ARM].facts.units[joint]) for joint in self.balance.joints]
-        self.size_unit = self.residual_unit = joined_units(units.effort for _, units in self._units)
+        units = physics.arms[ARM].facts.units
+        self._columns = [Column(SIGNAL, int(joint), units[joint].effort) for joint in self.balance.joints]
+        self._torques = len(self._columns)
+        self._columns += [Column(DEFLECTION, int(joint), units[joint].position) for joint in self.balance.elastic]
+        self._worth = self._worth_of_columns()
+        self.size_unit = self.residual_unit = joined_units(column.unit for column in self._columns[: self._torques])
         self._stretches = tuple(stretches)
         self._predicted = Recent[Array | None](max(LEAST_KEPT, int(MOST_MEMORY / self.balance.recorded.nbytes)))
         self.clusters = tuple(self._cluster(number) for number in range(len(self._stretches)))
         remarks = merged((item.path.name, remark) for item in (*recordings, *minus) for remark in item.remarks)
         remarks += [f"{Path(path).name} is left out: {why}" for path, why in left_out]
+        remarks += _of_motor_encoders(recordings, self.balance, minus)
         self.reading = tuple(dict.fromkeys(remarks))
         self.remarks = (
             *REMARKS,
             *((DIFFERENCE,) if minus else ()),
             COUNTED.format(scale=TORQUE_SCALE[mapping.torque_measured_at]),
             *(() if at_motor else (BEHIND_MOTORS,)),
+            *((NO_ENCODERS,) if at_motor and not self.balance.elastic.size and not minus else ()),
             *self.reading,
         )
 
@@ -193,10 +230,29 @@ class RecordingSource(Source):
         """See :class:`Source`: those on how the recordings were read."""
         return self.reading
 
+    def _worth_of_columns(self) -> Array:
+        """What a residual of one scale counts in errors over all signals, ``(c,)`` [N m].
+
+        A deflection counts as much as the torque of its joint, so that the error of a model is that of its torques.
+        """
+        torques = self._columns[: self._torques]
+        torque = {column.joint: float(size) for column, size in zip(torques, self.sigma, strict=False)}
+        usual = root_mean_square(self.sigma[: self._torques])
+        return np.array([torque.get(column.joint, usual) for column in self._columns])
+
+    def residual_weight(self, item: Cluster) -> Array:
+        """See :meth:`Source.residual_weight`."""
+        return np.resize(self._worth, item.sigma.size)
+
+    @property
+    def _in_torques(self) -> Array:
+        """Residuals of the model as they count, ``(k, c)`` [N m]."""
+        return np.asarray(self.rest / self.sigma * self._worth)
+
     @cached_property
     def proportion(self) -> Proportion:  # type: ignore[override]
         """See :attr:`Source.proportion`; its drives may be large beside its links, and are in what was recorded."""
-        turning = [number for number, (_, units) in enumerate(self._units) if units.effort == TORQUE_UNIT]
+        turning = [number for number, column in enumerate(self._columns) if column.unit == TORQUE_UNIT]
         largest = np.quantile(np.abs(self.balance.recorded[:, turning]), MOST_OF_TORQUE, axis=0).max(initial=0.0)
         return super().proportion.driven_by(float(largest))
 
@@ -235,8 +291,8 @@ class RecordingSource(Source):
         return found
 
     def offers(self, effect: Effect) -> bool:
-        """See :meth:`Source.offers`; recordings calibrate the bare arm."""
-        return True
+        """See :meth:`Source.offers`; recordings calibrate the bare arm, and differences show what may change."""
+        return effect.may_change or not self._minus
 
     def measure_again(self, added: Added, like: Sequence[Cluster]) -> list[Cluster] | None:
         """See :meth:`Source.measure_again`."""
@@ -252,11 +308,11 @@ class RecordingSource(Source):
 
     def size(self) -> float:
         """See :meth:`Source.size`; root mean square of the torque residual [N m]."""
-        return root_mean_square(self.rest)
+        return root_mean_square(self._in_torques)
 
     def noise_size(self) -> float:
         """See :meth:`Source.noise_size`."""
-        return root_mean_square(np.maximum(self.balance.noise, 1e-12))
+        return root_mean_square(np.maximum(self.balance.noise, 1e-12) / self.sigma * self._worth)
 
     def compare_levels(self) -> Comparison:
         """See :meth:`Source.compare_levels`: the torque of every joint."""
@@ -264,29 +320,29 @@ class RecordingSource(Source):
         phases = [[feature.phase for feature in item.features] for item in self.clusters]
         phase = np.concatenate([np.array(row, dtype=object).reshape(-1, self.rest.shape[1]) for row in phases])
         signals, cells = [], []
-        for column, (joint, units) in enumerate(self._units):
-            own = self.rest[:, column]
+        for number, column in enumerate(self._columns):
+            own = self.rest[:, number]
             signals.append(
                 SignalLevel(
                     phase="free",
-                    signal=SIGNAL,
-                    index=f"joint{joint + 1}",
+                    signal=column.signal,
+                    index=column.index,
                     error=rounded(root_mean_square(own)),
                     mean=rounded(float(own.mean())),
-                    noise_floor=rounded(float(noise[column])),
-                    unit=units.effort,
-                    times_noise=rounded(root_mean_square(own) / float(noise[column])),
+                    noise_floor=rounded(float(noise[number])),
+                    unit=column.unit,
+                    times_noise=rounded(root_mean_square(own) / float(noise[number])),
                 )
             )
-            for name in dict.fromkeys(phase[:, column]):
-                part = own[phase[:, column] == name]
-                if part.size >= LEAST_SAMPLES:
-                    cells.append(self._cell(name, joint, part, float(noise[column])))
+            for name in dict.fromkeys(phase[:, number]):
+                rows = phase[:, number] == name
+                if np.count_nonzero(rows) >= LEAST_SAMPLES:
+                    cells.append(self._cell(name, number, rows, float(noise[number])))
         every = root_mean_square(np.sqrt(np.mean(np.square(self.rest), axis=0)) / noise)
         level = Level(what=WHAT, times_noise=rounded(every), signals=tuple(signals))
         files: dict[str, list[Array]] = {}
         for item in self.clusters:
-            files.setdefault(item.unit, []).append(item.mean * item.sigma)
+            files.setdefault(item.unit, []).append(item.mean * self.residual_weight(item))
         return Comparison(
             levels={"recording": level},
             where=tuple(sorted(cells, key=lambda cell: -cell.share)),
@@ -296,19 +352,20 @@ class RecordingSource(Source):
             ),
         )
 
-    def _cell(self, phase: str, joint: int, rest: Array, noise: float) -> Cell:
-        """Residual of one joint in one phase."""
+    def _cell(self, phase: str, number: int, rows: NDArray[np.bool_], noise: float) -> Cell:
+        """Residual of one column in one phase, which has some rows."""
+        rest, counted, column = self.rest[rows, number], self._in_torques, self._columns[number]
         return Cell(
             scenario=", ".join(run.path.name for run in self.recordings),
             object="",
             case="",
             phase=phase,
-            signal=SIGNAL,
-            index=f"joint{joint + 1}",
+            signal=column.signal,
+            index=column.index,
             error=rounded(float(rest.mean())),
-            unit=self.physics.arms[ARM].facts.units[joint].effort,
+            unit=column.unit,
             floor=0.0,
-            share=rounded(float(np.sum(np.square(rest))) / max(float(np.sum(np.square(self.rest))), 1e-300)),
+            share=rounded(float(np.sum(np.square(counted[rows, number]))) / max(float(np.sum(counted**2)), 1e-300)),
             times_noise=rounded(root_mean_square(rest) / noise),
         )
 
@@ -316,8 +373,8 @@ class RecordingSource(Source):
         """See :meth:`Source.joint_sizes`."""
         sizes = np.sqrt(np.mean(np.square(np.concatenate(rest).reshape(-1, self.sigma.size)), axis=0)) * self.sigma
         return [
-            (f"joint{joint + 1}", float(size), float(noise), units.effort)
-            for (joint, units), size, noise in zip(self._units, sizes, self.balance.noise, strict=True)
+            (column.index, float(size), float(noise), column.unit)
+            for column, size, noise in zip(self._columns[: self._torques], sizes, self.balance.noise, strict=False)
         ]
 
     def tracks(self, map_tasks: Map, added: Added = ()) -> tuple[Track, ...]:
@@ -333,8 +390,8 @@ class RecordingSource(Source):
                 rows = slice(start, start := start + motion.time[motion.kept].size)
                 measured, predicted = self.balance.recorded[rows], (self.balance.recorded - rest)[rows]
                 curves = [
-                    ComparedSignal(f"torque of joint {joint + 1}", units.effort, one, other)
-                    for (joint, units), one, other in zip(self._units, measured.T, predicted.T, strict=True)
+                    ComparedSignal(f"{column.signal} of joint {column.joint + 1}", column.unit, one, other)
+                    for column, one, other in zip(self._columns, measured.T, predicted.T, strict=True)
                 ]
                 name = label if len(self.motions) == 1 else f"{run.path.name}, {label}"
                 found.append(track_of_motion(name, self.physics, motion, curves))
@@ -372,13 +429,13 @@ class RecordingSource(Source):
 
     def _shared(self, name: str) -> bool:
         """Whether two recordings of one motion have an effect in common: how arm and sensors are made."""
-        return self._known[name].calibrates or name in (TORQUE_GAIN.name, BASE_TILT.name)
+        return not self._known[name].may_change
 
     def _cluster(self, number: int) -> Cluster:
         stretch = self._stretches[number]
         rest, velocity = self.rest[stretch.rows], self.balance.velocity[stretch.rows]
         phase = np.where(velocity > SLOW, 0, np.where(velocity < -SLOW, 1, 2))
-        labels = [[_feature(name, joint, units.effort) for name in PHASES] for joint, units in self._units]
+        labels = [[_feature(name, column) for name in PHASES] for column in self._columns]
         sigma = np.broadcast_to(self.sigma, rest.shape).ravel()
         return Cluster(
             name=stretch.name,
@@ -386,7 +443,7 @@ class RecordingSource(Source):
             layout=stretch.name,
             unit=stretch.unit,
             contact=False,
-            features=tuple(labels[joint][phase[k, joint]] for k in range(len(rest)) for joint in range(rest.shape[1])),
+            features=tuple(labels[place][phase[k, place]] for k in range(len(rest)) for place in range(rest.shape[1])),
             residuals=(rest.ravel() / sigma)[None, :],
             sigma=sigma,
             pure=np.broadcast_to(self.balance.noise / self.sigma, rest.shape).ravel(),
@@ -412,12 +469,33 @@ class RecordingSource(Source):
         In a difference of recordings the torque that both have is wrong by as much, and cancels.
         """
         torque = (self.rest if self._minus else self.balance.recorded)[rows] / self.sigma
-        each = self._scale_deviations[:, None, None] * torque[None, :, :] * np.eye(self.sigma.size)[:, None, :]
-        return np.asarray(each.reshape(self.sigma.size, -1))
+        own = np.eye(self._torques, self.sigma.size)[:, None, :]
+        each = self._scale_deviations[:, None, None] * torque[None, :, :] * own
+        return np.asarray(each.reshape(self._torques, -1))
 
 
-def _feature(phase: str, joint: int, unit: str) -> Feature:
-    return Feature(phase, SIGNAL, f"joint{joint + 1}", 0, unit, 0.0)
+def _feature(phase: str, column: Column) -> Feature:
+    return Feature(phase, column.signal, column.index, 0, column.unit, 0.0)
+
+
+def _of_motor_encoders(recordings: Sequence[Run], balance: TorqueBalance, minus: Sequence[Run]) -> list[str]:
+    """What is done with recorded positions of the motors, in words; empty: there are none."""
+    arms = [run.signals.arms[ARM] for run in recordings if run.signals.arms[ARM].motor_position.size]
+    if not arms:
+        return []
+    if minus:
+        return [MOTORS_OF_A_DIFFERENCE]
+    used = [f"{joint + 1}" for joint in balance.elastic]
+    left = [joint for joint in range(arms[0].position.shape[1]) if joint not in balance.elastic]
+    ratios = motor_ratios(arms[0])
+    said = [MOTORS.format(joints=", ".join(used))] if used else []
+    if left:
+        moved = ", ".join(f"joint {joint + 1} {ratios[joint]:.3g} times" for joint in left)
+        said.append(
+            f"motor_position is not used where it shows no deflection of its own (motion over that of the link: {moved}"
+            "): expected the position of the motor, divided by the gear ratio (signals.motor_position.factor)"
+        )
+    return said
 
 
 def _physics_of(runs: Sequence[Run]) -> Physics:
@@ -449,8 +527,30 @@ def _prepared(
     return kept, motions
 
 
+def _information(motions: Sequence[Motion], shortest: float) -> list[Array]:
+    """Cumulated information of the samples between the edges of every motion, ``(k,)`` each; its mean density is 1.
+
+    A third each for time, which weights and offsets are seen in, squared velocity and squared acceleration of the
+    joints over their mean squares.
+
+    Args:
+        motions: Filtered recordings.
+        shortest: Length of the shortest stretch over that of the mean one; no density is higher than one over that.
+    """
+    signals = [np.stack((motion.velocity, motion.acceleration))[:, motion.kept] for motion in motions]
+    squares = np.mean(np.square(np.concatenate(signals, axis=1)), axis=1, keepdims=True)
+    densities = [(1.0 + 2.0 * np.mean(own**2 / np.maximum(squares, 1e-300), axis=(0, 2))) / 3.0 for own in signals]
+    for _ in range(CLIPPINGS):  # what is clipped is that of all
+        mean = float(np.mean(np.concatenate(densities)))
+        densities = [np.minimum(own / mean, 1.0 / shortest) for own in densities]
+    return [np.cumsum(own) for own in densities]
+
+
 def _cut(recordings: Sequence[Run], motions: Sequence[Motion]) -> list[Stretch]:
-    """Cut the motions into stretches of one length.
+    """Cut the motions into stretches that say about as much, and are not shorter than the noise remembers.
+
+    Of a chirp most says nothing below the cut-off: of stretches of one length, few would hold all of the motion, and
+    signs of few scores decide nothing.
 
     Raises:
         InputError: Too short for a hold-out.
@@ -458,10 +558,11 @@ def _cut(recordings: Sequence[Run], motions: Sequence[Motion]) -> list[Stretch]:
     lengths = [(motion.time[motion.kept].size, motion.rate) for motion in motions]
     total = sum(size / rate for size, rate in lengths)
     seconds = float(np.clip(total / STRETCHES, SHORTEST, LONGEST))
+    shares = _information(motions, SHORTEST / seconds)
     found, first = [], 0
-    for recording, motion, (size, rate) in zip(recordings, motions, lengths, strict=True):
+    for recording, motion, (size, rate), own in zip(recordings, motions, lengths, shares, strict=True):
         parts = max(1, round(size / rate / seconds))
-        edges = np.arange(parts + 1) * size // parts
+        edges = np.searchsorted(own, np.arange(parts) / parts * own[-1]).tolist() + [size]
         start = recording.begin + float(motion.time[motion.kept][0])
         for low, high in zip(edges[:-1], edges[1:], strict=True):
             name = f"{recording.path.name}, {start + low / rate:.1f} to {start + high / rate:.1f} s"

@@ -5,8 +5,19 @@
 
 with q and dq at t (cf. paper eq. eom); tau is what was recorded, B counts only where it was measured at the motor.
 Positions, velocities and torques pass the same zero-phase low-pass (Butterworth, order 4, forwards and backwards),
-accelerations are central differences of the filtered velocity, the prediction passes the low-pass once more and so does
-the recorded torque; both ends are cut off.
+accelerations are central differences of the filtered velocity at the rate of the samples, the prediction passes the
+low-pass once more and so does the recorded torque; both ends are cut off. Dry friction, which jumps with the sign of a
+velocity however that is filtered, passes it twice, as the recorded one does.
+
+Where the motors have encoders of their own (theta), B and friction act on the motion of the motors, and the deflection
+of the transmission is a second signal, up to its mean, which is that of encoders' zeros:
+
+    tau_J = K (theta - q) + D (dtheta - dq) = M(q) ddq + h(q, dq) - loads on the links
+
+Without encoders the motors move by q and this deflection, which the torque that was measured at them feels.
+
+Noise is what torques and deflections contain just above the cut-off that no motion of the arm goes with: a fast motion
+has content there.
 
 Effects are applied through :class:`~impact_rs_sim.physics.Physics`, as in plant and twin. An effect that changes no
 torque counts as not measured.
@@ -15,7 +26,9 @@ torque counts as not measured.
 from __future__ import annotations
 
 import functools
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 import pinocchio as pin
@@ -23,16 +36,27 @@ import scipy
 from numpy.typing import NDArray
 
 from impact_rs_sim.errors import InputError
-from impact_rs_sim.physics import LoadState, Physics
+from impact_rs_sim.physics import ArmPhysics, LoadState, Physics
 from impact_rs_sim.robot import Array
 from impact_rs_sim.robot_model import RobotModel
 from impact_rs_trials.recordings.recording import ARM, TooShort
-from impact_rs_trials.runs import Run
+from impact_rs_trials.runs import ArmSignals, Run
 
 ORDER = 4
 GRID = 10.0  # samples per period of the cut-off frequency, at most
 EDGE = 2.0  # periods of the cut-off frequency, cut off at both ends
 BAND = (1.5, 3.0)  # times the cut-off frequency, where the noise is measured
+OF_BAND = 4.0  # samples per period of the upper end of the band, at least
+MOST_TAKEN = 0.5  # of the noise, by the fit of the motion; a short recording has few independent numbers
+LAGS = (
+    -2,
+    -1,
+    0,
+    1,
+    2,
+)  # quarter periods of the middle of the band: any linear law of one motion with slow coefficients
+SLOW = 0.02  # rad/s, m/s, below which Coulomb friction is not full
+MOTOR_RATIO = (0.5, 2.0)  # of the motion of a motor, seen at the joint, over that of the link; elastic or not
 MOST_REGRESSORS = 2  # kept: of the model, and of another direction of gravity
 
 
@@ -48,6 +72,11 @@ class Motion:
         torque: Recorded torque, low-passed twice [N m].
         kept: Mask of the samples between the edges.
         noise: Noise of the recorded torque in ``torque``, ``(n,)`` [N m].
+        motor_position: theta [rad]; NaN where a joint has no encoder at its motor.
+        motor_velocity: dtheta [rad/s]; likewise.
+        motor_acceleration: ddtheta [rad/s^2]; likewise.
+        deflection: theta - q, low-passed twice [rad]; likewise.
+        deflection_noise: Noise of the deflection, ``(n,)`` [rad]; likewise.
         measured: Whether the torque of a joint was measured, ``(n,)``; one that never changes was not.
         cut_off: Of the low-pass [Hz].
         rate: Of the grid [Hz].
@@ -61,8 +90,31 @@ class Motion:
     kept: slice
     noise: Array
     measured: NDArray[np.bool_]
+    motor_position: Array
+    motor_velocity: Array
+    motor_acceleration: Array
+    deflection: Array
+    deflection_noise: Array
     cut_off: float
     rate: float
+
+    @property
+    def with_encoders(self) -> NDArray[np.bool_]:
+        """Whether the motor of a joint has an encoder of its own, ``(n,)``."""
+        return np.asarray(np.isfinite(self.deflection_noise))
+
+    @property
+    def without_motors(self) -> Motion:
+        """The motion as if no motor had an encoder."""
+        nothing = np.full_like(self.position, np.nan)
+        return replace(
+            self,
+            motor_position=nothing,
+            motor_velocity=nothing,
+            motor_acceleration=nothing,
+            deflection=nothing,
+            deflection_noise=np.full_like(self.deflection_noise, np.nan),
+        )
 
     def low_pass(self, values: Array) -> Array:
         """The low-pass on the grid."""
@@ -99,51 +151,135 @@ def prepare(run: Run, cut_off: float) -> Motion:
     def resampled(values: Array) -> Array:
         return np.column_stack([np.interp(even, start, column) for column in values.T])
 
-    raw = resampled(arm.torque)
+    def derivative(values: Array) -> Array:
+        return np.asarray(np.gradient(values, 1.0 / sampled, axis=0))
+
+    raw, places, speeds = (resampled(values) for values in (arm.torque, arm.position, arm.velocity))
+    motors = resampled(motor_positions(arm))
     once = _low_pass(raw, cut_off, sampled)
-    noise = _noise(raw, cut_off, sampled)
     stride = max(1, int(sampled / (GRID * cut_off)))
     rate = sampled / stride
-    q, dq = (_low_pass(resampled(values), cut_off, sampled)[::stride] for values in (arm.position, arm.velocity))
+    q, dq = (_low_pass(values, cut_off, sampled) for values in (places, speeds))
+    theta = _low_pass(motors, cut_off, sampled)
+    dtheta = derivative(theta)
     edge = int(np.ceil(EDGE * rate / cut_off))
-    if q.shape[0] < 2 * edge + 60:
+    count = q[::stride].shape[0]
+    if count < 2 * edge + 60:
         raise TooShort(
             f"{start[-1]:.3g} s long, at least {(2 * edge + 60) / rate:.2g} s needed with low_pass = {cut_off:g} Hz",
             file=run.path,
         )
+    moved = np.hstack((places, motors[:, np.isfinite(motors).all(axis=0)]))
+    turning = np.tanh(derivative(np.where(np.isnan(motors), places, motors)) / SLOW)
     return Motion(
         time=even[::stride],
-        position=q,
-        velocity=dq,
-        acceleration=np.gradient(dq, 1.0 / rate, axis=0),
+        position=q[::stride],
+        velocity=dq[::stride],
+        acceleration=derivative(dq)[::stride],
         torque=_low_pass(once[::stride], cut_off, rate),
-        kept=slice(edge, q.shape[0] - edge),
-        noise=noise,
+        kept=slice(edge, count - edge),
+        noise=_noise(raw, moved, turning, cut_off, sampled),
         measured=np.ptp(arm.torque, axis=0) > 0.0,
+        motor_position=theta[::stride],
+        motor_velocity=dtheta[::stride],
+        motor_acceleration=derivative(dtheta)[::stride],
+        deflection=_low_pass((theta - q)[::stride], cut_off, rate),
+        deflection_noise=_noise(motors - places, moved, turning, cut_off, sampled),
         cut_off=cut_off,
         rate=rate,
     )
 
 
-def _noise(raw: Array, cut_off: float, rate: float) -> Array:
-    """Noise below the cut-off, from its power just above, where smooth motion is absent, ``(n,)`` [N m].
+def motor_positions(arm: ArmSignals) -> Array:
+    """Positions of the motors as seen at the joints, ``(k, n)`` [rad]; NaN where no encoder of its own shows them.
 
-    The median over short windows leaves out those in which a joint turns back: dry friction jumps there, and is no
-    noise.
+    One that always equals the position of the link, or that moves by another ratio, as before a gear, is none.
+    """
+    if not arm.motor_position.size:
+        return np.full_like(arm.position, np.nan)
+    ratios = motor_ratios(arm)
+    own = np.ptp(arm.motor_position - arm.position, axis=0) > 0.0
+    near = (MOTOR_RATIO[0] < ratios) & (ratios < MOTOR_RATIO[1])
+    return np.asarray(np.where(own & near, arm.motor_position, np.nan))
+
+
+def motor_ratios(arm: ArmSignals) -> Array:
+    """Motion of every motor over that of its link, rms, ``(n,)`` [-]; NaN where a joint does not move."""
+    moved = arm.position.std(axis=0)
+    return np.asarray(arm.motor_position.std(axis=0) / np.where(moved > 0.0, moved, np.nan))
+
+
+def _noise(raw: Array, moved: Array, turning: Array, cut_off: float, rate: float) -> Array:
+    """Noise below the cut-off, from the power just above it that no motion goes with, ``(n,)`` in the unit of ``raw``.
+
+    In the band every signal is fitted by the positions of all joints at several lags and the direction of its own
+    joint, which takes what inertia, friction and springs do with a fast motion (coherent power, Bendat and Piersol
+    2010, sec. 6). The median over short windows leaves out those in which a joint turns back: dry friction jumps there.
+
+    Args:
+        raw: Signals as recorded, ``(k, n)``; NaN where there is none.
+        moved: Positions of all joints and motors, ``(k, m)`` [rad].
+        turning: Direction in which every joint is driven against its friction, ``(k, n)`` [-].
+        cut_off: Of the low-pass [Hz].
+        rate: Of the samples [Hz].
     """
     highest = 0.45 * rate
     band = (BAND[0] * cut_off, BAND[1] * cut_off) if BAND[1] * cut_off < highest else (1.2 * cut_off, highest)
-    passed = scipy.signal.sosfiltfilt(
-        scipy.signal.butter(ORDER, band, btype="bandpass", fs=rate, output="sos"), raw, axis=0
-    )
-    count = max(1, int(raw.shape[0] * cut_off / rate))
-    power = np.array([np.mean(np.square(window), axis=0) for window in np.array_split(passed, count)])
-    return np.asarray(np.sqrt(np.median(power, axis=0) * cut_off / (band[1] - band[0])))
+    sections = scipy.signal.butter(ORDER, band, btype="bandpass", fs=rate, output="sos")
+
+    step = max(1, int(rate / (OF_BAND * band[1])))
+
+    def passed(values: Array) -> Array:
+        return np.asarray(scipy.signal.sosfiltfilt(sections, values, axis=0))[::step]
+
+    rate /= step
+    motion, wanted = passed(moved), passed(np.nan_to_num(raw))
+    direction = passed(turning)
+    lag = max(1, round(0.5 * rate / (band[0] + band[1])))
+    shifted = np.hstack([np.roll(motion, place * lag, axis=0) for place in LAGS])
+    inside = slice(LAGS[-1] * lag, wanted.shape[0] - LAGS[-1] * lag)
+    count = max(1, int(wanted.shape[0] * cut_off / rate))
+    powers = []
+    for joint in range(raw.shape[1]):
+        basis = np.column_stack((shifted, direction[:, joint]))[inside]
+        left = wanted[inside, joint] - basis @ np.linalg.lstsq(basis, wanted[inside, joint], rcond=None)[0]
+        freedom = 2.0 * (band[1] - band[0]) * left.size / rate  # independent numbers in a band of this width
+        taken = min(np.linalg.matrix_rank(basis) / freedom, MOST_TAKEN)
+        windows = [np.mean(np.square(window)) for window in np.array_split(left, count)]
+        powers.append(np.median(windows) / (1.0 - taken))
+    found = np.sqrt(np.array(powers) * cut_off / (band[1] - band[0]))
+    return np.where(np.isnan(raw).any(axis=0), np.nan, found)
 
 
 def _delayed(values: Array, time: Array, delay: float) -> Array:
     """Low-passed signals later by a delay, which is shorter than the edges that are cut off."""
     return np.asarray(scipy.interpolate.CubicSpline(time, values)(time - delay)) if delay else values
+
+
+def _of_motors(motion: Motion, transmitted: Array, arm: ArmPhysics) -> tuple[Array, Array]:
+    """Velocity and acceleration of the motors, ``(k, n)`` each [rad/s, rad/s^2].
+
+    Args:
+        motion: Recorded.
+        transmitted: Torque that the transmissions pass on to the links, ``(k, n)`` [N m].
+        arm: Stiffness and damping of the transmissions.
+    """
+    velocity, acceleration, own = motion.velocity, motion.acceleration, motion.with_encoders
+    if np.any(np.isfinite(arm.stiffness[~own])):
+        rate, change = _bent(motion, transmitted, arm, (1, 2))
+        velocity, acceleration = velocity + rate, acceleration + change
+    return np.where(own, motion.motor_velocity, velocity), np.where(own, motion.motor_acceleration, acceleration)
+
+
+def _bent(motion: Motion, transmitted: Array, arm: ArmPhysics, orders: Sequence[int]) -> list[Array]:
+    """Derivatives of some orders of the deflection of the transmissions, ``(k, n)`` each [rad, rad/s, ...].
+
+    With T = D / K, which is short beside the motion, (1 + T d/dt)^-1 tau_J / K = (1 - T d/dt + T^2 d^2/dt^2) tau_J / K.
+    """
+    spline = scipy.interpolate.make_interp_spline(motion.time, transmitted / arm.stiffness, k=5)
+    late = arm.damping / arm.stiffness
+    terms = 3 if np.any(late) else 1
+    return [sum((-late) ** term * spline(motion.time, order + term) for term in range(terms)) for order in orders]
 
 
 def _state(motion: Motion, model: RobotModel, impact_position: Array) -> tuple[LoadState, Array]:
@@ -166,21 +302,31 @@ class TorqueBalance:
     Args:
         motions: Filtered recordings.
         at_motor: Whether the torque was measured at the motors, so that it accelerates their inertia as well.
+
+    Attributes:
+        joints: Joints whose torque was measured, ``(m,)``.
+        elastic: Joints whose deflection was measured, ``(e,)``.
     """
 
     def __init__(self, motions: list[Motion], at_motor: bool = False) -> None:
         self.motions, self._at_motor = motions, at_motor
         self.joints = np.flatnonzero(np.any([motion.measured for motion in motions], axis=0))
+        self.elastic = np.flatnonzero(np.all([motion.with_encoders for motion in motions], axis=0))
         self._regressors: dict[bytes, list[Array]] = {}
         self._known_states: dict[bytes, list[tuple[LoadState, Array]]] = {}
         self._kept: tuple[tuple[object, ...], RobotModel] | None = None
 
     def predict(self, physics: Physics) -> Array:
-        """Predicted recorded torque of :attr:`joints`, all motions stacked between their edges, ``(k, m)`` [N m]."""
+        """Predicted torque of :attr:`joints` and deflection of :attr:`elastic`, ``(k, m + e)`` [N m, rad].
+
+        All motions are stacked between their edges.
+        """
         return np.concatenate(
             [
-                torque[motion.kept][:, self.joints]
-                for motion, torque in zip(self.motions, self.predicted(physics), strict=True)
+                np.hstack((torque[motion.kept][:, self.joints], bent[motion.kept][:, self.elastic]))
+                for motion, torque, bent in zip(
+                    self.motions, self.predicted(physics), self._deflections(physics), strict=True
+                )
             ]
         )
 
@@ -189,13 +335,28 @@ class TorqueBalance:
         arm = physics.arms[ARM]
         rows = []
         for number, (motion, rigid) in enumerate(zip(self.motions, self._rigid_torques(physics), strict=True)):
-            torque = rigid + arm.motor_inertia_reduced * motion.acceleration if self._at_motor else rigid
+            velocity, acceleration = _of_motors(motion, rigid, arm)
+            torque = rigid + arm.motor_inertia_reduced * acceleration if self._at_motor else rigid
             if not arm.friction.is_zero:
-                torque = torque - arm.friction.torque(motion.velocity)
+                viscous = -arm.friction.viscous * velocity
+                dry = arm.friction.torque(velocity) - viscous  # jumps, whatever the low-pass of the velocity
+                torque = torque - viscous - motion.low_pass(dry)
             if arm.loads:
                 torque = torque - self._load_torques(physics, number, rigid)
             torque = motion.low_pass((torque - arm.torque_offset) / arm.torque_gain)
             rows.append(_delayed(torque, motion.time, arm.torque_delay))
+        return rows
+
+    def _deflections(self, physics: Physics) -> list[Array]:
+        """Predicted deflection of the transmissions of every motion, with its edges, ``(k, n)`` [rad]."""
+        if not self.elastic.size:
+            return [np.zeros_like(motion.position) for motion in self.motions]
+        arm = physics.arms[ARM]
+        rows = []
+        for number, (motion, rigid) in enumerate(zip(self.motions, self._rigid_torques(physics), strict=True)):
+            on_links = self._load_torques(physics, number, rigid, links_alone=True) if arm.loads else 0.0
+            bent = motion.low_pass(_bent(motion, rigid - on_links, arm, (0,))[0])
+            rows.append(bent - bent[motion.kept].mean(axis=0))
         return rows
 
     def _model(self, physics: Physics) -> RobotModel:
@@ -225,14 +386,15 @@ class TorqueBalance:
             ]
         return [regressor @ parameters for regressor in self._regressors[key]]
 
-    def _load_torques(self, physics: Physics, number: int, rigid: Array) -> Array:
-        """Torques of loads outside the rigid model on links and motors, ``(k, n)`` [N m].
+    def _load_torques(self, physics: Physics, number: int, rigid: Array, links_alone: bool = False) -> Array:
+        """Torques of loads outside the rigid model on links, and unless these are wanted alone on motors [N m].
 
         A law of the transmitted torque is given that of the links: the recorded one contains the friction of the motor
         and the noise of the very signal that the law shall explain.
         """
         state, jacobian = self._states(physics)[number]
-        return np.add(*physics.arms[ARM].load_torques(replace(state, joint_torque=rigid), jacobian))
+        on_links, on_motors = physics.arms[ARM].load_torques(replace(state, joint_torque=rigid), jacobian)
+        return on_links if links_alone else on_links + on_motors
 
     def _states(self, physics: Physics) -> list[tuple[LoadState, Array]]:
         """Arguments of loads of every motion, and the linear part of the Jacobians, ``(k, 3, n)``."""
@@ -243,17 +405,28 @@ class TorqueBalance:
             self._known_states = {key: [_state(motion, model, arm.impact_position) for motion in self.motions]}
         return self._known_states[key]
 
-    @property
+    @cached_property
     def recorded(self) -> Array:
-        """Recorded torque of :attr:`joints` between the edges, ``(k, m)`` [N m]."""
-        return np.concatenate([motion.torque[motion.kept][:, self.joints] for motion in self.motions])
+        """Recorded torque of :attr:`joints` and deflection of :attr:`elastic` between the edges, ``(k, m + e)``."""
+        bent = [motion.deflection[motion.kept][:, self.elastic] for motion in self.motions]
+        return np.concatenate(
+            [
+                np.hstack((motion.torque[motion.kept][:, self.joints], own - own.mean(axis=0)))
+                for motion, own in zip(self.motions, bent, strict=True)
+            ]
+        )
 
     @property
     def velocity(self) -> Array:
-        """Velocities of :attr:`joints` between the edges, ``(k, m)`` [rad/s]."""
-        return np.concatenate([motion.velocity[motion.kept][:, self.joints] for motion in self.motions])
+        """Velocities of the joints of every column of :attr:`recorded`, ``(k, m + e)`` [rad/s]."""
+        columns = np.concatenate((self.joints, self.elastic))
+        return np.concatenate([motion.velocity[motion.kept][:, columns] for motion in self.motions])
 
     @property
     def noise(self) -> Array:
-        """Noise of the recorded torque of :attr:`joints` below the cut-off, ``(m,)`` [N m]."""
-        return np.asarray(np.sqrt(np.mean([np.square(motion.noise[self.joints]) for motion in self.motions], axis=0)))
+        """Noise of every column of :attr:`recorded` below the cut-off, ``(m + e,)`` [N m, rad]."""
+        rows = [
+            np.concatenate((motion.noise[self.joints], motion.deflection_noise[self.elastic]))
+            for motion in self.motions
+        ]
+        return np.asarray(np.sqrt(np.mean(np.square(rows), axis=0)))

@@ -27,7 +27,7 @@ from impact_rs_sim.effects.contact import (
     SUPPORT_FRICTION,
     TANGENTIAL_RESTITUTION,
 )
-from impact_rs_sim.effects.joint import JOINT_STIFFNESS
+from impact_rs_sim.effects.joint import JOINT_ELASTICITY, JOINT_STIFFNESS
 from impact_rs_sim.effects.link import END_EFFECTOR_PAYLOAD, LINK_COM, LINK_INERTIA, LINK_MASS
 from impact_rs_sim.effects.motor import (
     ADDED_MOTOR_INERTIA,
@@ -74,6 +74,7 @@ BUILT_IN: tuple[Effect, ...] = (
     LINK_COM,
     LINK_INERTIA,
     ADDED_MOTOR_INERTIA,
+    JOINT_ELASTICITY,
     TORQUE_DELAY,
     SPIN_AXES,
 )

@@ -37,6 +37,7 @@ TORQUE_GAIN = ArmEffect(
     sentence="Each joint delivers a few percent more or less torque than commanded.",
     parameters=(Parameter("gain", "-", 1.0, 0.7, 1.3, 0.01, "delivered over desired torque", per_joint=True),),
     law=_gain,
+    lasting=True,
 )
 
 ACTUATION_DELAY = ArmEffect(

@@ -40,6 +40,7 @@ SLIDING = {
     "rad/s": ("m/s", PINION),
     "rad": ("m", PINION),
     "kg m^2": ("kg", 1.0 / PINION**2),
+    "rad/(N m)": ("m/N", PINION**2),
 }
 
 SINGLE_IMPACT = ("impact",)  # phases of effects that only tables of impacts have
@@ -180,6 +181,8 @@ class Effect(ABC):
         phases: Where it is observable: ``free`` motion, ``contact``, or both; ``impact``: in tables of impacts alone.
         calibrates: Whether it describes the bare arm, which recordings of free motion calibrate: a search in trials and
             tables leaves it out unless it is named. A model that contains it predicts with it everywhere.
+        lasting: Whether it stays the same from one recording of a session to the next, as how a cell is mounted does:
+            no difference of two recordings shows it. What calibrates an arm is lasting.
         family: Of a law that is looked for, what the laws of one form at several joints share; empty: it has a name of
             its own in the library or the model.
     """
@@ -190,6 +193,7 @@ class Effect(ABC):
     parameters: tuple[Parameter, ...]
     phases: tuple[str, ...] = ("free", "contact")
     calibrates: bool = False
+    lasting: bool = False
     family: str = ""
 
     @abstractmethod
@@ -200,6 +204,11 @@ class Effect(ABC):
             physics: Physics without it.
             values: By parameter name: ``(n,)`` for a parameter per joint, ``(1,)`` otherwise, in its unit.
         """
+
+    @property
+    def may_change(self) -> bool:
+        """Whether it may differ between two recordings of one session."""
+        return not (self.calibrates or self.lasting)
 
     def scalars(self, joints: Joints) -> list[Parameter]:
         """The parameters, joint by joint."""
@@ -312,6 +321,7 @@ class ArmEffect(Effect):
     law: Callable[[ArmPhysics, Values], ArmPhysics]
     phases: tuple[str, ...] = ("free", "contact")
     calibrates: bool = False
+    lasting: bool = False
 
     def apply(self, physics: Physics, values: Values) -> Physics:
         """See :meth:`Effect.apply`."""
@@ -337,6 +347,7 @@ class SceneEffect(Effect):
     parameters: tuple[Parameter, ...]
     law: Callable[[Physics, Values], Physics]
     phases: tuple[str, ...] = ("free", "contact")
+    lasting: bool = False
 
     def apply(self, physics: Physics, values: Values) -> Physics:
         """See :meth:`Effect.apply`."""

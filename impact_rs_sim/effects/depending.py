@@ -139,7 +139,7 @@ class Depending(Effect):
         self.effect, self.covariate, self.terms = effect, covariate, terms
         self.name = f"{effect.name} {terms.way} {covariate}"
         self.acts_on, self.sentence, self.phases = effect.acts_on, effect.sentence, effect.phases
-        self.calibrates, self.parameters = effect.calibrates, effect.parameters
+        self.calibrates, self.lasting, self.parameters = effect.calibrates, effect.lasting, effect.parameters
 
     def apply(self, physics: Physics, values: Values) -> Physics:
         """See :meth:`Effect.apply`."""

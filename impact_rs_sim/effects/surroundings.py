@@ -57,6 +57,7 @@ BASE_TILT = SceneEffect(
         Parameter("pitch", "rad", 0.0, -0.2, 0.2, 0.01, "tilt about y"),
     ),
     law=_base_tilt,
+    lasting=True,
 )
 
 EXTERNAL_SPRING = ArmEffect(

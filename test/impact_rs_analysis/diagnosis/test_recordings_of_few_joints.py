@@ -5,15 +5,19 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
 import pytest
 from joint_recordings import write_npz
 from slender_arm import FLAT, UPRIGHT, lighter, mapping_of, slender_arm, swung
 
-from impact_rs_analysis.diagnosis.diagnose import diagnose
+from impact_rs_analysis.diagnosis.diagnose import diagnose, effects_for
 from impact_rs_analysis.diagnosis.document import DiagnosisDocument
+from impact_rs_analysis.diagnosis.fit import Evidence
+from impact_rs_analysis.diagnosis.search import Search
 from impact_rs_analysis.evidence.recordings import RecordingSource
 from impact_rs_sim.model import Model
 from impact_rs_sim.robot import JointType
+from impact_rs_sim.robot_model import RobotModel
 from impact_rs_trials.recordings.recording import read_recordings
 
 NOISE = 0.02  # N m, N
@@ -82,3 +86,54 @@ def test_drives_that_are_large_beside_light_links_are_measured_as_others(
             estimate = effects[name].parameters[key]
             low, high = estimate.interval
             assert low - 0.002 * true <= true <= high + 0.002 * true and high - low < 0.2 * true
+
+
+def seldom_moved(folder: Path, noise: float = NOISE) -> RecordingSource:
+    """A pendulum of two joints with viscous friction; the second turns for 4 of 36 s."""
+    mapping = mapping_of(folder, slender_arm(("revolute",) * 2))
+    time = np.arange(0.0, 36.0, 0.02)
+    often = np.sin(2.0 * np.pi * 0.31 * time) + 0.4 * np.sin(2.0 * np.pi * 0.73 * time)
+    seldom = np.where((time > 16.0) & (time < 20.0), np.sin(2.0 * np.pi * 0.5 * (time - 16.0)) ** 3, 0.0)
+    q = np.column_stack((0.5 * often, 0.6 * seldom))
+    dq = np.gradient(q, time, axis=0)
+    ddq = np.gradient(dq, time, axis=0)
+    model = RobotModel(mapping.facts, mapping.end_effector.build())
+    torque = np.array([model.inverse_dynamics(*state) for state in zip(q, dq, ddq, strict=True)]) + 0.95 * dq
+    torque += np.random.default_rng(4).normal(0.0, noise, torque.shape)
+    write_npz(folder / "run.npz", {"time": time, "position": q, "velocity": dq, "effort": torque})
+    return RecordingSource.of(read_recordings(folder / "run.npz", mapping), mapping, Model(name="nominal"))
+
+
+def test_the_p_of_a_joint_that_moves_seldom_agrees_with_its_interval(tmp_path: Path) -> None:
+    """Signs of the few stretches in which it moves decide nothing, and the friction in them is known to 10 %."""
+    source = seldom_moved(tmp_path)
+    found = diagnose(source, source.model, ["joint_viscous_friction"])
+    (effect,) = found.effects
+    often, seldom = (effect.parameters[f"viscous_joint{joint}"] for joint in (1, 2))
+    for own in (often, seldom):
+        assert own.interval[0] <= 0.95 <= own.interval[1]
+        assert own.verdict == "CONFIRMED" and own.p_value is not None and own.p_value < 0.01
+    assert often.interval[1] - often.interval[0] < seldom.interval[1] - seldom.interval[0] < 0.5
+
+
+def test_few_stretches_have_few_degrees_of_freedom(tmp_path: Path) -> None:
+    source = seldom_moved(tmp_path)
+    fit = Search(effects_for(source, ["joint_viscous_friction"]), Evidence.of(source)).alone("joint_viscous_friction")
+    null, inverse = fit.evidence.null, np.linalg.inv(fit.problem.total)
+    often, seldom = null.freedoms(fit.candidate.jacobians, inverse)
+    assert 10.0 < often < len(source.clusters) - 1 and 1.0 <= seldom < 8.0
+
+
+def test_stretches_of_a_recording_say_about_as_much(tmp_path: Path) -> None:
+    """Of a motion that ends after a third of the recording, most stretches are in that third, and none is too short."""
+    mapping = mapping_of(tmp_path, slender_arm(("revolute",) * 2))
+    columns = swung(mapping, {}, NOISE)
+    still = np.minimum(np.arange(1800), 600)
+    held = columns | {"position": columns["position"][still], "velocity": columns["velocity"][still]}
+    held["velocity"][600:] = 0.0
+    write_npz(tmp_path / "run.npz", held | {"effort": columns["effort"][still]})
+    source = RecordingSource.of(read_recordings(tmp_path / "run.npz", mapping), mapping, Model(name="nominal"))
+    ends = [float(item.name.split()[3]) for item in source.clusters]
+    starts = [float(item.name.split()[1]) for item in source.clusters]
+    assert sum(end <= 12.5 for end in ends) >= 0.6 * len(ends)
+    assert min(end - start for start, end in zip(starts, ends, strict=True)) >= 0.4

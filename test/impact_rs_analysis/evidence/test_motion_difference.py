@@ -10,11 +10,12 @@ import pytest
 from joint_recordings import write_npz
 from slender_arm import mapping_of, slender_arm, swung
 
-from impact_rs_analysis.diagnosis.diagnose import diagnose
+from impact_rs_analysis.diagnosis.diagnose import diagnose, effects_for
 from impact_rs_analysis.evidence.motion_difference import nearest
 from impact_rs_analysis.evidence.recordings import RecordingSource
 from impact_rs_analysis.evidence.torque_balance import Motion, prepare
 from impact_rs_cli.main import main
+from impact_rs_sim.effects import library
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.model import Model, ModelEffect, ParameterValue
 from impact_rs_trials.recordings.mapping import Mapping
@@ -157,6 +158,27 @@ def test_another_motion_is_refused_with_the_remedy(folder: Path, mapping: Mappin
     write_npz(folder / "other.npz", swung(mapping, COMMON, start=47.3))
     with pytest.raises(InputError, match="follows the motion of no recording of --minus.*record the same motion twice"):
         source_of(folder, mapping, "other.npz")
+
+
+def test_what_a_session_does_not_change_is_no_change_between_two_recordings(folder: Path, mapping: Mapping) -> None:
+    """A cell does not tilt, and a torque constant does not grow, while somebody mounts a load."""
+    difference, alone = source_of(folder, mapping), source_of(folder, mapping, None)
+    offered, every = ({e.name for e in effects_for(source)} for source in (difference, alone))
+    assert every - offered == {name for name, effect in library().items() if not effect.may_change}
+    assert {"base_tilt", "torque_gain", "link_mass"} <= every - offered
+    assert {"end_effector_payload", "joint_coulomb_friction", "torque_offset", "external_spring"} <= offered
+
+
+@pytest.mark.parametrize("speed", [0.5, 1.6])
+def test_the_same_way_at_another_speed_is_refused_for_what_it_is(folder: Path, mapping: Mapping, speed: float) -> None:
+    columns = swung(mapping, COMMON, start=LATER, seconds=20.0)
+    write_npz(folder / "first.npz", columns)
+    write_npz(
+        folder / "other.npz", columns | {"time": columns["time"] / speed, "velocity": speed * columns["velocity"]}
+    )
+    recorded, references = (read_recordings(folder / name, mapping) for name in ("first.npz", "other.npz"))
+    with pytest.raises(InputError, match=rf"the same way {speed:.2g} times as fast.*at the same speed"):
+        RecordingSource.of(recorded, mapping, Model(name="nominal"), references)
 
 
 def test_only_recordings_have_something_to_subtract(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

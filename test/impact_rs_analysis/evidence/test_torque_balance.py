@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from joint_recordings import write_npz
+from joint_recordings import swinging, write_npz
 from slender_arm import mapping_of, slender_arm, swung, with_effects
 
 from impact_rs_analysis.evidence.torque_balance import TorqueBalance, prepare
@@ -73,3 +73,23 @@ def test_noise_is_what_the_torque_has_beside_friction_that_jumps_and_weight_that
     white = 0.02 * np.sqrt(3.0 / 25.0)
     noise = prepare(run, mapping.low_pass).noise
     assert np.all(noise > 0.6 * white) and np.all(noise < 2.0 * white)
+
+
+def test_a_fast_motion_is_no_noise(tmp_path: Path) -> None:
+    """Inertia and friction at 5 and 6 Hz, above the low-pass, go with the motion; white noise of 0.02 N m does not.
+
+    What is left is that inertia varies with the pose.
+    """
+    mapping = mapping_of(tmp_path, slender_arm(("revolute",) * 3), torque_measured_at="motor")
+    physics = with_effects(mapping, {"added_motor_inertia": {f"inertia_joint{joint}": 0.2 for joint in (1, 2, 3)}})
+    fast = np.array([5.1, 5.6, 6.2]), np.array([0.3, 0.4, 0.5])
+    columns = swinging(physics.robot_model(ARM), np.arange(0.0, 24.0, 0.002), 0.0, fast, (0.02, 0.4))
+    inertia = physics.arms[ARM].motor_inertia_reduced * np.gradient(columns["velocity"], 0.002, axis=0)
+    noise = np.random.default_rng(2).normal(0.0, 0.02, inertia.shape)
+    columns["effort"] += inertia + 0.3 * np.tanh(columns["velocity"] / 0.005) + noise
+    (run,) = read_recordings(write_npz(tmp_path / "run.npz", columns), mapping)
+    found = prepare(run, mapping.low_pass).noise
+    white = 0.02 * np.sqrt(mapping.low_pass / 250.0)
+    assert np.all(found > 0.6 * white) and np.all(found < 0.03 * columns["effort"].std(axis=0))
+    still = run.signals.arms[ARM].torque.std(axis=0)
+    assert np.all(still > 2.0)  # N m, most of it above the low-pass
