@@ -164,7 +164,7 @@ def _check_bodies(facts: RobotFacts) -> Check:
     masses = [link.mass for link in facts.links]
     steps = [*(float(np.linalg.norm(joint.xyz)) for joint in facts.joints), float(np.linalg.norm(facts.flange.xyz))]
     for number, link in enumerate(facts.links, start=1):
-        label, moments = _label(facts, number), np.linalg.eigvalsh(link.inertia_matrix)
+        label, moments = _label(facts, number), np.asarray(np.linalg.eigvalsh(link.inertia_matrix), dtype=float)
         if moments[0] <= 0.0:
             continue  # no body at all
         density = least_density(link.mass, moments)

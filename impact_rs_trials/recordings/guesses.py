@@ -206,6 +206,8 @@ def at_rest(time: Array, position: Array, facts: RobotFacts) -> str | None:
         position: q, ``(k, n)`` [rad].
         facts: Know the ranges of the joints.
     """
+    if time.size < 2 * FEWEST_SMOOTHED:
+        return None
     ranges = np.array(facts.limits.position_max_rad) - np.array(facts.limits.position_min_rad)
     moved = np.ptp(smoothed(time, position)[1], axis=0)
     if np.any(moved > STILL * ranges):
