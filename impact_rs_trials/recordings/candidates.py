@@ -158,8 +158,8 @@ def parts_of(candidate: SignalCandidate, count: int) -> list[SignalCandidate]:
         The first numbers, those behind them, and so on; none where it is not a little wider, or names its joints.
     """
     beside, source = candidate.width - count, candidate.source
-    if candidate.pose or candidate.joints or "names" in source or not 0 < beside <= MOST_BESIDE:
-        return []
+    if candidate.pose or candidate.joints or "names" in source or not 0 < beside <= MOST_BESIDE or count == 1:
+        return []  # of one joint every column is a candidate of its own
     found = []
     for first in range(beside + 1):
         which = "first" if first == 0 else "last" if first == beside else "middle"

@@ -17,6 +17,7 @@ from impact_rs_sim.physics import ObjectPhysics, Physics
 from impact_rs_sim.scene import BodyState
 from impact_rs_trials.recordings.impact_table import read_impact_table
 
+SHARED = Path(__file__).resolve().parents[3] / "shared" / "data" / "cases"
 RATE = 200.0  # Hz
 SIZE, MASS = 0.1, 0.4  # m, kg
 TRUTH_E = 0.4
@@ -145,3 +146,18 @@ def test_balls_whose_turn_was_not_tracked_give_restitution_and_friction(
     ):
         low, high = values["ci95"]
         assert low <= truth <= high and high - low < 0.05
+
+
+def test_a_pendulum_of_another_laboratory_goes_from_its_table_to_a_comparison(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Its model describes it up to a noise of 0.001 N m."""
+    if not SHARED.is_dir():
+        pytest.skip("the shared recordings are not on this machine")
+    case = SHARED / "one_joint"
+    lab = tmp_path / "lab"
+    assert main(["import", str(case / "swing.csv"), "--robot", str(case / "pendulum.yaml"), "-o", str(lab)]) == 0
+    for mapping in (case / "mapping_motor.yaml", lab / "mapping.yaml"):
+        capsys.readouterr()
+        assert main(["compare", str(case / "swing.csv"), "--mapping", str(mapping), "--json"]) == 0
+        assert json.loads(capsys.readouterr().out)["score"] == pytest.approx(0.001, abs=0.0005)

@@ -106,6 +106,18 @@ def test_a_recording_of_a_pan_tilt_without_reach_is_imported(tmp_path: Path) -> 
     np.testing.assert_allclose(run.signals.arms["arm"].torque, motion["effort"], atol=1e-9)
 
 
+def test_a_motor_encoder_beside_the_only_joint_is_no_second_torque(tmp_path: Path) -> None:
+    """Columns that share a word are no vector of which one number is the joint's."""
+    robot = robot_of(tmp_path, PENDULUM)
+    motion = motion_of(robot)
+    signals = [motion["time"], motion["position"], motion["velocity"], motion["effort"], motion["position"]]
+    names = "time,joint_pos,joint_vel,motor_torque,motor_pos"
+    np.savetxt(tmp_path / "swing.csv", np.column_stack(signals), delimiter=",", header=names, comments="", fmt="%.15g")
+    draft = draft_import([tmp_path / "swing.csv"], tmp_path, Wishes(robot=robot))
+    torque = next(line for line in draft.lines if line.key == "signals.torque.unit")
+    assert torque.sure and "so do" not in torque.evidence
+
+
 def test_limits_of_one_joint_are_taken_from_a_table(tmp_path: Path) -> None:
     motion = motion_of(robot_of(tmp_path, PENDULUM))
     limits = measured_limits(written("named", tmp_path, motion), ["hinge"])
