@@ -48,13 +48,8 @@ EDGE = 2.0  # periods of the cut-off frequency, cut off at both ends
 BAND = (1.5, 3.0)  # times the cut-off frequency, where the noise is measured
 OF_BAND = 4.0  # samples per period of the upper end of the band, at least
 MOST_TAKEN = 0.5  # of the noise, by the fit of the motion; a short recording has few independent numbers
-LAGS = (
-    -2,
-    -1,
-    0,
-    1,
-    2,
-)  # quarter periods of the middle of the band: any linear law of one motion with slow coefficients
+# Quarter periods of the middle of the band: any linear law of one motion with slow coefficients.
+LAGS = (-2, -1, 0, 1, 2)
 SLOW = 0.02  # rad/s, m/s, below which Coulomb friction is not full
 MOTOR_RATIO = (0.5, 2.0)  # of the motion of a motor, seen at the joint, over that of the link; elastic or not
 MOST_REGRESSORS = 2  # kept: of the model, and of another direction of gravity
