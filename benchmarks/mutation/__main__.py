@@ -21,6 +21,7 @@ import sysconfig
 import time
 import tomllib
 from collections import Counter
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
@@ -32,6 +33,10 @@ SETTINGS = tomllib.loads((HERE / "mutation.toml").read_text(encoding="utf-8"))
 NOTICED = (1, 2)  # exit codes of pytest: a test failed; a test file could not be imported
 STATES = ("killed", "survived", "no tests", "timeout", "not checked")
 KERNEL_LIMIT = 600.0  # s, of the tests of a mutant of the kernel
+# Wrong accesses and undefined behaviour end the process; the libraries have to be there before Python is.
+SANITISED = ("-O1", "-g1", "-fsanitize=address,undefined", "-fno-sanitize-recover=undefined", "-D_GLIBCXX_ASSERTIONS")
+BINDINGS = ("-O0", "-fsanitize=address", "-D_GLIBCXX_ASSERTIONS")  # templates of pybind11 compile for minutes with more
+SANITISERS = ("libasan.so", "libubsan.so", "libstdc++.so")
 STOP_TIME = 20.0  # s, until mutmut has stopped
 
 
@@ -111,8 +116,12 @@ def make_copy() -> Path:
     return kernel
 
 
-def run(command: list[str], tree: Path, limit: float | None = None) -> tuple[int | None, str]:
+def run(
+    command: list[str], tree: Path, limit: float | None = None, more: Mapping[str, str] | None = None
+) -> tuple[int | None, str]:
     """Exit code and output of a Python command in ``COPY``, whose packages are imported from ``tree``.
+
+    ``more`` are variables of its environment.
 
     Without an answer within the limit [s] the code is None, and the process and all that it has started are ended.
     """
@@ -123,6 +132,7 @@ def run(command: list[str], tree: Path, limit: float | None = None) -> tuple[int
         "XDG_CACHE_HOME": str(COPY / "build" / "cache"),
         "IMPACT_RS_MUTANT_COPY": str(tree),
         "OMP_NUM_THREADS": "1",
+        **(more or {}),
     }
     shutil.rmtree(environment["XDG_CACHE_HOME"], ignore_errors=True)
     process = subprocess.Popen(
@@ -209,8 +219,24 @@ def judge_kernel(file: str, kernel: Path) -> tuple[Counter[str], list[str]]:
     return states, survivors
 
 
-def compile_kernel(kernel: Path) -> None:
-    """Build the kernel of the copy; what has not changed is compiled once.
+def sanitise(kernel: Path) -> tuple[bool, str]:
+    """Whether the tests of the kernel pass in a build that notices wrong accesses, and what was printed.
+
+    Raises:
+        MutationError: The kernel does not compile.
+    """
+    compile_kernel(kernel, SANITISED, BINDINGS)
+    tests = dict.fromkeys(f"test/{test}.py" for group in SETTINGS["kernel"] for test in group["tests"])
+    asked = [["c++", f"-print-file-name={name}"] for name in SANITISERS]
+    found = [subprocess.run(one, capture_output=True, text=True, check=True).stdout.strip() for one in asked]
+    # Python leaks on purpose. Without -s the report of a process that dies would be lost.
+    options = {"ASAN_OPTIONS": "detect_leaks=0", "UBSAN_OPTIONS": "print_stacktrace=1", "LD_PRELOAD": ":".join(found)}
+    code, output = run(["pytest", "-x", "-q", "-p", "no:cacheprovider", "-s", *tests], COPY, KERNEL_LIMIT, options)
+    return code == 0, output
+
+
+def compile_kernel(kernel: Path, flags: Sequence[str] = ("-O2",), of_bindings: Sequence[str] | None = None) -> None:
+    """Build the kernel of the copy; what has not changed is compiled once. Bindings may have ``flags`` of their own.
 
     Raises:
         MutationError: It does not compile.
@@ -218,7 +244,7 @@ def compile_kernel(kernel: Path) -> None:
     import pybind11
 
     include = [f"-I{sysconfig.get_path('include')}", f"-I{pybind11.get_include()}"]
-    flags = ["-std=c++17", "-O2", "-fPIC", "-fvisibility=hidden", *include]
+    compiler = ["c++", "-std=c++17", "-fPIC", "-fvisibility=hidden"]
     built = COPY / "build" / "objects"
     built.mkdir(parents=True, exist_ok=True)
     commands, objects = [], []
@@ -226,9 +252,10 @@ def compile_kernel(kernel: Path) -> None:
         known, compiled = built / source.name, built / f"{source.stem}.o"
         objects.append(str(compiled))
         if not known.exists() or known.read_bytes() != source.read_bytes():
-            commands.append(["c++", *flags, "-c", str(source), "-o", str(compiled)])
+            own = of_bindings if of_bindings is not None and source.stem.endswith("module") else flags
+            commands.append([*compiler, *own, *include, "-c", str(source), "-o", str(compiled)])
             shutil.copy(source, known)
-    for command in [*commands, ["c++", "-shared", *objects, "-o", str(kernel)]]:
+    for command in [*commands, [*compiler, *flags, "-shared", *objects, "-o", str(kernel)]]:
         done = subprocess.run(command, capture_output=True, text=True)
         if done.returncode:
             shutil.rmtree(built)
@@ -243,10 +270,17 @@ def main() -> int:
     parser.add_argument("--minutes", type=float, default=10.0, help="time limit for a module; what is left is counted")
     parser.add_argument("--jobs", type=int, default=1, help="mutants of Python at a time")
     parser.add_argument("--check", action="store_true", help="only check that the list for the kernel fits the code")
+    parser.add_argument(
+        "--sanitise", action="store_true", help="run the kernel's tests with address and undefined-behaviour sanitizers"
+    )
     options = parser.parse_args()
     rows, alive = [], 0
     try:
         listed = kernel_mutants()
+        if options.sanitise:
+            passed, output = sanitise(make_copy())
+            print(output)
+            return int(not passed)
         if options.check or not options.files:
             print(f"{len(listed)} mutants of the kernel fit the code")
             return 0
