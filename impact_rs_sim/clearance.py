@@ -128,12 +128,11 @@ def deepest_penetration(
                 depths[which, index, number] = partner.depth(part, links[part.link])
     mounting = np.minimum.accumulate((depths[-1] > TOUCHES).all(axis=0)) & [part.link != TIP for part in parts]
     depths[-1][:, mounting] = 0.0
-    which, index, number = np.unravel_index(np.argmax(depths), depths.shape)
-    deepest = float(depths[which, index, number])
-    if deepest <= TOUCHES:
+    at = tuple(int(place) for place in np.unravel_index(np.argmax(depths), depths.shape))
+    if depths[at] <= TOUCHES:
         return None
-    partner = surroundings[which]
-    return Penetration(parts[number].name, partner.name, partner.top, deepest, int(index))
+    part, partner = parts[at[2]], surroundings[at[0]]
+    return Penetration(part.name, partner.name, partner.top, float(depths[at]), at[1])
 
 
 Solid = tuple[coal.CollisionGeometry, coal.Transform3s]
