@@ -139,7 +139,7 @@ Solid = tuple[coal.CollisionGeometry, coal.Transform3s]
 
 
 @dataclass(frozen=True)
-class _Part:
+class _Moving:
     """Convex shapes that move with a link: placements in it, and bounding spheres, ``(m, 3)`` and ``(m,)`` [m]."""
 
     name: str
@@ -162,7 +162,7 @@ class _Surrounding:
     solids: tuple[Solid, ...]
     top: float
 
-    def depth(self, part: _Part, link: pin.SE3) -> float:
+    def depth(self, part: _Moving, link: pin.SE3) -> float:
         """How deep a part overlaps [m]; 0: it keeps clear."""
         centres, radii = part.spheres
         deepest, low = 0.0, centres @ link.rotation[2] + link.translation[2] - radii
@@ -196,18 +196,18 @@ def _surroundings(physics: Physics, object_: BodyState, way: Array) -> list[_Sur
     return [*found, _Surrounding("ground", ((plane, coal.Transform3s.Identity()),), ground)]
 
 
-def _parts(model: RobotModel) -> list[_Part]:
+def _parts(model: RobotModel) -> list[_Moving]:
     """Links from the base on without it, end effector and pad."""
     effector = model.end_effector
     links = link_shapes(model.facts)[1:]
     tube = Shape(np.array([0.0, 0.0, -effector.length]), np.array([0.0, 0.0, -effector.pad_size[2]]), TOOL_RADIUS)
     return [
         *(
-            _Part(f"link {number}", f"link{number}", [_collider(one) for one in shapes])
+            _Moving(f"link {number}", f"link{number}", [_collider(one) for one in shapes])
             for number, shapes in enumerate(links, start=1)
         ),
-        _Part("its end effector", TIP, [_collider(tube)]),
-        _Part("its pad", TIP, [(coal.Box(*effector.pad_size), effector.pad_placement)]),
+        _Moving("its end effector", TIP, [_collider(tube)]),
+        _Moving("its pad", TIP, [(coal.Box(*effector.pad_size), effector.pad_placement)]),
     ]
 
 
