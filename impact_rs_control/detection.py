@@ -17,7 +17,7 @@ period (explicit Euler) in ``src/control.cpp``.
 Near a singular pose this inverse turns noise of the residual into hundreds of newtons. So the rows of J are taken in
 turn, the force along n first, then the forces across it, then the moments, and a row that those before it explain is
 left out (:func:`separable_wrench`). A contact force f against the approach, r = -J_lin^T n f, is then f in every pose
-in which E can move along n. Where nothing else can be told apart, F is the scalar projection with the effective mass
+in which E can move along n. Where nothing else can be separated, F is the scalar projection with the effective mass
 along n, (n^T J M^-1 r) / (n^T J M^-1 J^T n). Alone, that projection would take a force across n for an impact: 40 N
 along x for 28 N in the pose of ``push``. Where E cannot move along n (n^T J_lin = 0), bearings carry the force, no
 joint feels it, and F is 0; nor can the arm approach along n there.
@@ -46,7 +46,7 @@ def separable_wrench(jacobians: Array, masses: Array, torques: Array) -> Array:
     """Wrench at E from external joint torques, (J M^-1 J^T)^-1 J M^-1 tau, also in and near singular poses.
 
     Rows of J are taken in turn. One of which those before it explain all but ``SEPARABLE``, or that has no leverage
-    (``MOVABLE``), cannot be told apart: its component is 0, and the others explain the torques without it.
+    (``MOVABLE``), cannot be separated: its component is 0, and the others explain the torques without it.
 
     Args:
         jacobians: J of frame E, ``(k, 6, n)``: three orthonormal linear rows, then three of moments.

@@ -4,7 +4,7 @@
 From when a robot is armed until the node ends, its arms are led by the controller, in a trial, or braked and held.
 
 With the parameter ``watchdog`` its torques go to the watchdog node, which alone sends them to the robot. Where none has
-come out of it for ``PASSING``, because it has died, the cell sends them itself and brakes; it tells the watchdog, which
+come out of it for ``PASSING``, because it has died, the cell sends them itself and brakes; it informs the watchdog, which
 then sends nothing any more. ``docs/real_robot.md`` has the safety argument.
 """
 
@@ -191,7 +191,7 @@ class CellNode(LeadingNode[CellTrial]):
         message, direct = Float64MultiArray(data=array("d", torque.tobytes())), commands_topic(arm)
         if self._past:
             self._publishers[direct].publish(message)
-            self._publishers[self._topics[arm]].publish(Float64MultiArray())  # tells a watchdog that comes back
+            self._publishers[self._topics[arm]].publish(Float64MultiArray())  # for a watchdog that comes back
             return
         self._publishers[self._topics[arm]].publish(message)
         if self._topics[arm] != direct:

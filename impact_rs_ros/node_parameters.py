@@ -144,7 +144,12 @@ PARAMETERS: dict[str, tuple[NodeParameter, ...]] = {
     "cell": (
         *COMMON,
         *ROBOT,
-        NodeParameter("watchdog", False, "true: a trial is armed, and continues, only while the watchdog node runs"),
+        NodeParameter(
+            "watchdog",
+            False,
+            "true: torques go to the robot through the watchdog node, and a trial is armed, and continues, only while it"
+            " passes them on",
+        ),
         NodeParameter(
             "mocap",
             False,

@@ -195,8 +195,8 @@ def test_along_a_direction_in_which_the_arm_cannot_move_there_is_no_force() -> N
 
 
 @pytest.mark.parametrize("elbow", [*ELBOWS, 1e-5])
-def test_the_wrench_is_that_of_all_components_that_can_be_told_apart(elbow: float | None) -> None:
-    """Forces first; compiled and in NumPy, and where all can be told apart the inverse of the whole mobility."""
+def test_the_wrench_is_that_of_all_components_that_can_be_separated(elbow: float | None) -> None:
+    """Forces first; compiled and in NumPy, and where all can be separated the inverse of the whole mobility."""
     model, q, observer, still = UR5E.models["arm"], bent(elbow), ur5e_detector(), np.zeros(6)
     rng = np.random.default_rng(1)
     axes = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])  # the approach first

@@ -182,7 +182,7 @@ def test_a_watchdog_that_the_torques_do_not_go_through_is_a_stranger(cell: CellN
     )
 
 
-def test_a_watchdog_that_passes_no_torques_on_is_passed_over_and_told(
+def test_a_watchdog_that_passes_no_torques_on_is_passed_over_and_informed(
     watched: CellNode, watchdog: rclpy.node.Node, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The robot has the last torque that came out; the cell goes on from it. A pause of its own is no silence."""
