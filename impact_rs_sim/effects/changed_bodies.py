@@ -23,7 +23,7 @@ from impact_rs_sim.robot_model import mounted_inertia
 MOST_VALUES = 8  # of a circumstance, which may be names of levels with parameters of their own
 
 
-class Body(NamedTuple):
+class InertialBody(NamedTuple):
     """Inertial parameters of one body.
 
     Attributes:
@@ -110,7 +110,7 @@ def _numbers(physics: Physics) -> list[object]:
     return numbers
 
 
-def _check(before: Body, after: Body, effect: str) -> None:
+def _check(before: InertialBody, after: InertialBody, effect: str) -> None:
     """Refuse that a body becomes none."""
     if not after.exists and before.exists:
         moments = ", ".join(f"{value:.3g}" for value in np.linalg.eigvalsh(second_moments(after.inertia)))
@@ -121,15 +121,15 @@ def _check(before: Body, after: Body, effect: str) -> None:
         )
 
 
-def _link(name: str, number: int, link: Link) -> Body:
-    return Body(f"link {number} of arm {name!r}", link.mass, link.inertia_matrix)
+def _link(name: str, number: int, link: Link) -> InertialBody:
+    return InertialBody(f"link {number} of arm {name!r}", link.mass, link.inertia_matrix)
 
 
-def _last_link(name: str, arm: ArmPhysics) -> Body:
+def _last_link(name: str, arm: ArmPhysics) -> InertialBody:
     """The last link with its end effector."""
     inertia = mounted_inertia(arm.facts, arm.end_effector)
-    return Body(f"link {arm.facts.joint_count} of arm {name!r}", inertia.mass, inertia.inertia)
+    return InertialBody(f"link {arm.facts.joint_count} of arm {name!r}", inertia.mass, inertia.inertia)
 
 
-def _object(physics: Physics) -> Body:
-    return Body("the object", physics.object.mass, np.diag(physics.object.inertia))
+def _object(physics: Physics) -> InertialBody:
+    return InertialBody("the object", physics.object.mass, np.diag(physics.object.inertia))
