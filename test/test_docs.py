@@ -238,7 +238,7 @@ def test_the_mapping_that_a_page_shows_reads_an_arm_on_a_wall_by_its_motor_curre
     np.testing.assert_allclose(arm.velocity, truth["velocity"], atol=1e-9)
     np.testing.assert_allclose(arm.torque, torque, atol=1e-9)
     balance = TorqueBalance([prepare(run, mapping.low_pass)], at_motor=True)
-    assert np.abs(balance.recorded - balance.predict(run.physics)).max() < 0.02  # N m, where gravity alone makes 60
+    assert np.abs(balance.recorded - balance.predict(run.physics)).max() < 0.03  # N m, where gravity alone makes 60
 
 
 def test_formulas_that_a_page_shows_are_a_drag_a_pad_and_a_friction() -> None:

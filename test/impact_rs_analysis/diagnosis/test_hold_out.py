@@ -157,7 +157,7 @@ def test_a_fold_in_another_process_finds_the_friction_that_it_finds_here(
 ) -> None:
 
     def elsewhere(function: Callable[[Any], Any], items: Iterable[Any]) -> Iterator[Any]:
-        return (_work(_packed(function, item)) for item in items)
+        return (_work(_packed(function, item))[0] for item in items)
 
     runs, effects = read_runs(hidden_campaign, map), [library()["support_friction"]]
     here, there = (
