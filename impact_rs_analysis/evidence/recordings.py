@@ -250,7 +250,7 @@ class RecordingSource(Source):
         return np.asarray(self.rest / self.sigma * self._worth)
 
     @cached_property
-    def proportion(self) -> Proportion:  # type: ignore[override]
+    def proportion(self) -> Proportion:
         """See :attr:`Source.proportion`; its drives may be large beside its links, and are in what was recorded."""
         turning = [number for number, column in enumerate(self._columns) if column.unit == TORQUE_UNIT]
         largest = np.quantile(np.abs(self.balance.recorded[:, turning]), MOST_OF_TORQUE, axis=0).max(initial=0.0)
