@@ -1570,7 +1570,8 @@ const laboratory = {
       const name = this.scenario.value;
       const [found, {objects}] = await Promise.all([turn.ask(`/api/laboratory?${query({path: folder, scenario: name})}`),
         turn.ask(`/api/scenario?${query({name})}`)]);
-      Object.assign(this, {found, objects, offered: folder});
+      const lab = state.workspace.laboratories.find((one) => one.path === folder) ?? this.lab; // recordings may have come meanwhile
+      Object.assign(this, {lab, found, objects, offered: folder});
       this.arms = Object.entries(found.arms).map(([arm, given]) => this.arm(arm, given));
       this.pose = this.signal(OBJECT_POSE, this.arms[0], found.object_pose);
       this.world = h('input', {type: 'checkbox', id: 'lab-world'});
