@@ -4,6 +4,7 @@
 Mutants of a Python module are made and judged by mutmut (``./run python -m pip install mutmut``), by the tests of its
 name in the mirrored folder. Mutants of the C++ kernel are a list in ``mutation.toml``, which also holds the settings of
 mutmut. Both run in ``build/mutation``, a copy of the repository; there ``mutmut browse`` shows the mutants of Python.
+``--sanitise`` runs the tests of the list there, without a mutant, in a build that notices wrong accesses.
 How to read the figures: ``docs/reliability.md``.
 """
 
