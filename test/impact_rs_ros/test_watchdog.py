@@ -256,3 +256,24 @@ def test_it_says_that_it_brakes_until_it_is_reset_with_arms_at_rest() -> None:
     assert program.said == [True]
     assert (program.reset(), program.said) == ("", [True, False])
     assert not program.passes(2.0 * TIMEOUT)
+
+
+def test_before_it_ends_it_brakes_the_arms_that_it_has_sent_torques(monkeypatch: pytest.MonkeyPatch) -> None:
+    """On Ctrl-C or SIGTERM: no other process can change the last torque then."""
+    program, looks, said = Offline(), [], []
+
+    def look(arms: EffortArms, *others: object) -> None:
+        looks.append(arms)
+        arms.held = len(looks) == 5
+
+    monkeypatch.setattr(watchdog_node, "rest_until", look)
+    program.log = SimpleNamespace(error=said.append)  # type: ignore[assignment]
+    program.brake()
+    assert looks == []  # nothing was sent
+    assert not any(program.passes(PERIOD, command(np.zeros(7))) for _ in range(2))
+    program.brake()
+    assert len(looks) == 5 and said == []
+    program.bench.watchdog.arms.held = False
+    monkeypatch.setattr(watchdog_node, "BRAKING", 0.0)
+    program.brake()
+    assert said == ["the arms did not come to rest within 0 s: press the emergency stop"]
