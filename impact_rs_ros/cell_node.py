@@ -4,8 +4,8 @@
 From when a robot is armed until the node ends, its arms are led by the controller, in a trial, or braked and held.
 
 With the parameter ``watchdog`` its torques go to the watchdog node, which alone sends them to the robot. Where none has
-come out of it for ``PASSING``, because it has died, the cell sends them itself and brakes; it informs the watchdog, which
-then sends nothing any more. ``docs/real_robot.md`` has the safety argument.
+come out of it for ``PASSING``, because it has died, the cell sends them itself and brakes, and informs the watchdog,
+which then sends nothing any more. ``docs/real_robot.md`` has the safety argument.
 """
 
 from __future__ import annotations

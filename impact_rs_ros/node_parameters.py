@@ -147,8 +147,8 @@ PARAMETERS: dict[str, tuple[NodeParameter, ...]] = {
         NodeParameter(
             "watchdog",
             False,
-            "true: torques go to the robot through the watchdog node, and a trial is armed, and continues, only while it"
-            " passes them on",
+            "true: torques go to the robot through the watchdog node, and a trial is armed, and continues, only while"
+            " it passes them on",
         ),
         NodeParameter(
             "mocap",
