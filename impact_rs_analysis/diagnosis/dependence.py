@@ -258,10 +258,10 @@ def _choose(evidence: Evidence, fitted: Fit | None, pairs: Sequence[Depending], 
         likely = [
             entry
             for name, entry in proposals.items()
-            if p_values[name] < SIGNIFICANT and evidence.gains(before, entry.problem.left_out_rest, 0.5)
+            if p_values[name] < SIGNIFICANT and evidence.gains(before, entry.problem.left_out_rest, 0.5, whole=True)
         ]
         refined = [refine_again(entry) for entry in sorted(likely, key=lambda entry: entry.score)[:SHORTLIST]]
-        refined = [entry for entry in refined if evidence.gains(before, entry.problem.left_out_rest)]
+        refined = [entry for entry in refined if evidence.gains(before, entry.problem.left_out_rest, whole=True)]
         if not refined:
             return Choice(fitted, tuple(chosen), rivals, p_values)
         limit = min(entry.score for entry in refined) * math.exp(TIE)

@@ -135,7 +135,9 @@ class Evidence:
             [np.array([(f.signal, f.index) == name for f in item.features]) for item in self.clusters] for name in names
         ]
 
-    def gains(self, before: Sequence[Array], after: Sequence[Array], of_enough: float = 1.0) -> bool:
+    def gains(
+        self, before: Sequence[Array], after: Sequence[Array], of_enough: float = 1.0, whole: bool = False
+    ) -> bool:
         """Whether enough of the error in excess of repeatability and discrepancy goes.
 
         Enough is ``LEAST_GAIN`` of the whole. Where every joint has a noise of its own that is not known, a gain counts
@@ -147,13 +149,16 @@ class Evidence:
             before: Mean residuals without an effect, ``(F,)`` per cluster [-].
             after: The same with it.
             of_enough: Share of it that is asked for.
+            whole: Whether the gain of a table counts against the whole alone: what a coarse curve leaves of one signal
+                is no further dependence.
         """
         first, second = (self.excess(rest) for rest in (before, after))
         least, in_one = of_enough * LEAST_GAIN, of_enough * LEAST_GAIN_IN_ONE
-        whole = float(np.sum(first - second)) > least * float(np.sum(first))
-        if whole or (self.source.noise_apart and bool(np.any(first - second > in_one * first))):
+        if float(np.sum(first - second)) > least * float(np.sum(first)) or (
+            self.source.noise_apart and bool(np.any(first - second > in_one * first))
+        ):
             return True
-        single = not self.source.of_motion and not self.source.repeated
+        single = not whole and not self.source.of_motion and not self.source.repeated
         return single and self._gain_where_it_acts(before, after) > least
 
     def _gain_where_it_acts(self, before: Sequence[Array], after: Sequence[Array]) -> float:
