@@ -34,19 +34,14 @@ from impact_rs_sim.robot_model import RigidTerms, RobotModel
 from impact_rs_sim.scenario import Detection
 
 BASELINE_TIME = 0.05  # s, time constant of the slow part of the residual
-MOVABLE = 1e-4
-"""Least mobility of a row of J, over the trace of the three linear ones; moments at a lever of 1 m [-]. Below it E has
-a hundredth of its leverage there: a torque noise of 0.05 N m would be a force of 10 N."""
-SEPARABLE = 0.02
-"""Least share of the mobility of a row that the rows before it do not explain [-]; its variance inflation is 50 there.
-The trials of the shipped scenarios have 0.034 and more, a UR5e with its elbow at 0.3 rad 0.0009."""
 
 
 def separable_wrench(jacobians: Array, masses: Array, torques: Array) -> Array:
     """Wrench at E from external joint torques, (J M^-1 J^T)^-1 J M^-1 tau, also in and near singular poses.
 
-    Rows of J are taken in turn. One of which those before it explain all but ``SEPARABLE``, or that has no leverage
-    (``MOVABLE``), cannot be separated: its component is 0, and the others explain the torques without it.
+    Rows of J are taken in turn. One of which those before it explain all but 2 % (``SEPARABLE`` of ``src/control.hpp``),
+    or that has no leverage (``MOVABLE``), cannot be separated: its component is 0, and the others explain the torques
+    without it.
 
     Args:
         jacobians: J of frame E, ``(k, 6, n)``: three orthonormal linear rows, then three of moments.
@@ -60,9 +55,9 @@ def separable_wrench(jacobians: Array, masses: Array, torques: Array) -> Array:
     both = jacobians @ np.linalg.solve(masses, known)
     mobility, wrench = both[:, :, :6], both[:, :, 6:]
     own, left = np.einsum("kii->ki", mobility), mobility.copy()
-    separable = own > MOVABLE * own[:, :3].sum(axis=1, keepdims=True)
+    separable = own > _kernel.MOVABLE * own[:, :3].sum(axis=1, keepdims=True)
     for row in range(6):
-        separable[:, row] &= left[:, row, row] > SEPARABLE * own[:, row]
+        separable[:, row] &= left[:, row, row] > _kernel.SEPARABLE * own[:, row]
         pivot = np.where(separable[:, row], left[:, row, row], np.inf)
         left = left - left[:, :, row, None] * left[:, None, row] / pivot[:, None, None]
     together = separable[:, :, None] & separable[:, None]

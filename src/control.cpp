@@ -4,9 +4,6 @@
 namespace impact_rs {
 namespace {
 
-constexpr double SEPARABLE = 0.01;  // [-], as in detection.py
-constexpr double MOVABLE = 1e-4;    // [-], as in detection.py
-
 // y = A x, A row by row.
 void multiply(const double* a, const double* x, double* y, int rows, int columns) {
   for (int i = 0; i < rows; ++i) {

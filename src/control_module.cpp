@@ -114,6 +114,8 @@ class ProgramOfPython {
 }  // namespace
 
 void add_control(py::module_& module) {
+  module.attr("MOVABLE") = MOVABLE;
+  module.attr("SEPARABLE") = SEPARABLE;
   py::class_<ObserverOfPython>(module, "Observer")
       .def(py::init<int, double, double, double, double, const Numbers&>(), py::arg("joints"), py::arg("gain"),
            py::arg("period"), py::arg("threshold"), py::arg("forgetting"), py::arg("direction"))
