@@ -39,8 +39,9 @@ BASELINE_TIME = 0.05  # s, time constant of the slow part of the residual
 def separable_wrench(jacobians: Array, masses: Array, torques: Array) -> Array:
     """Wrench at E from external joint torques, (J M^-1 J^T)^-1 J M^-1 tau, also in and near singular poses.
 
-    Rows of J are taken in turn. A row of which those before it explain all but 2 % (``SEPARABLE`` in ``src/control.hpp``),
-    or that has no leverage (``MOVABLE``), cannot be separated: its component is 0, and the others explain the torques.
+    Rows of J are taken in turn. A row of which those before it explain all but 2 % (``SEPARABLE``), or that has no
+    leverage (``MOVABLE``, both in ``src/control.hpp``), cannot be separated: its component is 0, and the others explain
+    the torques.
 
     Args:
         jacobians: J of frame E, ``(k, 6, n)``: three orthonormal linear rows, then three of moments.
