@@ -4,8 +4,8 @@
 From when a robot is armed until the node ends, its arms are led by the controller, in a trial, or braked and held.
 
 With the parameter ``watchdog`` its torques go to the watchdog node, which alone sends them to the robot. Where none has
-come out of it for ``PASSING``, because it has died, the cell sends them itself and brakes, and informs the watchdog,
-which then sends nothing any more. ``docs/real_robot.md`` has the safety argument.
+come out of it for ``watchdog_timeout``, because it has died, the cell sends them itself and brakes; it informs the
+watchdog, which then sends nothing any more. ``docs/real_robot.md`` has the safety argument.
 """
 
 from __future__ import annotations
@@ -46,7 +46,6 @@ from impact_rs_trials.bags.streams import Stream, StreamMaker
 from impact_rs_trials.bags.trial_info import TrialInfo
 
 LISTENING = 1.0  # s, until the effort controllers, and the names of those who can send torques, must have been found
-PASSING = 0.1  # s of the robot's time without a torque that the watchdog passed on; twice its command_timeout
 ECHOES = 0.005  # s, between two looks at what it passed on
 SURVEY = 0.1  # s, between two looks at who else publishes what only this cell or one robot may publish
 
@@ -112,7 +111,7 @@ class CellNode(LeadingNode[CellTrial]):
     def work(self, trial: CellTrial, until: float) -> None:
         now = time.monotonic()
         if self._past and trial.begun and not trial.over:
-            trial.stop(f"the watchdog passed no torques on for {PASSING:g} s: is it alive?")
+            trial.stop(f"the watchdog passed no torques on for {self.parameter('watchdog_timeout'):g} s: is it alive?")
         if trial.begun and not trial.over and now - self._surveyed > SURVEY:
             self._surveyed = now
             if complaint := self._strangers():
@@ -201,17 +200,18 @@ class CellNode(LeadingNode[CellTrial]):
         """Hear what the watchdog passes on; where it has passed nothing on for long, go past it."""
         if 0.0 <= now - self._echoed < ECHOES:
             return
-        stalled, self._echoed = now - self._echoed > PASSING / 2.0, now
+        patience = self.parameter("watchdog_timeout")
+        stalled, self._echoed = now - self._echoed > patience / 2.0, now
         self._echo.gather()
         arm_of = {commands_topic(arm): arm for arm in self.arms}
         came = {arm_of[topic]: torque for topic, data in self._echo.take() if (torque := torques_of(data)) is not None}
         self._passed |= came
         if came or stalled or self._waiting is None:  # what this process did not send cannot be passed on
             self._waiting = now
-        if now - self._waiting <= PASSING or self._held is None or len(self._passed) < len(self.arms):
+        if now - self._waiting <= patience or self._held is None or len(self._passed) < len(self.arms):
             return
         self._past = True
-        self.log.error(f"the watchdog passed no torques on for {PASSING:g} s: braking without it")
+        self.log.error(f"the watchdog passed no torques on for {patience:g} s: braking without it")
         for arm, torque in self._passed.items():
             self._held.continue_from(arm, torque)
 

@@ -151,6 +151,14 @@ PARAMETERS: dict[str, tuple[NodeParameter, ...]] = {
             " it passes them on",
         ),
         NodeParameter(
+            "watchdog_timeout",
+            0.1,
+            "Time without a torque that the watchdog passed on, after which the trial is aborted and the cell brakes"
+            " the arms without it; twice its command_timeout",
+            "s",
+            (0.01, 10.0),
+        ),
+        NodeParameter(
             "mocap",
             False,
             "true: publish poses of the object from motion capture; a trial is armed only if they arrive",
