@@ -6,12 +6,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import yaml
 from trials import nominal_physics
 
 from impact_rs_sim.effects import library
 from impact_rs_sim.errors import InputError
-from impact_rs_sim.robot import load_facts
 from impact_rs_sim.scenario import scenario_path
 from impact_rs_sim.unmodelled import OUTSIDE
 from impact_rs_trials.blind import RUNS, SIZES, TRUTH, draw, draw_outside, draw_truth, hide, make, specs, tasks
@@ -146,16 +144,8 @@ def test_a_centre_of_mass_is_hidden_inside_every_box_of_the_campaign(tmp_path: P
 
 def test_another_robot_is_hidden_behind_with_its_own_number_of_joints(tmp_path) -> None:
     """Truth and tasks are those of the scenarios that were asked for; arms of two kinds in one campaign are refused."""
-    few = load_facts("ur5e")
-    text = yaml.safe_load(scenario_path("push").read_text(encoding="utf-8"))
-    robot, cut = text["robots"]["arm"], slice(0, few.joint_count)
-    drive = {name: robot["drive"][name][cut] for name in ("motor_inertia_rotor", "stiffness", "damping")}
-    robot |= {"facts": "ur5e", "drive": {"type": "rigid"} | drive}
-    robot["impact"]["joint_guess"] = robot["impact"]["joint_guess"][cut]
-    for case in text["cases"].values():
-        del case["robots"]["arm"]["joint_1"]
     path = tmp_path / "six.yaml"
-    path.write_text(yaml.safe_dump(text))
+    path.write_text(scenario_path("push_ur5e").read_text(encoding="utf-8"))
     for _ in make(tmp_path / "blind", 1, map, "single", "torque_offset", "small", work=str, scenarios=(str(path),)):
         pass
     truth = json.loads((tmp_path / "blind" / TRUTH).read_text())
