@@ -271,9 +271,11 @@ def test_a_law_with_memory_or_of_a_product_is_found_alone_with_its_numbers(
 
 
 def test_a_maxwell_element_of_the_wrong_sign_is_none(tmp_path: Path) -> None:
+    """Such a force is close to one of position and velocity at the speeds of the motion: curves may describe it."""
     document = found_in(tmp_path, driven)
     assert "motor2_relaxing_velocity_linear" not in document.diagnosis.named
-    assert document.diagnosis.held_out_error_after > 1.5 * NOISE
+    assert document.verdict in (DESCRIBED, NO_LAW)
+    assert document.diagnosis.held_out_error_after > 1.2 * NOISE
 
 
 def test_nothing_is_proposed_where_only_friction_acts(tmp_path: Path) -> None:
