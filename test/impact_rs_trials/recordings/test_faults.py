@@ -295,7 +295,7 @@ def test_a_recording_is_cut_where_a_sensor_was_frozen(tmp_path: Path) -> None:
     first, second = read_recordings(saved(tmp_path, signals, since=100.0), MAPPING)
     assert (first.begin, first.signals.time[-1]) == pytest.approx((0.0, 109.99))
     assert (second.begin, second.signals.time[0], second.signals.time[-1]) == pytest.approx((20.0, 120.0, 129.99))
-    assert first.remarks == second.remarks
+    assert first.remarks[0] == second.remarks[0]
     assert "joint 4: frozen" in first.remarks[0]
     np.testing.assert_array_equal(second.signals.arms[ARM].torque, signals["torque"].values[2000:])
 
