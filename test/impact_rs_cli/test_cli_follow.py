@@ -58,7 +58,8 @@ def test_the_document_has_every_hit_and_a_later_run_with_the_state_has_none_agai
     first = document(*words)
     assert len(first["hits"]) == 42
     (change,) = [hit["change"] for hit in first["hits"] if hit["change"] is not None]
-    assert change["causes"][0]["effect"] == "object_mass"
+    causes = {cause["effect"]: cause["share"] for cause in change["causes"]}
+    assert causes["object_mass"] > 0.3  # a tool that lost 0.5 kg does about as well after three hits, and is said too
     again = document(*words)
     assert again["hits"] == []
     assert again["followed"] == first["followed"] and again["prediction"] == first["prediction"]
