@@ -57,6 +57,7 @@ JOINT_ELASTICITY = ArmEffect(
             "D/K, after which the deflection follows the torque",
             per_joint=True,
             shape=True,
+            hidden=(0.0005, 0.005),
         ),
     ),
     law=_elasticity,
