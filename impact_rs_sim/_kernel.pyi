@@ -12,7 +12,7 @@ from impact_rs_sim.robot_model import RigidTerms
 ACCEPTED: float
 """|g F| that is an answer of Newton's method [m/s]."""
 MOVABLE: float
-"""Least mobility of a row of J that the observer tells from none, over the trace of the linear rows [-]."""
+"""Least mobility of a row of J that counts in the observer, over the trace of the linear rows [-]."""
 SEPARABLE: float
 """Least share of the mobility of a row that the rows before it do not explain [-]."""
 

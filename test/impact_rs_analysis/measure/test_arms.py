@@ -43,9 +43,9 @@ def test_a_prediction_is_the_mean_of_those_of_its_arms() -> None:
     by_arm = predict_arms(MIXED, "cat_food", "case_1")
     for model, velocity in predict(MIXED, "cat_food", "case_1").items():
         assert velocity == pytest.approx((by_arm[model]["left"] + by_arm[model]["right"]) / 2.0)
-    # The UR5e has one motor inertia. Another one of the FR3 moves the FR3 most.
+    # The UR5e has one motor inertia. Another one of the FR3 moves both: they hold the same box.
     change = {arm: abs(by_arm["zero"][arm] - by_arm["rotor"][arm]) for arm in ("left", "right")}
-    assert change["left"] > 1e-3
+    assert change["left"] > 5e-4 and change["right"] > 1e-3  # m/s
 
 
 def test_every_arm_has_an_estimate_of_its_own(analysis: Analysis) -> None:
@@ -56,7 +56,7 @@ def test_every_arm_has_an_estimate_of_its_own(analysis: Analysis) -> None:
         # The line through an arm's own feedback; its zero crossing is the estimate.
         slope, intercept = np.polyfit(references, [trial.nets[arm.name] for trial in entry.trials], 1)
         assert arm.fit.estimate == pytest.approx(-intercept / slope)
-        assert abs(arm.predictions["reduced"].error) < 8.0  # %, of three trials
+        assert abs(arm.predictions["reduced"].error) < 18.0  # %, of three trials; in this pose B moves the UR5e by a third
     document = analysis.to_json()
     assert [arm["robot"] for arm in document["arms"]] == ["franka_fr3", "ur5e"]
     assert [arm["arm"] for arm in document["sets"][0]["arms"]] == ["left", "right"]
