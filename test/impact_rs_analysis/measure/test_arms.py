@@ -56,7 +56,7 @@ def test_every_arm_has_an_estimate_of_its_own(analysis: Analysis) -> None:
         # The line through an arm's own feedback; its zero crossing is the estimate.
         slope, intercept = np.polyfit(references, [trial.nets[arm.name] for trial in entry.trials], 1)
         assert arm.fit.estimate == pytest.approx(-intercept / slope)
-        assert abs(arm.predictions["reduced"].error) < 18.0  # %, of three trials; in this pose B moves the UR5e by a third
+        assert abs(arm.predictions["reduced"].error) < 18.0  # %, of three trials; B moves the UR5e by a third
     document = analysis.to_json()
     assert [arm["robot"] for arm in document["arms"]] == ["franka_fr3", "ur5e"]
     assert [arm["arm"] for arm in document["sets"][0]["arms"]] == ["left", "right"]
