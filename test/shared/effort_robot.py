@@ -9,10 +9,12 @@ Once it is sent torques it waits for the one of each state, so that a slow machi
 is the clock of who uses its time.
 
     python effort_robot.py SCENARIO OBJECT CASE [--no-gravity] [--offset RAD] [--silent-after N] [--nan-after N]
-                           [--tracker X Y Z ROLL PITCH YAW] [--kill PID] [--kill-after N] [--stall PID AFTER FOR]
+                           [--tracker X Y Z ROLL PITCH YAW] [--kill PID] [--kill-after N] [--slower N]
+                           [--stall PID AFTER FOR]
 
 N counts states from when the arm has left its place. With ``--kill`` the robot kills the cell after N of them, waits
-for torques no longer, as no robot does, and prints whether its arm comes to rest. With ``--stall`` it stops a process
+for torques no longer, as no robot does, and prints whether its arm comes to rest; ``--slower`` N times as slowly as by
+the clock on the wall, for who is left on a busy machine. With ``--stall`` it stops a process
 AFTER so many states FOR so many, in which it waits for no torque, and prints what torques it was sent until a second
 after that.
 """
@@ -80,6 +82,7 @@ def main() -> None:
     parser.add_argument("--nan-after", type=int, default=sys.maxsize)
     parser.add_argument("--kill", type=int, default=0)
     parser.add_argument("--kill-after", type=int, default=sys.maxsize)
+    parser.add_argument("--slower", type=int, default=1)  # wall time after a kill over its own
     parser.add_argument("--stall", type=int, nargs=3, default=[0, sys.maxsize, 0])
     options = parser.parse_args()
     name, item, case = options.trial
@@ -113,7 +116,7 @@ def main() -> None:
     began, step = time.time_ns(), 0
     print("ready", flush=True)
     while True:
-        due = time.monotonic() + period
+        due = time.monotonic() + period * (options.slower if killed else 1)
         stamp = Time()
         stamp.sec, stamp.nanosec = divmod(began + round(1e9 * step * period), 10**9)
         clock.publish(Clock(clock=stamp))

@@ -308,7 +308,7 @@ def test_after_a_watchdog_is_killed_in_a_trial_the_cell_brakes_the_arm_itself(ce
     cell.set("watchdog", True)
     cell.set("watchdog_timeout", 0.1)
     with watchdog(cell) as node:
-        options = ("--kill", str(node.process.pid), "--kill-after", "300")
+        options = ("--kill", str(node.process.pid), "--kill-after", "300", "--slower", "5")
         with cell.robot(*options) as robot:
             result = cell.run()
             assert node.process.poll() == -signal.SIGKILL, f"the trial ended before: {result}"
