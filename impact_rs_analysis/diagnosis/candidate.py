@@ -541,8 +541,7 @@ class Problem:
         noise = null.covariance(jacobians, self.rest(change), inverse)
         pulled = inverse @ (np.square(self.candidate.prior * self._prior)[:, None] * inverse)
         systematic = null.discrepancy(jacobians, inverse) + pulled
-        roots = (np.sqrt(np.maximum(np.diag(part), 0.0)) for part in (noise, systematic))
-        from_noise, from_others = roots
+        from_noise, from_others = (np.sqrt(np.maximum(np.diag(part), 0.0)) for part in (noise, systematic))
         return from_noise, self.jackknife(), from_others, null.freedoms(jacobians, inverse)
 
     def moved_by_calibrations(self) -> Array:

@@ -26,6 +26,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from impact_rs_sim.robot import Array
 from impact_rs_sim.robot_model import RobotModel
@@ -127,7 +128,7 @@ def _load(model: RobotModel, arm: ArmSignals, rows: Array, weight: Array, doubte
     joints = np.flatnonzero(np.ptp(arm.torque, axis=0) > 0.0)
     torque = arm.torque[rows][:, joints]
     every = np.array([_torques_of_a_load(model, q)[joints] for q in arm.position[rows]])
-    odd = np.floor(np.linspace(0.0, BLOCKS, rows.size, endpoint=False)).astype(int) % 2 == 1
+    odd = _odd_blocks(rows.size)
     left = {"load": 0.0, "factors": 0.0}
     beyond = torque - weight[:, joints]
     for unseen in (odd, ~odd):
@@ -149,6 +150,11 @@ def _load(model: RobotModel, arm: ArmSignals, rows: Array, weight: Array, doubte
         f"{', '.join(str(joint + 1) for joint in doubted)} do (", Amount(rms["factors"], ".2g"), " N m). "
         "Remedy in the mapping: end_effector, if it is known; diagnose finds it, if it is not",
     )  # fmt: skip
+
+
+def _odd_blocks(count: int) -> NDArray[np.bool_]:
+    """Which of so many samples lie in odd blocks, ``(count,)``."""
+    return np.asarray(np.floor(np.linspace(0.0, BLOCKS, count, endpoint=False)).astype(int) % 2 == 1)
 
 
 def _torques_of_a_load(model: RobotModel, position: Array) -> Array:
@@ -214,7 +220,7 @@ def _lag_of_torque(time: Array, arm: ArmSignals, moves: list[bool], model: Robot
         rows.size, (at[rows[-1]] - at[rows[0]]) * at.size / ((time.size - at.size + 1) * (at[-1] - at[0]))
     )
     likelihood = np.zeros(tried.size)
-    odd = np.floor(np.linspace(0.0, BLOCKS, rows.size, endpoint=False)).astype(int) % 2 == 1
+    odd = _odd_blocks(rows.size)
     for joint in np.flatnonzero(np.array(moves) & (np.ptp(arm.torque, axis=0) > 0.0)):
         speed = dq[rows, joint]
         columns = (rigid[:, joint], ddq[rows, joint], np.tanh(speed / SLOW), speed, np.ones(rows.size))
