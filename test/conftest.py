@@ -21,6 +21,9 @@ if TYPE_CHECKING:
 
 sys.path.append(str(Path(__file__).parent / "shared"))  # what tests of several packages have in common
 
+import cost  # noqa: E402 (below test/shared)
+from cost import Costs, read_costs  # noqa: E402
+
 # Read when NumPy is loaded. Our matrices are small: a second thread of BLAS triples the processor time of the
 # statistics on two busy cores and gains nothing.
 os.environ.setdefault("OMP_NUM_THREADS", "1")
@@ -34,41 +37,39 @@ WAITING = 1  # processes more than cores: those that test nodes and pages wait f
 GRAPH = "nodes that share a graph"
 OTHER_NODES = "other nodes"
 SHARING = ("nodes_", "one_impact_map", "impact_map_node", "node_parameters")  # test_*: use the graph below
-SECONDS = {  # of a scope, roughly: what takes long begins first, so that no process is left with it at the end
-    GRAPH: 200.0,
-    OTHER_NODES: 200.0,
-    "test_page.py": 150.0,
-    "test_rehearsal.py": 30.0,
-    "test_metamorphic.py": 30.0,
-    "test_follow.py": 30.0,
-    "test_tables_of_tosses.py": 20.0,
-    "test_tables_of_balls.py": 20.0,
-    "test_impact_tables.py": 20.0,
-    "test_discover.py": 20.0,
-    "test_discover_in_recordings.py": 20.0,
-    "test_recordings_of_few_joints.py": 20.0,
-    "test_recordings_that_calibrate.py": 20.0,
-    "test_diagnosis_of_recordings.py": 20.0,
-    "test_cli_investigate.py": 20.0,
-    "test_cli_loop.py": 20.0,
-    "test_cli_edges.py": 15.0,
-    "test_jobs.py": 15.0,
-    "test_arms_of_different_kinds.py": 15.0,
-    "test_null_distribution.py": 10.0,
-    "test_laboratory.py": 10.0,
-    "test_motion_difference.py": 10.0,
-    "test_raw_damage.py": 10.0,
-    "test_workers.py": 10.0,
-    "test_cli_design.py": 5.0,
-    "test_recovery.py": 5.0,
-    "test_body_impacts.py": 5.0,
-    "test_shipped_scenarios.py": 5.0,
-    "test_examples.py": 5.0,
-    "test_forecast.py": 5.0,
-    "test_real.py": 5.0,
-    "test_arms.py": 5.0,
-    "test_study.py": 5.0,
-}
+COSTS = Path(__file__).parent / "costs.json"  # as ``./run test --all --cost test/costs.json`` measured them
+FAST, SLOW = 120.0, 900.0  # s: a test that takes longer hangs
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    """Two tiers, and what they cost."""
+    group = parser.getgroup("impact_rs")
+    group.addoption(
+        "--all", action="store_true", help="also the slow tests: every variant, whole investigations, fuzz in full"
+    )
+    group.addoption(
+        "--cost",
+        type=Path,
+        metavar="FILE",
+        help="write what each test costs, and refuse dear ones that are fast by name",
+    )
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Tests measure themselves, where they run."""
+    config.pluginmanager.register(Costs(None if hasattr(config, "workerinput") else config.option.cost), "costs")
+
+
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Leave the slow ones out, unless they are asked for, and end what hangs."""
+    slow = [item for item in items if item.get_closest_marker("slow")]
+    if not config.option.all and not config.option.markexpr:
+        config.hook.pytest_deselected(items=slow)
+        left_out = set(slow)
+        items[:] = [item for item in items if item not in left_out]
+    for item in items:
+        if not item.get_closest_marker("timeout"):
+            item.add_marker(pytest.mark.timeout(SLOW if item.get_closest_marker("slow") else FAST))
 
 
 @pytest.hookimpl(optionalhook=True)
@@ -87,21 +88,28 @@ def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
     from xdist.scheduler import LoadFileScheduling
     from xdist.workermanage import WorkerController
 
+    costs = read_costs(COSTS)
+
     class LongestFirst(LoadFileScheduling):
         def _split_scope(self, nodeid: str) -> str:
             file = super()._split_scope(nodeid)
             if not file.startswith(("test/system/", "test/impact_rs_ros/")) or file.endswith("test_rehearsal.py"):
                 return file
-            return GRAPH if Path(file).name.removeprefix("test_").startswith(SHARING) else OTHER_NODES
+            return GRAPH if uses_the_graph(file) else OTHER_NODES
 
         def _assign_work_unit(self, node: WorkerController) -> None:
-            self.workqueue.move_to_end(max(self.workqueue, key=self._seconds), last=False)
+            self.workqueue.move_to_end(max(self.workqueue, key=self._cost), last=False)
             super()._assign_work_unit(node)
 
-        def _seconds(self, scope: str) -> float:
-            return SECONDS.get(scope.rpartition("/")[2], 0.05 * len(self.workqueue[scope]))
+        def _cost(self, scope: str) -> float:
+            return sum(costs.get(file, 0.0) for file in {test.partition("::")[0] for test in self.workqueue[scope]})
 
     return LongestFirst(config, log)
+
+
+def uses_the_graph(file: str) -> bool:
+    """Whether the tests of a file share the five nodes of ``graph``."""
+    return Path(file).name.removeprefix("test_").startswith(SHARING)
 
 
 MadeOnce = Callable[[str, Callable[[Path], None]], Path]
@@ -121,7 +129,8 @@ def made_once(tmp_path_factory: pytest.TempPathFactory) -> MadeOnce:
             if not path.exists():
                 shutil.rmtree(partial, ignore_errors=True)
                 partial.mkdir()
-                make(partial)
+                with cost.shared():
+                    make(partial)
                 partial.rename(path)
         return path
 
@@ -183,7 +192,7 @@ def _rewrite_bag() -> Callable[..., None]:
 
 @pytest.fixture(scope="session")
 def domain_ids() -> Iterator[Callable[[], int]]:
-    """Hands out ROS domain ids that no other test run on this machine uses; a lock file holds each."""
+    """Hands out ROS domain ids that no other test run on this machine uses; a lock on a file holds each."""
     from impact_rs_ros.middleware import set_middleware
 
     set_middleware(os.environ)
@@ -191,25 +200,45 @@ def domain_ids() -> Iterator[Callable[[], int]]:
 
         def take() -> int:
             for number in range(1, 100):  # 101 and above run into the ports the system hands out
-                lock = held.enter_context(open(Path(tempfile.gettempdir()) / f"impact_rs_domain_{number}.lock", "w"))
+                lock = _opened(Path(tempfile.gettempdir()) / f"impact_rs_domain_{number}.lock")
                 try:
                     fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
                 except OSError:
-                    lock.close()
+                    os.close(lock)
                     continue
+                held.callback(os.close, lock)
                 return number
             raise RuntimeError("no ROS domain id is free")
 
         yield take
 
 
+def _opened(path: Path) -> int:
+    """A file to lock, which may be another user's: to create or write that one is refused in a shared folder."""
+    try:
+        return os.open(path, os.O_RDONLY)
+    except FileNotFoundError:
+        return os.open(path, os.O_RDONLY | os.O_CREAT, 0o644)
+
+
+_graphs = ExitStack()
+
+
 @pytest.fixture(scope="session")
-def graph(domain_ids: Callable[[], int], tmp_path_factory: pytest.TempPathFactory) -> Iterator[Graph]:
+def graph(domain_ids: Callable[[], int], tmp_path_factory: pytest.TempPathFactory) -> Graph:
     """The five nodes as processes, shared by the tests that leave them running."""
     from impact_rs_ros.graph import Graph
 
-    with Graph.running("push", domain_ids(), root=tmp_path_factory.getbasetemp()) as running:
-        yield running
+    with cost.shared():
+        return _graphs.enter_context(Graph.running("push", domain_ids(), root=tmp_path_factory.getbasetemp()))
+
+
+@pytest.hookimpl(trylast=True)
+def pytest_runtest_teardown(item: pytest.Item, nextitem: pytest.Item | None) -> None:
+    """End the graph after the last test that uses it: idle nodes cost what the tests after it need."""
+    del item
+    if nextitem is None or not uses_the_graph(nextitem.nodeid.partition("::")[0]):
+        _graphs.close()
 
 
 @pytest.fixture(scope="session")

@@ -10,6 +10,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 import yaml
+from measured_data import measured_data
 
 from impact_rs_cli.main import main
 from impact_rs_sim.impact_map.measured import MeasuredImpact, corners_that_touch, solve_measured
@@ -17,7 +18,6 @@ from impact_rs_sim.physics import ObjectPhysics, Physics
 from impact_rs_sim.scene import BodyState
 from impact_rs_trials.recordings.impact_table import read_impact_table
 
-SHARED = Path(__file__).resolve().parents[3] / "shared" / "data" / "cases"
 RATE = 200.0  # Hz
 SIZE, MASS = 0.1, 0.4  # m, kg
 TRUTH_E = 0.4
@@ -152,9 +152,7 @@ def test_a_pendulum_of_another_laboratory_goes_from_its_table_to_a_comparison(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Its model describes it up to a noise of 0.001 N m."""
-    if not SHARED.is_dir():
-        pytest.skip("the shared recordings are not on this machine")
-    case = SHARED / "one_joint"
+    case = measured_data("cases", "one_joint")
     lab = tmp_path / "lab"
     assert main(["import", str(case / "swing.csv"), "--robot", str(case / "pendulum.yaml"), "-o", str(lab)]) == 0
     for mapping in (case / "mapping_motor.yaml", lab / "mapping.yaml"):

@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from joint_recordings import Columns, write_npz
+from measured_data import measured_data
 from slender_arm import FLAT, LENGTH, mapping_of, slender_arm
 
 from impact_rs_analysis.diagnosis.compare import compare
@@ -26,14 +27,6 @@ LINK = 2.0 * (LENGTH / 2.0) ** 2 + 0.03  # kg m^2, about the axis
 MOTOR, STIFFNESS = 0.08, 100.0  # kg m^2, N m/rad: it resonates at 4.8 Hz behind a motor that is held
 COULOMB, VISCOUS = 0.35, 0.3  # N m, N m s/rad
 NOISE = 0.02  # N m
-CASE = next(
-    (
-        folder
-        for parent in Path(__file__).resolve().parents[3:]
-        if (folder := parent / "shared" / "data" / "cases" / "harmonic_drive_resonance").is_dir()
-    ),
-    None,
-)
 EFFECTS = ["joint_elasticity", "added_motor_inertia", "joint_coulomb_friction", "joint_viscous_friction"]
 CONSIDERED = [*EFFECTS, "torque_delay", "torque_offset", "link_inertia", "end_effector_payload"]
 
@@ -116,14 +109,12 @@ def test_both_signals_of_a_joint_are_compared_in_their_units(tmp_path: Path) -> 
     assert all(row.times_noise > 20.0 for row in rows)
 
 
-@pytest.mark.skipif(CASE is None, reason="the shared cases are not on this machine")
 def test_a_harmonic_drive_that_resonates_is_not_taken_for_damping_and_delay(tmp_path: Path) -> None:
     """A chirp through the resonance, most of it above the low-pass; K is 7 Hz with 0.05 kg m^2."""
     (tmp_path / "robot.yaml").write_text(ROBOT)
     (tmp_path / "mapping.yaml").write_text(MAPPING)
     mapping = load_mapping(tmp_path / "mapping.yaml")
-    assert CASE is not None
-    path = CASE / "chirp_with_motor_encoder.csv"
+    path = measured_data("cases", "harmonic_drive_resonance", "chirp_with_motor_encoder.csv")
     source = RecordingSource.of(read_recordings(path, mapping), mapping, Model(name="nominal"))
     assert np.all(source.balance.noise < [0.02, 2e-5])
     found = diagnose(source, source.model, CONSIDERED)

@@ -12,6 +12,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from joint_recordings import write_npz
+from measured_data import measured_data
 
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.robot_model import RobotModel
@@ -29,7 +30,6 @@ MAPPING = load_mapping("joint_state")
 MODEL = RobotModel(MAPPING.facts, MAPPING.end_effector.build(), pin.SE3.Identity())
 FASTEST = np.array(MAPPING.facts.limits.velocity_rad_s)
 CENTRE = np.array([0.0, -0.3, 0.0, -2.0, 0.0, 1.8, 0.5])  # rad
-SHARED = Path(__file__).resolve().parents[4] / "shared" / "data"
 
 Recorded = dict[SignalName, Series]
 
@@ -101,9 +101,7 @@ def test_clean_recordings_of_any_resolution_raise_no_alarm() -> None:
 @pytest.mark.parametrize("bench", ["bench_0", "bench_1", "bench_2"])
 def test_recordings_of_another_laboratory_raise_no_alarm(bench: str) -> None:
     """As recorded, and with encoders of 0.1 and 1 mrad."""
-    if not SHARED.is_dir():
-        pytest.skip("the shared recordings are not on this machine")
-    runs, skipped = read_laboratory(SHARED / "lab" / bench, Experiment(scenario="push"), map)
+    runs, skipped = read_laboratory(measured_data("lab", bench), Experiment(scenario="push"), map)
     assert (len(runs), skipped) == (16, [])
     assert [remark for run in runs for remark in run.remarks if "left out" in remark] == []
     for run, step in ((run, step) for run in runs for step in (1e-4, 1e-3)):
@@ -114,9 +112,7 @@ def test_recordings_of_another_laboratory_raise_no_alarm(bench: str) -> None:
 
 
 def test_a_recording_of_a_real_arm_raises_no_alarm() -> None:
-    file = SHARED / "unisa_panda" / "panda_exciting_trajectory.db3"
-    if not file.is_file():
-        pytest.skip("the shared recordings are not on this machine")
+    file = measured_data("unisa_panda", "panda_exciting_trajectory.db3")
     (whole,) = read_recordings(file, MAPPING)
     assert (whole.signals.time.size, whole.remarks) == (727, ())
 

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from joint_recordings import Columns, swinging, write_bag
+from measured_data import measured_data
 
 from impact_rs_sim.robot import RobotFacts, load_facts
 from impact_rs_sim.robot_model import RobotModel
@@ -17,7 +18,6 @@ from impact_rs_trials.recordings.mapping import MountedEndEffector, load_mapping
 from impact_rs_trials.recordings.measured_limits import measured_limits
 from impact_rs_trials.recordings.recording import read_recordings
 
-SHARED = Path(__file__).resolve().parents[4] / "shared" / "data" / "cases"
 TIME = np.arange(0.0, 8.0, 0.01)
 LIMITS = {"position_min_rad": -3.0, "position_max_rad": 3.0, "velocity_rad_s": 10.0, "torque_Nm": 10.0}
 UPRIGHT = (-np.pi / 2.0, 0.0, 0.0)
@@ -129,9 +129,8 @@ def test_limits_of_one_joint_are_taken_from_a_table(tmp_path: Path) -> None:
     ("case", "file", "robot"), [("one_joint", "swing", "pendulum"), ("reach_zero", "motion", "pan_tilt")]
 )
 def test_recordings_of_other_people_are_imported(case: str, file: str, robot: str, tmp_path: Path) -> None:
-    if not SHARED.is_dir():
-        pytest.skip("the shared recordings are not on this machine")
-    draft = draft_import([SHARED / case / f"{file}.csv"], tmp_path, Wishes(robot=str(SHARED / case / f"{robot}.yaml")))
+    folder = measured_data("cases", case)
+    draft = draft_import([folder / f"{file}.csv"], tmp_path, Wishes(robot=str(folder / f"{robot}.yaml")))
     assert draft.runs == 1 and not [
         line.key for line in draft.lines if line.key.startswith("signals") and not line.sure
     ]

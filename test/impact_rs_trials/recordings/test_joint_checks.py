@@ -11,6 +11,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from joint_recordings import swinging, write_npz
+from measured_data import measured_data
 from slender_arm import lighter, mapping_of, slender_arm
 from slender_arm import swung as slender_swung
 
@@ -29,7 +30,6 @@ CENTRE = np.array([0.0, -0.3, 0.0, -2.0, 0.0, 1.8, 0.5])  # rad
 TIME = np.arange(0.0, 20.0, 0.005)
 RATES = np.array([[0.11, 0.13, 0.17, 0.19, 0.23, 0.29, 0.31], [0.53, 0.59, 0.61, 0.67, 0.71, 0.73, 0.79]])  # Hz
 FRICTION = 1.0  # N m
-SHARED = Path(__file__).resolve().parents[4] / "shared" / "data"
 
 
 def swung(friction: float = FRICTION) -> dict[str, np.ndarray]:
@@ -224,9 +224,7 @@ def test_the_remedy_puts_the_recording_right(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("bench", ["bench_0", "bench_1", "bench_2"])
 def test_recordings_of_another_laboratory_raise_no_doubt(bench: str) -> None:
-    if not SHARED.is_dir():
-        pytest.skip("the shared recordings are not on this machine")
-    runs, _ = read_laboratory(SHARED / "lab" / bench, Experiment(scenario="push"), map)
+    runs, _ = read_laboratory(measured_data("lab", bench), Experiment(scenario="push"), map)
     assert [remark for run in runs for remark in run.remarks if "factor" in remark] == []
     free = next(run for run in runs if not run.hit)
     arm = free.signals.arms["arm"]

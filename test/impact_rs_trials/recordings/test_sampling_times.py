@@ -7,12 +7,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from measured_data import measured_data
 
 from impact_rs_sim.robot import Array
 from impact_rs_trials.recordings.importing import Wishes, draft_import
 from impact_rs_trials.recordings.sampling_times import doubt_of_timestamps
 
-SHARED = Path(__file__).resolve().parents[4] / "shared" / "data" / "cases"
 COUNT = 1000
 
 
@@ -74,8 +74,6 @@ def test_of_one_joint_nothing_can_be_said() -> None:
 @pytest.mark.parametrize("file", ["nominal_stamps/episode.csv", "small/nominal_stamps.csv"])
 def test_frame_numbers_over_a_rate_are_said_when_a_recording_is_imported(file: str, tmp_path: Path) -> None:
     """True periods vary by 17 % (true_times.txt)."""
-    if not SHARED.is_dir():
-        pytest.skip("the shared recordings are not on this machine")
-    draft = draft_import([SHARED / file], tmp_path, Wishes(robot="franka_fer"))
+    draft = draft_import([measured_data("cases", file)], tmp_path, Wishes(robot="franka_fer"))
     (said,) = [remark for remark in draft.remarks if "timestamps are nominal" in remark]
     assert 13.0 < float(said.split("vary by ")[1].split()[0]) < 20.0

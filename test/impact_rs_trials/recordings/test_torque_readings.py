@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from joint_recordings import Columns, swinging
+from measured_data import measured_data
 from slender_arm import FLAT, mapping_of, slender_arm
 
 from impact_rs_sim.errors import InputError
@@ -18,7 +19,6 @@ from impact_rs_trials.recordings.mapping import MountedEndEffector, load_mapping
 from impact_rs_trials.recordings.recording import read_recordings
 from impact_rs_trials.recordings.torque_readings import MotionTorque, is_computed, lacks_weight, order_of_joints
 
-SHARED = Path(__file__).resolve().parents[4] / "shared" / "data" / "cases"
 TIME = np.arange(0.0, 10.0, 0.01)
 CENTRES = {"ur10e": [0.0, -1.2, 1.4, -0.4, 0.5, 0.2], "kuka_iiwa7": [0.1, 0.6, 0.2, -1.2, 0.3, 0.9, 0.1]}  # rad
 FRICTION = 0.05  # of the largest torque
@@ -186,7 +186,5 @@ def test_a_signal_that_does_not_go_with_the_motion_is_not_excused(tmp_path: Path
 
 
 def test_a_recording_of_another_laboratory_without_the_weight_is_refused(tmp_path: Path) -> None:
-    if not SHARED.is_dir():
-        pytest.skip("the shared recordings are not on this machine")
     with pytest.raises(InputError, match="holds the torque of inertia without the arm's weight"):
-        draft_import([SHARED / "small" / "no_gravity.csv"], tmp_path, Wishes(robot="ur10e"))
+        draft_import([measured_data("cases", "small", "no_gravity.csv")], tmp_path, Wishes(robot="ur10e"))
