@@ -1,9 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """Would the tests notice a wrong line? ``./run python -m benchmarks.mutation impact_rs_sim/drive.py src/drive.cpp``.
 
-Mutants of a Python module are made and judged by mutmut (``./run python -m pip install mutmut``), by the tests of its
-name in the mirrored folder. Mutants of the C++ kernel are a list in ``mutation.toml``, which also holds the settings of
-mutmut. Both run in ``build/mutation``, a copy of the repository; there ``mutmut browse`` shows the mutants of Python.
+Mutants of a Python module are made and judged by mutmut (``./run python -m pip install mutmut``), by the fast tests of
+its name in the mirrored folder. ``mutation.toml`` lists wrong lines by hand: all mutants of the C++ kernel, and in
+Python the gates on which a verdict turns, with the fast tests that have to notice (``--listed`` prints which one does).
+It also holds the settings of mutmut. All run in ``build/mutation``, a copy of the repository; there ``mutmut browse``
+shows the mutants of Python.
 ``--sanitise`` runs the tests of the list there, without a mutant, in a build that notices wrong accesses.
 How to read the figures: ``docs/reliability.md``.
 """
@@ -24,6 +26,7 @@ import tomllib
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -33,7 +36,7 @@ COPY = ROOT / "build" / "mutation"
 SETTINGS = tomllib.loads((HERE / "mutation.toml").read_text(encoding="utf-8"))
 NOTICED = (1, 2)  # exit codes of pytest: a test failed; a test file could not be imported
 STATES = ("killed", "survived", "no tests", "timeout", "not checked")
-KERNEL_LIMIT = 600.0  # s, of the tests of a mutant of the kernel
+LIMIT = 600.0  # s, of the tests of a listed mutant
 # Wrong accesses and undefined behaviour end the process; the libraries have to be there before Python is.
 SANITISED = ("-O1", "-g1", "-fsanitize=address,undefined", "-fno-sanitize-recover=undefined", "-D_GLIBCXX_ASSERTIONS")
 BINDINGS = ("-O0", "-fsanitize=address", "-D_GLIBCXX_ASSERTIONS")  # templates of pybind11 compile for minutes with more
@@ -46,8 +49,8 @@ class MutationError(Exception):
 
 
 @dataclass(frozen=True)
-class KernelMutant:
-    """One wrong line of C++.
+class ListedMutant:
+    """One wrong line.
 
     Attributes:
         file: Source file, relative to the root of the repository.
@@ -62,14 +65,14 @@ class KernelMutant:
     tests: tuple[str, ...]
 
 
-def kernel_mutants() -> list[KernelMutant]:
+def listed_mutants() -> list[ListedMutant]:
     """The list in ``mutation.toml``.
 
     Raises:
         MutationError: An original does not stand in its file exactly once, or a test file is missing.
     """
     found = []
-    for group in SETTINGS["kernel"]:
+    for group in SETTINGS["lines"]:
         file, tests = group["file"], tuple(f"test/{test}.py" for test in group["tests"])
         text = (ROOT / file).read_text(encoding="utf-8")
         if missing := [test for test in tests if not (ROOT / test).is_file()]:
@@ -77,7 +80,7 @@ def kernel_mutants() -> list[KernelMutant]:
         for wrong, old, new in group["mutants"]:
             if text.count(old) != 1:
                 raise MutationError(f"mutation.toml: {wrong}: {old!r} is in {file} {text.count(old)} times, not once")
-            found.append(KernelMutant(file, wrong, text.replace(old, new), tests))
+            found.append(ListedMutant(file, wrong, text.replace(old, new), tests))
     return found
 
 
@@ -187,16 +190,17 @@ def judge_module(file: str, tests: list[str], minutes: float, jobs: int) -> tupl
     return Counter(state if state in STATES else "killed" for state in states.values()), survivors
 
 
-def judge_kernel(file: str, kernel: Path) -> tuple[Counter[str], list[str]]:
-    """Mutants of a C++ file by state, and those that survived.
+def judge_listed(file: str, kernel: Path) -> tuple[Counter[str], list[str]]:
+    """Listed mutants of a file by state, and those that survived.
 
     Raises:
         MutationError: There are none, one does not compile, or the tests fail without a mutant.
     """
-    mutants = [mutant for mutant in kernel_mutants() if mutant.file == file]
+    mutants = [mutant for mutant in listed_mutants() if mutant.file == file]
     if not mutants:
         raise MutationError(f"{file}: mutation.toml has no mutant of it")
-    compile_kernel(kernel)
+    build = partial(compile_kernel, kernel) if file.endswith(".cpp") else lambda: None
+    build()
     pytest = ["pytest", "-x", "-q", "-p", "no:cacheprovider"]
     code, output = run([*pytest, *dict.fromkeys(test for mutant in mutants for test in mutant.tests)], COPY)
     if code != 0:
@@ -206,8 +210,8 @@ def judge_kernel(file: str, kernel: Path) -> tuple[Counter[str], list[str]]:
     original = source.read_text(encoding="utf-8")
     for mutant in mutants:
         source.write_text(mutant.text, encoding="utf-8")
-        compile_kernel(kernel)
-        code, output = run([*pytest, *mutant.tests], COPY, KERNEL_LIMIT)
+        build()
+        code, output = run([*pytest, *mutant.tests], COPY, LIMIT)
         if code not in (0, None, *NOTICED):
             raise MutationError(f"{file}, {mutant.wrong}: the tests did not run:\n{output[-3000:]}")
         state = "survived" if code == 0 else "timeout" if code is None else "killed"
@@ -216,7 +220,7 @@ def judge_kernel(file: str, kernel: Path) -> tuple[Counter[str], list[str]]:
         failed = re.search(r"^(?:FAILED|ERROR) (\S+)", output, re.MULTILINE)
         print(f"  {state:8} {mutant.wrong}{f'  [{failed[1]}]' if failed else ''}", flush=True)
     source.write_text(original, encoding="utf-8")
-    compile_kernel(kernel)
+    build()
     return states, survivors
 
 
@@ -227,12 +231,13 @@ def sanitise(kernel: Path) -> tuple[bool, str]:
         MutationError: The kernel does not compile.
     """
     compile_kernel(kernel, SANITISED, BINDINGS)
-    tests = dict.fromkeys(f"test/{test}.py" for group in SETTINGS["kernel"] for test in group["tests"])
+    kernels = [group for group in SETTINGS["lines"] if group["file"].endswith(".cpp")]
+    tests = dict.fromkeys(f"test/{test}.py" for group in kernels for test in group["tests"])
     asked = [["c++", f"-print-file-name={name}"] for name in SANITISERS]
     found = [subprocess.run(one, capture_output=True, text=True, check=True).stdout.strip() for one in asked]
     # Python leaks on purpose. Without -s the report of a process that dies would be lost.
     options = {"ASAN_OPTIONS": "detect_leaks=0", "UBSAN_OPTIONS": "print_stacktrace=1", "LD_PRELOAD": ":".join(found)}
-    code, output = run(["pytest", "-x", "-q", "-p", "no:cacheprovider", "-s", *tests], COPY, KERNEL_LIMIT, options)
+    code, output = run(["pytest", "-x", "-q", "-p", "no:cacheprovider", "-s", *tests], COPY, LIMIT, options)
     return code == 0, output
 
 
@@ -270,26 +275,30 @@ def main() -> int:
     parser.add_argument("--tests", nargs="+", help="test files in the place of those of the module's name")
     parser.add_argument("--minutes", type=float, default=10.0, help="time limit for a module; what is left is counted")
     parser.add_argument("--jobs", type=int, default=1, help="mutants of Python at a time")
-    parser.add_argument("--check", action="store_true", help="only check that the list for the kernel fits the code")
+    parser.add_argument("--check", action="store_true", help="only check that the list fits the code")
+    parser.add_argument("--listed", action="store_true", help="judge what is listed of these files, by default of all")
     parser.add_argument(
         "--sanitise", action="store_true", help="run the kernel's tests with address and undefined-behaviour sanitizers"
     )
     options = parser.parse_args()
     rows, alive = [], 0
     try:
-        listed = kernel_mutants()
+        listed = listed_mutants()
         if options.sanitise:
             passed, output = sanitise(make_copy())
             print(output)
             return int(not passed)
-        if options.check or not options.files:
-            print(f"{len(listed)} mutants of the kernel fit the code")
+        files = options.files
+        if options.listed and not files:
+            files = list(dict.fromkeys(mutant.file for mutant in listed))
+        if options.check or not files:
+            print(f"{len(listed)} listed mutants fit the code")
             return 0
         kernel = make_copy()
-        for file in options.files:
+        for file in files:
             began = time.monotonic()
-            if file.endswith(".cpp"):
-                states, survivors = judge_kernel(file, kernel)
+            if options.listed or file.endswith(".cpp"):
+                states, survivors = judge_listed(file, kernel)
             else:
                 tests = options.tests or tests_of(file)
                 print(f"{file}: {', '.join(tests)}", flush=True)
