@@ -26,7 +26,7 @@ TICKS = os.sysconf("SC_CLK_TCK")
 KEY = "cost"
 COMMAND = "import sys; from impact_rs_cli.main import main; sys.exit(main(sys.argv[1:]))"
 
-_shared = 0.0  # processor seconds of this process for what all tests share
+shared_seconds = 0.0  # processor seconds of this process for what all tests share
 
 
 def processor_time() -> float:
@@ -51,10 +51,10 @@ def processor_time() -> float:
 @contextmanager
 def shared() -> Iterator[None]:
     """What is made here is made once for all tests, and charged to none."""
-    global _shared
+    global shared_seconds
     before = processor_time()
     yield
-    _shared += processor_time() - before
+    shared_seconds += processor_time() - before
 
 
 def seconds_of_a_trial() -> float:
@@ -87,7 +87,7 @@ class Costs:
     @pytest.hookimpl(hookwrapper=True)
     def pytest_runtest_protocol(self) -> Iterator[None]:
         """Remember what had been used before the test."""
-        self._began = processor_time(), _shared
+        self._began = processor_time(), shared_seconds
         yield
 
     @pytest.hookimpl(hookwrapper=True)
@@ -95,7 +95,7 @@ class Costs:
         """Add the cost to the last report of the test, which goes to the process that collects."""
         outcome = yield
         if call.when == "teardown":
-            used = processor_time() - self._began[0] - (_shared - self._began[1])
+            used = processor_time() - self._began[0] - (shared_seconds - self._began[1])
             outcome.get_result().user_properties.append((KEY, used, item.get_closest_marker("slow") is not None))
 
     def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
