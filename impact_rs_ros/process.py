@@ -33,7 +33,7 @@ SUPERVISOR = "IMPACT_RS_SUPERVISOR"  # process id of the runner; a node does not
 OWN_SERVICES = ("impact_rs.", "std_srvs.")  # packages of the service types that rclpy does not offer by itself
 HARDWARE = "impact_rs"  # hardware_id on /diagnostics
 THROTTLE = 5.0  # s, between two equal lines of the log
-IDLE = 0.05  # s, how long an idle node waits for work in one turn
+IDLE = 0.25  # s, how long an idle node waits for work in one turn: a signal to end is noticed then, a request at once
 
 
 class NodeProgram:
@@ -144,7 +144,8 @@ class NodeProgram:
 
     def turn(self) -> None:
         """One turn of the main loop; must return within a fraction of a second."""
-        self.serve(IDLE)
+        due = self._diagnosed + self.parameter("diagnostics_period") - time.monotonic()
+        self.serve(min(IDLE, max(0.0, due)))
         self.diagnose()
 
     def status(self) -> tuple[str, Mapping[str, object]]:

@@ -246,9 +246,12 @@ class RecorderNode(NodeProgram):
         self.node.create_service(FinishTrial, "~/finish_trial", self._on_finish)
 
     def turn(self) -> None:
-        self.serve(self.parameter("drain_period"))
+        if self._recording is None:
+            super().turn()
+        else:
+            self.serve(self.parameter("drain_period"))
+            self.diagnose()
         self._drain()
-        self.diagnose()
 
     def status(self) -> tuple[str, dict[str, object]]:
         refused = 0 if self._recording is None else self._recording.refused.total()

@@ -11,8 +11,14 @@ import pytest
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rclpy.clock import Clock
 
+from impact_rs_ros.cell_node import CellNode
+from impact_rs_ros.controller_node import ControllerNode
 from impact_rs_ros.experiment_node import ExperimentNode
+from impact_rs_ros.impact_map_node import ImpactMapNode
+from impact_rs_ros.node_parameters import defaults_of
+from impact_rs_ros.plant_node import PlantNode
 from impact_rs_ros.process import NodeProgram
+from impact_rs_ros.recorder_node import RecorderNode
 from impact_rs_ros.trial_session import Progress, TrialResult
 
 
@@ -93,3 +99,23 @@ def test_the_experiment_node_tells_how_bad_the_last_trial_was(outcome: str, leve
     (status,) = node.sent[0].status
     assert status.level == level
     assert status.message == ("ok" if outcome == "OK" else f"last trial {outcome}: for a reason")
+
+
+@pytest.mark.parametrize("program", [PlantNode, ControllerNode, ImpactMapNode, RecorderNode, ExperimentNode, CellNode])
+def test_an_idle_node_wakes_up_four_times_a_second(program: type[NodeProgram]) -> None:
+    """Kills: a recorder without a trial that looks for its messages a hundred times a second."""
+    waits: list[float] = []
+    node = object.__new__(program)
+    nothing = {"running": False, "trial": None, "_recording": None, "_held": None}
+    for name, value in nothing.items():
+        setattr(node, name, value)
+    node._inbox = SimpleNamespace(clear=lambda: None)  # type: ignore[attr-defined]
+    node._diagnosed = float("inf")
+    node.parameter = defaults_of(program.kind).__getitem__  # type: ignore[method-assign]
+    node.serve = waits.append  # type: ignore[method-assign]
+    node.turn()
+    assert waits == [0.25]
+    node._diagnosed = time.monotonic() - 10.0
+    node.diagnose = lambda: waits.append(-1.0)  # type: ignore[method-assign]
+    node.turn()
+    assert waits[1:] == [0.0, -1.0]  # diagnostics that are due are not waited for
