@@ -104,16 +104,38 @@ def discover(
         return document
     if document.verdict == NO_LAW or _settled(tried.found) is None:
         curves = {curve.spec.name: curve for curve in _curves(laws.values(), ranges, source, library)}
-        over = {(curve.place, curve.where, curve.symbol) for curve in curves.values()}  # such a curve contains a law
-        found = [laws[law.name] for law in document.laws]
-        held = {law.spec.name: law for law in found if (law.place, law.where, law.symbol) not in over}
-        described = _document(
-            _searched(source_of, model, library, held | curves, progress), model, held | curves, ranges
-        )
-        if described.verdict == DESCRIBED and _predicts_better(described, document):
-            best = described.laws[0]
-            return _with_first(described, _as_curve(curves[best.name], best)) if best.name in curves else described
+
+        def look(among: Mapping[str, Law]) -> DiscoveryDocument:
+            return _document(_searched(source_of, model, library, among, progress), model, among, ranges)
+
+        described = _described(look, curves, laws, document)
+        if described is not None:
+            return described
     return _with_curve(source_of, model, tried, laws, domains, document) if document.verdict == FOUND else document
+
+
+def _described(
+    look: Callable[[Mapping[str, Law]], DiscoveryDocument],
+    curves: Mapping[str, Law],
+    laws: Mapping[str, Law],
+    document: DiscoveryDocument,
+) -> DiscoveryDocument | None:
+    """What free curves in the place of laws describe; None: they predict no better than the laws.
+
+    Args:
+        look: Searches for some laws.
+        curves: Free curves.
+        laws: Laws that were searched for.
+        document: What was found among them.
+    """
+    over = {(curve.place, curve.where, curve.symbol) for curve in curves.values()}  # such a curve contains a law
+    found = [laws[law.name] for law in document.laws]
+    held = {law.spec.name: law for law in found if (law.place, law.where, law.symbol) not in over}
+    described = look({**held, **curves})
+    if described.verdict != DESCRIBED or not _predicts_better(described, document):
+        return None
+    best = described.laws[0]
+    return _with_first(described, _as_curve(curves[best.name], best)) if best.name in curves else described
 
 
 def _varies(law: Law, domains: Mapping[str, Range]) -> bool:

@@ -3,7 +3,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import copy
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import cache
 
@@ -13,8 +14,9 @@ from scipy.stats import binom
 from impact_rs_analysis.diagnosis.candidate import Candidate, linearise
 from impact_rs_analysis.diagnosis.fit import Evidence
 from impact_rs_analysis.evidence.cluster import Added, Cluster, Feature
-from impact_rs_analysis.evidence.source import Source
+from impact_rs_analysis.evidence.source import Covariate, Source
 from impact_rs_sim.effects import ArmEffect, Effect, Parameter
+from impact_rs_sim.effects.depending import Depending
 from impact_rs_sim.model import Model
 from impact_rs_sim.physics import Physics
 from impact_rs_sim.robot import Array
@@ -249,6 +251,66 @@ class BeforeTheHit(AnalyticSource):
     def before(self) -> list[bool]:
         """Which of the features these are."""
         return [number < FEATURES // 2 for number in range(FEATURES)]
+
+
+class InSessions(AnalyticSource):
+    """Single rows in sessions A, B in turn, each at a temperature, on which the size of ``straight`` may depend.
+
+    Args:
+        seed: Of the noise.
+        size: Of ``straight`` in a session and at a temperature.
+        outside: Size of what no effect explains.
+        count: Of the rows.
+        warmth: Temperature by row [degC].
+        sessions: Session by row; None: A and B in turn.
+    """
+
+    of_motion, interleaved = False, True
+
+    def __init__(
+        self,
+        seed: int,
+        size: Callable[[str | float, float], float],
+        outside: float = 0.0,
+        count: int = 24,
+        warmth: Sequence[float] = (),
+        sessions: Sequence[str | float] | None = None,
+    ) -> None:
+        super().__init__(seed, (("outside", (outside,)),), (1,) * count, repeated=False)
+        self._sessions: Sequence[str | float] = sessions or ["AB"[number % 2] for number in range(count)]
+        self._warmth = [float(value) for value in warmth]
+        self._pairs: dict[str, Depending] = {}
+        self.physics = replace(PHYSICS, circumstances={"session": self._sessions[0], "warmth": 0.0})
+        for number, (session, warm) in enumerate(zip(self._sessions, self._warmth or [0.0] * count, strict=True)):
+            self.spoil(number, size(session, warm) * direction(number, 0) / self.clusters[number].sigma)
+
+    @property
+    def covariates(self) -> tuple[Covariate, ...]:
+        found = [Covariate("session", "", tuple((level,) for level in self._sessions))]
+        return (*found, *([Covariate("warmth", "degC", tuple((n,) for n in self._warmth))] if self._warmth else []))
+
+    def knowing(self, effects: Sequence[Depending]) -> InSessions:
+        found = copy.copy(self)
+        found._pairs = self._pairs | {pair.name: pair for pair in effects}
+        return found
+
+    def _there(self, number: int, added: Added) -> Added:
+        """Effects as they are under the circumstances of a row."""
+        found = []
+        for name, values in added:
+            if (pair := self._pairs.get(name)) is not None:
+                own = next(item for item in self.covariates if item.name == pair.covariate).values[number][0]
+                weights = pair.terms.weights(own)
+                name, values = pair.effect.name, tuple(weights @ np.reshape(values, (weights.size, -1)))
+            found.append((name, values))
+        return tuple(found)
+
+    def predict(self, wanted: Sequence[tuple[int, Added]], what: str) -> list[Array | None]:
+        return super().predict([(number, self._there(number, added)) for number, added in wanted], what)
+
+    def measure_again(self, added: Added, like: Sequence[Cluster]) -> list[Cluster] | None:
+        found = (super(InSessions, self).measure_again(self._there(int(one.name), added), [one]) for one in like)
+        return [item for items in found for item in items or ()]
 
 
 def knowing(source: AnalyticSource, *effects: Effect) -> AnalyticSource:

@@ -7,15 +7,21 @@ from pathlib import Path
 
 import pytest
 
-from impact_rs_analysis.diagnosis import null_distribution
+from impact_rs_analysis.diagnosis import drift, null_distribution
 
 sys.path.insert(0, str(Path(__file__).parent))
+FEW, FEW_SIGNS = 999, 9999
 
 
-@pytest.fixture
-def few_draws(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
-    """999 draws in place of 4999: p values are as right, only coarser."""
-    monkeypatch.setattr(null_distribution, "DRAWS", 999)
+@pytest.fixture(autouse=True, scope="module")
+def few_draws() -> Iterator[None]:
+    """999 draws in place of 4,999, and of signs 9,999 in place of 49,999: p values are as right, only coarser."""
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setattr(null_distribution, "DRAWS", FEW)
+        patched.setattr(null_distribution, "MANY_DRAWS", FEW_SIGNS)
+        patched.setattr(drift, "DRAWS", FEW)
+        null_distribution._frames.cache_clear()
+        null_distribution._signs.cache_clear()
+        yield
     null_distribution._frames.cache_clear()
-    yield
-    null_distribution._frames.cache_clear()
+    null_distribution._signs.cache_clear()

@@ -18,8 +18,6 @@ from impact_rs_analysis.diagnosis.document import DiagnosisDocument
 from impact_rs_analysis.evidence.cluster import Added
 from impact_rs_sim.robot import Array
 
-pytestmark = pytest.mark.usefixtures("few_draws")
-
 CONSIDERED = ("straight", "bent", "payload", "stick_slip", "of_joints", "of_motors", "rippled", "saturated")
 FAR_OFF = (("straight", (20.0,)), ("stick_slip", (3.0, 2.0, -2.5)), ("saturated", (9.0,)), ("outside", (6.0,)))
 ENOUGH, LIMIT = 1e6, 1000.0  # simulations

@@ -113,6 +113,7 @@ def test_a_diagnosed_recording_makes_a_better_model(folder: Path, capsys: pytest
     assert "not of 'model_2'" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_a_joint_whose_torque_was_not_measured_is_left_out_and_the_others_say_the_same(
     planted: Columns, folder: Path, tmp_path: Path
 ) -> None:
@@ -132,6 +133,7 @@ def test_a_joint_whose_torque_was_not_measured_is_left_out_and_the_others_say_th
         source_of(write_npz(tmp_path / "b.npz", nothing))
 
 
+@pytest.mark.slow
 def test_planted_payload_is_found(tmp_path: Path) -> None:
     found = diagnosed(tmp_path, synthetic(TRUE_COULOMB, payload=TRUE_PAYLOAD))
     assert set(found.named) == {"joint_coulomb_friction", "end_effector_payload"}

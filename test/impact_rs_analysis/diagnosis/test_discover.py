@@ -10,9 +10,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from impact_rs_analysis.diagnosis.discover import _begins_beyond, discover
-from impact_rs_analysis.diagnosis.discovery_document import FOUND, LIBRARY, DiscoveryDocument, write_discovery
-from impact_rs_analysis.diagnosis.document import NOTHING, read_document
+from impact_rs_analysis.diagnosis.discover import _begins_beyond, _described, discover
+from impact_rs_analysis.diagnosis.discovery_document import (
+    DESCRIBED,
+    FOUND,
+    LIBRARY,
+    NO_LAW,
+    DiscoveryDocument,
+    LawDocument,
+    write_discovery,
+)
+from impact_rs_analysis.diagnosis.document import NOTHING, DiagnosisDocument, read_document
 from impact_rs_analysis.diagnosis.grammar import Grammar, laws_of, load_grammar
 from impact_rs_analysis.evidence.measured_runs import read_runs
 from impact_rs_analysis.evidence.replay_cache import ReplayCache
@@ -86,12 +94,32 @@ def of_motors(*quantities: str) -> Grammar:
     return grammar.model_copy(update={"places": {"motor": motor.model_copy(update={"laws": laws})}})
 
 
+@pytest.mark.parametrize(
+    ("verdict", "error", "preferred"), [(DESCRIBED, 0.94, True), (DESCRIBED, 0.96, False), (NO_LAW, 0.1, False)]
+)
+def test_curves_take_the_place_of_laws_where_they_predict_better_by_a_tenth_of_the_square(
+    verdict: str, error: float, preferred: bool
+) -> None:
+    """0.95^2 is 0.90. Kills: a curve is preferred without predicting better."""
+
+    def document(verdict: str, error: float) -> DiscoveryDocument:
+        law = LawDocument.model_construct(name="motor4_velocity_cube")
+        diagnosis = DiagnosisDocument.model_construct(held_out_error_after=error)
+        return DiscoveryDocument.model_construct(verdict=verdict, laws=(law,), diagnosis=diagnosis)
+
+    laws = {law.spec.name: law for law in laws_of(load_grammar(), {"dq4": (-0.6, 0.8)}, 7)}
+    curves = document(verdict, error)
+    found = _described(lambda among: curves, {}, laws, document(FOUND, 1.0))
+    assert found is (curves if preferred else None)
+
+
 @pytest.fixture(scope="module")
 def drag(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, DiscoveryDocument]:
     runs = recorded(tmp_path_factory.mktemp("drag") / "runs", "object_quadratic_drag", [])
     return runs, found_in(runs)
 
 
+@pytest.mark.slow
 def test_a_quadratic_drag_is_found_with_its_amplitude(drag: tuple[Path, DiscoveryDocument]) -> None:
     """2 N s^2/m^2 times the amplitude, in Bullet; the twin explains it."""
     _, document = drag
@@ -105,6 +133,7 @@ def test_a_quadratic_drag_is_found_with_its_amplitude(drag: tuple[Path, Discover
     assert law.valid is not None and 0.2 < law.valid.high < 0.8
 
 
+@pytest.mark.slow
 def test_a_cable_on_the_end_effector_is_told_from_a_force_on_the_object(tmp_path: Path) -> None:
     """6 N/m times the amplitude beyond y = -0.1 m; the object is pushed along y."""
     runs = recorded(tmp_path / "runs", "end_effector_cable", [])
@@ -129,6 +158,7 @@ def test_a_limit_that_lies_beyond_free_motion_needs_no_residual_there() -> None:
         assert not _begins_beyond(laws[other], {"y": (-0.06, 0.2)}), other
 
 
+@pytest.mark.slow
 def test_a_law_with_memory_is_found_in_replays_of_short_windows(tmp_path: Path) -> None:
     """A Maxwell element on motor 4 of the plant, 7 times repeatability, among friction of other forms."""
     runs = recorded(tmp_path / "runs", None, [], lambda own: RELAXING.apply_vector(own, np.array([DAMPER, RELAXATION])))
@@ -141,6 +171,7 @@ def test_a_law_with_memory_is_found_in_replays_of_short_windows(tmp_path: Path) 
     assert document.laws[0].held_out_error_before > 5.0 > 1.0 > document.laws[0].held_out_error_after
 
 
+@pytest.mark.slow
 def test_the_law_becomes_part_of_a_model_that_anyone_can_read(
     drag: tuple[Path, DiscoveryDocument], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -161,6 +192,7 @@ def test_the_law_becomes_part_of_a_model_that_anyone_can_read(
     assert load_model(tmp_path / "strong.yaml").effects[-1].parameters["c"].estimate == strong
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("hidden", "verdict"),
     [([], NOTHING), ([Hidden("support_friction", (0.18,), 6.0)], LIBRARY)],

@@ -34,8 +34,6 @@ from impact_rs_sim.model import Model, ModelEffect, ParameterValue, load_model, 
 from impact_rs_trials.recordings.mapping import Mapping
 from impact_rs_trials.recordings.recording import read_recordings
 
-pytestmark = pytest.mark.usefixtures("few_draws")
-
 NOISE = 0.02  # N m
 COULOMB = (0.6, 0.4)  # N m
 LIBRARY_EFFECTS = ["joint_coulomb_friction", "joint_viscous_friction", "torque_offset"]
@@ -132,12 +130,12 @@ def recorded_with_cable(folder: Path) -> tuple[Path, Mapping]:
     return write_npz(folder / "run.npz", columns), mapping
 
 
-def recorded_with_shaft(folder: Path, side: float) -> tuple[Path, Mapping]:
-    """The same pendulum with a damped shaft that turns with the sum of both joints, or with their difference."""
+def recorded_with_shaft(folder: Path) -> tuple[Path, Mapping]:
+    """The same pendulum with a damped shaft that turns with the difference of both joints."""
     path, mapping = recorded(folder, nothing)
     columns = dict(np.load(path))
-    torque = SHAFT * (columns["velocity"] @ [1.0, side])
-    columns["effort"] += torque[:, None] * [1.0, side]
+    torque = SHAFT * (columns["velocity"] @ [1.0, -1.0])
+    columns["effort"] += torque[:, None] * [1.0, -1.0]
     return write_npz(folder / "run.npz", columns), mapping
 
 
@@ -162,6 +160,7 @@ def with_friction(file: Path) -> Path:
     return file
 
 
+@pytest.mark.slow
 def test_a_ripple_is_found_with_amplitude_and_wave_number(tmp_path: Path) -> None:
     document = found_in(tmp_path, ripple)
     assert document.verdict == FOUND
@@ -174,6 +173,7 @@ def test_a_ripple_is_found_with_amplitude_and_wave_number(tmp_path: Path) -> Non
     assert law.held_out_error_after < 0.2 * law.held_out_error_before
 
 
+@pytest.mark.slow
 def test_what_no_law_explains_is_left_and_the_library_does_not_explain_it(tmp_path: Path) -> None:
     """Friction is named and 0.6 N m stay, thirty times the noise."""
     document = found_in(tmp_path, from_outside)
@@ -184,6 +184,7 @@ def test_what_no_law_explains_is_left_and_the_library_does_not_explain_it(tmp_pa
     assert document.diagnosis.unexplained.where[0].value > 0.3
 
 
+@pytest.mark.slow
 def test_friction_of_the_load_is_found_alone(tmp_path: Path) -> None:
     """Its coefficient lies in its interval; the recorded torque, with friction and noise in it, would leave a rest."""
     document = found_in(tmp_path, friction_of_load)
@@ -218,13 +219,11 @@ def test_a_cable_to_a_point_is_found_with_its_end_and_its_length(tmp_path: Path)
     assert law.held_out_error_after < 0.1 * law.held_out_error_before
 
 
-@pytest.mark.parametrize(
-    ("side", "name"),
-    [(1.0, "motors1_2_velocity_sum_linear"), (-1.0, "motors_opposed1_2_velocity_difference_linear")],
-)
-def test_a_shaft_that_two_joints_share_is_found_with_its_damping(tmp_path: Path, side: float, name: str) -> None:
-    """As in coupled wrists and parallelograms; the power that it takes is c (dq1 +- dq2)^2."""
-    path, mapping = recorded_with_shaft(tmp_path, side)
+@pytest.mark.slow
+def test_a_shaft_that_two_joints_share_is_found_with_its_damping(tmp_path: Path) -> None:
+    """As in coupled wrists and parallelograms; the power that it takes is c (dq1 - dq2)^2."""
+    name = "motors_opposed1_2_velocity_difference_linear"
+    path, mapping = recorded_with_shaft(tmp_path)
     recordings, grammar = read_recordings(path, mapping), load_grammar()
     places = {name: grammar.places[name] for name in ("motor", "motors", "motors_opposed")}
     document = discover(
@@ -241,13 +240,14 @@ def test_a_shaft_that_two_joints_share_is_found_with_its_damping(tmp_path: Path,
     assert low <= SHAFT <= high and high - low < 0.15 * SHAFT
     assert law.held_out_error_after < 0.2 * law.held_out_error_before
     # The free curve over the velocity of the shaft, beside friction of both joints.
-    assert law.valid is not None and law.valid.quantity == f"dq1 {'+' if side > 0.0 else '-'} dq2"
+    assert law.valid is not None and law.valid.quantity == "dq1 - dq2"
     assert law.valid.low < -0.5 and law.valid.high > 0.5
     assert law.curve is not None and len(law.curve.points) >= 3
     inside = [point.ci95[0] <= -SHAFT * point.at <= point.ci95[1] for point in law.curve.points]
     assert sum(inside) >= len(inside) - 1
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("law", "name", "numbers", "width"),
     [
@@ -270,6 +270,7 @@ def test_a_law_with_memory_or_of_a_product_is_found_alone_with_its_numbers(
     assert document.laws[0].held_out_error_after < 0.5 * document.laws[0].held_out_error_before
 
 
+@pytest.mark.slow
 def test_a_maxwell_element_of_the_wrong_sign_is_none(tmp_path: Path) -> None:
     """Such a force is close to one of position and velocity at the speeds of the motion: curves may describe it."""
     document = found_in(tmp_path, driven)

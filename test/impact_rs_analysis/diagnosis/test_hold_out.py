@@ -24,8 +24,6 @@ from impact_rs_sim.effects import Effect, library
 from impact_rs_sim.model import load_model
 from impact_rs_trials.workers import _packed, _work
 
-pytestmark = pytest.mark.usefixtures("few_draws")
-
 
 @pytest.mark.parametrize(("design", "count"), [((2, 3, 2, 4), 4), ((2,) * 11, 6)])
 def test_every_condition_is_held_out_once_in_at_most_six_folds(design: tuple[int, ...], count: int) -> None:

@@ -22,8 +22,9 @@ from impact_rs_analysis.diagnosis.null_distribution import (
 from impact_rs_analysis.diagnosis.thresholds import LEAST_FREEDOM
 from impact_rs_analysis.evidence.cluster import pooled_error
 
-pytestmark = pytest.mark.usefixtures("few_draws")
 DRAWS = 999
+NULLS = 100  # of noise alone: if half of them lay below 5 %, or none below 30 %, it would show
+SLOW = pytest.mark.slow
 WHITE = AnalyticSource(0).clusters[0]
 
 
@@ -73,10 +74,19 @@ def test_of_one_feature_in_one_condition_p_is_that_of_students_t(repeats: int) -
         assert p_of(reference, [np.ones((1, 1))]) == pytest.approx(expected, abs=4.0 * np.sqrt(0.25 / DRAWS))
 
 
-@pytest.mark.parametrize(("design", "parameters"), [((2, 2, 2), 1), ((2,) * 6, 7), ((3,) * 6, 7), ((5, 2, 3, 2), 3)])
-def test_p_is_uniform_under_the_null_for_few_and_correlated_features(design: tuple[int, ...], parameters: int) -> None:
-    draws, jacobians = 300, sensitivity(1, len(design), parameters)
-    sources = (AnalyticSource(seed, design=design, correlation=correlated()) for seed in range(draws))
+@pytest.mark.parametrize(
+    ("design", "parameters", "nulls"),
+    [
+        ((2, 2, 2), 1, NULLS),
+        ((5, 2, 3, 2), 3, NULLS),
+        *(pytest.param((count,) * 6, 7, 300, marks=SLOW) for count in (2, 3)),
+    ],
+)
+def test_p_is_uniform_under_the_null_for_few_and_correlated_features(
+    design: tuple[int, ...], parameters: int, nulls: int
+) -> None:
+    jacobians = sensitivity(1, len(design), parameters)
+    sources = (AnalyticSource(seed, design=design, correlation=correlated()) for seed in range(nulls))
     references = [RotationNull(source.clusters) for source in sources]
     assert_uniform([p_of(reference, jacobians) for reference in references])
     assert_uniform([lack_of_fit(reference) for reference in references])
@@ -102,8 +112,8 @@ def scaled_by_their_repeats(clusters, jacobians):
 @pytest.mark.parametrize(("design", "parameters"), [((2, 2, 2), 1), ((2,) * 6, 7)])
 def test_p_is_uniform_where_few_repeats_give_the_scale(design: tuple[int, ...], parameters: int) -> None:
     """As in a diagnosis. With the scale of the measurement in every rotation a third of the nulls lies below 1 %."""
-    draws, jacobians, levels = 300, sensitivity(1, len(design), parameters), (0.01, 0.05, 0.3)
-    sources = (AnalyticSource(seed, design=design, correlation=correlated()) for seed in range(draws))
+    jacobians, levels = sensitivity(1, len(design), parameters), (0.01, 0.05, 0.3)
+    sources = (AnalyticSource(seed, design=design, correlation=correlated()) for seed in range(NULLS))
     scaled = [scaled_by_their_repeats(source.clusters, jacobians) for source in sources]
     assert_uniform([p_of(reference, own) for reference, own in scaled], levels)
     assert_uniform([lack_of_fit(reference) for reference, _ in scaled], levels)
@@ -111,8 +121,8 @@ def test_p_is_uniform_where_few_repeats_give_the_scale(design: tuple[int, ...], 
 
 def test_p_is_uniform_beside_parameters_that_were_fitted() -> None:
     """Rotations of what a fit leaves are held against the fit of both: seven parameters are fitted to pure noise."""
-    draws, p_values, fitted, tested = 300, [], sensitivity(1, 6, 7), sensitivity(2, 6, 2)
-    for seed in range(draws):
+    p_values, fitted, tested = [], sensitivity(1, 6, 7), sensitivity(2, 6, 2)
+    for seed in range(NULLS):
         clusters = AnalyticSource(seed, design=(2,) * 6, correlation=correlated()).clusters
         change = np.linalg.lstsq(np.vstack(fitted), np.concatenate(means_of(clusters)), rcond=None)[0]
         left = [replace(c, residuals=c.residuals - j @ change) for c, j in zip(clusters, fitted, strict=True)]
@@ -138,14 +148,14 @@ def test_a_large_misfit_of_one_feature_is_seen() -> None:
 
 def test_heavy_tails_raise_no_alarm() -> None:
     """Student's t with 3 degrees of freedom, direction by direction: no more alarms than with normal noise."""
-    draws, jacobians, p_values = 300, sensitivity(1, 4, 1), []
-    for seed in range(draws):
+    jacobians, p_values = sensitivity(1, 4, 1), []
+    for seed in range(NULLS):
         noise = np.random.default_rng(seed).standard_t(3, (4, 3, FEATURES)) @ correlated()
         clusters = [replace(WHITE, residuals=rows, name=str(number)) for number, rows in enumerate(noise)]
         reference, own = scaled_by_their_repeats(clusters, jacobians)
         p_values.append((p_of(reference, own), lack_of_fit(reference)))
     for level in (0.01, 0.05):
-        assert np.all(np.sum(np.array(p_values) < level, axis=0) <= binom.ppf(1.0 - 5e-5, draws, level))
+        assert np.all(np.sum(np.array(p_values) < level, axis=0) <= binom.ppf(1.0 - 5e-5, NULLS, level))
 
 
 def test_a_reference_with_too_few_repeats_decides_nothing() -> None:
@@ -234,7 +244,7 @@ def test_the_smallest_of_several_p_counts_all_that_were_looked_at() -> None:
 
 def test_blocks_flip_their_signs_and_the_null_is_uniform() -> None:
     jacobians = sensitivity(7, 24, 3)
-    sources = (AnalyticSource(seed, design=(1,) * 24, repeated=False) for seed in range(300))
+    sources = (AnalyticSource(seed, design=(1,) * 24, repeated=False) for seed in range(NULLS))
     assert_uniform([p_of(SignFlipNull(source.clusters), jacobians) for source in sources])
 
 
@@ -281,17 +291,15 @@ def test_the_quantile_is_that_of_student_with_the_freedom_of_the_repeats() -> No
 
 def test_p_is_uniform_where_conditions_are_of_two_layouts() -> None:
     """What the layouts say is added, in the observation as in the null."""
-    draws, jacobians = 150, sensitivity(2, 6, 2)
+    jacobians = sensitivity(2, 6, 2)
     effects, fits = [], []
-    for seed in range(draws):
+    for seed in range(NULLS):
         clusters = AnalyticSource(seed, design=(2, 3) * 3, correlation=correlated()).clusters
         reference = RotationNull([replace(item, layout=f"{n % 2}") for n, item in enumerate(clusters)])
         effects.append(reference.p_value(jacobians))
-        fits.append(reference.lack_of_fit(means_of(reference.clusters)))
-    for level in (0.05, 0.3, 0.7):
-        low, high = binom.ppf([5e-5, 1 - 5e-5], draws, level)
-        assert low <= np.count_nonzero(np.array(effects) < level) <= high
-        assert low <= np.count_nonzero(np.array(fits) < level) <= high
+        fits.append(lack_of_fit(reference))
+    assert_uniform(effects, (0.05, 0.3, 0.7))
+    assert_uniform(fits, (0.05, 0.3, 0.7))
 
 
 def test_an_effect_in_one_of_two_layouts_is_seen() -> None:
@@ -315,8 +323,8 @@ def in_two_layouts(seed: int, design: tuple[int, ...], **options) -> list:
 
 @pytest.mark.parametrize("repeats", [1, 2])
 def test_p_is_uniform_where_a_layout_has_hardly_any_repeats(repeats: int) -> None:
-    draws, jacobians, levels = 300, sensitivity(1, 4, 2), (0.01, 0.05, 0.3)
-    sources = (in_two_layouts(seed, (2, 2, 2, repeats), correlation=correlated()) for seed in range(draws))
+    jacobians, levels = sensitivity(1, 4, 2), (0.01, 0.05, 0.3)
+    sources = (in_two_layouts(seed, (2, 2, 2, repeats), correlation=correlated()) for seed in range(NULLS))
     scaled = [scaled_by_their_repeats(clusters, jacobians) for clusters in sources]
     assert_uniform([p_of(reference, own) for reference, own in scaled], levels)
     assert_uniform([lack_of_fit(reference) for reference, _ in scaled], levels)
@@ -333,13 +341,13 @@ def test_a_condition_of_another_layout_does_not_hide_what_all_show() -> None:
 
 @pytest.mark.parametrize("repeats", [1, 2])
 def test_a_layout_with_hardly_any_repeats_raises_no_alarm_of_simulator_error(repeats: int) -> None:
-    draws, jacobians, low = 200, sensitivity(1, 4, 2), np.zeros(2)
-    for seed in range(draws):
+    jacobians, low = sensitivity(1, 4, 2), np.zeros(2)
+    for seed in range(NULLS):
         options = {"correlation": correlated(), "discrepancy": 0.5, "simulator": seed}
         clusters = in_two_layouts(seed, (2, 2, 2, repeats), **options)
         reference, own = scaled_by_their_repeats(clusters, jacobians)
         low += np.array([p_of(reference, own), lack_of_fit(reference)]) < 0.05
-    assert np.all(low <= binom.ppf(0.9999, draws, 0.05)), low
+    assert np.all(low <= binom.ppf(0.9999, NULLS, 0.05)), low
 
 
 def test_covariance_adds_up_over_conditions_of_two_repeats_and_more() -> None:

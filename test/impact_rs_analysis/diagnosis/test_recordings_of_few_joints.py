@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from intervals import assert_covers
 from joint_recordings import write_npz
 from slender_arm import FLAT, UPRIGHT, lighter, mapping_of, slender_arm, swung
 
@@ -21,6 +22,7 @@ from impact_rs_sim.robot_model import RobotModel
 from impact_rs_trials.recordings.recording import read_recordings
 
 NOISE = 0.02  # N m, N
+WIDTHS = {"planar": 0.01, "pendulum": 0.01, "cart": 0.1}  # kg, half of the interval of a payload
 
 ARMS: dict[str, tuple[tuple[JointType, ...], tuple[float, ...], tuple[float, ...]]] = {
     # joints, rpy of the first, friction that is planted [N m, N]
@@ -42,29 +44,44 @@ def diagnosed(folder: Path, name: str, payload: float = 0.0) -> DiagnosisDocumen
     return diagnose(source, source.model)
 
 
-@pytest.mark.parametrize("name", ARMS)
-def test_friction_is_found_in_its_joint_s_unit_and_no_payload_is_invented(name: str, tmp_path: Path) -> None:
-    found = diagnosed(tmp_path, name)
-    assert found.named == ("joint_coulomb_friction",)
+SLOW = pytest.mark.slow
+
+
+@pytest.mark.parametrize(
+    ("name", "payload"),
+    [
+        ("cart", 0.7),
+        *(pytest.param(name, 0.0, marks=SLOW) for name in ARMS),
+        pytest.param("planar", 0.3, marks=SLOW),
+        pytest.param("pendulum", 0.3, marks=SLOW),
+    ],
+)
+def test_friction_is_found_in_its_joint_s_unit_and_a_payload_where_there_is_one(
+    name: str, payload: float, tmp_path: Path
+) -> None:
+    found = diagnosed(tmp_path, name, payload)
+    assert set(found.named) == {"joint_coulomb_friction", *(["end_effector_payload"] if payload else [])}
     effects = {effect.name: effect for effect in found.effects}
     kinds, _, planted = ARMS[name]
     for joint, (kind, true) in enumerate(zip(kinds, planted, strict=True), start=1):
         value = effects["joint_coulomb_friction"].parameters[f"coulomb_joint{joint}"]
         assert value.unit == ("N" if kind == "prismatic" else "N m")
         assert value.estimate == pytest.approx(true, abs=0.05, rel=0.05)
-    assert effects["end_effector_payload"].verdict != "CONFIRMED"
     assert [row.unit for row in found.joints] == ["N" if kind == "prismatic" else "N m" for kind in kinds]
+    mass = effects["end_effector_payload"]
+    assert (mass.verdict == "CONFIRMED") == bool(payload)
+    if payload:
+        assert_covers(mass.parameters["mass"].interval, payload, WIDTHS[name])
 
 
-@pytest.mark.parametrize(("name", "payload"), [("planar", 0.3), ("pendulum", 0.3), ("cart", 0.7)])
-def test_a_payload_that_is_there_is_found_beside_friction(name: str, payload: float, tmp_path: Path) -> None:
-    found = diagnosed(tmp_path, name, payload)
-    assert set(found.named) == {"joint_coulomb_friction", "end_effector_payload"}
-    mass = {effect.name: effect for effect in found.effects}["end_effector_payload"].parameters["mass"]
-    assert mass.interval[0] <= payload <= mass.interval[1]
-
-
-@pytest.mark.parametrize(("links", "inertia", "coulomb"), [(0.01, 0.0269, 0.3), (0.01, 0.5, 2.0), (0.001, 0.0269, 1.0)])
+@pytest.mark.parametrize(
+    ("links", "inertia", "coulomb"),
+    [
+        (0.01, 0.5, 2.0),
+        pytest.param(0.01, 0.0269, 0.3, marks=SLOW),
+        pytest.param(0.001, 0.0269, 1.0, marks=SLOW),
+    ],
+)
 def test_drives_that_are_large_beside_light_links_are_measured_as_others(
     links: float, inertia: float, coulomb: float, tmp_path: Path
 ) -> None:

@@ -50,10 +50,15 @@ def effect(found: DiagnosisDocument, name: str) -> EffectDocument:
 @pytest.mark.parametrize(
     "planted",
     [
-        {"link_mass": {"scale_joint2": 1.25}},
         {"link_com": {"com_x_joint1": -0.03, "com_y_joint3": 0.04}},
-        {"link_inertia": {"inertia_joint2": 0.1}},
-        {"torque_delay": {"delay": -0.012}},
+        *(
+            pytest.param(planted, marks=pytest.mark.slow)
+            for planted in (
+                {"link_mass": {"scale_joint2": 1.25}},
+                {"link_inertia": {"inertia_joint2": 0.1}},
+                {"torque_delay": {"delay": -0.012}},
+            )
+        ),
     ],
 )
 def test_what_is_planted_in_an_upright_arm_is_named_and_its_interval_holds(

@@ -23,8 +23,6 @@ from impact_rs_analysis.diagnosis.search import Search, noticeable
 from impact_rs_analysis.diagnosis.verdicts import Findings, _alike_at_joints, certain, change_interval, sizes_of
 from impact_rs_sim.robot import Array
 
-pytestmark = pytest.mark.usefixtures("few_draws")
-
 
 def fitted(source: AnalyticSource, *names: str, change: Array | None = None) -> Fit:
     """Effects together, linearised where they do nothing; with a change [parameter scales] in place of the best."""

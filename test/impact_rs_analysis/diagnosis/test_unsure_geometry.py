@@ -45,7 +45,7 @@ def tracked(rows: Sequence[Sequence[float]], offset: Sequence[float]) -> list[li
 def balls(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Balls with mu = 0.2 and e = 0.55 that are believed to have 0.3 and 0."""
     path, racket = tmp_path_factory.mktemp("balls") / "balls.csv", Racket(lambda speed: 0.55, 0.2)
-    return ball_table(path, racket, rows=90, noise=NOISE, stated=False, friction=0.3, restitution=0.0)
+    return ball_table(path, racket, rows=40, noise=NOISE, stated=False, friction=0.3, restitution=0.0)
 
 
 def test_a_size_on_which_nothing_turns_widens_the_intervals(balls: Path) -> None:
@@ -58,6 +58,7 @@ def test_a_size_on_which_nothing_turns_widens_the_intervals(balls: Path) -> None
     assert [view.value for view in unsure.views] == pytest.approx([0.019, 0.0195, 0.01975, 0.02025, 0.0205, 0.021])
 
 
+@pytest.mark.slow
 def test_the_mass_of_a_free_body_changes_no_interval(balls: Path) -> None:
     """Against a fixed body it cancels."""
     plain, unsure = diagnosed(balls), diagnosed(balls, mass=(0.002, 0.004))

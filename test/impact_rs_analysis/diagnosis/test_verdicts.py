@@ -20,8 +20,6 @@ from impact_rs_analysis.diagnosis.words import not_excluded
 from impact_rs_analysis.evidence.cluster import Added
 from impact_rs_sim.errors import InputError
 
-pytestmark = pytest.mark.usefixtures("few_draws")
-
 
 def said(source: AnalyticSource, *names: str) -> DiagnosisDocument:
     knowing(source, *(EFFECTS[name] for name in names or ("straight", "bent", "payload")))
