@@ -123,11 +123,13 @@ class Jobs:
         folder: Where their records are.
         program: How a terminal calls ``impact-rs``.
         changed: Called after every change of a job.
+        executable: How a job calls it.
     """
 
     folder: Path
     program: str
     changed: Callable[[], None] = lambda: None
+    executable: tuple[str, ...] = (sys.executable, "-m", "impact_rs_cli.main")
     _jobs: dict[int, Job] = field(default_factory=dict)
     _processes: dict[int, subprocess.Popen[bytes]] = field(default_factory=dict)
     _waiting: dict[int, threading.Thread] = field(default_factory=dict)
@@ -174,7 +176,7 @@ class Jobs:
             ours, its = socket.socketpair()
             with (folder / OUTPUT).open("wb") as output, its:
                 process = subprocess.Popen(
-                    [sys.executable, "-m", "impact_rs_cli.main", *order.arguments],
+                    [*self.executable, *order.arguments],
                     stdin=subprocess.DEVNULL,
                     stdout=output,
                     stderr=subprocess.STDOUT,

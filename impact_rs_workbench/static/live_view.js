@@ -92,7 +92,7 @@ export const live = {
   },
 
   async paint(turn) {
-    if (this.painting) return;
+    if (this.painting || document.hidden) return;
     this.painting = true;
     const {samples, scene} = this;
     try {

@@ -182,6 +182,12 @@ const {ImpactReplay, ImpactLive, ImpactPicture} = (function () {
       this.canvas.addEventListener('blur', () => { this.controls.enableZoom = false; });
       this.canvas.addEventListener('dblclick', () => this.fit());
       new ResizeObserver(() => this.resize()).observe(this.canvas);
+      new IntersectionObserver((seen) => {
+        this.inSight = seen.at(-1).isIntersecting;
+        if (this.stale) this.draw();
+      }).observe(this.canvas);
+      document.addEventListener('visibilitychange', () => { if (this.stale) this.draw(); });
+      window.addEventListener('beforeprint', () => this.render());  // paper has the whole page
     }
 
     // An empty scene, with light and a grid on the floor; what stood there is given up.
@@ -245,7 +251,13 @@ const {ImpactReplay, ImpactLive, ImpactPicture} = (function () {
       if (first) this.fit(); else this.draw();
     }
 
+    // What nobody sees is drawn once it comes into sight: without a graphics card a picture takes a core.
     draw() {
+      this.stale = !this.inSight || document.hidden;
+      if (!this.stale) this.render();
+    }
+
+    render() {
       if (this.renderer && this.scene) this.renderer.render(this.scene, this.camera);
     }
   }

@@ -4,12 +4,12 @@
 from __future__ import annotations
 
 import re
-import shutil
 import subprocess
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from browser import CHROMIUM, needs_browser
 from rosbags.rosbag2 import Reader, StoragePlugin, Writer
 
 from impact_rs_cli.main import main
@@ -22,7 +22,6 @@ NAME = (
     "\"><img src=x onerror=\"document.title='run'\"><script>document.title='run'<"  # no slash, which no name may have
 )
 LABEL = "</script></title><script>document.title='run'</script><img src=x onerror=\"document.title='run'\">"
-BROWSER = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
 
 
 def with_other_names(source: Path, target: Path) -> None:
@@ -60,12 +59,12 @@ def test_files_of_a_report_have_names_that_stay_in_its_folder(report: Path) -> N
     assert all(re.fullmatch(r"[A-Za-z0-9_.-]+", name) for name in names)
 
 
-@pytest.mark.skipif(BROWSER is None, reason="no chromium or chrome on this machine")
+@needs_browser
 def test_markup_in_names_and_labels_is_text_in_a_browser(report: Path) -> None:
-    assert BROWSER is not None
+    assert CHROMIUM is not None
     options = ["--headless", "--no-sandbox", "--disable-gpu", "--virtual-time-budget=5000", "--dump-dom"]
     done = subprocess.run(
-        [BROWSER, *options, f"file://{report / 'report.html'}"], capture_output=True, text=True, timeout=120
+        [CHROMIUM, *options, f"file://{report / 'report.html'}"], capture_output=True, text=True, timeout=120
     )
     title = re.search(r"<title>(.*?)</title>", done.stdout)
     assert title is not None, done.stderr

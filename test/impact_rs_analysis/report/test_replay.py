@@ -7,77 +7,64 @@ import json
 import re
 import shutil
 from collections.abc import Callable, Iterator
+from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pinocchio as pin
 import pytest
-from playwright.sync_api import Browser, Page, Playwright, sync_playwright
+from browser import needs_browser, opened
+from playwright.sync_api import Browser, Page
 from plotly.offline import get_plotlyjs_version
+from reports import APART
 from scenes import PHYSICS, joints_track
 
 from impact_rs_analysis.report.animation import animation_data
 from impact_rs_analysis.report.page import BUNDLE, TEMPLATES
 from impact_rs_analysis.report.scene_3d import described_scene
-from impact_rs_analysis.report.trial import write_trial
 from impact_rs_cli.main import main
 from impact_rs_sim.physics import Physics
 from impact_rs_sim.robot import Mesh
 from impact_rs_trials.bags.reader import TrialBag
 
-CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
-SOFTWARE = ("--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader")
-LOCAL = ("file:", "data:", "blob:")
 LARGEST_PAGE = 3e6  # bytes
 DESK = {"width": 1280, "height": 720}
 PHONE = {"width": 390, "height": 844}
 
-needs_browser = pytest.mark.skipif(CHROMIUM is None, reason="no chromium or chrome on this machine")
-
 
 @pytest.fixture(scope="module")
-def playwright() -> Iterator[Playwright]:
-    with sync_playwright() as started:
-        yield started
-
-
-@pytest.fixture(scope="module")
-def browser(playwright: Playwright) -> Iterator[Browser]:
-    found = playwright.chromium.launch(executable_path=CHROMIUM, args=SOFTWARE)
-    yield found
-    found.close()
-
-
-@pytest.fixture(scope="module")
-def opened(browser: Browser) -> Iterator[Callable[[Path], Page]]:
-    """Opens a file, once for all tests; whatever a page complains of or asks the network for is wrong."""
+def windows(browser: Browser) -> Iterator[Callable[[Path], Page]]:
+    """Windows that stay open for the tests of this file; whatever a page complains of is wrong."""
     pages: dict[Path, Page] = {}
-    wrong: list[str] = []
+    with ExitStack() as held:
 
-    def open_page(path: Path) -> Page:
-        if path not in pages:
-            page = pages[path] = browser.new_page(reduced_motion="reduce")
-            page.on("pageerror", lambda error: wrong.append(str(error)))
-            page.on("console", lambda said: wrong.append(said.text) if said.type == "error" else None)
-            page.on("request", lambda asked: None if asked.url.startswith(LOCAL) else wrong.append(asked.url))
-            page.goto(path.as_uri())
-        pages[path].set_viewport_size(DESK)
-        return pages[path]
+        def window(path: Path) -> Page:
+            if path not in pages:
+                pages[path] = held.enter_context(opened(browser, path.as_uri(), reduced_motion="reduce"))
+            return pages[path]
 
-    yield open_page
-    assert wrong == []
+        yield window
 
 
-@pytest.fixture(scope="module")
-def bag(push_campaign: Path) -> TrialBag:
-    return TrialBag.open(push_campaign / "cat_food__case_2__s1.000__r0")
+@pytest.fixture
+def shown(windows: Callable[[Path], Page]) -> Callable[[Path], Page]:
+    """Shows a page as it begins."""
+
+    def show(path: Path) -> Page:
+        page = windows(path)
+        page.set_viewport_size(DESK)
+        page.evaluate("""() => { const {replay} = window.impact_rs ?? {};
+            if (replay) { replay.speed.value = 'slow'; replay.larger.value = '1'; replay.show(0); } }""")
+        return page
+
+    return show
 
 
-@pytest.fixture(scope="module")
-def trial(bag: TrialBag, tmp_path_factory: pytest.TempPathFactory) -> Path:
+@pytest.fixture
+def trial(report: Callable[[str], Path]) -> Path:
     """The page of a push."""
-    return write_trial(bag, tmp_path_factory.mktemp("trial") / "trial.html")
+    return report("trial")
 
 
 def until(page: Page, condition: str) -> None:
@@ -111,7 +98,7 @@ def sliding(physics: Physics) -> Physics:
 
 
 @needs_browser
-def test_links_of_every_arm_are_where_pinocchio_says(opened: Callable[[Path], Page], tmp_path: Path) -> None:
+def test_links_of_every_arm_are_where_pinocchio_says(shown: Callable[[Path], Page], tmp_path: Path) -> None:
     """Two arms, mounted apart, of seven joints and of six, one of which slides; between two samples as well."""
     (tmp_path / "base.stl").write_text(TRIANGLES)
     physics = sliding(PHYSICS)
@@ -128,7 +115,7 @@ def test_links_of_every_arm_are_where_pinocchio_says(opened: Callable[[Path], Pa
         for _ in range(2)
     ]
     data = json.dumps(animation_data([joints_track(time, *sides, impact=0.05, physics=physics)]))
-    page = opened(component(tmp_path / "page.html", f"var replay = new ImpactReplay(here, {data});"))
+    page = shown(component(tmp_path / "page.html", f"var replay = new ImpactReplay(here, {data});"))
     mesh = "replay.measured.links.left_base.children.find((child) => child.isMesh)"
     assert page.evaluate(f"{mesh}.geometry.attributes.position.count") == len(CORNERS)  # the arm's own mesh is seen
     for moment, before, share in ((0.0, 0, 0.0), (0.05, 5, 0.0), (0.073, 7, 0.3), (0.1, 10, 0.0)):
@@ -155,11 +142,11 @@ ROBOT = """<robot name="r"><link name="foot"/><link name="a"/><link name="b"/><l
 
 
 @needs_browser
-def test_links_of_another_robot_are_where_pinocchio_says(opened: Callable[[Path], Page], tmp_path: Path) -> None:
+def test_links_of_another_robot_are_where_pinocchio_says(shown: Callable[[Path], Page], tmp_path: Path) -> None:
     """Joints turn about and slide along axes that are not z; there is no arm of ours and no object."""
     scene, _ = described_scene(ROBOT)
     path = component(tmp_path / "live.html", f"var live = new ImpactLive(here); live.show({json.dumps(scene)});")
-    page, model = opened(path), pin.buildModelFromXML(ROBOT)
+    page, model = shown(path), pin.buildModelFromXML(ROBOT)
     data = model.createData()
     for q in np.random.default_rng(1).uniform(-1.0, 1.0, (3, 3)):
         found = page.evaluate(
@@ -189,9 +176,9 @@ def check_where_it_was_measured(page: Page, bag: TrialBag, moments: tuple[float,
 
 @needs_browser
 def test_end_effector_and_object_of_a_trial_are_where_they_were_measured(
-    opened: Callable[[Path], Page], trial: Path, bag: TrialBag
+    shown: Callable[[Path], Page], trial: Path, bag: TrialBag
 ) -> None:
-    check_where_it_was_measured(opened(trial), bag, (0.0, 0.9, 0.904, 0.94, 1.8))
+    check_where_it_was_measured(shown(trial), bag, (0.0, 0.9, 0.904, 0.94, 1.8))
 
 
 CURSORS = """() => [...document.querySelectorAll('.plot[data-run]')].map((plot) => {
@@ -201,8 +188,8 @@ CURSORS = """() => [...document.querySelectorAll('.plot[data-run]')].map((plot) 
 
 
 @needs_browser
-def test_one_seek_moves_the_bodies_and_the_line_in_every_figure(opened: Callable[[Path], Page], trial: Path) -> None:
-    page = opened(trial)
+def test_one_seek_moves_the_bodies_and_the_line_in_every_figure(shown: Callable[[Path], Page], trial: Path) -> None:
+    page = shown(trial)
     until(page, "document.querySelectorAll('.cursor').length === 3")
     for moment in (0.3, 0.91):
         page.evaluate("(time) => window.impact_rs.replay.seek(time)", moment)
@@ -211,8 +198,8 @@ def test_one_seek_moves_the_bodies_and_the_line_in_every_figure(opened: Callable
 
 
 @needs_browser
-def test_a_tap_on_a_curve_moves_the_time(opened: Callable[[Path], Page], trial: Path) -> None:
-    page = opened(trial)
+def test_a_tap_on_a_curve_moves_the_time(shown: Callable[[Path], Page], trial: Path) -> None:
+    page = shown(trial)
     plot = page.locator(".plot[data-run]").first
     plot.scroll_into_view_if_needed()
     until(page, "document.querySelectorAll('.cursor').length === 3")
@@ -226,14 +213,14 @@ def test_a_tap_on_a_curve_moves_the_time(opened: Callable[[Path], Page], trial: 
 
 
 @needs_browser
-def test_the_keyboard_plays_steps_and_finds_the_impact(opened: Callable[[Path], Page], trial: Path) -> None:
-    page = opened(trial)
+def test_the_keyboard_plays_steps_and_finds_the_impact(shown: Callable[[Path], Page], trial: Path) -> None:
+    page = shown(trial)
 
     def time() -> float:
         return float(page.evaluate("window.impact_rs.replay.time"))
 
     page.get_by_role("button", name="Impact").click()
-    page.locator(".replay canvas").focus()
+    page.locator(".replay input[type=range]").focus()
     impact = time()
     for key, expected in (
         ("ArrowRight", impact + 0.001),
@@ -254,9 +241,9 @@ def test_the_keyboard_plays_steps_and_finds_the_impact(opened: Callable[[Path], 
 
 
 @needs_browser
-def test_the_impact_is_played_a_hundred_times_slower(opened: Callable[[Path], Page], trial: Path) -> None:
+def test_the_impact_is_played_a_hundred_times_slower(shown: Callable[[Path], Page], trial: Path) -> None:
     """80 ms of the slider's 1.8 s are 8 s of playing time; at 1 : 1 they are as long as they were."""
-    page = opened(trial)
+    page = shown(trial)
     length = """() => { const {replay} = window.impact_rs;
       return [replay.playedAt(0.962) - replay.playedAt(0.882), replay.length]; }"""
     begin = page.evaluate("window.impact_rs.replay.run.impact") - 0.02
@@ -271,43 +258,12 @@ def test_the_impact_is_played_a_hundred_times_slower(opened: Callable[[Path], Pa
 
 @needs_browser
 def test_nothing_moves_by_itself_and_everything_has_an_accessible_name(
-    opened: Callable[[Path], Page], trial: Path
+    shown: Callable[[Path], Page], trial: Path
 ) -> None:
-    page = opened(trial)
+    page = shown(trial)
     assert page.evaluate("window.impact_rs.replay.playing") is None
     assert "0 ms" not in (page.get_by_role("slider", name="time").get_attribute("aria-valuetext") or "")
-    assert page.get_by_role("img", name=re.compile("in 3D")).is_visible()
     assert page.get_by_role("group", name=re.compile("space plays")).is_visible()
-
-
-@needs_browser
-def test_without_webgl_the_time_still_moves_the_figures(
-    playwright: Playwright, opened: Callable[[Path], Page], trial: Path
-) -> None:
-    blind = playwright.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox", "--disable-3d-apis"])
-    page = blind.new_page()
-    page.goto(trial.as_uri())
-    assert "no WebGL" in page.inner_text(".replay")
-    until(page, "document.querySelectorAll('.cursor').length === 3")
-    page.evaluate("window.impact_rs.replay.seek(0.3)")
-    assert page.evaluate(CURSORS) == pytest.approx([0.3] * 3, abs=2e-3)
-    blind.close()
-
-
-@pytest.fixture(scope="module")
-def compared(push_campaign: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The report of a comparison of three pushes."""
-    folder = tmp_path_factory.mktemp("compared")
-    assert main(["compare", str(push_campaign), "--jobs", "1", "-o", str(folder)]) == 0
-    return folder / "compare.html"
-
-
-@pytest.fixture(scope="module")
-def analysed(push_campaign: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The report of an analysis of the same."""
-    folder = tmp_path_factory.mktemp("analysed")
-    assert main(["analyze", str(push_campaign), "-o", str(folder)]) == 0
-    return folder / "report.html"
 
 
 @pytest.fixture(scope="module")
@@ -325,9 +281,9 @@ def laboratory_page(bag: TrialBag, tmp_path_factory: pytest.TempPathFactory) -> 
 
 @needs_browser
 def test_a_laboratory_run_begins_at_its_impact_and_moves_as_measured(
-    opened: Callable[[Path], Page], laboratory_page: Path, bag: TrialBag
+    shown: Callable[[Path], Page], laboratory_page: Path, bag: TrialBag
 ) -> None:
-    page = opened(laboratory_page)
+    page = shown(laboratory_page)
     until(page, "document.querySelectorAll('.cursor').length === 3")
     begin = page.evaluate("window.impact_rs.replay.time")
     assert begin == pytest.approx(bag.impact_time("arm"), abs=0.003)
@@ -336,8 +292,11 @@ def test_a_laboratory_run_begins_at_its_impact_and_moves_as_measured(
 
 
 @needs_browser
-def test_the_run_that_is_chosen_is_seen_beside_its_model(opened: Callable[[Path], Page], compared: Path) -> None:
-    page = opened(compared)
+def test_the_run_that_is_chosen_is_seen_beside_its_model(
+    shown: Callable[[Path], Page], report: Callable[[str], Path]
+) -> None:
+    """And what the model does differently is shown as many times as large as was chosen."""
+    page = shown(report("comparison"))
     labels = page.locator("#track-set option").all_inner_texts()
     page.get_by_label("run over time").select_option(labels[-1])
     assert page.evaluate("window.impact_rs.replay.run.label") == labels[-1]
@@ -347,57 +306,82 @@ def test_the_run_that_is_chosen_is_seen_beside_its_model(opened: Callable[[Path]
     ghost = """(larger) => { const {replay} = window.impact_rs; replay.larger.value = larger; replay.seek(1.2);
       const at = (bodies) => bodies.object.position.toArray();
       return at(replay.model).map((one, i) => one - at(replay.measured)[i]); }"""
-    apart, larger = page.evaluate(ghost, "1"), page.evaluate(ghost, "10")
-    assert np.linalg.norm(apart) > 1e-4
-    assert larger == pytest.approx([10.0 * one for one in apart], rel=1e-6, abs=1e-9)
+    for larger in ("1", "10"):
+        assert page.evaluate(ghost, larger) == pytest.approx([0.0, float(larger) * APART, 0.0], abs=1e-6)
 
 
 @needs_browser
-def test_what_was_not_recorded_is_neither_played_nor_made_up(opened: Callable[[Path], Page], compared: Path) -> None:
-    """Between two windows the bodies stay where the first one ends."""
-    page = opened(compared)
-    ends = page.evaluate(
-        "() => { const {time, starts} = window.impact_rs.replay.run; return [time[starts[1] - 1], time[starts[1]]]; }"
-    )
-    assert ends[1] - ends[0] > 0.01
-    hand = """(time) => { const {replay} = window.impact_rs;
-      replay.seek(time); return replay.measured.positions().arm_end_effector; }"""
-    places = [page.evaluate(hand, time) for time in (ends[0], 0.5 * sum(ends))]
-    assert places[0] == places[1]
-    played = [page.evaluate("(time) => window.impact_rs.replay.playedAt(time)", time) for time in ends]
-    assert played[0] == played[1]
-
-
-@needs_browser
-@pytest.mark.parametrize("which", ["trial", "compared", "analysed"])
-def test_a_page_fits_a_phone_asks_for_nothing_and_is_light(
-    opened: Callable[[Path], Page], which: str, request: pytest.FixtureRequest
+def test_what_was_not_recorded_is_neither_played_nor_made_up(
+    shown: Callable[[Path], Page], report: Callable[[str], Path]
 ) -> None:
-    path = request.getfixturevalue(which)
-    page = opened(path)
+    """Between two stretches the bodies stay where the first one ends."""
+    page = shown(report("comparison"))
+    hand = """(time) => { const {replay} = window.impact_rs;
+      replay.seek(time); return replay.measured.positions().left_end_effector; }"""
+    before, between, after = (page.evaluate(hand, time) for time in (0.3, 0.55, 0.81))
+    assert between == pytest.approx(before, abs=1e-6) and between != pytest.approx(after, abs=1e-3)
+    played = [page.evaluate("(time) => window.impact_rs.replay.playedAt(time)", time) for time in (0.3, 0.8)]
+    assert played[0] == pytest.approx(played[1], abs=1e-6)
+
+
+@needs_browser
+@pytest.mark.parametrize("kind", ["trial", "comparison", "analysis"])
+def test_a_page_with_bodies_in_3d_fits_a_phone_and_is_no_larger_than_a_mail(
+    shown: Callable[[Path], Page], kind: str, report: Callable[[str], Path]
+) -> None:
+    path = report(kind)
+    page = shown(path)
     page.set_viewport_size(PHONE)
     until(page, f"document.documentElement.scrollWidth <= {PHONE['width']}")  # figures follow a little later
     assert path.stat().st_size <= LARGEST_PAGE
-    canvas = page.locator(".replay canvas").bounding_box()
-    assert canvas is not None
-    assert canvas["width"] <= PHONE["width"]
+
+
+PICTURE = """(time) => { const {replay} = window.impact_rs, {canvas} = replay; replay.seek(time);
+  const copy = Object.assign(document.createElement('canvas'), {width: canvas.width, height: canvas.height});
+  const pen = copy.getContext('2d'), colours = {};
+  pen.drawImage(canvas, 0, 0);
+  new Uint32Array(pen.getImageData(0, 0, copy.width, copy.height).data.buffer).forEach((colour) => {
+    colours[colour] = 1 + (colours[colour] || 0);
+  });
+  return colours; }"""
+COUNT = """() => { const {renderer} = window.impact_rs.replay, own = renderer.render.bind(renderer);
+  window.drawn = 0; renderer.render = (...given) => { window.drawn += 1; own(...given); }; }"""
+OUT_OF_SIGHT = {
+    "scrollTo(0, document.body.scrollHeight)": "scrollTo(0, 0)",
+    "document.querySelector('.replay').hidden = true": "document.querySelector('.replay').hidden = false",
+}
+SEEK = "(time) => window.impact_rs.replay.seek(time)"
 
 
 @needs_browser
-def test_something_is_drawn(opened: Callable[[Path], Page], trial: Path) -> None:
-    """Pixels of the picture are not all of one colour, and others at another time."""
-    page = opened(trial)
-    look = """(time) => { const {replay} = window.impact_rs, {canvas} = replay; replay.seek(time);
-      const copy = Object.assign(document.createElement('canvas'), {width: canvas.width, height: canvas.height});
-      const pen = copy.getContext('2d'), colours = {};
-      pen.drawImage(canvas, 0, 0);
-      new Uint32Array(pen.getImageData(0, 0, copy.width, copy.height).data.buffer).forEach((colour) => {
-        colours[colour] = 1 + (colours[colour] || 0);
-      });
-      return colours; }"""
-    at_rest, at_impact = page.evaluate(look, 0.0), page.evaluate(look, 0.91)
-    assert len(at_impact) > 100
-    assert at_rest != at_impact
+def test_what_is_in_sight_is_drawn_and_what_is_out_of_sight_when_it_comes_back(browser: Browser, trial: Path) -> None:
+    """Kills a scene that stays empty or old, and one that is drawn while nobody sees it."""
+    with opened(browser, trial.as_uri(), webgl=True, reduced_motion="reduce") as page:
+        until(page, "window.impact_rs.replay.inSight && !window.impact_rs.replay.stale")
+        assert page.get_by_role("img", name=re.compile("in 3D")).is_visible()
+        at_rest, at_impact = page.evaluate(PICTURE, 0.0), page.evaluate(PICTURE, 0.91)
+        assert len(at_impact) > 100 and at_rest != at_impact
+        page.evaluate(COUNT)
+        for hide, show in OUT_OF_SIGHT.items():
+            page.evaluate(hide)
+            until(page, "window.impact_rs.replay.inSight === false")
+            before = page.evaluate("window.drawn")
+            for time in (0.1, 0.2, 0.3):
+                page.evaluate(SEEK, time)
+            assert page.evaluate("window.drawn") == before
+            page.evaluate(show)
+            until(page, f"window.drawn > {before} && !window.impact_rs.replay.stale")
+
+
+@needs_browser
+def test_without_webgl_the_page_says_so_and_the_time_moves_the_figures(
+    shown: Callable[[Path], Page], trial: Path
+) -> None:
+    page = shown(trial)
+    assert "no WebGL" in page.inner_text(".replay")
+    until(page, "document.querySelectorAll('.cursor').length === 3")
+    page.evaluate(SEEK, 0.3)
+    assert page.evaluate(CURSORS) == pytest.approx([0.3] * 3, abs=2e-3)
 
 
 def test_figures_are_drawn_by_the_plotly_that_python_writes_for() -> None:
