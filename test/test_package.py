@@ -42,7 +42,7 @@ PACKAGES = (
     "impact_rs_trials",
     "impact_rs_workbench",
 )
-FOLDERS = (*PACKAGES, ".ci", "benchmarks", "cmake", "config", "examples", "launch", "scripts", "test")
+FOLDERS = (*PACKAGES, ".ci", "benchmarks", "cmake", "config", "examples", "launch", "scripts", "test", "tools")
 FILES = sorted(
     [path for path in ROOT.iterdir() if path.is_file()]
     + [path for folder in FOLDERS for path in (ROOT / folder).rglob("*") if path.is_file()]

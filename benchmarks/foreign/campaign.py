@@ -14,14 +14,13 @@ from pathlib import Path
 
 import mujoco
 import numpy as np
+from mujoco_cell import Modification, MujocoCell
 
-from benchmarks.foreign.cell import Modification, MujocoCell
 from impact_rs_control.plan import TrialPlan
 from impact_rs_sim.physics import Physics
 from impact_rs_trials.bags.record import record_cell
 from impact_rs_trials.bags.trial_info import TrialInfo
-from impact_rs_trials.blind import BlindTask, make, run_task
-from impact_rs_trials.workers import Map
+from impact_rs_trials.blind import BlindTask, run_task
 
 
 def flexible_base(physics: Physics, magnitude: float) -> Modification:
@@ -106,21 +105,3 @@ def record(task: BlindTask, plan: TrialPlan, info: TrialInfo, path: Path, physic
 
 record_task = functools.partial(run_task, record=record)
 """Records a trial of a blind campaign on the cell, in the place of :func:`impact_rs_trials.blind.run_task`."""
-
-
-def make_campaign(
-    directory: Path,
-    seed: int,
-    map_tasks: Map,
-    kind: str,
-    effect: str | None = None,
-    size: str = "small",
-    magnitude: float | None = None,
-) -> None:
-    """Make a blind campaign on the cell, or what is missing of it; arguments as :func:`impact_rs_trials.blind.make`.
-
-    Raises:
-        InputError: Unknown kind, effect or size, or a folder that holds another blind campaign.
-    """
-    for _ in make(directory, seed, map_tasks, kind, effect, size, magnitude, record_task, tuple(OUTSIDE)):
-        pass

@@ -1,20 +1,17 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Scoreboard on a laboratory that is not ours: ``./run python -m benchmarks.foreign.laboratory -o DIR``.
+"""Campaigns of a laboratory that is not ours.
 
 What a researcher elsewhere would bring: the MuJoCo cell under a Cartesian impedance controller that knows nothing of
 impacts, two boxes pushed from two poses, one of them askew, and free motion, recorded with the names, topics and clocks
-of :mod:`examples.laboratory`. Every effect of the library is hidden once, some campaigns hide nothing, three effects
-are outside the library. Each campaign is diagnosed from its ``experiment.yaml`` and held against the truth that lies
-beside it. It resumes where it stopped; ``--only NAME`` runs those whose name starts so.
+of :mod:`examples.laboratory`, and an ``experiment.yaml``. The truth lies beside it.
 """
 
 from __future__ import annotations
 
 import functools
 import json
-import time
 from collections.abc import Callable, Iterator
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -22,17 +19,13 @@ from typing import Any
 import mujoco
 import numpy as np
 import pinocchio as pin
+from mujoco_cell import Further, Modification, MujocoCell
 from rosbags.rosbag2 import StoragePlugin, Writer
 
-from benchmarks.board import Entry, Row, arguments, diagnosed_laboratory, run_board
-from benchmarks.foreign.board import intervals, scoreboard
 from benchmarks.foreign.campaign import OUTSIDE
-from benchmarks.foreign.cell import UNKNOWN_HERE, Further, Modification, MujocoCell
-from benchmarks.foreign.discrepancy import oblique
 from benchmarks.foreign.laws import LAWS, Law
+from benchmarks.hidden import Entry
 from examples.laboratory import EXPERIMENT, START, STORE, messages
-from impact_rs_analysis.diagnosis.scoring import held_against_truth
-from impact_rs_sim.effects import of_trials
 from impact_rs_sim.physics import Physics
 from impact_rs_sim.robot import Array
 from impact_rs_sim.robot_model import RobotModel
@@ -40,8 +33,8 @@ from impact_rs_sim.scenario import Scenario, load_scenario
 from impact_rs_sim.scene import BodyState, Scene
 from impact_rs_trials.blind import RUNS, TRUTH, Hidden, draw_truth, hide, named
 from impact_rs_trials.workers import Map
+from tools.discrepancy import oblique
 
-MAGNITUDE, OUTSIDE_MAGNITUDE, NULLS, FIRST_SEED = 3.0, 4.0, 5, 3000
 BOXES = ("parcel", "juice")
 CONDITIONS = {"pose_a_fast": ("case_1", 1.0), "pose_a_slow": ("case_1", 0.6), "pose_b_fast": ("case_2", 1.0)}
 ASKEW = {"case_1": ((0.0, 0.0), (0.0, 0.0)), "case_2": ((0.02, -0.03), (0.1, 0.05))}  # rad; share of the speed
@@ -232,38 +225,3 @@ def make(entry: Entry, directory: Path, map_tasks: Map) -> None:
     effects = [{"name": item.name, "parameters": named(item, joints)} for item in hidden_in(entry)]
     outside = entry.effect if entry.kind == "outside" else None
     (directory / TRUTH).write_text(json.dumps({"kind": entry.kind, "outside": outside, "effects": effects}) + "\n")
-
-
-def run(entry: Entry, directory: Path, map_tasks: Map) -> Row:
-    """Make, diagnose and score one campaign; what exists is kept."""
-    document = directory / "diagnosis.json"
-    make(entry, directory, map_tasks)
-    started = time.perf_counter()
-    read = diagnosed_laboratory(directory / RUNS, document, map_tasks)
-    return asdict(held_against_truth(directory, read)) | {
-        "name": entry.name,
-        "magnitude": entry.magnitude,
-        "verdict": read.verdict,
-        "seconds": time.perf_counter() - started,
-        "intervals": intervals(json.loads(document.read_text()), json.loads((directory / TRUTH).read_text())),
-    }
-
-
-def matrix() -> list[Entry]:
-    """Every campaign, what says most first."""
-    known = [name for name in of_trials() if name not in UNKNOWN_HERE]
-    wanted: list[tuple[str, str | None, float | None]] = [("single", name, MAGNITUDE) for name in known]
-    wanted += [("null", None, None)] * NULLS
-    wanted += [("outside", name, OUTSIDE_MAGNITUDE) for name in OUTSIDE]
-    return [Entry(*entry, FIRST_SEED + seed) for seed, entry in enumerate(wanted)]
-
-
-def main() -> None:
-    """Run what is missing, then print the scoreboard."""
-    print(scoreboard(run_board(matrix(), arguments(__doc__).parse_args(), run)))
-
-
-if __name__ == "__main__":
-    from benchmarks.foreign.laboratory import main as run_main  # what workers get is then known by its module
-
-    run_main()

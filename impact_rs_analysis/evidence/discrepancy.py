@@ -3,7 +3,7 @@
 
 No simulator is exact. Contact settings, regularisation of friction, time step and physics engine are free choices, so
 residuals that depend on them are not evidence of a missing effect. ``config/discrepancy.yaml`` holds the discrepancy by
-phase, signal and index, with its provenance (made by ``benchmarks/foreign/discrepancy.py``), and
+phase, signal and index, with its provenance (made by ``tools/discrepancy.py``), and
 ``config/discrepancy_patterns.csv`` its patterns over the features.
 
 Square and oblique hits have separate values. On oblique hits (pad and face not parallel, or velocity not along the

@@ -3,7 +3,7 @@
 
 The map jumps at once; drives with springs and a pad that yields do not, and just after a real impact joints ring.
 ``config/map_discrepancy.yaml`` holds how far simulators of such arms lie from the map with the same parameters (made by
-``benchmarks/foreign/map_discrepancy.py``), as shares of the closing speed v_n:
+``tools/map_discrepancy.py``), as shares of the closing speed v_n:
 
     joints  share v_n / l,        centre of the object  share v_n,        its rotation  share v_n / r
 

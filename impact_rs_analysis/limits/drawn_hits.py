@@ -46,8 +46,8 @@ GAP = 1e-4  # m, between pad and object at the start
 STIFFNESS = 0.2  # of joints and pads, relative: half the width of a 95 % interval; assumed
 DAMPING = 0.3  # likewise
 JUMP_MEAN = (0.005, 0.015)  # s after the touch, over which the velocity after the hit is taken
-# How far MuJoCo is from the twin with the same parameters, in 18 pushes: benchmarks/limits.py --calibrate. Of jumps the
-# rms difference times l / v_n, of largest values the standard deviation of the logarithm of their ratio.
+# How far MuJoCo is from the twin with the same parameters, in 18 pushes: benchmarks/accuracy/limits.py --calibrate. Of
+# jumps the rms difference times l / v_n, of largest values the standard deviation of the logarithm of their ratio.
 JUMP_SHARES: Mapping[HitKind, float] = {"square": 0.005, "oblique": 0.02}
 PEAK_SHARES: Mapping[str, float] = {"speed": 0.02, "torque": 0.02, "reflex": 0.03, "force": 0.02}
 

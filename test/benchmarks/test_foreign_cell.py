@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-cell_module = pytest.importorskip("benchmarks.foreign.cell", reason="run from the root of the repository")
+cell_module = pytest.importorskip("mujoco_cell")
 campaign = pytest.importorskip("benchmarks.foreign.campaign", reason="run from the root of the repository")
 
 from impact_rs_analysis.evidence.simulated_trials import quiet  # noqa: E402

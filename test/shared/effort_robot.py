@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Stands for a robot with ros2_control: a process with the topics of broadcaster, effort controller and mocap.
 
-Its world is the MuJoCo cell of ``benchmarks/foreign``: elastic joints, motors with inertia behind a torque loop of
+Its world is the MuJoCo cell (``mujoco_cell.py``): elastic joints, motors with inertia behind a torque loop of
 4 kHz, a pad that yields, sensors with noise. It publishes ``/joint_states``, with a gripper among the joints and in an
 order of its own, ``/mocap/object_pose``, 250 times a second, in the frame of the tracker and some milliseconds after it
 was taken, and ``/clock``; it takes ``/arm/effort_controller/commands`` and compensates gravity as franka_ros2 does.
@@ -29,13 +29,13 @@ import time
 from collections import deque
 from contextlib import suppress
 from itertools import pairwise
-from pathlib import Path
 
 import numpy as np
 import pinocchio as pin
 import rclpy
 from builtin_interfaces.msg import Time
 from geometry_msgs.msg import PoseStamped
+from mujoco_cell import MujocoCell
 from rclpy.experimental.events_executor import EventsExecutor
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
@@ -43,12 +43,9 @@ from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 
-sys.path.append(str(Path(__file__).resolve().parents[2]))  # where benchmarks is
-
-from benchmarks.foreign.cell import MujocoCell  # noqa: E402
-from impact_msgs_py.conversions import pose_to_message  # noqa: E402
-from impact_rs_sim.scenario import load_scenario  # noqa: E402
-from impact_rs_trials.spec import TrialSpec  # noqa: E402
+from impact_msgs_py.conversions import pose_to_message
+from impact_rs_sim.scenario import load_scenario
+from impact_rs_trials.spec import TrialSpec
 
 LIFETIME = 240.0  # s of the robot's time, which the cell draws its noise for; longer than any test
 WAITING = 5.0  # s, for a torque, once some came

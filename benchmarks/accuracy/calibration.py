@@ -1,0 +1,195 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Are p values of a diagnosis what they say? Shares below 1 and 5 % where nothing is hidden, and power.
+
+Nothing is hidden in a campaign of conditions x repeats. Features have the covariance that they have along a trial, in
+which few directions carry most of the noise; the relevance limit is 0.1 or 10 times the noise. Residuals are
+
+* normal,
+* heavy: Student's t with 3 degrees of freedom, direction by direction,
+* heavy trials: the same factor for all features of a trial,
+* drift: normal, and every feature drifts by two standard deviations over the campaign, whose conditions are
+  interleaved in random order.
+
+Every draw goes the way of a diagnosis: runs become clusters, scaled by the pure error that their repeats give, and
+these the p values of effects with 1 and with 7 parameters, the smallest adjusted p of six effects, lack of fit, and,
+beside 7 parameters that were fitted, the p value of 1 parameter and lack of fit. A right test calls 1 % of nulls
+significant at 1 %, and 5 % at 5 %. ``--power`` hides an effect of 2 or 4 standard errors instead. The last row is a
+recording, with noise that remembers some samples, in 24 stretches.
+"""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+import numpy as np
+from analytic_world import EFFECTS, FEATURES, PHYSICS, AnalyticSource, correlated, features
+
+from benchmarks.harness import Case, Row, Work, draw_options, drawn
+from benchmarks.results import Table
+from impact_rs_analysis.diagnosis import null_distribution
+from impact_rs_analysis.diagnosis.candidate import Candidate, Problem, linearise
+from impact_rs_analysis.diagnosis.fit import Evidence, Fit
+from impact_rs_analysis.diagnosis.search import adjusted
+from impact_rs_analysis.evidence.cluster import Feature
+from impact_rs_analysis.evidence.discrepancy import NO_DISCREPANCY
+from impact_rs_analysis.evidence.measured_runs import MeasuredRun, Runs, Setup
+from impact_rs_analysis.evidence.replays import clusters_of
+from impact_rs_sim.robot import Array
+from impact_rs_trials.runs import NONE, Signals
+
+DESIGNS = ((3, 2), (6, 2), (4, 4), (6, 3), (9, 5))  # conditions, repeats
+NOISES = ("normal", "heavy", "heavy trials", "drift")
+DRIFT = 2.0  # standard deviations over a campaign
+RECORDING = "recording, 24 stretches"
+STRETCHES, MEMORY = 24, 4.0  # of a recording; memory in samples
+LEVELS = (0.01, 0.05)
+COLUMNS = (
+    "1 parameter",
+    "7 parameters",
+    "any of 6, adjusted",
+    "lack of fit",
+    "1 beside 7 fitted",
+    "lack of fit, 7 fitted",
+)
+ROOT = correlated()
+SPREAD = np.sqrt(np.sum(np.square(ROOT), axis=0))
+
+
+class Campaign(AnalyticSource):
+    """Runs of a campaign, made clusters by the code of a diagnosis.
+
+    Args:
+        seed: Of the noise.
+        design: Conditions and repeats.
+        noise: One of ``NOISES``.
+        limit: Relevance limit, in multiples of the noise.
+        size: Of the effect ``straight`` that is hidden.
+    """
+
+    def __init__(self, seed: int, design: tuple[int, int], noise: str, limit: float, size: float = 0.0) -> None:
+        conditions, repeats = design
+        super().__init__(seed, design=(repeats,) * conditions)
+        labels = tuple(
+            Feature("free", f"signal {f % 4}", "x", f // 4, "m/s", limit * float(SPREAD[f])) for f in range(FEATURES)
+        )
+        truth = (("straight", (size,)),)
+        measured = [features(number // repeats, truth) for number in range(conditions * repeats)]
+        measured = list(np.array(measured) + draw(np.random.default_rng(seed), len(measured), noise))
+        runs = [_run(f"{number // repeats}", labels, values) for number, values in enumerate(measured)]
+        self.clusters, _ = clusters_of(Runs(Path(), tuple(runs), ()), measured, NO_DISCREPANCY)
+
+
+def draw(rng: np.random.Generator, count: int, noise: str) -> Array:
+    """Noise of some runs, ``(count, F)``."""
+    if noise == "heavy":
+        return np.asarray(rng.standard_t(3, (count, FEATURES)) / np.sqrt(3.0) @ ROOT)
+    values = rng.standard_normal((count, FEATURES)) @ ROOT
+    if noise == "heavy trials":
+        values /= np.sqrt(rng.chisquare(3, (count, 1)))
+    if noise == "drift":
+        order = rng.permutation(count) / (count - 1.0) - 0.5
+        values += DRIFT * order[:, None] * SPREAD * rng.choice([-1.0, 1.0], FEATURES)
+    return np.asarray(values)
+
+
+def _run(condition: str, labels: tuple[Feature, ...], measured: Array) -> MeasuredRun:
+    setup = Setup((), PHYSICS, 0.0, "command", False, False, None, tuple(range(len(labels))), {})
+    return MeasuredRun(
+        path=Path(condition), name=condition, condition=condition, place=("world", "object", condition), hit=False,
+        physics=PHYSICS, signals=Signals(NONE, {}), setup=setup, features=labels, measured=measured, impacts={}, free=0,
+    )  # fmt: skip
+
+
+def remembering() -> Array:
+    """Root of the covariance of samples whose correlation falls to 1/e in ``MEMORY`` samples."""
+    distance = np.abs(np.subtract.outer(np.arange(FEATURES), np.arange(FEATURES)))
+    return np.asarray(np.linalg.cholesky(np.exp(-distance / MEMORY)).T)
+
+
+def standard_error(design: tuple[int, int], limit: float) -> float:
+    """Of the estimate of the effect ``straight`` with the true scales."""
+    conditions, repeats = design
+    weight = 1.0 / (np.square(SPREAD) * (1.0 + (limit / 2.0) ** 2))
+    scores = [weight * features(number, (("straight", (1.0,)),)) for number in range(conditions)]
+    information = sum(float(np.sum(np.square(score) / weight)) for score in scores)
+    noise = sum(float(np.sum(np.square(ROOT @ score))) for score in scores)
+    return float(np.sqrt(noise / repeats) / information)
+
+
+def p_values(source: AnalyticSource) -> tuple[float, ...]:
+    """p values of ``COLUMNS``."""
+    evidence = Evidence.of(source)
+    found, problems = {}, {}
+    for name, effect in EFFECTS.items():
+        if name == "one_sided":
+            continue
+        candidate = linearise(Candidate.of((effect,), source), source.clusters, evidence.numbers, source)
+        assert candidate is not None
+        problems[name] = Problem(candidate, source.clusters, evidence.neighbours)
+        found[name] = problems[name].p_value(evidence.null, slice(None))
+    fitted = Fit.of(problems["of_motors"].candidate, evidence)
+    beside = evidence.problem(fitted.candidate.beside(problems["straight"].candidate))
+    return (
+        found["straight"],
+        found["of_joints"],
+        min(adjusted(found).values()),
+        np.nan if evidence.lack_of_fit is None else evidence.lack_of_fit,
+        beside.p_value(fitted.left.null, slice(fitted.change.size, None)),
+        np.nan if (left := fitted.lack_of_fit()) is None else left,
+    )
+
+
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """How many draws."""
+    draw_options(parser, 1000)
+    parser.add_argument(
+        "--null-draws", type=int, default=999, help="draws of each null distribution; a diagnosis: 4999"
+    )
+    parser.add_argument("--power", action="store_true", help="effects of 2 and 4 standard errors in place of none")
+    parser.add_argument("--limits", type=float, nargs="+", default=[0.1], help="relevance limits over the noise")
+
+
+def cases(options: argparse.Namespace) -> list[Case]:
+    """Designs, noises, relevance limits and sizes of what is hidden."""
+    found = [
+        Case(
+            f"{design[0]} × {design[1]}, {noise}"
+            + (f", limit {limit:g}" if len(options.limits) > 1 else "")
+            + (f", effect {size:g}" if size else ""),
+            (design, noise, limit, size),
+        )
+        for design in DESIGNS
+        for noise in NOISES
+        for limit in options.limits
+        for size in ((2.0, 4.0) if options.power else (0.0,))
+    ]
+    return found if options.power else [*found, Case(RECORDING)]
+
+
+def one(case: Case, options: argparse.Namespace, seed: int) -> tuple[float, ...]:
+    """p values of one draw."""
+    null_distribution.DRAWS = options.null_draws  # type: ignore[attr-defined]
+    if case.given is None:
+        return p_values(AnalyticSource(seed, design=(1,) * STRETCHES, correlation=remembering(), repeated=False))
+    design, noise, limit, size = case.given
+    return p_values(Campaign(seed, design, noise, limit, size * standard_error(design, limit)))
+
+
+def run(case: Case, work: Work) -> Row:
+    """Shares below the levels [%], ``columns x levels``."""
+    found = np.array(drawn(one, case, work.options, work.map_tasks))
+    shares = [
+        None if np.isnan(column).all() else 100.0 * float(np.mean(column < level))
+        for column in found.T
+        for level in LEVELS
+    ]
+    return {"shares": shares}
+
+
+def table(rows: list[Row], options: argparse.Namespace) -> Table:
+    """A row for each design and noise."""
+    del options
+    head = [f"{name}: {level:.0%}" for name in COLUMNS for level in LEVELS]
+    lines = [(row["name"], *("–" if one is None else f"{one:.1f}" for one in row["shares"])) for row in rows]
+    return Table(("design, noise", *head), tuple(lines))

@@ -1,0 +1,247 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Designed campaigns against fixed and random ones.
+
+Every campaign is measured in three ways with the same hidden effect: the fixed campaign of ``blind make`` (18 trials),
+and half as many trials by design and at random. Each is diagnosed and judged. Where one ends in a tie, ``TIE_BUDGET``
+further trials are proposed by design and at random, and all are diagnosed again.
+
+Few of these end in a tie. ``--only tie`` hides every effect in six pushes of one object, clearly and very clearly.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from collections.abc import Callable
+from functools import cache, partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from benchmarks.boards.blind import MAGNITUDES
+from benchmarks.harness import Row, Work, share
+from benchmarks.hidden import Entry, diagnosed, entries, hidden_in, judged, plant_option, recorder
+from benchmarks.results import Table
+from impact_rs_analysis.design.design import WHICH_EFFECT, Decide, planned
+from impact_rs_analysis.design.forecast import Forecast, forecast_of
+from impact_rs_analysis.design.possible_trials import possible_trials
+from impact_rs_analysis.diagnosis.document import DiagnosisDocument
+from impact_rs_analysis.diagnosis.next_experiment import left_open
+from impact_rs_analysis.evidence.measured_runs import Runs, read_runs
+from impact_rs_analysis.evidence.replay_cache import ReplayCache
+from impact_rs_sim.model import load_model
+from impact_rs_trials.blind import RUNS, SCENARIOS, TRUTH, BlindTask, Hidden, Secret, make
+from impact_rs_trials.campaign import PlannedTrials
+from impact_rs_trials.experiment_plan import (
+    ExperimentPlan,
+    Method,
+    PlannedCampaign,
+    manifests_of,
+    read_plan,
+    write_plan,
+)
+from impact_rs_trials.workers import Map
+
+BUDGET = 9  # half of the fixed campaign
+TIE_BUDGET = 4
+METHODS: tuple[Method, ...] = ("design", "random")
+WAYS = ("fixed", *METHODS)
+CLEAR = (3.0, 8.0)  # parameter scales, of effects that few trials should show
+SURE = 0.95
+FEW = ExperimentPlan(
+    model="nominal",
+    model_digest=load_model("nominal").digest,
+    aim="effects",
+    method="fixed",
+    budget=6,
+    campaigns=(
+        PlannedCampaign(
+            folder="push",
+            scenario="push",
+            conditions=tuple(
+                PlannedTrials(object="parcel", case=case, trials=2) for case in ("case_1", "case_2", "case_3")
+            ),
+        ),
+    ),
+)
+
+
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """What is hidden, and where."""
+    plant_option(parser, "plant", "cell")
+    parser.add_argument("--seeds", type=int, default=1, help="campaigns of every effect and magnitude")
+    parser.add_argument("--nulls", type=int, default=8, help="campaigns with nothing hidden")
+
+
+def cases(options: argparse.Namespace) -> list[Entry]:
+    """Whole campaigns in random order, so that those done in time are a sample; then ties."""
+    names = hidden_in(options.on)
+    singles = [("single", name, size) for size in MAGNITUDES["plant"] for name in names]
+    wanted: list[tuple[str, str | None, float | None]] = [
+        *singles * options.seeds,
+        *[("null", None, None)] * options.nulls,
+    ]
+    whole = entries(wanted)
+    order = np.random.default_rng(0).permutation(len(whole))
+    return [whole[number] for number in order] + entries([("tie", name, size) for size in CLEAR for name in names], 500)
+
+
+def hidden_of(directory: Path) -> tuple[tuple[Hidden, ...], str | None, float]:
+    """What ``blind make`` hides in a campaign, for further trials on the same plant."""
+    truth = json.loads((directory / TRUTH).read_text(encoding="utf-8"))
+    hidden = tuple(
+        Hidden(item["name"], tuple(one["value"] for one in item["parameters"].values()), item["magnitude"])
+        for item in truth["effects"]
+    )
+    return hidden, truth["outside"], truth["outside_magnitude"]
+
+
+Record = Callable[[BlindTask], str]
+
+
+def record(plan: ExperimentPlan, directory: Path, truth: Path, map_tasks: Map, work: Record) -> None:
+    """Run a plan on the plant of a blind campaign; bags that exist are kept."""
+    hidden, outside, magnitude = hidden_of(truth)
+    directory.mkdir(parents=True, exist_ok=True)
+    tasks = [
+        BlindTask(str(directory.absolute()), manifest.trial(key), hidden, outside, magnitude)
+        for manifest in manifests_of(plan).values()
+        for key in manifest.in_order
+    ]
+    for _ in map_tasks(work, tasks):
+        pass
+
+
+def together(before: Runs, directory: Path, map_tasks: Map) -> Runs:
+    """Earlier runs and those of another folder; repeats of a condition have the features that all of them have."""
+    return Runs.of(before.directory, [*before.runs, *read_runs(directory, map_tasks).runs])
+
+
+class Planner:
+    """Plans of the nominal model, simulated once for all campaigns."""
+
+    def __init__(self, map_tasks: Map) -> None:
+        self._map = map_tasks
+        self._first: Forecast | None = None
+        self._designed: ExperimentPlan | None = None
+        self._trials = possible_trials(SCENARIOS)
+
+    def first(self, path: Path, method: Method, seed: int) -> ExperimentPlan:
+        """The plan of a campaign from nothing; designed ones are equal but for their seed."""
+        if not path.exists():
+            write_plan(self._plan(method, seed), path)
+        return read_plan(path)
+
+    def _plan(self, method: Method, seed: int) -> ExperimentPlan:
+        if method == "design" and self._designed is not None:
+            return self._designed.model_copy(update={"seed": seed})
+        if self._first is None:
+            self._first = forecast_of(load_model("nominal"), self._trials, ReplayCache(self._map))
+        plan = planned(self._first, WHICH_EFFECT(self._first.source), BUDGET, method, seed)
+        if method == "design":
+            self._designed = plan
+        return plan
+
+    def next(self, path: Path, method: Method, seed: int, runs: Runs, decide: Decide) -> ExperimentPlan:
+        """The plan after a diagnosis with a tie."""
+        if not path.exists():
+            model = load_model("nominal")
+            forecast = forecast_of(model, self._trials, ReplayCache(self._map), runs=runs, seed=seed)
+            write_plan(planned(forecast, decide(forecast.source), TIE_BUDGET, method, seed), path)
+        return read_plan(path)
+
+
+@cache
+def planner(map_tasks: Map) -> Planner:
+    """The planner of a run."""
+    return Planner(map_tasks)
+
+
+def run(entry: Entry, work: Work) -> Row:
+    """Measure, diagnose and judge one campaign in all ways, or a few trials that may end in a tie."""
+    folder, map_tasks, record_one = work.folder, work.map_tasks, recorder(work.options.on)
+    runs = folder / RUNS
+    if entry.kind == "tie":
+        Secret.drawn(entry.seed, "single", entry.effect, entry.magnitude).keep(folder)
+        record(FEW.model_copy(update={"seed": entry.seed}), runs, folder, map_tasks, record_one)
+    else:
+        for _ in make(folder, entry.seed, map_tasks, entry.kind, entry.effect, "small", entry.magnitude, record_one):
+            pass
+    first = "few" if entry.kind == "tie" else "fixed"
+    found = {first: (runs, diagnosed(folder / f"{first}.json", partial(read_runs, runs, map_tasks), map_tasks))}
+    for method in METHODS if entry.kind != "tie" else ():
+        plan = planner(map_tasks).first(folder / f"{method}.yaml", method, 1000 + entry.seed)
+        record(plan, folder / method, folder, map_tasks, record_one)
+        read = partial(read_runs, folder / method, map_tasks)
+        found[method] = folder / method, diagnosed(folder / f"{method}.json", read, map_tasks)
+    ties = [
+        split(planner(map_tasks), folder, way, method, entry.seed, before, document, map_tasks, record_one)
+        for way, (before, document) in found.items()
+        if document.confusable
+        for method in METHODS
+    ]
+    said = [f"{way} {document.verdict}" for way, (_, document) in found.items()]
+    said += [f"then by {one['method']} {one['verdict']}" for one in ties]
+    ways = {way: judged(folder, document) for way, (_, document) in found.items()}
+    return {"kind": entry.kind, "ways": ways, "ties": ties, "said": ", ".join(said)}
+
+
+def split(
+    planner: Planner,
+    directory: Path,
+    way: str,
+    method: Method,
+    seed: int,
+    runs: Path,
+    tied: DiagnosisDocument,
+    map_tasks: Map,
+    record_one: Record,
+) -> dict[str, Any]:
+    """Whether the first proposal after a tie splits it."""
+    decide = left_open(tied, load_model("nominal"))
+    assert decide is not None
+    name, before = f"{way}_tie_{method}", read_runs(runs, map_tasks)
+    plan = planner.next(directory / f"{name}.yaml", method, 2000 + seed, before, decide)
+    record(plan, directory / name, directory, map_tasks, record_one)
+    after = diagnosed(directory / f"{name}.json", partial(together, before, directory / name, map_tasks), map_tasks)
+    return judged(directory, after) | {
+        "way": way,
+        "method": method,
+        "split": not after.confusable,
+        "said_before": min((pair.after for pair in plan.pairs), default=1.0),
+    }
+
+
+def table(rows: list[Row], options: argparse.Namespace) -> Table:
+    """Ways beside each other, then how ties were split."""
+    del options
+    whole = [row["ways"] for row in rows if row["kind"] != "tie"]
+    tied = {way: [one for row in rows for one in row["ties"] if one["method"] == way] for way in METHODS}
+    sure = {way: [one for one in ones if one["said_before"] >= SURE] for way, ones in tied.items()}
+    lines = [
+        ("hidden effect named, or in a tie", *(share(row[way]["correct"] for row in whole) for way in WAYS)),
+        ("exactly the hidden effect named", *(share(row[way]["exact"] for row in whole) for way in WAYS)),
+        (
+            "the effect and nothing else in the headline",
+            *(share(row[way]["headline"] for row in whole) for way in WAYS),
+        ),
+        (
+            "the same effects named as by the fixed campaign",
+            "",
+            *(share(set(row[way]["named"]) == set(row["fixed"]["named"]) for row in whole) for way in METHODS),
+        ),
+        (
+            "right where the fixed campaign is right",
+            "",
+            *(share(row[way]["correct"] for row in whole if row["fixed"]["correct"]) for way in METHODS),
+        ),
+        (
+            f"ties split by {TIE_BUDGET} further trials",
+            "",
+            *(share(one["split"] for one in tied[way]) for way in METHODS),
+        ),
+        ("... and right", "", *(share(one["correct"] for one in tied[way]) for way in METHODS)),
+        (f"... promised with {SURE:.0%}: split", "", *(share(one["split"] for one in sure[way]) for way in METHODS)),
+    ]
+    return Table(("", "Fixed, 18 trials", "Design, 9", "Random, 9"), tuple(lines))

@@ -1,0 +1,166 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Campaigns that hide something: what they hide, on which plant, how they are diagnosed and scored."""
+
+from __future__ import annotations
+
+import argparse
+import statistics
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+from benchmarks.harness import Row, share
+from benchmarks.results import Table
+from impact_rs_analysis.diagnosis.diagnose import diagnose
+from impact_rs_analysis.diagnosis.document import DiagnosisDocument, read_document, write_document
+from impact_rs_analysis.diagnosis.scoring import held_against_truth
+from impact_rs_analysis.evidence.command_clock import read_laboratory_runs
+from impact_rs_analysis.evidence.measured_runs import Runs
+from impact_rs_analysis.evidence.replay_cache import ReplayCache
+from impact_rs_analysis.evidence.replays import ReplaySource
+from impact_rs_sim.effects import of_trials
+from impact_rs_sim.model import load_model
+from impact_rs_trials.blind import BlindTask, run_task
+from impact_rs_trials.recordings.experiment import load_experiment
+from impact_rs_trials.workers import Map
+
+VISIBLE = 2.0  # times the noise; what is below was hidden in vain
+
+
+@dataclass(frozen=True)
+class Entry:
+    """One campaign.
+
+    Attributes:
+        kind: ``single``, ``pair``, ``null``, ``outside`` or ``tie``.
+        effect: What is hidden; None: drawn.
+        magnitude: How much of it, in parameter scales; None: drawn.
+        seed: All that is drawn depends on it.
+    """
+
+    kind: str
+    effect: str | None
+    magnitude: float | None
+    seed: int
+
+    @property
+    def name(self) -> str:
+        """Folder name."""
+        size = "any" if self.magnitude is None else f"{self.magnitude:g}"
+        return f"{self.kind}__{self.effect or 'any'}__m{size}__seed{self.seed}"
+
+
+def entries(wanted: Sequence[tuple[str, str | None, float | None]], first_seed: int = 0) -> list[Entry]:
+    """Campaigns, each with a seed of its own."""
+    return [Entry(*one, seed) for seed, one in enumerate(wanted, start=first_seed)]
+
+
+def plant_option(parser: argparse.ArgumentParser, *plants: str) -> None:
+    """The option that says what hides an effect."""
+    parser.add_argument("--on", choices=plants, default=plants[0], help="what hides the effect, and records it")
+
+
+def recorder(plant: str) -> Callable[[BlindTask], str]:
+    """Records a trial on our plant (``plant``), or on the cell on MuJoCo (``cell``)."""
+    if plant == "plant":
+        return run_task
+    from benchmarks.foreign.campaign import record_task  # MuJoCo is a peer, not installed everywhere
+
+    return record_task
+
+
+def hidden_in(plant: str) -> list[str]:
+    """Effects of the library that a plant can hide."""
+    if plant == "plant":
+        return list(of_trials())
+    from mujoco_cell import UNKNOWN_HERE
+
+    return [name for name in of_trials() if name not in UNKNOWN_HERE]
+
+
+def diagnosed(document: Path, read: Callable[[], Runs], map_tasks: Map) -> DiagnosisDocument:
+    """Diagnosis of what ``read`` returns by the nominal model; one that exists is kept."""
+    if not document.exists():
+        source = ReplaySource.of(read(), load_model("nominal"), ReplayCache(map_tasks))
+        write_document(diagnose(source, source.model), document)
+    return read_document(document)
+
+
+def laboratory_runs(folder: Path, map_tasks: Map) -> Runs:
+    """Runs of a folder with an ``experiment.yaml``."""
+    return read_laboratory_runs(folder, load_experiment(folder / "experiment.yaml"), map_tasks)
+
+
+def judged(truth: Path, document: DiagnosisDocument) -> Row:
+    """A diagnosis against the truth of a campaign.
+
+    ``correct`` is lenient: a hidden effect may be in a tie, others may stand beside it. ``exact`` is strict: those are
+    named that were hidden, no more and no fewer.
+    """
+    scored = held_against_truth(truth, document)
+    before, after, noise = document.held_out_error_before, document.held_out_error_after, document.noise_floor
+    return asdict(scored) | {
+        "exact": set(document.named) == (set() if scored.kind == "outside" else set(scored.truth)),
+        "verdict": document.verdict,
+        "trials": document.runs.trials,
+        "before": before,
+        "noise": noise,
+        "removed": (before**2 - after**2) / max(before**2 - noise**2, 1e-9),
+        "said": f"{'right' if scored.correct else 'NOT RIGHT'}, {document.verdict}",
+    }
+
+
+def timed_diagnosis(document: Path, truth: Path, read: Callable[[], Runs], map_tasks: Map) -> Row:
+    """Diagnose and judge."""
+    began = time.perf_counter()
+    return judged(truth, diagnosed(document, read, map_tasks)) | {"seconds": time.perf_counter() - began}
+
+
+def is_visible(row: Row) -> bool:
+    """Whether what was hidden shows."""
+    if row.get("alone"):  # a pair: each effect, where the model has the other one
+        return min(row["alone"].values()) > VISIBLE
+    return bool(row["before"] > VISIBLE * row["noise"])
+
+
+def table_of_diagnoses(rows: Sequence[Row], heading: str) -> Table:
+    """How often diagnoses are right, one column."""
+    of = {kind: [row for row in rows if row["kind"] == kind] for kind in ("single", "pair", "null", "outside")}
+    seen, pairs = [row for row in of["single"] if is_visible(row)], [row for row in of["pair"] if is_visible(row)]
+    lines = [
+        ("campaigns", str(len(rows))),
+        ("single effects above twice the noise: named, or in a tie", share(row["correct"] for row in seen)),
+        ("single effects above twice the noise: by their own name", share(row["by_own_name"] for row in seen)),
+        ("single effects above twice the noise: exactly that named", share(row["exact"] for row in seen)),
+    ]
+    for size in sorted({row["magnitude"] for row in of["single"]}):
+        some = [row for row in of["single"] if row["magnitude"] == size]
+        lines.append((f"single effects of {size:g} scales: named, or in a tie", share(row["correct"] for row in some)))
+    lines += [
+        ("single effects, all: named, or in a tie", share(row["correct"] for row in of["single"])),
+        ("single effects, all: exactly that named", share(row["exact"] for row in of["single"])),
+        ("pairs, both above twice the noise: both named", share(row["correct"] for row in pairs)),
+        ("pairs, all: both named", share(row["correct"] for row in of["pair"])),
+        ("pairs, all: exactly both named", share(row["exact"] for row in of["pair"])),
+        ("nothing hidden: `NOTHING-MISSING`", share(row["correct"] for row in of["null"])),
+        ("outside the library: not explained, or marked so", share(row["correct"] for row in of["outside"])),
+        ("true parameters in their 95 % intervals, above twice the noise", _covered(seen + pairs)),
+        ("true parameters in their 95 % intervals, all", _covered(of["single"] + of["pair"])),
+        (
+            "campaigns with an effect named that is neither there nor confusable",
+            share(row["also_named"] for row in rows if row["kind"] != "outside"),
+        ),
+        ("outside the library: with an effect named", share(row["also_named"] for row in of["outside"])),
+    ]
+    if right := [row["removed"] for row in seen if row["by_own_name"]]:
+        lines.append(("excess held-out error removed, median", f"{100.0 * statistics.median(right):.0f} %"))
+    if rows:
+        seconds = statistics.median(row["seconds"] for row in rows)
+        lines.append(("time of a diagnosis, median", f"{seconds:.0f} s"))
+    return Table(("", heading), tuple(lines))
+
+
+def _covered(rows: Sequence[Row]) -> str:
+    inside, total = (sum(row["covered"][side] for row in rows) for side in (0, 1))
+    return f"{inside} of {total}" if total else "–"
