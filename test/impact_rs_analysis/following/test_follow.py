@@ -112,7 +112,7 @@ def sigma_of(follower: Follower) -> np.ndarray:
 
 
 def test_the_interval_of_a_parameter_is_that_of_least_squares_with_its_prior(tmp_path: Path) -> None:
-    """1.96 / sqrt(sum |J / sigma|^2 + 1 / prior^2); kills widths times any factor, a lost prior, hits that count twice."""
+    """1.96 / sqrt(sum |J / sigma|^2 + 1 / prior^2); kills wider or narrower ones, a lost prior."""
     model = _model(tmp_path / "m.yaml", 1.2, (1.05, 1.35))
     path = write(tmp_path / "hits.csv", rows_of({"object_mass": [1.25]}, 6, seed=6))
     sigma = sigma_of(following(path, model, ["object_mass"], discrepancy=NO_MAP_DISCREPANCY))
