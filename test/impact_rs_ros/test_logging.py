@@ -46,6 +46,7 @@ def fits(row: tuple[str, str, str], line: tuple[str, str, str]) -> bool:
     return (line[1], line[0]) == row[:2] and re.fullmatch(pattern, line[2]) is not None
 
 
+@pytest.mark.slow
 def test_the_table_of_log_lines_is_what_the_nodes_write(
     domain_ids: Callable[[], int], tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:

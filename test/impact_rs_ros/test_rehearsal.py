@@ -101,28 +101,38 @@ def test_a_robot_that_has_stopped_itself_obeys_no_torque_and_reports_why(states_
     assert (states[1e-6] < 5) == states_end
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["push_fr3", "grab_fr3"])
 def test_a_shipped_scenario_passes_its_own_rehearsal(name: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["rehearse", name]) == 0
     assert capsys.readouterr().out.rstrip().endswith("rehearsal passed")
 
 
-def test_a_rehearsal_takes_the_file_that_the_launch_file_loads(
+LAUNCHED = Path(__file__).resolve().parents[2] / "config" / "drivers" / "fr3_cell.yaml"  # by the launch file
+
+
+def test_with_joint_names_of_another_robot_in_the_file_there_is_no_state(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Kills: a rehearsal that does not take the file that the launch file loads."""
+    own = tmp_path / "cell.yaml"
+    own.write_text(LAUNCHED.read_text().replace("fr3_joint{number}", "lbr_A{number}"))
+    assert main(["rehearse", "push_fr3", "--parameters", str(own), "--json"]) == 1
+    assert "no state of lbr_A1" in json.loads(capsys.readouterr().out)["failure"]
+
+
+@pytest.mark.slow
+def test_with_a_slower_watchdog_in_the_file_the_arm_rests_that_much_later(
     passed: Checklist, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """With a slower watchdog the arm rests that much later; with joint names of another robot there is no state."""
-    shipped = (Path(__file__).resolve().parents[2] / "config" / "drivers" / "fr3_cell.yaml").read_text()
     own = tmp_path / "cell.yaml"
-    own.write_text(shipped.replace("command_timeout: 0.05", "command_timeout: 0.3"))
+    own.write_text(LAUNCHED.read_text().replace("command_timeout: 0.05", "command_timeout: 0.3"))
     assert main(["rehearse", "push_fr3", "--parameters", str(own), "--json"]) == 0
     document = json.loads(capsys.readouterr().out)
     assert document["parameters"]["watchdog"]["command_timeout"] == 0.3
     margins = document["margins"]
     (stop,) = [one["value"] for one in margins if one["name"].startswith("time to stop")]
     assert stop - margin_of(passed, "time to stop").value == pytest.approx(0.3 - 0.05, abs=0.1)
-    own.write_text(shipped.replace("fr3_joint{number}", "lbr_A{number}"))
-    assert main(["rehearse", "push_fr3", "--parameters", str(own), "--json"]) == 1
-    assert "no state of lbr_A1" in json.loads(capsys.readouterr().out)["failure"]
 
 
 def test_poses_of_motion_capture_are_named_as_not_rehearsed() -> None:
@@ -178,6 +188,7 @@ def test_states_that_come_too_late_are_refused() -> None:
     assert "the robot's state is 0.0200 s old, state_timeout is 0.01 s" in found.failure
 
 
+@pytest.mark.slow
 def test_a_later_torque_swings_more() -> None:
     """A torque that is late by 12 ms in a loop of 1 kHz turns damping into drive, in a push at 0.5 m/s."""
     fast = TrialSpec.of(load_scenario("push_fr3"), "parcel", "case_2", 2.3).plan
@@ -234,6 +245,7 @@ def test_every_shipped_scenario_has_a_driver_of_its_rate() -> None:
         profile_of(load_scenario("push"), "franka_ros")
 
 
+@pytest.mark.slow
 def test_the_command_fails_where_a_margin_is_negative(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["rehearse", "push_fr3", "juice", "2", "--reflex-force", "40", "--json"]) == 1
     document = json.loads(capsys.readouterr().out)

@@ -8,7 +8,7 @@ was taken, and ``/clock``; it takes ``/arm/effort_controller/commands`` and comp
 Once it is sent torques it waits for the one of each state, so that a slow machine makes it slow and no trial worse; it
 is the clock of who uses its time.
 
-    python effort_robot.py SCENARIO OBJECT CASE [--no-gravity] [--offset RAD] [--silent-after N] [--nan-after N]
+    python effort_robot.py SCENARIO OBJECT CASE [--offset RAD] [--silent-after N] [--nan-after N]
                            [--tracker X Y Z ROLL PITCH YAW] [--kill PID] [--kill-after N] [--slower N]
                            [--stall PID AFTER FOR]
 
@@ -72,7 +72,6 @@ def main() -> None:
     """Run until it is terminated."""
     parser = argparse.ArgumentParser()
     parser.add_argument("trial", nargs=3)
-    parser.add_argument("--no-gravity", action="store_true")
     parser.add_argument("--offset", type=float, default=0.0)
     parser.add_argument("--tracker", type=float, nargs=6, default=[0.0] * 6)
     parser.add_argument("--silent-after", type=int, default=sys.maxsize)
@@ -120,7 +119,7 @@ def main() -> None:
         measured = world.measure()
         moving = measured.arms[arm]
         moved += moved > 0 or bool(np.abs(moving.position - start).max() > AWAY)
-        carried = np.zeros_like(start) if options.no_gravity else model.gravity_torque(moving.position)
+        carried = model.gravity_torque(moving.position)
         if not killed and moved >= options.kill_after:
             os.kill(options.kill, signal.SIGKILL)
             killed, since = True, step

@@ -37,10 +37,10 @@ class FakeGraph:
             self._publishers[topic] = self.node.create_publisher(message_type(kind), on_network(topic), qos)
         self._publishers[topic].publish(message)
 
-    def trial(self, scenario: str, thing: str = "cat_food") -> TrialSpec:
+    def trial(self, scenario: str, thing: str = "cat_food", repeat: int = 0) -> TrialSpec:
         """Announce that a trial begins."""
         spec = TrialSpec.of(load_scenario(scenario), thing, "2")
-        info = TrialInfo.of(spec.plan, TrialKey(thing, spec.case, 1.0, 0), 7, "nodes")
+        info = TrialInfo.of(spec.plan, TrialKey(thing, spec.case, 1.0, repeat), 7, "nodes")
         message = MessageMaker(RosidlTypes(), spec.plan).trial_info(info)
         self.say(topics.TRIAL_INFO, topics.TRIAL_INFO_TYPE, message, latched=True)
         return spec

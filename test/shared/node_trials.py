@@ -8,17 +8,26 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import rclpy
 from impact_rs.action import RunTrial
+from impact_rs.msg import RobotState
+from impact_rs.srv import ConfigureTrial
 from processes import until
 from rclpy.action import ActionClient
 from rclpy.action.client import ClientGoalHandle
 from rclpy.context import Context
 from rclpy.node import Node
 
+from impact_msgs_py.conversions import pose_to_message
+from impact_rs_control.plan import TrialPlan
 from impact_rs_ros.graph import Graph, run_trial
+from impact_rs_ros.message_types import RosidlTypes
 from impact_rs_sim.model import Model
+from impact_rs_sim.rotations import quaternion_of
+from impact_rs_trials.bags.messages import MessageMaker
 from impact_rs_trials.bags.reader import TrialBag
+from impact_rs_trials.bags.trial_info import TrialInfo, TrialKey
 from impact_rs_trials.campaign import Manifest, make_manifest
 
 TRIES = 3
@@ -75,6 +84,22 @@ def in_trial(act: Callable[[], object], after: float = 0.2) -> Feedback:
             done.append(act() or True)
 
     return feedback
+
+
+def configuration(plan: TrialPlan, bag: Path = Path(), attempt: int = 7) -> ConfigureTrial.Request:
+    """What the experiment node asks plant, controller and recorder to prepare for."""
+    placed, scene = plan.scene.object, plan.scene
+    info = TrialInfo.of(plan, TrialKey(scene.object_name, scene.case_name, 1.0, 0), 3, "nodes")
+    return ConfigureTrial.Request(
+        attempt=attempt,
+        trial=MessageMaker(RosidlTypes(), plan).trial_info(info),
+        bag_path=str(bag),
+        start=[
+            RobotState(robot=name, joint_position=arm.initial.tolist(), joint_velocity=[0.0] * arm.initial.size)
+            for name, arm in plan.arms.items()
+        ],
+        object_pose=pose_to_message(np.concatenate((placed.position, quaternion_of(placed.rotation)))),
+    )
 
 
 @contextmanager

@@ -9,7 +9,7 @@ import signal
 import sys
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -17,15 +17,21 @@ from typing import Any
 import numpy as np
 import pytest
 from impact_rs.action import RunTrial
-from processes import Running, running
+from impact_rs.srv import ConfigureTrial
+from node_trials import configuration, spin_until
+from processes import PATIENCE, Running, running
 from rcl_interfaces.srv import SetParameters
 from rclpy.parameter import Parameter as RclParameter
+from std_srvs.srv import Trigger
 
 from impact_rs_analysis.measure.analyze import ExperimentSet, analyze_campaign
 from impact_rs_cli.main import main
 from impact_rs_ros.graph import Graph
+from impact_rs_ros.node_processes import NodeProcesses
+from impact_rs_sim.scenario import load_scenario
 from impact_rs_trials.bags import topics
 from impact_rs_trials.bags.reader import TrialBag
+from impact_rs_trials.spec import TrialSpec
 
 ROBOT = Path(__file__).resolve().parents[1] / "shared" / "effort_robot.py"
 TRIAL = ["push", "cat_food", "case_2"]
@@ -56,15 +62,21 @@ PATIENT: dict[
     "late_torque_share": 1.0,
     "arm_jitter_limit": 5.0,
 }
+OF_BOTH = ("joints", "use_sim_time", "state_timeout")  # parameters of cell and watchdog
 EXPERIMENT = "/**/experiment: {ros__parameters: {service_timeout: 60.0, progress_timeout: 10.0, finish_timeout: 20.0}}"
+
+
+def command_of(module: str, values: dict[str, Any]) -> list[str]:
+    """How a node is started with these parameters."""
+    words = [word for name, value in values.items() for word in ("-p", f"{name}:={value}")]
+    return [sys.executable, "-m", f"impact_rs_ros.{module}", "--ros-args", *words]
 
 
 class Cell:
     """Our nodes with the cell among them, and what stands for the robot, as each test wants it."""
 
-    def __init__(self, graph: Graph, environment: dict[str, str], root: Path, node: Running) -> None:
+    def __init__(self, graph: Graph, environment: dict[str, str], root: Path) -> None:
         self.graph = graph
-        self.node = node
         self.environment = environment
         self.root = root
         self._trials = 0
@@ -80,18 +92,14 @@ class Cell:
             yield robot
             self._robot = False
 
-    def set(self, name: str, value: bool | float) -> None:
-        """Give the cell another value of a parameter."""
-        message = RclParameter(name, value=value).to_parameter_msg()
-        request = SetParameters.Request(parameters=[message])
-        assert self.graph.call(SetParameters, "plant/set_parameters", request).results[0].successful
-
     @contextmanager
-    def parameter(self, name: str, value: bool | float) -> Iterator[None]:
+    def parameter(self, name: str, value: float) -> Iterator[None]:
         """A cell with another value of a parameter."""
-        self.set(name, value)
-        yield
-        self.set(name, PATIENT[name])
+        for other in (value, PATIENT[name]):
+            request = SetParameters.Request(parameters=[RclParameter(name, value=other).to_parameter_msg()])
+            assert self.graph.call(SetParameters, "plant/set_parameters", request).results[0].successful
+            if other == value:
+                yield
 
     def run(self, scale: float = 1.0, folder: Path | None = None) -> RunTrial.Result:
         """One trial; a robot that is switched on is asked for until it is found, and fast enough."""
@@ -113,24 +121,13 @@ class Cell:
 def cell(domain_ids: Callable[[], int], tmp_path_factory: pytest.TempPathFactory) -> Iterator[Cell]:
     domain_id, root = domain_ids(), tmp_path_factory.mktemp("cell")
     environment = {"ROS_DOMAIN_ID": str(domain_id)}
-    values = [word for name, value in PATIENT.items() for word in ("-p", f"{name}:={value}")]
     patient = root / "experiment.yaml"
     patient.write_text(EXPERIMENT)
-    command = [sys.executable, "-m", "impact_rs_ros.cell_node", "--ros-args", *values]
     with (
-        running(command, environment) as node,
+        running(command_of("cell_node", PATIENT), environment),
         Graph.running("push", domain_id, parameters=patient, root=root, without=["plant"]) as graph,
     ):
-        yield Cell(graph, environment, root, node)
-
-
-# First: no trial before it holds the arm.
-def test_a_robot_wrongly_taken_to_carry_its_weight_is_not_armed(cell: Cell) -> None:
-    with cell.robot("--no-gravity"):
-        falling = cell.run()
-    assert falling.outcome == "ABORTED"
-    assert "not armed: arm moves at " in falling.message
-    assert "while it was held; this node assumes that the robot adds gravity" in falling.message
+        yield Cell(graph, environment, root)
 
 
 @dataclass(frozen=True)
@@ -160,6 +157,7 @@ def pushes(cell: Cell) -> Pushes:
     return Pushes(folder, results, again)
 
 
+@pytest.mark.slow
 def test_a_push_goes_through_a_robot_of_ros2_control(pushes: Pushes) -> None:
     assert [(result.outcome, result.message) for result in pushes.results] == [("OK", "")] * len(SCALES)
     for bag in pushes.bags:
@@ -171,6 +169,7 @@ def test_a_push_goes_through_a_robot_of_ros2_control(pushes: Pushes) -> None:
     assert "rad from where the trial starts, start_tolerance is 0.01 rad; move the arm to [" in pushes.again.message
 
 
+@pytest.mark.slow
 def test_the_arm_is_still_until_it_is_led_so_its_weight_is_carried_once(pushes: Pushes) -> None:
     """Carried twice or not at all, some 30 N m would move it; the brake, M dq / 0.1 s, would let that reach rad/s."""
     for bag in pushes.bags:
@@ -182,6 +181,7 @@ def test_the_arm_is_still_until_it_is_led_so_its_weight_is_carried_once(pushes: 
         assert np.abs(arm.velocity[still]).max() < 6.0 * scenario.sensors.joint_velocity_noise
 
 
+@pytest.mark.slow
 def test_the_impact_is_detected_when_the_pad_gets_there(pushes: Pushes) -> None:
     for result, bag in zip(pushes.results, pushes.bags, strict=True):
         assert bag.counts[topics.impact_event("arm")] == 1
@@ -191,6 +191,7 @@ def test_the_impact_is_detected_when_the_pad_gets_there(pushes: Pushes) -> None:
         assert -early < result.detected_time - bag.info.nominal_impact_time < early + 0.005  # s
 
 
+@pytest.mark.slow
 def test_poses_of_a_tracker_frame_are_recorded_in_world_at_their_time(pushes: Pushes) -> None:
     for bag in pushes.bags:
         seen, scene = bag.poses(topics.OBJECT_POSE), bag.info.spec.scene
@@ -214,6 +215,7 @@ def found(pushes: Pushes) -> ExperimentSet:
     return found
 
 
+@pytest.mark.slow
 def test_the_velocity_after_impact_lies_between_none_and_all_of_the_motors(found: ExperimentSet) -> None:
     """Between B = 0 and B_rho: not less than none of the motors takes part in the impact, and not more than all.
 
@@ -224,6 +226,7 @@ def test_the_velocity_after_impact_lies_between_none_and_all_of_the_motors(found
     assert none < found.estimate < whole
 
 
+@pytest.mark.slow
 def test_bags_of_the_cell_are_compared_as_those_of_a_laboratory(
     pushes: Pushes, found: ExperimentSet, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -247,6 +250,7 @@ def test_bags_of_the_cell_are_compared_as_those_of_a_laboratory(
     assert velocity["error"] < abs(reduced - none) / 2.0  # m/s
 
 
+@pytest.mark.slow
 def test_nothing_is_armed_without_a_robot_that_is_ready(cell: Cell) -> None:
     nobody = cell.run()
     with cell.robot("--offset", "0.02"):
@@ -260,6 +264,7 @@ def test_nothing_is_armed_without_a_robot_that_is_ready(cell: Cell) -> None:
     assert unsteady.message.endswith(" ms, arm_jitter_limit is 0.001 ms")
 
 
+@pytest.mark.slow
 def test_a_robot_with_nonsense_or_no_states_ends_the_trial(cell: Cell) -> None:
     with cell.robot("--nan-after", "600"):
         nonsense = cell.run()
@@ -270,65 +275,109 @@ def test_a_robot_with_nonsense_or_no_states_ends_the_trial(cell: Cell) -> None:
     assert "no state of the robot for 1.0" in silent.message
 
 
+@dataclass(frozen=True)
+class LedCell:
+    """A cell, its watchdog, and a controller that leads the arm, as processes; neither recorder nor experiment."""
+
+    graph: Graph  # of the controller alone
+    node: Running
+    watchdog: Running
+    environment: dict[str, str]
+
+    def robot(self, *options: object) -> AbstractContextManager[Running]:
+        """A robot that is switched on."""
+        return running([sys.executable, str(ROBOT), *TRIAL, *map(str, options)], self.environment)
+
+    def run(self, robot: Running) -> str:
+        """Why a trial ended, which began as soon as the robot could be armed; empty: all is well, or the cell died."""
+        robot.line("ready")
+        request = configuration(TrialSpec.of(load_scenario("push"), *TRIAL[1:]).plan)
+        answer = self.graph.call(ConfigureTrial, "controller/configure_trial", request)
+        assert answer.success, answer.message
+        deadline = time.monotonic() + READY
+        while not (armed := self.graph.call(ConfigureTrial, "plant/configure_trial", request, READY)).success:
+            assert any(reason in armed.message for reason in SLOW) and time.monotonic() < deadline, armed.message
+        client = self.graph.node.create_client(Trigger, "plant/run_trial")
+        spin_until(self.graph, client.service_is_ready, "the cell runs no trial")
+        over = client.call_async(Trigger.Request())
+        spin_until(self.graph, lambda: over.done() or self.node.process.poll() is not None, "it does not end")
+        return over.result().message if over.done() else ""
+
+
 @contextmanager
-def watchdog(cell: Cell) -> Iterator[Running]:
-    """A watchdog of the robot, ready."""
-    values = ["-p", "joints:=fr3_joint{number}", "-p", "use_sim_time:=true", "-p", "state_timeout:=5.0"]
-    command = [sys.executable, "-m", "impact_rs_ros.watchdog_node", "--ros-args", *values]
-    with running(command, cell.environment) as node:
-        node.line("ready: serves")
-        yield node
+def led_cell(domain: int, folder: Path, watchdog_timeout: float = PATIENT["watchdog_timeout"]) -> Iterator[LedCell]:
+    environment = {"ROS_DOMAIN_ID": str(domain)}
+    own = {"mocap": False, "watchdog": True, "watchdog_timeout": watchdog_timeout}
+    values = {"cell": PATIENT | own, "watchdog": {name: PATIENT[name] for name in OF_BOTH}}
+    nodes = NodeProcesses.of("push", folder, domain)
+    with ExitStack() as stack:
+        cell, watchdog = (
+            stack.enter_context(running(command_of(f"{kind}_node", own), environment)) for kind, own in values.items()
+        )
+        graph = Graph(nodes, ["controller"], domain)
+        stack.callback(graph.close)
+        stack.callback(nodes.stop)
+        graph.start()
+        watchdog.line("ready: serves")
+        yield LedCell(graph, cell, watchdog, environment)
 
 
+def test_after_a_cell_is_killed_in_a_trial_the_watchdog_brakes_the_arm(
+    domain_ids: Callable[[], int], tmp_path: Path
+) -> None:
+    """The effort controller keeps the torque of that moment; nothing but another process can take it away."""
+    with (
+        led_cell(domain_ids(), tmp_path) as cell,
+        cell.robot("--kill", cell.node.process.pid, "--kill-after", 300, "--slower", 5) as robot,
+    ):
+        reason = cell.run(robot)
+        assert cell.node.process.wait(PATIENCE) == -signal.SIGKILL, f"it was not killed in the trial: {reason}"
+        comes_to_rest(robot, 1500)
+
+
+@pytest.mark.slow
+def test_after_a_watchdog_is_killed_in_a_trial_the_cell_brakes_the_arm_itself(
+    domain_ids: Callable[[], int], tmp_path: Path
+) -> None:
+    """Whoever is left of the two brakes the arm: its effort controller keeps the last torque for ever."""
+    with (
+        led_cell(domain_ids(), tmp_path, watchdog_timeout=0.1) as cell,
+        cell.robot("--kill", cell.watchdog.process.pid, "--kill-after", 300, "--slower", 5) as robot,
+    ):
+        reason = cell.run(robot)
+        assert cell.watchdog.process.wait(PATIENCE) == -signal.SIGKILL, f"it was not killed in the trial: {reason}"
+        comes_to_rest(robot, 3500)
+    assert "the watchdog passed no torques on for 0.1 s" in reason
+
+
+def comes_to_rest(robot: Running, states: int) -> None:
+    """After a kill while it moved, within so many states, of 1 ms of the robot's time, which waits for no one."""
+    killed, after = robot.line("killed at"), robot.line(" after ")
+    assert float(killed.split()[2]) > 0.1  # rad/s
+    assert after.startswith("at rest after ")
+    assert int(after.split()[3]) < states
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize(("after", "stall"), [(100, 30), (290, 100), (450, 500)])
 def test_a_cell_that_stalls_in_a_trial_and_comes_back_makes_one_stream_with_its_watchdog(
-    cell: Cell, after: int, stall: int
+    domain_ids: Callable[[], int], tmp_path: Path, after: int, stall: int
 ) -> None:
     """SIGSTOP before, at and after the impact, for so many milliseconds of the robot's time.
 
     Each torque that reaches the robot, whoever decided it, follows the one before within the rate of a period.
     """
-    options = ("--stall", str(cell.node.process.pid), str(after), str(stall))
-    with watchdog(cell), cell.parameter("watchdog", True), cell.robot(*options) as robot:
-        result = cell.run()
-        print(result)  # shown where the robot never gets as far as the stall
+    with (
+        led_cell(domain_ids(), tmp_path) as cell,
+        cell.robot("--stall", cell.node.process.pid, after, stall) as robot,
+    ):
+        reason = cell.run(robot)
+        print(reason)  # shown where the robot never gets as far as the stall
         begun, merged = robot.line("stalled at"), robot.line("merged: at most")
     if braked := stall > 50:  # command_timeout; the limits of this cell are patient, and a busy machine adds to 30 ms
-        assert result.outcome == "ABORTED", result.message
-    assert float(begun.split()[2]) > 0.1, result.message  # rad/s
+        assert reason
+    assert float(begun.split()[2]) > 0.1, reason  # rad/s
     largest, late, speed = (float(merged.split()[index]) for index in (3, 6, 10))
-    assert 0.0 < largest <= 1000.0 * 0.001 + 1e-6, result.message  # torque_rate_limit by the period
+    assert 0.0 < largest <= 1000.0 * 0.001 + 1e-6, reason  # torque_rate_limit by the period
     assert late > 100
     assert speed < 0.02 or not braked  # rad/s
-
-
-# The last two: the cell has no watchdog then, and does not survive it.
-def test_after_a_watchdog_is_killed_in_a_trial_the_cell_brakes_the_arm_itself(cell: Cell) -> None:
-    """Whoever is left of the two brakes the arm: its effort controller keeps the last torque for ever."""
-    cell.set("watchdog", True)
-    cell.set("watchdog_timeout", 0.1)
-    with watchdog(cell) as node:
-        options = ("--kill", str(node.process.pid), "--kill-after", "300", "--slower", "5")
-        with cell.robot(*options) as robot:
-            result = cell.run()
-            assert node.process.poll() == -signal.SIGKILL, f"the trial ended before: {result}"
-            killed, after = robot.line("killed at"), robot.line(" after ")
-    assert result.outcome == "ABORTED"
-    assert "the watchdog passed no torques on for 0.1 s" in result.message
-    assert float(killed.split()[2]) > 0.1, result.message  # rad/s
-    assert after.startswith("at rest after ")
-    assert int(after.split()[3]) < 3500  # states, of 1 ms of the robot's time, which does not wait for a busy machine
-
-
-def test_after_a_cell_is_killed_in_a_trial_the_watchdog_brakes_the_arm(cell: Cell) -> None:
-    """The effort controller keeps the torque of that moment; nothing but another process can take it away."""
-    options = ("--kill", str(cell.node.process.pid), "--kill-after", "300")
-    cell.set("watchdog", True)
-    with watchdog(cell), cell.robot(*options) as robot:
-        result = cell.run()
-        assert cell.node.process.poll() == -signal.SIGKILL, f"the trial ended before the cell was killed: {result}"
-        killed, after = robot.line("killed at"), robot.line(" after ")
-    assert result.outcome == "ABORTED"
-    assert float(killed.split()[2]) > 0.1, result.message  # rad/s
-    assert after.startswith("at rest after ")
-    assert int(after.split()[3]) < 1500  # states, of 1 ms of the robot's time

@@ -31,6 +31,7 @@ from impact_rs_trials.bags.reader import TrialBag
 EXAMPLE = Path(__file__).resolve().parents[2] / "examples" / "foreign_plant.py"
 WAITING = "waiting for a plant: services /plant/configure_trial, /plant/finish_trial, /plant/run_trial; for "
 TRIAL = "cat_food__case_2__s1.000__r0"
+pytestmark = pytest.mark.slow
 
 
 @contextmanager

@@ -18,6 +18,7 @@ from impact_rs_trials.campaign import PlannedTrials
 from impact_rs_trials.experiment_plan import ExperimentPlan, PlannedCampaign
 
 
+@pytest.mark.slow
 def test_two_scenarios_of_a_round_run_through_one_set_of_nodes_with_a_hidden_effect(
     tmp_path: Path, domain_ids: Callable[[], int], monkeypatch: pytest.MonkeyPatch
 ) -> None:

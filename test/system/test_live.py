@@ -110,6 +110,7 @@ def workbench(domain: int, tmp_path: Path) -> Iterator[Page]:
     assert errors == []
 
 
+@pytest.mark.slow
 @needs_browser
 def test_trials_of_a_job_are_watched_while_they_run(workbench: Page) -> None:
     page = workbench
@@ -132,6 +133,7 @@ def test_trials_of_a_job_are_watched_while_they_run(workbench: Page) -> None:
     expect(job).not_to_have_attribute("data-state", "running")
 
 
+@pytest.mark.slow
 @needs_browser
 def test_running_nodes_are_seen_in_the_workbench_with_their_signals(workbench: Page, domain: int) -> None:
     """Watched while the tab is in sight, and no longer."""

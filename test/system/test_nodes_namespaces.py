@@ -17,6 +17,7 @@ from impact_rs_trials.bags import topics
 from impact_rs_trials.bags.reader import TrialBag
 from impact_rs_trials.campaign import Manifest, make_manifest, run_one
 
+pytestmark = pytest.mark.slow
 CELLS = {
     "cell_a": ("push", 1),
     "cell_b": ("grab", 2),

@@ -22,48 +22,38 @@ from impact_rs_trials.bags.reader import TrialBag
 
 STATES, COMMAND = topics.joint_states("arm"), topics.joint_command("arm")
 OF_CONTROLLER = {COMMAND, topics.controller_state("arm"), topics.impact_event("arm")}
-TRIAL = "push/parcel__case_1__s1.000__r0"
+SAMPLES = 801  # of the trial ``short``
 
 
-@pytest.mark.parametrize("durability", list(QoSDurabilityPolicy)[1:3])
-def test_a_reader_of_any_quality_of_service_delays_no_trial(
-    graph: Graph, tmp_path: Path, durability: QoSDurabilityPolicy
-) -> None:
-    wanted = QoSProfile(depth=1, reliability=QoSReliabilityPolicy.RELIABLE, durability=durability)
+def test_a_reader_of_any_quality_of_service_delays_no_trial(graph: Graph, tmp_path: Path, short: str) -> None:
     with beside(graph, "_ros2cli_1") as stranger:
-        for topic, kind in topics.recorded(["arm"]).items():
-            if topic != topics.TRIAL_INFO and available(kind):
-                stranger.create_subscription(message_type(kind), topic, lambda _: None, wanted)
-        result = graph.call_trial(goal(tmp_path))
+        for durability in (QoSDurabilityPolicy.TRANSIENT_LOCAL, QoSDurabilityPolicy.VOLATILE):
+            wanted = QoSProfile(depth=1, reliability=QoSReliabilityPolicy.RELIABLE, durability=durability)
+            for topic, kind in topics.recorded(["arm"]).items():
+                if topic != topics.TRIAL_INFO and available(kind):
+                    stranger.create_subscription(message_type(kind), topic, lambda _: None, wanted)
+        result = graph.call_trial(goal(tmp_path, scenario=short))
     assert (result.success, result.outcome, result.message) == (True, "OK", "")
 
 
-@pytest.mark.parametrize(
-    ("request_", "reason"),
-    [
-        ({}, f"recorder: {TRIAL} is not over: /arm/joint_states ends"),
-        (
-            {"topics": ["/left/joint_states"], "counts": [1801]},
-            f"recorder: /left/joint_states is no topic of {TRIAL}, which is recorded",
-        ),
-    ],
-    ids=["too early", "of another trial"],
-)
-def test_a_trial_is_not_finished_by_another_program(
-    graph: Graph, tmp_path: Path, request_: dict[str, Any], reason: str
-) -> None:
+def test_a_trial_is_not_finished_by_another_program(graph: Graph, tmp_path: Path, short: str) -> None:
+    """By a request that comes too early, nor by one of another trial."""
     client = graph.node.create_client(FinishTrial, "recorder/finish_trial")
     spin_until(graph, client.service_is_ready, "no recorder")
     asked: list[Any] = []
-    result = graph.call_trial(
-        goal(tmp_path), in_trial(lambda: asked.append(client.call_async(FinishTrial.Request(**request_))))
-    )
-    answer = result_of(graph, asked[0])
+
+    def ask() -> None:
+        asked.append(client.call_async(FinishTrial.Request()))
+        asked.append(client.call_async(FinishTrial.Request(topics=["/left/joint_states"], counts=[1801])))
+
+    result = graph.call_trial(goal(tmp_path, scenario=short), in_trial(ask))
+    answers = [result_of(graph, future) for future in asked]
     graph.node.destroy_client(client)
-    assert not answer.success
-    assert answer.message.startswith(reason)
+    for answer, reason in zip(answers, ("is not over: /arm/joint_states ends", "/left/joint_states"), strict=True):
+        assert not answer.success
+        assert reason in answer.message
     assert (result.outcome, result.message) == ("OK", "")
-    assert TrialBag.open(Path(result.bag_path)).counts[STATES] == 1801
+    assert TrialBag.open(Path(result.bag_path)).counts[STATES] == SAMPLES
 
 
 @pytest.mark.parametrize(
@@ -72,7 +62,7 @@ def test_a_trial_is_not_finished_by_another_program(
     ids=["before the trial", "in the trial", "of ros2 topic pub"],
 )
 def test_a_second_publisher_of_torques_is_named_and_ends_the_trial(
-    graph: Graph, tmp_path: Path, name: str, namespace: str, after: float | None
+    graph: Graph, tmp_path: Path, short: str, name: str, namespace: str, after: float | None
 ) -> None:
     with beside(graph, name, namespace) as stranger:
 
@@ -81,16 +71,16 @@ def test_a_second_publisher_of_torques_is_named_and_ends_the_trial(
 
         if after is None:
             publish()
-        result = graph.call_trial(goal(tmp_path), None if after is None else in_trial(publish, after))
+        result = graph.call_trial(goal(tmp_path, scenario=short), None if after is None else in_trial(publish, after))
     assert (result.success, result.outcome) == (False, "ABORTED")
     named = sorted((f"{namespace}/{name}", "/controller"))
     assert f"/arm/joint_command is published by {' and '.join(named)}: stop all but one" in result.message
     if after is not None:
-        assert TrialBag.open(Path(result.bag_path)).counts[STATES] < 1801
+        assert TrialBag.open(Path(result.bag_path)).counts[STATES] < SAMPLES
     spin_until(graph, lambda: len(graph.presence.publishers(COMMAND)) == 1, "it does not leave")
 
 
-def test_bytes_that_are_no_messages_end_neither_a_node_nor_the_trial(graph: Graph, tmp_path: Path) -> None:
+def test_bytes_that_are_no_messages_end_neither_a_node_nor_the_trial(graph: Graph, tmp_path: Path, short: str) -> None:
     rng = random.Random(0)
     cut = bytes(serialize_message(JointState(name=["x"] * 7, position=[0.0] * 7)))[:60]
     endless = b"\0\1\0\0" + b"\xff" * 200
@@ -108,11 +98,11 @@ def test_bytes_that_are_no_messages_end_neither_a_node_nor_the_trial(graph: Grap
                 short = publisher.topic_name == topics.CLOCK  # the middleware sends no more than its type can have
                 publisher.publish(b"\0\1\0\0abc" if short else rng.choice([rng.randbytes(7), cut, endless]))
 
-        result = graph.call_trial(goal(tmp_path), throw)
+        result = graph.call_trial(goal(tmp_path, scenario=short), throw)
     assert {name: process.pid for name, process in graph.processes.items()} == pids
     assert not graph.lost()
     assert result.outcome == "OK", result.message
     assert "messages are not in the bag" in result.message
     bag = TrialBag.open(Path(result.bag_path))
     assert (bag.outcome, bag.reason) == ("OK", result.message)
-    assert bag.counts[STATES] == len(bag.joints(STATES).time) == 1801
+    assert bag.counts[STATES] == len(bag.joints(STATES).time) == SAMPLES
