@@ -39,7 +39,7 @@ of the arm at the last position that was.
 
 **6. Measure** (paper eq. a_fb_net): the net feedback is the integral of a_fb from t_1 to t_2.
 
-Steps 1, 3 and 4 are compiled (``src/control.cpp``); ``test/impact_rs_control/test_compiled_tick.py`` has the tick in
+Steps 1, 3 and 4 are compiled (``src/control.cpp``); ``test/impact_rs_control/test_controller.py`` has the tick in
 NumPy and compares both.
 """
 

@@ -1,28 +1,34 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the controller commands, mode by mode, against the equations of the tasks; limits; the integral of its feedback.
-
-The desired torque is turned back into the accelerations it asks for, with tau_d = (M + B_theta) ddq + h
-(paper eq. eom_ante), and these are held against the task errors, which are zero where no limit is near.
-"""
+"""What the controller commands, mode by mode; the quadratic program below it; the compiled tick is that of NumPy."""
 
 from __future__ import annotations
 
-from dataclasses import replace
+import copy
+from dataclasses import fields, is_dataclass, replace
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from trials import plan_of
 
-from impact_rs_control.controller import ArmCommand, Controller, Mode
+from impact_rs_control.closed_loop import make_plant, run_closed_loop
+from impact_rs_control.controller import IDLE_WEIGHT, ArmCommand, Controller, Mode
+from impact_rs_control.detection import BASELINE_TIME
 from impact_rs_control.fallback import holding_torque
 from impact_rs_control.plan import TrialPlan, plan_trial
-from impact_rs_control.qp import QpSolution, QpStatus
+from impact_rs_control.qp import AccelerationProblem, AccelerationQp, JointLimits, QpSolution, QpStatus
 from impact_rs_control.references import SampledPath
+from impact_rs_sim import _kernel
 from impact_rs_sim.robot import Limits
+from impact_rs_sim.robot_model import RigidTerms
 from impact_rs_sim.scenario import load_scenario
 from impact_rs_sim.scene import Scene
 from impact_rs_sim.sensors import ArmMeasurement
+
+# ---- controller -----------------------------------------------------------------------------------------------------
 
 ARM = "arm"
 PUSH = load_scenario("push")
@@ -368,3 +374,256 @@ def test_the_first_arm_that_hits_takes_both_out_of_the_ante_mode() -> None:
     assert len({command.gamma for command in commands.values()}) == 1
     assert controller.arms["left"].detection is not None
     assert controller.arms["right"].detection is None
+
+
+# ---- the quadratic program ------------------------------------------------------------------------------------------
+
+COUNT = 7
+POSITION, SPEED, TORQUE = np.full(COUNT, 2.5), np.full(COUNT, 2.0), np.array([87.0] * 4 + [12.0] * 3)
+
+
+def make_qp():
+    return AccelerationQp(JointLimits(-POSITION, POSITION, SPEED, TORQUE), PERIOD)
+
+
+def problem(**values):
+    """Decoupled unit joints at rest that want nothing, but for the values given."""
+    still = {name: np.zeros(COUNT) for name in ("targets", "bias", "position", "velocity")}
+    return AccelerationProblem(
+        **{"tasks": np.eye(COUNT), "weights": np.ones(COUNT), "inertia": np.eye(COUNT), **still, **values}
+    )
+
+
+def random_problem(seed, target_scale=5.0, **values):
+    rng = np.random.default_rng(seed)
+    tasks = rng.standard_normal((COUNT, COUNT))
+    root = rng.standard_normal((COUNT, COUNT))
+    inertia = root @ root.T / COUNT + 0.3 * np.eye(COUNT)
+    targets = target_scale * rng.standard_normal(COUNT)
+    return problem(tasks=tasks, targets=targets, inertia=inertia, bias=rng.standard_normal(COUNT), **values)
+
+
+@given(st.integers(0, 10_000))
+def test_without_active_limits_the_tasks_are_met_exactly(seed):
+    asked = random_problem(seed, target_scale=1e-3)
+    solution = make_qp().solve(asked)
+    assert solution.status is QpStatus.SOLVED
+    condition = np.linalg.cond(asked.tasks)
+    np.testing.assert_allclose(asked.tasks @ solution.acceleration, asked.targets, atol=1e-6 * condition)
+
+
+@given(st.integers(0, 10_000))
+def test_torque_limits_hold_whatever_the_tasks_want(seed):
+    asked = random_problem(seed, target_scale=1e3)
+    solution = make_qp().solve(asked)
+    assert solution.status is QpStatus.SOLVED
+    assert np.all(np.abs(asked.inertia @ solution.acceleration + asked.bias) <= TORQUE + 1e-6)
+
+
+@given(st.integers(0, 10_000))
+def test_the_program_is_the_weighted_least_squares_problem_of_the_paper(seed):
+    """Paper eq. QP_ante: 1/2 x^T H x + g^T x is half of ||A x - b||^2_W, a constant and the regularisation aside."""
+    rng = np.random.default_rng(seed)
+    asked = random_problem(seed, weights=rng.uniform(0.1, 10.0, COUNT))
+    program = make_qp().program(asked)
+
+    def cost(x):
+        return x @ program.hessian @ x / 2.0 + program.gradient @ x
+
+    def paper(x):
+        error = asked.tasks @ x - asked.targets
+        return error @ (asked.weights * error) / 2.0
+
+    x, y = rng.standard_normal((2, COUNT))
+    assert cost(x) - cost(y) == pytest.approx(paper(x) - paper(y), rel=1e-6, abs=1e-6)
+
+
+def test_velocity_limit_is_not_crossed_in_the_next_step():
+    """Paper eq. const_dq."""
+    asked = problem(targets=np.full(COUNT, 50.0), inertia=0.1 * np.eye(COUNT), velocity=np.full(COUNT, 1.999))
+    solution = make_qp().solve(asked)
+    assert solution.status is QpStatus.SOLVED
+    assert np.all(asked.velocity + PERIOD * solution.acceleration <= SPEED + 1e-9)
+
+
+def test_position_limit_is_not_crossed_in_the_next_step():
+    """Paper eq. const_q."""
+    asked = problem(targets=np.full(COUNT, 50.0), inertia=1e-3 * np.eye(COUNT), position=POSITION - 1e-6)
+    solution = make_qp().solve(asked)
+    assert solution.status is QpStatus.SOLVED
+    assert np.all(asked.position + 0.5 * PERIOD**2 * solution.acceleration <= POSITION + 1e-9)
+
+
+@pytest.mark.parametrize("overshoot", [1e-4, 0.1])
+def test_contradicting_limits_are_relaxed_and_reported_never_nan(overshoot):
+    """Beyond the joint stop at speed: position, velocity and torque limits cannot all hold."""
+    qp = make_qp()
+    asked = random_problem(1, position=POSITION + overshoot, velocity=np.full(COUNT, 1.5))
+    solution = qp.solve(asked)
+    assert solution.status is QpStatus.RELAXED
+    assert np.isfinite(solution.acceleration).all()
+    assert solution.acceleration.mean() < 0.0  # it brakes
+
+    still = np.zeros(COUNT)
+    healthy = qp.solve(replace(asked, targets=1e-3 * asked.targets, position=still, velocity=still))
+    assert healthy.status is QpStatus.SOLVED
+
+
+def test_limits_that_overflow_have_no_answer():
+    """Neither bounds nor slack hold 1e200 rad; the minimiser without bounds would ignore them all."""
+    solution = make_qp().solve(random_problem(1, position=np.full(COUNT, 1e200)))
+    assert solution.status is QpStatus.FAILED
+    np.testing.assert_array_equal(solution.acceleration, 0.0)
+
+
+def test_singular_tasks_still_have_an_answer():
+    tasks = np.zeros((COUNT, COUNT))
+    tasks[0, 0] = 1.0
+    solution = make_qp().solve(problem(tasks=tasks, targets=np.ones(COUNT)))
+    assert solution.status is QpStatus.SOLVED
+    np.testing.assert_allclose(solution.acceleration, [1.0] + [0.0] * 6, atol=1e-6)
+
+
+def test_warm_start_does_not_change_the_answer():
+    warm = make_qp()
+    for seed in range(20):
+        asked = random_problem(seed, target_scale=100.0)
+        cold = make_qp().solve(asked)
+        np.testing.assert_allclose(warm.solve(asked).acceleration, cold.acceleration, atol=1e-5)
+
+
+@pytest.mark.parametrize("name", ["targets", "position", "velocity", "bias", "inertia"])
+@pytest.mark.parametrize("value", [np.nan, np.inf])
+def test_numbers_that_are_none_have_no_answer_and_cost_no_time(name, value):
+    broken = problem()
+    broken = replace(broken, **{name: np.array(getattr(broken, name))})
+    getattr(broken, name).flat[3] = value
+    solution = make_qp().solve(broken)
+    assert solution.status is QpStatus.FAILED
+    np.testing.assert_array_equal(solution.acceleration, 0.0)
+    assert solution.solve_time < 0.1
+
+
+def test_a_state_beyond_all_bounds_is_given_up_soon():
+    solution = make_qp().solve(problem(position=np.full(COUNT, 1e4), velocity=np.full(COUNT, 1e5)))
+    assert solution.status is not QpStatus.SOLVED
+    assert np.isfinite(solution.acceleration).all()
+    assert solution.solve_time < 1.0
+
+
+# ---- the compiled tick ----------------------------------------------------------------------------------------------
+
+
+class Reference:
+    """The controller of one arm in NumPy, away from limits; modes are given."""
+
+    def __init__(self, plan: TrialPlan, name: str) -> None:
+        self.scenario, self.plan = plan.scene.scenario, plan.arms[name]
+        self.model = plan.scene.physics.robot_model(name)
+        self.motor_inertia = np.diag(plan.scene.physics.arms[name].motor_inertia_reduced)
+        self.integral: np.ndarray | None = None
+        self.residual, self.baseline = np.zeros(self.model.joint_count), 0.0
+
+    def wrench(self, q: np.ndarray, dq: np.ndarray, torque: np.ndarray) -> np.ndarray:
+        period, settings = self.scenario.timing.control_period, self.scenario.control.detection
+        terms = self.model.terms(q, dq)
+        coriolis = pin.computeCoriolisMatrix(self.model.pinocchio, self.model.data, q, dq)
+        momentum = terms.mass_matrix @ dq
+        self.integral = momentum.copy() if self.integral is None else self.integral
+        self.integral += period * (torque + coriolis.T @ dq - (terms.bias - coriolis @ dq) + self.residual)
+        self.residual = settings.observer_gain * (momentum - self.integral)
+        response = terms.jacobian @ np.linalg.inv(terms.mass_matrix)
+        found = np.linalg.solve(response @ terms.jacobian.T, response @ self.residual)
+        force = -float(self.plan.approach_direction @ found[:3]) - self.baseline
+        if force < settings.threshold:
+            self.baseline += period / BASELINE_TIME * force
+        return found
+
+    def torque(self, tick: int, mode: Mode, gamma: float, q: np.ndarray, dq: np.ndarray) -> np.ndarray:
+        plan, gains = self.plan, self.scenario.control.gains
+        terms, held, after = self.model.terms(q, dq), list(self.plan.posture), mode is not Mode.ANTE
+        position = plan.post_position if after else plan.ante_position
+        posture = plan.post_posture if after else plan.ante_posture
+        k_theta = gains.orientation_post if after else gains.orientation
+        gain = np.repeat((gains.position, k_theta, gains.posture), (3, 3, len(held)))
+        tilt = terms.rotation @ pin.log3(terms.rotation.T @ plan.orientation[tick])
+        error = np.concatenate((position.position[tick] - terms.position, tilt, posture.position[tick] - q[held]))
+        turning = [plan.pad_normal * part[tick, 0] for part in (plan.rotation.velocity, plan.rotation.acceleration)]
+        wanted = np.concatenate((position.velocity[tick], turning[0], posture.velocity[tick]))
+        moving = np.concatenate((terms.jacobian @ dq, dq[held]))
+        feedback = 2.0 * np.sqrt(gain) * gamma * (wanted - moving) + gain * error
+        ahead = np.concatenate((position.acceleration[tick], turning[1], posture.acceleration[tick]))
+        friction = (plan.post_friction if after else plan.ante_friction)[tick]
+        inertia = terms.mass_matrix + self.motor_inertia
+        rows = np.vstack((terms.jacobian, np.eye(self.model.joint_count)[held]))
+        targets = ahead + feedback + friction - np.concatenate((terms.drift, np.zeros(len(held))))
+        if after:
+            targets += rows @ np.linalg.solve(inertia, terms.jacobian.T @ plan.wrench[tick])
+        weights = np.repeat((gains.position_weight, gains.orientation_weight, gains.posture_weight), (3, 3, len(held)))
+        if len(rows) < self.model.joint_count:
+            rows = np.vstack((rows, np.eye(self.model.joint_count)))
+            targets = np.concatenate((targets, -2.0 * np.sqrt(gains.posture) * dq))
+            weights = np.concatenate((weights, np.full(self.model.joint_count, IDLE_WEIGHT)))
+        hessian = rows.T * weights @ rows + 1e-9 * np.eye(self.model.joint_count)
+        return inertia @ np.linalg.solve(hessian, rows.T * weights @ targets) + terms.bias
+
+
+@pytest.mark.parametrize(("name", "object_name", "case"), [("push", "cat_food", "case_2"), ("grab", "juice", "case_1")])
+def test_torque_and_wrench_are_those_of_numpy_through_all_modes(name: str, object_name: str, case: str) -> None:
+    plan = plan_of(name, object_name, case)
+    references = {arm: Reference(plan, arm) for arm in plan.arms}
+    plant, modes = make_plant(plan, 4), set()
+    for tick in run_closed_loop(plan, plant):
+        for arm, measured in tick.measurement.arms.items():
+            command, reference = tick.commands[arm], references[arm]
+            q, dq = measured.position, measured.velocity
+            np.testing.assert_allclose(
+                command.wrench, reference.wrench(q, dq, measured.torque), rtol=0.0, atol=1e-9
+            )  # N, N m
+            expected = reference.torque(tick.number, command.mode, command.gamma, q, dq)
+            np.testing.assert_allclose(command.torque, expected, rtol=0.0, atol=1e-11)  # N m
+            modes.add(command.mode)
+    plant.close()
+    assert modes == set(Mode)
+
+
+@pytest.mark.parametrize("angle", [1e-9, 0.3, 1.9, 2.2, 2.8, 3.14, 3.5, 4.2])
+def test_an_orientation_error_is_the_shortest_turn_whatever_its_size(angle: float) -> None:
+    """Beyond 120 degrees the compiled tick takes another branch, and beyond 180 the turn the other way round."""
+    rng, nothing = np.random.default_rng(round(1e3 * angle)), np.zeros(6)
+    for _ in range(20):
+        axis = rng.standard_normal(3)
+        axes = pin.exp3(rng.standard_normal(3))
+        wanted = axes @ pin.exp3(angle * axis / np.linalg.norm(axis))
+        phase = (np.zeros((1, 3)), np.zeros((1, 6)), np.zeros((1, 6)), np.ones(6))
+        law = _kernel.TaskLaw(np.ones(6), (), phase, phase, wanted[None], np.zeros((1, 6)), idle_rate=0.0, idle=False)
+        terms = RigidTerms(np.eye(6), nothing, np.eye(6), nothing, np.zeros(3), axes, nothing)
+        tilt = law.decide(0, False, 0.0, nothing, nothing, terms)[0][3:]
+        np.testing.assert_allclose(tilt, axes @ pin.log3(axes.T @ wanted), atol=1e-9)
+
+
+def arrays(told: Any) -> list[np.ndarray]:
+    """Every array in a message, however deep."""
+    if isinstance(told, np.ndarray):
+        return [told]
+    if isinstance(told, dict):
+        return [found for value in told.values() for found in arrays(value)]
+    if is_dataclass(told):
+        return [found for field in fields(told) for found in arrays(getattr(told, field.name))]
+    return []
+
+
+def test_what_a_tick_told_stays_as_it_was_when_the_trial_goes_on() -> None:
+    plan = plan_of("push", "cat_food", "case_2")
+    plant, kept, as_it_was = make_plant(plan, 0), [], []
+    for tick in run_closed_loop(plan, plant):
+        told = (tick.measurement, tick.commands, plant.truth())
+        kept.append([found for part in told for found in arrays(part)])
+        as_it_was.append(copy.deepcopy(kept[-1]))
+        if tick.number == 950:
+            break
+    plant.close()
+    assert len(kept[0]) > 15
+    for now, then in zip(kept, as_it_was, strict=True):
+        for one, other in zip(now, then, strict=True):
+            np.testing.assert_array_equal(one, other)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The plan of a trial: references with the predicted jump, the force that moves the object on, where arms start."""
+"""Plans: references that jump by the impact map, wrenches, compensation; limits of an arm."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ import pinocchio as pin
 import pytest
 from trials import scene_of
 
+from impact_rs_control.arm_limits import MEASURED, rate_limited, state_complaint, torque_complaint
 from impact_rs_control.plan import TrialPlan, plan_trial, tick_times
 from impact_rs_sim.errors import Infeasible, InputError
 from impact_rs_sim.friction_compensation import TASKS, AccelerationSamples, ArmFriction, FrictionCompensation
@@ -18,6 +19,9 @@ from impact_rs_sim.impact_map import ImpactProblem, compute_impact_map, settle
 from impact_rs_sim.physics import Physics
 from impact_rs_sim.scenario import load_scenario
 from impact_rs_sim.scene import Scene
+from impact_rs_trials.spec import TrialSpec
+
+# ---- plans ----------------------------------------------------------------------------------------------------------
 
 PUSH = scene_of("push", "juice", "case_1")
 GRAB = scene_of("grab", "juice", "case_1")
@@ -301,3 +305,53 @@ def test_pads_that_grab_may_come_from_beside_and_below_the_table() -> None:
     plan = plan_trial(scene)
     lowest = min(arm.ante_position.position[0, 2] for arm in plan.arms.values())
     assert lowest < scene.scenario.support.height - 0.05
+
+
+# ---- states and torques beyond the limits of an arm -----------------------------------------------------------------
+
+PLAN = TrialSpec.of(load_scenario("push"), "juice", "case_1").plan
+MODEL = PLAN.scene.models["arm"]
+START = PLAN.arms["arm"].initial
+JOINTS = [f"arm_joint{number + 1}" for number in range(7)]
+STILL = np.zeros(7)
+
+
+def at(values: np.ndarray, index: int, value: float) -> np.ndarray:
+    changed = values.copy()
+    changed[index] = value
+    return changed
+
+
+def test_a_state_within_every_limit_is_no_complaint() -> None:
+    assert state_complaint(MODEL, JOINTS, START, STILL, STILL) == ""
+    assert state_complaint(MODEL, JOINTS, MODEL.position_max, MODEL.velocity_max, -MEASURED * MODEL.torque_max) == ""
+
+
+@pytest.mark.parametrize("beyond", [1e-6, 1.0, np.nan])
+def test_a_joint_beyond_a_limit_is_told_by_name(beyond: float) -> None:
+    high, low = MODEL.position_max[2] + beyond, MODEL.position_min[2] - beyond
+    for position in (high, low):
+        told = state_complaint(MODEL, JOINTS, at(START, 2, position), STILL, STILL)
+        assert told.startswith("arm_joint3 at ") and told.endswith(f"to {MODEL.position_max[2]:.4g} rad")
+    for velocity in (MODEL.velocity_max[5] + beyond, -MODEL.velocity_max[5] - beyond):
+        told = state_complaint(MODEL, JOINTS, START, at(STILL, 5, velocity), STILL)
+        assert told.startswith("arm_joint6 at ") and told.endswith(f"limit {MODEL.velocity_max[5]:.4g} rad/s")
+
+
+@pytest.mark.parametrize("measured", [1e6, -1e6, np.nan])
+def test_a_torque_that_no_impact_explains_is_no_measurement(measured: float) -> None:
+    complaint = state_complaint(MODEL, JOINTS, START, STILL, at(STILL, 3, measured))
+    assert complaint.startswith("arm_joint4 measures ") and complaint.endswith("more than 5 times its limit of 87 N m")
+
+
+@pytest.mark.parametrize("beyond", [1e-3, np.nan, np.inf])
+def test_a_torque_beyond_its_limit_is_told_by_name(beyond: float) -> None:
+    assert torque_complaint(MODEL, JOINTS, MODEL.torque_max) == ""
+    for torque in (MODEL.torque_max[1] + beyond, -MODEL.torque_max[1] - beyond):
+        told = torque_complaint(MODEL, JOINTS, at(STILL, 1, torque))
+        assert told.startswith("torque of ") and told.endswith(f"for arm_joint2, limit {MODEL.torque_max[1]:.4g} N m")
+
+
+def test_a_torque_that_jumps_is_approached_at_the_largest_rate() -> None:
+    before, wanted = np.array([0.0, 5.0, -5.0, 5.0]), np.array([0.5, 9.0, -9.0, 4.7])
+    np.testing.assert_allclose(rate_limited(wanted, before, 1.0), [0.5, 6.0, -6.0, 4.7])

@@ -52,19 +52,6 @@ def away(twist: np.ndarray, rotation: np.ndarray | None = None) -> BodyState:
     return BodyState(np.array([0.0, 2.0, 3.0]), np.eye(3) if rotation is None else rotation, twist)
 
 
-def test_a_body_falls_with_gravity_and_floats_without() -> None:
-    for gravity, drop in ((True, -GRAVITY), (False, 0.0)):
-        with world(free(), gravity) as made:
-            made.set_object(away(np.zeros(6)))
-            for _ in range(500):
-                made.step()
-            state = made.object_state()
-            np.testing.assert_allclose(state.twist[:3], [0.0, 0.0, drop * 0.05], atol=1e-9)
-            np.testing.assert_allclose(
-                state.position - away(np.zeros(6)).position, [0, 0, drop * 0.05**2 / 2], atol=3e-5
-            )
-
-
 def test_an_arm_accelerates_as_the_rigid_model_says() -> None:
     model = SCENE.models["arm"]
     torque = np.array([3.0, -8.0, 2.0, 6.0, -0.5, 0.4, 0.2])
@@ -127,7 +114,7 @@ def test_friction_of_a_pad_that_yields_is_part_of_the_force_on_it(name: str, val
     np.testing.assert_allclose(forces[-1], expected, rtol=0.02, atol=0.02 * THING.mass * along)
 
 
-@pytest.mark.parametrize("ratio", [0.1, 0.3, 0.6])
+@pytest.mark.parametrize("ratio", [0.1, 0.6])
 def test_an_object_on_the_pad_swings_like_a_mass_on_a_damped_spring(ratio: float) -> None:
     """A load that comes on at once: overshoot exp(-pi z / sqrt(1 - z^2)) after half a period pi / w_d."""
     stiffness, push = 2.0e5, 200.0
@@ -152,24 +139,6 @@ def test_the_pad_holds_up_to_its_friction_and_slips_with_what_is_beyond(friction
     expected = (3.0 * friction * push - friction * push) * time
     assert slid[-1, 0] == pytest.approx(expected, rel=0.1)
     assert forces[-1, 0] == pytest.approx(friction * THING.mass * push, rel=0.1)
-
-
-@pytest.mark.parametrize("friction", [0.15, 0.3])
-def test_an_object_slides_to_rest_on_its_support_with_mu_g(friction: float) -> None:
-    physics = replace(SCENE.physics, support_friction=friction)
-    start = BodyState(SCENE.object.position + [0.0, -0.4, 0.0], np.eye(3), np.array([0.8, 0, 0, 0, 0, 0]))
-    with world(physics) as made:
-        made.set_object(start)
-        for _ in range(1000):
-            made.step()
-        assert made.object_state().twist[0] == pytest.approx(0.8 - friction * GRAVITY * 0.1, rel=0.01)
-        assert made.object_state().position[2] == pytest.approx(start.position[2], abs=1e-4)
-        for _ in range(6000):
-            made.step()
-        state = made.object_state()
-    np.testing.assert_allclose(state.twist, 0.0, atol=1e-6)
-    way = state.position[0] - start.position[0]
-    assert way == pytest.approx(0.8**2 / (2.0 * friction * GRAVITY), rel=0.02)
 
 
 @pytest.mark.parametrize("direction", [0.0, 20.0, 45.0, 70.0, 135.0, 250.0])
@@ -237,41 +206,14 @@ def test_a_tracker_sees_a_tumbling_object_without_jumps(com) -> None:
     assert np.abs(np.diff(yaw)).max() < 0.01
 
 
-@pytest.mark.parametrize("height", [0.04, -0.04])
-def test_the_faces_of_an_object_are_where_they_were_wherever_its_weight_is(height: float) -> None:
-    """It stands on its support, neither in it nor above it."""
-    physics = replace(SCENE.physics, object=offset((0.02, -0.01, height)).object)
-    start = BodyState(SCENE.object.position + [0.0, -0.4, 0.0], np.eye(3), np.zeros(6))
-    with world(physics) as made:
-        made.set_object(start)
-        for _ in range(500):
-            made.step()
-        np.testing.assert_allclose(made.object_state().position, start.position, atol=1e-4)
-
-
-def test_an_object_off_its_centre_turns_about_its_centre_of_mass() -> None:
-    """Spin w about z without gravity: the geometric centre circles the centre of mass, which goes straight on."""
-    com, spin, time = np.array([0.05, 0.0, 0.0]), 4.0, 0.2
-    state = away(np.array([0.0, 0.0, 0.0, 0.0, 0.0, spin]))
-    with world(offset((0.05, 0.0, 0.0)), gravity=False) as made:
-        made.set_object(state)
-        for _ in range(round(time / STEP)):
-            made.step()
-        found = made.object_state()
-    velocity = np.cross([0.0, 0.0, spin], com)  # of the centre of mass, when the geometric centre is at rest
-    turned = pin.rpy.rpyToMatrix(0.0, 0.0, spin * time)
-    centre = state.position + com + velocity * time - turned @ com
-    np.testing.assert_allclose(found.position, centre, atol=1e-5)
-    np.testing.assert_allclose(found.twist[:3], velocity - np.cross([0.0, 0.0, spin], turned @ com), atol=1e-4)
-
-
-def test_a_push_beside_the_centre_of_mass_turns_the_object_the_way_it_must() -> None:
-    """The pad holds the middle of the face; a centre of mass at +x is left behind and turns the box about z."""
-    physics = replace(offset((0.06, 0.0, 0.0)), arms=padded(2.0e5, 400.0).arms)
-    _, twists, _ = pressed(physics, 100.0, time=0.01)
-    _, other, _ = pressed(replace(physics, object=offset((-0.06, 0.0, 0.0)).object), 100.0, time=0.01)
-    assert twists[-1, 5] > 0.2
-    assert other[-1, 5] == pytest.approx(-twists[-1, 5], rel=0.05)
+@pytest.mark.parametrize("side", [0.03, -0.03])
+def test_a_push_beside_the_centre_of_mass_tilts_the_object_on_the_pad(side: float) -> None:
+    """Left behind by c, it leans by m a c / (K w^2 / 4) on springs in the corners of a pad of width 2 w."""
+    push, stiffness = 100.0, 2.0e5
+    _, twists, _ = pressed(replace(offset((side, 0.0, 0.0)), arms=padded(stiffness, 400.0).arms), push, time=0.3)
+    yaw = STEP * np.cumsum(twists[:, 5])
+    half = ARM.end_effector.pad_size[0] / 2.0
+    assert np.mean(yaw[-500:]) == pytest.approx(THING.mass * push * side / (stiffness * half**2), rel=0.06)
 
 
 def test_a_rigid_pad_does_not_yield() -> None:

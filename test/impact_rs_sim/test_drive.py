@@ -1,16 +1,27 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The torque loop runs with B_rho; what is felt is B_theta."""
+"""The torque loop runs with B_rho; what is felt is B_theta. Stability of a drive, and drives that are assumed."""
+
+from __future__ import annotations
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from hypothesis import assume, given, settings
+from hypothesis import strategies as st
 from trials import nominal_physics
 
+from impact_rs_sim.assumed_drive import assumed_drive
 from impact_rs_sim.bullet_world import BulletWorld
 from impact_rs_sim.drive import Drive, DriveStart
+from impact_rs_sim.drive_stability import joint_stability, spectral_radius
 from impact_rs_sim.physics import JointFriction, Physics
+from impact_rs_sim.robot import RobotFacts, load_facts
+from impact_rs_sim.robot_model import RobotModel
+from impact_rs_sim.scenario import load_scenario
 from impact_rs_sim.scene import ArmState
+
+# ---- the torque loop ------------------------------------------------------------------------------------------------
 
 PERIOD = 0.00025  # s
 
@@ -64,17 +75,6 @@ def test_friction_only_ever_takes_power(arm):
     for friction in (sigmoid, stribeck):
         for velocity in np.linspace(-2.0, 2.0, 41):
             assert np.all(friction.torque(np.full(7, velocity)) * velocity <= 1e-12)
-
-
-def test_actuation_delay_shifts_the_torque_by_that_time(arm):
-    drive = Drive(replace(arm, actuation_delay=4 * PERIOD), PERIOD)
-    drive.reset(np.zeros(7), np.zeros(7))
-    moved = []
-    for _ in range(6):
-        drive.sense(drive.position, drive.velocity)
-        drive.step(np.ones(7))
-        moved.append(bool(np.any(drive.velocity)))
-    assert moved == [False] * 4 + [True] * 2
 
 
 def test_delay_between_two_periods_is_the_mean_of_both(arm):
@@ -235,18 +235,6 @@ def test_a_delayed_torque_arrives_whole_and_late_by_the_delay(arm, periods):
     assert centre[periods] - centre[0.0] == pytest.approx(periods)
 
 
-def test_friction_acts_on_the_motor_that_is_scaled_by_the_loop(arm):
-    """tau_fric,m = B_rho B_theta^-1 tau_fric (paper, below eq. EOM_motor_mod), against the motor's velocity."""
-    friction = JointFriction(np.full(7, 0.5), np.full(7, 0.3), np.zeros(7), np.full(7, 0.05))
-    drive = Drive(replace(arm, friction=friction), PERIOD)
-    drive.velocity = np.full(7, 0.8)
-    drive.sense(drive.position, drive.velocity)
-    drive.step(np.zeros(7))
-    shaping = arm.motor_inertia_rotor / arm.motor_inertia_reduced
-    np.testing.assert_allclose(drive.friction_torque, -shaping * (0.5 + 0.3 * 0.8), rtol=1e-9)
-    assert np.all(drive.velocity < 0.8)
-
-
 def test_a_drive_started_in_motion_stretches_its_spring_at_that_rate() -> None:
     """K (dtheta - dq) = dtau_J, and the link receives tau_J + D K^-1 dtau_J (paper eq. EOM_link)."""
     arm = nominal_physics().arms["arm"]
@@ -271,3 +259,132 @@ def test_until_a_delayed_command_arrives_the_drive_carries_its_load(arm):
         if step < periods:
             np.testing.assert_allclose(drive.velocity, 0.0, atol=1e-12)
     assert np.all(drive.velocity > 0.0)
+
+
+# ---- stability, found before anything is simulated ------------------------------------------------------------------
+
+NOMINAL = nominal_physics("cat_food")
+
+
+def stretch_after(link: float, motor: float, stiffness: float, damping: float, steps: int) -> float:
+    """Largest stretch in the last of ``steps`` steps of the drive itself and a free link, from 1 rad [rad]."""
+    arm = NOMINAL.arms["arm"]
+    alike = replace(
+        arm,
+        motor_inertia_rotor=np.full(7, 3.0 * motor),
+        motor_inertia_reduced=np.full(7, motor),
+        stiffness=np.full(7, stiffness),
+        damping=np.full(7, damping),
+    )
+    drive = Drive(alike, PERIOD)
+    drive.position = np.ones(7)
+    position, velocity, largest = np.zeros(7), np.zeros(7), 0.0
+    still = np.zeros(7)
+    for step in range(steps):
+        drive.sense(position, velocity)
+        velocity = velocity + PERIOD * drive.transmission_torque / link
+        position = position + PERIOD * velocity
+        drive.step(still)
+        stretch = abs(float(drive.position[0] - position[0]))
+        if stretch > 1e3:
+            return stretch
+        if step > steps - 50:
+            largest = max(largest, stretch)
+    return largest
+
+
+@settings(max_examples=40)
+@given(
+    link=st.floats(1e-4, 1.0),
+    motor=st.floats(0.02, 1.0),
+    stiffness=st.floats(1e3, 2e4),
+    damping=st.floats(1.0, 40.0),
+)
+def test_the_spectral_radius_tells_whether_the_drive_itself_diverges(
+    link: float, motor: float, stiffness: float, damping: float
+) -> None:
+    found = joint_stability(link, motor, stiffness, damping, PERIOD)
+    assume(abs(found.spectral_radius - 1.0) > 0.02)
+    assert (stretch_after(link, motor, stiffness, damping, 600) > 1.0) == (found.spectral_radius > 1.0)
+
+
+@given(
+    link=st.floats(1e-3, 1.0), stiffness=st.floats(1e3, 2e4), damping=st.floats(0.5, 40.0), share=st.floats(0.5, 1.5)
+)
+def test_what_would_do_is_just_what_does(link: float, stiffness: float, damping: float, share: float) -> None:
+    """On either side of the damping, the stiffness and the period that are told, stability changes."""
+    assume(abs(share - 1.0) > 1e-3)
+    found = joint_stability(link, 0.1, stiffness, damping, PERIOD)
+    for told, change in (
+        (found.damping_below, lambda value: joint_stability(link, 0.1, stiffness, value, PERIOD)),
+        (found.stiffness_below, lambda value: joint_stability(link, 0.1, value, damping, PERIOD)),
+        (found.period_below, lambda value: joint_stability(link, 0.1, stiffness, damping, value)),
+    ):
+        if told > 0.0:
+            assert (change(share * told).spectral_radius < 1.0) == (share < 1.0)
+
+
+def test_without_damping_a_joint_swings_for_ever() -> None:
+    assert joint_stability(0.1, 0.1, 1e4, 0.0, PERIOD).spectral_radius == pytest.approx(1.0, abs=1e-9)
+
+
+def test_uncoupled_joints_are_as_stable_as_the_worst_of_them() -> None:
+    link, motor = np.array([0.5, 0.001]), np.array([0.2, 0.07])
+    stiffness, damping = np.array([14000.0, 8000.0]), np.array([12.0, 6.0])
+    inverse = np.linalg.inv(np.diag(link)) + np.diag(1.0 / motor)
+    singles = [
+        joint_stability(*values, PERIOD).spectral_radius for values in zip(link, motor, stiffness, damping, strict=True)
+    ]
+    assert spectral_radius(inverse, stiffness, damping, PERIOD) == pytest.approx(max(singles))
+
+
+def test_links_that_are_coupled_are_less_stable_together() -> None:
+    mass = np.array([[0.5, 0.09], [0.09, 0.02]])
+    inverse = np.linalg.inv(mass)
+    stiffness, damping, motor = np.array([14000.0, 14000.0]), np.array([12.0, 12.0]), 0.2
+    together = spectral_radius(inverse + np.eye(2) / motor, stiffness, damping, PERIOD)
+    alone = max(joint_stability(1.0 / inverse[i, i], motor, 14000.0, 12.0, PERIOD).spectral_radius for i in (0, 1))
+    assert together > alone > 0.0
+
+
+# ---- drives that are assumed ----------------------------------------------------------------------------------------
+
+UR5E, FR3, FER = (load_facts(name) for name in ("ur5e", "franka_fr3", "franka_fer"))
+
+
+@pytest.mark.parametrize("facts", [FER, FR3, UR5E])
+def test_assumed_drives_are_stable_and_as_published_where_that_is_known(facts: RobotFacts) -> None:
+    effector = load_scenario("push").robots["arm"].end_effector.build()
+    values = {name: np.array(row) for name, row in assumed_drive(facts, effector, PERIOD).items()}
+    inertia = values.get("motor_inertia_reduced", values["motor_inertia_rotor"])
+    model = RobotModel(facts, effector)
+    inverse = np.linalg.inv(model.mass_matrix(0.3 * np.ones(facts.joint_count))) + np.diag(1.0 / inertia)
+    assert spectral_radius(inverse, values["stiffness"], values["damping"], PERIOD) < 1.0
+    assert ("motor_inertia_reduced" in values) == facts.joint_torque_loop
+    published = facts.reflected_rotor_inertia_other_source_kg_m2
+    if published is not None:
+        np.testing.assert_allclose(values["motor_inertia_rotor"], published, rtol=5e-3)
+
+
+@pytest.mark.parametrize("facts", [FR3, UR5E, load_facts("kuka_iiwa14")])
+def test_link_velocity_feedback_leaves_an_assumed_drive_stable(facts: RobotFacts) -> None:
+    """Eigenvalues of motor, spring and link with the feedback 40 / s of the controller through both inertias.
+
+    B ddtheta = -(M + B) d dq - s,  M ddq = s,  s = K (theta - q) + D (dtheta - dq): the joint by itself, with the
+    link that it has in the middle of its range.
+    """
+    model = RobotModel(facts, load_scenario("push").robots["arm"].end_effector.build())
+    values = {name: np.array(row) for name, row in assumed_drive(facts, model.end_effector, PERIOD).items()}
+    motors = values.get("motor_inertia_reduced", values["motor_inertia_rotor"])
+    inertia = 1.0 / np.diag(np.linalg.inv(model.mass_matrix(0.5 * (model.position_min + model.position_max) + 0.3)))
+    for joint in range(3):
+        m, b, k, d = inertia[joint], motors[joint], values["stiffness"][joint], values["damping"][joint]
+        system = np.array(
+            [
+                [0.0, 0.0, 1.0, 0.0],
+                [0.0, 0.0, 0.0, 1.0],
+                [-k / m, k / m, -d / m, d / m],
+                [k / b, -k / b, d / b - (m + b) * 40.0 / b, -d / b],
+            ]
+        )
+        assert np.linalg.eigvals(system).real.max() < 1e-6

@@ -124,17 +124,6 @@ def test_effective_masses_give_the_derivatives_of_one_frictionless_contact() -> 
         )
 
 
-def test_more_of_everything_moves_the_answer_the_way_it_should() -> None:
-    found = differentiate(nominal())
-    forward = -found.jacobian[found.outputs.index("object.velocity.y")]  # the push is along -y
-    by_name = {parameter.name: value for parameter, value in zip(found.parameters, forward, strict=True)}
-    assert by_name["object.mass"] < -0.05
-    assert by_name["support_friction"] <= 1e-9
-    assert by_name["restitution"] > 0.3
-    assert sum(by_name[f"arm.motor_inertia.{joint}"] for joint in range(1, 8)) > 0.0
-    assert by_name["arm.link_inertia"] > 0.02
-
-
 @settings(max_examples=10, deadline=None, suppress_health_check=list(HealthCheck), derandomize=True)
 @given(seed=st.integers(0, 10**6))
 def test_homogeneous_laws_obey_eulers_theorem(seed: int) -> None:

@@ -269,63 +269,10 @@ def test_much_motor_inertia_goes_on_and_takes_the_object_along() -> None:
     np.testing.assert_allclose(result.object_twist[3:], twist[3:], atol=1e-6)
 
 
-def test_little_motor_inertia_is_none() -> None:
-    none = settle(grab("zero"))
-    problem = grab()
-    little = settle(replace(problem, motor_inertia={name: np.full(7, 1e-8) for name in problem.arms}))
-    for name in problem.arms:
-        np.testing.assert_allclose(little.end_effector_twist[name], none.end_effector_twist[name], atol=1e-5)
-
-
-def weighing(mass: float, problem: ImpactProblem) -> ImpactProblem:
-    thing = problem.physics.object
-    changed = replace(thing, mass=mass, inertia=thing.inertia * mass / thing.mass)
-    return replace(problem, physics=replace(problem.physics, object=changed))
-
-
-def test_a_light_object_costs_the_arm_nothing() -> None:
-    problem = weighing(1e-6, nominal(support_height=None))
-    result = settle(problem)
-    np.testing.assert_allclose(result.joint_velocity["arm"], problem.arms["arm"].velocity, atol=1e-4)
-
-
-def test_a_heavy_object_stops_the_pads() -> None:
-    problem = weighing(1e7, grab(pad_friction=2.0))
-    result = settle(problem)
-    np.testing.assert_allclose(result.object_twist, 0.0, atol=1e-5)
-    for twist in result.end_effector_twist.values():
-        np.testing.assert_allclose(twist[:3], 0.0, atol=1e-5)
-
-
-def test_more_motor_inertia_lifts_faster() -> None:
-    speeds = [settle(grab(model)).object_twist[2] for model in ("zero", "reduced", "rotor")]
-    assert speeds[0] + 0.005 < speeds[1] < speeds[2] - 0.005
-
-
 def test_restitution_ends_before_the_contact_closes() -> None:
     for problem in (nominal(), grab()):
         slack, springy = settle(problem), settle(replace(problem, restitution=0.8))
         np.testing.assert_array_equal(slack.object_twist, springy.object_twist)
-
-
-def test_two_like_arms_from_both_sides_leave_no_sideways_motion() -> None:
-    problem = nominal()
-    arm, body = problem.physics.arms["arm"], problem.object
-    centre = pin.SE3(np.eye(3), body.position * np.array([1.0, 1.0, 0.0]))
-    turn = pin.SE3(pin.rpy.rpyToMatrix(0.0, 0.0, np.pi), np.zeros(3))
-    other = replace(arm, base=centre * turn * centre.inverse() * arm.base)
-    state, motor = problem.arms["arm"], problem.motor_inertia["arm"]
-    result = settle(
-        replace(
-            problem,
-            physics=replace(problem.physics, arms={"left": arm, "right": other}),
-            arms={"left": state, "right": state},
-            motor_inertia={"left": motor, "right": motor},
-        )
-    )
-    # Half a turn about z leaves the scene as it is, so only motion along and about z is left.
-    np.testing.assert_allclose(result.object_twist[[0, 1, 3, 4]], 0.0, atol=1e-6)
-    np.testing.assert_allclose(result.joint_velocity["left"], result.joint_velocity["right"], atol=1e-6)
 
 
 def test_a_pad_that_arrives_tilted_aligns() -> None:

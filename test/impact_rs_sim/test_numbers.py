@@ -1,15 +1,22 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How estimates with intervals are written."""
+"""Numbers: how estimates are written, seeds, rotations."""
 
 from __future__ import annotations
 
 import math
+from pathlib import Path
 
+import numpy as np
+import pinocchio as pin
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from impact_rs_sim.numbers import estimate_in_line, estimate_text, speed_text
+from impact_rs_sim.rotations import quaternion_of
+from impact_rs_sim.seeds import seed_of
+
+# ---- estimates with intervals ---------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -58,3 +65,46 @@ def test_decimals_are_written_where_there_is_no_exponent():
     assert estimate_text(0.5, (0.4, 0.6), least=4) == ("0.5000", "0.4000", "0.6000")
     assert estimate_text(0.5, (0.49999, 0.50001), least=4) == ("0.500000", "0.499990", "0.500010")
     assert estimate_text(0.0, (0.0, 0.0), least=4) == ("0.0000",) * 3
+
+
+# ---- seeds ----------------------------------------------------------------------------------------------------------
+
+
+def test_a_seed_is_the_same_whenever_and_wherever_it_is_asked_for() -> None:
+    """Recorded campaigns are run again from these: they must never change."""
+    assert seed_of(0, "cat_food__case_2__s1.000__r0") == 11574260439316600728
+    assert seed_of(1, "cat_food__case_2__s1.000__r0") != seed_of(0, "cat_food__case_2__s1.000__r0")
+
+
+def test_no_two_of_many_tasks_share_a_seed() -> None:
+    names = [f"{thing}__case_{case}__r{repeat}" for thing in "abc" for case in range(30) for repeat in range(50)]
+    assert len({seed_of(seed, name) for seed in range(3) for name in names}) == 3 * len(names)
+
+
+# ---- rotations ------------------------------------------------------------------------------------------------------
+
+PAGE = 4096  # bytes
+
+
+@given(st.lists(st.floats(-4.0, 4.0), min_size=3, max_size=3))
+def test_a_quaternion_is_the_rotation_it_was_made_from(turn: list[float]) -> None:
+    rotation = pin.exp3(np.array(turn))
+    quaternion = quaternion_of(rotation)
+    assert quaternion @ quaternion == pytest.approx(1.0, abs=1e-12)
+    np.testing.assert_allclose(pin.Quaternion(quaternion).matrix(), rotation, atol=1e-12)
+
+
+@pytest.mark.skipif(not Path("/proc/self/statm").exists(), reason="needs Linux")
+def test_making_quaternions_keeps_no_memory() -> None:
+    """A trial makes a thousand of them; what each kept would add up over a campaign."""
+    rotation = pin.exp3(np.array([0.1, 0.2, 0.3]))
+
+    def resident() -> int:
+        return int(Path("/proc/self/statm").read_text().split()[1]) * PAGE
+
+    for _ in range(1000):
+        quaternion_of(rotation)
+    before, calls = resident(), 50_000
+    for _ in range(calls):
+        quaternion_of(rotation)
+    assert resident() - before < 10 * calls  # bytes

@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The plant as a user of a real robot would meet it: from its measurements."""
+"""The plant as a user of a real robot would meet it: its measurements, its sensors, effects outside the library."""
+
+from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 
@@ -9,8 +11,17 @@ import pytest
 from trials import plan_of
 
 from impact_rs_control.closed_loop import make_plant
+from impact_rs_control.plan import TrialPlan
+from impact_rs_sim.drive import Drive
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.physics import Load, LoadState
+from impact_rs_sim.plant import Plant, PlantExtension
+from impact_rs_sim.scenario import Sensors
+from impact_rs_sim.scene import ArmMotion, ArmState
+from impact_rs_sim.sensors import ArmSensors, ObjectTracker
+from impact_rs_sim.unmodelled import LAWS, OUTSIDE, Backlash, DriftingFriction, TorqueRipple
+
+# ---- the plant ------------------------------------------------------------------------------------------------------
 
 
 @pytest.fixture(scope="module")
@@ -237,23 +248,6 @@ def test_the_tracker_sees_the_object_once_per_its_period(plan):
     assert seen == pytest.approx([0.0, 0.004, 0.008, 0.012])
 
 
-@pytest.mark.parametrize(("tilt", "slides"), [(0.05, False), (0.4, True)])
-def test_an_object_on_a_slope_slides_with_what_friction_leaves(plan, tilt, slides):
-    """g (sin a - mu cos a), or not at all."""
-    quiet = without_noise(plan)
-    gravity = 9.81 * np.array([np.sin(tilt), 0.0, -np.cos(tilt)])
-    physics = replace(quiet.scene.physics, gravity=gravity, support_friction=0.2)
-    plant = make_plant(quiet, 0, physics)
-    hold = physics.robot_model("arm").gravity_torque(plan.arms["arm"].initial)
-    start = plant.truth().object.position
-    for _ in range(200):
-        plant.step({"arm": hold})
-    way = plant.truth().object.position - start
-    plant.close()
-    expected = 0.5 * 9.81 * (np.sin(tilt) - 0.2 * np.cos(tilt)) * 0.2**2 if slides else 0.0
-    assert way[0] == pytest.approx(expected, rel=0.03, abs=1e-6)
-
-
 def test_trials_scatter_as_the_scenario_says(plan):
     """Pose of the object in the plane, start of the arm and friction of the support, over many seeds."""
     scatter = plan.scene.scenario.scatter.model_copy(update={"support_friction": 0.05})
@@ -293,3 +287,245 @@ def test_a_trial_ends_when_its_time_is_up(plan):
     with pytest.raises(InputError, match=r"over after 0\.003 s"):
         plant.step(hold)
     plant.close()
+
+
+# ---- sensors --------------------------------------------------------------------------------------------------------
+
+SAMPLES, JOINTS = 4000, 3
+NOISY = Sensors(
+    joint_position_resolution=1e-3,
+    joint_velocity_noise=0.02,
+    joint_torque_noise=0.5,
+    object_position_noise=1e-3,
+    object_orientation_noise=0.01,
+)
+IDEAL = Sensors(**dict.fromkeys(set(Sensors.model_fields) - {"object_period"}, 0.0))
+Q, DQ, TORQUE = np.array([0.30034, -1.2, 0.5]), np.array([0.1, 0.2, -0.3]), np.array([5.0, -10.0, 1.0])
+THETA, DTHETA = Q + 0.01, DQ - 0.05
+MOTION = ArmMotion(Q, DQ, TORQUE, THETA, DTHETA)
+# Four standard deviations of a standard deviation estimated from all samples.
+SHARE = 4.0 / np.sqrt(2.0 * SAMPLES * JOINTS)
+
+
+@pytest.fixture(scope="module")
+def errors() -> dict[str, np.ndarray]:
+    """Measured less true, ``(SAMPLES, JOINTS)`` by signal."""
+    sensors = ArmSensors(NOISY, JOINTS, SAMPLES, np.random.default_rng(1))
+    measured = [sensors.measure(tick, MOTION) for tick in range(SAMPLES)]
+    truth = {"position": Q, "velocity": DQ, "torque": TORQUE, "motor_position": THETA, "motor_velocity": DTHETA}
+    return {name: np.array([getattr(each, name) for each in measured]) - value for name, value in truth.items()}
+
+
+@pytest.mark.parametrize(("name", "noise"), [("velocity", 0.02), ("motor_velocity", 0.02), ("torque", 0.5)])
+def test_noise_has_the_stated_size_and_no_bias(errors: dict[str, np.ndarray], name: str, noise: float) -> None:
+    assert np.std(errors[name]) == pytest.approx(noise, rel=SHARE)
+    assert np.abs(np.mean(errors[name])) < 4.0 * noise / np.sqrt(SAMPLES * JOINTS)
+
+
+def test_noise_is_white_and_its_own_in_every_joint_and_signal(errors: dict[str, np.ndarray]) -> None:
+    rows = np.hstack([errors[name] for name in ("velocity", "motor_velocity", "torque")])
+    between = np.corrcoef(rows.T) - np.eye(rows.shape[1])
+    in_time = [np.corrcoef(column[:-1], column[1:])[0, 1] for column in rows.T]
+    assert np.abs(between).max() < 5.0 / np.sqrt(SAMPLES)
+    assert np.abs(in_time).max() < 5.0 / np.sqrt(SAMPLES)
+
+
+def test_an_encoder_gives_the_nearest_of_its_steps() -> None:
+    sensors = ArmSensors(NOISY, JOINTS, 1, np.random.default_rng(0))
+    for angle in (0.30034, 0.30066, -0.30034, -0.30066):
+        q = np.full(JOINTS, angle)
+        measured = sensors.measure(0, ArmMotion(q, DQ, TORQUE, -q, DTHETA))
+        np.testing.assert_allclose(measured.position, np.round(angle, 3), atol=1e-12)
+        np.testing.assert_allclose(measured.motor_position, np.round(-angle, 3), atol=1e-12)
+
+
+def test_ideal_sensors_give_copies_of_the_truth() -> None:
+    q = Q.copy()
+    measured = ArmSensors(IDEAL, JOINTS, 1, np.random.default_rng(0)).measure(
+        0, ArmMotion(q, DQ, TORQUE, THETA, DTHETA)
+    )
+    q += 1.0
+    for value, truth in (
+        (measured.position, Q),
+        (measured.velocity, DQ),
+        (measured.torque, TORQUE),
+        (measured.motor_position, THETA),
+        (measured.motor_velocity, DTHETA),
+    ):
+        np.testing.assert_array_equal(value, truth)
+
+
+def test_the_same_tick_is_measured_the_same_twice() -> None:
+    sensors = ArmSensors(NOISY, JOINTS, 5, np.random.default_rng(1))
+    first, again, other = (sensors.measure(tick, MOTION) for tick in (2, 2, 3))
+    np.testing.assert_array_equal(first.velocity, again.velocity)
+    assert np.all(first.velocity != other.velocity)
+
+
+def test_the_tracker_is_off_in_position_and_turn_by_what_the_scenario_says() -> None:
+    tracker = ObjectTracker(NOISY, SAMPLES, np.random.default_rng(3))
+    position, rotation = np.array([0.4, -0.1, 0.5]), pin.rpy.rpyToMatrix(0.3, -0.2, 1.0)
+    shifts, turns = [], []
+    for sample in range(SAMPLES):
+        seen = tracker.measure(sample, 0.1 * sample, position, rotation)
+        assert seen.time == 0.1 * sample
+        shifts.append(seen.position - position)
+        turns.append(pin.log3(rotation.T @ pin.Quaternion(seen.quaternion).matrix()))
+    for values, noise in ((shifts, 1e-3), (turns, 0.01)):
+        assert np.std(values) == pytest.approx(noise, rel=SHARE)
+        assert np.abs(np.mean(values, axis=0)).max() < 4.0 * noise / np.sqrt(SAMPLES)
+
+
+def test_an_ideal_tracker_tells_the_pose_as_x_y_z_w() -> None:
+    seen = ObjectTracker(IDEAL, 1, np.random.default_rng(0)).measure(0, 0.0, Q, pin.rpy.rpyToMatrix(0.0, 0.0, 0.8))
+    np.testing.assert_allclose(seen.quaternion, [0.0, 0.0, np.sin(0.4), np.cos(0.4)], atol=1e-12)
+    np.testing.assert_array_equal(seen.position, Q)
+
+
+# ---- effects outside the library ------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def juice() -> TrialPlan:
+    return plan_of("push", "juice", "case_1")
+
+
+class Posed:
+    """Stands for a plant at one moment."""
+
+    def __init__(self, juice: TrialPlan, velocity: float, time: float = 0.0) -> None:
+        self.physics = juice.scene.physics
+        self.time = time
+        self._state = ArmState(juice.arms["arm"].initial, np.full(7, velocity))
+
+    def link_state(self, arm: str) -> ArmState:
+        return self._state
+
+
+def test_a_transmission_with_play_carries_what_is_beyond_it(juice: TrialPlan) -> None:
+    arm = juice.scene.physics.arms["arm"]
+    play = 3e-4
+    for stretch, passed in ((0.5 * play, 0.0), (-0.9 * play, 0.0), (4.0 * play, 3.0 * play), (-2.0 * play, -play)):
+        drive = Drive(replace(arm, damping=np.zeros(7)), 2.5e-4)
+        drive.position = np.full(7, stretch)
+        drive.sense(np.zeros(7), np.zeros(7))
+        Backlash(1.0, 0).after_sense(Posed(juice, 0.0), "arm", drive)
+        np.testing.assert_allclose(drive.elastic_torque, arm.stiffness * passed, atol=1e-9)
+        np.testing.assert_allclose(drive.transmission_torque, arm.stiffness * passed, atol=1e-9)
+
+
+def test_drifting_friction_opposes_motion_and_grows_with_time_and_repeat(juice: TrialPlan) -> None:
+    def torque(velocity: float, time: float, repeat: int, magnitude: float = 1.0) -> float:
+        found = DriftingFriction(magnitude, repeat).joint_torque(Posed(juice, velocity, time), "arm")
+        assert np.ptp(found) == 0.0
+        return float(found[0])
+
+    assert torque(1.0, 0.0, 0) == pytest.approx(-0.3 * 0.2)
+    assert torque(-1.0, 0.0, 0) == pytest.approx(0.3 * 0.2)
+    assert torque(1.0, 1.5, 0) - torque(1.0, 0.5, 0) == pytest.approx(-0.3)
+    assert torque(1.0, 0.0, 2) - torque(1.0, 0.0, 0) == pytest.approx(-0.3)
+    assert torque(1.0, 0.0, 0, 2.0) == pytest.approx(2.0 * torque(1.0, 0.0, 0))
+    assert torque(0.0, 1.0, 1) == 0.0
+
+
+def test_torque_ripple_repeats_sixty_times_a_turn_and_does_no_work(juice: TrialPlan) -> None:
+    def torque(ahead: float) -> float:
+        posed = Posed(juice, 0.3)
+        posed._state = ArmState(np.full(7, ahead), np.zeros(7))
+        return float(TorqueRipple(2.0, 0).joint_torque(posed, "arm")[0])
+
+    period = 2.0 * np.pi / 60.0
+    assert torque(0.7 + period) == pytest.approx(torque(0.7))
+    found = [torque(ahead) for ahead in np.linspace(0.0, period, 200, endpoint=False)]
+    assert max(found) == pytest.approx(0.2, rel=1e-3)
+    assert np.mean(found) == pytest.approx(0.0, abs=1e-12)
+
+
+def test_a_lubricated_support_brakes_more_the_faster_the_object_slides(juice: TrialPlan) -> None:
+    """dv/dt = -mu g (1 + s v) from v0: (1 + s v) falls as exp(-s mu g t), in closed form."""
+    slope, duration = 0.5 * 4.0, 0.1
+    extension = OUTSIDE["lubricated_support"](4.0, 0)
+    plant = make_plant(juice, 0, extension=extension)
+    state = plant.world.object_state()
+    plant.world.set_object(
+        replace(state, position=state.position - [0.7, 0.5, 0.0], twist=np.array([0.8, 0.6, 0.0, 0.0, 0.0, 0.0]))
+    )
+    hold = juice.scene.models["arm"].gravity_torque(juice.arms["arm"].initial)
+    for _ in range(round(duration / 0.001)):
+        plant.step({"arm": hold})
+    left = float(np.linalg.norm(plant.world.object_state().twist[:2]))
+    braking = slope * plant.physics.support_friction * 9.81 * duration
+    assert left == pytest.approx(((1.0 + slope) * np.exp(-braking) - 1.0) / slope, rel=0.02)
+    plant.close()
+
+
+def settled(juice: TrialPlan, extension: PlantExtension | None) -> Plant:
+    """A plant that has held its pose for a tenth of a second."""
+    plant = make_plant(juice, 0, extension=extension)
+    hold = juice.scene.models["arm"].gravity_torque(juice.arms["arm"].initial)
+    for _ in range(100):
+        plant.step({"arm": hold})
+    return plant
+
+
+def test_loose_contents_are_a_part_of_the_mass_and_rest_on_the_object(juice: TrialPlan) -> None:
+    extension = OUTSIDE["loose_contents"](1.0, 0)
+    plant = settled(juice, extension)
+    client = plant.world.client
+    bodies = range(client.getNumBodies())
+    movable = {body: client.getDynamicsInfo(body, -1)[0] for body in bodies if body not in plant.world.arms.values()}
+    inside = {body: mass for body, mass in movable.items() if mass > 0.0}
+    assert sum(inside.values()) == pytest.approx(juice.scene.physics.object.mass)
+    assert inside[plant.world.object] == pytest.approx(0.8 * juice.scene.physics.object.mass)
+    (slab,) = set(inside) - {plant.world.object}
+    top = plant.world.object_state().position[2] + juice.scene.physics.object.size[2] / 2.0
+    assert client.getBasePositionAndOrientation(slab)[0][2] == pytest.approx(top + 0.01, abs=5e-4)
+    plant.close()
+
+
+def test_a_flexible_base_is_still_where_nothing_pushes_it(juice: TrialPlan) -> None:
+    plant = settled(juice, None)
+    plain = plant.truth().arms["arm"].position
+    plant.close()
+    plant = settled(juice, OUTSIDE["flexible_base"](1.0, 0))
+    np.testing.assert_allclose(plant.truth().arms["arm"].position, plain, atol=1e-4)
+    plant.close()
+
+
+@pytest.mark.parametrize("name", OUTSIDE)
+def test_a_larger_outside_effect_changes_a_trial_more(juice: TrialPlan, name: str) -> None:
+    """Seen where the arm is after it was driven into the object by the same torques."""
+    short = juice.scene.scenario.timing.model_copy(update={"duration": 0.5, "nominal_impact": 0.3, "approach": 0.3,
+                                                          "window_after": 0.1})  # fmt: skip
+    scenario = juice.scene.scenario.model_copy(update={"timing": short})
+    arm = juice.scene.arms["arm"]
+    model = juice.scene.models["arm"]
+    driven = replace(
+        juice,
+        scene=replace(juice.scene, scenario=scenario),
+        arms={"arm": replace(juice.arms["arm"], initial=arm.position)},
+    )
+    push = model.gravity_torque(arm.position) + model.jacobian(arm.position)[:3].T @ np.array([0.0, -25.0, 0.0])
+    ends = []
+    for extension in (None, OUTSIDE[name](1.0, 1), OUTSIDE[name](4.0, 1)):
+        plant = make_plant(driven, 0, extension=extension)
+        for _ in range(250):
+            plant.step({"arm": push})
+        ends.append(np.append(plant.truth().arms["arm"].position, plant.world.object_state().position))
+        plant.close()
+    small, large = (np.linalg.norm(end - ends[0]) for end in ends[1:])
+    assert 1e-6 < small < large
+
+
+@pytest.mark.parametrize(("scenario", "name", "case"), [("excite", "none", "slow"), ("push", "juice", "case_1")])
+def test_a_spring_pulls_the_object_that_is_hit_and_none_out_of_reach(scenario: str, name: str, case: str) -> None:
+    juice = plan_of(scenario, name, case)
+    plant = make_plant(juice, 0, extension=LAWS["object_spring_from_place"](4000.0, 0))
+    position = plant.world.object_state().position - [0.0, 0.3, 0.0]
+    plant.world.set_object(replace(plant.world.object_state(), position=position))
+    hold = juice.scene.models["arm"].gravity_torque(juice.arms["arm"].initial)
+    for _ in range(20):
+        plant.step({"arm": hold})
+    moved = plant.world.object_state().position - position
+    plant.close()
+    assert moved[1] > 1e-3 if scenario == "push" else np.linalg.norm(moved) < 1e-4

@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a user reads after a slip of the pen in a scenario file."""
+"""Scenario files: read and refused, their page, and the friction compensation beside them."""
 
 import copy
+import json
 import re
 import shutil
 from pathlib import Path
@@ -10,12 +11,16 @@ import pytest
 import yaml
 
 from impact_rs_sim.errors import InputError
+from impact_rs_sim.friction_compensation import TASKS
 from impact_rs_sim.paths import config_directory
 from impact_rs_sim.physics import Physics
 from impact_rs_sim.robot import load_facts
-from impact_rs_sim.scenario import Scenario, load_scenario, scenario_path
+from impact_rs_sim.scenario import Gains, Scenario, Timing, load_scenario, scenario_path
+from impact_rs_sim.scenario_docs import markdown
 from impact_rs_sim.scene import Scene
 from impact_rs_sim.schema import validate
+
+# ---- scenarios ------------------------------------------------------------------------------------------------------
 
 PUSH = config_directory() / "scenarios" / "push.yaml"
 
@@ -98,21 +103,6 @@ def test_a_bag_of_a_scenario_without_new_keys_reads_as_it_always_did(text):
     written = validate(Scenario, text, PUSH).model_dump(mode="json")
     assert "type" not in written["robots"]["arm"]["drive"]
     assert "posture" not in written["cases"]["case_1"]["robots"]["arm"]
-
-
-def test_key_that_stands_twice_is_refused(tmp_path):
-    path = tmp_path / "twice.yaml"
-    path.write_text("name: a\nname: b\n")
-    with pytest.raises(InputError, match="twice"):
-        load_scenario(str(path))
-
-
-@pytest.mark.parametrize("content", ["- a list", "a: [1, 2", ""])
-def test_file_that_is_no_mapping_is_refused(tmp_path, content):
-    path = tmp_path / "bad.yaml"
-    path.write_text(content)
-    with pytest.raises(InputError, match=r"bad\.yaml"):
-        load_scenario(str(path))
 
 
 def test_unknown_names_list_those_that_exist():
@@ -229,3 +219,127 @@ def test_a_robot_that_cannot_be_is_refused_before_it_moves(tmp_path: Path, old: 
     (tmp_path / "mine.yaml").write_text(push.replace("facts: franka_fer", "facts: robot.yaml"), encoding="utf-8")
     with pytest.raises(InputError, match="mine.yaml: robots.arm.*" + re.escape(told)):
         load_scenario(str(tmp_path / "mine.yaml"))
+
+
+# ---- the page about scenario files ----------------------------------------------------------------------------------
+
+PAGE = Path(__file__).resolve().parents[2] / "docs" / "scenarios.md"
+
+
+def test_the_page_is_up_to_date() -> None:
+    assert PAGE.read_text(encoding="utf-8") == markdown(), (
+        "run: python -m impact_rs_sim.scenario_docs > docs/scenarios.md"
+    )
+
+
+@pytest.mark.parametrize("schema", [Timing, Gains])
+def test_every_number_has_a_unit(schema: type) -> None:
+    for name, field in schema.model_fields.items():
+        assert re.search(r"\[.+\]", field.description), f"{name} has no unit"
+
+
+def test_every_key_of_the_scenario_stands_on_the_page() -> None:
+    text = markdown()
+    for name in Scenario.model_fields:
+        assert f"`{name}" in text, name
+
+
+# ---- the file with the friction compensation ------------------------------------------------------------------------
+
+COUNT = 181  # samples of 10 ms in a trial of 1.8 s
+
+
+@pytest.fixture
+def content():
+    samples = {task: [0.0] * COUNT for task in TASKS}
+    return {
+        "scenario": "push",
+        "scenario_digest": load_scenario("push").digest,
+        "runs": 5,
+        "seed": 0,
+        "period": 0.01,
+        "sets": {"cat_food": {"case_2": {"arm": {"ante": samples, "post": samples}}}},
+    }
+
+
+def loaded(folder, content, change="", named="friction.yaml"):
+    (folder / "friction.yaml").write_text(yaml.safe_dump(json.loads(json.dumps(content))))
+    text = scenario_path("push").read_text(encoding="utf-8") + change
+    (folder / "push.yaml").write_text(f"{text}\nfriction_compensation: {named}\n")
+    return load_scenario(str(folder / "push.yaml"))
+
+
+def _sets(content):
+    return content["sets"]["cat_food"]["case_2"]
+
+
+def _with_nan(content):
+    _sets(content)["arm"]["ante"] = _sets(content)["arm"]["ante"] | {"x": [float("nan")] * COUNT}
+
+
+def _too_short(content):
+    _sets(content)["arm"]["post"] = _sets(content)["arm"]["post"] | {"joint_1": [0.0] * 7}
+
+
+def _two_arms(content):
+    _sets(content)["amr"] = _sets(content)["arm"]
+
+
+@pytest.mark.parametrize(
+    ("change", "expected"),
+    [
+        (lambda c: c["sets"].update(dog_food={}), ["sets.dog_food", "no such object", "cat_food"]),
+        (lambda c: c["sets"]["cat_food"].update(case_9={}), ["sets.cat_food.case_9", "no such case", "case_1"]),
+        (_two_arms, ["sets.cat_food.case_2.amr", "no such arm", "did you mean 'arm'"]),
+        (lambda c: _sets(c).pop("arm"), ["sets.cat_food.case_2", "arm 'arm' is missing"]),
+        (_with_nan, ["sets.cat_food.case_2.arm.ante.x", "finite", "[m/s^2]"]),
+        (_too_short, ["sets.cat_food.case_2.arm.post.joint_1", "7 samples, expected 181", "0.01 s"]),
+        (lambda c: c.update(scenario_digest="0123"), ["scenario_digest = '0123'", "identify it again"]),
+        (lambda c: c.update(period=-0.01), ["period = -0.01", "[s]"]),
+        (lambda c: c.pop("runs"), ["runs", "missing"]),
+    ],
+)
+def test_error_names_the_compensation_file_and_the_place_in_it(tmp_path, content, change, expected):
+    change(content)
+    with pytest.raises(InputError) as caught:
+        loaded(tmp_path, content)
+    message = str(caught.value)
+    assert "\n" not in message
+    for part in ["friction.yaml", *expected]:
+        assert part in message
+
+
+def test_a_compensation_that_is_not_there_is_named_with_the_scenario(tmp_path, content):
+    with pytest.raises(InputError, match=r"push\.yaml: friction_compensation = .*other\.yaml.*no such file"):
+        loaded(tmp_path, content, named="other.yaml")
+
+
+def test_another_scenario_is_refused_and_another_number_of_trials_is_not(tmp_path, content):
+    fitting = loaded(tmp_path, content).model_copy(update={"trials": 9, "velocity_scales": (1.0, 1.1)})
+    assert fitting.digest == content["scenario_digest"]
+    text = scenario_path("push").read_text(encoding="utf-8").replace("position: 200.0 ", "position: 300.0 ")
+    (tmp_path / "stiff.yaml").write_text(f"{text}\nfriction_compensation: friction.yaml\n")
+    with pytest.raises(InputError, match="another version of scenario 'push'"):
+        load_scenario(str(tmp_path / "stiff.yaml"))
+
+
+def test_a_changed_compensation_is_read_again(tmp_path, content):
+    assert loaded(tmp_path, content).friction_compensation.runs == 5
+    content["runs"] = 6
+    (tmp_path / "friction.yaml").write_text(yaml.safe_dump(json.loads(json.dumps(content))))
+    assert load_scenario(str(tmp_path / "push.yaml")).friction_compensation.runs == 6
+
+
+def test_a_recorded_scenario_holds_and_checks_its_compensation(tmp_path, content):
+    scenario = loaded(tmp_path, content)
+    text = scenario.model_dump_json()
+    assert Scenario.model_validate_json(text) == scenario
+    broken = json.loads(text)
+    broken["friction_compensation"]["scenario_digest"] = "0123"
+    with pytest.raises(ValueError, match="identify it again"):
+        Scenario.model_validate(broken)
+
+
+def test_a_scenario_without_compensation_is_recorded_without_the_key():
+    assert "friction_compensation" not in load_scenario("push").model_dump()
+    assert "friction_compensation" not in load_scenario("push").model_dump_json()

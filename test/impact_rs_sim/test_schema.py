@@ -79,29 +79,6 @@ def test_what_was_read_cannot_be_changed() -> None:
         found.parts["a"].mass = 2.0
 
 
-@pytest.mark.parametrize(
-    ("text", "told"),
-    [
-        ("a: 1\nb: 2\na: 3", "'a' stands here twice"),
-        ("a: [1", "line 1"),
-        ("[1, 2]", "found list"),
-        ("", "found NoneType"),
-    ],
-)
-def test_what_is_no_mapping_of_keys_is_refused(text: str, told: str) -> None:
-    with pytest.raises(InputError, match="mine.yaml") as caught:
-        parse_yaml(text, "mine.yaml")
-    assert told in str(caught.value)
-
-
-def test_a_file_that_cannot_be_read_is_named(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="none.yaml"):
-        load(Outer, tmp_path / "none.yaml")
-    (tmp_path / "bytes.yaml").write_bytes(b"\xff\xfe\x00")
-    with pytest.raises(InputError, match="bytes.yaml"):
-        load(Outer, tmp_path / "bytes.yaml")
-
-
 def test_a_guess_is_made_for_a_slip_of_the_pen_alone() -> None:
     assert did_you_mean("frictoin", ["friction", "mass"]) == "; did you mean 'friction'?"
     assert did_you_mean("xyz", ["friction", "mass"]) == ""
@@ -132,6 +109,7 @@ NESTED = "a: &a [x, x, x, x, x, x, x, x, x]\n" + "".join(
         pytest.param("a: \x00", ["not valid YAML"], id="unprintable"),
         pytest.param("a: 1\n---\nb: 2", ["line 2"], id="two documents"),
         pytest.param("", ["expected a YAML mapping"], id="empty"),
+        pytest.param("[1, 2]", ["found list"], id="a list"),
     ],
 )
 def test_whatever_is_wrong_with_a_text_is_one_short_line_with_its_place(text: str, parts: list[str]) -> None:

@@ -170,16 +170,6 @@ def test_bullet_moves_a_free_arm_alike(physics: Physics, effect: str) -> None:
     np.testing.assert_allclose(twin.motor_velocity[-1], motion.motor_velocity, atol=1e-7)
 
 
-def test_without_torque_and_gravity_an_arm_keeps_its_kinetic_energy(physics: Physics) -> None:
-    weightless = replace(physics, gravity=np.zeros(3))
-    model, still = weightless.robot_model("arm"), np.zeros(7)
-    start = stretch(weightless)
-    free = replace(start, torque=np.zeros_like(start.torque), drive=DriveStart(still, still))
-    path = alone(job(weightless, free, joint_torque=True)).arms["arm"]
-    energies = [0.5 * dq @ model.mass_matrix(q) @ dq for q, dq in zip(path.position, path.velocity, strict=True)]
-    assert energies[-1] == pytest.approx(energies[0], rel=4e-3)
-
-
 def formula(**changes: object) -> FormulaEffect:
     described = {
         "name": "cable_drag",

@@ -1,17 +1,22 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The URDF says what the facts say, and Pinocchio reads it back."""
+"""Descriptions of arms as URDF: what is written, where meshes are, simple shapes for arms without."""
 
 from __future__ import annotations
 
+from pathlib import Path
 from xml.etree import ElementTree as Xml
 
 import numpy as np
 import pinocchio as pin
 import pytest
 
-from impact_rs_sim.robot import Flange
+from impact_rs_sim.link_shapes import Shape, link_shapes
+from impact_rs_sim.mesh_files import mesh_address, mesh_path
+from impact_rs_sim.robot import Flange, RobotFacts, load_facts
 from impact_rs_sim.scenario import load_scenario
 from impact_rs_sim.urdf import joint_names, write_urdf
+
+# ---- what is written ------------------------------------------------------------------------------------------------
 
 ROBOT = load_scenario("push").robots["arm"]
 FACTS, EFFECTOR = ROBOT.robot_facts, ROBOT.end_effector.build()
@@ -71,10 +76,6 @@ def test_limits_are_those_of_the_facts(model: pin.Model) -> None:
     np.testing.assert_allclose(model.effortLimit, limits.torque_Nm)
 
 
-def test_what_moves_weighs_the_sum_of_links_and_end_effector(model: pin.Model) -> None:
-    assert pin.computeTotalMass(model) == pytest.approx(sum(link.mass for link in FACTS.links) + EFFECTOR.mass)
-
-
 def test_only_the_pad_collides_and_its_face_is_in_the_origin_of_its_frame() -> None:
     robot = Xml.fromstring(write_urdf(FACTS, EFFECTOR))
     collisions = [(link.get("name"), shape) for link in robot.iter("link") for shape in link.iter("collision")]
@@ -92,3 +93,102 @@ def test_a_prefix_names_links_and_joints() -> None:
         assert element.get("name").startswith("left_")
     for joint in robot.iter("joint"):
         assert joint.find("parent").get("link").startswith("left_")
+
+
+# ---- meshes are found where a URDF says -----------------------------------------------------------------------------
+
+
+@pytest.fixture(autouse=True)
+def no_packages(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv("AMENT_PREFIX_PATH", raising=False)
+
+
+def file_at(path: Path) -> Path:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.touch()
+    return path
+
+
+@pytest.mark.parametrize("name", ["meshes/l 1.stl", "../meshes/l 1.stl", "/{folder}/meshes/l 1.stl"])
+def test_a_path_is_relative_to_the_urdf(tmp_path: Path, name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    folder = tmp_path / "arm" if name.startswith("..") else tmp_path
+    mesh = file_at(tmp_path / "meshes" / "l 1.stl")
+    urdf = file_at(folder / "arm.urdf")
+    monkeypatch.chdir(urdf.parent)
+    for file in (urdf, Path("arm.urdf")):  # whatever the folder it is read from
+        address = mesh_address(name.format(folder=str(tmp_path).strip("/")), file)
+        assert address is not None
+        assert mesh_path(address) == mesh
+
+
+def test_an_installed_package_keeps_its_address(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """So that facts work on another machine with the package."""
+    mesh = file_at(tmp_path / "install" / "share" / "arm_description" / "meshes" / "l1.stl")
+    file_at(tmp_path / "src" / "arm_description" / "meshes" / "l1.stl")
+    monkeypatch.setenv("AMENT_PREFIX_PATH", f"{tmp_path / 'other'}:{tmp_path / 'install'}")
+    name = "package://arm_description/meshes/l1.stl"
+    assert mesh_address(name, tmp_path / "src" / "arm_description" / "arm.urdf") == name
+    assert mesh_path(name) == mesh
+
+
+@pytest.mark.parametrize("urdf", ["src/arm_description/urdf/arm.urdf", "src/bringup/arm.urdf", "elsewhere/arm.urdf"])
+def test_a_package_that_is_not_installed_is_found_above_the_urdf_or_where_the_user_says(
+    tmp_path: Path, urdf: str
+) -> None:
+    mesh = file_at(tmp_path / "src" / "arm_description" / "meshes" / "l1.stl")
+    name = "package://arm_description/meshes/l1.stl"
+    given = [[tmp_path / "src"], [tmp_path / "src" / "arm_description"]] if urdf.startswith("else") else [[]]
+    for packages in given:
+        address = mesh_address(name, tmp_path / urdf, packages)
+        assert address is not None
+        assert mesh_path(address) == mesh
+    if given != [[]]:
+        assert mesh_address(name, tmp_path / urdf) == name
+
+
+def test_what_is_nowhere_has_an_address_and_no_file(tmp_path: Path) -> None:
+    for name in ("package://arm/l1.stl", f"file://{tmp_path}/l1.stl", "l1.stl"):
+        address = mesh_address(name, tmp_path / "arm.urdf")
+        assert address is not None
+        assert mesh_path(address) is None
+    assert mesh_address("model://arm/l1.stl", tmp_path / "arm.urdf") is None
+
+
+# ---- simple shapes --------------------------------------------------------------------------------------------------
+
+ROBOTS = ("franka_fer", "franka_fr3", "kinova_gen3", "kuka_iiwa7", "ur5e", "ur10e")
+
+
+def tubes(shapes: list[Shape]) -> list[Shape]:
+    """Cylinders of the shell that are no housing about the own axis."""
+    return [one for one in shapes if one.colour == "shell" and np.any(one.start != one.end) and not _about(one)]
+
+
+def _about(shape: Shape) -> bool:
+    return bool(np.allclose(shape.start, -shape.end) and np.allclose(shape.end[:2], 0.0))
+
+
+def ends(facts: RobotFacts) -> list[np.ndarray]:
+    return [np.array(joint.xyz) for joint in facts.joints[1:]] + [np.array(facts.flange.xyz)]
+
+
+@pytest.mark.parametrize("name", ROBOTS)
+def test_tubes_lead_from_each_joint_to_the_next_one_without_a_gap(name: str) -> None:
+    facts = load_facts(name)
+    for shapes, end in zip(link_shapes(facts)[1:], ends(facts), strict=True):
+        own = tubes(shapes)
+        if np.linalg.norm(end) < 1e-3:
+            continue
+        assert own[0].start == pytest.approx(np.zeros(3))
+        assert own[-1].end == pytest.approx(end)
+        for before, after in zip(own, own[1:], strict=False):
+            assert before.end == pytest.approx(after.start)
+
+
+def test_the_elbow_of_a_fer_is_set_off_and_the_upper_arm_of_a_ur_lies_beside_its_shoulder() -> None:
+    """The common normal of elbow and forearm of a FER is 82.5 mm; a tube of a UR lies at its centre of mass."""
+    forearm = tubes(link_shapes(load_facts("franka_fer"))[4])
+    assert [float(np.linalg.norm(one.end - one.start)) for one in forearm] == pytest.approx([0.0825, 0.384])
+    upper = tubes(link_shapes(load_facts("ur5e"))[2])
+    assert upper[1].start == pytest.approx([0.0, 0.0, 0.11336])
+    assert upper[1].end == pytest.approx([-0.425, 0.0, 0.11336])

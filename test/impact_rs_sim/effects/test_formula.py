@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Formulas in YAML: arithmetic and nothing else."""
+"""Formulas in YAML: arithmetic and nothing else; units; a lag is that of its differential equation."""
+
+from __future__ import annotations
 
 import math
 import pickle
@@ -12,9 +14,13 @@ from trials import nominal_physics, plan_of
 
 from impact_rs_control.closed_loop import make_plant
 from impact_rs_sim.effects import library
+from impact_rs_sim.effects.dimensions import TORQUE, check_units, dimension_of, text_of
 from impact_rs_sim.effects.formula import Formula, FormulaEffect, FormulaParameter, FormulaSpec, load_formulas
 from impact_rs_sim.errors import InputError
+from impact_rs_sim.memory import Memory, lag_along
 from impact_rs_sim.physics import LoadState
+
+# ---- what a formula means -------------------------------------------------------------------------------------------
 
 PARAMETER = {"unit": "N s/m", "nominal": 0.0, "lower": 0.0, "upper": 50.0, "scale": 1.0}
 
@@ -210,3 +216,166 @@ def test_a_formula_with_a_number_beyond_any_float_is_refused() -> None:
 def test_limits_of_a_parameter_are_in_order() -> None:
     with pytest.raises(ValueError, match="must be below upper"):
         FormulaParameter(unit="N m", lower=3.0, upper=0.0, scale=0.1)
+
+
+# ---- units: right ones pass, wrong ones are named, and a number leaves them open ------------------------------------
+
+
+def with_unit(formula: str, unit: str, table: str = "joint_torque", key: str = "joint1") -> FormulaSpec:
+    parameter = {"unit": unit, "lower": -1.0, "upper": 1.0, "scale": 0.1}
+    content = {"name": "mine", "sentence": "It is mine.", table: {key: formula}, "parameters": {"c": parameter}}
+    return FormulaSpec.model_validate(content)
+
+
+@pytest.mark.parametrize(
+    ("formula", "unit"),
+    [
+        ("-c * dq1", "N m s/rad"),
+        ("c * sin(q1)", "N m"),
+        ("c * q1 ** 2", "N m/rad^2"),
+        ("c * sign(dq1)", "N m"),
+        ("c * sqrt(x ** 2) / t", "N s"),
+        ("c * max(vx, vy)", "N s"),
+        ("c * exp(-t / t)", "J"),
+        ("c * dq1 + c * dq2", "kg m^2/s"),
+        ("c * lag(dq1, 0.2)", "N m s/rad"),
+        ("lag(c * dq1, t, c * dq2)", "N m s/rad"),
+        ("-c * lag(sign(dq1), 0.01 / max(abs(dq1), 1e-6))", "N m"),
+    ],
+)
+def test_a_torque_is_a_torque_however_its_unit_is_written(formula: str, unit: str) -> None:
+    assert check_units(with_unit(formula, unit)) == {"joint_torque.joint1": "N m"}
+
+
+def test_a_force_at_the_end_effector_is_a_force() -> None:
+    assert check_units(with_unit("-c * vy", "N s/m", "end_effector_force", "y")) == {"end_effector_force.y": "N"}
+
+
+@pytest.mark.parametrize(
+    ("formula", "unit", "expected"),
+    [
+        ("-c * dq1", "N m", "gives kg m^2 s^-3, expected N m"),
+        ("c", "N", "gives N, expected N m"),
+        ("c * sin(x)", "N m", "sin takes a number, got m"),
+        ("c + dq1", "N m", "adds or compares N m and s^-1"),
+        ("c * max(x, t)", "N", "adds or compares m and s"),
+        ("c", "Nm", "'Nm' is not understood"),
+        ("c * lag(q1, x)", "N m", "the time constant of lag is in s, got m"),
+        ("c * lag(dq1, t, q1)", "N m s", "adds or compares s^-1 and -"),
+    ],
+)
+def test_units_that_clash_are_named(formula: str, unit: str, expected: str) -> None:
+    with pytest.raises(InputError, match=expected.replace("^", r"\^")):
+        check_units(with_unit(formula, unit))
+
+
+def test_a_number_in_a_formula_may_carry_any_unit() -> None:
+    """The speed below which friction fades is written as a number in the manual itself."""
+    assert check_units(with_unit("-c * tanh(dq1 / 0.02)", "N m")) == {"joint_torque.joint1": "N m"}
+    assert check_units(with_unit("3 * c", "N")) == {"joint_torque.joint1": ""}
+
+
+def test_every_unit_of_the_library_is_understood() -> None:
+    for effect in library().values():
+        for parameter in effect.parameters:
+            dimension_of(parameter.unit)
+    assert text_of(TORQUE) == "N m"
+
+
+# ---- memory: a lag at any sampling, in one step and over many samples alike -----------------------------------------
+
+T = 0.2  # s
+FORMULA = Formula("lag(u, T)", {"u", "T"})
+
+
+def stepped(time: np.ndarray, u: np.ndarray, constant: float = T) -> np.ndarray:
+    memory = Memory()
+    values = [{"t": now, "u": value, "T": constant} for now, value in zip(time.tolist(), u.tolist(), strict=True)]
+    return np.array([FORMULA(one, memory) for one in values])
+
+
+@pytest.mark.parametrize("step", [1e-3, 0.02])
+def test_a_step_is_followed_exponentially(step: float) -> None:
+    """1 - exp(-t/T), t from the middle of the sampling step in which u rises, to the second order of that step."""
+    time = np.arange(0.0, 1.0, step)
+    found = stepped(time, np.where(time > 0.0, 1.0, 0.0))
+    np.testing.assert_allclose(found[1:], 1.0 - np.exp(-(time[1:] - step / 2.0) / T), atol=0.1 * (step / T) ** 2)
+
+
+@pytest.mark.parametrize("rate", [1.0, 5.0, 20.0])
+def test_a_sine_is_smaller_and_later(rate: float) -> None:
+    """Gain 1 / sqrt(1 + (w T)^2), phase -atan(w T), once the start has died away."""
+    time = np.arange(0.0, 4.0, 2e-3)
+    found, late = stepped(time, np.sin(rate * time)), time > 10.0 * T
+    expected = np.sin(rate * time - np.arctan(rate * T)) / np.hypot(1.0, rate * T)
+    np.testing.assert_allclose(found[late], expected[late], atol=3e-4)
+
+
+def test_a_ramp_is_followed_exactly_at_any_sampling() -> None:
+    """z = s (t - T (1 - exp(-t/T))): whoever records slowly finds the same time constant."""
+    for time in (np.arange(0.0, 1.0, 1e-3), np.arange(0.0, 1.0, 0.1), np.array([0.0, 0.03, 0.4, 0.41, 0.9])):
+        np.testing.assert_allclose(stepped(time, 3.0 * time), 3.0 * (time - T * -np.expm1(-time / T)), atol=1e-12)
+
+
+@pytest.mark.parametrize(("constant", "follows"), [(0.0, True), (1e-9, True), (1e12, False), (np.inf, False)])
+def test_its_limits_are_the_quantity_and_its_start(constant: float, follows: bool) -> None:
+    time = np.arange(0.0, 1.0, 0.01)
+    u = 2.0 + np.sin(9.0 * time)
+    np.testing.assert_allclose(stepped(time, u, constant), u if follows else 2.0, atol=1e-6)
+
+
+@given(st.lists(st.tuples(st.floats(1e-4, 1.0), st.floats(-5.0, 5.0), st.floats(0.0, 10.0)), min_size=1, max_size=20))
+def test_many_samples_at_once_are_those_one_after_another(rows: list[tuple[float, float, float]]) -> None:
+    """With a time constant that changes as well."""
+    length, u, constant = (np.array(column) for column in zip(*rows, strict=True))
+    time = np.cumsum(length)
+    memory = Memory()
+    one = [memory.lag("z", *row) for row in zip(time.tolist(), u.tolist(), constant.tolist(), strict=True)]
+    np.testing.assert_allclose(lag_along(time, u, constant), one, atol=1e-9)
+    np.testing.assert_array_equal(FORMULA({"t": time, "u": u, "T": constant}), lag_along(time, u, constant))
+
+
+def test_a_friction_of_dahl_is_a_lag_over_the_distance() -> None:
+    """F = F_c (1 - exp(-x/d)) from rest: dF/dx = (F_c - F) / d (Dahl 1968), at any speed."""
+    law = Formula("lag(sign(dq), d / max(abs(dq), 1e-9))", {"dq", "d"})
+    for speed in (0.01, 1.0):
+        time = np.linspace(0.0, 0.3 / speed, 3000)
+        dq = np.where(time > 0.0, speed, 0.0)
+        np.testing.assert_allclose(law({"t": time, "dq": dq, "d": 0.05}), -np.expm1(-speed * time / 0.05), atol=2e-3)
+
+
+def test_asked_twice_at_one_time_it_is_the_same() -> None:
+    memory = Memory()
+    first = [memory.lag("z", time, value, T) for time, value in ((0.0, 1.0), (0.1, 2.0), (0.1, 9.0))]
+    assert first[1] == first[2]
+    assert memory.lag("z", 0.2, 2.0, T) == pytest.approx(2.0 - (2.0 - first[1]) * np.exp(-0.5))
+
+
+def test_memories_are_apart() -> None:
+    """Two lags of one formula, two formulas of one text, and what two owners remember of one formula."""
+    both = Formula("lag(u, T) - lag(u, 10 * T)", {"u", "T"})
+    twin, whole = Formula(both.text, both.symbols), Memory()
+    for formula, memory in ((both, whole.part("a")), (both, whole.part("b")), (twin, whole.part("a"))):
+        assert formula({"t": 0.0, "u": 0.0, "T": T}, memory) == 0.0
+        found = formula({"t": 0.1, "u": 1.0, "T": T}, memory)
+        assert found == pytest.approx(2.0 * np.exp(-0.5) - 20.0 * np.exp(-0.05) + 18.0)
+    assert pickle.loads(pickle.dumps(both))({"t": 0.1, "u": 1.0, "T": T}, Memory()) == 0.0
+
+
+def test_a_single_state_has_no_past() -> None:
+    with pytest.raises(InputError, match=r"lag\(\) depends on what was before.*acts in trials and recordings"):
+        FORMULA({"t": 0.1, "u": 1.0, "T": T})
+    for text in ("lag(u)", "lag(u, 1, 2, 3)"):
+        with pytest.raises(InputError, match=r"lag takes a quantity, a time constant and"):
+            Formula(text, {"u"})
+
+
+def test_a_lag_may_start_cold() -> None:
+    """z = u (1 - exp(-t/T)) from 0, in one step after another and along samples."""
+    time = np.arange(0.0, 1.0, 0.05)
+    cold = Formula("lag(u, T, 0)", {"u", "T"})
+    expected = -3.0 * np.expm1(-time / T)
+    np.testing.assert_allclose(cold({"t": time, "u": 3.0, "T": T}), expected, atol=1e-12)
+    memory = Memory()
+    one = [cold({"t": now, "u": 3.0, "T": T}, memory) for now in time.tolist()]
+    np.testing.assert_allclose(one, expected, atol=1e-12)

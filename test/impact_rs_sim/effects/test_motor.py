@@ -1,11 +1,43 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Motor side: friction takes momentum from a moving joint, and the motor inertia adds to that of the link."""
+"""Drives: gain, delay and offset of the torque; friction and inertia of the motor; stiffness of the transmission."""
 
 import numpy as np
 import pytest
-from bench import MASS_MATRIX, MOTOR_INERTIA, bench, run, slope, switched_on
+from bench import ACROSS, FIRST_MOMENT, GRAVITY, MASS_MATRIX, MOTOR_INERTIA, STIFFNESS, bench, run, slope, switched_on
+
+# ---- actuation: gain times the desired torque, late, and an offset --------------------------------------------------
 
 INERTIA = MASS_MATRIX + MOTOR_INERTIA
+
+
+@pytest.mark.parametrize("offset", [0.4, -0.4])
+def test_torque_offset_moves_a_joint_that_nobody_asked_to_move(offset):
+    motion = run(switched_on(bench(), "torque_offset", offset_joint1=offset))
+    assert slope(motion.time, motion.velocity, 0.2, 0.39) == pytest.approx(offset / INERTIA, rel=0.005)
+
+
+def test_torque_gain_of_1_01_delivers_1_percent_more():
+    asked = run(bench(), lambda time: 2.0)
+    more = run(switched_on(bench(), "torque_gain", gain_joint1=1.01), lambda time: 2.0)
+    assert asked.momentum[-1] == pytest.approx(2.0 * asked.time[-1], rel=1e-6)
+    assert more.momentum[-1] / asked.momentum[-1] == pytest.approx(1.01, rel=1e-6)
+
+
+def test_gain_does_not_multiply_the_offset():
+    physics = switched_on(switched_on(bench(), "torque_gain", gain_joint1=1.2), "torque_offset", offset_joint1=0.5)
+    motion = run(physics, lambda time: 2.0)
+    assert motion.momentum[-1] == pytest.approx((1.2 * 2.0 + 0.5) * motion.time[-1], rel=1e-6)
+
+
+@pytest.mark.parametrize("delay", [0.001, 0.0031, 0.02])
+def test_actuation_delay_shifts_the_delivered_torque(delay):
+    """A step of the desired torque at 50 ms begins to push at 50 ms and the delay; the momentum tells when."""
+    motion = run(switched_on(bench(), "actuation_delay", delay=delay), lambda time: 2.0 if time > 0.0495 else 0.0)
+    np.testing.assert_allclose(motion.momentum[motion.time < 0.05 + delay - 1e-9], 0.0, atol=1e-9)
+    assert motion.momentum[-1] == pytest.approx(2.0 * (motion.time[-1] - 0.05 - delay), rel=1e-6)
+
+
+# ---- motor side -----------------------------------------------------------------------------------------------------
 
 
 def pushed(direction):
@@ -38,19 +70,8 @@ def test_viscous_speed_decays_with_inertia_over_coefficient(direction):
 def test_stribeck_friction_holds_a_joint_below_the_breakaway_torque():
     stuck = switched_on(bench(), "joint_stribeck_friction", breakaway_joint1=1.0)
     assert abs(run(stuck, lambda time: 0.5).position[-1]) < 2e-3
-    assert run(bench(), lambda time: 0.5).position[-1] > 0.05
-
-
-def test_stribeck_friction_falls_to_1_over_e_at_its_velocity():
-    physics = switched_on(bench(), "joint_stribeck_friction", breakaway_joint1=1.0, stribeck_velocity=0.2)
-    motion = run(physics, lambda time: 1.5, seconds=0.4)
-    rate = np.gradient(motion.momentum, motion.time)
-    speed = motion.motor_velocity
-    settled = motion.time > 0.05
-    there = np.flatnonzero(settled & (speed > 0.2))[0]
-    assert rate[there] == pytest.approx(1.5 - 1.0 / np.e, abs=0.03)
-    assert speed[-1] > 0.6
-    assert np.mean(rate[settled & (speed > 0.6)][1:-1]) == pytest.approx(1.5, abs=0.01)
+    free = run(bench(), lambda time: 0.5)
+    assert free.position[-1] == pytest.approx(0.25 / INERTIA * free.time[-1] ** 2, rel=0.02)
 
 
 @pytest.mark.parametrize("scale", [0.5, 2.0])
@@ -69,3 +90,16 @@ def test_added_motor_inertia_resists_as_much_as_the_assumed_one():
         )
     )
     np.testing.assert_allclose(added, scaled)
+
+
+# ---- transmission: a load twists it by torque over stiffness --------------------------------------------------------
+
+
+@pytest.mark.parametrize("scale", [0.5, 2.0])
+def test_joint_stiffness_decides_how_far_weight_twists_a_joint(scale):
+    """A pendulum that stands out level along +x falls about +y, so it is held by a negative torque."""
+    weight = -FIRST_MOMENT * GRAVITY
+    motion = run(switched_on(bench(ACROSS), "joint_stiffness", scale=scale), lambda time: weight)
+    twist = motion.motor_position[-1] - motion.position[-1]
+    assert twist == pytest.approx(weight / (scale * STIFFNESS), rel=1e-3)
+    assert motion.torque[-1] == pytest.approx(weight, rel=1e-3)
