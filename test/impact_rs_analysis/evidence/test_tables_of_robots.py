@@ -79,6 +79,7 @@ def bounced(source: ImpactTableSource) -> float:
     return float(np.mean(found))
 
 
+@pytest.mark.slow
 def test_a_pad_that_bounces_is_named_beside_the_discrepancy_of_the_rigid_map(source: ImpactTableSource) -> None:
     document = diagnose(source, NOMINAL, CONSIDERED)
     assert document.named == ("restitution",)

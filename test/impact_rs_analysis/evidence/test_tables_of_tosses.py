@@ -33,6 +33,7 @@ def test_the_map_solves_a_corner_as_one_does_by_hand(tmp_path: Path, assumed: fl
     np.testing.assert_allclose(source.predicted_with(truth), source.measured, atol=1e-6)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("assumed", [0.0, 0.1, 1.0])  # none, less and more than there is
 def test_the_friction_that_is_assumed_of_tosses_does_not_matter(tmp_path: Path, assumed: float) -> None:
     source = ImpactTableSource(read_impact_table(toss_table(tmp_path / "tosses.csv", assumed)), NOMINAL)
@@ -50,6 +51,7 @@ def test_the_friction_that_is_assumed_of_tosses_does_not_matter(tmp_path: Path, 
         assert found.estimate == pytest.approx(truth, abs=2.0 * half)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("friction", "restitution"), [(1.0, 0.6), (0.0, 0.0)])
 def test_five_laws_together_are_found_from_every_assumption(
     tmp_path: Path, friction: float, restitution: float
@@ -84,5 +86,5 @@ def test_friction_that_hardly_any_impact_feels_at_the_assumed_value_is_found(tmp
     source = ImpactTableSource(read_impact_table(path), NOMINAL)
     document = diagnose(source, NOMINAL, ["restitution", "support_friction", "rolling_resistance"])
     assert document.named == ("support_friction",)
-    low, high = document.effect("support_friction").parameters["friction"].interval
-    assert low - 0.005 <= FRICTION - 1.0 <= high + 0.005
+    found = document.effect("support_friction").parameters["friction"]
+    assert found.estimate == pytest.approx(FRICTION - 1.0, abs=0.01)

@@ -18,7 +18,7 @@ from intervals import assert_covers
 from impact_rs_analysis.evidence.map_discrepancy import NO_MAP_DISCREPANCY
 from impact_rs_analysis.evidence.measured_runs import read_trial
 from impact_rs_analysis.evidence.replay_cache import ReplayCache
-from impact_rs_analysis.following import announcement, follow, hits, posterior, recent_residuals
+from impact_rs_analysis.following import announcement, change, follow, hits, posterior, recent_residuals
 from impact_rs_analysis.following.follow import Follower, HitsSince
 from impact_rs_analysis.following.hits import BagDoor, TableDoor
 from impact_rs_analysis.following.lessons import Change, HitDocument
@@ -112,7 +112,7 @@ def sigma_of(follower: Follower) -> np.ndarray:
 
 
 def test_the_interval_of_a_parameter_is_that_of_least_squares_with_its_prior(tmp_path: Path) -> None:
-    """1.96 / sqrt(sum |J / sigma|^2 + 1 / prior^2); kills wider or narrower ones, a lost prior."""
+    """1.96 / sqrt(sum |J / sigma|^2 + 1 / prior^2); kills widths times two, a lost prior, hits that count twice."""
     model = _model(tmp_path / "m.yaml", 1.2, (1.05, 1.35))
     path = write(tmp_path / "hits.csv", rows_of({"object_mass": [1.25]}, 6, seed=6))
     sigma = sigma_of(following(path, model, ["object_mass"], discrepancy=NO_MAP_DISCREPANCY))
@@ -177,6 +177,27 @@ def test_a_prediction_is_the_mixture_of_the_explanations(day: Day) -> None:
     far = np.argmax(np.abs(first - second) / half)
     assert abs(first - second)[far] > 4.0 * half[far]
     assert wide[far] == pytest.approx(NORMAL_95 * abs(first - second)[far] / 2.0, rel=0.2)
+
+
+def test_the_scatter_is_learnt_from_hits_enough_and_from_repeats_enough(tmp_path: Path) -> None:
+    """Of eight hits in six conditions only two repeat others; a third one does. Kills either gate."""
+    kinds: dict[tuple[object, object], Rows] = {}
+    for row in QUIET:
+        kinds.setdefault((row[0], row[1]), []).append(row)
+    rows = [own[n] for n in range(2) for own in kinds.values()]
+    door = TableDoor(lambda: read_impact_table(write(tmp_path / "hits.csv", rows), PUSH), NOMINAL)
+    documents = list(Follower(door, NOMINAL, ["object_mass"], learnt=8).arrived())
+    assert [document.error is None for document in documents] == [True] * 9 + [False] * 3
+    assert all(document.error is None for document in list(following(tmp_path / "hits.csv").arrived()))
+
+
+def test_a_model_that_predicts_hardly_any_of_the_first_hits_is_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    follower = following(write(tmp_path / "hits.csv", QUIET))
+    monkeypatch.setattr(follower.door, "predict", lambda hit, added: [None] * len(added))
+    with pytest.raises(InputError, match="model 'nominal' predicts 0 of the first 20 hits"):
+        list(follower.arrived())
 
 
 # ---- changes ---------------------------------------------------------------------------------------------------------
@@ -347,6 +368,35 @@ def test_an_explanation_that_predicts_nothing_is_ruled_out_by_one_that_does(
     (document,) = follower.take([second])
     assert document.error is None and "predicts no impact" in follower.door.skipped[second.name]
     assert follower.hypotheses == [blind]
+
+
+@pytest.mark.parametrize(
+    ("others", "left", "resolved"),
+    [((2.5,), 2, ""), ((3.5,), 1, "it is object_mass"), ((0.5, 8.0), 2, ""), ((0.5, 6.0), 3, "")],
+)
+def test_a_cause_is_dropped_below_one_in_a_thousand_and_known_from_95_percent_on(
+    day: Day, others: Sequence[float], left: int, resolved: str
+) -> None:
+    """Probabilities 0.92, 0.97, and of a third 2e-4 and 1.5e-3; kills either bound, and causes that are never known."""
+    follower = day(rows_of({}, 1, seed=5))
+    first = next(follower.door.arrived())
+    follower.likeliest.effect = "object_mass"
+    found = [copy.deepcopy(follower.likeliest.recent) for _ in others]
+    for behind, recent in zip(others, found, strict=True):
+        one = copy.copy(follower.likeliest)
+        one.posterior, one.recent, one.log_weight = one.posterior.copy(), recent, -behind
+        follower.hypotheses.append(one)
+    (document,) = follower.take([first])
+    assert len(follower.hypotheses) == left
+    assert document.resolved == resolved
+
+
+def test_two_odd_hits_of_a_kind_among_others_are_no_change(day: Day, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Without the quarter that speaks for it most a change must still hold, also once it was fitted."""
+    odd, quiet = rows_of({"restitution": [0.3]}, 1, seed=4), rows_of({}, 1, seed=5)
+    rows = [odd[0], quiet[0], quiet[1], quiet[2], odd[1], quiet[3], quiet[4]]
+    monkeypatch.setattr(change, "support", lambda gains: 1.0)
+    assert not changes(list(day(rows).arrived()))
 
 
 def apart(path: Path, hidden: dict[str, Sequence[float]], only: Sequence[str], seed: int = 2) -> Change:

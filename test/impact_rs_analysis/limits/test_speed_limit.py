@@ -6,19 +6,21 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import pytest
+from scipy.stats import norm
 
 from impact_rs_analysis.limits import drawn_hits
-from impact_rs_analysis.limits.drawn_hits import Hits, observed
-from impact_rs_analysis.limits.hit_bounds import Thresholds, bounds_of
+from impact_rs_analysis.limits.drawn_hits import Hits, drawn_springs, observed
+from impact_rs_analysis.limits.hit_bounds import Bounds, Thresholds, bounds_of
 from impact_rs_analysis.limits.poses import LimitTask, limit_of, moved
 from impact_rs_analysis.limits.speed import SpeedLimit, speed_limit
 from impact_rs_cli.main import main
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.impact_map import ImpactProblem, compute_impact_map
+from impact_rs_sim.proportion import reach_of
 from impact_rs_sim.scenario import Uncertainties, load_scenario
 from impact_rs_sim.scene import ArmMotion, Scene
 
@@ -85,11 +87,43 @@ def test_a_wider_uncertainty_allows_less() -> None:
     assert stated.speed < stated.middle
 
 
-def test_the_discrepancy_of_the_twin_lowers_the_limit_of_the_jump(monkeypatch: pytest.MonkeyPatch) -> None:
-    scene, thresholds = scene_of(), Thresholds(velocity_jump=0.3)
-    with_it = speed_limit(Hits(scene, thresholds, EXACT, DRAWS)).by_kind["jump"]
-    monkeypatch.setattr(drawn_hits, "JUMP_SHARES", {"square": 0.0})
-    assert with_it < 0.99 * speed_limit(Hits(scene, thresholds, EXACT, DRAWS)).by_kind["jump"]
+def test_the_limit_is_that_speed_at_which_99_of_100_draws_keep_every_bound() -> None:
+    """Ratios v g with g normal, in closed form 1 / Q_0.99(g); kills another level, and a quantile of the wrong side."""
+
+    class Proportional:
+        scene, speed = scene_of(), 0.5
+        bounds = Bounds(("a", "b"), ("jump", "force"), ("rad/s", "N"), np.ones(2))
+        slopes = np.column_stack((norm.ppf((np.arange(1000) + 0.5) / 1000, 0.8, 0.1), np.full(1000, 0.2)))
+        rest = np.zeros_like(slopes)
+
+        def ratios(self, scale: float) -> np.ndarray:
+            return scale * self.slopes
+
+    found = speed_limit(cast(Hits, Proportional()))
+    assert found.speed == found.by_kind["jump"] == pytest.approx(0.5 / norm.ppf(0.99, 0.8, 0.1), rel=2e-3)
+    assert found.middle == pytest.approx(0.5 / 0.8, rel=2e-3)
+    assert found.by_kind["force"] == pytest.approx(0.5 / 0.2, rel=1e-3) and found.binding == "a"
+
+
+def test_draws_scatter_by_the_discrepancy_of_the_twin_and_by_springs_as_stated(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Jumps by share v_n / l, logarithms of others by their share, springs by theirs; kills widths times two."""
+    scene = scene_of()
+    (arm,), rng = scene.physics.arms.values(), np.random.default_rng(0)
+    springs = np.array([drawn_springs(arm, rng).stiffness / arm.stiffness for _ in range(200)])
+    assert springs.std() == pytest.approx(drawn_hits.STIFFNESS / 1.96, rel=0.1)
+    for name in ("STIFFNESS", "DAMPING"):
+        monkeypatch.setattr(drawn_hits, name, 0.0)
+    hits = Hits(scene, Thresholds(velocity_jump=0.3), EXACT, 60)
+    values, kinds = hits.values(1.0), np.array(hits.bounds.kinds)
+
+    def largest(kind: str) -> np.ndarray:
+        own = values[:, kinds == kind]
+        return np.asarray(own[:, own.mean(axis=0).argmax()])
+
+    share = drawn_hits.JUMP_SHARES["square"] * hits.speed / reach_of(arm.facts)
+    assert largest("jump").std(ddof=1) == pytest.approx(share, rel=0.4)
+    for kind, width in drawn_hits.PEAK_SHARES.items():
+        assert np.log(largest(kind)).std(ddof=1) == pytest.approx(width, rel=0.4), kind
 
 
 def test_the_approach_itself_respects_the_speed_limits_of_joints() -> None:
@@ -154,7 +188,7 @@ def test_a_hit_is_moved_with_its_object_and_support_and_out_of_reach_has_no_limi
     scenario = load_scenario("push")
     before, after = (Scene.resolve(one, "juice", "1") for one in (scenario, moved(scenario, 0.05, -0.03)))
     np.testing.assert_allclose(after.object.position - before.object.position, [0.05, 0.0, -0.03], atol=1e-9)
-    far = limit_of(LimitTask(scenario, "juice", "1", x=2.0, draws=20))
+    far = limit_of(LimitTask(scenario, "juice", "1", x=2.0, draws=2))
     assert far.limit is None
     assert "nearest pose" in far.reason
 
@@ -167,7 +201,7 @@ def test_two_arms_have_one_limit_and_bounds_of_both() -> None:
 
 
 def test_the_command_writes_page_table_and_document(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    line = ["limits", "push_fr3", "--objects", "juice", "--cases", "1", "--draws", "20", "--jobs", "1", "--json"]
+    line = ["limits", "push_fr3", "--objects", "juice", "--cases", "1", "--draws", "4", "--jobs", "1", "--json"]
     assert main([*line, "--places", "2", "--jump", "0.5", "-o", str(tmp_path / "out")]) == 0
     document = json.loads(capsys.readouterr().out)
     assert json.loads((tmp_path / "out" / "limits.json").read_text()) == document
