@@ -8,8 +8,8 @@ import re
 import signal
 import sys
 import time
-from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager, ExitStack, contextmanager
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -22,19 +22,22 @@ from node_trials import configuration, spin_until
 from processes import PATIENCE, Running, running
 from rcl_interfaces.srv import SetParameters
 from rclpy.parameter import Parameter as RclParameter
+from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
 
 from impact_rs_analysis.measure.analyze import ExperimentSet, analyze_campaign
 from impact_rs_cli.main import main
 from impact_rs_ros.graph import Graph
 from impact_rs_ros.node_processes import NodeProcesses
+from impact_rs_ros.qos import AWAITED, STREAM
+from impact_rs_sim.robot_model import RobotModel
 from impact_rs_sim.scenario import load_scenario
 from impact_rs_trials.bags import topics
 from impact_rs_trials.bags.reader import TrialBag
 from impact_rs_trials.spec import TrialSpec
 
 ROBOT = Path(__file__).resolve().parents[1] / "shared" / "effort_robot.py"
-TRIAL = ["push", "cat_food", "case_2"]
+TRIAL = ["cat_food", "case_2"]
 SLOW = (  # refusals on a busy machine; the last ones until a new watchdog is heard, and a killed one forgotten
     "is the robot running?",
     " states in 3 s",
@@ -62,7 +65,6 @@ PATIENT: dict[
     "late_torque_share": 1.0,
     "arm_jitter_limit": 5.0,
 }
-OF_BOTH = ("joints", "use_sim_time", "state_timeout")  # parameters of cell and watchdog
 EXPERIMENT = "/**/experiment: {ros__parameters: {service_timeout: 60.0, progress_timeout: 10.0, finish_timeout: 20.0}}"
 
 
@@ -85,7 +87,7 @@ class Cell:
     @contextmanager
     def robot(self, *options: str) -> Iterator[Running]:
         """A robot that is switched on."""
-        command = [sys.executable, str(ROBOT), *TRIAL, "--tracker", *map(str, TRACKER), *options]
+        command = [sys.executable, str(ROBOT), "push", *TRIAL, "--tracker", *map(str, TRACKER), *options]
         with running(command, self.environment) as robot:
             robot.line("ready")
             self._robot = True
@@ -277,62 +279,82 @@ def test_a_robot_with_nonsense_or_no_states_ends_the_trial(cell: Cell) -> None:
 
 @dataclass(frozen=True)
 class LedCell:
-    """A cell, its watchdog, and a controller that leads the arm, as processes; neither recorder nor experiment."""
+    """A cell, its watchdog and its robot as processes, and who leads the arm; neither recorder nor experiment."""
 
-    graph: Graph  # of the controller alone
-    node: Running
-    watchdog: Running
-    environment: dict[str, str]
+    graph: Graph  # of the controller alone, or of no node
+    processes: dict[str, Running]  # of the others
 
-    def robot(self, *options: object) -> AbstractContextManager[Running]:
-        """A robot that is switched on."""
-        return running([sys.executable, str(ROBOT), *TRIAL, *map(str, options)], self.environment)
-
-    def run(self, robot: Running) -> str:
+    def run(self) -> str:
         """Why a trial ended, which began as soon as the robot could be armed; empty: all is well, or the cell died."""
-        robot.line("ready")
-        request = configuration(TrialSpec.of(load_scenario("push"), *TRIAL[1:]).plan)
-        answer = self.graph.call(ConfigureTrial, "controller/configure_trial", request)
-        assert answer.success, answer.message
+        plan = TrialSpec.of(load_scenario("push"), *TRIAL).plan
+        request = configuration(plan)
+        if self.graph.processes:
+            answer = self.graph.call(ConfigureTrial, "controller/configure_trial", request)
+            assert answer.success, answer.message
+        else:
+            self._lead(plan.scene.models["arm"])
         deadline = time.monotonic() + READY
         while not (armed := self.graph.call(ConfigureTrial, "plant/configure_trial", request, READY)).success:
             assert any(reason in armed.message for reason in SLOW) and time.monotonic() < deadline, armed.message
         client = self.graph.node.create_client(Trigger, "plant/run_trial")
         spin_until(self.graph, client.service_is_ready, "the cell runs no trial")
-        over = client.call_async(Trigger.Request())
-        spin_until(self.graph, lambda: over.done() or self.node.process.poll() is not None, "it does not end")
+        over, cell = client.call_async(Trigger.Request()), self.processes["cell"].process
+        spin_until(self.graph, lambda: over.done() or cell.poll() is not None, "it does not end")
         return over.result().message if over.done() else ""
+
+    def _lead(self, model: RobotModel) -> None:
+        """In the place of a controller: the weight, and a torque that turns the arm at its base faster and faster."""
+        node = self.graph.node
+        publisher = node.create_publisher(JointState, topics.joint_command("arm"), STREAM)
+
+        def answer(state: JointState) -> None:
+            torque = model.gravity_torque(np.array(state.position))
+            torque[0] += 3.0  # N m, some 3 rad/s^2
+            publisher.publish(JointState(header=state.header, name=state.name, effort=torque.tolist()))
+
+        node.create_subscription(JointState, topics.joint_states("arm"), answer, AWAITED)
+
+    def comes_to_rest(self, victim: str, states: int) -> None:
+        """After a kill while it moved, within so many states: 1 ms of the robot's time, which waits for no one."""
+        killed, after = self.processes["robot"].line("killed at"), self.processes["robot"].line(" after ")
+        assert self.processes[victim].process.wait(PATIENCE) == -signal.SIGKILL
+        assert float(killed.split()[2]) > 0.1  # rad/s
+        assert after.startswith("at rest after ")
+        assert int(after.split()[3]) < states
 
 
 @contextmanager
-def led_cell(domain: int, folder: Path, watchdog_timeout: float = PATIENT["watchdog_timeout"]) -> Iterator[LedCell]:
+def led_cell(
+    domain: int, folder: Path, *robot: object, ours: Sequence[str] = (), **changes: float
+) -> Iterator[LedCell]:
+    """All of it, ready, with these nodes of ours; among the options of the robot names stand for process ids."""
     environment = {"ROS_DOMAIN_ID": str(domain)}
-    own = {"mocap": False, "watchdog": True, "watchdog_timeout": watchdog_timeout}
-    values = {"cell": PATIENT | own, "watchdog": {name: PATIENT[name] for name in OF_BOTH}}
+    own = PATIENT | {"mocap": False, "watchdog": True} | changes
+    of_both = {name: own[name] for name in ("joints", "use_sim_time", "state_timeout")}
     nodes = NodeProcesses.of("push", folder, domain)
+    graph = Graph(nodes, ours, domain)
     with ExitStack() as stack:
-        cell, watchdog = (
-            stack.enter_context(running(command_of(f"{kind}_node", own), environment)) for kind, own in values.items()
-        )
-        graph = Graph(nodes, ["controller"], domain)
         stack.callback(graph.close)
         stack.callback(nodes.stop)
+        processes: dict[str, Running] = {}
+        for kind, values in (("cell", own), ("watchdog", of_both)):
+            processes[kind] = stack.enter_context(running(command_of(f"{kind}_node", values), environment))
+        words = [str(processes[word].process.pid if word in processes else word) for word in robot]
+        command = [sys.executable, str(ROBOT), "push", *TRIAL, *words]
+        processes["robot"] = stack.enter_context(running(command, environment))
         graph.start()
-        watchdog.line("ready: serves")
-        yield LedCell(graph, cell, watchdog, environment)
+        processes["watchdog"].line("ready: serves")
+        processes["robot"].line("ready")
+        yield LedCell(graph, processes)
 
 
 def test_after_a_cell_is_killed_in_a_trial_the_watchdog_brakes_the_arm(
     domain_ids: Callable[[], int], tmp_path: Path
 ) -> None:
     """The effort controller keeps the torque of that moment; nothing but another process can take it away."""
-    with (
-        led_cell(domain_ids(), tmp_path) as cell,
-        cell.robot("--kill", cell.node.process.pid, "--kill-after", 300, "--slower", 5) as robot,
-    ):
-        reason = cell.run(robot)
-        assert cell.node.process.wait(PATIENCE) == -signal.SIGKILL, f"it was not killed in the trial: {reason}"
-        comes_to_rest(robot, 1500)
+    with led_cell(domain_ids(), tmp_path, "--kill", "cell", "--kill-after", 100, "--slower", 3) as cell:
+        assert cell.run() == "", "it was not killed in the trial"
+        cell.comes_to_rest("cell", 1500)
 
 
 @pytest.mark.slow
@@ -340,22 +362,10 @@ def test_after_a_watchdog_is_killed_in_a_trial_the_cell_brakes_the_arm_itself(
     domain_ids: Callable[[], int], tmp_path: Path
 ) -> None:
     """Whoever is left of the two brakes the arm: its effort controller keeps the last torque for ever."""
-    with (
-        led_cell(domain_ids(), tmp_path, watchdog_timeout=0.1) as cell,
-        cell.robot("--kill", cell.watchdog.process.pid, "--kill-after", 300, "--slower", 5) as robot,
-    ):
-        reason = cell.run(robot)
-        assert cell.watchdog.process.wait(PATIENCE) == -signal.SIGKILL, f"it was not killed in the trial: {reason}"
-        comes_to_rest(robot, 3500)
-    assert "the watchdog passed no torques on for 0.1 s" in reason
-
-
-def comes_to_rest(robot: Running, states: int) -> None:
-    """After a kill while it moved, within so many states, of 1 ms of the robot's time, which waits for no one."""
-    killed, after = robot.line("killed at"), robot.line(" after ")
-    assert float(killed.split()[2]) > 0.1  # rad/s
-    assert after.startswith("at rest after ")
-    assert int(after.split()[3]) < states
+    killed = "--kill", "watchdog", "--kill-after", 100, "--slower", 5
+    with led_cell(domain_ids(), tmp_path, *killed, watchdog_timeout=0.1) as cell:
+        assert "the watchdog passed no torques on for 0.1 s" in cell.run()
+        cell.comes_to_rest("watchdog", 3500)
 
 
 @pytest.mark.slow
@@ -367,13 +377,10 @@ def test_a_cell_that_stalls_in_a_trial_and_comes_back_makes_one_stream_with_its_
 
     Each torque that reaches the robot, whoever decided it, follows the one before within the rate of a period.
     """
-    with (
-        led_cell(domain_ids(), tmp_path) as cell,
-        cell.robot("--stall", cell.node.process.pid, after, stall) as robot,
-    ):
-        reason = cell.run(robot)
+    with led_cell(domain_ids(), tmp_path, "--stall", "cell", after, stall, ours=["controller"]) as cell:
+        reason = cell.run()
         print(reason)  # shown where the robot never gets as far as the stall
-        begun, merged = robot.line("stalled at"), robot.line("merged: at most")
+        begun, merged = (cell.processes["robot"].line(text) for text in ("stalled at", "merged: at most"))
     if braked := stall > 50:  # command_timeout; the limits of this cell are patient, and a busy machine adds to 30 ms
         assert reason
     assert float(begun.split()[2]) > 0.1, reason  # rad/s
