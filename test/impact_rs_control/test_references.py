@@ -78,12 +78,6 @@ def test_both_references_go_on_where_the_other_is_nominally_active(timing):
     np.testing.assert_allclose(early.position[0], POSITION - 0.05 * VELOCITY, atol=1e-12)
 
 
-def test_arm_that_hits_nothing_comes_to_rest(timing):
-    end = ante_impact_path(timing, POSITION, VELOCITY, np.array([timing.duration, timing.duration + 1.0]))
-    np.testing.assert_allclose(end.velocity, 0.0, atol=1e-9)
-    np.testing.assert_allclose(end.position[0], end.position[1], atol=1e-9)
-
-
 def test_sliding_across_the_face_ends_long_before_the_push(timing):
     after = np.array([0.08, -0.55, -0.02])
     path = carry_path(timing, POSITION, after, after, NORMAL, NORMAL, np.array([timing.nominal_impact + timing.slide]))

@@ -49,15 +49,6 @@ def test_locked_link_leaves_motor_with_reduced_inertia_and_spring(arm):
     np.testing.assert_allclose(frequency, np.sqrt(arm.stiffness / arm.motor_inertia_reduced), rtol=2e-3)
 
 
-def test_free_motor_accelerates_with_the_reduced_inertia(arm):
-    drive = Drive(arm, PERIOD)
-    torque = np.linspace(1.0, 2.0, 7)
-    for _ in range(400):
-        drive.sense(drive.position, drive.velocity)
-        drive.step(torque)
-    np.testing.assert_allclose(drive.velocity, torque / arm.motor_inertia_reduced * 400 * PERIOD, rtol=1e-12)
-
-
 def test_friction_is_felt_as_stated_at_the_desired_torque(arm):
     """tau_fric = B_theta B_rho^-1 tau_fric,m: a motor pushed with exactly its friction keeps its velocity."""
     friction = JointFriction(np.full(7, 0.5), np.full(7, 0.3), np.zeros(7), np.full(7, 0.05))

@@ -144,7 +144,7 @@ def crossing_boxes(rng: np.random.Generator) -> tuple[Box, Box]:
     partner, thing = (Box(np.zeros(3), pin.exp3(rng.normal(size=3)), rng.uniform(0.03, 0.1, 3)) for _ in range(2))
     way = rng.normal(size=3)
     low, high = 0.0, 1.0
-    for _ in range(50):
+    for _ in range(24):
         middle = 0.5 * (low + high)
         apart = clipping.meet(partner, Box(middle * way, thing.rotation, thing.half))[0] > 0.0
         low, high = (low, middle) if apart else (middle, high)
@@ -171,7 +171,7 @@ def placed(rng: np.random.Generator, tilt: float) -> tuple[Box, Box]:
 def test_compiled_and_plain_search_find_the_same_points_in_the_same_order(tilt: float) -> None:
     rng = np.random.default_rng(3)
     touching = crossing = 0
-    for number in range(150):
+    for number in range(120):
         partner, thing = crossing_boxes(rng) if tilt == 0.5 and number % 2 else placed(rng, tilt)
         separation, normal, on_object, edges = _kernel.meet(partner.parts, thing.parts, ALIGNED)
         expected = clipping.meet(partner, thing)

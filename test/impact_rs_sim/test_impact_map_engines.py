@@ -39,18 +39,6 @@ def test_pinocchio_obeys_the_laws_to_a_micrometre_per_second(seed: int) -> None:
     assert result.residual.largest <= 1e-6
 
 
-@pytest.mark.parametrize("motor", ["zero", "reduced", "rotor"])
-def test_answers_of_one_engine_object_equal_those_of_a_fresh_one(motor: str) -> None:
-    problem = nominal(motor)
-    engine = BulletEngine(problem.physics)
-    warm = [engine.solve(problem) for _ in range(2)][-1]
-    engine.close()
-    fresh = BulletEngine(problem.physics)
-    cold = fresh.solve(problem)
-    fresh.close()
-    np.testing.assert_allclose(warm.joint_velocity["arm"], cold.joint_velocity["arm"], rtol=0, atol=1e-10)
-
-
 def test_unknown_engine_is_refused_with_the_known_ones() -> None:
     with pytest.raises(InputError, match="exact, bullet"):
         compute_impact_map(nominal(), "agx")

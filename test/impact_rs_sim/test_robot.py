@@ -131,11 +131,6 @@ def test_moving_links_weigh_most_of_the_arm(name: str, lightest: float, whole: f
     assert lightest < sum(link.mass for link in load_facts(name).links) < whole
 
 
-def test_what_is_guessed_is_said() -> None:
-    assert any("guessed" in text for text in load_facts("kuka_lwr4plus").assumed)
-    assert load_facts("xarm7").assumed == () and not load_facts("xarm7").joint_torque_loop
-
-
 # ---- size of a robot beside the arm for which limits were chosen ----------------------------------------------------
 
 

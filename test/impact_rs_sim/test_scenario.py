@@ -238,12 +238,6 @@ def test_every_number_has_a_unit(schema: type) -> None:
         assert re.search(r"\[.+\]", field.description), f"{name} has no unit"
 
 
-def test_every_key_of_the_scenario_stands_on_the_page() -> None:
-    text = markdown()
-    for name in Scenario.model_fields:
-        assert f"`{name}" in text, name
-
-
 # ---- the file with the friction compensation ------------------------------------------------------------------------
 
 COUNT = 181  # samples of 10 ms in a trial of 1.8 s

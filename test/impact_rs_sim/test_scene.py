@@ -238,11 +238,6 @@ def test_a_box_has_the_moments_of_a_homogeneous_one() -> None:
     np.testing.assert_allclose(thing.inertia, thing.mass * np.array(grid), rtol=1e-3)
 
 
-@pytest.mark.parametrize("thing", PUSH.objects)
-def test_every_object_has_its_own_mass(thing: str) -> None:
-    assert Physics.nominal(PUSH, thing).object.mass == PUSH.objects[thing].mass
-
-
 def test_the_robot_model_feels_the_gravity_of_its_physics() -> None:
     physics = Physics.nominal(PUSH, "juice")
     q = np.array(PUSH.robots["arm"].impact.joint_guess)
@@ -276,10 +271,6 @@ def test_the_hull_ends_at_the_pad_and_has_no_gap() -> None:
         np.testing.assert_allclose(end, start, atol=1e-9)
     pad = model.placement(POSITIONS["left"])
     np.testing.assert_allclose(ends[-1][1] + RADIUS * pad.rotation[:, 2], pad.translation, atol=1e-9)
-
-
-def test_the_scenario_keeps_its_arms_apart() -> None:
-    check_clearance(SCENE.models, POSITIONS, "at the impact")
 
 
 def test_an_arm_inside_another_is_named_with_its_links_and_by_how_much() -> None:

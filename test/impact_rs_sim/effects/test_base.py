@@ -86,16 +86,6 @@ def test_steps_go_the_other_way_where_a_bound_is_in_the_way():
     np.testing.assert_allclose(grip.steps(7, np.array([-1.9])), [0.4])
 
 
-def test_bounds_are_those_of_the_parameters(physics):
-    for effect in library().values():
-        if effect.name in ("object_com_offset", "pad_friction", "support_friction", "link_inertia"):
-            continue  # inside the box: test_object.py; never less than none: test_contact.py, test_link.py
-        lower, upper = effect.bounds(physics)
-        scalars = effect.scalars(7)
-        np.testing.assert_array_equal(upper, [scalar.upper for scalar in scalars])
-        np.testing.assert_array_equal(lower, [scalar.lower for scalar in scalars])
-
-
 def test_effects_of_the_contact_are_not_seen_in_free_motion():
     seen = {name: effect.seen_in(contact=False) for name, effect in library().items()}
     assert [name for name, free in seen.items() if not free] == [
