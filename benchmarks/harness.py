@@ -166,6 +166,11 @@ def quantiles(values: Sequence[float], digits: str = ".3g", ends: tuple[float, f
     return f"{middle} ({low} to {high})"
 
 
+def median_and_largest(values: Sequence[float]) -> str:
+    """Both, the largest in parentheses."""
+    return f"{np.median(values):.3g} ({max(values):.3g})"
+
+
 def drawn(draw: Callable[..., Any], case: Any, options: argparse.Namespace, map_tasks: Map) -> list[Any]:
     """Results of ``draw(case, options, seed)`` for ``options.draws`` seeds from ``options.first`` on."""
     return list(map_tasks(partial(draw, case, options), range(options.first, options.first + options.draws)))

@@ -136,7 +136,7 @@ def table_of_diagnoses(rows: Sequence[Row], heading: str) -> Table:
     ]
     for size in sorted({row["magnitude"] for row in of["single"]}):
         some = [row for row in of["single"] if row["magnitude"] == size]
-        lines.append((f"single effects of {size:g} scales: named, or in a tie", share(row["correct"] for row in some)))
+        lines.append((f"single effects at {size:g} × scale: named, or in a tie", share(row["correct"] for row in some)))
     lines += [
         ("single effects, all: named, or in a tie", share(row["correct"] for row in of["single"])),
         ("single effects, all: exactly that named", share(row["exact"] for row in of["single"])),

@@ -144,7 +144,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     """How many draws."""
     draw_options(parser, 1000)
     parser.add_argument(
-        "--null-draws", type=int, default=999, help="draws of each null distribution; a diagnosis: 4999"
+        "--null-draws", type=int, default=999, help="draws of each null distribution, 999 or more; a diagnosis: 4999"
     )
     parser.add_argument("--power", action="store_true", help="effects of 2 and 4 standard errors in place of none")
     parser.add_argument("--limits", type=float, nargs="+", default=[0.1], help="relevance limits over the noise")

@@ -146,14 +146,15 @@ def table(rows: list[Row], options: argparse.Namespace) -> Table:
     """Shares of right discoveries."""
     of = {kind: [row for row in rows if row["kind"] == kind] for kind in ("outside", "null", "single")}
     clear = [row for row in of["outside"] if row["before"] > CLEAR]
+    above = f"hidden laws above {CLEAR:g} × repeatability"
     removed = [row["removed"] for row in clear if row["correct"]]
     seconds = [row["processor"] for row in rows]
     lines = [
-        ("hidden laws: the right one first or tied", share(row["correct"] for row in of["outside"])),
-        (f"... above {CLEAR:g} times repeatability", share(row["correct"] for row in clear)),
-        ("... of these: first", share(row["first"] for row in clear)),
-        ("... of these: it alone", share(row["exact"] for row in clear)),
-        ("... of these: something proposed", share(row["found"] for row in clear)),
+        ("hidden laws, all: the right one first or tied", share(row["correct"] for row in of["outside"])),
+        (f"{above}: the right one first or tied", share(row["correct"] for row in clear)),
+        (f"{above}: the right one first", share(row["first"] for row in clear)),
+        (f"{above}: the right one alone", share(row["exact"] for row in clear)),
+        (f"{above}: something proposed", share(row["found"] for row in clear)),
         ("nothing hidden: nothing proposed", share(not row["found"] for row in of["null"])),
         ("effects of the library: nothing proposed", share(not row["found"] for row in of["single"])),
         ("excess held-out error removed, median", f"{100.0 * statistics.median(removed):.0f} %" if removed else "–"),

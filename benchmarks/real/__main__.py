@@ -11,6 +11,7 @@ the pictures of docs/real_data.md, ``real_SET.png``.
 from __future__ import annotations
 
 import argparse
+import datetime
 import shlex
 import shutil
 import subprocess
@@ -24,6 +25,7 @@ import yaml
 from pydantic import Field
 
 from benchmarks.real.pictures import draw, tracks_of
+from benchmarks.results import Results, Table
 from impact_rs_analysis.diagnosis.document import CONFIRMED, DiagnosisDocument, EstimateDocument, read_document
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.numbers import estimate_in_line
@@ -31,6 +33,7 @@ from impact_rs_sim.schema import Schema, load
 
 HERE = Path(__file__).parent
 ROOT = HERE.parents[1]
+NOT_RUN = "not run"
 HEAD = ("Set", "Expected", "Said", "Estimates, 95 % interval (expected)", "Held-out error", "Judged")
 
 
@@ -192,8 +195,15 @@ def _estimate(document: DiagnosisDocument, key: str, truth: float | None) -> str
 
 def table(rows: list[tuple[str, ...]]) -> str:
     """The table in Markdown."""
-    lines = [HEAD, ("---",) * len(HEAD), *rows]
-    return "\n".join(f"| {' | '.join(cell.replace('|', '/') for cell in line)} |" for line in lines)
+    return Table(HEAD, tuple(tuple(cell.replace("|", "/") for cell in line) for line in rows)).markdown
+
+
+def save(rows: Sequence[tuple[str, ...]]) -> None:
+    """Put rows of sets that were run into the results, each with its day."""
+    day = datetime.date.today().isoformat()
+    new = {line[0]: (*line, day) for line in rows if line[-1] != NOT_RUN}
+    kept = {line[0]: line for line in Results.read("real").rows} | new
+    Results.measured("./run python -m benchmarks.real", Table((*HEAD, "Measured"), tuple(kept.values()))).save("real")
 
 
 def sets() -> dict[str, RealSet]:
@@ -220,6 +230,7 @@ def main() -> int:
     parser.add_argument("--data", type=Path, default=Path("."), help="folder with the clones; default: this one")
     parser.add_argument("-o", "--output", type=Path, default=Path("output/real"), help="folder for the results")
     parser.add_argument("--pictures", type=Path, metavar="DIR", help="also draw sets of impacts: DIR/real_SET.png")
+    parser.add_argument("--save", action="store_true", help="keep the rows in benchmarks/results/real.json")
     args = parser.parse_args()
     known = sets()
     if args.list:
@@ -244,9 +255,11 @@ def main() -> int:
                 tracks = tracks_of(args.output.resolve() / name / one.picture, document)
                 draw(tracks, args.pictures / f"real_{name}.png")
         except InputError as error:
-            rows.append((name, "", str(error), "", "", "not run"))
+            rows.append((name, "", str(error), "", "", NOT_RUN))
         print(table(rows[-1:]).splitlines()[-1], file=sys.stderr, flush=True)
     print(f"{table(rows)}\n\n{total(judgements)}")
+    if args.save:
+        save(rows)
     return 0
 
 
