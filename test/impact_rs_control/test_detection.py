@@ -192,6 +192,9 @@ def test_along_a_direction_in_which_the_arm_cannot_move_there_is_no_force() -> N
             assert not hit and observer.force == 0.0
             assert observer.wrench[1] == 0.0
             assert np.isfinite(observer.wrench).all()
+        # The same in NumPy; nothing else holds its least leverage.
+        (found,) = separable_wrench(jacobian[None], np.eye(7)[None], rng.standard_normal((1, 7)))
+        assert found[1] == 0.0 and np.abs(found).max() < 1e3
 
 
 @pytest.mark.parametrize("elbow", [*ELBOWS, 1e-5])
