@@ -13,7 +13,6 @@ import pytest
 import yaml
 
 from impact_rs_cli.main import main
-from impact_rs_control.plan import plan_trial
 from impact_rs_sim.errors import Infeasible, InputError
 from impact_rs_sim.impact_map import ImpactProblem, predict_impact
 from impact_rs_sim.impact_map.uniqueness import uniqueness_of
@@ -250,14 +249,6 @@ def test_a_slip_of_the_pen_is_told_with_its_key(key: str, value: Any, message: s
 def test_joints_that_hit_nothing_are_told(data: Data, kind: type[Exception], message: str) -> None:
     with pytest.raises(kind, match=message) as told:
         scene_of(data)
-    assert "\n" not in str(told.value)
-
-
-def test_trials_with_fewer_than_six_joints_are_refused_in_one_line() -> None:
-    with pytest.raises(
-        InputError, match=r"robots.arm: the arm has 3 joints, .* takes 6: no trials; impact-rs map"
-    ) as told:
-        plan_trial(scene_of(scenario(3, (0.4, -1.1, 0.9), (0.2, 0.1, 0.0))))
     assert "\n" not in str(told.value)
 
 

@@ -44,40 +44,26 @@ def test_motor_inertia_identified_from_motion_is_the_reduced_one(plan):
     """tau_d - M ddq - h = B ddq in free motion; the fit finds B_theta although the motor is integrated with B_rho."""
     plan = without_noise(plan)
     plant, model = make_plant(plan, seed=0), plan.scene.models["arm"]
-    period = plan.scene.scenario.timing.control_period
+    period, arm = plan.scene.scenario.timing.control_period, plan.scene.physics.arms["arm"]
     rng = np.random.default_rng(3)
     frequency, phase = rng.uniform(1.0, 3.0, 7), rng.uniform(0.0, 2.0 * np.pi, 7)
     amplitude = np.array([3.0, 3.0, 2.0, 2.0, 0.8, 0.8, 0.5])
-    positions, velocities, torques = [], [], []
-    start = plant.measure().arms["arm"].position
+    start, rows = plant.measure().arms["arm"].position, []
     for tick in range(600):
         measured = plant.measure().arms["arm"]
-        q, dq = measured.position, measured.velocity
-        torque = model.inverse_dynamics(q, dq, np.zeros(7)) - 40.0 * (q - start) * amplitude / 3.0
-        torque += amplitude * np.sin(2.0 * np.pi * frequency * tick * period + phase)
-        positions.append(q)
-        velocities.append(dq)
-        torques.append(torque)
+        torque = model.inverse_dynamics(measured.position, measured.velocity, np.zeros(7))
+        swing = np.sin(2.0 * np.pi * frequency * tick * period + phase)
+        torque += amplitude * (swing - 40.0 / 3.0 * (measured.position - start))
+        rows.append((measured.position, measured.velocity, torque))
         plant.step({"arm": torque})
     plant.close()
-    velocity = np.array(velocities)
-    acceleration = (velocity[2:] - velocity[:-2]) / (2.0 * period)
-    middle = slice(60, -60)
-    for joint in range(7):
-        rigid = np.array(
-            [
-                model.inverse_dynamics(q, dq, a)
-                for q, dq, a in zip(positions[1:-1], velocity[1:-1], acceleration, strict=True)
-            ]
-        )
-        # The torque acts from this tick to the next, the central difference stands at the tick: mean of two.
-        applied = (np.array(torques)[1:-1] + np.array(torques)[:-2]) / 2.0
-        left = (applied - rigid)[middle, joint]
-        motor = acceleration[middle, joint]
-        apparent = float(left @ motor / (motor @ motor))
-        arm = plan.scene.physics.arms["arm"]
-        assert apparent == pytest.approx(arm.motor_inertia_reduced[joint], rel=0.03)
-        assert apparent < 0.5 * arm.motor_inertia_rotor[joint]
+    q, dq, torque = (np.array(column) for column in zip(*rows, strict=True))
+    ddq = (dq[2:] - dq[:-2]) / (2.0 * period)
+    rigid = np.array([model.inverse_dynamics(*state) for state in zip(q[1:-1], dq[1:-1], ddq, strict=True)])
+    # The torque acts from this tick to the next, the central difference stands at the tick: mean of two.
+    left, ddq = ((torque[1:-1] + torque[:-2]) / 2.0 - rigid)[60:-60], ddq[60:-60]
+    apparent = np.sum(left * ddq, axis=0) / np.sum(ddq**2, axis=0)
+    np.testing.assert_allclose(apparent, arm.motor_inertia_reduced, rtol=0.03)
 
 
 def run(plan, seed, ticks=30):

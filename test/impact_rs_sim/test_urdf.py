@@ -14,7 +14,7 @@ from impact_rs_sim.link_shapes import Shape, link_shapes
 from impact_rs_sim.mesh_files import mesh_address, mesh_path
 from impact_rs_sim.robot import Flange, RobotFacts, load_facts
 from impact_rs_sim.scenario import load_scenario
-from impact_rs_sim.urdf import joint_names, write_urdf
+from impact_rs_sim.urdf import write_urdf
 
 # ---- what is written ------------------------------------------------------------------------------------------------
 
@@ -25,14 +25,6 @@ FACTS, EFFECTOR = ROBOT.robot_facts, ROBOT.end_effector.build()
 @pytest.fixture(scope="module")
 def model() -> pin.Model:
     return pin.buildModelFromXML(write_urdf(FACTS, EFFECTOR))
-
-
-def test_every_link_has_its_mass_centre_and_inertia(model: pin.Model) -> None:
-    for index, link in enumerate(FACTS.links[:-1], start=1):
-        found = model.inertias[index]
-        assert found.mass == pytest.approx(link.mass)
-        np.testing.assert_allclose(found.lever, link.com, atol=1e-12)
-        np.testing.assert_allclose(found.inertia, link.inertia_matrix, atol=1e-12)
 
 
 def test_the_last_link_carries_the_end_effector_where_the_flange_is(model: pin.Model) -> None:
@@ -57,15 +49,6 @@ def test_a_flange_askew_carries_the_end_effector_on_its_own_z() -> None:
     rotation = pin.rpy.rpyToMatrix(0.4, -0.3, 0.2)
     np.testing.assert_allclose(found.translation, [0.01, 0.02, 0.1] + EFFECTOR.length * rotation[:, 2], atol=1e-12)
     np.testing.assert_allclose(found.rotation, rotation @ pin.rpy.rpyToMatrix(0.0, 0.0, EFFECTOR.mount_yaw), atol=1e-12)
-
-
-def test_joints_stand_where_the_facts_say_and_turn_about_their_own_z(model: pin.Model) -> None:
-    assert list(model.names)[1:] == joint_names(FACTS)
-    for index, origin in enumerate(FACTS.joints, start=1):
-        placement = model.jointPlacements[index]
-        np.testing.assert_allclose(placement.translation, origin.xyz, atol=1e-12)
-        np.testing.assert_allclose(placement.rotation, pin.rpy.rpyToMatrix(*origin.rpy), atol=1e-12)
-        assert model.joints[index].shortname() == "JointModelRZ"
 
 
 def test_limits_are_those_of_the_facts(model: pin.Model) -> None:
