@@ -14,12 +14,16 @@ import pytest
 from impact_table_cases import CUBE_HEADER, NOISE, arm_table, cube, cube_rows, write_csv
 from intervals import assert_covers
 
+from impact_rs_analysis.diagnosis.candidate import Candidate
 from impact_rs_analysis.diagnosis.compare import compare
-from impact_rs_analysis.diagnosis.diagnose import diagnose
+from impact_rs_analysis.diagnosis.dependence import terms_of
+from impact_rs_analysis.diagnosis.diagnose import diagnose, effects_for
 from impact_rs_analysis.diagnosis.document import CONFIRMED, NONE, NOTHING, DiagnosisDocument
 from impact_rs_analysis.evidence import impact_tables
-from impact_rs_analysis.evidence.impact_tables import BLOCKS, ImpactTableSource
+from impact_rs_analysis.evidence.impact_tables import BLOCKS, MOST_NUMBERS, SMALL_BLOCKS, ImpactTableSource
 from impact_rs_analysis.evidence.map_discrepancy import JOINTS, NO_MAP_DISCREPANCY, measured_map_discrepancy
+from impact_rs_sim.effects import library
+from impact_rs_sim.effects.depending import Depending
 from impact_rs_sim.model import load_model
 from impact_rs_sim.physics import Physics
 from impact_rs_sim.scenario import load_scenario
@@ -177,6 +181,63 @@ def test_a_condition_is_predicted_as_the_mean_of_its_repeats(tmp_path: Path) -> 
     assert again.residuals == pytest.approx(source.clusters[1].residuals)
     item = source.clusters[1]
     assert item.mean * item.sigma == pytest.approx((source.measured - source.predicted)[list(rows)].mean(axis=0))
+
+
+def test_every_effect_that_the_map_knows_changes_what_is_remembered(tmp_path: Path) -> None:
+    """Answers are kept by what the map depends on; kills any number left out of that key."""
+    cubes, pushes = of_cubes(tmp_path / "cubes.csv", cube()), of_pushes(tmp_path / "pushes.csv", {}, repeats=2)
+    moved = set()
+    for source in (cubes, pushes):
+        for effect in effects_for(source):
+            candidate = Candidate.of((effect,), source)
+            added = candidate.split(candidate.possible(candidate.nominal + 0.5 * candidate.scale))
+            (alone,) = source.predict_row(0, [added])
+            assert alone is not None
+            np.testing.assert_allclose(source.predicted_with(added)[0], alone, atol=1e-7, err_msg=effect.name)
+            moved |= {effect.name} if np.abs(alone - source.predicted[0]).max() > 1e-6 else set()
+    assert moved >= {*OF_CUBES, "motor_inertia_scale", "end_effector_payload", "tangential_restitution"}
+
+
+@pytest.mark.parametrize(
+    ("counts", "conditions"), [((4, 4), 0), ((2, 2, 2), 3), ((2, 2, 1), 0), ((3, 3, 3), 3)], ids=str
+)
+def test_conditions_are_three_with_three_repeats_in_all_or_else_rows_stand_in_blocks(
+    tmp_path: Path, counts: Sequence[int], conditions: int
+) -> None:
+    """Kills either of both bounds."""
+    header, rows = arm_table({}, 4)
+    some = [row for place, count in enumerate(counts) for row in rows[4 * place : 4 * place + count]]
+    table = read_impact_table(write_csv(tmp_path / "pushes.csv", header, some), load_scenario("push"))
+    source = ImpactTableSource(table, NOMINAL, remarks=False)
+    assert source.repeated == bool(conditions)
+    assert len(source.clusters) == (conditions or sum(counts))
+
+
+@pytest.mark.parametrize(("repeats", "parts"), [(3, 6), (4, 12)])
+def test_halves_of_a_number_are_conditions_of_their_own_where_both_have_two_rows(
+    tmp_path: Path, repeats: int, parts: int
+) -> None:
+    """Kills halves of one row, which are no repeats, and halves that are never made."""
+    header, rows = arm_table({}, repeats)
+    warm = [[*row, 20.0 + (n % repeats) + 0.01 * n] for n, row in enumerate(rows)]
+    path = write_csv(tmp_path / "pushes.csv", [*header, "temperature [degC]"], warm)
+    table = read_impact_table(path, load_scenario("push"), covariates=["temperature"])
+    source = ImpactTableSource(table, NOMINAL, remarks=False)
+    assert source.repeated and len(source.clusters) == parts
+    assert len({item.unit for item in source.clusters}) == 6  # halves of a condition are held out together
+
+
+def test_many_numbers_are_taken_as_means_of_groups_and_blocks_are_small_where_effects_depend(tmp_path: Path) -> None:
+    """Kills single numbers as groups, groups that are not of equal size, and blocks as large as before."""
+    rows = [[*row, float(n)] for n, row in enumerate(cube_rows(cube(), 128, noise=False))]
+    path = write_csv(tmp_path / "cubes.csv", [*CUBE_HEADER, "temperature [degC]"], rows)
+    source = ImpactTableSource(read_impact_table(path, covariates=["temperature"]), NOMINAL, remarks=False)
+    (given,) = source.covariates
+    linear = Depending(library()["restitution"], given.name, terms_of(source)[given.name][0])
+    known = source.knowing([linear])
+    assert (len(source.clusters), len(known.clusters)) == (BLOCKS, SMALL_BLOCKS)
+    shown = [float(world.circumstances["temperature"]) for world in known.worlds]
+    assert shown == [1.5 + 4.0 * n for n in range(MOST_NUMBERS)]
 
 
 def test_an_object_whose_robot_was_not_measured_after_the_impact_is_compared_alone(tmp_path: Path) -> None:

@@ -72,7 +72,7 @@ def test_the_load_remains_and_nothing_else(folder: Path, mapping: Mapping) -> No
     effect = found.effect("end_effector_payload")
     assert effect is not None
     for name, value in {"mass": MASS, **PLACE}.items():
-        assert_covers(effect.parameters[name].interval, value, {"mass": 0.01, "com_x": 0.2}.get(name, 0.003))
+        assert_covers(effect.parameters[name].interval, value, {"mass": 0.016, "com_x": 0.4}.get(name, 0.003))
     assert source.recording.minus == (str(folder / "unloaded.npz"),)
 
 
@@ -88,7 +88,7 @@ def with_gains(folder: Path, mapping: Mapping, *gains: float) -> RecordingSource
 def test_a_gain_of_the_torque_that_all_joints_have_scales_the_load(mapping: Mapping, tmp_path: Path) -> None:
     source = with_gains(tmp_path, mapping, 0.9, 0.9, 0.9)
     found = diagnose(source, source.model, ["end_effector_payload"])
-    assert_covers(found.effect("end_effector_payload").parameters["mass"].interval, MASS / 0.9, 0.01)
+    assert_covers(found.effect("end_effector_payload").parameters["mass"].interval, MASS / 0.9, 0.018)
     assert any("its mass is what the recorded torques weigh" in remark for remark in found.remarks)
 
 
@@ -134,7 +134,7 @@ def test_friction_that_the_load_adds_to_one_joint_is_seen_beside_what_nothing_ex
     assert set(found.named) == {"end_effector_payload", "joint_coulomb_friction"}
     effect = found.effect("joint_coulomb_friction")
     assert effect is not None
-    assert_covers(effect.parameters["coulomb_joint2"].interval, 0.12, 0.02)
+    assert_covers(effect.parameters["coulomb_joint2"].interval, 0.12, 0.0044)
 
 
 def test_without_the_reference_friction_and_links_hide_the_load(folder: Path, mapping: Mapping) -> None:

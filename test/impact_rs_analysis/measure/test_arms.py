@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Arms of different kinds are described one by one: what they are, and what is measured and predicted of each."""
 
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -18,11 +19,12 @@ from impact_rs_trials.campaign import make_manifest, run_campaign
 
 
 @pytest.fixture(scope="module")
-def analysis(tmp_path_factory: pytest.TempPathFactory) -> Analysis:
-    directory = tmp_path_factory.mktemp("campaigns") / "mixed"
-    manifest = make_manifest(FILE, ["cat_food"], ["case_1"], [0.8, 1.0, 1.2], trials=1)
-    assert [report.outcome for report in run_campaign(directory, manifest)] == ["OK"] * 3
-    return analyze_campaign(directory)
+def analysis(made_once: Callable[[str, Callable[[Path], None]], Path]) -> Analysis:
+    def run(folder: Path) -> None:
+        manifest = make_manifest(FILE, ["cat_food"], ["case_1"], [0.8, 1.0, 1.2], trials=1)
+        assert [report.outcome for report in run_campaign(folder / "mixed", manifest)] == ["OK"] * 3
+
+    return analyze_campaign(made_once("mixed_campaign", run) / "mixed")
 
 
 def test_arms_are_described_with_robot_joints_limits_and_motor_inertias() -> None:

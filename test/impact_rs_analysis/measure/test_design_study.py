@@ -35,6 +35,12 @@ def study() -> DesignStudy:
     return study_designs(QUESTION, ("franka_fer", "ur5e"), poses=2)
 
 
+@pytest.fixture(scope="module")
+def fr3() -> DesignStudy:
+    """An arm that is not the scenario's, with a torque loop."""
+    return study_designs(QUESTION, ("franka_fr3",), poses=1)
+
+
 def of(study: DesignStudy, robot: str, motor_inertia: str, pad: str) -> list[Design]:
     return [one for one in study.designs if (one.robot, one.motor_inertia, one.pad) == (robot, motor_inertia, pad)]
 
@@ -84,9 +90,10 @@ def test_bullet_agrees_about_a_design() -> None:
     assert bullet["impulse"] == pytest.approx(exact["impulse"], rel=0.01)
 
 
-def test_same_seed_same_study(study: DesignStudy) -> None:
-    again = study_designs(QUESTION, ("franka_fer",), poses=2)
-    assert again.designs == tuple(one for one in study.designs if one.robot == "franka_fer")
+def test_same_seed_same_study() -> None:
+    few = replace(QUESTION, draws=2)
+    first, again = (study_designs(few, ("ur5e",), poses=1).designs for _ in range(2))
+    assert first == again
 
 
 def test_ranks_have_the_range_of_the_draws() -> None:
@@ -101,12 +108,11 @@ def test_ranks_have_the_range_of_the_draws() -> None:
     assert [(found.pose, best, worst) for found, best, worst in ranked] == [(3, 1, 2), (1, 1, 2), (2, 3, 3)]
 
 
-def test_designs_share_the_object_of_a_draw(study: DesignStudy) -> None:
+def test_designs_share_the_object_of_a_draw(study: DesignStudy, fr3: DesignStudy) -> None:
     """A heavier object takes more impulse from every arm: draws of different robots go together."""
-    other = study_designs(QUESTION, ("franka_fr3",), poses=1)
     one, two = (
         of(found, robot, "rotor", "narrow")[0].measures["impulse"].draws
-        for found, robot in ((study, "franka_fer"), (other, "franka_fr3"))
+        for found, robot in ((study, "franka_fer"), (fr3, "franka_fr3"))
     )
     assert np.corrcoef(one, two)[0, 1] > 0.5
 
@@ -126,9 +132,8 @@ def test_a_motor_inertia_is_as_sure_as_it_is_known() -> None:
         assert found == (stated if known else 2.0)
 
 
-def test_what_is_assumed_makes_intervals_wide_and_none_reaches_below_zero(study: DesignStudy) -> None:
+def test_what_is_assumed_makes_intervals_wide_and_none_reaches_below_zero(study: DesignStudy, fr3: DesignStudy) -> None:
     """Of one arm, with the assumed B_theta and with the published B_rho; the scenario's robot has its own drive."""
-    fr3 = study_designs(QUESTION, ("franka_fr3",), poses=2)
 
     def width(motor_inertia: str, measure: str) -> float:
         own = [one.measures[measure] for one in of(fr3, "franka_fr3", motor_inertia, "narrow")]

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import shutil
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -19,12 +20,13 @@ from impact_rs_trials.campaign import make_manifest, run_campaign
 
 
 @pytest.fixture(scope="module")
-def analysis(push_campaign: Path, tmp_path_factory: pytest.TempPathFactory) -> Analysis:
-    directory = tmp_path_factory.mktemp("study")
-    shutil.copytree(push_campaign, directory / "push")
-    manifest = make_manifest("grab", ["cat_food"], ["case_1"], [0.8, 1.0, 1.2], trials=1)
-    assert [report.outcome for report in run_campaign(directory / "grab", manifest)] == ["OK"] * 3
-    return analyze_study(directory)
+def analysis(push_campaign: Path, made_once: Callable[[str, Callable[[Path], None]], Path]) -> Analysis:
+    def run(folder: Path) -> None:
+        shutil.copytree(push_campaign, folder / "push")
+        manifest = make_manifest("grab", ["cat_food"], ["case_1"], [0.8, 1.0, 1.2], trials=1)
+        assert [report.outcome for report in run_campaign(folder / "grab", manifest)] == ["OK"] * 3
+
+    return analyze_study(made_once("study", run))
 
 
 def test_the_whole_study_is_450_trials() -> None:
