@@ -151,9 +151,9 @@ class WatchdogNode(NodeProgram):
         if watchdog.silent(self._clock.steady()):
             self._inbox.gather()  # commands that waited while this process did not run are no silence of the cell
             self._take()
-        if watchdog.look(self._clock.steady()):
-            self.log.error("no torques of the cell while the arm moves: braking until ~/reset is called")
-            self._braking.publish(Bool(data=True))
+            if watchdog.look(self._clock.steady()):
+                self.log.error("no torques of the cell while the arm moves: braking until ~/reset is called")
+                self._braking.publish(Bool(data=True))
         if watchdog.braking:
             watchdog.arms.rest()
 

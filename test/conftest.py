@@ -67,6 +67,7 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
         config.hook.pytest_deselected(items=slow)
         left_out = set(slow)
         items[:] = [item for item in items if item not in left_out]
+    items.sort(key=lambda item: uses_the_graph(item.nodeid.partition("::")[0]))  # together, for it ends after them
     for item in items:
         if not item.get_closest_marker("timeout"):
             item.add_marker(pytest.mark.timeout(SLOW if item.get_closest_marker("slow") else FAST))

@@ -291,14 +291,14 @@ class Stalled(cell_rehearsal._Cell):
 @pytest.mark.parametrize(
     ("phase", "stall"),
     [
-        (0.2 - IMPACT, 0.1),  # at rest, before the approach
-        (-0.3, 0.03),
-        (-0.15, 0.1),
+        pytest.param(0.2 - IMPACT, 0.1, marks=pytest.mark.slow),  # at rest, before the approach
+        pytest.param(-0.3, 0.03, marks=pytest.mark.slow),
+        pytest.param(-0.15, 0.1, marks=pytest.mark.slow),
         (-0.05, 0.5),
         (0.0, 0.05),
-        (0.01, 0.2),  # interim
-        (0.2, 0.03),
-        (0.3, 0.5),  # post
+        pytest.param(0.01, 0.2, marks=pytest.mark.slow),  # interim
+        pytest.param(0.2, 0.03, marks=pytest.mark.slow),
+        pytest.param(0.3, 0.5, marks=pytest.mark.slow),  # post
         (1.0, 0.2),  # after the end
     ],
 )
