@@ -112,6 +112,12 @@ def test_the_interval_of_a_combination_includes_covariance() -> None:
     difference = np.diff(found.interval_of({one: 1.0, other: -1.0}))[0]
     assert sum_ == pytest.approx(widths[one] + widths[other], rel=1e-6)
     assert difference == pytest.approx(abs(widths[one] - widths[other]), abs=1e-9)
+    parts = {"object_mass": 0.02, "motor_inertia": 0.1}  # sources are independent: their widths add in squares
+    squares = []
+    for stated in (parts, *({key: value} for key, value in parts.items())):
+        told = predict(PROBLEM, Uncertainties(**NONE | stated), MODELS, draws=8)
+        squares.append(np.diff(told.interval_of({one: 1.0, other: 1.0}))[0] ** 2)
+    assert squares[0] == pytest.approx(squares[1] + squares[2], rel=1e-9)
 
 
 def test_the_interval_of_a_combination_of_draws_is_theirs() -> None:
