@@ -190,6 +190,19 @@ def test_compiled_and_plain_search_find_the_same_points_in_the_same_order(tilt: 
     assert crossing > 20 if tilt == 0.5 else True
 
 
+def test_edges_that_pass_each_other_beyond_an_end_separate_nothing() -> None:
+    """Boxes some way apart, where such edges are many; kills a search that looks at one of the two ends alone."""
+    rng = np.random.default_rng(5)
+    for _ in range(100):
+        partner, thing = (
+            Box(rng.normal(0.0, 0.15, 3), pin.exp3(rng.normal(size=3)), rng.uniform(0.03, 0.1, 3)) for _ in range(2)
+        )
+        found, expected = _kernel.meet(partner.parts, thing.parts, ALIGNED), clipping.meet(partner, thing)
+        assert found[0] == pytest.approx(expected[0], abs=1e-14)
+        np.testing.assert_allclose(found[1], expected[1], atol=1e-14)
+        assert found[2:] == expected[2:]
+
+
 def test_edges_that_cross_separate_boxes_that_no_face_does() -> None:
     # One cube of 0.1 m stands on an edge along y, another one on an edge along x below it.
     lower = Box(np.zeros(3), pin.utils.rotate("x", np.pi / 4.0), np.full(3, 0.05))

@@ -160,8 +160,8 @@ def test_on_the_moon_everything_takes_longer() -> None:
 
 @pytest.mark.parametrize("joints", [1, 2, 3])
 def test_axes_that_meet_in_one_point_have_the_reach_of_their_mass(joints: int) -> None:
-    """A point mass at 0.2 m about the common point: it can be moved as far as that, and no more."""
-    link = {"mass": 1.5, "com": (0.0, 0.12, 0.16), "inertia": (1e-9, 0, 0, 1e-9, 0, 1e-9)}
+    """A ball at 0.2 m from the common point: d^2 = 0.2^2 + tr(I) / (2 m), and no more."""
+    link = {"mass": 1.5, "com": (0.0, 0.12, 0.16), "inertia": (0.009, 0, 0, 0.009, 0, 0.009)}
     limit = (1.0,) * joints
     limits = {"position_min_rad": (-1.0,) * joints, "position_max_rad": limit, "velocity_rad_s": limit}
     facts = RobotFacts.model_validate(
@@ -173,7 +173,7 @@ def test_axes_that_meet_in_one_point_have_the_reach_of_their_mass(joints: int) -
             "links": [link] * joints,
         }
     )
-    assert reach_of(facts) == pytest.approx(0.2, rel=1e-6)
+    assert reach_of(facts) == pytest.approx(np.sqrt(0.2**2 + 0.027 / 3.0), rel=1e-9)
     assert Proportion.of_robots([facts], np.array([0.0, 0.0, -9.81])).factor("m/N") > 0.0
 
 
