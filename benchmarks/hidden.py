@@ -155,9 +155,8 @@ def table_of_diagnoses(rows: Sequence[Row], heading: str) -> Table:
     ]
     if right := [row["removed"] for row in seen if row["by_own_name"]]:
         lines.append(("excess held-out error removed, median", f"{100.0 * statistics.median(right):.0f} %"))
-    if rows:
-        seconds = statistics.median(row["seconds"] for row in rows)
-        lines.append(("time of a diagnosis, median", f"{seconds:.0f} s"))
+    if seconds := [row["seconds"] for row in rows if "seconds" in row]:
+        lines.append(("time of a diagnosis, median", f"{statistics.median(seconds):.0f} s"))
     return Table(("", heading), tuple(lines))
 
 

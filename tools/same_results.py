@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Whether two versions of the program print the same numbers: ``map``, ``analyze``, ``compare`` and ``diagnose``.
 
-    ./run python benchmarks/same_results.py OTHER_CHECKOUT --lab FOLDER... --trials FOLDER [-o DIR]
+    ./run python -m tools.same_results OTHER_CHECKOUT --lab FOLDER... --trials FOLDER [-o DIR]
 
 Each command runs in this checkout and in OTHER_CHECKOUT (installed by ``./run sync``) with ``--json``, once per folder
 of another laboratory's runs (with ``experiment.yaml``) and once per folder of trials, which has a folder per scenario.

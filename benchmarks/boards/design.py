@@ -15,7 +15,6 @@ import json
 from collections.abc import Callable
 from functools import cache, partial
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -23,7 +22,7 @@ from benchmarks.boards.blind import MAGNITUDES
 from benchmarks.harness import Row, Work, share
 from benchmarks.hidden import Entry, diagnosed, entries, hidden_in, judged, plant_option, recorder
 from benchmarks.results import Table
-from impact_rs_analysis.design.design import WHICH_EFFECT, Decide, planned
+from impact_rs_analysis.design.design import WHICH_EFFECT, planned
 from impact_rs_analysis.design.forecast import Forecast, forecast_of
 from impact_rs_analysis.design.possible_trials import possible_trials
 from impact_rs_analysis.diagnosis.document import DiagnosisDocument
@@ -97,115 +96,99 @@ def hidden_of(directory: Path) -> tuple[tuple[Hidden, ...], str | None, float]:
     return hidden, truth["outside"], truth["outside_magnitude"]
 
 
-Record = Callable[[BlindTask], str]
-
-
-def record(plan: ExperimentPlan, directory: Path, truth: Path, map_tasks: Map, work: Record) -> None:
-    """Run a plan on the plant of a blind campaign; bags that exist are kept."""
-    hidden, outside, magnitude = hidden_of(truth)
-    directory.mkdir(parents=True, exist_ok=True)
+def record(plan: ExperimentPlan, runs: Path, work: Work) -> Path:
+    """Run a plan on the plant of a blind campaign; bags that exist are kept. Returns their folder."""
+    hidden, outside, magnitude = hidden_of(work.folder)
+    runs.mkdir(parents=True, exist_ok=True)
     tasks = [
-        BlindTask(str(directory.absolute()), manifest.trial(key), hidden, outside, magnitude)
+        BlindTask(str(runs.absolute()), manifest.trial(key), hidden, outside, magnitude)
         for manifest in manifests_of(plan).values()
         for key in manifest.in_order
     ]
-    for _ in map_tasks(work, tasks):
+    for _ in work.map_tasks(recorder(work.options.on), tasks):
         pass
+    return runs
 
 
-def together(before: Runs, directory: Path, map_tasks: Map) -> Runs:
-    """Earlier runs and those of another folder; repeats of a condition have the features that all of them have."""
-    return Runs.of(before.directory, [*before.runs, *read_runs(directory, map_tasks).runs])
-
-
-class Planner:
-    """Plans of the nominal model, simulated once for all campaigns."""
-
-    def __init__(self, map_tasks: Map) -> None:
-        self._map = map_tasks
-        self._first: Forecast | None = None
-        self._designed: ExperimentPlan | None = None
-        self._trials = possible_trials(SCENARIOS)
-
-    def first(self, path: Path, method: Method, seed: int) -> ExperimentPlan:
-        """The plan of a campaign from nothing; designed ones are equal but for their seed."""
-        if not path.exists():
-            write_plan(self._plan(method, seed), path)
-        return read_plan(path)
-
-    def _plan(self, method: Method, seed: int) -> ExperimentPlan:
-        if method == "design" and self._designed is not None:
-            return self._designed.model_copy(update={"seed": seed})
-        if self._first is None:
-            self._first = forecast_of(load_model("nominal"), self._trials, ReplayCache(self._map))
-        plan = planned(self._first, WHICH_EFFECT(self._first.source), BUDGET, method, seed)
-        if method == "design":
-            self._designed = plan
-        return plan
-
-    def next(self, path: Path, method: Method, seed: int, runs: Runs, decide: Decide) -> ExperimentPlan:
-        """The plan after a diagnosis with a tie."""
-        if not path.exists():
-            model = load_model("nominal")
-            forecast = forecast_of(model, self._trials, ReplayCache(self._map), runs=runs, seed=seed)
-            write_plan(planned(forecast, decide(forecast.source), TIE_BUDGET, method, seed), path)
-        return read_plan(path)
+def kept(path: Path, make_plan: Callable[[], ExperimentPlan]) -> ExperimentPlan:
+    """A plan; one that exists is kept."""
+    if not path.exists():
+        write_plan(make_plan(), path)
+    return read_plan(path)
 
 
 @cache
-def planner(map_tasks: Map) -> Planner:
-    """The planner of a run."""
-    return Planner(map_tasks)
+def first_forecast(map_tasks: Map) -> Forecast:
+    """What the nominal model says of all trials, simulated once for all campaigns."""
+    return forecast_of(load_model("nominal"), possible_trials(SCENARIOS), ReplayCache(map_tasks))
+
+
+@cache
+def designed(map_tasks: Map) -> ExperimentPlan:
+    """The designed plan from nothing, which is the same for all campaigns but for its seed."""
+    forecast = first_forecast(map_tasks)
+    return planned(forecast, WHICH_EFFECT(forecast.source), BUDGET, "design", 0)
+
+
+def first_plan(method: Method, seed: int, map_tasks: Map) -> ExperimentPlan:
+    """The plan of a campaign from nothing."""
+    if method == "design":
+        return designed(map_tasks).model_copy(update={"seed": seed})
+    forecast = first_forecast(map_tasks)
+    return planned(forecast, WHICH_EFFECT(forecast.source), BUDGET, method, seed)
 
 
 def run(entry: Entry, work: Work) -> Row:
     """Measure, diagnose and judge one campaign in all ways, or a few trials that may end in a tie."""
-    folder, map_tasks, record_one = work.folder, work.map_tasks, recorder(work.options.on)
-    runs = folder / RUNS
+    folder, map_tasks = work.folder, work.map_tasks
+    runs = {"few" if entry.kind == "tie" else "fixed": folder / RUNS}
     if entry.kind == "tie":
         Secret.drawn(entry.seed, "single", entry.effect, entry.magnitude).keep(folder)
-        record(FEW.model_copy(update={"seed": entry.seed}), runs, folder, map_tasks, record_one)
+        record(FEW.model_copy(update={"seed": entry.seed}), folder / RUNS, work)
     else:
-        for _ in make(folder, entry.seed, map_tasks, entry.kind, entry.effect, "small", entry.magnitude, record_one):
+        how = (map_tasks, entry.kind, entry.effect, "small", entry.magnitude, recorder(work.options.on))
+        for _ in make(folder, entry.seed, *how):
             pass
-    first = "few" if entry.kind == "tie" else "fixed"
-    found = {first: (runs, diagnosed(folder / f"{first}.json", partial(read_runs, runs, map_tasks), map_tasks))}
-    for method in METHODS if entry.kind != "tie" else ():
-        plan = planner(map_tasks).first(folder / f"{method}.yaml", method, 1000 + entry.seed)
-        record(plan, folder / method, folder, map_tasks, record_one)
-        read = partial(read_runs, folder / method, map_tasks)
-        found[method] = folder / method, diagnosed(folder / f"{method}.json", read, map_tasks)
+        for method in METHODS:
+            plan = kept(folder / f"{method}.yaml", partial(first_plan, method, 1000 + entry.seed, map_tasks))
+            runs[method] = record(plan, folder / method, work)
+    found = {
+        way: diagnosed(folder / f"{way}.json", partial(read_runs, where, map_tasks), map_tasks)
+        for way, where in runs.items()
+    }
     ties = [
-        split(planner(map_tasks), folder, way, method, entry.seed, before, document, map_tasks, record_one)
-        for way, (before, document) in found.items()
+        split(way, method, entry.seed, runs[way], document, work)
+        for way, document in found.items()
         if document.confusable
         for method in METHODS
     ]
-    said = [f"{way} {document.verdict}" for way, (_, document) in found.items()]
+    said = [f"{way} {document.verdict}" for way, document in found.items()]
     said += [f"then by {one['method']} {one['verdict']}" for one in ties]
-    ways = {way: judged(folder, document) for way, (_, document) in found.items()}
+    ways = {way: judged(folder, document) for way, document in found.items()}
     return {"kind": entry.kind, "ways": ways, "ties": ties, "said": ", ".join(said)}
 
 
-def split(
-    planner: Planner,
-    directory: Path,
-    way: str,
-    method: Method,
-    seed: int,
-    runs: Path,
-    tied: DiagnosisDocument,
-    map_tasks: Map,
-    record_one: Record,
-) -> dict[str, Any]:
+def split(way: str, method: Method, seed: int, runs: Path, tied: DiagnosisDocument, work: Work) -> Row:
     """Whether the first proposal after a tie splits it."""
     decide = left_open(tied, load_model("nominal"))
     assert decide is not None
-    name, before = f"{way}_tie_{method}", read_runs(runs, map_tasks)
-    plan = planner.next(directory / f"{name}.yaml", method, 2000 + seed, before, decide)
-    record(plan, directory / name, directory, map_tasks, record_one)
-    after = diagnosed(directory / f"{name}.json", partial(together, before, directory / name, map_tasks), map_tasks)
-    return judged(directory, after) | {
+    folder, map_tasks = work.folder / f"{way}_tie_{method}", work.map_tasks
+    before = read_runs(runs, map_tasks)
+
+    def proposed() -> ExperimentPlan:
+        cache_ = ReplayCache(map_tasks)
+        trials = possible_trials(SCENARIOS)
+        forecast = forecast_of(load_model("nominal"), trials, cache_, runs=before, seed=2000 + seed)
+        return planned(forecast, decide(forecast.source), TIE_BUDGET, method, 2000 + seed)
+
+    def together() -> Runs:
+        """Repeats of a condition have the features that all of them have."""
+        return Runs.of(before.directory, [*before.runs, *read_runs(folder, map_tasks).runs])
+
+    plan = kept(folder.with_suffix(".yaml"), proposed)
+    record(plan, folder, work)
+    after = diagnosed(folder.with_suffix(".json"), together, map_tasks)
+    return judged(work.folder, after) | {
         "way": way,
         "method": method,
         "split": not after.confusable,
