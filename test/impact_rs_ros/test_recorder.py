@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import struct
+from collections import Counter
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -72,6 +73,8 @@ def test_a_trial_that_was_recorded_to_its_end_is_ok(opened: Begin, messages: Mes
     trial = stored(opened(ours), messages)
     assert trial.verdict().outcome == "OK"
     assert trial.note() == ""
+    came = Counter(topic for _, (topic, _) in messages)
+    assert {topic: trial.counts[topic] for topic in came} == came
 
 
 @pytest.mark.parametrize("ours", [True, False])

@@ -90,9 +90,9 @@ def restarts(graph: Graph, monkeypatch: pytest.MonkeyPatch) -> list[list[str]]:
 @pytest.mark.parametrize(
     ("victim", "kind"),
     [
-        ("controller", "SIGKILL"),
+        ("plant", "SIGKILL"),
         ("recorder", "SIGSTOP"),
-        pytest.param("plant", "SIGKILL", marks=pytest.mark.slow),
+        pytest.param("controller", "SIGKILL", marks=pytest.mark.slow),
         pytest.param("experiment", "SIGSTOP", marks=pytest.mark.slow),
     ],
 )
