@@ -160,9 +160,9 @@ def percent(values: Iterable[Any]) -> float:
     return 100.0 * sum(known) / len(known) if known else math.nan
 
 
-def quantiles(values: Sequence[float], digits: str = ".3g", ends: tuple[float, float] = (10, 90)) -> str:
-    """Median, and in parentheses the quantiles at both ends [%]."""
-    low, middle, high = (format(float(value), digits) for value in np.percentile(values, (ends[0], 50, ends[1])))
+def quantiles(values: Sequence[float]) -> str:
+    """Median, and in parentheses the quantiles at 10 and 90 %; three digits."""
+    low, middle, high = (f"{float(f'{value:.3g}'):,g}" for value in np.percentile(values, (10, 50, 90)))
     return f"{middle} ({low} to {high})"
 
 

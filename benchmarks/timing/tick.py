@@ -10,8 +10,6 @@ import argparse
 import time
 from functools import partial
 
-import numpy as np
-
 from benchmarks.harness import Case, Row, Work, in_turns, quantiles
 from benchmarks.results import Table
 from impact_rs_control.closed_loop import make_plant, run_closed_loop, without_garbage_collection
@@ -50,7 +48,7 @@ def whole(plan: TrialPlan, simulator: str) -> None:
 
 
 def run(case: Case, work: Work) -> Row:
-    """Times of all parts [s]."""
+    """Times of all parts, in the units of ``PARTS``."""
     scenario = load_scenario(case.name)
     plan = plan_trial(Scene.resolve(scenario, next(iter(scenario.objects)), next(iter(scenario.cases))))
     timing = plan.scene.scenario.timing
@@ -70,14 +68,11 @@ def run(case: Case, work: Work) -> Row:
         plant.close()
     calls = {name: partial(whole, plan, name) for name in ("bullet", "twin")}
     found |= in_turns(calls, work.options.trials)
-    return {name: list(np.percentile(values, (10, 50, 90))) for name, values in found.items()}
+    return {name: quantiles([PARTS[name][1] * value for value in values]) for name, values in found.items()}
 
 
 def table(rows: list[Row], options: argparse.Namespace) -> Table:
     """Scenarios beside each other."""
     del options
-    lines = [
-        (words, *(quantiles([scale * value for value in row[name]], ends=(0, 100)) for row in rows))
-        for name, (words, scale) in PARTS.items()
-    ]
+    lines = [(words, *(row[name] for row in rows)) for name, (words, _) in PARTS.items()]
     return Table(("Processor time, median (10 to 90 %)", *(f"`{row['name']}`" for row in rows)), tuple(lines))

@@ -145,5 +145,5 @@ def run(case: Case, work: Work) -> Row:
 def table(rows: list[Row], options: argparse.Namespace) -> Table:
     """A row for each wait."""
     del options
-    lines = [(what, quantiles(times, ".0f")) for what, times in rows[0].items() if what != "name"]
+    lines = [(what, quantiles(times)) for what, times in rows[0].items() if what != "name"]
     return Table(("Workbench with 3D, drawn by software", "wall time [ms], median (10 to 90 %)"), tuple(lines))
