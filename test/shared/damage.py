@@ -6,13 +6,17 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
+import pytest
 from hypothesis import HealthCheck, Phase, settings
 from hypothesis import strategies as st
+
+FAST_TIER = 3  # of so many examples it tries one
+TIERS = pytest.mark.parametrize("part", [FAST_TIER, pytest.param(1, marks=pytest.mark.slow)], ids=["third", "whole"])
 
 
 def repeatable(examples: int) -> Any:
     """Settings of a test of damage: the same examples in every run."""
-    checks = [HealthCheck.function_scoped_fixture, HealthCheck.too_slow]
+    checks = [HealthCheck.function_scoped_fixture, HealthCheck.too_slow, HealthCheck.data_too_large]
     return settings(
         max_examples=examples,
         derandomize=True,
@@ -73,3 +77,44 @@ def edited(draw: st.DrawFn, text: str, words: Sequence[str], separators: str) ->
     else:
         lines[place : place + 1] = {"lost": [], "twice": [line, line], "indented": ["  " + line]}[kind]
     return "\n".join(lines).encode("utf-8", "surrogatepass")
+
+
+ACCIDENTS = ("cut", "mark", "byte", "separator", "join", "half", "blank", "word", "tail")
+
+
+@st.composite
+def mangled(draw: st.DrawFn, text: str) -> bytes:
+    """A table of numbers after one or two accidents that leave no other valid number in it."""
+    lines = text.split("\n")
+    accidents = draw(st.lists(st.sampled_from(ACCIDENTS), min_size=1, max_size=2, unique=True))
+    for kind in ["join"] if "join" in accidents else accidents:  # half of two joined lines may be one line less a digit
+        row = draw(st.integers(0, max(len(lines) - 2, 0)))
+        if kind == "cut":
+            lines = [*lines[:row], lines[row][: draw(st.integers(0, len(lines[row])))]]
+        elif kind == "mark":
+            place = draw(st.integers(0, len(lines[row])))
+            lines[row] = lines[row][:place] + '"' + lines[row][place:]
+        elif kind == "byte":
+            return "\n".join(lines[:row]).encode() + b"\xff\xfe\x00" + "\n".join(lines[row:]).encode()
+        elif kind == "separator":
+            lines[row] = lines[row].replace(",", draw(st.sampled_from([";", "\t", ",,", " , "])), 1)
+        elif kind == "join" and row + 1 < len(lines):
+            lines[row : row + 2] = [lines[row] + lines[row + 1]]
+        elif kind == "half":
+            lines[row] = lines[row][: len(lines[row]) // 2]
+        elif kind == "blank":
+            lines.insert(row, draw(st.sampled_from(["", "   ", "# a note", "\r"])))
+        elif kind == "word":
+            lines.insert(row, draw(st.text(max_size=30)).replace("\n", " "))
+        elif kind == "tail":
+            lines[row] += draw(st.sampled_from([",", " ", "\r", ",x", " 1"]))
+    return "\n".join(lines).encode("utf-8", "surrogatepass")
+
+
+@st.composite
+def headless(draw: st.DrawFn, data: bytes) -> bytes:
+    """A binary without checksums of its numbers: its head is overwritten, or its end is lost."""
+    if draw(st.booleans()):
+        return data[: len(data) - draw(st.integers(0, 300))]
+    place, there = draw(st.integers(0, 200)), draw(st.binary(min_size=1, max_size=8))
+    return data[:place] + there + data[place + len(there) :]

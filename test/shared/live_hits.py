@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A follower that runs while damaged trials arrive: each is a hit or refused with its reason, and it goes on."""
+"""A follower of a folder, and a trial that is recorded there again and again, changed each time."""
 
 from __future__ import annotations
 
@@ -11,9 +11,6 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-import pytest
-from damage import repeatable
-from hypothesis import given
 from hypothesis import strategies as st
 
 from impact_rs_analysis.evidence.replay_cache import ReplayCache
@@ -42,7 +39,7 @@ class Damage(NamedTuple):
     number: float
 
 
-damages = st.builds(
+DAMAGES = st.builds(
     Damage,
     st.sampled_from(
         ("number", "names", "swapped names", "order", "same stamp", "backwards", "lost topic", "empty", "cut", "lost")
@@ -54,7 +51,7 @@ damages = st.builds(
 )
 
 
-def damaged(messages: Messages, damage: Damage) -> Messages:
+def damaged_messages(messages: Messages, damage: Damage) -> Messages:
     """The messages of a trial after that."""
     own = [place for place, (topic, _, _) in enumerate(messages) if topic == damage.topic]
     at = own[int(damage.place * len(own))]
@@ -88,6 +85,15 @@ def damaged(messages: Messages, damage: Damage) -> Messages:
 
 class Live:
     """A follower of a folder, as the node has it, and a trial that is recorded again and again."""
+
+    @classmethod
+    def of_campaign(cls, campaign: Path, folder: Path) -> Live:
+        """It has followed all six trials of a campaign, one of which is recorded again."""
+        shutil.copytree(campaign, folder)
+        found = cls(folder, sorted((folder / "push").glob("juice*"))[0])
+        hits, refused = found.taken()
+        assert len(hits) == 6 and not refused
+        return found
 
     def __init__(self, folder: Path, original: Path) -> None:
         from rosbags.rosbag2 import Reader
@@ -139,70 +145,3 @@ class Live:
                 elif lesson.hit:
                     hits.append(lesson.line.split(":")[0])
         return hits, refused
-
-
-@pytest.fixture(scope="module")
-def live(hidden_campaign: Path, tmp_path_factory: pytest.TempPathFactory) -> Live:
-    folder = tmp_path_factory.mktemp("live") / "runs"
-    shutil.copytree(hidden_campaign, folder)
-    found = Live(folder, sorted((folder / "push").glob("juice*"))[0])
-    hits, refused = found.taken()
-    assert len(hits) == 6 and not refused
-    return found
-
-
-@repeatable(24)
-@given(damages)
-def test_a_damaged_trial_is_a_hit_or_refused_with_its_reason(live: Live, damage: Damage) -> None:
-    name = live.add(lambda messages: damaged(messages, damage))
-    hits, refused = live.taken()
-    assert [*hits, *refused] == [name]
-    assert all(reason and "\n" not in reason for reason in refused.values())
-    if text := live.lessons.prediction():  # none like a hit that ends early, which was seen once
-        json.dumps(json.loads(text), allow_nan=False)
-    assert all(np.isfinite(one.estimate) for one in live.follower.followed())
-
-
-REFUSED = [
-    (Damage("names", JOINTS, 0.5, "position", 0.0), "joint_states: other joints, or another order, at t = 0.9"),
-    (Damage("swapped names", MOTORS, 0.5, "position", 0.0), "motor_states: other joints, or another order, at t"),
-    (Damage("same stamp", JOINTS, 0.5, "position", 0.0), "joint_states: time stamps run backwards at t = 0.9"),
-    (Damage("same stamp", MOTORS, 0.5, "position", 0.0), "have different stamps at t = 0.9"),
-    (Damage("backwards", POSE, 0.5, "position", 0.0), "object/pose: time stamps run backwards at t"),
-    (Damage("number", JOINTS, 0.5, "velocity", np.nan), "velocity is not finite at t = 0.9"),
-    (Damage("lost topic", MOTORS, 0.5, "position", 0.0), "no /arm/motor_states"),
-    (Damage("cut", JOINTS, 0.3, "position", 0.0), "hits nothing"),
-]
-
-
-@pytest.mark.parametrize(("damage", "reason"), REFUSED, ids=[f"{one.kind} of {one.topic}" for one, _ in REFUSED])
-def test_what_would_be_misread_is_refused_with_place_and_time(live: Live, damage: Damage, reason: str) -> None:
-    name = live.add(lambda messages: damaged(messages, damage))
-    hits, refused = live.taken()
-    assert not hits and reason in refused[name]
-
-
-def test_joints_in_another_order_than_the_robots_are_refused(live: Live) -> None:
-    """The same in all messages, as another program may name them."""
-
-    def turned(messages: Messages) -> Messages:
-        for topic, _, message in messages:
-            if topic in (JOINTS, MOTORS):
-                message.name = message.name[::-1]
-        return messages
-
-    name = live.add(turned)
-    hits, refused = live.taken()
-    assert not hits and "joints in the order arm_" in refused[name]
-
-
-def test_after_damaged_trials_a_sound_one_is_a_hit(live: Live) -> None:
-    name = live.add(lambda messages: messages)
-    assert live.taken() == ([name], {})
-
-
-def test_repeats_of_one_condition_with_and_without_the_object_are_hits_alike(live: Live) -> None:
-    """Sensitivities of the one are not those of the other: they have other features."""
-    for lost in (True, True, True, False):
-        name = live.add(lambda messages, lost=lost: [one for one in messages if not lost or one[0] != POSE])  # type: ignore[misc]
-        assert live.taken() == ([name], {})
