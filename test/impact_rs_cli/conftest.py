@@ -61,3 +61,11 @@ def laboratory(push_campaign: Path, tmp_path: Path) -> Path:
     (folder / "runs.csv").write_text("bag,object,kind\nrun_1,cat_food,hit\nrun_2,cat_food,hit\n")
     (folder / "experiment.yaml").write_text("scenario: push\nmapping: impact_rs\n")
     return folder
+
+
+@pytest.fixture(scope="session")
+def model_2(diagnosed: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The nominal model with what the diagnosis of ``hidden_campaign`` named."""
+    path = tmp_path_factory.mktemp("models") / "model_2.yaml"
+    assert main(["add", "support_friction", "--from", str(diagnosed), "-o", str(path)]) == 0
+    return path

@@ -16,11 +16,14 @@ from typing import Any
 
 import pytest
 import yaml
+from trials import made_up
 
 import impact_rs_cli.commands
+from impact_rs_analysis.measure.analyze import ExperimentSet
 from impact_rs_cli.main import PACKAGES, main, parser
+from impact_rs_cli.measurements import experiment_file
 from impact_rs_cli.parser import PROGRAM
-from impact_rs_cli.terminal import output_folder
+from impact_rs_cli.terminal import Terminal, output_folder
 from impact_rs_commands import COMMANDS
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.impact_map import CONTACTS, DEFAULT_ENGINE, ENGINES
@@ -147,15 +150,11 @@ def test_debug_shows_the_cause_of_an_error_and_the_log(
     assert "impact_rs_trials.something: went round the hole" in err
 
 
-def test_json_is_pure_in_a_process_of_its_own(push_campaign: Path, tmp_path: Path) -> None:
-    """Libraries that print to the C-level standard output must not spoil it."""
-    for words in (
-        ["map", "push", "cat_food", "case_2", "--engine", "bullet", "--json"],
-        ["analyze", str(push_campaign), "-o", str(tmp_path / "report"), "--json"],
-    ):
-        done = process(*words)
-        assert (done.returncode, done.stderr) == (0, "")
-        assert isinstance(json.loads(done.stdout), dict)
+def test_json_is_pure_in_a_process_of_its_own() -> None:
+    """Bullet prints to the C-level standard output, which must not spoil it."""
+    done = process("map", "push", "cat_food", "case_2", "--engine", "bullet", "--json")
+    assert (done.returncode, done.stderr) == (0, "")
+    assert isinstance(json.loads(done.stdout), dict)
 
 
 def test_map_prints_the_prediction(capfd: pytest.CaptureFixture) -> None:
@@ -212,7 +211,10 @@ def test_a_finished_campaign_has_nothing_to_run(
     assert f"next: ./run impact-rs analyze {directory}" in process(*words, IMPACT_RS_PROGRAM="./run impact-rs").stdout
 
 
-def test_scales_that_differ_little_have_a_bag_each(tmp_path: Path, capfd: pytest.CaptureFixture) -> None:
+def test_scales_that_differ_little_have_a_bag_each(
+    tmp_path: Path, capfd: pytest.CaptureFixture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("impact_rs_trials.campaign.run_campaigns.__defaults__", (None, made_up))
     scales = ["--scales", "1.0001", "1.0002", "1", "--jobs", "1"]
     assert main(["campaign", "push", "-o", str(tmp_path / "out"), *SCOPE, *scales]) == 0
     assert "3 of 3 trials are there" in capfd.readouterr().out
@@ -263,7 +265,7 @@ def test_analyze_needs_more_than_one_trial(push_campaign: Path, tmp_path: Path, 
     shutil.copytree(push_campaign / BAG, tmp_path / "one" / BAG)
     assert main(["analyze", str(tmp_path / "one")]) == 1
     assert "1 trial with impact" in capfd.readouterr().out
-    assert main(["analyze", str(push_campaign), "-o", str(tmp_path / "report")]) == 0
+    assert main(["analyze", str(push_campaign), "-o", str(tmp_path / "report"), "--jobs", "1"]) == 0
     out, err = capfd.readouterr()
     assert "Cat food" in out and "report.html" in out and not err
 
@@ -331,3 +333,147 @@ def test_an_output_folder_left_empty_goes_away_with_its_parents(tmp_path: Path) 
         folder.mkdir(parents=True)
         (folder / "result").write_text("")
     assert (tmp_path / "a" / "b" / "result").exists()
+
+
+# ---- which files the commands of the loop read ----------------------------------------------------------------------
+
+
+NAME = Path("experiment.yaml")
+
+
+@pytest.fixture
+def places(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> tuple[Path, Path]:
+    """A working directory, and a folder of runs elsewhere."""
+    here, runs = tmp_path / "here", tmp_path / "elsewhere" / "lab"
+    for folder in (here, runs):
+        folder.mkdir(parents=True)
+    monkeypatch.chdir(here)
+    return here, runs
+
+
+def test_an_experiment_file_here_comes_before_one_beside_the_runs(
+    places: tuple[Path, Path], capsys: pytest.CaptureFixture
+) -> None:
+    here, runs = places
+    terminal = Terminal(as_json=False)
+    with pytest.raises(InputError, match="no such file in .*here or in the folder of the runs, .*lab"):
+        experiment_file(NAME, runs, terminal)
+    (runs / NAME).write_text("scenario: push\n")
+    assert experiment_file(NAME, runs, terminal) == runs / NAME
+    assert capsys.readouterr() == (f"experiment: {runs / NAME}\n", "")
+    shutil.copy(runs / NAME, here / NAME)
+    assert experiment_file(NAME, runs, terminal).absolute() == here / NAME
+    out, err = capsys.readouterr()
+    assert out == f"experiment: {here / NAME}\n"
+    assert "was not read" in err and str(runs / NAME) in err
+    shutil.copy(runs / NAME, runs / "other.yaml")
+    assert experiment_file(runs / "other.yaml", runs, terminal) == runs / "other.yaml"
+    assert capsys.readouterr() == ("", "")  # a whole path leaves nothing open
+
+
+@pytest.mark.parametrize("command", ["compare", "diagnose", "analyze", "show --run run_1"])
+def test_every_command_finds_the_experiment_file_beside_the_runs(
+    places: tuple[Path, Path], capsys: pytest.CaptureFixture, command: str
+) -> None:
+    _, runs = places
+    (runs / NAME).write_text("scenari: push\n")
+    assert main([*command.split(), str(runs), "--experiment", str(NAME), "--jobs", "1"]) == 2
+    assert f"{runs / NAME}: scenari" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(("tolerance", "fits"), [(50.0, True), (1e-6, False)])
+def test_analyze_says_that_no_prediction_fits_and_merges_equal_contacts(
+    push_campaign: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture,
+    tolerance: float,
+    fits: bool,
+) -> None:
+    monkeypatch.setattr(ExperimentSet, "tolerance", property(lambda _: tolerance))
+    assert main(["analyze", str(push_campaign), "-o", str(tmp_path / "report"), "--jobs", "1"]) == 0
+    out = capsys.readouterr().out
+    assert ("first contact: no prediction agrees within the 95 % intervals of both: Cat food" in out) == (not fits)
+    assert out.count("Experimental estimate") == 1 and "settled contact: the same errors as the first" in out
+
+
+# ---- packages that only some files need -----------------------------------------------------------------------------
+
+
+TABLE = """\
+x [m],y [m],z [m],qx,qy,qz,qw,vx_before [m/s],vy_before [m/s],vz_before [m/s],wx_before [rad/s],wy_before [rad/s],\
+wz_before [rad/s],mass [kg],size_x [m],size_y [m],size_z [m],px [m],py [m],pz [m],friction,restitution
+0,0,0.05,0,0,0,1,0,0,-1,0,0,0,1,0.1,0.1,0.1,0,0,0,0.2,0.5
+"""
+RUN = "/somewhere/else/run"
+
+
+class Situation:
+    """A command that needs pyarrow where it is missing, with an answer at the terminal and a stand-in for ``./run``."""
+
+    def __init__(self, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.asked: list[list[str]] = []
+        self.exit_code = 0
+        self.target = folder / "answers.parquet"
+        self._monkeypatch = monkeypatch
+        self._package = pytest.importorskip("pyarrow")
+        (folder / "cube.csv").write_text(TABLE, encoding="utf-8")
+        self.words = ["map", "--table", str(folder / "cube.csv"), "-o", str(self.target)]
+        monkeypatch.setenv("IMPACT_RS_RUN", RUN)
+        monkeypatch.setitem(sys.modules, "pyarrow", None)
+        monkeypatch.setattr("impact_rs_cli.installing.subprocess.run", self._install)
+        for stream in ("stdin", "stderr"):
+            monkeypatch.setattr(getattr(sys, stream), "isatty", lambda: True)
+
+    def answered(self, line: str) -> int:
+        """Exit code of the command."""
+        self._monkeypatch.setattr(sys.stdin, "readline", lambda: line)
+        return main(self.words)
+
+    def _install(self, command: list[str], **_: object) -> subprocess.CompletedProcess[str]:
+        self.asked.append(command)
+        if self.exit_code == 0:
+            self._monkeypatch.setitem(sys.modules, "pyarrow", self._package)
+        return subprocess.CompletedProcess(command, self.exit_code)
+
+
+@pytest.fixture
+def situation(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Situation:
+    return Situation(tmp_path, monkeypatch)
+
+
+def test_after_a_yes_it_is_installed_and_the_command_goes_on(situation: Situation) -> None:
+    assert situation.answered("y\n") == 0
+    assert situation.asked == [[RUN, "sync", "export"]]
+    assert situation.target.is_file()
+
+
+@pytest.mark.parametrize("line", ["\n", "no\n", ""])
+def test_without_a_yes_nothing_is_installed(
+    situation: Situation, line: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert situation.answered(line) == 2
+    assert not situation.asked and not situation.target.exists()
+    assert f"this needs pyarrow, which is not installed; {RUN} sync export does it" in capsys.readouterr().err
+
+
+def test_an_installation_that_fails_ends_the_command(situation: Situation) -> None:
+    situation.exit_code = 7
+    assert situation.answered("y\n") == 2
+    assert len(situation.asked) == 1 and not situation.target.exists()
+
+
+@pytest.mark.parametrize("where", ["no terminal", "json", "not made by ./run"])
+def test_nobody_is_asked_where_nobody_answers_or_nothing_can_be_installed(
+    situation: Situation, where: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    if where == "no terminal":
+        monkeypatch.setattr(sys.stdin, "isatty", lambda: False)
+    elif where == "json":
+        situation.words.append("--json")
+    else:
+        monkeypatch.delenv("IMPACT_RS_RUN")
+    assert situation.answered("y\n") == 2
+    out, said = capsys.readouterr()
+    assert not situation.asked and out == "" and len(said.splitlines()) == 1
+    assert ("pip install pyarrow" if where == "not made by ./run" else f"{RUN} sync export") in said

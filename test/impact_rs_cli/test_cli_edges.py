@@ -21,11 +21,16 @@ COMMAND = [sys.executable, "-m", "impact_rs_cli.main"]
 @pytest.mark.parametrize(
     ("words", "size"),
     [
-        ("trial push cat_food 2 -o OUT", 200_000),
-        ("export RUNS -o OUT/x.h5", 200_000),
-        ("export RUNS -o OUT/x.parquet", 2000),
-        ("export RUNS -o OUT", 2000),
-        ("analyze RUNS -o OUT", 200_000),
+        ("export RUNS -o OUT --jobs 1", 2000),
+        *(
+            pytest.param(*one, marks=pytest.mark.slow)
+            for one in (
+                ("trial push cat_food 2 -o OUT", 200_000),
+                ("export RUNS -o OUT/x.h5", 200_000),
+                ("export RUNS -o OUT/x.parquet", 2000),
+                ("analyze RUNS -o OUT", 200_000),
+            )
+        ),
     ],
 )
 def test_a_full_disk_ends_in_one_line_and_leaves_nothing(
@@ -69,6 +74,7 @@ def unread(monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture) -> Cal
     return run
 
 
+@pytest.mark.slow
 def test_without_a_reader_the_files_of_the_loop_are_written(
     cubes: Path, tmp_path: Path, unread: Callable[..., None]
 ) -> None:

@@ -31,23 +31,6 @@ def test_a_scene_is_written_for_every_simulator(tmp_path: Path, document: Docume
     assert not any("motor inertia B" in text for text in found["mjcf"]["left_out"])
 
 
-@pytest.mark.parametrize(
-    ("words", "said"),
-    [
-        (("export",), "nothing to write"),
-        (("export", "--mjcf", "OUT.xml"), "--scenario is missing"),
-        (("export", "--mjcf", "OUT.txt", *SCENE), "ends with .xml or .mjcf"),
-        (("export", "RUNS", "--mjcf", "OUT.xml", *SCENE), "run the command twice"),
-        (("export", "--mjcf", "OUT.xml", *SCENE[:2], "--object", "cat", "--case", "2"), "no object 'cat'"),
-    ],
-)
-def test_an_export_that_cannot_be_is_refused(
-    words: tuple[str, ...], said: str, tmp_path: Path, refused: Refused
-) -> None:
-    assert said in refused(*(word.replace("OUT", str(tmp_path / "out")) for word in words))
-    assert not list(tmp_path.iterdir())
-
-
 def measured(folder: Path, value: float) -> Path:
     """Measurements of a laboratory."""
     folder.mkdir()
@@ -55,7 +38,9 @@ def measured(folder: Path, value: float) -> Path:
     return folder
 
 
-def test_evidence_is_packed_checked_and_merged(tmp_path: Path, document: Document, refused: Refused) -> None:
+def test_evidence_is_packed_checked_and_merged(
+    tmp_path: Path, document: Document, refused: Refused, capfd: pytest.CaptureFixture
+) -> None:
     packages = []
     for laboratory, value in (("north", 1.0), ("south", 1.05), ("west", 0.98), ("middle", 1.01), ("east", 2.0)):
         diagnosis, package = tmp_path / f"{laboratory}_diagnosis.json", tmp_path / f"{laboratory}.json"
@@ -68,25 +53,13 @@ def test_evidence_is_packed_checked_and_merged(tmp_path: Path, document: Documen
     assert document("evidence", "check", packages[0], "--data", runs)["passed"]
     merged = document("evidence", "merge", *packages, "-o", tmp_path / "merged.json")
     assert list(merged["odd"]) == ["east"]
+    assert main(["evidence", "merge", *map(str, packages)]) == 0
+    assert "ODD: east does not agree with the others in law.size" in capfd.readouterr().out
     assert (tmp_path / "merged.json").is_file()
     (runs / "one.csv").write_text("2\n", encoding="utf-8")
     assert not document("evidence", "check", packages[0], "--data", runs, code=1)["passed"]
     assert "expected two or more" in refused("evidence", "merge", packages[0])
     assert "no package of evidence" in refused("evidence", "check", tmp_path / "merged.json")
-
-
-def test_the_odd_laboratory_is_said_in_words(tmp_path: Path, capfd: pytest.CaptureFixture) -> None:
-    words = ["evidence", "merge"]
-    for laboratory, value in (("north", 1.0), ("south", 1.05), ("west", 0.98), ("middle", 1.01), ("east", 2.0)):
-        diagnosis, runs = tmp_path / "diagnosis.json", measured(tmp_path / laboratory, value)
-        write_document(diagnosis_of({"law": (value, 0.1)}), diagnosis)
-        who = ["--laboratory", laboratory, "--robot", "arm", "--object", "box"]
-        package = str(tmp_path / f"{laboratory}.json")
-        assert main(["evidence", "pack", str(diagnosis), "--data", str(runs), *who, "-o", package]) == 0
-        words.append(package)
-    capfd.readouterr()
-    assert main(words) == 0
-    assert "ODD: east does not agree with the others in law.size" in capfd.readouterr().out
 
 
 def test_measurements_that_were_packed_under_two_names_are_refused(

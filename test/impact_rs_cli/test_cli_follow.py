@@ -3,15 +3,22 @@
 
 from __future__ import annotations
 
+import contextlib
+import io
 import json
-from collections.abc import Callable
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from impact_table_cases import arm_table, write_csv
-from processes import killed_at_file
+from processes import killed_at_file, until
 
 from impact_rs_analysis.diagnosis.document import read_document
 from impact_rs_analysis.following.follow import Follower
@@ -51,27 +58,43 @@ def test_a_change_is_announced_with_its_cause_and_the_next_command(
     assert "name: object_mass" in model.read_text()
 
 
+@pytest.fixture(scope="module")
+def whole(table: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[dict[str, Any], Path, dict[str, Any]]:
+    """The document of a pass over the whole table, the state it left, and what it said of its progress."""
+    folder, said = tmp_path_factory.mktemp("whole"), io.StringIO()
+    with pytest.MonkeyPatch.context() as patch, contextlib.redirect_stdout(said):
+        patch.setenv(VARIABLE, str(folder / "progress.json"))
+        words = ["follow", str(table), "--scenario", "push", "--state", str(folder / "state.npz"), "--json"]
+        assert main([*words, "--diagnoses", str(folder / "more")]) == 0
+    assert not (folder / "more").exists()  # six hits of six conditions: nothing is repeated
+    return json.loads(said.getvalue()), folder / "state.npz", json.loads((folder / "progress.json").read_text())
+
+
 def test_the_document_has_every_hit_and_a_later_run_with_the_state_has_none_again(
-    table: Path, tmp_path: Path, document: Callable[..., dict[str, Any]]
+    table: Path, whole: tuple[dict[str, Any], Path, dict[str, Any]], document: Callable[..., dict[str, Any]]
 ) -> None:
-    words = ("follow", table, "--scenario", "push", "--state", tmp_path / "state.npz")
-    first = document(*words)
-    assert len(first["hits"]) == 42
+    first, state, progress = whole
+    assert len(first["hits"]) == 42 and first["diagnosis"] is None
+    assert (progress["what"], progress["done"], progress["total"]) == ("following hits", 42, 42)
     (change,) = [hit["change"] for hit in first["hits"] if hit["change"] is not None]
     causes = {cause["effect"]: cause["share"] for cause in change["causes"]}
     assert causes["object_mass"] > 0.3  # a tool that lost 0.5 kg does about as well after three hits, and is said too
-    again = document(*words)
+    again = document("follow", table, "--scenario", "push", "--state", state)
     assert again["hits"] == []
     assert again["followed"] == first["followed"] and again["prediction"] == first["prediction"]
 
 
-@pytest.mark.parametrize("written", [True, False], ids=["after", "before"])
+@pytest.mark.parametrize("written", [True, pytest.param(False, marks=pytest.mark.slow)], ids=["after", "before"])
 def test_a_kill_in_the_first_pass_loses_no_hit_and_resumes_as_if_there_was_none(
-    table: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, document: Callable[..., dict[str, Any]], written: bool
+    table: Path,
+    whole: tuple[dict[str, Any], Path, dict[str, Any]],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    document: Callable[..., dict[str, Any]],
+    written: bool,
 ) -> None:
     """Killed at the third state that is written: 30 of the 42 hits, just after and just before it is complete."""
     words = ("follow", table, "--scenario", "push")
-    whole = document(*words)
     counts: list[int] = []
 
     def killed(follower: Follower, path: Path) -> None:
@@ -88,13 +111,14 @@ def test_a_kill_in_the_first_pass_loses_no_hit_and_resumes_as_if_there_was_none(
     assert counts == [10, 20, 30]
     rest = document(*words, "--state", state)
     first = 30 if written else 20
-    for own, expected in zip(rest["hits"], whole["hits"][first:], strict=True):
+    for own, expected in zip(rest["hits"], whole[0]["hits"][first:], strict=True):
         assert own["name"] == expected["name"]
         assert own["error"] == (None if expected["error"] is None else pytest.approx(expected["error"], rel=1e-6))
         assert (own["change"] is None) == (expected["change"] is None)
-    assert rest["followed"][0]["estimate"] == pytest.approx(whole["followed"][0]["estimate"], rel=1e-6)
+    assert rest["followed"][0]["estimate"] == pytest.approx(whole[0]["followed"][0]["estimate"], rel=1e-6)
 
 
+@pytest.mark.slow
 def test_sigkill_before_or_after_every_written_file_loses_no_hit_and_no_change(
     tmp_path: Path, document: Callable[..., dict[str, Any]]
 ) -> None:
@@ -123,15 +147,6 @@ def test_sigkill_before_or_after_every_written_file_loses_no_hit_and_no_change(
             (mass,), (expected,) = rest["followed"], whole["followed"]
             assert mass["estimate"] == pytest.approx(expected["estimate"], rel=1e-6)
     assert count >= 5  # two states in the first pass, its end, the model
-
-
-def test_the_first_pass_says_how_far_it_is(
-    table: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, document: Callable[..., dict[str, Any]]
-) -> None:
-    monkeypatch.setenv(VARIABLE, str(tmp_path / "progress.json"))
-    document("follow", table, "--scenario", "push")
-    progress = json.loads((tmp_path / "progress.json").read_text())
-    assert (progress["what"], progress["done"], progress["total"]) == ("following hits", 42, 42)
 
 
 def test_a_change_starts_its_full_diagnosis_of_the_hits_since_then_and_says_how_it_ended(
@@ -174,14 +189,6 @@ def test_a_hit_that_arrives_is_followed_at_once_and_kept_in_the_state(
     assert "waiting for hits" in out and f"row {len(rows)}: prediction off by" in out
 
 
-def test_without_hits_enough_no_diagnosis_is_started(
-    table: Path, tmp_path: Path, document: Callable[..., dict[str, Any]]
-) -> None:
-    """Six hits of six conditions: nothing is repeated."""
-    assert document("follow", table, "--scenario", "push", "--diagnoses", tmp_path / "more")["diagnosis"] is None
-    assert not (tmp_path / "more").exists()
-
-
 def test_the_node_takes_a_few_hits_at_a_time_and_all_in_the_end(table: Path, tmp_path: Path) -> None:
     def lessons() -> Lessons:
         source = HitsArguments(table, scenario="push")
@@ -201,25 +208,80 @@ def test_the_node_takes_a_few_hits_at_a_time_and_all_in_the_end(table: Path, tmp
     assert "--since 'row 37'" in change["diagnose"]
 
 
-@pytest.mark.parametrize(
-    ("words", "said"),
-    [
-        (("--live", "--json"), "leave --json out"),
-        (("--mean-time", "0"), "expected a number of hits >= 1"),
-        (("--contact-tolerance", "-1"), "expected a distance >= 0 m"),
-    ],
-)
-def test_a_mistake_is_named(table: Path, refused: Callable[..., str], words: tuple[str, ...], said: str) -> None:
-    assert said in refused("follow", "--impacts", table, "--scenario", "push", *words)
+# ---- a full diagnosis in a process of its own -----------------------------------------------------------------------
 
 
-def test_a_scenario_goes_with_a_table_only(tmp_path: Path, refused: Callable[..., str]) -> None:
-    assert "goes with --impacts only" in refused("follow", tmp_path, "--scenario", "push")
+@pytest.fixture
+def few_hits(tmp_path: Path) -> Path:
+    return write_csv(tmp_path / "hits.csv", *arm_table({}, 2, 1))
 
 
-def test_a_state_file_that_is_none_is_named_and_kept(table: Path, tmp_path: Path, refused: Callable[..., str]) -> None:
-    state = tmp_path / "state.npz"
-    state.write_text("mine")
-    line = refused("follow", "--impacts", table, "--scenario", "push", "--state", state)
-    assert "not a state file" in line and str(state) in line
-    assert state.read_text() == "mine"
+def test_a_diagnosis_that_fails_is_reported_with_its_reason_and_command(few_hits: Path, tmp_path: Path) -> None:
+    diagnosis = FullDiagnosis({"impacts": few_hits, "scenario": "push"}, tmp_path / "more")
+    diagnosis.start("row 99")
+    assert diagnosis.running
+    found = diagnosis.ended(wait=True)
+    assert found is not None and found.verdict == ""
+    assert found.words.startswith("exit code 2: ") and "no such run or row" in found.words
+    assert found.command.endswith(f"--impacts {few_hits} --scenario push --since 'row 99'")
+    assert f"-o {tmp_path}/more/diagnosis_since_row_99.json" in found.command
+    assert not diagnosis.running and diagnosis.ended() is None and not (tmp_path / "more").exists()
+
+
+@pytest.mark.parametrize("patience", [60.0, 0.0])
+def test_a_diagnosis_that_is_stopped_has_ended_and_leaves_nothing(
+    few_hits: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, patience: float
+) -> None:
+    """By Ctrl-C, and by a kill where it does not end in time."""
+    monkeypatch.setattr("impact_rs_cli.full_diagnosis.PATIENCE", patience)
+    diagnosis = FullDiagnosis({"impacts": few_hits, "scenario": "push"}, tmp_path / "more")
+    diagnosis.start("row 3")
+    process = diagnosis._running.process  # type: ignore[union-attr]
+    diagnosis.stop()
+    assert process.returncode is not None and not diagnosis.running
+    assert not (tmp_path / "more").exists()
+
+
+FOLLOWING = """
+import sys, time
+from pathlib import Path
+from impact_rs_cli.full_diagnosis import FullDiagnosis
+diagnosis = FullDiagnosis({"impacts": sys.argv[1], "scenario": "push"}, Path(sys.argv[2]))
+diagnosis.start("row 3")
+print(diagnosis._running.process.pid, flush=True)
+time.sleep(1000)
+"""
+
+
+@pytest.fixture
+def starter(few_hits: Path, tmp_path: Path) -> Iterator[subprocess.Popen[str]]:
+    """A process that has started a diagnosis, whose id it prints."""
+    words = [sys.executable, "-c", FOLLOWING, str(few_hits), str(tmp_path / "more")]
+    with subprocess.Popen(words, stdout=subprocess.PIPE, text=True) as process:
+        yield process
+        process.kill()
+
+
+def group_of(leader: int) -> list[int]:
+    """Processes of a group that still run, those that only wait to be reaped left out."""
+    found = []
+    for path in Path("/proc").glob("[0-9]*/stat"):
+        try:
+            state, _, group = path.read_text().rpartition(")")[2].split()[:3]
+        except OSError:  # it has ended meanwhile
+            continue
+        if int(group) == leader and state not in "ZX":
+            found.append(int(path.parent.name))
+    return found
+
+
+def test_a_diagnosis_ends_with_the_process_that_started_it_and_was_killed(
+    starter: subprocess.Popen[str], tmp_path: Path
+) -> None:
+    assert starter.stdout is not None
+    leader = int(starter.stdout.readline())
+    assert leader in group_of(leader)
+    os.kill(starter.pid, signal.SIGKILL)
+    starter.wait()
+    until(lambda: not group_of(leader), lambda: time.sleep(0.02), "the diagnosis runs on")
+    assert not (tmp_path / "more").exists()

@@ -53,6 +53,7 @@ def investigated(small: list[str], tmp_path_factory: pytest.TempPathFactory) -> 
     return directory, words, read
 
 
+@pytest.mark.slow
 def test_the_loop_names_the_hidden_effect_with_fewer_trials_than_a_fixed_campaign(
     investigated: tuple[Path, list[str], list[str]], document: Document
 ) -> None:
@@ -69,6 +70,7 @@ def test_the_loop_names_the_hidden_effect_with_fewer_trials_than_a_fixed_campaig
     assert "truth.json" not in read  # it is written for blind score alone
 
 
+@pytest.mark.slow
 def test_the_same_command_after_the_end_measures_nothing_and_says_the_same(
     investigated: tuple[Path, list[str], list[str]], document: Document
 ) -> None:
@@ -79,6 +81,7 @@ def test_the_same_command_after_the_end_measures_nothing_and_says_the_same(
     assert {path: path.stat().st_mtime_ns for path in directory.rglob("*.mcap")} == before
 
 
+@pytest.mark.slow
 def test_log_page_and_models_are_there(investigated: tuple[Path, list[str], list[str]]) -> None:
     directory, _, _ = investigated
     log = (directory / "log.md").read_text()
@@ -87,28 +90,3 @@ def test_log_page_and_models_are_there(investigated: tuple[Path, list[str], list
     )
     page = (directory / "report" / "investigation.html").read_text()
     assert "Family tree of the models" in page and "model_2" in page
-
-
-def test_what_cannot_be_asked_is_refused_before_anything_is_written(refused: Refused, tmp_path: Path) -> None:
-    envelope = tmp_path / "envelope.yaml"
-    envelope.write_text("scenarios: [push]\nspeed: 0.6\nimpulse: 2.0\nforce: 3\n")
-    for line, message in {
-        "investigate D --budget 5": "argument --budget: expected at least 6, got 5",
-        "investigate D --kind pair": "say what --blind SEED hides",
-        "investigate D --blind 3 --via cell --envelope E": "a cell has its own",
-        "investigate D --blind 3 --kind outside --via nodes": "the plant node knows effects of the library",
-        "investigate D --via cell": "needs --envelope FILE.yaml",
-        "investigate D --yes": "answers questions of --via cell",
-        "investigate D --via cell --envelope E": "unknown key",
-        "investigate D --blind 3 --effect suport_friction": "no effect 'suport_friction'",
-        "investigate D --effects suport_friction": "did you mean 'support_friction'",
-        "investigate D --model nowhere.yaml": "nowhere.yaml",
-        "investigate D --scenarios nowhere": "nowhere",
-        "investigate D --scenarios push grab": "scenario 'grab' has 2 arms, and an investigation has one; measure it "
-        "with campaign grab",
-        "design --budget 6 --envelope E": "unknown key",
-        "blind score D": "has not ended",
-    }.items():
-        words = [{"D": tmp_path / "d", "E": envelope}.get(word, word) for word in line.split()]
-        assert message in refused(*words), line
-    assert [path.name for path in tmp_path.iterdir()] == ["envelope.yaml"]

@@ -14,24 +14,19 @@ from typing import Any
 import fsspec
 import numpy as np
 import pytest
+from intervals import assert_covers
 
+from impact_rs_analysis.diagnosis.document import read_document
 from impact_rs_cli.arguments import on_local_runs
 from impact_rs_cli.commands.demo import Demonstration, walk_the_loop
 from impact_rs_cli.main import main
 from impact_rs_cli.terminal import Terminal
 from impact_rs_sim.model import Model, load_model
 
-EFFECT = "support_friction"  # that hidden_campaign hides
+EFFECT, HIDDEN_FRICTION = "support_friction", 0.18  # that hidden_campaign hides
 Document = Callable[..., dict[str, Any]]
 Refused = Callable[..., str]
 Rewrite = Callable[..., None]
-
-
-@pytest.fixture(scope="module")
-def model_2(diagnosed: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    path = tmp_path_factory.mktemp("models") / "model_2.yaml"
-    assert main(["add", EFFECT, "--from", str(diagnosed), "-o", str(path)]) == 0
-    return path
 
 
 @pytest.fixture
@@ -40,18 +35,22 @@ def own_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
 
 
-def test_the_loop_makes_the_score_fall(
-    document: Document, hidden_campaign: Path, model_2: Path, tmp_path: Path
+def test_the_hidden_effect_is_named_with_its_interval_and_the_score_falls(
+    document: Document, hidden_campaign: Path, diagnosed: Path, model_2: Path, tmp_path: Path, own_cache: None
 ) -> None:
-    report, aligned = tmp_path / "report", tmp_path / "aligned"
-    after = document("compare", hidden_campaign, "--model", model_2, "-o", report, "--mcap", aligned)
-    assert (report / "compare.html").stat().st_size > 1_000_000
-    assert len(list(aligned.glob("*/*.mcap"))) == 3
+    """The whole loop of the fast tier; kills: add writes another value than was found, history another model."""
+    found = read_document(diagnosed)
+    assert (found.named, found.effects[0].verdict) == ((EFFECT,), "CONFIRMED")
+    friction = found.effects[0].parameters["friction"]
+    assert_covers(friction.ci95, HIDDEN_FRICTION, 0.04)
+    assert load_model(model_2).effects[0].parameters["friction"].estimate == pytest.approx(friction.estimate)
+    after = document("compare", hidden_campaign, "--model", model_2, "--mcap", tmp_path / "aligned", "--jobs", "1")
+    assert len(list((tmp_path / "aligned").glob("*/*.mcap"))) == 3
     history = document("history", model_2, "--runs", hidden_campaign, "--jobs", "1")["history"]
     assert [entry["effect_added"] for entry in history] == [None, EFFECT]
     assert after["score"] < 0.5 * history[0]["error_fit"]
     assert history[1]["error_fit"] == pytest.approx(after["score"], rel=1e-6)
-    assert history[1]["error_held_out"] < 0.5 * history[0]["error_held_out"]
+    assert history[1]["error_held_out"] < 0.1 * history[0]["error_held_out"]
 
 
 def test_runs_at_a_url_become_a_folder_for_the_command() -> None:
@@ -82,20 +81,6 @@ def test_effects_lists_parameters_with_units(document: Document) -> None:
     assert (parameter["unit"], parameter["per_joint"]) == ("N m", True)
 
 
-MODELS = {
-    "effects: [{name: torque_ofset, parameters: {}}]": "unknown effect",
-    "effects: [{name: support_friction, parameters: {friction: {estimate: 900, unit: '-'}}}]": "expected -100 ... 100",
-    "effects: [{name: support_friction, parameters: {friction: {estimate: 1, unit: kg}}}]": "expected the unit",
-    "efects: []": "unknown key",
-}
-
-
-@pytest.mark.parametrize("text", MODELS)
-def test_a_wrong_model_file(refused: Refused, hidden_campaign: Path, tmp_path: Path, text: str) -> None:
-    (tmp_path / "model.yaml").write_text(f"name: m\n{text}\n")
-    assert MODELS[text] in refused("compare", hidden_campaign, "--model", tmp_path / "model.yaml")
-
-
 FORMULAS = {
     "import os": "does not parse",
     "__import__('os')": "unknown function",
@@ -117,6 +102,7 @@ def test_a_formula_that_cannot_be_computed(
     assert not (tmp_path / "d.json").exists()
 
 
+@pytest.mark.slow
 def test_the_formula_of_the_manual_is_diagnosed_in_two_processes(
     document: Document, hidden_campaign: Path, tmp_path: Path, own_cache: None
 ) -> None:
@@ -133,6 +119,7 @@ def test_the_formula_of_the_manual_is_diagnosed_in_two_processes(
     assert load_model(model).formulas[0].end_effector_force == {"y": "-drag * vy"}
 
 
+@pytest.mark.slow
 def test_the_demonstration_keeps_the_page_of_the_nominal_model(
     capsys: pytest.CaptureFixture,
     hidden_campaign: Path,
@@ -153,29 +140,6 @@ def test_the_demonstration_keeps_the_page_of_the_nominal_model(
     for page in (better, fails):
         links = re.findall(r'<a href="(.*?)">', page.read_text(encoding="utf-8"))
         assert {(page.parent / link).resolve() for link in links} == {lacks, better, fails} - {page}
-
-
-def test_names_and_files_that_are_not_there(
-    refused: Refused, hidden_campaign: Path, diagnosed: Path, model_2: Path, tmp_path: Path
-) -> None:
-    (tmp_path / "broken.json").write_text("{")
-    known = {"RUNS": hidden_campaign, "D": diagnosed, "M2": model_2, "T": tmp_path, "BROKEN": tmp_path / "broken.json"}
-    for line, message in {
-        "compare T": "no usable trials",
-        "compare RUNS --model /nowhere.yaml": "cannot be read",
-        "compare RUNS --jobs 0": "argument --jobs: expected at least 1, got 0",
-        "diagnose RUNS --effects suport_friction": "did you mean 'support_friction'",
-        "diagnose RUNS --model M2 --effects support_friction": "already",
-        "add base_tilt --from D -o new/m.yaml": "no effect 'base_tilt'",
-        "add support_friction --from /nowhere.json -o new/m.yaml": "cannot be read",
-        "add support_friction --from BROKEN -o new/m.yaml": "not valid JSON",
-        "add support_friction --from D --model M2 -o new/m.yaml": "not of 'model_2'",
-        "add support_friction --from D -o M2": "never overwritten",
-        "blind score T --diagnosis D": "no blind campaign",
-    }.items():
-        words = [known.get(word, tmp_path / word if word.startswith("new/") else word) for word in line.split()]
-        assert message in refused(*words)
-    assert [path.name for path in tmp_path.iterdir()] == ["broken.json"]
 
 
 def test_one_condition_is_too_few_for_a_diagnosis(refused: Refused, hidden_campaign: Path, tmp_path: Path) -> None:

@@ -8,30 +8,19 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from two_joints import URDF
 
 from impact_rs_cli.main import main
 from impact_rs_sim.paths import config_directory
 
 CONFIG = config_directory()
-BODY = (
-    '<inertial><mass value="2"/><inertia ixx="0.02" ixy="0" ixz="0" iyy="0.03" iyz="0" izz="0.025"/></inertial>'
-    '<visual><geometry><mesh filename="package://nowhere/arm.stl"/></geometry></visual>'
-)
-JOINT = (
-    '<joint name="{0}" type="revolute"><parent link="{1}"/><child link="{2}"/><origin xyz="0.1 0 0.2"/>'
-    '<axis xyz="0 1 0"/><limit lower="-1" upper="1" velocity="3" effort="{3}"/></joint>'
-)
-ARM = (
-    f'<robot name="arm"><link name="base"/><link name="upper">{BODY}</link><link name="fore">{BODY}</link>'
-    f"{JOINT.format('shoulder', 'base', 'upper', 60)}{JOINT.format('elbow', 'upper', 'fore', 40)}</robot>"
-)
 Document = Callable[..., dict[str, Any]]
 
 
 @pytest.fixture
 def urdf(tmp_path: Path) -> Path:
     file = tmp_path / "arm.urdf"
-    file.write_text(ARM, encoding="utf-8")
+    file.write_text(URDF, encoding="utf-8")
     return file
 
 
@@ -78,22 +67,3 @@ def test_the_drives_of_a_scenario_are_checked(tmp_path: Path, document: Document
     mine.write_text(push.replace("franka_fer", "franka_fr3"), encoding="utf-8")
     found = document("robot", "check", "franka_fr3", "--scenario", mine, code=1)
     assert "drive of arm, joint 7" in [check["name"] for check in found["checks"]]
-
-
-MISTAKES = {
-    "import {}/nothing.urdf -o {}/new/a.yaml": "cannot be read",
-    "import {}/arm.urdf -o {}/new/a.yaml --tip for": "did you mean 'fore'",
-    "import {}/arm.urdf -o {}/new/a.txt": "ends in .yaml",
-    "import {}/arm.urdf": "required: -o",
-    "check franka_frr": "known robots: franka_fer",
-    "check franka_fr3 --scenario push": "no arm of scenario 'push' is this robot",
-    "": "required: ACTION",
-}
-
-
-@pytest.mark.parametrize("line", MISTAKES)
-def test_a_mistake_about_a_robot_is_one_line_and_leaves_nothing(
-    urdf: Path, tmp_path: Path, refused: Callable[..., str], line: str
-) -> None:
-    assert MISTAKES[line] in refused("robot", *line.replace("{}", str(tmp_path)).split())
-    assert list(tmp_path.iterdir()) == [urdf]

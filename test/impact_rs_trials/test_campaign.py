@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Campaigns: resumed where they stopped, never mixed, and not stopped by one broken trial."""
 
+from __future__ import annotations
+
 import errno
 import os
 import shutil
@@ -8,9 +10,10 @@ from pathlib import Path
 
 import fsspec
 import pytest
-from trials import made_up
+from trials import BRIEF, made_up
 
 from impact_rs_sim.errors import InputError
+from impact_rs_sim.scenario import load_scenario
 from impact_rs_trials.bags.reader import OF_THE_TWIN, TrialBag
 from impact_rs_trials.bags.writer import BagWriter, partial_path
 from impact_rs_trials.campaign import (
@@ -22,8 +25,11 @@ from impact_rs_trials.campaign import (
     make_manifest,
     open_campaign,
     run_campaign,
+    run_campaigns,
     run_one,
 )
+from impact_rs_trials.store import Folder
+from impact_rs_trials.varied_settings import SETTINGS, sensitivity_manifests, varied_folders, with_sensitivity
 from impact_rs_trials.workers import Workforce
 
 SCALES = [0.8, 1.0, 1.2]
@@ -89,9 +95,9 @@ def test_another_manifest_is_refused(tmp_path: Path, manifest: Manifest) -> None
 
 def test_a_campaign_on_the_twin_says_so_and_is_another_one(push_campaign: Path, tmp_path: Path) -> None:
     """Its bags say which simulator it was, and so does what reads them; its trials go as those of Bullet."""
-    manifest = make_manifest("push", ["cat_food"], ["2"], SCALES, trials=1, plant="twin")
-    assert [report.outcome for report in run_campaign(tmp_path, manifest)] == ["OK", "OK", "OK"]
-    bag, other = (TrialBag.open(folder / manifest.keys[1].name) for folder in (tmp_path, push_campaign))
+    manifest = make_manifest("push", ["cat_food"], ["2"], [1.0], trials=1, plant="twin")
+    assert [report.outcome for report in run_campaign(tmp_path, manifest)] == ["OK"]
+    bag, other = (TrialBag.open(folder / manifest.keys[0].name) for folder in (tmp_path, push_campaign))
     assert (bag.info.via, bag.info.simulator, other.info.simulator) == ("twin", "twin", "bullet")
     assert bag.run().remarks == (OF_THE_TWIN,) and not other.run().remarks
     net, other_net = (0.001 * one.controller("arm").feedback_acceleration.sum(axis=0) for one in (bag, other))
@@ -150,6 +156,7 @@ def test_a_campaign_keeps_why_a_trial_failed_until_it_succeeds(tmp_path: Path, m
     assert not (tmp_path / FAILURES).exists()
 
 
+@pytest.mark.slow
 def test_the_traceback_of_a_worker_process_is_kept(tmp_path: Path, manifest: Manifest) -> None:
     def breaks_in_the_worker(directory: Path, trial: Trial) -> TrialReport:
         raise ZeroDivisionError(f"in process {os.getpid()}")
@@ -209,7 +216,8 @@ def test_a_full_disk_ends_its_trial_alone_and_leaves_no_half_bag(
         write(bag, *arguments)  # type: ignore[arg-type]
 
     monkeypatch.setattr(BagWriter, "write_rows", full)
-    first = manifest.model_copy(update={"velocity_scales": (1.0, 0.8)})
+    brief = {f"timing.{name}": seconds for name, seconds in BRIEF.items()}
+    first = manifest.model_copy(update={"velocity_scales": (1.0, 0.8), "settings": brief})
     reports = list(run_campaign(tmp_path, first))
     assert [report.outcome for report in reports] == ["ABORTED", "OK"]
     assert f"No space left on device: '{tmp_path / reports[0].key.name}'" in reports[0].message
@@ -232,3 +240,66 @@ def test_a_full_disk_ends_its_trial_alone_and_leaves_no_half_bag(
 def test_mistakes_are_told_before_anything_runs(arguments: dict, message: str) -> None:
     with pytest.raises(InputError, match=message):
         make_manifest("push", **arguments)
+
+
+# ---- campaigns beside a campaign ------------------------------------------------------------------------------------
+
+
+GRAB = make_manifest("grab", ["parcel"], seed=3)
+
+
+def test_one_setting_at_a_time_is_halved_and_doubled() -> None:
+    own = load_scenario("grab")
+    found = sensitivity_manifests(GRAB)
+    assert set(found) == {(setting.name, factor) for setting in SETTINGS for factor in setting.factors}
+    for (name, factor), manifest in found.items():
+        scenario = manifest.trial(manifest.keys[0]).spec.scenario
+        pairs = {
+            "clamp_force": [(scenario.control.clamp_force, own.control.clamp_force)],
+            "interim_duration": [(scenario.control.interim_duration, own.control.interim_duration)],
+            "orientation_gain": [
+                (scenario.control.gains.orientation, own.control.gains.orientation),
+                (scenario.control.gains.orientation_post, own.control.gains.orientation_post),
+            ],
+            "pad_stiffness": [
+                (scenario.robots[arm].end_effector.pad.stiffness, own.robots[arm].end_effector.pad.stiffness)
+                for arm in own.robots
+            ],
+        }
+        for setting, values in pairs.items():
+            for varied, usual in values:
+                assert varied == pytest.approx(usual * (factor if setting == name else 1.0))
+
+
+def test_a_varied_trial_has_the_seed_of_the_trial_it_is_held_against() -> None:
+    seeds = {key.scale: GRAB.trial(key).seed for key in GRAB.keys if key.case == "case_1" and key.repeat == 0}
+    for manifest in sensitivity_manifests(GRAB).values():
+        assert {key.scale for key in manifest.keys} == {0.8, 1.0, 1.2}
+        for key in manifest.keys:
+            assert (key.case, key.repeat) == ("case_1", 0)
+            assert manifest.trial(key).seed == seeds[key.scale]
+
+
+def test_what_a_scenario_does_not_use_is_not_varied() -> None:
+    assert not [key for key in sensitivity_manifests(make_manifest("push")) if key[0] == "clamp_force"]
+
+
+def test_settings_of_the_campaign_itself_stay() -> None:
+    firm = make_manifest("grab", ["parcel"], settings={"control.clamp_force": 100.0, "control.interim_duration": 0.08})
+    found = sensitivity_manifests(firm)
+    assert found["clamp_force", 1.5].settings == {"control.clamp_force": 150.0, "control.interim_duration": 0.08}
+    assert found["pad_stiffness", 0.5].settings["control.clamp_force"] == 100.0
+
+
+def test_varied_campaigns_are_found_in_the_campaign_folder(tmp_path: Path) -> None:
+    campaign = Folder(tmp_path)
+
+    campaigns = with_sensitivity(campaign, GRAB)
+    places = [store for store, _ in run_campaigns(campaigns, run=made_up)]
+    assert {str(place): places.count(place) for place in campaigns} == {
+        str(store): len(manifest.keys) for store, manifest in campaigns.items()
+    }
+    assert set(varied_folders(tmp_path)) == set(sensitivity_manifests(GRAB))
+    assert varied_folders(tmp_path)["clamp_force", 0.5] == "sensitivity/clamp_force_x0.5"
+    (tmp_path / "sensitivity" / "notes_xy").mkdir()
+    assert len(varied_folders(tmp_path)) == len(campaigns) - 1

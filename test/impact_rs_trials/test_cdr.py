@@ -4,8 +4,6 @@
 from __future__ import annotations
 
 import struct
-from operator import attrgetter
-from typing import Any
 
 import numpy as np
 import pytest
@@ -163,39 +161,6 @@ def test_paths_of_numbers_leave_out_text_and_name_what_is_nested() -> None:
     state = number_paths(STORE, topics.CONTROLLER_STATE)
     assert {"mode", "gamma", "twist", "net_feedback", "qp_iterations"} <= set(state)
     assert "robot" not in state
-
-
-def test_fixed_and_growing_arrays_and_small_integers_lie_where_they_should() -> None:
-    """ControllerState mixes uint8, uint32, float64, fixed arrays and a growing one."""
-    store_type = TYPES[topics.CONTROLLER_STATE]
-    sizes = {3: ("ante_position", "ante_velocity", "ante_acceleration", "post_position", "post_velocity",
-                 "post_acceleration", "ante_posture", "post_posture", "position", "feedback_acceleration",
-                 "net_feedback"), 6: ("twist", "external_wrench")}  # fmt: skip
-    rng = np.random.default_rng(0)
-
-    def vector() -> Any:
-        return TYPES["geometry_msgs/msg/Vector3"](*rng.standard_normal(3).tolist())
-
-    messages = [
-        store_type(
-            header=header("world", tick, 0),
-            robot="arm",
-            end_effector_twist=TYPES["geometry_msgs/msg/Twist"](vector(), vector()),
-            end_effector_wrench=TYPES["geometry_msgs/msg/Wrench"](vector(), vector()),
-            mode=tick % 3,
-            gamma=0.1 * tick,
-            commanded_torque=rng.standard_normal(7),
-            qp_status=tick % 2,
-            qp_iterations=1000 * tick,
-            qp_solve_time=1e-5 * tick,
-            **{name: rng.standard_normal(size) for size, names in sizes.items() for name in names},
-        )
-        for tick in range(5)
-    ]
-    rows = encode(STORE, topics.CONTROLLER_STATE, messages)
-    columns = decode(STORE, topics.CONTROLLER_STATE, [bytes(row) for row in rows])
-    for path in number_paths(STORE, topics.CONTROLLER_STATE)[2:]:
-        np.testing.assert_array_equal(columns[path], [attrgetter(path)(message) for message in messages], err_msg=path)
 
 
 @given(st.data())

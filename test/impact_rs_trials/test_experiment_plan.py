@@ -6,11 +6,10 @@ from typing import Any
 
 import pytest
 import yaml
-from trials import made_up
 
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.scenario import load_scenario
-from impact_rs_trials.campaign import Manifest, run_campaigns
+from impact_rs_trials.campaign import Manifest
 from impact_rs_trials.experiment_plan import (
     SCENARIO_FILE,
     ExperimentPlan,
@@ -20,7 +19,6 @@ from impact_rs_trials.experiment_plan import (
     read_plan,
     write_plan,
 )
-from impact_rs_trials.store import Folder
 
 SLOW = {
     "label": "case 1 at 0.25 m/s",
@@ -87,17 +85,6 @@ def test_nodes_find_the_variant_as_a_file(tmp_path: Path) -> None:
     key = settings.keys[-1]
     assert written == load_scenario("push").with_settings({"cases.slow": SLOW})
     assert found["push"].trial(key).spec.plan.ante_velocity == settings.trial(key).spec.plan.ante_velocity
-
-
-def test_a_plan_is_resumed_where_it_stopped(tmp_path: Path) -> None:
-    campaigns = {Folder(tmp_path / folder): manifest for folder, manifest in manifests_of(plan()).items()}
-    reports = run_campaigns(campaigns, run=made_up)
-    for _ in range(4):
-        next(reports)
-    reports.close()
-    assert len(list(run_campaigns(campaigns, run=made_up))) == 3
-    assert not list(run_campaigns(campaigns, run=made_up))
-    assert len(list(tmp_path.glob("push/*__r*"))) == 5
 
 
 def test_a_manifest_without_a_plan_is_written_as_before() -> None:

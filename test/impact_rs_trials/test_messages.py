@@ -3,10 +3,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from types import SimpleNamespace
+from typing import Any
+
 import numpy as np
 import pinocchio as pin
 import pytest
-from trials import plan_of
+from trials import plan_of, ticks_of
 
 from impact_rs_control.controller import ArmCommand, ImpactDetection, Mode
 from impact_rs_control.plan import TrialPlan
@@ -14,7 +18,11 @@ from impact_rs_control.qp import QpStatus
 from impact_rs_sim.plant import ArmTruth
 from impact_rs_sim.scene import BodyState
 from impact_rs_sim.sensors import ArmMeasurement, ObjectMeasurement
+from impact_rs_trials.bags import topics
 from impact_rs_trials.bags.messages import Frame, MessageMaker, RosbagsTypes, reference_columns
+from impact_rs_trials.bags.streams import Stream, StreamMaker
+from impact_rs_trials.bags.trial_info import TrialInfo, TrialKey
+from impact_rs_trials.bags.types import typestore
 
 TICK = 1234  # 1.234 s
 SEVEN = np.arange(7, dtype=float)
@@ -158,3 +166,133 @@ def test_reference_columns_have_a_row_per_tick(plan: TrialPlan) -> None:
     ticks = plan.scene.scenario.timing.ticks + 1
     assert {values.shape for values in columns.values()} == {(ticks, 3)}
     assert len(columns) == 8
+
+
+# ---- identity of a trial --------------------------------------------------------------------------------------------
+
+
+KEY = TrialKey("juice", "case_1", 0.9, 3)
+
+
+@pytest.fixture(scope="module")
+def info(plan: TrialPlan) -> TrialInfo:
+    return TrialInfo.of(plan, KEY, KEY.seed(5), "inprocess", "model text")
+
+
+def test_it_says_what_was_planned(info: TrialInfo, plan: TrialPlan) -> None:
+    assert info.key == KEY
+    assert info.predicted_post_velocity == plan.predicted_post_velocity
+    assert info.reference_post_velocity == pytest.approx(0.9 * info.predicted_post_velocity)
+    assert info.ante_velocity == -0.5
+    assert (info.window_start, info.window_end, info.nominal_impact_time) == pytest.approx((0.8, 1.5, 0.9))
+    assert (info.robots, info.axis, info.duration) == (("arm",), "y", 1.8)
+    assert (info.motor_inertia, info.via, info.model_yaml) == ("reduced", "inprocess", "model text")
+
+
+def test_the_trial_can_be_planned_again_from_it(info: TrialInfo, plan: TrialPlan) -> None:
+    again = info.spec.plan
+    assert again is info.spec.plan
+    assert again.scene.scenario == plan.scene.scenario
+    np.testing.assert_array_equal(again.arms["arm"].post_position.position, plan.arms["arm"].post_position.position)
+
+
+def test_a_message_holds_every_field(info: TrialInfo, plan: TrialPlan) -> None:
+    assert TrialInfo.from_message(MessageMaker(RosbagsTypes(), plan).trial_info(info)) == info
+    assert set(info.values()) == {name for name, _ in typestore().fielddefs["impact_rs/msg/TrialInfo"][1]}
+
+
+def test_a_message_of_version_0_1_0_is_read_by_its_former_names(info: TrialInfo) -> None:
+    values = info.values()
+    values["scenario_yaml"] = values.pop("scenario_json")
+    assert TrialInfo.from_message(SimpleNamespace(**values)) == info
+
+
+def test_a_message_that_lacks_a_field_is_of_another_kind(info: TrialInfo) -> None:
+    values = info.values()
+    del values["axis"]
+    with pytest.raises(AttributeError, match="axis"):
+        TrialInfo.from_message(SimpleNamespace(**values))
+
+
+def test_bag_names_are_unique_and_seeds_follow_from_them() -> None:
+    assert KEY.name == "juice__case_1__s0.900__r3"
+    keys = [TrialKey("juice", "case_1", scale, repeat) for scale in (0.8, 1.0) for repeat in range(3)]
+    assert len({key.name for key in keys}) == len(keys)
+    seeds = {(campaign, key): key.seed(campaign) for campaign in (0, 1) for key in keys}
+    assert len(set(seeds.values())) == len(seeds)
+    assert keys[0].seed(0) == TrialKey("juice", "case_1", 0.8, 0).seed(0)
+
+
+# ---- a burst of samples becomes, byte for byte, the messages that it stands for -------------------------------------
+
+
+STORE = typestore()
+
+
+@pytest.fixture(scope="module")
+def brief_plan() -> TrialPlan:
+    timing = {"nominal_impact": 0.02, "approach": 0.02, "window_before": 0.01, "window_after": 0.01, "duration": 0.03}
+    return plan_of("push", "juice", "case_1", **timing)
+
+
+@pytest.fixture(scope="module")
+def samples(brief_plan: TrialPlan) -> list[tuple[int, Any, Any, Any]]:
+    """Tick, measurement, truth and command of every tick."""
+    return [
+        (tick.number, tick.measurement.arms["arm"], truth.arms["arm"], tick.commands["arm"])
+        for tick, truth in ticks_of(brief_plan)
+    ]
+
+
+Case = tuple[str, Callable[[StreamMaker], Stream], Callable[[MessageMaker, int, tuple], Any], int]
+CASES: dict[str, Case] = {
+    "joint states": (
+        topics.JOINT_STATE, lambda m: m.joint_states("arm"), lambda m, t, s: m.joint_states(t, "arm", s), 1
+    ),
+    "motor states": (
+        topics.JOINT_STATE, lambda m: m.motor_states("arm"), lambda m, t, s: m.motor_states(t, "arm", s), 1
+    ),
+    "true states": (
+        topics.JOINT_STATE, lambda m: m.joint_states("arm"), lambda m, t, s: m.joint_states(t, "arm", s), 2
+    ),
+    "contact wrench": (
+        topics.WRENCH, lambda m: m.contact_wrench("arm"), lambda m, t, s: m.truth_contact_wrench(t, s), 2
+    ),
+    "joint command": (
+        topics.JOINT_STATE, lambda m: m.joint_command("arm"), lambda m, t, s: m.joint_command(t, "arm", s.torque), 3
+    ),
+    "controller state": (
+        topics.CONTROLLER_STATE,
+        lambda m: m.controller_state("arm"),
+        lambda m, t, s: m.controller_state(t, "arm", s),
+        3,
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_a_burst_is_what_the_messages_one_by_one_would_be(brief_plan: TrialPlan, samples: list, name: str) -> None:
+    kind, make, message, which = CASES[name]
+    stream, maker = make(StreamMaker(brief_plan)), MessageMaker(RosbagsTypes(), brief_plan)
+    for entry in samples:
+        stream.add(entry[0], entry[which])
+    expected = [bytes(STORE.serialize_cdr(message(maker, entry[0], entry[which]), kind)) for entry in samples]
+    assert stream.take() == ([maker.nanoseconds(entry[0]) for entry in samples], expected)
+    assert stream.take() == ([], [])
+
+
+def test_a_sample_that_is_awaited_is_the_same_as_in_a_burst(brief_plan: TrialPlan, samples: list) -> None:
+    stream = StreamMaker(brief_plan).joint_states("arm")
+    for tick, measured, _, _ in samples[:3]:
+        stream.add(tick, measured)
+    assert stream.take()[1] == [stream.one(tick, measured) for tick, measured, _, _ in samples[:3]]
+
+
+def test_a_sample_kept_after_a_burst_belongs_to_the_next(brief_plan: TrialPlan, samples: list) -> None:
+    stream = StreamMaker(brief_plan).joint_command("arm")
+    (first, *_, one), (second, *_, other) = samples[0], samples[1]
+    stream.add(first, one)
+    stream.take()
+    stream.add(second, other)
+    _, (row,) = stream.take()
+    np.testing.assert_array_equal(STORE.deserialize_cdr(row, topics.JOINT_STATE).effort, other.torque)

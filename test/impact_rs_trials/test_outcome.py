@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
-from trials import plan_of, recorded
+from trials import BRIEF, plan_of, recorded
 
 from impact_rs_control.closed_loop import RUNAWAY, make_plant, run_closed_loop
 from impact_rs_control.controller import Mode
@@ -295,9 +295,10 @@ def test_the_value_farthest_beyond_either_limit_is_reported(low: float, high: fl
 
 
 def test_a_witness_keeps_status_and_impact_of_a_trial() -> None:
-    whole, early = Witness(PUSH), Witness(PUSH)
-    plant = make_plant(PUSH, 1)
-    for tick in run_closed_loop(PUSH, plant):
+    plan = plan_of("push", "juice", "case_1", **BRIEF)
+    whole, early = Witness(plan), Witness(plan)
+    plant = make_plant(plan, 1)
+    for tick in run_closed_loop(plan, plant):
         whole.see(tick)
         if tick.number < 10:
             early.see(tick)
@@ -305,4 +306,4 @@ def test_a_witness_keeps_status_and_impact_of_a_trial() -> None:
     arm = whole.record().arms["arm"]
     assert arm.hit and not early.record().arms["arm"].hit
     assert arm.qp_status.shape == arm.command_time.shape and set(arm.qp_status) == {QpStatus.SOLVED}
-    assert judge(PUSH, whole.record()) == Verdict("OK")
+    assert judge(plan, whole.record()) == Verdict("OK")

@@ -41,12 +41,18 @@ def mcap(path: Path) -> Path:
     return file
 
 
-@pytest.fixture
-def cut(push_bag: Path, tmp_path: Path) -> tuple[Path, list[int]]:
-    """The folder of a bag that was not closed, and its size after each time it was saved."""
-    path = tmp_path / "runs" / "trial"
+@pytest.fixture(scope="module")
+def never_closed(push_bag: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[int]]:
+    path = tmp_path_factory.mktemp("runs") / "trial"
     _, sizes = write_in_parts(push_bag, path)
     return partial_path(path), sizes
+
+
+@pytest.fixture
+def cut(never_closed: tuple[Path, list[int]], tmp_path: Path) -> tuple[Path, list[int]]:
+    """The folder of a bag that was not closed, and its size after each time it was saved."""
+    folder, sizes = never_closed
+    return Path(shutil.copytree(folder, tmp_path / ".partial" / "trial")), sizes
 
 
 def test_what_was_saved_of_a_bag_that_was_never_closed_is_read(push_bag: Path, cut: tuple[Path, list[int]]) -> None:
@@ -70,7 +76,7 @@ def test_wherever_a_bag_breaks_off_it_is_read_up_to_the_save_before(cut: tuple[P
     (file,) = folder.glob("*.mcap")
     data = file.read_bytes()
     found = []
-    for size in sizes:
+    for size in sizes[::2]:
         for place in (size, size + 1, size + 50):  # behind a chunk and its indexes, and within the next
             file.write_bytes(data[:place])
             found.append(TrialBag.open(folder).joints(STATES).time.size)

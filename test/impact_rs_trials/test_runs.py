@@ -10,9 +10,11 @@ import numpy as np
 import pytest
 
 from impact_rs_control.closed_loop import run_closed_loop
+from impact_rs_sim.errors import InputError
 from impact_rs_sim.plant import Plant
 from impact_rs_trials.bags.reader import TrialBag
 from impact_rs_trials.runs import NONE, ArmSignals, Run, signals_of_ticks
+from impact_rs_trials.since import measured_since
 
 
 @pytest.fixture(scope="module")
@@ -74,3 +76,32 @@ def test_trial_in_this_process_gives_the_signals_of_its_bag(push_campaign: Path,
         for signal in ("position", "velocity", "torque", "motor_position", "command"):
             assert getattr(arm, signal).shape == getattr(run.signals.arms[name], signal)[:200].shape
             assert getattr(arm, signal) == pytest.approx(getattr(run.signals.arms[name], signal)[:200], abs=1e-3)
+
+
+# ---- --since --------------------------------------------------------------------------------------------------------
+
+
+NOON = 1_764_154_800.0  # 2025-11-26 11:00 UTC
+RUNS = {"push/a": NOON, "push/c": NOON + 60.0, "push/b": NOON + 60.0, "push/d": NOON + 120.0}
+
+
+@pytest.mark.parametrize(
+    ("when", "found"),
+    [
+        ("push/a", "abcd"),
+        ("push/b", "bcd"),  # c was measured at the same time
+        ("2025-11-26T11:01:30+00:00", "d"),
+        (str(NOON + 1.0), "bcd"),
+    ],
+)
+def test_a_name_or_a_time_is_a_moment(when: str, found: str) -> None:
+    assert measured_since(when, RUNS) == {f"push/{letter}" for letter in found}
+
+
+def test_a_moment_without_measurements_is_named_with_what_there_is() -> None:
+    with pytest.raises(InputError, match="did you mean 'push/a'"):
+        measured_since("pushs/a", RUNS)
+    with pytest.raises(InputError, match="nothing was measured since then; the last is 'push/d'"):
+        measured_since("2030-01-01", RUNS)
+    with pytest.raises(InputError, match="expected a name, for example 'row 2'$"):
+        measured_since("2", {"row 1": 1.0, "row 2": 2.0}, timed=False)

@@ -1,13 +1,17 @@
 # SPDX-License-Identifier: Apache-2.0
 """One way from a scenario's text to references: the same text gives the same trial, another text another one."""
 
+from __future__ import annotations
+
 import json
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.scenario import load_scenario
+from impact_rs_trials.envelope import CellEnvelope, demand_of
 from impact_rs_trials.spec import TrialSpec, recorded_scenario
 
 PUSH = load_scenario("push")
@@ -65,3 +69,59 @@ def test_an_unknown_object_or_case_is_told(spec: TrialSpec) -> None:
         TrialSpec.of(PUSH, "cat_food", "7")
     with pytest.raises(InputError, match="no object 'dog_food'"):
         _ = replace(spec, object="dog_food").plan
+
+
+# ---- envelope of a cell ---------------------------------------------------------------------------------------------
+
+
+SLOW = TrialSpec.of(PUSH, "parcel", "case_1")  # 0.5 m/s
+FAST = TrialSpec.of(PUSH, "parcel", "case_2")  # 0.7 m/s
+LIMITS = CellEnvelope(scenarios=("push",), objects=("parcel",), cases=("case_1",), speed=0.55, impulse=1.0)
+
+
+def test_the_impulse_is_the_momentum_that_the_object_gets() -> None:
+    """m v of the parcel along the push; the support takes the rest of what is not along it."""
+    motion, scene = demand_of(SLOW), SLOW.scene
+    impact = SLOW.plan.impact
+    assert impact is not None
+    momentum = scene.physics.object.mass * np.linalg.norm(impact.object_twist[:3])
+    assert motion.impulse == pytest.approx(momentum, rel=0.2)
+    heavier = demand_of(TrialSpec.of(PUSH, "juice", "case_1"))
+    assert heavier.impulse > 2.0 * motion.impulse
+
+
+def test_the_speed_is_at_least_that_of_the_case_and_grows_with_the_reference() -> None:
+    assert 0.5 <= demand_of(SLOW).speed < 0.52
+    assert 0.7 <= demand_of(FAST).speed < 0.72
+    assert demand_of(TrialSpec.of(PUSH, "parcel", "case_1", 1.2)).speed > 0.52
+    assert demand_of(TrialSpec.of(load_scenario("excite"), "none", "fast")).impulse == 0.0
+
+
+def test_a_trial_at_its_limits_is_inside() -> None:
+    motion = demand_of(SLOW)
+    assert LIMITS.model_copy(update={"speed": motion.speed, "impulse": motion.impulse}).complaint(SLOW) == ""
+
+
+def test_objects_that_may_be_hit_say_nothing_of_a_free_motion() -> None:
+    free = TrialSpec.of(load_scenario("excite"), "none", "slow")
+    envelope = CellEnvelope(scenarios=("push", "excite"), objects=("parcel",), speed=0.55, impulse=1.0)
+    assert envelope.complaint(free) == ""
+    assert "speed" in envelope.model_copy(update={"speed": 0.3}).complaint(free)
+
+
+@pytest.mark.parametrize(
+    ("update", "complaint"),
+    [
+        ({"speed": 0.45}, "reference speed 0.5 m/s, the envelope allows 0.45 m/s"),
+        ({"impulse": 0.1}, "N s, the envelope allows 0.1 N s"),
+        ({"joint_speed": 0.01}, "speed of a joint over its limit"),
+        ({"objects": ("juice",)}, "parcel is not in the envelope"),
+        ({"cases": ("case_2",)}, "case_1 is not in the envelope"),
+        ({"scenarios": ("grab",)}, "push is not in the envelope"),
+    ],
+)
+def test_a_trial_outside_is_refused_with_value_and_limit(update: dict[str, object], complaint: str) -> None:
+    envelope = LIMITS.model_copy(update=update)
+    assert complaint in envelope.complaint(SLOW)
+    with pytest.raises(InputError, match="push/parcel/case_1 leaves the envelope"):
+        envelope.check(SLOW)

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Schedulers that run already: used, refused in words, and survived."""
 
+from __future__ import annotations
+
 import os
 import signal
 import socket
@@ -21,10 +23,11 @@ from impact_rs_trials.workers import MEMORY_LIMIT, SchedulerLost, Workforce, as_
 
 if TYPE_CHECKING:
     from distributed import LocalCluster
+from impact_rs_trials.worker import dask_setup
 
 
 @contextmanager
-def cluster(count: int, threads: int = 1) -> Iterator["LocalCluster"]:
+def cluster(count: int, threads: int = 1) -> Iterator[LocalCluster]:
     """A scheduler on a port of this machine, and workers that are threads of this process."""
     import dask
     from distributed import LocalCluster
@@ -150,6 +153,7 @@ def test_a_scheduler_without_workers_is_told(monkeypatch: pytest.MonkeyPatch) ->
         pass
 
 
+@pytest.mark.slow
 def test_more_tasks_than_the_scheduler_may_know_at_a_time_all_end_once(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("impact_rs_trials.workers.ON_THE_WAY", 2)
     with client_of(Workforce(2)) as client:
@@ -159,38 +163,43 @@ def test_more_tasks_than_the_scheduler_may_know_at_a_time_all_end_once(monkeypat
     assert limits == {2**30}
 
 
-def test_a_task_that_a_worker_cannot_read_is_an_error_and_breaks_nothing() -> None:
-    with workers(Workforce(2)) as map_tasks:
-        with pytest.raises(ModuleNotFoundError):
-            list(map_tasks(_of_a_module_that_workers_do_not_know, [1, 2]))
-        assert list(map_tasks(abs, [-3, -1, -2])) == [3, 1, 2]
+def test_processes_start_when_there_is_work_to_share_and_errors_come_back_with_the_frames_of_their_worker() -> None:
+    """A task that a worker cannot even read is an error like any other, and breaks nothing."""
 
+    def process(_: int) -> int:
+        return os.getpid()
 
-def test_an_error_comes_back_with_the_frames_of_its_worker() -> None:
     def breaks_in_the_worker(value: int) -> int:
         try:
             return 1 // (value - value)
         except ZeroDivisionError:
             raise InputError("expected a number to divide by", key="a.b", value=value) from None
 
-    with workers(Workforce(2)) as map_tasks, pytest.raises(InputError, match="a.b = 1: expected a number") as caught:
-        list(map_tasks(breaks_in_the_worker, [1, 2]))
-    assert caught.value.key == "a.b"
+    with workers(Workforce(2)) as map_tasks:
+        assert list(map_tasks(process, [])) == []
+        assert list(map_tasks(process, [0])) == [os.getpid()]
+        assert os.getpid() not in map_tasks(process, [0, 1])
+        assert os.getpid() not in map_tasks(process, [0])
+        with pytest.raises(ModuleNotFoundError):
+            list(map_tasks(_of_a_module_that_workers_do_not_know, [1, 2]))
+        with pytest.raises(InputError, match="a.b = 1") as caught:
+            list(map_tasks(breaks_in_the_worker, [1, 2]))
+        assert list(map_tasks(abs, [-3, -1, -2])) == [3, 1, 2]
     trace = full_traceback(caught.value)
-    assert "in breaks_in_the_worker" in trace
-    assert "ZeroDivisionError" in trace
+    assert caught.value.key == "a.b" and "in breaks_in_the_worker" in trace and "ZeroDivisionError" in trace
 
 
 def _of_a_module_that_workers_do_not_know(value: int) -> int:
     return value
 
 
-def test_processes_start_when_there_is_work_to_share() -> None:
-    def process(_: int) -> int:
-        return os.getpid()
+# ---- a worker leaves Ctrl-C to the process that started it ----------------------------------------------------------
 
-    with workers(Workforce(2)) as map_tasks:
-        assert list(map_tasks(process, [])) == []
-        assert list(map_tasks(process, [0])) == [os.getpid()]
-        assert os.getpid() not in map_tasks(process, [0, 1])
-        assert os.getpid() not in map_tasks(process, [0])
+
+def test_a_worker_ignores_the_interrupt_of_the_terminal() -> None:
+    before = signal.getsignal(signal.SIGINT)
+    try:
+        dask_setup(None)
+        assert signal.getsignal(signal.SIGINT) is signal.SIG_IGN
+    finally:
+        signal.signal(signal.SIGINT, before)

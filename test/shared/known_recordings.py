@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -14,6 +15,7 @@ from rosbags.rosbag2 import StoragePlugin, Writer
 
 from impact_rs_sim.physics import Physics
 from impact_rs_sim.scenario import load_scenario
+from impact_rs_trials.bags.cdr import Template
 from impact_rs_trials.bags.types import typestore
 
 TF = "tf2_msgs/msg/TFMessage"
@@ -108,10 +110,14 @@ class BagFormat:
         ]
         return message(TF, {"transforms": both}) if self.pose == "TFMessage" else both[1]
 
+    @functools.cached_property
+    def _plain(self) -> Any:
+        return message("std_msgs/msg/Float64MultiArray")
+
     def _command(self, nanoseconds: int, torque: np.ndarray) -> Any:
         kind, ordered = self._kinds["/effort_controller/commands"], torque[list(self.order)]
         if self.command == "Float64MultiArray":
-            return message(kind, {"data": torque})
+            return typestore().serialize_cdr(replace(self._plain, data=torque), kind)
         if self.command == "JointState":
             return self._state(nanoseconds, effort=torque)
         point = message("trajectory_msgs/msg/JointTrajectoryPoint", {"effort": ordered})
@@ -132,11 +138,15 @@ class BagFormat:
         kinds, store = self._kinds, typestore()
         messages: list[tuple[int, str, Any]] = []
         logs = self.log_rate * np.maximum.accumulate(signals.time)  # the log's clock never runs backwards
-        for row, (time, log) in enumerate(zip(signals.time, logs, strict=True)):
-            measured = {"position": signals.position, "velocity": signals.velocity, "effort": signals.torque}
-            state = self._state(time, **{name: values[row].astype(float) for name, values in measured.items()})
+        measured = {"position": signals.position, "velocity": signals.velocity, "effort": signals.torque}
+        first = self._state(0, **{name: values[0].astype(float) for name, values in measured.items()})
+        stamps = np.divmod(START * 10**9 + signals.time, 10**9) if self.stamps else (0, 0)
+        columns = {name: values[:, list(self.order)] for name, values in measured.items()}
+        columns |= dict(zip(("header.stamp.sec", "header.stamp.nanosec"), stamps, strict=True))
+        states = Template.of(store, kinds["/joint_states"], first).rows(columns, signals.time.size)
+        commands = [self._command(*pair) for pair in zip(signals.time, signals.command, strict=True)]
+        for log, state, command in zip(logs, states, commands, strict=True):
             messages.append((int(log) + self.logged_late, "/joint_states", state))
-            command = self._command(time, signals.command[row])
             messages.append((int(log) + COMMAND_LATE, "/effort_controller/commands", command))
         for time in signals.time[::2] if self.wrench else ():
             content = {"wrench.force": (1.0, float(time), 3.0), "wrench.torque": (4.0, 5.0, 6.0)}
@@ -152,6 +162,10 @@ class BagFormat:
             }
             for log, topic, content in sorted(messages, key=lambda item: item[0]):
                 if topic in connections:
-                    data = store.serialize_cdr(content, kinds[topic])
+                    data = (
+                        content
+                        if isinstance(content, bytes | memoryview)
+                        else store.serialize_cdr(content, kinds[topic])
+                    )
                     writer.write(connections[topic], START * 10**9 + log, data)
         return path

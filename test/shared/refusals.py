@@ -16,3 +16,8 @@ def refusal(ask: Callable[..., object], *arguments: object, **keys: object) -> s
         ask(*arguments, **keys)
     assert "\n" not in str(caught.value)
     return str(caught.value)
+
+
+def lacking(said: str, words: str) -> list[str]:
+    """Words, separated by |, that a message should have and lacks: file, key, value, unit, or the remedy."""
+    return [word for word in words.split("|") if word not in said]

@@ -3,12 +3,16 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from measured_data import measured_data
+from refusals import refusal
 
 from impact_rs_sim.errors import InputError
+from impact_rs_sim.robot import Array
 from impact_rs_trials.recordings.clock import (
     check_jumps,
     check_stamps,
@@ -18,6 +22,10 @@ from impact_rs_trials.recordings.clock import (
     seconds_of,
     tell_gaps,
 )
+from impact_rs_trials.recordings.clock_offset import offset_between, start_of_motion
+from impact_rs_trials.recordings.importing import Wishes, draft_import
+from impact_rs_trials.recordings.sampling_times import doubt_of_timestamps
+from impact_rs_trials.recordings.series import Series
 
 BAG = Path("bag")
 
@@ -87,3 +95,141 @@ def test_a_clock_that_was_set_is_told_from_a_pause_by_the_log() -> None:
 def test_a_log_that_was_written_late_is_no_jump_of_the_stamps() -> None:
     time = 1e-3 * np.arange(100.0)
     check_jumps(BAG, "/joint_states", time, np.where(time > 0.05, time + 0.7, time), 0.1, pauses=True)
+
+
+# ---- clocks that differ by a constant -------------------------------------------------------------------------------
+
+
+DAY = 86400.0  # s
+FILE = Path("run.csv")
+
+
+def swing(time: np.ndarray) -> np.ndarray:
+    """Two joints that speed up as they swing, so that no part of the motion is like another."""
+    return np.column_stack((np.sin(2.0 * time + 0.15 * time**2), np.cos(1.3 * time + 0.2 * time**2)))
+
+
+def streams(offset: float, noise: float = 0.0, seed: int = 1) -> tuple[Series, Series]:
+    """Positions at 200 Hz, and what another clock says of them at 90 Hz, from 1.5 s later on."""
+    rng = np.random.default_rng(seed)
+    one, other = np.arange(0.0, 8.0, 0.005), np.arange(1.5, 7.0, 1.0 / 90.0)
+    measured = -3.0 * swing(other) + 0.4 + noise * rng.standard_normal((other.size, 2))
+    return Series("q", one, swing(one)), Series("dq", other + offset, measured)
+
+
+@pytest.mark.parametrize("offset", [0.0, 0.0123, -2.7, DAY])
+def test_a_planted_offset_is_found_whatever_factor_and_zero(offset: float) -> None:
+    found, _ = offset_between(*streams(offset), FILE, "signals.velocity.clock")
+    assert found == pytest.approx(-offset, abs=2e-4)
+
+
+def test_the_standard_error_is_that_of_repeated_recordings() -> None:
+    found = np.array([offset_between(*streams(0.3, 0.3, seed), FILE, "k") for seed in range(40)])
+    scatter, said = float(np.std(found[:, 0])), float(np.mean(found[:, 1]))
+    assert 0.5 < scatter / said < 2.0
+
+
+def test_a_motion_that_repeats_itself_determines_no_offset() -> None:
+    time = np.arange(0.0, 10.0, 0.005)
+    series = Series("q", time, np.sin(2.0 * np.pi * time)[:, None])
+    said = refusal(offset_between, series, replace(series, time=time + 0.2), FILE, "signals.velocity.clock")
+    assert "signals.velocity.clock = 'own'" in said
+    assert "does not determine" in said
+
+
+def test_rest_determines_no_offset() -> None:
+    rng = np.random.default_rng(0)
+    time = np.arange(0.0, 4.0, 0.005)
+    one, other = (Series("q", time, 1e-3 * rng.standard_normal((time.size, 2))) for _ in range(2))
+    assert "does not determine" in refusal(offset_between, one, other, FILE, "k")
+
+
+@pytest.mark.parametrize(("rate", "noise"), [(120.0, 1e-4), (240.0, 3e-4)])
+def test_an_object_starts_when_it_is_hit(rate: float, noise: float) -> None:
+    """Pushed to 0.8 m/s at t = 1.2345 s, it slides with friction 0.3."""
+    errors = []
+    for seed in range(20):
+        rng = np.random.default_rng(seed)
+        time = rng.uniform(0.0, 1.0 / rate) + np.arange(0.0, 1.4, 1.0 / rate)
+        after = np.maximum(time - 1.2345, 0.0)
+        way = 0.8 * after - 0.5 * 0.3 * 9.81 * after**2
+        place = np.outer(way, [0.6, 0.8, 0.0]) + noise * rng.standard_normal((time.size, 3))
+        found, error = start_of_motion(Series("pose", time, place), FILE, "k")
+        errors.append((found - 1.2345) / error)
+        assert found == pytest.approx(1.2345, abs=0.5 / rate)
+    assert np.sqrt(np.mean(np.square(errors))) < 2.5
+
+
+def test_an_object_that_never_rests_determines_no_offset() -> None:
+    time = np.arange(0.0, 1.0, 0.01)
+    said = refusal(start_of_motion, Series("pose", time, np.outer(time, [1.0, 0.0, 0.0])), FILE, "k")
+    assert "does not rest at first" in said
+
+
+# ---- timestamps at which samples were not taken are noticed; noise, encoders and honest jitter are not --------------
+
+
+COUNT = 1000
+
+
+def swinging_joints(time: Array, noise: float = 1e-4, joints: int = 6) -> Array:
+    """Joints at two frequencies each, with the noise of their encoders [rad]."""
+    number = np.arange(joints)
+    t = time[:, None]
+    q = 0.5 * np.sin((0.9 + 0.2 * number) * t + number) + 0.1 * np.sin((2.5 + 0.3 * number) * t)
+    return q + np.random.default_rng(1).normal(0.0, noise, q.shape)
+
+
+def taken(period: float, spread: float, seed: int = 0) -> Array:
+    """True times of samples whose periods vary."""
+    return np.cumsum(period * (1.0 + spread * np.random.default_rng(seed).uniform(-1.7, 1.7, COUNT)))
+
+
+@pytest.mark.parametrize("rate", [15.0, 30.0, 60.0])
+@pytest.mark.parametrize("spread", [0.08, 0.18])
+@pytest.mark.parametrize("joints", [2, 6])
+def test_even_timestamps_of_uneven_samples_are_nominal(rate: float, spread: float, joints: int) -> None:
+    said = doubt_of_timestamps(np.arange(COUNT) / rate, swinging_joints(taken(1.0 / rate, spread), joints=joints))
+    assert said is not None and said.startswith(f"timestamps are nominal: exactly even ({rate:g} Hz)")
+    found = float(said.split("vary by ")[1].split()[0]) / 100.0
+    assert 0.7 * spread < found < 1.3 * spread
+
+
+def test_timestamps_of_a_log_differ_from_when_samples_were_taken() -> None:
+    true = taken(0.02, 0.1)
+    logged = true + np.random.default_rng(2).uniform(0.0, 0.005, COUNT)
+    said = doubt_of_timestamps(logged, swinging_joints(true))
+    assert said is not None and said.startswith("samples were not taken at their timestamps")
+
+
+@pytest.mark.parametrize("noise", [0.0, 1e-4, 1e-3, 1e-2])
+@pytest.mark.parametrize("spread", [0.0, 0.18])
+@pytest.mark.parametrize("rate", [15.0, 30.0, 100.0, 1000.0])
+def test_samples_at_their_timestamps_raise_no_doubt(noise: float, spread: float, rate: float) -> None:
+    time = taken(1.0 / rate, spread)
+    assert doubt_of_timestamps(time, swinging_joints(time, noise)) is None
+
+
+@pytest.mark.parametrize("step", [1e-4, 1e-3])
+def test_the_resolution_of_encoders_raises_no_doubt(step: float) -> None:
+    time = np.arange(COUNT) / 50.0
+    assert doubt_of_timestamps(time, step * np.round(swinging_joints(time) / step)) is None
+
+
+def test_gaps_and_repeated_samples_are_left_to_those_who_look_for_them() -> None:
+    time = np.delete(np.arange(COUNT) / 100.0, np.arange(300, 340))
+    q = swinging_joints(time)
+    q[500::50] = q[499:-1:50]
+    assert doubt_of_timestamps(time, q) is None
+
+
+def test_of_one_joint_nothing_can_be_said() -> None:
+    assert doubt_of_timestamps(np.arange(COUNT) / 30.0, swinging_joints(taken(1.0 / 30.0, 0.2), joints=1)) is None
+
+
+@pytest.mark.parametrize("file", ["nominal_stamps/episode.csv", "small/nominal_stamps.csv"])
+def test_frame_numbers_over_a_rate_are_said_when_a_recording_is_imported(file: str, tmp_path: Path) -> None:
+    """True periods vary by 17 % (true_times.txt)."""
+    draft = draft_import([measured_data("cases", file)], tmp_path, Wishes(robot="franka_fer"))
+    (said,) = [remark for remark in draft.remarks if "timestamps are nominal" in remark]
+    assert 13.0 < float(said.split("vary by ")[1].split()[0]) < 20.0

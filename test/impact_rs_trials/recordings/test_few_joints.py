@@ -8,13 +8,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from builders import mapping_in
 from joint_recordings import Columns, swinging, write_bag
 from measured_data import measured_data
 
 from impact_rs_sim.robot import RobotFacts, load_facts
 from impact_rs_sim.robot_model import RobotModel
 from impact_rs_trials.recordings.importing import Wishes, draft_import
-from impact_rs_trials.recordings.mapping import MountedEndEffector, load_mapping
+from impact_rs_trials.recordings.mapping import MountedEndEffector
 from impact_rs_trials.recordings.measured_limits import measured_limits
 from impact_rs_trials.recordings.recording import read_recordings
 
@@ -70,27 +71,12 @@ def test_a_recording_of_one_joint_is_imported(form: str, tmp_path: Path) -> None
     (tmp_path / "raw").mkdir()
     file = written(form, tmp_path / "raw", motion)
     draft = draft_import([file], tmp_path, Wishes(robot=robot))
-    (tmp_path / "mapping.yaml").write_text(draft.texts["mapping.yaml"], encoding="utf-8")
-    (run,) = read_recordings(file, load_mapping(tmp_path / "mapping.yaml"))
+    (run,) = read_recordings(file, mapping_in(draft, tmp_path))
     arm = run.signals.arms["arm"]
     np.testing.assert_allclose(arm.position, motion["position"], atol=1e-9)
     np.testing.assert_allclose(arm.velocity, motion["velocity"], atol=1e-9)
     np.testing.assert_allclose(arm.torque, motion["effort"], atol=1e-9)
     assert run.remarks == ()
-
-
-def test_columns_that_yaml_takes_for_truth_values_are_read_by_what_import_writes(tmp_path: Path) -> None:
-    robot = robot_of(tmp_path, PENDULUM)
-    motion = motion_of(robot)
-    table = np.column_stack([motion[name] for name in ("time", "position", "velocity", "effort")])
-    file = tmp_path / "swing.csv"
-    np.savetxt(file, table, delimiter=",", header="time,on,null,No", comments="", fmt="%.15g")
-    draft = draft_import([file], tmp_path, Wishes(robot=robot))
-    (tmp_path / "mapping.yaml").write_text(draft.texts["mapping.yaml"], encoding="utf-8")
-    mapping = load_mapping(tmp_path / "mapping.yaml")
-    assert [mapping.signals[name].column for name in ("position", "velocity", "torque")] == ["on", "null", "No"]
-    (run,) = read_recordings(file, mapping)
-    np.testing.assert_allclose(run.signals.arms["arm"].torque, motion["effort"], atol=1e-9)
 
 
 def test_a_recording_of_a_pan_tilt_without_reach_is_imported(tmp_path: Path) -> None:
@@ -101,8 +87,7 @@ def test_a_recording_of_a_pan_tilt_without_reach_is_imported(tmp_path: Path) -> 
     file = tmp_path / "motion.csv"
     np.savetxt(file, table, delimiter=",", header=",".join(names), comments="", fmt="%.15g")
     draft = draft_import([file], tmp_path, Wishes(robot=robot))
-    (tmp_path / "mapping.yaml").write_text(draft.texts["mapping.yaml"], encoding="utf-8")
-    (run,) = read_recordings(file, load_mapping(tmp_path / "mapping.yaml"))
+    (run,) = read_recordings(file, mapping_in(draft, tmp_path))
     np.testing.assert_allclose(run.signals.arms["arm"].torque, motion["effort"], atol=1e-9)
 
 

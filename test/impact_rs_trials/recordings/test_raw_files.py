@@ -9,28 +9,19 @@ from pathlib import Path
 import numpy as np
 import pytest
 import scipy.io
+from builders import mapping_of, read_positions
 from refusals import refusal
 from signal_files import TIME, VALUES
 
 from impact_rs_trials.recordings.csv_rows import decimal_sign
 from impact_rs_trials.recordings.experiment import Experiment, read_runs
-from impact_rs_trials.recordings.mapping import Mapping, load_mapping
-from impact_rs_trials.recordings.series import Series
-from impact_rs_trials.recordings.sources import read_series, spread_runs
+from impact_rs_trials.recordings.inner_runs import run_column_of, run_groups_of
+from impact_rs_trials.recordings.mapping import Mapping
+from impact_rs_trials.recordings.sources import read_series, runs_inside, spread_runs
 
 ROWS = [" ".join(f"{value!r}" for value in row) for row in VALUES.tolist()]
 NAMES = [f"position_{joint}" for joint in range(1, 8)]
 NUMBERED = [f"c{column}" for column in range(2, 9)]
-
-
-def mapping_of(time: dict | None = None, table: dict | None = None, **position: object) -> Mapping:
-    """The mapping ``joint_state`` with another way to the joint positions."""
-    shipped = load_mapping("joint_state")
-    source = {"unit": "rad", **position}
-    signals = {name: source if name == "position" else one.model_dump() for name, one in shipped.signals.items()}
-    signals |= {name: {**signals[name], "file": position["file"]} for name in signals if "file" in position}
-    content = shipped.model_dump() | {"time": time or {}, "table": table or {}, "signals": signals}
-    return Mapping.model_validate(content)
 
 
 JOINTS_OF_NINE = [2, 3, 4, 5, 6, 7, 8]  # between two other numbers
@@ -39,10 +30,6 @@ BY_NAME = {"column": "position_{joint}"}
 
 def in_line(header: int) -> Mapping:
     return mapping_of({}, {"header": header}, **BY_NAME)
-
-
-def read(path: Path, mapping: Mapping) -> Series:
-    return read_series(path, mapping, ["position"], ["position"])["position"]
 
 
 def text(path: Path, above: str, separator: str = ",", names: list[str] | None = NAMES, between: str = "") -> Path:
@@ -160,7 +147,7 @@ FORMS: dict[str, tuple[Callable[[Path], Path], str, Mapping]] = {
 @pytest.mark.parametrize("form", FORMS)
 def test_every_form_holds_the_same_numbers(tmp_path: Path, form: str) -> None:
     write, suffix, mapping = FORMS[form]
-    found = read(write(tmp_path / f"run{suffix}"), mapping)
+    found = read_positions(write(tmp_path / f"run{suffix}"), mapping)
     np.testing.assert_allclose(found.values, VALUES, rtol=0.0, atol=0.0)
     np.testing.assert_allclose(found.time, TIME, rtol=0.0, atol=1e-12)
 
@@ -177,7 +164,7 @@ def test_every_form_holds_the_same_numbers(tmp_path: Path, form: str) -> None:
 def test_dates_are_instants(tmp_path: Path, first: str, seconds: float) -> None:
     """The first second of the second billion since 1970; nanoseconds stay."""
     cells = [f'"{first.format(f"{10 * row:03d}000001")}"' for row in range(24)]
-    found = read(stamps(tmp_path / "a.csv", cells), mapping_of({"unit": "date"}, **BY_NAME))
+    found = read_positions(stamps(tmp_path / "a.csv", cells), mapping_of({"unit": "date"}, **BY_NAME))
     np.testing.assert_allclose(found.time - 1e9 - seconds, TIME, atol=2e-7)
 
 
@@ -185,16 +172,17 @@ def test_dates_are_instants(tmp_path: Path, first: str, seconds: float) -> None:
 def test_what_is_no_date_is_refused_with_its_line(tmp_path: Path, cell: str) -> None:
     cells = [f"2001-09-09 01:46:40.{10 * row:03d}" for row in range(24)]
     cells[4] = cell
-    said = refusal(read, stamps(tmp_path / "a.csv", cells), mapping_of({"unit": "date"}, **BY_NAME))
+    said = refusal(read_positions, stamps(tmp_path / "a.csv", cells), mapping_of({"unit": "date"}, **BY_NAME))
     assert "line 6" in said
     assert "date" in said
 
 
 def test_numbers_are_no_dates(tmp_path: Path) -> None:
-    said = refusal(read, npy(tmp_path / "a.npy"), mapping_of({"column": "c1", "unit": "date"}, columns=NUMBERED))
-    assert "time.unit = 'date'" in said
-    assert "s, ms, us or ns" in said
-    assert "s, ms, us or ns" in refusal(read, mat(tmp_path / "a.mat"), mapping_of({"unit": "date"}, array="position"))
+    table = mapping_of({"column": "c1", "unit": "date"}, columns=NUMBERED)
+    array = mapping_of({"unit": "date"}, array="position")
+    for file, mapping in ((npy(tmp_path / "a.npy"), table), (mat(tmp_path / "a.mat"), array)):
+        said = refusal(read_positions, file, mapping)
+        assert str(file) in said and "time.unit" in said and "s, ms, us or ns" in said
 
 
 @pytest.mark.parametrize(
@@ -226,7 +214,7 @@ def test_what_does_not_fit_names_the_key_and_the_line(
     tmp_path: Path, form: Callable[[Path], Path], mapping: Mapping, said: str
 ) -> None:
     path = form(tmp_path / "a.csv")
-    error = refusal(read, path, mapping)
+    error = refusal(read_positions, path, mapping)
     assert said in error
     assert str(path) in error
 
@@ -237,7 +225,7 @@ def test_cells_that_lost_a_number_are_refused_where_entries_are_taken(tmp_path: 
     lines = file.read_text().splitlines()
     lines[5] = lines[5].replace("0.5 ", "", 1)
     file.write_text("\n".join(lines))
-    said = refusal(read, file, mapping_of(column="JointPosition", entries=JOINTS_OF_NINE))
+    said = refusal(read_positions, file, mapping_of(column="JointPosition", entries=JOINTS_OF_NINE))
     assert "line 6" in said and "8 numbers in a cell, expected 9, as many in all rows" in said
 
 
@@ -252,8 +240,8 @@ def test_a_decimal_comma_stands_alone_in_its_cell(line: str, sign: str) -> None:
 def test_repeated_stamps_are_refused_or_the_first_is_kept_and_said(tmp_path: Path) -> None:
     time = np.where(np.arange(24) % 8 == 7, np.roll(TIME, 1), TIME)
     file = stamps(tmp_path / "a.csv", [repr(float(one)) for one in time])
-    assert read(file, mapping_of(**BY_NAME)).time.size == 24  # a reader of runs refuses them
-    found = read(file, mapping_of({"repeated": "keep_first"}, **BY_NAME))
+    assert read_positions(file, mapping_of(**BY_NAME)).time.size == 24  # a reader of runs refuses them
+    found = read_positions(file, mapping_of({"repeated": "keep_first"}, **BY_NAME))
     np.testing.assert_array_equal(found.values, VALUES[np.arange(24) % 8 != 7])
     (remark,) = found.remarks
     assert "3 of 24 samples have the stamp of the one before; the first is kept" in remark
@@ -282,7 +270,7 @@ def spread_mapping() -> Mapping:
 def test_runs_are_found_by_the_names_of_their_files(spread: Path) -> None:
     runs = spread_runs(spread, spread_mapping())
     assert [(path.name, name) for path, name in runs.items()] == [("2", "parcel"), ("9", "parcel"), ("10", "parcel")]
-    found = read(spread / "9", spread_mapping())
+    found = read_positions(spread / "9", spread_mapping())
     np.testing.assert_array_equal(found.values, VALUES)
 
 
@@ -300,12 +288,12 @@ def test_a_log_that_ends_in_the_middle_of_its_last_line_is_read_without_it(tmp_p
     whole = text(tmp_path / "whole.csv", "")
     cut = tmp_path / "cut.csv"
     cut.write_text(whole.read_text().rpartition(",")[0])
-    series = read(cut, mapping_of({}, **BY_NAME))
+    series = read_positions(cut, mapping_of({}, **BY_NAME))
     np.testing.assert_array_equal(series.values, VALUES[:-1])
     (remark,) = series.remarks
     assert remark == f"cut.csv: line {len(VALUES) + 1}, the last, is cut off (7 of 8 numbers): left out"
     cut.write_text(cut.read_text() + "\n")  # a line that ends is no line that was cut
-    assert "7 numbers, expected 8" in refusal(read, cut, mapping_of({}, **BY_NAME))
+    assert "7 numbers, expected 8" in refusal(read_positions, cut, mapping_of({}, **BY_NAME))
 
 
 @pytest.mark.parametrize(("kind", "said"), [("char", 1), ("logical", 1), ("double", 0)])
@@ -324,3 +312,110 @@ def test_texts_and_truth_values_of_matlab_are_no_numbers(tmp_path: Path, kind: s
         file["time"].attrs["MATLAB_empty"] = np.uint8(1)
         file["data/q"].attrs["MATLAB_class"] = np.bytes_("double")
     assert "no array 'time'" in refusal(lambda: read_series(path, mapping, ["position"], ["position"]))
+
+
+# ---- runs inside of one file are read one by one --------------------------------------------------------------------
+
+
+def csv_of_episodes(path: Path) -> Path:
+    """Three episodes, each with stamps from 0 on; the second is four times as large as the first."""
+    lines = ["t,episode_index," + ",".join(f"q{joint}" for joint in range(1, 8))]
+    for episode in range(3):
+        for time, row in zip(TIME.tolist(), ((1 + 3 * episode) * VALUES).tolist(), strict=True):
+            lines.append(",".join([repr(time), str(episode), *map(repr, row)]))
+    path.write_text("\n".join(lines) + "\n")
+    return path
+
+
+def parquet_of_episodes(path: Path) -> Path:
+    pyarrow = pytest.importorskip("pyarrow")
+    columns = np.vstack([(1 + 3 * episode) * VALUES for episode in range(3)])
+    table = {"t": np.tile(TIME, 3), "episode_index": np.repeat(np.arange(3), 24)}
+    table |= {f"q{joint + 1}": columns[:, joint] for joint in range(7)}
+    pytest.importorskip("pyarrow.parquet").write_table(pyarrow.table(table), path, row_group_size=30)
+    return path
+
+
+EPISODES = mapping_of({"column": "t"}, further={"run_column": "episode_index"}, column="q{joint}")
+
+
+@pytest.mark.parametrize(("write", "suffix"), [(csv_of_episodes, ".csv"), (parquet_of_episodes, ".parquet")])
+def test_episodes_of_a_table_are_runs(tmp_path: Path, write: object, suffix: str) -> None:
+    assert callable(write)
+    file = write(tmp_path / f"log{suffix}")
+    assert runs_inside(file, EPISODES) == [file / "0", file / "1", file / "2"]
+    for episode in range(3):
+        found = read_positions(file / str(episode), EPISODES)
+        np.testing.assert_array_equal(found.values, (1 + 3 * episode) * VALUES)
+        np.testing.assert_array_equal(found.time, TIME)
+    assert "no row is of run '7'; found: 0, 1, 2" in refusal(read_positions, file / "7", EPISODES)
+    other = EPISODES.model_copy(update={"run_column": "episode"})
+    assert "run_column of the mapping: no column 'episode'; did you mean" in refusal(runs_inside, file, other)
+
+
+def test_a_mistake_in_an_episode_names_the_line_of_the_file(tmp_path: Path) -> None:
+    file = csv_of_episodes(tmp_path / "log.csv")
+    lines = file.read_text().splitlines()
+    lines[30] = lines[30].rsplit(",", 1)[0] + ",none"
+    file.write_text("\n".join(lines) + "\n")
+    assert "line 31" in refusal(read_positions, file / "1", EPISODES)
+    np.testing.assert_array_equal(read_positions(file / "2", EPISODES).values, 7.0 * VALUES)
+
+
+def test_a_run_without_a_name_is_refused(tmp_path: Path) -> None:
+    file = csv_of_episodes(tmp_path / "log.csv")
+    for name in ("", "a/b"):
+        file.write_text(file.read_text().replace(",2,", f",{name},", 1))
+        assert "expected the name of a run in every row" in refusal(runs_inside, file, EPISODES)
+
+
+def test_groups_of_arrays_are_runs(tmp_path: Path) -> None:
+    file = tmp_path / "recordings.h5"
+    with pytest.importorskip("h5py").File(file, "w") as content:
+        for run in (2, 10):
+            content[f"Rec_{run}/robot/q"] = run * VALUES
+            content[f"Rec_{run}/robot/t"] = TIME + run
+        content["notes/t"] = TIME
+    mapping = mapping_of({"array": "{run}/robot/t"}, array="{run}/robot/q")
+    assert runs_inside(file, mapping) == [file / "Rec_2", file / "Rec_10"]
+    for run in (2, 10):
+        found = read_positions(file / f"Rec_{run}", mapping)
+        np.testing.assert_array_equal(found.values, run * VALUES)
+        np.testing.assert_array_equal(found.time, TIME + run)
+    said = refusal(read_positions, file / "Rec_3", mapping)
+    assert "no array 'Rec_3/robot/q' (position); did you mean" in said and "Rec_10/robot/q" in said
+
+
+def test_a_group_that_is_called_as_its_file_is_one_run(tmp_path: Path) -> None:
+    file = tmp_path / "Rec_2.npz"
+    np.savez(file, **{"Rec_2/q": VALUES, "t": TIME})
+    mapping = mapping_of({"array": "t"}, array="{run}/q")
+    assert runs_inside(file, mapping) == [file]
+    np.testing.assert_array_equal(read_positions(file, mapping).values, VALUES)
+
+
+@pytest.mark.parametrize(
+    ("arrays", "before", "names", "recorded"),
+    [
+        (["Rec_1/q", "Rec_1/t", "Rec_2/q"], "", ("Rec_1", "Rec_2"), True),
+        (["data/001/q", "data/002/q", "data/t"], "data/", ("001", "002"), True),
+        (["arm_1/q", "arm_2/q"], "", ("arm_1", "arm_2"), False),
+    ],
+)
+def test_groups_that_hold_the_same_arrays_are_found(
+    arrays: list[str], before: str, names: tuple[str, ...], recorded: bool
+) -> None:
+    found = run_groups_of(arrays)
+    assert found is not None
+    assert (found.before, found.names, found.recorded) == (before, names, recorded)
+
+
+def test_what_is_one_run_is_not_cut() -> None:
+    """Signals in groups, groups without a common array, a counter of samples, one episode, episodes that alternate."""
+    assert run_groups_of(["q", "dq", "state/q", "state/dq", "command/q"]) is None
+    assert run_groups_of(["Rec_1/q", "Rec_2/pose"]) is None
+    assert run_column_of({"t": TIME, "index": np.arange(24), "episode_index": np.zeros(24, int)}) is None
+    assert run_column_of({"episode_index": np.arange(24) // 8}) is None  # too short for runs
+    assert run_column_of({"episode_index": np.arange(100) % 2}) is None
+    assert run_column_of({"episode_index": np.arange(120) // 40 % 2}) is None  # 0 comes again
+    assert run_column_of({"episode_index": np.arange(100) // 50}) == "episode_index"

@@ -3,10 +3,12 @@
 
 from __future__ import annotations
 
+import functools
 from pathlib import Path
 
 import numpy as np
 import pytest
+from builders import mapping_in
 from joint_recordings import Columns, swinging
 from measured_data import measured_data
 from slender_arm import FLAT, mapping_of, slender_arm
@@ -14,8 +16,8 @@ from slender_arm import FLAT, mapping_of, slender_arm
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.robot import load_facts
 from impact_rs_sim.robot_model import RobotModel
-from impact_rs_trials.recordings.importing import ImportDraft, Wishes, draft_import
-from impact_rs_trials.recordings.mapping import MountedEndEffector, load_mapping
+from impact_rs_trials.recordings.importing import Wishes, draft_import
+from impact_rs_trials.recordings.mapping import MountedEndEffector
 from impact_rs_trials.recordings.recording import read_recordings
 from impact_rs_trials.recordings.torque_readings import MotionTorque, is_computed, lacks_weight, order_of_joints
 
@@ -29,6 +31,7 @@ def model_of(robot: str, load: float = 0.0) -> RobotModel:
     return RobotModel(load_facts(robot), tool.build())
 
 
+@functools.cache
 def swing(robot: str, load: float = 0.0, friction: float = FRICTION, speed: float = 1.0) -> Columns:
     """An arm swings with a load against dry friction; ``weight`` and ``computed`` are those of the arm alone."""
     model, bare = model_of(robot, load), model_of(robot)
@@ -54,11 +57,6 @@ def write(path: Path, motion: Columns, **signals: np.ndarray) -> Path:
     return path
 
 
-def described(draft: ImportDraft, folder: Path) -> Path:
-    (folder / "mapping.yaml").write_text(draft.texts["mapping.yaml"], encoding="utf-8")
-    return folder / "mapping.yaml"
-
-
 @pytest.mark.parametrize("robot", list(CENTRES))
 def test_a_torque_without_the_arms_weight_is_refused_by_import_and_by_a_mapping_by_hand(
     robot: str, tmp_path: Path
@@ -69,7 +67,7 @@ def test_a_torque_without_the_arms_weight_is_refused_by_import_and_by_a_mapping_
         draft_import([file], tmp_path, Wishes(robot=robot))
     assert "effort_1" in str(refused.value) and "add the weight that the controller adds" in str(refused.value)
     write(file, motion, effort=motion["effort"])
-    mapping = load_mapping(described(draft_import([file], tmp_path, Wishes(robot=robot)), tmp_path))
+    mapping = mapping_in(draft_import([file], tmp_path, Wishes(robot=robot)), tmp_path)
     assert len(read_recordings(file, mapping)) == 1
     write(file, motion, effort=motion["effort"] - motion["weight"])
     with pytest.raises(InputError, match="torque holds the torque of inertia without the arm's weight"):
@@ -82,7 +80,7 @@ def test_the_torque_with_the_weight_is_taken_where_both_are_there(tmp_path: Path
     lifted = motion["effort"] - motion["weight"]
     file = write(tmp_path / "run.csv", motion, tau_controller=lifted, tau_gear=motion["effort"])
     draft = draft_import([file], tmp_path, Wishes(robot="ur10e"))
-    (run,) = read_recordings(file, load_mapping(described(draft, tmp_path)))
+    (run,) = read_recordings(file, mapping_in(draft, tmp_path))
     np.testing.assert_allclose(run.signals.arms["arm"].torque, motion["effort"], atol=1e-6)
 
 
@@ -120,7 +118,7 @@ def test_motor_currents_are_preferred_to_a_torque_that_was_computed(load: float,
     constants = np.array([12.0, 12.0, 11.0, 9.0, 9.0, 9.0])
     file = write(tmp_path / "run.csv", motion, torque=motion["computed"], motor=motion["effort"] / constants)
     draft = draft_import([file], tmp_path, Wishes(robot="ur10e"))
-    mapping = load_mapping(described(draft, tmp_path))
+    mapping = mapping_in(draft, tmp_path)
     assert mapping.signals["torque"].column == "motor_{joint}" and mapping.signals["torque"].unit == "A"
     (said,) = [remark for remark in draft.remarks if "torque_1 … torque_6" in remark]
     assert "is left out: it follows the model of the arm without any friction" in said
@@ -151,7 +149,7 @@ def test_torque_sensors_behind_the_gears_see_no_friction_and_are_believed(tmp_pa
     ("robot", "order"),
     [("ur10e", (2, 1, 0, 3, 4, 5)), ("ur10e", (3, 0, 1, 2, 5, 4)), ("kuka_iiwa7", (3, 4, 0, 1, 2, 6, 5))],
 )
-@pytest.mark.parametrize("load", [0.0, 2.0])
+@pytest.mark.parametrize("load", [0.0, pytest.param(2.0, marks=pytest.mark.slow)])
 def test_columns_in_another_order_are_put_right_by_the_torque_of_the_arm(
     robot: str, order: tuple[int, ...], load: float, tmp_path: Path
 ) -> None:
@@ -162,7 +160,7 @@ def test_columns_in_another_order_are_put_right_by_the_torque_of_the_arm(
     joints = next(line for line in draft.lines if line.key == "joints")
     listed = ", ".join(str(order.index(joint) + 1) for joint in range(len(order)))
     assert f"base to tip the columns are {listed}:" in joints.evidence and not joints.sure
-    (run,) = read_recordings(file, load_mapping(described(draft, tmp_path)))
+    (run,) = read_recordings(file, mapping_in(draft, tmp_path))
     np.testing.assert_allclose(run.signals.arms["arm"].position, motion["position"], atol=1e-9)
     np.testing.assert_allclose(run.signals.arms["arm"].torque, motion["effort"], atol=1e-6)
 
