@@ -50,7 +50,7 @@ def test_a_table_goes_through_the_whole_loop(
     assert "Error per model version [m/s]" in capfd.readouterr().out
 
 
-def test_what_depends_on_a_covariate_is_said_in_text_document_and_page(
+def test_a_dependence_on_a_covariate_is_in_text_document_and_page(
     tmp_path: Path, document: Document, capfd: pytest.CaptureFixture
 ) -> None:
     rows = [[*row, "A"] for row in cube_rows(cube(0.5, 0.2), 24)]

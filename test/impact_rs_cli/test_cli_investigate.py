@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A blind investigation from beginning to end on the command line, and every way to ask for one wrongly."""
+"""A blind investigation on the command line: what it hands to the loop, and the loop from beginning to end."""
 
 from __future__ import annotations
 
@@ -10,14 +10,16 @@ from typing import Any
 
 import pytest
 
+from impact_rs_analysis.investigation import Ending
+from impact_rs_cli.bench import PlantBench
 from impact_rs_cli.main import main
 from impact_rs_sim.model import load_model
 from impact_rs_sim.scenario import load_scenario
+from impact_rs_trials.blind import Secret
 from impact_rs_trials.experiment_plan import write_scenario
 
 SEED, EFFECT = "0", "support_friction"
 Document = Callable[..., dict[str, Any]]
-Refused = Callable[..., str]
 
 
 @pytest.fixture(scope="module")
@@ -90,3 +92,29 @@ def test_log_page_and_models_are_there(investigated: tuple[Path, list[str], list
     )
     page = (directory / "report" / "investigation.html").read_text()
     assert "Family tree of the models" in page and "model_2" in page
+
+
+def test_the_command_hands_its_options_and_the_secret_of_its_seed_to_the_loop(
+    document: Document, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Kills: a budget, a kind of bench or a secret that gets lost, a truth that the loop is given."""
+    ending = Ending(verdict="NOTHING-MISSING", summary="", model="nominal", trials=6, rounds=1)
+    loops: list[tuple[Any, ...]] = []
+
+    class Loop:
+        def __init__(self, *handed: Any) -> None:
+            loops.append(handed)
+
+        def run(self) -> Ending:
+            return ending
+
+    monkeypatch.setattr("impact_rs_cli.commands.investigate.Investigation", Loop)
+    words = ("--blind", "3", "--effect", EFFECT, "--effects", EFFECT, "--scenarios", "push", "--budget", "9")
+    found = document("investigate", tmp_path / "inquiry", *words, "--jobs", "1")
+    ((directory, settings, budget, bench, *_),) = loops
+    assert found == {**ending.model_dump(mode="json"), "directory": str(directory)}
+    assert (directory, budget, settings.effects, settings.scenarios) == (tmp_path / "inquiry", 9, (EFFECT,), ("push",))
+    hidden = Secret.drawn(3, "single", EFFECT).hidden
+    assert type(bench) is PlantBench and bench.secret.hidden == hidden
+    (truth,) = json.loads((directory / "truth.json").read_text())["effects"]
+    assert truth["parameters"]["friction"]["value"] == hidden[0].values[0]

@@ -62,7 +62,7 @@ def test_somebody_elses_reader_reads_our_bag(push_bag: Path) -> None:
         (lambda path: (path.mkdir(), (path / "metadata.yaml").write_text("just text")), "bag"),
     ],
 )
-def test_what_is_no_trial_says_why(tmp_path: Path, make, reason: str) -> None:
+def test_a_folder_that_is_no_trial_is_refused_with_the_reason(tmp_path: Path, make, reason: str) -> None:
     make(tmp_path / "bag")
     with pytest.raises(BagError, match=reason):
         TrialBag.open(tmp_path / "bag")

@@ -99,7 +99,7 @@ def test_outside_effects_have_one_to_four_times_a_noticeable_size() -> None:
         (lambda: tasks(Path("."), 0, "huge", [], None, 0.0), "no size 'huge'"),
     ],
 )
-def test_what_there_is_none_of_is_answered_with_what_there_is(call, complaint: str) -> None:
+def test_an_unknown_kind_effect_or_size_is_refused(call, complaint: str) -> None:
     with pytest.raises(InputError, match=complaint):
         call()
 

@@ -280,7 +280,7 @@ def test_a_varied_trial_has_the_seed_of_the_trial_it_is_held_against() -> None:
             assert manifest.trial(key).seed == seeds[key.scale]
 
 
-def test_what_a_scenario_does_not_use_is_not_varied() -> None:
+def test_unused_settings_are_not_varied() -> None:
     assert not [key for key in sensitivity_manifests(make_manifest("push")) if key[0] == "clamp_force"]
 
 

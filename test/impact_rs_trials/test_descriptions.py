@@ -116,7 +116,9 @@ def test_moving_links_have_limits_inertials_and_visuals(bag: TrialBag) -> None:
     assert seen == {frame for _, frames in transforms(bag) for frame in frames}
 
 
-def test_others_read_it_without_a_warning(bag: TrialBag, tmp_path: Path, capfd: pytest.CaptureFixture) -> None:
+def test_descriptions_are_read_by_urdfdom_pinocchio_and_bullet_without_a_warning(
+    bag: TrialBag, tmp_path: Path, capfd: pytest.CaptureFixture
+) -> None:
     """By urdfdom, which RViz and robot_state_publisher read with, by Pinocchio and by Bullet."""
     for topic in (*described(bag), topics.OBJECT_DESCRIPTION):
         text = urdf(bag, topic)

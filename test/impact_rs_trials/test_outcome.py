@@ -93,7 +93,7 @@ def test_a_limit_may_be_passed_for_a_moment(
 
 
 @pytest.mark.parametrize("name", ["velocity", "effort", "command"])
-def test_what_is_held_at_its_limit_is_not_beyond_it(name: str) -> None:
+def test_a_signal_held_at_its_limit_is_not_beyond_it(name: str) -> None:
     limit = LIMITS.velocity_rad_s[JOINT] if name == "velocity" else LIMITS.torque_Nm[JOINT]
     assert judge(PUSH, with_signal(name, limit, TICKS)) == Verdict("OK")
 
@@ -174,7 +174,7 @@ def test_an_impact_that_is_told_before_the_pad_can_be_there_is_none() -> None:
     assert judge(EXCITE, record(EXCITE, arm)) == Verdict("OK")
 
 
-def test_what_nobody_hits_may_lie_as_it_likes() -> None:
+def test_the_object_of_a_free_motion_may_lean() -> None:
     assert judge(EXCITE, leaning(np.radians(80.0), TICKS, (1.0, 0.0, 0.0))).outcome == "OK"
 
 
@@ -183,7 +183,7 @@ def test_a_pushed_object_cannot_be_dropped(lift: float) -> None:
     assert judge(PUSH, record(PUSH, lift=lift)) == Verdict("OK")
 
 
-def test_what_is_clamped_is_dropped_when_it_rises_too_little() -> None:
+def test_a_clamped_object_that_rises_too_little_was_dropped() -> None:
     enough = LEAST_LIFT * GRAB.expected_lift
     assert judge(GRAB, record(GRAB, lift=1.01 * enough)) == Verdict("OK")
     unseen = replace(record(GRAB), object=PoseColumns(np.zeros(0), np.zeros((0, 3)), np.zeros((0, 4))))

@@ -136,7 +136,7 @@ def test_a_bag_that_is_there_is_never_overwritten(tmp_path: Path) -> None:
         BagWriter.create(tmp_path / "file" / "trial", ["arm"])
 
 
-def test_what_is_said_once_is_latched_when_it_is_played_back(tmp_path: Path) -> None:
+def test_topics_with_one_message_are_latched_on_playback(tmp_path: Path) -> None:
     path = tmp_path / "trial"
     with BagWriter.create(path, ["arm"]) as bag:
         bag.finish("OK")

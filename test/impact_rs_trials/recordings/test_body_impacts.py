@@ -103,7 +103,7 @@ def test_a_second_impact_is_a_second_row() -> None:
     np.testing.assert_allclose(found[1].after[2] - found[1].before[2], 0.9, atol=0.02)
 
 
-def test_what_gives_no_row_is_said_with_the_reason() -> None:
+def test_a_toss_without_a_usable_impact_is_left_out_with_the_reason() -> None:
     run = toss()
     flat = toss(turn=np.eye(3), seed=1)
     cases = {

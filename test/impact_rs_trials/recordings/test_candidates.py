@@ -207,7 +207,7 @@ def test_columns_named_after_joints_may_stand_in_any_order(tmp_path: Path) -> No
     assert found["swing", "effort"] == pytest.approx((7.0,), abs=1e-3)
 
 
-def test_what_is_given_goes_before_what_is_measured(urdf: Path, tmp_path: Path) -> None:
+def test_given_limits_go_before_measured_ones(urdf: Path, tmp_path: Path) -> None:
     shown = partial(measured_limits, recording(tmp_path / "log.csv", NUMBERED_COLUMNS))
     robot = import_urdf(urdf, limits=["*.effort=10", "shoulder.position=-3:3"], measured=shown)
     assert robot.facts.limits.torque_Nm == (10.0, 10.0)

@@ -166,7 +166,7 @@ def test_a_pad_that_touches_says_nothing() -> None:
 
 
 @pytest.mark.parametrize(("offset", "said"), [(0.02, "20.0 mm short of"), (-0.02, "20.0 mm inside")])
-def test_what_motion_capture_and_robot_disagree_by_is_said(offset: float, said: str) -> None:
+def test_the_distance_between_pad_and_object_is_noted(offset: float, said: str) -> None:
     (remark,) = doubt_of_touch(offset)
     assert f"the middle of the pad is {said} 'parcel'" in remark
 

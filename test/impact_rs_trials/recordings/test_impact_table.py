@@ -104,7 +104,7 @@ def test_contact_points_and_normal_may_be_given(tmp_path: Path, cubes: Rows) -> 
     assert point.normal == pytest.approx(geometric.normal)
 
 
-def test_what_is_assumed_and_what_is_not_read_is_said(tmp_path: Path, cubes: Rows) -> None:
+def test_assumed_and_unread_columns_are_listed(tmp_path: Path, cubes: Rows) -> None:
     table = read_cubes(tmp_path, [without("friction", "restitution")(row) for row in cubes], who="me")
     assert table.unread == ("who",)
     assert len(table.assumed) == 2
@@ -189,7 +189,7 @@ def test_a_wrong_cell_is_refused_with_row_column_value_and_unit(
 
 
 @pytest.mark.parametrize(("change", "words"), PUSHES, ids=[words for _, words in PUSHES])
-def test_so_it_is_of_impacts_of_an_arm(
+def test_a_wrong_cell_of_an_arm_is_refused_with_row_column_and_value(
     tmp_path: Path, pushes: Rows, change: Callable[[dict[str, Any]], dict[str, Any]], words: str
 ) -> None:
     assert not lacking(refusal(read_pushes, tmp_path, [change(row) for row in pushes]), words)
@@ -207,7 +207,7 @@ def test_so_it_is_of_impacts_of_an_arm(
         ("cubes.parquet", "no table", "Parquet"),
     ],
 )
-def test_what_is_no_table_is_refused(tmp_path: Path, name: str, text: str, words: str) -> None:
+def test_a_file_that_is_no_table_is_refused(tmp_path: Path, name: str, text: str, words: str) -> None:
     (tmp_path / name).write_text(text)
     assert not lacking(refusal(read_impact_table, tmp_path / name), f"{name}|{words}")
     assert not lacking(refusal(read_impact_table, tmp_path / "nowhere.csv"), "nowhere.csv|No such file")
@@ -388,7 +388,7 @@ def test_right_tables_raise_no_doubt_whatever_friction_restitution_and_centre_of
     assert doubts_of(pushes_with(tmp_path)) == []
 
 
-def test_what_no_factor_explains_is_said_without_a_remedy(tmp_path: Path) -> None:
+def test_a_doubt_that_no_factor_explains_has_no_remedy(tmp_path: Path) -> None:
     rows = [list(row) for row in cube_rows(cube(0.3, 0.3), 40)]
     first, last = CUBE_HEADER.index("vx_after [m/s]"), CUBE_HEADER.index("wz_after [rad/s]")
     noise = np.random.default_rng(0).standard_normal((40, last - first + 1)) * ([3.0] * 3 + [60.0] * 3)
@@ -457,7 +457,7 @@ def test_every_name_changes_what_it_says_and_nothing_else() -> None:
             assert other != scenario and unit in {"m", "kg", "-"}
 
 
-def test_what_is_unknown_here_is_refused_with_what_is_known(tmp_path: Path) -> None:
+def test_an_unknown_name_of_the_scene_is_refused_with_the_one_meant(tmp_path: Path) -> None:
     path = write_csv(tmp_path / "pushes.csv", *arm_table({}, 1))
     with pytest.raises(InputError, match="did you mean 'tool_mass'"):
         read_impact_table(path, PUSH, unsure={"tol_mass": (0.1, 0.2)})

@@ -217,7 +217,7 @@ def test_another_robot_is_not_believed(tmp_path: Path, motion: Columns) -> None:
     assert "--robot" in said
 
 
-def test_what_the_files_do_not_say_is_asked_for(tmp_path: Path, motion: Columns) -> None:
+def test_robot_and_sampling_rate_are_asked_for_where_files_lack_them(tmp_path: Path, motion: Columns) -> None:
     names = [*numbered("q"), *numbered("dq"), *numbered("tau")]
     file = write(tmp_path / "log.csv", names, [motion["position"], motion["velocity"], motion["effort"]])
     assert "--robot is needed" in refusal(draft_import, [file], tmp_path / "lab", Wishes())
@@ -284,7 +284,7 @@ def test_repeated_stamps_are_said_and_removed_on_request(tmp_path: Path, motion:
     check_reading(draft, tmp_path / "two", file, motion)
 
 
-def test_what_the_reader_refuses_is_said_with_its_reason(tmp_path: Path, motion: Columns) -> None:
+def test_an_import_passes_on_why_the_reader_refuses_a_file(tmp_path: Path, motion: Columns) -> None:
     """Stamps that hardly change, a cell that is no number, and signals of another width: not another robot."""
     names = ["t", *numbered("q"), *numbered("dq"), *numbered("tau"), "a1", "a2"]
     coarse = [np.floor(TIME), motion["position"], motion["velocity"], motion["effort"], TIME, TIME**2]

@@ -332,7 +332,7 @@ def test_a_hit_keeps_the_free_motion_before_a_gap(laboratory: LaboratoryFolder) 
     assert run.gaps[0][1] == pytest.approx(0.33, abs=1e-3)
 
 
-def test_what_is_left_out_has_its_reason_and_the_others_are_read(laboratory: LaboratoryFolder) -> None:
+def test_a_run_that_is_left_out_has_its_reason_and_the_others_are_read(laboratory: LaboratoryFolder) -> None:
     known = laboratory.signals
     laboratory.bag("whole")
     laboratory.signals = known.without(0.39, 0.41)

@@ -93,7 +93,7 @@ MISTAKES = [
 
 
 @pytest.mark.parametrize(("changes", "words"), MISTAKES, ids=[words for _, words in MISTAKES])
-def test_what_makes_no_sense_is_refused_with_its_key(changes: dict, words: str) -> None:
+def test_a_wrong_key_of_a_mapping_is_refused(changes: dict, words: str) -> None:
     assert not lacking(refusal(mapping, **changes), "mine.yaml|" + words)
 
 

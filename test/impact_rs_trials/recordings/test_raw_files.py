@@ -169,7 +169,7 @@ def test_dates_are_instants(tmp_path: Path, first: str, seconds: float) -> None:
 
 
 @pytest.mark.parametrize("cell", ["09.09.2001 01:46:40", "2001-02-30 01:00:00", "2001-09-09", "1000000000", ""])
-def test_what_is_no_date_is_refused_with_its_line(tmp_path: Path, cell: str) -> None:
+def test_a_cell_that_is_no_date_is_refused_with_its_line(tmp_path: Path, cell: str) -> None:
     cells = [f"2001-09-09 01:46:40.{10 * row:03d}" for row in range(24)]
     cells[4] = cell
     said = refusal(read_positions, stamps(tmp_path / "a.csv", cells), mapping_of({"unit": "date"}, **BY_NAME))
@@ -210,7 +210,7 @@ def test_numbers_are_no_dates(tmp_path: Path) -> None:
         (lambda p: text(p, ""), mapping_of({}, {"header": 40}, column="x"), "table.header = 40: expected the names"),
     ],
 )  # fmt: skip
-def test_what_does_not_fit_names_the_key_and_the_line(
+def test_a_table_that_does_not_fit_its_mapping_is_refused_with_key_and_line(
     tmp_path: Path, form: Callable[[Path], Path], mapping: Mapping, said: str
 ) -> None:
     path = form(tmp_path / "a.csv")
@@ -410,7 +410,7 @@ def test_groups_that_hold_the_same_arrays_are_found(
     assert (found.before, found.names, found.recorded) == (before, names, recorded)
 
 
-def test_what_is_one_run_is_not_cut() -> None:
+def test_one_run_is_not_cut_into_several() -> None:
     """Signals in groups, groups without a common array, a counter of samples, one episode, episodes that alternate."""
     assert run_groups_of(["q", "dq", "state/q", "state/dq", "command/q"]) is None
     assert run_groups_of(["Rec_1/q", "Rec_2/pose"]) is None

@@ -85,7 +85,7 @@ def spoiled(values: np.ndarray, row: int, value: float) -> np.ndarray:
         ({name: values[:50] for name, values in COLUMNS.items()}, "50 samples, at least 100 are needed"),
     ],
 )
-def test_what_no_robot_would_measure_is_refused_with_the_place(tmp_path: Path, changes: dict, complaint: str) -> None:
+def test_impossible_measurements_are_refused_with_the_place(tmp_path: Path, changes: dict, complaint: str) -> None:
     path = write_npz(tmp_path / "a.npz", COLUMNS | changes)
     with pytest.raises(InputError, match=str(path)) as caught:
         read_recording(path)
