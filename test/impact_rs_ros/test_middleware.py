@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Nodes talk over the loopback: no shared memory, and no socket that another machine reaches."""
+"""Nodes talk over the loopback alone, in the namespace of their graph, and every subscriber hears its publisher."""
 
 from __future__ import annotations
 
@@ -10,10 +10,21 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from rclpy.qos import (
+    QoSCompatibility,
+    QoSDurabilityPolicy,
+    QoSHistoryPolicy,
+    QoSReliabilityPolicy,
+    qos_check_compatible,
+)
 
 from impact_rs_ros import process
 from impact_rs_ros.impact_map_node import ImpactMapNode
 from impact_rs_ros.middleware import CHOICES, LOCALHOST, PROFILE, RANGE, set_middleware
+from impact_rs_ros.names import SHARED, full_namespace, on_network, within
+from impact_rs_ros.qos import AWAITED, EVENT, LATCHED, RECORD, STREAM, WATCH, offered
+from impact_rs_sim.errors import InputError
+from impact_rs_trials.bags import topics
 
 TELL = """
 import os, sys, rclpy
@@ -87,3 +98,66 @@ def test_without_the_profile_the_nodes_stay_within_this_machine(
     environment: dict[str, str] = {}
     set_middleware(environment)
     assert environment == {RANGE: "LOCALHOST"}
+
+
+def test_recorded_topics_are_in_the_namespace_but_tf_and_diagnostics() -> None:
+    absolute = {topic for topic in topics.recorded(["left", "right"]) if on_network(topic).startswith("/")}
+    assert absolute == SHARED == {"/tf", "/tf_static", "/diagnostics"}
+    assert on_network("/left/joint_states") == "left/joint_states"
+
+
+def test_two_plants_in_namespaces_do_not_publish_to_one_clock() -> None:
+    """Time would jump to and fro for whoever uses it."""
+    assert on_network(topics.CLOCK) == "clock"
+
+
+@pytest.mark.parametrize(
+    ("text", "full"),
+    [("", "/"), ("/", "/"), ("cell_a", "/cell_a"), ("/cell_a/", "/cell_a"), ("hall/cell_a", "/hall/cell_a")],
+)
+def test_a_namespace_is_taken_with_and_without_slashes(text: str, full: str) -> None:
+    assert full_namespace(text) == full
+
+
+@pytest.mark.parametrize("text", ["cell a", "1st", "cell//a", "cell-a", "a/../b"])
+def test_a_namespace_that_ros_does_not_have_is_refused(text: str) -> None:
+    with pytest.raises(InputError, match="namespace = .*begin with no digit"):
+        full_namespace(text)
+
+
+def test_a_name_within_the_root_has_one_slash() -> None:
+    assert (within("/", "plant"), within("/cell_a", "plant")) == ("/plant", "/cell_a/plant")
+
+
+@pytest.mark.parametrize("subscriber", [AWAITED, RECORD, WATCH, EVENT], ids=["awaited", "record", "watch", "event"])
+@pytest.mark.parametrize("publisher", [STREAM, LATCHED], ids=["stream", "latched"])
+def test_a_subscriber_of_any_kind_hears_a_publisher_of_any_kind(publisher, subscriber) -> None:
+    compatibility, reason = qos_check_compatible(publisher, subscriber)
+    assert compatibility != QoSCompatibility.ERROR, reason
+
+
+def test_the_recorder_loses_nothing_and_nobody_waits_for_it() -> None:
+    assert RECORD.reliability == QoSReliabilityPolicy.RELIABLE
+    assert RECORD.history == QoSHistoryPolicy.KEEP_ALL
+    assert STREAM.reliability == QoSReliabilityPolicy.RELIABLE
+    assert STREAM.history == QoSHistoryPolicy.KEEP_LAST, "a publisher that keeps all blocks when a subscriber dies"
+
+
+def test_only_signals_of_every_tick_have_a_deep_history() -> None:
+    depths = {topic: offered(topic).depth for topic in topics.recorded(["arm"])}
+    deep = {topic for topic, depth in depths.items() if depth == STREAM.depth}
+    arms = (topics.joint_states, topics.motor_states, topics.joint_command, topics.controller_state)
+    arms += (topics.truth_joint_states, topics.truth_contact_wrench)
+    poses = {topics.OBJECT_POSE, topics.TRUTH_OBJECT_POSE, topics.TRUTH_OBJECT_TWIST}
+    assert deep == {*(name("arm") for name in arms), *poses}
+    assert max(depth for topic, depth in depths.items() if topic not in deep) == 100
+
+
+def test_static_frames_are_latched_as_tf2_expects() -> None:
+    assert offered(topics.TF_STATIC).durability == QoSDurabilityPolicy.TRANSIENT_LOCAL
+
+
+def test_who_comes_late_still_hears_what_is_said_once() -> None:
+    assert LATCHED.durability == QoSDurabilityPolicy.TRANSIENT_LOCAL
+    assert qos_check_compatible(LATCHED, LATCHED)[0] != QoSCompatibility.ERROR
+    assert qos_check_compatible(STREAM, LATCHED)[0] == QoSCompatibility.ERROR

@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
+from diagnostic_msgs.msg import DiagnosticArray
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from rclpy.serialization import serialize_message
@@ -156,3 +157,34 @@ def test_whatever_comes_on_whatever_topic_is_stored_or_counted(
     before, sent = trial.counts[topic] + trial.refused[topic], bytes(changed)
     trial.store(topic, sent[: data.draw(st.integers(0, len(sent)))])
     assert trial.counts[topic] + trial.refused[topic] - before in (0, 1)  # 0: it has the stamp of the last one
+
+
+class Bag:
+    """Remembers what is written, and when [ns]."""
+
+    def __init__(self) -> None:
+        self.written: list[tuple[str, int]] = []
+
+    def write_raw(self, topic: str, nanoseconds: int, data: bytes) -> None:
+        self.written.append((topic, nanoseconds))
+
+
+def test_diagnostics_are_stored_at_the_trial_time_of_the_newest_signal() -> None:
+    values = [0.0] * 7
+    state = JointState(name=["a"] * 7, position=values, velocity=values, effort=values)
+    bag, told = Bag(), DiagnosticArray()
+    trial = OpenTrial("push/one", bag, ["arm"], 1.8, None, tracked=True)  # type: ignore[arg-type]
+    state.header.stamp.nanosec = 200_000_000
+    told.header.stamp.sec = 1_790_000_000
+    for topic, message in (
+        (topics.DIAGNOSTICS, told),
+        (topics.joint_states("arm"), state),
+        (topics.DIAGNOSTICS, told),
+    ):
+        trial.store(topic, bytes(serialize_message(message)))
+    assert bag.written == [
+        (topics.DIAGNOSTICS, 0),
+        (topics.joint_states("arm"), 200_000_000),
+        (topics.DIAGNOSTICS, 200_000_000),
+    ]
+    assert trial.time == 0.2

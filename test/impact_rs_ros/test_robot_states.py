@@ -3,12 +3,24 @@
 
 from __future__ import annotations
 
-import numpy as np
-import pytest
-from robot_bench import GRAB, JOINTS, LIMIT, MODEL, PERIOD, START, WEIGHT, Robot, state_message
+from collections.abc import Iterator
 
+import numpy as np
+import pinocchio as pin
+import pytest
+from builtin_interfaces.msg import Time
+from geometry_msgs.msg import PoseStamped
+from rclpy.serialization import serialize_message
+from robot_bench import GRAB, JOINTS, LIMIT, MODEL, PERIOD, START, WEIGHT, Robot, state_message
+from rosgraph_msgs.msg import Clock
+
+from impact_msgs_py.conversions import pose_from_message, pose_to_message
+from impact_rs_ros import robot_clock
+from impact_rs_ros.motion_capture import TrackerPoses
+from impact_rs_ros.robot_clock import STOPPED, RobotClock
 from impact_rs_ros.robot_states import EXTRA, StateReader, joint_names
 from impact_rs_sim.errors import InputError
+from impact_rs_trials.bags import topics
 
 
 def test_a_usable_state_is_the_latest_and_ages() -> None:
@@ -161,3 +173,134 @@ def test_the_motors_of_a_robot_are_where_its_links_are() -> None:
     measured = Robot().state(velocity=np.full(7, 1e-3)).arms["arm"]
     np.testing.assert_array_equal(measured.motor_position, measured.position)
     np.testing.assert_array_equal(measured.motor_velocity, measured.velocity)
+
+
+class Simulator:
+    """What waits on ``/clock``, and how late it is in this room."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.waiting: list[Clock] = []
+        self.room = 1000.0
+        outer = self
+
+        class Topic:
+            def __init__(self, node: object, name: str, qos: object) -> None:
+                self.connect = self.gather = lambda *arguments: None
+                self.clear = outer.waiting.clear
+
+            def take(self) -> Iterator[tuple[str, Clock]]:
+                while outer.waiting:
+                    yield topics.CLOCK, outer.waiting.pop(0)
+
+        monkeypatch.setattr(robot_clock, "Inbox", Topic)
+        monkeypatch.setattr(robot_clock, "value", lambda node, name: name == "use_sim_time")
+        monkeypatch.setattr(robot_clock.time, "monotonic", lambda: self.room)
+        self.clock = RobotClock(None)  # type: ignore[arg-type]
+
+    def tick(self, seconds: float) -> None:
+        nanoseconds = round(1e9 * seconds)
+        self.waiting.append(Clock(clock=Time(sec=nanoseconds // 10**9, nanosec=nanoseconds % 10**9)))
+
+
+@pytest.fixture
+def simulator(monkeypatch: pytest.MonkeyPatch) -> Simulator:
+    return Simulator(monkeypatch)
+
+
+def test_simulated_time_is_unknown_until_published_and_after_a_restart(
+    simulator: Simulator,
+) -> None:
+    clock = simulator.clock
+    assert not clock.known
+    simulator.tick(2.000000005)
+    assert clock.known
+    assert clock.now() == 2_000_000_005
+    simulator.tick(3.0)  # of the one that has ended
+    clock.forget()
+    assert not clock.known
+
+
+def test_simulated_time_is_not_before_the_newest_state(simulator: Simulator) -> None:
+    """Else states would come from the future wherever ``/clock`` takes longer; a robot's stamps alone are no clock."""
+    clock = simulator.clock
+    clock.saw(7 * 10**9)
+    assert not clock.known and clock.now() == 0
+    simulator.tick(6.0)
+    assert clock.now() == 7 * 10**9
+    simulator.tick(8.0)
+    assert clock.now() == 8 * 10**9
+
+
+def test_time_follows_a_slow_simulator_and_the_machine_once_it_stops(simulator: Simulator) -> None:
+    clock = simulator.clock
+    simulator.tick(50.0)
+    begin = clock.steady()
+    for step in range(1, 11):  # a hundred times slower than the room
+        simulator.room += 0.1
+        simulator.tick(50.0 + 0.001 * step)
+        assert clock.steady() - begin == pytest.approx(0.001 * step)
+    for _ in range(20):
+        simulator.room += 0.1
+        clock.steady()
+    assert clock.steady() - begin == pytest.approx(0.01 + 2.0 - STOPPED)
+    simulator.tick(1.0)  # started again
+    assert clock.steady() - begin == pytest.approx(0.01 + 2.0 - STOPPED)
+    simulator.tick(1.5)
+    assert clock.steady() - begin == pytest.approx(0.01 + 2.0 - STOPPED + 0.5)
+
+
+def test_setting_the_machines_clock_changes_no_difference(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(robot_clock, "value", lambda node, name: False)
+    monkeypatch.setattr(robot_clock.time, "monotonic", lambda: 12.5)
+    assert RobotClock(None).steady() == 12.5  # type: ignore[arg-type]
+
+
+PLACEMENT = np.array([1.2, -0.7, 0.3, 0.4, -0.3, 2.1])  # m, rad
+SEEN = pin.SE3ToXYZQUAT(pin.SE3(pin.exp3(np.array([0.3, -0.8, 1.4])), np.array([0.4, -0.1, 0.5])))
+
+
+def told(pose: np.ndarray, frame: str = "tracker") -> bytes:
+    message = PoseStamped(pose=pose_to_message(pose))
+    message.header.frame_id = frame
+    message.header.stamp.sec, message.header.stamp.nanosec = 7, 123_456_789
+    return bytes(serialize_message(message))
+
+
+def test_a_pose_that_was_seen_from_elsewhere_is_found_again_in_world() -> None:
+    """A truth in world, told as the tracker would see it: turned about fixed axes, x first."""
+    roll, pitch, yaw = PLACEMENT[3:]
+    turn = pin.utils.rotate("z", yaw) @ pin.utils.rotate("y", pitch) @ pin.utils.rotate("x", roll)
+    truth = pin.XYZQUATToSE3(SEEN)
+    seen = pin.SE3ToXYZQUAT(pin.SE3(turn, PLACEMENT[:3]).actInv(truth))
+    pose = TrackerPoses("tracker", PLACEMENT).read(told(seen))
+    assert pose is not None
+    assert pose.header.frame_id == "world"
+    assert (pose.header.stamp.sec, pose.header.stamp.nanosec) == (7, 123_456_789)
+    found = pin.XYZQUATToSE3(pose_from_message(pose.pose))
+    np.testing.assert_allclose(found.homogeneous, truth.homogeneous, atol=1e-12)
+
+
+def test_in_a_frame_that_is_world_a_pose_stays_as_it_is_bit_by_bit() -> None:
+    pose = TrackerPoses("world", np.zeros(6)).read(told(SEEN, "world"))
+    assert pose is not None
+    np.testing.assert_array_equal(pose_from_message(pose.pose), SEEN)
+
+
+@pytest.mark.parametrize("frame", ["world", "tracker_2", ""])
+def test_a_pose_in_another_frame_is_refused(frame: str) -> None:
+    with pytest.raises(InputError, match="frame_id of /mocap/object_pose = .*: expected tracker, see mocap_frame"):
+        TrackerPoses("tracker", PLACEMENT).read(told(SEEN, frame))
+
+
+@pytest.mark.parametrize("pose", [np.full(7, np.nan), np.zeros(7), np.append(np.full(3, np.inf), SEEN[3:])])
+def test_what_a_tracker_says_of_an_object_out_of_sight_is_no_pose(pose: np.ndarray) -> None:
+    assert TrackerPoses("tracker", PLACEMENT).read(told(pose)) is None
+
+
+@pytest.mark.parametrize(
+    "data",
+    [b"", b"\0\1\0\0abc", told(SEEN)[:-1], b"\0\1\0\0" + b"\xff" * 80],
+    ids=["nothing", "short", "cut off", "endless"],
+)
+def test_bytes_that_are_no_pose_are_an_object_out_of_sight(data: bytes) -> None:
+    assert TrackerPoses("tracker", PLACEMENT).read(data) is None

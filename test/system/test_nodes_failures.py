@@ -15,8 +15,9 @@ from pathlib import Path
 import pytest
 from impact_rs.action import RunTrial
 from impact_rs.srv import ConfigureTrial, FinishTrial
-from node_trials import TRIES, configuration, goal, one_trial, result_of, spin_until
+from node_trials import TRIES, beside, configuration, goal, one_trial, result_of, spin_until
 from processes import PATIENCE, running, until
+from rclpy.qos import qos_profile_sensor_data
 from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
 
@@ -290,6 +291,23 @@ def test_a_bag_is_never_overwritten(graph: Graph, tmp_path: Path) -> None:
     result = graph.call_trial(goal(tmp_path))
     assert not result.success
     assert "exists already" in result.message
+
+
+def test_a_trial_that_nobody_publishes_or_not_reliably_is_not_recorded(graph: Graph, tmp_path: Path) -> None:
+    """Kills: a recorder that waits for no publisher, or that counts one of another quality of service."""
+    request = ConfigureTrial.Request(bag_path=str(tmp_path / "bag"))
+    request.trial.robots = ["left"]
+    topic = topics.joint_states("left")
+
+    def refusal() -> str:
+        answer = graph.call(ConfigureTrial, "recorder/configure_trial", request)
+        assert not answer.success
+        return answer.message
+
+    assert f"no publisher of {topic}" in refusal()
+    with beside(graph, "stranger") as other:
+        other.create_publisher(JointState, topic, qos_profile_sensor_data)
+        spin_until(graph, lambda: f"{topic}: published, but not received" in refusal(), "it is not discovered")
 
 
 def test_a_recorder_names_what_is_missing_and_answers_again(graph: Graph, tmp_path: Path) -> None:

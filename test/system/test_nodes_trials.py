@@ -1,29 +1,36 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Trials and campaigns through the nodes: in real time, without impact, with hidden effects, cancelled, continued."""
+"""Trials and campaigns through the nodes: in real time, without impact, hidden effects, cancelled, diverged."""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
+import pytest
 from action_msgs.msg import GoalStatus
 from impact_rs.action import RunCampaign
 from node_trials import begun, goal, one_trial, result_of, spin_until, whole_trial
 from rcl_interfaces.srv import SetParameters
 from rclpy.parameter import Parameter
 
-from impact_rs_ros.graph import Graph
+from impact_rs_analysis.investigation import Settings, trials_of
+from impact_rs_cli.node_benches import NodesBench
+from impact_rs_cli.terminal import Terminal
+from impact_rs_ros.graph import Graph, run_trial
 from impact_rs_sim.effects import library
-from impact_rs_sim.model import Model, ModelEffect, ParameterValue
+from impact_rs_sim.model import Model, ModelEffect, ParameterValue, load_model
+from impact_rs_sim.paths import config_directory
 from impact_rs_sim.robot import load_facts
 from impact_rs_sim.scenario import load_scenario
 from impact_rs_trials.bags import topics
 from impact_rs_trials.bags.reader import TrialBag
 from impact_rs_trials.bags.record import record_trial
-from impact_rs_trials.campaign import make_manifest
+from impact_rs_trials.blind import Secret
+from impact_rs_trials.campaign import PlannedTrials, make_manifest, run_one
+from impact_rs_trials.experiment_plan import ExperimentPlan, PlannedCampaign
 
 STATES = topics.joint_states("arm")
 
@@ -125,3 +132,68 @@ def test_a_cancelled_campaign_counts_its_trial_neither_way(graph: Graph, tmp_pat
     result = result_of(graph, handle.get_result_async()).result
     assert (result.success, result.message) == (False, "cancelled")
     assert (result.finished, result.failed) == (0, 0)
+
+
+def test_a_plant_that_blows_up_has_its_reason_through_the_nodes_too(
+    graph: Graph, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    shipped = (config_directory() / "scenarios" / "push.yaml").read_text(encoding="utf-8")
+    light = tmp_path / "light.yaml"
+    light.write_text(shipped.replace("facts: franka_fer", "facts: franka_fr3"), encoding="utf-8")
+    manifest = make_manifest(str(light), ["cat_food"], ["2"], [1.0], trials=1)
+    key = manifest.keys[0]
+    told = run_one(tmp_path / "inprocess", manifest.trial(key))
+    answers = []
+    monkeypatch.setattr(
+        graph, "call_trial", lambda goal, call=graph.call_trial: answers.append(call(goal)) or answers[-1]
+    )
+    report = run_trial(graph, tmp_path / "nodes", manifest, key)
+    assert [(answer.success, answer.outcome) for answer in answers] == [(False, "DIVERGED")]  # and it is not run again
+    assert (report.outcome, report.message) == (told.outcome, told.message)
+    assert (report.outcome, report.message[:13]) == ("DIVERGED", "arm joint7 at")
+    bag = TrialBag.open(tmp_path / "nodes" / key.name)
+    assert (bag.outcome, bag.reason) == (report.outcome, report.message)
+    assert bag.counts == TrialBag.open(tmp_path / "inprocess" / key.name).counts | {
+        topic: count for topic, count in bag.counts.items() if topic == "/diagnostics" or topic == "/truth/model"
+    }
+
+
+@pytest.mark.slow
+def test_two_scenarios_of_a_round_run_through_one_set_of_nodes_with_a_hidden_effect(
+    tmp_path: Path, domain_ids: Callable[[], int], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A variant of a push that no shipped file has, and free motion; the nominal physics stay in the bags."""
+    monkeypatch.setenv("ROS_DOMAIN_ID", str(domain_ids()))
+    settings = Settings(scenarios=("push", "excite"), model_digest=load_model("nominal").digest, via="nodes")
+    plan = ExperimentPlan(
+        model="nominal",
+        model_digest=settings.model_digest,
+        aim="effects",
+        method="design",
+        budget=6,
+        campaigns=(
+            PlannedCampaign(
+                folder="push_soft",
+                scenario="push",
+                settings={"name": "push_soft", "contact.friction": 0.4},
+                conditions=(PlannedTrials(object="parcel", case="case_1", trials=1),),
+            ),
+            PlannedCampaign(
+                folder="excite", scenario="excite", conditions=(PlannedTrials(object="none", case="fast", trials=1),)
+            ),
+        ),
+    )
+    hidden = Secret.drawn(0, "single", "object_mass").model
+    bench = NodesBench(tmp_path, settings, map, Terminal(as_json=True), hidden)  # type: ignore[arg-type]
+    trials = trials_of(plan, "round_01")
+    bench.measure(trials)
+    bags = [TrialBag.open(tmp_path / "runs" / one.path) for one in trials]
+    assert [(bag.outcome, bag.info.scenario, bag.info.via) for bag in bags] == [
+        ("OK", "push_soft", "nodes"),
+        ("OK", "excite", "nodes"),
+    ]
+    assert bags[0].info.spec.scenario.contact.friction == 0.4
+    assert bags[0].info.seed == trials[0].trial.seed
+    assert bags[0].info.spec.scene.physics.object.mass == 0.6  # kg, what the scenario says
+    runs = bench.measured_runs()
+    assert len(runs.runs) == 2 and not runs.skipped
