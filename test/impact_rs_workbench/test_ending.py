@@ -13,7 +13,6 @@ from typing import Any
 from urllib.error import HTTPError
 from urllib.request import HTTPCookieProcessor, Request, build_opener
 
-import pytest
 from processes import running, until
 
 from impact_rs_workbench.jobs import RECORD
@@ -49,14 +48,13 @@ def command(folder: Path) -> list[str]:
     return [sys.executable, "-m", "impact_rs_cli.main", "workbench", str(folder), "--no-browser"]
 
 
-@pytest.mark.parametrize("presses", [1, 3])
-def test_ctrl_c_ends_an_open_page_and_stops_its_jobs_in_one_line(tmp_path: Path, presses: int) -> None:
+def test_ctrl_c_ends_an_open_page_and_stops_its_jobs_in_one_line_however_often_it_is_pressed(tmp_path: Path) -> None:
     with running(command(tmp_path)) as workbench:
         client = Client(workbench.address())
         events = client.open("/api/events")
         client.open("/api/jobs", CAMPAIGN | {"trials": 300, "scales": [1.0]})
         until(lambda: json.loads(client.open("/api/jobs").read())[0]["progress"], lambda: events.readline())
-        for _ in range(presses):
+        for _ in range(3):
             workbench.process.send_signal(signal.SIGINT)
         code, printed = workbench.end()
     assert code == 0

@@ -13,6 +13,7 @@ from typing import Any
 import pytest
 from processes import until
 from starlette.testclient import TestClient
+from stub_job import Stub
 
 from impact_rs_sim.errors import InputError
 from impact_rs_workbench.jobs import LOST, Job, Jobs, Order
@@ -27,8 +28,8 @@ def jobs(tmp_path: Path) -> Jobs:
     return Jobs(tmp_path / "jobs", "impact-rs")
 
 
-def order(*words: str, writes: tuple[Path, ...] = ()) -> Order:
-    return Order("measure", words, writes)
+def order(*words: str) -> Order:
+    return Order("measure", words, ())
 
 
 def test_a_job_is_the_command_it_tells_and_keeps_its_output(jobs: Jobs) -> None:
@@ -37,12 +38,14 @@ def test_a_job_is_the_command_it_tells_and_keeps_its_output(jobs: Jobs) -> None:
     assert "object_mass: " in jobs.log(job.number)
 
 
-def test_a_running_job_says_that_it_has_printed_more(jobs: Jobs, tmp_path: Path) -> None:
+def test_a_running_job_says_that_it_has_printed_more(workbench: Workbench, stub: Stub) -> None:
     """So a page that shows its output asks for it again."""
-    job = jobs.start(order("workbench", str(tmp_path / "other"), "--no-browser"))
-    until(lambda: (jobs.all()[0]["printed"] or 0) >= len("http://"), lambda: time.sleep(0.05))
-    assert jobs.log(job.number).count("http://") == 1
-    jobs.stop(job.number)
+    jobs = workbench.jobs
+    stub.tells(first="so far", waits=True)
+    job = jobs.start(order("compare"))
+    until(lambda: (jobs.all()[0]["printed"] or 0) >= len("so far"), pause)
+    assert jobs.log(job.number) == "so far"
+    stub.go()
     jobs.wait(job.number)
     assert jobs.all()[0]["printed"] is None
 
@@ -55,55 +58,74 @@ def test_a_job_that_fails_tells_its_one_line(jobs: Jobs) -> None:
     assert (job.exit_code, job.line) == (2, "unrecognized arguments: --nonsense (see impact-rs --help)")
 
 
-def test_a_campaign_tells_how_far_it_is_stops_as_ctrl_c_does_and_goes_on(
-    client: TestClient, workbench: Workbench, tmp_path: Path
+def progress_of(client: TestClient, done: int) -> dict[str, Any]:
+    """Progress of the newest job, when it has done so many steps."""
+
+    def found() -> Any:
+        told = client.get("/api/jobs").json()[0]["progress"] or {}
+        return told if told.get("done") == done else None
+
+    return until(found, pause)  # type: ignore[no-any-return]
+
+
+def pause() -> None:
+    time.sleep(0.05)  # who asks all the time keeps what is waited for from running
+
+
+def test_a_job_tells_how_far_it_is_stops_as_ctrl_c_does_and_goes_on(
+    client: TestClient, workbench: Workbench, stub: Stub, tmp_path: Path
 ) -> None:
-    trials = 4 * len(os.sched_getaffinity(0))  # each process has some left when the first is done
-    started = client.post("/api/jobs", json=CAMPAIGN | {"output": "campaigns/push", "trials": trials})
+    """Kills a stop that reaches nobody, and a job that continues as another command."""
+    stub.tells(total=10, done=4, waits=True)
+    started = client.post("/api/jobs", json=CAMPAIGN | {"output": "campaigns/push", "trials": 10})
     assert started.status_code == 200
     number = started.json()["number"]
+    told = progress_of(client, 4)
+    assert (told["what"], told["total"], told["share"]) == ("trials", 10, 0.4)
+    assert client.post(f"/api/jobs/{number}/stop").json()["stopping"]
+    stopped = workbench.jobs.wait(number)
+    assert (stopped.exit_code, stopped.line) == (130, "interrupted; the same command goes on where it stopped")
+    stub.tells(total=10, done=7, waits=True)
+    again = client.post(f"/api/jobs/{number}/again").json()
+    progress_of(client, 7)
+    stub.go()
+    job = workbench.jobs.wait(again["number"])
+    assert (job.exit_code, job.arguments, job.number) == (0, stopped.arguments, 2)
 
-    def first() -> dict[str, Any]:
-        return client.get("/api/jobs").json()[0]  # type: ignore[no-any-return]
 
-    def pause() -> None:
-        time.sleep(0.05)  # who asks all the time keeps what is waited for from running
-
-    until(lambda: (first()["progress"] or {}).get("done"), pause)
-    assert first()["progress"]["what"] == "trials"
-    assert first()["progress"]["total"] == trials
-    assert first()["progress"]["left"] > 0.0
+@pytest.mark.slow
+def test_a_real_campaign_stops_and_goes_on_with_the_trials_it_has(client: TestClient, workbench: Workbench) -> None:
+    """The stub stands for this one."""
+    trials = 4 * len(os.sched_getaffinity(0))  # each process has some left when the first is done
+    number = client.post("/api/jobs", json=CAMPAIGN | {"output": "push", "trials": trials}).json()["number"]
+    until(lambda: (client.get("/api/jobs").json()[0]["progress"] or {}).get("done"), pause)
     client.post(f"/api/jobs/{number}/stop")
     stopped = workbench.jobs.wait(number)
-    assert stopped.exit_code == 130
-    assert stopped.line == "interrupted; the same command goes on where it stopped"
-    bags = {path.name for path in (tmp_path / "campaigns" / "push").iterdir() if path.name.startswith("cat_food")}
+    assert (stopped.exit_code, stopped.line) == (130, "interrupted; the same command goes on where it stopped")
+    bags = list((workbench.workspace.root / "push").glob("cat_food*/metadata.yaml"))
+    stamps = [bag.stat().st_mtime_ns for bag in bags]
     assert 1 <= len(bags) < trials
-    stamps = {name: (tmp_path / "campaigns" / "push" / name / "metadata.yaml").stat().st_mtime_ns for name in bags}
-    again = client.post(f"/api/jobs/{number}/again").json()
-    whole = {"total": trials, "done": trials}
-    counted = until(lambda: first()["progress"] or {} if not first()["ended"] else whole, pause)
-    assert (counted["total"], counted["done"] >= len(bags)) == (trials, True)  # those that are there count
-    assert workbench.jobs.wait(again["number"]).exit_code == 0
+    assert workbench.jobs.wait(client.post(f"/api/jobs/{number}/again").json()["number"]).exit_code == 0
     (campaign,) = client.get("/api/workspace").json()["campaigns"]
     assert (campaign["present"], campaign["trials"]) == (trials, trials)
-    kept = {name: (tmp_path / "campaigns" / "push" / name / "metadata.yaml").stat().st_mtime_ns for name in bags}
-    assert kept == stamps
+    assert [bag.stat().st_mtime_ns for bag in bags] == stamps
 
 
 def test_two_tabs_see_the_same_jobs_and_one_folder_has_one_job_at_a_time(
-    client: TestClient, workbench: Workbench
+    client: TestClient, workbench: Workbench, stub: Stub
 ) -> None:
-    first = client.post("/api/jobs", json=CAMPAIGN | {"output": "campaigns/push", "trials": 30}).json()
+    stub.tells(waits=True)
+    client.post("/api/jobs", json=CAMPAIGN | {"output": "campaigns/push"})
     for output in ("campaigns/push", "campaigns", "campaigns/push/inner"):
         second = client.post("/api/jobs", json=CAMPAIGN | {"output": output})
         assert second.status_code == 400
         assert "job 1 (campaign) is writing to" in second.json()["error"]
     assert [job["number"] for job in client.get("/api/jobs").json()] == [1]
-    client.post(f"/api/jobs/{first['number']}/stop")
-    client.post(f"/api/jobs/{first['number']}/stop")  # the other tab
-    assert workbench.jobs.wait(1).exit_code in (130, 1)
-    assert client.post("/api/jobs/1/stop").json()["exit_code"] in (130, 1)
+    until(lambda: workbench.jobs.log(1), pause)  # before, it would not take the signal for an interrupt
+    for _ in ("a tab", "the other tab"):
+        client.post("/api/jobs/1/stop")
+    assert workbench.jobs.wait(1).exit_code == 130
+    assert client.post("/api/jobs/1/stop").json()["exit_code"] == 130
 
 
 def test_jobs_that_are_not_there_are_told_in_one_line(client: TestClient) -> None:
@@ -146,42 +168,42 @@ def test_the_time_left_falls_from_look_to_look_unless_it_was_far_wrong() -> None
     assert shown(first, Remaining(1.0, 0.6, 90.0)) == Remaining(1.0, 0.6, 90.0)
 
 
-def test_a_job_killed_by_a_signal_has_the_exit_code_of_a_shell(jobs: Jobs, tmp_path: Path) -> None:
-    number = jobs.start(order("blind", "make", "1", "-o", str(tmp_path / "blind"), writes=(tmp_path / "blind",))).number
+def test_a_job_that_runs_is_not_started_again_and_one_that_is_killed_ends_as_in_a_shell(
+    workbench: Workbench, stub: Stub
+) -> None:
+    jobs = workbench.jobs
+    stub.tells(waits=True)
+    number = jobs.start(order("blind", "make")).number
+    with pytest.raises(InputError, match="job 1 is still running"):
+        jobs.again(number)
     os.killpg(jobs._processes[number].pid, signal.SIGKILL)
     assert jobs.wait(number).exit_code == 137
 
 
-def test_a_number_that_was_given_is_not_given_again(jobs: Jobs) -> None:
+def test_a_number_that_was_given_is_not_given_again(workbench: Workbench, stub: Stub) -> None:
     for name in ("0002", "0005"):
-        (jobs.folder / name).mkdir(parents=True)
-    assert jobs.wait(jobs.start(order("effects", "object_mass")).number).number == 6
+        (workbench.jobs.folder / name).mkdir(parents=True)
+    assert workbench.jobs.start(order("compare")).number == 6
 
 
-def test_records_outlive_the_workbench_and_lost_jobs_have_ended(jobs: Jobs) -> None:
-    done = jobs.wait(jobs.start(order("effects", "object_mass")).number)
+def test_records_outlive_the_workbench_and_lost_jobs_have_ended(workbench: Workbench, stub: Stub) -> None:
+    jobs = workbench.jobs
+    done = jobs.wait(jobs.start(order("compare")).number)
     record = jobs.folder / "0001" / "job.json"
     lost = json.loads(record.read_text()) | {"number": 2, "ended": None, "exit_code": None}
-    (jobs.folder / "0002").mkdir()
-    (jobs.folder / "0002" / "job.json").write_text(json.dumps(lost))
-    (jobs.folder / "0003").mkdir()
-    (jobs.folder / "0003" / "job.json").write_text("{")
-    later = Jobs(jobs.folder, "impact-rs")
+    for name, text in (("0002", json.dumps(lost)), ("0003", "{")):
+        (jobs.folder / name).mkdir()
+        (jobs.folder / name / "job.json").write_text(text)
+    later = Jobs(jobs.folder, "impact-rs", executable=stub.command)
     assert later.get(1) == done
     assert (later.get(2).exit_code, later.get(2).line) == (130, LOST)
     assert [job["number"] for job in later.all()] == [2, 1]
     assert later.wait(later.again(2).number).exit_code == 0
 
 
-def test_a_job_that_runs_is_not_started_again(jobs: Jobs, tmp_path: Path) -> None:
-    number = jobs.start(order("blind", "make", "1", "-o", str(tmp_path / "blind"), writes=(tmp_path / "blind",))).number
-    with pytest.raises(InputError, match="job 1 is still running"):
-        jobs.again(number)
-    jobs.close()
-    assert not jobs.get(number).runs
-
-
-def test_the_end_of_the_workbench_stops_its_jobs(workbench: Workbench, client: TestClient) -> None:
-    client.post("/api/jobs", json=CAMPAIGN | {"output": "campaigns/push", "trials": 30})
-    workbench.jobs.close()
-    assert workbench.jobs.get(1).exit_code not in (None, 0)
+def test_the_end_of_the_workbench_stops_its_jobs(workbench: Workbench, stub: Stub) -> None:
+    stub.tells(waits=True)
+    workbench.jobs.start(order("compare"))
+    until(lambda: workbench.jobs.log(1), pause)
+    (ended,) = workbench.jobs.close()
+    assert ended == workbench.jobs.get(1) and ended.exit_code == 130

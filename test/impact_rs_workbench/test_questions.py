@@ -10,7 +10,6 @@ from collections.abc import Callable
 from contextlib import ExitStack
 from pathlib import Path
 from threading import Thread
-from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -38,20 +37,14 @@ for text in ("first", "second"):
 
 
 @pytest.fixture
-def asked(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[[Jobs], int]:
+def asked() -> Callable[[Jobs], int]:
     """Starts a job that asks twice; gives its number."""
-    program = tmp_path / "program.py"
-    program.write_text(ASKS)
-    script = tmp_path / "asks.sh"
-    script.write_text(f'#!/bin/sh\nexec "{sys.executable}" "{program}"\n')
-    script.chmod(0o755)
-    monkeypatch.setattr(module, "sys", SimpleNamespace(executable=str(script)))
     return lambda jobs: jobs.start(Order("investigate", (), ())).number
 
 
 @pytest.fixture
 def jobs(tmp_path: Path) -> Jobs:
-    return Jobs(tmp_path / "jobs", "impact-rs")
+    return Jobs(tmp_path / "jobs", "impact-rs", executable=(sys.executable, "-c", ASKS))
 
 
 def question(jobs: Jobs, text: str) -> int:

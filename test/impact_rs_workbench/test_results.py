@@ -13,35 +13,21 @@ from pathlib import Path
 
 import documents
 import pytest
+from reports import PLAN, SETTINGS, investigated
 from starlette.testclient import TestClient
 
 from impact_rs_analysis.diagnosis.document import DiagnosisDocument, write_document
 from impact_rs_analysis.evidence.levels import Cell
-from impact_rs_analysis.investigation import RoundDecision, Settings, begin
+from impact_rs_analysis.investigation import begin
 from impact_rs_analysis.report.diagnosis import write_diagnosis
 from impact_rs_analysis.report.plots import effects_plot
 from impact_rs_cli.commands import diagnose as diagnose_command
 from impact_rs_cli.terminal import Terminal
-from impact_rs_sim.model import load_model
 from impact_rs_trials.bags.reader import TrialBag
-from impact_rs_trials.campaign import PlannedTrials
-from impact_rs_trials.experiment_plan import ExperimentPlan, PlannedCampaign, PlannedPair, write_plan
+from impact_rs_trials.experiment_plan import write_plan
 from impact_rs_workbench.results import diagnosis, estimates, investigation, nearest_signal, plan
 from impact_rs_workbench.results import trial as trial_of
 from impact_rs_workbench.workspace import Workspace
-
-CONDITION = PlannedTrials(
-    object="parcel", case="case_1", trials=2, what="push of parcel", buys="2 x push of parcel distinguish a from b"
-)
-PLAN = ExperimentPlan(
-    model="nominal",
-    model_digest=load_model("nominal").digest,
-    aim="effects",
-    method="design",
-    budget=4,
-    pairs=(PlannedPair(first="a", second="b", before=0.5, after=0.9),),
-    campaigns=(PlannedCampaign(folder="push", scenario="push", conditions=(CONDITION,)),),
-)
 
 
 @pytest.mark.parametrize(
@@ -70,15 +56,12 @@ def test_a_plan_says_what_each_condition_adds(tmp_path: Path) -> None:
 
 
 def test_an_investigation_has_an_ending_once_its_last_round_says_so(tmp_path: Path) -> None:
-    begin(tmp_path, Settings(scenarios=("push",), model_digest=PLAN.model_digest))
-    assert investigation(tmp_path) == {"ending": None, "rounds": 0, "trials": 0}
-    first = tmp_path / "rounds" / "01"
-    first.mkdir(parents=True)
-    write_plan(PLAN, first / "plan.yaml")
-    assert investigation(tmp_path)["ending"] is None
-    decision = RoundDecision(action="end", reason="The trials are spent.", verdict="UNDECIDED", spent=True, budget=4)
-    (first / "decision.json").write_text(json.dumps(decision.model_dump(mode="json")))
-    found = investigation(tmp_path)
+    begin(tmp_path / "begun", SETTINGS)
+    assert investigation(tmp_path / "begun") == {"ending": None, "rounds": 0, "trials": 0}
+    investigated(tmp_path / "open")
+    assert investigation(tmp_path / "open")["ending"] is None
+    investigated(tmp_path / "over", "UNDECIDED")
+    found = investigation(tmp_path / "over")
     assert (found["ending"]["verdict"], found["rounds"]) == ("UNDECIDED", 1)
     assert "I cannot tell" in found["ending"]["summary"]
 

@@ -99,7 +99,7 @@ class Held:
     def __init__(self, page: Page, pattern: str) -> None:
         self._routes: list[Route] = []
         self._page, self._pattern = page, pattern
-        page.route(pattern, self._routes.append)  # a route ends the cache of the browser
+        page.route(pattern, lambda route: self._routes.append(route))  # a route ends the cache of the browser
 
     def wait_for(self, count: int) -> None:
         """Until so many questions were asked."""
