@@ -135,7 +135,7 @@ def test_with_a_slower_watchdog_in_the_file_the_arm_rests_that_much_later(
     assert stop - margin_of(passed, "time to stop").value == pytest.approx(0.3 - 0.05, abs=0.1)
 
 
-def test_poses_of_motion_capture_are_named_as_not_rehearsed() -> None:
+def test_the_wrong_gravity_convention_arms_nothing_and_motion_capture_is_named_as_not_rehearsed() -> None:
     given = {kind: dict(defaults_of(kind), joints=FRANKA.joints) for kind in ("cell", "watchdog")}
     given["cell"] |= {"mocap": True, "robot_adds_gravity": False}
     found = rehearse(PLAN, FRANKA, NO_REFLEXES, given=given)

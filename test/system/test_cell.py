@@ -18,7 +18,7 @@ import numpy as np
 import pytest
 from impact_rs.action import RunTrial
 from impact_rs.srv import ConfigureTrial
-from node_trials import configuration, spin_until
+from node_trials import TRIES, configuration, spin_until
 from processes import PATIENCE, Running, running
 from rcl_interfaces.srv import SetParameters
 from rclpy.parameter import Parameter as RclParameter
@@ -283,10 +283,11 @@ class LedCell:
 
     graph: Graph  # of the controller alone, or of no node
     processes: dict[str, Running]  # of the others
+    scenario: str
 
     def run(self) -> str:
         """Why a trial ended, which began as soon as the robot could be armed; empty: all is well, or the cell died."""
-        plan = TrialSpec.of(load_scenario("push"), *TRIAL).plan
+        plan = TrialSpec.of(load_scenario(self.scenario), *TRIAL).plan
         request = configuration(plan)
         if self.graph.processes:
             answer = self.graph.call(ConfigureTrial, "controller/configure_trial", request)
@@ -315,7 +316,7 @@ class LedCell:
         node.create_subscription(JointState, topics.joint_states("arm"), answer, AWAITED)
 
     def comes_to_rest(self, victim: str, states: int) -> None:
-        """After a kill while it moved, within so many states: 1 ms of the robot's time, which waits for no one."""
+        """After a kill while it moved, within so many states of the robot, which waits for no one."""
         killed, after = self.processes["robot"].line("killed at"), self.processes["robot"].line(" after ")
         assert self.processes[victim].process.wait(PATIENCE) == -signal.SIGKILL
         assert float(killed.split()[2]) > 0.1  # rad/s
@@ -325,13 +326,13 @@ class LedCell:
 
 @contextmanager
 def led_cell(
-    domain: int, folder: Path, *robot: object, ours: Sequence[str] = (), **changes: float
+    domain: int, folder: Path, scenario: str, *robot: object, ours: Sequence[str] = (), **changes: float
 ) -> Iterator[LedCell]:
     """All of it, ready, with these nodes of ours; among the options of the robot names stand for process ids."""
     environment = {"ROS_DOMAIN_ID": str(domain)}
-    own = PATIENT | {"mocap": False, "watchdog": True} | changes
-    of_both = {name: own[name] for name in ("joints", "use_sim_time", "state_timeout")}
-    nodes = NodeProcesses.of("push", folder, domain)
+    own = PATIENT | {"mocap": False, "watchdog": True, "scenario": scenario} | changes
+    of_both = {name: own[name] for name in ("joints", "use_sim_time", "state_timeout", "scenario")}
+    nodes = NodeProcesses.of(scenario, folder, domain)
     graph = Graph(nodes, ours, domain)
     with ExitStack() as stack:
         stack.callback(graph.close)
@@ -340,32 +341,41 @@ def led_cell(
         for kind, values in (("cell", own), ("watchdog", of_both)):
             processes[kind] = stack.enter_context(running(command_of(f"{kind}_node", values), environment))
         words = [str(processes[word].process.pid if word in processes else word) for word in robot]
-        command = [sys.executable, str(ROBOT), "push", *TRIAL, *words]
+        command = [sys.executable, str(ROBOT), scenario, *TRIAL, *words]
         processes["robot"] = stack.enter_context(running(command, environment))
         graph.start()
         processes["watchdog"].line("ready: serves")
         processes["robot"].line("ready")
-        yield LedCell(graph, processes)
+        yield LedCell(graph, processes, scenario)
+
+
+@pytest.fixture
+def push_500(tmp_path: Path) -> str:
+    """A push of a robot of 500 Hz, as UR's are: half the messages."""
+    path = tmp_path / "push_500.yaml"
+    path.write_text(load_scenario("push").with_settings({"timing.control_period": 0.002}).model_dump_json())
+    return str(path)
 
 
 def test_after_a_cell_is_killed_in_a_trial_the_watchdog_brakes_the_arm(
-    domain_ids: Callable[[], int], tmp_path: Path
+    domain_ids: Callable[[], int], tmp_path: Path, push_500: str
 ) -> None:
     """The effort controller keeps the torque of that moment; nothing but another process can take it away."""
-    with led_cell(domain_ids(), tmp_path, "--kill", "cell", "--kill-after", 100, "--slower", 3) as cell:
+    killed = "--kill", "cell", "--kill-after", 50, "--slower", 2
+    with led_cell(domain_ids(), tmp_path, push_500, *killed) as cell:
         assert cell.run() == "", "it was not killed in the trial"
-        cell.comes_to_rest("cell", 1500)
+        cell.comes_to_rest("cell", 750)
 
 
 @pytest.mark.slow
 def test_after_a_watchdog_is_killed_in_a_trial_the_cell_brakes_the_arm_itself(
-    domain_ids: Callable[[], int], tmp_path: Path
+    domain_ids: Callable[[], int], tmp_path: Path, push_500: str
 ) -> None:
     """Whoever is left of the two brakes the arm: its effort controller keeps the last torque for ever."""
-    killed = "--kill", "watchdog", "--kill-after", 100, "--slower", 5
-    with led_cell(domain_ids(), tmp_path, *killed, watchdog_timeout=0.1) as cell:
+    killed = "--kill", "watchdog", "--kill-after", 50, "--slower", 5
+    with led_cell(domain_ids(), tmp_path, push_500, *killed, watchdog_timeout=0.1) as cell:
         assert "the watchdog passed no torques on for 0.1 s" in cell.run()
-        cell.comes_to_rest("watchdog", 3500)
+        cell.comes_to_rest("watchdog", 1750)
 
 
 @pytest.mark.slow
@@ -377,10 +387,13 @@ def test_a_cell_that_stalls_in_a_trial_and_comes_back_makes_one_stream_with_its_
 
     Each torque that reaches the robot, whoever decided it, follows the one before within the rate of a period.
     """
-    with led_cell(domain_ids(), tmp_path, "--stall", "cell", after, stall, ours=["controller"]) as cell:
-        reason = cell.run()
-        print(reason)  # shown where the robot never gets as far as the stall
-        begun, merged = (cell.processes["robot"].line(text) for text in ("stalled at", "merged: at most"))
+    for _ in range(TRIES):
+        with led_cell(domain_ids(), tmp_path, "push", "--stall", "cell", after, stall, ours=["controller"]) as cell:
+            reason = cell.run()
+            print(reason)  # shown where the robot never gets as far as the stall
+            begun, merged = (cell.processes["robot"].line(text) for text in ("stalled at", "merged: at most"))
+        if float(begun.split()[2]) > 0.1:  # rad/s
+            break  # else a busy machine has starved the cell before, and the watchdog has braked
     if braked := stall > 50:  # command_timeout; the limits of this cell are patient, and a busy machine adds to 30 ms
         assert reason
     assert float(begun.split()[2]) > 0.1, reason  # rad/s
