@@ -119,10 +119,11 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 
 def cases(options: argparse.Namespace) -> list[Case]:
     """Hits."""
+    found = {kind: list(specs(kind)) for kind in KINDS}
     return [
         Case(f"{kind} {spec.object} {spec.case}", (kind, spec))
-        for kind in KINDS
-        for spec in list(specs(kind))[: options.hits]
+        for kind, every in found.items()
+        for spec in every[:: -(-len(every) // options.hits)]  # of all objects, however few
     ]
 
 
