@@ -129,12 +129,12 @@ def table_of_diagnoses(rows: Sequence[Row], heading: str) -> Table:
     of = {kind: [row for row in rows if row["kind"] == kind] for kind in ("single", "pair", "null", "outside")}
     seen, pairs = [row for row in of["single"] if is_visible(row)], [row for row in of["pair"] if is_visible(row)]
     lines = [
-        ("campaigns", str(len(rows))),
+        ("campaigns that ended right", share(row["correct"] for row in rows)),
         ("single effects above twice the noise: named, or in a tie", share(row["correct"] for row in seen)),
         ("single effects above twice the noise: by their own name", share(row["by_own_name"] for row in seen)),
         ("single effects above twice the noise: exactly that named", share(row["exact"] for row in seen)),
     ]
-    for size in sorted({row["magnitude"] for row in of["single"]}):
+    for size in sorted({row["magnitude"] for row in of["single"] if "magnitude" in row}):
         some = [row for row in of["single"] if row["magnitude"] == size]
         lines.append((f"single effects at {size:g} × scale: named, or in a tie", share(row["correct"] for row in some)))
     lines += [

@@ -123,7 +123,7 @@ def table(rows: list[Row], options: argparse.Namespace) -> Table:
     """Shares of right diagnoses, full bags beside stripped ones."""
     del options
     full, stripped = (
-        table_of_diagnoses([row[side] | {"magnitude": 0.0} for row in rows], heading)
+        table_of_diagnoses([row[side] for row in rows], heading)
         for side, heading in (("full", "full bags"), ("stripped", "stripped"))
     )
     return full.with_(stripped)
