@@ -49,6 +49,7 @@ EFFECTS = {
         effect("one_sided", (parameter("d", lower=0.0),)),
         effect("inverse", (Parameter("s", "-", 1.0, 0.2, 5.0, 0.1, "s"),)),
         effect("fading", (parameter("e"), parameter("rate", 1.0, True, 0.01, (0.1, 1.0, 10.0)))),
+        effect("constant", (parameter("k"),)),
         effect("sticking", (parameter("h"),)),
         effect("local", (parameter("everywhere"), parameter("in_one_place"))),
         effect(
@@ -99,6 +100,8 @@ def features(cluster: int, added: Added) -> Array:
             result += sum(value * along(10 + joint) for joint, value in enumerate(values))
         elif name == "of_motors":
             result += sum(value * along(20 + joint) for joint, value in enumerate(values))
+        elif name == "constant":  # what fading is where it does not
+            result += first * (1.0 + 0.1 * cluster)
         elif name == "fading":
             result += first * np.exp(-second * along_track) * (1.0 + 0.1 * cluster)
         elif name == "one_sided":

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from intervals import assert_covers
 
 from impact_rs_analysis.diagnosis.discover import _begins_beyond, _described, discover
 from impact_rs_analysis.diagnosis.discovery_document import (
@@ -166,8 +167,7 @@ def test_a_law_with_memory_is_found_in_replays_of_short_windows(tmp_path: Path) 
     document = found_in(runs, grammar, ("joint_coulomb_friction", "joint_viscous_friction"))
     assert (document.verdict, document.diagnosis.named) == (FOUND, ("motor4_relaxing_velocity_linear",))
     for name, truth in (("c", DAMPER), ("relaxation", RELAXATION)):
-        low, high = document.laws[0].parameters[name].ci95
-        assert low <= truth <= high and high - low < 0.2 * truth, name
+        assert_covers(document.laws[0].parameters[name].ci95, truth, 0.05 * truth)
     assert document.laws[0].held_out_error_before > 5.0 > 1.0 > document.laws[0].held_out_error_after
 
 

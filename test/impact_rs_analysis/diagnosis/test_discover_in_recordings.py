@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import scipy
+from intervals import assert_covers
 from joint_recordings import write_npz
 from slender_arm import ARM, UPRIGHT, mapping_of, slender_arm, swung, with_effects
 from slender_arm import RATE as SAMPLED
@@ -160,7 +161,6 @@ def with_friction(file: Path) -> Path:
     return file
 
 
-@pytest.mark.slow
 def test_a_ripple_is_found_with_amplitude_and_wave_number(tmp_path: Path) -> None:
     document = found_in(tmp_path, ripple)
     assert document.verdict == FOUND
@@ -168,8 +168,7 @@ def test_a_ripple_is_found_with_amplitude_and_wave_number(tmp_path: Path) -> Non
     assert law.name == "motor2_position_ripple" and not law.curved
     numbers = {name: value.estimate for name, value in law.parameters.items()}
     assert np.hypot(numbers["a"], numbers["b"]) == pytest.approx(RIPPLE, rel=0.05)
-    low, high = law.parameters["k"].ci95
-    assert low <= RATE <= high and high - low < 1.0
+    assert_covers(law.parameters["k"].ci95, RATE, 0.015)
     assert law.held_out_error_after < 0.2 * law.held_out_error_before
 
 
@@ -189,8 +188,7 @@ def test_friction_of_the_load_is_found_alone(tmp_path: Path) -> None:
     """Its coefficient lies in its interval; the recorded torque, with friction and noise in it, would leave a rest."""
     document = found_in(tmp_path, friction_of_load)
     assert (document.verdict, document.laws[0].name) == (FOUND, "motor2_load_on_friction_linear")
-    low, high = document.laws[0].parameters["c"].ci95
-    assert low <= OF_LOAD <= high and high - low < 0.5 * OF_LOAD
+    assert_covers(document.laws[0].parameters["c"].ci95, OF_LOAD, 0.25 * OF_LOAD)
     assert document.diagnosis.named == ("joint_coulomb_friction", "motor2_load_on_friction_linear")
 
 
@@ -236,8 +234,7 @@ def test_a_shaft_that_two_joints_share_is_found_with_its_damping(tmp_path: Path)
     assert (document.verdict, document.diagnosis.named) == (FOUND, ("joint_coulomb_friction", name))
     law = document.laws[0]
     assert law.place == "torque on motors 1 and 2"
-    low, high = law.parameters["c"].ci95
-    assert low <= SHAFT <= high and high - low < 0.15 * SHAFT
+    assert_covers(law.parameters["c"].ci95, SHAFT, 0.03 * SHAFT)
     assert law.held_out_error_after < 0.2 * law.held_out_error_before
     # The free curve over the velocity of the shaft, beside friction of both joints.
     assert law.valid is not None and law.valid.quantity == "dq1 - dq2"
@@ -251,10 +248,10 @@ def test_a_shaft_that_two_joints_share_is_found_with_its_damping(tmp_path: Path)
 @pytest.mark.parametrize(
     ("law", "name", "numbers", "width"),
     [
-        (maxwell, "motor2_relaxing_velocity_linear", {"c": DAMPER, "relaxation": RELAXATION}, 0.15),
-        (dahl, "motor2_presliding_linear", {"c": SLIDING, "breakaway": BREAKAWAY}, 0.15),
-        (fading, "motor2_recent_motion_linear", {"c": FADING, "warming": WARMING}, 0.8),
-        (eccentric, "motor2_position_while_moving_linear", {"c": -ECCENTRIC}, 0.15),
+        (maxwell, "motor2_relaxing_velocity_linear", {"c": DAMPER, "relaxation": RELAXATION}, 0.025),
+        (dahl, "motor2_presliding_linear", {"c": SLIDING, "breakaway": BREAKAWAY}, 0.018),
+        (fading, "motor2_recent_motion_linear", {"c": FADING, "warming": WARMING}, 0.2),
+        (eccentric, "motor2_position_while_moving_linear", {"c": -ECCENTRIC}, 0.03),
     ],
 )
 def test_a_law_with_memory_or_of_a_product_is_found_alone_with_its_numbers(
@@ -265,8 +262,7 @@ def test_a_law_with_memory_or_of_a_product_is_found_alone_with_its_numbers(
     assert (document.verdict, document.laws[0].name) == (FOUND, name)
     assert document.diagnosis.named == ("joint_coulomb_friction", name)
     for key, truth in numbers.items():
-        low, high = document.laws[0].parameters[key].ci95
-        assert low <= truth <= high and high - low < width * abs(truth), key
+        assert_covers(document.laws[0].parameters[key].ci95, truth, width * abs(truth))
     assert document.laws[0].held_out_error_after < 0.5 * document.laws[0].held_out_error_before
 
 

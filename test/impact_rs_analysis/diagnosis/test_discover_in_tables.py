@@ -18,7 +18,7 @@ from impact_rs_analysis.diagnosis.grammar import load_grammar
 from impact_rs_analysis.evidence.impact_tables import ImpactTableSource
 from impact_rs_analysis.evidence.visited import visited
 from impact_rs_sim.effects.formula import Formula
-from impact_rs_sim.model import Model, load_model
+from impact_rs_sim.model import load_model
 from impact_rs_trials.recordings.impact_table import ImpactTable, read_impact_table
 
 NOMINAL = load_model(Path("nominal"))
@@ -26,8 +26,8 @@ CONSIDERED = ["restitution", "restitution_fall", "support_friction", "tangential
 NOISE = (0.05, 5.0)  # m/s, rad/s
 
 
-def discovered(table: ImpactTable, model: Model = NOMINAL) -> DiscoveryDocument:
-    return discover(lambda one: ImpactTableSource(table, one), model, load_grammar(), CONSIDERED)
+def discovered(table: ImpactTable) -> DiscoveryDocument:
+    return discover(lambda one: ImpactTableSource(table, one), NOMINAL, load_grammar(), CONSIDERED)
 
 
 def hunt_crossley(speed: float, damping: float = 0.5) -> float:
@@ -41,10 +41,15 @@ def hunt_crossley(speed: float, damping: float = 0.5) -> float:
 
 
 @pytest.fixture(scope="module")
-def bent(tmp_path_factory: pytest.TempPathFactory) -> tuple[ImpactTable, DiscoveryDocument]:
+def table(tmp_path_factory: pytest.TempPathFactory) -> ImpactTable:
+    """Balls whose restitution falls as a curve."""
     path = ball_table(tmp_path_factory.mktemp("bent") / "balls.csv", Racket(hunt_crossley, 0.2), rows=90, noise=NOISE)
-    table = read_impact_table(path)
-    return table, discovered(table)
+    return read_impact_table(path)
+
+
+@pytest.fixture(scope="module")
+def bent(table: ImpactTable) -> DiscoveryDocument:
+    return discovered(table)
 
 
 def restitution_of(document: DiscoveryDocument, speed: np.ndarray) -> np.ndarray:
@@ -59,10 +64,9 @@ def restitution_of(document: DiscoveryDocument, speed: np.ndarray) -> np.ndarray
     return total
 
 
-def test_a_restitution_that_falls_as_a_curve_is_described_by_a_law_that_bends(
-    bent: tuple[ImpactTable, DiscoveryDocument],
-) -> None:
-    _, document = bent
+@pytest.mark.slow
+def test_a_restitution_that_falls_as_a_curve_is_described_by_a_law_that_bends(bent: DiscoveryDocument) -> None:
+    document = bent
     assert document.verdict == FOUND
     best = document.laws[0]
     assert best.place == "coefficient of the contact: restitution" and best.valid.quantity == "v"
@@ -72,8 +76,9 @@ def test_a_restitution_that_falls_as_a_curve_is_described_by_a_law_that_bends(
     assert diagnosis.held_out_error_after < 1.1 * diagnosis.noise_floor < 0.2 * diagnosis.held_out_error_before
 
 
-def test_a_model_with_the_law_lacks_nothing_more(tmp_path: Path, bent: tuple[ImpactTable, DiscoveryDocument]) -> None:
-    table, document = bent
+@pytest.mark.slow
+def test_a_model_with_the_law_lacks_nothing_more(tmp_path: Path, table: ImpactTable, bent: DiscoveryDocument) -> None:
+    document = bent
     arguments = (NOMINAL, Path("nominal"), document.diagnosis, tmp_path / "discovery.json", document.diagnosis.named)
     child = add_effects(*arguments, tmp_path / "model_2.yaml", False)
     again = diagnose(ImpactTableSource(table, child), child, ["tangential_restitution", "restitution_fall"])
@@ -86,6 +91,7 @@ def test_no_law_is_proposed_where_the_library_explains_a_table(tmp_path: Path) -
     assert (document.verdict, document.laws) == (LIBRARY, ())
 
 
+@pytest.mark.slow
 def test_no_law_is_proposed_where_the_noise_is_not_known_and_the_hold_out_supports_none(tmp_path: Path) -> None:
     racket = Racket(lambda v: 0.55, 0.2)
     path = ball_table(tmp_path / "balls.csv", racket, rows=90, noise=NOISE, stated=False)
@@ -94,6 +100,7 @@ def test_no_law_is_proposed_where_the_noise_is_not_known_and_the_hold_out_suppor
     assert set(document.diagnosis.named) == {"restitution", "support_friction"}
 
 
+@pytest.mark.slow
 def test_a_restitution_below_a_speed_of_which_nothing_comes_back_is_found_as_a_step(tmp_path: Path) -> None:
     racket = Racket(lambda v: 0.5 if v > 4.0 else 0.0, 0.2)
     document = discovered(read_impact_table(ball_table(tmp_path / "balls.csv", racket, rows=90, noise=NOISE)))
@@ -104,9 +111,8 @@ def test_a_restitution_below_a_speed_of_which_nothing_comes_back_is_found_as_a_s
     assert best.parameters["c"].estimate == pytest.approx(0.5, abs=0.02)
 
 
-def test_laws_of_a_contact_depend_on_the_speeds_at_the_contact(bent: tuple[ImpactTable, DiscoveryDocument]) -> None:
+def test_laws_of_a_contact_depend_on_the_speeds_at_the_contact(table: ImpactTable) -> None:
     """The slip of a ball is that of its lowest point, v + omega x (-r n)."""
-    table, _ = bent
     source = ImpactTableSource(table, NOMINAL)
     twists = np.array([row.impact.object.twist for row in table.rows])
     slip = np.hypot(twists[:, 0] - 0.02 * twists[:, 4], twists[:, 1] + 0.02 * twists[:, 3])

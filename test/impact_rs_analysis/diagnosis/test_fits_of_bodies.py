@@ -77,7 +77,7 @@ def assert_holds(entry: EffectDocument, name: str, true: float, widest: float) -
     assert low <= true <= high and high - low < widest
 
 
-@pytest.mark.parametrize("place", [(0.25, 0.0, 0.0), (0.0, -0.3, 0.0)])
+@pytest.mark.parametrize("place", [(0.25, 0.0, 0.0), pytest.param((0.0, -0.3, 0.0), marks=pytest.mark.slow)])
 def test_a_payload_that_no_body_can_lose_is_at_a_bound(place: tuple[float, float, float], tmp_path: Path) -> None:
     """Planted is what only an impossible body explains; the estimate is the nearest one that can exist."""
     source = source_of(tmp_path, WITH_TOOL, mounted(WITH_TOOL, -0.2, np.array(place)))

@@ -19,7 +19,6 @@ from analytic_world import EFFECTS, AnalyticSource, features, knowing
 from ball_impacts import Racket, ball_table
 from impact_table_cases import CUBE_HEADER, NOISE, cube, cube_rows, write_csv
 from joint_recordings import swinging, write_bag, write_npz
-from joint_recordings import write_csv as write_columns
 from slender_arm import mapping_of, slender_arm
 from slender_arm import swung as swung_arm
 
@@ -129,12 +128,6 @@ def test_an_effect_that_is_not_named_can_be_taken_from_the_list(
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("removed", ["object_com_offset", "rolling_resistance"])
-def test_the_same_with_repeats(cubes: Path, of_cubes: DiagnosisDocument, removed: str) -> None:
-    assert_alike(of_cubes, diagnosed(cubes, [name for name in OF_CUBES if name != removed]))
-
-
-@pytest.mark.slow
 def test_the_order_of_rows_without_repeats_moves_blocks_alone(
     balls: Path, of_balls: DiagnosisDocument, tmp_path: Path
 ) -> None:
@@ -142,15 +135,6 @@ def test_the_order_of_rows_without_repeats_moves_blocks_alone(
         return header, rows[::-1]
 
     assert_alike(of_balls, diagnosed(changed(balls, tmp_path, backwards), OF_BALLS), share=0.05)
-
-
-@pytest.mark.slow
-def test_a_table_through_another_door_is_the_same(balls: Path, of_balls: DiagnosisDocument, tmp_path: Path) -> None:
-    arrow, parquet = pytest.importorskip("pyarrow"), pytest.importorskip("pyarrow.parquet")
-    header, rows = read(balls)
-    columns = {name: [float(row[k]) for row in rows] for k, name in enumerate(header)}
-    parquet.write_table(arrow.table(columns), tmp_path / "balls.parquet")
-    assert_alike(of_balls, diagnosed(tmp_path / "balls.parquet", OF_BALLS), share=0.0)
 
 
 DIMENSIONS = {  # powers of kg, m, s
@@ -269,13 +253,6 @@ def test_names_and_order_of_joints_and_the_kind_of_file_do_not_matter(
 
 
 @pytest.mark.slow
-def test_a_recording_in_a_table_is_the_same(
-    swung: dict[str, np.ndarray], of_swing: DiagnosisDocument, tmp_path: Path
-) -> None:
-    assert_alike(of_swing, of_recording(write_columns(tmp_path / "swing.csv", swung)), share=0.02)
-
-
-@pytest.mark.slow
 @pytest.mark.parametrize("factor", [0.02, 50.0])
 def test_the_unit_of_mass_does_not_matter_to_a_recording(tmp_path: Path, factor: float) -> None:
     """A pendulum whose links and torques are lighter or heavier by a factor, with friction in proportion."""
@@ -330,12 +307,3 @@ def test_an_effect_that_trials_do_not_show_can_be_taken_from_the_list(
     of_trials: DiagnosisDocument, removed: str
 ) -> None:
     assert_alike(of_trials, of_world(effects=[name for name in OF_TRIALS if name != removed]), share=1e-3)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("removed", ["joint_viscous_friction", "torque_gain"])
-def test_an_effect_that_an_arm_does_not_have_can_be_taken_from_the_list(
-    swung: dict[str, np.ndarray], of_swing: DiagnosisDocument, tmp_path: Path, removed: str
-) -> None:
-    path = write_npz(tmp_path / "swing.npz", swung)
-    assert_alike(of_swing, of_recording(path, [name for name in OF_ARMS if name != removed]))

@@ -494,6 +494,55 @@ def test_an_effect_in_whose_place_another_predicts_far_better_is_replaced() -> N
         assert not any(rival.fit.score < found.score for rival in rivals)
 
 
+def test_an_effect_that_another_one_makes_redundant_is_left_out() -> None:
+    """Kills: the superfluous is kept."""
+    search = searched(AnalyticSource(1, (("straight", (5.0,)),)))
+    both = search.fitted(("straight", "bent"))
+    assert both is not None
+    assert search._without_the_superfluous(both).candidate.names == ("straight",)
+
+
+@pytest.mark.parametrize(("size", "found"), [(0.12, ("straight",)), (0.4, ("straight", "bent"))])
+def test_an_effect_is_added_where_it_lowers_the_error_by_a_tenth(size: float, found: tuple[str, ...]) -> None:
+    """Both are significant beside a rest of 5: 7 % and 20 % of it. Kills: the gain is not asked."""
+    truth = (("straight", (30.0,)), ("bent", (size,)), ("outside", (5.0,)))
+    search = searched(AnalyticSource(1, truth), "straight", "bent")
+    assert search.p_values(search.fitted(("straight",)))["bent"] < SIGNIFICANT
+    chosen_of(search, *found)
+
+
+def test_what_is_below_the_relevance_limits_is_not_added_where_only_noise_is_left() -> None:
+    """Twenty repeats see 0.08 of the noise. Kills: relevance is not asked."""
+    search = searched(AnalyticSource(1, (("straight", (0.08,)),), (20,) * 6))
+    assert not search.lacking and search.p_values(None)["straight"] < SIGNIFICANT
+    assert search.choose() is None
+
+
+def test_the_last_correction_of_a_fit_is_taken_where_a_simulation_confirms_it() -> None:
+    """From 1 a straight step along 1 / x leads to where the error is larger. Kills: it is taken always."""
+    bent, straight = (
+        Fit.of(*linearised(AnalyticSource(3, ((name, (value,)),)), EFFECTS[name]))
+        for name, value in (("inverse", 0.45), ("straight", 5.0))
+    )
+    assert fit._confirmed(straight) is straight
+    assert bent.estimate[0] != 1.0 and fit._confirmed(bent).estimate[0] == 1.0
+
+
+def test_an_error_below_what_noise_leaves_is_no_excess() -> None:
+    evidence = Evidence.of(AnalyticSource(1))
+    nothing = [np.zeros_like(item.sigma) for item in evidence.clusters]
+    assert evidence.excess(nothing) == pytest.approx(0.0)
+
+
+def test_an_effect_in_the_limit_in_which_it_is_a_simpler_one_is_no_rival_of_it() -> None:
+    """What fades is constant at its lowest rate, and predicts as well. Kills: the limit is not asked."""
+    search = searched(AnalyticSource(1, (("constant", (5.0,)),)), "constant", "fading")
+    chosen = fit_alone(search, "constant")
+    (rival,) = search.rivals(chosen, hopeless=np.inf)  # fading as it starts is
+    assert rival.name == "fading" and rival.fit.estimate[1] == pytest.approx(0.01)
+    assert tied(chosen, rival.fit) and not rival.tied
+
+
 def both_of(seed: int, truth: str, wrong: str, discrepancy: float = 0.0) -> tuple[Fit, Fit]:
     """Fits of the true effect and of a wrong one, each alone."""
     search = searched(AnalyticSource(seed, ((truth, (6.0,)),), (2,) * 5, discrepancy=discrepancy), truth, wrong)
@@ -511,6 +560,17 @@ def test_repeats_decide_between_effects_whose_errors_are_hardly_different(truth:
     assert np.mean([tied(right, other) for right, other in fits]) > 0.5
     assert np.mean([encompasses(right, truth, other, wrong) for right, other in fits]) > 0.8
     assert not any(encompasses(other, wrong, right, truth) for right, other in fits)
+
+
+def test_a_rival_that_repeats_exclude_is_none_although_it_predicts_as_well() -> None:
+    """Kills: a rival is tied by its error alone."""
+    found = []
+    for seed in range(8):
+        search = searched(AnalyticSource(seed, (("bent", (6.0,)),), (2,) * 5), "bent", "nearly_bent")
+        chosen = fit_alone(search, "bent")
+        found += [(tied(chosen, rival.fit), rival.tied) for rival in search.rivals(chosen, hopeless=np.inf)]
+    alike, rivals = np.mean(found, axis=0)
+    assert alike > 0.5 and rivals < 0.3
 
 
 @pytest.mark.parametrize(("truth", "wrong"), [("bent", "nearly_bent"), ("straight", "more_than_straight")])
