@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Friction that one arm of two has is found in that arm, where the arms have different numbers of joints."""
 
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -22,30 +23,32 @@ from impact_rs_trials.spec import TrialSpec
 
 FRICTION = 2.0  # N m, in the second joint of the UR5e
 CONDITIONS = (("parcel", "case_1"), ("cat_food", "case_1"), ("parcel", "case_2"))
-# s; half as long, and half of the steps, in plant and replay alike
+# s; a third as long, and half of the steps, in plant and replay alike
 SHORT = {
-    "nominal_impact": 0.4,
-    "approach": 0.35,
-    "push": 0.15,
-    "duration": 0.55,
-    "window_after": 0.12,
+    "nominal_impact": 0.34,
+    "approach": 0.3,
+    "push": 0.1,
+    "duration": 0.46,
+    "window_after": 0.1,
     "drive_period": 0.0005,
 }
 SCENARIO = MIXED.model_copy(update={"timing": MIXED.timing.model_copy(update=SHORT)})
 
 
 @pytest.fixture(scope="module")
-def runs(tmp_path_factory: pytest.TempPathFactory) -> Runs:
-    directory = tmp_path_factory.mktemp("mixed")
+def runs(made_once: Callable[[str, Callable[[Path], None]], Path]) -> Runs:
     values = np.zeros(13)
     values[7 + 1] = FRICTION
-    for spec in (TrialSpec.of(SCENARIO, *condition) for condition in CONDITIONS):
-        for repeat in range(2):
-            trial = Trial.of(spec, repeat, 3)
-            info = TrialInfo.of(spec.plan, trial.key, trial.seed, "inprocess")
-            hidden = with_own(spec.plan.scene.physics, "joint_coulomb_friction", values)
-            assert record_trial(spec.plan, info, directory / trial.key.name, hidden)[0].outcome == "OK"
-    return read_runs(directory, map)
+
+    def record(folder: Path) -> None:
+        for spec in (TrialSpec.of(SCENARIO, *condition) for condition in CONDITIONS):
+            for repeat in range(2):
+                trial = Trial.of(spec, repeat, 3)
+                info = TrialInfo.of(spec.plan, trial.key, trial.seed, "inprocess")
+                hidden = with_own(spec.plan.scene.physics, "joint_coulomb_friction", values)
+                assert record_trial(spec.plan, info, folder / trial.key.name, hidden)[0].outcome == "OK"
+
+    return read_runs(made_once("mixed_runs", record), map)
 
 
 @pytest.fixture(scope="module")

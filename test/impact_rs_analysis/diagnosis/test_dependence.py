@@ -6,6 +6,8 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from functools import cache
 from pathlib import Path
+from types import SimpleNamespace
+from typing import cast
 
 import numpy as np
 import pytest
@@ -115,6 +117,17 @@ def test_a_row_that_is_held_out_does_not_change_its_prediction_by_dependences() 
     for rests in ([one.before for _, one in found], [one.after for _, one in found]):
         predicted = [source.clusters[7].mean - rest[7] for (source, _), rest in zip(found, rests, strict=True)]
         np.testing.assert_allclose(*predicted, atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("again", "settled"), [((OF_SESSION,), True), (("bent",), True), (("straight",), False), ((), False)]
+)
+def test_a_search_with_dependences_settles_them_where_it_finds_them_or_other_effects(
+    again: tuple[str, ...], settled: bool
+) -> None:
+    """Kills: what scatter hides is taken for an answer."""
+    first, second = (cast(Findings, SimpleNamespace(names=names)) for names in (("straight",), again))
+    assert honest().settled_by(first, second) == settled
 
 
 def test_where_nothing_depends_on_anything_nothing_is_said() -> None:

@@ -320,7 +320,7 @@ def holds(found: DiagnosisDocument, name: str, parameter: str, true: float, shar
 
 def test_stiffness_motor_and_friction_are_found_with_an_encoder_at_the_motor(tmp_path: Path) -> None:
     source = source_of(tmp_path, encoder=True)
-    found = diagnose(source, source.model, OF_DRIVES)
+    found = diagnose(source, source.model, [*EFFECTS, "torque_delay", "torque_offset"])
     assert set(found.named) == set(EFFECTS)
     assert holds(found, "joint_elasticity", "compliance_joint1", 1.0 / STIFFNESS, 0.02)
     assert holds(found, "added_motor_inertia", "inertia_joint1", MOTOR, 0.2)
