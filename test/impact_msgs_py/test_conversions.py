@@ -1,18 +1,27 @@
 # SPDX-License-Identifier: Apache-2.0
 """Messages and arrays: what goes in comes out again."""
 
-from collections.abc import Callable
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+import rclpy
 from builtin_interfaces.msg import Time
 from hypothesis import given
 from hypothesis import strategies as st
+from rclpy.context import Context
+from rclpy.executors import SingleThreadedExecutor
 from rclpy.serialization import deserialize_message, serialize_message
 
 import impact_msgs_py
+from impact_msgs_py import ComputeImpactMap, ControllerState, FinishTrial, RunTrial
 from impact_msgs_py import conversions as convert
+from impact_rs_trials.bags.trial_info import OUTCOMES
 
 numbers = st.floats(allow_nan=False, allow_infinity=False)
 
@@ -104,3 +113,63 @@ def test_every_interface_is_exported_with_its_type_support(name: str) -> None:
     for part in parts:
         message = part()
         assert deserialize_message(serialize_message(message), part) == message
+
+
+# ---- What a caller relies on who fills in no more than he must: constants, and defaults that mean the scenario's
+
+
+@pytest.mark.parametrize("kind", [FinishTrial.Response, RunTrial.Result])
+def test_every_outcome_has_a_constant(kind: type) -> None:
+    values = {name: getattr(kind, f"OUTCOME_{name.replace('-', '_')}") for name in OUTCOMES}
+    assert values == {name: name for name in OUTCOMES}
+
+
+def test_a_restitution_that_is_not_given_is_the_scenarios_and_not_zero() -> None:
+    assert ComputeImpactMap.Request().restitution < 0.0
+
+
+def test_a_velocity_scale_that_is_not_given_is_that_of_the_prediction_and_not_zero() -> None:
+    assert RunTrial.Goal().velocity_scale == 1.0
+
+
+# ---- Our interfaces travel through the middleware
+
+
+DOMAIN = 71
+
+
+@pytest.fixture
+def context(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Iterator[Context]:
+    monkeypatch.setenv("ROS_LOG_DIR", str(tmp_path))
+    context = Context()
+    rclpy.init(context=context, domain_id=DOMAIN)
+    yield context
+    rclpy.shutdown(context=context)
+
+
+def test_a_message_is_received_as_it_was_published(context: Context) -> None:
+    node = rclpy.create_node("sender_and_receiver", context=context)
+    typed: list[ControllerState] = []
+    raw: list[bytes] = []
+    publisher = node.create_publisher(ControllerState, "state", 1)
+    node.create_subscription(ControllerState, "state", typed.append, 1)
+    node.create_subscription(ControllerState, "state", raw.append, 1, raw=True)
+    executor = SingleThreadedExecutor(context=context)
+    executor.add_node(node)
+    sent = ControllerState(
+        robot="franka",
+        mode=ControllerState.MODE_POST,
+        net_feedback=np.array([0.1, -0.2, 0.3]),
+        commanded_torque=[1.0] * 7,
+    )
+
+    deadline = time.monotonic() + 30.0
+    while publisher.get_subscription_count() < 2 and time.monotonic() < deadline:
+        executor.spin_once(timeout_sec=0.02)
+    publisher.publish(sent)
+    while not (typed and raw) and time.monotonic() < deadline:
+        executor.spin_once(timeout_sec=0.02)
+
+    assert typed == [sent]
+    assert deserialize_message(raw[0], ControllerState) == sent
+    node.destroy_node()

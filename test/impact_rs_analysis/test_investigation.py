@@ -148,9 +148,14 @@ def start(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Start:
     monkeypatch.setattr(investigation, "prediction_error", checked)
 
     def made(
-        answer: Callable[[Model, int], DiagnosisDocument], budget: int = 60, folder: str = "one"
+        answer: Callable[[Model, int], DiagnosisDocument],
+        budget: int = 60,
+        folder: str = "one",
+        discovered: Callable[..., DiscoveryDocument] | None = None,
     ) -> tuple[Investigation, FakeBench]:
         directory = tmp_path / folder
+        if discovered is not None:
+            monkeypatch.setattr(investigation, "discover", discovered)
         begin(directory, SETTINGS)
         bench = FakeBench(directory, answer)
         return Investigation(directory, SETTINGS, budget, bench), bench
@@ -383,11 +388,12 @@ def test_a_model_that_never_holds_is_no_explanation(start: Start) -> None:
 
 
 @pytest.mark.parametrize("name", ["effect", "law"])
-def test_a_model_that_no_trial_was_left_for_is_no_explanation(
-    start: Start, monkeypatch: pytest.MonkeyPatch, name: str
-) -> None:
-    monkeypatch.setattr(investigation, "discover", lambda *_: law_found())
-    investigation_, _ = start({"effect": friction_then_nothing, "law": outside}[name], budget=investigation.FIRST)
+def test_a_model_that_no_trial_was_left_for_is_no_explanation(start: Start, name: str) -> None:
+    investigation_, _ = start(
+        {"effect": friction_then_nothing, "law": outside}[name],
+        budget=investigation.FIRST,
+        discovered=lambda *_: law_found(),
+    )
     ending = investigation_.run()
     assert (ending.verdict, ending.certain, ending.effects, ending.laws) == ("UNDECIDED", False, (), ())
     assert ending.candidates == ({"effect": FRICTION, "law": DRAG.name}[name],)
@@ -466,12 +472,12 @@ def test_a_tie_that_no_trial_splits_ends_before_the_budget_is_spent(
         return plan.model_copy(update={"aim": "rivals", "pairs": pairs}) if arguments[1] else plan
 
     monkeypatch.setattr(FakeBench, "design", rivals)
-    investigation_, _ = start(tie, budget=20)
+    investigation_, bench = start(tie, budget=20)
     ending = investigation_.run()
     assert (ending.verdict, ending.candidates) == ("UNDECIDED", (FRICTION, MASS))
     assert ending.trials == (6 if ends else 20)
     assert ("would be right with 63 % at best" in ending.summary) == ends
-    further = Investigation(investigation_.directory, SETTINGS, larger, investigation_._bench).run()
+    further = Investigation(investigation_.directory, SETTINGS, larger, bench).run()
     assert further.trials > ending.trials
 
 
@@ -512,18 +518,15 @@ def test_an_error_far_beyond_the_noise_is_not_nothing_however_few_the_trials(sta
     assert quiet.run().verdict == "NOTHING-MISSING"
 
 
-def test_what_no_effect_explains_is_first_measured_again_and_then_a_law_is_looked_for(
-    start: Start, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_what_no_effect_explains_is_first_measured_again_and_then_a_law_is_looked_for(start: Start) -> None:
     looked = []
 
     def discovered(source_of: Any, model: Model, *_: Any) -> DiscoveryDocument:
         looked.append(model.name)
         return DiscoveryDocument(verdict="NO-LAW-HOLDS", summary="No law holds.", error_unit="times repeatability")
 
-    monkeypatch.setattr(investigation, "discover", discovered)
     partly = said(f"PARTLY{{{FRICTION}}}", FRICTION, held_out_error_after=4.0)
-    investigation_, bench = start(lambda *_: partly, budget=20)
+    investigation_, bench = start(lambda *_: partly, budget=20, discovered=discovered)
     ending = investigation_.run()
     assert ending.verdict == "UNDECIDED" and "NO-LAW-HOLDS" in ending.summary
     assert ending.candidates == (FRICTION,)
@@ -533,9 +536,8 @@ def test_what_no_effect_explains_is_first_measured_again_and_then_a_law_is_looke
     assert first.discovery is None and second.discovery is not None
 
 
-def test_no_law_is_looked_for_while_more_trials_explain_more(start: Start, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_no_law_is_looked_for_while_more_trials_explain_more(start: Start) -> None:
     """A friction of many parameters: partly explained with 6 and 10 trials, with 14 wholly."""
-    monkeypatch.setattr(investigation, "discover", lambda *_: pytest.fail("the library explains it"))
     rest = {6: 17.5, 10: 5.3}
 
     def answer(model: Model, trials: int) -> DiagnosisDocument:
@@ -543,7 +545,7 @@ def test_no_law_is_looked_for_while_more_trials_explain_more(start: Start, monke
             return friction_then_nothing(model, trials)
         return said(f"PARTLY{{{FRICTION}}}", FRICTION, held_out_error_before=25.8, held_out_error_after=rest[trials])
 
-    investigation_, _ = start(answer)
+    investigation_, _ = start(answer, discovered=lambda *_: pytest.fail("the library explains it"))
     assert investigation_.run().effects == (FRICTION,)
 
 
@@ -601,9 +603,8 @@ def outside(model: Model, trials: int) -> DiagnosisDocument:
     return CLEAN if model.effects else said("NONE-EXPLAINS")
 
 
-def test_a_law_that_is_found_is_added_as_a_formula_and_tried(start: Start, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(investigation, "discover", lambda *_: law_found())
-    investigation_, _ = start(outside)
+def test_a_law_that_is_found_is_added_as_a_formula_and_tried(start: Start) -> None:
+    investigation_, _ = start(outside, discovered=lambda *_: law_found())
     ending = investigation_.run()
     assert (ending.verdict, ending.laws, ending.effects) == ("LAW-HOLDS", (DRAG.name,), (DRAG.name,))
     model = load_model(investigation_.directory / ending.model)
@@ -612,9 +613,7 @@ def test_a_law_that_is_found_is_added_as_a_formula_and_tried(start: Start, monke
     assert judged(ending, "outside", ("drag",)) == (True, False)
 
 
-def test_laws_that_predict_equally_well_are_designed_for_and_listed_at_the_end(
-    start: Start, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_laws_that_predict_equally_well_are_designed_for_and_listed_at_the_end(start: Start) -> None:
     """However often they are found, for a tie is a law. Friction, which explains a part, is no rival."""
     looked: list[int] = []
 
@@ -622,9 +621,8 @@ def test_laws_that_predict_equally_well_are_designed_for_and_listed_at_the_end(
         looked.append(1)
         return law_found("CONFUSABLE-WITH{cable, object_mass}", ("cable", MASS))
 
-    monkeypatch.setattr(investigation, "discover", discovered)
     partly = said(f"PARTLY{{{FRICTION}}}", FRICTION, held_out_error_after=4.0)
-    investigation_, bench = start(lambda *_: partly, budget=28)
+    investigation_, bench = start(lambda *_: partly, budget=28, discovered=discovered)
     ending = investigation_.run()
     assert (ending.verdict, ending.candidates, ending.effects) == ("UNDECIDED", (DRAG.name, "cable", MASS), ())
     assert "the budget of 28 trials is spent" in ending.summary
@@ -632,28 +630,24 @@ def test_laws_that_predict_equally_well_are_designed_for_and_listed_at_the_end(
     assert bench.last is not None and bench.last.named == (DRAG.name,) and bench.last.formulas == (DRAG,)
 
 
-def test_laws_once_found_are_fitted_again_and_not_forgotten(start: Start, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_laws_once_found_are_fitted_again_and_not_forgotten(start: Start) -> None:
     """Though more trials leave less to friction, and although two later discoveries do not find the laws again."""
     none = DiscoveryDocument(verdict="NO-LAW-HOLDS", summary="No law holds.", error_unit="times repeatability")
     answers = [law_found("CONFUSABLE-WITH{cable}", ("cable",)), none, none]
-    monkeypatch.setattr(investigation, "discover", lambda *_: answers.pop(0))
     rest = {6: 8.0, 10: 7.0, 14: 4.0}
 
     def answer(model: Model, trials: int) -> DiagnosisDocument:
         return said(f"PARTLY{{{FRICTION}}}", FRICTION, held_out_error_after=rest.get(trials, 2.0))
 
-    investigation_, bench = start(answer)
+    investigation_, bench = start(answer, discovered=lambda *_: answers.pop(0))
     ending = investigation_.run()
     assert (ending.verdict, ending.candidates) == ("UNDECIDED", (DRAG.name, "cable"))
     assert len(bench.measured) == 18 and not answers
 
 
-def test_a_tie_between_laws_that_further_trials_split_ends_with_the_law(
-    start: Start, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_tie_between_laws_that_further_trials_split_ends_with_the_law(start: Start) -> None:
     answers = [law_found("CONFUSABLE-WITH{cable}", ("cable",))] * 3 + [law_found()]
-    monkeypatch.setattr(investigation, "discover", lambda *_: answers.pop(0))
-    investigation_, _ = start(outside)
+    investigation_, _ = start(outside, discovered=lambda *_: answers.pop(0))
     ending = investigation_.run()
     assert (ending.verdict, ending.laws, answers) == ("LAW-HOLDS", (DRAG.name,), [])
 
@@ -719,14 +713,22 @@ def test_a_kill_before_or_after_every_write_loses_nothing(start: Start, monkeypa
     assert bench.measured == trials  # no trial is measured twice
 
 
-@pytest.mark.parametrize("after", [False, True], ids=["before", "after"])
-@pytest.mark.parametrize("name", ["discovery.json", "model_2.yaml", "decision.json", "ending.json"])
-def test_sigkill_at_a_file_of_an_investigation_with_a_law_loses_nothing(
-    start: Start, monkeypatch: pytest.MonkeyPatch, name: str, after: bool
-) -> None:
+@pytest.mark.parametrize(
+    ("name", "after"),
+    [
+        ("decision.json", False),
+        ("ending.json", True),
+        *(
+            pytest.param(name, after, marks=pytest.mark.slow)
+            for name in ("discovery.json", "model_2.yaml", "decision.json", "ending.json")
+            for after in (False, True)
+            if (name, after) not in (("decision.json", False), ("ending.json", True))
+        ),
+    ],
+)
+def test_sigkill_at_a_file_of_an_investigation_with_a_law_loses_nothing(start: Start, name: str, after: bool) -> None:
     """A real SIGKILL: nothing is tidied up."""
-    monkeypatch.setattr(investigation, "discover", lambda *_: law_found())
-    undisturbed, bench = start(outside)
+    undisturbed, bench = start(outside, discovered=lambda *_: law_found())
     undisturbed.run()
     expected = story(undisturbed.directory)
     killed, _ = start(outside, folder="killed")

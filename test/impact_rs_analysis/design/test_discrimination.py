@@ -4,10 +4,11 @@
 import numpy as np
 import pytest
 import scipy
-from made_up_trials import DISCREPANCY, SCATTER, estimated_pair, trial
 
 from impact_rs_analysis.design.discrimination import ALONE, WIDE, Discrimination, probability, variance
 from impact_rs_analysis.design.explanations import AS_IS, Decision, Explanation
+
+from .made_up_trials import DISCREPANCY, SCATTER, estimated_pair, trial
 
 
 def gain(counts: Discrimination, **repeats: int) -> float:

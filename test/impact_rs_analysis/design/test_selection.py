@@ -6,7 +6,6 @@ from collections.abc import Mapping
 
 import numpy as np
 import pytest
-from made_up_trials import estimated_pair, trial
 
 from impact_rs_analysis.design.discrimination import Discrimination
 from impact_rs_analysis.design.forecast import ForecastTrial
@@ -14,6 +13,8 @@ from impact_rs_analysis.design.selection import CONDITIONS, REPEATS, Counts, cho
 from impact_rs_analysis.diagnosis.thresholds import LEAST_CLUSTERS, LEAST_FREEDOM
 from impact_rs_sim.errors import InputError
 from impact_rs_trials.experiment_plan import Method
+
+from .made_up_trials import estimated_pair, trial
 
 SPEEDS = ("at_0250", "at_0300", "at_0500", "at_0700", "at_0900")
 

@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+import os
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -12,7 +14,7 @@ from mixed_grab import write_experiment
 
 from impact_rs_analysis.evidence.ante_impact import ante_impact_state, obliqueness, problem_of
 from impact_rs_analysis.evidence.command_clock import command_offset, read_laboratory_runs
-from impact_rs_analysis.evidence.measured_runs import MeasuredRun, Runs, read_trial
+from impact_rs_analysis.evidence.measured_runs import MeasuredRun, Runs, read_runs, read_trial
 from impact_rs_analysis.evidence.replays import layout_of, pure_errors
 from impact_rs_analysis.evidence.simulated_trials import simulated
 from impact_rs_analysis.measure.velocity_jumps import jumps_of
@@ -21,6 +23,8 @@ from impact_rs_sim.errors import InputError
 from impact_rs_sim.impact_map import compute_impact_map
 from impact_rs_sim.impact_map.contacts import SUPPORT, meetings
 from impact_rs_sim.scenario import load_scenario
+from impact_rs_trials.bags.reader import OF_THE_TWIN
+from impact_rs_trials.campaign import make_manifest, run_one
 from impact_rs_trials.recordings.experiment import load_experiment
 from impact_rs_trials.runs import NONE, Run
 from impact_rs_trials.spec import TrialSpec
@@ -213,3 +217,41 @@ def test_of_two_arms_all_is_seen_that_is_seen_of_the_same_trial_of_our_own(tmp_p
     assert np.max(np.abs(theirs.measured - ours.measured) / limits) < 1.0
     with pytest.raises(InputError, match="the jump is analysed for a single arm"):
         jumps_of(runs)
+
+
+# ---- Folders of trials, read for a diagnosis
+
+
+def test_runs_that_the_twin_made_are_remarked_once(push_campaign: Path, tmp_path: Path) -> None:
+    manifest = make_manifest("push", ["cat_food"], ["2"], [0.9], trials=1, plant="twin")
+    run_one(tmp_path, manifest.trial(manifest.keys[0]))
+    (made,), one = tmp_path.iterdir(), next(push_campaign.glob("cat_food*1.200*"))
+    shutil.copytree(made, tmp_path / "again" / made.name)
+    shutil.copytree(one, tmp_path / one.name)
+    runs = read_runs(tmp_path, map)
+    assert len(runs.runs) == 3 and runs.remarks == (OF_THE_TWIN,)
+
+
+def test_runs_since_one_of_them_are_those_recorded_later_and_another_set_of_measurements(
+    hidden_campaign: Path, tmp_path: Path
+) -> None:
+    """In the order in which they were recorded, not in that of their names."""
+    folder = tmp_path / "runs"
+    shutil.copytree(hidden_campaign, folder)
+    order = [f"{name}__r{repeat}" for name in ("push/juice__case_1__s1.000", "push/parcel__case_1__s1.000")
+             for repeat in (1, 0)]  # fmt: skip
+    for number, name in enumerate(order):
+        os.utime(folder / name, (1e9 + number, 1e9 + number))
+    for name in ("excite/none__fast__s1.000__r0", "excite/none__fast__s1.000__r1"):
+        os.utime(folder / name, (9e8, 9e8))
+    runs = read_runs(folder, map)
+    later = runs.since("push/juice__case_1__s1.000__r0")
+    assert sorted(run.name for run in later.runs) == [
+        "juice__case_1__s1.000__r0",
+        "parcel__case_1__s1.000__r0",
+        "parcel__case_1__s1.000__r1",
+    ]
+    assert later.remarks[-1] == "only runs since push/juice__case_1__s1.000__r0: 3 of 6"
+    assert later.digest != runs.digest == runs.since("excite/none__fast__s1.000__r0").digest
+    with pytest.raises(InputError, match="nothing was measured since then"):
+        runs.since("2002-01-01")

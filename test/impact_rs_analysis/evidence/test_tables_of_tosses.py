@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from corner_impacts import toss_table
+from corner_impacts import NOISE, toss_table
 from impact_table_cases import CUBE_HEADER, cube, cube_rows, write_csv
 
 from impact_rs_analysis.diagnosis.diagnose import diagnose
@@ -15,6 +15,8 @@ from impact_rs_analysis.evidence.impact_tables import ImpactTableSource
 from impact_rs_sim.effects import library
 from impact_rs_sim.model import load_model
 from impact_rs_trials.recordings.impact_table import read_impact_table
+
+from .conftest import assert_intervals
 
 NOMINAL = load_model(Path("nominal"))
 LAWS = {"rolling_resistance": (0.0034,), "tangential_restitution": (0.8, 0.35)}
@@ -41,14 +43,12 @@ def test_the_friction_that_is_assumed_of_tosses_does_not_matter(tmp_path: Path, 
     assert set(document.named) == {"restitution", "support_friction", "object_com_offset"}
     assert document.noise_floor is not None
     assert document.held_out_error_after < 1.1 * document.noise_floor
-    for effect, parameter, truth in (
-        ("restitution", "restitution", RESTITUTION),
-        ("support_friction", "friction", FRICTION - assumed),
-        ("object_com_offset", "z", HEIGHT),
-    ):
-        found = document.effect(effect).parameters[parameter]
-        half = (found.interval[1] - found.interval[0]) / 2.0
-        assert found.estimate == pytest.approx(truth, abs=2.0 * half)
+    truth = {
+        ("restitution", "restitution"): RESTITUTION,
+        ("support_friction", "friction"): FRICTION - assumed,
+        ("object_com_offset", "z"): HEIGHT,
+    }
+    assert_intervals(source, document, truth, np.repeat(NOISE, 3))
 
 
 @pytest.mark.slow

@@ -111,20 +111,23 @@ def sigma_of(follower: Follower) -> np.ndarray:
     return np.hypot(noise, follower.door.limits([hit], layout) / 2.0)
 
 
-def test_the_interval_of_a_parameter_is_that_of_least_squares_with_its_prior(tmp_path: Path) -> None:
+@pytest.mark.parametrize(("stated", "known"), [(1.2, 0.15), (1.25, 0.005)], ids=["moved", "kept"])
+def test_the_interval_of_a_parameter_is_that_of_least_squares_with_its_prior(
+    tmp_path: Path, stated: float, known: float
+) -> None:
     """1.96 / sqrt(sum |J / sigma|^2 + 1 / prior^2); kills widths times two, a lost prior, hits that count twice."""
-    model = _model(tmp_path / "m.yaml", 1.2, (1.05, 1.35))
+    model = _model(tmp_path / "m.yaml", stated, (stated - known, stated + known))
     path = write(tmp_path / "hits.csv", rows_of({"object_mass": [1.25]}, 6, seed=6))
     sigma = sigma_of(following(path, model, ["object_mass"], discrepancy=NO_MAP_DISCREPANCY))
     follower = following(path, model, ["object_mass"], discrepancy=NO_MAP_DISCREPANCY)
-    information = (NORMAL_95 / 0.15) ** 2
+    information = (NORMAL_95 / known) ** 2
     for hit in follower.door.arrived():
         assert not changes(follower.take([hit]))
         above, below = follower.door.predict(hit, [(("object_mass", (scale,)),) for scale in (1.26, 1.24)])
         assert above is not None and below is not None
         information += float(np.sum(np.square((above - below) / 0.02 / sigma)))
     (mass,) = follower.followed()
-    assert mass.parameter == "object_mass.scale" and mass.change == pytest.approx(mass.estimate - 1.2)
+    assert mass.parameter == "object_mass.scale" and mass.change == pytest.approx(mass.estimate - stated)
     assert_covers(mass.ci95, 1.25, NORMAL_95 / np.sqrt(information), within=1.3)
 
 
@@ -416,11 +419,10 @@ def test_mass_and_motors_that_hits_do_not_tell_apart_are_told_apart_by_a_lift_if
     change = apart(tmp_path, {"object_mass": [1.1]}, ["object_mass", "motor_inertia_scale"])
     mass = change.causes[0].parameters[0]
     assert (change.causes[0].effect, mass.parameter) == ("object_mass", "object_mass.scale")
-    weight = 9.81 * PUSH.objects[str(QUIET[-1][0])].mass
     assert change.apart.startswith("one measurement, lift the object, distinguishes them (")
-    said = [float(text.split()[0]) for text in change.apart.partition("(")[2].split(", ")]
-    assert max(said) / min(said) == pytest.approx(mass.estimate, rel=0.01)
-    assert min(abs(said[1] - 9.81 * item.mass) for item in PUSH.objects.values()) < 0.05 and weight > 0.0
+    heavier, as_before = (float(text.split()[0]) for text in change.apart.partition("(")[2].split(", "))
+    assert min(abs(as_before - 9.81 * item.mass) for item in PUSH.objects.values()) < 0.05  # N
+    assert heavier == pytest.approx(mass.estimate * as_before, rel=0.01)
     blunt = lift._replace(least=10.0 * lift.least)
     monkeypatch.setattr(follow, "CHECKS", (blunt,))
     change = apart(tmp_path, {"object_mass": [1.1]}, ["object_mass", "motor_inertia_scale"])

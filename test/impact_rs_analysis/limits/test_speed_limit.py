@@ -201,7 +201,7 @@ def test_two_arms_have_one_limit_and_bounds_of_both() -> None:
 
 
 def test_the_command_writes_page_table_and_document(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    line = ["limits", "push_fr3", "--objects", "juice", "--cases", "1", "--draws", "4", "--jobs", "1", "--json"]
+    line = ["limits", "push_fr3", "--objects", "juice", "--cases", "1", "--draws", "20", "--jobs", "1", "--json"]
     assert main([*line, "--places", "2", "--jump", "0.5", "-o", str(tmp_path / "out")]) == 0
     document = json.loads(capsys.readouterr().out)
     assert json.loads((tmp_path / "out" / "limits.json").read_text()) == document

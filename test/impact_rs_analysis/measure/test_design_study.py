@@ -38,7 +38,7 @@ def study() -> DesignStudy:
 @pytest.fixture(scope="module")
 def fr3() -> DesignStudy:
     """An arm that is not the scenario's, with a torque loop."""
-    return study_designs(QUESTION, ("franka_fr3",), poses=1)
+    return study_designs(QUESTION, ("franka_fr3",), poses=2)
 
 
 def of(study: DesignStudy, robot: str, motor_inertia: str, pad: str) -> list[Design]:
@@ -81,13 +81,6 @@ def test_sensitivity_is_the_share_of_the_motors_in_the_effective_mass() -> None:
 
 def test_an_arm_without_torque_loop_has_its_rotors_alone(study: DesignStudy) -> None:
     assert {one.motor_inertia for one in study.designs if one.robot == "ur5e"} == {"rotor"}
-
-
-def test_bullet_agrees_about_a_design() -> None:
-    (stance,), _ = stances_of("kuka_iiwa7", QUESTION, 1)
-    _, _, problem = next(problems_of(QUESTION, stance))
-    exact, bullet = (values_by(engine, problem) for engine in ("exact", "bullet"))
-    assert bullet["impulse"] == pytest.approx(exact["impulse"], rel=0.01)
 
 
 def test_same_seed_same_study() -> None:

@@ -18,6 +18,17 @@ import pytest
 from snapshots import assert_snapshot
 
 from impact_rs_analysis.diagnosis.compare import ComparisonDocument
+from impact_rs_analysis.diagnosis.discovery_document import (
+    DESCRIBED,
+    FOUND,
+    NO_LAW,
+    CurveDocument,
+    DiscoveryDocument,
+    DomainDocument,
+    LawDocument,
+    NumberDocument,
+    PointDocument,
+)
 from impact_rs_analysis.diagnosis.document import DiagnosisDocument, read_document
 from impact_rs_analysis.diagnosis.history import VersionError
 from impact_rs_analysis.evidence.cluster import TIMES
@@ -28,6 +39,7 @@ from impact_rs_analysis.report.analysis import AnalysisPage, Listing
 from impact_rs_analysis.report.animation import ReplayPart
 from impact_rs_analysis.report.comparison import joint_tables, write_comparison
 from impact_rs_analysis.report.diagnosis import write_diagnosis
+from impact_rs_analysis.report.discovery import law_plot, write_report
 from impact_rs_analysis.report.error_history import write_history
 from impact_rs_analysis.report.page import p_text, quantity_text, sentence_text, subscripts_text, track_data
 from impact_rs_analysis.report.plots import effects_plot
@@ -351,3 +363,52 @@ def test_every_page_extends_the_skeleton_and_none_switches_escaping_off() -> Non
         assert text.splitlines()[1] == '{% extends "page.html.j2" %}'  # behind the licence
     for path in skeleton.TEMPLATES.iterdir():
         assert not re.search(r"\|\s*safe|autoescape", path.read_text(encoding="utf-8")), path
+
+
+# ---- The page of a discovery shows the law as a formula, and its force with band and points
+
+
+LAW = LawDocument(
+    name="object_drag_square",
+    sentence="Drag on the object, with the square of its speed.",
+    place="force on the object",
+    formula="-(c * object_speed) * (object_vx, object_vy, object_vz)",
+    parameters={"c": NumberDocument(estimate=8.0, ci95=(7.5, 8.5), unit="N s^2/m^2")},
+    verdict="CONFIRMED",
+    held_out_error_before=12.6,
+    held_out_error_after=0.7,
+    p_value=0.0005,
+    valid=DomainDocument(quantity="object_speed", low=0.0, high=0.5, unit="m/s"),
+    curve=CurveDocument(
+        at=(0.0, 0.5),
+        law=(0.0, 2.0),
+        law_ci95=((0.0, 0.0), (1.9, 2.1)),
+        points=(PointDocument(at=0.4, force=1.2, ci95=(1.0, 1.5), law=1.3),),
+        unit="N",
+    ),
+)
+
+
+def document(verdict: str, *laws: LawDocument) -> DiscoveryDocument:
+    return DiscoveryDocument(verdict=verdict, summary="In words.", laws=laws, error_unit="times repeatability")
+
+
+def test_the_page_says_the_law_and_draws_it(tmp_path: Path) -> None:
+    page = write_report(document(FOUND, LAW), tmp_path).read_text()
+    for text in ("LAW-FOUND", "-(c * object_speed)", "N s^2/m^2", "from 0 to 0.5"):
+        assert text in page
+    points = law_plot(LAW).data[-1]
+    assert (points.error_y.array[0], points.error_y.arrayminus[0]) == pytest.approx((0.3, 0.2))
+
+
+def test_the_page_of_a_curve_shows_its_values_and_no_formula(tmp_path: Path) -> None:
+    curve = LAW.model_copy(update={"name": "object_drag_curve_5", "formula": "f0 * max(0, 1)", "curved": True})
+    page = write_report(document(DESCRIBED, curve), tmp_path).read_text()
+    assert "f0 * max" not in page
+    for text in ("CURVE-FOUND", "What remains, as a curve", "over object_speed", "1 values [N", "it falls to 0"):
+        assert text in page
+
+
+def test_a_page_without_a_law_has_no_picture(tmp_path: Path) -> None:
+    page = write_report(document(NO_LAW), tmp_path).read_text()
+    assert "NO-LAW-HOLDS" in page and 'data-figure="law"' not in page

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import scipy
 from evidence_packages import diagnosis_of, file_of, package_of
+from intervals import assert_covers
 
 from impact_rs_analysis.sharing.evidence_package import (
     EvidencePackage,
@@ -137,10 +138,8 @@ def test_what_all_measure_alike_is_shared_and_surer_than_each() -> None:
     rng = np.random.default_rng(0)
     packages = [package_of(name, {"law": (1.0 + ERROR * rng.standard_normal(), ERROR)}) for name in LABORATORIES]
     found = of(merge_packages(packages), "law")
-    low, high = found.pooled.ci95
     assert found.belongs_to == ("shared",)
-    assert low < 1.0 < high
-    assert high - low < 2.0 * 1.96 * ERROR
+    assert_covers(found.pooled.ci95, 1.0, 1.96 * ERROR / np.sqrt(len(LABORATORIES)), within=1.2)
 
 
 def test_an_odd_laboratory_is_named_and_left_out() -> None:
