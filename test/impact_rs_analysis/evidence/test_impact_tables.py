@@ -181,6 +181,8 @@ def test_a_condition_is_predicted_as_the_mean_of_its_repeats(tmp_path: Path) -> 
     assert again.residuals == pytest.approx(source.clusters[1].residuals)
     item = source.clusters[1]
     assert item.mean * item.sigma == pytest.approx((source.measured - source.predicted)[list(rows)].mean(axis=0))
+    limits = np.array([feature.relevance_limit for feature in source.signals]) / 2.0  # kills a scale without them
+    assert np.square(item.sigma) == pytest.approx(np.square(item.pure * item.sigma) + np.square(limits), rel=1e-9)
 
 
 def test_every_effect_that_the_map_knows_changes_what_is_remembered(tmp_path: Path) -> None:
