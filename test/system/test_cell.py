@@ -320,7 +320,8 @@ class LedCell:
         killed, after = self.processes["robot"].line("killed at"), self.processes["robot"].line(" after ")
         assert self.processes[victim].process.wait(PATIENCE) == -signal.SIGKILL
         assert float(killed.split()[2]) > 0.1  # rad/s
-        assert after.startswith("at rest after ")
+        others = {name: one.end(signal.SIGTERM)[1] for name, one in self.processes.items() if name != victim}
+        assert after.startswith("at rest after "), others
         assert int(after.split()[3]) < states
 
 
@@ -357,11 +358,12 @@ def push_500(tmp_path: Path) -> str:
     return str(path)
 
 
+@pytest.mark.timeout(300)  # s, of which a machine whose cores are all busy may need two thirds
 def test_after_a_cell_is_killed_in_a_trial_the_watchdog_brakes_the_arm(
     domain_ids: Callable[[], int], tmp_path: Path, push_500: str
 ) -> None:
     """The effort controller keeps the torque of that moment; nothing but another process can take it away."""
-    killed = "--kill", "cell", "--kill-after", 50, "--slower", 2
+    killed = "--kill", "cell", "--kill-after", 50, "--slower", 5
     with led_cell(domain_ids(), tmp_path, push_500, *killed) as cell:
         assert cell.run() == "", "it was not killed in the trial"
         cell.comes_to_rest("cell", 750)
