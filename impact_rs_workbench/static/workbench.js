@@ -1900,6 +1900,7 @@ function finished(job) {
   if (job.arguments[0] === 'design') design.wanted = made[0];
   if (job.arguments[0] === 'investigate') investigate.wanted = made[0];
   if (job.arguments[0] === 'limits') limits.pages.wanted = made[0];
+  if (job.arguments[0] === 'rehearse') rehearse.pages.wanted = made[0];
   if (job.arguments[0] === 'study-design') designs.pages.wanted = made[0];
   if (job.arguments[0] === 'compare') compare.wanted = `${made[0]}/compare.html`;
   if (job.arguments[0] === 'analyze') compare.wanted = `${made[0]}/report.html`;

@@ -366,15 +366,26 @@ def test_a_real_job_from_click_to_result(visit: Visit, tmp_path: Path) -> None:
     assert json.loads((tmp_path / ".workbench" / "jobs" / "0001" / "job.json").read_text())["exit_code"] == 0
 
 
-RESULTS = {  # by step and tab: the button, what the job writes, where it is shown, and what the first lines say of it
-    "predict/limits": ("Compute the limits", "limits/push", "iframe", "may hit at 0.4 m/s, 0.5 m/s are planned"),
-    "measure/rehearse": ("Rehearse", "rehearsals/push", "iframe", "push, parcel, case_1: not passed"),
-    "measure/design": ("Plan the trials", "plans/plan_1.yaml", "#planned", "plans/plan_1.yaml: 2 trials"),
-    "compare": ("Compare", "reports/seen", "#compare-result .answer", "nominal: score 61.8, where 1 is noise"),
-    "diagnose": ("Diagnose", "reports/diagnosed", "#ranking", "nominal: object_mass+joint_coulomb_friction"),
-    "history/versions": ("Show the history", "reports/history", "iframe", "nominal 61.8"),
-    "investigate/loop": ("Investigate", "investigations/1", "#ending", "not at its end, after 2 trials in 1 round"),
-}
+# By step and tab: the button, the results, where the job writes them, where they are chosen and shown, what is said.
+RESULTS = {
+    "predict/limits": (
+        "Compute the limits", "limits/push", "limits/push", "#limits-page", "iframe", "0.4 m/s, 0.5 m/s are"),
+    "measure/rehearse": (
+        "Rehearse", "rehearsals/push", "rehearsals/push", "#rehearse-page", "iframe", "case_1: not passed"),
+    "measure/design": (
+        "Plan the trials", "plans/plan_1.yaml", "plans/plan_1.yaml", "#design-file", "#planned", "2 trials"),
+    "compare": (
+        "Compare", "reports/seen", "reports/compare_runs_nominal", "#compare-report", "#compare-result .answer",
+        "nominal: score 61.8, where 1 is noise"),
+    "diagnose": (
+        "Diagnose", "reports/diagnosed", "reports/diagnose_runs_nominal", "#diagnose-file", "#ranking",
+        "nominal: object_mass+joint_coulomb_friction"),
+    "history/versions": (
+        "Show the history", "reports/history", "reports/history_runs_nominal", "", "iframe", "nominal 61.8"),
+    "investigate/loop": (
+        "Investigate", "investigations/1", "investigations/1", "#investigate-file", "#ending",
+        "not at its end, after 2 trials in 1 round"),
+}  # fmt: skip
 
 
 def test_a_job_that_fails_shows_its_one_line(visit: Visit, stub: Stub, tmp_path: Path) -> None:
@@ -416,13 +427,19 @@ def test_the_result_of_a_job_stands_in_its_step_when_it_is_done(
     visit: Visit, stub: Stub, tmp_path: Path, prepared: Path, push_campaign: Path, place: str
 ) -> None:
     """Kills a step that does not turn to what its job has written."""
-    label, written, where, said = RESULTS[place]
+    label, results, written, choice, where, said = RESULTS[place]
     (tmp_path / "runs").mkdir()
     shutil.copy(push_campaign / "manifest.yaml", tmp_path / "runs")
-    stub.tells(results={prepared / written: tmp_path / written})
+    if choice:  # what is newest needs none
+        copy = shutil.copytree if (prepared / results).is_dir() else shutil.copy
+        (tmp_path / "earlier" / results).parent.mkdir(parents=True)
+        copy(prepared / results, tmp_path / "earlier" / results)
+    stub.tells(results={prepared / results: tmp_path / written})
     page = visit(place)
     expect(page.locator("main > section:visible .command")).to_be_visible()
     start(page, label)
+    if choice:
+        expect(page.locator(choice)).to_have_value(re.compile(f"^{written}"))
     expect(page.locator(f"main > section:visible {where}")).to_be_visible()
     expect(page.locator(f"[data-says='{place}']")).to_contain_text(said)
 
