@@ -17,13 +17,13 @@ FEW, FEW_SIGNS = 999, 9999
 def few_draws(request: pytest.FixtureRequest) -> Iterator[None]:
     """999 draws in place of 4,999, and of signs 9,999 in place of 49,999: p values are as right, only coarser.
 
-    Laws are many, and what is one of many has to be rare: their tests draw as many signs as a discovery does.
+    Laws are many, and what is one of many has to be rare: their tests draw as many as a discovery does.
     """
     with pytest.MonkeyPatch.context() as patched:
-        patched.setattr(null_distribution, "DRAWS", FEW)
-        patched.setattr(drift, "DRAWS", FEW)
         if "discover" not in request.module.__name__:
+            patched.setattr(null_distribution, "DRAWS", FEW)
             patched.setattr(null_distribution, "MANY_DRAWS", FEW_SIGNS)
+            patched.setattr(drift, "DRAWS", FEW)
         null_distribution._frames.cache_clear()
         null_distribution._signs.cache_clear()
         yield

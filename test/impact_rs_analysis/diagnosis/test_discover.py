@@ -166,8 +166,8 @@ def test_a_law_with_memory_is_found_in_replays_of_short_windows(tmp_path: Path) 
     grammar = of_motors("velocity", "relaxing_velocity", "presliding", "load_velocity")
     document = found_in(runs, grammar, ("joint_coulomb_friction", "joint_viscous_friction"))
     assert (document.verdict, document.diagnosis.named) == (FOUND, ("motor4_relaxing_velocity_linear",))
-    for name, truth in (("c", DAMPER), ("relaxation", RELAXATION)):
-        assert_covers(document.laws[0].parameters[name].ci95, truth, 0.05 * truth)
+    for name, truth, half_width in (("c", DAMPER, 0.0055), ("relaxation", RELAXATION, 0.0075)):
+        assert_covers(document.laws[0].parameters[name].ci95, truth, half_width)
     assert document.laws[0].held_out_error_before > 5.0 > 1.0 > document.laws[0].held_out_error_after
 
 
