@@ -394,6 +394,19 @@ def test_a_cause_is_dropped_below_one_in_a_thousand_and_known_from_95_percent_on
     assert document.resolved == resolved
 
 
+def test_a_hit_raises_the_explanation_that_predicts_it(day: Day) -> None:
+    """Kills probabilities that hits do not change."""
+    follower = day(rows_of({"object_mass": [1.5]}, 1, seed=2))
+    assert follower.candidate is not None
+    other = copy.copy(follower.likeliest)
+    other.point, other.posterior = other.point.copy(), other.posterior.copy()
+    other.recent, other.log_weight = copy.deepcopy(other.recent), -2.0
+    other.point[follower.candidate.part("object_mass")] = 1.5
+    follower.hypotheses.append(other)
+    follower.take([next(follower.door.arrived())])
+    assert follower.likeliest is other and follower.probabilities().max() > 0.95
+
+
 def test_two_odd_hits_of_a_kind_among_others_are_no_change(day: Day, monkeypatch: pytest.MonkeyPatch) -> None:
     """Without the quarter that speaks for it most a change must still hold, also once it was fitted."""
     odd, quiet = rows_of({"restitution": [0.3]}, 1, seed=4), rows_of({}, 1, seed=5)
