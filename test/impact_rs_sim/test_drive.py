@@ -252,6 +252,22 @@ def test_until_a_delayed_command_arrives_the_drive_carries_its_load(arm):
     assert np.all(drive.velocity > 0.0)
 
 
+def test_commands_sent_before_the_start_arrive_after_it(arm):
+    """Two periods late, as without delay and two periods later. Kills: a clock that does not begin at 0."""
+    load, still = np.linspace(1.0, 5.0, 7), np.zeros(7)
+    sent = (load + 2.0, load + 1.0)
+    earlier = ((-np.inf, load), (-2.0 * PERIOD, sent[0]), (-PERIOD, sent[1]))
+    late, prompt = Drive(replace(arm, actuation_delay=2.0 * PERIOD), PERIOD), Drive(arm, PERIOD)
+    late.start(ArmState(still, still), DriveStart(load, still, earlier))
+    prompt.start(ArmState(still, still), DriveStart(load, still))
+    for torque in sent:
+        for drive, desired in ((late, load), (prompt, torque)):
+            drive.sense(still, still)
+            drive.step(desired)
+        np.testing.assert_allclose(late.velocity, prompt.velocity, rtol=1e-9)
+    assert np.all(prompt.velocity > 0.0)
+
+
 # ---- stability, found before anything is simulated ------------------------------------------------------------------
 
 NOMINAL = nominal_physics("cat_food")

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import replace
 
 import numpy as np
@@ -246,6 +247,19 @@ def test_blocks_flip_their_signs_and_the_null_is_uniform() -> None:
     jacobians = sensitivity(7, 24, 3)
     sources = (AnalyticSource(seed, design=(1,) * 24, repeated=False) for seed in range(NULLS))
     assert_uniform([p_of(SignFlipNull(source.clusters), jacobians) for source in sources])
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_p_of_blocks_is_the_share_of_all_patterns_of_signs(seed: int) -> None:
+    """All 4096 patterns by brute force; three parameters. Kills: scores summed over parameters, not over blocks."""
+    blocks = AnalyticSource(seed, design=(1,) * 12, repeated=False).clusters
+    jacobians = sensitivity(7, 12, 3)
+    scores = np.array([j.T @ item.mean for item, j in zip(blocks, jacobians, strict=True)])
+    inverse = np.linalg.inv(sum(j.T @ j for j in jacobians))
+    signs = np.array(list(itertools.product((1.0, -1.0), repeat=12)))
+    null = np.einsum("ni,ij,nj->n", signs @ scores, inverse, signs @ scores)
+    exact = np.mean(null >= null[0] - 1e-9)
+    assert p_of(SignFlipNull(blocks), jacobians) == pytest.approx(exact, abs=0.05)  # three errors of 999 drawn ones
 
 
 def test_covariance_of_repeats_is_that_of_a_weighted_mean() -> None:

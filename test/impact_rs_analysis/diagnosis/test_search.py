@@ -511,6 +511,15 @@ def test_an_effect_is_added_where_it_lowers_the_error_by_a_tenth(size: float, fo
     chosen_of(search, *found)
 
 
+@pytest.mark.parametrize(("p", "accepted"), [(0.0095, True), (0.0105, False)])
+def test_an_effect_is_added_where_it_is_significant(p: float, accepted: bool) -> None:
+    """It passes every other gate. Kills: p not asked."""
+    truth = (("straight", (30.0,)), ("bent", (0.4,)), ("outside", (5.0,)))
+    search = searched(AnalyticSource(1, truth), "straight", "bent")
+    found = search._next(search.fitted(("straight",)), ["bent"], {"bent": p})
+    assert (found is not None) == accepted
+
+
 def test_what_is_below_the_relevance_limits_is_not_added_where_only_noise_is_left() -> None:
     """Twenty repeats see 0.08 of the noise. Kills: relevance is not asked."""
     search = searched(AnalyticSource(1, (("straight", (0.08,)),), (20,) * 6))
