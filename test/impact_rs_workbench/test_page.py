@@ -43,42 +43,41 @@ CUT_OFF = """() => [...document.querySelectorAll('main label > select')].filter(
 
 
 @pytest.mark.parametrize("scheme", ["light", pytest.param("dark", marks=pytest.mark.slow)])
-@pytest.mark.parametrize("step", TABS)
-def test_a_step_fits_every_screen_and_is_accessible(
-    visit: Visit, full: Path, step: str, scheme: Literal["light", "dark"]
+@pytest.mark.parametrize(("step", "tab"), [(step, tab) for step, tabs in TABS.items() for tab in tabs])
+def test_a_tab_fits_every_screen_and_is_accessible(
+    visit: Visit, full: Path, step: str, tab: str, scheme: Literal["light", "dark"]
 ) -> None:
     """No list cuts off what is chosen in it, and the jobs stay in sight on a phone."""
     page = visit(step, color_scheme=scheme)
-    for tab in TABS[step]:
-        page.set_viewport_size(DESK)
-        go(page, step, tab)
-        expect(page.locator("main > section:visible h2").first).to_be_visible()
-        page.locator("main details.more:visible").evaluate_all("all => { for (const one of all) one.open = true; }")
-        accessible(page)
-        for width in (360, 820, 1280):
-            page.set_viewport_size({"width": width, "height": 800})
-            expect(page.locator("html")).to_have_js_property("scrollWidth", width)
-            page.wait_for_function(f"() => !({CUT_OFF})().length")
-            expect(page.locator("#jobs-toggle")).to_be_in_viewport()
+    page.set_viewport_size(DESK)
+    go(page, step, tab)
+    expect(page.locator("main > section:visible h2").first).to_be_visible()
+    page.locator("main details.more:visible").evaluate_all("all => { for (const one of all) one.open = true; }")
+    accessible(page)
+    for width in (360, 820, 1280):
+        page.set_viewport_size({"width": width, "height": 800})
+        expect(page.locator("html")).to_have_js_property("scrollWidth", width)
+        page.wait_for_function(f"() => !({CUT_OFF})().length")
+        expect(page.locator("#jobs-toggle")).to_be_in_viewport()
 
 
-def test_the_first_two_lines_say_what_a_step_or_tab_is_and_what_comes_next(visit: Visit) -> None:
+@pytest.mark.parametrize("step", TABS)
+def test_the_first_two_lines_say_what_a_step_or_tab_is_and_what_comes_next(visit: Visit, step: str) -> None:
     """Each in its own words; what comes next is another place of the page, and the address leads back."""
-    page, said = visit("compare"), []
+    page, said = visit(step), []
     lines = page.locator("main > section:visible .lead p")
-    for step, tabs in TABS.items():
-        for tab in tabs:
-            go(page, step, tab)
-            expect(lines).to_have_count(2)
-            said.append(lines.first.inner_text())
-            here, following = page.url, (lines.locator("a").get_attribute("href") or "").lstrip("#").split("/")
-            lines.locator("a").click()
-            expect(page.locator(f"[data-step={following[0]}]")).to_have_attribute("aria-current", "step")
-            for name in following[1:]:
-                expect(page.locator(f"main [data-part={name}]")).to_be_visible()
-            assert page.url != here
-            page.go_back()
-            expect(lines.first).to_have_text(said[-1])
+    for tab in TABS[step]:
+        go(page, step, tab)
+        expect(lines).to_have_count(2)
+        said.append(lines.first.inner_text())
+        here, following = page.url, (lines.locator("a").get_attribute("href") or "").lstrip("#").split("/")
+        lines.locator("a").click()
+        expect(page.locator(f"[data-step={following[0]}]")).to_have_attribute("aria-current", "step")
+        for name in following[1:]:
+            expect(page.locator(f"main [data-part={name}]")).to_be_visible()
+        assert page.url != here
+        page.go_back()
+        expect(lines.first).to_have_text(said[-1])
     assert all(said) and len(set(said)) == len(said)
 
 
