@@ -440,9 +440,9 @@ def serve(root: Path, program: str, nodes: Sources, port: int, browser: bool, sa
     Raises:
         InputError: Another workbench has this folder, or the folder cannot be made, or the port is taken.
     """
-    root.mkdir(parents=True, exist_ok=True)
-    with listening(port) as listener, owned(Folder(root / HIDDEN), "workbench"):
-        workbench = Workbench(root, program, nodes)
-
-        serve_locally(listener, lambda token, number: application(workbench, token, number), browser, say)
-        return workbench.stopped
+    with listening(port) as listener:
+        root.mkdir(parents=True, exist_ok=True)
+        with owned(Folder(root / HIDDEN), "workbench"):
+            workbench = Workbench(root, program, nodes)
+            serve_locally(listener, lambda token, number: application(workbench, token, number), browser, say)
+            return workbench.stopped

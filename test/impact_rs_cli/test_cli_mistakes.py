@@ -197,7 +197,7 @@ def test_a_mistake_is_one_line_with_key_value_and_remedy_and_leaves_nothing(
     said = refused(*(request.getfixturevalue(known[word]) if word in known else word for word in words))
     assert all(word in said for word in MISTAKES[line].split("|")), said
     left = {path.name for path in tmp_path.iterdir()}
-    assert left == set(there) or (line.startswith("workbench") and left == {"new"})
+    assert left == set(there)
 
 
 @pytest.mark.parametrize(
