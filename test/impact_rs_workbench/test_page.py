@@ -43,7 +43,14 @@ CUT_OFF = """() => [...document.querySelectorAll('main label > select')].filter(
 
 
 @pytest.mark.parametrize("scheme", ["light", pytest.param("dark", marks=pytest.mark.slow)])
-@pytest.mark.parametrize(("step", "tab"), [(step, tab) for step, tabs in TABS.items() for tab in tabs])
+@pytest.mark.parametrize(
+    ("step", "tab"),
+    [
+        pytest.param(step, tab, marks=[pytest.mark.slow] if number else [])  # of each step the first tab is fast
+        for step, tabs in TABS.items()
+        for number, tab in enumerate(tabs)
+    ],
+)
 def test_a_tab_fits_every_screen_and_is_accessible(
     visit: Visit, full: Path, step: str, tab: str, scheme: Literal["light", "dark"]
 ) -> None:

@@ -20,7 +20,7 @@ from pathlib import Path
 
 import pytest
 
-LIMIT = 3.0  # trials that a fast test may cost
+LIMIT = 4.0  # trials; a fast test is meant to cost three at most, and on a busy machine the ratio scatters by a quarter
 WORTH_SAYING = 0.5  # trials: what costs less is left out of the file
 TICKS = os.sysconf("SC_CLK_TCK")
 KEY = "cost"

@@ -92,7 +92,7 @@ def restarts(graph: Graph, monkeypatch: pytest.MonkeyPatch) -> list[list[str]]:
     ("victim", "kind"),
     [
         ("plant", "SIGKILL"),
-        ("recorder", "SIGSTOP"),
+        pytest.param("recorder", "SIGSTOP", marks=pytest.mark.slow),
         pytest.param("controller", "SIGKILL", marks=pytest.mark.slow),
         pytest.param("experiment", "SIGSTOP", marks=pytest.mark.slow),
     ],

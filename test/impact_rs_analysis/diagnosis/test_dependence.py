@@ -265,6 +265,7 @@ def two_sessions(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Diagno
     return path, diagnosed(path)
 
 
+@pytest.mark.slow
 def test_a_restitution_that_differs_between_sessions_is_found_and_nothing_else(
     two_sessions: tuple[Path, DiagnosisDocument],
 ) -> None:

@@ -285,6 +285,7 @@ def test_foreign_topics_and_empty_files_end_with_code_2(
             assert expected in error and len(error.splitlines()) == 1
 
 
+@pytest.mark.slow
 def test_a_real_robot_lacks_joint_friction_and_no_payload(real_bag: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["compare", str(real_bag), "--json"]) == 0
     compared = json.loads(capsys.readouterr().out)

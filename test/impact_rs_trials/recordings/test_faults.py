@@ -99,6 +99,7 @@ def test_clean_recordings_of_any_resolution_raise_no_alarm(seeds: range) -> None
     assert {seed: alarm for seed in seeds if (alarm := faults(clean(seed)))} == {}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("bench", ["bench_0", "bench_1", "bench_2"])
 def test_recordings_of_another_laboratory_raise_no_alarm(bench: str) -> None:
     """As recorded, and with encoders of 0.1 and 1 mrad."""

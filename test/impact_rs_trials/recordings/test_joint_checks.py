@@ -222,6 +222,7 @@ def test_the_remedy_puts_the_recording_right(tmp_path: Path) -> None:
     assert run.remarks == ()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("bench", ["bench_0", "bench_1", "bench_2"])
 def test_recordings_of_another_laboratory_raise_no_doubt(bench: str) -> None:
     runs, _ = read_laboratory(measured_data("lab", bench), Experiment(scenario="push"), map)
