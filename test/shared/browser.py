@@ -64,7 +64,7 @@ def opened(browser: Browser, address: str, *, webgl: bool = False, **options: ob
         context.add_init_script(NO_WEBGL)
     page, wrong, home = context.new_page(), list[str](), address.partition("/?")[0]
     page.set_default_timeout(PATIENCE)
-    page.on("pageerror", lambda error: wrong.append(str(error)))
+    page.on("pageerror", lambda error: wrong.append(str(error.stack)))
     page.on(
         "console",
         lambda said: None if said.type != "error" or said.text.startswith(EXPECTED) else wrong.append(said.text),
@@ -73,7 +73,7 @@ def opened(browser: Browser, address: str, *, webgl: bool = False, **options: ob
     page.goto(address)
     yield page
     context.close()
-    assert wrong == []
+    assert wrong == [], wrong
 
 
 def accessible(page: Page) -> None:
