@@ -213,7 +213,7 @@ def test_a_model_that_predicts_hardly_any_of_the_first_hits_is_refused(
         ("restitution", [0.2], 1.0, 5),
         ("pad_friction", [-0.4], -1.0, 8),  # shows only where the contact then slips
         pytest.param("object_mass", [0.75], -1.0, 5, marks=pytest.mark.slow),
-        pytest.param("end_effector_payload", [0.5, 0.0, 0.0, -0.04], 1.0, 5, marks=pytest.mark.slow),
+        pytest.param("end_effector_payload", [0.5, 0.0, 0.0, -0.04], 1.0, 8, marks=pytest.mark.slow),
     ],
 )
 @pytest.mark.parametrize("whole", [False, pytest.param(True, marks=pytest.mark.slow)], ids=["some", "library"])

@@ -29,6 +29,7 @@ DARK = ("analysis", "diagnosis", "trial")  # together they have every colour of 
     [
         *((kind, "light") for kind in (*REPORTS, *MEASURED) if kind not in VARIANTS),
         *(pytest.param(kind, "light", marks=pytest.mark.slow) for kind in VARIANTS),
+        ("limits", "dark"),  # kills: a figure with bars that is not drawn
         *(pytest.param(kind, "dark", marks=pytest.mark.slow) for kind in DARK),
     ],
 )
