@@ -100,7 +100,7 @@ def measured_free(free: Run) -> MeasuredRun:
     return MeasuredRun.of(free)
 
 
-@pytest.fixture(autouse=True, scope="package")
+@pytest.fixture(autouse=True, scope="module")  # a package without __init__ would be the whole session
 def few_draws() -> Iterator[None]:
     """999 draws in place of 4999: p values are as right, only coarser."""
     with pytest.MonkeyPatch.context() as patch:
