@@ -165,6 +165,7 @@ def test_bags_of_another_controller_are_described_compared_shown_and_searched_fo
     expect(page.locator("#recorded-shown h3").first).to_have_text("Run parcel_2")
     expect(page.locator("#recorded-replay .replay-time")).to_contain_text("the impact")
     go(page, "laboratory", "impacts")
+    page.locator("#impacts-directory").select_option("lab")
     run(page, "Find the impacts")
     expect(page.locator("[data-printed=impacts] pre")).to_contain_text("2 impacts of 2 runs")
 
