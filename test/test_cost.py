@@ -6,6 +6,7 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -37,6 +38,24 @@ def test_a_fast_test_above_the_limit_fails_the_run_and_a_slow_one_does_not(
     written = json.loads((tmp_path / "a.json").read_text())
     assert written["files"] == {"test_x.py": 34.0}
     assert cost.read_costs(tmp_path / "a.json") == written["files"]
+
+
+def test_a_trial_while_other_tests_run_is_the_measure_where_it_is_dearer(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, record_property: Callable[[str, object], None]
+) -> None:
+    """Kills: a gate that a machine fails which is idle at the end alone. Measures such a trial for this run."""
+    seconds = cost.seconds_of_a_trial()
+    assert seconds > 0.0
+    record_property(cost.TRIAL, seconds)
+    monkeypatch.setattr(cost, "seconds_of_a_trial", lambda: 1.0)
+    costs = cost.Costs(tmp_path / "costs.json")
+    properties = [(cost.TRIAL, 2.0), (cost.KEY, 7.9, False)]
+    costs.pytest_runtest_logreport(
+        SimpleNamespace(when="teardown", nodeid="test_x.py::one", user_properties=properties)
+    )
+    session = SimpleNamespace(exitstatus=0)
+    costs.pytest_sessionfinish(session)
+    assert session.exitstatus == 0 and costs.dear == {}
 
 
 def test_processor_time_of_children_counts_whether_they_run_or_have_ended() -> None:
