@@ -10,67 +10,24 @@ and, with six laboratories and two robots, a parameter that differs by robot. Es
 from __future__ import annotations
 
 import argparse
-import hashlib
 from collections import Counter
 
 import numpy as np
+from evidence_packages import package_of
 
 from benchmarks.harness import Case, Row, Work, draw_options, drawn, percent
 from benchmarks.results import Table
-from impact_rs_analysis.diagnosis.document import DiagnosisDocument
-from impact_rs_analysis.sharing.evidence_package import EvidencePackage, FileDigest
+from impact_rs_analysis.sharing.evidence_package import EvidencePackage
 from impact_rs_analysis.sharing.merged_evidence import MergedEvidence, merge_packages
-from impact_rs_sim.model import load_model
-from impact_rs_sim.numbers import NORMAL_95
 
 PARAMETERS = ("law_1", "law_2", "law_3", "law_4")
-MODEL = load_model("nominal")
 TRUTH = 1.0
 USUAL = 0.1  # standard error
 
 
 def package(laboratory: str, robot: str, values: list[float], errors: list[float]) -> EvidencePackage:
     """What one laboratory reports."""
-    effects = [
-        {
-            "name": name,
-            "verdict": "CONFIRMED",
-            "parameters": {
-                "size": {
-                    "estimate": value,
-                    "ci95": [value - NORMAL_95 * error, value + NORMAL_95 * error],
-                    "unit": "N m",
-                }
-            },
-            "held_out_error_before": 2.0,
-            "held_out_error_after": 1.0,
-            "p_value": 0.001,
-        }
-        for name, value, error in zip(PARAMETERS, values, errors, strict=True)
-    ]
-    diagnosis = DiagnosisDocument.model_validate(
-        {
-            "verdict": "+".join(PARAMETERS),
-            "named": PARAMETERS,
-            "effects": effects,
-            "confusable": (),
-            "model": {"name": MODEL.name, "digest": MODEL.digest},
-            "runs": {"digest": "", "trials": 9, "conditions": ("a",)},
-            "noise_floor": 1.0,
-            "held_out_error_before": 2.0,
-            "held_out_error_after": 1.0,
-        }
-    )
-    measurements = FileDigest(path="runs", size=1, sha256=hashlib.sha256(repr(values).encode()).hexdigest())
-    return EvidencePackage(
-        laboratory=laboratory,
-        robot=robot,
-        object="box",
-        versions={},
-        model=MODEL,
-        diagnosis=diagnosis,
-        data=(measurements,),
-    ).sealed()
+    return package_of(laboratory, dict(zip(PARAMETERS, zip(values, errors, strict=True), strict=True)), robot)
 
 
 def merged(

@@ -10,8 +10,7 @@ from typing import Any
 from impact_rs_analysis.diagnosis.document import DiagnosisDocument
 from impact_rs_analysis.sharing.evidence_package import EvidencePackage, FileDigest
 from impact_rs_sim.model import load_model
-
-NORMAL = 1.959964
+from impact_rs_sim.numbers import NORMAL_95
 
 
 def diagnosis_of(estimates: Mapping[str, tuple[float, float]], **changes: Any) -> DiagnosisDocument:
@@ -24,7 +23,7 @@ def diagnosis_of(estimates: Mapping[str, tuple[float, float]], **changes: Any) -
             "parameters": {
                 "size": {
                     "estimate": value,
-                    "ci95": [value - NORMAL * error, value + NORMAL * error],
+                    "ci95": [value - NORMAL_95 * error, value + NORMAL_95 * error],
                     "unit": "N m",
                 }
             },
