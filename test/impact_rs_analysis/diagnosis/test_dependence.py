@@ -17,7 +17,6 @@ from impact_table_cases import arm_table, write_csv
 from intervals import assert_covers
 
 from impact_rs_analysis.diagnosis import dependence
-from impact_rs_analysis.diagnosis.add import add_effects
 from impact_rs_analysis.diagnosis.dependence import Dependences, dependences_of
 from impact_rs_analysis.diagnosis.dependence_verdicts import correlation_of, covariate_documents, dependence_documents
 from impact_rs_analysis.diagnosis.diagnose import diagnose
@@ -29,7 +28,6 @@ from impact_rs_analysis.diagnosis.verdicts import Findings
 from impact_rs_analysis.evidence.impact_tables import ImpactTableSource
 from impact_rs_analysis.evidence.map_discrepancy import NO_MAP_DISCREPANCY
 from impact_rs_analysis.evidence.source import Covariate
-from impact_rs_sim.errors import InputError
 from impact_rs_sim.model import Model, ModelEffect, ParameterValue, load_model
 from impact_rs_sim.scenario import load_scenario
 from impact_rs_trials.recordings.impact_table import read_impact_table
@@ -260,9 +258,13 @@ def found(document: DiagnosisDocument) -> dict[tuple[str, str], DependenceDocume
 
 
 @pytest.fixture(scope="module")
-def two_sessions(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, DiagnosisDocument]:
-    path = made(tmp_path_factory.mktemp("sessions") / "balls.csv", rows=72)
-    return path, diagnosed(path)
+def table_of_two_sessions(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return made(tmp_path_factory.mktemp("sessions") / "balls.csv", rows=72)
+
+
+@pytest.fixture(scope="module")
+def two_sessions(table_of_two_sessions: Path) -> tuple[Path, DiagnosisDocument]:
+    return table_of_two_sessions, diagnosed(table_of_two_sessions)
 
 
 @pytest.mark.slow
@@ -283,17 +285,6 @@ def test_a_restitution_that_differs_between_sessions_is_found_and_nothing_else(
     tried = {(other.effect, other.covariate) for other in document.dependences}
     assert tried == {(effect, name) for effect in CONSIDERED for name in ("session", "temperature")}
     assert all(other.p_value is None or other.p_value > 0.01 for other in document.dependences if not other.found)
-
-
-def test_a_restitution_that_depends_on_a_session_is_not_added_as_one_value(
-    tmp_path: Path, two_sessions: tuple[Path, DiagnosisDocument]
-) -> None:
-    _, document = two_sessions
-    arguments = (NOMINAL, Path("nominal"), document, tmp_path / "diagnosis.json", ["restitution"], tmp_path / "m.yaml")
-    with pytest.raises(InputError, match="restitution depends on session, and a model has one value for all"):
-        add_effects(*arguments, False)
-    assert "depends on session, the mean was taken" in add_effects(*arguments, True).note
-    add_effects(*arguments[:4], ["support_friction"], tmp_path / "m.yaml", False)
 
 
 @pytest.mark.slow
@@ -317,17 +308,14 @@ def test_names_of_levels_order_of_rows_and_units_do_not_matter(
         )
 
 
-def test_an_effect_that_the_model_has_may_depend_on_a_session_beyond_that(
-    two_sessions: tuple[Path, DiagnosisDocument],
-) -> None:
+def test_an_effect_that_the_model_has_may_depend_on_a_session_beyond_that(table_of_two_sessions: Path) -> None:
     """With mean restitution and friction in the model nothing is missing on average, and no other effect is blamed."""
-    path, _ = two_sessions
     items = [("restitution", "restitution", 0.565), ("support_friction", "friction", -0.1)]
     effects = [
         ModelEffect(name=name, parameters={key: ParameterValue(estimate=value, unit="-")}) for name, key, value in items
     ]
     model = Model(name="pooled", effects=tuple(effects))
-    source = ImpactTableSource(read_impact_table(path, covariates=["session"]), model)
+    source = ImpactTableSource(read_impact_table(table_of_two_sessions, covariates=["session"]), model)
     document = diagnose(source, model)
     assert not document.named
     ((pair, one),) = found(document).items()

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from impact_rs_analysis.diagnosis.add import add_effects
-from impact_rs_analysis.diagnosis.document import DiagnosisDocument, read_document
+from impact_rs_analysis.diagnosis.document import DependenceDocument, DiagnosisDocument, read_document
 from impact_rs_analysis.diagnosis.history import versions
 from impact_rs_analysis.diagnosis.scoring import Score, score
 from impact_rs_sim.effects import library
@@ -108,6 +108,22 @@ def test_an_effect_the_diagnosis_advises_against(
     else:
         with pytest.raises(InputError, match=message):
             add(changed, diagnosed, tmp_path / "m.yaml", force=force)
+
+
+def test_an_effect_that_depends_on_a_covariate_is_added_as_its_mean_only_by_force(
+    document: DiagnosisDocument, diagnosed: Path, tmp_path: Path
+) -> None:
+    """Kills ``if depends and not force`` without either half."""
+    effect = document.effects[0]
+    one = DependenceDocument(
+        effect=effect.name, covariate="session", verdict="CONFIRMED", p_value=0.001, levels={"A": {}, "B": {}}
+    )
+    depending = document.model_copy(update={"dependences": (one,)})
+    with pytest.raises(InputError, match=f"{effect.name} depends on session, and a model has one value for all"):
+        add(depending, diagnosed, tmp_path / "m.yaml")
+    assert "depends on session, the mean was taken" in add(depending, diagnosed, tmp_path / "m.yaml", force=True).note
+    elsewhere = document.model_copy(update={"dependences": (one.model_copy(update={"effect": "another"}),)})
+    assert "depends" not in add(elsewhere, diagnosed, tmp_path / "m.yaml").note
 
 
 def test_a_parent_that_was_changed_since_is_refused(tmp_path: Path) -> None:
