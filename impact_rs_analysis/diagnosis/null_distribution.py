@@ -52,7 +52,7 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from impact_rs_analysis.diagnosis.thresholds import DRAWS, LEAST_FREEDOM, LEAST_OWN, UNMEASURED
+from impact_rs_analysis.diagnosis.thresholds import DRAWS, LEAST_FREEDOM, UNMEASURED
 from impact_rs_analysis.evidence.cluster import Cluster
 from impact_rs_sim.robot import Array
 
@@ -61,6 +61,7 @@ TINY = 1e-12  # keeps a zero covariance invertible
 MANY_DRAWS = 49999  # of signs, where hardly one of fewer lies beyond an observation
 FEW_BEYOND, TAIL = 10, 250  # draws beyond an observation, below which its p-value comes from those of the tail
 LIGHTEST = 1e-3  # shape of the tail: about exponential
+SPANNED = 0.999  # of the square of all patterns of discrepancy; what is beyond is rounding
 PRIOR_FREEDOM = 3  # of the mean variance of a signal; with as many contrasts of its own, a feature counts the same
 
 
@@ -169,12 +170,6 @@ def _explained(scores: Array, information: Array) -> Array:
     return np.asarray(np.einsum("bp,bp->b", scores, np.linalg.solve(information, scores[..., None])[..., 0]))
 
 
-def _discrepancy(item: Cluster) -> Array:
-    """Covariance of the discrepancy: partly along measured patterns, partly feature by feature, ``(F, F)`` [-]."""
-    patterns = item.moved_together
-    return (1.0 - UNMEASURED) * patterns.T @ patterns + UNMEASURED * np.diag(np.square(item.discrepancy))
-
-
 def alike(item: Cluster) -> str:
     """Key of the discrepancy: clusters with the same key share its amplitudes."""
     return item.layout if item.alike is None else item.alike
@@ -227,15 +222,6 @@ def smallest(observed: Array, null: Array) -> float:
     return float(np.count_nonzero(least <= least[0]) / least.size)
 
 
-def _even(both: Array) -> Array:
-    """Scaling that whitens noise plus discrepancy, ``both`` ``(F, F)``, as ``(F, F)``.
-
-    Discrepancy changes many features at once. Where it is as large as the noise, it would dominate a plain sum of
-    squares.
-    """
-    return np.asarray(np.linalg.inv(np.linalg.cholesky(both)).T)
-
-
 def _members(item: Cluster, groups: Sequence[tuple[str, str]]) -> NDArray[np.bool_]:
     """Membership of features in groups, of which the last holds all, ``(G + 1, F)``."""
     own = [[feature.group[:2] == group for feature in item.features] for group in groups]
@@ -262,6 +248,8 @@ class _Rows:
         means: Number of means.
         freedom: Number of contrasts.
         lenders: Layouts whose contrasts give the mean variance of a signal: its own, or all where it has few.
+        apart: Variance of what is no scatter (relevance limit and discrepancy), ``(F,)`` in squares of ``unit``.
+        spanned: Directions of the patterns that were taken out, to project on and back, ``(k, F)`` each; None: none.
     """
 
     def __init__(self, numbers: list[int], clusters: Sequence[Cluster], means: Sequence[Array]) -> None:
@@ -276,15 +264,62 @@ class _Rows:
         self.rows = np.array(firsts + contrasts)
         self.means, self.freedom = len(firsts), len(contrasts)
         self.lenders: Sequence[_Rows] = (self,)
+        apart = [np.square(item.sigma / self.unit) * (1.0 - np.square(item.pure)) for item in self.items]
+        self.apart = np.maximum(np.mean(apart, axis=0), 0.0)
+        self.spanned: tuple[Array, Array] | None = None
 
     def rotated(self, seed: int, draws: slice = slice(None)) -> Iterator[Array]:
         """Every mean row, as measured and in all or some rotations, ``(1 + B, F)`` each."""
         frames = _frames(len(self.rows), self.means, seed)[draws]
         return (frames[:, number] @ self.rows for number in range(self.means))
 
-    def squares(self, seed: int, draws: slice = slice(None)) -> Array:
-        """Sum of squares of the mean rows, as :meth:`rotated`, ``(1 + B, F)``."""
-        return reduce(np.add, map(np.square, self.rotated(seed, draws)))
+    def squares(self, seed: int, draws: slice = slice(None), added: Sequence[Array] | None = None) -> Array:
+        """Sum of squares of the mean rows, as :meth:`rotated`, ``(1 + B, F)``; plus what is ``added`` to each."""
+        rows = self.rotated(seed, draws)
+        return reduce(np.add, map(np.square, rows if added is None else map(np.add, rows, added)))
+
+    def beside_patterns(self) -> _Rows:
+        """The rows in the space that no pattern of discrepancy reaches: rotations of them are as likely as before.
+
+        Features are scaled by their relevance limits and discrepancies, which no repeat has set. A pattern of a single
+        feature is no direction in which simulators are known to differ, and stays: see :meth:`unmeasured`.
+        """
+        patterns = np.vstack([item.moved_together * (item.sigma / self.unit) for item in self.items])
+        patterns = patterns[np.count_nonzero(patterns, axis=1) > 1]
+        if not len(patterns):
+            return self
+        scale = np.sqrt(np.where(self.apart > 0.0, self.apart, 1.0))
+        _, sizes, directions = np.linalg.svd(patterns / scale, full_matrices=False)
+        known = directions[: 1 + int(np.searchsorted(np.cumsum(np.square(sizes)), SPANNED * np.sum(np.square(sizes))))]
+        found = copy.copy(self)
+        found.spanned = known / scale, known * scale
+        found.rows = found.beside(self.rows)
+        share = np.mean([np.square(item.discrepancy * item.sigma / self.unit) for item in self.items], axis=0)
+        found.apart = np.maximum(self.apart - (1.0 - UNMEASURED) * share * np.any(patterns, axis=0), 0.0)
+        return found
+
+    def beside(self, rows: Array) -> Array:
+        """Rows ``(n, F)`` without their part along the patterns of discrepancy."""
+        return rows if self.spanned is None else np.asarray(rows - (rows @ self.spanned[0].T) @ self.spanned[1])
+
+    def unmeasured(self, seed: int, draws: int) -> Sequence[Array] | None:
+        """Draws of the discrepancy along no measured pattern, by mean row, none for the measurement, ``(1 + B, F)``.
+
+        None where no discrepancy is known. Clusters that are alike share what is drawn.
+        """
+        if not any(np.any(item.discrepancy) for item in self.items):
+            return None
+        rng, drawn, found = np.random.default_rng([4, seed]), {}, []
+        for item in self.items:
+            own = item.moved_together
+            single = np.count_nonzero(own, axis=1) <= 1
+            shares = UNMEASURED * np.square(own[~single]).sum(axis=0) + np.square(own[single]).sum(axis=0)
+            size = np.sqrt(shares) * item.sigma / self.unit
+            if alike(item) not in drawn:
+                amplitudes = self.beside(rng.standard_normal((draws, size.size)) * size)
+                drawn[alike(item)] = np.vstack((np.zeros(size.size), amplitudes))
+            found.append(np.sqrt(item.count) * drawn[alike(item)])
+        return found
 
     @cached_property
     def noise(self) -> Array:
@@ -342,10 +377,9 @@ def _weights_of(layouts: Sequence[_Rows], squares: Sequence[Array]) -> Iterator[
     """W of the module by layout in every rotation, from the sums of squares of the mean rows, ``(1 + B, F)`` each."""
     left = {id(own): own.left(each) for own, each in zip(layouts, squares, strict=True)}
     for own in layouts:
-        apart = [np.square(item.sigma / own.unit) * (1.0 - np.square(item.pure)) for item in own.items]
         shared = _shared(own, own.lenders, [left[id(lender)] for lender in own.lenders])
         variance = (PRIOR_FREEDOM * shared + left[id(own)]) / (PRIOR_FREEDOM + own.freedom)
-        yield np.asarray(1.0 / (variance + np.maximum(np.mean(apart, axis=0), 0.0) + TINY))
+        yield np.asarray(1.0 / (variance + own.apart + TINY))
 
 
 def _contrasts(count: int) -> Array:
@@ -466,12 +500,12 @@ class RotationNull(NullDistribution):
         return np.asarray(weights / np.sqrt(rng.chisquare(count, draws))[:, None, None])
 
     def lack_of_fit(self, rest: Sequence[Array]) -> float | None:
-        """See :meth:`NullDistribution.lack_of_fit`; as :meth:`p_value`, with every feature a parameter of its own.
+        """See :meth:`NullDistribution.lack_of_fit`; the squares of what is left beside the patterns of discrepancy.
 
         A test of all features at once has little power against a misfit of one signal. So every signal is tested by
-        itself as well as all together, and the smallest p-value is compared with the smallest in every draw of the same
-        noise (Westfall and Young 1993, *Resampling-based multiple testing*). The level holds for any number of signals
-        and any correlation between them.
+        itself as well as all together, and the smallest p-value is compared with the smallest in every rotation
+        (Westfall and Young 1993, *Resampling-based multiple testing*). The level holds for any number of signals and
+        any correlation between them.
         """
         if self.shortage is not None:
             return None
@@ -479,80 +513,22 @@ class RotationNull(NullDistribution):
         return p if p > CLEAR else self._lack_of_fit(rest, DRAWS)
 
     def _lack_of_fit(self, rest: Sequence[Array], draws: int) -> float:
-        """:meth:`lack_of_fit` from a number of draws."""
-        layouts = self._rows(rest)
-        every = [own.squares(seed, slice(1 + draws)) for seed, own in enumerate(layouts)]
-        squares = np.zeros((1 + draws, len(self._groups) + 1))
-        for own, each, weights in zip(layouts, every, _weights_of(layouts, every), strict=True):
-            squares += (each * weights) @ _members(own.items[0], self._groups).T
-        p = smallest(squares[0], squares[1:])
-        return max(p, smallest(self._by_themselves(rest), self._by_chance(draws))) if self.discrepant else p
-
-    def _by_themselves(self, rest: Sequence[Array]) -> Array:
-        """Squares of scaled mean rows, by group, ``(G,)``."""
-        squares = np.zeros(len(self._groups) + 1)
-        for layout, members, scales in self._scaled:
-            means = np.array([np.sqrt(self.clusters[number].count) * rest[number] for number in layout.numbers])
-            squares += [float(np.sum(np.square(means[:, m] @ scale))) for m, scale in zip(members, scales, strict=True)]
-        return squares
+        """:meth:`lack_of_fit` from a number of rotations."""
+        layouts = [own.beside_patterns() for own in self._rows(rest)]
+        for own in layouts:
+            own.lenders = layouts if own.freedom < LEAST_FREEDOM else (own,)
+        chosen = slice(1 + draws)
+        every = [own.squares(seed, chosen) for seed, own in enumerate(layouts)]
+        total = np.zeros((1 + draws, len(self._groups) + 1))
+        for seed, (own, weights) in enumerate(zip(layouts, _weights_of(layouts, every), strict=True)):
+            seen = own.squares(seed, chosen, own.unmeasured(seed, draws))
+            total += (seen * weights) @ _members(own.items[0], self._groups).T
+        return smallest(total[0], total[1:])
 
     @cached_property
     def _groups(self) -> list[tuple[str, str]]:
         """Signals by phase, of all features."""
         return list(dict.fromkeys(feature.group[:2] for item in self.clusters for feature in item.features))
-
-    @cached_property
-    def _scaled(self) -> list[tuple[_Rows, NDArray[np.bool_], list[Array]]]:
-        """Per layout: membership of features in groups, and the scaling of each group."""
-        result = []
-        for layout in self._layouts:
-            members = _members(layout.items[0], self._groups)
-            both = self._noise_and_discrepancy(layout)
-            result.append((layout, members, [_even(both[np.ix_(own, own)]) for own in members]))
-        return result
-
-    def _by_chance(self, draws: int) -> Array:
-        """Squares of scaled mean rows under noise and discrepancy, for any residuals, by group, ``(B, G)``."""
-        if draws not in self._drawn:
-            rng = np.random.default_rng(2)
-            self._drawn[draws] = np.asarray(sum(self._rest_by_chance(rng, draws, *scaled) for scaled in self._scaled))
-        return self._drawn[draws]
-
-    @cached_property
-    def _drawn(self) -> dict[int, Array]:
-        """Results of :meth:`_by_chance`."""
-        return {}
-
-    def _rest_by_chance(
-        self, rng: np.random.Generator, draws: int, layout: _Rows, members: NDArray[np.bool_], scales: Sequence[Array]
-    ) -> Array:
-        """Squares of scaled mean rows under noise and discrepancy, by group of features, ``(B, G)``."""
-        squares = np.zeros((draws, len(members)))
-        noise = self._noise(rng, layout, draws) if len(layout.noise) else np.zeros((draws, layout.means, 0))
-        off: dict[str, tuple[Array, Array]] = {}
-        for item in layout.items:
-            if alike(item) not in off:
-                root = np.linalg.cholesky(_discrepancy(item) + TINY * np.eye(len(item.features)))
-                off[alike(item)] = rng.standard_normal((draws, len(root))), np.asarray(root)
-        for group, (own, scale) in enumerate(zip(members, scales, strict=True)):
-            if not scale.size:
-                continue
-            turned = layout.noise[:, own] @ scale
-            moved = {name: drawn @ (root[own].T @ scale) for name, (drawn, root) in off.items()}
-            for place, item in enumerate(layout.items):
-                seen = noise[:, place] @ turned + np.sqrt(item.count) * moved[alike(item)]
-                squares[:, group] += np.einsum("bf,bf->b", seen, seen)
-        return squares
-
-    @staticmethod
-    def _noise_and_discrepancy(layout: _Rows) -> Array:
-        """Covariance of a mean row of a layout with independent noise, ``(F, F)`` [-]."""
-        items = layout.items
-        alone = [np.maximum(1.0 - np.square(item.discrepancy), LEAST_OWN) for item in items]
-        return np.asarray(
-            sum(np.diag(own) + item.count * _discrepancy(item) for own, item in zip(alone, items, strict=True))
-            / len(items)
-        )
 
     def covariance(self, jacobians: Sequence[Array], rest: Sequence[Array], inverse: Array) -> Array:
         """See :meth:`NullDistribution.covariance`; trials are independent of each other, their features are not."""
