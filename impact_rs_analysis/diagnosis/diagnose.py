@@ -389,8 +389,8 @@ def _hold_out(found: HoldOut | None, source: Source) -> HoldOutDocument:
         turn = f"that take one of every {count} neighbours"
         what = f"{len(source.clusters)} {source.pieces} in {count} folds {turn if source.interleaved else neighbours}"
     how = "the whole search is repeated without the held-out data"
-    if found.only_fitted:
-        how += f", in {found.only_fitted} folds the fit alone, for too few conditions are left to choose from"
+    if fitted := count - sum(found.searched):
+        how += f", in {fitted} folds the fit alone, for too few conditions or repeats are left to choose from"
     return HoldOutDocument(what=f"{what}; {how}", folds=count)
 
 

@@ -6,7 +6,8 @@ whole search (:mod:`impact_rs_analysis.diagnosis.search`) runs on the other clus
 found predicts the fold. A fit of a fold begins where the fit of the same effects to all clusters ended, which costs few
 simulations; it ends where the other clusters alone lead it. Fits of impacts begin afresh: they are cheap, and secants
 from elsewhere mislead where contacts slip. A search needs two clusters that see an effect, to predict one from the
-other; where fewer are left, the fold fits the effects that the search of all clusters found. Conditions are held out
+other, and as many repeats as any verdict; where fewer are left, the fold fits the effects that the search of all
+clusters found, and says nothing about the choice. Conditions are held out
 with all their repeats. Of several recordings whole recordings are held out; of a single one runs of neighbouring
 stretches, without the neighbours on either side. Where effects depend on covariates (``Source.interleaved``) one
 of every six neighbours is held out instead: a session of neighbouring rows would be held out as a whole, and no session
@@ -55,15 +56,24 @@ class HoldOut:
         folds: The folds.
         errors: Mean square scaled error by cluster, ``(c,)`` [-].
         rest: Mean residuals after prediction, ``(F,)`` per cluster [-].
-        chosen: Names of the effects found by the search of every fold.
-        only_fitted: Number of folds with too few clusters for a search.
+        chosen: Names of the effects with which every fold is predicted.
+        searched: Whether a search of the fold has found them; else they were fitted alone, as too few clusters or
+            repeats are left for a search.
+        failed: Numbers of the clusters in which the effects of the fold cannot be simulated, as of a hit that they
+            predict to miss; their ``rest`` is that of the model.
     """
 
     folds: tuple[Fold, ...]
     errors: Array
     rest: tuple[Array, ...]
     chosen: tuple[tuple[str, ...], ...]
-    only_fitted: int = 0
+    searched: tuple[bool, ...]
+    failed: tuple[int, ...] = ()
+
+    @property
+    def found(self) -> tuple[tuple[str, ...], ...]:
+        """Names of the effects that every search of a fold has found."""
+        return tuple(names for names, own in zip(self.chosen, self.searched, strict=True) if own)
 
 
 def folds_of(source: Source) -> list[Fold]:
@@ -124,22 +134,25 @@ def hold_out(
     folds = folds_of(source)
     if not folds:
         return None
-    rest: dict[int, Array] = {}
-    names, only_fitted, short = [], 0, 0
-    few = [_seen_by(chosen, fold.training) < LEAST_TO_CHOOSE for fold in folds]
-    tasks = list(zip(folds, few, strict=True))
+    rest: dict[int, Array | None] = {}
+    names, short = [], 0
+    searched = [
+        _seen_by(chosen, fold.training) >= LEAST_TO_CHOOSE and Evidence.of(source, fold.training).null.shortage is None
+        for fold in folds
+    ]
+    tasks = list(zip(folds, searched, strict=True))
     limit = budget.remaining / len(folds)
     results = source.spread(partial(_predicted, effects, chosen, dict(known), limit, budget.clock), tasks, "hold-out")
-    for (fold, alone), (found, left, left_out) in zip(tasks, results, strict=True):
+    for fold, (found, left, left_out) in zip(folds, results, strict=True):
         names.append(found)
         short += bool(left_out)
-        only_fitted += alone
         rest.update(zip(fold.held, left, strict=True))
-    ordered = tuple(rest[number] for number in range(len(source.clusters)))
+    failed = tuple(sorted(number for number, own in rest.items() if own is None))
+    ordered = tuple(item.mean if (own := rest[n]) is None else own for n, item in enumerate(source.clusters))
     errors = np.array([float(np.mean(np.square(values))) for values in ordered])
     if short:
         budget.add(f"all of the search in {short} of {len(folds)} folds of the hold-out")
-    return HoldOut(tuple(folds), errors, ordered, tuple(names), only_fitted)
+    return HoldOut(tuple(folds), errors, ordered, tuple(names), tuple(searched), failed)
 
 
 def _seen_by(chosen: Candidate, clusters: Sequence[int]) -> int:
@@ -155,20 +168,19 @@ def _predicted(
     clock: Clock,
     source: Source,
     task: tuple[Fold, bool],
-) -> tuple[tuple[str, ...], list[Array], tuple[str, ...]]:
-    """Effects that the search finds without a fold, mean residuals of the fold with them, and what was not tried."""
-    fold, only_fit = task
+) -> tuple[tuple[str, ...], list[Array | None], tuple[str, ...]]:
+    """Effects found without a fold, mean residuals of its clusters (None: not simulated), and what was not tried."""
+    fold, searched = task
     budget = Budget(limit, clock)
     evidence = Evidence.of(source, fold.training, budget)
     search = Search(effects, evidence, known=known, earlier=chosen.split(chosen.point))
-    found = search.fitted(chosen.names) if only_fit else search.choose()
-    if found is not None and not only_fit:
+    found = search.choose() if searched else search.fitted(chosen.names)
+    if found is not None and searched:
         found, _ = search.exchanged(found)
     added = () if found is None else found.candidate.split(found.estimate)
-    rest = []
+    rest: list[Array | None] = []
     for item in (source.clusters[number] for number in fold.held):
         # Repeats differ in where a body slips: each is predicted from its own start.
         predicted = source.measure_again(added, [item])
-        # Effects that cannot be simulated in the fold predict nothing.
-        rest.append(item.mean if predicted is None else predicted[0].mean)
+        rest.append(None if predicted is None else predicted[0].mean)
     return () if found is None else found.candidate.names, rest, tuple(budget.left_out)

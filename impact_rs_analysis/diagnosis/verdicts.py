@@ -112,8 +112,8 @@ class Findings:
         """Effects that predict as well in place of a chosen one."""
         tied = [rival.name for rival in self.rivals if rival.instead_of == name and rival.tied]
         if self.hold_out is not None:
-            without = [names for names in self.hold_out.chosen if name not in names]
-            if len(without) > len(self.hold_out.chosen) / 2.0:
+            without = [names for names in self.hold_out.found if name not in names]
+            if len(without) > len(self.hold_out.found) / 2.0:
                 tied += [other for names in without for other in names if other not in self.names]
         return tuple(dict.fromkeys(tied))
 
@@ -234,17 +234,23 @@ def without_the_doubtful(search: Search, chosen: Fit) -> Fit | None:
 def supported_by_hold_out(search: Search, chosen: Fit, held: HoldOut) -> Fit | None:
     """The chosen effects that the nested hold-out supports; None if it supports none.
 
-    Searches that have not seen a fold must predict it better than the model does: the 95 % interval of the change of
-    the error excludes 0. Of the effects, those remain that most of these searches find or put another one in place of.
-    What is too small to matter hardly changes a prediction: it needs one such search, or residuals beyond noise.
+    Searches that have not seen a fold must predict it better than the model does. Where the noise is known from
+    repeats, the p-value of the effects has said what chance does, and the sign of the change decides: its interval would
+    ask for twice the effect, as the squared error falls by 2 r d - d^2 with the mean d^2 and the deviation 2 d. Without
+    repeats no p-value is sure, and the 95 % interval has to exclude 0. What cannot be simulated in a fold is not
+    supported. Without repeats those effects remain that most searches of folds find or put another one in place of, and
+    what is too small to matter needs no support, for it hardly changes a prediction.
     """
-    if not any(matters(chosen, name) for name in chosen.candidate.names):
-        return chosen if any(held.chosen) or search.lacking else None
-    change = change_interval([item.mean for item in search.evidence.clusters], held.rest, search.evidence)
-    if change is None or change[1] >= 0.0:
+    if held.failed:
         return None
-    for name in chosen.candidate.names:
-        if 2 * sum(_found_or_replaced(name, names, chosen) for names in held.chosen) > len(held.chosen):
+    repeated = search.evidence.source.repeated
+    if not repeated and not any(matters(chosen, name) for name in chosen.candidate.names):
+        return chosen
+    change = change_interval([item.mean for item in search.evidence.clusters], held.rest, search.evidence)
+    if not (lowers(search, held) if repeated else change is not None and change[1] < 0.0):
+        return None
+    for name in () if repeated else chosen.candidate.names:
+        if not held.found or 2 * sum(_found_or_replaced(name, f, chosen) for f in held.found) > len(held.found):
             continue
         others = search.without(chosen, name) if len(chosen.candidate.names) > 1 else None
         return None if others is None else supported_by_hold_out(search, others, held)
@@ -259,11 +265,13 @@ def _found_or_replaced(name: str, found: Sequence[str], chosen: Fit) -> bool:
 def unsupported_words(search: Search, suspected: Sequence[str], held: HoldOut) -> str:
     """Why effects that explain all data are not named."""
     before, after = _held_out_sizes(search, held)
-    found = sum(any(name in names for name in suspected) for names in held.chosen)
+    found = sum(any(name in names for name in suspected) for names in held.found)
+    if held.failed:
+        return f"not named, because {' and '.join(suspected)} cannot be simulated in a condition that was held out"
     lower, it = ("lowers", "it") if len(suspected) == 1 else ("lower", "them")
     return (
         f"not named, because the hold-out does not support it: {' and '.join(suspected)} {lower} the error in all "
-        f"data, but searches without the data that they predict find {it} in {found} of {len(held.chosen)} "
+        f"data, but searches without the data that they predict find {it} in {found} of {len(held.found)} "
         f"folds, and the held-out error goes from {before:.3g} to {after:.3g}"
     )
 
@@ -486,7 +494,7 @@ def _chosen_document(found: Findings, effect: Effect) -> EffectDocument:
         if not any(parameters[key].excludes_nominal for key in parameters.keys() - shapes):
             verdict, reason = UNIDENTIFIABLE, NO_SIZE
     before = residual_size(evidence, [item.mean for item in evidence.clusters])
-    folds = None if found.hold_out is None else sum(name in names for names in found.hold_out.chosen)
+    folds = None if found.hold_out is None else sum(name in names for names in found.hold_out.found)
     return EffectDocument(
         name=name,
         sentence=effect.sentence,

@@ -16,6 +16,7 @@ from impact_rs_analysis.diagnosis.candidate import Candidate, linearise
 from impact_rs_analysis.diagnosis.fit import Evidence
 from impact_rs_analysis.diagnosis.hold_out import HoldOut, folds_of, hold_out
 from impact_rs_analysis.diagnosis.search import Search
+from impact_rs_analysis.evidence.cluster import Added, Cluster
 from impact_rs_analysis.evidence.measured_runs import read_runs
 from impact_rs_analysis.evidence.replay_cache import ReplayCache
 from impact_rs_analysis.evidence.replays import ReplaySource
@@ -123,8 +124,32 @@ def test_with_one_hit_left_a_fold_fits_what_all_data_have_chosen() -> None:
     """Two hits and a free motion: nothing can be chosen from a single hit, but it predicts the other one."""
     source = AnalyticSource(3, (("bent", (5.0,)),), design=(3, 3, 3), free=(2,))
     found = held_out(source, [EFFECTS["bent"]])
-    assert found.only_fitted == 2 and found.chosen[:2] == (("bent",), ("bent",))
+    assert found.searched == (False, False, True) and found.chosen[:2] == (("bent",), ("bent",))
     assert np.all(found.errors[:2] < 0.1 * np.array([item.error for item in source.clusters[:2]]))
+
+
+def test_a_fold_with_too_few_repeats_to_choose_fits_what_all_data_have_chosen() -> None:
+    """Kills: a search of a fold in which no p-value can be small, which takes any effect that noise likes."""
+    for design, searched in (((2, 2, 2), False), ((2, 2, 2, 2), True)):
+        found = held_out(AnalyticSource(3, (("straight", (3.0,)),), design=design), [EFFECTS["straight"]])
+        assert found.searched == (searched,) * len(design) and found.chosen == (("straight",),) * len(design)
+        assert found.found == (found.chosen if searched else ())
+
+
+def test_a_condition_in_which_the_effects_cannot_be_simulated_is_one_that_they_fail(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Kills: such a condition counts as predicted."""
+    source = AnalyticSource(3, (("straight", (3.0,)),))
+    again = source.measure_again
+
+    def missed(added: Added, like: Sequence[Cluster]) -> list[Cluster] | None:
+        return None if added and [item.name for item in like] == ["2"] else again(added, like)
+
+    monkeypatch.setattr(source, "measure_again", missed)
+    found = held_out(source, [EFFECTS["straight"]])
+    assert found.failed == (2,)
+    assert found.rest[2] == pytest.approx(source.clusters[2].mean)
 
 
 def test_fitting_noise_does_not_lower_the_error_on_unseen_clusters() -> None:
