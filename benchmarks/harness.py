@@ -179,7 +179,7 @@ def drawn(draw: Callable[..., Any], case: Any, options: argparse.Namespace, map_
 def draw_options(parser: argparse.ArgumentParser, draws: int) -> None:
     """Options of what is drawn."""
     parser.add_argument("--draws", type=int, default=draws, help="draws of every case")
-    parser.add_argument("--first", type=int, default=0, help="seed of the first one")
+    parser.add_argument("--first", "--first-seed", dest="first", type=int, default=0, help="seed of the first one")
 
 
 def in_turns(calls: Mapping[str, Callable[[], object]], turns: int) -> dict[str, list[float]]:

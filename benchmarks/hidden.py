@@ -7,7 +7,7 @@ import argparse
 import statistics
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 from benchmarks.harness import Row, share
@@ -26,6 +26,7 @@ from impact_rs_trials.recordings.experiment import load_experiment
 from impact_rs_trials.workers import Map
 
 VISIBLE = 2.0  # times the noise; what is below was hidden in vain
+BINS = ((0.0, 0.5), (0.5, 0.75), (0.75, 0.9), (0.9, 1.0))  # of probabilities that a diagnosis states
 
 
 @dataclass(frozen=True)
@@ -57,8 +58,16 @@ def entries(wanted: Sequence[tuple[str, str | None, float | None]], first_seed: 
 
 
 def plant_option(parser: argparse.ArgumentParser, *plants: str) -> None:
-    """The option that says what hides an effect."""
+    """Options that say what hides an effect, and from which seeds."""
     parser.add_argument("--on", choices=plants, default=plants[0], help="what hides the effect, and records it")
+    parser.add_argument(
+        "--first-seed", type=int, default=0, metavar="N", help="added to all seeds: other campaigns of the same kinds"
+    )
+
+
+def reseeded(found: Sequence[Entry], options: argparse.Namespace) -> list[Entry]:
+    """Campaigns with the seeds that the options ask for."""
+    return [replace(entry, seed=entry.seed + options.first_seed) for entry in found]
 
 
 def recorder(plant: str) -> Callable[[BlindTask], str]:
@@ -96,12 +105,14 @@ def judged(truth: Path, document: DiagnosisDocument) -> Row:
     """A diagnosis against the truth of a campaign.
 
     ``correct`` is lenient: a hidden effect may be in a tie, others may stand beside it. ``exact`` is strict: those are
-    named that were hidden, no more and no fewer.
+    named that were hidden, no more and no fewer, and where none of the library was, the verdict is right as well.
     """
     scored = held_against_truth(truth, document)
     before, after, noise = document.held_out_error_before, document.held_out_error_after, document.noise_floor
+    hidden = set() if scored.kind == "outside" else set(scored.truth)
     return asdict(scored) | {
-        "exact": set(document.named) == (set() if scored.kind == "outside" else set(scored.truth)),
+        "exact": scored.correct and set(document.named) == hidden,
+        "probabilities": [(value, name in hidden) for name, value in stated_probabilities(document).items()],
         "verdict": document.verdict,
         "trials": document.runs.trials,
         "before": before,
@@ -109,6 +120,27 @@ def judged(truth: Path, document: DiagnosisDocument) -> Row:
         "removed": (before**2 - after**2) / max(before**2 - noise**2, 1e-9),
         "said": f"{'right' if scored.correct else 'NOT RIGHT'}, {document.verdict}",
     }
+
+
+def stated_probabilities(document: DiagnosisDocument) -> dict[str, float]:
+    """Probability of each named effect, where the diagnosis states one."""
+    found = {effect.name: getattr(effect, "probability", None) for effect in document.effects}
+    return {name: float(found[name]) for name in document.named if found.get(name) is not None}
+
+
+def by_probability(stated: Sequence[tuple[float, bool]]) -> list[tuple[str, list[bool]]]:
+    """Named effects by their probability: the bin in words, and of each effect in it whether it was hidden.
+
+    Args:
+        stated: Of every named effect its probability, and whether it was hidden; empty: there are no bins.
+    """
+    return [
+        (
+            f"effects named with {100.0 * low:.0f} to {100.0 * high:.0f} %: hidden",
+            [right for value, right in stated if low <= value < high or value == high == 1.0],
+        )
+        for low, high in (BINS if stated else ())
+    ]
 
 
 def timed_diagnosis(document: Path, truth: Path, read: Callable[[], Runs], map_tasks: Map) -> Row:
@@ -130,21 +162,27 @@ def table_of_diagnoses(rows: Sequence[Row], heading: str) -> Table:
     seen, pairs = [row for row in of["single"] if is_visible(row)], [row for row in of["pair"] if is_visible(row)]
     lines = [
         ("campaigns that ended right", share(row["correct"] for row in rows)),
+        ("campaigns that ended right: exactly what is hidden named", share(row["exact"] for row in rows)),
         ("single effects above twice the noise: named, or in a tie", share(row["correct"] for row in seen)),
         ("single effects above twice the noise: by their own name", share(row["by_own_name"] for row in seen)),
         ("single effects above twice the noise: exactly that named", share(row["exact"] for row in seen)),
     ]
     for size in sorted({row["magnitude"] for row in of["single"] if "magnitude" in row}):
         some = [row for row in of["single"] if row["magnitude"] == size]
-        lines.append((f"single effects at {size:g} × scale: named, or in a tie", share(row["correct"] for row in some)))
+        lines += [
+            (f"single effects at {size:g} × scale: named, or in a tie", share(row["correct"] for row in some)),
+            (f"single effects at {size:g} × scale: exactly that named", share(row["exact"] for row in some)),
+        ]
     lines += [
         ("single effects, all: named, or in a tie", share(row["correct"] for row in of["single"])),
         ("single effects, all: exactly that named", share(row["exact"] for row in of["single"])),
         ("pairs, both above twice the noise: both named", share(row["correct"] for row in pairs)),
+        ("pairs, both above twice the noise: exactly both named", share(row["exact"] for row in pairs)),
         ("pairs, all: both named", share(row["correct"] for row in of["pair"])),
         ("pairs, all: exactly both named", share(row["exact"] for row in of["pair"])),
         ("nothing hidden: `NOTHING-MISSING`", share(row["correct"] for row in of["null"])),
         ("outside the library: not explained, or marked so", share(row["correct"] for row in of["outside"])),
+        ("outside the library: not explained, and nothing named", share(row["exact"] for row in of["outside"])),
         ("true parameters in their 95 % intervals, above twice the noise", _covered(seen + pairs)),
         ("true parameters in their 95 % intervals, all", _covered(of["single"] + of["pair"])),
         (
@@ -153,6 +191,8 @@ def table_of_diagnoses(rows: Sequence[Row], heading: str) -> Table:
         ),
         ("outside the library: with an effect named", share(row["also_named"] for row in of["outside"])),
     ]
+    stated = [(value, right) for row in rows for value, right in row.get("probabilities", ())]
+    lines += [(words, share(right)) for words, right in by_probability(stated)]
     if right := [row["removed"] for row in seen if row["by_own_name"]]:
         lines.append(("excess held-out error removed, median", f"{100.0 * statistics.median(right):.0f} %"))
     if seconds := [row["seconds"] for row in rows if "seconds" in row]:

@@ -10,6 +10,10 @@ which few directions carry most of the noise; the relevance limit is 0.1 or 10 t
 * drift: normal, and every feature drifts by two standard deviations over the campaign, whose conditions are
   interleaved in random order.
 
+With ``--discrepancy`` they are normal, and the simulator is off by 0.3 or 1.0 of the noise in every feature, alike in
+all conditions, as its discrepancy says: along the measured patterns of the discrepancy, or, as a simulator that it was
+not measured on, along none of them.
+
 Every draw goes the way of a diagnosis: runs become clusters, scaled by the pure error that their repeats give, and
 these the p values of effects with 1 and with 7 parameters, the smallest adjusted p of six effects, lack of fit, and,
 beside 7 parameters that were fitted, the p value of 1 parameter and lack of fit. A right test calls 1 % of nulls
@@ -20,27 +24,26 @@ recording, with noise that remembers some samples, in 24 stretches.
 from __future__ import annotations
 
 import argparse
-from pathlib import Path
 
 import numpy as np
-from analytic_world import EFFECTS, FEATURES, PHYSICS, AnalyticSource, correlated, features
+from analytic_world import EFFECTS, FEATURES, AnalyticSource, correlated, features
 
+from benchmarks.closed_form import EXACT, Campaign, Simulator
 from benchmarks.harness import Case, Row, Work, draw_options, drawn
 from benchmarks.results import Table
 from impact_rs_analysis.diagnosis import null_distribution
 from impact_rs_analysis.diagnosis.candidate import Candidate, Problem, linearise
 from impact_rs_analysis.diagnosis.fit import Evidence, Fit
 from impact_rs_analysis.diagnosis.search import adjusted
-from impact_rs_analysis.evidence.cluster import Feature
-from impact_rs_analysis.evidence.discrepancy import NO_DISCREPANCY
-from impact_rs_analysis.evidence.measured_runs import MeasuredRun, Runs, Setup
-from impact_rs_analysis.evidence.replays import clusters_of
 from impact_rs_sim.robot import Array
-from impact_rs_trials.runs import NONE, Signals
 
 DESIGNS = ((3, 2), (6, 2), (4, 4), (6, 3), (9, 5))  # conditions, repeats
 NOISES = ("normal", "heavy", "heavy trials", "drift")
-DRIFT = 2.0  # standard deviations over a campaign
+SIMULATORS = {
+    f"{words}, {size:g}": Simulator(size, kind)
+    for size in (0.3, 1.0)
+    for kind, words in (("measured", "measured patterns"), ("new", "new simulator"))
+}
 RECORDING = "recording, 24 stretches"
 STRETCHES, MEMORY = 24, 4.0  # of a recording; memory in samples
 LEVELS = (0.01, 0.05)
@@ -54,51 +57,6 @@ COLUMNS = (
 )
 ROOT = correlated()
 SPREAD = np.sqrt(np.sum(np.square(ROOT), axis=0))
-
-
-class Campaign(AnalyticSource):
-    """Runs of a campaign, made clusters by the code of a diagnosis.
-
-    Args:
-        seed: Of the noise.
-        design: Conditions and repeats.
-        noise: One of ``NOISES``.
-        limit: Relevance limit, in multiples of the noise.
-        size: Of the effect ``straight`` that is hidden.
-    """
-
-    def __init__(self, seed: int, design: tuple[int, int], noise: str, limit: float, size: float = 0.0) -> None:
-        conditions, repeats = design
-        super().__init__(seed, design=(repeats,) * conditions)
-        labels = tuple(
-            Feature("free", f"signal {f % 4}", "x", f // 4, "m/s", limit * float(SPREAD[f])) for f in range(FEATURES)
-        )
-        truth = (("straight", (size,)),)
-        measured = [features(number // repeats, truth) for number in range(conditions * repeats)]
-        measured = list(np.array(measured) + draw(np.random.default_rng(seed), len(measured), noise))
-        runs = [_run(f"{number // repeats}", labels, values) for number, values in enumerate(measured)]
-        self.clusters, _ = clusters_of(Runs(Path(), tuple(runs), ()), measured, NO_DISCREPANCY)
-
-
-def draw(rng: np.random.Generator, count: int, noise: str) -> Array:
-    """Noise of some runs, ``(count, F)``."""
-    if noise == "heavy":
-        return np.asarray(rng.standard_t(3, (count, FEATURES)) / np.sqrt(3.0) @ ROOT)
-    values = rng.standard_normal((count, FEATURES)) @ ROOT
-    if noise == "heavy trials":
-        values /= np.sqrt(rng.chisquare(3, (count, 1)))
-    if noise == "drift":
-        order = rng.permutation(count) / (count - 1.0) - 0.5
-        values += DRIFT * order[:, None] * SPREAD * rng.choice([-1.0, 1.0], FEATURES)
-    return np.asarray(values)
-
-
-def _run(condition: str, labels: tuple[Feature, ...], measured: Array) -> MeasuredRun:
-    setup = Setup((), PHYSICS, 0.0, "command", False, False, None, tuple(range(len(labels))), {})
-    return MeasuredRun(
-        path=Path(condition), name=condition, condition=condition, place=("world", "object", condition), hit=False,
-        physics=PHYSICS, signals=Signals(NONE, {}), setup=setup, features=labels, measured=measured, impacts={}, free=0,
-    )  # fmt: skip
 
 
 def remembering() -> Array:
@@ -147,24 +105,28 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         "--null-draws", type=int, default=999, help="draws of each null distribution, 999 or more; a diagnosis: 4999"
     )
     parser.add_argument("--power", action="store_true", help="effects of 2 and 4 standard errors in place of none")
+    parser.add_argument("--discrepancy", action="store_true", help="simulators that are off in place of the noises")
     parser.add_argument("--limits", type=float, nargs="+", default=[0.1], help="relevance limits over the noise")
 
 
 def cases(options: argparse.Namespace) -> list[Case]:
-    """Designs, noises, relevance limits and sizes of what is hidden."""
+    """Designs, noises or simulators, relevance limits and sizes of what is hidden."""
+    worlds = [(noise, noise, EXACT) for noise in NOISES]
+    if options.discrepancy:
+        worlds = [(words, NOISES[0], simulator) for words, simulator in SIMULATORS.items()]
     found = [
         Case(
-            f"{design[0]} × {design[1]}, {noise}"
+            f"{design[0]} × {design[1]}, {words}"
             + (f", limit {limit:g}" if len(options.limits) > 1 else "")
             + (f", effect {size:g}" if size else ""),
-            (design, noise, limit, size),
+            (design, noise, simulator, limit, size),
         )
         for design in DESIGNS
-        for noise in NOISES
+        for words, noise, simulator in worlds
         for limit in options.limits
         for size in ((2.0, 4.0) if options.power else (0.0,))
     ]
-    return found if options.power else [*found, Case(RECORDING)]
+    return found if options.power or options.discrepancy else [*found, Case(RECORDING)]
 
 
 def one(case: Case, options: argparse.Namespace, seed: int) -> tuple[float, ...]:
@@ -172,8 +134,9 @@ def one(case: Case, options: argparse.Namespace, seed: int) -> tuple[float, ...]
     null_distribution.DRAWS = options.null_draws  # type: ignore[attr-defined]
     if case.given is None:
         return p_values(AnalyticSource(seed, design=(1,) * STRETCHES, correlation=remembering(), repeated=False))
-    design, noise, limit, size = case.given
-    return p_values(Campaign(seed, design, noise, limit, size * standard_error(design, limit)))
+    design, noise, simulator, limit, size = case.given
+    truth = (("straight", (size * standard_error(design, limit),)),) if size else ()
+    return p_values(Campaign(seed, design, truth, limit, ROOT, noise, simulator))
 
 
 def run(case: Case, work: Work) -> Row:

@@ -23,6 +23,7 @@ from benchmarks.hidden import (
     laboratory_runs,
     plant_option,
     recorder,
+    reseeded,
     table_of_diagnoses,
     timed_diagnosis,
 )
@@ -70,7 +71,8 @@ def cases(options: argparse.Namespace) -> list[Entry]:
     once: list[tuple[str, str | None, float | None]] = [("null", None, None)] * options.nulls
     once += [("pair", PLAIN, 4.0)] * (options.pairs if plant == "plant" else 0)
     found = entries([*singles, *outside, *once, *(singles + outside) * (options.seeds - 1)], FIRST_SEED[plant])
-    return sorted(found, key=lambda entry: entry.kind == "single" and entry.magnitude != CLEAR)
+    found.sort(key=lambda entry: entry.kind == "single" and entry.magnitude != CLEAR)
+    return reseeded(found, options)
 
 
 def run(entry: Entry, work: Work) -> Row:

@@ -20,7 +20,7 @@ import numpy as np
 
 from benchmarks.boards.blind import MAGNITUDES
 from benchmarks.harness import Row, Work, share
-from benchmarks.hidden import Entry, diagnosed, entries, hidden_in, judged, plant_option, recorder
+from benchmarks.hidden import Entry, diagnosed, entries, hidden_in, judged, plant_option, recorder, reseeded
 from benchmarks.results import Table
 from impact_rs_analysis.design.design import WHICH_EFFECT, planned
 from impact_rs_analysis.design.forecast import Forecast, forecast_of
@@ -83,7 +83,8 @@ def cases(options: argparse.Namespace) -> list[Entry]:
     ]
     whole = entries(wanted)
     order = np.random.default_rng(0).permutation(len(whole))
-    return [whole[number] for number in order] + entries([("tie", name, size) for size in CLEAR for name in names], 500)
+    ties = entries([("tie", name, size) for size in CLEAR for name in names], 500)
+    return reseeded([*(whole[number] for number in order), *ties], options)
 
 
 def hidden_of(directory: Path) -> tuple[tuple[Hidden, ...], str | None, float]:

@@ -15,7 +15,7 @@ import numpy as np
 
 from benchmarks.boards.discovery import RIGHT
 from benchmarks.harness import Row, Work
-from benchmarks.hidden import VISIBLE, Entry, hidden_in, plant_option, recorder
+from benchmarks.hidden import VISIBLE, Entry, hidden_in, plant_option, recorder, reseeded
 from benchmarks.results import Table
 from impact_rs_analysis.diagnosis.document import DiagnosisDocument
 from impact_rs_analysis.diagnosis.scoring import truth_of
@@ -52,14 +52,16 @@ def cases(options: argparse.Namespace) -> list[Entry]:
     if options.on == "cell":
         names = np.random.default_rng(600).permutation(hidden_in("cell"))[: options.singles]
         singles = [Entry("single", str(name), MAGNITUDE, 600 + seed) for seed, name in enumerate(names)]
-        return singles + [Entry("null", None, None, 700 + seed) for seed in range(options.nulls)]
+        nulls = [Entry("null", None, None, 700 + seed) for seed in range(options.nulls)]
+        return reseeded(singles + nulls, options)
     kinds = (
         [Entry("single", None, MAGNITUDE, 100 + seed) for seed in range(options.singles)],
         [Entry("null", None, None, 300 + seed) for seed in range(options.nulls)],
         [Entry("pair", None, MAGNITUDE, 200 + seed) for seed in range(options.pairs)],
         [Entry("outside", LAWS[seed % len(LAWS)], MAGNITUDE, 400 + seed) for seed in range(options.laws)],
     )
-    return [kind[index] for index in range(max(map(len, kinds))) for kind in kinds if index < len(kind)]
+    in_turn = [kind[index] for index in range(max(map(len, kinds))) for kind in kinds if index < len(kind)]
+    return reseeded(in_turn, options)
 
 
 class SharedFirstPlan(PlantBench):
