@@ -14,9 +14,10 @@ import numpy as np
 import pytest
 from analytic_world import FEATURES, correlated, features
 
-from benchmarks.boards import small
+from benchmarks.boards import left_out, small
 from benchmarks.closed_form import EXACT, Campaign, Simulator, standard_error
 from benchmarks.hidden import Entry, by_probability, judged, stated_probabilities, table_of_diagnoses
+from impact_rs_analysis.evidence.discrepancy import measured_discrepancy
 
 HIDDEN = (("straight", (0.7,)), ("bent", (2.0,)))
 
@@ -48,7 +49,7 @@ def test_a_simulator_is_off_by_what_its_discrepancy_says(kind: str) -> None:
     """Kills: patterns that are not as large as the discrepancy; a new simulator that moves along measured patterns."""
     root = correlated()
     spread = np.sqrt(np.sum(np.square(root), axis=0))
-    simulator = Simulator(0.5, kind)  # type: ignore[arg-type]
+    simulator = Simulator(0.5, kind)
     (item, *_) = Campaign(1, (3, 2), root=root, simulator=simulator).clusters
     assert item.patterns is not None
     assert item.discrepancy * item.sigma == pytest.approx(0.5 * spread)
@@ -121,11 +122,11 @@ def test_the_table_of_small_campaigns_shows_shares_and_probabilities() -> None:
         {"name": name, "hidden": hidden, "draws": [draw | {"probabilities": {"straight": 0.95}}] * count}
         for name, hidden, count in (("one", "straight 5", 3), ("none", "nothing", 1))
     ]
-    lines = {row[0]: row[1:] for row in small.table(rows, None).rows}  # type: ignore[arg-type]
+    lines = {row[0]: row[1:] for row in small.table(rows, None).rows}
     assert lines["one"][:2] == ("3", "100 ± 22") and lines["none"][:4] == ("1", "0 ± 50", "0 ± 50", "100 ± 50")
     assert lines["effects named with 90 to 100 %: hidden"][:2] == ("4", "75 ± 22")
     silent = [row | {"draws": [draw | {"probabilities": {}}]} for row in rows]
-    assert len(small.table(silent, None).rows) == 2  # type: ignore[arg-type]
+    assert len(small.table(silent, None).rows) == 2
 
 
 def test_probabilities_are_put_into_bins_where_a_document_states_them() -> None:
@@ -140,7 +141,7 @@ def test_probabilities_are_put_into_bins_where_a_document_states_them() -> None:
         SimpleNamespace(name="c", probability=0.2),
     ]
     document = SimpleNamespace(effects=effects, named=("a", "b"))
-    assert stated_probabilities(document) == {"a": 0.7}  # type: ignore[arg-type]
+    assert stated_probabilities(document) == {"a": 0.7}
 
 
 @pytest.mark.parametrize(
@@ -186,3 +187,25 @@ def test_fresh_seeds_are_one_option_away(board: str, plant: str) -> None:
     ]
     assert all(isinstance(entry, Entry) for entry in usual) and not {e.name for e in usual} & {e.name for e in fresh}
     assert harness.parser_of("small").parse_args(["--first-seed", "7"]).first == 7
+
+
+def test_the_discrepancy_is_made_anew_from_its_table() -> None:
+    """Kills: a mean over variants, or rms over bins in the place of conditions; nothing left out: the shipped one."""
+    shipped, again = (
+        {(e.kind, e.phase, e.signal, e.index): e for e in found.entries}
+        for found in (measured_discrepancy(), left_out.without("no simulator"))
+    )
+    assert shipped.keys() == again.keys()
+    for key, entry in shipped.items():
+        assert (again[key].value, again[key].largest) == (pytest.approx(entry.value, rel=0.01, abs=1e-6), entry.largest)
+        assert again[key].by_bin == pytest.approx(entry.by_bin, rel=0.01, abs=1e-5)
+
+
+def test_without_a_simulator_no_variant_of_it_is_left() -> None:
+    """Kills: patterns of a simulator that was left out."""
+    shipped, found = measured_discrepancy(), left_out.without("mujoco")
+    assert not any(name.startswith("mujoco") for e in found.entries for name in (e.largest, *e.by_variant))
+    assert [len(one.rows) for one in found.patterns] < [len(one.rows) for one in shipped.patterns]
+    sizes = {(e.kind, e.phase, e.signal, e.index): e.value for e in shipped.entries}
+    assert all(e.value <= 1.01 * sizes[e.kind, e.phase, e.signal, e.index] + 1e-6 for e in found.entries)
+    assert found.document.used and "mujoco" not in found.document.provenance

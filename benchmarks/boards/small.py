@@ -68,7 +68,7 @@ def campaign(case: Case, options: argparse.Namespace, seed: int) -> tuple[Campai
     unit = standard_error((conditions, repeats), HIDDEN, root, simulator) if name == HIDDEN else 1.0
     truth = ((name, (float(size) * unit,)),) if size else ()
     source = Campaign(seed, (conditions, repeats), truth, root=root, simulator=simulator)
-    return knowing(source, *(EFFECTS[name] for name in CONSIDERED)), truth  # type: ignore[return-value]
+    return knowing(source, *(EFFECTS[name] for name in CONSIDERED)), truth
 
 
 def one(case: Case, options: argparse.Namespace, seed: int) -> Row:

@@ -1,0 +1,137 @@
+# SPDX-License-Identifier: Apache-2.0
+"""One simulator left out: nulls of a plant whose simulator the discrepancy has never seen.
+
+The shipped discrepancy is measured on variants of Bullet, of MuJoCo and of the twin, and the boards record their nulls
+on Bullet (``--on plant``) and on MuJoCo (``--on cell``), so that its nulls are those it was made from. Here it is made
+anew from the table of its patterns, with the same definition, without the variants of the plant's own simulator: to
+this discrepancy the plant is what a real robot is to the shipped one. Every null is diagnosed with both.
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import time
+from functools import cache
+
+import numpy as np
+
+from benchmarks.boards.blind import COLUMN, FIRST_SEED
+from benchmarks.harness import Row, Work, quantiles, share
+from benchmarks.hidden import Entry, entries, judged, plant_option, recorder, reseeded
+from benchmarks.results import Table
+from impact_rs_analysis.diagnosis.diagnose import diagnose
+from impact_rs_analysis.diagnosis.document import NOTHING, write_document
+from impact_rs_analysis.evidence.discrepancy import TABLE, Discrepancy, Patterns, measured_discrepancy
+from impact_rs_analysis.evidence.measured_runs import read_runs
+from impact_rs_analysis.evidence.replay_cache import ReplayCache
+from impact_rs_analysis.evidence.replays import ReplaySource
+from impact_rs_sim.model import load_model
+from impact_rs_sim.paths import config_directory
+from impact_rs_sim.robot import Array
+from impact_rs_trials.blind import RUNS, make
+
+SIMULATOR = {"plant": "bullet", "cell": "mujoco"}  # how the names of its variants begin
+LEFT_OUT = 100  # first seed beyond that of the blind board, which has the nulls that the thresholds were looked at with
+LEVELS = (0.01, 0.05)
+
+
+@cache
+def variants_of() -> dict[str, tuple[list[str], list[tuple[str, Array]]]]:
+    """By kind of trial: names of the features, and variant minus replay of every variant and condition, in units."""
+    found: dict[str, tuple[list[str], list[tuple[str, Array]]]] = {}
+    header: list[str] = []
+    with (config_directory() / TABLE).open(encoding="utf-8", newline="") as file:
+        for kind, variant, _, *cells in csv.reader(file):
+            if kind == "kind":
+                header = cells
+            else:
+                found.setdefault(kind, (header, []))[1].append((variant, np.array(cells, dtype=float)))
+    return found
+
+
+def without(simulator: str) -> Discrepancy:
+    """The shipped discrepancy, made without the variants of a simulator.
+
+    Of every signal: the largest rms over conditions and bins among the variants that are left, and that variant's rms
+    over conditions, bin by bin (``tools/discrepancy.py``).
+
+    Args:
+        simulator: How the names of its variants begin; none begins so: the shipped discrepancy comes out.
+    """
+    shipped, entries_, patterns = measured_discrepancy(), [], []
+    for kind, (names, rows) in variants_of().items():
+        left = [(variant, values) for variant, values in rows if not variant.startswith(simulator)]
+        places: dict[tuple[str, str, str], list[int]] = {}
+        for column, name in enumerate(names):
+            phase, signal, index, _ = name.split("|")
+            places.setdefault((phase, signal, index), []).append(column)
+        for entry in (one for one in shipped.entries if one.kind == kind):
+            columns = places[entry.phase, entry.signal, entry.index]
+            by_variant = {
+                name: np.array([values[columns] for variant, values in left if variant == name])
+                for name in dict.fromkeys(variant for variant, _ in left)
+            }
+            sizes = {name: float(np.sqrt(np.mean(np.square(table)))) for name, table in by_variant.items()}
+            largest = max(sizes, key=lambda name: sizes[name])
+            bins = tuple(np.sqrt(np.mean(np.square(by_variant[largest]), axis=0)).tolist())
+            entries_.append(
+                entry.model_copy(
+                    update={"value": sizes[largest], "largest": largest, "by_bin": bins, "by_variant": sizes}
+                )
+            )
+        (own,) = (table for table in shipped.patterns if table.kind == kind)
+        patterns.append(Patterns(kind=own.kind, features=own.features, rows=tuple(tuple(v.tolist()) for _, v in left)))
+    kept = {name: words for name, words in shipped.variants.items() if not name.startswith(simulator)}
+    return shipped.model_copy(update={"variants": kept, "entries": tuple(entries_), "patterns": tuple(patterns)})
+
+
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """How many nulls, and where."""
+    plant_option(parser, "cell", "plant")
+    parser.add_argument("--nulls", type=int, default=10, help="campaigns with nothing hidden")
+    parser.add_argument("--size", default="small", choices=("small", "full"), help="size of each campaign")
+
+
+def cases(options: argparse.Namespace) -> list[Entry]:
+    """Nulls."""
+    found = entries([("null", None, None)] * options.nulls, FIRST_SEED[options.on] + LEFT_OUT)
+    return reseeded(found, options)
+
+
+def run(entry: Entry, work: Work) -> Row:
+    """Record a null, and diagnose it with both discrepancies."""
+    folder, options = work.folder, work.options
+    for _ in make(folder, entry.seed, work.map_tasks, entry.kind, size=options.size, work=recorder(options.on)):
+        pass
+    runs, model, cache_ = read_runs(folder / RUNS, work.map_tasks), load_model("nominal"), ReplayCache(work.map_tasks)
+    found = {}
+    for name, discrepancy in (("shipped", None), ("left_out", without(SIMULATOR[options.on]))):
+        began = time.process_time()
+        source = ReplaySource.of(runs, model, cache_, discrepancy)
+        document = diagnose(source, model)
+        write_document(document, folder / f"{name}.json")
+        alone = [one.p_value for one in document.effects if one.p_value is not None]
+        found[name] = judged(folder, document) | {
+            "lack_of_fit": document.lack_of_fit.before,
+            "least_p": min(alone, default=1.0),
+            "seconds": time.process_time() - began,
+        }
+    return found | {"said": f"{found['shipped']['verdict']} | {found['left_out']['verdict']}"}
+
+
+def table(rows: list[Row], options: argparse.Namespace) -> Table:
+    """Both discrepancies beside each other."""
+    sides = [[row[name] for row in rows] for name in ("shipped", "left_out")]
+    lines = [
+        (f"nothing hidden: `{NOTHING}`", *(share(one["correct"] for one in side) for side in sides)),
+        ("nothing hidden: an effect named", *(share(bool(one["named"]) for one in side) for side in sides)),
+    ]
+    for level in LEVELS:
+        for key, words in (("lack_of_fit", "lack of fit"), ("least_p", "smallest adjusted p of all effects")):
+            shares = (share(one[key] is not None and one[key] < level for one in side) for side in sides)
+            lines.append((f"{words} below {level:.0%}", *shares))
+    if rows:
+        lines.append(("error, times repeatability", *(quantiles([one["before"] for one in side]) for side in sides)))
+    where = COLUMN[options.on]
+    return Table(("", f"{where}: shipped", f"made without {SIMULATOR[options.on]}"), tuple(lines))
