@@ -33,6 +33,7 @@ from impact_table_cases import POSE, _twist, write_csv
 
 from benchmarks.harness import Case, Row, Work, median_and_largest, quantiles
 from benchmarks.results import Table
+from impact_rs_analysis.following.causes import Causes
 from impact_rs_analysis.following.change import ChangeExplanation
 from impact_rs_analysis.following.follow import Follower
 from impact_rs_analysis.following.hits import Hit, TableDoor
@@ -205,7 +206,7 @@ def changed_day(what: str, work: Work, rng: np.random.Generator) -> Row:
     follower, hits = follower_of(rows, work.folder)
     for hit in hits[:BEFORE]:
         follower.take([hit])
-    base = copy.deepcopy(follower.likeliest)
+    base = copy.deepcopy(follower.watch.likeliest)
     alarm: HitDocument | None = None
     errors, spent, delay = [], [], None
     for number, hit in enumerate(hits[BEFORE:], start=1):
@@ -218,10 +219,10 @@ def changed_day(what: str, work: Work, rng: np.random.Generator) -> Row:
     best = rms(np.array(offline)[LATE])
     causes = [] if alarm is None or alarm.change is None else alarm.change.causes
     own = next((cause for cause in causes if cause.effect == effect), None)
-    part = follower.candidate.part(effect)
-    moved = int(np.argmax(np.abs(values - follower.candidate.nominal[part])))
-    wanted = values[moved] - follower.candidate.nominal[part][moved]
-    name = follower.candidate.scalars[part][moved].name
+    part = follower.watch.hits.candidate.part(effect)
+    moved = int(np.argmax(np.abs(values - follower.watch.hits.candidate.nominal[part])))
+    wanted = values[moved] - follower.watch.hits.candidate.nominal[part][moved]
+    name = follower.watch.hits.candidate.scalars[part][moved].name
     change = next((p.change for p in own.parameters if p.parameter == f"{effect}.{name}"), 0.0) if own else 0.0
     return {
         "what": what,
@@ -238,24 +239,17 @@ def changed_day(what: str, work: Work, rng: np.random.Generator) -> Row:
 
 def offline_errors(follower: Follower, base: Any, effect: str, values: Array, hits: list[Hit]) -> tuple[Any, Any]:
     """Prediction errors of the planted effect fitted to all hits since the change, and of the frozen model."""
-    window = copy.deepcopy(base)
-    frozen = []
-    for hit in hits:
-        evidence = follower._evidence(hit, window.point)
-        window.posterior.make_room([(hit.group, evidence.patterns.shape[1])])
-    for hit in hits:
-        evidence = follower._evidence(hit, base.point)
-        base.posterior.make_room([(hit.group, evidence.patterns.shape[1])])
-        frozen.append(rms(base.posterior.innovation(evidence)[0]))
+    own, window = follower.watch.hits, copy.deepcopy(base)
+    frozen = [rms(base.posterior.now.rest(own.evidence(hit, base.point))) for hit in hits]
     window.posterior.believe_before(len(window.posterior.window))
     for hit in hits:
-        window.posterior.add([follower._evidence(hit, window.point)])
-    part = follower.candidate.part(effect)
-    numbers = [n for n in range(part.start, part.stop) if n in follower.active]
-    scale, nominal = follower.candidate.scale[part], follower.candidate.nominal[part]
+        window.posterior.add([own.evidence(hit, window.point)])
+    part = own.candidate.part(effect)
+    numbers = [n for n in range(part.start, part.stop) if n in own.active]
+    scale, nominal = own.candidate.scale[part], own.candidate.nominal[part]
     start = [(values - nominal)[n - part.start] / scale[n - part.start] for n in numbers]
-    fitted = follower._about(window, ChangeExplanation(effect, 0, np.array(start), 0.0))
-    return [rms(fitted.posterior.innovation(follower._evidence(hit, fitted.point))[0]) for hit in hits], frozen
+    fitted = Causes(own).about(window, ChangeExplanation(effect, 0, np.array(start), 0.0))
+    return [rms(fitted.posterior.now.rest(own.evidence(hit, fitted.point))) for hit in hits], frozen
 
 
 def rms(values: Array) -> float:
@@ -279,10 +273,10 @@ def drifting_day(work: Work, rng: np.random.Generator) -> Row:
     errors: dict[str, list[float]] = {"followed": [], "frozen": []}
     for hit in hits:
         if follower.watching:
-            base = copy.deepcopy(follower.likeliest) if base is None else base
+            base = copy.deepcopy(follower.watch.likeliest) if base is None else base
             true = distance(hit.measured)
-            for name, one in (("followed", follower.likeliest), ("frozen", base)):
-                mean, _ = follower._predicted(one, hit)
+            for name, one in (("followed", follower.watch.likeliest), ("frozen", base)):
+                mean, _ = follower.watch.hits.predicted(one, hit)
                 errors[name].append(distance(mean) - true)
         changes += take(follower, hit)[0].change is not None
     found = {name: 1e3 * rms(np.array(values)) for name, values in errors.items()}

@@ -74,9 +74,9 @@ def errors_of(path: Path, flux: Array, after: Array, distance: Array) -> tuple[A
     changes = []
     for hit, phi, own, true in zip(list(door.arrived()), flux, after, distance, strict=True):
         if follower.watching:
-            frozen = copy.deepcopy(follower.likeliest) if frozen is None else frozen
+            frozen = copy.deepcopy(follower.watch.likeliest) if frozen is None else frozen
             place = int(np.argmin(np.abs(hit.measured - own)))
-            found = [follower._predicted(one, hit) for one in (follower.likeliest, frozen)]
+            found = [follower.watch.hits.predicted(one, hit) for one in (follower.watch.likeliest, frozen)]
             speeds = [phi + float(one[0][place]) for one in found if one is not None]
             errors.append((speeds[0] ** 2 / (2.0 * MU * GRAVITY) - true, speeds[1] ** 2 / (2.0 * MU * GRAVITY) - true))
         for document in follower.take([hit]):

@@ -16,6 +16,7 @@ from impact_rs_analysis.design.selection import Counts, chosen, missing_conditio
 from impact_rs_analysis.evidence.measured_runs import Runs
 from impact_rs_analysis.evidence.replay_cache import Progress, ReplayCache
 from impact_rs_analysis.evidence.source import Source
+from impact_rs_analysis.inference.belief import Belief
 from impact_rs_sim.effects.base import SINGLE_IMPACT
 from impact_rs_sim.model import Model
 from impact_rs_sim.robot import Array
@@ -168,7 +169,7 @@ def _campaigns(trials: dict[str, ForecastTrial], picked: Counts, words: dict[str
     return tuple(found)
 
 
-def _buys(counts: Discrimination, decision: Decision, total: Array, picked: Counts, name: str) -> str:
+def _buys(counts: Discrimination, decision: Decision, total: Belief, picked: Counts, name: str) -> str:
     """What the trials of one condition add to all others of the plan."""
     there, repeats = counts.counted.get(name, 0), picked[name]
     without = counts.added(total, name, there + repeats, there)

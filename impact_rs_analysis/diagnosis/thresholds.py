@@ -1,13 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """Thresholds of the verdicts, each with its reason."""
 
+from impact_rs_analysis.inference.noise import UNMEASURED as UNMEASURED
+
 SIGNIFICANT = 0.01  # false-discovery rate: one verdict in a hundred may be chance
 NOMINAL = 0.05  # p of an effect as if it were tested alone, below which an investigation looks once more
 DRAWS = 4999  # of a null distribution; its smallest p, 0.0002, survives the adjustment for 25 effects
 LEAST_P = 0.0005  # printed as a bound: the tails of a real robot's noise are not known further out
 LEAST_FREEDOM = 3  # degrees of freedom of the pure error; with fewer its estimate may be wrong by a factor of 10
-# Share of the differences of a left-out simulator that the others do not span: 14 to 67 %, 34 % on average.
-UNMEASURED = 1.0 / 3.0
 LEAST_OWN = 0.01  # of a feature's squared scale that is not discrepancy, so that no direction without noise dominates
 LEAST_CLUSTERS = 3  # for a hold-out: with two, each is predicted from a single one
 NOTHING = 0.1  # p in free motion above which an effect with several parameters is ruled out

@@ -7,13 +7,9 @@ of the posterior (:mod:`.posterior`), which holds all hits, and sums over the hi
     S = sum J^T (r - H m) = b - A^T m,        I = B - A^T L^-1 A
 
 are score and information of eta once everything that is not certain (other parameters, discrepancy) is fitted too: the
-generalised likelihood ratio of Willsky and Jones (1976) for a linear system. With the prior eta ~ N(0, D^2), D = WIDTH
-parameter scales, and an estimated variance (nu degrees of freedom), the likelihood ratio is that of Student's t,
-
-    LR = det(1 + D I D)^-1/2 [(1 + T_0 / nu) / (1 + T_1 / nu)]^((nu + p) / 2)
-    T_0 = S^T I^-1 S,        T_1 = T_0 - S^T (I + D^-2)^-1 S
-
-whose mean is 1 where nothing changed. So the sum over moments of change, averaged over effects,
+generalised likelihood ratio of Willsky and Jones (1976) for a linear system. With the prior eta ~ N(0, W^2), W =
+``WIDTH`` parameter scales, the mean of the likelihood ratio LR (:mod:`impact_rs_analysis.inference.student`) is 1 where
+nothing changed. So the sum over moments of change, averaged over effects,
 
     R = mean_e sum_s LR(e, s)
 
@@ -34,14 +30,15 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+import scipy
 
 from impact_rs_analysis.diagnosis.candidate import Candidate, bounded
 from impact_rs_analysis.following.posterior import ODD, WIDTH, HitEvidence, Posterior
+from impact_rs_analysis.inference.student import log_ratios, squares
 from impact_rs_sim.robot import Array
 
 MEAN_TIME = 10_000.0  # instants to a false alarm, at least, where noise is as believed
 BACK = (1, 2, 3, 4, 5, 6, 8, 11, 15, 21, 29, 40)  # instants since a change that are tried
-TINY = 1e-9  # of the largest information; less is none
 TIED = 0.05  # likelihood over that of the best explanation; those above it are named beside it
 EXPECTED = 20  # hits that the share of odd ones that is expected counts like
 MOST_ODD = 0.2  # share of odd hits; with more a change would need seven and more
@@ -155,7 +152,7 @@ class ChangeTest:
         every = np.array(list(found.values()))
         if not every.size:
             return -math.inf, found
-        return float(_log_sum(every.ravel())) - math.log(len(found)), found
+        return float(scipy.special.logsumexp(every)) - math.log(len(found)), found
 
     def explanations(self, posterior: Posterior, statistics: dict[str, Array]) -> list[ChangeExplanation]:
         """Explanations of a change that the last instant confirms and that hits support, the likeliest first.
@@ -181,16 +178,15 @@ class ChangeTest:
 
     def _gains(self, posterior: Posterior, one: ChangeExplanation) -> list[float]:
         """Fall of the sum of squared whitened residuals of every hit since a change, to first order."""
-        numbers = [self.active[place] for place in self.effects[one.effect]]
+        numbers, now = [self.active[place] for place in self.effects[one.effect]], posterior.now
         cross, _, _ = posterior.suffixes([one.start], numbers)
-        moved = posterior.solve(cross[0] @ one.change)  # the state gives way to the change
+        moved = now.solve(cross[0] @ one.change)  # the state gives way to the change
         gains = []
-        for instant in posterior.window[one.start :]:
-            for evidence in instant:
-                columns, observed = posterior.observation(evidence)
-                first = posterior.rest(evidence)
-                second = first + observed @ moved[columns] - evidence.jacobian[:, numbers] @ one.change
-                gains.append(evidence.weight * float(first @ first - second @ second))
+        for evidence in (e for instant in posterior.window[one.start :] for e in instant):
+            columns, observed = now.observed(evidence)
+            first = now.rest(evidence)
+            second = first + observed @ moved[columns] - evidence.jacobian[:, numbers] @ one.change
+            gains.append(evidence.weight * float(first @ first - second @ second))
         return gains
 
     def quiet(self, posterior: Posterior) -> dict[str, tuple[float, float]]:
@@ -198,33 +194,22 @@ class ChangeTest:
         information, score = self._reduced(posterior, [len(posterior.window) - 1])
         found = {}
         for name, own in self.effects.items():
-            values, vectors = np.linalg.eigh(information[0][np.ix_(own, own)])
-            kept = values > TINY * max(float(values[-1]), 1.0)
-            along = vectors.T @ score[0][own]
-            found[name] = float(np.sum(np.square(along[kept]) / values[kept])), float(kept.sum())
+            before, _, _, rank = squares(information[:, own][:, :, own], score[:, own])
+            found[name] = float(before[0]), float(rank[0])
         return found
 
     def _reduced(self, posterior: Posterior, starts: Sequence[int]) -> tuple[Array, Array]:
         """I ``(s, p, p)`` and S ``(s, p)`` of all active parameters."""
         cross, own, score = posterior.suffixes(starts, self.active)
         count, size, many = cross.shape
-        solved = posterior.solve(np.swapaxes(cross, 0, 1).reshape(size, count * many)).reshape(size, count, many)
+        solved = posterior.now.solve(np.swapaxes(cross, 0, 1).reshape(size, count * many)).reshape(size, count, many)
         information = own - np.einsum("snp,nsq->spq", cross, solved, optimize=True)
-        return information, score - np.einsum("snp,n->sp", cross, posterior.mean)
+        return information, score - np.einsum("snp,n->sp", cross, posterior.now.mean)
 
     def _log_ratios(self, information: Array, score: Array, name: str) -> Array:
-        """Logarithm of LR of one effect, ``(s,)``."""
-        inflation, nu = self.calibration.of(name), self.calibration.freedom
-        values, vectors = np.linalg.eigh(WIDTH**2 / inflation * information)
-        along = np.square(WIDTH / inflation * np.einsum("spq,sp->sq", vectors, score))
-        values = np.maximum(values, 0.0)
-        kept = values > TINY * np.maximum(values[:, -1:], 1.0)
-        # score / sqrt(inflation) is standard where information is; both have been divided by the inflation
-        before = np.sum(np.divide(along, values, out=np.zeros_like(along), where=kept), axis=1)
-        after = np.sum(np.divide(along, values * (1.0 + values), out=np.zeros_like(along), where=kept), axis=1)
-        freedom = nu + kept.sum(axis=1)
-        ratio = np.log1p(before / nu) - np.log1p(after / nu)
-        return np.asarray(0.5 * freedom * ratio - 0.5 * np.sum(np.log1p(values * kept), axis=1))
+        """Logarithm of LR of one effect, ``(s,)``; its score counts as much less as quiet hits scatter more."""
+        inflation = self.calibration.of(name)
+        return log_ratios(information / inflation, score / inflation, WIDTH, self.calibration.freedom)
 
     def _explained(self, posterior: Posterior, name: str) -> ChangeExplanation | None:
         """An effect within its range from its likeliest moment on; None where the last instant speaks against it."""
@@ -264,7 +249,7 @@ class ChangeTest:
     def _room(self, posterior: Posterior, numbers: Sequence[int]) -> tuple[Array, Array]:
         """Least and largest change of some parameters within their ranges, in scales, ``(p,)`` each."""
         own = self.candidate
-        now = {number: float(posterior.mean[place]) for place, number in enumerate(posterior.followed)}
+        now = dict(zip(posterior.followed, posterior.now.mean.tolist(), strict=False))
         at = np.array([own.point[n] + own.scale[n] * now.get(n, 0.0) for n in numbers])
         scale = own.scale[list(numbers)]
         lower = np.minimum((own.lower[list(numbers)] - at) / scale, -1e-9)
@@ -285,9 +270,3 @@ def _positive(matrix: Array) -> Array:
     """The nearest symmetric matrix without negative eigenvalues: differences of informations may have some."""
     values, vectors = np.linalg.eigh(0.5 * (matrix + matrix.T))
     return np.asarray((vectors * np.maximum(values, 0.0)) @ vectors.T)
-
-
-def _log_sum(values: Array) -> float:
-    """Logarithm of the sum of exponentials."""
-    most = float(np.max(values))
-    return most + math.log(float(np.sum(np.exp(values - most))))

@@ -8,13 +8,26 @@ last of every condition are kept by name and read again.
 from __future__ import annotations
 
 import json
+import math
+from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from impact_rs_analysis.following.follow import Follower
+from impact_rs_analysis.following.change import Calibration
+from impact_rs_analysis.following.follow import Follower, HitsSince
+from impact_rs_analysis.following.hit_model import HitModel, Hypothesis, Origin
+from impact_rs_analysis.following.hits import Hit
+from impact_rs_analysis.following.posterior import Posterior
+from impact_rs_analysis.following.recent_residuals import RecentResiduals
+from impact_rs_analysis.following.watch import HitWatch
+from impact_rs_analysis.inference.belief import Belief
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.files import whole
+from impact_rs_sim.proportion import Proportion
+from impact_rs_sim.robot import Array
 
 VERSION = 4
 TEXT = "document"
@@ -26,10 +39,43 @@ def save_state(follower: Follower, path: Path) -> None:
     Raises:
         InputError: It cannot be written.
     """
-    document, arrays = follower.saved()
-    text = json.dumps({"version": VERSION, **document})
+    watch, hits, arrays = follower.watch, follower.learning.hits, {}
+    hypotheses = [] if watch is None else watch.hypotheses
+    for number, one in enumerate(hypotheses):
+        arrays[f"point{number}"] = one.point
+        arrays |= _arrays(one.posterior.before, f"information{number}", f"vector{number}")
+        if one.origin is not None:
+            arrays |= _arrays(one.origin.past, f"past{number}", f"past_vector{number}")
+            arrays |= {f"old{number}": one.origin.old, f"before{number}": one.origin.point}
+    for number, whiten in enumerate({} if hits is None else hits.whiten.values()):
+        arrays[f"whiten{number}"] = whiten
+    document = {
+        "version": VERSION,
+        "model": follower.model.digest,
+        "names": follower.names,
+        "first": [hit.name for hit in follower.learning.first],
+        "last": {condition: hit.name for condition, hit in follower.last.items()},
+        "announced": [] if watch is None else watch.announced,
+        "changed": None if follower.changed is None else [follower.changed.since, follower.changed.conditions],
+        "active": () if hits is None else hits.active,
+        "layouts": [] if hits is None else list(hits.whiten),
+        "calibration": vars(Calibration() if hits is None else hits.calibration),
+        "proportion": None if hits is None else vars(hits.proportion),
+        "hypotheses": [
+            _columns(one.posterior.before)
+            | {
+                "origin": one.origin and _columns(one.origin.past) | {"numbers": one.origin.numbers},
+                "window": [[(e.hit.name, e.weight) for e in instant] for instant in one.posterior.window],
+                "log_weight": one.log_weight,
+                "effect": one.effect,
+                "tried": None if math.isinf(one.tried) else one.tried,
+                "recent": one.recent.saved(),
+            }
+            for one in hypotheses
+        ],
+    }
     with whole(path) as aside, aside.open("wb") as file:
-        np.savez_compressed(file, allow_pickle=False, **{TEXT: np.array(text), **arrays})
+        np.savez_compressed(file, allow_pickle=False, **{TEXT: np.array(json.dumps(document)), **arrays})
 
 
 def restore_state(follower: Follower, path: Path) -> int:
@@ -61,7 +107,62 @@ def restore_state(follower: Follower, path: Path) -> int:
             file=path,
         )
     try:
-        follower.restore(document, arrays)
+        _restore(follower, document, arrays)
     except (KeyError, TypeError, IndexError, ValueError) as error:
         raise InputError(f"a damaged state file ({error}); remove it to begin anew", file=path) from None
     return len(document["names"])
+
+
+def _restore(follower: Follower, document: Mapping[str, Any], arrays: Mapping[str, Array]) -> None:
+    """Go on where the document was made."""
+    windows = [name for h in document["hypotheses"] for instant in h["window"] for name, _ in instant]
+    needed = [*document["first"], *document["last"].values(), *windows]
+    known = follower.door.recalled(needed, document["names"])
+    follower.names = list(document["names"])
+    if (changed := document.get("changed")) is not None:
+        follower.changed = HitsSince(changed[0], tuple(changed[1]))
+    follower.learning.first = [known[name] for name in document["first"]]
+    follower.last = {condition: known[name] for condition, name in document["last"].items()}
+    if document["proportion"] is None:
+        return
+    source = follower.door.source(list(known.values()))
+    hits, _ = follower.learning.consider(source, Proportion(**document["proportion"]))
+    hits.look_at(document["active"])
+    hits.whiten = {layout: arrays[f"whiten{n}"] for n, layout in enumerate(document["layouts"])}
+    hits.calibration = Calibration(**{**document["calibration"], "whole": tuple(document["calibration"]["whole"])})
+    hypotheses = [_hypothesis(hits, known, one, n, arrays) for n, one in enumerate(document["hypotheses"])]
+    follower.learning.hits, follower.watch = hits, HitWatch(hits, hypotheses, list(document["announced"]))
+
+
+def _hypothesis(
+    hits: HitModel, known: Mapping[str, Hit], document: Mapping[str, Any], number: int, arrays: Mapping[str, Array]
+) -> Hypothesis:
+    """A hypothesis of the document."""
+    point, origin = arrays[f"point{number}"], None
+    posterior = Posterior(_belief(document, arrays[f"information{number}"], arrays[f"vector{number}"]))
+    if (own := document["origin"]) is not None:
+        past = _belief(own, arrays[f"past{number}"], arrays[f"past_vector{number}"])
+        origin = Origin(arrays[f"before{number}"], past, tuple(own["numbers"]), arrays[f"old{number}"])
+    for instant in document["window"]:
+        evidence = [(hits.evidence(known[name], point), weight) for name, weight in instant]
+        posterior.add([replace(e, weight=weight) for e, weight in evidence if e is not None])
+    tried = -math.inf if document["tried"] is None else document["tried"]
+    recent = RecentResiduals.restored(document["recent"])
+    return Hypothesis(point, posterior, document["log_weight"], document["effect"], origin, tried, recent)
+
+
+def _arrays(belief: Belief, information: str, vector: str) -> dict[str, Array]:
+    """Numbers of a belief by name."""
+    return {information: belief.information, vector: belief.vector}
+
+
+def _columns(belief: Belief) -> dict[str, Any]:
+    """Columns of a belief, for the document."""
+    groups = {group: (part.start, part.stop) for group, part in belief.groups.items()}
+    return {"followed": belief.parameters, "groups": groups}
+
+
+def _belief(document: Mapping[str, Any], information: Array, vector: Array) -> Belief:
+    """A belief of the document."""
+    groups = {group: slice(*ends) for group, ends in document["groups"].items()}
+    return Belief(tuple(document["followed"]), information, vector, groups)

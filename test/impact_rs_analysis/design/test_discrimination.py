@@ -5,8 +5,10 @@ import numpy as np
 import pytest
 import scipy
 
-from impact_rs_analysis.design.discrimination import ALONE, WIDE, Discrimination, probability, variance
+from impact_rs_analysis.design.discrimination import WIDE, Discrimination
 from impact_rs_analysis.design.explanations import AS_IS, Decision, Explanation
+from impact_rs_analysis.inference.noise import UNMEASURED
+from impact_rs_analysis.inference.student import probability
 
 from .made_up_trials import DISCREPANCY, SCATTER, estimated_pair, trial
 
@@ -15,16 +17,20 @@ def gain(counts: Discrimination, **repeats: int) -> float:
     return float(counts.gains(counts.total(repeats))[0][0][0])
 
 
+def blur_of(repeats: int, share: float = 1.0) -> float:
+    """Variance of a feature's mean; ``share`` of the discrepancy is feature by feature."""
+    return SCATTER**2 / repeats + (1.0 - SCATTER**2 - DISCREPANCY**2) + share * DISCREPANCY**2
+
+
 def test_the_distance_is_that_of_the_predictions_over_what_blurs_them() -> None:
     counts = Discrimination(estimated_pair(), [trial("a", [[0.3, -0.4], [0.0, 0.1]])])
-    blur = SCATTER**2 / 3 + (1.0 - SCATTER**2 - DISCREPANCY**2) + DISCREPANCY**2
-    assert gain(counts, a=3) == pytest.approx((0.3**2 + 0.5**2) / blur)
+    assert gain(counts, a=3) == pytest.approx((0.3**2 + 0.5**2) / blur_of(3))
 
 
 def test_repeats_average_scatter_and_not_the_discrepancy_of_the_simulation() -> None:
-    item = trial("a", [[0.3], [0.0]]).cluster
-    assert variance(item, 1)[0] == pytest.approx(1.0)
-    assert variance(item, 10**6)[0] == pytest.approx(1.0 - SCATTER**2, rel=1e-4)
+    counts = Discrimination(estimated_pair(), [trial("a", [[1.0], [0.0]])])
+    assert gain(counts, a=1) == pytest.approx(1.0)
+    assert gain(counts, a=10**6) == pytest.approx(1.0 / (1.0 - SCATTER**2), rel=1e-4)
 
 
 @pytest.mark.parametrize("repeats", [1, 4])
@@ -43,9 +49,9 @@ def test_the_likelier_explanation_is_right_as_often_as_said(repeats: int) -> Non
     counts = Discrimination(estimated_pair(2), trials)
     said = counts.probabilities(counts.total({"a": repeats, "b": repeats}))[0]
 
-    patterns = np.sqrt(1.0 - ALONE) * np.hstack([one.cluster.patterns for one in trials])
+    patterns = np.sqrt(1.0 - UNMEASURED) * np.hstack([one.cluster.patterns for one in trials])
     spreads = [np.hstack([one.spreads[h] for one in trials]) for h in range(2)]
-    blur = np.diag(np.hstack([variance(one.cluster, repeats) for one in trials]))
+    blur = np.diag(np.full(12, blur_of(repeats, UNMEASURED)))
     covariance = blur + patterns.T @ patterns + sum(rows.T @ rows for rows in spreads)
     centres = np.hstack([one.centres for one in trials])
     draws = rng.multivariate_normal(np.zeros(12), covariance, size=20_000)
@@ -96,10 +102,10 @@ def test_without_estimates_the_rival_is_fitted_anew() -> None:
     )
     one = trial("a", np.zeros((2, 3)), [first, second])
     counts = Discrimination(decision, [one])
-    blur = variance(one.cluster, 2)
+    blur = blur_of(2)
     expected = []
     for own, other in ((first, second), (second, first)):
-        rows = np.vstack([other.T / np.sqrt(blur)[:, None], [[1.0 / WIDE]]])
+        rows = np.vstack([other.T / np.sqrt(blur), [[1.0 / WIDE]]])
         target = np.append(own[0] / np.sqrt(blur), 0.0)
         share = np.linalg.lstsq(rows, target, rcond=None)[0]
         expected.append(np.sum(np.square(target - rows @ share)))
@@ -133,7 +139,7 @@ def test_the_information_on_parameters_is_that_of_least_squares() -> None:
     one = Explanation("mass", (("m", (1.0,)),), ((("m", (1.1,)),), (("m", (1.0,)),)))
     made = trial("a", np.zeros((1, 3)), [rows])
     counts = Discrimination(Decision("parameters", (one,)), [made])
-    weighed = rows / variance(made.cluster, 3) @ rows.T
+    weighed = rows / blur_of(3) @ rows.T
     assert counts.utility(counts.total({"a": 3})) == pytest.approx(
         0.5 * np.linalg.slogdet(np.eye(2) + weighed)[1], rel=1e-9
     )

@@ -18,7 +18,7 @@ from intervals import assert_covers
 from impact_rs_analysis.evidence.map_discrepancy import NO_MAP_DISCREPANCY
 from impact_rs_analysis.evidence.measured_runs import read_trial
 from impact_rs_analysis.evidence.replay_cache import ReplayCache
-from impact_rs_analysis.following import announcement, change, follow, hits, posterior, recent_residuals
+from impact_rs_analysis.following import announcement, change, hits, posterior, proposals, recent_residuals
 from impact_rs_analysis.following.follow import Follower, HitsSince
 from impact_rs_analysis.following.hits import BagDoor, TableDoor
 from impact_rs_analysis.following.lessons import Change, HitDocument
@@ -163,15 +163,14 @@ def test_quiet_hits_are_no_change_and_are_predicted_as_the_noise_says(day: Day) 
 def test_a_prediction_is_the_mixture_of_the_explanations(day: Day) -> None:
     """Two that disagree widen the interval by their distance; kills the term of the mixture and equal shares."""
     follower = day([])
-    one, other = copy.copy(follower.likeliest), copy.copy(follower.likeliest)
+    one, other = copy.copy(follower.watch.likeliest), copy.copy(follower.watch.likeliest)
     other.posterior = other.posterior.copy()
-    assert follower.candidate is not None
-    other.point = follower.candidate.nominal.copy()
-    other.point[follower.candidate.part("object_mass")] = 1.5
+    other.point = follower.watch.hits.candidate.nominal.copy()
+    other.point[follower.watch.hits.candidate.part("object_mass")] = 1.5
     apart = []
     for shares in ((0.0, -50.0), (-50.0, 0.0), (0.0, 0.0)):
         one.log_weight, other.log_weight = shares
-        follower.hypotheses = [one, other]
+        follower.watch.hypotheses = [one, other]
         found = follower.prediction()
         assert found is not None
         apart.append(np.array([(value.value, np.ptp(value.ci95) / 2.0) for value in found.values]).T)
@@ -228,7 +227,7 @@ def test_a_step_is_found_within_some_hits_with_its_sign_and_size(
     (change,) = changes(documents)
     found = [document.name for document in documents].index(change.hit) - len(quiet) + 1
     assert 2 <= found <= least  # one hit alone is never a change
-    (cause,) = (one for one in change.causes if one.effect == follower.likeliest.effect == effect)
+    (cause,) = (one for one in change.causes if one.effect == follower.watch.likeliest.effect == effect)
     assert sign * cause.parameters[0].change > 0.0
     (believed,) = (one for one in follower.followed() if one.parameter == cause.parameters[0].parameter)
     half = believed.ci95[1] - believed.estimate
@@ -267,7 +266,7 @@ def test_large_changes_whose_sensitivities_bend_are_explained_by_their_effect_in
     """By first-order sensitivities another effect explains the first hits better."""
     follower = following(write(tmp_path / "hits.csv", QUIET + rows_of({effect: values}, 2, seed=2)), only=FOUR)
     documents = list(follower.arrived())
-    assert follower.likeliest.effect == effect
+    assert follower.watch.likeliest.effect == effect
     late = [document.error for document in documents[-3:]]
     assert max(error for error in late if error is not None) < 1.6
 
@@ -287,7 +286,7 @@ def test_a_slow_drift_is_followed_with_its_sign(day: Day) -> None:
 
 @pytest.mark.slow
 def test_a_sensor_that_drifts_slowly_is_no_change(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The scale of all velocities after the impact, by 2 % over 240 hits; test_posterior has the law of the drift."""
+    """The scale of all velocities after the impact, by 2 % over 240 hits; test_belief has the law of the drift."""
     header, _ = arm_table({}, 0)
     after = [place for place, name in enumerate(header) if "after" in name]
     rows = rows_of({}, 40, seed=1)
@@ -337,9 +336,9 @@ def test_a_likely_explanation_that_is_not_the_first_is_linearised_anew(day: Day)
     arriving = follower.door.arrived()
     for hit in islice(arriving, 6):
         follower.take([hit])
-    unlikely, likely = copy.copy(follower.likeliest), follower.likeliest
+    unlikely, likely = copy.copy(follower.watch.likeliest), follower.watch.likeliest
     unlikely.posterior, unlikely.log_weight = likely.posterior.copy(), likely.log_weight - 5.0
-    follower.hypotheses = [unlikely, likely]
+    follower.watch.hypotheses = [unlikely, likely]
     for hit in arriving:
         follower.take([hit])
     (mass,) = follower.followed()
@@ -352,25 +351,24 @@ def test_an_explanation_that_predicts_nothing_is_ruled_out_by_one_that_does(
     """Kills a hit that is not predicted and costs nothing, and hypotheses that are never dropped."""
     follower = day(rows_of({}, 1, seed=5))
     first, second, *_ = follower.door.arrived()
-    seeing, blind = follower.likeliest, copy.copy(follower.likeliest)
-    assert follower.candidate is not None
+    seeing, blind = follower.watch.likeliest, copy.copy(follower.watch.likeliest)
     scale = 1.0 + 1e-9
     blind.point, blind.posterior = blind.point.copy(), blind.posterior.copy()
-    blind.point[follower.candidate.part("object_mass")] = scale
+    blind.point[follower.watch.hits.candidate.part("object_mass")] = scale
     seeing.log_weight, blind.log_weight = 0.0, -1.0
-    follower.hypotheses, predict = [seeing, blind], follower.door.predict
+    follower.watch.hypotheses, predict = [seeing, blind], follower.door.predict
 
     def blinded(hit: hits.Hit, added: Sequence[tuple]) -> list:  # type: ignore[type-arg]
         return [None] * len(added) if ("object_mass", (scale,)) in added[0] else predict(hit, added)
 
     monkeypatch.setattr(follower.door, "predict", blinded)
     (document,) = follower.take([first])
-    assert follower.hypotheses == [seeing] and not follower.door.skipped
-    assert follower.probabilities() == [1.0] and document.resolved == ""
-    follower.hypotheses = [blind]
+    assert follower.watch.hypotheses == [seeing] and not follower.door.skipped
+    assert follower.watch.probabilities() == [1.0] and document.resolved == ""
+    follower.watch.hypotheses = [blind]
     (document,) = follower.take([second])
     assert document.error is None and "predicts no impact" in follower.door.skipped[second.name]
-    assert follower.hypotheses == [blind]
+    assert follower.watch.hypotheses == [blind]
 
 
 @pytest.mark.parametrize(
@@ -383,28 +381,27 @@ def test_a_cause_is_dropped_below_one_in_a_thousand_and_known_from_95_percent_on
     """Probabilities 0.92, 0.97, and of a third 2e-4 and 1.5e-3; kills either bound, and causes that are never known."""
     follower = day(rows_of({}, 1, seed=5))
     first = next(follower.door.arrived())
-    follower.likeliest.effect = "object_mass"
-    found = [copy.deepcopy(follower.likeliest.recent) for _ in others]
+    follower.watch.likeliest.effect = "object_mass"
+    found = [copy.deepcopy(follower.watch.likeliest.recent) for _ in others]
     for behind, recent in zip(others, found, strict=True):
-        one = copy.copy(follower.likeliest)
+        one = copy.copy(follower.watch.likeliest)
         one.posterior, one.recent, one.log_weight = one.posterior.copy(), recent, -behind
-        follower.hypotheses.append(one)
+        follower.watch.hypotheses.append(one)
     (document,) = follower.take([first])
-    assert len(follower.hypotheses) == left
+    assert len(follower.watch.hypotheses) == left
     assert document.resolved == resolved
 
 
 def test_a_hit_raises_the_explanation_that_predicts_it(day: Day) -> None:
     """Kills probabilities that hits do not change."""
     follower = day(rows_of({"object_mass": [1.5]}, 1, seed=2))
-    assert follower.candidate is not None
-    other = copy.copy(follower.likeliest)
+    other = copy.copy(follower.watch.likeliest)
     other.point, other.posterior = other.point.copy(), other.posterior.copy()
     other.recent, other.log_weight = copy.deepcopy(other.recent), -2.0
-    other.point[follower.candidate.part("object_mass")] = 1.5
-    follower.hypotheses.append(other)
+    other.point[follower.watch.hits.candidate.part("object_mass")] = 1.5
+    follower.watch.hypotheses.append(other)
     follower.take([next(follower.door.arrived())])
-    assert follower.likeliest is other and follower.probabilities().max() > 0.95
+    assert follower.watch.likeliest is other and follower.watch.probabilities().max() > 0.95
 
 
 def test_two_odd_hits_of_a_kind_among_others_are_no_change(day: Day, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -427,8 +424,8 @@ def test_mass_and_motors_that_hits_do_not_tell_apart_are_told_apart_by_a_lift_if
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Kills a check without its own uncertainty, and one that is proposed where both read the same."""
-    lift = follow.CHECKS[0]
-    monkeypatch.setattr(follow, "CHECKS", (lift,))
+    lift = proposals.CHECKS[0]
+    monkeypatch.setattr(proposals, "CHECKS", (lift,))
     change = apart(tmp_path, {"object_mass": [1.1]}, ["object_mass", "motor_inertia_scale"])
     mass = change.causes[0].parameters[0]
     assert (change.causes[0].effect, mass.parameter) == ("object_mass", "object_mass.scale")
@@ -437,7 +434,7 @@ def test_mass_and_motors_that_hits_do_not_tell_apart_are_told_apart_by_a_lift_if
     assert min(abs(as_before - 9.81 * item.mass) for item in PUSH.objects.values()) < 0.05  # N
     assert heavier == pytest.approx(mass.estimate * as_before, rel=0.01)
     blunt = lift._replace(least=10.0 * lift.least)
-    monkeypatch.setattr(follow, "CHECKS", (blunt,))
+    monkeypatch.setattr(proposals, "CHECKS", (blunt,))
     change = apart(tmp_path, {"object_mass": [1.1]}, ["object_mass", "motor_inertia_scale"])
     assert change.apart == "a free motion distinguishes them (motor_inertia_scale would show there)"
 
@@ -450,7 +447,7 @@ def test_one_more_hit_of_a_kind_that_was_measured_is_proposed_where_it_decides(t
 def test_hits_at_other_speeds_are_proposed_where_those_at_hand_do_not_decide(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    for module in (announcement, follow):
+    for module in (announcement, proposals):
         monkeypatch.setattr(module, "APART", 10.0)
     change = apart(tmp_path, {"restitution": [0.06]}, ["object_mass", "restitution"], seed=5)
     assert " at twice the speed, not measured yet, distinguishes them (" in change.apart
@@ -461,7 +458,7 @@ def test_hits_at_other_speeds_are_proposed_where_those_at_hand_do_not_decide(
 
 def test_where_nothing_tells_causes_apart_it_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Both show in a free motion, and neither in what one reads."""
-    monkeypatch.setattr(follow, "CHECKS", ())
+    monkeypatch.setattr(proposals, "CHECKS", ())
     change = apart(tmp_path, {"motor_inertia_scale": [1.2]}, ["motor_inertia_scale", "end_effector_payload"])
     assert change.apart.startswith("no hit of these kinds and nothing")
 

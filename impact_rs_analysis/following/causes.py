@@ -1,0 +1,186 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Causes of a change: explanations of the hits since then, each linearised anew about its estimate.
+
+The parameters of one effect are free: Gauss-Newton on the hits since the change, from what was believed before. A
+contact that grips does not change with more friction, though it does with much less, so that an explanation is one only
+if it keeps what it promised by the sensitivities before.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from impact_rs_analysis.following.change import TIED, ChangeExplanation, ChangeTest, support
+from impact_rs_analysis.following.hit_model import HitModel, Hypothesis, Origin
+from impact_rs_analysis.following.hits import Hit
+from impact_rs_analysis.following.posterior import WIDE, WIDTH, Posterior, squared_distance, weight_of
+from impact_rs_analysis.inference.student import log_ratio
+from impact_rs_sim.robot import Array
+
+MOST = 4  # hypotheses at a time
+TRIED = 5  # explanations that are linearised anew at a hit
+STEPS = 4  # of Gauss-Newton about an explanation
+KEPT = 0.5  # of the promised fall of the residuals; an explanation with less is none
+LEAST_GAIN = 4.0  # fall of the squares of the others, of one parameter two standard deviations
+NEAR = 0.1  # parameter scales; a shorter step ends it
+
+Held = list[tuple[ChangeExplanation, Hypothesis]]
+
+
+class Causes:
+    """Looks for causes.
+
+    Args:
+        hits: Predicts hits.
+    """
+
+    def __init__(self, hits: HitModel) -> None:
+        self._hits, self._own, self._calibration = hits, hits.candidate, hits.calibration
+
+    def of(self, before: Hypothesis, test: ChangeTest, statistics: dict[str, Array]) -> Held:
+        """Explanations of a change that hold once they are linearised anew, the likeliest first."""
+        tried = test.explanations(before.posterior, statistics)[:TRIED]
+        held = [found for one in tried if (found := self._held(before, one)) is not None]
+        held.sort(key=lambda pair: -pair[0].log_ratio)
+        tie = math.log(TIED)
+        promising = any(one.effect == tried[0].effect for one, _ in held)
+        # What promises most may hold at a later hit: the others need more evidence than it.
+        if not held or held[0][0].log_ratio < test.threshold - (0.0 if promising else tie):
+            return []
+        return [pair for pair in held if pair[0].log_ratio > held[0][0].log_ratio + tie][:MOST]
+
+    def instead_of(self, best: Hypothesis) -> tuple[Hypothesis, Held, float] | None:
+        """What explains the hits since the last change better than the effect that was named then.
+
+        Returns:
+            The hypothesis before that change, the explanations of all hits since, and by how much the logarithm of the
+            likelihood ratio of the first exceeds that of the effect that was named; None: there is none.
+        """
+        origin = best.origin
+        if origin is None:
+            return None
+        before = Hypothesis(origin.point, Posterior(origin.past.copy()))
+        for instant in best.posterior.window:
+            found = [(self._hits.evidence(one.hit, before.point), one.weight) for one in instant]
+            before.posterior.add([replace(own, weight=weight) for own, weight in found if own is not None])
+        test = self._hits.test(before)
+        held = self.of(before, test, test.statistics(before.posterior)[1])
+        if not held or held[0][0].effect == best.effect:
+            return None
+        lead = self._ratio(before, held[0][1]) - self._ratio(before, best)
+        return None if lead <= 0.0 else (before, held, lead)
+
+    def _held(self, before: Hypothesis, one: ChangeExplanation) -> tuple[ChangeExplanation, Hypothesis] | None:
+        """An explanation, linearised anew; None where it does not keep what it promised, or few hits speak for it.
+
+        Of hits that are odd now and then, in the same way, two make no change: without the quarter that speaks for it
+        most, the other hits must still speak for it. Its likelihood ratio is corrected by what it explains more or less
+        than promised, and by the information about its parameters there (Laplace).
+        """
+        fitted = self.about(before, one)
+        gains = _gains(before, fitted)
+        inflation = self._calibration.of(one.effect)
+        since = [e for instant in before.posterior.window[one.start :] for e in instant]
+        if sum(gain > inflation for gain in gains) < self._calibration.least_hits(self._hits.mean_time, since):
+            return None
+        if sum(gains) <= KEPT * one.gain or support(gains) <= LEAST_GAIN * inflation:
+            return None
+        promised = one.gain / inflation - float(one.change @ one.change) / WIDTH**2
+        first = log_ratio(promised, one.determinant, one.change.size, self._calibration.freedom)
+        return replace(one, log_ratio=one.log_ratio + self._ratio(before, fitted) - first), fitted
+
+    def _ratio(self, before: Hypothesis, fitted: Hypothesis) -> float:
+        """Logarithm of the likelihood ratio of an explanation about its estimate, by the hits since then."""
+        assert fitted.origin is not None
+        numbers, inflation = list(fitted.origin.numbers), self._calibration.of(fitted.effect)
+        place, unit = [fitted.posterior.followed.index(number) for number in numbers], np.eye(len(numbers))
+        covariance = inflation * fitted.posterior.now.covariance[np.ix_(place, place)]
+        known = np.linalg.inv(covariance) - unit / (inflation * WIDE**2)
+        moved = (self._hits.values(fitted)[numbers] - fitted.origin.old) / self._own.scale[numbers]
+        prior = float(moved @ np.linalg.solve(covariance + WIDTH**2 * unit, moved))
+        determinant = float(np.linalg.slogdet(unit + WIDTH**2 * known)[1])
+        explained = sum(_gains(before, fitted)) / inflation - prior
+        return log_ratio(explained, determinant, len(place), self._calibration.freedom)
+
+    def about(self, before: Hypothesis, one: ChangeExplanation) -> Hypothesis:
+        """An explanation, linearised about its estimate."""
+        part = self._own.part(one.effect)
+        numbers = list(range(part.start, part.stop))
+        seen = [n for n in numbers if n in self._hits.active]
+        point = before.point.copy()
+        old = self._hits.values(before)[numbers]
+        point[numbers] = old
+        point[seen] += self._own.scale[seen] * one.change
+        past = before.posterior.copy()
+        past.believe_before(one.start)
+        if len(seen) < len(numbers):  # what changed shows shapes that nothing depended on before
+            self._hits.look_at(sorted({*self._hits.active, *numbers}))
+        origin = Origin(before.point, past.before, tuple(numbers), old)
+        return self._fitted(origin, past.hits, point, one.effect)
+
+    def _fitted(self, origin: Origin, hits: Sequence[Sequence[Hit]], point: Array, effect: str) -> Hypothesis:
+        """Gauss-Newton on the hits since a change, with the parameters of its effect free."""
+        own, numbers = self._own, list(origin.numbers)
+        scale, lower, upper = own.scale[numbers], own.lower[numbers], own.upper[numbers]
+        followed = tuple(dict.fromkeys((*origin.past.parameters, *numbers)))
+        place = [followed.index(n) for n in numbers]
+        point = point.copy()
+        point[numbers] = np.clip(point[numbers], lower, upper)
+        point = own.possible(point)
+        for step in range(STEPS):
+            posterior = self._since(origin, followed, hits, point, followed)
+            there = point.copy()
+            there[numbers] = np.clip(point[numbers] + scale * posterior.now.mean[place], lower, upper)
+            there = own.possible(there)
+            if step == STEPS - 1 or np.all(np.abs(there - point)[numbers] < NEAR * scale):
+                break
+            point = there
+        return Hypothesis(point, posterior, effect=effect, origin=origin)
+
+    def complete(self, fitted: Hypothesis) -> Hypothesis:
+        """The same with sensitivities to all parameters, for the test of the next hits."""
+        assert fitted.origin is not None
+        posterior, active = fitted.posterior, self._hits.active
+        whole = self._since(fitted.origin, posterior.followed, posterior.hits, fitted.point, active)
+        return replace(fitted, posterior=whole)
+
+    def refined(self, one: Hypothesis) -> Hypothesis:
+        """A hypothesis, linearised about what the hits since its change say by now."""
+        assert one.origin is not None
+        found = self.complete(self._fitted(one.origin, one.posterior.hits, self._hits.values(one), one.effect))
+        found.log_weight, found.recent = one.log_weight, one.recent
+        return found
+
+    def _since(
+        self, origin: Origin, followed: tuple[int, ...], hits: Sequence[Sequence[Hit]], point: Array,
+        parameters: Sequence[int],
+    ) -> Posterior:  # fmt: skip
+        """Posterior of what was known before a change and the hits since then, linearised about a point."""
+        numbers = list(origin.numbers)
+        shift = (origin.old - point[numbers]) / self._own.scale[numbers]
+        posterior = Posterior(origin.past.with_parameters(followed, numbers, shift, WIDE))
+        for instant in hits:
+            found = [e for hit in instant if (e := self._hits.evidence(hit, point, parameters)) is not None]
+            weights = []
+            for one in found:
+                innovation, covariance = posterior.now.predictive(one)
+                distance = squared_distance(innovation, covariance, self._calibration.of_hits)
+                weights.append(weight_of(distance, innovation.size))
+            if found:
+                posterior.add([replace(one, weight=weight) for one, weight in zip(found, weights, strict=True)])
+        return posterior
+
+
+def _gains(before: Hypothesis, fitted: Hypothesis) -> list[float]:
+    """Fall of the sum of squared whitened residuals of every hit since a change."""
+    past = {e.hit.name: e for instant in before.posterior.window for e in instant}
+    found = []
+    for evidence in (e for instant in fitted.posterior.window for e in instant):
+        old = past[evidence.hit.name]
+        first, second = before.posterior.now.rest(old), fitted.posterior.now.rest(evidence)
+        found.append(old.weight * float(first @ first - second @ second))
+    return found

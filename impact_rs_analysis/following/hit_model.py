@@ -1,0 +1,204 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What hits say about points of the parameters that are followed, and what a hypothesis predicts of them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+import scipy
+
+from impact_rs_analysis.diagnosis.candidate import Candidate
+from impact_rs_analysis.evidence.cluster import Added
+from impact_rs_analysis.following.change import Calibration, ChangeTest
+from impact_rs_analysis.following.hits import Door, Hit
+from impact_rs_analysis.following.lessons import Followed
+from impact_rs_analysis.following.posterior import HitEvidence, Posterior
+from impact_rs_analysis.following.recent_residuals import RecentResiduals
+from impact_rs_analysis.inference.belief import Belief
+from impact_rs_sim.effects.base import Joints
+from impact_rs_sim.physics import Physics
+from impact_rs_sim.proportion import Proportion
+from impact_rs_sim.robot import Array
+
+
+@dataclass(frozen=True)
+class Origin:
+    """What was known when an effect changed.
+
+    Attributes:
+        point: Point of the linearisation before, ``(p,)``.
+        past: What was believed of all hits before.
+        numbers: Parameters of the effect.
+        old: Their values before, ``(p_e,)``.
+    """
+
+    point: Array
+    past: Belief
+    numbers: tuple[int, ...]
+    old: Array
+
+
+@dataclass(eq=False)
+class Hypothesis:
+    """One belief about what the cell is.
+
+    Attributes:
+        point: Values of all parameters about which it is linearised, ``(p,)``.
+        posterior: State of its parameters.
+        log_weight: Logarithm of its probability.
+        effect: Effect that changed last; empty: none did.
+        origin: What that change started from; None: none did, or it is older than the window.
+        tried: Statistic at which nothing was found that explains a change; it is looked for again once it has grown.
+        recent: What it left of the last hits.
+    """
+
+    point: Array
+    posterior: Posterior
+    log_weight: float = 0.0
+    effect: str = ""
+    origin: Origin | None = None
+    tried: float = -math.inf
+    recent: RecentResiduals = field(default_factory=RecentResiduals)
+
+
+class HitModel:
+    """Predictions of hits under effects, with their sensitivities and scatter.
+
+    Args:
+        door: Predicts hits.
+        candidate: The effects, at what is believed at the start.
+        joints: Of the arms.
+        proportion: Size of what was measured, to which ranges and scales are in proportion.
+        mean_time: Mean number of hits to a false alarm, at least.
+
+    Attributes:
+        whiten: What whitens the hits of a layout, ``(F, F)``.
+        active: Parameters that some hit depends on, by number.
+        calibration: Of the scores of the effects.
+    """
+
+    def __init__(
+        self, door: Door, candidate: Candidate, joints: Joints, proportion: Proportion, mean_time: float
+    ) -> None:
+        self.door, self.candidate, self.joints, self.proportion = door, candidate, joints, proportion
+        self.mean_time = mean_time
+        self.whiten: dict[str, Array] = {}
+        self.calibration = Calibration()
+        self._jacobians: dict[tuple[str, bytes, tuple[int, ...]], Array] = {}
+        self._plans: dict[tuple[bytes, tuple[int, ...]], tuple[Array, list[Added]]] = {}
+        self.look_at(range(candidate.point.size))
+
+    def look_at(self, parameters: Sequence[int]) -> None:
+        """Take sensitivities to these parameters alone from now on."""
+        self.active = tuple(parameters)
+        self._plans.clear()
+        self._jacobians.clear()
+
+    @property
+    def start(self) -> Array:
+        """Values of all parameters that are believed at the start, ``(p,)``."""
+        return self.candidate.point
+
+    def test(self, hypothesis: Hypothesis) -> ChangeTest:
+        """The test for a change, about the point of a hypothesis."""
+        there = replace(self.candidate, point=hypothesis.point)
+        return ChangeTest(there, self.active, self.calibration, self.mean_time)
+
+    def evidence(self, hit: Hit, point: Array, parameters: Sequence[int] | None = None) -> HitEvidence | None:
+        """What a hit says about a point and parameters around it (None: all active ones); None without a contact."""
+        found = self.linearised(hit, point, self.active if parameters is None else parameters)
+        if found is None:
+            return None
+        predicted, jacobian = found
+        whiten = self.whiten[hit.layout]
+        return HitEvidence(
+            whiten @ (hit.measured - predicted), whiten @ jacobian, whiten @ hit.discrepancy.T, hit.group, hit=hit
+        )
+
+    def linearised(self, hit: Hit, point: Array, parameters: Sequence[int]) -> tuple[Array, Array] | None:
+        """Predicted features ``(F,)`` and sensitivities per scale ``(F, p)`` at a point; None without a contact.
+
+        Sensitivities to other parameters are 0.
+        """
+        own, numbers = replace(self.candidate, point=point), tuple(parameters)
+        key = (hit.shared, point.tobytes(), numbers)
+        if hit.shared and key in self._jacobians:
+            (predicted,) = self.door.predict(hit, [own.split(point)])
+            return None if predicted is None else (predicted, self._jacobians[key])
+        if (plan := self._plans.get(key[1:])) is None:
+            steps = own.steps(self.joints)
+            moved = [point + steps[number] * (np.arange(point.size) == number) for number in numbers]
+            plan = self._plans[key[1:]] = steps, [own.split(one) for one in (point, *moved)]
+        steps, points = plan
+        predicted, *others = self.door.predict(hit, points)
+        if predicted is None:
+            return None
+        jacobian = np.zeros((predicted.size, point.size))
+        for number, there in zip(numbers, others, strict=True):
+            if there is not None:
+                jacobian[:, number] = (there - predicted) * own.scale[number] / steps[number]
+        if hit.shared:
+            self._jacobians[key] = jacobian
+        return predicted, jacobian
+
+    def error_at_start(self, evidence: HitEvidence, point: Array) -> float:
+        """Error of the model as it was given, in standard deviations of a hit, rms over the features."""
+        off, hit = evidence.residual, evidence.hit
+        if not np.array_equal(point, self.start):
+            (given,) = self.door.predict(hit, [self.candidate.split(self.start)])
+            off = off if given is None else self.whiten[hit.layout] @ (hit.measured - given)
+        return math.sqrt(float(np.mean(np.square(off))))
+
+    def values(self, hypothesis: Hypothesis) -> Array:
+        """Believed values of all parameters, ``(p,)``."""
+        own, followed = self.candidate, list(hypothesis.posterior.followed)
+        values = hypothesis.point.copy()
+        values[followed] += own.scale[followed] * hypothesis.posterior.now.mean[: len(followed)]
+        return own.possible(np.clip(values, own.lower, own.upper))
+
+    def followed(self, hypothesis: Hypothesis, numbers: Sequence[int], old: Array) -> tuple[Followed, ...]:
+        """Parameters with their intervals and changes."""
+        own, posterior = self.candidate, hypothesis.posterior
+        values, variances = self.values(hypothesis), np.diag(posterior.now.covariance)
+        wide = scipy.special.stdtrit(self.calibration.freedom, 0.975)
+        names = [effect.name for effect, part in own.parts for _ in range(part.start, part.stop)]
+        found = []
+        for number in numbers:
+            variance = float(variances[posterior.followed.index(number)]) * self.calibration.of(names[number])
+            half, value = wide * own.scale[number] * math.sqrt(variance), float(values[number])
+            found.append(
+                Followed(
+                    parameter=f"{names[number]}.{own.scalars[number].name}",
+                    estimate=value,
+                    ci95=(value - half, value + half),
+                    change=value - float(old[number]),
+                    unit=own.scalars[number].unit,
+                )
+            )
+        return tuple(found)
+
+    def forecast(self, hypothesis: Hypothesis, hit: Hit) -> tuple[Array, Array, Array] | None:
+        """Residual of a hit ``(F,)`` and its covariance ``(F, F)``, whitened, and what whitens it; None: no contact."""
+        evidence = self.evidence(hit, hypothesis.point) if hit.layout in self.whiten else None
+        if evidence is None:
+            return None
+        return (*hypothesis.posterior.now.predictive(evidence), self.whiten[hit.layout])
+
+    def predicted(self, hypothesis: Hypothesis, hit: Hit) -> tuple[Array, Array] | None:
+        """Mean and variance of what a hit like this one measures, ``(F,)`` each, in its units; None: no contact."""
+        if (found := self.forecast(hypothesis, hit)) is None:
+            return None
+        innovation, covariance, whiten = found
+        innovation = innovation - hypothesis.recent.expected(hit.group, innovation.size)
+        back = np.linalg.inv(whiten)
+        return hit.measured - back @ innovation, np.diag(back @ covariance @ back.T)
+
+    def scene(self, values: Array, physics: Physics) -> Physics:
+        """Physics with the effects at some values."""
+        for effect, part in self.candidate.parts:
+            if np.any(values[part] != self.candidate.nominal[part]):
+                physics = effect.apply_vector(physics, values[part])
+        return physics

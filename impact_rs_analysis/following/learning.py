@@ -1,0 +1,157 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the first hits teach: which effects they show, the scatter of hits, and how far it can be relied on."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from impact_rs_analysis.diagnosis.candidate import Candidate
+from impact_rs_analysis.diagnosis.diagnose import effects_for
+from impact_rs_analysis.evidence.source import Source
+from impact_rs_analysis.following.hit_model import HitModel, Hypothesis
+from impact_rs_analysis.following.hits import Door, Hit
+from impact_rs_analysis.following.posterior import Posterior
+from impact_rs_analysis.inference.belief import Belief
+from impact_rs_analysis.inference.noise import Noise, deviations_of, repeats_of
+from impact_rs_sim.errors import InputError
+from impact_rs_sim.model import Model, ModelEffect
+from impact_rs_sim.numbers import NORMAL_95
+from impact_rs_sim.proportion import Proportion
+from impact_rs_sim.robot import Array
+
+LEAST_FREEDOM = 10  # of the scatter: its standard deviations are known to 22 % then
+
+
+class Learning:
+    """Hits of layouts whose scatter is not known yet.
+
+    Args:
+        door: Gives hits and predictions; its model is replaced by one without the effects that are followed.
+        model: What is believed at the start.
+        only: Effects to look at beside those of the model; None: all that hits can show.
+        learnt: Hits that teach the scatter.
+        mean_time: Mean number of hits to a false alarm, at least.
+
+    Attributes:
+        first: The hits.
+        hits: What predicts hits; None: too few were seen.
+    """
+
+    def __init__(self, door: Door, model: Model, only: Sequence[str] | None, learnt: int, mean_time: float) -> None:
+        self.door, self.model, self._only, self.learnt, self._mean_time = door, model, only, learnt, mean_time
+        self._believed = [item for item in model.effects if _same(model, item)]
+        kept = tuple(item for item in model.effects if item not in self._believed)
+        door.model = model.model_copy(update={"effects": kept})
+        self.first: list[Hit] = []
+        self.hits: HitModel | None = None
+
+    def enough(self, layout: str, count: int) -> bool:
+        """Whether the first hits of a layout teach its scatter, after so many hits of all."""
+        own = [hit for hit in self.first if hit.layout == layout]
+        if count < self.learnt or len(own) < self.learnt // 2:
+            return False
+        _, freedom = deviations_of([hit.measured for hit in own], [hit.condition for hit in own])
+        return freedom >= min(LEAST_FREEDOM, self.learnt // 2 - 1)
+
+    def begin(self, layout: str, hypotheses: list[Hypothesis]) -> list[Hypothesis]:
+        """Learn the scatter of a layout from its first hits; the hypotheses with what these say.
+
+        Raises:
+            InputError: The model predicts fewer than half of them.
+        """
+        first = [hit for hit in self.first if hit.layout == layout]
+        self.first = [hit for hit in self.first if hit.layout != layout]
+        if self.hits is None:
+            source = self.door.source(first)
+            self.hits, self._stated = self.consider(source, source.proportion)
+        own = self.hits
+        known = own.active if hypotheses else ()
+        own.look_at(range(own.start.size))
+        found = [(hit, one) for hit in first if (one := own.linearised(hit, own.start, own.active)) is not None]
+        if len(found) < 0.5 * len(first):
+            raise InputError(f"model {self.model.name!r} predicts {len(found)} of the first {len(first)} hits")
+        residuals = [(hit, hit.measured - predicted) for hit, (predicted, _) in found]
+        jacobians = [jacobian for _, (_, jacobian) in found]
+        limits = self.door.limits(first, layout)
+        own.whiten[layout], freedom = _scatter(residuals, limits)
+        calibration, freedom = own.calibration, max(freedom, 2)
+        calibration.freedom = float(freedom) if not hypotheses else min(calibration.freedom, float(freedom))
+        moving = np.max([np.max(np.abs(jacobian), axis=0) for jacobian in jacobians], axis=0) > 0.0
+        own.look_at(sorted({*known, *np.flatnonzero(moving).tolist()}))
+        if not hypotheses:
+            stated = [number for number in self._stated if number in own.active]
+            belief = Belief.of(stated, np.array([self._stated[number] for number in stated]))
+            hypotheses = [Hypothesis(own.start, Posterior(belief))]
+        for hypothesis in hypotheses:
+            evidence = [e for hit, _ in found if (e := own.evidence(hit, hypothesis.point)) is not None]
+            hypothesis.posterior.believe(evidence)
+        self._calibrate(own, hypotheses[0], residuals, jacobians, limits)
+        return hypotheses
+
+    def consider(self, source: Source, proportion: Proportion) -> tuple[HitModel, dict[int, float]]:
+        """Choose effects and their parameters.
+
+        Args:
+            source: Some hits.
+            proportion: Size of what was measured, to which ranges and scales are in proportion.
+
+        Returns:
+            What predicts hits, and the standard deviations, in scales, of the parameters that the model states with an
+            interval, by number.
+        """
+        known = [item.name for item in self._believed]
+        library = source.model.known_effects
+        names = [effect.name for effect in effects_for(source, self._only)]
+        names += [name for name in known if name not in names]
+        candidate = Candidate.of(tuple(library[name].in_proportion(proportion) for name in names), source)
+        point = candidate.nominal.copy()
+        stated: dict[int, float] = {}
+        for item in self._believed:
+            part = candidate.part(item.name)
+            for number in range(part.start, part.stop):
+                value = item.parameters.get(candidate.scalars[number].name)
+                if value is None:  # nominal
+                    continue
+                point[number] = value.estimate
+                if value.ci95 is not None:
+                    width = (value.ci95[1] - value.ci95[0]) / (2.0 * NORMAL_95)
+                    stated[number] = max(width / candidate.scale[number], 1e-6)
+        candidate = replace(candidate, point=point)
+        return HitModel(self.door, candidate, source.joints, proportion, self._mean_time), stated
+
+    def _calibrate(
+        self, own: HitModel, hypothesis: Hypothesis, residuals: Sequence[tuple[Hit, Array]],
+        jacobians: Sequence[Array], limits: Array,
+    ) -> None:  # fmt: skip
+        """Variance of the scores: of every first hit by the scatter of the others."""
+        test, calibration = own.test(hypothesis), own.calibration
+        square, expected = calibration.whole
+        for left, (hit, residual) in enumerate(residuals):
+            others = [one for n, one in enumerate(residuals) if n != left]
+            alike = [value for one, value in others if one.condition == hit.condition] or [v for _, v in others]
+            whiten, _ = _scatter(others, limits)
+            whitened = whiten @ (residual - np.mean(alike, axis=0)) / math.sqrt(1.0 + 1.0 / len(alike))
+            square, expected = square + float(whitened @ whitened), expected + whitened.size
+            jacobian = whiten @ jacobians[left]
+            for name, places in test.effects.items():
+                columns = jacobian[:, [test.active[place] for place in places]]
+                basis, values, _ = np.linalg.svd(columns, full_matrices=False)
+                basis = basis[:, values > 1e-6 * max(float(values[0]), 1e-300)]
+                calibration.add(name, float(np.sum(np.square(basis.T @ whitened))), float(basis.shape[1]))
+        calibration.whole = square, expected
+
+
+def _scatter(residuals: Sequence[tuple[Hit, Array]], limits: Array) -> tuple[Array, int]:
+    """What whitens the hits of one layout, ``(F, F)``, and the degrees of freedom of their scatter."""
+    deviations, freedom = deviations_of([value for _, value in residuals], [hit.condition for hit, _ in residuals])
+    stated = np.max([hit.noise for hit, _ in residuals], axis=0)
+    return Noise(repeats_of(deviations, freedom, stated), np.square(limits / 2.0)).whitening(), freedom
+
+
+def _same(model: Model, item: ModelEffect) -> bool:
+    """Whether an entry has the parameters that the effect of its name has now; older files may have others."""
+    return model.effect_of(item).parameters == model.known_effects[item.name].parameters

@@ -1,0 +1,250 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Hypotheses about the cell: each predicts a hit before it is looked at, learns from it, and is tested for a change.
+
+A change replaces the hypotheses by its causes (:mod:`.causes`). Later hits raise or lower them, as in multiple-model
+estimation (Magill 1965), and predictions are their mixture.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+import scipy
+
+from impact_rs_analysis.following.announcement import in_words
+from impact_rs_analysis.following.causes import Causes, Held
+from impact_rs_analysis.following.hit_model import HitModel, Hypothesis
+from impact_rs_analysis.following.hits import Hit
+from impact_rs_analysis.following.lessons import Cause, Change, HitDocument, NextHit, Predicted
+from impact_rs_analysis.following.posterior import (
+    WINDOW,
+    log_density_of_hit,
+    squared_distance,
+    unpredicted_log_density,
+    weight_of,
+)
+from impact_rs_analysis.following.proposals import distinguishing
+from impact_rs_sim.robot import Array
+
+GROWN = 1.0  # of the logarithm of the statistic since an attempt in vain, before the next one
+RULED_OUT = 1e-3  # probability below which a hypothesis is dropped
+RULED_IN = 0.95  # probability from which the cause is said to be known
+UNPREDICTED = "the model predicts no impact, or no velocities that obey the contact laws"
+WALL_CLOCK = 1e9  # s since 1970; an earlier stamp counts from another moment
+
+
+@dataclass
+class HitWatch:
+    """Hypotheses about the cell.
+
+    Attributes:
+        hits: Predicts hits.
+        hypotheses: The hypotheses.
+        announced: Effects that changes were named by, in order.
+    """
+
+    hits: HitModel
+    hypotheses: list[Hypothesis]
+    announced: list[str] = field(default_factory=list)
+
+    @property
+    def likeliest(self) -> Hypothesis:
+        """The hypothesis with the largest probability."""
+        return max(self.hypotheses, key=lambda one: one.log_weight)
+
+    def probabilities(self) -> Array:
+        """Probability of every hypothesis, ``(h,)``."""
+        return np.asarray(scipy.special.softmax([one.log_weight for one in self.hypotheses]))
+
+    def prediction(self, hit: Hit) -> NextHit | None:
+        """What a hit like this one will measure; None: no hypothesis predicts a contact."""
+        found = [self.hits.predicted(one, hit) for one in self.hypotheses]
+        known = [(share, *one) for share, one in zip(self.probabilities(), found, strict=True) if one is not None]
+        if not known:
+            return None
+        total = sum(share for share, _, _ in known)
+        mean = sum(share * value for share, value, _ in known) / total
+        variance = sum(share * (own + np.square(value - mean)) for share, value, own in known) / total
+        calibration = self.hits.calibration
+        half = scipy.special.stdtrit(calibration.freedom, 0.975) * np.sqrt(variance * calibration.of_hits)
+        return NextHit(
+            condition=hit.condition,
+            like=hit.name,
+            values=tuple(
+                Predicted(
+                    signal=feature.signal,
+                    index=feature.index,
+                    phase=feature.phase,
+                    bin=feature.bin,
+                    value=float(value),
+                    ci95=(float(value - width), float(value + width)),
+                    unit=feature.unit,
+                )
+                for feature, value, width in zip(hit.features, mean, half, strict=True)
+            ),
+        )
+
+    def take(self, fresh: Sequence[Hit], last: Mapping[str, Hit]) -> tuple[dict[str, HitDocument], list[Hit]]:
+        """Predict, update and test.
+
+        Args:
+            fresh: Simultaneous hits.
+            last: The last hit of every condition.
+
+        Returns:
+            What each hit taught, by its name, and the hits since a change that was found; none: none was.
+        """
+        begun = time.perf_counter()
+        errors = self._learnt(fresh)
+        resolved = self._weigh()
+        statistic, change, since = self._tested(fresh[-1], last)
+        spent = 1e3 * (time.perf_counter() - begun) / len(fresh)
+        documents = {}
+        for hit in fresh:
+            (error, of_model, odd), final = errors.get(hit.name, (None, None, False)), hit is fresh[-1]
+            documents[hit.name] = HitDocument(
+                name=hit.name,
+                stamp=hit.stamp,
+                condition=hit.condition,
+                error=error,
+                of_model=of_model,
+                evidence=statistic / math.log(10.0),
+                odd=odd,
+                change=change if final else None,
+                resolved=resolved if final else "",
+                milliseconds=spent,
+            )
+        return documents, since
+
+    def _learnt(self, fresh: Sequence[Hit]) -> dict[str, tuple[float, float, bool]]:
+        """Errors of the prediction and of the model as it was given, and whether a hit is odd, by its name."""
+        errors: dict[str, tuple[float, float, bool]] = {}
+        best, own, calibration = self.likeliest, self.hits, self.hits.calibration
+        for one in self.hypotheses:
+            taken = []
+            for hit in fresh:
+                evidence = own.evidence(hit, one.point)
+                if evidence is None:
+                    one.log_weight += unpredicted_log_density(len(hit.features), calibration.freedom)
+                    if one is best:
+                        own.door.skipped[hit.name] = UNPREDICTED
+                    continue
+                innovation, covariance = one.posterior.now.predictive(evidence)
+                distance = squared_distance(innovation, covariance, calibration.of_hits)
+                weight = weight_of(distance, innovation.size)
+                one.log_weight += log_density_of_hit(distance, covariance, calibration.freedom)
+                taken.append(replace(evidence, weight=weight))
+                left = innovation - one.recent.expected(hit.group, innovation.size)
+                one.recent.take(hit.group, innovation, weight)
+                if one is best:
+                    size = math.sqrt(float(np.mean(np.square(left))))
+                    calibration.hits += 1
+                    calibration.odd += weight < 1.0
+                    errors[hit.name] = size, own.error_at_start(evidence, one.point), weight < 1.0
+            if taken:
+                one.posterior.add(taken)
+            if len(one.posterior.window) == WINDOW:
+                one.origin = None
+        return errors
+
+    def _weigh(self) -> str:
+        """Drop hypotheses that are ruled out; what is now known for certain."""
+        several, shares = len(self.hypotheses) > 1, self.probabilities()
+        self.hypotheses = [h for h, share in zip(self.hypotheses, shares, strict=True) if share > RULED_OUT]
+        best = self.likeliest
+        top = best.log_weight
+        for one in self.hypotheses:
+            one.log_weight -= top
+        if not several or float(shares.max()) <= RULED_IN:
+            return ""
+        self.hypotheses = [best]
+        return f"it is {best.effect}" if best.effect else ""
+
+    def _tested(self, hit: Hit, last: Mapping[str, Hit]) -> tuple[float, Change | None, list[Hit]]:
+        """Logarithm of the statistic, the change that it shows at a hit, and the hits since then."""
+        best, causes, calibration = self.likeliest, Causes(self.hits), self.hits.calibration
+        if not best.posterior.window:
+            return 0.0, None, []
+        test = self.hits.test(best)
+        statistic, ratios = test.statistics(best.posterior)
+        if statistic < test.threshold:
+            best.tried = -math.inf
+        elif statistic > best.tried + GROWN:
+            if best.origin is not None:  # or is it its linearisation?
+                refined = causes.refined(best)
+                self.hypotheses[self.hypotheses.index(best)] = best = refined
+                test = self.hits.test(best)
+                statistic, ratios = test.statistics(best.posterior)
+            best.tried = statistic
+            if statistic >= test.threshold:
+                held = causes.of(best, test, ratios)
+                other = None if held and held[0][0].effect == best.effect else causes.instead_of(best)
+                if other is not None and (not held or other[2] > held[0][0].log_ratio):
+                    return statistic, *self._changed(*other[:2], statistic, hit, last, instead=best.effect)
+                if held:
+                    return statistic, *self._changed(best, held, statistic, hit, last)
+        if len(best.posterior.window) > 1 and statistic < 0.5 * test.threshold:
+            for name, (square, rank) in test.quiet(best.posterior).items():
+                calibration.add(name, min(square, 9.0 * max(rank, 1.0)), rank)
+            calibration.freedom += 1.0
+        return statistic, None, []
+
+    def _changed(
+        self, before: Hypothesis, held: Held, statistic: float, hit: Hit, last: Mapping[str, Hit], instead: str = ""
+    ) -> tuple[Change, list[Hit]]:
+        """Replace the hypotheses by the explanations of a change; the change, and the hits since then."""
+        own, calibration, window = self.hits, self.hits.calibration, before.posterior.window
+        found, complete = [one for one, _ in held], Causes(own).complete
+        self.hypotheses = [complete(one) for _, one in held]  # the likeliest first
+        for one, hypothesis in zip(found, self.hypotheses, strict=True):
+            hypothesis.log_weight = one.log_ratio
+        evidence = [e for instant in window[found[0].start :] for e in instant]
+        calibration.hits -= len(evidence)  # they are not quiet
+        calibration.odd -= sum(e.weight < 1.0 for e in evidence)
+        since = [e.hit for e in evidence]
+        first = since[0]
+        scenes = [one.physics for one in since if one.hits] or [first.physics]
+        shares, old = self.probabilities(), own.values(before)
+        causes = []
+        for one, share, hypothesis in zip(found, shares, self.hypotheses, strict=True):
+            part = own.candidate.part(one.effect)
+            parameters = own.followed(hypothesis, range(part.start, part.stop), old)
+            new = old.copy()  # of this effect alone
+            new[part] = own.values(hypothesis)[part]
+            pairs = [(own.scene(old, scene), own.scene(new, scene)) for scene in scenes]
+            causes.append(
+                Cause(
+                    effect=one.effect, share=float(share), since=window[one.start][0].hit.name, parameters=parameters,
+                    words=in_words(one.effect, parameters, pairs),
+                )
+            )  # fmt: skip
+        again = found[0].effect in self.announced
+        self.announced.append(found[0].effect)
+        apart = distinguishing(own, self.hypotheses, shares.tolist()[1:], last) if len(causes) > 1 else ""
+        words = f"since {_when(first)} {' or '.join(cause.words for cause in causes)}"
+        words = f"{words}, and not {instead}" if instead else words
+        change = Change(
+            hit=hit.name,
+            since=first.name,
+            since_time=first.stamp if first.timed else None,
+            hits=len(since),
+            log10_ratio=found[0].log_ratio / math.log(10.0),
+            false_alarm=math.exp(min(statistic, 300.0)),
+            causes=tuple(causes),
+            again=again,
+            instead=instead,
+            apart=apart,
+            words=f"{words}; {apart}" if apart else words,
+        )
+        return change, since
+
+
+def _when(hit: Hit) -> str:
+    """When a hit was, for the reader: the wall clock, or its name."""
+    if not hit.timed or hit.stamp < WALL_CLOCK:
+        return hit.name
+    return f"{time.strftime('%Y-%m-%d %H:%M:%S', time.localtime(hit.stamp))} ({hit.name})"

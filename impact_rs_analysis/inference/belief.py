@@ -1,0 +1,239 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Belief about parameters and model discrepancy: linear and Gaussian.
+
+The residual r of an observation, whitened by its noise (:mod:`.noise`), is linear in the state x,
+
+    r = H x + noise,        cov(noise) = 1,        H = [J of some parameters | patterns P of the discrepancy]
+
+x holds changes of parameters from the point of the linearisation, in parameter scales, and the amplitudes of the
+discrepancy, standard normal before the first observation and the same for all observations of a group. A constant
+misfit of a group is so learnt, and is no parameter's. With information matrix and vector (Kalman filter in
+information form; Anderson and Moore 1979, *Optimal Filtering*, sec. 6.3)
+
+    L = L_0 + sum w H^T H,        h = h_0 + sum w H^T r,        x ~ N(L^-1 h, L^-1)
+
+with the weight w of an observation. To hold an observation out is to subtract it. Columns y that are fitted as well
+leave of the others the information (Schur complement)
+
+    L_xx - L_xy L_yy^-1 L_yx,        h_x - L_xy L_yy^-1 h_y
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+import scipy
+from numpy.typing import NDArray
+
+from impact_rs_sim.robot import Array
+
+Columns = NDArray[np.int_]
+
+
+@dataclass(frozen=True, eq=False)
+class Observation:
+    """What one condition, stretch or hit says, whitened.
+
+    Attributes:
+        residual: Measured minus predicted at the point of the linearisation, ``(F,)`` [-].
+        jacobian: Sensitivity to every parameter, per scale, ``(F, p)`` [-].
+        patterns: Discrepancy at amplitude 1, ``(F, k)`` [-].
+        group: Observations of one group share the amplitudes.
+        weight: w [-].
+    """
+
+    residual: Array
+    jacobian: Array
+    patterns: Array
+    group: str
+    weight: float = 1.0
+
+    @cached_property
+    def normal(self) -> Array:
+        """w [J P r]^T [J P r], ``(p + k + 1, p + k + 1)``."""
+        rows = np.hstack((self.jacobian, self.patterns, self.residual[:, None]))
+        return np.asarray(self.weight * rows.T @ rows)
+
+
+@dataclass
+class Belief:
+    """State x.
+
+    Attributes:
+        parameters: Parameters that are part of it, by column of the sensitivities.
+        information: L, ``(n, n)``; first the parameters.
+        vector: h, ``(n,)``.
+        groups: Columns of the amplitudes of each group.
+    """
+
+    parameters: tuple[int, ...]
+    information: Array
+    vector: Array
+    groups: dict[str, slice] = field(default_factory=dict)
+    _solved: tuple[Array, Array] | None = field(default=None, repr=False)
+    _columns: dict[tuple[str, int], tuple[Columns, Columns]] = field(default_factory=dict, repr=False)
+
+    @classmethod
+    def of(cls, parameters: Sequence[int], deviations: Array) -> Belief:
+        """Before any observation.
+
+        Args:
+            parameters: Those that are part of the state.
+            deviations: Standard deviation of each, in scales; infinite: nothing is known, ``(f,)``.
+        """
+        return cls(tuple(parameters), np.diag(1.0 / np.square(deviations)), np.zeros(len(parameters)))
+
+    def copy(self) -> Belief:
+        """A copy that can be changed."""
+        information, vector = self.information.copy(), self.vector.copy()
+        return Belief(self.parameters, information, vector, dict(self.groups), _columns=self._columns.copy())
+
+    @property
+    def factor(self) -> Array:
+        """Lower Cholesky factor of L, ``(n, n)``."""
+        return self._now()[0]
+
+    @property
+    def mean(self) -> Array:
+        """Mean of the state, ``(n,)``."""
+        return self._now()[1]
+
+    def _now(self) -> tuple[Array, Array]:
+        if self._solved is None:
+            factor = np.asarray(np.linalg.cholesky(self.information))
+            self._solved = factor, _solve(factor, self.vector)
+        return self._solved
+
+    def solve(self, columns: Array) -> Array:
+        """L^-1 of some columns, ``(n, m)``."""
+        return _solve(self.factor, columns)
+
+    @property
+    def covariance(self) -> Array:
+        """Covariance of the parameters, in scales, ``(f, f)``."""
+        count = len(self.parameters)
+        return self.solve(np.eye(len(self.vector), count))[:count]
+
+    def add(self, one: Observation, sign: float = 1.0) -> None:
+        """Take an observation into account; with ``sign`` -1 leave one out that was."""
+        columns, places = self.columns(one)
+        self.information[columns[:, None], columns] += sign * one.normal[places[:, None], places]
+        self.vector[columns] += sign * one.normal[places, -1]
+        self._solved = None
+
+    def columns(self, one: Observation) -> tuple[Columns, Columns]:
+        """Columns of the state that an observation depends on, and their places in its ``normal``, ``(m,)`` each."""
+        key = one.group, one.jacobian.shape[1]
+        if (found := self._columns.get(key)) is None:
+            size, count = len(self.vector), one.patterns.shape[1]
+            if one.group not in self.groups:
+                grown = np.eye(size + count)
+                grown[:size, :size] = self.information
+                self.information, self.vector = grown, np.concatenate((self.vector, np.zeros(count)))
+                self.groups[one.group] = slice(size, size + count)
+                self._solved = None
+            own = self.groups[one.group]
+            found = self._columns[key] = (
+                np.array([*range(len(self.parameters)), *range(own.start, own.stop)], dtype=int),
+                np.array([*self.parameters, *range(key[1], key[1] + count)], dtype=int),
+            )
+        return found
+
+    def predictive(self, one: Observation) -> tuple[Array, Array]:
+        """Residual that the state leaves, ``(F,)``, and its covariance, ``(F, F)`` [-]."""
+        columns, observed = self.observed(one)
+        own = np.zeros((len(self.vector), len(one.residual)))
+        own[columns] = observed.T
+        covariance = np.eye(len(one.residual)) + observed @ self.solve(own)[columns]
+        if one.group not in self.groups:
+            covariance += one.patterns @ one.patterns.T
+        return one.residual - observed @ self.mean[columns], covariance
+
+    def rest(self, one: Observation) -> Array:
+        """Residual that the state leaves, ``(F,)`` [-]."""
+        columns, observed = self.observed(one)
+        return np.asarray(one.residual - observed @ self.mean[columns])
+
+    def observed(self, one: Observation) -> tuple[Columns, Array]:
+        """Columns of the state that an observation depends on, ``(m,)``, and H at them, ``(F, m)``."""
+        followed = one.jacobian[:, list(self.parameters)]
+        if one.group not in self.groups:  # of which the state knows nothing
+            return np.arange(len(self.parameters)), followed
+        return self.columns(one)[0], np.hstack((followed, one.patterns))
+
+    def of_parameters(self) -> Array:
+        """Information of the parameters while the amplitudes are fitted, ``(f, f)``."""
+        count = len(self.parameters)
+        return fitted_out(self.information, np.arange(count, len(self.vector)))[:count, :count]
+
+    def with_parameters(self, parameters: Sequence[int], fresh: Sequence[int], centre: Array, width: float) -> Belief:
+        """The same state with other parameters.
+
+        Args:
+            parameters: All from now on, the present ones among them.
+            fresh: Those of them that may be anything now: what was known of them is forgotten.
+            centre: Mean of the fresh ones, in scales, ``(fresh,)``.
+            width: Standard deviation of the fresh ones, in scales.
+        """
+        old, new, size = len(self.parameters), len(parameters), len(self.vector)
+        gone = [n for n, one in enumerate(self.parameters) if one in fresh]
+        stay = [n for n in range(size) if n not in gone]
+        joint = np.zeros((size + 1, size + 1))  # with h as a further column
+        joint[:size, :size], joint[:size, size], joint[size, :size] = self.information, self.vector, self.vector
+        joint = fitted_out(joint, gone)
+        order = list(parameters)
+        places = [order.index(self.parameters[n]) if n < old else n + new - old for n in stay]
+        found = Belief.of(parameters, np.full(new, width))
+        found.information = np.diag(np.full(size + new - old, 1.0 / width**2))
+        found.vector = np.zeros(size + new - old)
+        found.information[np.ix_(places, places)], found.vector[places] = joint[np.ix_(stay, stay)], joint[stay, size]
+        found.vector[[order.index(one) for one in fresh]] = centre / width**2
+        found.groups = {g: slice(own.start + new - old, own.stop + new - old) for g, own in self.groups.items()}
+        return found
+
+    def drift(self, group: str, share: float) -> None:
+        """Let the amplitudes of a group wander: a' = sqrt(1 - q) a + sqrt(q) v with v standard normal.
+
+        A first-order Gauss-Markov process, whose variance stays 1 (Anderson and Moore 1979, sec. 2.3).
+
+        Args:
+            group: The group.
+            share: q, share of the variance that is renewed [-].
+        """
+        own, kept = self.groups[group], math.sqrt(1.0 - share)
+        unit = np.eye(own.stop - own.start)
+        coupling, past = self.information[:, own].copy(), self.vector[own].copy()
+        coupling[own] = -kept / share * unit  # with the amplitudes as they will be
+        gone = np.linalg.solve(self.information[own, own] + kept**2 / share * unit, coupling.T)
+        self.information[own], self.information[:, own], self.vector[own] = 0.0, 0.0, 0.0
+        self.information[own, own] = unit / share
+        self.information -= coupling @ gone
+        self.vector -= gone.T @ past
+        self._solved = None
+
+
+def fitted_out(information: Array, columns: Columns | Sequence[int], width: float = math.inf) -> Array:
+    """Information of all columns while some are fitted, ``(n, n)``; at those themselves it has no meaning.
+
+    Args:
+        information: L, ``(n, n)``.
+        columns: Those that are fitted.
+        width: Of a further normal prior of each; infinite: none.
+    """
+    if not len(columns):
+        return information
+    across = information[columns]
+    own = across[:, columns] + np.eye(len(columns)) / width**2
+    left = information - across.T @ np.linalg.solve(own, across)
+    return np.asarray(0.5 * (left + left.T))
+
+
+def _solve(factor: Array, right: Array) -> Array:
+    """L^-1 of columns by its Cholesky factor."""
+    if not right.shape[0]:
+        return right
+    return np.asarray(scipy.linalg.cho_solve((factor, True), right, check_finite=False))

@@ -1,0 +1,100 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Noise of residuals, and what whitens them.
+
+The mean of n repeats has the covariance
+
+    R_n = R / n + diag(o)
+
+with the covariance R of a repeat about its condition and the variance o of each feature that repeats do not average:
+half the relevance limit, and the part of the model discrepancy that no measured pattern spans. From few repeats
+
+    R = D ((1 - a) C + a I) D
+
+with their standard deviations D, their correlations C, and the share a of Schaefer and Strimmer (2005, *A shrinkage
+approach to large-scale covariance matrix estimation*), which is large where repeats are few beside features.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from impact_rs_sim.robot import Array
+
+# Share of the differences of a left-out simulator that the others do not span: 14 to 67 %, 34 % on average.
+UNMEASURED = 1.0 / 3.0
+LEAST = 1e-9  # of the largest variance; a feature that never moves is no certainty
+
+
+@dataclass(frozen=True)
+class Noise:
+    """Noise of the measurements of one layout.
+
+    Attributes:
+        repeats: Covariance of a repeat about its condition, ``(F, F)``, or its diagonal, ``(F,)``.
+        own: Variance of each feature that repeats do not average, ``(F,)``.
+    """
+
+    repeats: Array
+    own: Array
+
+    def whitening(self, count: int = 1) -> Array:
+        """W with W R_n W^T = 1, ``(F, F)``.
+
+        Args:
+            count: Number n of repeats.
+        """
+        diagonal = (self.repeats if self.repeats.ndim == 1 else np.diag(self.repeats)) / count + self.own
+        floor = LEAST * float(diagonal.max(initial=0.0) or 1.0)
+        diagonal = np.where(diagonal < floor, diagonal + floor, diagonal)
+        if self.repeats.ndim == 1:
+            return np.diag(1.0 / np.sqrt(diagonal))
+        covariance = self.repeats / count
+        np.fill_diagonal(covariance, diagonal)
+        return np.asarray(np.linalg.inv(np.linalg.cholesky(covariance)))
+
+
+def repeats_of(deviations: Array, freedom: int, stated: Array) -> Array:
+    """Covariance R of repeats, ``(F, F)``.
+
+    Args:
+        deviations: Measured minus the mean of the condition, ``(n, F)``.
+        freedom: Degrees of freedom of them.
+        stated: Standard deviations that measurements state themselves, the least that is taken; 0: none, ``(F,)``.
+    """
+    spread = np.sqrt(np.sum(np.square(deviations), axis=0) / max(freedom, 1))
+    scaled = deviations / np.where(spread > 0.0, spread, 1.0)
+    spread = np.maximum(spread, stated)
+    return _shrunk(scaled, freedom) * np.outer(spread, spread)
+
+
+def _shrunk(scaled: Array, freedom: int) -> Array:
+    """Correlations of deviations with unit variance, shrunk towards none, ``(F, F)``."""
+    size = scaled.shape[1]
+    if freedom < 2:
+        return np.eye(size)
+    found = scaled.T @ scaled / freedom
+    squares = np.square(scaled).T @ np.square(scaled)
+    # Variance of a mean of n products: their scatter about it over n (n - 1), with n the degrees of freedom.
+    variance = np.maximum(squares - freedom * np.square(found), 0.0) / (freedom * (freedom - 1.0))
+    apart = ~np.eye(size, dtype=bool)
+    total = float(np.sum(np.square(found[apart])))
+    share = 1.0 if total <= 0.0 else float(np.clip(np.sum(variance[apart]) / total, 0.0, 1.0))
+    shrunk = (1.0 - share) * found
+    np.fill_diagonal(shrunk, 1.0)
+    return np.asarray(shrunk)
+
+
+def deviations_of(residuals: Sequence[Array], conditions: Sequence[str]) -> tuple[Array, int]:
+    """Residuals minus the mean of their condition, ``(n, F)``, and their degrees of freedom.
+
+    Args:
+        residuals: Of every measurement, ``(F,)``.
+        conditions: Condition of each. Those that repeat nothing are left out, or taken together if none repeats any.
+    """
+    rows, names = np.array(residuals), np.array(conditions)
+    repeated = [name for name in dict.fromkeys(conditions) if name and np.sum(names == name) > 1]
+    groups = [rows[names == name] for name in repeated] or [rows]
+    return np.concatenate([own - own.mean(axis=0) for own in groups]), sum(len(own) - 1 for own in groups)

@@ -1,0 +1,88 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Log likelihood ratios where the scale of the noise is estimated: Student's t in the place of the normal.
+
+The scale of the noise is known from nu degrees of freedom. With a squared distance T of p numbers from their
+prediction and a determinant of their covariance, in units of the estimated noise, the log density is, up to a constant,
+
+    log t = -1/2 log det - (nu + p) / 2 log(1 + T / nu)
+
+With information I and score S of parameters that move by eta ~ N(0, W^2), their log likelihood ratio against none is
+
+    log LR = -1/2 log det(1 + W I W) + (nu + p) / 2 [log(1 + T_0 / nu) - log(1 + T_1 / nu)]
+    T_0 = S^T I^-1 S,        T_1 = T_0 - S^T (I + W^-2)^-1 S
+
+(Student 1908; for a normal density nu is infinite). The mean of LR is 1 where nothing moved.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import scipy
+
+from impact_rs_sim.robot import Array
+
+TINY = 1e-9  # of the largest information; less is none
+
+
+def log_density(square: float, log_determinant: float, size: int, freedom: float) -> float:
+    """Log density of p numbers, up to a constant.
+
+    Args:
+        square: T [-].
+        log_determinant: Log of the determinant of their covariance.
+        size: p.
+        freedom: nu.
+    """
+    return -0.5 * log_determinant - 0.5 * (freedom + size) * math.log1p(square / freedom)
+
+
+def log_ratio(explained: float, log_determinant: float, size: int, freedom: float) -> float:
+    """Log likelihood ratio of p parameters that explain a part of the squares and leave nothing that they could.
+
+    Args:
+        explained: T_0 - T_1 [-].
+        log_determinant: log det(1 + W I W).
+        size: p.
+        freedom: nu.
+    """
+    return log_density(0.0, log_determinant, size, freedom) - log_density(max(explained, 0.0), 0.0, size, freedom)
+
+
+def log_ratios(information: Array, score: Array, width: float, freedom: float) -> Array:
+    """Log LR of several cases, ``(s,)``.
+
+    Args:
+        information: I, ``(s, p, p)``.
+        score: S, ``(s, p)``.
+        width: W.
+        freedom: nu.
+    """
+    before, after, log_determinant, rank = squares(information, score, width)
+    ratio = np.log1p(before / freedom) - np.log1p(after / freedom)
+    return np.asarray(0.5 * (freedom + rank) * ratio - 0.5 * log_determinant)
+
+
+def squares(information: Array, score: Array, width: float = 1.0) -> tuple[Array, Array, Array, Array]:
+    """T_0, T_1, log det(1 + W I W) and the rank of I of several cases, ``(s,)`` each; as :func:`log_ratios`."""
+    values, vectors = np.linalg.eigh(width**2 * information)
+    along = np.square(width * np.einsum("spq,sp->sq", vectors, score))
+    values = np.maximum(values, 0.0)
+    kept = values > TINY * np.maximum(values[:, -1:], 1.0)
+    before = np.sum(np.divide(along, values, out=np.zeros_like(along), where=kept), axis=1)
+    after = np.sum(np.divide(along, values * (1.0 + values), out=np.zeros_like(along), where=kept), axis=1)
+    return before, after, np.sum(np.log1p(values * kept), axis=1), kept.sum(axis=1)
+
+
+def probability(gain: Array, freedom: float = np.inf) -> Array:
+    """Probability that the likelier of two explanations is the right one, T_nu(sqrt(g) / 2) [-].
+
+    Args:
+        gain: Their squared distance g [-].
+        freedom: Degrees of freedom of the scatter; infinite: it is known; none: a single repeat says nothing of it.
+    """
+    half = np.sqrt(np.maximum(gain, 0.0)) / 2.0
+    if np.isinf(freedom):
+        return np.asarray(scipy.special.ndtr(half))
+    return np.asarray(scipy.special.stdtr(freedom, half)) if freedom > 0.0 else np.full_like(half, 0.5)
