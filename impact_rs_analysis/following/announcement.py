@@ -1,14 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A change in words: kilograms and percent as a person would measure them, and what distinguishes its causes."""
+"""A change in words: kilograms and percent as a person would measure them."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-import scipy
 
 from impact_rs_analysis.following.lessons import Followed
 from impact_rs_sim.numbers import estimate_text
@@ -16,8 +14,6 @@ from impact_rs_sim.physics import ArmPhysics, Physics
 from impact_rs_sim.robot import Array
 
 MOST_NAMED = 3  # parameters of an effect in a sentence, those that are surest
-APART = 2.0  # standard deviations between what two causes predict; one measurement then decides
-SAME = 0.02  # difference between probabilities that is none
 LEAST = 1e-9  # of a value of which a share is given, and of a change
 
 
@@ -41,94 +37,35 @@ class EverydayQuantity(NamedTuple):
     own_unit: str = ""
 
 
-def _mean(of: Callable[[ArmPhysics], Array | float]) -> Callable[[Physics], float]:
+def mean_of(of: Callable[[ArmPhysics], Array | float]) -> Callable[[Physics], float]:
     """Mean over the joints and arms; 0 without an arm."""
     return lambda physics: float(np.mean([np.mean(of(arm)) for arm in physics.arms.values()])) if physics.arms else 0.0
 
 
 QUANTITIES = (
     EverydayQuantity("the object", "heavier", "lighter", "kg", lambda physics: physics.object.mass),
-    EverydayQuantity("the tool", "heavier", "lighter", "kg", _mean(lambda arm: arm.end_effector.mass)),
+    EverydayQuantity("the tool", "heavier", "lighter", "kg", mean_of(lambda arm: arm.end_effector.mass)),
     EverydayQuantity("friction of the pad", "higher", "lower", "%", lambda physics: physics.pad_friction),
     EverydayQuantity("friction of the support", "higher", "lower", "%", lambda physics: physics.support_friction),
     EverydayQuantity(
-        "dry friction of the joints", "higher", "lower", "%", _mean(lambda arm: arm.friction.coulomb), "N m"
+        "dry friction of the joints", "higher", "lower", "%", mean_of(lambda arm: arm.friction.coulomb), "N m"
     ),
     EverydayQuantity(
-        "viscous friction of the joints", "higher", "lower", "%", _mean(lambda arm: arm.friction.viscous), "N m s/rad"
+        "viscous friction of the joints",
+        "higher",
+        "lower",
+        "%",
+        mean_of(lambda arm: arm.friction.viscous),
+        "N m s/rad",
     ),
-    EverydayQuantity("motor inertia", "larger", "smaller", "%", _mean(lambda arm: arm.motor_inertia_reduced), "kg m^2"),
-    EverydayQuantity("stiffness of the joints", "higher", "lower", "%", _mean(lambda arm: arm.stiffness), "N m/rad"),
     EverydayQuantity(
-        "stiffness of the pad", "higher", "lower", "%", _mean(lambda arm: arm.pad_stiffness or 0.0), "N/m"
+        "motor inertia", "larger", "smaller", "%", mean_of(lambda arm: arm.motor_inertia_reduced), "kg m^2"
+    ),
+    EverydayQuantity("stiffness of the joints", "higher", "lower", "%", mean_of(lambda arm: arm.stiffness), "N m/rad"),
+    EverydayQuantity(
+        "stiffness of the pad", "higher", "lower", "%", mean_of(lambda arm: arm.pad_stiffness or 0.0), "N/m"
     ),
 )
-
-
-class HitlessCheck(NamedTuple):
-    """A measurement without a hit, which may distinguish causes.
-
-    Attributes:
-        words: What to do.
-        unit: Unit of what is read.
-        of: What is read in a scene, in the unit.
-        least: Difference that is read for certain, two standard deviations, in the unit.
-    """
-
-    words: str
-    unit: str
-    of: Callable[[Physics], float]
-    least: float
-
-
-def _weight(physics: Physics) -> float:
-    """Weight of the object [N]."""
-    return float(np.linalg.norm(physics.gravity)) * physics.object.mass
-
-
-CHECKS = (
-    HitlessCheck("lift the object", "N", _weight, 0.5),
-    HitlessCheck(
-        "pull the object slowly over its support", "N", lambda physics: _weight(physics) * physics.support_friction, 0.5
-    ),
-    HitlessCheck("pull the object along the pad, by the force on it", "", lambda physics: physics.pad_friction, 0.1),
-    HitlessCheck("weigh the tool", "kg", _mean(lambda arm: arm.end_effector.mass), 0.02),
-    HitlessCheck("turn each joint slowly there and back", "N m", _mean(lambda arm: arm.friction.coulomb), 0.2),
-)  # fmt: skip
-
-
-@dataclass(frozen=True)
-class ProposedMeasurement:
-    """A hit or another measurement, and how well it distinguishes the likeliest cause from each of the others.
-
-    Attributes:
-        words: What to do.
-        distances: Of what is expected from both, in standard deviations of their difference, by cause.
-        what: What is expected, in words.
-    """
-
-    words: str
-    distances: tuple[float, ...]
-    what: str
-
-
-def most_decisive(found: Iterable[ProposedMeasurement], shares: Sequence[float]) -> ProposedMeasurement | None:
-    """What decides rightly between the likeliest cause and each of the others with the largest probability.
-
-    Args:
-        found: Measurements, those that take least effort first; of some that are as good, the first is taken.
-        shares: Probability of each of the others.
-    """
-    found = [one for one in found if max(one.distances) > APART]
-    right = [float(scipy.special.ndtr(0.5 * np.array(one.distances)) @ np.array(shares)) for one in found]
-    return next((one for one, own in zip(found, right, strict=True) if own > max(right) - SAME * sum(shares)), None)
-
-
-def measurement_words(one: ProposedMeasurement, likeliest: str, others: Sequence[str]) -> str:
-    """What to do, and which causes it distinguishes."""
-    parted = [other for other, distance in zip(others, one.distances, strict=True) if distance > APART]
-    between = "them" if len(parted) == len(others) else f"{likeliest} from {' and '.join(parted)}"
-    return f"{one.words} distinguishes {between} ({one.what})"
 
 
 def in_words(effect: str, parameters: Sequence[Followed], scenes: Iterable[tuple[Physics, Physics]]) -> str:

@@ -14,11 +14,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from impact_rs_analysis.following.change import TIED, ChangeExplanation, ChangeTest, support
+from impact_rs_analysis.following.change import ChangeExplanation, ChangeTest, support
 from impact_rs_analysis.following.hit_model import HitModel, Hypothesis, Origin
 from impact_rs_analysis.following.hits import Hit
 from impact_rs_analysis.following.posterior import WIDE, WIDTH, Posterior, squared_distance, weight_of
-from impact_rs_analysis.inference.student import log_ratio
+from impact_rs_analysis.inference.student import DECISIVE, log_ratio
 from impact_rs_sim.robot import Array
 
 MOST = 4  # hypotheses at a time
@@ -43,15 +43,15 @@ class Causes:
 
     def of(self, before: Hypothesis, test: ChangeTest, statistics: dict[str, Array]) -> Held:
         """Explanations of a change that hold once they are linearised anew, the likeliest first."""
-        tried = test.explanations(before.posterior, statistics)[:TRIED]
+        tried = test.explanations(statistics)[:TRIED]
         held = [found for one in tried if (found := self._held(before, one)) is not None]
         held.sort(key=lambda pair: -pair[0].log_ratio)
-        tie = math.log(TIED)
+        tie = math.log(DECISIVE)
         promising = any(one.effect == tried[0].effect for one, _ in held)
         # What promises most may hold at a later hit: the others need more evidence than it.
-        if not held or held[0][0].log_ratio < test.threshold - (0.0 if promising else tie):
+        if not held or held[0][0].log_ratio < test.threshold + (0.0 if promising else tie):
             return []
-        return [pair for pair in held if pair[0].log_ratio > held[0][0].log_ratio + tie][:MOST]
+        return [pair for pair in held if pair[0].log_ratio > held[0][0].log_ratio - tie][:MOST]
 
     def instead_of(self, best: Hypothesis) -> tuple[Hypothesis, Held, float] | None:
         """What explains the hits since the last change better than the effect that was named then.
@@ -68,7 +68,7 @@ class Causes:
             found = [(self._hits.evidence(one.hit, before.point), one.weight) for one in instant]
             before.posterior.add([replace(own, weight=weight) for own, weight in found if own is not None])
         test = self._hits.test(before)
-        held = self.of(before, test, test.statistics(before.posterior)[1])
+        held = self.of(before, test, test.statistics()[1])
         if not held or held[0][0].effect == best.effect:
             return None
         lead = self._ratio(before, held[0][1]) - self._ratio(before, best)
@@ -84,7 +84,7 @@ class Causes:
         fitted = self.about(before, one)
         gains = _gains(before, fitted)
         inflation = self._calibration.of(one.effect)
-        since = [e for instant in before.posterior.window[one.start :] for e in instant]
+        since = before.posterior.since(one.start)
         if sum(gain > inflation for gain in gains) < self._calibration.least_hits(self._hits.mean_time, since):
             return None
         if sum(gains) <= KEPT * one.gain or support(gains) <= LEAST_GAIN * inflation:
@@ -177,9 +177,9 @@ class Causes:
 
 def _gains(before: Hypothesis, fitted: Hypothesis) -> list[float]:
     """Fall of the sum of squared whitened residuals of every hit since a change."""
-    past = {e.hit.name: e for instant in before.posterior.window for e in instant}
+    past = {one.hit.name: one for one in before.posterior.since()}
     found = []
-    for evidence in (e for instant in fitted.posterior.window for e in instant):
+    for evidence in fitted.posterior.since():
         old = past[evidence.hit.name]
         first, second = before.posterior.now.rest(old), fitted.posterior.now.rest(evidence)
         found.append(old.weight * float(first @ first - second @ second))

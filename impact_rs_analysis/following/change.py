@@ -34,12 +34,11 @@ import scipy
 
 from impact_rs_analysis.diagnosis.candidate import Candidate, bounded
 from impact_rs_analysis.following.posterior import ODD, WIDTH, HitEvidence, Posterior
-from impact_rs_analysis.inference.student import log_ratios, squares
+from impact_rs_analysis.inference.student import DECISIVE, log_ratios, squares
 from impact_rs_sim.robot import Array
 
 MEAN_TIME = 10_000.0  # instants to a false alarm, at least, where noise is as believed
 BACK = (1, 2, 3, 4, 5, 6, 8, 11, 15, 21, 29, 40)  # instants since a change that are tried
-TIED = 0.05  # likelihood over that of the best explanation; those above it are named beside it
 EXPECTED = 20  # hits that the share of odd ones that is expected counts like
 MOST_ODD = 0.2  # share of odd hits; with more a change would need seven and more
 SPEAKING = 0.25  # of the hits since a change; without those that speak for it most it must still hold
@@ -115,36 +114,38 @@ class Calibration:
 
 
 class ChangeTest:
-    """The test, on the posterior of one hypothesis.
+    """The test of one hypothesis.
 
     Args:
-        candidate: Effects with their parameters; only names, scales and ranges are used.
+        posterior: Its hits.
+        candidate: Effects with their parameters, at the point about which it is linearised.
         active: Parameters that some hit depends on, by number.
         calibration: Of the scores.
         mean_time: Mean number of instants to a false alarm, at least.
     """
 
     def __init__(
-        self, candidate: Candidate, active: Sequence[int], calibration: Calibration, mean_time: float = MEAN_TIME
-    ) -> None:
-        self.candidate, self.calibration, self.mean_time = candidate, calibration, mean_time
-        self.active = tuple(active)
+        self, posterior: Posterior, candidate: Candidate, active: Sequence[int], calibration: Calibration,
+        mean_time: float = MEAN_TIME,
+    ) -> None:  # fmt: skip
+        self.posterior, self.candidate, self.active = posterior, candidate, tuple(active)
+        self.calibration, self.mean_time = calibration, mean_time
         places = {number: place for place, number in enumerate(self.active)}
         self.effects = {
-            effect.name: [places[n] for n in range(part.start, part.stop) if n in places]
+            effect.name: own
             for effect, part in candidate.parts
+            if (own := [places[n] for n in range(part.start, part.stop) if n in places])
         }
-        self.effects = {name: own for name, own in self.effects.items() if own}
 
     @property
     def threshold(self) -> float:
         """Of the logarithm of R."""
         return math.log(self.mean_time)
 
-    def statistics(self, posterior: Posterior) -> tuple[float, dict[str, Array]]:
+    def statistics(self) -> tuple[float, dict[str, Array]]:
         """Logarithm of R, and of LR by effect and moment of change, ``(s,)``."""
-        starts = [len(posterior.window) - back for back in BACK if back <= len(posterior.window)]
-        information, score = self._reduced(posterior, starts)
+        count = len(self.posterior.window)
+        information, score = self._reduced([count - back for back in BACK if back <= count])
         found = {
             name: self._log_ratios(information[:, own][:, :, own], score[:, own], name)
             for name, own in self.effects.items()
@@ -154,74 +155,73 @@ class ChangeTest:
             return -math.inf, found
         return float(scipy.special.logsumexp(every)) - math.log(len(found)), found
 
-    def explanations(self, posterior: Posterior, statistics: dict[str, Array]) -> list[ChangeExplanation]:
+    def explanations(self, statistics: dict[str, Array]) -> list[ChangeExplanation]:
         """Explanations of a change that the last instant confirms and that hits support, the likeliest first.
 
         They are those of the sensitivities at hand: one that bends more may turn out likelier, or not to hold.
 
         Args:
-            posterior: The hits.
             statistics: Of :meth:`statistics`.
         """
-        least = -math.log(TIED)
-        possible = (self._explained(posterior, name) for name, own in statistics.items() if float(np.max(own)) > least)
+        least = math.log(DECISIVE)
+        possible = (self._explained(name) for name, own in statistics.items() if float(np.max(own)) > least)
         found = [one for one in possible if one is not None and one.log_ratio > least]
-        gains = [self._gains(posterior, one) for one in found]
+        gains = [self._gains(one) for one in found]
         found = [replace(one, gain=sum(own)) for one, own in zip(found, gains, strict=True) if support(own) > 0.0]
-        found = [one for one in found if self._enough(posterior, one)]
-        return sorted(found, key=lambda one: -one.log_ratio)
+        return sorted(filter(self._enough, found), key=lambda one: -one.log_ratio)
 
-    def _enough(self, posterior: Posterior, one: ChangeExplanation) -> bool:
+    def _enough(self, one: ChangeExplanation) -> bool:
         """Whether there are hits enough since a change."""
-        since = [evidence for instant in posterior.window[one.start :] for evidence in instant]
+        since = self.posterior.since(one.start)
         return len(since) >= self.calibration.least_hits(self.mean_time, since)
 
-    def _gains(self, posterior: Posterior, one: ChangeExplanation) -> list[float]:
+    def _gains(self, one: ChangeExplanation) -> list[float]:
         """Fall of the sum of squared whitened residuals of every hit since a change, to first order."""
-        numbers, now = [self.active[place] for place in self.effects[one.effect]], posterior.now
-        cross, _, _ = posterior.suffixes([one.start], numbers)
+        numbers, now = [self.active[place] for place in self.effects[one.effect]], self.posterior.now
+        cross, _, _ = self.posterior.suffixes([one.start], numbers)
         moved = now.solve(cross[0] @ one.change)  # the state gives way to the change
         gains = []
-        for evidence in (e for instant in posterior.window[one.start :] for e in instant):
+        for evidence in self.posterior.since(one.start):
             columns, observed = now.observed(evidence)
             first = now.rest(evidence)
             second = first + observed @ moved[columns] - evidence.jacobian[:, numbers] @ one.change
             gains.append(evidence.weight * float(first @ first - second @ second))
         return gains
 
-    def quiet(self, posterior: Posterior) -> dict[str, tuple[float, float]]:
+    def quiet(self) -> dict[str, tuple[float, float]]:
         """T_0 of the last instant alone, and its expected value, by effect."""
-        information, score = self._reduced(posterior, [len(posterior.window) - 1])
+        information, score = self._reduced([len(self.posterior.window) - 1])
         found = {}
         for name, own in self.effects.items():
             before, _, _, rank = squares(information[:, own][:, :, own], score[:, own])
             found[name] = float(before[0]), float(rank[0])
         return found
 
-    def _reduced(self, posterior: Posterior, starts: Sequence[int]) -> tuple[Array, Array]:
+    def _reduced(self, starts: Sequence[int]) -> tuple[Array, Array]:
         """I ``(s, p, p)`` and S ``(s, p)`` of all active parameters."""
-        cross, own, score = posterior.suffixes(starts, self.active)
+        now = self.posterior.now
+        cross, own, score = self.posterior.suffixes(starts, self.active)
         count, size, many = cross.shape
-        solved = posterior.now.solve(np.swapaxes(cross, 0, 1).reshape(size, count * many)).reshape(size, count, many)
+        solved = now.solve(np.swapaxes(cross, 0, 1).reshape(size, count * many)).reshape(size, count, many)
         information = own - np.einsum("snp,nsq->spq", cross, solved, optimize=True)
-        return information, score - np.einsum("snp,n->sp", cross, posterior.now.mean)
+        return information, score - np.einsum("snp,n->sp", cross, now.mean)
 
     def _log_ratios(self, information: Array, score: Array, name: str) -> Array:
         """Logarithm of LR of one effect, ``(s,)``; its score counts as much less as quiet hits scatter more."""
         inflation = self.calibration.of(name)
         return log_ratios(information / inflation, score / inflation, WIDTH, self.calibration.freedom)
 
-    def _explained(self, posterior: Posterior, name: str) -> ChangeExplanation | None:
+    def _explained(self, name: str) -> ChangeExplanation | None:
         """An effect within its range from its likeliest moment on; None where the last instant speaks against it."""
-        last = len(posterior.window) - 1
+        last = len(self.posterior.window) - 1
         if last < 1:
             return None
         places, inflation = self.effects[name], self.calibration.of(name)
         numbers = [self.active[place] for place in places]
-        lower, upper = self._room(posterior, numbers)
+        lower, upper = self._room(numbers)
         prior = inflation * np.eye(len(places)) / WIDTH**2
         starts = list(range(last, -1, -1))
-        information, score = self._reduced(posterior, starts)
+        information, score = self._reduced(starts)
         information, score = information[:, places][:, :, places], score[:, places]
         best: ChangeExplanation | None = None
         ratios = self._log_ratios(information, score, name)
@@ -246,10 +246,10 @@ class ChangeTest:
                     best = ChangeExplanation(name, start, eta, ratio, determinant=float(determinant))
         return best
 
-    def _room(self, posterior: Posterior, numbers: Sequence[int]) -> tuple[Array, Array]:
+    def _room(self, numbers: Sequence[int]) -> tuple[Array, Array]:
         """Least and largest change of some parameters within their ranges, in scales, ``(p,)`` each."""
         own = self.candidate
-        now = dict(zip(posterior.followed, posterior.now.mean.tolist(), strict=False))
+        now = dict(zip(self.posterior.followed, self.posterior.now.mean.tolist(), strict=False))
         at = np.array([own.point[n] + own.scale[n] * now.get(n, 0.0) for n in numbers])
         scale = own.scale[list(numbers)]
         lower = np.minimum((own.lower[list(numbers)] - at) / scale, -1e-9)

@@ -126,7 +126,9 @@ class Follower:
                 hypotheses = self.learning.begin(layout, [] if self.watch is None else self.watch.hypotheses)
                 if self.watch is None and self.learning.hits is not None:
                     self.watch = HitWatch(self.learning.hits, hypotheses)
-        return [documents[hit.name] if hit.name in documents else _learning(hit) for hit in instant]
+        for hit in unknown:
+            documents[hit.name] = HitDocument(name=hit.name, stamp=hit.stamp, condition=hit.condition)
+        return [documents[hit.name] for hit in instant]
 
     def _knows(self, hit: Hit) -> bool:
         """Whether the scatter of a hit is known."""
@@ -177,16 +179,3 @@ class Follower:
         return found.model_copy(
             update={"name": name, "parent": parent, "parent_digest": self.model.digest, "note": note}
         )
-
-
-def _learning(hit: Hit) -> HitDocument:
-    """A hit that teaches the scatter."""
-    return HitDocument(
-        name=hit.name,
-        stamp=hit.stamp,
-        condition=hit.condition,
-        error=None,
-        of_model=None,
-        evidence=None,
-        milliseconds=0.0,
-    )

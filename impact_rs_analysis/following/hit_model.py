@@ -105,7 +105,7 @@ class HitModel:
     def test(self, hypothesis: Hypothesis) -> ChangeTest:
         """The test for a change, about the point of a hypothesis."""
         there = replace(self.candidate, point=hypothesis.point)
-        return ChangeTest(there, self.active, self.calibration, self.mean_time)
+        return ChangeTest(hypothesis.posterior, there, self.active, self.calibration, self.mean_time)
 
     def evidence(self, hit: Hit, point: Array, parameters: Sequence[int] | None = None) -> HitEvidence | None:
         """What a hit says about a point and parameters around it (None: all active ones); None without a contact."""

@@ -89,14 +89,14 @@ class HitDocument(Schema):
     name: str = Field(description="the hit")
     stamp: float = Field(description="its time [s], or the number of its row")
     condition: str = Field(description="its condition; empty: it repeats nothing")
-    error: float | None = Field(description="prediction error before the hit was seen, in multiples of its standard "
-                                "deviation (rms over the features); null while the scatter is learnt")  # fmt: skip
-    of_model: float | None = Field(description="the same of the model as it was given; null likewise")
-    evidence: float | None = Field(description="log10 of the statistic of the test; null while the scatter is learnt")
+    error: float | None = Field(None, description="prediction error before the hit was seen, in multiples of its "
+                                "standard deviation (rms over features); null while the scatter is learnt")  # fmt: skip
+    of_model: float | None = Field(None, description="the same of the model as it was given; null likewise")
+    evidence: float | None = Field(None, description="log10 of the statistic of the test; null likewise")
     odd: bool = Field(False, description="whether the hit is beyond what 999 of 1,000 do, and weighs less")
     change: Change | None = Field(None, description="change that this hit confirms; null: none")
     resolved: str = Field("", description="explanation that hits have ruled in; empty: none at this hit")
-    milliseconds: float = Field(description="time that its update took [ms]")
+    milliseconds: float = Field(0.0, description="time that its update took [ms]")
 
 
 class ChangeDiagnosis(Schema):

@@ -59,9 +59,8 @@ class Posterior:
         """What is believed of all hits; not to be changed."""
         if self._now is None:
             self._now = self.before.copy()
-            for instant in self.window:
-                for one in instant:
-                    self._now.add(one)
+            for one in self.since():
+                self._now.add(one)
         return self._now
 
     @property
@@ -73,6 +72,10 @@ class Posterior:
     def hits(self) -> list[list[Hit]]:
         """Hits of the window by instant."""
         return [[one.hit for one in instant] for instant in self.window]
+
+    def since(self, start: int = 0) -> list[HitEvidence]:
+        """Evidence of the window from an instant on."""
+        return [one for instant in self.window[start:] for one in instant]
 
     def add(self, instant: Sequence[HitEvidence]) -> None:
         """Take an instant into the window, and believe the oldest of a full one."""

@@ -4,22 +4,87 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
+import scipy
 
-from impact_rs_analysis.following.announcement import (
-    APART,
-    CHECKS,
-    HitlessCheck,
-    ProposedMeasurement,
-    measurement_words,
-    most_decisive,
-)
+from impact_rs_analysis.following.announcement import mean_of
 from impact_rs_analysis.following.hit_model import HitModel, Hypothesis
 from impact_rs_analysis.following.hits import Hit
 from impact_rs_analysis.following.posterior import squared_distance
 from impact_rs_sim.physics import Physics
+
+APART = 2.0  # standard deviations between what two causes predict; one measurement then decides
+SAME = 0.02  # difference between probabilities that is none
+
+
+class HitlessCheck(NamedTuple):
+    """A measurement without a hit, which may distinguish causes.
+
+    Attributes:
+        words: What to do.
+        unit: Unit of what is read.
+        of: What is read in a scene, in the unit.
+        least: Difference that is read for certain, two standard deviations, in the unit.
+    """
+
+    words: str
+    unit: str
+    of: Callable[[Physics], float]
+    least: float
+
+
+def _weight(physics: Physics) -> float:
+    """Weight of the object [N]."""
+    return float(np.linalg.norm(physics.gravity)) * physics.object.mass
+
+
+CHECKS = (
+    HitlessCheck("lift the object", "N", _weight, 0.5),
+    HitlessCheck(
+        "pull the object slowly over its support", "N", lambda physics: _weight(physics) * physics.support_friction, 0.5
+    ),
+    HitlessCheck("pull the object along the pad, by the force on it", "", lambda physics: physics.pad_friction, 0.1),
+    HitlessCheck("weigh the tool", "kg", mean_of(lambda arm: arm.end_effector.mass), 0.02),
+    HitlessCheck("turn each joint slowly there and back", "N m", mean_of(lambda arm: arm.friction.coulomb), 0.2),
+)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class ProposedMeasurement:
+    """A hit or another measurement, and how well it distinguishes the likeliest cause from each of the others.
+
+    Attributes:
+        words: What to do.
+        distances: Of what is expected from both, in standard deviations of their difference, by cause.
+        what: What is expected, in words.
+    """
+
+    words: str
+    distances: tuple[float, ...]
+    what: str
+
+
+def most_decisive(found: Iterable[ProposedMeasurement], shares: Sequence[float]) -> ProposedMeasurement | None:
+    """What decides rightly between the likeliest cause and each of the others with the largest probability.
+
+    Args:
+        found: Measurements, those that take least effort first; of some that are as good, the first is taken.
+        shares: Probability of each of the others.
+    """
+    found = [one for one in found if max(one.distances) > APART]
+    right = [float(scipy.special.ndtr(0.5 * np.array(one.distances)) @ np.array(shares)) for one in found]
+    return next((one for one, own in zip(found, right, strict=True) if own > max(right) - SAME * sum(shares)), None)
+
+
+def measurement_words(one: ProposedMeasurement, likeliest: str, others: Sequence[str]) -> str:
+    """What to do, and which causes it distinguishes."""
+    parted = [other for other, distance in zip(others, one.distances, strict=True) if distance > APART]
+    between = "them" if len(parted) == len(others) else f"{likeliest} from {' and '.join(parted)}"
+    return f"{one.words} distinguishes {between} ({one.what})"
 
 
 def distinguishing(

@@ -170,7 +170,7 @@ class HitWatch:
         if not best.posterior.window:
             return 0.0, None, []
         test = self.hits.test(best)
-        statistic, ratios = test.statistics(best.posterior)
+        statistic, ratios = test.statistics()
         if statistic < test.threshold:
             best.tried = -math.inf
         elif statistic > best.tried + GROWN:
@@ -178,7 +178,7 @@ class HitWatch:
                 refined = causes.refined(best)
                 self.hypotheses[self.hypotheses.index(best)] = best = refined
                 test = self.hits.test(best)
-                statistic, ratios = test.statistics(best.posterior)
+                statistic, ratios = test.statistics()
             best.tried = statistic
             if statistic >= test.threshold:
                 held = causes.of(best, test, ratios)
@@ -188,7 +188,7 @@ class HitWatch:
                 if held:
                     return statistic, *self._changed(best, held, statistic, hit, last)
         if len(best.posterior.window) > 1 and statistic < 0.5 * test.threshold:
-            for name, (square, rank) in test.quiet(best.posterior).items():
+            for name, (square, rank) in test.quiet().items():
                 calibration.add(name, min(square, 9.0 * max(rank, 1.0)), rank)
             calibration.freedom += 1.0
         return statistic, None, []
@@ -202,7 +202,7 @@ class HitWatch:
         self.hypotheses = [complete(one) for _, one in held]  # the likeliest first
         for one, hypothesis in zip(found, self.hypotheses, strict=True):
             hypothesis.log_weight = one.log_ratio
-        evidence = [e for instant in window[found[0].start :] for e in instant]
+        evidence = before.posterior.since(found[0].start)
         calibration.hits -= len(evidence)  # they are not quiet
         calibration.odd -= sum(e.weight < 1.0 for e in evidence)
         since = [e.hit for e in evidence]

@@ -23,6 +23,7 @@ import scipy
 
 from impact_rs_sim.robot import Array
 
+DECISIVE = 20.0  # likelihood ratio beyond which one explanation stands and the other does not
 TINY = 1e-9  # of the largest information; less is none
 
 

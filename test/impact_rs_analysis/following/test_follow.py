@@ -18,7 +18,7 @@ from intervals import assert_covers
 from impact_rs_analysis.evidence.map_discrepancy import NO_MAP_DISCREPANCY
 from impact_rs_analysis.evidence.measured_runs import read_trial
 from impact_rs_analysis.evidence.replay_cache import ReplayCache
-from impact_rs_analysis.following import announcement, change, hits, posterior, proposals, recent_residuals
+from impact_rs_analysis.following import change, hits, posterior, proposals, recent_residuals
 from impact_rs_analysis.following.follow import Follower, HitsSince
 from impact_rs_analysis.following.hits import BagDoor, TableDoor
 from impact_rs_analysis.following.lessons import Change, HitDocument
@@ -420,7 +420,7 @@ def apart(path: Path, hidden: dict[str, Sequence[float]], only: Sequence[str], s
     return change
 
 
-def test_mass_and_motors_that_hits_do_not_tell_apart_are_told_apart_by_a_lift_if_the_difference_can_be_read(
+def test_mass_and_motors_that_hits_do_not_tell_apart_are_distinguished_by_a_lift_if_the_difference_can_be_read(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Kills a check without its own uncertainty, and one that is proposed where both read the same."""
@@ -447,8 +447,7 @@ def test_one_more_hit_of_a_kind_that_was_measured_is_proposed_where_it_decides(t
 def test_hits_at_other_speeds_are_proposed_where_those_at_hand_do_not_decide(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    for module in (announcement, proposals):
-        monkeypatch.setattr(module, "APART", 10.0)
+    monkeypatch.setattr(proposals, "APART", 10.0)
     change = apart(tmp_path, {"restitution": [0.06]}, ["object_mass", "restitution"], seed=5)
     assert " at twice the speed, not measured yet, distinguishes them (" in change.apart
     door = following(write(tmp_path / "hits.csv", QUIET)).door
