@@ -145,7 +145,7 @@ Plan the trials that distinguish explanations best, within a budget.
 
 Every trial that the cell can run (scenario, object, case, further speeds, beside the object's centre, free motions) is
 simulated with the model by the compiled twin, in closed loop and within the limits of joints and torques, and
-replayed under every explanation. Chosen is what raises the probability of the right decision most:
+replayed under every explanation. Chosen is what raises the probability most that the next diagnosis distinguishes them:
 
   without --after   which effect is missing, if any: all effects of the library against each other
   with --after      which of the tied effects or laws of a diagnosis or discovery is there, or a suspected one at all;

@@ -34,8 +34,8 @@ class PlannedPair(Schema):
 
     first: str = Field(description="one explanation")
     second: str = Field(description="the other one")
-    before: float = Field(ge=0.5, le=1.0, description="probability of the right decision before the plan [-]")
-    after: float = Field(ge=0.5, le=1.0, description="the same after it [-]")
+    before: float = Field(ge=0.0, le=1.0, description="probability that a diagnosis distinguishes them, before it [-]")
+    after: float = Field(ge=0.0, le=1.0, description="the same after it [-]")
 
 
 class PlannedCampaign(Schema):

@@ -24,7 +24,7 @@ from impact_rs_trials.campaign import PlannedTrials
 from impact_rs_trials.experiment_plan import ExperimentPlan, Method, PlannedCampaign, PlannedPair
 from impact_rs_trials.workers import Map
 
-SURE = 0.95  # probability of the right decision above which a pair counts as distinguished
+SURE = 0.95  # probability from which on a pair counts as distinguished
 MOST_PAIRS = 20  # listed in a plan, least certain first
 LISTED = 3  # pairs named in a sentence
 
@@ -121,7 +121,7 @@ def planned(
 
 
 def _pairs(decision: Decision, before: Array, after: Array) -> list[PlannedPair]:
-    """Probabilities of the right decision, least certain first."""
+    """Probabilities that the next diagnosis distinguishes them, least certain first."""
     rows = [
         PlannedPair(
             first=decision.explanations[i].name,

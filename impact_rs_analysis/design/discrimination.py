@@ -20,7 +20,7 @@ rival models*: T-optimality, the rival fitted anew),
     g_ijk = S_ik^T V_j^-1 S_ik,    V_j = var(e) + P^T P + w^2 S_j^T S_j
 
 with a range of w scales for the rival's parameters. Of a pair without estimates the probability
-(:func:`impact_rs_analysis.inference.student.probability`) is the mean over the parameters, in the direction in which
+(:func:`impact_rs_analysis.inference.ahead.probability`) is the mean over the parameters, in the direction in which
 that is less; the degrees of freedom of the scatter are the sum of n - 1 over conditions. For parameters the gain is
 their information, log det(1 + S V^-1 S^T) / 2 (D-optimality; Lindley 1956, *On a measure of the information provided by
 an experiment*).
@@ -37,9 +37,9 @@ from impact_rs_analysis.design.explanations import Decision
 from impact_rs_analysis.design.forecast import ForecastTrial
 from impact_rs_analysis.design.possible_trials import PossibleTrial
 from impact_rs_analysis.evidence.cluster import Cluster
+from impact_rs_analysis.inference.ahead import probability
 from impact_rs_analysis.inference.belief import Belief, Observation, fitted_out
 from impact_rs_analysis.inference.noise import UNMEASURED, Noise
-from impact_rs_analysis.inference.student import probability
 from impact_rs_sim.robot import Array
 
 WIDE = 10.0  # scales w, as far as a fit may go: the largest that blind campaigns hide
@@ -123,7 +123,7 @@ class Discrimination:
         return found
 
     def probabilities(self, total: Belief, freedom: float = np.inf) -> Array:
-        """Probability of the right decision for every pair, ``(pairs,)`` [-].
+        """Probability that the next diagnosis distinguishes them, for every pair, ``(pairs,)`` [-].
 
         Args:
             total: What the trials say.
@@ -140,8 +140,9 @@ class Discrimination:
     def utility(self, total: Belief, freedom: float = np.inf) -> float:
         """What the choice of trials maximises: it never falls with a further trial.
 
-        The mean probability of the right decision over the pairs, and to a small part the mean of log(1 + g), which
-        chooses between trials where everything is decided; for parameters their information.
+        The mean over the pairs of the probability that the next diagnosis distinguishes them, and to a small part the
+        mean of log(1 + g), which chooses between trials where everything is decided, or nothing; for parameters their
+        information.
 
         Args:
             total: What the trials say.

@@ -19,7 +19,6 @@ from __future__ import annotations
 import math
 
 import numpy as np
-import scipy
 
 from impact_rs_sim.robot import Array
 
@@ -74,16 +73,3 @@ def squares(information: Array, score: Array, width: float = 1.0) -> tuple[Array
     before = np.sum(np.divide(along, values, out=np.zeros_like(along), where=kept), axis=1)
     after = np.sum(np.divide(along, values * (1.0 + values), out=np.zeros_like(along), where=kept), axis=1)
     return before, after, np.sum(np.log1p(values * kept), axis=1), kept.sum(axis=1)
-
-
-def probability(gain: Array, freedom: float = np.inf) -> Array:
-    """Probability that the likelier of two explanations is the right one, T_nu(sqrt(g) / 2) [-].
-
-    Args:
-        gain: Their squared distance g [-].
-        freedom: Degrees of freedom of the scatter; infinite: it is known; none: a single repeat says nothing of it.
-    """
-    half = np.sqrt(np.maximum(gain, 0.0)) / 2.0
-    if np.isinf(freedom):
-        return np.asarray(scipy.special.ndtr(half))
-    return np.asarray(scipy.special.stdtr(freedom, half)) if freedom > 0.0 else np.full_like(half, 0.5)

@@ -75,7 +75,7 @@ def _show(plan: ExperimentPlan, terminal: Terminal) -> None:
             table.add_row(str(one.trials), one.what, one.buys.removeprefix(f"{one.trials} x {one.what} "))
     terminal.say(table)
     if plan.pairs:
-        pairs = Table(title="Probability of the right decision, least certain first")
+        pairs = Table(title="Probability that the next diagnosis distinguishes them, least certain first")
         for name in ("explanation", "against", "before", "after"):
             pairs.add_column(name)
         for pair in plan.pairs[:MOST_PAIRS]:

@@ -85,7 +85,7 @@ def test_the_design_is_never_worse_than_chance(seed: int) -> None:
     counts = Discrimination(estimated_pair(1), trials)
     best = utility(counts, choice(trials, 8))
     by_chance = [utility(counts, choice(trials, 8, "random", draw)) for draw in range(20)]
-    assert best >= max(by_chance) - 1e-3
+    assert best >= max(by_chance) - 5e-3
     assert best > np.mean(by_chance)
 
 

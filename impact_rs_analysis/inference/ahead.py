@@ -1,0 +1,60 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What further trials will decide between two explanations, before they are measured.
+
+Along the difference of two explanations, a squared distance g apart in units of the noise, a measurement is
+z ~ N(+-sqrt(g)/2, 1). The noise is estimated from nu degrees of freedom, so that with X ~ chi^2_nu the log likelihood
+ratio that a diagnosis will find is (:mod:`.student`)
+
+    l = (nu + 1) / 2 [log(1 + (z + a)^2 / X) - log(1 + (z - a)^2 / X)],        a = sqrt(g) / 2
+
+A diagnosis distinguishes them where |l| > log ``DECISIVE``. With c = DECISIVE^(2 / (nu + 1)) and k = (c + 1) / (c - 1)
+this is (z -+ k a)^2 + X < (k^2 - 1) a^2, a noncentral chi square with nu + 1 degrees of freedom: the probability is
+
+    p = F(b; nu + 1, (k - 1)^2 a^2) + F(b; nu + 1, (k + 1)^2 a^2),        b = (k^2 - 1) a^2
+
+of which the second term is that of the wrong one. Of a known noise l ~ N(+-g/2, g).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import scipy
+
+from impact_rs_analysis.inference.student import DECISIVE
+from impact_rs_sim.robot import Array
+
+LARGEST = 1e6  # squared distance; beyond it everything is decided
+
+
+def probability(gain: Array, freedom: float = np.inf) -> Array:
+    """Probability p that the next diagnosis distinguishes two explanations [-].
+
+    Args:
+        gain: Their squared distance g [-].
+        freedom: nu, degrees of freedom of the scatter; infinite: it is known; none: nothing is decided.
+    """
+    half = np.sqrt(np.clip(gain, 0.0, LARGEST)) / 2.0
+    if freedom <= 0.0:
+        return np.zeros_like(half)
+    if np.isinf(freedom):
+        behind = np.log(DECISIVE) / (2.0 * np.maximum(half, 1e-9))
+        return np.asarray(scipy.special.ndtr(half - behind) + scipy.special.ndtr(-half - behind))
+    ratio = DECISIVE ** (2.0 / (freedom + 1.0))
+    k = (ratio + 1.0) / (ratio - 1.0)
+    ends = [scipy.special.chndtr((k**2 - 1.0) * half**2, freedom + 1.0, np.square((k + s) * half)) for s in (-1, 1)]
+    return np.asarray(ends[0] + ends[1])
+
+
+def promised(now: float, freedom: float, times: float, further: float) -> float:
+    """Probability p of several times the squared distance [-].
+
+    Args:
+        now: p as it is.
+        freedom: nu as it is.
+        times: Factor of the squared distance.
+        further: Further degrees of freedom.
+    """
+    if not 0.0 < now < float(probability(np.array(LARGEST), freedom)):
+        return now
+    gain = scipy.optimize.brentq(lambda g: float(probability(np.array(g), freedom)) - now, 0.0, LARGEST)
+    return float(probability(np.array(times * gain), freedom + further))
