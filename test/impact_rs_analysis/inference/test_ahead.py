@@ -30,6 +30,14 @@ def test_two_planted_explanations_are_distinguished_as_often_as_said(distance: f
     assert float(probability(np.array(distance**2), freedom)) == pytest.approx(distinguished, abs=0.012)
 
 
+@pytest.mark.parametrize(("freedom", "stated"), [(3, [0.41, 0.65, 0.81, 0.91]), (6, [0.54, 0.78, 0.91, 0.97])])
+def test_differences_of_three_to_six_standard_errors_are_decided_as_the_manual_states(
+    freedom: int, stated: list[float]
+) -> None:
+    """``docs/design.md``; kills another factor than 20."""
+    assert probability(np.array([9.0, 16.0, 25.0, 36.0]), freedom) == pytest.approx(stated, abs=0.006)
+
+
 def test_with_a_known_noise_the_log_ratio_is_normal_with_mean_half_the_squared_distance() -> None:
     gain = np.array([1.0, 9.0, 25.0])
     ratio = gain / 2.0 + np.sqrt(gain) * np.random.default_rng(0).standard_normal((200_000, 1))

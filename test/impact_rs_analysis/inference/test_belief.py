@@ -61,7 +61,9 @@ def test_mean_covariance_and_prediction_are_those_of_a_conditional_normal_distri
 def test_what_is_left_out_is_subtracted() -> None:
     """Hold-out: as if it had never been seen, in any order."""
     belief = believed((1, 2, 4), WIDTHS, *SEVERAL)
+    whole = belief.mean
     belief.add(SEVERAL[1], -1.0)
+    assert np.max(np.abs(belief.mean - whole)) > 0.01
     other = believed((1, 2, 4), WIDTHS, SEVERAL[3], SEVERAL[2], SEVERAL[0])
     np.testing.assert_allclose(belief.mean[:3], other.mean[:3], atol=1e-10)
     np.testing.assert_allclose(belief.covariance, other.covariance, atol=1e-10)

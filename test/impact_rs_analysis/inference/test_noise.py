@@ -43,7 +43,7 @@ def test_scatter_is_no_less_than_what_a_measurement_states() -> None:
 
 def test_hits_that_repeat_nothing_teach_the_scatter_only_where_none_repeats_any() -> None:
     rows = [np.array([value]) for value in (1.0, 3.0, 10.0, 20.0)]
-    deviations, freedom = deviations_of(rows, ["a", "a", "", "b"])
+    deviations, freedom = deviations_of([*rows, np.array([30.0])], ["a", "a", "", "b", ""])
     assert deviations.ravel() == pytest.approx([-1.0, 1.0]) and freedom == 1
     deviations, freedom = deviations_of(rows, ["a", "", "b", "c"])
     assert deviations.ravel() == pytest.approx(np.array([1.0, 3.0, 10.0, 20.0]) - 8.5) and freedom == 3
