@@ -36,10 +36,8 @@ import numpy as np
 from impact_rs_analysis.design.explanations import Decision
 from impact_rs_analysis.design.forecast import ForecastTrial
 from impact_rs_analysis.design.possible_trials import PossibleTrial
-from impact_rs_analysis.evidence.cluster import Cluster
-from impact_rs_analysis.inference.ahead import probability
-from impact_rs_analysis.inference.belief import Belief, Observation, fitted_out
-from impact_rs_analysis.inference.noise import UNMEASURED, Noise
+from impact_rs_analysis.inference.ahead import distance, probability
+from impact_rs_analysis.inference.belief import Belief, Observation, fitted_out, observation_of
 from impact_rs_sim.robot import Array
 
 WIDE = 10.0  # scales w, as far as a fit may go: the largest that blind campaigns hide
@@ -107,16 +105,14 @@ class Discrimination:
         """Squared distances of every pair: for each direction those of all cases, ``(cases,)`` [-]."""
         if not self.decision.pairs:
             return []
-        inner = total.of_parameters()
+        inner, _ = total.of_parameters()
         left = [np.diag(fitted_out(inner, rows, WIDE)) for rows in self._spreads]
         found = []
         for i, j in self.decision.pairs:
             first, second = self.decision.explanations[i], self.decision.explanations[j]
             if first.estimated or second.estimated:
-                way = np.zeros(len(inner))
-                way[self._centres[[i, j]]] = 1.0, -1.0
-                blurred = fitted_out(inner, np.concatenate((self._spreads[i], self._spreads[j])), 1.0)
-                found.append([np.array([way @ blurred @ way])])
+                spreads = np.concatenate((self._spreads[i], self._spreads[j]))
+                found.append([np.array([distance(inner, self._centres[i], self._centres[j], spreads)])])
                 continue
             directions = [(first, i, j), (second, j, i)]
             found.append([left[other][self._spreads[own]] for one, own, other in directions if one.varied])
@@ -134,8 +130,8 @@ class Discrimination:
     def information(self, total: Belief) -> float:
         """Information on the parameters of all explanations, half the log determinant [nat]."""
         rows = np.concatenate(self._spreads)
-        inner = total.of_parameters()[np.ix_(rows, rows)]
-        return 0.5 * float(np.linalg.slogdet(np.eye(len(rows)) + inner)[1])
+        inner, _ = total.of_parameters()
+        return 0.5 * float(np.linalg.slogdet(np.eye(len(rows)) + inner[np.ix_(rows, rows)])[1])
 
     def utility(self, total: Belief, freedom: float = np.inf) -> float:
         """What the choice of trials maximises: it never falls with a further trial.
@@ -161,21 +157,9 @@ class Discrimination:
         if key not in self._observations:
             one = self._trials[name]
             rows = [np.vstack((centre, spread)) for centre, spread in zip(one.centres, one.spreads, strict=True)]
-            self._observations[key] = _observed(one.cluster, np.vstack(rows), repeats)
+            unknown = np.zeros(len(one.cluster.features))
+            self._observations[key] = observation_of(one.cluster, unknown, np.vstack(rows).T, repeats)
         return self._observations[key]
-
-
-def _observed(item: Cluster, rows: Array, repeats: int) -> Observation:
-    """A condition that changes by ``rows`` ``(p, F)`` [-]; what will be measured is not known."""
-    scatter, systematic = np.square(item.pure), np.square(item.discrepancy)
-    limit = np.maximum(1.0 - scatter - systematic, 0.0)  # sigma^2 = s^2 + (l / 2)^2 + d^2
-    if item.patterns is None:
-        own, patterns = limit + systematic, np.zeros((0, scatter.size))
-    else:
-        own, patterns = limit + UNMEASURED * systematic, np.sqrt(1.0 - UNMEASURED) * item.patterns
-    whiten = Noise(scatter, own).whitening(repeats)
-    group = item.layout if item.alike is None else item.alike
-    return Observation(np.zeros(scatter.size), whiten @ rows.T, whiten @ patterns.T, group)
 
 
 def _means(gains: Sequence[Sequence[Array]], of: Callable[[Array], Array]) -> Array:

@@ -17,8 +17,8 @@ import numpy as np
 from impact_rs_analysis.following.change import ChangeExplanation, ChangeTest, support
 from impact_rs_analysis.following.hit_model import HitModel, Hypothesis, Origin
 from impact_rs_analysis.following.hits import Hit
-from impact_rs_analysis.following.posterior import WIDE, WIDTH, Posterior, squared_distance, weight_of
-from impact_rs_analysis.inference.student import DECISIVE, log_ratio
+from impact_rs_analysis.following.posterior import WIDE, WIDTH, Posterior, weight_of
+from impact_rs_analysis.inference.student import DECISIVE, log_ratio, squared_distance
 from impact_rs_sim.robot import Array
 
 MOST = 4  # hypotheses at a time

@@ -130,35 +130,13 @@ class Posterior:
         return both[:, :size], both[:, size:], np.array([own for _, own in found])
 
 
-def squared_distance(innovation: Array, covariance: Array, inflation: float = 1.0) -> float:
-    """Squared Mahalanobis distance of a hit [-].
-
-    Args:
-        innovation: Whitened, ``(F,)``.
-        covariance: Its covariance, ``(F, F)``.
-        inflation: Variance of hits over that of the covariance.
-    """
-    return float(innovation @ np.linalg.solve(covariance, innovation)) / inflation
-
-
 def weight_of(distance: float, size: int) -> float:
     """Weight of a hit with a squared distance and so many features [-]."""
     return min(1.0, float(scipy.special.chdtri(size, ODD)) / max(distance, 1e-300))
 
 
-def log_density_of_hit(distance: float, covariance: Array, freedom: float) -> float:
-    """Log density of a hit, up to a constant.
-
-    Args:
-        distance: Squared distance of the hit.
-        covariance: Its covariance, ``(F, F)``.
-        freedom: Degrees of freedom of the scatter.
-    """
-    return log_density(distance, float(np.linalg.slogdet(covariance)[1]), len(covariance), freedom)
-
-
 def unpredicted_log_density(size: int, freedom: float) -> float:
-    """The same of a hit that a hypothesis does not predict at all: that of a certain prediction, just odd.
+    """Log density of a hit that a hypothesis does not predict at all: that of a certain prediction, just odd.
 
     Args:
         size: Number of features of the hit.

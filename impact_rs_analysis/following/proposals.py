@@ -14,7 +14,7 @@ import scipy
 from impact_rs_analysis.following.announcement import mean_of
 from impact_rs_analysis.following.hit_model import HitModel, Hypothesis
 from impact_rs_analysis.following.hits import Hit
-from impact_rs_analysis.following.posterior import squared_distance
+from impact_rs_analysis.inference.student import squared_distance
 from impact_rs_sim.physics import Physics
 
 APART = 2.0  # standard deviations between what two causes predict; one measurement then decides

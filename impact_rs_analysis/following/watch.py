@@ -20,14 +20,9 @@ from impact_rs_analysis.following.causes import Causes, Held
 from impact_rs_analysis.following.hit_model import HitModel, Hypothesis
 from impact_rs_analysis.following.hits import Hit
 from impact_rs_analysis.following.lessons import Cause, Change, HitDocument, NextHit, Predicted
-from impact_rs_analysis.following.posterior import (
-    WINDOW,
-    log_density_of_hit,
-    squared_distance,
-    unpredicted_log_density,
-    weight_of,
-)
+from impact_rs_analysis.following.posterior import WINDOW, unpredicted_log_density, weight_of
 from impact_rs_analysis.following.proposals import distinguishing
+from impact_rs_analysis.inference.student import log_density, squared_distance
 from impact_rs_sim.robot import Array
 
 GROWN = 1.0  # of the logarithm of the statistic since an attempt in vain, before the next one
@@ -136,7 +131,8 @@ class HitWatch:
                 innovation, covariance = one.posterior.now.predictive(evidence)
                 distance = squared_distance(innovation, covariance, calibration.of_hits)
                 weight = weight_of(distance, innovation.size)
-                one.log_weight += log_density_of_hit(distance, covariance, calibration.freedom)
+                volume = float(np.linalg.slogdet(covariance)[1])
+                one.log_weight += log_density(distance, volume, innovation.size, calibration.freedom)
                 taken.append(replace(evidence, weight=weight))
                 left = innovation - one.recent.expected(hit.group, innovation.size)
                 one.recent.take(hit.group, innovation, weight)

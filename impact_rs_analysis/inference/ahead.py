@@ -20,10 +20,25 @@ from __future__ import annotations
 import numpy as np
 import scipy
 
+from impact_rs_analysis.inference.belief import Columns, fitted_out
 from impact_rs_analysis.inference.student import DECISIVE
 from impact_rs_sim.robot import Array
 
 LARGEST = 1e6  # squared distance; beyond it everything is decided
+
+
+def distance(information: Array, first: int, second: int, uncertain: Columns) -> float:
+    """Squared distance g of two predictions, blurred by what is uncertain of both [-].
+
+    Args:
+        information: Of all columns, ``(n, n)``.
+        first: Column of the one.
+        second: Column of the other.
+        uncertain: Columns of one standard deviation each.
+    """
+    way = np.zeros(len(information))
+    way[[first, second]] = 1.0, -1.0
+    return float(way @ fitted_out(information, uncertain, 1.0) @ way)
 
 
 def probability(gain: Array, freedom: float = np.inf) -> Array:

@@ -29,6 +29,8 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
+from impact_rs_analysis.evidence.cluster import Cluster
+from impact_rs_analysis.inference.noise import UNMEASURED, noise_of
 from impact_rs_sim.robot import Array
 
 Columns = NDArray[np.int_]
@@ -165,10 +167,16 @@ class Belief:
             return np.arange(len(self.parameters)), followed
         return self.columns(one)[0], np.hstack((followed, one.patterns))
 
-    def of_parameters(self) -> Array:
-        """Information of the parameters while the amplitudes are fitted, ``(f, f)``."""
+    def of_parameters(self) -> tuple[Array, Array]:
+        """Information ``(f, f)`` and score ``(f,)`` of the parameters while the amplitudes are fitted."""
         count = len(self.parameters)
-        return fitted_out(self.information, np.arange(count, len(self.vector)))[:count, :count]
+        left = fitted_out(self._joint, range(count, len(self.vector)))
+        return left[:count, :count], left[:count, -1]
+
+    @property
+    def _joint(self) -> Array:
+        """L with h as a further row and column, ``(n + 1, n + 1)``."""
+        return np.block([[self.information, self.vector[:, None]], [self.vector, np.zeros(1)]])
 
     def with_parameters(self, parameters: Sequence[int], fresh: Sequence[int], centre: Array, width: float) -> Belief:
         """The same state with other parameters.
@@ -182,9 +190,7 @@ class Belief:
         old, new, size = len(self.parameters), len(parameters), len(self.vector)
         gone = [n for n, one in enumerate(self.parameters) if one in fresh]
         stay = [n for n in range(size) if n not in gone]
-        joint = np.zeros((size + 1, size + 1))  # with h as a further column
-        joint[:size, :size], joint[:size, size], joint[size, :size] = self.information, self.vector, self.vector
-        joint = fitted_out(joint, gone)
+        joint = fitted_out(self._joint, gone)
         order = list(parameters)
         places = [order.index(self.parameters[n]) if n < old else n + new - old for n in stay]
         found = Belief.of(parameters, np.full(new, width))
@@ -224,12 +230,28 @@ def fitted_out(information: Array, columns: Columns | Sequence[int], width: floa
         columns: Those that are fitted.
         width: Of a further normal prior of each; infinite: none.
     """
-    if not len(columns):
+    chosen = np.array(columns, dtype=int)
+    if not chosen.size:
         return information
-    across = information[columns]
-    own = across[:, columns] + np.eye(len(columns)) / width**2
+    across = information[chosen]
+    own = across[:, chosen] + np.eye(chosen.size) / width**2
     left = information - across.T @ np.linalg.solve(own, across)
     return np.asarray(0.5 * (left + left.T))
+
+
+def observation_of(item: Cluster, residual: Array, jacobian: Array, count: int) -> Observation:
+    """The mean of repeats of a condition, or a stretch or block.
+
+    Args:
+        item: Its scatter, discrepancy and scale.
+        residual: Scaled, ``(F,)`` [-].
+        jacobian: Scaled features per parameter, ``(F, p)`` [-].
+        count: Number of repeats.
+    """
+    whiten = noise_of(item).whitening(count)
+    patterns = np.zeros((0, len(residual))) if item.patterns is None else np.sqrt(1.0 - UNMEASURED) * item.patterns
+    group = item.layout if item.alike is None else item.alike
+    return Observation(whiten @ residual, whiten @ jacobian, whiten @ patterns.T, group)
 
 
 def _solve(factor: Array, right: Array) -> Array:

@@ -21,6 +21,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from impact_rs_analysis.evidence.cluster import Cluster
 from impact_rs_sim.robot import Array
 
 # Share of the differences of a left-out simulator that the others do not span: 14 to 67 %, 34 % on average.
@@ -54,6 +55,13 @@ class Noise:
         covariance = self.repeats / count
         np.fill_diagonal(covariance, diagonal)
         return np.asarray(np.linalg.inv(np.linalg.cholesky(covariance)))
+
+
+def noise_of(item: Cluster) -> Noise:
+    """Noise of the scaled features of a condition; of its discrepancy that part which no pattern spans."""
+    scatter, systematic = np.square(item.pure), np.square(item.discrepancy)
+    limit = np.maximum(1.0 - scatter - systematic, 0.0)  # sigma^2 = s^2 + (l / 2)^2 + d^2
+    return Noise(scatter, limit + (1.0 if item.patterns is None else UNMEASURED) * systematic)
 
 
 def repeats_of(deviations: Array, freedom: int, stated: Array) -> Array:

@@ -38,6 +38,11 @@ def log_density(square: float, log_determinant: float, size: int, freedom: float
     return -0.5 * log_determinant - 0.5 * (freedom + size) * math.log1p(square / freedom)
 
 
+def squared_distance(residual: Array, covariance: Array, inflation: float = 1.0) -> float:
+    """T of a residual ``(F,)`` with a covariance ``(F, F)``, times a factor of the variance [-]."""
+    return float(residual @ np.linalg.solve(covariance, residual)) / inflation
+
+
 def log_ratio(explained: float, log_determinant: float, size: int, freedom: float) -> float:
     """Log likelihood ratio of p parameters that explain a part of the squares and leave nothing that they could.
 

@@ -82,9 +82,12 @@ def test_a_group_that_was_not_seen_has_its_prior_and_predicting_it_changes_nothi
 def test_the_information_of_parameters_is_the_inverse_of_their_covariance() -> None:
     """Schur complement; kills one that keeps what the amplitudes explain."""
     belief = believed((0, 1, 2), WIDTHS, *SEVERAL)
-    np.testing.assert_allclose(belief.of_parameters(), np.linalg.inv(belief.covariance), atol=1e-10)
+    information, score = belief.of_parameters()
+    np.testing.assert_allclose(information, np.linalg.inv(belief.covariance), atol=1e-10)
+    np.testing.assert_allclose(np.linalg.solve(information, score), belief.mean[:3], atol=1e-10)
     free = believed((0, 1, 2), np.full(3, np.inf), *SEVERAL)
-    np.testing.assert_allclose(free.of_parameters() + np.diag(1 / WIDTHS**2), belief.of_parameters(), atol=1e-10)
+    np.testing.assert_allclose(free.of_parameters()[0] + np.diag(1 / WIDTHS**2), information, atol=1e-10)
+    np.testing.assert_allclose(free.of_parameters()[1], score, atol=1e-10)
 
 
 def test_fitted_columns_with_a_prior_blur_as_much_as_it_allows() -> None:

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 import scipy
 
+from impact_rs_analysis.inference.belief import Belief, Observation
 from impact_rs_analysis.inference.student import log_density, log_ratio, log_ratios, squares
 
 
@@ -58,3 +59,26 @@ def test_what_is_explained_in_full_is_a_ratio_without_a_rest() -> None:
     """T_1 = 0; what is worse than nothing explains nothing."""
     assert log_ratio(6.0, 1.0, 2, 4.0) == pytest.approx(3.0 * np.log(1.0 + 6.0 / 4.0) - 0.5)
     assert log_ratio(-1.0, 1.0, 2, 4.0) == pytest.approx(-0.5)
+
+
+def test_the_ratio_of_a_belief_is_that_of_the_evidence_of_all_observations() -> None:
+    """log N(r; 0, V + W^2 J J^T) - log N(r; 0, V), V = 1 + P P^T, of a known noise; the amplitudes are fitted."""
+    rng, width = np.random.default_rng(5), 2.0
+    observations = [
+        Observation(rng.standard_normal(3), rng.standard_normal((3, 2)), rng.standard_normal((3, 1)), group)
+        for group in "aab"
+    ]
+    belief = Belief.of((0, 1), np.full(2, np.inf))
+    for one in observations:
+        belief.add(one)
+    information, score = belief.of_parameters()
+    (found,) = log_ratios(information[None], score[None], width, 1e7)
+    patterns = np.zeros((9, 2))
+    for number, one in enumerate(observations):
+        patterns[3 * number : 3 * number + 3, ["a", "b"].index(one.group)] = one.patterns[:, 0]
+    without = np.eye(9) + patterns @ patterns.T
+    jacobian = np.vstack([one.jacobian for one in observations])
+    residual = np.concatenate([one.residual for one in observations])
+    with_ = without + width**2 * jacobian @ jacobian.T
+    expected = [scipy.stats.multivariate_normal(np.zeros(9), shape).logpdf(residual) for shape in (with_, without)]
+    assert found == pytest.approx(expected[0] - expected[1], rel=1e-4)
