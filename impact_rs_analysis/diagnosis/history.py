@@ -26,12 +26,17 @@ class Version:
     Attributes:
         file: Its file.
         model: The model.
-        effect_added: The effect added to its parent; None for the first.
+        effects_added: Effects added to its parent; empty for the first.
     """
 
     file: str
     model: Model
-    effect_added: str | None
+    effects_added: tuple[str, ...]
+
+    @property
+    def effect_added(self) -> str | None:
+        """Effects added, as they are shown; None: there are none."""
+        return "+".join(self.effects_added) or None
 
 
 @dataclass(frozen=True)
@@ -97,7 +102,7 @@ def versions(path: Path) -> list[Version]:
     for number, (found, model) in enumerate(chain):
         before = set() if number == 0 else {item.model_dump_json() for item in chain[number - 1][1].effects}
         new = [item.name for item in model.effects if item.model_dump_json() not in before]
-        result.append(Version(str(found), model, "+".join(new) if number and new else None))
+        result.append(Version(str(found), model, tuple(new) if number else ()))
     return result
 
 
@@ -117,7 +122,7 @@ def history(path: Path, source_of: Callable[[Model], Source]) -> list[VersionErr
         clusters = source.clusters
         error, noise = source.size(), source.noise_size()
         held_out: float | None = error
-        if version.effect_added is not None:
+        if version.effects_added:
             held_out = _held_out(version, clusters, source_of)
         found.append(VersionError(version, error, held_out, noise, source.size_unit))
     return found
@@ -125,10 +130,9 @@ def history(path: Path, source_of: Callable[[Model], Source]) -> list[VersionErr
 
 def _held_out(version: Version, clusters: tuple[Cluster, ...], source_of: Callable[[Model], Source]) -> float | None:
     """Error of every condition with the added effects fitted to all others, about the estimate in the model file."""
-    if len(clusters) < 2 or version.effect_added is None:
+    if len(clusters) < 2:
         return None
-    names = version.effect_added.split("+")
-    model = version.model
+    names, model = version.effects_added, version.model
     bare = source_of(
         model.model_copy(update={"effects": tuple(item for item in model.effects if item.name not in names)})
     )
