@@ -16,7 +16,9 @@ from impact_rs_analysis.evidence.measured_runs import Runs
 from impact_rs_analysis.evidence.replay_cache import ReplayCache
 from impact_rs_analysis.evidence.replays import ReplaySource
 from impact_rs_analysis.evidence.source import Source
-from impact_rs_analysis.investigation import Against, PlannedTrial, Round, Settings, trials_of
+from impact_rs_analysis.investigation.loop import Against
+from impact_rs_analysis.investigation.rounds import PlannedTrial, Round, trials_of
+from impact_rs_analysis.investigation.settings import Settings
 from impact_rs_cli.measurements import read
 from impact_rs_cli.terminal import Terminal
 from impact_rs_sim.errors import InputError

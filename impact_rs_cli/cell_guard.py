@@ -11,7 +11,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
-from impact_rs_analysis.investigation import PlannedTrial
+from impact_rs_analysis.investigation.rounds import PlannedTrial
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.files import write_whole
 from impact_rs_trials.bags.trial_info import OUTCOMES

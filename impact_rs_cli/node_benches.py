@@ -8,7 +8,8 @@ from pathlib import Path
 
 from impact_rs_analysis.evidence.command_clock import read_runs_of_scenes
 from impact_rs_analysis.evidence.measured_runs import Runs
-from impact_rs_analysis.investigation import PlannedTrial, Settings
+from impact_rs_analysis.investigation.rounds import PlannedTrial
+from impact_rs_analysis.investigation.settings import Settings
 from impact_rs_cli.bench import PlantBench
 from impact_rs_cli.cell_guard import CellGuard
 from impact_rs_cli.terminal import Terminal

@@ -16,7 +16,9 @@ from impact_rs_analysis.diagnosis.document import DiagnosisDocument, read_docume
 from impact_rs_analysis.diagnosis.scoring import score
 from impact_rs_analysis.evidence.levels import Cell
 from impact_rs_analysis.evidence.measured_runs import find_bags, runs_digest
-from impact_rs_analysis.investigation import ending_of, measured, read_rounds, read_settings
+from impact_rs_analysis.investigation.endings import ending_of
+from impact_rs_analysis.investigation.rounds import measured, read_rounds
+from impact_rs_analysis.investigation.settings import read_settings
 from impact_rs_analysis.report.comparison import (
     comparison_in_words,
     on_scale,

@@ -19,15 +19,10 @@ from benchmarks.hidden import VISIBLE, Entry, hidden_in, plant_option, recorder,
 from benchmarks.results import Table
 from impact_rs_analysis.diagnosis.document import DiagnosisDocument
 from impact_rs_analysis.diagnosis.scoring import truth_of
-from impact_rs_analysis.investigation import (
-    BlindChoice,
-    Investigation,
-    Round,
-    Settings,
-    begin,
-    judged,
-    read_rounds,
-)
+from impact_rs_analysis.investigation.endings import judged
+from impact_rs_analysis.investigation.loop import Investigation
+from impact_rs_analysis.investigation.rounds import Round, read_rounds
+from impact_rs_analysis.investigation.settings import BlindChoice, Settings, begin
 from impact_rs_cli.bench import PlantBench
 from impact_rs_cli.commands.investigate import secret_of
 from impact_rs_cli.terminal import Terminal

@@ -10,7 +10,9 @@ from pathlib import Path
 import plotly.graph_objects as go
 
 from impact_rs_analysis.diagnosis.document import NO_IMPROVEMENT, UNIDENTIFIABLE
-from impact_rs_analysis.investigation import UNDECIDED, Ending, Round, Settings, ending_of, measured
+from impact_rs_analysis.investigation.endings import UNDECIDED, Ending, ending_of
+from impact_rs_analysis.investigation.rounds import Round, measured
+from impact_rs_analysis.investigation.settings import Settings
 from impact_rs_analysis.report.figures import BLUE, RED
 from impact_rs_analysis.report.page import Plot, render, write_files
 from impact_rs_analysis.report.plots import TEMPLATE

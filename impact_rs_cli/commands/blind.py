@@ -8,7 +8,7 @@ import argparse
 from impact_rs_analysis.diagnosis.document import read_document
 from impact_rs_analysis.diagnosis.scoring import score as score_diagnosis
 from impact_rs_analysis.diagnosis.scoring import truth_of
-from impact_rs_analysis.investigation import judged, read_ending
+from impact_rs_analysis.investigation.endings import judged, read_ending
 from impact_rs_cli.arguments import started
 from impact_rs_cli.parser import command_line
 from impact_rs_cli.terminal import Terminal, output_folder

@@ -6,15 +6,11 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from impact_rs_analysis.investigation import (
-    LOG,
-    BlindChoice,
-    Ending,
-    Investigation,
-    Settings,
-    begin,
-    read_rounds,
-)
+from impact_rs_analysis.investigation.endings import Ending
+from impact_rs_analysis.investigation.loop import Investigation
+from impact_rs_analysis.investigation.rounds import read_rounds
+from impact_rs_analysis.investigation.settings import BlindChoice, Settings, begin
+from impact_rs_analysis.investigation.story import LOG
 from impact_rs_analysis.report.family_tree import write_investigation
 from impact_rs_cli.arguments import check_robots, started
 from impact_rs_cli.bench import NO_SECRET, PlantBench

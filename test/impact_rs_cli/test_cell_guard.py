@@ -15,7 +15,8 @@ import yaml
 from trials import recorded
 
 from impact_rs_analysis.design.possible_trials import possible_trials
-from impact_rs_analysis.investigation import PlannedTrial, Settings, trials_of
+from impact_rs_analysis.investigation.rounds import PlannedTrial, trials_of
+from impact_rs_analysis.investigation.settings import Settings
 from impact_rs_cli import node_benches
 from impact_rs_cli.bench import PlantBench, simple_design
 from impact_rs_cli.cell_guard import CellGuard, SafetyStop

@@ -14,7 +14,8 @@ from scene_source import of_scene
 from impact_rs_analysis.design.design import WHICH_EFFECT
 from impact_rs_analysis.diagnosis.discovery_document import FOUND, DiscoveryDocument, write_discovery
 from impact_rs_analysis.diagnosis.document import DiagnosisDocument
-from impact_rs_analysis.investigation import Round, Settings
+from impact_rs_analysis.investigation.rounds import Round
+from impact_rs_analysis.investigation.settings import Settings
 from impact_rs_cli import bench
 from impact_rs_cli.bench import PlantBench, simple_design
 from impact_rs_cli.terminal import Terminal

@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from impact_rs_analysis.investigation import Ending
+from impact_rs_analysis.investigation.endings import Ending
 from impact_rs_cli.bench import PlantBench
 from impact_rs_cli.main import main
 from impact_rs_sim.model import load_model

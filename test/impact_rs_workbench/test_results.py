@@ -18,7 +18,7 @@ from starlette.testclient import TestClient
 
 from impact_rs_analysis.diagnosis.document import DiagnosisDocument, write_document
 from impact_rs_analysis.evidence.levels import Cell
-from impact_rs_analysis.investigation import begin
+from impact_rs_analysis.investigation.settings import begin
 from impact_rs_analysis.report.diagnosis import write_diagnosis
 from impact_rs_analysis.report.plots import effects_plot
 from impact_rs_cli.commands import diagnose as diagnose_command

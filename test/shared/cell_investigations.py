@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from impact_rs_analysis.investigation import Settings, begin
+from impact_rs_analysis.investigation.settings import Settings, begin
 from impact_rs_sim.model import load_model
 from impact_rs_trials.campaign import PlannedTrials
 from impact_rs_trials.envelope import CellEnvelope

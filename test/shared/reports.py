@@ -18,7 +18,8 @@ from scenes import PHYSICS, joints_track
 from impact_rs_analysis.diagnosis.discovery_document import DESCRIBED, DiscoveryDocument, LawDocument, NumberDocument
 from impact_rs_analysis.diagnosis.document import DiagnosisDocument, ModelIdentity
 from impact_rs_analysis.evidence.tracks import ComparedSignal, Track
-from impact_rs_analysis.investigation import Round, RoundDecision, Settings, begin
+from impact_rs_analysis.investigation.rounds import Round, RoundDecision
+from impact_rs_analysis.investigation.settings import Settings, begin
 from impact_rs_analysis.limits.poses import PlacedLimit
 from impact_rs_analysis.limits.speed import SpeedLimit
 from impact_rs_analysis.measure.design_study import MEASURES, Design, DesignQuestion, DesignStudy, Estimate

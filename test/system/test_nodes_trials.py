@@ -16,7 +16,8 @@ from node_trials import begun, goal, one_trial, result_of, spin_until, whole_tri
 from rcl_interfaces.srv import SetParameters
 from rclpy.parameter import Parameter
 
-from impact_rs_analysis.investigation import Settings, trials_of
+from impact_rs_analysis.investigation.rounds import trials_of
+from impact_rs_analysis.investigation.settings import Settings
 from impact_rs_cli.node_benches import NodesBench
 from impact_rs_cli.terminal import Terminal
 from impact_rs_ros.graph import Graph, run_trial

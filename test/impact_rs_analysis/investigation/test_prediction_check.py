@@ -11,7 +11,7 @@ from impact_rs_analysis.diagnosis.document import ModelIdentity
 from impact_rs_analysis.evidence.measured_runs import read_runs
 from impact_rs_analysis.evidence.replay_cache import ReplayCache
 from impact_rs_analysis.evidence.replays import ReplaySource
-from impact_rs_analysis.prediction_check import ImpactPrediction, Predictions, predicted, prediction_error
+from impact_rs_analysis.investigation.prediction_check import ImpactPrediction, Predictions, predicted, prediction_error
 from impact_rs_sim.model import load_model
 from impact_rs_sim.scenario import load_scenario
 from impact_rs_trials.spec import TrialSpec

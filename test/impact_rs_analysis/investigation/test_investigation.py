@@ -14,7 +14,6 @@ import pytest
 from documents import comparison, diagnosis
 from processes import killed_at_file
 
-from impact_rs_analysis import investigation
 from impact_rs_analysis.diagnosis.discovery_document import DiscoveryDocument, LawDocument
 from impact_rs_analysis.diagnosis.document import (
     DiagnosisDocument,
@@ -22,21 +21,14 @@ from impact_rs_analysis.diagnosis.document import (
     EstimateDocument,
     ModelIdentity,
 )
-from impact_rs_analysis.investigation import (
-    BlindChoice,
-    Ending,
-    Investigation,
-    PlannedTrial,
-    Round,
-    RoundDecision,
-    Settings,
-    begin,
-    judged,
-    read_ending,
-    read_rounds,
-    trials_of,
-)
-from impact_rs_analysis.prediction_check import CheckedImpact, PredictionError, Predictions
+from impact_rs_analysis.investigation import loop
+from impact_rs_analysis.investigation.endings import Ending, judged, read_ending
+from impact_rs_analysis.investigation.loop import Investigation
+from impact_rs_analysis.investigation.policy import MOST_DISCOVERIES
+from impact_rs_analysis.investigation.prediction_check import CheckedImpact, PredictionError, Predictions
+from impact_rs_analysis.investigation.promise import promise
+from impact_rs_analysis.investigation.rounds import PlannedTrial, Round, RoundDecision, read_rounds, trials_of
+from impact_rs_analysis.investigation.settings import BlindChoice, Settings, begin
 from impact_rs_analysis.report.family_tree import bought_of, family_of, write_investigation
 from impact_rs_sim.effects.formula import FormulaSpec
 from impact_rs_sim.errors import InputError
@@ -133,7 +125,7 @@ def start(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Start:
         found = bench.answer(model, len(list((bench.directory / "runs").glob("*/*/*"))))
         return found.model_copy(update={"model": ModelIdentity(name=model.name, digest=model.digest)})
 
-    monkeypatch.setattr(investigation, "diagnose", diagnosed)
+    monkeypatch.setattr(loop, "diagnose", diagnosed)
 
     def checked(source: tuple[FakeBench, Model], folder: Path, predictions: Predictions) -> PredictionError:
         """The parcel is 10 mm/s slower than predicted."""
@@ -144,8 +136,8 @@ def start(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Start:
         count, unit = len(list(folder.glob("*/*"))), "times repeatability"
         return PredictionError(model=predictions.model, trials=count, error=1.23, unit=unit, impacts=impacts)
 
-    monkeypatch.setattr(investigation, "compare", lambda source: comparison())
-    monkeypatch.setattr(investigation, "prediction_error", checked)
+    monkeypatch.setattr(loop, "compare", lambda source: comparison())
+    monkeypatch.setattr(loop, "prediction_error", checked)
 
     def made(
         answer: Callable[[Model, int], DiagnosisDocument],
@@ -155,7 +147,7 @@ def start(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Start:
     ) -> tuple[Investigation, FakeBench]:
         directory = tmp_path / folder
         if discovered is not None:
-            monkeypatch.setattr(investigation, "discover", discovered)
+            monkeypatch.setattr(loop, "discover", discovered)
         begin(directory, SETTINGS)
         bench = FakeBench(directory, answer)
         return Investigation(directory, SETTINGS, budget, bench), bench
@@ -172,7 +164,7 @@ def test_an_effect_that_is_found_is_added_and_tried_on_new_trials(start: Start) 
     investigation_, bench = start(friction_then_nothing)
     ending = investigation_.run()
     assert (ending.verdict, ending.effects, ending.model) == ("EXPLAINED", (FRICTION,), "model_2.yaml")
-    assert ending.trials == len(bench.measured) == investigation.FIRST + investigation.FEW
+    assert ending.trials == len(bench.measured) == loop.FIRST + loop.FEW
     model = load_model(investigation_.directory / "model_2.yaml")
     assert model.effects[0].parameters["friction"].estimate == 0.1
     assert "predicts the 2 trials that were measured after it was made" in ending.summary
@@ -197,7 +189,7 @@ def test_nothing_is_missing_only_where_a_second_batch_of_trials_says_so_too(star
     investigation_, bench = start(lambda model, trials: CLEAN)
     ending = investigation_.run()
     assert (ending.verdict, ending.effects, ending.model) == ("NOTHING-MISSING", (), "nominal")
-    assert ending.rounds == 2 and len(bench.measured) == investigation.FIRST + investigation.MORE
+    assert ending.rounds == 2 and len(bench.measured) == loop.FIRST + loop.MORE
 
 
 def hinting(p_value: float, after: float = 1.1, most: float = 1.5, error: float = 1.2) -> DiagnosisDocument:
@@ -218,7 +210,7 @@ def hinting(p_value: float, after: float = 1.1, most: float = 1.5, error: float 
 def test_what_would_be_significant_if_tested_alone_is_looked_at_once_more_before_the_end(start: Start) -> None:
     """Of a model that holds, and of the first one; no longer once trials exclude it."""
     for first, done in ((said(FRICTION, FRICTION), ("EXPLAINED", (FRICTION,))), (CLEAN, ("NOTHING-MISSING", ()))):
-        last = investigation.FIRST + (investigation.FEW if first is not CLEAN else investigation.MORE)
+        last = loop.FIRST + (loop.FEW if first is not CLEAN else loop.MORE)
 
         def answer(model: Model, trials: int, first: Any = first, last: int = last) -> DiagnosisDocument:
             return first if not model.effects and first is not CLEAN else hinting(0.01 if trials <= last else 0.3)
@@ -227,12 +219,12 @@ def test_what_would_be_significant_if_tested_alone_is_looked_at_once_more_before
         ending = investigation_.run()
         assert (ending.verdict, ending.effects) == done
         assert bench.shown == [(), (), (MASS,)] and bench.last is None
-        assert ending.trials == last + investigation.FEW
+        assert ending.trials == last + loop.FEW
         reason = read_rounds(investigation_.directory, SETTINGS)[1].decision
         assert reason is not None and f"{MASS} (p = 0.01) would be significant" in reason.reason
 
 
-FOUND_AT = investigation.FIRST + investigation.FEW  # trials; with more of them mass shows
+FOUND_AT = loop.FIRST + loop.FEW  # trials; with more of them mass shows
 
 
 def little_mass(model: Model, trials: int, first: DiagnosisDocument) -> DiagnosisDocument:
@@ -254,7 +246,7 @@ def test_a_small_second_effect_is_found_by_trials_that_show_it(start: Start) -> 
     both = said(f"{FRICTION}+{MASS}", FRICTION, MASS)
     ending = start(lambda model, trials: little_mass(model, trials, both))[0].run()
     assert (ending.verdict, ending.effects) == ("EXPLAINED", (MASS, FRICTION))
-    assert ending.trials == FOUND_AT + 2 * investigation.FEW
+    assert ending.trials == FOUND_AT + 2 * loop.FEW
 
 
 def test_a_small_second_effect_that_the_first_model_hardly_shows_is_added_to_the_newest(start: Start) -> None:
@@ -262,7 +254,7 @@ def test_a_small_second_effect_that_the_first_model_hardly_shows_is_added_to_the
     investigation_, _ = start(lambda model, trials: little_mass(model, trials, said(FRICTION, FRICTION)))
     ending = investigation_.run()
     assert (ending.verdict, ending.effects) == ("EXPLAINED", (MASS, FRICTION))
-    assert ending.trials == FOUND_AT + 2 * investigation.FEW
+    assert ending.trials == FOUND_AT + 2 * loop.FEW
     family = family_of(SETTINGS, read_rounds(investigation_.directory, SETTINGS))
     assert [one.parent for one in family] == [None, "nominal", "model_2.yaml"]
 
@@ -274,13 +266,13 @@ def test_what_is_excluded_or_not_significant_even_alone_or_cannot_lower_the_erro
     start: Start, hint: DiagnosisDocument
 ) -> None:
     ending = start(lambda model, trials: hint if model.effects else said(FRICTION, FRICTION))[0].run()
-    assert ending.trials == investigation.FIRST + investigation.FEW
+    assert ending.trials == loop.FIRST + loop.FEW
 
 
 def test_what_is_too_small_to_matter_is_not_looked_at(start: Start) -> None:
     small = hinting(0.01).model_copy(update={"verdict": "PRESENT-BUT-SMALL"})
     ending = start(lambda model, trials: small if model.effects else said(FRICTION, FRICTION))[0].run()
-    assert ending.trials == investigation.FIRST + investigation.FEW
+    assert ending.trials == loop.FIRST + loop.FEW
 
 
 def test_looks_go_on_while_trials_make_an_effect_more_significant(start: Start) -> None:
@@ -292,7 +284,7 @@ def test_looks_go_on_while_trials_make_an_effect_more_significant(start: Start) 
     assert MASS in ending.not_excluded
     few, _ = start(
         lambda model, trials: hinting(0.01) if model.effects else said(FRICTION, FRICTION),
-        budget=investigation.FIRST + investigation.FEW,
+        budget=loop.FIRST + loop.FEW,
         folder="few",
     )
     assert few.run().verdict == "EXPLAINED"  # no trial is left for it
@@ -304,7 +296,7 @@ def test_a_model_that_fails_on_new_trials_is_left_and_the_first_one_diagnosed_ag
     def answer(model: Model, trials: int) -> DiagnosisDocument:
         if model.effects:
             return CLEAN if model.effects[0].name == MASS else said(MASS, MASS)
-        return said(FRICTION, FRICTION) if trials <= investigation.FIRST else said(MASS, MASS)
+        return said(FRICTION, FRICTION) if trials <= loop.FIRST else said(MASS, MASS)
 
     investigation_, _ = start(answer)
     ending = investigation_.run()
@@ -320,7 +312,7 @@ def test_what_a_model_that_fails_may_lack_is_decided_by_the_next_trials(tmp_path
     """Beside what the first model is found to lack, and no more than that diagnosis knows."""
     first = said(f"PARTLY{{{FRICTION}}}", FRICTION, MASS, named=(FRICTION,))
     failed = said("NONE-EXPLAINS").model_copy(update={"suspected": (MASS, "unheard_of")})
-    here = investigation.Round(2, tmp_path, "model_2.yaml", diagnosis=failed, again=first)
+    here = Round(2, tmp_path, "model_2.yaml", diagnosis=failed, again=first)
     assert here.open is not None and here.open.suspected == (MASS,) and here.open.named == (FRICTION,)
     assert replace(here, again=None).open is failed
 
@@ -336,7 +328,7 @@ def test_renewed_estimates_of_the_same_effect_are_tried_on_new_trials(start: Sta
     investigation_, _ = start(answer)
     ending = investigation_.run()
     assert (ending.verdict, ending.effects, ending.model) == ("EXPLAINED", (FRICTION,), "model_3.yaml")
-    assert ending.trials == investigation.FIRST + 2 * investigation.FEW
+    assert ending.trials == loop.FIRST + 2 * loop.FEW
 
 
 @pytest.mark.parametrize(
@@ -350,12 +342,12 @@ def test_what_a_model_that_predicts_new_trials_seems_to_lack_is_the_error_of_its
     def answer(model: Model, trials: int) -> DiagnosisDocument:
         if model.effects:
             return said(MASS, MASS, held_out_error_before=1.05, noise_floor=1.0)
-        verdict = "CONFIRMED" if trials <= investigation.FIRST else of
+        verdict = "CONFIRMED" if trials <= loop.FIRST else of
         return said(FRICTION, FRICTION, of=verdict, held_out_error_after=left, noise_floor=1.0)
 
-    investigation_, _ = start(answer, investigation.FIRST + 3 * investigation.FEW)
+    investigation_, _ = start(answer, loop.FIRST + 3 * loop.FEW)
     ending = investigation_.run()
-    assert (ending.trials == investigation.FIRST + investigation.FEW) == ends
+    assert (ending.trials == loop.FIRST + loop.FEW) == ends
     if ends:
         assert (ending.verdict, ending.effects, ending.model) == ("EXPLAINED", (FRICTION,), "model_3.yaml")
         assert "predicts the 2 trials that were measured after it was made" in ending.summary
@@ -367,13 +359,13 @@ def test_trials_that_cannot_be_used_try_and_confirm_nothing(
     start: Start, monkeypatch: pytest.MonkeyPatch, answer: str
 ) -> None:
     """The second round has no usable trial; the third has."""
-    check = investigation.prediction_error
+    check = loop.prediction_error
 
     def unusable(source: Any, folder: Path, predictions: Predictions) -> PredictionError:
         found = check(source, folder, predictions)
         return found.model_copy(update={"trials": 0, "error": None}) if folder.name == "round_02" else found
 
-    monkeypatch.setattr(investigation, "prediction_error", unusable)
+    monkeypatch.setattr(loop, "prediction_error", unusable)
     investigation_, bench = start({"effect": friction_then_nothing, "nothing": lambda *_: CLEAN}[answer])
     ending = investigation_.run()
     assert (bench.last is None) == (answer == "effect")  # the model is tried again, for whatever else it may lack
@@ -391,7 +383,7 @@ def test_a_model_that_never_holds_is_no_explanation(start: Start) -> None:
 def test_a_model_that_no_trial_was_left_for_is_no_explanation(start: Start, name: str) -> None:
     investigation_, _ = start(
         {"effect": friction_then_nothing, "law": outside}[name],
-        budget=investigation.FIRST,
+        budget=loop.FIRST,
         discovered=lambda *_: law_found(),
     )
     ending = investigation_.run()
@@ -442,7 +434,7 @@ def test_a_small_effect_that_is_named_again_beside_a_large_one_is_added_to_it(
             return said(FRICTION, FRICTION)
         if MASS in found:
             return CLEAN
-        if suspected and trials == investigation.FIRST + investigation.FEW:
+        if suspected and trials == loop.FIRST + loop.FEW:
             return CLEAN.model_copy(update={"suspected": (MASS,)})
         return said(MASS, MASS, of="CONFIRMED" if sure else "PRESENT-BUT-SMALL")
 
@@ -531,7 +523,7 @@ def test_what_no_effect_explains_is_first_measured_again_and_then_a_law_is_looke
     assert ending.verdict == "UNDECIDED" and "NO-LAW-HOLDS" in ending.summary
     assert ending.candidates == (FRICTION,)
     assert "2 discoveries have found no law" in ending.summary
-    assert len(looked) == investigation.MOST_DISCOVERIES and len(bench.measured) == 14
+    assert len(looked) == MOST_DISCOVERIES and len(bench.measured) == 14
     first, second = read_rounds(investigation_.directory, SETTINGS)[:2]
     assert first.discovery is None and second.discovery is not None
 
@@ -626,7 +618,7 @@ def test_laws_that_predict_equally_well_are_designed_for_and_listed_at_the_end(s
     ending = investigation_.run()
     assert (ending.verdict, ending.candidates, ending.effects) == ("UNDECIDED", (DRAG.name, "cable", MASS), ())
     assert "the budget of 28 trials is spent" in ending.summary
-    assert len(looked) > investigation.MOST_DISCOVERIES
+    assert len(looked) > MOST_DISCOVERIES
     assert bench.last is not None and bench.last.named == (DRAG.name,) and bench.last.formulas == (DRAG,)
 
 
@@ -672,14 +664,14 @@ def test_a_kill_before_or_after_every_write_loses_nothing(start: Start, monkeypa
     def answer(model: Model, trials: int) -> DiagnosisDocument:
         if model.effects:
             return CLEAN if len(model.effects) == 2 else said(MASS, MASS)
-        return said(FRICTION, FRICTION) if trials <= investigation.FIRST else both
+        return said(FRICTION, FRICTION) if trials <= loop.FIRST else both
 
     undisturbed, bench = start(answer)
     undisturbed.run()
     expected, trials = story(undisturbed.directory), bench.measured
     assert len(expected) > 15
     writers = ("write_whole", "write_plan", "write_document", "save_model")
-    real = {name: getattr(investigation, name) for name in writers}
+    real = {name: getattr(loop, name) for name in writers}
     done: set[Path] = set()
     kills = 0
 
@@ -701,7 +693,7 @@ def test_a_kill_before_or_after_every_write_loses_nothing(start: Start, monkeypa
 
     killed, bench = start(answer, folder="killed")
     for name in writers:
-        monkeypatch.setattr(investigation, name, killing(name))
+        monkeypatch.setattr(loop, name, killing(name))
     for _ in range(200):
         try:
             killed.run()
@@ -757,7 +749,7 @@ def test_a_kill_between_two_trials_repeats_none(start: Start) -> None:
         killed.run()
     bench.measure = measure  # type: ignore[method-assign]
     assert killed.run().effects == (FRICTION,)
-    assert len(bench.measured) == len(set(bench.measured)) == investigation.FIRST + investigation.FEW
+    assert len(bench.measured) == len(set(bench.measured)) == loop.FIRST + loop.FEW
 
 
 def test_a_damaged_file_of_a_step_is_named_with_the_remedy(start: Start) -> None:
@@ -943,6 +935,6 @@ def test_all_trials_left_promise_what_the_plan_does_and_more_with_every_further_
     pair = PlannedPair(first=FRICTION, second=MASS, before=0.5, after=0.7)
     plan = FakeBench(tmp_path, tie).design(load_model("nominal"), [], None, 4, 0)
     plan = plan.model_copy(update={"aim": "rivals", "pairs": (pair,), "freedom": freedom})
-    promised = [investigation.promise(plan, plan.trials + further) for further in range(20)]
+    promised = [promise(plan, plan.trials + further) for further in range(20)]
     assert promised[0] == pytest.approx(0.7)
     assert all(more > less for less, more in itertools.pairwise(promised))

@@ -1,0 +1,107 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The end of an investigation (``ending.json``), and whether it is right where the truth is known."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Sequence
+from pathlib import Path
+
+from pydantic import Field
+
+from impact_rs_analysis.diagnosis.document import NOTHING
+from impact_rs_analysis.investigation.rounds import Round, added, laws_added, measured, newest_model
+from impact_rs_analysis.investigation.settings import Settings
+from impact_rs_sim.effects import library
+from impact_rs_sim.errors import InputError
+from impact_rs_sim.schema import Schema, load_mapping, validate
+from impact_rs_trials.blind import KINDS
+
+ENDING = "ending.json"
+EXPLAINED, LAW, MISSES_NOTHING, UNDECIDED = "EXPLAINED", "LAW-HOLDS", NOTHING, "UNDECIDED"
+
+
+class Ending(Schema):
+    """How an investigation ended (``ending.json``)."""
+
+    verdict: str = Field(description="EXPLAINED, LAW-HOLDS, NOTHING-MISSING or UNDECIDED")
+    summary: str = Field(description="the end in words")
+    model: str = Field(description="file of the last model")
+    effects: tuple[str, ...] = Field((), description="effects that it has beyond the first model")
+    laws: tuple[str, ...] = Field((), description="those of them that are laws beyond the library")
+    candidates: tuple[str, ...] = Field((), description="effects and laws that may be missing where it is undecided")
+    not_excluded: tuple[str, ...] = Field(
+        (), description="effects that could be there at a noticeable size, and that the trials would hardly show"
+    )
+    trials: int = Field(description="trials that were measured")
+    rounds: int = Field(description="rounds")
+
+    @property
+    def certain(self) -> bool:
+        """Whether it says what is missing, or that nothing is."""
+        return self.verdict != UNDECIDED
+
+
+def read_ending(directory: Path) -> Ending:
+    """How an investigation ended.
+
+    Raises:
+        InputError: It has not ended.
+    """
+    path = directory / ENDING
+    if not path.exists():
+        raise InputError(f"this investigation has not ended: there is no {ENDING}", file=directory)
+    return validate(Ending, load_mapping(path), path)
+
+
+def ending_of(settings: Settings, rounds: Sequence[Round]) -> Ending:
+    """The end that the last decision says."""
+    last = rounds[-1].decision
+    assert last is not None and last.action == "end"
+    certain = last.verdict in (EXPLAINED, LAW)
+    names = tuple(sorted(added(rounds))) if certain else ()
+    candidates = tuple(dict.fromkeys(name for group in last.tied for name in group))
+    what = {
+        EXPLAINED: f"Missing: {' and '.join(names)}.",
+        LAW: f"Missing, by a law that holds: {' and '.join(names)}.",
+        MISSES_NOTHING: "Nothing is missing.",
+        UNDECIDED: "I cannot tell what is missing" + (f"; possible: {', '.join(candidates)}." if candidates else "."),
+    }[last.verdict]
+    return Ending(
+        verdict=last.verdict,
+        summary=f"{what} {last.reason}",
+        model=newest_model(settings, rounds) if certain else settings.model,
+        effects=names,
+        laws=laws_added(rounds) if certain else (),
+        candidates=candidates,
+        not_excluded=last.not_excluded,
+        trials=measured(rounds),
+        rounds=len(rounds),
+    )
+
+
+def judged(ending: Ending, kind: str, hidden: Sequence[str], laws: Collection[str] | None = None) -> tuple[bool, bool]:
+    """Whether an end is right, and whether it is surely wrong.
+
+    Right is: every hidden effect and no other, or undecided among candidates with all of them; where nothing is hidden,
+    NOTHING-MISSING; of a cause outside the library, a law for it that holds and no other effect, or undecided with such
+    a law among the candidates or without any candidate. An undecided end is never surely wrong, nor is one that misses
+    only hidden effects that it says are not excluded.
+
+    Args:
+        ending: The end.
+        kind: Kind of what is hidden, one of ``KINDS``.
+        hidden: Hidden effects of the library, or the cause outside it.
+        laws: Names of the laws that are right for a cause outside the library; None: of every law.
+    """
+    assert kind in KINDS
+    named = set(ending.effects if ending.certain else ending.candidates)
+    if kind == "outside":
+        true = named - set(library()) if laws is None else named & set(laws)
+        right = (ending.verdict == LAW and named == true) if ending.certain else (bool(true) or not named)
+    elif not ending.certain:
+        right = bool(hidden) and set(hidden) <= named
+    else:
+        right = named == set(hidden) and (ending.verdict == MISSES_NOTHING) == (not hidden)
+    missed = set(hidden) - named
+    open_still = kind != "outside" and named <= set(hidden) and missed <= set(ending.not_excluded)
+    return right, ending.certain and not right and not open_still

@@ -1,0 +1,181 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The quantities that a decision turns on."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from impact_rs_analysis.diagnosis.document import CONFIRMED, NOTHING, DiagnosisDocument
+from impact_rs_analysis.investigation.rounds import (
+    LOUD,
+    Round,
+    added,
+    holds,
+    laws_added,
+    laws_found,
+    measured,
+    models_made,
+    searches_in_vain,
+)
+from impact_rs_analysis.investigation.settings import Settings
+
+
+@dataclass(frozen=True)
+class RoundState:
+    """What is known after a round, as far as a decision turns on it.
+
+    Attributes:
+        here: The round.
+        found: The diagnosis that is decided on: of the round's model, or of the first model where that one fails.
+        budget: Trials at most.
+        left: Trials that are left.
+        models: Number of models that were made.
+        added: Effects that the newest model has beyond the first one.
+        laws_added: Those of them that are laws beyond the library.
+        stands: Whether a model with effects lacks nothing, with a usable trial that was measured after it was made.
+        holds: Whether the model of ``found`` lacks nothing.
+        holds_twice: Whether the same was so a round earlier, and a trial measured since is usable.
+        look: Effects that would be significant if tested alone, and become so by more trials; empty: none is left.
+        unexplained: Whether something remains that no effect and no law explains.
+        laws: Laws that the last successful discovery found, and what is tied with them.
+        in_vain: Number of discoveries that found no law.
+        further: Effects that the newest model lacks, and with which it is extended.
+        renewed: Whether all trials explain the first model by the effects of the newest one, which predicted the new
+            ones.
+        unsure: Effects or laws that are named and not confirmed.
+    """
+
+    here: Round
+    found: DiagnosisDocument
+    budget: int
+    left: int
+    models: int
+    added: frozenset[str]
+    laws_added: tuple[str, ...]
+    stands: bool
+    holds: bool
+    holds_twice: bool
+    look: tuple[str, ...]
+    unexplained: bool
+    laws: tuple[str, ...]
+    in_vain: int
+    further: tuple[str, ...]
+    renewed: bool
+    unsure: tuple[str, ...]
+
+    @classmethod
+    def of(cls, settings: Settings, rounds: Sequence[Round], budget: int) -> RoundState:
+        """The state after some rounds, the last one complete but for its decision.
+
+        Args:
+            settings: What was asked.
+            rounds: All rounds.
+            budget: Trials at most.
+        """
+        here, before = rounds[-1], rounds[-2] if len(rounds) > 1 else None
+        found, left = here.basis, budget - measured(rounds)
+        assert found is not None and here.diagnosis is not None
+        beside_laws = here.laws is None
+        return cls(
+            here=here,
+            found=found,
+            budget=budget,
+            left=left,
+            models=models_made(rounds),
+            added=frozenset(added(rounds)),
+            laws_added=laws_added(rounds),
+            stands=stands(settings, here),
+            holds=holds(found),
+            holds_twice=holds(found) and here.tried and before is not None and _held(before),
+            look=_worth_a_look(before, found) if left > 0 else (),
+            unexplained=beside_laws and (here.discovery is not None or found.calls_for_a_law),
+            laws=laws_found(rounds),
+            in_vain=searches_in_vain(rounds),
+            further=_further(rounds) if beside_laws else (),
+            renewed=beside_laws and _explained_again(rounds),
+            unsure=_unsure(here.laws or found),
+        )
+
+    @property
+    def source(self) -> str:
+        """File of the round with the estimates of what is named."""
+        if self.here.laws is not None:
+            return "discovery.json"
+        return "diagnosis.json" if self.here.again is None else "again.json"
+
+    @property
+    def named(self) -> DiagnosisDocument:
+        """The diagnosis whose effects or laws are added: with laws, where a discovery found some."""
+        return self.here.laws or self.found
+
+
+def stands(settings: Settings, here: Round) -> bool:
+    """Whether a model with effects has stood the trial."""
+    return here.model != settings.model and here.tried and here.diagnosis is not None and holds(here.diagnosis)
+
+
+def p_alone(document: DiagnosisDocument | None, name: str) -> float:
+    """p-value of an effect as if it were tested alone."""
+    effect = None if document is None else document.effect(name)
+    return 1.0 if effect is None or effect.p_value_alone is None else effect.p_value_alone
+
+
+def _held(before: Round) -> bool:
+    """Whether a round found that nothing is missing."""
+    return before.basis is not None and holds(before.basis)
+
+
+def _worth_a_look(before: Round | None, found: DiagnosisDocument) -> tuple[str, ...]:
+    """Effects of which more trials are measured before an end, as long as these make them more significant."""
+    looked, earlier = ((), None) if before is None else (before.shown, before.basis)
+    return tuple(
+        name
+        for name in (found.nominally_significant if found.verdict == NOTHING else ())
+        if name not in looked or p_alone(found, name) < p_alone(earlier, name)
+    )
+
+
+def _unsure(document: DiagnosisDocument) -> tuple[str, ...]:
+    """Effects that a diagnosis names, and that are not confirmed."""
+    named = filter(None, map(document.effect, document.named))
+    return tuple(effect.name for effect in named if effect.verdict != CONFIRMED)
+
+
+def _confirmed(document: DiagnosisDocument) -> bool:
+    """Whether it has every effect that it names, and all are confirmed."""
+    return not _unsure(document) and None not in map(document.effect, document.named)
+
+
+def _further(rounds: Sequence[Round]) -> tuple[str, ...]:
+    """Effects that the newest model lacks for certain, beside nothing else, and not for the first time.
+
+    The one before lacked them as well or perhaps, or the newest trials were measured to show them. The first model is
+    explained by what the newest one has, because a small effect beside a large one lowers the error of the first model
+    by too little.
+    """
+    present = added(rounds)
+    if len(rounds) < 2 or rounds[-1].again is None or set(rounds[-1].again.named) != present:
+        return ()
+    (earlier, here), looked = rounds[-2:], rounds[-2].shown
+    if earlier.diagnosis is None or here.diagnosis is None:
+        return ()
+    now, known = set(here.diagnosis.named), {*earlier.diagnosis.named, *earlier.diagnosis.suspected, *looked}
+    if not now <= known or now & present:
+        return ()
+    if earlier.model == here.model and not looked:
+        return ()  # the same estimates, which may be off
+    return here.diagnosis.named if _confirmed(here.diagnosis) else ()
+
+
+def _explained_again(rounds: Sequence[Round]) -> bool:
+    """Whether the first model is explained by what the newest one has, which has predicted the newest trials.
+
+    No more than noise is left. What the newest model seems to lack is then the error of its estimates, from fewer
+    trials: it is alike in all of them, and something explains a part of it.
+    """
+    again, checked = rounds[-1].again, rounds[-1].prediction_error
+    if again is None or checked is None or checked.error is None or set(again.named) != added(rounds):
+        return False
+    predicted = checked.error <= LOUD * again.noise_floor and again.held_out_error_after <= again.noise_floor
+    return _confirmed(again) and predicted and not laws_added(rounds)
