@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import itertools
 import json
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -26,7 +25,6 @@ from impact_rs_analysis.investigation.endings import Ending, judged, read_ending
 from impact_rs_analysis.investigation.loop import Investigation
 from impact_rs_analysis.investigation.policy import MOST_DISCOVERIES
 from impact_rs_analysis.investigation.prediction_check import CheckedImpact, PredictionError, Predictions
-from impact_rs_analysis.investigation.promise import promise
 from impact_rs_analysis.investigation.rounds import PlannedTrial, Round, RoundDecision, read_rounds, trials_of
 from impact_rs_analysis.investigation.settings import BlindChoice, Settings, begin
 from impact_rs_analysis.report.family_tree import bought_of, family_of, write_investigation
@@ -451,11 +449,11 @@ def test_a_small_effect_that_is_named_again_beside_a_large_one_is_added_to_it(
     assert (last.name, last.parent, last.generation) == ("model_4.yaml", "model_3.yaml", 2)
 
 
-@pytest.mark.parametrize(("after", "ends", "larger"), [(0.55, True, 70), (0.8, False, 24)])
+@pytest.mark.parametrize(("after", "ends", "larger"), [(0.6, True, 70), (0.95, False, 24)])
 def test_a_tie_that_no_trial_splits_ends_before_the_budget_is_spent(
     start: Start, monkeypatch: pytest.MonkeyPatch, after: float, ends: bool, larger: int
 ) -> None:
-    """Two trials that promise 55 % make 63 % of all fourteen that are left, and 76 % of 64."""
+    """Of two trials that name the right one with 60 %, fourteen tell them apart with 6 %, and 64 with 65 %."""
     design = FakeBench.design
 
     def rivals(self: FakeBench, *arguments: Any) -> ExperimentPlan:
@@ -468,7 +466,7 @@ def test_a_tie_that_no_trial_splits_ends_before_the_budget_is_spent(
     ending = investigation_.run()
     assert (ending.verdict, ending.candidates) == ("UNDECIDED", (FRICTION, MASS))
     assert ending.trials == (6 if ends else 20)
-    assert ("would be right with 63 % at best" in ending.summary) == ends
+    assert ("would tell it apart with 6 % at best" in ending.summary) == ends
     further = Investigation(investigation_.directory, SETTINGS, larger, bench).run()
     assert further.trials > ending.trials
 
@@ -926,15 +924,3 @@ def test_an_end_says_what_its_trials_would_hardly_show(start: Start) -> None:
 )
 def test_laws_that_are_known_to_be_right_are_asked_for(ending: Ending, right: bool, wrong: bool) -> None:
     assert judged(ending, "outside", ("drag",), ("drag_square", "slip_square")) == (right, wrong)
-
-
-@pytest.mark.parametrize("freedom", [0, 2, 9])
-def test_all_trials_left_promise_what_the_plan_does_and_more_with_every_further_one(
-    tmp_path: Path, freedom: int
-) -> None:
-    pair = PlannedPair(first=FRICTION, second=MASS, before=0.5, after=0.7)
-    plan = FakeBench(tmp_path, tie).design(load_model("nominal"), [], None, 4, 0)
-    plan = plan.model_copy(update={"aim": "rivals", "pairs": (pair,), "freedom": freedom})
-    promised = [promise(plan, plan.trials + further) for further in range(20)]
-    assert promised[0] == pytest.approx(0.7)
-    assert all(more > less for less, more in itertools.pairwise(promised))
