@@ -235,11 +235,11 @@ def supported_by_hold_out(search: Search, chosen: Fit, held: HoldOut) -> Fit | N
     """The chosen effects that the nested hold-out supports; None if it supports none.
 
     Searches that have not seen a fold must predict it better than the model does. Where the noise is known from
-    repeats, the p-value of the effects has said what chance does, and the sign of the change decides: its interval would
-    ask for twice the effect, as the squared error falls by 2 r d - d^2 with the mean d^2 and the deviation 2 d. Without
-    repeats no p-value is sure, and the 95 % interval has to exclude 0. What cannot be simulated in a fold is not
-    supported. Without repeats those effects remain that most searches of folds find or put another one in place of, and
-    what is too small to matter needs no support, for it hardly changes a prediction.
+    repeats, the p-value of the effects has said what chance does, and the sign of the change decides: its interval
+    would ask for twice the effect, as the squared error falls by 2 r d - d^2 with the mean d^2 and the deviation 2 d.
+    Without repeats no p-value is sure, and the 95 % interval has to exclude 0. What cannot be simulated in a fold is
+    not supported. Without repeats those effects remain that most searches of folds find or put another one in place
+    of, and what is too small to matter needs no support, for it hardly changes a prediction.
     """
     if held.failed:
         return None

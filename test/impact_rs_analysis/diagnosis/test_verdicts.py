@@ -99,7 +99,7 @@ def test_an_effect_in_whose_place_folds_find_another_one_is_named_and_tied_with_
 
 
 def test_with_repeats_a_lower_error_on_unseen_conditions_is_enough(monkeypatch: pytest.MonkeyPatch) -> None:
-    """p has said what chance does. Kills: the interval of the change, which asks for twice the effect, or a majority."""
+    """Kills: the interval of the change, which asks for twice the effect, or a majority of the folds."""
 
     def hardly(source: AnalyticSource, *given: Any) -> HoldOut | None:
         found = hold_out(source, *given)
