@@ -113,7 +113,7 @@ def judged(truth: Path, document: DiagnosisDocument) -> Row:
     return asdict(scored) | {
         "exact": scored.correct and set(document.named) == hidden,
         "probabilities": [(value, name in hidden) for name, value in stated_probabilities(document).items()],
-        "verdict": document.verdict,
+        "verdict": str(document.verdict),
         "trials": document.runs.trials,
         "before": before,
         "noise": noise,

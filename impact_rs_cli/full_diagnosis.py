@@ -107,7 +107,7 @@ class FullDiagnosis:
         verdict, words = "", f"exit code {code}{f': {lines[-1]}' if lines else ''}"
         if code == 0:
             document = read_document(self.file(own.since))
-            verdict, words = document.verdict, f"{document.verdict}: {document.summary}"
+            verdict, words = str(document.verdict), f"{document.verdict}: {document.summary}"
             if document.next_experiment is not None:
                 words += f" Next experiment: {document.next_experiment.advice}."
         return ChangeDiagnosis(

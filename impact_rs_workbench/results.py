@@ -244,7 +244,7 @@ def estimates(workspace: Workspace) -> list[dict[str, Any]]:
                         "high": high,
                         "diagnosis": one.path,
                         "model": one.model,
-                        "verdict": effect.verdict,
+                        "verdict": str(effect.verdict),
                         "named": effect.name in document.named,
                         "when": contents.stamps.get(one.path, 0.0) if last is None else last,
                         "measured": last is not None,
@@ -314,7 +314,7 @@ def diagnosis(workspace: Workspace, name: str) -> dict[str, Any]:
     experiment = document.next_experiment
     measured_by = _form_values(workspace, document)
     return {
-        "verdict": document.verdict,
+        "verdict": str(document.verdict),
         "summary": document.summary,
         "model": document.model.name,
         "digest": document.model.digest,
@@ -340,7 +340,7 @@ def diagnosis(workspace: Workspace, name: str) -> dict[str, Any]:
             {
                 "name": effect.name,
                 "sentence": effect.sentence,
-                "verdict": effect.verdict,
+                "verdict": str(effect.verdict),
                 "tag": tag_of(effect.verdict).value,
                 "reason": effect.reason,
                 "without": effect.held_out_error_without,

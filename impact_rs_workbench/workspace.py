@@ -364,7 +364,7 @@ class Workspace:
         if document is None:
             return None
         return DiagnosisFile(
-            self.name(path), document.verdict, document.model.name, document.model.digest, document.named
+            self.name(path), str(document.verdict), document.model.name, document.model.digest, document.named
         )
 
 

@@ -26,7 +26,8 @@ from pydantic import Field
 
 from benchmarks.real.pictures import draw, tracks_of
 from benchmarks.results import Results, Table
-from impact_rs_analysis.diagnosis.document import CONFIRMED, DiagnosisDocument, EstimateDocument, read_document
+from impact_rs_analysis.diagnosis.document import DiagnosisDocument, EstimateDocument, read_document
+from impact_rs_analysis.diagnosis.verdict import CONFIRMED, DiagnosisVerdict
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.numbers import estimate_in_line
 from impact_rs_sim.schema import Schema, load
@@ -127,9 +128,9 @@ def _parameter(document: DiagnosisDocument, key: str) -> EstimateDocument:
     return effect.parameters[parameter]
 
 
-def _effect_verdict(document: DiagnosisDocument, name: str) -> str:
+def _effect_verdict(document: DiagnosisDocument, name: str) -> DiagnosisVerdict | None:
     effect = document.effect(name)
-    return "" if effect is None else effect.verdict
+    return None if effect is None else effect.verdict
 
 
 def run_set(one: RealSet, data: Path, out: Path) -> DiagnosisDocument:
@@ -183,7 +184,7 @@ def row(name: str, expected: Expected, shown: Sequence[str], document: Diagnosis
 
 def _doubt(document: DiagnosisDocument, name: str) -> str:
     verdict = _effect_verdict(document, name)
-    return "" if verdict == CONFIRMED else f" ({verdict})"
+    return "" if verdict == CONFIRMED else f" ({verdict or ''})"
 
 
 def _estimate(document: DiagnosisDocument, key: str, truth: float | None) -> str:

@@ -7,13 +7,8 @@ import os
 from collections.abc import Sequence
 from pathlib import Path
 
-from impact_rs_analysis.diagnosis.document import (
-    NO_IMPROVEMENT,
-    TOO_FEW,
-    UNIDENTIFIABLE,
-    DiagnosisDocument,
-    EffectDocument,
-)
+from impact_rs_analysis.diagnosis.document import DiagnosisDocument, EffectDocument
+from impact_rs_analysis.diagnosis.verdict import NO_IMPROVEMENT, TOO_FEW, UNIDENTIFIABLE
 from impact_rs_sim.effects.formula import FormulaSpec
 from impact_rs_sim.errors import InputError, did_you_mean
 from impact_rs_sim.model import Model, ModelEffect, ParameterValue, check_model

@@ -15,10 +15,6 @@ import numpy as np
 
 from impact_rs_analysis.diagnosis.dependence import Dependences, terms_of, ways_of
 from impact_rs_analysis.diagnosis.document import (
-    CONFIRMED,
-    CONFUSABLE,
-    NO_IMPROVEMENT,
-    SMALL,
     CovariateDocument,
     DependenceDocument,
     DiagnosisDocument,
@@ -26,6 +22,13 @@ from impact_rs_analysis.diagnosis.document import (
 )
 from impact_rs_analysis.diagnosis.fit import Fit
 from impact_rs_analysis.diagnosis.thresholds import GOES_WITH, SIGNIFICANT
+from impact_rs_analysis.diagnosis.verdict import (
+    CONFIRMED,
+    NO_IMPROVEMENT,
+    SMALL,
+    DiagnosisVerdict,
+    Kind,
+)
 from impact_rs_analysis.diagnosis.verdicts import clip_p, residual_size
 from impact_rs_analysis.evidence.source import Covariate, Source
 from impact_rs_sim.effects.depending import Depending, Knots, Levels, Slope, Terms
@@ -122,7 +125,7 @@ def _accepted(found: Dependences, pair: Depending) -> DependenceDocument:
     if not _matters(fitted, pair):
         verdict, reason = SMALL, "what it changes is below the relevance limits"
     elif rivals:
-        verdict, reason = f"{CONFUSABLE}{{{', '.join(rivals)}}}", "these predict unseen data as well in its place"
+        verdict, reason = DiagnosisVerdict(Kind.CONFUSABLE, rivals), "these predict unseen data as well in its place"
     per_unit: dict[str, EstimateDocument] = {}
     if isinstance(pair.terms, Slope):
         unit = next(item.unit for item in found.source.covariates if item.name == pair.covariate)
@@ -158,7 +161,7 @@ def _refused(found: Dependences, pair: Depending) -> DependenceDocument:
         reason = "another effect explains it" if pair.name in found.replaced else "the hold-out does not support it"
     rivals = tuple(one.name for one in found.pairs if pair.name in found.choice.rivals[one.name])
     if rivals:
-        verdict, reason = f"{CONFUSABLE}{{{', '.join(rivals)}}}", "predicts unseen data as well in its place"
+        verdict, reason = DiagnosisVerdict(Kind.CONFUSABLE, rivals), "predicts unseen data as well in its place"
     return DependenceDocument(
         effect=pair.effect.name,
         covariate=pair.covariate,
@@ -191,7 +194,7 @@ def with_plain_names(
             return {key: plain(value) for key, value in item.items()}
         return [plain(value) for value in item] if isinstance(item, list | tuple) else item
 
-    found = DiagnosisDocument.model_validate(plain(document.model_dump(mode="python")))
+    found = DiagnosisDocument.model_validate(plain(document.model_dump(mode="json")))
     if pooled is None:
         return found
     one = {pair.effect.name: own.parameters for pair in pairs if (own := pooled.effect(pair.effect.name)) is not None}

@@ -17,8 +17,6 @@ from impact_rs_analysis.diagnosis.dependence_verdicts import (
     with_plain_names,
 )
 from impact_rs_analysis.diagnosis.document import (
-    IMPOSSIBLE,
-    TOO_FEW,
     BudgetDocument,
     CorrelatedPair,
     DesignDocument,
@@ -40,6 +38,7 @@ from impact_rs_analysis.diagnosis.hold_out import HoldOut, hold_out
 from impact_rs_analysis.diagnosis.next_experiment import next_experiment
 from impact_rs_analysis.diagnosis.search import NOTHING_KNOWN, ProgressCallback, Rival, Search
 from impact_rs_analysis.diagnosis.thresholds import LEAST_CLUSTERS, LEAST_P, WIDE_TIE
+from impact_rs_analysis.diagnosis.verdict import IMPOSSIBLE, TOO_FEW
 from impact_rs_analysis.diagnosis.verdicts import (
     MOST_RESTS,
     Findings,

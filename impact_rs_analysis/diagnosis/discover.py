@@ -29,19 +29,12 @@ from impact_rs_analysis.diagnosis.discovery_document import (
     NumberDocument,
     PointDocument,
 )
-from impact_rs_analysis.diagnosis.document import (
-    IMPOSSIBLE,
-    NONE,
-    NOTHING,
-    PARTLY,
-    SMALL,
-    TOO_FEW,
-    DiagnosisDocument,
-)
+from impact_rs_analysis.diagnosis.document import DiagnosisDocument
 from impact_rs_analysis.diagnosis.fit import HOPELESS, Evidence, Fit, refine
 from impact_rs_analysis.diagnosis.grammar import KNOTS, LEAST_SPAN, Grammar, Law, curve_of, laws_of
 from impact_rs_analysis.diagnosis.search import ProgressCallback, Rival, Search, p_value_beside
 from impact_rs_analysis.diagnosis.thresholds import LEAST_GAIN, SIGNIFICANT
+from impact_rs_analysis.diagnosis.verdict import IMPOSSIBLE, NOTHING, SMALL, TOO_FEW
 from impact_rs_analysis.diagnosis.verdicts import Findings, headline, residual_unit, rests_of
 from impact_rs_analysis.evidence.source import Source
 from impact_rs_analysis.evidence.visited import Range, visited
@@ -52,7 +45,6 @@ from impact_rs_sim.model import Model
 from impact_rs_sim.physics import Physics
 from impact_rs_sim.robot import Array
 
-OPEN = (NONE, PARTLY)  # verdicts that leave something to discover
 SEEN = 1.5  # times repeatability; a signal below it shows no law
 SHARE = 0.25  # of the largest such signal, likewise: of joints that move others, one is the cause
 POINTS = 41  # of a law over its quantity
@@ -337,24 +329,24 @@ def _settled(known: Findings) -> str | None:
     """Verdict where nothing is left to discover beside effects of the library; None: something is."""
     verdict, source = headline(known).verdict, known.evidence.source
     if verdict == IMPOSSIBLE:
-        return verdict
+        return str(verdict)
     if source.contact_speeds and source.noise_size() is None and verdict != TOO_FEW:
         return None  # how much of the rest is noise is not known: the hold-out decides on laws
     if not source.contact_speeds and not source.repeated and verdict not in (TOO_FEW, NOTHING):
         left = max(rest.times_noise for rest in rests_of(known.evidence, known.unexplained))
         return None if left > SEEN else LIBRARY
-    if verdict.startswith(OPEN):
+    if verdict.leaves_residuals:
         return None
-    return verdict if verdict in (TOO_FEW, NOTHING, SMALL) else LIBRARY
+    return str(verdict) if verdict in (TOO_FEW, NOTHING, SMALL) else LIBRARY
 
 
 def _no_need(verdict: str) -> str:
     """Why no law was looked for."""
     return {
-        NOTHING: "These measurements show nothing missing in the model: there is no law to discover.",
-        SMALL: "What these measurements show beyond noise is below the relevance limits: no law is proposed.",
-        TOO_FEW: "These measurements have too few repeats to decide what the model lacks.",
-        IMPOSSIBLE: "These measurements break a law of every impact, which no law of a contact explains: "
+        str(NOTHING): "These measurements show nothing missing in the model: there is no law to discover.",
+        str(SMALL): "What these measurements show beyond noise is below the relevance limits: no law is proposed.",
+        str(TOO_FEW): "These measurements have too few repeats to decide what the model lacks.",
+        str(IMPOSSIBLE): "These measurements break a law of every impact, which no law of a contact explains: "
         "`impact-rs diagnose` says which.",
     }.get(verdict, "Effects of the library explain these measurements up to noise: `impact-rs diagnose` names them.")
 
@@ -447,7 +439,7 @@ def _document(tried: _Tried, model: Model, laws: Mapping[str, Law], ranges: Mapp
     if chosen:
         verdict = DESCRIBED if any(laws[name].knots for name in chosen) else FOUND
     else:
-        verdict = LIBRARY if diagnosis.named and not diagnosis.verdict.startswith(OPEN) else NO_LAW
+        verdict = LIBRARY if diagnosis.named and not diagnosis.verdict.leaves_residuals else NO_LAW
     return DiscoveryDocument(
         verdict=verdict,
         summary=_summary(verdict, [group[0] for group in groups], diagnosis, tried.counts[0]),

@@ -9,6 +9,7 @@ from pathlib import Path
 from pydantic import Field
 
 from impact_rs_analysis.diagnosis.document import DiagnosisDocument
+from impact_rs_analysis.diagnosis.verdict import DiagnosisVerdict
 from impact_rs_sim.files import write_whole
 from impact_rs_sim.schema import Schema
 
@@ -63,7 +64,7 @@ class LawDocument(Schema):
     formula: str = Field(description="the law")
     curved: bool = Field(False, description="whether it is a free curve, whose parameters are its values at knots")
     parameters: dict[str, NumberDocument] = Field(description="estimates by name")
-    verdict: str = Field(description="verdict on it, as of an effect of a diagnosis")
+    verdict: DiagnosisVerdict = Field(description="verdict on it, as of an effect of a diagnosis")
     held_out_error_before: float = Field(description="error on unseen conditions without it")
     held_out_error_after: float = Field(description="error on unseen conditions with it")
     p_value: float = Field(description="p-value, adjusted for all laws and effects that were looked at")

@@ -15,6 +15,7 @@ from typing import Any, Literal
 from pydantic import Field
 
 from impact_rs_analysis.diagnosis.thresholds import NOMINAL
+from impact_rs_analysis.diagnosis.verdict import SMALL, DiagnosisVerdict
 from impact_rs_analysis.evidence.cluster import TIMES, ErrorUnit
 from impact_rs_analysis.evidence.discrepancy import DiscrepancyDocument
 from impact_rs_analysis.evidence.levels import RecordingDocument
@@ -24,17 +25,6 @@ from impact_rs_sim.files import write_whole
 from impact_rs_sim.schema import Schema, omitted, read_json, validate
 
 LARGEST = 50_000_000  # bytes; a diagnosis usually has about ten thousand
-NOTHING = "NOTHING-MISSING"
-NONE = "NONE-EXPLAINS"
-SMALL = "PRESENT-BUT-SMALL"
-TOO_FEW = "TOO-FEW-REPEATS"
-PARTLY = "PARTLY"
-IMPOSSIBLE = "IMPOSSIBLE-DATA"
-CONFIRMED = "CONFIRMED"
-CONFUSABLE = "CONFUSABLE-WITH"
-UNIDENTIFIABLE = "NOT-IDENTIFIABLE"
-NO_IMPROVEMENT = "NO-IMPROVEMENT"
-AT_BOUND = "AT-BOUND"
 
 
 class EstimateDocument(Schema):
@@ -46,7 +36,7 @@ class EstimateDocument(Schema):
     meaning: str = Field("", description="what it is")
     joint: str | None = Field(None, description="joint it belongs to; null: the effect as a whole")
     arm: str | None = Field(None, description="arm it belongs to; null: arms share it")
-    verdict: str | None = Field(None, description="verdict on this joint alone; null: none")
+    verdict: DiagnosisVerdict | None = Field(None, description="verdict on this joint alone; null: none")
     p_value: float | None = Field(None, description="p-value of this joint's parameter being nominal, given all others")
     error_before: float | None = Field(None, description="held-out error of the joint without it, in the joint's unit")
     error_after: float | None = Field(None, description="held-out error of the joint with it, in the joint's unit")
@@ -102,7 +92,7 @@ class EffectDocument(Schema):
 
     name: str = Field(description="effect")
     sentence: str = Field("", description="what it is")
-    verdict: str = Field(
+    verdict: DiagnosisVerdict = Field(
         description="CONFIRMED, CONFUSABLE-WITH{...}, PRESENT-BUT-SMALL, NOT-IDENTIFIABLE, NO-IMPROVEMENT, AT-BOUND or "
         "TOO-FEW-REPEATS"
     )
@@ -164,7 +154,7 @@ class DependenceDocument(Schema):
 
     effect: str = Field(description="effect")
     covariate: str = Field(description="covariate")
-    verdict: str = Field(
+    verdict: DiagnosisVerdict = Field(
         description="CONFIRMED, CONFUSABLE-WITH{...}, PRESENT-BUT-SMALL, or NO-IMPROVEMENT: it does not depend on it"
     )
     reason: str = Field("", description="why, in words")
@@ -346,7 +336,7 @@ class ViewDocument(Schema):
 
     name: str = Field(description="what is looked at: joints or object of an arm alone, or other contact points")
     option: str = Field("", description="option whose other value it is; empty: a part of the signals")
-    verdict: str = Field(description="as that of the diagnosis")
+    verdict: DiagnosisVerdict = Field(description="as that of the diagnosis")
     named: tuple[str, ...] = Field(description="effects that it names")
     held_out_error_before: float = Field(description="held-out error of the model, in error_unit")
     held_out_error_after: float = Field(description="held-out error with the effects named, in error_unit")
@@ -362,7 +352,7 @@ class DiagnosisDocument(Schema):
 
     format: int = Field(2, description="version of this format")
     source: Literal["trials", "recordings", "impacts"] = Field("trials", description="what was diagnosed")
-    verdict: str = Field(
+    verdict: DiagnosisVerdict = Field(
         description="NOTHING-MISSING, NONE-EXPLAINS, PRESENT-BUT-SMALL, TOO-FEW-REPEATS, IMPOSSIBLE-DATA, PARTLY{...}, "
         "or the missing effects joined by +"
     )
@@ -418,7 +408,7 @@ class DiagnosisDocument(Schema):
     @property
     def calls_for_a_law(self) -> bool:
         """Whether something remains that no effect explains."""
-        return self.verdict.startswith((NONE, PARTLY))
+        return self.verdict.leaves_residuals
 
     @property
     def dependent(self) -> dict[str, tuple[str, ...]]:

@@ -8,8 +8,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from impact_rs_analysis.diagnosis.document import NONE, NOTHING, PARTLY, DiagnosisDocument
+from impact_rs_analysis.diagnosis.document import DiagnosisDocument
 from impact_rs_analysis.diagnosis.thresholds import SIGNIFICANT
+from impact_rs_analysis.diagnosis.verdict import (
+    NONE,
+    NOTHING,
+    Kind,
+)
 from impact_rs_analysis.evidence.measured_runs import runs_digest
 from impact_rs_sim.errors import InputError
 from impact_rs_trials.blind import RUNS, TRUTH
@@ -104,12 +109,12 @@ def held_against_truth(directory: Path, document: DiagnosisDocument) -> Score:
 
     found = {name: name in named or any(name in near(other) for other in named) for name in hidden}
     right = all(found.values())
-    headline = set(document.verdict.split("+")) == set(hidden)
+    headline = document.verdict.kind is Kind.NAMED and set(document.verdict.names) == set(hidden)
     if kind == "null":
         right = headline = document.verdict == NOTHING
     elif kind == "outside":
         left = document.lack_of_fit.after
-        stays = document.verdict.startswith(PARTLY) or (bool(named) and left is not None and left < SIGNIFICANT)
+        stays = document.verdict.kind is Kind.PARTLY or (bool(named) and left is not None and left < SIGNIFICANT)
         right = headline = document.verdict == NONE or stays
     covered = [
         estimate.interval[0] <= hidden[name][key]["value"] <= estimate.interval[1]

@@ -13,17 +13,6 @@ import scipy
 from numpy.typing import NDArray
 
 from impact_rs_analysis.diagnosis.document import (
-    AT_BOUND,
-    CONFIRMED,
-    CONFUSABLE,
-    IMPOSSIBLE,
-    NO_IMPROVEMENT,
-    NONE,
-    NOTHING,
-    PARTLY,
-    SMALL,
-    TOO_FEW,
-    UNIDENTIFIABLE,
     EffectDocument,
     EstimateDocument,
     RestDocument,
@@ -40,6 +29,19 @@ from impact_rs_analysis.diagnosis.thresholds import (
     PLAINLY_BEYOND,
     SIGNIFICANT,
     UNSEEN,
+)
+from impact_rs_analysis.diagnosis.verdict import (
+    AT_BOUND,
+    CONFIRMED,
+    IMPOSSIBLE,
+    NO_IMPROVEMENT,
+    NONE,
+    NOTHING,
+    SMALL,
+    TOO_FEW,
+    UNIDENTIFIABLE,
+    DiagnosisVerdict,
+    Kind,
 )
 from impact_rs_analysis.evidence.cluster import TIMES
 from impact_rs_analysis.evidence.levels import expected_of
@@ -339,13 +341,13 @@ class Headline:
     """The overall verdict.
 
     Attributes:
-        verdict: See :class:`~impact_rs_analysis.diagnosis.document.DiagnosisDocument`.
+        verdict: On the model.
         share: Share of the squared held-out error beyond noise that remains.
         before: p-value of the model's residuals being noise; None without repeats or stated noise.
         after: The same of the remaining residuals.
     """
 
-    verdict: str
+    verdict: DiagnosisVerdict
     share: float
     before: float | None
     after: float | None
@@ -372,7 +374,7 @@ def headline(found: Findings) -> Headline:
             return Headline(NONE if more else NOTHING, share, before, after)
         if more:
             return Headline(_partly(found, share), share, before, after)
-        return Headline("+".join(found.names), share, before, after)
+        return Headline(DiagnosisVerdict(Kind.NAMED, found.names), share, before, after)
     stays = after is not None and after < SIGNIFICANT
     rests = rests_of(evidence, found.unexplained)
     large = any(rest.value > rest.floor for rest in rests if not stated or (rest.signal, rest.index) in stated)
@@ -384,7 +386,7 @@ def headline(found: Findings) -> Headline:
     elif not any(matters(chosen, name) for name in found.names):
         verdict = SMALL
     else:
-        verdict = "+".join(found.names)
+        verdict = DiagnosisVerdict(Kind.NAMED, found.names)
     return Headline(verdict, share, before, after)
 
 
@@ -428,9 +430,9 @@ def beyond_stated_noise(evidence: Evidence, rest: Sequence[Array], fitted: int =
     return min(1.0, len(p_values) * min(p_values))
 
 
-def _partly(found: Findings, share: float) -> str:
+def _partly(found: Findings, share: float) -> DiagnosisVerdict:
     """The verdict if residuals exceed noise with the chosen effects, by the share of the excess that remains."""
-    return f"{PARTLY}{{{', '.join(found.names)}}}" if share < 1.0 - MOST else NONE
+    return DiagnosisVerdict(Kind.PARTLY, found.names) if share < 1.0 - MOST else NONE
 
 
 def effect_documents(found: Findings, known: dict[str, Effect]) -> list[EffectDocument]:
@@ -482,13 +484,15 @@ def _chosen_document(found: Findings, effect: Effect) -> EffectDocument:
         verdict = SMALL
         reason = f"at most {size.value:.2g} {size.unit} of the {size.signal}; relevance limit {size.floor:.2g}"
     elif rivals:
-        verdict, reason = f"{CONFUSABLE}{{{', '.join(sorted(rivals))}}}", "other effects predict unseen data as well"
+        verdict = DiagnosisVerdict(Kind.CONFUSABLE, tuple(sorted(rivals)))
+        reason = "other effects predict unseen data as well"
     else:
         verdict, reason = CONFIRMED, "predicts unseen data, and no other effect does as well"
     parameters = _estimates(found, chosen, name)
     if verdict == CONFIRMED and (alike := _alike_at_joints([one.verdict for one in parameters.values()])):
         rivals = alike
-        verdict, reason = f"{CONFUSABLE}{{{', '.join(alike)}}}", "at no joint it predicts unseen data better than these"
+        verdict = DiagnosisVerdict(Kind.CONFUSABLE, alike)
+        reason = "at no joint it predicts unseen data better than these"
     if verdict == CONFIRMED or rivals:
         shapes = {scalar.name for scalar in chosen.candidate.scalars[part] if scalar.shape}
         if not any(parameters[key].excludes_nominal for key in parameters.keys() - shapes):
@@ -531,7 +535,7 @@ def _other_document(found: Findings, effect: Effect) -> EffectDocument:
     elif np.all(undetermined(fitted)[part][shown]):
         verdict, reason = UNIDENTIFIABLE, "the data do not determine it: its interval is too wide"
     elif rivals:
-        verdict = f"{CONFUSABLE}{{{', '.join(sorted(rivals))}}}"
+        verdict = DiagnosisVerdict(Kind.CONFUSABLE, tuple(sorted(rivals)))
         reason = "predicts unseen data as well in place of the chosen effect"
     elif p < SIGNIFICANT and best is None:
         size = sizes_of(fitted, name)
@@ -612,7 +616,7 @@ def _estimates(found: Findings, fitted: Fit, name: str) -> dict[str, EstimateDoc
         if scalar.joint is not None and name in found.names and fitted is found.chosen:
             verdict, p, before, after = _joint(found, fitted, index)
         low, high = min(low, value), max(high, value)
-        if verdict is not None and verdict.startswith((CONFIRMED, CONFUSABLE)) and low <= scalar.nominal <= high:
+        if verdict is not None and verdict.kind in (Kind.CONFIRMED, Kind.CONFUSABLE) and low <= scalar.nominal <= high:
             verdict = UNIDENTIFIABLE
         result[scalar.name] = EstimateDocument(
             estimate=value,
@@ -633,18 +637,18 @@ def _estimates(found: Findings, fitted: Fit, name: str) -> dict[str, EstimateDoc
     return result
 
 
-def _alike_at_joints(verdicts: Sequence[str | None]) -> tuple[str, ...]:
+def _alike_at_joints(verdicts: Sequence[DiagnosisVerdict | None]) -> tuple[str, ...]:
     """What an effect is confusable with by the verdicts on its joints; empty: some joint is sure, or none says it.
 
     An effect is no surer than the surest of its joints. What all of them allow explains all of them.
     """
-    sets = [set(one[len(CONFUSABLE) + 1 : -1].split(", ")) for one in verdicts if one and one.startswith(CONFUSABLE)]
+    sets = [set(one.names) for one in verdicts if one is not None and one.kind is Kind.CONFUSABLE]
     if CONFIRMED in verdicts or not sets:
         return ()
     return tuple(sorted(set.intersection(*sets) or set.union(*sets)))
 
 
-def _joint(found: Findings, fitted: Fit, index: int) -> tuple[str, float, float | None, float | None]:
+def _joint(found: Findings, fitted: Fit, index: int) -> tuple[DiagnosisVerdict, float, float | None, float | None]:
     """Verdict and p-value of one joint's parameter given all others; the joint's held-out error without and with it."""
     candidate, evidence = fitted.candidate, fitted.evidence
     scalar = candidate.scalars[index]
@@ -674,7 +678,7 @@ def _joint(found: Findings, fitted: Fit, index: int) -> tuple[str, float, float 
     elif p >= SIGNIFICANT or error > (1.0 - LEAST_GAIN_OF_JOINT) * error_without or not seen:
         verdict = NO_IMPROVEMENT
     else:
-        verdict = f"{CONFUSABLE}{{{', '.join(sorted(rivals))}}}" if rivals else CONFIRMED
+        verdict = DiagnosisVerdict(Kind.CONFUSABLE, tuple(sorted(rivals))) if rivals else CONFIRMED
     if evidence.source.repeated:
         return verdict, clip_p(p), None, None
     item = evidence.clusters[0]

@@ -7,13 +7,6 @@ import math
 from collections.abc import Sequence
 
 from impact_rs_analysis.diagnosis.document import (
-    IMPOSSIBLE,
-    NONE,
-    NOTHING,
-    PARTLY,
-    SMALL,
-    TOO_FEW,
-    UNIDENTIFIABLE,
     BudgetDocument,
     DependenceDocument,
     DiagnosisDocument,
@@ -22,6 +15,15 @@ from impact_rs_analysis.diagnosis.document import (
     explained,
 )
 from impact_rs_analysis.diagnosis.thresholds import SIGNIFICANT, WIDE_TIE
+from impact_rs_analysis.diagnosis.verdict import (
+    IMPOSSIBLE,
+    NONE,
+    NOTHING,
+    SMALL,
+    TOO_FEW,
+    UNIDENTIFIABLE,
+    Kind,
+)
 from impact_rs_analysis.evidence.cluster import TIMES
 from impact_rs_sim.numbers import estimate_in_line
 
@@ -97,7 +99,7 @@ def _part(view: ViewDocument, document: DiagnosisDocument) -> str:
         why = "beyond noise, but too small to matter" if view.verdict == SMALL else "no effect explains them"
         return f"{what}: {why} ({before} {unit})."
     small = ", too small to matter" if view.verdict == SMALL else ""
-    rest = ", and more is missing" if view.verdict.startswith((PARTLY, NONE)) else ""
+    rest = ", and more is missing" if view.verdict.leaves_residuals else ""
     fall = _fall(view.held_out_error_before, view.held_out_error_after)
     return f"{what}: {' and '.join(view.named)}{small}{rest} ({fall} {unit})."
 
@@ -277,7 +279,7 @@ def _verdict(document: DiagnosisDocument) -> str:
     doubts = " ".join(filter(None, [_bounds(document), _open(document), _confusable(document)]))
     text, one = f"Model '{name}' lacks {named}.", "s" if len(document.named) == 1 else ""
     share = 100.0 * min(max(explained(before, after, document.noise_floor), 0.0), 1.0)
-    if verdict.startswith(PARTLY):
+    if verdict.kind is Kind.PARTLY:
         text = (
             f"Model '{name}' lacks {named}, which explain{one} {share:.0f} % of the error beyond noise, and at least "
             "one more effect."

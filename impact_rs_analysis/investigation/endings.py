@@ -8,7 +8,7 @@ from pathlib import Path
 
 from pydantic import Field
 
-from impact_rs_analysis.diagnosis.document import NOTHING
+from impact_rs_analysis.diagnosis.verdict import NOTHING
 from impact_rs_analysis.investigation.rounds import Round, added, laws_added, measured, newest_model
 from impact_rs_analysis.investigation.settings import Settings
 from impact_rs_sim.effects import library
@@ -17,7 +17,7 @@ from impact_rs_sim.schema import Schema, load_mapping, validate
 from impact_rs_trials.blind import KINDS
 
 ENDING = "ending.json"
-EXPLAINED, LAW, MISSES_NOTHING, UNDECIDED = "EXPLAINED", "LAW-HOLDS", NOTHING, "UNDECIDED"
+EXPLAINED, LAW, MISSES_NOTHING, UNDECIDED = "EXPLAINED", "LAW-HOLDS", str(NOTHING), "UNDECIDED"
 
 
 class Ending(Schema):

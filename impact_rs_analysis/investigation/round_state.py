@@ -6,7 +6,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from impact_rs_analysis.diagnosis.document import CONFIRMED, NOTHING, DiagnosisDocument
+from impact_rs_analysis.diagnosis.document import DiagnosisDocument
+from impact_rs_analysis.diagnosis.verdict import CONFIRMED, NOTHING
 from impact_rs_analysis.investigation.rounds import (
     LOUD,
     Round,

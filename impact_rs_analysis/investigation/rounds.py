@@ -13,7 +13,8 @@ from pydantic import Field
 
 from impact_rs_analysis.diagnosis.compare import ComparisonDocument
 from impact_rs_analysis.diagnosis.discovery_document import FOUND, DiscoveryDocument
-from impact_rs_analysis.diagnosis.document import NOTHING, SMALL, DiagnosisDocument, read_document
+from impact_rs_analysis.diagnosis.document import DiagnosisDocument, read_document
+from impact_rs_analysis.diagnosis.verdict import NOTHING, SMALL
 from impact_rs_analysis.investigation.prediction_check import PredictionError, Predictions
 from impact_rs_analysis.investigation.settings import Settings
 from impact_rs_sim.errors import InputError

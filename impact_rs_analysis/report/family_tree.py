@@ -9,7 +9,7 @@ from pathlib import Path
 
 import plotly.graph_objects as go
 
-from impact_rs_analysis.diagnosis.document import NO_IMPROVEMENT, UNIDENTIFIABLE
+from impact_rs_analysis.diagnosis.verdict import NO_IMPROVEMENT, UNIDENTIFIABLE
 from impact_rs_analysis.investigation.endings import UNDECIDED, Ending, ending_of
 from impact_rs_analysis.investigation.rounds import Round, measured
 from impact_rs_analysis.investigation.settings import Settings

@@ -6,7 +6,13 @@ from __future__ import annotations
 from enum import StrEnum
 from typing import TYPE_CHECKING
 
-from impact_rs_analysis.diagnosis.document import CONFIRMED, NO_IMPROVEMENT, TOO_FEW, UNIDENTIFIABLE
+from impact_rs_analysis.diagnosis.verdict import (
+    CONFIRMED,
+    NO_IMPROVEMENT,
+    TOO_FEW,
+    UNIDENTIFIABLE,
+    DiagnosisVerdict,
+)
 
 if TYPE_CHECKING:
     from impact_rs_analysis.evidence.levels import Cell, JumpLevel, SignalLevel
@@ -34,7 +40,7 @@ class Tag(StrEnum):
     NO = "no"
 
 
-def tag_of(verdict: str) -> Tag:
+def tag_of(verdict: DiagnosisVerdict) -> Tag:
     """Colour of the verdict on an effect or on one of its joints."""
     if verdict == CONFIRMED:
         return Tag.GOOD

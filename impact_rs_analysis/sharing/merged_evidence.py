@@ -29,7 +29,10 @@ import numpy as np
 import scipy
 from pydantic import Field
 
-from impact_rs_analysis.diagnosis.document import UNIDENTIFIABLE
+from impact_rs_analysis.diagnosis.verdict import (
+    UNIDENTIFIABLE,
+    DiagnosisVerdict,
+)
 from impact_rs_analysis.sharing.evidence_package import EvidencePackage
 from impact_rs_analysis.sharing.meta_analysis import heterogeneity, pool, residual, within_groups
 from impact_rs_sim.errors import InputError
@@ -61,7 +64,7 @@ class Contribution(Schema):
     object: str = Field(description="which object")
     estimate: float = Field(description="estimate, in the unit")
     ci95: tuple[float, float] = Field(description="95 % interval, in the unit")
-    verdict: str = Field(description="verdict of the package on the effect")
+    verdict: DiagnosisVerdict = Field(description="verdict of the package on the effect")
     residual: float | None = Field(
         description="studentised leave-one-out residual [-]; null: fewer than three packages"
     )
@@ -111,7 +114,7 @@ class _Study:
     unit: str
     value: float
     error: float
-    verdict: str
+    verdict: DiagnosisVerdict
 
     def label(self, factor: str) -> str:
         return str(getattr(self.package, factor))

@@ -16,16 +16,10 @@ from impact_rs_analysis.diagnosis.bounds import NO_BOUNDS, Bounds, read_bounds
 from impact_rs_analysis.diagnosis.budget import UNLIMITED, Budget
 from impact_rs_analysis.diagnosis.compare import compare
 from impact_rs_analysis.diagnosis.diagnose import added_of, diagnose
-from impact_rs_analysis.diagnosis.document import (
-    NO_IMPROVEMENT,
-    TOO_FEW,
-    UNIDENTIFIABLE,
-    DiagnosisDocument,
-    EstimateDocument,
-    write_document,
-)
+from impact_rs_analysis.diagnosis.document import DiagnosisDocument, EstimateDocument, write_document
 from impact_rs_analysis.diagnosis.formulas import try_out
 from impact_rs_analysis.diagnosis.history import history
+from impact_rs_analysis.diagnosis.verdict import NO_IMPROVEMENT, TOO_FEW, UNIDENTIFIABLE
 from impact_rs_analysis.diagnosis.words import not_excluded, shown_unnamed
 from impact_rs_analysis.report.diagnosis import write_diagnosis
 from impact_rs_cli.arguments import number, on_local_runs
@@ -219,14 +213,14 @@ def show(document: DiagnosisDocument, terminal: Terminal) -> None:
     shown = [effect for effect in document.effects if effect.measured]
     table = Table(title=f"Effects, best first (error on unseen data, {document.error_unit})")
     table.add_column("effect", no_wrap=True)
-    table.add_column("verdict", overflow="fold", min_width=len(UNIDENTIFIABLE))
+    table.add_column("verdict", overflow="fold", min_width=len(str(UNIDENTIFIABLE)))
     table.add_column("alone", justify="right", no_wrap=True)
     table.add_column("without → with", justify="right", no_wrap=True)
     table.add_column("p", justify="right", no_wrap=True)
     for effect in shown[:MOST_SHOWN]:
         error = f"{number(effect.held_out_error_without or 0.0)} → {number(effect.held_out_error_after or 0.0)}"
         alone = "–" if effect.held_out_error_alone is None else number(effect.held_out_error_alone)
-        table.add_row(effect.name, effect.verdict, alone, error, p_text(effect.p_value, document.design.least_p))
+        table.add_row(effect.name, str(effect.verdict), alone, error, p_text(effect.p_value, document.design.least_p))
     terminal.say(table)
     for effect in shown:
         if effect.verdict not in (NO_IMPROVEMENT, UNIDENTIFIABLE, TOO_FEW):
@@ -257,8 +251,8 @@ def dependences_table(document: DiagnosisDocument) -> Table:
     table.add_column("verdict", overflow="fold")
     table.add_column("p", justify="right", no_wrap=True)
     for one in document.dependences:
-        verdict = one.verdict if one.verdict != NO_IMPROVEMENT or not one.reason else f"{one.verdict}: {one.reason}"
-        table.add_row(one.effect, one.covariate, verdict, p_text(one.p_value, document.design.least_p))
+        why = f": {one.reason}" if one.verdict == NO_IMPROVEMENT and one.reason else ""
+        table.add_row(one.effect, one.covariate, f"{one.verdict}{why}", p_text(one.p_value, document.design.least_p))
     return table
 
 
@@ -286,5 +280,5 @@ def estimates_table(effect: str, parameters: dict[str, EstimateDocument]) -> Tab
         arm = value.arm
         estimate, *interval = estimate_text(value.estimate, value.ci95)
         cells = [name, estimate, " ... ".join(interval), value.unit.strip("-")]
-        table.add_row(*cells, *([value.verdict or ""] if judged else []))
+        table.add_row(*cells, *([str(value.verdict or "")] if judged else []))
     return table

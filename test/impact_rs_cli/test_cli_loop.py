@@ -40,7 +40,7 @@ def test_the_hidden_effect_is_named_with_its_interval_and_the_score_falls(
 ) -> None:
     """The whole loop of the fast tier; kills: add writes another value than was found, history another model."""
     found = read_document(diagnosed)
-    assert (found.named, found.effects[0].verdict) == ((EFFECT,), "CONFIRMED")
+    assert (found.named, str(found.effects[0].verdict)) == ((EFFECT,), "CONFIRMED")
     friction = found.effects[0].parameters["friction"]
     assert_covers(friction.ci95, HIDDEN_FRICTION, 0.04)
     assert load_model(model_2).effects[0].parameters["friction"].estimate == pytest.approx(friction.estimate)

@@ -5,18 +5,15 @@ from __future__ import annotations
 
 import re
 
-from impact_rs_analysis.diagnosis.document import (
+from impact_rs_analysis.diagnosis.document import DiagnosisDocument, EffectDocument, explained
+from impact_rs_analysis.diagnosis.verdict import (
     AT_BOUND,
     CONFIRMED,
-    CONFUSABLE,
     NONE,
     NOTHING,
-    PARTLY,
     SMALL,
     TOO_FEW,
-    DiagnosisDocument,
-    EffectDocument,
-    explained,
+    Kind,
 )
 
 FALL = re.compile(r"([-+.0-9e]+) → ([-+.0-9e]+)")
@@ -44,7 +41,7 @@ def _of_errors(document: DiagnosisDocument) -> list[str]:
     said = re.search(r"(\d+) % of the error beyond noise", text)
     if said and abs(float(said[1]) - 100.0 * share) > 0.51:
         found.append(f"{said[0]}, and the errors say {100 * share:.1f}")
-    if document.verdict.startswith(PARTLY) and share < 0.495:
+    if document.verdict.kind is Kind.PARTLY and share < 0.495:
         found.append(f"PARTLY explains {100 * share:.0f} %")
     if document.verdict == NONE and document.named and share > 0.505:
         found.append(f"NONE-EXPLAINS, and {document.named} explain {100 * share:.0f} %")
@@ -85,7 +82,7 @@ def _of_effect(effect: EffectDocument, document: DiagnosisDocument) -> list[str]
     bound = effect.verdict == AT_BOUND or any(estimate.at_bound for estimate in own)
     if named and bound and document.verdict != SMALL and "AT-BOUND" not in text:
         found.append(f"{effect.name} is at a bound, and the summary does not say so")
-    sure = effect.verdict == CONFIRMED or (named and effect.verdict.startswith(CONFUSABLE))
+    sure = effect.verdict == CONFIRMED or (named and effect.verdict.kind is Kind.CONFUSABLE)
     if sure and not any(estimate.excludes_nominal for estimate in own):
         found.append(f"{effect.name} is {effect.verdict}, and its interval holds the nominal value")
     if effect.verdict == CONFIRMED and not named:

@@ -11,7 +11,8 @@ from mixed_grab import MIXED, with_own
 
 from impact_rs_analysis.diagnosis.add import add_effects
 from impact_rs_analysis.diagnosis.diagnose import diagnose
-from impact_rs_analysis.diagnosis.document import CONFIRMED, DiagnosisDocument, read_document, write_document
+from impact_rs_analysis.diagnosis.document import DiagnosisDocument, read_document, write_document
+from impact_rs_analysis.diagnosis.verdict import CONFIRMED
 from impact_rs_analysis.evidence.measured_runs import Runs, read_runs
 from impact_rs_analysis.evidence.replay_cache import ReplayCache
 from impact_rs_analysis.evidence.replays import ReplaySource
@@ -61,7 +62,7 @@ def document(runs: Runs, tmp_path_factory: pytest.TempPathFactory) -> DiagnosisD
 
 
 def test_friction_is_found_in_the_arm_and_joint_that_have_it(document: DiagnosisDocument) -> None:
-    assert document.verdict == "joint_coulomb_friction"
+    assert str(document.verdict) == "joint_coulomb_friction"
     assert document.held_out_error_after < 0.1 * document.held_out_error_before
     found = document.effects[0].parameters
     assert len(found) == 13 and document.arms == {"left": 7, "right": 6}

@@ -11,7 +11,7 @@ from impact_table_cases import CUBE_HEADER, cube, cube_rows, write_csv
 
 from impact_rs_analysis.diagnosis.bounds import bounded, read_bounds
 from impact_rs_analysis.diagnosis.diagnose import diagnose
-from impact_rs_analysis.diagnosis.document import AT_BOUND
+from impact_rs_analysis.diagnosis.verdict import AT_BOUND
 from impact_rs_analysis.evidence.impact_tables import ImpactTableSource
 from impact_rs_sim.effects import library
 from impact_rs_sim.errors import InputError

@@ -21,8 +21,9 @@ from impact_rs_analysis.diagnosis.discovery_document import (
     LawDocument,
     write_discovery,
 )
-from impact_rs_analysis.diagnosis.document import NOTHING, DiagnosisDocument, read_document
+from impact_rs_analysis.diagnosis.document import DiagnosisDocument, read_document
 from impact_rs_analysis.diagnosis.grammar import Grammar, laws_of, load_grammar
+from impact_rs_analysis.diagnosis.verdict import NOTHING
 from impact_rs_analysis.evidence.measured_runs import read_runs
 from impact_rs_analysis.evidence.replay_cache import ReplayCache
 from impact_rs_analysis.evidence.replays import ReplaySource

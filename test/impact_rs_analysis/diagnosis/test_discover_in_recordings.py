@@ -29,6 +29,7 @@ from impact_rs_analysis.diagnosis.discovery_document import (
     write_discovery,
 )
 from impact_rs_analysis.diagnosis.grammar import load_grammar
+from impact_rs_analysis.diagnosis.verdict import DiagnosisVerdict, Kind
 from impact_rs_analysis.evidence.recordings import RecordingSource
 from impact_rs_cli.main import main
 from impact_rs_sim.model import Model, ModelEffect, ParameterValue, load_model, save_model
@@ -178,7 +179,7 @@ def test_what_no_law_explains_is_left_and_the_library_does_not_explain_it(tmp_pa
     document = found_in(tmp_path, from_outside)
     assert document.verdict == NO_LAW
     assert "joint_coulomb_friction" in document.diagnosis.named
-    assert document.diagnosis.verdict.startswith("PARTLY{joint_coulomb_friction")
+    assert document.diagnosis.verdict == DiagnosisVerdict(Kind.PARTLY, document.diagnosis.named)
     assert "joint_coulomb_friction" in document.summary and "at least one more" in document.summary
     assert document.diagnosis.unexplained.where[0].value > 0.3
 

@@ -82,7 +82,7 @@ def test_a_model_with_the_law_lacks_nothing_more(tmp_path: Path, table: ImpactTa
     arguments = (NOMINAL, Path("nominal"), document.diagnosis, tmp_path / "discovery.json", document.diagnosis.named)
     child = add_effects(*arguments, tmp_path / "model_2.yaml", False)
     again = diagnose(ImpactTableSource(table, child), child, ["tangential_restitution", "restitution_fall"])
-    assert again.verdict == "NOTHING-MISSING"
+    assert str(again.verdict) == "NOTHING-MISSING"
 
 
 def test_no_law_is_proposed_where_the_library_explains_a_table(tmp_path: Path) -> None:

@@ -11,6 +11,7 @@ from impact_rs_analysis.diagnosis.add import add_effects
 from impact_rs_analysis.diagnosis.document import DependenceDocument, DiagnosisDocument, read_document
 from impact_rs_analysis.diagnosis.history import versions
 from impact_rs_analysis.diagnosis.scoring import Score, score
+from impact_rs_analysis.diagnosis.verdict import NOTHING, DiagnosisVerdict
 from impact_rs_sim.effects import library
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.model import Model, load_model, save_model
@@ -101,7 +102,7 @@ def test_a_diagnosis_of_another_model_version_is_refused(
 def test_an_effect_the_diagnosis_advises_against(
     document: DiagnosisDocument, diagnosed: Path, tmp_path: Path, verdict: str, force: bool, message: str | None
 ) -> None:
-    other = document.effects[0].model_copy(update={"verdict": verdict})
+    other = document.effects[0].model_copy(update={"verdict": DiagnosisVerdict.parse(verdict)})
     changed = document.model_copy(update={"effects": (other,)})
     if message is None:
         assert add(changed, diagnosed, tmp_path / "m.yaml", force=force).effects[0].name == other.name
@@ -149,7 +150,7 @@ def test_scores_of_blind_campaigns(
     assert not wrong.correct and wrong.also_named == ("support_friction",) and wrong.intervals_cover is None
     assert not scored("pair", support_friction=MORE_FRICTION, object_mass=1.1).correct
     assert not scored("null").correct
-    assert scored("null", document.model_copy(update={"verdict": "NOTHING-MISSING", "named": ()})).correct
+    assert scored("null", document.model_copy(update={"verdict": NOTHING, "named": ()})).correct
 
 
 def test_a_diagnosis_of_another_campaign_is_refused(

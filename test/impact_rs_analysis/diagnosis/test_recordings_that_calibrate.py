@@ -178,7 +178,7 @@ def test_friction_is_found_in_its_joint_s_unit_and_a_payload_where_there_is_one(
         assert value.estimate == pytest.approx(true, abs=0.05, rel=0.05)
     assert [row.unit for row in found.joints] == ["N" if kind == "prismatic" else "N m" for kind in kinds]
     mass = effects["end_effector_payload"]
-    assert (mass.verdict == "CONFIRMED") == bool(payload)
+    assert (str(mass.verdict) == "CONFIRMED") == bool(payload)
     if payload:
         assert_covers(mass.parameters["mass"].interval, payload, WIDTHS[name])
 
@@ -207,7 +207,7 @@ def test_drives_that_are_large_beside_light_links_are_measured_as_others(
     assert set(found.named) == set(planted)
     effects = {effect.name: effect for effect in found.effects}
     for name, values in planted.items():
-        assert effects[name].verdict == "CONFIRMED"
+        assert str(effects[name].verdict) == "CONFIRMED"
         for key, true in values.items():
             estimate = effects[name].parameters[key]
             low, high = estimate.interval
@@ -238,7 +238,7 @@ def test_the_p_of_a_joint_that_moves_seldom_agrees_with_its_interval(tmp_path: P
     often, seldom = (effect.parameters[f"viscous_joint{joint}"] for joint in (1, 2))
     for own in (often, seldom):
         assert_covers(own.interval, 0.95, 0.01 if own is often else 0.02)
-        assert own.verdict == "CONFIRMED" and own.p_value is not None and own.p_value < 0.01
+        assert str(own.verdict) == "CONFIRMED" and own.p_value is not None and own.p_value < 0.01
     assert often.interval[1] - often.interval[0] < seldom.interval[1] - seldom.interval[0] < 0.5
 
 

@@ -23,6 +23,7 @@ from impact_rs_analysis.diagnosis.fit import Evidence, Fit
 from impact_rs_analysis.diagnosis.hold_out import HoldOut, hold_out
 from impact_rs_analysis.diagnosis.scoring import held_against_truth
 from impact_rs_analysis.diagnosis.search import Search, noticeable
+from impact_rs_analysis.diagnosis.verdict import NOTHING, DiagnosisVerdict
 from impact_rs_analysis.diagnosis.verdicts import (
     Findings,
     _alike_at_joints,
@@ -57,7 +58,7 @@ def test_nothing_is_missing_and_one_is_what_repetition_gives() -> None:
     documents = [said(AnalyticSource(seed)) for seed in range(20)]
     assert np.mean([d.held_out_error_before for d in documents]) == pytest.approx(1.0, abs=0.05)
     assert all(d.noise_floor == 1.0 for d in documents)
-    assert sum(d.verdict == "NOTHING-MISSING" for d in documents) >= 18
+    assert sum(str(d.verdict) == "NOTHING-MISSING" for d in documents) >= 18
 
 
 @pytest.mark.parametrize("spoiled", ["failed", "rest"])
@@ -78,7 +79,7 @@ def test_only_what_the_hold_out_supports_is_named(spoiled: str, monkeypatch: pyt
     assert said(source).named == ("straight",)
     monkeypatch.setattr("impact_rs_analysis.diagnosis.diagnose.hold_out", unsupported)
     document = said(source)
-    assert document.named == () and document.verdict == "NONE-EXPLAINS"
+    assert document.named == () and str(document.verdict) == "NONE-EXPLAINS"
     assert document.held_out_error_after == document.held_out_error_before
     assert document.suspected == (("straight",) if spoiled == "failed" else ())
     assert any(remark.startswith("not named") and "straight" in remark for remark in document.remarks)
@@ -124,9 +125,9 @@ def test_without_repeats_the_effect_that_folds_do_not_find_is_left_out(monkeypat
 @pytest.mark.parametrize("value", [1.0, 5.0, 40.0])
 def test_the_headline_is_the_effect_however_large_it_is(value: float) -> None:
     document = said(AnalyticSource(1, (("straight", (value,)),)))
-    assert document.verdict == "straight" and document.named == ("straight",)
+    assert str(document.verdict) == "straight" and document.named == ("straight",)
     found = document.effects[0]
-    assert found.verdict == "CONFIRMED" and found.chosen_in_folds == 6
+    assert str(found.verdict) == "CONFIRMED" and found.chosen_in_folds == 6
     assert_covers(found.parameters["a"].interval, value, 2.67 / np.sqrt(18.0 * FEATURES))
     assert document.held_out_error_after < 1.5
     assert found.sizes[0].value > found.sizes[0].floor
@@ -142,14 +143,14 @@ def test_p_is_a_bound_where_noise_is_not_known() -> None:
 def test_what_is_significant_and_too_small_to_matter_is_said_with_its_size() -> None:
     """60 repeats see a tenth of the noise; the relevance limit is larger than all that it moves."""
     document = said(AnalyticSource(2, (("straight", (0.06,)),), design=(60,) * 8))
-    assert document.verdict == "PRESENT-BUT-SMALL" and document.named == ("straight",)
-    assert document.effects[0].verdict == "PRESENT-BUT-SMALL"
+    assert str(document.verdict) == "PRESENT-BUT-SMALL" and document.named == ("straight",)
+    assert str(document.effects[0].verdict) == "PRESENT-BUT-SMALL"
     assert "m/s" in document.summary and "at most" in document.summary
 
 
 def test_what_explains_most_is_named_and_the_rest_given_in_units() -> None:
     document = said(AnalyticSource(3, (("straight", (20.0,)), ("outside", (5.0,)))))
-    assert document.verdict == "PARTLY{straight}" and document.named == ("straight",)
+    assert str(document.verdict) == "PARTLY{straight}" and document.named == ("straight",)
     assert document.unexplained.share_of_excess == pytest.approx(25.0 / 425.0, rel=0.5)
     rest = document.unexplained.where[0]
     assert rest.unit == "m/s" and rest.value > rest.floor
@@ -161,14 +162,14 @@ def test_a_rest_is_partly_unexplained_where_it_is_both_significant_and_relevant(
     assert small.lack_of_fit.after is not None and small.lack_of_fit.after < 0.01
     chance = said(AnalyticSource(2, (("straight", (5.0,)),), design=(2,) * 3))
     assert any(rest.value > rest.floor for rest in chance.unexplained.where)
-    assert small.verdict == chance.verdict == "straight"
+    assert str(small.verdict) == str(chance.verdict) == "straight"
 
 
 def test_an_effect_whose_size_may_be_nothing_has_no_size_although_it_predicts() -> None:
     """3, 2 and 1 in three conditions: 2 +- 4.3 / sqrt(3). Kills: an effect is confirmed whatever its interval holds."""
     found = effect(said(changing(1, (3.0, 2.0, 1.0)), "straight"), "straight")
     assert_covers(found.parameters["a"].interval, 0.0, 4.3 / np.sqrt(3.0))
-    assert found.verdict == "NOT-IDENTIFIABLE"
+    assert str(found.verdict) == "NOT-IDENTIFIABLE"
 
 
 @pytest.mark.parametrize(
@@ -178,7 +179,7 @@ def test_without_repeats_the_headline_follows_from_what_is_left_beyond_noise(out
     """As in recordings, of which a residual above twice the noise needs a cause."""
     truth = (("straight", (20.0,)), ("outside", (outside,)))
     document = said(AnalyticSource(3, truth, design=(1,) * 16, repeated=False))
-    assert document.named == ("straight",) and document.verdict == verdict
+    assert document.named == ("straight",) and str(document.verdict) == verdict
 
 
 def test_what_the_scale_of_a_torque_may_explain_needs_no_further_effect() -> None:
@@ -186,19 +187,19 @@ def test_what_the_scale_of_a_torque_may_explain_needs_no_further_effect() -> Non
     source = AnalyticSource(3, (("straight", (20.0,)), ("outside", (5.0,))), design=(1,) * 16, repeated=False)
     unsure = tuple(replace(item, calibrations=np.full((1, FEATURES), 5.0) / item.sigma) for item in source.clusters)
     source.clusters = unsure
-    assert said(source).verdict == "straight"
+    assert str(said(source).verdict) == "straight"
 
 
 def test_what_nothing_explains_is_said() -> None:
     document = said(AnalyticSource(4, (("outside", (5.0,)),)))
-    assert document.verdict == "NONE-EXPLAINS"
+    assert str(document.verdict) == "NONE-EXPLAINS"
 
 
 def test_a_design_that_is_too_small_says_so_and_how_much_is_needed() -> None:
     document = said(AnalyticSource(5, (("straight", (40.0,)),), design=(2, 2, 1)))
-    assert document.verdict == "TOO-FEW-REPEATS"
+    assert str(document.verdict) == "TOO-FEW-REPEATS"
     assert "1 more repeat" in document.summary
-    assert {found.verdict for found in document.effects} == {"TOO-FEW-REPEATS"}
+    assert {str(found.verdict) for found in document.effects} == {"TOO-FEW-REPEATS"}
 
 
 def test_two_conditions_are_refused() -> None:
@@ -208,17 +209,17 @@ def test_two_conditions_are_refused() -> None:
 
 def test_effects_that_look_alike_are_confusable_both_ways() -> None:
     document = said(AnalyticSource(7, (("straight", (5.0,)),)), "straight", "twin_of_straight", "bent")
-    assert document.verdict == "straight"
+    assert str(document.verdict) == "straight"
     assert document.confusable == (("straight", "twin_of_straight"),)
-    assert effect(document, "straight").verdict == "CONFUSABLE-WITH{twin_of_straight}"
+    assert str(effect(document, "straight").verdict) == "CONFUSABLE-WITH{twin_of_straight}"
     twin = effect(document, "twin_of_straight")
-    assert twin.verdict == "CONFUSABLE-WITH{straight}"
+    assert str(twin.verdict) == "CONFUSABLE-WITH{straight}"
     assert twin.parameters["c"].estimate == pytest.approx(10.0, abs=0.4)
 
 
 def test_a_known_simulator_error_leaves_nothing_missing() -> None:
     verdicts = [said(AnalyticSource(seed, discrepancy=0.6, simulator=seed)).verdict for seed in range(10)]
-    assert verdicts.count("NOTHING-MISSING") >= 9
+    assert verdicts.count(NOTHING) >= 9
 
 
 def test_what_is_left_has_the_unit_of_the_signal_and_no_noise_in_it() -> None:
@@ -271,7 +272,7 @@ def test_what_is_significant_and_stops_at_nothing_is_no_improvement(beside: Adde
     found = effect(document, "one_sided")
     assert found.p_value is not None and found.p_value < 0.01
     assert found.parameters["d"].interval[0] == found.parameters["d"].estimate == 0.0
-    assert found.verdict == "NO-IMPROVEMENT" and "contains the nominal value" in found.reason
+    assert str(found.verdict) == "NO-IMPROVEMENT" and "contains the nominal value" in found.reason
 
 
 @pytest.mark.parametrize("beside", [(), (("one_sided", (5.0,)),)])
@@ -281,7 +282,7 @@ def test_what_is_small_and_may_as_well_be_nothing_is_not_named(beside: Added) ->
     found = effect(document, "straight")
     low, high = found.parameters["a"].interval
     assert low < 0.0 < found.parameters["a"].estimate < high
-    assert found.verdict == "NO-IMPROVEMENT"
+    assert str(found.verdict) == "NO-IMPROVEMENT"
     assert document.named == tuple(name for name, _ in beside)
 
 
@@ -289,7 +290,7 @@ def test_what_is_small_and_certain_is_named_where_conditions_disagree_less() -> 
     document = said(changing(0, (0.12, 0.08, 0.03)), "straight")
     found = effect(document, "straight")
     assert found.parameters["a"].interval[0] > 0.0
-    assert (found.verdict, document.named) == ("PRESENT-BUT-SMALL", ("straight",))
+    assert (str(found.verdict), document.named) == ("PRESENT-BUT-SMALL", ("straight",))
 
 
 def test_errors_of_an_effect_alone_and_of_what_it_adds_are_given() -> None:
@@ -314,16 +315,16 @@ def test_an_effect_that_explains_all_is_as_good_alone() -> None:
 
 def test_a_small_effect_beside_one_that_matters_leaves_the_whole_large() -> None:
     document = said(changing(0, (0.12, 0.08, 0.03), (("one_sided", (5.0,)),)), "straight", "one_sided")
-    assert effect(document, "one_sided").verdict == "CONFIRMED"
-    assert effect(document, "straight").verdict == "PRESENT-BUT-SMALL"
-    assert document.verdict == "one_sided+straight"
+    assert str(effect(document, "one_sided").verdict) == "CONFIRMED"
+    assert str(effect(document, "straight").verdict) == "PRESENT-BUT-SMALL"
+    assert str(document.verdict) == "one_sided+straight"
 
 
 def test_what_soon_changes_nothing_more_is_not_excluded_however_large() -> None:
     """Its sensitivity at nominal would exclude all beyond a few scales; what changes in proportion is excluded."""
     document = said(AnalyticSource(3), "straight", "slight")
     _, high = effect(document, "slight").parameters["w"].interval
-    assert document.verdict == "NOTHING-MISSING" and high > 20.0
+    assert str(document.verdict) == "NOTHING-MISSING" and high > 20.0
     assert document.not_excluded == {"slight": "w"}
     assert not_excluded(document).startswith("slight (w ")
 
@@ -430,7 +431,7 @@ def test_an_effect_is_confusable_with_what_replaces_it_in_most_folds(without: in
 @pytest.mark.parametrize(("verdict", "correct"), [("NOTHING-MISSING", True), ("PRESENT-BUT-SMALL", False)])
 def test_where_nothing_is_hidden_only_nothing_missing_is_right(tmp_path: Path, verdict: str, correct: bool) -> None:
     (tmp_path / "truth.json").write_text(json.dumps({"kind": "null", "effects": []}))
-    document = documents.diagnosis("minimal").model_copy(update={"verdict": verdict})
+    document = documents.diagnosis("minimal").model_copy(update={"verdict": DiagnosisVerdict.parse(verdict)})
     found = held_against_truth(tmp_path, document)
     assert (found.correct, found.headline) == (correct, correct)
 
@@ -442,7 +443,7 @@ def test_an_effect_is_identified_where_one_of_its_parameters_is() -> None:
     low, high = effect.parameters["height"].interval
     assert low < -4.0 and high > 4.0
     assert effect.parameters["g"].interval[1] - effect.parameters["g"].interval[0] < 1.0
-    assert effect.verdict == "CONFIRMED"
+    assert str(effect.verdict) == "CONFIRMED"
 
 
 @pytest.mark.parametrize(
@@ -455,4 +456,5 @@ def test_an_effect_is_identified_where_one_of_its_parameters_is() -> None:
     ],
 )
 def test_an_effect_is_no_surer_than_the_surest_of_its_joints(joints: list[str | None], rivals: tuple[str, ...]) -> None:
-    assert _alike_at_joints(joints) == rivals
+    verdicts = [one and DiagnosisVerdict.parse(one) for one in joints]
+    assert _alike_at_joints(verdicts) == rivals

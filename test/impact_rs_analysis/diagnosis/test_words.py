@@ -14,13 +14,6 @@ from hypothesis import strategies as st
 
 from impact_rs_analysis.diagnosis.diagnose import diagnose
 from impact_rs_analysis.diagnosis.document import (
-    AT_BOUND,
-    CONFIRMED,
-    NO_IMPROVEMENT,
-    NONE,
-    NOTHING,
-    PARTLY,
-    SMALL,
     DiagnosisDocument,
     EffectDocument,
     EstimateDocument,
@@ -31,6 +24,15 @@ from impact_rs_analysis.diagnosis.document import (
     UnexplainedDocument,
     ViewDocument,
     explained,
+)
+from impact_rs_analysis.diagnosis.verdict import (
+    AT_BOUND,
+    CONFIRMED,
+    NO_IMPROVEMENT,
+    NONE,
+    NOTHING,
+    DiagnosisVerdict,
+    Kind,
 )
 from impact_rs_analysis.diagnosis.words import not_excluded, remaining, shown_unnamed, summary_of
 from impact_rs_analysis.evidence.cluster import TIMES, Added
@@ -70,13 +72,13 @@ def effects(draw: st.DrawFn, named: tuple[str, ...], before: float) -> tuple[Eff
 @st.composite
 def documents(draw: st.DrawFn) -> DiagnosisDocument:
     """Documents that a diagnosis may make: named effects lower the error beyond doubt, by however little."""
-    kind = draw(st.sampled_from([NOTHING, NONE, SMALL, PARTLY, "named"]))
+    kind = draw(st.sampled_from([Kind.NOTHING, Kind.NONE, Kind.SMALL, Kind.PARTLY, Kind.NAMED]))
     source, unit = draw(st.sampled_from([("trials", TIMES), ("recordings", "N m"), ("impacts", "m/s")]))
     noise = 1.0 if unit == TIMES else draw(st.sampled_from([0.0, 0.0123]))
     named = draw(st.lists(st.sampled_from(NAMES), unique=True, min_size=1).map(tuple))
-    named = () if kind == NOTHING or (kind in (NONE, SMALL) and draw(st.booleans())) else named
+    named = () if kind is Kind.NOTHING or (kind in (Kind.NONE, Kind.SMALL) and draw(st.booleans())) else named
     before = draw(st.floats(1.05, 500.0)) * (noise or 1.0)
-    lowest, highest = {NONE: (1e-6, 0.49), PARTLY: (0.5, 0.999)}.get(kind, (1e-6, 0.999))
+    lowest, highest = {Kind.NONE: (1e-6, 0.49), Kind.PARTLY: (0.5, 0.999)}.get(kind, (1e-6, 0.999))
     share = draw(st.floats(lowest, highest)) if named else 0.0
     after = float(np.sqrt(before**2 - share * (before**2 - noise**2)))
     rests = [
@@ -88,7 +90,7 @@ def documents(draw: st.DrawFn) -> DiagnosisDocument:
     views = []
     for name, option in (("joints", ""), ("object", ""), ("points within 4 mm", "--contact-tolerance")):
         own = draw(st.lists(st.sampled_from(NAMES), unique=True).map(tuple))
-        verdict = "+".join(own) if own else draw(st.sampled_from([NOTHING, NONE]))
+        verdict = DiagnosisVerdict(Kind.NAMED, own) if own else draw(st.sampled_from([NOTHING, NONE]))
         views.append(
             ViewDocument(
                 name=name, option=option, verdict=verdict, named=own, held_out_error_before=before,
@@ -97,7 +99,7 @@ def documents(draw: st.DrawFn) -> DiagnosisDocument:
         )  # fmt: skip
     document = DiagnosisDocument(
         source=source,
-        verdict={PARTLY: f"PARTLY{{{', '.join(named)}}}", "named": "+".join(named)}.get(kind, kind),
+        verdict=DiagnosisVerdict(kind, named if kind in (Kind.PARTLY, Kind.NAMED) else ()),
         named=named,
         effects=draw(effects(named, before)),
         confusable=confusable,
@@ -141,11 +143,11 @@ def test_a_contradiction_is_seen() -> None:
 
 def test_what_the_hold_out_does_not_support_is_suspected() -> None:
     source = AnalyticSource(1)
-    nothing = diagnose(source, source.model).model_copy(update={"verdict": "NOTHING-MISSING", "named": ()})
+    nothing = diagnose(source, source.model).model_copy(update={"verdict": NOTHING, "named": ()})
     assert "show nothing missing in model" in summary_of(nothing) and "straight" not in summary_of(nothing)
     doubtful = summary_of(nothing.model_copy(update={"suspected": ("straight",)}))
     assert "for certain. straight may be missing" in doubtful and "More conditions decide" in doubtful
-    unexplained = nothing.model_copy(update={"verdict": "NONE-EXPLAINS", "suspected": ("straight",)})
+    unexplained = nothing.model_copy(update={"verdict": NONE, "suspected": ("straight",)})
     assert "explains why for certain. straight may be missing" in summary_of(unexplained)
 
 

@@ -20,6 +20,7 @@ from impact_rs_analysis.diagnosis.document import (
     EstimateDocument,
     ModelIdentity,
 )
+from impact_rs_analysis.diagnosis.verdict import SMALL, DiagnosisVerdict
 from impact_rs_analysis.investigation import loop
 from impact_rs_analysis.investigation.endings import Ending, judged, read_ending
 from impact_rs_analysis.investigation.loop import Investigation
@@ -56,9 +57,16 @@ def said(verdict: str, *effects: str, of: str = "CONFIRMED", **more: Any) -> Dia
         )
         for name in effects
     )
-    update = {"verdict": verdict, "named": effects, "effects": found, "suspected": (), "confusable": (), "views": ()}
+    update = {
+        "verdict": DiagnosisVerdict.parse(verdict),
+        "named": effects,
+        "effects": found,
+        "suspected": (),
+        "confusable": (),
+        "views": (),
+    }
     return diagnosis().model_copy(
-        update={"summary": f"{verdict}.", "next_experiment": None, "formulas": ()} | update | more
+        update={"summary": f"{verdict}.", "next_experiment": None, "formulas": (), "views": ()} | update | more
     )
 
 
@@ -268,7 +276,7 @@ def test_what_is_excluded_or_not_significant_even_alone_or_cannot_lower_the_erro
 
 
 def test_what_is_too_small_to_matter_is_not_looked_at(start: Start) -> None:
-    small = hinting(0.01).model_copy(update={"verdict": "PRESENT-BUT-SMALL"})
+    small = hinting(0.01).model_copy(update={"verdict": SMALL})
     ending = start(lambda model, trials: small if model.effects else said(FRICTION, FRICTION))[0].run()
     assert ending.trials == loop.FIRST + loop.FEW
 
