@@ -21,14 +21,9 @@ from impact_rs_analysis.diagnosis.document import (
     EstimateDocument,
 )
 from impact_rs_analysis.diagnosis.fit import Fit
+from impact_rs_analysis.diagnosis.relevance import moves_enough
 from impact_rs_analysis.diagnosis.thresholds import GOES_WITH, SIGNIFICANT
-from impact_rs_analysis.diagnosis.verdict import (
-    CONFIRMED,
-    NO_IMPROVEMENT,
-    SMALL,
-    DiagnosisVerdict,
-    Kind,
-)
+from impact_rs_analysis.diagnosis.verdict import CONFIRMED, NO_IMPROVEMENT, SMALL, DiagnosisVerdict, Kind
 from impact_rs_analysis.diagnosis.verdicts import clip_p, residual_size
 from impact_rs_analysis.evidence.source import Covariate, Source
 from impact_rs_sim.effects.depending import Depending, Knots, Levels, Slope, Terms
@@ -250,9 +245,4 @@ def _matters(fitted: Fit, pair: Depending) -> bool:
     values = np.empty(shapes.size)
     values[~shapes] = terms[0] if any(pair.terms.changes) else terms.mean(axis=0)
     values[shapes] = own[ends:]
-    change = (own - pair.at(values, joints)) / candidate.scale[part]
-    for item, jacobian in zip(fitted.evidence.clusters, candidate.jacobians, strict=True):
-        limits = [feature.relevance_limit for feature in item.features]
-        if np.any(np.abs(jacobian[:, part] @ change) * item.sigma > limits):
-            return True
-    return False
+    return moves_enough(fitted, part, (own - pair.at(values, joints)) / candidate.scale[part])

@@ -31,6 +31,7 @@ from impact_rs_analysis.diagnosis.fit import (
     refine,
     refine_again,
 )
+from impact_rs_analysis.diagnosis.relevance import moves_enough, noticeable
 from impact_rs_analysis.diagnosis.thresholds import (
     LEAST_FREEDOM,
     LEAST_GAIN,
@@ -737,28 +738,6 @@ def tied_errors(own: Array, other: Array, floor: Array | float) -> bool:
     ratio = ratio[moved]
     spread = float(ratio.std(ddof=1) / math.sqrt(ratio.size)) if ratio.size > 1 else math.inf
     return float(ratio.mean()) < max(TIE, min(2.0 * spread, WIDE_TIE))
-
-
-def moves_enough(fitted: Fit, part: slice = slice(None)) -> bool:
-    """Whether some parameters of a fit change some feature by more than its relevance limit."""
-    change = ((fitted.estimate - fitted.candidate.nominal) / fitted.candidate.scale)[part]
-    for item, jacobian in zip(fitted.evidence.clusters, fitted.candidate.jacobians, strict=True):
-        limits = [feature.relevance_limit for feature in item.features]
-        if np.any(np.abs(jacobian[:, part] @ change) * item.sigma > limits):
-            return True
-    return False
-
-
-def noticeable(fitted: Fit, first: int = 0) -> bool:
-    """Whether the interval of some parameter, from number ``first`` on, lies beyond the least change of the source.
-
-    An estimate at a bound of physics counts, such as no friction. One at the end of a range does not: its interval is
-    invalid. Calibrations are taken as exact here: whether the model lacks something is another question than how much.
-    """
-    candidate = fitted.candidate
-    distance = np.abs(fitted.estimate - candidate.nominal) / candidate.scale - fitted.half_widths_of_noise
-    own = np.array([not scalar.shape for scalar in candidate.scalars]) & ~fitted.at_end_of_range
-    return bool(np.any((distance > fitted.evidence.source.least_change)[first:] & own[first:]))
 
 
 def adjusted(p_values: Mapping[str, float], tests: int = 0) -> dict[str, float]:

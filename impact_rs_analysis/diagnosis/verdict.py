@@ -28,7 +28,7 @@ class Kind(StrEnum):
     AT_BOUND = "AT-BOUND"
 
 
-WITH_NAMES = re.compile(rf"({Kind.PARTLY}|{Kind.CONFUSABLE})\{{(.*)\}}", re.DOTALL)
+WITH_NAMES = re.compile(rf"({Kind.PARTLY}|{Kind.CONFUSABLE})\{{(.*)\}}")
 
 
 @dataclass(frozen=True)

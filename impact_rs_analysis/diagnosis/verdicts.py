@@ -16,12 +16,12 @@ from impact_rs_analysis.diagnosis.document import (
     EffectDocument,
     EstimateDocument,
     RestDocument,
-    SizeDocument,
     explained,
 )
 from impact_rs_analysis.diagnosis.fit import Evidence, Fit
 from impact_rs_analysis.diagnosis.hold_out import HoldOut
-from impact_rs_analysis.diagnosis.search import Rival, Search, moves_enough, noticeable, tied_errors
+from impact_rs_analysis.diagnosis.relevance import matters, sizes_of
+from impact_rs_analysis.diagnosis.search import Rival, Search, tied_errors
 from impact_rs_analysis.diagnosis.thresholds import (
     LEAST_GAIN_OF_JOINT,
     LEAST_P,
@@ -48,7 +48,6 @@ from impact_rs_analysis.evidence.levels import expected_of
 from impact_rs_sim.effects import Effect
 from impact_rs_sim.robot import Array
 
-MOST_SIZES = 3
 MOST_RESTS = 10
 NO_SIZE = "predicts unseen data, but its interval holds the value at which it does nothing: more conditions decide"
 
@@ -174,32 +173,6 @@ def residual_unit(evidence: Evidence) -> str:
 def clip_p(value: float) -> float:
     """A p-value, not below ``LEAST_P``: the tails of the noise are not known further out."""
     return max(value, LEAST_P)
-
-
-def sizes_of(fitted: Fit, name: str) -> list[SizeDocument]:
-    """Changes of the signals by one effect of a fit, largest first relative to the relevance limit."""
-    part = fitted.candidate.part(name)
-    change = ((fitted.estimate - fitted.candidate.nominal) / fitted.candidate.scale)[part]
-    largest: dict[tuple[str, str], tuple[float, str, float]] = {}
-    for item, jacobian in zip(fitted.evidence.clusters, fitted.candidate.jacobians, strict=True):
-        moved = np.abs(jacobian[:, part] @ change) * item.sigma
-        for feature, value in zip(item.features, moved, strict=True):
-            key = (feature.phase, feature.signal)
-            if value > largest.get(key, (0.0, "", 0.0))[0]:
-                largest[key] = (float(value), feature.unit, feature.relevance_limit)
-    found = [
-        SizeDocument(phase=phase, signal=signal, value=value, unit=unit, floor=limit)
-        for (phase, signal), (value, unit, limit) in largest.items()
-    ]
-    return sorted(found, key=lambda size: -size.value / size.floor if size.floor else -size.value)[:MOST_SIZES]
-
-
-def matters(fitted: Fit, name: str) -> bool:
-    """Whether an effect changes some signal beyond its relevance limit, or is noticeable in a recording."""
-    source = fitted.evidence.source
-    if not source.repeated and source.least_change > 0.0:
-        return noticeable(fitted)
-    return moves_enough(fitted, fitted.candidate.part(name))
 
 
 def undetermined(fitted: Fit) -> NDArray[np.bool_]:

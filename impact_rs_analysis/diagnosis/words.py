@@ -15,15 +15,7 @@ from impact_rs_analysis.diagnosis.document import (
     explained,
 )
 from impact_rs_analysis.diagnosis.thresholds import SIGNIFICANT, WIDE_TIE
-from impact_rs_analysis.diagnosis.verdict import (
-    IMPOSSIBLE,
-    NONE,
-    NOTHING,
-    SMALL,
-    TOO_FEW,
-    UNIDENTIFIABLE,
-    Kind,
-)
+from impact_rs_analysis.diagnosis.verdict import IMPOSSIBLE, NONE, NOTHING, SMALL, TOO_FEW, UNIDENTIFIABLE, Kind
 from impact_rs_analysis.evidence.cluster import TIMES
 from impact_rs_sim.numbers import estimate_in_line
 

@@ -6,13 +6,7 @@ from __future__ import annotations
 from enum import StrEnum
 from typing import TYPE_CHECKING
 
-from impact_rs_analysis.diagnosis.verdict import (
-    CONFIRMED,
-    NO_IMPROVEMENT,
-    TOO_FEW,
-    UNIDENTIFIABLE,
-    DiagnosisVerdict,
-)
+from impact_rs_analysis.diagnosis.verdict import CONFIRMED, NO_IMPROVEMENT, TOO_FEW, UNIDENTIFIABLE, DiagnosisVerdict
 
 if TYPE_CHECKING:
     from impact_rs_analysis.evidence.levels import Cell, JumpLevel, SignalLevel

@@ -29,10 +29,7 @@ import numpy as np
 import scipy
 from pydantic import Field
 
-from impact_rs_analysis.diagnosis.verdict import (
-    UNIDENTIFIABLE,
-    DiagnosisVerdict,
-)
+from impact_rs_analysis.diagnosis.verdict import UNIDENTIFIABLE, DiagnosisVerdict
 from impact_rs_analysis.sharing.evidence_package import EvidencePackage
 from impact_rs_analysis.sharing.meta_analysis import heterogeneity, pool, residual, within_groups
 from impact_rs_sim.errors import InputError

@@ -6,15 +6,7 @@ from __future__ import annotations
 import re
 
 from impact_rs_analysis.diagnosis.document import DiagnosisDocument, EffectDocument, explained
-from impact_rs_analysis.diagnosis.verdict import (
-    AT_BOUND,
-    CONFIRMED,
-    NONE,
-    NOTHING,
-    SMALL,
-    TOO_FEW,
-    Kind,
-)
+from impact_rs_analysis.diagnosis.verdict import AT_BOUND, CONFIRMED, NONE, NOTHING, SMALL, TOO_FEW, Kind
 
 FALL = re.compile(r"([-+.0-9e]+) → ([-+.0-9e]+)")
 SIGNIFICANT = 0.01

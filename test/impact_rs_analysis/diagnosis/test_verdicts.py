@@ -22,7 +22,7 @@ from impact_rs_analysis.diagnosis.document import DiagnosisDocument, EffectDocum
 from impact_rs_analysis.diagnosis.fit import Evidence, Fit
 from impact_rs_analysis.diagnosis.hold_out import HoldOut, hold_out
 from impact_rs_analysis.diagnosis.scoring import held_against_truth
-from impact_rs_analysis.diagnosis.search import Search, noticeable
+from impact_rs_analysis.diagnosis.search import Search
 from impact_rs_analysis.diagnosis.verdict import NOTHING, DiagnosisVerdict
 from impact_rs_analysis.diagnosis.verdicts import (
     Findings,
@@ -32,7 +32,6 @@ from impact_rs_analysis.diagnosis.verdicts import (
     clip_p,
     residual_size,
     rests_of,
-    sizes_of,
     supported_by_hold_out,
     undetermined,
 )
@@ -364,14 +363,6 @@ def test_an_estimate_at_the_value_where_it_does_nothing_is_at_no_bound() -> None
     assert {value: bool(found[0]) for value, found in at.items()} == {0.0: False, 9.0: False, 50.0: True}
 
 
-def test_what_stops_at_a_bound_is_not_noticeable() -> None:
-    """Its interval means nothing there."""
-    source = AnalyticSource(1, repeated=False)
-    source.least_change = 0.1  # type: ignore[misc]
-    assert noticeable(fitted(source, "one_sided", change=np.array([49.0])))
-    assert not noticeable(fitted(source, "one_sided", change=np.array([50.0])))
-
-
 def test_an_effect_is_certain_where_one_interval_leaves_out_nothing() -> None:
     """The lever of a payload is a shape: it says where the payload is, not whether it is there."""
     source = AnalyticSource(1, (("payload", (3.0, 0.5)),))
@@ -406,17 +397,6 @@ def test_estimates_that_move_against_each_other_are_listed() -> None:
     alike = tuple(np.stack((j[:, 0], j[:, 0] + 0.2 * j[:, 1]), axis=1) for j in found.candidate.jacobians)
     (pair,) = _identifiability(Fit.of(replace(found.candidate, jacobians=alike), found.evidence)).correlated
     assert {pair.first, pair.second} == {"c", "c_2"} and pair.correlation < -0.8
-
-
-def test_what_an_effect_moves_is_listed_from_the_most_noticeable_on() -> None:
-    source = AnalyticSource(1)
-    found = fitted(source, "straight", change=np.array([5.0]))
-    limits = {f"signal {number}": limit for number, limit in enumerate((0.1, 3.0, 0.3, 1.0))}
-    labels = tuple(replace(feature, relevance_limit=limits[feature.signal]) for feature in source.clusters[0].features)
-    clusters = tuple(replace(item, features=labels) for item in found.evidence.clusters)
-    sizes = sizes_of(replace(found, evidence=replace(found.evidence, clusters=clusters)), "straight")
-    assert [size.value / size.floor for size in sizes] == sorted((s.value / s.floor for s in sizes), reverse=True)
-    assert sizes[0].signal == "signal 0"
 
 
 @pytest.mark.parametrize(("without", "tied"), [(0, ()), (3, ()), (4, ("bent",)), (6, ("bent",))])
