@@ -9,7 +9,6 @@ every level, says how closely: 1 if one follows from the other.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from typing import Any
 
 import numpy as np
 
@@ -167,36 +166,22 @@ def _refused(found: Dependences, pair: Depending) -> DependenceDocument:
     )
 
 
-def with_plain_names(
-    document: DiagnosisDocument, pairs: Sequence[Depending], pooled: DiagnosisDocument | None = None
+def with_estimates_of(
+    pooled: DiagnosisDocument, document: DiagnosisDocument, pairs: Sequence[Depending]
 ) -> DiagnosisDocument:
-    """A diagnosis in which effects that depend on a covariate have their own names.
+    """A diagnosis in which effects that depend on a covariate have their estimates under all circumstances together.
 
     Args:
-        document: Of a search with the pairs in place of their effects.
+        pooled: Of the search with one value for all circumstances, whose estimates are taken.
+        document: Of the search with the pairs in place of their effects.
         pairs: Effects that depend on a covariate.
-        pooled: Of the search with one value for all circumstances, whose estimates are taken; None: they stay.
     """
-    if not pairs:
-        return document
-
-    def plain(item: Any) -> Any:
-        if isinstance(item, str):
-            for pair in pairs:
-                item = item.replace(pair.name, pair.effect.name)
-            return item
-        if isinstance(item, dict):
-            return {key: plain(value) for key, value in item.items()}
-        return [plain(value) for value in item] if isinstance(item, list | tuple) else item
-
-    found = DiagnosisDocument.model_validate(plain(document.model_dump(mode="json")))
-    if pooled is None:
-        return found
-    one = {pair.effect.name: own.parameters for pair in pairs if (own := pooled.effect(pair.effect.name)) is not None}
+    depending = {pair.shown_name for pair in pairs}
+    one = {effect.name: effect.parameters for effect in pooled.effects if effect.name in depending}
     effects = tuple(
-        effect.model_copy(update={"parameters": one.get(effect.name, effect.parameters)}) for effect in found.effects
+        effect.model_copy(update={"parameters": one.get(effect.name, effect.parameters)}) for effect in document.effects
     )
-    return found.model_copy(update={"effects": effects})
+    return document.model_copy(update={"effects": effects})
 
 
 def _estimates(fitted: Fit, pair: Depending) -> Iterator[tuple[str, dict[str, EstimateDocument]]]:

@@ -14,7 +14,7 @@ from impact_rs_analysis.diagnosis.dependence import Dependences, dependences_of
 from impact_rs_analysis.diagnosis.dependence_verdicts import (
     covariate_documents,
     dependence_documents,
-    with_plain_names,
+    with_estimates_of,
 )
 from impact_rs_analysis.diagnosis.document import (
     BudgetDocument,
@@ -108,7 +108,7 @@ def diagnose(
         again = findings_of(dependences.source, dependences.in_place_of(effects), progress, budget=budget)
         if dependences.settled_by(found, again) and again.chosen is not None:
             dependences, pairs = dependences.beside(again.chosen), dependences.pairs
-            document = with_plain_names(document_of(again, dependences.source, model), pairs, document)
+            document = with_estimates_of(document, document_of(again, dependences.source, model), pairs)
     document = document.model_copy(
         update={
             "covariates": covariate_documents(source),
@@ -163,7 +163,7 @@ def _view(
     if dependences is not None and pairs:
         source, effects = source.knowing(pairs), dependences.in_place_of(effects)
     findings = findings_of(source, effects, budget=budget)
-    found = with_plain_names(document_of(findings, source, model), pairs)
+    found = document_of(findings, source, model)
     return ViewDocument(
         name=view.name,
         option=view.option,
@@ -307,11 +307,11 @@ def document_of(found: Findings, source: Source, model: Model) -> DiagnosisDocum
         source=source.kind,
         verdict=verdict.verdict,
         impossible=source.impossible,
-        named=found.names,
-        suspected=found.suspected,
-        within_discrepancy=found.within_discrepancy,
+        named=found.shown(found.names),
+        suspected=found.shown(found.suspected),
+        within_discrepancy=found.shown(found.within_discrepancy),
         effects=effects,
-        confusable=tuple((name, *rivals[name]) for name in found.names if rivals[name]),
+        confusable=tuple((name, *rivals[name]) for name in found.shown(found.names) if rivals[name]),
         unexplained=UnexplainedDocument(
             share_of_excess=verdict.share, where=tuple(rests_of(evidence, found.unexplained)[:MOST_RESTS])
         ),
@@ -426,7 +426,7 @@ def _remarks(found: Findings, source: Source) -> list[str]:
     if found.unsupported:
         remarks.append(found.unsupported)
     if found.search.ruled_out:
-        names = ", ".join(sorted(found.search.ruled_out))
+        names = ", ".join(sorted(found.shown(found.search.ruled_out)))
         remarks.append(f"ruled out by free motion, and not tried in contact: {names}")
     return remarks
 

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -109,6 +109,10 @@ class Findings:
         """Held-out error of the model, and with the effects that searches without the held-out part find."""
         return _held_out_sizes(self.search, self.hold_out)
 
+    def shown(self, names: Iterable[str]) -> tuple[str, ...]:
+        """Names of effects as documents have them."""
+        return shown_names(self.search, names)
+
     def tied_with(self, name: str) -> tuple[str, ...]:
         """Effects that predict as well in place of a chosen one."""
         tied = [rival.name for rival in self.rivals if rival.instead_of == name and rival.tied]
@@ -117,6 +121,11 @@ class Findings:
             if len(without) > len(self.hold_out.found) / 2.0:
                 tied += [other for names in without for other in names if other not in self.names]
         return tuple(dict.fromkeys(tied))
+
+
+def shown_names(search: Search, names: Iterable[str]) -> tuple[str, ...]:
+    """Names of effects of a search as documents have them."""
+    return tuple(search.source.known_effects[name].shown_name for name in names)
 
 
 def residual_size(evidence: Evidence, rest: Sequence[Array]) -> float:
@@ -241,13 +250,14 @@ def unsupported_words(search: Search, suspected: Sequence[str], held: HoldOut) -
     """Why effects that explain all data are not named."""
     before, after = _held_out_sizes(search, held)
     found = sum(any(name in names for name in suspected) for names in held.found)
+    what = " and ".join(shown_names(search, suspected))
     if held.failed:
-        return f"not named, because {' and '.join(suspected)} cannot be simulated in a condition that was held out"
+        return f"not named, because {what} cannot be simulated in a condition that was held out"
     lower, it = ("lowers", "it") if len(suspected) == 1 else ("lower", "them")
+    folds = f"searches without the data that they predict find {it} in {found} of {len(held.found)} folds, and "
     return (
-        f"not named, because the hold-out does not support it: {' and '.join(suspected)} {lower} the error in all "
-        f"data, but searches without the data that they predict find {it} in {found} of {len(held.found)} "
-        f"folds, and the held-out error goes from {before:.3g} to {after:.3g}"
+        f"not named, because the hold-out does not support it: {what} {lower} the error in all data, but "
+        f"{folds if held.found else ''}the held-out error goes from {before:.3g} to {after:.3g}"
     )
 
 
@@ -347,7 +357,7 @@ def headline(found: Findings) -> Headline:
             return Headline(NONE if more else NOTHING, share, before, after)
         if more:
             return Headline(_partly(found, share), share, before, after)
-        return Headline(DiagnosisVerdict(Kind.NAMED, found.names), share, before, after)
+        return Headline(DiagnosisVerdict(Kind.NAMED, found.shown(found.names)), share, before, after)
     stays = after is not None and after < SIGNIFICANT
     rests = rests_of(evidence, found.unexplained)
     large = any(rest.value > rest.floor for rest in rests if not stated or (rest.signal, rest.index) in stated)
@@ -359,7 +369,7 @@ def headline(found: Findings) -> Headline:
     elif not any(matters(chosen, name) for name in found.names):
         verdict = SMALL
     else:
-        verdict = DiagnosisVerdict(Kind.NAMED, found.names)
+        verdict = DiagnosisVerdict(Kind.NAMED, found.shown(found.names))
     return Headline(verdict, share, before, after)
 
 
@@ -405,7 +415,7 @@ def beyond_stated_noise(evidence: Evidence, rest: Sequence[Array], fitted: int =
 
 def _partly(found: Findings, share: float) -> DiagnosisVerdict:
     """The verdict if residuals exceed noise with the chosen effects, by the share of the excess that remains."""
-    return DiagnosisVerdict(Kind.PARTLY, found.names) if share < 1.0 - MOST else NONE
+    return DiagnosisVerdict(Kind.PARTLY, found.shown(found.names)) if share < 1.0 - MOST else NONE
 
 
 def effect_documents(found: Findings, known: dict[str, Effect]) -> list[EffectDocument]:
@@ -423,7 +433,7 @@ def effect_documents(found: Findings, known: dict[str, Effect]) -> list[EffectDo
         why = NOT_MEASURED.get(effect.acts_on, "no measured signal depends on it")
         reports.append(
             EffectDocument(
-                name=name,
+                name=effect.shown_name,
                 sentence=effect.sentence,
                 verdict=UNIDENTIFIABLE,
                 reason=f"not measured: {why}",
@@ -442,7 +452,7 @@ def _chosen_document(found: Findings, effect: Effect) -> EffectDocument:
     assert chosen is not None
     name = effect.name
     part = chosen.candidate.part(name)
-    rivals = found.tied_with(name)
+    rivals = found.shown(found.tied_with(name))
     own = np.array([not scalar.shape for scalar in chosen.candidate.scalars[part]])
     bound, shape = chosen.held_at_bound[part][own], chosen.held_at_bound[part][~own]
     places = any(scalar.joint is not None or scalar.arm for scalar in chosen.candidate.scalars[part])
@@ -473,7 +483,7 @@ def _chosen_document(found: Findings, effect: Effect) -> EffectDocument:
     before = residual_size(evidence, [item.mean for item in evidence.clusters])
     folds = None if found.hold_out is None else sum(name in names for names in found.hold_out.found)
     return EffectDocument(
-        name=name,
+        name=effect.shown_name,
         sentence=effect.sentence,
         verdict=verdict,
         reason=reason,
@@ -500,7 +510,7 @@ def _other_document(found: Findings, effect: Effect) -> EffectDocument:
     part = fitted.candidate.part(name)
     shown = np.array([not scalar.shape for scalar in fitted.candidate.scalars[part]])
     p = found.adjusted.get(name, 1.0)
-    rivals = tuple(dict.fromkeys(rival.instead_of for rival in tied))
+    rivals = found.shown(dict.fromkeys(rival.instead_of for rival in tied))
     if evidence.null.shortage is not None:
         verdict, reason = TOO_FEW, evidence.null.shortage
     elif evidence.source.impossible:
@@ -524,7 +534,7 @@ def _other_document(found: Findings, effect: Effect) -> EffectDocument:
             reason = "ruled out by free motion, and not tried in contact"
     base = [item.mean for item in evidence.clusters] if found.chosen is None else found.chosen.problem.left_out_rest
     return EffectDocument(
-        name=name,
+        name=effect.shown_name,
         sentence=effect.sentence,
         verdict=verdict,
         reason=reason,
@@ -651,7 +661,7 @@ def _joint(found: Findings, fitted: Fit, index: int) -> tuple[DiagnosisVerdict, 
     elif p >= SIGNIFICANT or error > (1.0 - LEAST_GAIN_OF_JOINT) * error_without or not seen:
         verdict = NO_IMPROVEMENT
     else:
-        verdict = DiagnosisVerdict(Kind.CONFUSABLE, tuple(sorted(rivals))) if rivals else CONFIRMED
+        verdict = DiagnosisVerdict(Kind.CONFUSABLE, tuple(sorted(found.shown(rivals)))) if rivals else CONFIRMED
     if evidence.source.repeated:
         return verdict, clip_p(p), None, None
     item = evidence.clusters[0]

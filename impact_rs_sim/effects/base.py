@@ -206,6 +206,11 @@ class Effect(ABC):
         """
 
     @property
+    def shown_name(self) -> str:
+        """Name in diagnoses and reports."""
+        return self.name
+
+    @property
     def may_change(self) -> bool:
         """Whether it may differ between two recordings of one session."""
         return not (self.calibrates or self.lasting)

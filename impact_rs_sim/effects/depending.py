@@ -141,6 +141,11 @@ class Depending(Effect):
         self.acts_on, self.sentence, self.phases = effect.acts_on, effect.sentence, effect.phases
         self.calibrates, self.lasting, self.parameters = effect.calibrates, effect.lasting, effect.parameters
 
+    @property
+    def shown_name(self) -> str:
+        """See :attr:`Effect.shown_name`: that of the effect; how it depends is shown apart."""
+        return self.effect.shown_name
+
     def apply(self, physics: Physics, values: Values) -> Physics:
         """See :meth:`Effect.apply`."""
         return self.apply_vector(physics, np.concatenate(list(values.values())))

@@ -297,6 +297,10 @@ class InSessions(AnalyticSource):
         found._pairs = self._pairs | {pair.name: pair for pair in effects}
         return found
 
+    @property
+    def known_effects(self) -> dict[str, Effect]:
+        return self.model.known_effects | self._pairs
+
     def _there(self, number: int, added: Added) -> Added:
         """Effects as they are under the circumstances of a row."""
         found = []

@@ -11,7 +11,7 @@ from typing import cast
 
 import numpy as np
 import pytest
-from analytic_world import EFFECTS, InSessions, direction
+from analytic_world import EFFECTS, InSessions, direction, knowing
 from ball_impacts import MASS, RADIUS, TWIST, Racket, bounced, thrown
 from impact_table_cases import arm_table, write_csv
 from intervals import assert_covers
@@ -53,6 +53,18 @@ def depending(source: InSessions, *names: str) -> Dependences:
 @cache
 def honest() -> Dependences:
     return depending(InSessions(1, in_session))
+
+
+def test_an_effect_that_depends_on_a_covariate_is_shown_by_its_own_name() -> None:
+    """With one estimate for all circumstances. Kills: the name or the estimates of the pair in a document."""
+    source = knowing(InSessions(1, in_session, 2.0), EFFECTS["straight"], EFFECTS["twin_of_straight"])
+    document = diagnose(source, source.model)
+    assert (str(document.verdict), document.named) == ("PARTLY{straight}", ("straight",))
+    straight, twin = document.effects
+    assert (straight.name, list(straight.parameters)) == ("straight", ["a"])
+    assert straight.parameters["a"].estimate == pytest.approx(3.5, abs=0.3)
+    assert (twin.name, str(twin.verdict), twin.rivals) == ("twin_of_straight", "NO-IMPROVEMENT", ())
+    assert OF_SESSION not in document.model_dump_json()
 
 
 def only(found: Dependences) -> DependenceDocument:
