@@ -21,9 +21,10 @@ from impact_rs_analysis.diagnosis.document import (
 )
 from impact_rs_analysis.diagnosis.fit import Fit
 from impact_rs_analysis.diagnosis.relevance import moves_enough
+from impact_rs_analysis.diagnosis.residuals import residual_size
 from impact_rs_analysis.diagnosis.thresholds import GOES_WITH, SIGNIFICANT
 from impact_rs_analysis.diagnosis.verdict import CONFIRMED, NO_IMPROVEMENT, SMALL, DiagnosisVerdict, Kind
-from impact_rs_analysis.diagnosis.verdicts import clip_p, residual_size
+from impact_rs_analysis.diagnosis.verdicts import clip_p
 from impact_rs_analysis.evidence.source import Covariate, Source
 from impact_rs_sim.effects.depending import Depending, Knots, Levels, Slope, Terms
 from impact_rs_sim.robot import Array

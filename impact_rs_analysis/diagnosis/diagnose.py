@@ -33,24 +33,21 @@ from impact_rs_analysis.diagnosis.document import (
     ViewDocument,
 )
 from impact_rs_analysis.diagnosis.drift import doubt_of, drift_in_words, drift_of
+from impact_rs_analysis.diagnosis.effect_verdicts import effect_documents
 from impact_rs_analysis.diagnosis.fit import Evidence, Fit
 from impact_rs_analysis.diagnosis.hold_out import HoldOut, hold_out
 from impact_rs_analysis.diagnosis.next_experiment import next_experiment
+from impact_rs_analysis.diagnosis.residuals import MOST_RESTS, noise_size, residual_unit, rests_of
 from impact_rs_analysis.diagnosis.search import NOTHING_KNOWN, ProgressCallback, Rival, Search
 from impact_rs_analysis.diagnosis.thresholds import LEAST_CLUSTERS, LEAST_P, WIDE_TIE
 from impact_rs_analysis.diagnosis.verdict import IMPOSSIBLE, TOO_FEW
 from impact_rs_analysis.diagnosis.verdicts import (
-    MOST_RESTS,
     Findings,
     Headline,
     change_interval,
     clip_p,
-    effect_documents,
     headline,
     lowers,
-    noise_size,
-    residual_unit,
-    rests_of,
     supported_by_hold_out,
     unsupported_words,
     within_discrepancy,

@@ -32,10 +32,11 @@ from impact_rs_analysis.diagnosis.discovery_document import (
 from impact_rs_analysis.diagnosis.document import DiagnosisDocument
 from impact_rs_analysis.diagnosis.fit import HOPELESS, Evidence, Fit, refine
 from impact_rs_analysis.diagnosis.grammar import KNOTS, LEAST_SPAN, Grammar, Law, curve_of, laws_of
+from impact_rs_analysis.diagnosis.residuals import residual_unit, rests_of
 from impact_rs_analysis.diagnosis.search import ProgressCallback, Rival, Search, p_value_beside
 from impact_rs_analysis.diagnosis.thresholds import LEAST_GAIN, SIGNIFICANT
 from impact_rs_analysis.diagnosis.verdict import IMPOSSIBLE, NOTHING, SMALL, TOO_FEW
-from impact_rs_analysis.diagnosis.verdicts import Findings, headline, residual_unit, rests_of
+from impact_rs_analysis.diagnosis.verdicts import Findings, headline
 from impact_rs_analysis.evidence.source import Source
 from impact_rs_analysis.evidence.visited import Range, visited
 from impact_rs_sim.effects import Effect

@@ -12,7 +12,7 @@ import numpy as np
 
 from impact_rs_analysis.diagnosis.candidate import Candidate, linearise
 from impact_rs_analysis.diagnosis.fit import Evidence
-from impact_rs_analysis.diagnosis.verdicts import residual_size
+from impact_rs_analysis.diagnosis.residuals import residual_size
 from impact_rs_analysis.evidence.cluster import TIMES, Cluster
 from impact_rs_analysis.evidence.source import Source
 from impact_rs_sim.errors import InputError

@@ -16,7 +16,7 @@ from impact_rs_analysis.diagnosis.diagnose import diagnose
 from impact_rs_analysis.diagnosis.discover import discover
 from impact_rs_analysis.diagnosis.fit import Evidence
 from impact_rs_analysis.diagnosis.grammar import load_grammar
-from impact_rs_analysis.diagnosis.verdicts import beyond_stated_noise
+from impact_rs_analysis.diagnosis.residuals import beyond_stated_noise
 from impact_rs_analysis.evidence.cluster import Cluster, Feature
 from impact_rs_analysis.evidence.impact_tables import ImpactTableSource
 from impact_rs_analysis.evidence.map_discrepancy import LINEAR
