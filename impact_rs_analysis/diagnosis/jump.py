@@ -10,7 +10,7 @@ several post-impact velocities; else the change of velocity from just before the
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -30,8 +30,7 @@ from impact_rs_sim.model import Model
 from impact_rs_trials.bags.reader import BagError, TrialBag
 
 JOINTS = "joint velocity jump"
-
-
+NUMBERS = ("measured", "predicted", "error", "times_noise")
 WHAT = (
     "velocity jump of the impact map against the jump measured 20 to 40 ms after the impact, or against the "
     "net-feedback estimate. Joint velocities are listed but not counted: by then the controller has begun to move the "
@@ -53,66 +52,36 @@ def jump_level(runs: Runs, model: Model, discrepancy: Discrepancy) -> tuple[dict
     level = Level(
         what=WHAT,
         times_noise=rounded(root_mean_square([entry.times_noise for entry in entries if entry.signal != JOINTS])),
-        entries=tuple(entry.rounded for entry in entries),
+        entries=tuple(
+            entry.model_copy(update={key: rounded(getattr(entry, key)) for key in NUMBERS}) for entry in entries
+        ),
     )
     return {"jump": level}, remarks
 
 
-@dataclass(frozen=True)
-class JumpEntry:
-    """One predicted and measured number.
-
-    Attributes:
-        scenario: Scenario.
-        object: Object.
-        case: Case.
-        signal: Name of the signal.
-        index: Joint, axis or both.
-        measured: Mean over the repeats, in ``unit``.
-        predicted: By the impact map with the model's physics, in ``unit``.
-        unit: Unit.
-        noise: Repeatability of a single trial, in ``unit``.
-    """
-
-    scenario: str
-    object: str
-    case: str
-    signal: str
-    index: str
-    measured: float
-    predicted: float
-    unit: str
-    noise: float
-
-    @property
-    def rounded(self) -> JumpLevel:
-        """As a document has it."""
-        return JumpLevel(
-            scenario=self.scenario,
-            object=self.object,
-            case=self.case,
-            signal=self.signal,
-            index=self.index,
-            measured=rounded(self.measured),
-            predicted=rounded(self.predicted),
-            error=rounded(self.error),
-            unit=self.unit,
-            times_noise=rounded(self.times_noise),
-        )
-
-    @property
-    def error(self) -> float:
-        """Measured minus predicted, in ``unit``."""
-        return self.measured - self.predicted
-
-    @property
-    def times_noise(self) -> float:
-        """Absolute error in multiples of repeatability [-]."""
-        return abs(self.error) / self.noise
+def _entry(
+    place: tuple[str, str, str], signal: str, index: str, values: tuple[float, float], unit: str, noise: float
+) -> JumpLevel:
+    """A measured and a predicted number, in ``unit``; ``noise`` is the repeatability of a single trial."""
+    measured, predicted = values
+    scenario, item, case = place
+    error = measured - predicted
+    return JumpLevel(
+        scenario=scenario,
+        object=item,
+        case=case,
+        signal=signal,
+        index=index,
+        measured=measured,
+        predicted=predicted,
+        error=error,
+        unit=unit,
+        times_noise=abs(error) / noise,
+    )
 
 
-def jump_entries(runs: Runs, measured: Sequence[Cluster], model: Model) -> tuple[list[JumpEntry], list[str]]:
-    """Predicted against measured jumps of every object and case, and remarks on missing ones.
+def jump_entries(runs: Runs, measured: Sequence[Cluster], model: Model) -> tuple[list[JumpLevel], list[str]]:
+    """Predicted against measured jumps of every object and case, not rounded, and remarks on missing ones.
 
     Args:
         runs: All usable runs.
@@ -123,7 +92,7 @@ def jump_entries(runs: Runs, measured: Sequence[Cluster], model: Model) -> tuple
     for group, item in zip(runs.conditions.values(), measured, strict=True):
         if item.contact:
             sets.setdefault(item.place, []).append((group, item))
-    entries: list[JumpEntry] = []
+    entries: list[JumpLevel] = []
     remarks: list[str] = []
     for key, items in sets.items():
         group, item = min(items, key=lambda entry: abs(_scale(entry[0][0]) - 1.0))
@@ -138,7 +107,7 @@ def jump_entries(runs: Runs, measured: Sequence[Cluster], model: Model) -> tuple
                 continue
             name, expected = known
             entries.append(
-                JumpEntry(*key, name, feature.index, float(value * sigma), expected, feature.unit, float(sigma))
+                _entry(key, name, feature.index, (float(value * sigma), expected), feature.unit, float(sigma))
             )
         spec = group[0].spec
         if spec is not None:
@@ -149,7 +118,7 @@ def jump_entries(runs: Runs, measured: Sequence[Cluster], model: Model) -> tuple
                 value, noise = estimate
                 axis = spec.scene.scenario.axis
                 after = predicted[("post-impact velocity", axis, 0)][1]
-                entries.append(JumpEntry(*key, "post-impact velocity (net feedback)", axis, value, after, "m/s", noise))
+                entries.append(_entry(key, "post-impact velocity (net feedback)", axis, (value, after), "m/s", noise))
     return entries, remarks
 
 
