@@ -24,7 +24,6 @@ from impact_rs_analysis.diagnosis.document import (
     HoldOutDocument,
     Identifiability,
     JointError,
-    LackOfFit,
     LimitDocument,
     ModelIdentity,
     ProportionDocument,
@@ -43,9 +42,7 @@ from impact_rs_analysis.diagnosis.thresholds import LEAST_CLUSTERS, LEAST_P, WID
 from impact_rs_analysis.diagnosis.verdict import IMPOSSIBLE, TOO_FEW
 from impact_rs_analysis.diagnosis.verdicts import (
     Findings,
-    Headline,
     change_interval,
-    clip_p,
     headline,
     lowers,
     supported_by_hold_out,
@@ -293,7 +290,7 @@ def document_of(found: Findings, source: Source, model: Model) -> DiagnosisDocum
         model: The model of the file; that of the source may know further effects.
     """
     evidence, known = found.evidence, source.known_effects
-    verdict = headline(found)
+    verdict, lack_of_fit = headline(found)
     before = [item.mean for item in evidence.clusters]
     after: Sequence[Array] = before if found.hold_out is None else found.hold_out.rest
     effects = tuple(effect_documents(found, known))
@@ -302,7 +299,7 @@ def document_of(found: Findings, source: Source, model: Model) -> DiagnosisDocum
     remarks = [*filter(None, [drift_in_words(drift)]), *_remarks(found, source)]
     return DiagnosisDocument(
         source=source.kind,
-        verdict=verdict.verdict,
+        verdict=verdict,
         impossible=source.impossible,
         named=found.shown(found.names),
         suspected=found.shown(found.suspected),
@@ -310,7 +307,7 @@ def document_of(found: Findings, source: Source, model: Model) -> DiagnosisDocum
         effects=effects,
         confusable=tuple((name, *rivals[name]) for name in found.shown(found.names) if rivals[name]),
         unexplained=UnexplainedDocument(
-            share_of_excess=verdict.share, where=tuple(rests_of(evidence, found.unexplained)[:MOST_RESTS])
+            share_of_excess=found.share_left, where=tuple(rests_of(evidence, found.unexplained)[:MOST_RESTS])
         ),
         next_experiment=next_experiment(found, known),
         model=ModelIdentity(name=model.name, digest=model.digest),
@@ -321,7 +318,7 @@ def document_of(found: Findings, source: Source, model: Model) -> DiagnosisDocum
         held_out_error_after=found.held_out_sizes[1],
         held_out_change_ci95=change_interval(before, after, evidence) if found.hold_out is not None else None,
         hold_out=_hold_out(found.hold_out, source),
-        lack_of_fit=_lack_of_fit(verdict),
+        lack_of_fit=lack_of_fit,
         design=DesignDocument(
             clusters=len(evidence.clusters),
             freedom=evidence.null.freedom,
@@ -338,13 +335,6 @@ def document_of(found: Findings, source: Source, model: Model) -> DiagnosisDocum
         remarks=tuple(remarks),
         formulas=source.model.formulas,
         arms=source.model.arms,
-    )
-
-
-def _lack_of_fit(verdict: Headline) -> LackOfFit:
-    return LackOfFit(
-        before=None if verdict.before is None else clip_p(verdict.before),
-        after=None if verdict.after is None else clip_p(verdict.after),
     )
 
 

@@ -328,7 +328,7 @@ def _of_library(source: Source, library: Sequence[Effect], progress: ProgressCal
 
 def _settled(known: Findings) -> str | None:
     """Verdict where nothing is left to discover beside effects of the library; None: something is."""
-    verdict, source = headline(known).verdict, known.evidence.source
+    (verdict, _), source = headline(known), known.evidence.source
     if verdict == IMPOSSIBLE:
         return str(verdict)
     if source.contact_speeds and source.noise_size() is None and verdict != TOO_FEW:

@@ -11,7 +11,7 @@ from functools import cached_property
 import numpy as np
 import scipy
 
-from impact_rs_analysis.diagnosis.document import explained
+from impact_rs_analysis.diagnosis.document import LackOfFit, explained
 from impact_rs_analysis.diagnosis.fit import Evidence, Fit
 from impact_rs_analysis.diagnosis.hold_out import HoldOut
 from impact_rs_analysis.diagnosis.relevance import matters
@@ -78,6 +78,11 @@ class Findings:
     def held_out_sizes(self) -> tuple[float, float]:
         """Held-out error of the model, and with the effects that searches without the held-out part find."""
         return _held_out_sizes(self.search, self.hold_out)
+
+    @property
+    def share_left(self) -> float:
+        """Share of the squared held-out error beyond noise that remains [-]."""
+        return 1.0 - explained(*self.held_out_sizes, noise_size(self.evidence))
 
     def shown(self, names: Iterable[str]) -> tuple[str, ...]:
         """Names of effects as documents have them."""
@@ -197,63 +202,51 @@ def _held_out_sizes(search: Search, held: HoldOut | None) -> tuple[float, float]
     return residual_size(evidence, before), residual_size(evidence, after)
 
 
-@dataclass(frozen=True)
-class Headline:
-    """The overall verdict.
-
-    Attributes:
-        verdict: On the model.
-        share: Share of the squared held-out error beyond noise that remains.
-        before: p-value of the model's residuals being noise; None without repeats or stated noise.
-        after: The same of the remaining residuals.
-    """
-
-    verdict: DiagnosisVerdict
-    share: float
-    before: float | None
-    after: float | None
-
-
-def headline(found: Findings) -> Headline:
-    """The overall verdict."""
+def headline(found: Findings) -> tuple[DiagnosisVerdict, LackOfFit]:
+    """The verdict on the model, and the p-values of its residuals, and of the remaining ones, being noise."""
     evidence, chosen = found.evidence, found.chosen
     before = evidence.lack_of_fit
     after = before if chosen is None else chosen.lack_of_fit()
-    share = 1.0 - explained(*found.held_out_sizes, noise_size(evidence))
     if evidence.null.shortage is not None:
-        return Headline(TOO_FEW, share, before, after)
-    if evidence.source.impossible:
-        return Headline(IMPOSSIBLE, share, before, after)
-    stated = stated_signals(evidence)
-    if stated:
-        fitted = 0 if chosen is None else chosen.change.size
-        before = beyond_stated_noise(evidence, [item.mean for item in evidence.clusters])
-        after = beyond_stated_noise(evidence, found.unexplained, fitted)
-    elif not evidence.source.repeated:
+        verdict = TOO_FEW
+    elif evidence.source.impossible:
+        verdict = IMPOSSIBLE
+    else:
+        stated = stated_signals(evidence)
+        if stated:
+            before = beyond_stated_noise(evidence, [item.mean for item in evidence.clusters])
+            after = beyond_stated_noise(evidence, found.unexplained, 0 if chosen is None else chosen.change.size)
+        verdict = _on_model(found, stated, after)
+    first, last = (None if p is None else clip_p(p) for p in (before, after))
+    return verdict, LackOfFit(before=first, after=last)
+
+
+def _on_model(found: Findings, stated: set[tuple[str, str]], p_value: float | None) -> DiagnosisVerdict:
+    """The verdict on a model by what the chosen effects leave.
+
+    Args:
+        found: What was found.
+        stated: Signals of a table without repeats whose noise is stated.
+        p_value: Of the remaining residuals being noise.
+    """
+    evidence, chosen = found.evidence, found.chosen
+    tested = evidence.source.repeated or bool(stated)
+    stays = p_value is not None and p_value < SIGNIFICANT
+    if tested:
+        rests = rests_of(evidence, found.unexplained)
+        more = stays and any(
+            rest.value > rest.floor for rest in rests if not stated or (rest.signal, rest.index) in stated
+        )
+    else:
         more = exceeds_noise(evidence, found.unexplained)
-        if chosen is None:
-            return Headline(NONE if more else NOTHING, share, before, after)
-        if more:
-            return Headline(_partly(found, share), share, before, after)
-        return Headline(DiagnosisVerdict(Kind.NAMED, found.shown(found.names)), share, before, after)
-    stays = after is not None and after < SIGNIFICANT
-    rests = rests_of(evidence, found.unexplained)
-    large = any(rest.value > rest.floor for rest in rests if not stated or (rest.signal, rest.index) in stated)
     if chosen is None:
         # An effect may be significant alone; if the residuals are noise, it does not explain a deficit of the model.
-        verdict = NONE if stays and large else SMALL if stays else NOTHING
-    elif stays and large:
-        verdict = _partly(found, share)
-    elif not any(matters(chosen, name) for name in found.names):
-        verdict = SMALL
-    else:
-        verdict = DiagnosisVerdict(Kind.NAMED, found.shown(found.names))
-    return Headline(verdict, share, before, after)
-
-
-def _partly(found: Findings, share: float) -> DiagnosisVerdict:
-    """The verdict if residuals exceed noise with the chosen effects, by the share of the excess that remains."""
-    return DiagnosisVerdict(Kind.PARTLY, found.shown(found.names)) if share < 1.0 - MOST else NONE
+        return NONE if more else SMALL if tested and stays else NOTHING
+    if more:
+        return DiagnosisVerdict(Kind.PARTLY, found.shown(found.names)) if found.share_left < 1.0 - MOST else NONE
+    if tested and not any(matters(chosen, name) for name in found.names):
+        return SMALL
+    return DiagnosisVerdict(Kind.NAMED, found.shown(found.names))
 
 
 def change_interval(before: Sequence[Array], after: Sequence[Array], evidence: Evidence) -> tuple[float, float] | None:
