@@ -413,7 +413,7 @@ class Problem:
         self._nominal = (candidate.nominal - candidate.point) / scale
         self._weigh_prior(1.0)
         if noise_unknown:
-            self._weigh_prior(float(np.clip(np.mean(self.errors(self.solve())), LEAST_NOISE, 1.0)))
+            self._weigh_prior(float(np.clip(self.error(self.solve()), LEAST_NOISE, 1.0)))
 
     def _weigh_prior(self, noise: float) -> None:
         """Weigh the prior as beside residuals of a mean square, scaled like the clusters [-].
@@ -457,6 +457,15 @@ class Problem:
         """Mean square scaled error per cluster, ``(c,)`` [-], at a change from the point, ``(p,)`` or ``(c, p)``."""
         gains = np.sum((2.0 * self.scores - (self.information @ change[..., None])[..., 0]) * change, axis=-1)
         return np.maximum(self._powers - gains / self._counts, 0.0)
+
+    def error(self, change: Array) -> float:
+        """What :meth:`solve` makes least, at a change from the point ``(p,)``: the mean square over all measurements.
+
+            sum_c n_c |r_c|^2 / sum_c n_c F_c
+
+        A condition counts by its repeats n_c and features F_c; the prior is left out.
+        """
+        return float(self._counts @ self.errors(change)) / float(self._counts.sum())
 
     def rest(self, change: Array) -> list[Array]:
         """Mean residuals after a change from the point, ``(F,)`` per cluster [-]."""

@@ -79,6 +79,12 @@ class Evidence:
         return np.array([item.expected for item in self.clusters])
 
     @cached_property
+    def expected_error(self) -> float:
+        """Error of a fit (:meth:`Problem.error`) expected from repeatability and discrepancy alone [-]."""
+        counts = np.array([item.count * item.sigma.size for item in self.clusters])
+        return float(counts @ self.expected) / float(counts.sum())
+
+    @cached_property
     def neighbours(self) -> tuple[tuple[int, ...], ...] | None:
         """Neighbours of every cluster on the same recording, with correlated noise; None for trials."""
         if self.source.repeated:
@@ -401,13 +407,13 @@ class Fit:
 
     @property
     def misfit(self) -> float:
-        """Mean square error at the estimate, all clusters [-]."""
-        return float(np.mean(self.problem.errors(self.change)))
+        """Mean square error at the estimate (:meth:`Problem.error`) [-]."""
+        return self.problem.error(self.change)
 
     @property
     def error_at_point(self) -> float:
-        """Mean square error where the candidate was simulated, all clusters [-]."""
-        return float(np.mean(self.problem.errors(np.zeros_like(self.change))))
+        """Mean square error where the candidate was simulated (:meth:`Problem.error`) [-]."""
+        return self.problem.error(np.zeros_like(self.change))
 
     @property
     def at_point(self) -> Fit:
@@ -427,7 +433,7 @@ class Fit:
     @property
     def poor(self) -> bool:
         """Whether more than noise and discrepancy is left, so that the fit may have missed the optimum."""
-        return self.misfit > float(self.evidence.expected.mean())
+        return self.misfit > self.evidence.expected_error
 
     @cached_property
     def rest(self) -> list[Array]:
@@ -488,7 +494,7 @@ def _refine(candidate: Candidate, evidence: Evidence, give_up: float) -> Fit:
         moved, trust = _moved(fitted, trust)
         if moved is None:  # the sensitivities promise what simulations do not keep
             return fitted.at_point
-        least = max(SLOW * fitted.error_at_point, float(evidence.expected.mean()))
+        least = max(SLOW * fitted.error_at_point, evidence.expected_error)
         slow = may_be_slow and moved.error_at_point > least
         fitted = Fit.of(_relinearised(moved.candidate, evidence), evidence) if slow else moved
     return fitted
@@ -517,7 +523,7 @@ def _moved(fitted: Fit, trust: float) -> tuple[Fit | None, float]:
         there = evaluate_at(candidate, candidate.point + step * candidate.scale, fitted.evidence)
         moved = None if there is None else Fit.of(there, fitted.evidence)
         gained = -np.inf if moved is None else error - moved.error_at_point
-        promised = error - float(np.mean(fitted.problem.errors(step)))
+        promised = error - fitted.problem.error(step)
         unbounded = np.isinf(trust) and length > TRUST
         if gained > (LINEAR if unbounded else STRAIGHT) * promised:
             return moved, WIDER * trust

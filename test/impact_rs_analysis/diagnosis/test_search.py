@@ -308,6 +308,18 @@ def test_errors_of_a_change_are_those_of_the_residuals_it_leaves() -> None:
     np.testing.assert_allclose(problem.errors(change), direct, rtol=1e-9)
 
 
+def test_the_error_that_accepts_a_step_is_the_one_that_the_step_makes_least() -> None:
+    """Kills: a mean over conditions, in which one of twelve repeats counts as much as one of two."""
+    source = AnalyticSource(4, (("straight", (1.0,)),), design=(2, 2, 2, 12))
+    source.spoil(3, 2.0 * direction(3, 0))
+    problem = Problem(searched(source, "straight").singles["straight"], source.clusters)
+    best = problem.solve()
+    for off in (-0.05, 0.05):
+        assert problem.error(best + off) > problem.error(best)
+    squares = sum(c.count * float(r @ r) for c, r in zip(source.clusters, problem.rest(best), strict=True))
+    assert problem.error(best) == pytest.approx(squares / sum(c.residuals.size for c in source.clusters))
+
+
 @pytest.mark.parametrize(("point", "step"), [(50.0, -3.0), (-50.0, 3.0)])
 def test_a_point_outside_its_bounds_comes_back_by_the_trusted_step(point: float, step: float) -> None:
     source = AnalyticSource(9, (("of_joints", tuple(range(7))),))
