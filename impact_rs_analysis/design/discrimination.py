@@ -164,4 +164,10 @@ class Discrimination:
 
 def _means(gains: Sequence[Sequence[Array]], of: Callable[[Array], Array]) -> Array:
     """Of every pair the mean over the cases, in the direction in which it is less, ``(pairs,)``."""
-    return np.array([min(float(of(cases).mean()) for cases in ways) for ways in gains])
+    if not gains:
+        return np.zeros(0)
+    every = [cases for ways in gains for cases in ways]
+    counts = [cases.size for cases in every]
+    starts = np.cumsum([0, *counts[:-1]])
+    means = iter((np.add.reduceat(of(np.concatenate(every)), starts) / counts).tolist())
+    return np.array([min(next(means) for _ in ways) for ways in gains])
