@@ -157,6 +157,4 @@ def _held_out(version: Version, clusters: tuple[Cluster, ...], source_of: Callab
     if candidate is None:
         return None
     evidence = Evidence(bare, tuple(range(len(clusters))), clusters)
-    if bare.size_unit != TIMES:
-        return residual_size(evidence, evidence.problem(candidate).left_out_rest)
-    return evidence.size(evidence.problem(candidate).held_out)
+    return residual_size(evidence, evidence.problem(candidate).left_out_rest)

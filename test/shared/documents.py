@@ -12,6 +12,7 @@ import numpy as np
 from impact_rs_analysis.diagnosis.compare import ComparisonDocument
 from impact_rs_analysis.diagnosis.document import DiagnosisDocument, EffectDocument, EstimateDocument, ModelIdentity
 from impact_rs_analysis.diagnosis.history import Version, VersionError
+from impact_rs_analysis.diagnosis.verdict import DiagnosisVerdict
 from impact_rs_analysis.evidence.tracks import ComparedSignal, Track
 from impact_rs_sim.effects.formula import FormulaSpec
 from impact_rs_sim.model import load_model
@@ -55,7 +56,7 @@ def tied_laws() -> DiagnosisDocument:
     )
     model = load_model("nominal")
     update = {
-        "verdict": drag.name,
+        "verdict": DiagnosisVerdict.parse(drag.name),
         "named": (drag.name,),
         "suspected": (),
         "effects": effects,
