@@ -21,7 +21,8 @@ from benchmarks.harness import Row, Work, quantiles, share
 from benchmarks.hidden import Entry, entries, judged, plant_option, recorder, reseeded
 from benchmarks.results import Table
 from impact_rs_analysis.diagnosis.diagnose import diagnose
-from impact_rs_analysis.diagnosis.document import NOTHING, write_document
+from impact_rs_analysis.diagnosis.document import write_document
+from impact_rs_analysis.diagnosis.verdict import NOTHING
 from impact_rs_analysis.evidence.discrepancy import TABLE, Discrepancy, Patterns, measured_discrepancy
 from impact_rs_analysis.evidence.measured_runs import read_runs
 from impact_rs_analysis.evidence.replay_cache import ReplayCache

@@ -26,7 +26,7 @@ from benchmarks.harness import Case, Row, Work, draw_options, drawn
 from benchmarks.hidden import by_probability, stated_probabilities
 from benchmarks.results import Table
 from impact_rs_analysis.diagnosis.diagnose import diagnose
-from impact_rs_analysis.diagnosis.document import NOTHING
+from impact_rs_analysis.diagnosis.verdict import NOTHING
 from impact_rs_analysis.evidence.cluster import Added
 
 DESIGNS = ("3x2", "4x2", "6x2", "6x3")  # conditions x repeats
@@ -82,7 +82,7 @@ def one(case: Case, options: argparse.Namespace, seed: int) -> Row:
     low, high = found.parameters["a"].interval if known and found is not None else (0.0, 0.0)
     return {
         "named": document.named,
-        "verdict": document.verdict,
+        "verdict": str(document.verdict),
         "covered": low <= truth[0][1][0] <= high if known else None,
         "probabilities": stated_probabilities(document),
         "seconds": seconds,
@@ -97,7 +97,7 @@ def run(case: Case, work: Work) -> Row:
 def outcome(hidden: str, draw: Row) -> tuple[bool, ...]:
     """Whether it is strictly right, names more than is hidden, other than is hidden, or nothing; whether it is seen."""
     truth = {HIDDEN} if hidden.startswith(HIDDEN) else set()
-    named, seen = set(draw["named"]), draw["verdict"] != NOTHING
+    named, seen = set(draw["named"]), draw["verdict"] != str(NOTHING)
     beside = bool(truth) and truth < named
     wrong = bool(named) and not (truth and truth <= named)
     return named == truth and seen == (hidden != "nothing"), beside, wrong, not named, seen

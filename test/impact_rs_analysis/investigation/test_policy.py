@@ -11,7 +11,8 @@ from typing import Any
 import pytest
 from documents import diagnosis
 
-from impact_rs_analysis.diagnosis.document import NOTHING, TOO_FEW, DiagnosisDocument
+from impact_rs_analysis.diagnosis.document import DiagnosisDocument
+from impact_rs_analysis.diagnosis.verdict import NOTHING, TOO_FEW, DiagnosisVerdict
 from impact_rs_analysis.investigation.policy import POLICY, rule_for
 from impact_rs_analysis.investigation.round_state import RoundState
 from impact_rs_analysis.investigation.rounds import Round
@@ -19,12 +20,14 @@ from impact_rs_analysis.investigation.rounds import Round
 MANUAL = Path(__file__).resolve().parents[3] / "docs" / "investigation.md"
 
 
-def found(verdict: str, **more: Any) -> DiagnosisDocument:
+def found(verdict: str | DiagnosisVerdict, **more: Any) -> DiagnosisDocument:
     """A diagnosis that suspects nothing."""
-    return diagnosis().model_copy(update={"verdict": verdict, "suspected": (), **more})
+    return diagnosis().model_copy(update={"verdict": DiagnosisVerdict.parse(verdict), "suspected": (), **more})
 
 
-def state(verdict: str = "support_friction", suspected: tuple[str, ...] = (), **more: Any) -> RoundState:
+def state(
+    verdict: str | DiagnosisVerdict = "support_friction", suspected: tuple[str, ...] = (), **more: Any
+) -> RoundState:
     """A round whose diagnosis confirms an effect of the first model, unless more is said."""
     document = found(verdict, suspected=suspected)
     plain = RoundState(
