@@ -196,8 +196,9 @@ class Investigation:
 
     def _check(self, here: Round) -> None:
         assert here.prediction is not None
-        source = self._bench.read()(self._model(here.model))
-        found = prediction_error(source, self.directory / RUNS / here.folder, here.prediction)
+        against = self._bench.read()
+        source, first = against(self._model(here.model)), against(self._model(self.settings.model))
+        found = prediction_error(source, self.directory / RUNS / here.folder, here.prediction, first)
         self._write(here, "prediction_error.json", found)
 
     def _compare(self, here: Round) -> None:

@@ -86,8 +86,8 @@ def _suspected(state: RoundState) -> RoundDecision:
 def _loud(state: RoundState) -> RoundDecision:
     return _measure(
         state,
-        f"Nothing stands out, but the error of {state.found.held_out_error_before:.3g} is far beyond the noise of "
-        f"{state.found.noise_floor:.3g}: too few repeats to say what it is.",
+        f"Nothing stands out, but a right model has an error of {state.found.held_out_error_before:.3g} with "
+        f"p = {state.here.p_of_basis:.2g} only: too few repeats to say what it is.",
     )
 
 

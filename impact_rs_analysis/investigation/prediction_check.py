@@ -5,6 +5,7 @@ Two numbers are predicted for an impact along the axis: velocity of the end effe
 the impact map (:func:`predict_impact`). Measured, these are means over the time from 20 to 40 ms after the impact and
 from 6 to 40 ms after it. The prediction error of all that was measured is the size of the difference between
 measurement and replay (:mod:`impact_rs_analysis.evidence.cluster`) in these trials alone, which the model has not seen.
+Its p-value is how probable so large an error is under a right model (:mod:`.error_test`).
 """
 
 from __future__ import annotations
@@ -23,6 +24,7 @@ from impact_rs_analysis.evidence.features import AXES, JUMP_WINDOWS, SETTLED
 from impact_rs_analysis.evidence.levels import rounded
 from impact_rs_analysis.evidence.measured_runs import MeasuredRun
 from impact_rs_analysis.evidence.source import Source
+from impact_rs_analysis.investigation.error_test import p_of_error
 from impact_rs_sim.impact_map import predict_impact
 from impact_rs_sim.impact_map.problem import ImpactProblem
 from impact_rs_sim.model import Model
@@ -65,6 +67,11 @@ class PredictionError(Schema):
     trials: int = Field(description="usable trials of the round")
     error: float | None = Field(description="error of the model in these trials, in the unit; null: none is usable")
     unit: ErrorUnit = Field(description="unit of the error")
+    p_value: float | None = Field(None, description="of so large an error if the model is right; null: not known")
+    p_value_of_all: float | None = Field(None, description="the same in all trials so far; null: not known")
+    p_value_of_first: float | None = Field(
+        None, description="the same of the first model in all trials so far; null: not known"
+    )
     impacts: tuple[CheckedImpact, ...] = Field((), description="by condition with an impact")
 
 
@@ -79,24 +86,27 @@ def predicted(model: Model, spec: TrialSpec) -> ImpactPrediction:
     )  # fmt: skip
 
 
-def prediction_error(source: Source, folder: Path, predictions: Predictions) -> PredictionError:
+def prediction_error(
+    source: Source, folder: Path, predictions: Predictions, first: Source | None = None
+) -> PredictionError:
     """Predictions against the trials that were measured after them.
 
     Args:
         source: All trials so far against the model that predicted.
         folder: Folder of the trials of the round.
         predictions: What was predicted.
+        first: All trials so far against the first model; None: that is the one that predicted.
     """
     assert source.runs is not None
-    errors, expected, impacts, count = [], [], [], 0
+    errors, expected, impacts, tested = [], [], [], list[list[int]]()
     known = {one.condition: one for one in predictions.impacts}
     conditions, folder = source.runs.conditions, folder.resolve()
     for item in source.clusters:
         paths = [Path(run.path).resolve() for run in conditions[item.name]]
         rows = [row for row, path in enumerate(paths) if path.is_relative_to(folder)]
+        tested.append(rows)
         if not rows:
             continue
-        count += len(rows)
         errors.append(float(np.mean(np.square(item.residuals[rows].mean(axis=0)))))
         expected.append(float(np.mean(np.square(item.pure) / len(rows) + np.square(item.discrepancy))))
         own = [conditions[item.name][row] for row in rows]
@@ -104,11 +114,19 @@ def prediction_error(source: Source, folder: Path, predictions: Predictions) -> 
             impacts.append(_measured(before, own))
     return PredictionError(
         model=predictions.model,
-        trials=count,
+        trials=sum(map(len, tested)),
         error=rounded(size_of(errors, expected)) if errors else None,
         unit=source.size_unit,
+        p_value=p_of_error(source.clusters, tested),
+        p_value_of_all=_p_of_all(source),
+        p_value_of_first=_p_of_all(first or source),
         impacts=tuple(impacts),
     )
+
+
+def _p_of_all(source: Source) -> float | None:
+    """p-value of the error in all trials of a source."""
+    return p_of_error(source.clusters, [range(item.count) for item in source.clusters])
 
 
 def _measured(before: ImpactPrediction, runs: Sequence[MeasuredRun]) -> CheckedImpact:

@@ -7,12 +7,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from impact_rs_analysis.diagnosis.document import DiagnosisDocument
+from impact_rs_analysis.diagnosis.thresholds import SIGNIFICANT
 from impact_rs_analysis.diagnosis.verdict import CONFIRMED, NOTHING
 from impact_rs_analysis.investigation.rounds import (
-    LOUD,
     Round,
     added,
-    holds,
     laws_added,
     laws_found,
     measured,
@@ -87,8 +86,8 @@ class RoundState:
             added=frozenset(added(rounds)),
             laws_added=laws_added(rounds),
             stands=stands(settings, here),
-            holds=holds(found),
-            holds_twice=holds(found) and here.tried and before is not None and _held(before),
+            holds=here.basis_holds,
+            holds_twice=here.basis_holds and here.tried and before is not None and before.basis_holds,
             look=_worth_a_look(before, found) if left > 0 else (),
             unexplained=beside_laws and (here.discovery is not None or found.calls_for_a_law),
             laws=laws_found(rounds),
@@ -113,18 +112,13 @@ class RoundState:
 
 def stands(settings: Settings, here: Round) -> bool:
     """Whether a model with effects has stood the trial."""
-    return here.model != settings.model and here.tried and here.diagnosis is not None and holds(here.diagnosis)
+    return here.model != settings.model and here.tried and here.model_holds
 
 
 def p_alone(document: DiagnosisDocument | None, name: str) -> float:
     """p-value of an effect as if it were tested alone."""
     effect = None if document is None else document.effect(name)
     return 1.0 if effect is None or effect.p_value_alone is None else effect.p_value_alone
-
-
-def _held(before: Round) -> bool:
-    """Whether a round found that nothing is missing."""
-    return before.basis is not None and holds(before.basis)
 
 
 def _worth_a_look(before: Round | None, found: DiagnosisDocument) -> tuple[str, ...]:
@@ -176,7 +170,7 @@ def _explained_again(rounds: Sequence[Round]) -> bool:
     trials: it is alike in all of them, and something explains a part of it.
     """
     again, checked = rounds[-1].again, rounds[-1].prediction_error
-    if again is None or checked is None or checked.error is None or set(again.named) != added(rounds):
+    if again is None or checked is None or checked.p_value is None or set(again.named) != added(rounds):
         return False
-    predicted = checked.error <= LOUD * again.noise_floor and again.held_out_error_after <= again.noise_floor
+    predicted = checked.p_value >= SIGNIFICANT and again.held_out_error_after <= again.noise_floor
     return _confirmed(again) and predicted and not laws_added(rounds)

@@ -14,6 +14,7 @@ from pydantic import Field
 from impact_rs_analysis.diagnosis.compare import ComparisonDocument
 from impact_rs_analysis.diagnosis.discovery_document import FOUND, DiscoveryDocument
 from impact_rs_analysis.diagnosis.document import DiagnosisDocument, read_document
+from impact_rs_analysis.diagnosis.thresholds import SIGNIFICANT
 from impact_rs_analysis.diagnosis.verdict import NOTHING, SMALL
 from impact_rs_analysis.investigation.prediction_check import PredictionError, Predictions
 from impact_rs_analysis.investigation.settings import Settings
@@ -25,7 +26,6 @@ from impact_rs_trials.experiment_plan import ExperimentPlan, read_plan
 from impact_rs_trials.spec import TrialSpec
 
 ROUNDS = "rounds"
-LOUD = 1.5  # times the noise, of an error that is not nothing, however few trials it comes from
 
 
 class RoundDecision(Schema):
@@ -136,15 +136,35 @@ class Round:
         """The trials of its plan, in the order of the plan."""
         return [] if self.plan is None else trials_of(self.plan, self.folder)
 
+    @property
+    def p_of_basis(self) -> float | None:
+        """p-value of the error in all trials of the model that :attr:`basis` diagnoses; None: not known."""
+        checked = self.prediction_error
+        if checked is None:
+            return None
+        return checked.p_value_of_all if self.again is None else checked.p_value_of_first
+
+    @property
+    def model_holds(self) -> bool:
+        """Whether its model lacks nothing that matters."""
+        p_value = None if self.prediction_error is None else self.prediction_error.p_value_of_all
+        return self.diagnosis is not None and _lacks_nothing(self.diagnosis, p_value)
+
+    @property
+    def basis_holds(self) -> bool:
+        """Whether the model that :attr:`basis` diagnoses lacks nothing that matters."""
+        return self.basis is not None and _lacks_nothing(self.basis, self.p_of_basis)
+
     def fails(self, settings: Settings) -> bool:
         """Whether its model has effects and lacks something all the same."""
-        return self.model != settings.model and self.diagnosis is not None and not holds(self.diagnosis)
+        return self.model != settings.model and self.diagnosis is not None and not self.model_holds
 
 
-def holds(document: DiagnosisDocument) -> bool:
-    """Whether a model lacks nothing that matters: no effect is suspected, and the error is that of noise."""
-    loud = document.held_out_error_before > LOUD * document.noise_floor
-    return document.verdict == SMALL or (document.verdict == NOTHING and not document.suspected and not loud)
+def _lacks_nothing(document: DiagnosisDocument, p_value: float | None) -> bool:
+    """Whether no effect is suspected, and the error, of this p-value, is that of a right model."""
+    if document.verdict == SMALL:
+        return True
+    return document.verdict == NOTHING and not document.suspected and (p_value is None or p_value >= SIGNIFICANT)
 
 
 def measured(rounds: Sequence[Round]) -> int:

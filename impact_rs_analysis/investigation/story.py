@@ -44,7 +44,7 @@ def _round_lines(here: Round) -> Iterator[str]:
         if checked.error is not None:
             yield (
                 f"* Prediction error of {checked.model.name} in the {checked.trials} trials of this round: "
-                f"{checked.error:.3g} {checked.unit}"
+                f"{checked.error:.3g} {checked.unit}{_p_in_words(checked.p_value)}"
             )
         for impact in checked.impacts:
             said, seen = impact.predicted, impact.object
@@ -68,3 +68,7 @@ def _round_lines(here: Round) -> Iterator[str]:
     if (decision := here.decision) is not None:
         made = f" ({', '.join(decision.models)})" if decision.models else ""
         yield f"* Decision: {decision.action}{made}. {decision.reason}"
+
+
+def _p_in_words(p_value: float | None) -> str:
+    return "" if p_value is None else f" (p = {p_value:.2g} if it is right)"

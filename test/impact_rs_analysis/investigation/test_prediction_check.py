@@ -38,6 +38,9 @@ def test_the_error_is_that_of_the_round_alone(source: ReplaySource, hidden_campa
     assert pushes.error is not None and free.error is not None
     assert free.error < 2.0 < 5.0 < pushes.error
     assert free.error < source.size() < pushes.error
+    assert free.p_value is not None and pushes.p_value is not None
+    assert pushes.p_value < 0.01 < free.p_value
+    assert pushes.p_value_of_all == pushes.p_value_of_first == free.p_value_of_all < 0.01
 
 
 def test_velocities_after_the_impact_are_measured_beside_what_was_predicted(

@@ -1,0 +1,102 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Whether the error of a model is as large as that of a right one can be.
+
+The error is the sum over conditions c of the mean square of their mean residuals,
+
+    Q = sum_c |r_c|^2 / F_c
+
+with each of the F_c features in units of what a model need not explain: u^2 = (l / 2)^2 + d^2, with the relevance limit
+l and the discrepancy d. No scatter enters the unit, for a scatter from few repeats is often far too small. Under a
+right model the mean of n_c repeats has the covariance
+
+    V_c = S / n_c + P_c^T P_c + diag(l^2 / 4 u^2)
+
+with the scatter S and the patterns P of discrepancy and clock, whose amplitudes conditions share that are alike. Q over
+its expectation E is a ratio of quadratic forms, where m contrasts among repeats estimate S. It is approximately
+
+    Q / E ~ F(2 E^2 / var Q, 2 E^2 / var E),    var Q = 2 tr V^2,    var E = 2 tr (sum_c S / n_c)^2 / m
+
+(Box 1954, *Some theorems on quadratic forms*, Annals of Mathematical Statistics 25; with scatter alone Dempster 1958,
+*A high dimensional two sample significance test*, ibid. 29: k C and k m degrees of freedom for C conditions and
+k = (tr S)^2 / tr S^2 independent directions of the scatter). tr S^2 of the measured S is too large. The estimate
+without this bias (Bai and Saranadasa 1996, *Effect of high dimension*, Statistica Sinica 6),
+
+    m^2 / ((m - 1) (m + 2)) (tr S^2 - (tr S)^2 / m)
+
+is hardly determined by few contrasts: the first one has the weight 1 / m, the second 1 - 1 / m.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections import defaultdict
+from collections.abc import Sequence
+
+import numpy as np
+import scipy
+
+from impact_rs_analysis.evidence.cluster import Cluster
+from impact_rs_sim.robot import Array
+
+MOST_FREEDOM = 1e9  # in the place of infinitely many degrees of freedom
+
+
+def p_of_error(clusters: Sequence[Cluster], tested: Sequence[Sequence[int]]) -> float | None:
+    """p-value of the error of a model, if it is right; None: nothing is tested, or no repeats say what scatter is.
+
+    Args:
+        clusters: All conditions, with the residuals of the model.
+        tested: By condition, the repeats whose error is tested; contrasts among all of them count.
+    """
+    error, expected, variance, uncertain = 0.0, 0.0, 0.0, 0.0
+    together: dict[str, list[Array]] = defaultdict(list)  # products of patterns, by conditions that share amplitudes
+    for layout in dict.fromkeys(item.layout for item in clusters):
+        own = [(item, list(rows)) for item, rows in zip(clusters, tested, strict=True) if item.layout == layout]
+        contrasts = np.vstack([_contrasts(item) for item, _ in own])
+        if not (count := len(contrasts)):
+            continue
+        spread = 0.0
+        for item, rows in own:
+            if not rows:
+                continue
+            own_share = np.sqrt(np.maximum(1.0 - np.square(item.pure), 0.0))  # u / sigma
+            weight = np.divide(1.0, own_share, out=np.zeros_like(own_share), where=own_share > 0.0)
+            weight /= np.sqrt(own_share.size)
+            scatter = weight * contrasts / item.sigma / np.sqrt(count * len(rows))
+            limit = np.maximum(np.square(own_share) - np.square(item.discrepancy), 0.0) * np.square(weight)
+            shared = weight * _shared(item)
+            square, systematic = _trace_of_square(scatter, count), shared.T @ shared + np.diag(limit)
+            error += float(np.sum(np.square(weight * item.residuals[rows].mean(axis=0))))
+            expected += float(np.sum(np.square(scatter)) + np.trace(systematic))
+            variance += square + float(np.sum(scatter @ systematic * (2.0 * scatter)) + np.sum(np.square(systematic)))
+            spread += np.sqrt(square)
+            together[layout if item.alike is None else item.alike].append(shared @ shared.T)
+        uncertain += spread**2 / count
+    for group in together.values():
+        variance += sum(2.0 * float(np.sum(a * b)) for a, b in itertools.combinations(group, 2))
+    if not expected:
+        return None
+    freedom = [min(expected**2 / max(value, 1e-300), MOST_FREEDOM) for value in (variance, uncertain)]
+    return float(scipy.special.fdtrc(*freedom, error / expected))
+
+
+def _shared(item: Cluster) -> Array:
+    """Changes of its scaled residuals by one standard deviation of what conditions share, ``(k, F)``."""
+    return item.moved_together if item.calibrations is None else np.vstack((item.moved_together, item.calibrations))
+
+
+def _contrasts(item: Cluster) -> Array:
+    """Orthonormal contrasts among repeats, in the units of the features, ``(n - 1, F)``."""
+    if item.count == 1:
+        return item.residuals[:0]
+    return np.asarray(scipy.linalg.helmert(item.count) @ (item.sigma * item.residuals))
+
+
+def _trace_of_square(rows: Array, count: int) -> float:
+    """tr S^2 of the module for a covariance that is the sum of the products of rows, ``(m, F)``."""
+    gram = rows @ rows.T
+    measured, trace = float(np.sum(np.square(gram))), float(np.trace(gram))
+    if count == 1:
+        return measured
+    unbiased = count**2 / ((count - 1) * (count + 2)) * (measured - trace**2 / count)
+    return measured / count + (1.0 - 1.0 / count) * max(unbiased, 0.0)
