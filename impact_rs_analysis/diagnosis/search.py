@@ -391,12 +391,11 @@ class Search:
             groups: What may be added at once.
             p_values: Adjusted, of the groups; None: those of all effects and groups that may be accepted.
         """
-        decidable = self.evidence.null.shortage is None
         p_values = self.p_values(chosen) if p_values is None else p_values
         evidence = self.evidence if chosen is None else chosen.evidence
         before = self._unexplained(chosen)
         possible = [group for group in groups if group not in self.ruled_out]
-        likely = [group for group in possible if p_values[group] < SIGNIFICANT or not decidable]
+        likely = [group for group in possible if p_values[group] < SIGNIFICANT]
         # Sensitivities at nominal may not show what an effect does further on: then fits and hold-out decide.
         if not likely and chosen is None and self.lacking and self.source.repeated:
             likely = sorted(possible, key=lambda group: p_values[group])[:SHORTLIST]

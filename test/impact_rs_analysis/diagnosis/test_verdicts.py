@@ -90,16 +90,20 @@ def test_an_effect_in_whose_place_folds_find_another_one_is_named_and_tied_with_
     assert document.named == ("straight",) and document.confusable == (("straight", "bent"),)
 
 
-def test_with_repeats_a_lower_error_on_unseen_conditions_is_enough(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("repeated", [True, False])
+def test_a_lower_error_on_unseen_data_is_enough_with_repeats_alone(
+    repeated: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Kills: the interval of the change, which asks for twice the effect, or a majority of the folds."""
 
     def hardly(source: AnalyticSource, *given: Any) -> HoldOut | None:
         found = hold_out(source, *given)
-        rest = tuple(item.mean * (0.999 if number else 1.0) for number, item in enumerate(source.clusters))
-        return found and replace(found, rest=rest, chosen=(("straight",), *((),) * 5))
+        rest = tuple(item.mean * (0.9 if number == 0 else 1.0) for number, item in enumerate(source.clusters))
+        return found and replace(found, rest=rest, **({"chosen": (("straight",), *((),) * 5)} if repeated else {}))
 
     monkeypatch.setattr("impact_rs_analysis.diagnosis.diagnose.hold_out", hardly)
-    assert said(AnalyticSource(1, (("straight", (5.0,)),))).named == ("straight",)
+    source = AnalyticSource(1, (("straight", (5.0,)),), design=(3,) * 6 if repeated else (1,) * 24, repeated=repeated)
+    assert said(source).named == (("straight",) if repeated else ())
 
 
 def test_without_repeats_the_effect_that_folds_do_not_find_is_left_out(monkeypatch: pytest.MonkeyPatch) -> None:
