@@ -158,11 +158,10 @@ def most_telling(counts: Discrimination, trials: Sequence[ForecastTrial]) -> tup
     """
     before = counts.total(counts.counted)
     known = counts.gains(before)[0][0][0]
-    best: tuple[ForecastTrial, float] | None = None
-    for trial in sorted(trials, key=lambda one: one.name):
+
+    def gain(trial: ForecastTrial) -> float:
         there = counts.counted.get(trial.name, 0)
-        after = counts.added(before, trial.name, there, there + 1)
-        gain = float(counts.gains(after)[0][0][0] - known)
-        if best is None or gain > best[1]:
-            best = trial, gain
-    return best
+        return float(counts.gains(counts.added(before, trial.name, there, there + 1))[0][0][0] - known)
+
+    found = [(trial, gain(trial)) for trial in sorted(trials, key=lambda one: one.name)]
+    return max(found, key=lambda one: one[1], default=None)
