@@ -20,7 +20,7 @@ const ABOUT = {
     equation: 'a_fb,net = ∫ a_fb dt from T_nom − 0.1 s to T_nom + 0.6 s', units: 'none for scales (reference over prediction)',
     page: 'bags.md'},
   design: {title: 'A plan of trials', text: 'Trials that the cell can run are simulated under every explanation. Chosen are those that raise the ' +
-    'probability of the right decision most. With a diagnosis the plan splits its ties; without one it looks for the missing effect.',
+    'probability most that the next diagnosis distinguishes two explanations. With a diagnosis the plan splits its ties; without one it looks for the missing effect.',
     units: 'probabilities in percent', page: 'design.md'},
   limits: {title: 'Speed limit', text: 'The hit is simulated with draws of what is not known exactly: the uncertainties of the scenario, stiffness and ' +
     'damping, and the difference between simulators. A speed is allowed if all bounds hold in 99 % of them. A reflex stops the robot by itself.',
@@ -867,7 +867,7 @@ const design = {
     this.result.replaceChildren(h('p', {class: 'answer'}, h('b', {}, `${found.trials} trials`), found.summary),
       h('div', {class: 'actions'}, ...jobButton('Run the plan', () => ({command: 'campaign', plan: path, output: `campaigns/${stem(path)}`}), {class: 'primary'})),
       table('planned', ['trials', 'condition', 'what they add'], found.conditions.map((one) => [one.trials, one.what, one.adds])),
-      ...(found.pairs.length ? [h('h3', {}, 'Probability of the right decision, the least certain first'), table('pairs', ['explanation', 'against', 'before', 'after'],
+      ...(found.pairs.length ? [h('h3', {}, 'Probability that the next diagnosis distinguishes them, the least certain first'), table('pairs', ['explanation', 'against', 'before', 'after'],
         found.pairs.map((one) => [one.first, one.second, percent(one.before), percent(one.after)]), 2)] : []));
   },
 };
