@@ -144,7 +144,7 @@ class Investigation:
             (bool(todo), lambda here: self._bench.measure(todo)),
             (last.prediction_error is None, self._check),
             (last.comparison is None, self._compare),
-            (last.diagnosis is None, self._diagnose),
+            (last.diagnosis is None, lambda here: self._diagnose(here, here.model, "diagnosis.json")),
             (last.again is None and last.fails(self.settings), self._diagnose_again),
             (last.discovery is None and self._wants_a_law(rounds), self._discover),
         ):
@@ -205,13 +205,10 @@ class Investigation:
         self._say(f"Round {here.number}: model {here.model} against all trials")
         self._write(here, "compare.json", compare(self._bench.read()(self._model(here.model))))
 
-    def _diagnose(self, here: Round) -> None:
-        self._diagnosis(here, here.model, "diagnosis.json")
-
     def _diagnose_again(self, here: Round) -> None:
-        self._diagnosis(here, self.settings.model, "again.json", self._model(here.model))
+        self._diagnose(here, self.settings.model, "again.json", self._model(here.model))
 
-    def _diagnosis(self, here: Round, file: str, name: str, earlier: Model | None = None) -> None:
+    def _diagnose(self, here: Round, file: str, name: str, earlier: Model | None = None) -> None:
         self._say(f"Round {here.number}: what model {file} lacks")
         model = self._model(file)
         present = {item.name for item in model.effects}

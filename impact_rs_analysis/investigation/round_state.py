@@ -76,14 +76,15 @@ class RoundState:
         here, before = rounds[-1], rounds[-2] if len(rounds) > 1 else None
         found, left = here.basis, budget - measured(rounds)
         assert found is not None and here.diagnosis is not None
-        beside_laws = here.laws is None
+        beside_laws, present = here.laws is None, frozenset(added(rounds))
+        same = here.again is not None and set(here.again.named) == present
         return cls(
             here=here,
             found=found,
             budget=budget,
             left=left,
             models=models_made(rounds),
-            added=frozenset(added(rounds)),
+            added=present,
             laws_added=laws_added(rounds),
             stands=stands(settings, here),
             holds=here.basis_holds,
@@ -92,8 +93,8 @@ class RoundState:
             unexplained=beside_laws and (here.discovery is not None or found.calls_for_a_law),
             laws=laws_found(rounds),
             in_vain=searches_in_vain(rounds),
-            further=_further(rounds) if beside_laws else (),
-            renewed=beside_laws and _explained_again(rounds),
+            further=_further(rounds) if beside_laws and same else (),
+            renewed=beside_laws and same and _confirmed(found) and _left_no_error(here, found),
             unsure=_unsure(here.laws or found),
         )
 
@@ -142,35 +143,24 @@ def _confirmed(document: DiagnosisDocument) -> bool:
     return not _unsure(document) and None not in map(document.effect, document.named)
 
 
+def _left_no_error(here: Round, found: DiagnosisDocument) -> bool:
+    """Whether the model predicted the new trials as a right one does, and new estimates leave no more than noise.
+
+    What it seems to lack is then the error of its estimates, from fewer trials: it is alike in all of them, and
+    something explains a part of it.
+    """
+    p_value = None if here.prediction_error is None else here.prediction_error.p_value
+    return p_value is not None and p_value >= SIGNIFICANT and found.held_out_error_after <= found.noise_floor
+
+
 def _further(rounds: Sequence[Round]) -> tuple[str, ...]:
-    """Effects that the newest model lacks for certain, beside nothing else, and not for the first time.
+    """Effects that the newest model lacks for certain, beside what all trials say of the first model.
 
-    The one before lacked them as well or perhaps, or the newest trials were measured to show them. The first model is
-    explained by what the newest one has, because a small effect beside a large one lowers the error of the first model
-    by too little.
+    The model before lacked them as well or perhaps, or the newest trials were measured to show them. A small effect
+    beside a large one lowers the error of the first model by too little to be named there.
     """
-    present = added(rounds)
-    if len(rounds) < 2 or rounds[-1].again is None or set(rounds[-1].again.named) != present:
+    before, here = rounds[-2], rounds[-1]
+    if before.diagnosis is None or here.diagnosis is None or not _confirmed(here.diagnosis):
         return ()
-    (earlier, here), looked = rounds[-2:], rounds[-2].shown
-    if earlier.diagnosis is None or here.diagnosis is None:
-        return ()
-    now, known = set(here.diagnosis.named), {*earlier.diagnosis.named, *earlier.diagnosis.suspected, *looked}
-    if not now <= known or now & present:
-        return ()
-    if earlier.model == here.model and not looked:
-        return ()  # the same estimates, which may be off
-    return here.diagnosis.named if _confirmed(here.diagnosis) else ()
-
-
-def _explained_again(rounds: Sequence[Round]) -> bool:
-    """Whether the first model is explained by what the newest one has, which has predicted the newest trials.
-
-    No more than noise is left. What the newest model seems to lack is then the error of its estimates, from fewer
-    trials: it is alike in all of them, and something explains a part of it.
-    """
-    again, checked = rounds[-1].again, rounds[-1].prediction_error
-    if again is None or checked is None or checked.p_value is None or set(again.named) != added(rounds):
-        return False
-    predicted = checked.p_value >= SIGNIFICANT and again.held_out_error_after <= again.noise_floor
-    return _confirmed(again) and predicted and not laws_added(rounds)
+    now, known = set(here.diagnosis.named), {*before.diagnosis.named, *before.diagnosis.suspected, *before.shown}
+    return here.diagnosis.named if now <= known - added(rounds) else ()
