@@ -35,6 +35,7 @@ from collections.abc import Sequence
 import numpy as np
 import scipy
 
+from impact_rs_analysis.diagnosis.thresholds import LEAST_P
 from impact_rs_analysis.evidence.cluster import Cluster
 from impact_rs_sim.robot import Array
 
@@ -100,3 +101,8 @@ def _trace_of_square(rows: Array, count: int) -> float:
         return measured
     unbiased = count**2 / ((count - 1) * (count + 2)) * (measured - trace**2 / count)
     return measured / count + (1.0 - 1.0 / count) * max(unbiased, 0.0)
+
+
+def p_in_words(p_value: float) -> str:
+    """A p-value, bounded where the tails of a real robot's noise are not known."""
+    return f"p = {p_value:.2g}" if p_value >= LEAST_P else f"p < {LEAST_P}"

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from impact_rs_analysis.diagnosis.verdict import NOTHING, TOO_FEW
 from impact_rs_analysis.diagnosis.words import not_excluded, shown_unnamed
 from impact_rs_analysis.investigation.endings import EXPLAINED, LAW, MISSES_NOTHING, UNDECIDED
+from impact_rs_analysis.investigation.error_test import p_in_words
 from impact_rs_analysis.investigation.round_state import RoundState, p_alone
 from impact_rs_analysis.investigation.rounds import Round, RoundDecision
 from impact_rs_analysis.investigation.settings import Settings
@@ -84,10 +85,11 @@ def _suspected(state: RoundState) -> RoundDecision:
 
 
 def _loud(state: RoundState) -> RoundDecision:
+    assert state.here.p_of_basis is not None
     return _measure(
         state,
-        f"Nothing stands out, but a right model has an error of {state.found.held_out_error_before:.3g} with "
-        f"p = {state.here.p_of_basis:.2g} only: too few repeats to say what it is.",
+        f"Nothing stands out, but a right model would hardly have an error of {state.found.held_out_error_before:.3g} "
+        f"({p_in_words(state.here.p_of_basis)}): too few repeats to say what it is.",
     )
 
 

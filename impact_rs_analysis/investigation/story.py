@@ -6,6 +6,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 
 from impact_rs_analysis.investigation.endings import ending_of
+from impact_rs_analysis.investigation.error_test import p_in_words
 from impact_rs_analysis.investigation.rounds import Round
 from impact_rs_analysis.investigation.settings import Settings
 
@@ -42,9 +43,10 @@ def _round_lines(here: Round) -> Iterator[str]:
             )
     if (checked := here.prediction_error) is not None:
         if checked.error is not None:
+            chance = "" if checked.p_value is None else f" ({p_in_words(checked.p_value)} if it is right)"
             yield (
                 f"* Prediction error of {checked.model.name} in the {checked.trials} trials of this round: "
-                f"{checked.error:.3g} {checked.unit}{_p_in_words(checked.p_value)}"
+                f"{checked.error:.3g} {checked.unit}{chance}"
             )
         for impact in checked.impacts:
             said, seen = impact.predicted, impact.object
@@ -68,7 +70,3 @@ def _round_lines(here: Round) -> Iterator[str]:
     if (decision := here.decision) is not None:
         made = f" ({', '.join(decision.models)})" if decision.models else ""
         yield f"* Decision: {decision.action}{made}. {decision.reason}"
-
-
-def _p_in_words(p_value: float | None) -> str:
-    return "" if p_value is None else f" (p = {p_value:.2g} if it is right)"

@@ -11,7 +11,7 @@ import pytest
 from scipy.stats import binom
 
 from impact_rs_analysis.evidence.cluster import Cluster, Feature, pooled_error
-from impact_rs_analysis.investigation.error_test import p_of_error
+from impact_rs_analysis.investigation.error_test import p_in_words, p_of_error
 from impact_rs_sim.robot import Array
 
 FEATURES = 12
@@ -105,6 +105,10 @@ def test_an_error_beyond_noise_is_seen_and_one_below_the_relevance_limit_is_not(
     """Of two standard deviations in every feature, which is a third of half the limit."""
     assert np.mean(Campaign().p_values(ALL, 60, shift=2.0) <= 0.01) > 0.9
     assert np.mean(Campaign(limit=12.0).p_values(ALL, 60, shift=2.0) <= 0.01) < 0.1
+
+
+def test_a_p_value_beyond_what_is_known_of_tails_is_a_bound() -> None:
+    assert (p_in_words(0.0123), p_in_words(1e-9)) == ("p = 0.012", "p < 0.0005")
 
 
 def test_single_trials_say_nothing() -> None:

@@ -526,7 +526,7 @@ def test_an_error_beyond_that_of_a_right_model_is_not_nothing_however_few_the_tr
 
     first_model_is_off(until=60, p_value=0.009)
     ending = start(lambda *_: CLEAN, budget=16)[0].run()
-    assert ending.verdict == "UNDECIDED" and "a right model has an error of 1 with p = 0.009 only" in ending.summary
+    assert ending.verdict == "UNDECIDED" and "would hardly have an error of 1 (p = 0.009): too few" in ending.summary
     first_model_is_off(until=8, p_value=0.009)
     ending = start(lambda *_: CLEAN, folder="quiet")[0].run()
     assert (ending.verdict, ending.trials) == ("NOTHING-MISSING", 14)
