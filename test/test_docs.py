@@ -8,7 +8,9 @@ import shlex
 import shutil
 import subprocess
 from collections.abc import Iterator
+from fractions import Fraction
 from functools import cache
+from importlib import import_module
 from pathlib import Path
 from typing import Any, get_args
 
@@ -149,8 +151,8 @@ def test_every_script_and_module_that_a_page_runs_exists() -> None:
         ("your_data.md", "Key", Experiment),
         ("your_data.md", "Key of a mapping", Mapping),
         ("your_data.md", "Key of `signals.NAME`", SignalSource),
-        ("diagnosis.md", "Key of an effect", FormulaSpec),
-        ("diagnosis.md", "Key of a model", Model),
+        ("effects.md", "Key of an effect", FormulaSpec),
+        ("effects.md", "Key of a model", Model),
         ("robots.md", "Key of robot facts", RobotFacts),
     ],
 )
@@ -180,7 +182,7 @@ def test_signals_of_a_mapping_are_those_of_the_code_with_their_units() -> None:
 
 
 def test_symbols_and_functions_of_a_formula_are_those_of_the_code() -> None:
-    named = {name for row in table("diagnosis.md", "In a formula") for name in re.findall(r"`(\w+)`", row[0])}
+    named = {name for row in table("effects.md", "In a formula") for name in re.findall(r"`(\w+)`", row[0])}
     assert named - {"q1", "q2", "dq1", "dq2", "tau1", "tau2", "pi"} == {
         *FUNCTIONS,
         LAG,
@@ -188,6 +190,17 @@ def test_symbols_and_functions_of_a_formula_are_those_of_the_code() -> None:
         *CONTACT_SYMBOLS,
         "parameters",
     }
+
+
+def test_the_numbers_of_a_verdict_are_those_of_the_code() -> None:
+    """Kills a threshold that is changed in the code alone."""
+    rows = table("diagnosis.md", "Name")
+    assert len(rows) > 15
+    for names, values, _ in rows:
+        for name, value in zip(re.findall(r"`([\w.]+)`", names), values.split(", "), strict=True):
+            module, _, constant = name.rpartition(".")
+            there = import_module(f"impact_rs_analysis.diagnosis.{module or 'thresholds'}")
+            assert getattr(there, constant) == pytest.approx(float(Fraction(value))), name
 
 
 def test_files_that_a_page_shows_are_valid() -> None:
@@ -200,7 +213,7 @@ def test_files_that_a_page_shows_are_valid() -> None:
     }
     shown = [
         yaml.safe_load(block)
-        for page in ("your_data.md", "diagnosis.md")
+        for page in ("your_data.md", "effects.md")
         for block in re.findall(r"^```yaml\n(.*?)^```", text(DOCS / page), re.MULTILINE | re.DOTALL)
     ]
     assert len(shown) >= 4
@@ -242,13 +255,13 @@ def test_the_mapping_that_a_page_shows_reads_an_arm_on_a_wall_by_its_motor_curre
 
 
 def test_formulas_that_a_page_shows_are_a_drag_a_pad_and_a_friction() -> None:
-    blocks = map(yaml.safe_load, re.findall(r"```yaml\n(.*?)```", text(DOCS / "diagnosis.md"), re.DOTALL))
+    blocks = map(yaml.safe_load, re.findall(r"```yaml\n(.*?)```", text(DOCS / "effects.md"), re.DOTALL))
     drag, pad = (spec for block in blocks for spec in block.get("effects", []))
     force = Formula(drag["end_effector_force"]["y"], {"drag", "vy"})
     assert force({"drag": 5.0, "vy": -0.4}) == pytest.approx(2.0)  # N, against the motion
     push = Formula(FormulaSpec.model_validate(pad).contact_normal, {"c", "penetration", "closing"})
     assert push({"c": 1e4, "penetration": 0.002, "closing": 0.5}) == pytest.approx(10.0)  # N, apart while they approach
-    (sliding,) = set(re.findall(r'"([^"]*tanh[^"]*)"', text(DOCS / "diagnosis.md")))
+    (sliding,) = set(re.findall(r'"([^"]*tanh[^"]*)"', text(DOCS / "effects.md")))
     friction = Formula(sliding, {"c", "dq2"})
     assert friction({"c": 0.3, "dq2": 0.5}) == pytest.approx(-0.3)  # N m, against the motion
     assert friction({"c": 0.3, "dq2": 0.0}) == 0.0

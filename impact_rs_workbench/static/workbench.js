@@ -49,7 +49,7 @@ const ABOUT = {
     page: 'diagnosis.md'},
   add: {title: 'A better model', text: 'The parent model with the effects that were found and their estimates. Model files are never overwritten and name their ' +
     'parent. An effect of your own is an arithmetic formula.',
-    units: 'beside each parameter', page: 'diagnosis.md'},
+    units: 'beside each parameter', page: 'effects.md'},
   overlay: {title: 'Overlay', text: 'Runs lie over each other with their impacts at time 0. A pinned run stays chosen and on top, whatever ' +
     'the filter says. Estimates have their 95 % intervals.', units: 'beside each axis', page: 'workbench.md'},
   history: {title: 'History', text: 'How the error fell from model to model: with the parameters of the file, and held out, where ' +
@@ -1768,7 +1768,7 @@ function chooseModel(one) {
     predict.model.value = one.path;
     if (state.step === 'predict') predict.update();
   }
-  showAbout({title: one.name, text: one.note || 'Scenario and the effects added to it.', page: 'diagnosis.md',
+  showAbout({title: one.name, text: one.note || 'Scenario and the effects added to it.', page: 'effects.md',
     facts: [one.error, one.effects.length ? `Effects: ${one.effects.join(', ')}.` : 'No effects: nominal values only.',
       ...one.scores.map((score) => `${score.report}: ${scoreText(score)}`)].filter(Boolean)});
 }

@@ -106,7 +106,7 @@ def test_a_formula_that_cannot_be_computed(
 def test_the_formula_of_the_manual_is_diagnosed_in_two_processes(
     document: Document, hidden_campaign: Path, tmp_path: Path, own_cache: None
 ) -> None:
-    manual = (Path(__file__).parents[2] / "docs" / "diagnosis.md").read_text()
+    manual = (Path(__file__).parents[2] / "docs" / "effects.md").read_text()
     cable, model, output = tmp_path / "cable.yaml", tmp_path / "model_2.yaml", tmp_path / "diagnosis.json"
     cable.write_text(manual.split("```yaml\n")[1].split("```")[0])
     words = ["-o", output, "--formulas", cable, "--jobs", "2", "--effects", "cable_drag", EFFECT]
