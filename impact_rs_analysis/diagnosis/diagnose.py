@@ -258,7 +258,7 @@ def findings_of(
             kept = () if supported is None else supported.candidate.names
             left = tuple(name for name in chosen.candidate.names if name not in kept)
             unsupported = unsupported_words(search, left, held)
-            suspected = left if lowers(search, held) else ()
+            suspected = left if lowers(search, held) and not held.failed else ()
             chosen, rivals = supported, () if supported is None else search.rivals(supported)
         if chosen is None:
             held = None

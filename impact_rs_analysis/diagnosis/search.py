@@ -678,7 +678,8 @@ def _in_the_limit(fitted: Fit, name: str) -> bool:
 
 
 def tied(chosen: Fit, rival: Fit) -> bool:
-    """Whether a rival predicts unseen clusters as well: mean log ratio of errors within two standard errors of 0.
+    """Whether a rival predicts unseen clusters as well: its squared errors are larger by no more than 5 %, or than two
+    standard errors of the mean log ratio, 25 % at most.
 
     Clusters in which both predict the same are ignored.
     """

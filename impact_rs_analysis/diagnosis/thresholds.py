@@ -8,7 +8,6 @@ NOMINAL = 0.05  # p of an effect as if it were tested alone, below which an inve
 DRAWS = 4999  # of a null distribution; its smallest p, 0.0002, survives the adjustment for 25 effects
 LEAST_P = 0.0005  # printed as a bound: the tails of a real robot's noise are not known further out
 LEAST_FREEDOM = 3  # degrees of freedom of the pure error; with fewer its estimate may be wrong by a factor of 10
-LEAST_OWN = 0.01  # of a feature's squared scale that is not discrepancy, so that no direction without noise dominates
 LEAST_CLUSTERS = 3  # for a hold-out: with two, each is predicted from a single one
 NOTHING = 0.1  # p in free motion above which an effect with several parameters is ruled out
 LEAST_GAIN = 0.10  # share of the excess held-out error that an accepted effect must remove
@@ -17,7 +16,7 @@ LEAST_GAIN_OF_JOINT = 0.05  # the same of one joint's whole error, for a verdict
 MOST = 0.5  # share of the excess that PARTLY must explain
 # Times noise and calibrations without repeats, from which a residual needs an explanation: noise is known to a third.
 PLAINLY_BEYOND = 2.0
-TIE = 0.05  # log held-out error; explanations closer than 5 % are equally good
+TIE = 0.05  # log of the ratio of squared held-out errors; explanations closer than 5 % are equally good
 WIDE_TIE = 0.25  # upper limit of the same where the scatter between clusters is larger
 UNSEEN = 20.0  # parameter scales; a wider interval does not determine the parameter
 MOST_EFFECTS = 6  # chosen together; more cannot be distinguished in one campaign
