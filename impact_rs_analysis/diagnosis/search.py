@@ -678,9 +678,9 @@ def _in_the_limit(fitted: Fit, name: str) -> bool:
 
 
 def tied(chosen: Fit, rival: Fit) -> bool:
-    """Whether a rival predicts unseen clusters as well: its squared errors are larger by no more than 5 %, or than two
-    standard errors of the mean log ratio, 25 % at most.
+    """Whether a rival predicts unseen clusters as well.
 
+    Its squared errors are larger by no more than 5 %, or by two standard errors of the mean log ratio, 25 % at most.
     Clusters in which both predict the same are ignored.
     """
     return tied_errors(chosen.held_out, rival.held_out, chosen.evidence.expected / 2.0 + 1e-12)

@@ -40,7 +40,7 @@ class Findings:
         hold_out: Held-out errors; None with too few clusters.
         p_values: By effect, each as if it were tested alone: of unchosen ones given the chosen, of chosen ones given
             the other chosen.
-        suspected: Effects that lower the error of data without repeats, and the held-out error by less than its interval.
+        suspected: Without repeats, effects that lower the held-out error by less than its interval.
         within_discrepancy: Effects that lower an error of impacts that is within the discrepancy of the rigid map.
         unsupported: Which effects of all data the hold-out does not support, and why; empty: none.
     """
