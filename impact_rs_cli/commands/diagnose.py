@@ -199,7 +199,7 @@ def report_of(
 
 def show(document: DiagnosisDocument, terminal: Terminal) -> None:
     """Print a diagnosis for people."""
-    terminal.say(document.verdict, document.summary)
+    terminal.say(str(document.verdict), document.summary)
     if document.hold_out.folds:
         terminal.say(f"held out: {document.hold_out.what}")
     if document.joints:

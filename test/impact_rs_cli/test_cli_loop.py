@@ -11,6 +11,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import documents
 import fsspec
 import numpy as np
 import pytest
@@ -19,6 +20,7 @@ from intervals import assert_covers
 from impact_rs_analysis.diagnosis.document import read_document
 from impact_rs_cli.arguments import on_local_runs
 from impact_rs_cli.commands.demo import Demonstration, walk_the_loop
+from impact_rs_cli.commands.diagnose import show
 from impact_rs_cli.main import main
 from impact_rs_cli.terminal import Terminal
 from impact_rs_sim.model import Model, load_model
@@ -140,6 +142,15 @@ def test_the_demonstration_keeps_the_page_of_the_nominal_model(
     for page in (better, fails):
         links = re.findall(r'<a href="(.*?)">', page.read_text(encoding="utf-8"))
         assert {(page.parent / link).resolve() for link in links} == {lacks, better, fails} - {page}
+
+
+@pytest.mark.parametrize("kind", ["trials", "recordings", "joints", "minimal"])
+def test_a_diagnosis_begins_with_its_verdict_in_words(kind: str, capsys: pytest.CaptureFixture[str]) -> None:
+    """And prints no type of the program. Kills: a verdict that is printed as an object."""
+    found = documents.diagnosis(kind)
+    show(found, Terminal(as_json=False))
+    out = capsys.readouterr().out
+    assert out.startswith(f"{found.verdict}\n") and "DiagnosisVerdict" not in out
 
 
 def test_one_condition_is_too_few_for_a_diagnosis(refused: Refused, hidden_campaign: Path, tmp_path: Path) -> None:
