@@ -88,6 +88,6 @@ def versions() -> list[VersionError]:
     """Errors of a model and of its parent, which have one name."""
     nominal = load_model("nominal")
     return [
-        VersionError(Version("nominal.yaml", nominal, None), 61.8, 61.8, 1.0),
-        VersionError(Version("model_2.yaml", nominal, "object_mass"), 1.4, 2.25, 1.0),
+        VersionError(Version("nominal.yaml", nominal, ()), 61.8, 61.8, 1.0),
+        VersionError(Version("model_2.yaml", nominal, ("object_mass",)), 1.4, 2.25, 1.0),
     ]
