@@ -17,6 +17,7 @@ from analytic_world import FEATURES, correlated, features
 from benchmarks.boards import left_out, small
 from benchmarks.closed_form import EXACT, Campaign, Simulator, standard_error
 from benchmarks.hidden import Entry, by_probability, judged, stated_probabilities, table_of_diagnoses
+from impact_rs_analysis.diagnosis.verdict import DiagnosisVerdict
 from impact_rs_analysis.evidence.discrepancy import measured_discrepancy
 
 HIDDEN = (("straight", (0.7,)), ("bent", (2.0,)))
@@ -162,7 +163,9 @@ def test_strictly_right_is_what_was_hidden_and_no_more(
     """Kills: no name at all counted as strictly right, whatever the verdict."""
     truth = {"kind": kind, "outside": None, "effects": [{"name": name, "parameters": {}} for name in hidden]}
     (tmp_path / "truth.json").write_text(json.dumps(truth))
-    document = documents.diagnosis().model_copy(update={"named": named, "verdict": verdict, "confusable": ()})
+    document = documents.diagnosis().model_copy(
+        update={"named": named, "verdict": DiagnosisVerdict.parse(verdict), "confusable": ()}
+    )
     row = judged(tmp_path, document)
     assert row["exact"] is right
     lines = dict(table_of_diagnoses([row | {"magnitude": 3.0}], "x").rows)
