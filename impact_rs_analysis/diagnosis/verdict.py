@@ -70,7 +70,7 @@ class DiagnosisVerdict:
     @classmethod
     def __get_pydantic_core_schema__(cls, source: Any, handler: GetCoreSchemaHandler) -> Any:
         """Read from its text, written as its text."""
-        text = Annotated[Any, PlainValidator(cls.parse), PlainSerializer(str, when_used="json")]
+        text = Annotated[Any, PlainValidator(cls.parse), PlainSerializer(str)]
         return handler.generate_schema(text)
 
 

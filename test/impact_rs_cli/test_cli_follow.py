@@ -163,7 +163,7 @@ def test_a_change_starts_its_full_diagnosis_of_the_hits_since_then_and_says_how_
     assert f"--since '{change['since']}'" in diagnosis["command"]
     written = read_document(Path(diagnosis["file"]))
     assert Path(diagnosis["file"]).parent == tmp_path / "more"
-    assert written.named == ("object_mass",) and diagnosis["verdict"] == written.verdict
+    assert written.named == ("object_mass",) and diagnosis["verdict"] == str(written.verdict)
     since = int(change["since"].removeprefix("row "))
     assert written.runs.trials == len(quiet) + len(heavier) - since + 1
 
