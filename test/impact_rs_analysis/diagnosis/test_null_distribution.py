@@ -231,6 +231,23 @@ def test_a_difference_is_seen_across_simulator_error_and_not_along_it() -> None:
     assert p["across"] < 0.01
 
 
+@pytest.mark.parametrize("size", [0.0, 2.0])
+def test_with_three_contrasts_a_discrepancy_hides_no_misfit_of_every_feature(size: float) -> None:
+    """Off by what six patterns and no pattern explain; beside that, by twice the noise in all features or not at all.
+
+    Kills: draws whose one scale is as uncertain as three contrasts make that of one feature; a discrepancy beside the
+    patterns that is left out of the rotations.
+    """
+    patterns = np.random.default_rng(0).standard_normal((6, 200)) * 0.5 / np.sqrt(6.0)
+    p = []
+    for seed in range(20):
+        rng = np.random.default_rng([1, seed])
+        off = np.sqrt(2.0 / 3.0) * rng.standard_normal(6) @ patterns + 0.5 / np.sqrt(3.0) * rng.standard_normal(200)
+        rows = off + size * rng.standard_normal((3, 1, 200)) + rng.standard_normal((3, 2, 200))
+        p.append(lack_of_fit(RotationNull([of_signals(own, ["all"] * 200, patterns) for own in rows])))
+    assert sum(one < 0.01 for one in p) >= 19 if size else sum(one < 0.05 for one in p) <= 3
+
+
 def test_the_smallest_of_several_p_counts_all_that_were_looked_at() -> None:
     """Of one statistic it is its own p; of k independent ones about k times the smallest; copies cost nothing."""
     null = np.random.default_rng(0).standard_normal((4000, 5)) ** 2
