@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from analytic_world import FEATURES, correlated, features
 
-from benchmarks.boards import left_out, small
+from benchmarks.boards import left_out, numbers, small
 from benchmarks.closed_form import EXACT, Campaign, Simulator, standard_error
 from benchmarks.hidden import Entry, by_probability, judged, stated_probabilities, table_of_diagnoses
 from impact_rs_analysis.diagnosis.verdict import DiagnosisVerdict
@@ -114,6 +114,19 @@ def test_what_a_small_campaign_ends_with(hidden: str, named: tuple[str, ...], ve
     """Kills: a name beside the hidden effect, or a null that is called small, counted as right."""
     found = small.outcome(hidden, {"named": named, "verdict": verdict})
     assert {number for number, value in enumerate(found) if value} == holds
+
+
+@pytest.mark.parametrize("name", numbers.NUMBERS)
+def test_a_number_of_the_verdict_is_changed_for_as_long_as_it_is_asked_for(name: str) -> None:
+    """Kills: a module keeps its own; the change stays."""
+    from impact_rs_analysis.diagnosis import candidate, null_distribution, search, verdicts
+
+    seen = [module for module in (candidate, null_distribution, search, verdicts) if hasattr(module, name)]
+    before = [getattr(module, name) for module in seen]
+    assert seen
+    with numbers.multiplied(name, 2.0):
+        assert [getattr(module, name) for module in seen] == [2 * value for value in before]
+    assert [getattr(module, name) for module in seen] == before
 
 
 def test_the_table_of_small_campaigns_shows_shares_and_probabilities() -> None:
