@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The numbers on which a verdict turns, halved and doubled: what becomes of small campaigns of the closed-form world.
 
-Each number of ``docs/diagnosis.md`` that decides with repeats is changed alone, in the cells of the board ``small`` that
-say most: nothing hidden and a simulator that is off, an effect of six standard errors, a cause outside the library.
+Each number of ``docs/diagnosis.md`` that decides with repeats is changed alone, in those cells of the board ``small``
+that say most: nothing hidden and a simulator that is off, an effect of six standard errors, an outside cause.
 """
 
 from __future__ import annotations
