@@ -377,7 +377,7 @@ def _hold_out(found: HoldOut | None, source: Source) -> HoldOutDocument:
     how = "the whole search is repeated without the held-out data"
     if fitted := count - sum(found.searched):
         how += f", in {fitted} folds the fit alone, for too few conditions or repeats are left to choose from"
-    return HoldOutDocument(what=f"{what}; {how}", folds=count)
+    return HoldOutDocument(what=f"{what}; {how}", folds=count, searched=sum(found.searched))
 
 
 def _whole(source: Source, held: Sequence[int]) -> bool:

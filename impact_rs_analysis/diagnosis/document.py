@@ -272,7 +272,8 @@ class HoldOutDocument(Schema):
     """How data were held out."""
 
     what: str = Field("", description="what was held out, in words")
-    folds: int = Field(0, description="how many times the search was run without some of the data")
+    folds: int = Field(0, description="how many times some of the data were predicted from the others")
+    searched: int | None = Field(None, description="in how many of them a search has found the effects; null: in all")
 
 
 class DesignDocument(Schema):

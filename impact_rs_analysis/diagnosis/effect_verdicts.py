@@ -97,7 +97,7 @@ def _chosen_document(found: Findings, effect: Effect) -> EffectDocument:
         shapes = {scalar.name for scalar in chosen.candidate.scalars[part] if scalar.shape}
         if not any(parameters[key].excludes_nominal for key in parameters.keys() - shapes):
             verdict, reason = UNIDENTIFIABLE, NO_SIZE
-    folds = None if found.hold_out is None else sum(name in names for names in found.hold_out.found)
+    searched = () if found.hold_out is None else found.hold_out.found
     return EffectDocument(
         name=effect.shown_name,
         sentence=effect.sentence,
@@ -112,7 +112,7 @@ def _chosen_document(found: Findings, effect: Effect) -> EffectDocument:
         p_value=clip_p(found.adjusted[name]),
         p_value_alone=clip_p(found.p_values[name]),
         sizes=tuple(sizes_of(chosen, name)),
-        chosen_in_folds=folds,
+        chosen_in_folds=sum(name in names for names in searched) if searched else None,
     )
 
 

@@ -128,6 +128,13 @@ def test_the_headline_is_the_effect_however_large_it_is(value: float) -> None:
     assert found.sizes[0].value > found.sizes[0].floor
 
 
+def test_folds_that_were_not_searched_do_not_count_as_folds_that_missed_an_effect() -> None:
+    """Kills: found in 0 of 3 folds, which two contrasts cannot search."""
+    document = said(AnalyticSource(1, (("straight", (5.0,)),), design=(2, 2, 2)))
+    assert document.named == ("straight",) and document.effects[0].chosen_in_folds is None
+    assert (document.hold_out.folds, document.hold_out.searched) == (3, 0)
+
+
 def test_p_is_a_bound_where_noise_is_not_known() -> None:
     document = said(AnalyticSource(1, (("straight", (40.0,)),)))
     assert document.design.least_p == clip_p(1e-6) == 0.0005
