@@ -7,6 +7,7 @@ import re
 
 from impact_rs_analysis.diagnosis.document import DiagnosisDocument, EffectDocument, explained
 from impact_rs_analysis.diagnosis.verdict import AT_BOUND, CONFIRMED, NONE, NOTHING, SMALL, TOO_FEW, Kind
+from impact_rs_analysis.evidence.cluster import TIMES
 
 FALL = re.compile(r"([-+.0-9e]+) → ([-+.0-9e]+)")
 SIGNIFICANT = 0.01
@@ -26,8 +27,10 @@ def _of_errors(document: DiagnosisDocument) -> list[str]:
         if not float(after) < float(before):
             found.append(f"falls from {before} to {after}")
     change = document.held_out_change_ci95
-    large = document.verdict not in (NOTHING, SMALL)
-    if document.named and large and change is not None and not change[1] < 0.0:
+    named = document.named and document.verdict not in (NOTHING, SMALL)
+    if named and document.error_unit == TIMES and not document.held_out_error_after < document.held_out_error_before:
+        found.append(f"{document.verdict} is named, and the error does not fall")
+    if named and document.error_unit != TIMES and change is not None and not change[1] < 0.0:
         found.append(f"{document.verdict} is named, and the error may change by {change[1]:.3g}")
     share = min(explained(document.held_out_error_before, document.held_out_error_after, document.noise_floor), 1.0)
     said = re.search(r"(\d+) % of the error beyond noise", text)

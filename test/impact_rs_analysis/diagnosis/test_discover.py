@@ -196,7 +196,7 @@ def test_the_law_becomes_part_of_a_model_that_anyone_can_read(
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("hidden", "verdict"),
-    [([], NOTHING), ([Hidden("support_friction", (0.18,), 6.0)], LIBRARY)],
+    [([], str(NOTHING)), ([Hidden("support_friction", (0.18,), 6.0)], LIBRARY)],
     ids=["null", "library"],
 )
 def test_nothing_is_proposed_where_nothing_is_or_the_library_explains(
