@@ -20,7 +20,8 @@ from pathlib import Path
 
 import pytest
 
-LIMIT = 4.0  # trials; a fast test is meant to cost three at most, and on a busy machine the ratio scatters by a quarter
+# Trials. A fast test is meant to cost three at most; on shared machines the same suite was 416, 458 and 617 trials.
+LIMIT = 6.0
 WORTH_SAYING = 0.5  # trials: what costs less is left out of the file
 TICKS = os.sysconf("SC_CLK_TCK")
 KEY, TRIAL = "cost", "seconds of a trial"
