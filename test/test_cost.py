@@ -32,11 +32,11 @@ def test_a_fast_test_above_the_limit_fails_the_run_and_a_slow_one_does_not(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Kills: the limit in seconds instead of trials; slow tests judged as fast ones."""
-    cheap = session_of(tmp_path / "a.json", monkeypatch, at_the_limit=(8.0, False), slow=(60.0, True))
+    cheap = session_of(tmp_path / "a.json", monkeypatch, at_the_limit=(2.0 * cost.LIMIT, False), slow=(60.0, True))
     assert cheap.exitstatus == 0
-    assert session_of(tmp_path / "b.json", monkeypatch, above_it=(8.1, False)).exitstatus != 0
+    assert session_of(tmp_path / "b.json", monkeypatch, above_it=(2.0 * cost.LIMIT + 0.1, False)).exitstatus != 0
     written = json.loads((tmp_path / "a.json").read_text())
-    assert written["files"] == {"test_x.py": 34.0}
+    assert written["files"] == {"test_x.py": 30.0 + cost.LIMIT}
     assert cost.read_costs(tmp_path / "a.json") == written["files"]
 
 
