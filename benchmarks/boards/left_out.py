@@ -33,7 +33,7 @@ from impact_rs_sim.robot import Array
 from impact_rs_trials.blind import RUNS, make
 
 SIMULATOR = {"plant": "bullet", "cell": "mujoco"}  # how the names of its variants begin
-LEFT_OUT = 100  # first seed beyond that of the blind board, which has the nulls that the thresholds were looked at with
+LEFT_OUT = 100  # added to the first seed of the blind board, whose nulls were used to choose the thresholds
 LEVELS = (0.01, 0.05)
 
 

@@ -127,7 +127,7 @@ class NullDistribution(ABC):
         total: dict[str, Array] = {}
         for item, jacobian in zip(self.clusters, jacobians, strict=True):
             part = item.count * item.moved_together @ jacobian
-            name = alike(item)
+            name = item.discrepancy_group
             total[name] = total[name] + part if name in total else part
         return np.concatenate([part[np.any(part != 0.0, axis=1)] for part in total.values()])
 
@@ -168,11 +168,6 @@ def _explained(scores: Array, information: Array) -> Array:
     size[size == 0.0] = 1.0
     scores, information = scores / size, information / np.outer(size, size) + TINY * np.eye(len(size))
     return np.asarray(np.einsum("bp,bp->b", scores, np.linalg.solve(information, scores[..., None])[..., 0]))
-
-
-def alike(item: Cluster) -> str:
-    """Key of the discrepancy: clusters with the same key share its amplitudes."""
-    return item.layout if item.alike is None else item.alike
 
 
 def rarity(observed: float, null: Array) -> float:
@@ -315,10 +310,10 @@ class _Rows:
             single = np.count_nonzero(own, axis=1) <= 1
             shares = UNMEASURED * np.square(own[~single]).sum(axis=0) + np.square(own[single]).sum(axis=0)
             size = np.sqrt(shares) * item.sigma / self.unit
-            if alike(item) not in drawn:
+            if item.discrepancy_group not in drawn:
                 amplitudes = self.beside(rng.standard_normal((draws, size.size)) * size)
-                drawn[alike(item)] = np.vstack((np.zeros(size.size), amplitudes))
-            found.append(np.sqrt(item.count) * drawn[alike(item)])
+                drawn[item.discrepancy_group] = np.vstack((np.zeros(size.size), amplitudes))
+            found.append(np.sqrt(item.count) * drawn[item.discrepancy_group])
         return found
 
     @cached_property
@@ -358,6 +353,13 @@ class _Rows:
                 for n, item in zip(self.numbers, self.items, strict=True)
             ]
         )
+
+
+def _lent(layouts: list[_Rows]) -> list[_Rows]:
+    """The layouts, of which those with few contrasts borrow the mean variance of a signal from all."""
+    for own in layouts:
+        own.lenders = layouts if own.freedom < LEAST_FREEDOM else (own,)
+    return layouts
 
 
 def _shared(layout: _Rows, lenders: Sequence[_Rows], left: Sequence[Array]) -> Array:
@@ -404,11 +406,7 @@ class RotationNull(NullDistribution):
         numbers: dict[str, list[int]] = {}
         for number, item in enumerate(self.clusters):
             numbers.setdefault(item.layout, []).append(number)
-        layouts = [_Rows(chosen, self.clusters, means) for chosen in numbers.values()]
-        for own in layouts:
-            if own.freedom < LEAST_FREEDOM:
-                own.lenders = layouts
-        return layouts
+        return _lent([_Rows(chosen, self.clusters, means) for chosen in numbers.values()])
 
     @cached_property
     def _scales(self) -> list[Array]:
@@ -514,9 +512,7 @@ class RotationNull(NullDistribution):
 
     def _lack_of_fit(self, rest: Sequence[Array], draws: int) -> float:
         """:meth:`lack_of_fit` from a number of rotations."""
-        layouts = [own.beside_patterns() for own in self._rows(rest)]
-        for own in layouts:
-            own.lenders = layouts if own.freedom < LEAST_FREEDOM else (own,)
+        layouts = _lent([own.beside_patterns() for own in self._rows(rest)])
         chosen = slice(1 + draws)
         every = [own.squares(seed, chosen) for seed, own in enumerate(layouts)]
         total = np.zeros((1 + draws, len(self._groups) + 1))

@@ -106,6 +106,11 @@ class Cluster:
         """Number of repeats."""
         return int(self.residuals.shape[0])
 
+    @property
+    def discrepancy_group(self) -> str:
+        """Clusters of one group share the amplitudes of the discrepancy: those with one ``alike``, or of one layout."""
+        return self.layout if self.alike is None else self.alike
+
     @cached_property
     def moved_together(self) -> Array:
         """Change of the features by each pattern of discrepancy at amplitude 1, ``(k, F)`` [-]."""

@@ -24,7 +24,7 @@ from impact_rs_sim.robot import Array
 MOST = 4  # hypotheses at a time
 TRIED = 5  # explanations that are linearised anew at a hit
 STEPS = 4  # of Gauss-Newton about an explanation
-KEPT = 0.5  # of the promised fall of the residuals; an explanation with less is none
+KEPT = 0.5  # of the promised fall of the residuals; an explanation that keeps less is dropped
 LEAST_GAIN = 4.0  # fall of the squares of the others, of one parameter two standard deviations
 NEAR = 0.1  # parameter scales; a shorter step ends it
 

@@ -136,7 +136,7 @@ def weight_of(distance: float, size: int) -> float:
 
 
 def unpredicted_log_density(size: int, freedom: float) -> float:
-    """Log density of a hit that a hypothesis does not predict at all: that of a certain prediction, just odd.
+    """Log density of a hit that a hypothesis cannot predict: as of an exact prediction at the limit of an odd hit.
 
     Args:
         size: Number of features of the hit.

@@ -250,8 +250,7 @@ def observation_of(item: Cluster, residual: Array, jacobian: Array, count: int) 
     """
     whiten = noise_of(item).whitening(count)
     patterns = np.zeros((0, len(residual))) if item.patterns is None else np.sqrt(1.0 - UNMEASURED) * item.patterns
-    group = item.layout if item.alike is None else item.alike
-    return Observation(whiten @ residual, whiten @ jacobian, whiten @ patterns.T, group)
+    return Observation(whiten @ residual, whiten @ jacobian, whiten @ patterns.T, item.discrepancy_group)
 
 
 def _solve(factor: Array, right: Array) -> Array:

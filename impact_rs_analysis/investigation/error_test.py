@@ -71,7 +71,7 @@ def p_of_error(clusters: Sequence[Cluster], tested: Sequence[Sequence[int]]) -> 
             expected += float(np.sum(np.square(scatter)) + np.trace(systematic))
             variance += square + float(np.sum(scatter @ systematic * (2.0 * scatter)) + np.sum(np.square(systematic)))
             spread += np.sqrt(square)
-            together[layout if item.alike is None else item.alike].append(shared @ shared.T)
+            together[item.discrepancy_group].append(shared @ shared.T)
         uncertain += spread**2 / count
     for group in together.values():
         variance += sum(2.0 * float(np.sum(a * b)) for a, b in itertools.combinations(group, 2))
