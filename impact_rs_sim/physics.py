@@ -19,6 +19,7 @@ import pinocchio as pin
 from impact_rs_sim.damping_of_restitution import damping_ratio_of, restitution_of
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.memory import Memory
+from impact_rs_sim.readings import EXACT, ArmReadings, TrackerReadings
 from impact_rs_sim.robot import Array, EndEffector, JointType, RobotFacts, SigmoidFriction
 from impact_rs_sim.robot_model import STANDARD_GRAVITY, RobotModel
 from impact_rs_sim.scenario import Scenario
@@ -243,7 +244,7 @@ class ArmPhysics:
         loads: What else acts on links and motors.
         pad_shear_compliance: Yield of the pad along its face per friction force, back when it ends [m/N].
         pad_creep: Speed at which a pad that sticks is dragged along its face, per friction force [m/(s N)].
-        torque_delay: Of the recorded torque after the recorded positions, in recordings of free motion [s].
+        readings: Sensor models of the arm.
         assumed: What of the numbers of the scenario and of the facts is assumed, in words; no part of the physics.
     """
 
@@ -265,7 +266,7 @@ class ArmPhysics:
     loads: tuple[Load, ...] = ()
     pad_shear_compliance: float = 0.0
     pad_creep: float = 0.0
-    torque_delay: float = 0.0
+    readings: ArmReadings = EXACT
     assumed: tuple[str, ...] = field(default=(), repr=False, compare=False)
 
     def motor_inertia(self, model: str) -> Array:
@@ -379,6 +380,7 @@ class Physics:
             them (:mod:`impact_rs_sim.effects.depending`).
         angular_velocity_axes: Rotation vector from A to the axes in which angular velocities of a body were measured at
             a single impact, ``(3,)`` [rad].
+        tracker: Sensor model of the object tracker.
     """
 
     arms: dict[str, ArmPhysics]
@@ -397,6 +399,7 @@ class Physics:
     object_loads: tuple[ObjectLoad, ...] = ()
     circumstances: Mapping[str, float | str] = field(default_factory=dict)
     angular_velocity_axes: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    tracker: TrackerReadings = TrackerReadings()
 
     @staticmethod
     def nominal(scenario: Scenario, object_name: str) -> Physics:

@@ -167,11 +167,24 @@ class Plant:
             object_state,
         )
         sensors = {
-            name: ArmSensors(scenario.sensors, initial[name].size, samples, np.random.default_rng(arm_seed))
+            name: ArmSensors(
+                scenario.sensors,
+                initial[name].size,
+                samples,
+                np.random.default_rng(arm_seed),
+                physics.arms[name].readings,
+                timing.control_period,
+            )
             for name, arm_seed in zip(physics.arms, arm_seeds, strict=True)
         }
         tracked = samples // _tracker_ticks(scenario) + 1
-        tracker = ObjectTracker(scenario.sensors, tracked, np.random.default_rng(tracker_seed))
+        tracker = ObjectTracker(
+            scenario.sensors,
+            tracked,
+            np.random.default_rng(tracker_seed),
+            physics.tracker,
+            _tracker_ticks(scenario) * timing.control_period,
+        )
         plant = cls(scenario, mechanics, sensors, tracker, extension)
         if extension is not None:
             extension.begin(plant)

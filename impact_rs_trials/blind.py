@@ -19,6 +19,7 @@ import numpy as np
 from impact_rs_control.plan import TrialPlan
 from impact_rs_sim.effects import library, of_trials
 from impact_rs_sim.effects.base import Joints
+from impact_rs_sim.effects.sensing import SENSING
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.files import write_whole
 from impact_rs_sim.model import Model, ModelEffect, ParameterValue
@@ -115,20 +116,23 @@ def draw_truth(
 ) -> list[Hidden]:
     """The hidden effects of a campaign; of the joints of the shipped arm where no number is given.
 
+    Drawn are effects of the physics; those of sensors are hidden where they are named.
+
     Raises:
         InputError: Unknown kind or effect, or not as many effects as the kind has.
     """
     if kind not in KINDS:
         raise InputError(f"no kind {kind!r}; known: {', '.join(KINDS)}")
-    names = sorted(of_trials())
+    names = sorted(name for name, own in of_trials().items() if own.acts_on != SENSING)
     rng = np.random.default_rng([seed, KINDS.index(kind)])
     count = {"single": 1, "pair": 2}.get(kind, 0)
     if effect is None or count == 0:
         chosen = list(rng.choice(names, size=count, replace=False))
     else:
         chosen = effect.split("+")
-        if unknown := [name for name in chosen if name not in names]:
-            raise InputError(f"no effect {unknown[0]!r}; known effects: {', '.join(names)}")
+        known = sorted(of_trials())
+        if unknown := [name for name in chosen if name not in known]:
+            raise InputError(f"no effect {unknown[0]!r}; known effects: {', '.join(known)}")
         if len(set(chosen)) != count or len(chosen) != count:
             expected = "one effect" if count == 1 else "two effects as FIRST+SECOND"
             raise InputError(f"got effect {effect!r}; expected {expected} for a {kind}")

@@ -120,8 +120,12 @@ class Search:
         self.ruled_out = self._absent_in_free_motion()
 
     def _screen(self, effects: Sequence[Effect]) -> None:
-        """Sensitivities of all effects at nominal, simulated in one parallel batch."""
+        """Sensitivities of all effects at nominal and where measurements suggest, simulated in one parallel batch."""
         candidates = [Candidate.of((effect,), self.source) for effect in effects]
+        for effect in effects:
+            starts = self.source.starts(effect.name)
+            candidates += [Candidate.of((effect,), self.source, start) for start in starts]
+            self._looks[effect.name] += len(starts)
         batch = [item for candidate in candidates for item in wanted(candidate, self.evidence.numbers, self.source)]
         self.source.predict(batch, "sensitivities of all effects")
         for candidate in candidates:

@@ -23,7 +23,6 @@ from impact_rs_trials.workers import Map
 
 LARGEST_OFFSET = 0.5  # sampling periods; a larger offset is a delay, left to the diagnosis
 SLOPE = 0.002  # s, averaging time of the command at both ends of a window, for its slope
-SURE = 3.0  # standard errors; an offset this far beyond the largest is a delay
 LEAST_WINDOWS = 8  # of a joint, for five terms
 
 
@@ -103,7 +102,9 @@ def measured_or_why_not(run: Run) -> MeasuredRun | tuple[str, str]:
 
 
 def command_offset(runs: Sequence[Run], name: str) -> tuple[float, float]:
-    """Offset of an arm's commands after their stamps, and its standard error [s]; 0 for an offset that is a delay.
+    """Offset of an arm's commands after their stamps, and its standard error [s].
+
+    A larger one is a delay of commands or torques, which the diagnosis names; the clock is as uncertain as before then.
 
     In free motion the motor-side balance of a window is
 
@@ -148,9 +149,9 @@ def command_offset(runs: Sequence[Run], name: str) -> tuple[float, float]:
     # The time at which the torque loop takes a command within its period is unknown: uniform, half a period either way.
     error = math.hypot(error, chosen[0].drive_period / math.sqrt(12.0))
     largest = LARGEST_OFFSET * chosen[0].period
-    if abs(offset) > largest + SURE * error:
-        return 0.0, 0.0
     believed = largest**2 / 3.0  # variance of a uniform distribution
+    if abs(offset) > largest:
+        return 0.0, math.sqrt(believed)
     share = believed / (believed + error**2)
     return float(np.clip(share * offset, -largest, largest)), math.sqrt(share) * error
 

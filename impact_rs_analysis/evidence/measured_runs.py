@@ -76,6 +76,7 @@ class Setup:
                 arrays += [arm.position, arm.velocity, drive.torque, drive.torque_rate]
                 arrays += [np.append(moment, torque) for moment, torque in drive.earlier]
                 arrays += [window.torque[name], window.acting[name].astype(float), window.before.get(name, np.zeros(0))]
+                arrays += [window.from_velocity.get(name, np.zeros(0)), np.array([window.age])]
             text += [hashlib.sha256(np.ascontiguousarray(array).tobytes()).hexdigest() for array in arrays]
         return hashlib.sha256("\n".join(text).encode()).hexdigest()
 
@@ -329,7 +330,24 @@ class Runs:
             common.setdefault(run.condition, set(run.features)).intersection_update(run.features)
             free[run.condition] = min(run.free, free.get(run.condition, run.free))
         shared = [replace(run.only(common[run.condition]), free=free[run.condition]) for run in runs]
-        return Runs(directory, _alike(shared), skipped)
+        return Runs(directory, _alike(_with_ages(shared)), skipped)
+
+
+def _with_ages(runs: list[MeasuredRun]) -> list[MeasuredRun]:
+    """The runs with the mean time of their condition since the first run [s], where all times are known."""
+    times: dict[str, list[float]] = {}
+    for run in runs:
+        times.setdefault(run.condition, []).append(np.nan if run.recorded is None else run.recorded)
+    first = min(min(own) for own in times.values())
+    if any(np.isnan(own).any() for own in times.values()):
+        return runs
+    ages = {condition: float(np.mean(own)) - first for condition, own in times.items()}
+
+    def aged(run: MeasuredRun) -> MeasuredRun:
+        windows = tuple(replace(window, age=ages[run.condition]) for window in run.setup.windows)
+        return replace(run, setup=replace(run.setup, windows=windows))
+
+    return [aged(run) for run in runs]
 
 
 def _alike(runs: list[MeasuredRun]) -> tuple[MeasuredRun, ...]:

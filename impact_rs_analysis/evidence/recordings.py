@@ -58,6 +58,8 @@ WHAT = "torque balance of the arm in free motion, both sides low-passed"
 MOST_MEMORY = 2**28  # bytes, of predicted torques that are kept
 LEAST_KEPT = 64  # of them, as many as a linearisation asks for
 TORQUE_SCALE = {"link": 0.01, "motor": 0.02}  # standard deviation, over the torque (torque sensors of arms: 1 to 2 %)
+# Without a command, gain and offset of a torque sensor and of a motor are one: torque_gain and torque_offset say them.
+OF_SENSOR_OR_MOTOR = ("torque_sensor_gain", "torque_sensor_offset")
 TORQUE_UNIT = "N m"  # of a joint that turns
 MOST_OF_TORQUE = 0.99  # of the samples, below the largest torque; a few may be wild
 LEAST_SAMPLES = 5  # of a phase of one joint; fewer are not reported
@@ -292,7 +294,7 @@ class RecordingSource(Source):
 
     def offers(self, effect: Effect) -> bool:
         """See :meth:`Source.offers`; recordings calibrate the bare arm, and differences show what may change."""
-        return effect.may_change or not self._minus
+        return effect.name not in OF_SENSOR_OR_MOTOR and (effect.may_change or not self._minus)
 
     def measure_again(self, added: Added, like: Sequence[Cluster]) -> list[Cluster] | None:
         """See :meth:`Source.measure_again`."""

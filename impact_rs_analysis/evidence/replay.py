@@ -12,13 +12,16 @@ together (cubic), and tau_J (quadratic), from which the motor state follows by t
     theta = q + tau_J / K,    dtheta = dq + dtau_J / K                                     (paper eq. EOM_motor)
 
 Errors grow with time in open loop: windows are long enough to show an effect, and short enough to stay near the path.
+
+Sensor models (:mod:`impact_rs_sim.readings`) correct the start and the recorded torque that drives. They make readings
+of the simulated signals, which are compared with those that were recorded.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import pinocchio as pin
@@ -27,6 +30,7 @@ from numpy.typing import NDArray
 from impact_rs_sim.drive import DriveStart
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.physics import Physics
+from impact_rs_sim.readings import ArmReadings
 from impact_rs_sim.robot import Array
 from impact_rs_sim.scene import ArmState, BodyState
 from impact_rs_sim.twin import Result, TwinJob, simulate
@@ -58,6 +62,10 @@ class Window:
         acting: By arm, row of ``torque`` in every period of the torque loop, ``((k - 1) s,)``.
         seen: Times at which the object was tracked, ``(m,)`` [s].
         before: By arm, samples from the begin of the run to the start (:attr:`TwinJob.before`).
+        from_velocity: By arm, what velocity readings contribute to position and velocity of the start, what their
+            slopes would contribute in their place, and the reading itself, ``(5, n)`` [rad, rad/s, rad/s, rad/s^2,
+            rad/s].
+        age: Time of the run since the first one of the campaign [s].
     """
 
     contact: bool
@@ -70,6 +78,8 @@ class Window:
     acting: dict[str, NDArray[np.int32]]
     seen: Array
     before: dict[str, Array] = field(default_factory=dict)
+    from_velocity: dict[str, Array] = field(default_factory=dict)
+    age: float = 0.0
 
     @property
     def substeps(self) -> int:
@@ -147,10 +157,10 @@ def _window(run: Run, start: float, end: float, box: BodyState, number: int | No
     ticks = time[first : last + 1]
     substeps = max(1, round(run.period / run.drive_period))
     grid = (ticks[:-1, None] + np.arange(substeps) * (run.period / substeps)).ravel()
-    arms, drives, torques, acting, before = {}, {}, {}, {}, {}
+    arms, drives, torques, acting, before, from_velocity = {}, {}, {}, {}, {}, {}
     rows = np.arange(first - 1, -1, -max(1, math.ceil(first / MOST_BEFORE)))[::-1]
     for name, arm in run.signals.arms.items():
-        q, dq = _joint_fit(time, arm.position, arm.velocity, ticks[0])
+        q, dq, from_velocity[name] = _joint_fit(time, arm.position, arm.velocity, ticks[0])
         torque, rate = _slope_fit(time, arm.torque, ticks[0])
         before[name] = np.column_stack((time[rows], arm.position[rows], arm.velocity[rows], arm.torque[rows]))
         arms[name] = ArmState(q, dq)
@@ -167,7 +177,7 @@ def _window(run: Run, start: float, end: float, box: BodyState, number: int | No
         drives[name] = DriveStart(torque, rate, earlier)
     tracked = run.signals.object_time
     seen = tracked[contact & (tracked >= ticks[0] - 1e-9) & (tracked <= ticks[-1] + 1e-9)]
-    return Window(contact, number or 0, ticks, arms, drives, box, torques, acting, seen, before)
+    return Window(contact, number or 0, ticks, arms, drives, box, torques, acting, seen, before, from_velocity)
 
 
 def _held(sent: Array, values: Array, grid: Array, period: float) -> tuple[Array, NDArray[np.int32]]:
@@ -219,21 +229,27 @@ def _near(time: Array, moment: float) -> slice:
     return slice(first, last)
 
 
-def _joint_fit(time: Array, position: Array, velocity: Array, moment: float) -> tuple[Array, Array]:
-    """q and dq at a moment, ``(n,)`` each, by one cubic of both, each weighted by its own noise."""
+def _joint_fit(time: Array, position: Array, velocity: Array, moment: float) -> tuple[Array, Array, Array]:
+    """q and dq at a moment, ``(n,)`` each, by one cubic of both, each weighted by its own noise.
+
+    The third is :attr:`Window.from_velocity`, as ``(5, n)``.
+    """
     rows = _near(time, moment)
     t = time[rows] - moment
     one, zero = np.ones_like(t), np.zeros_like(t)
     on_position = np.column_stack((one, t, t**2 / 2.0, t**3 / 6.0))
     on_velocity = np.column_stack((zero, one, t, t**2 / 2.0))
-    q, dq = np.empty(position.shape[1]), np.empty(position.shape[1])
+    q, dq, parts = np.empty(position.shape[1]), np.empty(position.shape[1]), np.empty((4, position.shape[1]))
+    readings, slopes = np.linalg.lstsq(np.column_stack((one, t)), velocity[rows], rcond=None)[0]
     for joint in range(q.size):
         a, b = position[rows, joint], velocity[rows, joint]
         wa, wb = 1.0 / _noise(position[:, joint], 1e-7), 1.0 / _noise(velocity[:, joint], 1e-5)
         design = np.vstack((wa * on_position, wb * on_velocity))
         solution = np.linalg.lstsq(design, np.concatenate((wa * (a - a[0]), wb * b)), rcond=None)[0]
         q[joint], dq[joint] = solution[0] + a[0], solution[1]
-    return q, dq
+        of_velocity = np.concatenate((np.zeros((t.size, 2)), wb * np.column_stack((b, slopes[joint] * one))))
+        parts[:, joint] = np.linalg.lstsq(design, of_velocity, rcond=None)[0][:2].T.ravel()
+    return q, dq, np.vstack((parts, readings))
 
 
 def _slope_fit(time: Array, values: Array, moment: float) -> tuple[Array, Array]:
@@ -266,44 +282,101 @@ def replays(
     """
     jobs = [_job(window, physics, drive_period, drive) for windows, physics in tasks for window in windows]
     results = iter(simulate(jobs, threads))
-    return [[_signals(window, next(results)) for window in windows] for windows, _ in tasks]
+    return [[_signals(window, physics, next(results)) for window in windows] for windows, physics in tasks]
 
 
 def _job(window: Window, physics: Physics, drive_period: float, drive: DriveName) -> TwinJob:
     """The simulation of a window; before contact the object is left out."""
+    arms, drives, torque, box = window.arms, window.drives, window.torque, window.object
+    joint_torque = drive == "joint torque"
+    if not all(arm.readings.exact for arm in physics.arms.values()):
+        arms = {name: _true_start(window, name, arm.readings) for name, arm in physics.arms.items()}
+        drives = {name: _true_drive(window, name, arm.readings) for name, arm in physics.arms.items()}
+    acting = window.acting
+    if arms is not window.arms:
+        shifted = _true_torque if joint_torque else _true_command
+        torque = {name: shifted(window, name, arm.readings) for name, arm in physics.arms.items()}
+        acting = {name: np.arange(len(own), dtype=np.int32) for name, own in torque.items()}
+    if not physics.tracker.exact:
+        position, rotation = physics.tracker.pose_of(box.position, box.rotation)
+        box = replace(box, position=position, rotation=rotation)
     return TwinJob(
         physics=physics,
-        arms=window.arms,
-        drives=window.drives,
-        torque=window.torque,
-        acting=window.acting,
+        arms=arms,
+        drives=drives,
+        torque=torque,
+        acting=acting,
         time=window.time,
         period=drive_period,
-        object=window.object if window.contact else None,
-        joint_torque=drive == "joint torque",
+        object=box if window.contact else None,
+        joint_torque=joint_torque,
         before=window.before,
     )
 
 
-def _signals(window: Window, result: Result) -> Signals:
-    """Simulated signals, the object's at the times of tracking, because means over few samples depend on them.
+def _true_start(window: Window, name: str, readings: ArmReadings) -> ArmState:
+    """State for the readings at the start: the fit is linear in readings of positions and of velocities."""
+    start, (q_v, dq_v, q_a, dq_a, _) = window.arms[name], window.from_velocity[name]
+    late, scale = readings.velocity_late, readings.position_scale * readings.velocity_scale
+    return ArmState(
+        readings.position_of(start.position - q_v) + (q_v + late * q_a) / scale,
+        (start.velocity - dq_v) / readings.position_scale + (dq_v + late * dq_a) / scale,
+    )
+
+
+def _true_drive(window: Window, name: str, readings: ArmReadings) -> DriveStart:
+    """State of a drive for the readings at the start; what was commanded is known."""
+    start = window.drives[name]
+    torque = readings.torque_of(start.torque, start.torque_rate, window.age)
+    return replace(start, torque=torque, torque_rate=readings.torque_rate_of(start.torque_rate))
+
+
+def _true_command(window: Window, name: str, readings: ArmReadings) -> Array:
+    """Desired torque that acts in every period of the torque loop, ``(s, n)`` [N m], from what was sent when."""
+    acting = window.torque[name][window.acting[name]]
+    if readings.command_delay == 0.0:
+        return acting
+    edges = np.linspace(window.time[0], window.time[-1], len(acting) + 1)
+    earlier = window.drives[name].earlier
+    sent = np.array([window.time[0] + moment for moment, _ in earlier])
+    values = np.vstack([*(value[None, :] for _, value in earlier), acting])
+    return held_means(np.append(sent, edges[:-1]), values, edges - readings.command_delay)
+
+
+def _true_torque(window: Window, name: str, readings: ArmReadings) -> Array:
+    """Driving joint torque for its readings in every period, ``(s, n)``; lag and delay advance it as one."""
+    reading = window.torque[name][window.acting[name]]
+    period = (window.time[-1] - window.time[0]) / max(len(reading), 1)
+    ahead = np.arange(len(reading)) + readings.torque_late / period
+    later = np.column_stack([np.interp(ahead, np.arange(len(reading)), column) for column in reading.T])
+    return readings.torque_of(later, np.zeros_like(later), window.age)
+
+
+def _signals(window: Window, physics: Physics, result: Result) -> Signals:
+    """Readings of the simulated signals, the object's at the times of tracking: means over few samples depend on them.
 
     A simulation with a step whose equations were not solved is not finite: no fit and no model passes over it.
     """
     solved = 1.0 if not result.failed else np.nan
-    arms = {
-        name: ArmSignals(
-            solved * path.position,
-            solved * path.velocity,
-            solved * path.torque,
-            solved * path.motor_position,
-            solved * path.motor_velocity,
-        )
-        for name, path in result.arms.items()
-    }
+    arms = {}
+    for name, path in result.arms.items():
+        true = (path.position, path.velocity, path.torque, path.motor_position, path.motor_velocity)
+        readings = physics.arms[name].readings
+        if not readings.exact:
+            true = (
+                readings.position(path.position),
+                readings.velocity(window.time, path.velocity, window.from_velocity[name][4]),
+                readings.torque(window.time, path.torque, window.age, window.drives[name].torque),
+                path.motor_position + readings.motor_offset,
+                path.motor_velocity,
+            )
+        arms[name] = ArmSignals(*(solved * values for values in true))
     if not window.contact:
         return Signals(window.time, arms)
-    seen = np.column_stack([np.interp(window.seen, window.time, column) for column in result.poses.T])
+    if physics.tracker.exact:
+        seen = np.column_stack([np.interp(window.seen, window.time, column) for column in result.poses.T])
+    else:
+        seen = physics.tracker.poses(window.time, result.poses, window.seen)
     return Signals(window.time, arms, window.seen, seen[:, :3], seen[:, 3:])
 
 

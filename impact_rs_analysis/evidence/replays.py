@@ -17,8 +17,11 @@ from impact_rs_analysis.evidence.levels import Comparison, condition_scores, lev
 from impact_rs_analysis.evidence.measured_runs import MeasuredRun, Runs
 from impact_rs_analysis.evidence.replay_cache import Replay, ReplayCache
 from impact_rs_analysis.evidence.source import Identity, Item, Made, Source, with_per_arm_parameters
+from impact_rs_analysis.evidence.tracker_start import tracker_frame_start
 from impact_rs_analysis.evidence.tracks import Track, tracks_of_runs
+from impact_rs_sim.effects import Effect
 from impact_rs_sim.effects.base import SINGLE_IMPACT
+from impact_rs_sim.effects.sensing import COMMAND_CLOCK, TRACKER_FRAME
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.model import Model
 from impact_rs_sim.physics import Physics
@@ -296,11 +299,26 @@ class ReplaySource(Source):
         """The effects without those that only tables of impacts have: they change no replay."""
         return tuple(item for item in added if self._known[item[0]].phases != SINGLE_IMPACT)
 
+    def offers(self, effect: Effect) -> bool:
+        """See :meth:`Source.offers`; commands of trials made here are on the clock of the joints."""
+        return super().offers(effect) and (self.clock > 0.0 or effect.name != COMMAND_CLOCK.name)
+
+    def starts(self, name: str) -> Sequence[Array]:
+        """See :meth:`Source.starts`: the frame of the tracker."""
+        return self._tracker_frame if name == TRACKER_FRAME.name else ()
+
+    @cached_property
+    def _tracker_frame(self) -> Sequence[Array]:
+        """Frame of the tracker as hits have it."""
+        found = tracker_frame_start(self.runs.runs)
+        return () if found is None else (found,)
+
     def spread(self, function: Callable[[Source, Item], Made], items: Sequence[Item], what: str) -> list[Made]:
         """See :meth:`Source.spread`; every process gets a copy of the replays made so far."""
         bare = tuple(replace(run, signals=Signals(NONE, {})) for run in self.runs.runs)  # for figures and clusters only
         runs, store = replace(self.runs, runs=bare, late={}), self.store.in_one_process()
         alone = ReplaySource(runs, self.model, store, self.clusters, self.discrepancy, self.remarks)
+        alone._tracker_frame = self._tracker_frame  # the copy has no signals
         return self.store.spread(partial(function, alone), items, what)
 
     def measure_again(self, added: Added, like: Sequence[Cluster]) -> list[Cluster] | None:

@@ -261,6 +261,11 @@ class Source(ABC):
         """Whether a search without a list of effects considers this one; those of the bare arm need recordings."""
         return not effect.calibrates
 
+    def starts(self, name: str) -> Sequence[Array]:
+        """Points ``(p,)`` other than nominal at which a search looks at an effect, as measurements suggest."""
+        del name
+        return ()
+
     def knowing(self, effects: Sequence[Depending]) -> Source:
         """The same measurements, predicted with further effects that depend on covariates, and held out in turn.
 

@@ -20,7 +20,8 @@ Noise is what torques and deflections contain just above the cut-off that no mot
 has content there.
 
 Effects are applied through :class:`~impact_rs_sim.physics.Physics`, as in plant and twin. An effect that changes no
-torque counts as not measured.
+torque counts as not measured. Sensor models (:mod:`impact_rs_sim.readings`) correct the motion, which the low-pass has
+made smooth, and make readings of the predicted torque.
 """
 
 from __future__ import annotations
@@ -37,6 +38,7 @@ from numpy.typing import NDArray
 
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.physics import ArmPhysics, LoadState, Physics
+from impact_rs_sim.readings import ArmReadings
 from impact_rs_sim.robot import Array
 from impact_rs_sim.robot_model import RobotModel
 from impact_rs_trials.recordings.recording import ARM, TooShort
@@ -109,6 +111,18 @@ class Motion:
             motor_acceleration=nothing,
             deflection=nothing,
             deflection_noise=np.full_like(self.deflection_noise, np.nan),
+        )
+
+    def of(self, readings: ArmReadings) -> Motion:
+        """The motion that its readings stand for: position, velocity and acceleration of the links and motors."""
+        scale, late = readings.position_scale * readings.velocity_scale, readings.velocity_late
+        change = np.gradient(self.acceleration, 1.0 / self.rate, axis=0) if late else 0.0
+        return replace(
+            self,
+            position=readings.position_of(self.position),
+            velocity=(self.velocity + late * self.acceleration) / scale,
+            acceleration=(self.acceleration + late * change) / scale,
+            motor_position=self.motor_position - readings.motor_offset,
         )
 
     def low_pass(self, values: Array) -> Array:
@@ -246,11 +260,6 @@ def _noise(raw: Array, moved: Array, turning: Array, cut_off: float, rate: float
     return np.where(np.isnan(raw).any(axis=0), np.nan, found)
 
 
-def _delayed(values: Array, time: Array, delay: float) -> Array:
-    """Low-passed signals later by a delay, which is shorter than the edges that are cut off."""
-    return np.asarray(scipy.interpolate.CubicSpline(time, values)(time - delay)) if delay else values
-
-
 def _of_motors(motion: Motion, transmitted: Array, arm: ArmPhysics) -> tuple[Array, Array]:
     """Velocity and acceleration of the motors, ``(k, n)`` each [rad/s, rad/s^2].
 
@@ -275,6 +284,12 @@ def _bent(motion: Motion, transmitted: Array, arm: ArmPhysics, orders: Sequence[
     late = arm.damping / arm.stiffness
     terms = 3 if np.any(late) else 1
     return [sum((-late) ** term * spline(motion.time, order + term) for term in range(terms)) for order in orders]
+
+
+def _inverse_dynamics(model: RobotModel, motion: Motion) -> Array:
+    """M ddq + h along a motion, ``(k, n)`` [N m]."""
+    states = zip(motion.position, motion.velocity, motion.acceleration, strict=True)
+    return np.array([pin.rnea(model.pinocchio, model.data, *state) for state in states])
 
 
 def _state(motion: Motion, model: RobotModel, impact_position: Array) -> tuple[LoadState, Array]:
@@ -310,6 +325,7 @@ class TorqueBalance:
         self._regressors: dict[bytes, list[Array]] = {}
         self._known_states: dict[bytes, list[tuple[LoadState, Array]]] = {}
         self._kept: tuple[tuple[object, ...], RobotModel] | None = None
+        self._known_motions: tuple[ArmReadings, list[Motion]] | None = None
 
     def predict(self, physics: Physics) -> Array:
         """Predicted torque of :attr:`joints` and deflection of :attr:`elastic`, ``(k, m + e)`` [N m, rad].
@@ -329,7 +345,8 @@ class TorqueBalance:
         """Predicted recorded torque of every motion, with its edges, ``(k, n)`` [N m]."""
         arm = physics.arms[ARM]
         rows = []
-        for number, (motion, rigid) in enumerate(zip(self.motions, self._rigid_torques(physics), strict=True)):
+        motions = self._true_motions(arm.readings)
+        for number, (motion, rigid) in enumerate(zip(motions, self._rigid_torques(physics), strict=True)):
             velocity, acceleration = _of_motors(motion, rigid, arm)
             torque = rigid + arm.motor_inertia_reduced * acceleration if self._at_motor else rigid
             if not arm.friction.is_zero:
@@ -339,7 +356,7 @@ class TorqueBalance:
             if arm.loads:
                 torque = torque - self._load_torques(physics, number, rigid)
             torque = motion.low_pass((torque - arm.torque_offset) / arm.torque_gain)
-            rows.append(_delayed(torque, motion.time, arm.torque_delay))
+            rows.append(arm.readings.torque(motion.time, torque, 0.0))
         return rows
 
     def _deflections(self, physics: Physics) -> list[Array]:
@@ -348,11 +365,20 @@ class TorqueBalance:
             return [np.zeros_like(motion.position) for motion in self.motions]
         arm = physics.arms[ARM]
         rows = []
-        for number, (motion, rigid) in enumerate(zip(self.motions, self._rigid_torques(physics), strict=True)):
+        motions = self._true_motions(arm.readings)
+        for number, (motion, rigid) in enumerate(zip(motions, self._rigid_torques(physics), strict=True)):
             on_links = self._load_torques(physics, number, rigid, links_alone=True) if arm.loads else 0.0
             bent = motion.low_pass(_bent(motion, rigid - on_links, arm, (0,))[0])
             rows.append(bent - bent[motion.kept].mean(axis=0))
         return rows
+
+    def _true_motions(self, readings: ArmReadings) -> list[Motion]:
+        """The motions that the readings stand for, kept while effects change other parts of the physics."""
+        if readings.exact_motion:
+            return self.motions
+        if self._known_motions is None or self._known_motions[0] is not readings:
+            self._known_motions = readings, [motion.of(readings) for motion in self.motions]
+        return self._known_motions[1]
 
     def _model(self, physics: Physics) -> RobotModel:
         """Rigid-body model of the arm, kept while effects change other parts of the physics."""
@@ -364,7 +390,9 @@ class TorqueBalance:
 
     def _rigid_torques(self, physics: Physics) -> list[Array]:
         """M ddq + h = Y pi, linear in the inertial parameters pi of all links, ``(k, n)`` each [N m]."""
-        model = self._model(physics)
+        model, readings = self._model(physics), physics.arms[ARM].readings
+        if not readings.exact_motion:  # a regressor of another motion would be used once
+            return [_inverse_dynamics(model, motion) for motion in self._true_motions(readings)]
         parameters = np.concatenate([inertia.toDynamicParameters() for inertia in list(model.pinocchio.inertias)[1:]])
         key = model.pinocchio.gravity.linear.tobytes()
         if key not in self._regressors:
@@ -396,8 +424,10 @@ class TorqueBalance:
         arm, model = physics.arms[ARM], self._model(physics)
         start = np.zeros(arm.facts.joint_count)
         key = np.concatenate((model.placement(start).homogeneous.ravel(), arm.impact_position)).tobytes()
+        motions = self._true_motions(arm.readings)
+        key += b"".join(motion.position[:1].tobytes() + motion.velocity[:1].tobytes() for motion in motions)
         if key not in self._known_states:
-            self._known_states = {key: [_state(motion, model, arm.impact_position) for motion in self.motions]}
+            self._known_states = {key: [_state(motion, model, arm.impact_position) for motion in motions]}
         return self._known_states[key]
 
     @cached_property

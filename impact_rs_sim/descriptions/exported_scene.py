@@ -215,10 +215,11 @@ class ExportedScene:
             ("delay of the commanded torque", arm.actuation_delay, "s"),
             ("yield of the pad along its face", arm.pad_shear_compliance, "m/N"),
             ("creep of the pad along its face", arm.pad_creep, "m/(s N)"),
-            ("delay of the recorded torque", arm.torque_delay, "s"),
         ):
             if value:
                 yield f"{name}: {what}, {value:g} {unit}"
+        if not arm.readings.exact:
+            yield f"{name}: sensor models, {arm.readings.in_words}"
         for load in arm.loads:
             yield f"{name}: a load from outside the arm, {_named(load)}"
 

@@ -37,7 +37,7 @@ from impact_rs_sim.effects.motor import (
     VISCOUS_FRICTION,
 )
 from impact_rs_sim.effects.object import OBJECT_COM_OFFSET, OBJECT_MASS
-from impact_rs_sim.effects.sensing import SPIN_AXES, TORQUE_DELAY
+from impact_rs_sim.effects.sensing import OF_SENSORS, SPIN_AXES, TORQUE_DELAY
 from impact_rs_sim.effects.surroundings import BASE_TILT, EXTERNAL_SPRING
 from impact_rs_sim.errors import InputError
 
@@ -77,6 +77,7 @@ BUILT_IN: tuple[Effect, ...] = (
     JOINT_ELASTICITY,
     TORQUE_DELAY,
     SPIN_AXES,
+    *OF_SENSORS,
 )
 
 

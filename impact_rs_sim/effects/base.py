@@ -68,6 +68,7 @@ class Parameter:
         scale: A noticeable change; unit of the weak prior.
         meaning: What it is, for tables.
         per_joint: Whether there is one per joint.
+        except_joint: Joint that has none, counted from 0, or from the end as -1; None: all have one.
         step: Step of the first finite difference; None: its scale.
         firm: Whether a fit never leaves its range, which is one of physics or given by a user.
         shape: Whether it has no influence while the effect is off (Stribeck velocity; position of a payload).
@@ -88,6 +89,7 @@ class Parameter:
     scale: float
     meaning: str
     per_joint: bool = False
+    except_joint: int | None = None
     step: float | None = None
     firm: bool = False
     shape: bool = False
@@ -102,9 +104,12 @@ class Parameter:
         """Itself, or one scalar per joint: ``coulomb_joint1`` ..., each in its joint's unit."""
         if not self.per_joint:
             return [self]
+        kinds = types_of(joints)
+        without = None if self.except_joint is None else self.except_joint % max(len(kinds), 1)
         return [
             replace(self._of(kind), name=f"{self.name}_joint{joint + 1}", per_joint=False, joint=joint)
-            for joint, kind in enumerate(types_of(joints))
+            for joint, kind in enumerate(kinds)
+            if joint != without
         ]
 
     @property

@@ -1,18 +1,232 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Effects of sensors: clocks, ``recorded(t) = torque(t - delay)``, and axes, ``measured = R omega``."""
+"""Effects of sensors: encoders, torque sensors, velocities, object tracker, clocks (:mod:`impact_rs_sim.readings`).
+
+They change what is read of a motion, and not its physics; in a closed loop the controller acts on the readings.
+Axes of angular velocities of a single impact: ``measured = R omega``.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
-from impact_rs_sim.effects.base import SINGLE_IMPACT, ArmEffect, Parameter, SceneEffect, Values, number
+import numpy as np
+
+from impact_rs_sim.effects.base import (
+    SINGLE_IMPACT,
+    ArmEffect,
+    Parameter,
+    SceneEffect,
+    Values,
+    number,
+)
 from impact_rs_sim.physics import ArmPhysics, Physics
+from impact_rs_sim.readings import ArmReadings, TrackerReadings
 
+SENSING = "sensing"
 AXES = ("x", "y", "z")
+CONTACT = ("contact",)
 
 
-def _torque_delay(arm: ArmPhysics, values: Values) -> ArmPhysics:
-    return replace(arm, torque_delay=arm.torque_delay + number(values, "delay"))
+def _of_arm(change: Callable[[ArmReadings, Values], ArmReadings]) -> Callable[[ArmPhysics, Values], ArmPhysics]:
+    """Law of an arm from the change of its sensor models."""
+
+    def law(arm: ArmPhysics, values: Values) -> ArmPhysics:
+        readings = change(arm.readings, values)
+        return arm if readings.same_as(arm.readings) else replace(arm, readings=readings)
+
+    return law
+
+
+def _of_tracker(change: Callable[[TrackerReadings, Values], TrackerReadings]) -> Callable[[Physics, Values], Physics]:
+    """Law of a scene from the change of the model of its object tracker."""
+    return lambda physics, values: replace(physics, tracker=change(physics.tracker, values))
+
+
+ENCODER_OFFSET = ArmEffect(
+    name="encoder_offset",
+    acts_on=SENSING,
+    sentence="The zero of a joint's encoder is off: the joint stands elsewhere than it reads.",
+    parameters=(
+        Parameter("offset", "rad", 0.0, -0.1, 0.1, 0.002, "reading minus position of the link", per_joint=True),
+    ),
+    law=_of_arm(lambda r, v: replace(r, position_offset=r.position_offset + v["offset"])),
+    lasting=True,
+)
+
+ENCODER_SCALE = ArmEffect(
+    name="encoder_scale",
+    acts_on=SENSING,
+    sentence="A joint's encoder reads angles and velocities by a factor too large, as with a wrong gear ratio.",
+    parameters=(Parameter("scale", "-", 1.0, 0.9, 1.1, 0.002, "reading over position of the link", per_joint=True),),
+    law=_of_arm(lambda r, v: replace(r, position_scale=r.position_scale * v["scale"])),
+    lasting=True,
+)
+
+MOTOR_ENCODER_OFFSET = ArmEffect(
+    name="motor_encoder_offset",
+    acts_on=SENSING,
+    sentence="The zero of the encoder of a motor is off.",
+    parameters=(
+        Parameter("offset", "rad", 0.0, -0.1, 0.1, 0.002, "reading minus position of the motor", per_joint=True),
+    ),
+    law=_of_arm(lambda r, v: replace(r, motor_offset=r.motor_offset + v["offset"])),
+    lasting=True,
+)
+
+TORQUE_SENSOR_GAIN = ArmEffect(
+    name="torque_sensor_gain",
+    acts_on=SENSING,
+    sentence="A joint's torque sensor reads some percent too much or too little.",
+    parameters=(Parameter("gain", "-", 1.0, 0.7, 1.3, 0.01, "reading over torque of the joint", per_joint=True),),
+    law=_of_arm(lambda r, v: replace(r, torque_gain=r.torque_gain * v["gain"])),
+    lasting=True,
+)
+
+TORQUE_SENSOR_OFFSET = ArmEffect(
+    name="torque_sensor_offset",
+    acts_on=SENSING,
+    sentence="A joint's torque sensor reads a torque where there is none.",
+    parameters=(Parameter("offset", "N m", 0.0, -5.0, 5.0, 0.1, "reading without torque", per_joint=True),),
+    law=_of_arm(lambda r, v: replace(r, torque_offset=r.torque_offset + v["offset"])),
+    lasting=True,
+)
+
+TORQUE_SENSOR_DRIFT = ArmEffect(
+    name="torque_sensor_drift",
+    acts_on=SENSING,
+    sentence="The zero of a joint's torque sensor drifts over the campaign, as it does while an arm warms up.",
+    parameters=(Parameter("rate", "N m/s", 0.0, -5e-3, 5e-3, 1e-4, "growth since the first run", per_joint=True),),
+    law=_of_arm(lambda r, v: replace(r, torque_drift=r.torque_drift + v["rate"])),
+    lasting=True,
+)
+
+TORQUE_SENSOR_CROSSTALK = ArmEffect(
+    name="torque_sensor_crosstalk",
+    acts_on=SENSING,
+    sentence="A joint's torque sensor reads a share of the torque of its neighbours.",
+    parameters=(
+        Parameter("from_previous", "-", 0.0, -0.3, 0.3, 0.01, "share of the joint before", True, 0),
+        Parameter("from_next", "-", 0.0, -0.3, 0.3, 0.01, "share of the joint after", True, -1),
+    ),
+    law=_of_arm(
+        lambda r, v: replace(
+            r,
+            torque_from_previous=r.torque_from_previous + np.append(0.0, v["from_previous"]),
+            torque_from_next=r.torque_from_next + np.append(v["from_next"], 0.0),
+        )
+    ),
+    lasting=True,
+)
+
+TORQUE_SENSOR_LAG = ArmEffect(
+    name="torque_sensor_lag",
+    acts_on=SENSING,
+    sentence="Torques passed a low-pass filter before they were recorded.",
+    parameters=(Parameter("lag", "s", 0.0, 0.0, 0.2, 0.002, "time constant of the filter of first order"),),
+    law=_of_arm(lambda r, v: replace(r, torque_lag=r.torque_lag + number(v, "lag"))),
+    lasting=True,
+)
+
+TORQUE_DELAY = ArmEffect(
+    name="torque_delay",
+    acts_on=SENSING,
+    sentence=(
+        "The torque was recorded some milliseconds later than the positions (below 0: earlier); signals.torque.delay "
+        "of the mapping takes it back."
+    ),
+    parameters=(Parameter("delay", "s", 0.0, -0.1, 0.1, 0.002, "delay of the torque after the positions"),),
+    law=_of_arm(lambda r, v: replace(r, torque_delay=r.torque_delay + number(v, "delay"))),
+    phases=("free",),
+    calibrates=True,
+)
+
+COMMAND_CLOCK = ArmEffect(
+    name="command_clock",
+    acts_on=SENSING,
+    sentence="Commands carry the stamps of another clock: they act some milliseconds after or before them.",
+    parameters=(Parameter("delay", "s", 0.0, -0.05, 0.03, 0.001, "from the stamp of a command until it acts"),),
+    law=_of_arm(lambda r, v: replace(r, command_delay=r.command_delay + number(v, "delay"))),
+    lasting=True,
+)
+
+VELOCITY_LAG = ArmEffect(
+    name="velocity_lag",
+    acts_on=SENSING,
+    sentence="Velocities of joints passed a low-pass filter before they were recorded.",
+    parameters=(Parameter("lag", "s", 0.0, 0.0, 0.2, 0.002, "time constant of the filter of first order"),),
+    law=_of_arm(lambda r, v: replace(r, velocity_lag=r.velocity_lag + number(v, "lag"))),
+    lasting=True,
+)
+
+VELOCITY_DELAY = ArmEffect(
+    name="velocity_delay",
+    acts_on=SENSING,
+    sentence="Velocities of joints lag behind positions, as differences of positions over some samples do.",
+    parameters=(Parameter("delay", "s", 0.0, -0.1, 0.1, 0.002, "delay of the velocities after the positions"),),
+    law=_of_arm(lambda r, v: replace(r, velocity_delay=r.velocity_delay + number(v, "delay"))),
+    lasting=True,
+)
+
+VELOCITY_SCALE = ArmEffect(
+    name="velocity_scale",
+    acts_on=SENSING,
+    sentence="The velocity of a joint is recorded by a factor too large; its position is right.",
+    parameters=(Parameter("scale", "-", 1.0, 0.8, 1.2, 0.01, "reading over velocity of the link", per_joint=True),),
+    law=_of_arm(lambda r, v: replace(r, velocity_scale=r.velocity_scale * v["scale"])),
+    lasting=True,
+)
+
+TRACKER_FRAME = SceneEffect(
+    name="tracker_frame",
+    acts_on=SENSING,
+    sentence="The frame of the object tracker is shifted or turned against the base of the robot.",
+    parameters=(
+        Parameter("x", "m", 0.0, -0.2, 0.2, 0.002, "reading minus position along x, at the origin of A"),
+        Parameter("y", "m", 0.0, -0.2, 0.2, 0.002, "reading minus position along y, at the origin of A"),
+        Parameter("yaw", "rad", 0.0, -0.3, 0.3, 0.005, "rotation of readings about z of A"),
+    ),
+    law=_of_tracker(
+        lambda t, v: replace(
+            t, position=(t.position[0] + number(v, "x"), t.position[1] + number(v, "y")), yaw=t.yaw + number(v, "yaw")
+        )
+    ),
+    phases=CONTACT,
+    lasting=True,
+)
+
+TRACKED_POINT = SceneEffect(
+    name="tracked_point",
+    acts_on=SENSING,
+    sentence="The tracker follows a point beside the centre of the object.",
+    parameters=(
+        Parameter("x", "m", 0.0, -0.2, 0.2, 0.002, "tracked point from the centre, along x of the object"),
+        Parameter("y", "m", 0.0, -0.2, 0.2, 0.002, "tracked point from the centre, along y of the object"),
+    ),
+    law=_of_tracker(lambda t, v: replace(t, point=(t.point[0] + number(v, "x"), t.point[1] + number(v, "y")))),
+    phases=CONTACT,
+    lasting=True,
+)
+
+TRACKER_DELAY = SceneEffect(
+    name="tracker_delay",
+    acts_on=SENSING,
+    sentence="Poses of the object carry stamps that are later than those of the joints.",
+    parameters=(Parameter("delay", "s", 0.0, -0.1, 0.1, 0.002, "delay of the poses after the joints"),),
+    law=_of_tracker(lambda t, v: replace(t, delay=t.delay + number(v, "delay"))),
+    phases=CONTACT,
+    lasting=True,
+)
+
+TRACKER_LAG = SceneEffect(
+    name="tracker_lag",
+    acts_on=SENSING,
+    sentence="Poses of the object passed a low-pass filter before they were recorded.",
+    parameters=(Parameter("lag", "s", 0.0, 0.0, 0.2, 0.002, "time constant of the filter of first order"),),
+    law=_of_tracker(lambda t, v: replace(t, lag=t.lag + number(v, "lag"))),
+    phases=CONTACT,
+    lasting=True,
+)
 
 
 def _spin_axes(physics: Physics, values: Values) -> Physics:
@@ -20,23 +234,10 @@ def _spin_axes(physics: Physics, values: Values) -> Physics:
     return replace(physics, angular_velocity_axes=(x, y, z))
 
 
-TORQUE_DELAY = ArmEffect(
-    name="torque_delay",
-    acts_on="sensing",
-    sentence=(
-        "The torque was recorded some milliseconds later than the positions (below 0: earlier); signals.torque.delay "
-        "of the mapping takes it back."
-    ),
-    parameters=(Parameter("delay", "s", 0.0, -0.1, 0.1, 0.002, "delay of the torque after the positions"),),
-    law=_torque_delay,
-    phases=("free",),
-    calibrates=True,
-)
-
 # A turn of 0.01 rad (0.6 deg) is seen as 1 % of a spin in another component; trackers are calibrated about as well.
 SPIN_AXES = SceneEffect(
     name="spin_axes",
-    acts_on="sensing",
+    acts_on=SENSING,
     sentence="Angular velocities were measured in axes that are turned against those of positions and velocities.",
     parameters=tuple(
         Parameter(axis, "rad", 0.0, -0.5, 0.5, 0.01, f"component {axis} of the rotation vector from A to these axes")
@@ -44,4 +245,23 @@ SPIN_AXES = SceneEffect(
     ),
     law=_spin_axes,
     phases=SINGLE_IMPACT,
+)
+
+OF_SENSORS = (
+    ENCODER_OFFSET,
+    ENCODER_SCALE,
+    MOTOR_ENCODER_OFFSET,
+    TORQUE_SENSOR_GAIN,
+    TORQUE_SENSOR_OFFSET,
+    TORQUE_SENSOR_DRIFT,
+    TORQUE_SENSOR_CROSSTALK,
+    TORQUE_SENSOR_LAG,
+    COMMAND_CLOCK,
+    VELOCITY_LAG,
+    VELOCITY_DELAY,
+    VELOCITY_SCALE,
+    TRACKER_FRAME,
+    TRACKED_POINT,
+    TRACKER_DELAY,
+    TRACKER_LAG,
 )

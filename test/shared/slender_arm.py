@@ -118,7 +118,7 @@ def swung(
     time = start + np.arange(0.0, seconds, 1.0 / RATE)
     frequencies, model = (0.13 + 0.03 * joints, 0.37 - 0.02 * joints), physics.robot_model(ARM)
     columns, past = (
-        swinging(model, moment, 0.0, frequencies, (0.6, 0.15)) for moment in (time, time - arm.torque_delay)
+        swinging(model, moment, 0.0, frequencies, (0.6, 0.15)) for moment in (time, time - arm.readings.torque_delay)
     )
     torque: Array = past["effort"] - arm.friction.torque(past["velocity"]) - arm.torque_offset
     if mapping.torque_measured_at == "motor":

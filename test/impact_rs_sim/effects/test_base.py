@@ -104,6 +104,10 @@ def test_effects_of_the_contact_are_not_seen_in_free_motion():
         "tangential_restitution",
         "drilling_friction",
         "spin_axes",
+        "tracker_frame",
+        "tracked_point",
+        "tracker_delay",
+        "tracker_lag",
     ]
     assert all(effect.seen_in(contact=True) for effect in library().values())
 

@@ -1,0 +1,291 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Readings: what sensors make of the true signals, and which start of a motion their readings stand for.
+
+A prediction passes forward through the sensor models; the measured start of a replay is corrected by their inverse:
+
+    position    q_r   = s q + o                                             encoder of the link
+    motor       th_r  = theta + o_m                                         encoder of the motor
+    velocity    T dv_r/dt + v_r = s s_v dq(t - d)                           filter and delay
+    torque      T dtau_r/dt + tau_r = (G tau_J)(t - d) + o + r age          G: gains, and crosstalk of neighbours
+    object      p_r   = R(yaw) (p + R_obj c) + t                            frame of the tracker, and tracked point
+
+A filter acts on predictions, which have no noise. Of a measured start it is inverted to first order in T + d, with the
+slope of the reading: x(t) = x_r + (T + d) dx_r/dt (the start of its Taylor series; exact for a ramp).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pinocchio as pin
+import scipy
+
+from impact_rs_sim.robot import Array
+
+Values = Array | float  # one for every joint, ``(n,)``, or the same for all
+
+
+@dataclass(frozen=True)
+class ArmReadings:
+    """Sensor models of one arm.
+
+    Attributes:
+        position_scale: s of the link encoders, which velocities are derived from as well [-].
+        position_offset: o of the link encoders [rad].
+        motor_offset: o_m of the motor encoders [rad].
+        velocity_scale: s_v [-].
+        velocity_lag: T of the filter of velocities [s].
+        velocity_delay: d of velocities [s].
+        torque_gain: Diagonal of G [-].
+        torque_from_previous: Share of the torque of the joint before that a sensor reads [-]; first: none.
+        torque_from_next: Share of the torque of the joint after that a sensor reads [-]; last: none.
+        torque_offset: o of the torque sensors [N m].
+        torque_drift: r, growth of the offset with the age of a run in its campaign [N m/s].
+        torque_lag: T of the filter of torques [s].
+        torque_delay: d of torques after positions [s].
+        command_delay: Time from the stamp of a command until it acts [s]; below 0 it acts before.
+    """
+
+    position_scale: Values = 1.0
+    position_offset: Values = 0.0
+    motor_offset: Values = 0.0
+    velocity_scale: Values = 1.0
+    velocity_lag: float = 0.0
+    velocity_delay: float = 0.0
+    torque_gain: Values = 1.0
+    torque_from_previous: Values = 0.0
+    torque_from_next: Values = 0.0
+    torque_offset: Values = 0.0
+    torque_drift: Values = 0.0
+    torque_lag: float = 0.0
+    torque_delay: float = 0.0
+    command_delay: float = 0.0
+
+    @property
+    def exact(self) -> bool:
+        """Whether readings are the true signals."""
+        return self.same_as(EXACT)
+
+    def same_as(self, other: ArmReadings) -> bool:
+        """Whether both make the same readings."""
+        return all(np.all(value == getattr(other, name)) for name, value in vars(self).items())
+
+    @property
+    def exact_motion(self) -> bool:
+        """Whether readings of positions and velocities are the true ones."""
+        return replace(self, **{name: value for name, value in vars(EXACT).items() if name.startswith("torque")}).exact
+
+    @property
+    def in_words(self) -> str:
+        """What is not exact, as a list of names and values."""
+        changed = {name: value for name, value in vars(self).items() if np.any(value != getattr(EXACT, name))}
+        return ", ".join(f"{name.replace('_', ' ')} {np.asarray(value).tolist()}" for name, value in changed.items())
+
+    def position(self, true: Array) -> Array:
+        """Readings of link encoders, ``(..., n)`` [rad]."""
+        return self.position_scale * true + self.position_offset
+
+    def position_of(self, reading: Array) -> Array:
+        """Positions for readings of link encoders, ``(..., n)`` [rad]."""
+        return (reading - self.position_offset) / self.position_scale
+
+    def velocity(self, time: Array, true: Array, first: Array | None = None) -> Array:
+        """Readings of velocities, ``(k, n)`` [rad/s].
+
+        Args:
+            time: Samples, ``(k,)`` [s].
+            true: dq, ``(k, n)`` [rad/s].
+            first: First output of the filter, ``(n,)`` [rad/s]; None: its input has been a ramp before.
+        """
+        seen = self.position_scale * self.velocity_scale * true
+        return lagged(time, delayed(time, seen, self.velocity_delay), self.velocity_lag, first)
+
+    def mixing(self, joints: int) -> Array:
+        """G, ``(n, n)`` [-]."""
+        every = np.ones(joints)
+        return (
+            np.diag(self.torque_gain * every)
+            + np.diag((self.torque_from_previous * every)[1:], -1)
+            + np.diag((self.torque_from_next * every)[:-1], 1)
+        )
+
+    def torque(self, time: Array, true: Array, age: float, first: Array | None = None) -> Array:
+        """Readings of torques, ``(k, n)`` [N m], as :meth:`velocity`.
+
+        Args:
+            time: Samples, ``(k,)`` [s].
+            true: tau_J, ``(k, n)`` [N m].
+            age: Time since the first run of the campaign [s].
+            first: First output of the filter, ``(n,)`` [N m]; None: its input has been a ramp before.
+        """
+        if self.exact:
+            return true
+        seen = true @ self.mixing(true.shape[-1]).T + self._bias(age)
+        return lagged(time, delayed(time, seen, self.torque_delay), self.torque_lag, first)
+
+    def torque_of(self, reading: Array, rate: Array, age: float) -> Array:
+        """Torque for a reading and its slope, ``(n,)`` or ``(k, n)`` [N m].
+
+        Args:
+            reading: Of the sensors [N m].
+            rate: Its slope [N m/s].
+            age: Time since the first run of the campaign [s].
+        """
+        return self.torque_rate_of(reading + self.torque_late * rate - self._bias(age))
+
+    def torque_rate_of(self, rate: Array) -> Array:
+        """Slope of the torque for a slope of its readings, ``(n,)`` or ``(k, n)`` [N m/s]: G^-1 times it."""
+        return np.asarray(np.linalg.solve(self.mixing(rate.shape[-1]), rate.T).T)
+
+    @property
+    def velocity_late(self) -> float:
+        """T + d of velocities [s]."""
+        return self.velocity_lag + self.velocity_delay
+
+    @property
+    def torque_late(self) -> float:
+        """T + d of torques [s]."""
+        return self.torque_lag + self.torque_delay
+
+    def _bias(self, age: float) -> Values:
+        return self.torque_offset + age * self.torque_drift
+
+
+EXACT = ArmReadings()
+
+
+@dataclass(frozen=True)
+class TrackerReadings:
+    """Sensor model of the object tracker.
+
+    Attributes:
+        position: t, of A's origin in the frame that readings are taken for A [m], along x and y.
+        yaw: Rotation of A in that frame about z [rad].
+        point: c, tracked point from the object's centre, axes of the object [m], along x and y.
+        delay: Of its time stamps [s].
+        lag: T of its filter [s].
+    """
+
+    position: tuple[float, float] = (0.0, 0.0)
+    yaw: float = 0.0
+    point: tuple[float, float] = (0.0, 0.0)
+    delay: float = 0.0
+    lag: float = 0.0
+
+    @property
+    def exact(self) -> bool:
+        """Whether readings are the true poses."""
+        return self == TrackerReadings()
+
+    def pose(self, position: Array, rotation: Array) -> tuple[Array, Array]:
+        """Readings of position ``(3,)`` [m] and rotation matrix of the object's centre in A, without delay and lag."""
+        turn, shift, point = self._placed
+        return turn @ (position + rotation @ point) + shift, turn @ rotation
+
+    def pose_of(self, position: Array, rotation: Array) -> tuple[Array, Array]:
+        """Position ``(3,)`` [m] and rotation matrix for a reading at rest."""
+        turn, shift, point = self._placed
+        true = turn.T @ rotation
+        return turn.T @ (position - shift) - true @ point, true
+
+    def poses(self, time: Array, poses: Array, moments: Array) -> Array:
+        """Readings at moments, position and quaternion x y z w, ``(m, 7)``.
+
+        Args:
+            time: Samples, ``(k,)`` [s]; before the first one the object has not moved.
+            poses: True poses, ``(k, 7)`` [m, -], quaternions without changes of sign.
+            moments: When a reading is stamped, ``(m,)`` [s].
+        """
+        turn, shift, point = self._placed
+        late = lagged(time, poses, self.lag)
+        found = np.column_stack([np.interp(moments - self.delay, time, column) for column in late.T])
+        x, y, z, w = found[:, 3:].T  # of a box that turns about z and is tracked at a point of it
+        scale = 2.0 / np.maximum(x * x + y * y + z * z + w * w, 1e-300)
+        first = np.column_stack((1.0 - scale * (y * y + z * z), scale * (x * y + z * w), scale * (x * z - y * w)))
+        second = np.column_stack((scale * (x * y - z * w), 1.0 - scale * (x * x + z * z), scale * (y * z + x * w)))
+        found[:, :3] = (found[:, :3] + first * point[0] + second * point[1]) @ turn.T + shift
+        half = 0.5 * self.yaw
+        c, s = math.cos(half), math.sin(half)  # product of the quaternions of the turn and of the object
+        found[:, 3:] = np.column_stack((c * x - s * y, c * y + s * x, c * z + s * w, c * w - s * z))
+        return found
+
+    @property
+    def _placed(self) -> tuple[Array, Array, Array]:
+        """Rotation, shift and tracked point."""
+        return pin.rpy.rpyToMatrix(0.0, 0.0, self.yaw), np.array([*self.position, 0.0]), np.array([*self.point, 0.0])
+
+
+def delayed(time: Array, values: Array, delay: float) -> Array:
+    """Values at ``time - delay``, ``(k, m)``; before the first sample they follow its slope."""
+    if delay == 0.0:
+        return values
+    found = np.asarray(scipy.interpolate.CubicSpline(time, values)(time - delay))
+    early, late = time - delay < time[0], time - delay > time[-1]
+    found[early] = values[0] + np.outer((time - delay - time[0])[early], _slope(time[:4], values[:4]))
+    found[late] = values[-1] + np.outer((time - delay - time[-1])[late], _slope(time[-4:], values[-4:]))
+    return found
+
+
+def lagged(time: Array, values: Array, lag: float, first: Array | None = None) -> Array:
+    """Output y of T dy/dt + y = u, ``(k, m)``, with u linear between samples and before the first one.
+
+    y_(i+1) = a y_i + b0 u_i + b1 u_(i+1),  a = exp(-h / T),  b1 = 1 - (1 - a) T / h,  b0 = 1 - a - b1
+    (first-order hold; Franklin, Powell, Workman 1998, sec. 4.3).
+
+    Args:
+        time: Samples on an even grid, ``(k,)`` [s].
+        values: u, ``(k, m)``.
+        lag: T [s].
+        first: y at the first sample, ``(m,)``; None: u has been a ramp before.
+    """
+    if lag == 0.0:
+        return values
+    period = float(time[-1] - time[0]) / (time.size - 1)
+    a, b0, b1 = _hold(lag, period)
+    start = values[0] - lag * _slope(time[:4], values[:4]) if first is None else first
+    memory = (start - b1 * values[0])[None, :]  # of the direct form II transposed: y_0 = b1 u_0 + memory
+    return np.asarray(scipy.signal.lfilter([b1, b0], [1.0, -a], values, axis=0, zi=memory)[0])
+
+
+def _slope(time: Array, values: Array) -> Array:
+    """Slope of the line through a few samples, ``(m,)``."""
+    t = time - time.mean()
+    return np.asarray(t @ values / (t @ t))
+
+
+class Filter:
+    """Delay, then filter of first order, sample by sample, as :func:`delayed` and :func:`lagged` of a whole signal.
+
+    Args:
+        delay: d [s]; below 0 there is none.
+        lag: T [s].
+        period: From sample to sample [s].
+    """
+
+    def __init__(self, delay: float, lag: float, period: float) -> None:
+        self._back = max(delay, 0.0) / period
+        self._a, self._b0, self._b1 = _hold(lag, period) if lag else (0.0, 0.0, 1.0)
+        self._earlier: list[Array] = []
+        self._sample, self._input, self._output = -1, np.zeros(0), np.zeros(0)
+
+    def __call__(self, sample: int, values: Array) -> Array:
+        """Output ``(m,)`` of one sample; the next, or the last one again. Before the first, nothing changed."""
+        if sample == self._sample:
+            return self._output
+        self._earlier = [*self._earlier, values][-(int(self._back) + 2) :]
+        last = len(self._earlier) - 1
+        older = max(last - int(self._back) - 1, 0)
+        newer, share = max(last - int(self._back), 0), self._back % 1.0
+        late = (1.0 - share) * self._earlier[newer] + share * self._earlier[older]
+        self._output = self._a * self._output + self._b0 * self._input + self._b1 * late if self._sample >= 0 else late
+        self._sample, self._input = sample, late
+        return self._output
+
+
+def _hold(lag: float, period: float) -> tuple[float, float, float]:
+    """a, b0 and b1 of :func:`lagged`."""
+    a = math.exp(-period / lag)
+    b1 = 1.0 - (1.0 - a) * lag / period
+    return a, 1.0 - a - b1, b1
