@@ -131,6 +131,14 @@ class Evidence:
             jacobians=tuple(candidate.jacobians[position][mask] for position, mask in self._free),
         )
 
+    def beyond_free_motion(self, candidate: Candidate) -> Candidate:
+        """A candidate linearised in :attr:`before_contact`, with no change of any other feature."""
+        offsets = [np.zeros(item.sigma.size) for item in self.clusters]
+        jacobians = [np.zeros((item.sigma.size, candidate.point.size)) for item in self.clusters]
+        for (position, mask), offset, jacobian in zip(self._free, candidate.offsets, candidate.jacobians, strict=True):
+            offsets[position][mask], jacobians[position][mask] = offset, jacobian
+        return replace(candidate, offsets=tuple(offsets), jacobians=tuple(jacobians))
+
     @cached_property
     def signals(self) -> list[list[NDArray[np.bool_]]]:
         """Features by cluster, for every signal with a noise of its own; a single group of all where there is none."""

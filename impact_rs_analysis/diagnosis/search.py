@@ -116,8 +116,8 @@ class Search:
         self._starts: dict[str, Candidate] = {}
         self._unseen: dict[str, Candidate] = {}
         self._beside: dict[tuple[str, Added], Candidate] = {}
+        self.ruled_out: set[str] = set()
         self._screen(effects)
-        self.ruled_out = self._absent_in_free_motion()
 
     def _screen(self, effects: Sequence[Effect]) -> None:
         """Sensitivities of all effects at nominal and where measurements suggest, simulated in one parallel batch."""
@@ -126,6 +126,8 @@ class Search:
             starts = self.source.starts(effect.name)
             candidates += [Candidate.of((effect,), self.source, start) for start in starts]
             self._looks[effect.name] += len(starts)
+        self._rule_out(candidates)
+        candidates = [candidate for candidate in candidates if candidate.names[0] not in self.ruled_out]
         batch = [item for candidate in candidates for item in wanted(candidate, self.evidence.numbers, self.source)]
         self.source.predict(batch, "sensitivities of all effects")
         for candidate in candidates:
@@ -222,22 +224,26 @@ class Search:
         evidence = evidence or self.evidence
         return linearise(candidate, evidence.clusters, evidence.numbers, self.source)
 
-    def _absent_in_free_motion(self) -> set[str]:
-        """Effects with several parameters that change free motion, where nothing is seen of them.
+    def _rule_out(self, candidates: Sequence[Candidate]) -> None:
+        """Rule out effects with several parameters that change free motion, where nothing is seen of them.
 
         Simulators agree in free motion and differ in contact, where one parameter per joint explains a part of any
-        difference.
+        difference. So such an effect is not simulated in contact, and is known by free motion alone.
         """
-        free = self.evidence.before_contact
-        if free is None or free.null.freedom < LEAST_FREEDOM:
-            return set()
-        alone = {}
-        for name, candidate in self.singles.items():
-            there = self.evidence.seen_before_contact(candidate)
-            if sum(not scalar.shape for scalar in candidate.scalars) > 1 and there.seen:
-                alone[name] = there.jacobians
-        p_values = free.null.p_values(list(alone.values()))
-        return {name for name, p_value in zip(alone, p_values, strict=True) if p_value > NOTHING}
+        free, source = self.evidence.before_contact, self.source.before_contact
+        if free is None or source is None or free.null.freedom < LEAST_FREEDOM:
+            return
+        several = [c for c in candidates if sum(not scalar.shape for scalar in c.scalars) > 1]
+        source.predict([w for c in several for w in wanted(c, free.numbers, source)], "sensitivities in free motion")
+        found = [linearise(candidate, free.clusters, free.numbers, source) for candidate in several]
+        seen = [one for one in found if one is not None and one.seen]
+        p_values = dict[str, float]()
+        for one, p_value in zip(seen, free.null.p_values([one.jacobians for one in seen]), strict=True):
+            p_values[one.names[0]] = min(p_value, p_values.get(one.names[0], 1.0))  # of several starts of its shape
+        self.ruled_out = {name for name, p_value in p_values.items() if p_value > NOTHING}
+        for one in seen:
+            if one.names[0] in self.ruled_out:
+                self.singles[one.names[0]] = self.evidence.beyond_free_motion(one)
 
     def _start(self, name: str) -> Candidate:
         """Start of the fit of an effect alone."""

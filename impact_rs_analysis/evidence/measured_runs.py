@@ -80,6 +80,16 @@ class Setup:
             text += [hashlib.sha256(np.ascontiguousarray(array).tobytes()).hexdigest() for array in arrays]
         return hashlib.sha256("\n".join(text).encode()).hexdigest()
 
+    @property
+    def before_contact(self) -> Setup:
+        """The windows of free motion, with their features."""
+        windows = tuple(window for window in self.windows if not window.contact)
+        joints, commanded = self.physics.arm_joints, self.drive == "command"
+        every = layout(joints, len(windows), self.pushes, commanded, self.motor, self.tracked)
+        free = [number for number, feature in enumerate(every) if feature.phase == "free"]
+        kept = tuple(free.index(number) for number in self.kept if number in free)
+        return replace(self, windows=windows, pushes=None, tracked=False, kept=kept)
+
     def features_of(self, signals: Sequence[Signals]) -> Array | None:
         """Features of its windows, measured or replayed, ``(F,)``; None without an expected impact."""
         return self.features_of_all([signals])[0]

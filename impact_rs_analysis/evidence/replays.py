@@ -299,6 +299,16 @@ class ReplaySource(Source):
         """The effects without those that only tables of impacts have: they change no replay."""
         return tuple(item for item in added if self._known[item[0]].phases != SINGLE_IMPACT)
 
+    @cached_property
+    def before_contact(self) -> ReplaySource | None:
+        """See :attr:`Source.before_contact`; a replay of an impact costs several of free motion."""
+        if not any(item.contact for item in self.clusters):
+            return None
+        masks = [[feature.phase == "free" for feature in item.features] for item in self.clusters]
+        clusters = tuple(item.only(mask, contact=False) for item, mask in zip(self.clusters, masks, strict=True))
+        bare = tuple(replace(run, signals=Signals(NONE, {}), setup=run.setup.before_contact) for run in self.runs.runs)
+        return ReplaySource(replace(self.runs, runs=bare, late={}), self.model, self.store, clusters, self.discrepancy)
+
     def offers(self, effect: Effect) -> bool:
         """See :meth:`Source.offers`; commands of trials made here are on the clock of the joints."""
         return super().offers(effect) and (self.clock > 0.0 or effect.name != COMMAND_CLOCK.name)

@@ -148,6 +148,11 @@ class Source(ABC):
     folds: int = 6
 
     @property
+    def before_contact(self) -> Source | None:
+        """Prediction of free motion alone, in the same numbers of clusters; None: it is not cheaper."""
+        return None
+
+    @property
     def covariates(self) -> tuple[Covariate, ...]:
         """See the class."""
         return ()
