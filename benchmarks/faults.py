@@ -1,0 +1,498 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Faults of readings: what a wrong calibration, filter or clock does to recorded signals, and to a folder of bags.
+
+Every fault is a function of what was recorded. Physics and control have happened before and are as they were; nothing
+here knows of the sensor models of the library. A filter is one of :mod:`scipy.signal` on the samples, a delay moves
+stamps, an own velocity is a difference of recorded positions.
+
+``FAULTS`` is the table of all of them: sizes, and what a diagnosis should say. Its numbers are differences from the
+value at which an effect does nothing, so that a gain of 0.93 and a relative error of -0.07 are the same.
+"""
+
+from __future__ import annotations
+
+import csv
+import math
+import re
+import shutil
+import zlib
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from rosbags.rosbag2 import Reader, StoragePlugin, Writer
+from scipy.signal import butter, lfilter, lfilter_zi
+from scipy.spatial.transform import Rotation
+
+from impact_rs_sim.robot import Array
+from impact_rs_trials.bags.types import typestore
+
+STORE = typestore()
+JOINT_STATES, POSES = "sensor_msgs/msg/JointState", "geometry_msgs/msg/PoseStamped"
+SIGNALS = ("position", "velocity", "effort")
+BEGIN, BETWEEN = 1_763_500_000 * 10**9, 120 * 10**9  # ns: of the first run on the wall clock, and from run to run
+
+
+@dataclass(frozen=True)
+class Readings:
+    """What the sensors said in one run.
+
+    Attributes:
+        time: Stamps of the joints, ``(k,)`` [s].
+        position: ``(k, n)`` [rad]; joints in the order of their names, as in the next two.
+        velocity: ``(k, n)`` [rad/s].
+        torque: ``(k, n)`` [N m].
+        object_time: Stamps of the object's pose, ``(m,)`` [s]; empty where it was not tracked.
+        object_position: ``(m, 3)`` [m], in the base of the robot.
+        object_rotation: ``(m, 4)``, quaternion x, y, z, w, from axes of the object to axes of the base.
+        share: How much of the campaign had passed: 0 in the first run, 1 in the last [-].
+    """
+
+    time: Array
+    position: Array
+    velocity: Array
+    torque: Array
+    object_time: Array
+    object_position: Array
+    object_rotation: Array
+    share: float = 0.0
+
+
+@dataclass(frozen=True)
+class Drawn:
+    """One fault of a campaign.
+
+    Attributes:
+        size: In the unit of the fault.
+        joint: Joint that has it, counted from 0.
+        sign: 1 or -1.
+        angle: Of its direction in the horizontal plane [rad].
+        hours: From the first run of the campaign to the last [h].
+    """
+
+    size: float
+    joint: int
+    sign: float
+    angle: float
+    hours: float = 0.0
+
+    @property
+    def value(self) -> float:
+        """Size with its sign."""
+        return self.sign * self.size
+
+    def at(self, name: str, joint: int | None = None) -> str:
+        """Name of the parameter of a joint, that which has the fault."""
+        return f"{name}_joint{(self.joint if joint is None else joint) + 1}"
+
+
+Truths = Mapping[str, Mapping[str, float]]  # by effect: differences from nominal by parameter, SI; empty: not known
+
+
+@dataclass(frozen=True)
+class Fault:
+    """A kind of fault.
+
+    Attributes:
+        name: Name.
+        unit: Unit of its sizes.
+        sizes: The two that are tried, the clear one last.
+        rewrite: What becomes of the readings.
+        truths: Effects that say it, the one of its own first, with their true parameters; empty: nothing is to be said.
+        joints: Those that may have it, counted from 0; without one that hardly shows it.
+    """
+
+    name: str
+    unit: str
+    sizes: tuple[float, ...]
+    rewrite: Callable[[Readings, Drawn], Readings]
+    truths: Callable[[Drawn], Truths]
+    joints: tuple[int, ...] = (1, 2, 3, 4, 5)
+
+    def drawn(self, size: float, seed: int, hours: float = 0.0) -> Drawn:
+        """What a seed makes of it; a fault of another size has another joint and sign."""
+        rng = np.random.default_rng([seed, zlib.crc32(self.name.encode()), round(1000.0 * size)])
+        joint, sign = int(rng.choice(self.joints)), float(rng.choice((-1.0, 1.0)))
+        return Drawn(size, joint, sign, float(rng.uniform(-np.pi, np.pi)), hours)
+
+
+def _with_column(values: Array, joint: int, column: Array) -> Array:
+    """The same with another column of a joint."""
+    changed = values.copy()
+    changed[:, joint] = column
+    return changed
+
+
+def untouched(run: Readings, what: Drawn) -> Readings:
+    """Nothing is wrong."""
+    del what
+    return run
+
+
+def quantised(run: Readings, what: Drawn) -> Readings:
+    """Coarse converters; size 1: 2^16 counts a turn, 0.005 rad/s, 0.05 N m, 0.1 mm, and multiples of these steps."""
+
+    def rounded(values: Array, step: float) -> Array:
+        return np.round(values / (what.size * step)) * what.size * step
+
+    return replace(
+        run,
+        position=rounded(run.position, 2.0 * np.pi / 2**16),
+        velocity=rounded(run.velocity, 0.005),
+        torque=rounded(run.torque, 0.05),
+        object_position=rounded(run.object_position, 1e-4),
+    )
+
+
+def encoder_offset(run: Readings, what: Drawn) -> Readings:
+    """The zero of an encoder is off; size in degrees."""
+    shifted = run.position[:, what.joint] + np.radians(what.value)
+    return replace(run, position=_with_column(run.position, what.joint, shifted))
+
+
+def encoder_scale(run: Readings, what: Drawn) -> Readings:
+    """A wrong gear ratio: position and the velocity that the driver takes from it; size in percent."""
+    factor = 1.0 + what.value / 100.0
+    return replace(
+        run,
+        position=_with_column(run.position, what.joint, factor * run.position[:, what.joint]),
+        velocity=_with_column(run.velocity, what.joint, factor * run.velocity[:, what.joint]),
+    )
+
+
+def torque_gain(run: Readings, what: Drawn) -> Readings:
+    """A torque sensor shows too much or too little; size in percent."""
+    scaled = (1.0 + what.value / 100.0) * run.torque[:, what.joint]
+    return replace(run, torque=_with_column(run.torque, what.joint, scaled))
+
+
+def torque_offset(run: Readings, what: Drawn) -> Readings:
+    """A torque sensor does not show 0 at rest; size in N m."""
+    return replace(run, torque=_with_column(run.torque, what.joint, run.torque[:, what.joint] + what.value))
+
+
+def torque_crosstalk(run: Readings, what: Drawn) -> Readings:
+    """Each of two neighbouring torque sensors shows a share of the other joint's torque; size in percent."""
+    one, other, share = what.joint, what.joint + 1, what.value / 100.0
+    mixed = run.torque.copy()
+    mixed[:, one] += share * run.torque[:, other]
+    mixed[:, other] += share * run.torque[:, one]
+    return replace(run, torque=mixed)
+
+
+def torque_drift(run: Readings, what: Drawn) -> Readings:
+    """A torque sensor that was set to zero before the first run drifts evenly; size in N m until the last run."""
+    drifted = run.torque[:, what.joint] + what.value * run.share
+    return replace(run, torque=_with_column(run.torque, what.joint, drifted))
+
+
+def low_passed(time: Array, values: Array, cutoff: float, order: int) -> Array:
+    """Butterworth low-pass; order 1 is an RC filter. It has seen the first value for ever.
+
+    Args:
+        time: Stamps, ``(k,)`` [s].
+        values: ``(k, n)``.
+        cutoff: Frequency of 3 dB [Hz].
+        order: Of the filter.
+    """
+    b, a = butter(order, cutoff, fs=1.0 / float(np.median(np.diff(time))))
+    filtered, _ = lfilter(b, a, values, axis=0, zi=np.multiply.outer(lfilter_zi(b, a), values[0]))
+    return np.asarray(filtered)
+
+
+def torque_low_pass(run: Readings, what: Drawn) -> Readings:
+    """RC filter on all torques; size: its cutoff in Hz."""
+    return replace(run, torque=low_passed(run.time, run.torque, what.size, 1))
+
+
+def torque_butterworth(run: Readings, what: Drawn) -> Readings:
+    """Butterworth filter of second order on all torques, which no effect is exactly; size: its cutoff in Hz."""
+    return replace(run, torque=low_passed(run.time, run.torque, what.size, 2))
+
+
+def velocity_low_pass(run: Readings, what: Drawn) -> Readings:
+    """RC filter on all velocities; size: its cutoff in Hz."""
+    return replace(run, velocity=low_passed(run.time, run.velocity, what.size, 1))
+
+
+def velocity_butterworth(run: Readings, what: Drawn) -> Readings:
+    """Butterworth filter of second order on all velocities, which no effect is exactly; size: its cutoff in Hz."""
+    return replace(run, velocity=low_passed(run.time, run.velocity, what.size, 2))
+
+
+def own_difference(run: Readings, what: Drawn) -> Readings:
+    """Velocity as difference of the positions over the last samples; size: how many. The first ones repeat."""
+    n = round(what.size)
+    slopes = (run.position[n:] - run.position[:-n]) / (run.time[n:] - run.time[:-n])[:, None]
+    return replace(run, velocity=np.concatenate((np.repeat(slopes[:1], n, axis=0), slopes)))
+
+
+def velocity_scale(run: Readings, what: Drawn) -> Readings:
+    """The velocity of a joint is shown too large or too small; size in percent."""
+    scaled = (1.0 + what.value / 100.0) * run.velocity[:, what.joint]
+    return replace(run, velocity=_with_column(run.velocity, what.joint, scaled))
+
+
+def tracker_turned(run: Readings, what: Drawn) -> Readings:
+    """The frame of the motion capture is turned about z in the base of the robot, so readings turn back; degrees."""
+    back = Rotation.from_euler("z", -what.value, degrees=True)
+    return replace(
+        run,
+        object_position=back.apply(run.object_position) if run.object_time.size else run.object_position,
+        object_rotation=_times(back, run.object_rotation),
+    )
+
+
+def tracker_shifted(run: Readings, what: Drawn) -> Readings:
+    """The origin of the motion capture is elsewhere on the floor than assumed; size in mm."""
+    return replace(run, object_position=run.object_position - _across(what))
+
+
+def tracked_point(run: Readings, what: Drawn) -> Readings:
+    """A point of the object beside its centre is tracked, the same of all objects, in their axes; size in mm."""
+    if not run.object_time.size:
+        return run
+    beside = Rotation.from_quat(run.object_rotation).apply(_across(what))
+    return replace(run, object_position=run.object_position + beside)
+
+
+def tracker_late(run: Readings, what: Drawn) -> Readings:
+    """Poses have stamps of when they were ready; size in ms."""
+    return replace(run, object_time=run.object_time + what.size / 1000.0)
+
+
+def tracker_low_pass(run: Readings, what: Drawn) -> Readings:
+    """RC filter on the pose of the object; size: its cutoff in Hz."""
+    if not run.object_time.size:
+        return run
+    first = Rotation.from_quat(run.object_rotation[0])
+    turned = (first.inv() * Rotation.from_quat(run.object_rotation)).as_rotvec()  # a box turns far less than pi
+    back = first * Rotation.from_rotvec(low_passed(run.object_time, turned, what.size, 1))
+    moved = low_passed(run.object_time, run.object_position, what.size, 1)
+    return replace(run, object_position=moved, object_rotation=back.as_quat())
+
+
+def _across(what: Drawn) -> Array:
+    """A horizontal shift of so many mm [m]."""
+    return what.size / 1000.0 * np.array([math.cos(what.angle), math.sin(what.angle), 0.0])
+
+
+def _times(turn: Rotation, quaternions: Array) -> Array:
+    """Quaternions after a further turn."""
+    return (turn * Rotation.from_quat(quaternions)).as_quat() if quaternions.size else quaternions
+
+
+def _horizontal(what: Drawn) -> dict[str, float]:
+    x, y, _ = _across(what)
+    return {"x": float(x), "y": float(y)}
+
+
+def _rc(what: Drawn) -> float:
+    """Time constant of an RC filter [s]."""
+    return 1.0 / (2.0 * math.pi * what.size)
+
+
+def _crosstalk(what: Drawn) -> Truths:
+    share = what.value / 100.0
+    of_both = {what.at("from_next"): share, what.at("from_previous", what.joint + 1): share}
+    return {"torque_sensor_crosstalk": of_both}
+
+
+# Second order has no time constant; its delay at low frequency is that of a lag, and no interval is held against it.
+FAULTS = {
+    fault.name: fault
+    for fault in (
+        Fault("none", "", (0.0,), untouched, lambda _: {}),
+        Fault("quantised", "steps", (1.0, 2.0), quantised, lambda _: {}),
+        Fault(
+            "encoder_offset", "deg", (0.5, 1.0), encoder_offset,
+            lambda what: {"encoder_offset": {what.at("offset"): math.radians(what.value)}},
+        ),
+        Fault(
+            "encoder_scale", "%", (0.3, 1.0), encoder_scale,
+            lambda what: {"encoder_scale": {what.at("scale"): what.value / 100.0}}, (2, 3, 4, 5),
+        ),
+        Fault(
+            "torque_gain", "%", (3.0, 7.0), torque_gain,
+            lambda what: {"torque_sensor_gain": {what.at("gain"): what.value / 100.0}}, (1, 2, 3),
+        ),
+        Fault(
+            "torque_offset", "N m", (0.3, 1.0), torque_offset,
+            lambda what: {"torque_sensor_offset": {what.at("offset"): what.value}}, tuple(range(7)),
+        ),
+        Fault("torque_crosstalk", "%", (2.0, 5.0), torque_crosstalk, _crosstalk, (0, 1, 2, 3)),
+        Fault(
+            "torque_low_pass", "Hz", (20.0, 8.0), torque_low_pass,
+            lambda what: {"torque_sensor_lag": {"lag": _rc(what)}, "torque_delay": {}},
+        ),
+        Fault(
+            "torque_butterworth", "Hz", (20.0, 8.0), torque_butterworth,
+            lambda _: {"torque_sensor_lag": {}, "torque_delay": {}},
+        ),
+        Fault(
+            "torque_drift", "N m", (0.15, 0.35), torque_drift,
+            lambda what: {"torque_sensor_drift": {what.at("drift"): what.value / what.hours}}, tuple(range(7)),
+        ),
+        Fault(
+            "velocity_low_pass", "Hz", (25.0, 12.0), velocity_low_pass,
+            lambda what: {"velocity_lag": {"lag": _rc(what)}, "velocity_delay": {}},
+        ),
+        Fault(
+            "velocity_butterworth", "Hz", (25.0, 12.0), velocity_butterworth,
+            lambda _: {"velocity_lag": {}, "velocity_delay": {}},
+        ),
+        Fault(
+            "velocity_difference", "samples", (10.0, 25.0), own_difference,
+            lambda what: {"velocity_delay": {"delay": 0.5e-3 * what.size}, "velocity_lag": {}},
+        ),
+        Fault(
+            "velocity_scale", "%", (1.0, 3.0), velocity_scale,
+            lambda what: {"velocity_scale": {what.at("scale"): what.value / 100.0}},
+        ),
+        Fault(
+            "tracker_turned", "deg", (1.0, 3.0), tracker_turned,
+            lambda what: {"tracker_frame": {"x": 0.0, "y": 0.0, "yaw": math.radians(what.value)}},
+        ),
+        Fault(
+            "tracker_shifted", "mm", (4.0, 8.0), tracker_shifted,
+            lambda what: {"tracker_frame": _horizontal(what) | {"yaw": 0.0}},
+        ),
+        Fault(
+            "tracked_point", "mm", (5.0, 15.0), tracked_point,
+            lambda what: {"tracked_point": _horizontal(what)},
+        ),
+        Fault(
+            "tracker_late", "ms", (8.0, 18.0), tracker_late,
+            lambda what: {"tracker_delay": {"delay": what.size / 1000.0}, "tracker_lag": {}},
+        ),
+        Fault(
+            "tracker_low_pass", "Hz", (20.0, 8.0), tracker_low_pass,
+            lambda what: {"tracker_lag": {"lag": _rc(what)}, "tracker_delay": {}},
+        ),
+    )
+}  # fmt: skip
+
+
+@dataclass
+class _Row:
+    """One message of a bag: topic, log time [ns], as it is written, and what it says, of a type with readings."""
+
+    connection: Any
+    log: int
+    raw: bytes
+    message: Any
+
+    @property
+    def stamp(self) -> int:
+        """Stamp of the message [ns]."""
+        stamp = self.message.header.stamp
+        return int(stamp.sec) * 10**9 + int(stamp.nanosec)
+
+    def later(self, by: int, stamped: int = 0) -> None:
+        """Move the message in time, its stamp as well where it has one [ns]."""
+        self.log += by + stamped
+        if self.message is not None:
+            stamp = self.message.header.stamp
+            stamp.sec, stamp.nanosec = divmod(self.stamp + by + stamped, 10**9)
+            self.raw = bytes(STORE.serialize_cdr(self.message, self.connection.msgtype))
+
+
+def rewrite_bag(source: Path, target: Path, change: Callable[[Readings], Readings], share: float, begin: int) -> None:
+    """Write the bag of a run of one arm with other readings; commands stay.
+
+    Args:
+        source: Bag of joint states, commands and poses.
+        target: New folder.
+        change: What becomes of the readings.
+        share: Of the campaign that had passed [-].
+        begin: When the run begins on the wall clock [ns].
+    """
+    with Reader(source) as bag:
+        by = begin - bag.start_time
+        rows = [
+            _Row(
+                one, log, raw, STORE.deserialize_cdr(raw, one.msgtype) if one.msgtype in (JOINT_STATES, POSES) else None
+            )
+            for one, log, raw in bag.messages()
+        ]
+    joints, poses = ([row for row in rows if row.connection.msgtype == kind] for kind in (JOINT_STATES, POSES))
+    before = _read(joints, poses, share)
+    after = change(before)
+    _put(joints, poses, after)
+    late = {
+        id(row): round(1e9 * seconds)
+        for row, seconds in zip(poses, after.object_time - before.object_time, strict=True)
+    }
+    for row in rows:
+        row.later(by, late.get(id(row), 0))
+    with Writer(target, version=9, storage_plugin=StoragePlugin.MCAP) as bag:
+        topics: dict[str, Any] = {}
+        for row in sorted(rows, key=lambda row: row.log):
+            one = row.connection
+            if one.topic not in topics:
+                topics[one.topic] = bag.add_connection(one.topic, one.msgtype, typestore=STORE)
+            bag.write(topics[one.topic], row.log, row.raw)
+
+
+def _order(names: Sequence[str]) -> list[int]:
+    """Places of joints, in the order of their names; joint 9 comes before joint 10."""
+    return sorted(range(len(names)), key=lambda place: [int(n) for n in re.findall(r"\d+", names[place])])
+
+
+def _read(joints: Sequence[_Row], poses: Sequence[_Row], share: float) -> Readings:
+    """What messages say; times are from the first stamp of the joints on."""
+    origin, order = joints[0].stamp, _order(joints[0].message.name)  # seconds since 1970 have no room for nanoseconds
+    time, seen = (np.array([row.stamp - origin for row in own]) / 1e9 for own in (joints, poses))
+    position, velocity, torque = (
+        np.array([getattr(row.message, name) for row in joints])[:, order] for name in SIGNALS
+    )
+    found = [row.message.pose for row in poses]
+    places = np.array([(one.position.x, one.position.y, one.position.z) for one in found]).reshape(-1, 3)
+    turns = [(one.orientation.x, one.orientation.y, one.orientation.z, one.orientation.w) for one in found]
+    return Readings(time, position, velocity, torque, seen, places, np.array(turns).reshape(-1, 4), share)
+
+
+def _put(joints: Sequence[_Row], poses: Sequence[_Row], found: Readings) -> None:
+    """Write readings into their messages, but for their times."""
+    back = np.argsort(_order(joints[0].message.name))
+    for name, values in zip(SIGNALS, (found.position, found.velocity, found.torque), strict=True):
+        for row, numbers in zip(joints, np.ascontiguousarray(values[:, back]), strict=True):
+            setattr(row.message, name, numbers)
+    for row, place, turn in zip(poses, found.object_position, found.object_rotation, strict=True):
+        pose = row.message.pose
+        pose.position.x, pose.position.y, pose.position.z = map(float, place)
+        pose.orientation.x, pose.orientation.y, pose.orientation.z, pose.orientation.w = map(float, turn)
+
+
+def hours_of(folder: Path) -> float:
+    """From the first run of a rewritten campaign to the last [h]."""
+    return (len(_bags(folder)) - 1) * BETWEEN / 3.6e12
+
+
+def _bags(folder: Path) -> list[str]:
+    """Bags of a campaign, in the order of its table."""
+    with (folder / "runs.csv").open(newline="", encoding="utf-8") as file:
+        return [row["bag"] for row in csv.DictReader(file)]
+
+
+def rewrite_campaign(source: Path, target: Path, fault: Fault, what: Drawn) -> None:
+    """Write the folder of a campaign whose readings have a fault; every two minutes a run begins.
+
+    Args:
+        source: Folder of bags with ``runs.csv`` and ``experiment.yaml``; it stays.
+        target: Folder; an earlier one is replaced.
+        fault: What is wrong.
+        what: How much, and where.
+    """
+    shutil.rmtree(target, ignore_errors=True)
+    target.mkdir(parents=True)
+    names = _bags(source)
+    for number, name in enumerate(names):
+        rewrite_bag(
+            source / name, target / name, lambda run: fault.rewrite(run, what),
+            number / max(len(names) - 1, 1), BEGIN + number * BETWEEN,
+        )  # fmt: skip
+    for name in ("runs.csv", "experiment.yaml"):
+        shutil.copyfile(source / name, target / name)
