@@ -69,14 +69,14 @@ class Drawn:
         joint: Joint that has it, counted from 0.
         sign: 1 or -1.
         angle: Of its direction in the horizontal plane [rad].
-        hours: From the first run of the campaign to the last [h].
+        seconds: From the first run of the campaign to the last [s].
     """
 
     size: float
     joint: int
     sign: float
     angle: float
-    hours: float = 0.0
+    seconds: float = 0.0
 
     @property
     def value(self) -> float:
@@ -111,11 +111,11 @@ class Fault:
     truths: Callable[[Drawn], Truths]
     joints: tuple[int, ...] = (1, 2, 3, 4, 5)
 
-    def drawn(self, size: float, seed: int, hours: float = 0.0) -> Drawn:
+    def drawn(self, size: float, seed: int, seconds: float = 0.0) -> Drawn:
         """What a seed makes of it; a fault of another size has another joint and sign."""
         rng = np.random.default_rng([seed, zlib.crc32(self.name.encode()), round(1000.0 * size)])
         joint, sign = int(rng.choice(self.joints)), float(rng.choice((-1.0, 1.0)))
-        return Drawn(size, joint, sign, float(rng.uniform(-np.pi, np.pi)), hours)
+        return Drawn(size, joint, sign, float(rng.uniform(-np.pi, np.pi)), seconds)
 
 
 def _with_column(values: Array, joint: int, column: Array) -> Array:
@@ -236,18 +236,17 @@ def velocity_scale(run: Readings, what: Drawn) -> Readings:
 
 
 def tracker_turned(run: Readings, what: Drawn) -> Readings:
-    """The frame of the motion capture is turned about z in the base of the robot, so readings turn back; degrees."""
-    back = Rotation.from_euler("z", -what.value, degrees=True)
-    return replace(
-        run,
-        object_position=back.apply(run.object_position) if run.object_time.size else run.object_position,
-        object_rotation=_times(back, run.object_rotation),
-    )
+    """Poses are turned about z of the robot's base, for the motion capture has other axes; size in degrees."""
+    if not run.object_time.size:
+        return run
+    turn = Rotation.from_euler("z", what.value, degrees=True)
+    turned = (turn * Rotation.from_quat(run.object_rotation)).as_quat()
+    return replace(run, object_position=turn.apply(run.object_position), object_rotation=turned)
 
 
 def tracker_shifted(run: Readings, what: Drawn) -> Readings:
-    """The origin of the motion capture is elsewhere on the floor than assumed; size in mm."""
-    return replace(run, object_position=run.object_position - _across(what))
+    """Poses are shifted, for the motion capture has another origin; size in mm."""
+    return replace(run, object_position=run.object_position + _across(what))
 
 
 def tracked_point(run: Readings, what: Drawn) -> Readings:
@@ -277,11 +276,6 @@ def tracker_low_pass(run: Readings, what: Drawn) -> Readings:
 def _across(what: Drawn) -> Array:
     """A horizontal shift of so many mm [m]."""
     return what.size / 1000.0 * np.array([math.cos(what.angle), math.sin(what.angle), 0.0])
-
-
-def _times(turn: Rotation, quaternions: Array) -> Array:
-    """Quaternions after a further turn."""
-    return (turn * Rotation.from_quat(quaternions)).as_quat() if quaternions.size else quaternions
 
 
 def _horizontal(what: Drawn) -> dict[str, float]:
@@ -333,7 +327,7 @@ FAULTS = {
         ),
         Fault(
             "torque_drift", "N m", (0.15, 0.35), torque_drift,
-            lambda what: {"torque_sensor_drift": {what.at("drift"): what.value / what.hours}}, tuple(range(7)),
+            lambda what: {"torque_sensor_drift": {what.at("rate"): what.value / what.seconds}}, tuple(range(7)),
         ),
         Fault(
             "velocity_low_pass", "Hz", (25.0, 12.0), velocity_low_pass,
@@ -466,9 +460,9 @@ def _put(joints: Sequence[_Row], poses: Sequence[_Row], found: Readings) -> None
         pose.orientation.x, pose.orientation.y, pose.orientation.z, pose.orientation.w = map(float, turn)
 
 
-def hours_of(folder: Path) -> float:
-    """From the first run of a rewritten campaign to the last [h]."""
-    return (len(_bags(folder)) - 1) * BETWEEN / 3.6e12
+def seconds_of(folder: Path) -> float:
+    """From the first run of a rewritten campaign to the last [s]."""
+    return (len(_bags(folder)) - 1) * BETWEEN / 1e9
 
 
 def _bags(folder: Path) -> list[str]:

@@ -15,7 +15,7 @@ from rosbags.rosbag2 import Reader, StoragePlugin, Writer
 from scipy.spatial.transform import Rotation
 
 from benchmarks.boards import measurement
-from benchmarks.faults import BEGIN, BETWEEN, FAULTS, STORE, Drawn, Readings, hours_of, rewrite_campaign
+from benchmarks.faults import BEGIN, BETWEEN, FAULTS, STORE, Drawn, Readings, rewrite_campaign, seconds_of
 from examples.laboratory import ORDER, messages
 from impact_rs_analysis.diagnosis.document import EffectDocument, EstimateDocument
 from impact_rs_analysis.diagnosis.verdict import DiagnosisVerdict
@@ -49,7 +49,7 @@ CHANGED = {
 
 
 def rewritten(name: str, size: float, joint: int = 3, sign: float = -1.0, angle: float = 0.4) -> Readings:
-    return FAULTS[name].rewrite(RUN, Drawn(size, joint, sign, angle, 0.5))
+    return FAULTS[name].rewrite(RUN, Drawn(size, joint, sign, angle, 1800.0))
 
 
 @pytest.mark.parametrize("name", FAULTS)
@@ -69,7 +69,7 @@ def test_only_the_reading_that_is_wrong_is_changed(name: str) -> None:
 
 def truths(name: str, size: float | None = None) -> dict[str, dict[str, float]]:
     fault = FAULTS[name]
-    found = fault.truths(Drawn(fault.sizes[-1] if size is None else size, 3, -1.0, 0.4, 0.5))
+    found = fault.truths(Drawn(fault.sizes[-1] if size is None else size, 3, -1.0, 0.4, 1800.0))
     return {effect: dict(own) for effect, own in found.items()}
 
 
@@ -98,9 +98,9 @@ def test_neighbours_take_a_share_of_what_both_feel() -> None:
 
 
 def test_a_drift_is_nothing_in_the_first_run_and_all_of_it_in_the_last() -> None:
-    """Kills: a drift of the whole size in every run, and one per hour that is of the campaign."""
+    """Kills: a drift of the whole size in every run, and a rate that is of the whole campaign."""
     assert rewritten("torque_drift", 0.35).torque[:, 3] - RUN.torque[:, 3] == pytest.approx(-0.175)
-    assert truths("torque_drift", 0.35)["torque_sensor_drift"]["drift_joint4"] == pytest.approx(-0.7)  # in half an hour
+    assert truths("torque_drift", 0.35)["torque_sensor_drift"]["rate_joint4"] == pytest.approx(-0.35 / 1800.0)
 
 
 @pytest.mark.parametrize(("order", "share"), [("low_pass", 1.0), ("butterworth", math.sqrt(2.0))])
@@ -125,13 +125,15 @@ def test_an_own_velocity_is_late_by_half_its_samples() -> None:
 
 
 @pytest.mark.parametrize("name", ["tracker_turned", "tracker_shifted"])
-def test_the_frame_of_the_tracker_takes_its_readings_back(name: str) -> None:
-    """p_base = R(yaw) p_reading + (x, y). Kills: a frame that is turned or shifted the other way."""
+def test_poses_are_those_of_the_frame_in_the_table(name: str) -> None:
+    """p_reading = R(yaw) p + (x, y). Kills: a frame that is off the other way; a turn about the object."""
     found, frame = rewritten(name, FAULTS[name].sizes[-1]), truths(name)["tracker_frame"]
-    turn = Rotation.from_euler("z", frame["yaw"])
-    back = turn.apply(found.object_position) + [frame["x"], frame["y"], 0.0]
-    assert back == pytest.approx(RUN.object_position)
-    assert (turn * Rotation.from_quat(found.object_rotation) * TURN.inv()).magnitude() == pytest.approx(0.0, abs=1e-7)
+    c, s = math.cos(frame["yaw"]), math.sin(frame["yaw"])
+    x, y, z = RUN.object_position.T
+    expected = np.array([c * x - s * y + frame["x"], s * x + c * y + frame["y"], z]).T
+    assert found.object_position == pytest.approx(expected)
+    turned = (Rotation.from_quat(found.object_rotation) * TURN.inv()).as_rotvec()
+    assert turned == pytest.approx(np.tile([0.0, 0.0, frame["yaw"]], (len(SEEN), 1)), abs=1e-7)
     assert np.linalg.norm((frame["x"], frame["y"])) == pytest.approx({"tracker_shifted": 0.008}.get(name, 0.0))
 
 
@@ -201,7 +203,7 @@ def test_a_rewritten_bag_has_the_fault_and_is_otherwise_what_it_was(tmp_path: Pa
     """Kills: joints in the order of the driver taken for that of the arm; commands or clocks that change as well."""
     source, target = tmp_path / "source", tmp_path / "target"
     campaign(source, 3)
-    assert hours_of(source) == pytest.approx(4.0 / 60.0)
+    assert seconds_of(source) == 240.0
     rewrite_campaign(source, target, FAULTS["torque_drift"], Drawn(0.3, 3, 1.0, 0.0))
     for number in range(3):
         before, after = read(source / f"run_{number}"), read(target / f"run_{number}")

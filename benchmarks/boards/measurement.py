@@ -32,7 +32,7 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.boards.stripped import EXPERIMENT, strip_campaign
-from benchmarks.faults import FAULTS, Fault, Truths, hours_of, rewrite_campaign
+from benchmarks.faults import FAULTS, Fault, Truths, rewrite_campaign, seconds_of
 from benchmarks.harness import Row, Work, share
 from benchmarks.hidden import Entry, diagnosed, laboratory_runs
 from benchmarks.results import Table
@@ -115,7 +115,7 @@ def run(case: FaultCase, work: Work) -> Row:
     campaigns = (work.options.campaigns or work.folder.parent / "campaigns").absolute()
     runs, hidden = base_of(case, campaigns / f"{case.base}__{case.plant}__{work.options.first_seed}", work.map_tasks)
     bags = work.folder.absolute() / RUNS
-    what = case.fault.drawn(case.size, case.seed, hours_of(runs))
+    what = case.fault.drawn(case.size, case.seed, seconds_of(runs))
     began = processor_time()
     document = work.folder / "diagnosis.json"
     row = {
