@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 from pathlib import Path
 from types import SimpleNamespace
@@ -17,9 +18,10 @@ from scipy.spatial.transform import Rotation
 from benchmarks.boards import measurement
 from benchmarks.faults import BEGIN, BETWEEN, FAULTS, STORE, Drawn, Readings, rewrite_campaign, seconds_of
 from examples.laboratory import ORDER, messages
-from impact_rs_analysis.diagnosis.document import EffectDocument, EstimateDocument
+from impact_rs_analysis.diagnosis.document import EffectDocument, EstimateDocument, write_document
 from impact_rs_analysis.diagnosis.verdict import DiagnosisVerdict
 from impact_rs_sim.effects import library
+from impact_rs_sim.errors import InputError
 
 RATE, JOINTS = 1000.0, 7
 TIME = np.arange(400) / RATE
@@ -348,3 +350,61 @@ def test_the_table_has_a_row_for_each_fault_and_one_for_all() -> None:
     assert lines["none"][:2] == ("1", "–") and lines["none"][4:6] == ("0 of 1", "1 of 1")
     assert lines["torque low pass, 20 and 8 Hz"][:3] == ("1", "1 of 1", "1 of 1")
     assert lines["all faults, nothing hidden"][:2] == ("1", "1 of 1") and "all faults, physics beneath" not in lines
+
+
+def test_a_diagnosis_that_is_there_is_scored_again_and_a_refused_campaign_is_a_row(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Kills: a diagnosis made anew for another table of truths, its time lost; a board that ends at a refusal."""
+    source, folder, made = tmp_path / "source", tmp_path / "case", []
+    source.mkdir()
+    folder.mkdir()
+    campaign(source, 2)
+
+    def diagnosed(path: Path, read: object, map_tasks: object) -> None:
+        assert (folder / "runs" / "run_1" / "metadata.yaml").exists()
+        made.append(path)
+        write_document(document(("torque_delay",)), path)
+
+    monkeypatch.setattr(measurement, "base_of", lambda *_: (source, {}))
+    monkeypatch.setattr(measurement, "diagnosed", diagnosed)
+    options = harness.parser_of("measurement").parse_args(
+        ["--fault", "torque_low_pass", "--base", "nothing", "--clear"]
+    )
+    work, case = harness.Work(folder, options, map), measurement.cases(options)[0]
+    first = measurement.run(case, work)
+    assert first["fault_found"] and first["truth"]["torque_sensor_lag"] == {"lag": pytest.approx(0.0199, abs=1e-4)}
+    assert not (folder / "runs").exists()
+    assert measurement.run(case, work) == first and len(made) == 1
+    (folder / "diagnosis.json").unlink()
+
+    def refuse(*_: object) -> None:
+        raise InputError("the replay hits nothing")
+
+    monkeypatch.setattr(measurement, "diagnosed", refuse)
+    row = measurement.run(case, work)
+    assert row["fault_found"] is False and "hits nothing" in row["said"] and row["joint"] == first["joint"]
+    assert measurement.table([row | {"name": "x"}], options).rows[0][-1] == "–"
+
+
+def test_a_further_seed_is_another_recording_of_every_base(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Kills: nulls that are one campaign many times; bases that share seeds; a base that hides nothing."""
+    asked = []
+
+    def make(folder: Path, seed: int, map_tasks: object, kind: str, effect: str, size: str, magnitude: float) -> list:
+        del map_tasks, size
+        asked.append((seed, kind, effect))
+        folder.mkdir()
+        own = {effect: {"scale": {"value": 1.15, "unit": "-"}}} if effect == "object_mass" else {}
+        effects = [{"name": name, "parameters": values} for name, values in own.items()]
+        (folder / "truth.json").write_text(json.dumps({"effects": effects}))
+        return []
+
+    monkeypatch.setattr(measurement, "make", make)
+    monkeypatch.setattr(measurement, "strip_campaign", lambda *_: None)
+    options = harness.parser_of("measurement").parse_args(["--on", "plant", "--fault", "none", "--seeds", "30"])
+    hidden = [measurement.base_of(case, tmp_path, map)[1] for case in measurement.cases(options)]
+    assert len({seed for seed, *_ in asked}) == len(asked) == len(list(tmp_path.iterdir())) == 150
+    assert {kind for _, kind, effect in asked if effect is None} == {"null"}
+    assert {effect for _, kind, effect in asked if kind == "single"} == set(measurement.BASES[1:])
+    assert hidden.count({"object_mass": {"scale": pytest.approx(0.15)}}) == 30

@@ -8,7 +8,9 @@ bags is diagnosed as every other one.
 
     ./run python -m benchmarks measurement -o DIR                                  all of them
     ./run python -m benchmarks measurement -o DIR --only encoder_offset --base nothing --on bench
+    ./run python -m benchmarks measurement -o DIR --fault none quantised --base nothing --seeds 10         nulls
     cat DIR/*/row.json                                                             a JSON line for each campaign
+    rm DIR/*/row.json                              then, scores the diagnoses that are there against another table
 
 Bases: ``nothing`` hidden, or an effect of the library three times as large as a noticeable one.
 Where: ``laboratory``, the MuJoCo cell under a controller of its own; ``plant``, our plant and controller, of whose bags
@@ -16,7 +18,8 @@ only what a laboratory has is left; ``bench``, the ready campaigns of ``$IMPACT_
 
 A fault is found where its effect is named, or cannot be told from a named one. A name is in vain where it is one of
 physics and neither hidden nor tied with what is. Intervals are those of the effect that has the fault; parameters are
-compared as differences from nominal. ``--campaigns`` keeps the campaigns without a fault, which all faults share.
+compared as differences from nominal. ``--campaigns`` keeps the campaigns without a fault, which all faults share; a
+further seed is another recording of each of them, and another joint, sign and direction of every fault.
 """
 
 from __future__ import annotations
@@ -36,10 +39,11 @@ from benchmarks.faults import FAULTS, Fault, Truths, rewrite_campaign, seconds_o
 from benchmarks.harness import Row, Work, share
 from benchmarks.hidden import Entry, diagnosed, laboratory_runs
 from benchmarks.results import Table
-from impact_rs_analysis.diagnosis.document import DiagnosisDocument, EstimateDocument
+from impact_rs_analysis.diagnosis.document import DiagnosisDocument, EstimateDocument, read_document
 from impact_rs_analysis.diagnosis.verdict import NOTHING
 from impact_rs_sim.effects import library
 from impact_rs_sim.errors import InputError
+from impact_rs_sim.files import write_whole
 from impact_rs_trials.blind import RUNS, TRUTH, make
 from impact_rs_trials.workers import Map, processor_time
 
@@ -87,7 +91,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--base", nargs="+", choices=BASES, default=list(BASES), help="what is hidden beneath")
     parser.add_argument("--fault", nargs="+", choices=FAULTS, default=list(FAULTS), help="what is wrong with a reading")
     parser.add_argument("--clear", action="store_true", help="only the larger size of every fault")
-    parser.add_argument("--seeds", type=int, default=1, help="draws of joint, sign and direction of every fault")
+    parser.add_argument("--seeds", type=int, default=1, help="recordings of every base, each with faults of its own")
     parser.add_argument(
         "--first-seed", type=int, default=0, metavar="N", help="added to all seeds: other campaigns of the same kinds"
     )
@@ -113,11 +117,10 @@ def cases(options: argparse.Namespace) -> list[FaultCase]:
 def run(case: FaultCase, work: Work) -> Row:
     """Rewrite and diagnose one campaign, and hold the document against fault and physics."""
     campaigns = (work.options.campaigns or work.folder.parent / "campaigns").absolute()
-    runs, hidden = base_of(case, campaigns / f"{case.base}__{case.plant}__{work.options.first_seed}", work.map_tasks)
+    runs, hidden = base_of(case, campaigns, work.map_tasks)
     bags = work.folder.absolute() / RUNS
     what = case.fault.drawn(case.size, case.seed, seconds_of(runs))
-    began = processor_time()
-    document = work.folder / "diagnosis.json"
+    document, took = work.folder / "diagnosis.json", work.folder / "seconds.json"
     row = {
         "fault": case.fault.name, "size": case.size, "unit": case.fault.unit, "joint": what.joint + 1,
         "sign": what.sign, "angle": what.angle, "base": case.base, "plant": case.plant,
@@ -126,26 +129,28 @@ def run(case: FaultCase, work: Work) -> Row:
         if not document.exists():
             rewrite_campaign(runs, bags, case.fault, what)
             began = processor_time()
-        found = diagnosed(document, lambda: laboratory_runs(bags, work.map_tasks), work.map_tasks)
-        row |= scored(found, case.fault.truths(what), hidden)
+            diagnosed(document, lambda: laboratory_runs(bags, work.map_tasks), work.map_tasks)
+            write_whole(took, f"{processor_time() - began}\n")
+        row |= scored(read_document(document), case.fault.truths(what), hidden)
+        row["seconds"] = json.loads(took.read_text(encoding="utf-8"))
     except InputError as error:
         row |= refused(str(error), case.fault.truths(what), hidden)
-    row["seconds"] = processor_time() - began
     if not work.options.keep_bags:
         shutil.rmtree(bags, ignore_errors=True)
     return row
 
 
-def base_of(case: FaultCase, folder: Path, map_tasks: Map) -> tuple[Path, Truths]:
+def base_of(case: FaultCase, campaigns: Path, map_tasks: Map) -> tuple[Path, Truths]:
     """Bags of a campaign without a fault, recorded where they are missing, and the physics that it hides.
 
     Raises:
         InputError: There are no ready campaigns.
     """
     if case.plant == "bench":
-        return _bench(case.base, folder)
+        return _bench(case.base, campaigns / f"{case.base}__bench")
+    folder = campaigns / f"{case.base}__{case.plant}__seed{case.seed}"
     null = case.base == NOTHING_HIDDEN
-    seed = FIRST_SEED + case.seed // 10**4 * 10**4 + BASES.index(case.base)
+    seed = FIRST_SEED + 10 * case.seed + BASES.index(case.base)
     entry = Entry("null" if null else "single", None if null else case.base, None if null else MAGNITUDE, seed)
     runs = folder / RUNS
     if case.plant == "laboratory":
@@ -231,8 +236,13 @@ def scored(document: DiagnosisDocument, faults: Truths, hidden: Truths) -> Row:
 
 def refused(why: str, faults: Truths, hidden: Truths) -> Row:
     """A campaign that was not diagnosed."""
-    nothing: Row = {"verdict": "REFUSED", "named": [], "physics_in_vain": [], "readings_in_vain": [], "exact": False}
-    return nothing | {
+    return {
+        "verdict": "REFUSED",
+        "named": [],
+        "physics_in_vain": [],
+        "readings_in_vain": [],
+        "exact": False,
+        "seconds": None,
         "fault_found": False if faults else None,
         "fault_by_own_name": False if faults else None,
         "fault_covered": None,
@@ -292,6 +302,7 @@ def _by(rows: list[Row], key: str) -> dict[str, list[Row]]:
 
 def _cells(rows: list[Row]) -> tuple[str, ...]:
     inside = [row["fault_covered"] for row in rows if row["fault_covered"]]
+    seconds = [row["seconds"] for row in rows if row["seconds"] is not None]
     return (
         str(len(rows)),
         share(row["fault_found"] for row in rows),
@@ -299,7 +310,7 @@ def _cells(rows: list[Row]) -> tuple[str, ...]:
         share(row["physics_right"] for row in rows),
         share(row["physics_in_vain"] for row in rows),
         share(row["exact"] for row in rows),
-        f"{statistics.median(row['seconds'] for row in rows):.0f}",
+        f"{statistics.median(seconds):.0f}" if seconds else "–",
     )
 
 
