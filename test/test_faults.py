@@ -333,6 +333,8 @@ def test_clear_faults_on_nothing_come_first_and_fresh_seeds_are_one_option_away(
     assert len({case.name for case in cases}) == len(cases)
     fresh = measurement.cases(parser.parse_args(["--first-seed", "90000"]))
     assert [case.seed + 90000 for case in cases] == [case.seed for case in fresh]
+    some = measurement.cases(parser.parse_args(["--sample", "60"]))
+    assert len(some) == 60 and [case for case in cases if case in some] == some and len({c.base for c in some}) == 5
     few = measurement.cases(parser.parse_args(["--on", "bench", "--clear", "--fault", "encoder_offset"]))
     assert [case.name for case in few] == [
         f"encoder_offset__1__{base}__bench__seed0" for base in ("nothing", "object_mass", "joint_coulomb_friction")

@@ -8,6 +8,7 @@ bags is diagnosed as every other one.
 
     ./run python -m benchmarks measurement -o DIR                                  all of them
     ./run python -m benchmarks measurement -o DIR --only encoder_offset --base nothing --on bench
+    ./run python -m benchmarks measurement -o DIR --sample 60                      a part of them, of all kinds
     ./run python -m benchmarks measurement -o DIR --fault none quantised --base nothing --seeds 10         nulls
     cat DIR/*/row.json                                                             a JSON line for each campaign
     rm DIR/*/row.json                              then, scores the diagnoses that are there against another table
@@ -33,6 +34,8 @@ from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from benchmarks.boards.stripped import EXPERIMENT, strip_campaign
 from benchmarks.faults import FAULTS, Fault, Truths, rewrite_campaign, seconds_of
@@ -87,9 +90,14 @@ class FaultCase:
 
 def add_options(parser: argparse.ArgumentParser) -> None:
     """Which campaigns, and which faults of them."""
-    parser.add_argument("--on", nargs="+", choices=PLANTS, default=list(PLANTS[:2]), help="where it was recorded")
-    parser.add_argument("--base", nargs="+", choices=BASES, default=list(BASES), help="what is hidden beneath")
-    parser.add_argument("--fault", nargs="+", choices=FAULTS, default=list(FAULTS), help="what is wrong with a reading")
+    for option, known, chosen, words in (
+        ("--on", PLANTS, PLANTS[:2], "where it was recorded"),
+        ("--base", BASES, BASES, "what is hidden beneath"),
+        ("--fault", tuple(FAULTS), tuple(FAULTS), "what is wrong with a reading"),
+    ):
+        words = f"{words}: {', '.join(known)}"
+        parser.add_argument(option, nargs="+", choices=known, default=list(chosen), metavar="NAME", help=words)
+    parser.add_argument("--sample", type=int, metavar="N", help="only so many of these campaigns, drawn at random")
     parser.add_argument("--clear", action="store_true", help="only the larger size of every fault")
     parser.add_argument("--seeds", type=int, default=1, help="recordings of every base, each with faults of its own")
     parser.add_argument(
@@ -101,7 +109,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 
 def cases(options: argparse.Namespace) -> list[FaultCase]:
     """Clear faults first, those on nothing hidden before the others."""
-    return [
+    found = [
         FaultCase(fault, fault.sizes[index], base, plant, options.first_seed + seed)
         for seed in range(options.seeds)
         for index in ((-1,) if options.clear else (-1, -2))
@@ -112,6 +120,8 @@ def cases(options: argparse.Namespace) -> list[FaultCase]:
         for fault in (FAULTS[name] for name in options.fault)
         if len(fault.sizes) >= -index
     ]
+    drawn = np.random.default_rng(options.first_seed).permutation(len(found))[: options.sample]
+    return [found[number] for number in sorted(drawn)]
 
 
 def run(case: FaultCase, work: Work) -> Row:
