@@ -237,8 +237,6 @@ def velocity_scale(run: Readings, what: Drawn) -> Readings:
 
 def tracker_turned(run: Readings, what: Drawn) -> Readings:
     """Poses are turned about z of the robot's base, for the motion capture has other axes; size in degrees."""
-    if not run.object_time.size:
-        return run
     turn = Rotation.from_euler("z", what.value, degrees=True)
     turned = (turn * Rotation.from_quat(run.object_rotation)).as_quat()
     return replace(run, object_position=turn.apply(run.object_position), object_rotation=turned)
@@ -251,8 +249,6 @@ def tracker_shifted(run: Readings, what: Drawn) -> Readings:
 
 def tracked_point(run: Readings, what: Drawn) -> Readings:
     """A point of the object beside its centre is tracked, the same of all objects, in their axes; size in mm."""
-    if not run.object_time.size:
-        return run
     beside = Rotation.from_quat(run.object_rotation).apply(_across(what))
     return replace(run, object_position=run.object_position + beside)
 

@@ -410,3 +410,12 @@ def test_a_further_seed_is_another_recording_of_every_base(tmp_path: Path, monke
     assert {kind for _, kind, effect in asked if effect is None} == {"null"}
     assert {effect for _, kind, effect in asked if kind == "single"} == set(measurement.BASES[1:])
     assert hidden.count({"object_mass": {"scale": pytest.approx(0.15)}}) == 30
+
+
+@pytest.mark.parametrize("name", FAULTS)
+def test_free_motion_without_an_object_can_have_every_fault(name: str) -> None:
+    """Kills: a first pose that is taken for granted."""
+    empty = {"object_time": np.zeros(0), "object_position": np.zeros((0, 3)), "object_rotation": np.zeros((0, 4))}
+    fault = FAULTS[name]
+    found = fault.rewrite(Readings(**{**vars(RUN), **empty}), fault.drawn(fault.sizes[-1], 0, 1800.0))
+    assert all(getattr(found, key).shape == value.shape for key, value in empty.items())
