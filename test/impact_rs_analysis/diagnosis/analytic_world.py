@@ -199,6 +199,22 @@ class AnalyticSource(Source):
         spoiled = replace(item, residuals=item.residuals + change)
         self.clusters = (*self.clusters[:number], spoiled, *self.clusters[number + 1 :])
 
+    @property
+    def before_contact(self) -> Source:
+        part = copy.copy(self)
+        masks = [[not item.contact or f.phase == "free" for f in item.features] for item in self.clusters]
+        part.clusters = tuple(item.only(mask, contact=False) for item, mask in zip(self.clusters, masks, strict=True))
+
+        def predict(wanted: Sequence[tuple[int, Added]], what: str) -> list[Array | None]:
+            found = self.predict(wanted, what)
+            return [
+                None if values is None else values[masks[number]]
+                for (number, _), values in zip(wanted, found, strict=True)
+            ]
+
+        part.predict = predict  # type: ignore[method-assign]
+        return part
+
     def predict(self, wanted: Sequence[tuple[int, Added]], what: str) -> list[Array | None]:
         self.asked.extend(wanted)
         return [features(number, added) for number, added in wanted]
