@@ -108,6 +108,18 @@ def clusters_of(
     return tuple(clusters), remarks
 
 
+def _frame_words(runs: Runs) -> str:
+    """The frame of the tracker where hits place it elsewhere, with the remedy; empty: they do not."""
+    found = tracker_frame_start(runs.runs)
+    if found is None:
+        return ""
+    return (
+        f"; pads and objects meet if the poses of the object are off by x {1e3 * found[0]:.1f} mm, y "
+        f"{1e3 * found[1]:.1f} mm, yaw {np.rad2deg(found[2]):.2f} degrees: expected poses in the frame of the robot; "
+        "motion_capture: {estimate: true} in the experiment file places their frame by the hits"
+    )
+
+
 def pure_errors(firsts: dict[str, MeasuredRun], rows: dict[str, Array]) -> dict[str, Array | None]:
     """Pure error by condition, ``(F,)`` in the features' units; None without repeats of its kind.
 
@@ -263,7 +275,7 @@ class ReplaySource(Source):
         if missed:
             words = f"with model {model.name!r} the replay hits nothing"
             if len(missed) > MOST_MISSED * sum(run.hit for run in runs.runs):
-                raise InputError(words, file=missed[0].path)
+                raise InputError(words + _frame_words(runs), file=missed[0].path)
             names = ", ".join(Path(run.path).name for run in missed)
             remark = f"left out, because {words}: {names}"
             runs = replace(runs, runs=tuple(kept), remarks=(*runs.remarks, remark))

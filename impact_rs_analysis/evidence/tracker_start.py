@@ -19,7 +19,7 @@ from impact_rs_trials.recordings.contact_frame import PadOnFace, contact_frame
 
 TOUCHING = (0.02, 0.1)  # s from the impact on, in which the pad lies flat on the face and pushes it
 FOLLOWED = 0.3  # s from the impact on, in which the object goes where the pad goes
-TIMES_ERROR = 3.0  # standard errors, by which a frame must be off
+TIMES_ERROR = 1.0  # standard errors of the frame; nearer, nominal is as good a start
 
 
 def tracker_frame_start(runs: Iterable[MeasuredRun]) -> Array | None:
