@@ -253,6 +253,7 @@ class EndEffector:
         pad_size: Width (x), height (y) and thickness (z) of the pad [m].
         pad_tilt: Roll and pitch of the pad in E, about the centre of its outer face: about x, then about the y of E
             [rad]. E stays where it is: the tilt is unknown to the controller.
+        pad_offset: Middle of the pad's outer face in E [m]; likewise unknown to the controller.
     """
 
     mass: float
@@ -262,6 +263,7 @@ class EndEffector:
     mount_yaw: float
     pad_size: tuple[float, float, float]
     pad_tilt: tuple[float, float] = (0.0, 0.0)
+    pad_offset: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
     def __eq__(self, other: object) -> bool:
         return isinstance(other, EndEffector) and self._numbers == other._numbers
@@ -272,10 +274,18 @@ class EndEffector:
     @property
     def _numbers(self) -> tuple[object, ...]:
         arrays = self.com.tobytes(), self.inertia.tobytes()
-        return (self.mass, *arrays, self.length, self.mount_yaw, tuple(self.pad_size), tuple(self.pad_tilt))
+        return (
+            self.mass,
+            *arrays,
+            self.length,
+            self.mount_yaw,
+            tuple(self.pad_size),
+            tuple(self.pad_tilt),
+            self.pad_offset,
+        )
 
     @property
     def pad_placement(self) -> pin.SE3:
         """Middle and axes of the pad in E."""
         rotation = pin.rpy.rpyToMatrix(*self.pad_tilt, 0.0)
-        return pin.SE3(rotation, -self.pad_size[2] / 2.0 * rotation[:, 2])
+        return pin.SE3(rotation, np.array(self.pad_offset) - self.pad_size[2] / 2.0 * rotation[:, 2])

@@ -18,6 +18,7 @@ from impact_rs_sim.effects.contact import (
     PAD_COMPLIANCE,
     PAD_CREEP,
     PAD_FRICTION,
+    PAD_POSITION,
     PAD_SHEAR,
     PAD_TILT,
     RESTITUTION,
@@ -77,6 +78,7 @@ BUILT_IN: tuple[Effect, ...] = (
     JOINT_ELASTICITY,
     TORQUE_DELAY,
     SPIN_AXES,
+    PAD_POSITION,
     *OF_SENSORS,
 )
 

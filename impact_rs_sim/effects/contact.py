@@ -20,6 +20,7 @@ from impact_rs_sim.effects.base import (
     Values,
     number,
     types_of,
+    vector3,
 )
 from impact_rs_sim.physics import ArmPhysics, ContactCondition, ContactLaw, Physics
 from impact_rs_sim.robot import Array
@@ -115,6 +116,12 @@ def _pad_tilt(arm: ArmPhysics, values: Values) -> ArmPhysics:
     before = arm.end_effector
     tilt = (before.pad_tilt[0] + number(values, "roll"), before.pad_tilt[1] + number(values, "pitch"))
     return replace(arm, end_effector=replace(before, pad_tilt=tilt))
+
+
+def _pad_position(arm: ArmPhysics, values: Values) -> ArmPhysics:
+    before = arm.end_effector
+    x, y, z = np.array(before.pad_offset) + vector3(values, ("x", "y", "z"))
+    return replace(arm, end_effector=replace(before, pad_offset=(float(x), float(y), float(z))))
 
 
 def _support_compliance(physics: Physics, values: Values) -> Physics:
@@ -297,6 +304,20 @@ PAD_TILT = ArmEffect(
     ),
     law=_pad_tilt,
     phases=("contact",),
+)
+
+PAD_POSITION = ArmEffect(
+    name="pad_position",
+    acts_on="contact",
+    sentence="The pad is elsewhere on the flange: the tool is longer than assumed, or mounted beside its axis.",
+    parameters=(
+        Parameter("x", "m", 0.0, -0.05, 0.05, 0.002, "pad along x of frame E"),
+        Parameter("y", "m", 0.0, -0.05, 0.05, 0.002, "pad along y of frame E"),
+        Parameter("z", "m", 0.0, -0.05, 0.05, 0.002, "pad along z of frame E: longer tool"),
+    ),
+    law=_pad_position,
+    phases=("contact",),
+    lasting=True,
 )
 
 SUPPORT_COMPLIANCE = SceneEffect(

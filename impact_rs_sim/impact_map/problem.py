@@ -74,13 +74,15 @@ class ImpactProblem:
 
 
 def _touched(scene: Scene) -> BodyState:
-    """The object, moved back to where it touches the foremost edge of tilted pads."""
+    """The object, moved to where it touches the foremost edge of tilted pads, or pads that are elsewhere."""
     physics, object_ = scene.physics, scene.object
-    if not any(any(arm.end_effector.pad_tilt) for arm in physics.arms.values()):
+    pads = [arm.end_effector for arm in physics.arms.values()]
+    if not any(any((*pad.pad_tilt, *pad.pad_offset)) for pad in pads):
         return object_
+    gaps_too = any(any(pad.pad_offset) for pad in pads)
     placements = {name: physics.robot_model(name).placement(state.position) for name, state in scene.arms.items()}
     depths = [
-        max(-meeting.separation, 0.0) * meeting.normal
+        (-meeting.separation if gaps_too else max(-meeting.separation, 0.0)) * meeting.normal
         for meeting in meetings(physics, object_, placements)
         if meeting.partner != SUPPORT
     ]

@@ -496,7 +496,7 @@ def _add_pad(end_effector: mujoco.MjsBody, name: str, arm: ArmPhysics, spread: f
             name=element,
             type=mujoco.mjtGeom.mjGEOM_SPHERE,
             size=[ELEMENT_RADIUS, 0.0, 0.0],
-            pos=turn @ [*corner, -ELEMENT_RADIUS],
+            pos=turn @ [*corner, -ELEMENT_RADIUS] + arm.end_effector.pad_offset,
             mass=0.0,
             contype=0,
             conaffinity=0,

@@ -104,6 +104,7 @@ def test_effects_of_the_contact_are_not_seen_in_free_motion():
         "tangential_restitution",
         "drilling_friction",
         "spin_axes",
+        "pad_position",
         "tracker_frame",
         "tracked_point",
         "tracker_delay",

@@ -210,6 +210,25 @@ def test_a_tilted_pad_meets_the_box_with_an_edge_and_earlier(angle):
         assert flat - tilted == pytest.approx(falls(gap) - falls(gap - tilt * BOX / 2.0), abs=1.5e-3)
 
 
+@pytest.mark.parametrize("longer", [0.004, -0.004])
+def test_a_longer_tool_meets_the_object_that_much_earlier(longer):
+    """A box falls on the pad from 10 mm above it; kills a wrong sign of z, and an offset that turns with the tilt."""
+    gap, speed = 0.01, 0.2
+
+    def onset(physics):
+        motion = run(
+            physics, seconds=0.08, box=(REACH, 0.0, BOX / 2.0 + gap), box_twist=(0.0, 0.0, -speed, 0.0, 0.0, 0.0)
+        )
+        falling = -speed - GRAVITY * motion.time
+        return motion.time[np.argmax(motion.box_velocity[:, 2] - falling > 5e-3)]
+
+    def falls(way):
+        return (np.sqrt(speed**2 + 2.0 * GRAVITY * way) - speed) / GRAVITY
+
+    moved = onset(switched_on(bench(), "pad_position", z=longer)) - onset(bench())
+    assert moved == pytest.approx(falls(gap - longer) - falls(gap), abs=1.5e-3)
+
+
 SCENE = scene_of("push", "juice", "case_2")
 
 

@@ -70,7 +70,7 @@ CHANGED = {  # what of the physics, or of an arm, an effect is on
     "motor_inertia_reduced": ("motor_inertia_scale", "added_motor_inertia"),
     "facts": ("link_mass", "link_com", "link_inertia"),
     "contact_laws": ("restitution_fall", "tangential_restitution", "drilling_friction"),
-    "end_effector": ("end_effector_payload", "pad_tilt"),
+    "end_effector": ("end_effector_payload", "pad_tilt", "pad_position"),
     "object": ("object_mass", "object_com_offset"),
     "damping stiffness": ("joint_elasticity",),
     "stiffness": ("joint_stiffness",),
