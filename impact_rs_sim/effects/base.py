@@ -180,7 +180,7 @@ class Effect(ABC):
 
     Attributes:
         name: Name in model files and on the command line.
-        acts_on: Where it acts: motor side, actuation, joint torque, link inertia, contact, object, scene.
+        acts_on: Where it acts: motor side, actuation, joint torque, link inertia, contact, object, scene, sensing.
         sentence: One sentence for the user.
         parameters: What can be fitted.
         phases: Where it is observable: ``free`` motion, ``contact``, or both; ``impact``: in tables of impacts alone.
@@ -190,6 +190,10 @@ class Effect(ABC):
             no difference of two recordings shows it. What calibrates an arm is lasting.
         family: Of a law that is looked for, what the laws of one form at several joints share; empty: it has a name of
             its own in the library or the model.
+        reading: Of an effect of the measurement, what is wrong with the reading, as a clause in which ``{joint}``,
+            ``{size}``, ``{more}`` (too much, too little) and ``{late}`` (late, early) are filled in
+            (:mod:`impact_rs_analysis.diagnosis.measurement`); empty: the meaning of its parameters says it.
+        calibration: Experiment that determines it, as an imperative without a full stop; empty: none is known.
     """
 
     name: str
@@ -200,6 +204,8 @@ class Effect(ABC):
     calibrates: bool = False
     lasting: bool = False
     family: str = ""
+    reading: str = ""
+    calibration: str = ""
 
     @abstractmethod
     def apply(self, physics: Physics, values: Values) -> Physics:
@@ -214,6 +220,11 @@ class Effect(ABC):
     def shown_name(self) -> str:
         """Name in diagnoses and reports."""
         return self.name
+
+    @property
+    def of_measurement(self) -> bool:
+        """Whether it is a fault of a reading, which belongs to the laboratory, and no physics of the robot."""
+        return self.acts_on == "sensing"
 
     @property
     def may_change(self) -> bool:
@@ -332,6 +343,8 @@ class ArmEffect(Effect):
     phases: tuple[str, ...] = ("free", "contact")
     calibrates: bool = False
     lasting: bool = False
+    reading: str = ""
+    calibration: str = ""
 
     def apply(self, physics: Physics, values: Values) -> Physics:
         """See :meth:`Effect.apply`."""
@@ -358,6 +371,8 @@ class SceneEffect(Effect):
     law: Callable[[Physics, Values], Physics]
     phases: tuple[str, ...] = ("free", "contact")
     lasting: bool = False
+    reading: str = ""
+    calibration: str = ""
 
     def apply(self, physics: Physics, values: Values) -> Physics:
         """See :meth:`Effect.apply`."""

@@ -139,6 +139,7 @@ class Depending(Effect):
         self.effect, self.covariate, self.terms = effect, covariate, terms
         self.name = f"{effect.name} {terms.way} {covariate}"
         self.acts_on, self.sentence, self.phases = effect.acts_on, effect.sentence, effect.phases
+        self.reading, self.calibration = effect.reading, effect.calibration
         self.calibrates, self.lasting, self.parameters = effect.calibrates, effect.lasting, effect.parameters
 
     @property

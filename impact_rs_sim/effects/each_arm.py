@@ -32,6 +32,7 @@ class EachArm(Effect):
         self.effect, self.joints = effect, dict(joints)
         self.name, self.acts_on, self.sentence = effect.name, effect.acts_on, effect.sentence
         self.phases = effect.phases
+        self.reading, self.calibration = effect.reading, effect.calibration
         self.calibrates, self.lasting = effect.calibrates, effect.lasting
         self.parameters = tuple(
             replace(parameter, name=f"{parameter.name}_{arm}", arm=arm)

@@ -52,6 +52,8 @@ ENCODER_OFFSET = ArmEffect(
     ),
     law=_of_arm(lambda r, v: replace(r, position_offset=r.position_offset + v["offset"])),
     lasting=True,
+    reading="{joint} reads {size} {more}",
+    calibration="hold still in six poses far apart",
 )
 
 ENCODER_SCALE = ArmEffect(
@@ -61,6 +63,8 @@ ENCODER_SCALE = ArmEffect(
     parameters=(Parameter("scale", "-", 1.0, 0.9, 1.1, 0.002, "reading over position of the link", per_joint=True),),
     law=_of_arm(lambda r, v: replace(r, position_scale=r.position_scale * v["scale"])),
     lasting=True,
+    reading="{joint} reads angles {size} {more}",
+    calibration="move every joint between two marks of known angle",
 )
 
 MOTOR_ENCODER_OFFSET = ArmEffect(
@@ -72,6 +76,8 @@ MOTOR_ENCODER_OFFSET = ArmEffect(
     ),
     law=_of_arm(lambda r, v: replace(r, motor_offset=r.motor_offset + v["offset"])),
     lasting=True,
+    reading="the motor of {joint} reads {size} {more}",
+    calibration="hold still without a load, and compare motors with links",
 )
 
 TORQUE_SENSOR_GAIN = ArmEffect(
@@ -81,6 +87,8 @@ TORQUE_SENSOR_GAIN = ArmEffect(
     parameters=(Parameter("gain", "-", 1.0, 0.7, 1.3, 0.01, "reading over torque of the joint", per_joint=True),),
     law=_of_arm(lambda r, v: replace(r, torque_gain=r.torque_gain * v["gain"])),
     lasting=True,
+    reading="the torque of {joint} reads {size} {more}",
+    calibration="hold a known weight still in several poses, and compare commanded with measured torques",
 )
 
 TORQUE_SENSOR_OFFSET = ArmEffect(
@@ -90,6 +98,8 @@ TORQUE_SENSOR_OFFSET = ArmEffect(
     parameters=(Parameter("offset", "N m", 0.0, -5.0, 5.0, 0.1, "reading without torque", per_joint=True),),
     law=_of_arm(lambda r, v: replace(r, torque_offset=r.torque_offset + v["offset"])),
     lasting=True,
+    reading="the torque of {joint} reads {size} {more}",
+    calibration="hold still in six poses, each reached from both sides",
 )
 
 TORQUE_SENSOR_DRIFT = ArmEffect(
@@ -99,6 +109,8 @@ TORQUE_SENSOR_DRIFT = ArmEffect(
     parameters=(Parameter("rate", "N m/s", 0.0, -5e-3, 5e-3, 1e-4, "growth since the first run", per_joint=True),),
     law=_of_arm(lambda r, v: replace(r, torque_drift=r.torque_drift + v["rate"])),
     lasting=True,
+    reading="the torque of {joint} drifts by {size}",
+    calibration="hold one pose still at the beginning, in the middle and at the end of the campaign",
 )
 
 TORQUE_SENSOR_CROSSTALK = ArmEffect(
@@ -117,6 +129,8 @@ TORQUE_SENSOR_CROSSTALK = ArmEffect(
         )
     ),
     lasting=True,
+    reading="the torque of {joint} reads a share of its neighbours: {size}",
+    calibration="hold a known weight still in several poses",
 )
 
 TORQUE_SENSOR_LAG = ArmEffect(
@@ -126,6 +140,8 @@ TORQUE_SENSOR_LAG = ArmEffect(
     parameters=(Parameter("lag", "s", 0.0, 0.0, 0.2, 0.002, "time constant of the filter of first order"),),
     law=_of_arm(lambda r, v: replace(r, torque_lag=r.torque_lag + number(v, "lag"))),
     lasting=True,
+    reading="torques pass a filter of {size}",
+    calibration="move every joint there and back in free motion, fast",
 )
 
 TORQUE_DELAY = ArmEffect(
@@ -139,6 +155,8 @@ TORQUE_DELAY = ArmEffect(
     law=_of_arm(lambda r, v: replace(r, torque_delay=r.torque_delay + number(v, "delay"))),
     phases=("free",),
     calibrates=True,
+    reading="torques are recorded {size} {late}",
+    calibration="move every joint there and back in free motion, fast",
 )
 
 COMMAND_CLOCK = ArmEffect(
@@ -148,6 +166,8 @@ COMMAND_CLOCK = ArmEffect(
     parameters=(Parameter("delay", "s", 0.0, -0.05, 0.03, 0.001, "from the stamp of a command until it acts"),),
     law=_of_arm(lambda r, v: replace(r, command_delay=r.command_delay + number(v, "delay"))),
     lasting=True,
+    reading="commands act {size} {late}, by their stamps",
+    calibration="command a step of the torque at rest, and see when the measured torque follows",
 )
 
 VELOCITY_LAG = ArmEffect(
@@ -157,6 +177,8 @@ VELOCITY_LAG = ArmEffect(
     parameters=(Parameter("lag", "s", 0.0, 0.0, 0.2, 0.002, "time constant of the filter of first order"),),
     law=_of_arm(lambda r, v: replace(r, velocity_lag=r.velocity_lag + number(v, "lag"))),
     lasting=True,
+    reading="velocities pass a filter of {size}",
+    calibration="move every joint there and back in free motion, fast",
 )
 
 VELOCITY_DELAY = ArmEffect(
@@ -166,6 +188,8 @@ VELOCITY_DELAY = ArmEffect(
     parameters=(Parameter("delay", "s", 0.0, -0.1, 0.1, 0.002, "delay of the velocities after the positions"),),
     law=_of_arm(lambda r, v: replace(r, velocity_delay=r.velocity_delay + number(v, "delay"))),
     lasting=True,
+    reading="velocities are recorded {size} {late}",
+    calibration="move every joint there and back in free motion, fast",
 )
 
 VELOCITY_SCALE = ArmEffect(
@@ -175,6 +199,8 @@ VELOCITY_SCALE = ArmEffect(
     parameters=(Parameter("scale", "-", 1.0, 0.8, 1.2, 0.01, "reading over velocity of the link", per_joint=True),),
     law=_of_arm(lambda r, v: replace(r, velocity_scale=r.velocity_scale * v["scale"])),
     lasting=True,
+    reading="the velocity of {joint} reads {size} {more}",
+    calibration="move every joint there and back in free motion, fast",
 )
 
 TRACKER_FRAME = SceneEffect(
@@ -193,6 +219,8 @@ TRACKER_FRAME = SceneEffect(
     ),
     phases=CONTACT,
     lasting=True,
+    reading="the frame of the object tracker is off by {size}",
+    calibration="touch the object from three sides, or push it straight along two directions",
 )
 
 TRACKED_POINT = SceneEffect(
@@ -206,6 +234,8 @@ TRACKED_POINT = SceneEffect(
     law=_of_tracker(lambda t, v: replace(t, point=(t.point[0] + number(v, "x"), t.point[1] + number(v, "y")))),
     phases=CONTACT,
     lasting=True,
+    reading="the tracked point is off the centre of the object by {size}",
+    calibration="turn the object in place by quarters",
 )
 
 TRACKER_DELAY = SceneEffect(
@@ -216,6 +246,8 @@ TRACKER_DELAY = SceneEffect(
     law=_of_tracker(lambda t, v: replace(t, delay=t.delay + number(v, "delay"))),
     phases=CONTACT,
     lasting=True,
+    reading="poses of the object are recorded {size} {late}",
+    calibration="push the object there and back, fast",
 )
 
 TRACKER_LAG = SceneEffect(
@@ -226,6 +258,8 @@ TRACKER_LAG = SceneEffect(
     law=_of_tracker(lambda t, v: replace(t, lag=t.lag + number(v, "lag"))),
     phases=CONTACT,
     lasting=True,
+    reading="poses of the object pass a filter of {size}",
+    calibration="push the object there and back, fast",
 )
 
 
@@ -245,6 +279,8 @@ SPIN_AXES = SceneEffect(
     ),
     law=_spin_axes,
     phases=SINGLE_IMPACT,
+    reading="angular velocities are measured in turned axes: {size}",
+    calibration="spin the body about three known axes in free flight",
 )
 
 OF_SENSORS = (
