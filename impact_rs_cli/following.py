@@ -7,6 +7,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from impact_rs_analysis.evidence.calibration import LaboratoryCalibration, calibration_of
 from impact_rs_analysis.evidence.discrepancy import NO_DISCREPANCY
 from impact_rs_analysis.evidence.map_discrepancy import NO_MAP_DISCREPANCY
 from impact_rs_analysis.evidence.replay_cache import ReplayCache
@@ -34,6 +35,7 @@ class HitsArguments(NamedTuple):
         model: File of the model.
         tolerance: Contact tolerance of a table [m]; None: as usual.
         exact: Whether to ignore the model discrepancy.
+        calibration: LaboratoryCalibration of the readings; None: the one beside the hits, if there is one.
     """
 
     runs: Path | None
@@ -42,6 +44,7 @@ class HitsArguments(NamedTuple):
     model: str = "nominal"
     tolerance: float | None = None
     exact: bool = False
+    calibration: Path | None = None
 
     @property
     def table(self) -> Path | None:
@@ -58,12 +61,21 @@ class HitsArguments(NamedTuple):
         return Path(path)
 
 
+def calibration_of_hits(hits: HitsArguments) -> LaboratoryCalibration:
+    """The calibration of the readings of hits.
+
+    Raises:
+        InputError: It cannot be read, or has an effect of the physics.
+    """
+    return calibration_of(hits.where, hits.calibration)
+
+
 def door_of(hits: HitsArguments, model: Model) -> Door:
     """The door through which hits come.
 
     Args:
         hits: Where they come from.
-        model: What is believed.
+        model: What is believed, with the faults of the readings.
 
     Raises:
         InputError: Options that do not go together, or there is no such scenario.
@@ -162,6 +174,7 @@ def diagnose_options(hits: HitsArguments, effects: Sequence[str] | None = None) 
         "model": hits.model,
         "contact_tolerance": hits.tolerance,
         "no_discrepancy": hits.exact,
+        "calibration": hits.calibration,
         "effects": effects,
     }
 

@@ -9,7 +9,14 @@ from pathlib import Path
 
 from impact_rs_analysis.following.follow import Follower
 from impact_rs_analysis.following.lessons import HitDocument, PublishedChange, PublishedPrediction, RefusedHit
-from impact_rs_cli.following import FollowedHits, HitsArguments, diagnose_options, door_of, folder_of_diagnoses
+from impact_rs_cli.following import (
+    FollowedHits,
+    HitsArguments,
+    calibration_of_hits,
+    diagnose_options,
+    door_of,
+    folder_of_diagnoses,
+)
 from impact_rs_cli.full_diagnosis import FullDiagnosis
 from impact_rs_ros.identify_node import Identifier, IdentifyNode, Lesson
 from impact_rs_ros.process import run
@@ -94,7 +101,8 @@ class Identify(IdentifyNode):
             self.parameter("impacts_scenario") or None,
             self.parameter("model"),
         )
-        model, folder = load_model(hits.model), self.parameter("diagnoses")
+        model = calibration_of_hits(hits).of(load_model(hits.model))
+        folder = self.parameter("diagnoses")
         state = Path(state) if state else None
         diagnosis = FullDiagnosis(diagnose_options(hits), folder_of_diagnoses(Path(folder) if folder else None, state))
         follower = Follower(door_of(hits, model), model)

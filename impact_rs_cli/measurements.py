@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any, Self
 
 from impact_rs_analysis.diagnosis.bounds import read_ranges
+from impact_rs_analysis.evidence.calibration import NO_CALIBRATION, LaboratoryCalibration, calibration_of
 from impact_rs_analysis.evidence.cluster import Added
 from impact_rs_analysis.evidence.command_clock import read_laboratory_runs
 from impact_rs_analysis.evidence.discrepancy import NO_DISCREPANCY, Discrepancy
@@ -47,6 +48,7 @@ class Measurements:
         source: Makes the source of evidence for a model; replays go through the store.
         trials: Trials; None: something else.
         what: What was read, in words.
+        calibration: Faults of the readings.
     """
 
     def __init__(
@@ -56,8 +58,9 @@ class Measurements:
         source: Callable[[Model, ReplayCache], Source],
         trials: Runs | None = None,
         what: str = "trials",
+        calibration: LaboratoryCalibration = NO_CALIBRATION,
     ) -> None:
-        self.trials, self.what = trials, what
+        self.trials, self.what, self.calibration = trials, what, calibration
         self._map, self._terminal, self._source = map_tasks, terminal, source
         self._stage = lambda *_: None
         self._store = ReplayCache(map_tasks, lambda what, done, total: self._stage(what, done, total))
@@ -71,6 +74,7 @@ class Measurements:
         trials: Runs,
         discrepancy: Discrepancy | None = None,
         each_arm: bool = False,
+        calibration: LaboratoryCalibration = NO_CALIBRATION,
     ) -> Self:
         """Trials, or runs of another controller.
 
@@ -80,12 +84,13 @@ class Measurements:
             trials: The runs.
             discrepancy: Of the simulation; None: as measured.
             each_arm: Whether arms of one kind have parameters of their own.
+            calibration: Faults of the readings.
         """
 
         def source(model: Model, store: ReplayCache) -> Source:
             return ReplaySource.of(trials, model, store, discrepancy, each_arm)
 
-        return cls(map_tasks, terminal, source, trials)
+        return cls(map_tasks, terminal, source, trials, calibration=calibration)
 
     @contextmanager
     def progress(self) -> Iterator[None]:
@@ -98,11 +103,16 @@ class Measurements:
                 self._stage = lambda *_: None
 
     def against(self, model: Model) -> Source:
-        """The measurements against a model.
+        """The measurements against a model, with the faults of the readings.
 
         Raises:
-            InputError: With this model nothing is hit, or the model blows up; a recording cannot be used.
+            InputError: With this model nothing is hit, or the model blows up; a recording cannot be used; model and
+                calibration do not fit together.
         """
+        return self.uncalibrated(self.calibration.of(model))
+
+    def uncalibrated(self, model: Model) -> Source:
+        """As :meth:`against`, without the faults of the readings."""
         key = f"{model.digest} {[spec.name for spec in model.formulas]} {model.arms}"
         if key not in self._sources:
             self._sources[key] = self._source(model, self._store)
@@ -165,6 +175,7 @@ def measured(
         )
         if args.since is not None:
             table = table.since(args.since)
+        calibration = _calibration(Path(args.impacts), args, terminal)
         with started(args) as map_tasks:
             yield Measurements(
                 map_tasks,
@@ -173,10 +184,12 @@ def measured(
                     table, model, each_arm, NO_MAP_DISCREPANCY if args.no_discrepancy else None, map_tasks=map_tasks
                 ),
                 what="tables of impacts",
+                calibration=calibration,
             )
         return
     discrepancy = NO_DISCREPANCY if args.no_discrepancy else None
     path = Path(args.runs)
+    calibration = _calibration(path, args, terminal)
     if args.minus is not None and (args.experiment is not None or (args.mapping is None and not is_foreign(path))):
         raise InputError(NO_MINUS)
     with started(args) as map_tasks:
@@ -195,13 +208,22 @@ def measured(
                 terminal,
                 lambda model, _: RecordingSource.of(recordings, mapping, model, minus, [*left_out, *short]),
                 what="recordings without a scenario",
+                calibration=calibration,
             )
             return
         else:
             trials = read(path, map_tasks, terminal)
         if args.since is not None:
             trials = trials.since(args.since)
-        yield Measurements.of_trials(map_tasks, terminal, trials, discrepancy, each_arm)
+        yield Measurements.of_trials(map_tasks, terminal, trials, discrepancy, each_arm, calibration)
+
+
+def _calibration(data: Path, args: argparse.Namespace, terminal: Terminal) -> LaboratoryCalibration:
+    """The calibration that belongs to measurements, with a word on it."""
+    calibration = calibration_of(data, args.calibration)
+    if calibration:
+        terminal.say(f"calibration of the readings: {calibration.text}")
+    return calibration
 
 
 def experiment_file(given: Path, directory: Path, terminal: Terminal) -> Path:

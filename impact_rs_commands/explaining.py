@@ -204,9 +204,9 @@ m/s.""",
 
 DIAGNOSE = Command(
     name="diagnose",
-    summary="name the physical effect that a model lacks",
+    summary="name the effect that a model lacks, of the physics or of the measurement",
     about="""\
-Find out which physical effect a model lacks.
+Find out what a model lacks: a fault of a reading, or an effect of the physics.
 
 Fits every effect of the library (impact-rs effects lists them) and of your own formulas to the measurements, and
 judges it by its held-out error: how well it predicts conditions that the search has not seen. The verdict on an effect
@@ -288,6 +288,8 @@ m/s.""",
     ),
 )  # fmt: skip
 
+FOLLOWED = ("impacts", "scenario", "contact_tolerance", "calibration", "no_discrepancy")  # of SOURCE
+
 FOLLOW = Command(
     name="follow",
     summary="learn from every impact, and say when something has changed",
@@ -351,7 +353,7 @@ followed model as a file.""",
             "--effects", kind="effect", many=True, metavar="NAME", help="look for changes of only these effects",
             otherwise="all", label="only these effects",
         ),
-        *(one for one in SOURCE if one.name in ("impacts", "scenario", "contact_tolerance", "no_discrepancy")),
+        *(one for one in SOURCE if one.name in FOLLOWED),
         JSON,
     ),
     resumable=True,
@@ -408,10 +410,15 @@ impact-rs discover lab/ --experiment experiment.yaml --grammar my_terms.yaml -o 
 
 ADD = Command(
     name="add",
-    summary="add diagnosed effects to a model",
+    summary="add diagnosed effects to a model, and faults of the readings to a calibration",
     module="add_effect",
     about="""\
-Write a new model file: the old model and effects with the parameters of a diagnosis.
+Write a new model file: the old model and effects of the physics with the parameters of a diagnosis.
+
+Effects of the measurement (encoder_offset, torque_delay, ...) belong to the laboratory and not to the robot: they go
+into calibration.yaml in the folder of the measurements, which is made or extended. compare, diagnose, discover, follow
+and history read it and predict the readings of those measurements with it, whatever the model, so that a model file
+can be used in another laboratory. Without an effect of the physics no model file is written.
 
 The new file names its parent, so impact-rs history can list all versions. Model files are never overwritten. The
 command refuses a diagnosis of another model, and an effect that the trials do not determine; --force adds effects
@@ -419,8 +426,11 @@ whose verdict is NO-IMPROVEMENT, and the mean of effects that depend on a covari
 together belong together: their parameters were fitted together.""",
     examples="""\
 impact-rs add torque_offset --model config/models/nominal.yaml --from diagnosis.json -o model_2.yaml
-impact-rs compare campaigns/blind/runs --model model_2.yaml""",
-    output="the effects with their parameters, and a YAML file.",
+impact-rs compare campaigns/blind/runs --model model_2.yaml
+
+# an effect of the measurement goes into calibration.yaml beside the measurements
+impact-rs add torque_delay --from diagnosis.json""",
+    output="the effects with their parameters, and the YAML files that hold them.",
     units="those of the diagnosis and the model file.",
     options=(
         argument(
@@ -431,7 +441,14 @@ impact-rs compare campaigns/blind/runs --model model_2.yaml""",
             "--from", name="source", kind="diagnosis", required=True, metavar="FILE.json", label="diagnosis",
             help="diagnosis of the model",
         ),
-        output("new_file", "new model file", "FILE.yaml", required=True, label="new model"),
+        output(
+            "new_file", "new model file; needed for effects of the physics", "FILE.yaml", label="new model",
+        ),
+        option(
+            "--calibration", kind="file", metavar="FILE.yaml", label="calibration of the readings", advanced=True,
+            otherwise="calibration.yaml in the folder of the measurements",
+            help="file for effects of the measurement, made or extended",
+        ),
         option(
             "--force", kind="switch", help="add effects even if they are NO-IMPROVEMENT, or depend on a covariate",
             label="add them even if they do not reduce the error",
@@ -444,7 +461,8 @@ HISTORY = Command(
     name="history",
     summary="show how the error fell from model to model",
     about="""\
-Show the error of every version of a model, from its first parent to MODEL.yaml.
+Show the error of every version of a model, from its first parent to MODEL.yaml. Where the folder of the measurements
+has a calibration.yaml, its faults of the readings come after the first model, one by one.
 
 Two errors: with the parameters of the file, and held out, where the parameters of the added effect are fitted to all
 other conditions. Fitting noise does not reduce the held-out error.""",

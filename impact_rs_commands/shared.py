@@ -108,6 +108,12 @@ SOURCE = (
         help="only trials, or rows of a table, that were measured from then on: the name of a trial or row, or a time",
     ),
     option(
+        "--calibration", kind="file", metavar="FILE.yaml", label="calibration of the readings", advanced=True,
+        otherwise="calibration.yaml in the folder of the measurements, if there is one",
+        help="faults of the readings, which are predicted with every model: a file as that of a model, with effects of "
+        "the measurement alone (docs/your_data.md); nominal: none",
+    ),
+    option(
         "--no-discrepancy", kind="switch", label="assume an exact simulation", advanced=True,
         help="assume that the simulation is exact: ignore the model discrepancy between simulators "
         "(config/discrepancy.yaml), or of the impact map (config/map_discrepancy.yaml)",

@@ -316,6 +316,7 @@ def diagnosis(workspace: Workspace, name: str) -> dict[str, Any]:
     return {
         "verdict": str(document.verdict),
         "summary": document.summary,
+        "calibrate": [one.model_dump() for one in document.calibrate],
         "model": document.model.name,
         "digest": document.model.digest,
         "named": list(document.named),
@@ -340,6 +341,7 @@ def diagnosis(workspace: Workspace, name: str) -> dict[str, Any]:
             {
                 "name": effect.name,
                 "sentence": effect.sentence,
+                "of_measurement": effect.of_measurement,
                 "verdict": str(effect.verdict),
                 "tag": tag_of(effect.verdict).value,
                 "reason": effect.reason,

@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from impact_rs_analysis.diagnosis.document import DiagnosisDocument, read_document
+from impact_rs_analysis.evidence.calibration import CALIBRATION
 from impact_rs_sim.errors import InputError, did_you_mean, shortened
 from impact_rs_sim.model import Model, load_model
 from impact_rs_sim.paths import config_directory
@@ -167,6 +168,7 @@ class Contents:
         robots: Robots, those that come with impact_rs first.
         tables: Tables of impacts.
         packages: Packages of evidence.
+        calibrations: Faults of readings, beside measurements.
         stamps: When models, diagnoses and reports were written [s of the wall clock].
     """
 
@@ -183,6 +185,7 @@ class Contents:
     robots: tuple[str, ...]
     tables: tuple[str, ...]
     packages: tuple[str, ...]
+    calibrations: tuple[str, ...]
     stamps: dict[str, float]
 
 
@@ -242,7 +245,7 @@ class Workspace:
         """What is there now; files that are none of ours are left out."""
         campaigns, laboratories, models, diagnoses, reports, scenarios, formulas = [], [], [], [], [], [], []
         scores: list[dict[str, Any]] = []
-        blinds, plans, robots, tables, packages = [], [], [], [], []
+        blinds, plans, robots, tables, packages, calibrations = [], [], [], [], [], []
         for folder, files, bags in self._folders():
             ours = [name for name in bags if _is_ours(folder / name)]
             if MANIFEST in files:
@@ -257,7 +260,9 @@ class Workspace:
                 path = folder / file
                 if file.endswith((".yaml", ".yml")):
                     kind = _kind_of_yaml(path)
-                    if kind == "model":
+                    if file == CALIBRATION:
+                        calibrations.append(self.name(path))
+                    elif kind == "model":
                         models.append(self._model(path))
                     elif kind == "scenario":
                         scenarios.append(self.name(path))
@@ -292,6 +297,7 @@ class Workspace:
             robots=(*_names_in(config / "robots"), *robots),
             tables=tuple(tables),
             packages=tuple(packages),
+            calibrations=tuple(calibrations),
             stamps=self._stamps([*reports, *plans, *(one.path for one in diagnoses), *(one.path for one in models)]),
         )
 

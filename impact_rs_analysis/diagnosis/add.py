@@ -1,16 +1,19 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A better model: the parent with diagnosed effects."""
+"""A better model: the parent with diagnosed effects; and a better calibration, with faults of the readings."""
 
 from __future__ import annotations
 
 import os
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 from impact_rs_analysis.diagnosis.document import DiagnosisDocument, EffectDocument
 from impact_rs_analysis.diagnosis.verdict import NO_IMPROVEMENT, TOO_FEW, UNIDENTIFIABLE
+from impact_rs_analysis.evidence.calibration import CALIBRATION, LaboratoryCalibration, check_faults, file_beside
 from impact_rs_sim.effects.formula import FormulaSpec
 from impact_rs_sim.errors import InputError, did_you_mean
+from impact_rs_sim.files import is_file
 from impact_rs_sim.model import Model, ModelEffect, ParameterValue, check_model
 from impact_rs_sim.paths import config_directory
 
@@ -44,13 +47,90 @@ def add_effects(
             f"{model.name!r} (digest {model.digest}) in {model_file}; diagnose that one, or name the model of this one",
             file=source,
         )
+    child, note = _extended(model, document, source, names, force, output.stem, _parent_name(model_file, output))
+    return check_model(child.model_copy(update={"note": note, "parent_digest": model.digest}), source)
+
+
+def faults_among(names: Sequence[str], model: Model, document: DiagnosisDocument) -> list[str]:
+    """Those of some effects that are faults of a reading, which belong to the laboratory and not to the model.
+
+    Args:
+        names: Effects.
+        model: The diagnosed model.
+        document: Its diagnosis.
+    """
+    known = model.model_copy(update={"formulas": (*model.formulas, *document.formulas)}).known_effects
+    return [name for name in names if name in known and known[name].of_measurement]
+
+
+def calibration_file(document: DiagnosisDocument, source: Path) -> Path:
+    """The calibration of the measurements that were diagnosed: the file that was read, or the one beside them.
+
+    Args:
+        document: A diagnosis.
+        source: Its file.
+
+    Raises:
+        InputError: It does not say where they are, or they are there no longer.
+    """
+    given, data = document.options.get("calibration"), document.options.get("impacts", document.options.get("runs"))
+    if given is not None and is_file(given):
+        return Path(given)
+    if data is None or not Path(data).exists():
+        where = "does not say where its measurements are" if data is None else f"has measurements of {data}, now gone"
+        raise InputError(
+            f"this diagnosis {where}, and a fault of their readings is written beside them; name the file, for example "
+            f"--calibration FOLDER/{CALIBRATION}",
+            file=source,
+        )
+    return file_beside(Path(data))
+
+
+def add_faults(
+    calibration: LaboratoryCalibration, document: DiagnosisDocument, source: Path, names: Sequence[str], force: bool
+) -> LaboratoryCalibration:
+    """The calibration with diagnosed faults of the readings, not yet written.
+
+    Args:
+        calibration: As it was when the measurements were diagnosed.
+        document: Diagnosis.
+        source: File of the diagnosis.
+        names: Effects of the measurement to add.
+        force: As for :func:`add_effects`.
+
+    Raises:
+        InputError: The calibration has changed since the diagnosis, which does not contain an effect or advises against
+            it.
+    """
+    faults, known = calibration.faults, document.calibration
+    if (faults.digest if calibration else None) != (None if known is None else known.digest):
+        raise InputError(
+            f"this calibration is not the one of the diagnosis {source}, which would count twice what it knows; "
+            "diagnose the measurements again",
+            file=calibration.file,
+        )
+    child, note = _extended(faults, document, source, names, force, faults.name, "")
+    note = "; ".join(filter(None, [faults.note, note]))
+    child = child.model_copy(update={"note": note, "parent": None, "parent_digest": None})
+    return replace(calibration, faults=check_faults(check_model(child, source), source))
+
+
+def _extended(
+    model: Model,
+    document: DiagnosisDocument,
+    source: Path,
+    names: Sequence[str],
+    force: bool,
+    name: str,
+    parent: str,
+) -> tuple[Model, str]:
+    """A model with diagnosed effects, and a note on their verdicts."""
     child, notes = model.model_copy(update={"arms": document.arms or model.arms}), []
-    for name in dict.fromkeys(names):
-        item, formulas, note = _diagnosed(child, document, source, name, force)
-        child = child.with_effect(item, output.stem, _parent_name(model_file, output), formulas)
+    for effect in dict.fromkeys(names):
+        item, formulas, note = _diagnosed(child, document, source, effect, force)
+        child = child.with_effect(item, name, parent, formulas)
         notes.append(note)
-    whole = {"note": "; ".join(notes), "parent_digest": model.digest}
-    return check_model(child.model_copy(update=whole), source)
+    return child, "; ".join(notes)
 
 
 def _diagnosed(

@@ -21,15 +21,17 @@ from typing import Literal
 
 from pydantic import Field
 
-from impact_rs_analysis.diagnosis.document import ModelIdentity
+from impact_rs_analysis.diagnosis.document import CalibrationIdentity, ModelIdentity
 from impact_rs_analysis.diagnosis.jump import jump_level
+from impact_rs_analysis.evidence.calibration import NO_CALIBRATION, LaboratoryCalibration
 from impact_rs_analysis.evidence.cluster import ErrorUnit
 from impact_rs_analysis.evidence.discrepancy import DiscrepancyDocument
 from impact_rs_analysis.evidence.levels import Cell, ConditionScore, Level, RecordingDocument, SignalLevel, rounded
 from impact_rs_analysis.evidence.source import Source
 from impact_rs_analysis.evidence.visited import beyond
 from impact_rs_analysis.measure.arms import ArmDocument, arms_of, assumptions
-from impact_rs_sim.schema import Schema
+from impact_rs_sim.model import Model
+from impact_rs_sim.schema import Schema, omitted
 
 
 class LeftOut(Schema):
@@ -44,6 +46,7 @@ class ComparisonDocument(Schema):
 
     source: Literal["trials", "recordings", "impacts"] = Field(description="what was compared")
     model: ModelIdentity = Field(description="compared model")
+    calibration: CalibrationIdentity | None = omitted(None, description="faults of the readings that are known")
     trials: int = Field(description="trials, or recordings")
     conditions: tuple[ConditionScore, ...] = Field(description="by condition or recording")
     score: float = Field(description="score of the model")
@@ -63,12 +66,17 @@ class ComparisonDocument(Schema):
     remarks: tuple[str, ...] = Field((), description="remarks for the reader")
 
 
-def compare(source: Source) -> ComparisonDocument:
+def compare(
+    source: Source, model: Model | None = None, calibration: LaboratoryCalibration = NO_CALIBRATION
+) -> ComparisonDocument:
     """Compare a model with measurements.
 
     Args:
         source: Measurements with the model's predictions.
+        model: The model of the file; None: that of the source, which has no calibration.
+        calibration: Faults of the readings, which the model of the source has as well.
     """
+    model = source.model if model is None else model
     found, runs, noise = source.compare_levels(), source.runs, source.noise_size()
     jump, remarks = ({}, []) if runs is None else jump_level(runs, source.model, source.discrepancy)
     skipped = source.left_out
@@ -77,7 +85,8 @@ def compare(source: Source) -> ComparisonDocument:
     arms = arms_of(source.worlds)
     return ComparisonDocument(
         source=source.kind,
-        model=ModelIdentity(name=source.model.name, digest=source.model.digest),
+        model=ModelIdentity.of(model),
+        calibration=CalibrationIdentity.of(calibration),
         trials=source.identity.count,
         conditions=found.conditions,
         score=rounded(source.size()),

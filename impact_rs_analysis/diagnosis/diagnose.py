@@ -35,6 +35,7 @@ from impact_rs_analysis.diagnosis.drift import doubt_of, drift_in_words, drift_o
 from impact_rs_analysis.diagnosis.effect_verdicts import effect_documents
 from impact_rs_analysis.diagnosis.fit import Evidence, Fit
 from impact_rs_analysis.diagnosis.hold_out import HoldOut, hold_out
+from impact_rs_analysis.diagnosis.measurement import experiments_of, measurement_of, with_readings
 from impact_rs_analysis.diagnosis.next_experiment import next_experiment
 from impact_rs_analysis.diagnosis.residuals import MOST_RESTS, noise_size, residual_unit, rests_of
 from impact_rs_analysis.diagnosis.search import NOTHING_KNOWN, ProgressCallback, Rival, Search
@@ -129,7 +130,8 @@ def diagnose(
     remarks = (*filter(None, [not_tried(spent)]), *document.remarks, *unseen)
     document = document.model_copy(update={"runs": _runs(whole), "budget": spent, "remarks": remarks})
     summary = " ".join(filter(None, [summary_of(document), doubt_of(document.drift)]))
-    return document.model_copy(update={"summary": summary})
+    said = {"measurement": measurement_of(document), "calibrate": experiments_of(document), "summary": summary}
+    return document.model_copy(update=said)
 
 
 def added_of(document: DiagnosisDocument, source: Source) -> Added:
@@ -293,7 +295,7 @@ def document_of(found: Findings, source: Source, model: Model) -> DiagnosisDocum
     verdict, lack_of_fit = headline(found)
     before = [item.mean for item in evidence.clusters]
     after: Sequence[Array] = before if found.hold_out is None else found.hold_out.rest
-    effects = tuple(effect_documents(found, known))
+    effects = tuple(with_readings(effect_documents(found, known), known))
     rivals = {effect.name: effect.rivals for effect in effects}
     drift = drift_of(source.clusters)
     remarks = [*filter(None, [drift_in_words(drift)]), *_remarks(found, source)]
@@ -310,7 +312,7 @@ def document_of(found: Findings, source: Source, model: Model) -> DiagnosisDocum
             share_of_excess=found.share_left, where=tuple(rests_of(evidence, found.unexplained)[:MOST_RESTS])
         ),
         next_experiment=next_experiment(found, known),
-        model=ModelIdentity(name=model.name, digest=model.digest),
+        model=ModelIdentity.of(model),
         runs=_runs(source),
         error_unit=residual_unit(evidence),
         noise_floor=noise_size(evidence),

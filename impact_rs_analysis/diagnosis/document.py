@@ -10,18 +10,20 @@ from __future__ import annotations
 import json
 import math
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, Self
 
 from pydantic import Field
 
 from impact_rs_analysis.diagnosis.thresholds import NOMINAL
 from impact_rs_analysis.diagnosis.verdict import SMALL, DiagnosisVerdict
+from impact_rs_analysis.evidence.calibration import LaboratoryCalibration
 from impact_rs_analysis.evidence.cluster import TIMES, ErrorUnit
 from impact_rs_analysis.evidence.discrepancy import DiscrepancyDocument
 from impact_rs_analysis.evidence.levels import RecordingDocument
 from impact_rs_sim.effects.formula import FormulaSpec
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.files import write_whole
+from impact_rs_sim.model import Model
 from impact_rs_sim.schema import Schema, omitted, read_json, validate
 
 LARGEST = 50_000_000  # bytes; a diagnosis usually has about ten thousand
@@ -92,6 +94,9 @@ class EffectDocument(Schema):
 
     name: str = Field(description="effect")
     sentence: str = Field("", description="what it is")
+    of_measurement: bool = omitted(False, description="whether it is a fault of a reading and no physics")
+    reading: str = omitted("", description="clause that says the fault of the reading, with places for its size")
+    calibration: str = omitted("", description="experiment that determines the fault of the reading")
     verdict: DiagnosisVerdict = Field(
         description="CONFIRMED, CONFUSABLE-WITH{...}, PRESENT-BUT-SMALL, NOT-IDENTIFIABLE, NO-IMPROVEMENT, AT-BOUND or "
         "TOO-FEW-REPEATS"
@@ -192,6 +197,26 @@ class ModelIdentity(Schema):
     name: str = Field(description="name of the model")
     digest: str = Field(description="digest of its physics")
 
+    @classmethod
+    def of(cls, model: Model) -> Self:
+        """Identity of a model."""
+        return cls(name=model.name, digest=model.digest)
+
+
+class CalibrationIdentity(Schema):
+    """Which calibration the readings were predicted with."""
+
+    file: str = Field(description="its file")
+    digest: str = Field(description="digest of its effects")
+    effects: tuple[str, ...] = Field(description="faults of the readings")
+
+    @classmethod
+    def of(cls, calibration: LaboratoryCalibration) -> Self | None:
+        """Identity of a calibration; None: it has no effect."""
+        faults = calibration.faults
+        names = tuple(item.name for item in faults.effects)
+        return cls(file=str(calibration.file), digest=faults.digest, effects=names) if names else None
+
 
 class RunsIdentity(Schema):
     """Which measurements were read."""
@@ -243,6 +268,13 @@ class NextExperiment(Schema):
         None, description="squared distance of the two predictions in units of the noise, for one more trial [-]"
     )
     already_measured: bool | None = Field(None, description="whether it was measured before")
+
+
+class CalibrationExperiment(Schema):
+    """Experiment that determines a fault of the readings."""
+
+    effect: str = Field(description="effect of the measurement")
+    experiment: str = Field(description="what to do, in words")
 
 
 class CorrelatedPair(Schema):
@@ -361,6 +393,10 @@ class DiagnosisDocument(Schema):
         "", description="how the measurements break a law of every impact, whatever the contact; empty: they do not"
     )
     summary: str = Field("", description="the verdict in words, with the largest residuals in units")
+    measurement: str = omitted("", description="what is wrong with the readings, in words; empty: nothing is named")
+    calibrate: tuple[CalibrationExperiment, ...] = omitted(
+        (), description="experiments for the effects of the measurement that are named, tied or suspected"
+    )
     named: tuple[str, ...] = Field((), description="effects that the diagnosis chose")
     suspected: tuple[str, ...] = Field(
         (), description="effects that lower the error of all data, and the held-out error by less than its interval"
@@ -373,6 +409,9 @@ class DiagnosisDocument(Schema):
     unexplained: UnexplainedDocument = Field(default_factory=UnexplainedDocument, description="what stays")
     next_experiment: NextExperiment | None = Field(None, description="experiment that distinguishes confusable effects")
     model: ModelIdentity = Field(description="diagnosed model")
+    calibration: CalibrationIdentity | None = omitted(
+        None, description="faults of the readings that were known; null: none"
+    )
     runs: RunsIdentity = Field(description="measurements")
     error_unit: ErrorUnit = Field(TIMES, description="unit of all held-out errors")
     noise_floor: float = Field(description="held-out error of noise alone")
@@ -410,6 +449,25 @@ class DiagnosisDocument(Schema):
     def calls_for_a_law(self) -> bool:
         """Whether something remains that no effect explains."""
         return self.verdict.leaves_residuals
+
+    @property
+    def faults(self) -> tuple[str, ...]:
+        """Effects of the measurement that are named."""
+        return self._named_of(measurement=True)
+
+    @property
+    def missing(self) -> tuple[str, ...]:
+        """Effects of the physics that are named."""
+        return self._named_of(measurement=False)
+
+    def _named_of(self, measurement: bool) -> tuple[str, ...]:
+        """Named effects of the measurement, or of the physics."""
+        return tuple(name for name in self.named if self.is_of_measurement(name) == measurement)
+
+    def is_of_measurement(self, name: str) -> bool:
+        """Whether an effect is a fault of a reading and no physics."""
+        effect = self.effect(name)
+        return effect is not None and effect.of_measurement
 
     @property
     def dependent(self) -> dict[str, tuple[str, ...]]:

@@ -1,9 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Fitted and held-out error from model version to model version."""
+"""Fitted and held-out error from model version to model version.
+
+Where measurements have a calibration, its faults of the readings come first, one by one, on top of the first model.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -13,7 +16,8 @@ import numpy as np
 from impact_rs_analysis.diagnosis.candidate import Candidate, linearise
 from impact_rs_analysis.diagnosis.fit import Evidence
 from impact_rs_analysis.diagnosis.residuals import residual_size
-from impact_rs_analysis.evidence.cluster import TIMES, Cluster
+from impact_rs_analysis.evidence.calibration import NO_CALIBRATION, LaboratoryCalibration
+from impact_rs_analysis.evidence.cluster import TIMES
 from impact_rs_analysis.evidence.source import Source
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.model import Model, load_model
@@ -27,11 +31,18 @@ class Version:
         file: Its file.
         model: The model.
         effects_added: Effects added to its parent; empty for the first.
+        applied: The model with what is known of the readings; None: nothing is.
     """
 
     file: str
     model: Model
     effects_added: tuple[str, ...]
+    applied: Model | None = None
+
+    @property
+    def whole(self) -> Model:
+        """What predicts the measurements."""
+        return self.model if self.applied is None else self.applied
 
     @property
     def effect_added(self) -> str | None:
@@ -106,33 +117,63 @@ def versions(path: Path) -> list[Version]:
     return result
 
 
-def history(path: Path, source_of: Callable[[Model], Source]) -> list[VersionError]:
+def with_calibration(chain: Sequence[Version], calibration: LaboratoryCalibration) -> list[Version]:
+    """The first model, the same with the faults of the readings one by one, and its children with all of them.
+
+    Args:
+        chain: The models from the first to the last.
+        calibration: Faults of the readings.
+
+    Raises:
+        InputError: It has an effect of a model, or does not fit it.
+    """
+    if not calibration:
+        return list(chain)
+    first = chain[0]
+    steps = [
+        Version(str(calibration.file), one.faults, (one.faults.effects[-1].name,), one.of(first.model))
+        for one in calibration.steps()
+    ]
+    return [first, *steps, *(replace(version, applied=calibration.of(version.model)) for version in chain[1:])]
+
+
+def history(
+    path: Path, source_of: Callable[[Model], Source], calibration: LaboratoryCalibration = NO_CALIBRATION
+) -> list[VersionError]:
     """Errors of every version of a model, from the first to the one in ``path``.
 
     Args:
         path: File of the last model.
-        source_of: The measurements against a model; called once for every version.
+        source_of: The measurements against a model as it is, without a calibration; called once for every version.
+        calibration: Faults of the readings; their errors come after that of the first model.
 
     Raises:
-        InputError: See :func:`versions`; or the replay with one of the models has no contact.
+        InputError: See :func:`versions` and :func:`with_calibration`; or the replay with one of the models has no
+            contact.
     """
     found: list[VersionError] = []
-    for version in versions(path):
-        source = source_of(version.model)
-        clusters = source.clusters
+    for version in with_calibration(versions(path), calibration):
+        source = source_of(version.whole)
         error, noise = source.size(), source.noise_size()
         held_out: float | None = error
         if version.effects_added:
-            held_out = _held_out(version, clusters, source_of)
+            held_out = _held_out(version, source, source_of)
         found.append(VersionError(version, error, held_out, noise, source.size_unit))
     return found
 
 
-def _held_out(version: Version, clusters: tuple[Cluster, ...], source_of: Callable[[Model], Source]) -> float | None:
-    """Error of every condition with the added effects fitted to all others, about the estimate in the model file."""
+def _held_out(version: Version, source: Source, source_of: Callable[[Model], Source]) -> float | None:
+    """Error of every condition with the added effects fitted to all others, about the estimate in the model file.
+
+    Args:
+        version: With added effects.
+        source: The measurements against it, on whose scale the error is.
+        source_of: See :func:`history`.
+    """
+    clusters = source.clusters
     if len(clusters) < 2:
         return None
-    names, model = version.effects_added, version.model
+    names, model = version.effects_added, version.whole
     bare = source_of(
         model.model_copy(update={"effects": tuple(item for item in model.effects if item.name not in names)})
     )
@@ -156,5 +197,6 @@ def _held_out(version: Version, clusters: tuple[Cluster, ...], source_of: Callab
     )
     if candidate is None:
         return None
-    evidence = Evidence(bare, tuple(range(len(clusters))), clusters)
-    return residual_size(evidence, evidence.problem(candidate).left_out_rest)
+    numbers = tuple(range(len(clusters)))
+    rest = Evidence(bare, numbers, clusters).problem(candidate).left_out_rest
+    return residual_size(Evidence(source, numbers, clusters), rest)

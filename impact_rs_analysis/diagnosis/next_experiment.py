@@ -136,7 +136,7 @@ def _of_recordings(found: Findings, known: dict[str, Effect]) -> NextExperiment:
     """Advice on what to record next, by where the confusable effects act."""
     tied = {name for rival in found.rivals if rival.tied for name in (rival.name, rival.instead_of)}
     motor = sorted(name for name in tied if known[name].acts_on == "motor side")
-    rigid = sorted(name for name in tied if known[name].acts_on != "motor side")
+    rigid = sorted(name for name in tied if name not in motor and not known[name].of_measurement)
     if len(motor) > 1:
         return NextExperiment(
             advice="record the same motion at a quarter and at twice the speed: friction that does not depend on speed "

@@ -14,6 +14,7 @@ from impact_rs_analysis.diagnosis.document import (
     ViewDocument,
     explained,
 )
+from impact_rs_analysis.diagnosis.measurement import measurement_of
 from impact_rs_analysis.diagnosis.thresholds import SIGNIFICANT, WIDE_TIE
 from impact_rs_analysis.diagnosis.verdict import IMPOSSIBLE, NONE, NOTHING, SMALL, TOO_FEW, UNIDENTIFIABLE, Kind
 from impact_rs_analysis.evidence.cluster import TIMES
@@ -259,9 +260,13 @@ def _verdict(document: DiagnosisDocument) -> str:
             f"No effect in the library improves what model '{name}' predicts of these {runs}; how much of the error is "
             f"noise is not known. {error}"
         )
+    measurement = measurement_of(document)
     if verdict == SMALL:
-        what = named or "A residual beyond noise"
-        return f"{what} is present, but too small to matter: {_small(document)}. Model '{name}' needs no change."
+        what = " and ".join(document.missing) or "A residual beyond noise"
+        text = f"{what} is present, but too small to matter: {_small(document)}. Model '{name}' needs no change."
+        if measurement and not document.missing:
+            text = f"That is too small to matter: {_small(document)}. Neither calibration nor model needs a change."
+        return " ".join(filter(None, [measurement, text]))
     rest = _rest(document)
     if not document.named:
         sure = " for certain" if suspicion else ""
@@ -279,7 +284,41 @@ def _verdict(document: DiagnosisDocument) -> str:
     if verdict == NONE:
         taken = f"{named} take{one} {share:.0f} % of the error beyond noise"
         text = f"No effect in the library explains these {runs}; {taken}."
-    return " ".join(filter(None, [text, fall, doubts, rest]))
+    if measurement:
+        text = _of_physics(document)
+        if verdict.kind is Kind.PARTLY:
+            what = "That explains" if len(document.named) == 1 else "Together they explain"
+            more = "at least one more effect, of the measurement or of the physics, is there"
+            text = " ".join(filter(None, [text, f"{what} {share:.0f} % of the error beyond noise; {more}."]))
+    instead = "" if verdict == NONE else _instead(document)
+    return " ".join(filter(None, [measurement, instead, text, fall, doubts, rest]))
+
+
+def _of_physics(document: DiagnosisDocument) -> str:
+    """What of the physics is missing beside named faults of the readings; empty: that is open."""
+    if document.missing:
+        be = "is" if len(document.missing) == 1 else "are"
+        return f"Of the physics {' and '.join(document.missing)} {be} missing."
+    tied = [name for _, *by in document.confusable for name in by]
+    if document.verdict.kind is Kind.PARTLY or not all(map(document.is_of_measurement, tied)):
+        return ""
+    return "Of the physics nothing is missing."
+
+
+def _instead(document: DiagnosisDocument) -> str:
+    """That a fault of a reading explains as much as a named effect of the physics; empty: no fault does."""
+    found = [_distinguish(*group) for group in document.confusable if _of_both(group, document)]
+    return f"The measurement may be at fault. {' '.join(found)}" if found else ""
+
+
+def _of_both(group: Sequence[str], document: DiagnosisDocument) -> bool:
+    """Whether a named effect of the physics has a fault of a reading among its rivals."""
+    one, *by = group
+    return one in document.missing and any(map(document.is_of_measurement, by))
+
+
+def _distinguish(one: str, *by: str) -> str:
+    return f"These data cannot distinguish {one} from {', '.join(by)}."
 
 
 def _fall(before: float, after: float) -> str:
@@ -297,17 +336,26 @@ def _suspicion(document: DiagnosisDocument) -> str:
         best = document.effect(document.within_discrepancy[0])
         assert best is not None
         fall = _fall(best.held_out_error_before or 0.0, best.held_out_error_alone or 0.0)
+        what = _may_be_wrong([best.name], document)
         return (
-            f"{best.name} may be missing: with it the held-out error falls ({fall} {_unit(document)}), but by no more "
+            f"{what}: with it the held-out error falls ({fall} {_unit(document)}), but by no more "
             "than the discrepancy of the rigid map. Measure it apart, or take the map as exact (--no-discrepancy)."
         )
     if not document.suspected:
         return ""
     it = "it" if len(document.suspected) == 1 else "them"
     return (
-        f"{' and '.join(document.suspected)} may be missing: with {it} the held-out error falls, but not beyond noise. "
+        f"{_may_be_wrong(document.suspected, document)}: with {it} the held-out error falls, but not beyond noise. "
         "More conditions decide."
     )
+
+
+def _may_be_wrong(names: Sequence[str], document: DiagnosisDocument) -> str:
+    """That some effects may be there, those of the measurement first."""
+    faults = [name for name in names if document.is_of_measurement(name)]
+    others = [name for name in names if name not in faults]
+    parts = [f"The measurement may be at fault ({', '.join(faults)})"] if faults else []
+    return " and ".join([*parts, *([f"{' and '.join(others)} may be missing"] if others else [])])
 
 
 def _lowering(document: DiagnosisDocument) -> str:
@@ -328,7 +376,7 @@ def _open(document: DiagnosisDocument) -> str:
 
 def _confusable(document: DiagnosisDocument) -> str:
     """Which effects cannot be distinguished."""
-    return " ".join(f"These data cannot distinguish {one} from {', '.join(by)}." for one, *by in document.confusable)
+    return " ".join(_distinguish(*group) for group in document.confusable if not _of_both(group, document))
 
 
 def _small(document: DiagnosisDocument) -> str:

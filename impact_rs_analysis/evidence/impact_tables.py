@@ -47,6 +47,7 @@ import pinocchio as pin
 import scipy
 
 from impact_rs_analysis.evidence.ante_impact import obliqueness_of
+from impact_rs_analysis.evidence.calibration import with_intervals
 from impact_rs_analysis.evidence.cluster import TIMES, Added, Cluster, Feature, pooled_error
 from impact_rs_analysis.evidence.discrepancy import DiscrepancyDocument
 from impact_rs_analysis.evidence.levels import (
@@ -259,6 +260,7 @@ class ImpactTableSource(Source):
         found = copy.copy(self)
         if not self.repeated and not self.interleaved:
             found._groups, found.interleaved = tuple(_blocks(self.table, SMALL_BLOCKS)), True
+            found._featured = Recent(ALTERED)  # by group
             found.clusters = found._clusters()
         found._effects = self._effects | {effect.name: effect for effect in effects}
         shown = {name: self._shown(name) for name in dict.fromkeys(effect.covariate for effect in effects)}
@@ -716,7 +718,7 @@ class ImpactTableSource(Source):
         else:
             sigma = max(self.size() / np.sqrt(len(self.signals)), LEAST_SCALE) / self.worth
             noise = np.zeros_like(rest) if self.noise is None else self.noise
-        return tuple(self._cluster(group, rest, sigma, noise) for group in self._groups)
+        return with_intervals(self, [self._cluster(group, rest, sigma, noise) for group in self._groups])
 
     def _cluster(self, group: _Group, rest: Array, sigma: Array, noise: Array) -> Cluster:
         rows = list(group.rows)

@@ -17,6 +17,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from impact_rs_analysis.evidence.calibration import with_intervals
 from impact_rs_analysis.evidence.cluster import Added, Cluster, Feature
 from impact_rs_analysis.evidence.levels import (
     Cell,
@@ -182,7 +183,7 @@ class RecordingSource(Source):
         self.size_unit = self.residual_unit = joined_units(column.unit for column in self._columns[: self._torques])
         self._stretches = tuple(stretches)
         self._predicted = Recent[Array | None](max(LEAST_KEPT, int(MOST_MEMORY / self.balance.recorded.nbytes)))
-        self.clusters = tuple(self._cluster(number) for number in range(len(self._stretches)))
+        self.clusters = with_intervals(self, [self._cluster(number) for number in range(len(self._stretches))])
         remarks = merged((item.path.name, remark) for item in (*recordings, *minus) for remark in item.remarks)
         remarks += [f"{Path(path).name} is left out: {why}" for path, why in left_out]
         remarks += _of_motor_encoders(recordings, self.balance, minus)

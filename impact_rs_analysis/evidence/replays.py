@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from impact_rs_analysis.evidence.ante_impact import obliqueness
+from impact_rs_analysis.evidence.calibration import with_intervals
 from impact_rs_analysis.evidence.cluster import SCALE, TIMES, Added, Cluster, pooled_error
 from impact_rs_analysis.evidence.discrepancy import Discrepancy, Kind, measured_discrepancy
 from impact_rs_analysis.evidence.levels import Comparison, condition_scores, level_of, signal_levels, where_of
@@ -281,7 +282,9 @@ class ReplaySource(Source):
             runs = replace(runs, runs=tuple(kept), remarks=(*runs.remarks, remark))
         clusters, remarks = clusters_of(runs, residuals, discrepancy)
         clusters = _with_late(clusters, runs, residuals, model, store)
-        return cls(runs, model, store, clusters, discrepancy, (*runs.remarks, *remarks))
+        found = cls(runs, model, store, clusters, discrepancy, (*runs.remarks, *remarks))
+        found.clusters = with_intervals(found, clusters)
+        return found
 
     def compare_levels(self) -> Comparison:
         """See :meth:`Source.compare_levels`: free motion, and the replay through the impact."""

@@ -290,7 +290,7 @@ def _falls(before: DiagnosisDocument, now: DiagnosisDocument) -> bool:
 
 
 def _identity(model: Model) -> ModelIdentity:
-    return ModelIdentity(name=model.name, digest=model.digest)
+    return ModelIdentity.of(model)
 
 
 def _json(document: Schema) -> str:

@@ -163,7 +163,7 @@ def write_diagnosis(
     after = document.lack_of_fit.after
     bars = effects_plot(document)
     page = DiagnosisPage(
-        title=f"What model '{document.model.name}' lacks",
+        title=_title(document),
         on_scale=document.error_unit == TIMES,
         document=document,
         comparison=comparison,
@@ -191,6 +191,13 @@ def write_diagnosis(
     data = json.dumps(document.model_dump(mode="json"), indent=2, allow_nan=False) + "\n"
     text = render("diagnosis.html.j2", page, replay=page.tracks.replay is not None)
     return write_files(directory, {"diagnosis.html": text, "diagnosis.json": data})[0]
+
+
+def _title(document: DiagnosisDocument) -> str:
+    """Title of the page: the physics is not blamed for a fault of a reading."""
+    if document.measurement and not document.missing:
+        return "What is wrong with the readings"
+    return f"What model '{document.model.name}' lacks"
 
 
 def _relevance_limits(comparison: ComparisonDocument) -> tuple[RelevanceLimit, ...]:

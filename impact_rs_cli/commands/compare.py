@@ -35,12 +35,12 @@ def run(args: argparse.Namespace, terminal: Terminal) -> int:
             check_free(only_trials(measurements, "--mcap"), args.mcap)
         document = comparison_of(measurements, model, terminal)
         if args.mcap is not None:
-            _write_bags(args.mcap, measurements, model, terminal)
+            _write_bags(args.mcap, measurements, measurements.calibration.of(model), terminal)
         if args.output is not None:
             versions = None
-            if model.parent is not None:
+            if model.parent is not None or measurements.calibration:
                 with measurements.progress():
-                    versions = history(args.model, measurements.against)
+                    versions = history(args.model, measurements.uncalibrated, measurements.calibration)
             with output_folder(args.output):
                 path = write_comparison(document, measurements.tracks(model), versions, args.output)
             terminal.say(f"report: {path.resolve()}")
@@ -51,7 +51,7 @@ def run(args: argparse.Namespace, terminal: Terminal) -> int:
 def comparison_of(measurements: Measurements, model: Model, terminal: Terminal) -> ComparisonDocument:
     """Compare, and show the result."""
     with measurements.progress():
-        document = compare(measurements.against(model))
+        document = compare(measurements.against(model), model, measurements.calibration)
     _show(document, terminal)
     return document
 

@@ -9,7 +9,8 @@ from rich.table import Table
 
 from impact_rs_analysis.design.design import WHICH_EFFECT, design
 from impact_rs_analysis.design.possible_trials import Envelope
-from impact_rs_analysis.diagnosis.document import read_document
+from impact_rs_analysis.diagnosis.document import CalibrationExperiment, read_document
+from impact_rs_analysis.diagnosis.measurement import calibration_text
 from impact_rs_analysis.diagnosis.next_experiment import considered, left_open
 from impact_rs_cli.arguments import started
 from impact_rs_cli.measurements import read
@@ -34,6 +35,7 @@ def run(args: argparse.Namespace, terminal: Terminal) -> int:
     cell = None if args.envelope is None else load(CellEnvelope, args.envelope)
     envelope = Envelope(args.speed, args.force, cell)
     decide, earlier = WHICH_EFFECT, ""
+    experiments: tuple[CalibrationExperiment, ...] = ()
     if args.after is not None:
         document = read_document(args.after)
         if document.source != "trials":
@@ -43,7 +45,7 @@ def run(args: argparse.Namespace, terminal: Terminal) -> int:
         except InputError as error:
             raise error.in_file(args.after) from None
         model = considered(document, model)
-        earlier = document.runs.digest
+        earlier, experiments = document.runs.digest, document.calibrate
     with started(args) as map_tasks:
         runs = None if args.runs is None else read(args.runs, map_tasks, terminal)
         if runs is not None:
@@ -57,6 +59,8 @@ def run(args: argparse.Namespace, terminal: Terminal) -> int:
         with output_folder(args.output.parent):
             write_plan(plan, args.output)
     _show(plan, terminal)
+    for one in experiments:
+        terminal.say(calibration_text(one))
     terminal.result(plan.model_dump(mode="json"))
     if args.output is not None:
         terminal.say(

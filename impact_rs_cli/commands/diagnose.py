@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``impact-rs diagnose``: which physical effect is missing."""
+"""``impact-rs diagnose``: which effect is missing, of the measurement or of the physics."""
 
 from __future__ import annotations
 
@@ -16,11 +16,18 @@ from impact_rs_analysis.diagnosis.bounds import NO_BOUNDS, Bounds, read_bounds
 from impact_rs_analysis.diagnosis.budget import UNLIMITED, Budget
 from impact_rs_analysis.diagnosis.compare import compare
 from impact_rs_analysis.diagnosis.diagnose import added_of, diagnose
-from impact_rs_analysis.diagnosis.document import DiagnosisDocument, EstimateDocument, write_document
+from impact_rs_analysis.diagnosis.document import (
+    CalibrationIdentity,
+    DiagnosisDocument,
+    EstimateDocument,
+    write_document,
+)
 from impact_rs_analysis.diagnosis.formulas import try_out
 from impact_rs_analysis.diagnosis.history import history
+from impact_rs_analysis.diagnosis.measurement import calibration_text
 from impact_rs_analysis.diagnosis.verdict import NO_IMPROVEMENT, TOO_FEW, UNIDENTIFIABLE
 from impact_rs_analysis.diagnosis.words import not_excluded, shown_unnamed
+from impact_rs_analysis.evidence.calibration import LaboratoryCalibration
 from impact_rs_analysis.report.diagnosis import write_diagnosis
 from impact_rs_cli.arguments import number, on_local_runs
 from impact_rs_cli.measurements import Measurements, measured
@@ -51,6 +58,7 @@ def run(args: argparse.Namespace, terminal: Terminal) -> int:
     check_effects(extended, args.effects)
     bounds = read_bounds(args.bounds, extended.known_effects)
     with measured(args, terminal, args.each_arm, args.unsure) as measurements:
+        check_uncalibrated(measurements.calibration, args.effects)
         document = diagnosis_of(
             measurements, model, extended, args.effects, terminal, args.output, bounds,
             options=options_of(args), budget=Budget(args.budget, processor_time),
@@ -63,7 +71,7 @@ def run(args: argparse.Namespace, terminal: Terminal) -> int:
     if args.output is not None:
         terminal.say(f"diagnosis: {args.output}")
         if names := [name for name in document.named if name not in document.dependent]:
-            terminal.say(f"next: {add_command(names, args.model, args.output)}")
+            terminal.say(f"next: {add_command(names, args.model, args.output, document)}")
     if document.calls_for_a_law:
         terminal.say(f"a law that the library does not have: {discover_command(args, model)}")
     return 0
@@ -86,15 +94,18 @@ def _absolute(option: Option, value: Any, runs: str | None) -> Any:
     return next((str((folder / value).absolute()) for folder in folders if (folder / value).exists()), str(value))
 
 
-def add_command(effects: Sequence[str], model: Path, source: Path) -> str:
+def add_command(effects: Sequence[str], model: Path, source: Path, document: DiagnosisDocument | None = None) -> str:
     """The command that adds effects to a model.
 
     Args:
         effects: Their names.
         model: File of the model that was diagnosed.
         source: File of the diagnosis or discovery.
+        document: The diagnosis; faults of the readings alone need no new model file.
     """
-    return command_line("add", {"effect": effects, "model": model, "source": source, "output": "model_2.yaml"})
+    physics = document is None or not all(map(document.is_of_measurement, effects))
+    output = "model_2.yaml" if physics else None
+    return command_line("add", {"effect": effects, "model": model, "source": source, "output": output})
 
 
 def discover_command(args: argparse.Namespace, model: Model) -> str:
@@ -142,6 +153,21 @@ def check_effects(model: Model, names: list[str] | None) -> None:
             raise InputError(f"model {model.name!r} has effect {name!r} already; diagnose looks for missing effects")
 
 
+def check_uncalibrated(calibration: LaboratoryCalibration, names: Sequence[str] | None) -> None:
+    """Check that effects of ``--effects`` are looked for, and not known.
+
+    Raises:
+        InputError: An effect of the calibration.
+    """
+    for place, item in enumerate(calibration.faults.effects):
+        if item.name in (names or ()):
+            raise InputError(
+                f"{item.name} is calibrated and not looked for; --calibration nominal diagnoses without this file",
+                file=calibration.file,
+                key=f"effects.{place}.name",
+            )
+
+
 def diagnosis_of(
     measurements: Measurements,
     model: Model,
@@ -169,7 +195,8 @@ def diagnosis_of(
     with measurements.progress():
         document = diagnose(measurements.against(extended), model, only, terminal.rank, bounds, budget=budget)
     new = tuple(spec for spec in extended.formulas if spec not in model.formulas)
-    document = document.model_copy(update={"formulas": new, "options": dict(options)})
+    known = CalibrationIdentity.of(measurements.calibration)
+    document = document.model_copy(update={"formulas": new, "options": dict(options), "calibration": known})
     if output is not None:
         with output_folder(output.parent):
             write_document(document, output)
@@ -191,10 +218,13 @@ def report_of(
     """
     with measurements.progress():
         source = measurements.against(model)
-        versions = history(model_file, measurements.against) if model.parent is not None else None
+        known = measurements.calibration
+        versions = None
+        if model.parent is not None or known:
+            versions = history(model_file, measurements.uncalibrated, known)
         added = added_of(document, source)
-        tracks = measurements.tracks(source.model, added)
-    return write_diagnosis(document, compare(source), tracks, versions, directory)
+        tracks = measurements.tracks(model, added)
+    return write_diagnosis(document, compare(source, model, known), tracks, versions, directory)
 
 
 def show(document: DiagnosisDocument, terminal: Terminal) -> None:
@@ -239,6 +269,8 @@ def show(document: DiagnosisDocument, terminal: Terminal) -> None:
         terminal.say(f"not excluded at a noticeable size: {small}")
     for remark in document.remarks:
         terminal.say(f"note: {remark}")
+    for one in document.calibrate:
+        terminal.say(calibration_text(one))
     if document.next_experiment is not None:
         terminal.say(f"next experiment: {document.next_experiment.advice}")
 

@@ -12,7 +12,7 @@ from impact_rs_analysis.diagnosis.discovery_document import DiscoveryDocument, L
 from impact_rs_analysis.diagnosis.grammar import load_grammar
 from impact_rs_analysis.report.discovery import write_report
 from impact_rs_cli.arguments import number, on_local_runs
-from impact_rs_cli.commands.diagnose import add_command, check_effects
+from impact_rs_cli.commands.diagnose import add_command, check_effects, check_uncalibrated
 from impact_rs_cli.measurements import measured
 from impact_rs_cli.terminal import Terminal, output_folder
 from impact_rs_sim.errors import InputError
@@ -28,6 +28,7 @@ def run(args: argparse.Namespace, terminal: Terminal) -> int:
     if args.output is not None and args.output.is_dir():
         raise InputError("this is a folder; name a file, for example discovery.json", file=args.output)
     with measured(args, terminal) as measurements, measurements.progress():
+        check_uncalibrated(measurements.calibration, args.effects)
         document = discover(measurements.against, model, grammar, args.effects, terminal.rank)
     if args.output is not None:
         with output_folder(args.output.parent):
@@ -42,7 +43,7 @@ def run(args: argparse.Namespace, terminal: Terminal) -> int:
         if document.laws:
             named = document.diagnosis.named if document.diagnosis is not None else ()
             effects = named or (document.laws[0].name,)
-            terminal.say(f"next: {add_command(effects, args.model, args.output)}")
+            terminal.say(f"next: {add_command(effects, args.model, args.output, document.diagnosis)}")
     return 0
 
 

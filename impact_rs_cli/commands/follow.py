@@ -13,7 +13,14 @@ from impact_rs_analysis.following.follow import Follower
 from impact_rs_analysis.following.hits import Door
 from impact_rs_analysis.following.lessons import ChangeDiagnosis, FollowDocument, HitDocument, NextHit
 from impact_rs_cli.arguments import number, on_local_runs
-from impact_rs_cli.following import FollowedHits, HitsArguments, diagnose_options, door_of, folder_of_diagnoses
+from impact_rs_cli.following import (
+    FollowedHits,
+    HitsArguments,
+    calibration_of_hits,
+    diagnose_options,
+    door_of,
+    folder_of_diagnoses,
+)
 from impact_rs_cli.full_diagnosis import FullDiagnosis
 from impact_rs_cli.parser import PROGRAM
 from impact_rs_cli.terminal import Terminal
@@ -35,11 +42,15 @@ def run(args: argparse.Namespace, terminal: Terminal) -> int:
     if args.output is not None and args.output.exists():
         raise InputError("this file exists already; model files are never overwritten", file=args.output)
     hits = HitsArguments(
-        args.runs, args.impacts, args.scenario, str(args.model), args.contact_tolerance, args.no_discrepancy
-    )
-    model = load_model(args.model)
-    door = door_of(hits, model)
-    follower = Follower(door, model, args.effects, args.learn, args.mean_time)
+        args.runs, args.impacts, args.scenario, str(args.model), args.contact_tolerance, args.no_discrepancy,
+        args.calibration,
+    )  # fmt: skip
+    model, calibration = load_model(args.model), calibration_of_hits(hits)
+    whole = calibration.of(model)
+    if calibration:
+        terminal.say(f"calibration of the readings: {calibration.text}")
+    door = door_of(hits, whole)
+    follower = Follower(door, whole, args.effects, args.learn, args.mean_time)
     diagnosis = FullDiagnosis(diagnose_options(hits, args.effects), folder_of_diagnoses(args.diagnoses, args.state))
     followed = FollowedHits(hits, follower, args.state, None if args.no_diagnosis else diagnosis)
     if count := followed.restore():
@@ -73,7 +84,8 @@ def run(args: argparse.Namespace, terminal: Terminal) -> int:
     )
     _show(result, follower, terminal)
     if args.output is not None:
-        save_model(follower.model_now(args.output.stem, str(args.model)), args.output)
+        now = calibration.removed_from(follower.model_now(args.output.stem, str(args.model)))
+        save_model(now.model_copy(update={"parent_digest": model.digest}), args.output)
         terminal.say(f"followed model: {args.output}")
     terminal.result(result.model_dump(mode="json"))
     return 0

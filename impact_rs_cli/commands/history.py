@@ -20,7 +20,7 @@ def run(args: argparse.Namespace, terminal: Terminal) -> int:
     """Run the command."""
     versions(args.model)  # a missing parent is reported before the runs are read
     with measured(args, terminal) as measurements, measurements.progress():
-        found = history(args.model, measurements.against)
+        found = history(args.model, measurements.uncalibrated, measurements.calibration)
     terminal.result({"history": [entry.to_json() for entry in found]})
     path = None
     if args.output is not None:

@@ -48,7 +48,7 @@ const ABOUT = {
     'that the search has not seen.', equation: 'held-out error: before → after', units: 'multiples of repeatability',
     page: 'diagnosis.md'},
   add: {title: 'A better model', text: 'The parent model with the effects that were found and their estimates. Model files are never overwritten and name their ' +
-    'parent. An effect of your own is an arithmetic formula.',
+    'parent. Faults of the readings go into calibration.yaml beside the measurements. An effect of your own is an arithmetic formula.',
     units: 'beside each parameter', page: 'effects.md'},
   overlay: {title: 'Overlay', text: 'Runs lie over each other with their impacts at time 0. A pinned run stays chosen and on top, whatever ' +
     'the filter says. Estimates have their 95 % intervals.', units: 'beside each axis', page: 'workbench.md'},
@@ -128,6 +128,7 @@ const experimentOf = (runs) => state.workspace.laboratories.find((lab) => lab.pa
 const CHOICES = {
   plan: () => plain(state.workspace.plans),
   impacts: () => plain(state.workspace.tables),
+  calibration: () => plain(state.workspace.calibrations),
   package: () => plain(state.workspace.packages),
   packages: () => plain(state.workspace.packages),
   files: () => state.workspace.laboratories.filter((lab) => lab.recordings.length).map(({path, experiment}) =>
@@ -1208,6 +1209,8 @@ const diagnose = {
         `${one.what} (${one.phase}): ${one.value}, ${one.times} × ${found.yardstick}; relevance limit ${one.floor}`)))) : '',
       found.calls_for_a_law ? this.law(found) : '',
       found.practice ? this.revealed() : '',
+      found.calibrate.length ? h('div', {class: 'answer', id: 'calibrate'}, h('b', {}, 'Calibrate the readings'),
+        ...found.calibrate.map((one) => h('p', {}, h('code', {}, one.effect), `: ${one.experiment}.`))) : '',
       found.next ? this.next(found.next, found.runs) : '',
       ...(state.workspace.reports.includes(report) ? [replayOf(report, turn).node, ...wholeReport(report, false)] :
         [emptyNote('There is no report beside this file: a diagnosis with a folder of the report writes one.')]),
@@ -1316,7 +1319,8 @@ const add = {
       this.note.textContent = this.parent ? `Diagnosis of ${found.model}: ${found.summary}` : `The diagnosed model ${found.model} is not in this folder.`;
       const order = [...found.effects].sort((a, b) => found.named.includes(b.name) - found.named.includes(a.name));
       const wanted = this.wanted?.effect ? [this.wanted.effect] : found.named.length ? found.named : order.slice(0, 1).map((one) => one.name);
-      this.form.offer('effect', order.map((one) => ({value: one.name, text: `${one.name}: ${one.verdict}`, on: wanted.includes(one.name)})));
+      this.form.offer('effect', order.map((one) => ({value: one.name, text: `${one.name}: ${one.verdict}${one.of_measurement ? ' (of the measurement: into the calibration)' : ''}`,
+        on: wanted.includes(one.name)})));
       this.wanted = null;
       this.form.refresh();
     } catch (error) { this.note.textContent = error.message; }

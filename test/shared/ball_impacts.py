@@ -97,3 +97,20 @@ def ball_table(
         own = list(noise) if stated else []
         found.append([*before, *after, 1e3 * MASS, 1e3 * RADIUS, 1.0, *assumed.values(), *own])
     return write_csv(path, header, found)
+
+
+def turned_ball_table(path: Path, angle: float) -> Path:
+    """A table of 120 balls with topspin on a rough face; spins are seen in axes turned about x by an angle [rad]."""
+    axes = np.array([[1.0, 0.0, 0.0], [0.0, np.cos(angle), -np.sin(angle)], [0.0, np.sin(angle), np.cos(angle)]])
+    rng, noise, rows = np.random.default_rng(0), np.repeat((0.05, 3.0), 3), []
+    for _ in range(120):
+        speed, incidence = rng.uniform(3.0, 9.0), rng.uniform(0.2, 1.2)
+        spin = [rng.normal(0.0, 5.0), rng.uniform(-250.0, 250.0), rng.normal(0.0, 5.0)]
+        before = np.array([speed * np.sin(incidence), 0.0, -speed * np.cos(incidence), *spin])
+        after = bounced(before, Racket(lambda v: 0.6, 0.6)) + noise * rng.standard_normal(6)
+        seen = [value for twist in (before, after) for value in (*twist[:3], *(axes @ twist[3:]))]
+        rows.append([*seen, 1e3 * MASS, 1e3 * RADIUS, 1.0, 0.05, 3.0])
+    header = [
+        f"{name}_{tail} [{'m/s' if name[0] == 'v' else 'rad/s'}]" for tail in ("before", "after") for name in TWIST
+    ]
+    return write_csv(path, [*header, "mass [g]", "radius [mm]", "shell [-]", "v_noise [m/s]", "w_noise [rad/s]"], rows)

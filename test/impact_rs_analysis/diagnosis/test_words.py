@@ -56,6 +56,7 @@ def effects(draw: st.DrawFn, named: tuple[str, ...], before: float) -> tuple[Eff
         found.append(
             EffectDocument(
                 name=name,
+                of_measurement=draw(st.booleans()),
                 verdict=AT_BOUND if bound else CONFIRMED if name in named else NO_IMPROVEMENT,
                 reason="" if name in named else draw(st.sampled_from(["it hardly lowers the error"])),
                 parameters={"size": estimate},

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from ball_impacts import MASS, NOISE, RADIUS, TWIST, Racket, ball_table, bounced
+from ball_impacts import NOISE, Racket, ball_table, turned_ball_table
 from impact_table_cases import write_csv
 from intervals import assert_covers
 
@@ -270,20 +270,7 @@ def driven(path: Path, speed: float, stated: bool) -> Path:
 def test_spins_in_axes_that_are_five_degrees_off_are_no_drilling_friction(tmp_path: Path) -> None:
     """Topspin on a rough face: seen from turned axes, a part of the spin about the normal is lost in every impact."""
     angle = np.radians(5.0)
-    axes = np.array([[1.0, 0.0, 0.0], [0.0, np.cos(angle), -np.sin(angle)], [0.0, np.sin(angle), np.cos(angle)]])
-    rng, noise, rows = np.random.default_rng(0), np.repeat((0.05, 3.0), 3), []
-    for _ in range(120):
-        speed, incidence = rng.uniform(3.0, 9.0), rng.uniform(0.2, 1.2)
-        spin = [rng.normal(0.0, 5.0), rng.uniform(-250.0, 250.0), rng.normal(0.0, 5.0)]
-        before = np.array([speed * np.sin(incidence), 0.0, -speed * np.cos(incidence), *spin])
-        after = bounced(before, Racket(lambda v: 0.6, 0.6)) + noise * rng.standard_normal(6)
-        seen = [value for twist in (before, after) for value in (*twist[:3], *(axes @ twist[3:]))]
-        rows.append([*seen, 1e3 * MASS, 1e3 * RADIUS, 1.0, 0.05, 3.0])
-    header = [
-        f"{name}_{tail} [{'m/s' if name[0] == 'v' else 'rad/s'}]" for tail in ("before", "after") for name in TWIST
-    ]
-    header += ["mass [g]", "radius [mm]", "shell [-]", "v_noise [m/s]", "w_noise [rad/s]"]
-    table = read_impact_table(write_csv(tmp_path / "balls.csv", header, rows))
+    table = read_impact_table(turned_ball_table(tmp_path / "balls.csv", angle))
     document = diagnose(ImpactTableSource(table, NOMINAL), NOMINAL, [*CONSIDERED[:4], "drilling_friction", "spin_axes"])
     assert set(document.named) == {"restitution", "support_friction", "spin_axes"}
     assert_covers(document.effect("spin_axes").parameters["x"].interval, angle, 0.0033)

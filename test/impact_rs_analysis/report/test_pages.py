@@ -29,7 +29,12 @@ from impact_rs_analysis.diagnosis.discovery_document import (
     NumberDocument,
     PointDocument,
 )
-from impact_rs_analysis.diagnosis.document import DiagnosisDocument, read_document
+from impact_rs_analysis.diagnosis.document import (
+    CalibrationExperiment,
+    CalibrationIdentity,
+    DiagnosisDocument,
+    read_document,
+)
 from impact_rs_analysis.diagnosis.history import VersionError
 from impact_rs_analysis.evidence.cluster import TIMES
 from impact_rs_analysis.evidence.levels import SignalLevel
@@ -136,6 +141,26 @@ PAGES: dict[str, Callable[[Path], Page]] = {
     "diagnosis_0_1_0": lambda folder: diagnosis_page(folder, "0_1_0", "recordings"),
     "history": lambda folder: Page(write_history(documents.versions(), folder)),
 }
+
+
+def test_pages_of_wrong_readings_blame_no_physics_and_say_what_calibrates(tmp_path: Path) -> None:
+    """Kills: a title of what the model lacks, experiments or the known calibration left out."""
+    found = documents.diagnosis()
+    faults = tuple(one.model_copy(update={"of_measurement": one.name in found.named}) for one in found.effects)
+    known = CalibrationIdentity(file="lab/calibration.yaml", digest="abc", effects=("torque_delay",))
+    said = {
+        "effects": faults,
+        "measurement": "The measurement: joint 2 reads too much.",
+        "calibrate": (CalibrationExperiment(effect="encoder_offset", experiment="hold still in six poses"),),
+        "calibration": known,
+    }
+    page = Page(write_diagnosis(found.model_copy(update=said), documents.comparison(), (), None, tmp_path))
+    assert "What is wrong with the readings" in page.text and "What model" not in page.text
+    assert "Calibrate the readings encoder_offset : hold still in six poses." in page.text
+    applied = "Readings are predicted with known faults, torque_delay ( calibration.yaml )."
+    assert applied in page.text and applied in comparison_page(tmp_path, calibration=known).text
+    physics = Page(write_diagnosis(found, documents.comparison(), (), None, tmp_path))
+    assert "What model" in physics.text and "Calibrate the readings" not in physics.text
 
 
 @pytest.mark.parametrize("name", PAGES)

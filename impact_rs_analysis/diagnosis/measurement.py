@@ -1,0 +1,130 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Faults of the readings that a diagnosis names, in words, and the experiments that calibrate them.
+
+"joint 2 reads 0.51 degrees too much [0.50, 0.52] (encoder_offset)": the clause of the effect (:attr:`Effect.reading`)
+with the size of the fault in units that a laboratory uses, the same in terminal, report and workbench.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+
+from impact_rs_analysis.diagnosis.document import (
+    CalibrationExperiment,
+    DiagnosisDocument,
+    EffectDocument,
+    EstimateDocument,
+)
+from impact_rs_analysis.diagnosis.verdict import IMPOSSIBLE, NONE, TOO_FEW
+from impact_rs_sim.effects import Effect
+from impact_rs_sim.numbers import estimate_text
+
+SHOWN_AS = {  # unit: factor and unit that people read; a number without unit is a share
+    "rad": (180.0 / math.pi, "degrees"),
+    "rad/s": (180.0 / math.pi, "degrees/s"),
+    "s": (1e3, "ms"),
+    "m": (1e3, "mm"),
+    "-": (100.0, "%"),
+}
+DIRECTIONS = {"more": ("too much", "too little"), "late": ("late", "early")}  # above nominal, and below
+
+
+def with_readings(documents: Sequence[EffectDocument], known: Mapping[str, Effect]) -> list[EffectDocument]:
+    """Documents of effects with what is said of those of the measurement.
+
+    Args:
+        documents: Of all effects.
+        known: Effects by name.
+    """
+    found = []
+    for document in documents:
+        effect = known.get(document.name)
+        if effect is not None and effect.of_measurement:
+            own = {"of_measurement": True, "reading": effect.reading, "calibration": effect.calibration}
+            document = document.model_copy(update=own)
+        found.append(document)
+    return found
+
+
+def measurement_of(document: DiagnosisDocument) -> str:
+    """What is wrong with the readings, a sentence; empty: no effect of the measurement is named."""
+    if not document.faults or document.verdict in (NONE, TOO_FEW, IMPOSSIBLE):
+        return ""
+    found = [effect for effect in document.effects if effect.name in document.faults]
+    said = [f"{'; '.join(clauses_of(effect))} ({effect.name})" for effect in found]
+    return f"The measurement: {'; '.join(said)}."
+
+
+def clauses_of(effect: EffectDocument) -> list[str]:
+    """What is wrong with a reading, joint by joint; joints whose interval holds the nominal value are left out.
+
+    Args:
+        effect: An effect of the measurement, with its estimates.
+    """
+    plain = effect.name.replace("_", " ")
+    if not effect.parameters:
+        return [plain]
+    shown = {name: value for name, value in effect.parameters.items() if value.excludes_nominal}
+    if not shown:
+        name, value = max(effect.parameters.items(), key=lambda item: abs(_fault(item[1])) / (item[1].scale or 1.0))
+        shown = {name: value}
+    places: dict[tuple[str | None, str | None], dict[str, EstimateDocument]] = {}
+    for name, value in shown.items():
+        places.setdefault((value.arm, value.joint), {})[name] = value
+    several = len(effect.parameters) > len({(value.arm, value.joint) for value in effect.parameters.values()})
+    return [_clause(effect.reading, plain, own, several) for own in places.values()]
+
+
+def experiments_of(document: DiagnosisDocument) -> tuple[CalibrationExperiment, ...]:
+    """Experiments that determine the faults of the readings that are named, tied or suspected."""
+    tied = [name for group in document.confusable for name in group]
+    names = dict.fromkeys([*document.named, *tied, *document.suspected, *document.within_discrepancy])
+    effects = [effect for name in names if (effect := document.effect(name)) is not None]
+    return tuple(
+        CalibrationExperiment(effect=effect.name, experiment=effect.calibration)
+        for effect in effects
+        if effect.calibration
+    )
+
+
+def calibration_text(one: CalibrationExperiment) -> str:
+    """An experiment for a fault of the readings, in a line."""
+    return f"to calibrate {one.effect}: {one.experiment}"
+
+
+def _fault(value: EstimateDocument) -> float:
+    """Estimate minus the value at which the reading is right."""
+    return value.estimate - (value.nominal or 0.0)
+
+
+def _clause(reading: str, plain: str, values: Mapping[str, EstimateDocument], several: bool) -> str:
+    """The clause on one place, with the sizes of its parameters."""
+    first = next(iter(values.values()))
+    joint = "" if first.joint is None else first.joint.replace("joint", "joint ")
+    if first.arm:
+        joint = f"{joint} of {first.arm}" if joint else first.arm
+    if several:
+        size = ", ".join(f"{_called(name, value)} {' '.join(_size(value))}" for name, value in values.items())
+        return (reading or f"{{joint}} {plain}: {{size}}").format(joint=joint, size=size, more="", late="").strip()
+    absolute = any(f"{{{key}}}" in reading for key in DIRECTIONS)
+    size, interval = _size(first, absolute)
+    directions = {key: words[_fault(first) < 0.0] for key, words in DIRECTIONS.items()}
+    template = reading or f"{{joint}} {first.meaning or plain}: {{size}}"
+    return f"{template.format(joint=joint, size=size, **directions)} {interval}".strip()
+
+
+def _called(name: str, value: EstimateDocument) -> str:
+    """Name of a parameter without its joint and arm."""
+    return name.removesuffix(f"_{value.joint}").removesuffix(f"_{value.arm}").replace("_", " ")
+
+
+def _size(value: EstimateDocument, absolute: bool = False) -> tuple[str, str]:
+    """Size of a fault with its unit, and its interval in the same unit; empty: it has none."""
+    factor, unit = SHOWN_AS.get(value.unit, (1.0, value.unit))
+    fault, nominal = _fault(value), value.nominal or 0.0
+    if absolute and fault < 0.0:
+        factor = -factor
+    low, high = sorted(factor * (end - nominal) for end in value.interval)
+    number, *ends = estimate_text(factor * fault, (low, high) if value.ci95 is not None else None)
+    return f"{number} {unit}", f"[{', '.join(ends)}]" if ends else ""
