@@ -45,6 +45,10 @@ from impact_rs_trials.store import is_url
 from impact_rs_trials.workers import processor_time
 
 MOST_SHOWN = 8
+KNOWN = (
+    "what the calibration says of {names} was taken as right, and not looked for; with --calibration nominal the data "
+    "alone say it"
+)
 NO_OPTIONS: Mapping[str, Any] = MappingProxyType({})
 
 
@@ -196,7 +200,15 @@ def diagnosis_of(
         document = diagnose(measurements.against(extended), model, only, terminal.rank, bounds, budget=budget)
     new = tuple(spec for spec in extended.formulas if spec not in model.formulas)
     known = CalibrationIdentity.of(measurements.calibration)
-    document = document.model_copy(update={"formulas": new, "options": dict(options), "calibration": known})
+    taken = () if known is None else (KNOWN.format(names=", ".join(known.effects)),)
+    document = document.model_copy(
+        update={
+            "formulas": new,
+            "options": dict(options),
+            "calibration": known,
+            "remarks": (*taken, *document.remarks),
+        }
+    )
     if output is not None:
         with output_folder(output.parent):
             write_document(document, output)

@@ -38,6 +38,8 @@ def run(args: argparse.Namespace, terminal: Terminal) -> int:
     effect = chosen[args.name]
     phases = "free motion and contact" if len(effect.phases) == 2 else effect.phases[0]
     terminal.say(f"{effect.name}: {effect.sentence}", f"acts on: {effect.acts_on}; seen in: {phases}")
+    if effect.calibration:
+        terminal.say(f"a fault of a reading; to calibrate it: {effect.calibration}")
     table = Table(title="Parameters")
     for heading in ("parameter", "unit", "no effect at", "bounds", "noticeable", "what it is"):
         table.add_column(heading)
@@ -59,6 +61,8 @@ def _describe(effect: Effect) -> dict[str, Any]:
         "name": effect.name,
         "acts_on": effect.acts_on,
         "sentence": effect.sentence,
+        "of_measurement": effect.of_measurement,
+        "calibration": effect.calibration,
         "phases": list(effect.phases),
         "parameters": [
             {

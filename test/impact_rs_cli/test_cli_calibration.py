@@ -94,6 +94,7 @@ def test_a_known_fault_is_not_looked_for_again(
     assert main(["add", "torque_delay", "--from", str(laboratory / "diagnosis.json")]) == 0
     found = document("diagnose", *data_of(laboratory), "--effects", "joint_coulomb_friction", "joint_viscous_friction")
     assert found["named"] == ["joint_coulomb_friction"] and "measurement" not in found
+    assert found["remarks"][0].startswith("what the calibration says of torque_delay was taken as right")
     for command in ("diagnose", "discover"):
         assert main([command, *map(str, data_of(laboratory)), "--effects", "torque_delay"]) == 2
         said = capfd.readouterr().err
@@ -164,6 +165,14 @@ def test_a_fault_in_model_and_calibration_counts_once(
     assert document("compare", *data_of(laboratory))["score"] == pytest.approx(alone, rel=1e-9)
     assert main(["compare", *map(str, data_of(laboratory)), "--model", str(model)]) == 2
     assert "calibration.yaml: effects.0.name: model 'old' has torque_delay as well" in capfd.readouterr().err
+
+
+def test_the_library_says_what_calibrates_a_reading(document: Document, capfd: pytest.CaptureFixture) -> None:
+    found = {one["name"]: one for one in document("effects")["effects"]}
+    assert found["torque_delay"]["of_measurement"] and found["torque_delay"]["calibration"]
+    assert not found["object_mass"]["of_measurement"]
+    assert main(["effects", "torque_delay"]) == 0
+    assert "a fault of a reading; to calibrate it: move every joint" in capfd.readouterr().out
 
 
 def test_turned_axes_of_spins_calibrate_a_table(tmp_path: Path, document: Document) -> None:
