@@ -10,7 +10,7 @@ from rich.table import Table
 from impact_rs_analysis.design.design import WHICH_EFFECT, design
 from impact_rs_analysis.design.possible_trials import Envelope
 from impact_rs_analysis.diagnosis.document import CalibrationExperiment, read_document
-from impact_rs_analysis.diagnosis.measurement import calibration_text
+from impact_rs_analysis.diagnosis.measurement import calibration_text, experiments_of
 from impact_rs_analysis.diagnosis.next_experiment import considered, left_open
 from impact_rs_cli.arguments import started
 from impact_rs_cli.measurements import read
@@ -45,7 +45,7 @@ def run(args: argparse.Namespace, terminal: Terminal) -> int:
         except InputError as error:
             raise error.in_file(args.after) from None
         model = considered(document, model)
-        earlier, experiments = document.runs.digest, document.calibrate
+        earlier, experiments = document.runs.digest, experiments_of(document)
     with started(args) as map_tasks:
         runs = None if args.runs is None else read(args.runs, map_tasks, terminal)
         if runs is not None:

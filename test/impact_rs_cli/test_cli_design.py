@@ -13,11 +13,12 @@ from scene_source import of_scene
 
 from impact_rs_analysis.design.design import WHICH_EFFECT
 from impact_rs_analysis.diagnosis.discovery_document import FOUND, DiscoveryDocument, write_discovery
-from impact_rs_analysis.diagnosis.document import DiagnosisDocument
+from impact_rs_analysis.diagnosis.document import DiagnosisDocument, write_document
 from impact_rs_analysis.investigation.rounds import Round
 from impact_rs_analysis.investigation.settings import Settings
 from impact_rs_cli import bench
 from impact_rs_cli.bench import PlantBench, simple_design
+from impact_rs_cli.main import main
 from impact_rs_cli.terminal import Terminal
 from impact_rs_sim.model import Model, load_model
 from impact_rs_sim.physics import Physics
@@ -81,6 +82,20 @@ def test_a_plan_after_a_discovery_is_for_its_laws_and_a_first_one_for_which_effe
         decision = decide(of_scene(model, world))
         assert (decision.aim, decision.pairs) == ("rivals", ((0, 1),))
         assert [one.name for one in decision.explanations] == ["object_drag", "object_drag_cube"]
+
+
+def test_a_plan_after_a_diagnosis_says_what_calibrates_the_readings(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture
+) -> None:
+    """Kills: a plan of trials alone, where a fault of a reading explains as much."""
+    found = tied_laws()
+    effects = tuple(one.model_copy(update={"calibration": f"calibrate {one.name}"}) for one in found.effects)
+    write_document(found.model_copy(update={"effects": effects}), tmp_path / "diagnosis.json")
+    monkeypatch.setattr("impact_rs_cli.commands.design.design", lambda *_: designed())
+    assert main(["design", "--after", str(tmp_path / "diagnosis.json"), "--budget", "6", "--jobs", "1"]) == 0
+    said = capfd.readouterr().out
+    assert "to calibrate object_drag: calibrate object_drag\n" in said  # named
+    assert "to calibrate object_drag_cube: calibrate object_drag_cube\n" in said  # tied with it
 
 
 def test_a_plan_is_run_and_resumed(document: Document, refused: Refused, scenario: Path, tmp_path: Path) -> None:

@@ -12,6 +12,8 @@ from impact_rs_analysis.diagnosis.measurement import clauses_of, experiments_of,
 from impact_rs_analysis.diagnosis.verdict import NONE, SMALL, DiagnosisVerdict
 from impact_rs_analysis.diagnosis.words import summary_of
 from impact_rs_sim.effects import library
+from impact_rs_sim.effects.depending import Depending, Levels
+from impact_rs_sim.effects.each_arm import of_each
 
 OFFSET, GAIN, DELAY, FRAME = (
     "{joint} reads {size} {more}",
@@ -132,3 +134,9 @@ def test_clauses_of_the_library_have_no_other_places(name: str) -> None:
     assert "S" in one.reading.format(**words)
     if len(one.parameters) > 1:
         assert "{more}" not in one.reading and "{late}" not in one.reading
+
+
+def test_arms_of_their_own_and_circumstances_keep_what_is_said_of_a_reading() -> None:
+    one = library()["torque_delay"]
+    for other in (of_each(one, {"left": 7, "right": 6}), Depending(one, "session", Levels(("A", "B")))):
+        assert other.of_measurement and (other.reading, other.calibration) == (one.reading, one.calibration)
