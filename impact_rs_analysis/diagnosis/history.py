@@ -170,13 +170,16 @@ def _held_out(version: Version, source: Source, source_of: Callable[[Model], Sou
         source: The measurements against it, on whose scale the error is.
         source_of: See :func:`history`.
     """
-    clusters = source.clusters
-    if len(clusters) < 2:
-        return None
     names, model = version.effects_added, version.whole
     bare = source_of(
         model.model_copy(update={"effects": tuple(item for item in model.effects if item.name not in names)})
     )
+    # A replay without the effect may hit nothing, so that a condition is left out.
+    places = {item.name: number for number, item in enumerate(bare.clusters)}
+    clusters = tuple(item for item in source.clusters if item.name in places)
+    if len(clusters) < 2:
+        return None
+    numbers = tuple(places[item.name] for item in clusters)
     effects = tuple(bare.model.known_effects[name] for name in names)
     values = {item.name: item.parameters for item in model.effects}
     point = np.array(
@@ -191,12 +194,11 @@ def _held_out(version: Version, source: Source, source_of: Callable[[Model], Sou
     candidate = linearise(
         replace(bare_candidate, origin=bare_candidate.split(point)),
         clusters,
-        range(len(clusters)),
+        numbers,
         bare,
         "leaving one condition out",
     )
     if candidate is None:
         return None
-    numbers = tuple(range(len(clusters)))
     rest = Evidence(bare, numbers, clusters).problem(candidate).left_out_rest
     return residual_size(Evidence(source, numbers, clusters), rest)
