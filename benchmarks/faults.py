@@ -229,7 +229,7 @@ def own_difference(run: Readings, what: Drawn) -> Readings:
     return replace(run, velocity=np.concatenate((np.repeat(slopes[:1], n, axis=0), slopes)))
 
 
-def velocity_scale(run: Readings, what: Drawn) -> Readings:
+def velocity_gain(run: Readings, what: Drawn) -> Readings:
     """The velocity of a joint is shown too large or too small; size in percent."""
     scaled = (1.0 + what.value / 100.0) * run.velocity[:, what.joint]
     return replace(run, velocity=_with_column(run.velocity, what.joint, scaled))
@@ -338,8 +338,8 @@ FAULTS = {
             lambda what: {"velocity_delay": {"delay": 0.5e-3 * what.size}, "velocity_lag": {}},
         ),
         Fault(
-            "velocity_scale", "%", (1.0, 3.0), velocity_scale,
-            lambda what: {"velocity_scale": {what.at("scale"): what.value / 100.0}},
+            "velocity_gain", "%", (1.0, 3.0), velocity_gain,
+            lambda what: {"velocity_gain": {what.at("gain"): what.value / 100.0}},
         ),
         Fault(
             "tracker_turned", "deg", (1.0, 3.0), tracker_turned,

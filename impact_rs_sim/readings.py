@@ -35,7 +35,7 @@ class ArmReadings:
         position_scale: s of the link encoders, which velocities are derived from as well [-].
         position_offset: o of the link encoders [rad].
         motor_offset: o_m of the motor encoders [rad].
-        velocity_scale: s_v [-].
+        velocity_gain: s_v [-].
         velocity_lag: T of the filter of velocities [s].
         velocity_delay: d of velocities [s].
         torque_gain: Diagonal of G [-].
@@ -51,7 +51,7 @@ class ArmReadings:
     position_scale: Values = 1.0
     position_offset: Values = 0.0
     motor_offset: Values = 0.0
-    velocity_scale: Values = 1.0
+    velocity_gain: Values = 1.0
     velocity_lag: float = 0.0
     velocity_delay: float = 0.0
     torque_gain: Values = 1.0
@@ -99,7 +99,7 @@ class ArmReadings:
             true: dq, ``(k, n)`` [rad/s].
             first: First output of the filter, ``(n,)`` [rad/s]; None: its input has been a ramp before.
         """
-        seen = self.position_scale * self.velocity_scale * true
+        seen = self.position_scale * self.velocity_gain * true
         return lagged(time, delayed(time, seen, self.velocity_delay), self.velocity_lag, first)
 
     def mixing(self, joints: int) -> Array:

@@ -98,7 +98,7 @@ class ArmSensors:
         return replace(
             true,
             position=r.position(true.position),
-            velocity=self._velocity(tick, r.position_scale * r.velocity_scale * true.velocity),
+            velocity=self._velocity(tick, r.position_scale * r.velocity_gain * true.velocity),
             torque=self._torque(tick, self._mixing @ true.torque + r.torque_offset),
             motor_position=true.motor_position + r.motor_offset,
         )

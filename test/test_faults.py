@@ -88,7 +88,7 @@ def test_offsets_and_gains_of_a_joint_are_as_large_as_the_table_says() -> None:
         changed, before = (getattr(run, key)[1:, 3] for run in (rewritten("encoder_scale", 1.0), RUN))
         assert changed / before - 1.0 == pytest.approx(scale)
     assert rewritten("torque_offset", 1.0).torque[:, 3] - RUN.torque[:, 3] == pytest.approx(-1.0)
-    assert rewritten("velocity_scale", 3.0).velocity[:, 3] == pytest.approx(0.97 * RUN.velocity[:, 3])
+    assert rewritten("velocity_gain", 3.0).velocity[:, 3] == pytest.approx(0.97 * RUN.velocity[:, 3])
 
 
 def test_neighbours_take_a_share_of_what_both_feel() -> None:

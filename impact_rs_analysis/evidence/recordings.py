@@ -35,6 +35,7 @@ from impact_rs_analysis.evidence.torque_balance import Motion, TorqueBalance, mo
 from impact_rs_analysis.evidence.tracks import ComparedSignal, Track, track_of_motion
 from impact_rs_sim.effects import Effect
 from impact_rs_sim.effects.actuation import TORQUE_GAIN
+from impact_rs_sim.effects.sensing import TORQUE_SENSOR_GAIN, TORQUE_SENSOR_OFFSET
 from impact_rs_sim.errors import InputError, NotABody
 from impact_rs_sim.model import Model
 from impact_rs_sim.numbers import NORMAL_95
@@ -60,7 +61,7 @@ MOST_MEMORY = 2**28  # bytes, of predicted torques that are kept
 LEAST_KEPT = 64  # of them, as many as a linearisation asks for
 TORQUE_SCALE = {"link": 0.01, "motor": 0.02}  # standard deviation, over the torque (torque sensors of arms: 1 to 2 %)
 # Without a command, gain and offset of a torque sensor and of a motor are one: torque_gain and torque_offset say them.
-OF_SENSOR_OR_MOTOR = ("torque_sensor_gain", "torque_sensor_offset")
+OF_SENSOR_OR_MOTOR = (TORQUE_SENSOR_GAIN.name, TORQUE_SENSOR_OFFSET.name)
 TORQUE_UNIT = "N m"  # of a joint that turns
 MOST_OF_TORQUE = 0.99  # of the samples, below the largest torque; a few may be wild
 LEAST_SAMPLES = 5  # of a phase of one joint; fewer are not reported

@@ -317,7 +317,7 @@ def _job(window: Window, physics: Physics, drive_period: float, drive: DriveName
 def _true_start(window: Window, name: str, readings: ArmReadings) -> ArmState:
     """State for the readings at the start: the fit is linear in readings of positions and of velocities."""
     start, (q_v, dq_v, q_a, dq_a, _) = window.arms[name], window.from_velocity[name]
-    late, scale = readings.velocity_late, readings.position_scale * readings.velocity_scale
+    late, scale = readings.velocity_late, readings.position_scale * readings.velocity_gain
     return ArmState(
         readings.position_of(start.position - q_v) + (q_v + late * q_a) / scale,
         (start.velocity - dq_v) / readings.position_scale + (dq_v + late * dq_a) / scale,

@@ -22,7 +22,7 @@ from impact_rs_analysis.evidence.tracker_start import tracker_frame_start
 from impact_rs_analysis.evidence.tracks import Track, tracks_of_runs
 from impact_rs_sim.effects import Effect
 from impact_rs_sim.effects.base import SINGLE_IMPACT
-from impact_rs_sim.effects.sensing import COMMAND_CLOCK, TRACKER_FRAME
+from impact_rs_sim.effects.sensing import COMMAND_CLOCK_OFFSET, TRACKER_FRAME
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.model import Model
 from impact_rs_sim.physics import Physics
@@ -326,7 +326,7 @@ class ReplaySource(Source):
 
     def offers(self, effect: Effect) -> bool:
         """See :meth:`Source.offers`; commands of trials made here are on the clock of the joints."""
-        return super().offers(effect) and (self.clock > 0.0 or effect.name != COMMAND_CLOCK.name)
+        return super().offers(effect) and (self.clock > 0.0 or effect.name != COMMAND_CLOCK_OFFSET.name)
 
     def starts(self, name: str) -> Sequence[Array]:
         """See :meth:`Source.starts`: the frame of the tracker."""

@@ -115,7 +115,7 @@ class Motion:
 
     def of(self, readings: ArmReadings) -> Motion:
         """The motion that its readings stand for: position, velocity and acceleration of the links and motors."""
-        scale, late = readings.position_scale * readings.velocity_scale, readings.velocity_late
+        scale, late = readings.position_scale * readings.velocity_gain, readings.velocity_late
         change = np.gradient(self.acceleration, 1.0 / self.rate, axis=0) if late else 0.0
         return replace(
             self,

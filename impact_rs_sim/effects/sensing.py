@@ -159,12 +159,12 @@ TORQUE_DELAY = ArmEffect(
     calibration="move every joint there and back in free motion, fast",
 )
 
-COMMAND_CLOCK = ArmEffect(
-    name="command_clock",
+COMMAND_CLOCK_OFFSET = ArmEffect(
+    name="command_clock_offset",
     acts_on=SENSING,
     sentence="Commands carry the stamps of another clock: they act some milliseconds after or before them.",
-    parameters=(Parameter("delay", "s", 0.0, -0.05, 0.03, 0.001, "from the stamp of a command until it acts"),),
-    law=_of_arm(lambda r, v: replace(r, command_delay=r.command_delay + number(v, "delay"))),
+    parameters=(Parameter("offset", "s", 0.0, -0.05, 0.03, 0.001, "from the stamp of a command until it acts"),),
+    law=_of_arm(lambda r, v: replace(r, command_delay=r.command_delay + number(v, "offset"))),
     lasting=True,
     reading="commands act {size} {late}, by their stamps",
     calibration="command a step of the torque at rest, and see when the measured torque follows",
@@ -192,12 +192,12 @@ VELOCITY_DELAY = ArmEffect(
     calibration="move every joint there and back in free motion, fast",
 )
 
-VELOCITY_SCALE = ArmEffect(
-    name="velocity_scale",
+VELOCITY_GAIN = ArmEffect(
+    name="velocity_gain",
     acts_on=SENSING,
     sentence="The velocity of a joint is recorded by a factor too large; its position is right.",
-    parameters=(Parameter("scale", "-", 1.0, 0.8, 1.2, 0.01, "reading over velocity of the link", per_joint=True),),
-    law=_of_arm(lambda r, v: replace(r, velocity_scale=r.velocity_scale * v["scale"])),
+    parameters=(Parameter("gain", "-", 1.0, 0.8, 1.2, 0.01, "reading over velocity of the link", per_joint=True),),
+    law=_of_arm(lambda r, v: replace(r, velocity_gain=r.velocity_gain * v["gain"])),
     lasting=True,
     reading="the velocity of {joint} reads {size} {more}",
     calibration="move every joint there and back in free motion, fast",
@@ -292,10 +292,10 @@ OF_SENSORS = (
     TORQUE_SENSOR_DRIFT,
     TORQUE_SENSOR_CROSSTALK,
     TORQUE_SENSOR_LAG,
-    COMMAND_CLOCK,
+    COMMAND_CLOCK_OFFSET,
     VELOCITY_LAG,
     VELOCITY_DELAY,
-    VELOCITY_SCALE,
+    VELOCITY_GAIN,
     TRACKER_FRAME,
     TRACKED_POINT,
     TRACKER_DELAY,

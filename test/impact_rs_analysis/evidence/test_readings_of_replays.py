@@ -97,12 +97,15 @@ FAULTS: dict[str, tuple[Fault, dict[str, float]]] = {
     ),
     "torque_sensor_crosstalk": (of_arm(crosstalk), {"from_previous_joint3": 0.04, "from_next_joint2": -0.03}),
     "torque_sensor_lag": (of_arm(lambda arm: replace(arm, torque=filtered(arm.torque, 0.015))), {"lag": 0.015}),
-    "command_clock": (lambda run: run.commands_later(dict.fromkeys(run.signals.arms, 0.004)), {"delay": -0.004}),
+    "command_clock_offset": (
+        lambda run: run.commands_later(dict.fromkeys(run.signals.arms, 0.004)),
+        {"offset": -0.004},
+    ),
     "velocity_lag": (of_arm(lambda arm: replace(arm, velocity=filtered(arm.velocity, 0.012))), {"lag": 0.012}),
     "velocity_delay": (of_arm(lambda arm: replace(arm, velocity=late(arm.velocity, 6))), {"delay": 0.006}),
-    "velocity_scale": (
+    "velocity_gain": (
         of_arm(lambda arm: replace(arm, velocity=changed(arm.velocity, 1, 1.05))),
-        {"scale_joint2": 1.05},
+        {"gain_joint2": 1.05},
     ),
     "tracker_frame": (lambda run: turned(run, 0.02, 0.004, -0.012), {"x": 0.004, "y": -0.012, "yaw": 0.02}),
     "tracked_point": (lambda run: at_a_point(run, 0.01, -0.004), {"x": 0.01, "y": -0.004}),
