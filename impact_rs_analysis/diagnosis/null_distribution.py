@@ -255,7 +255,7 @@ class _Rows:
         for number, item in zip(numbers, self.items, strict=True):
             scale = item.sigma / self.unit
             firsts.append(np.sqrt(item.count) * means[number] * scale)
-            contrasts.extend((_contrasts(item.count)[1:] @ item.residuals) * scale)
+            contrasts.extend((scipy.linalg.helmert(item.count) @ item.residuals) * scale)
         self.rows = np.array(firsts + contrasts)
         self.means, self.freedom = len(firsts), len(contrasts)
         self.lenders: Sequence[_Rows] = (self,)
@@ -382,16 +382,6 @@ def _weights_of(layouts: Sequence[_Rows], squares: Sequence[Array]) -> Iterator[
         shared = _shared(own, own.lenders, [left[id(lender)] for lender in own.lenders])
         variance = (PRIOR_FREEDOM * shared + left[id(own)]) / (PRIOR_FREEDOM + own.freedom)
         yield np.asarray(1.0 / (variance + own.apart + TINY))
-
-
-def _contrasts(count: int) -> Array:
-    """Orthonormal rows, the first one constant (Helmert), ``(n, n)``."""
-    result = np.zeros((count, count))
-    result[0] = 1.0 / np.sqrt(count)
-    for row in range(1, count):
-        result[row, :row], result[row, row] = 1.0, -row
-        result[row] /= np.sqrt(row * (row + 1.0))
-    return result
 
 
 class RotationNull(NullDistribution):

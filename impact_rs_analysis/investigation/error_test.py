@@ -53,7 +53,7 @@ def p_of_error(clusters: Sequence[Cluster], tested: Sequence[Sequence[int]]) -> 
     together: dict[str, list[Array]] = defaultdict(list)  # products of patterns, by conditions that share amplitudes
     for layout in dict.fromkeys(item.layout for item in clusters):
         own = [(item, list(rows)) for item, rows in zip(clusters, tested, strict=True) if item.layout == layout]
-        contrasts = np.vstack([_contrasts(item) for item, _ in own])
+        contrasts = np.vstack([scipy.linalg.helmert(item.count) @ (item.sigma * item.residuals) for item, _ in own])
         if not (count := len(contrasts)):
             continue
         spread = 0.0
@@ -84,13 +84,6 @@ def p_of_error(clusters: Sequence[Cluster], tested: Sequence[Sequence[int]]) -> 
 def _shared(item: Cluster) -> Array:
     """Changes of its scaled residuals by one standard deviation of what conditions share, ``(k, F)``."""
     return item.moved_together if item.calibrations is None else np.vstack((item.moved_together, item.calibrations))
-
-
-def _contrasts(item: Cluster) -> Array:
-    """Orthonormal contrasts among repeats, in the units of the features, ``(n - 1, F)``."""
-    if item.count == 1:
-        return item.residuals[:0]
-    return np.asarray(scipy.linalg.helmert(item.count) @ (item.sigma * item.residuals))
 
 
 def _trace_of_square(rows: Array, count: int) -> float:

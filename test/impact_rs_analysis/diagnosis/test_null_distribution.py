@@ -15,7 +15,6 @@ from scipy.stats import t as student
 from impact_rs_analysis.diagnosis.null_distribution import (
     RotationNull,
     SignFlipNull,
-    _contrasts,
     combined_half_width,
     rarity,
     smallest,
@@ -56,13 +55,6 @@ def shifted(clusters, jacobians, sizes) -> RotationNull:
             for item, jacobian, size in zip(clusters, jacobians, sizes, strict=True)
         ]
     )
-
-
-def test_contrasts_are_orthonormal_and_the_first_one_is_the_mean() -> None:
-    for count in range(1, 6):
-        rows = _contrasts(count)
-        np.testing.assert_allclose(rows @ rows.T, np.eye(count), atol=1e-14)
-        np.testing.assert_allclose(rows[0], 1.0 / np.sqrt(count))
 
 
 @pytest.mark.parametrize("repeats", [4, 5, 9])
