@@ -144,6 +144,11 @@ class Evidence:
         """Features by cluster, for every signal with a noise of its own; a single group of all where there is none."""
         if not self.source.noise_apart:
             return [[np.ones(len(item.features), dtype=bool) for item in self.clusters]]
+        return self._each_signal
+
+    @cached_property
+    def _each_signal(self) -> list[list[NDArray[np.bool_]]]:
+        """Features by cluster, for every signal."""
         names = dict.fromkeys((f.signal, f.index) for item in self.clusters for f in item.features)
         return [
             [np.array([(f.signal, f.index) == name for f in item.features]) for item in self.clusters] for name in names
@@ -183,8 +188,7 @@ class Evidence:
         along the normal, has no weight.
         """
         gained, weights = 0.0, 0.0
-        for signal in {(f.signal, f.index) for item in self.clusters for f in item.features}:
-            masks = [np.array([(f.signal, f.index) == signal for f in item.features]) for item in self.clusters]
+        for masks in self._each_signal:
             first, second = (
                 np.mean(
                     np.concatenate(
