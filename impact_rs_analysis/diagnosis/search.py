@@ -51,8 +51,6 @@ from impact_rs_sim.effects import Effect
 from impact_rs_sim.robot import Array
 
 SHAPED = 8  # leaders whose shapes are looked at before fits by simulation
-PAIRS = 2  # fitted jointly after effects were found one by one
-AMONG = 10  # effects from which pairs are formed
 MORE = 1.5  # times as many features as at nominal; where a secant changes so many, contacts are in another mode
 UNCHANGED = 1e-6  # scaled features per parameter scale; the solver's rounding
 
@@ -338,10 +336,7 @@ class Search:
             chosen = self._extend(chosen)
         if chosen is None:
             return None
-        chosen = self._without_the_superfluous(chosen)
-        if self.source.repeated and len(chosen.candidate.effects) >= 2:
-            chosen = self._try_pairs(chosen)
-        return self._out_of_small_minima(chosen)
+        return self._out_of_small_minima(self._without_the_superfluous(chosen))
 
     def _out_of_small_minima(self, chosen: Fit) -> Fit:
         """The chosen effects at a lower error, where more than noise is left of trials and no effect explains it."""
@@ -589,24 +584,6 @@ class Search:
             if own and len(own) < single.point.size:
                 found.append((name, chosen.fixed(index).beside(single.fixed(*others))))
         return found
-
-    def _try_pairs(self, chosen: Fit) -> Fit:
-        """Fit pairs jointly: they may beat effects found one by one."""
-        likely = [name for name in self.singles if name not in self.ruled_out]
-        linear = {name: Fit.of(self._start(name), self.evidence).score for name in likely}
-        names = sorted(likely, key=lambda name: linear[name])[:AMONG]
-        ranked = []
-        for first, second in combinations(names, 2):
-            if not {first, second} <= set(chosen.candidate.names):
-                joined = self._start(first).beside(self._start(second))
-                ranked.append((Fit.of(joined, self.evidence).score, joined))
-        for _, joined in sorted(ranked, key=lambda entry: entry[0])[:PAIRS]:
-            if self._budget.leaves_out(" and ".join(joined.names)):
-                continue
-            pair = self._refined(joined, self.evidence, HOPELESS * chosen.score)
-            if pair.score < (1.0 - LEAST_GAIN) * chosen.score:
-                chosen = self._measured_again(pair)
-        return chosen
 
     def exchanged(self, chosen: Fit) -> tuple[Fit, list[Rival]]:
         """Replace effects by better ones, or by equivalent ones with fewer parameters; list the remaining alternatives.
