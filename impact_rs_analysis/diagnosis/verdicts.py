@@ -90,12 +90,7 @@ class Findings:
 
     def tied_with(self, name: str) -> tuple[str, ...]:
         """Effects that predict as well in place of a chosen one."""
-        tied = [rival.name for rival in self.rivals if rival.instead_of == name and rival.tied]
-        if self.hold_out is not None:
-            without = [names for names in self.hold_out.found if name not in names]
-            if len(without) > len(self.hold_out.found) / 2.0:
-                tied += [other for names in without for other in names if other not in self.names]
-        return tuple(dict.fromkeys(tied))
+        return tuple(dict.fromkeys(one.name for one in self.rivals if one.instead_of == name and one.tied))
 
 
 def shown_names(search: Search, names: Iterable[str]) -> tuple[str, ...]:

@@ -26,7 +26,7 @@ from impact_rs_analysis.diagnosis.residuals import residual_size, rests_of
 from impact_rs_analysis.diagnosis.scoring import held_against_truth
 from impact_rs_analysis.diagnosis.search import Search
 from impact_rs_analysis.diagnosis.verdict import NOTHING, DiagnosisVerdict
-from impact_rs_analysis.diagnosis.verdicts import Findings, certain, change_interval, clip_p, supported_by_hold_out
+from impact_rs_analysis.diagnosis.verdicts import certain, change_interval, clip_p, supported_by_hold_out
 from impact_rs_analysis.diagnosis.words import not_excluded
 from impact_rs_analysis.evidence.cluster import Added
 from impact_rs_sim.errors import InputError
@@ -74,20 +74,6 @@ def test_only_what_the_hold_out_supports_is_named(spoiled: str, monkeypatch: pyt
     assert document.held_out_error_after == document.held_out_error_before
     assert document.suspected == ()
     assert any(remark.startswith("not named") and "straight" in remark for remark in document.remarks)
-
-
-def test_an_effect_in_whose_place_folds_find_another_one_is_named_and_tied_with_it(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    """Kills: a fold supports only what all data name."""
-
-    def replaced(source: AnalyticSource, *given: Any) -> HoldOut | None:
-        found = hold_out(source, *given)
-        return found and replace(found, chosen=(("bent",),) * 6)
-
-    monkeypatch.setattr("impact_rs_analysis.diagnosis.diagnose.hold_out", replaced)
-    document = said(AnalyticSource(1, (("straight", (5.0,)),)))
-    assert document.named == ("straight",) and document.confusable == (("straight", "bent"),)
 
 
 @pytest.mark.parametrize("repeated", [True, False])
@@ -400,15 +386,6 @@ def test_estimates_that_move_against_each_other_are_listed() -> None:
     alike = tuple(np.stack((j[:, 0], j[:, 0] + 0.2 * j[:, 1]), axis=1) for j in found.candidate.jacobians)
     (pair,) = _identifiability(Fit.of(replace(found.candidate, jacobians=alike), found.evidence)).correlated
     assert {pair.first, pair.second} == {"c", "c_2"} and pair.correlation < -0.8
-
-
-@pytest.mark.parametrize(("without", "tied"), [(0, ()), (3, ()), (4, ("bent",)), (6, ("bent",))])
-def test_an_effect_is_confusable_with_what_replaces_it_in_most_folds(without: int, tied: tuple) -> None:
-    chosen = (("bent", "payload"),) * without + (("straight", "payload"),) * (6 - without)
-    hold_out = HoldOut((), np.zeros(0), (), (*chosen, ("payload",)), (*(True,) * 6, False))
-    names: Any = SimpleNamespace(candidate=SimpleNamespace(names=("straight", "payload")))
-    nothing: Any = None
-    assert Findings(nothing, names, (), hold_out, {}).tied_with("straight") == tied
 
 
 @pytest.mark.parametrize(("verdict", "correct"), [("NOTHING-MISSING", True), ("PRESENT-BUT-SMALL", False)])
