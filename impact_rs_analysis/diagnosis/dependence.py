@@ -20,7 +20,6 @@ number, the dependences stand beside the first search.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -30,8 +29,8 @@ import numpy as np
 from impact_rs_analysis.diagnosis.candidate import Candidate, linearise
 from impact_rs_analysis.diagnosis.fit import NEAR_STEPS, Evidence, Fit, measure_again, refine_again
 from impact_rs_analysis.diagnosis.hold_out import Fold, folds_of
-from impact_rs_analysis.diagnosis.search import SHORTLIST, ProgressCallback, adjusted, tied
-from impact_rs_analysis.diagnosis.thresholds import LEAST_NUMBERS, LEAST_ROWS_OF_LEVEL, SIGNIFICANT, TIE
+from impact_rs_analysis.diagnosis.search import ProgressCallback, adjusted, simplest, tied
+from impact_rs_analysis.diagnosis.thresholds import LEAST_NUMBERS, LEAST_ROWS_OF_LEVEL, SHORTLIST, SIGNIFICANT
 from impact_rs_analysis.diagnosis.verdicts import Findings, change_interval
 from impact_rs_analysis.evidence.source import MOST_AS_NAMES, Covariate, Source
 from impact_rs_sim.effects import Effect
@@ -264,10 +263,9 @@ def _choose(evidence: Evidence, fitted: Fit | None, pairs: Sequence[Depending], 
         refined = [entry for entry in refined if evidence.gains(before, entry.problem.left_out_rest, whole=True)]
         if not refined:
             return Choice(fitted, tuple(chosen), rivals, p_values)
-        limit = min(entry.score for entry in refined) * math.exp(TIE)
-        best = min((one for one in refined if one.score <= limit), key=lambda entry: (_cost(entry), entry.score))
+        best = simplest(refined)
         (own,) = (pair for pair in free if pair.name in best.candidate.names)
-        others = [one for one in refined if one is not best and _cost(one) <= _cost(best) and tied(best, one)]
+        others = [one for one in refined if one is not best and one.cost <= best.cost and tied(best, one)]
         ways = ways_of(own, pairs)
         rivals[own.name] = tuple(
             p.name for p in free for entry in others if p.name in entry.candidate.names and p.name not in ways
@@ -308,8 +306,3 @@ def _p_values(evidence: Evidence, fitted: Fit | None, proposals: Mapping[str, Fi
         tested.append([jacobian[:, first:last] for jacobian in entry.candidate.jacobians])
     null, beside = (evidence.null, ()) if fitted is None else (fitted.left.null, fitted.candidate.jacobians)
     return dict(zip(proposals, null.p_values(tested, beside), strict=True))
-
-
-def _cost(fitted: Fit) -> int:
-    """Number of parameters of all effects, without shapes."""
-    return sum(effect.complexity(fitted.evidence.source.joints) for effect in fitted.candidate.effects)

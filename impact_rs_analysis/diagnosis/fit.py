@@ -313,6 +313,11 @@ class Fit:
         """Mean over clusters of the held-out error [-]."""
         return float(self.held_out.mean())
 
+    @property
+    def cost(self) -> int:
+        """Number of parameters of all effects, without shapes (:meth:`Effect.complexity`)."""
+        return sum(effect.complexity(self.evidence.source.joints) for effect in self.candidate.effects)
+
     @cached_property
     def half_widths(self) -> Array:
         """Half widths of the 95 % intervals in parameter scales, ``(p,)``."""

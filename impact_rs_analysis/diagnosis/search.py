@@ -530,14 +530,7 @@ class Search:
         found = [entry for entry in found if entry.evidence.gains(before, entry.problem.left_out_rest)]
         if not self.source.repeated:
             found = [proposal for proposal in found if noticeable(proposal, first)]
-        if not found:
-            return None
-        limit = min(proposal.score for proposal in found) * math.exp(TIE)
-        return min((fit for fit in found if fit.score <= limit), key=lambda fit: (self._cost(fit), fit.score))
-
-    def _cost(self, fitted: Fit) -> int:
-        """Number of parameters of all effects, without shapes (:meth:`Effect.complexity`)."""
-        return sum(effect.complexity(self.source.joints) for effect in fitted.candidate.effects)
+        return simplest(found) if found else None
 
     def without(self, chosen: Fit, name: str) -> Fit | None:
         """The other chosen effects, fitted again; None where they cannot be simulated."""
@@ -600,6 +593,12 @@ class Search:
                 equal = tied(chosen, fitted) and not _in_the_limit(fitted, other)
                 found.append(Rival(other, name, fitted, equal and not encompasses(chosen, name, fitted, other)))
         return found
+
+
+def simplest(fits: Sequence[Fit]) -> Fit:
+    """Of fits whose error is at most 5 % above the least one, that with the fewest parameters."""
+    limit = min(fitted.score for fitted in fits) * math.exp(TIE)
+    return min((fitted for fitted in fits if fitted.score <= limit), key=lambda fitted: (fitted.cost, fitted.score))
 
 
 def _named(fitted: Fit | None) -> str:
