@@ -14,7 +14,7 @@ from impact_rs_analysis.diagnosis.fit import Evidence, Fit
 from impact_rs_analysis.diagnosis.relevance import matters, sizes_of
 from impact_rs_analysis.diagnosis.residuals import residual_size
 from impact_rs_analysis.diagnosis.search import tied_errors
-from impact_rs_analysis.diagnosis.thresholds import LEAST_GAIN_OF_JOINT, SIGNIFICANT, UNSEEN
+from impact_rs_analysis.diagnosis.thresholds import SIGNIFICANT, UNSEEN
 from impact_rs_analysis.diagnosis.verdict import (
     AT_BOUND,
     CONFIRMED,
@@ -251,7 +251,6 @@ def _joint(found: Findings, fitted: Fit, index: int) -> tuple[DiagnosisVerdict, 
     candidate, evidence = fitted.candidate, fitted.evidence
     scalar = candidate.scalars[index]
     joint = f"joint{(scalar.joint or 0) + 1}"
-    seen = any(np.any(jacobian[:, index]) for jacobian in candidate.jacobians)
     without = evidence.problem(candidate.fixed(index))
     left = without.rest(without.solve())
     shifts = [item.mean - rest for item, rest in zip(evidence.clusters, left, strict=True)]
@@ -273,7 +272,7 @@ def _joint(found: Findings, fitted: Fit, index: int) -> tuple[DiagnosisVerdict, 
         verdict = UNIDENTIFIABLE
     elif fitted.held_at_bound[index]:
         verdict = AT_BOUND
-    elif p >= SIGNIFICANT or error > (1.0 - LEAST_GAIN_OF_JOINT) * error_without or not seen:
+    elif p >= SIGNIFICANT:
         verdict = NO_IMPROVEMENT
     else:
         verdict = DiagnosisVerdict(Kind.CONFUSABLE, tuple(sorted(found.shown(rivals)))) if rivals else CONFIRMED

@@ -12,7 +12,6 @@ LEAST_CLUSTERS = 3  # for a hold-out: with two, each is predicted from a single 
 NOTHING = 0.1  # p in free motion above which an effect with several parameters is ruled out
 LEAST_GAIN = 0.10  # share of the excess held-out error that an accepted effect must remove
 LEAST_GAIN_IN_ONE = 0.5  # or of the excess of one joint of a recording, whose noise is not known
-LEAST_GAIN_OF_JOINT = 0.05  # the same of one joint's whole error, for a verdict on that joint alone
 MOST = 0.5  # share of the excess that PARTLY must explain
 # Times noise and calibrations without repeats, from which a residual needs an explanation: noise is known to a third.
 PLAINLY_BEYOND = 2.0
