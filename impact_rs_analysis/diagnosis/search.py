@@ -318,14 +318,13 @@ class Search:
     def p_value_of_chosen(self, chosen: Fit, name: str) -> float:
         """p-value of a chosen effect beside the other chosen ones, not adjusted for testing others.
 
-        Its sensitivities at nominal may not show what it does at the estimate, as restitution that first changes
-        anything where a contact opens. So the smaller of the p-values of both counts, twice.
+        By its sensitivities at the estimate: at nominal they may show nothing, as of restitution that first changes
+        anything where a contact opens.
         """
         others = self.without(chosen, name) if len(chosen.candidate.effects) > 1 else None
         own, left = chosen.candidate.part(name), self.evidence if others is None else others.left
         fitted = () if others is None else others.candidate.jacobians
-        at_estimate = left.null.p_value([jacobian[:, own] for jacobian in chosen.candidate.jacobians], fitted)
-        return min(1.0, 2.0 * min(at_estimate, self.p_values_of([name], others)[name]))
+        return left.null.p_value([jacobian[:, own] for jacobian in chosen.candidate.jacobians], fitted)
 
     def choose(self) -> Fit | None:
         """Forward selection; None if no effect is accepted."""
