@@ -29,11 +29,10 @@ import scipy
 
 from impact_rs_analysis.diagnosis.document import DriftDocument
 from impact_rs_analysis.diagnosis.null_distribution import rarity
-from impact_rs_analysis.diagnosis.thresholds import LEAST_FREEDOM, LEAST_P, SIGNIFICANT
+from impact_rs_analysis.diagnosis.thresholds import DRAWS, LEAST_FREEDOM, LEAST_P, SIGNIFICANT
 from impact_rs_analysis.evidence.cluster import Cluster, Feature
 from impact_rs_sim.robot import Array
 
-DRAWS = 4999  # of the null distribution
 CONFOUNDED = 0.85  # share of the variance of the order that is between conditions; three one after the other: 0.89
 
 

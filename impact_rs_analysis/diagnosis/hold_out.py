@@ -54,7 +54,6 @@ class HoldOut:
 
     Attributes:
         folds: The folds.
-        errors: Mean square scaled error by cluster, ``(c,)`` [-].
         rest: Mean residuals after prediction, ``(F,)`` per cluster [-].
         chosen: Names of the effects with which every fold is predicted.
         searched: Whether a search of the fold has found them; else they were fitted alone, as too few clusters or
@@ -64,7 +63,6 @@ class HoldOut:
     """
 
     folds: tuple[Fold, ...]
-    errors: Array
     rest: tuple[Array, ...]
     chosen: tuple[tuple[str, ...], ...]
     searched: tuple[bool, ...]
@@ -149,10 +147,9 @@ def hold_out(
         rest.update(zip(fold.held, left, strict=True))
     failed = tuple(sorted(number for number, own in rest.items() if own is None))
     ordered = tuple(item.mean if (own := rest[n]) is None else own for n, item in enumerate(source.clusters))
-    errors = np.array([float(np.mean(np.square(values))) for values in ordered])
     if short:
         budget.add(f"all of the search in {short} of {len(folds)} folds of the hold-out")
-    return HoldOut(tuple(folds), errors, ordered, tuple(names), tuple(searched), failed)
+    return HoldOut(tuple(folds), ordered, tuple(names), tuple(searched), failed)
 
 
 def _seen_by(chosen: Candidate, clusters: Sequence[int]) -> int:

@@ -367,7 +367,7 @@ def test_without_repeats_what_is_too_small_to_matter_needs_no_support() -> None:
     """Kills: it is asked to lower an error that it hardly changes."""
     small = fitted(AnalyticSource(1, design=(1,) * 24, repeated=False), "straight", change=np.array([1e-3]))
     rest = tuple(item.mean for item in small.evidence.clusters)
-    held = HoldOut((), np.zeros(0), rest, ((),) * 6, (True,) * 6)
+    held = HoldOut((), rest, ((),) * 6, (True,) * 6)
     search: Any = SimpleNamespace(evidence=small.evidence)
     assert supported_by_hold_out(search, small, held) is small
 
