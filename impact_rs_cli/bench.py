@@ -9,7 +9,6 @@ from pathlib import Path
 
 from impact_rs_analysis.design.design import design, missing_effect
 from impact_rs_analysis.design.possible_trials import Envelope
-from impact_rs_analysis.diagnosis.document import DiagnosisDocument
 from impact_rs_analysis.diagnosis.next_experiment import considered, left_open
 from impact_rs_analysis.diagnosis.search import ProgressCallback
 from impact_rs_analysis.evidence.measured_runs import Runs
@@ -17,7 +16,7 @@ from impact_rs_analysis.evidence.replay_cache import ReplayCache
 from impact_rs_analysis.evidence.replays import ReplaySource
 from impact_rs_analysis.evidence.source import Source
 from impact_rs_analysis.investigation.loop import Against
-from impact_rs_analysis.investigation.rounds import PlannedTrial, Round, trials_of
+from impact_rs_analysis.investigation.rounds import PlannedTrial, WantedTrials, trials_of
 from impact_rs_analysis.investigation.settings import Settings
 from impact_rs_cli.measurements import read
 from impact_rs_cli.terminal import Terminal
@@ -105,42 +104,34 @@ class PlantBench:
         """All trials."""
         return read(self.runs, self.map_tasks, self.terminal)
 
-    def design(
-        self,
-        model: Model,
-        done: Sequence[Round],
-        document: DiagnosisDocument | None,
-        budget: int,
-        seed: int,
-        show: Sequence[str] = (),
-    ) -> ExperimentPlan:
+    def design(self, wanted: WantedTrials) -> ExperimentPlan:
         """The trials that decide most of what is open; where none can be planned so, those of a rule."""
         limits = Envelope(cell=self.settings.envelope)
         try:
-            decide, known = None, model
-            if document is not None:
-                decide, known = left_open(document, model), considered(document, model)
+            decide, known = None, wanted.model
+            if (document := wanted.document) is not None:
+                decide, known = left_open(document, known), considered(document, known)
             if decide is None:
-                effects = show or self.settings.effects
-                decide = missing_effect(effects, whether_any=bool(done) and document is None)
-            runs = self._runs() if done else None
+                effects = wanted.show or self.settings.effects
+                decide = missing_effect(effects, whether_any=bool(wanted.done) and document is None)
+            runs = self._runs() if wanted.done else None
             with self.terminal.stages() as stage:
                 plan = design(
                     known,
                     self.settings.scenarios,
-                    budget,
+                    wanted.budget,
                     self.map_tasks,
                     decide,
                     runs,
                     envelope=limits,
-                    seed=seed,
+                    seed=wanted.seed,
                     progress=stage,
                 )
             self.check(plan)
             return plan
         except InputError as error:
             self.terminal.warn(f"trials by rule instead of by design: {error}")
-            return simple_design(self.settings, model, done, document, budget, seed)
+            return simple_design(self.settings, wanted)
 
     def check(self, plan: ExperimentPlan) -> None:
         """Refuse a plan that leaves the envelope.
@@ -153,25 +144,14 @@ class PlantBench:
                 self.settings.envelope.check(one.trial.spec)
 
 
-def simple_design(
-    settings: Settings,
-    model: Model,
-    done: Sequence[Round],
-    document: DiagnosisDocument | None,
-    budget: int,
-    seed: int,
-) -> ExperimentPlan:
+def simple_design(settings: Settings, wanted: WantedTrials) -> ExperimentPlan:
     """Trials by rule: at first two repeats of a few conditions, then what the diagnosis asks for, else new conditions.
 
     Args:
         settings: What was asked.
-        model: The newest model.
-        done: Rounds so far.
-        document: Diagnosis to go on from; None: at first, and to try a new model.
-        budget: Trials at most.
-        seed: Seed of scatter and noise.
+        wanted: What they are for; without a document: at first, and to try a new model.
     """
-    measured = Counter(label_of(one.trial.spec) for here in done for one in here.trials)
+    measured = Counter(label_of(one.trial.spec) for here in wanted.done for one in here.trials)
     often: dict[tuple[str, str, str], int] = {}
     for name in settings.scenarios:
         scenario = load_scenario(name)
@@ -185,15 +165,15 @@ def simple_design(
         raise InputError("no condition of these scenarios lies inside the envelope; expected limits that allow some")
     hits = [place for place in often if load_scenario(place[0]).excursion is None]
     free = [place for place in often if place not in hits]
-    wanted: dict[tuple[str, str, str], int] = {}
-    if not done:
+    chosen: dict[tuple[str, str, str], int] = {}
+    if not wanted.done:
         corners = [*hits[:1], *[place for place in reversed(hits) if place[1] != hits[0][1]][:1], *hits[-1:]]
-        conditions = list(dict.fromkeys([*corners[:2], *free[:2], *hits]))[: max(3, budget // 2)][:4]
+        conditions = list(dict.fromkeys([*corners[:2], *free[:2], *hits]))[: max(3, wanted.budget // 2)][:4]
         for place in conditions:
-            wanted[place] = 2
+            chosen[place] = 2
         reason = "Two objects and free motion, to see where the model fails."
     else:
-        experiment = None if document is None else document.next_experiment
+        experiment = None if wanted.document is None else wanted.document.next_experiment
         asked = [
             place
             for place in often
@@ -201,23 +181,23 @@ def simple_design(
             and (load_scenario(place[0]).name, *place[1:]) == (experiment.scenario, experiment.object, experiment.case)
         ]
         if experiment is not None and asked:
-            wanted[asked[0]] = budget
+            chosen[asked[0]] = wanted.budget
             reason = f"{experiment.advice[:1].upper()}{experiment.advice[1:]}."
         else:
             fewest = sorted(hits or free, key=lambda place: often[place])
-            for place in fewest[:budget]:
-                wanted[place] = 1
+            for place in fewest[: wanted.budget]:
+                chosen[place] = 1
             reason = "Conditions that were measured least."
     folders: dict[str, list[PlannedTrials]] = {}
-    for (name, item, case), count in wanted.items():
+    for (name, item, case), count in chosen.items():
         folders.setdefault(name, []).append(PlannedTrials(object=item, case=case, trials=count))
     return ExperimentPlan(
-        model=model.name,
-        model_digest=model.digest,
+        model=wanted.model.name,
+        model_digest=wanted.model.digest,
         aim="effects",
         method="fixed",
-        budget=budget,
-        seed=seed,
+        budget=wanted.budget,
+        seed=wanted.seed,
         summary=reason,
         campaigns=tuple(
             PlannedCampaign(folder=Path(name).stem, scenario=name, conditions=tuple(conditions))

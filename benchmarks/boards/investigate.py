@@ -9,7 +9,7 @@ from __future__ import annotations
 import argparse
 import statistics
 import time
-from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -17,16 +17,15 @@ from benchmarks.boards.discovery import RIGHT
 from benchmarks.harness import Row, Work
 from benchmarks.hidden import VISIBLE, Entry, hidden_in, plant_option, recorder, reseeded
 from benchmarks.results import Table
-from impact_rs_analysis.diagnosis.document import DiagnosisDocument
 from impact_rs_analysis.diagnosis.scoring import truth_of
 from impact_rs_analysis.investigation.endings import judged
 from impact_rs_analysis.investigation.loop import Investigation
-from impact_rs_analysis.investigation.rounds import Round, read_rounds
+from impact_rs_analysis.investigation.rounds import WantedTrials, read_rounds
 from impact_rs_analysis.investigation.settings import BlindChoice, Settings, begin
 from impact_rs_cli.bench import PlantBench
 from impact_rs_cli.commands.investigate import secret_of
 from impact_rs_cli.terminal import Terminal
-from impact_rs_sim.model import Model, load_model
+from impact_rs_sim.model import load_model
 from impact_rs_trials.experiment_plan import ExperimentPlan, read_plan, write_plan
 
 MAGNITUDE = 4.0  # parameter scales, of an effect that should be seen; as the pairs of the board of diagnoses
@@ -62,22 +61,14 @@ def cases(options: argparse.Namespace) -> list[Entry]:
 class SharedFirstPlan(PlantBench):
     """Our plant; the first plan, which is the same for all, is made once and read by the others."""
 
-    def design(
-        self,
-        model: Model,
-        done: Sequence[Round],
-        document: DiagnosisDocument | None,
-        budget: int,
-        seed: int,
-        show: Sequence[str] = (),
-    ) -> ExperimentPlan:
+    def design(self, wanted: WantedTrials) -> ExperimentPlan:
         """The next trials."""
-        if done:
-            return super().design(model, done, document, budget, seed, show)
-        path = self.runs.parent.parent / f"first_plan_{budget}.yaml"
+        if wanted.done:
+            return super().design(wanted)
+        path = self.runs.parent.parent / f"first_plan_{wanted.budget}.yaml"
         if not path.exists():
-            write_plan(super().design(model, done, document, budget, 0), path)
-        return read_plan(path).model_copy(update={"seed": seed})
+            write_plan(super().design(replace(wanted, seed=0)), path)
+        return read_plan(path).model_copy(update={"seed": wanted.seed})
 
 
 def run(entry: Entry, work: Work) -> Row:

@@ -25,6 +25,7 @@ from impact_rs_analysis.investigation.round_state import stands
 from impact_rs_analysis.investigation.rounds import (
     PlannedTrial,
     Round,
+    WantedTrials,
     folder_of,
     laws_found,
     measured,
@@ -58,19 +59,8 @@ class Bench(Protocol):
     def read(self) -> Against:
         """All trials against a model."""
 
-    def design(
-        self,
-        model: Model,
-        done: Sequence[Round],
-        document: DiagnosisDocument | None,
-        budget: int,
-        seed: int,
-        show: Sequence[str] = (),
-    ) -> ExperimentPlan:
-        """The next trials, at most ``budget``, for what a document leaves open.
-
-        Without a document they show whether one of the effects of ``show`` is missing (none: of all).
-        """
+    def design(self, wanted: WantedTrials) -> ExperimentPlan:
+        """The next trials."""
 
     @property
     def rank(self) -> ProgressCallback:
@@ -163,7 +153,7 @@ class Investigation:
         show = rounds[-1].decision.show if rounds and rounds[-1].decision is not None else ()
         count = min(left, FEW if fresh or show else size_of_round(rounds[-1] if rounds else None))
         self._say(f"Round {number}: design of {count} trials at most, {left} are left")
-        plan = self._bench.design(
+        wanted = WantedTrials(
             self._model(newest_model(self.settings, rounds) if fresh else self.settings.model),
             rounds,
             None if fresh or show else document,
@@ -171,6 +161,7 @@ class Investigation:
             self.settings.seed + number - 1,
             show,
         )
+        plan = self._bench.design(wanted)
         if rounds and (promised := promise(plan, left)) < WORTHWHILE:
             self._give_up(rounds[-1], promised, left)
         else:

@@ -19,6 +19,7 @@ from impact_rs_analysis.diagnosis.verdict import NOTHING, SMALL
 from impact_rs_analysis.investigation.prediction_check import PredictionError, Predictions
 from impact_rs_analysis.investigation.settings import Settings
 from impact_rs_sim.errors import InputError
+from impact_rs_sim.model import Model
 from impact_rs_sim.scenario import load_scenario
 from impact_rs_sim.schema import Schema, SchemaType, validate
 from impact_rs_trials.campaign import Trial
@@ -158,6 +159,27 @@ class Round:
     def fails(self, settings: Settings) -> bool:
         """Whether its model has effects and lacks something all the same."""
         return self.model != settings.model and self.diagnosis is not None and not self.model_holds
+
+
+@dataclass(frozen=True)
+class WantedTrials:
+    """What the next trials are for: they decide what a document leaves open.
+
+    Attributes:
+        model: The model that they are planned with.
+        done: Rounds so far.
+        document: What is open; None: whether one of the effects of ``show`` is missing.
+        budget: Trials at most.
+        seed: Seed of scatter and noise.
+        show: Effects; none: all.
+    """
+
+    model: Model
+    done: Sequence[Round]
+    document: DiagnosisDocument | None
+    budget: int
+    seed: int
+    show: Sequence[str] = ()
 
 
 def _lacks_nothing(document: DiagnosisDocument, p_value: float | None) -> bool:

@@ -15,7 +15,7 @@ import yaml
 from trials import recorded
 
 from impact_rs_analysis.design.possible_trials import possible_trials
-from impact_rs_analysis.investigation.rounds import PlannedTrial, trials_of
+from impact_rs_analysis.investigation.rounds import PlannedTrial, WantedTrials, trials_of
 from impact_rs_analysis.investigation.settings import Settings
 from impact_rs_cli import node_benches
 from impact_rs_cli.bench import PlantBench, simple_design
@@ -161,12 +161,12 @@ def test_a_trial_is_checked_again_just_before_it_runs(tmp_path: Path) -> None:
 def test_the_design_proposes_nothing_outside_the_envelope() -> None:
     """Slower than 0.6 m/s: no case 2; and no object that is not named."""
     settings = SETTINGS.model_copy(update={"envelope": ENVELOPE.model_copy(update={"speed": 0.6})})
-    plan = simple_design(settings, load_model("nominal"), [], None, 8, 0)
+    plan = simple_design(settings, WantedTrials(load_model("nominal"), [], None, 8, 0))
     proposed = {(one.object, one.case) for campaign in plan.campaigns for one in campaign.conditions}
     assert proposed and proposed <= {(item, case) for item in ("parcel", "juice") for case in ("case_1", "case_3")}
     nothing = SETTINGS.model_copy(update={"envelope": ENVELOPE.model_copy(update={"speed": 0.1})})
     with pytest.raises(InputError, match="no condition of these scenarios lies inside the envelope"):
-        simple_design(nothing, load_model("nominal"), [], None, 8, 0)
+        simple_design(nothing, WantedTrials(load_model("nominal"), [], None, 8, 0))
 
 
 def test_a_design_within_the_documented_envelope_is_one(tmp_path: Path) -> None:
@@ -182,7 +182,7 @@ def test_a_design_within_the_documented_envelope_is_one(tmp_path: Path) -> None:
     warned: list[str] = []
     terminal = Terminal(as_json=True)
     terminal.warn = warned.append  # type: ignore[method-assign]
-    plan = PlantBench(tmp_path, settings, map, terminal).design(load_model("nominal"), [], None, 8, 0)  # type: ignore[arg-type]
+    plan = PlantBench(tmp_path, settings, map, terminal).design(WantedTrials(load_model("nominal"), [], None, 8, 0))  # type: ignore[arg-type]
     assert (plan.method, plan.trials, warned) == ("design", 8, [])
     assert len(trials_of(plan, "")) == 8 and sum(len(one.conditions) for one in plan.campaigns) >= 3
     assert {one.object for campaign in plan.campaigns for one in campaign.conditions} <= {"parcel", "juice"}

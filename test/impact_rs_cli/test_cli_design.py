@@ -14,7 +14,7 @@ from scene_source import of_scene
 from impact_rs_analysis.design.design import WHICH_EFFECT
 from impact_rs_analysis.diagnosis.discovery_document import FOUND, DiscoveryDocument, write_discovery
 from impact_rs_analysis.diagnosis.document import DiagnosisDocument, write_document
-from impact_rs_analysis.investigation.rounds import Round
+from impact_rs_analysis.investigation.rounds import Round, WantedTrials
 from impact_rs_analysis.investigation.settings import Settings
 from impact_rs_cli import bench
 from impact_rs_cli.bench import PlantBench, simple_design
@@ -164,7 +164,7 @@ def test_a_rule_goes_on_after_trials_that_no_scenario_file_has(tmp_path: Path) -
     """Conditions of the file that were measured least are next: case 2 beside the centre is another than case 2."""
     done = [Round(1, tmp_path, "nominal", designed())]
     count = len(load_scenario("push").objects) * len(load_scenario("push").cases)
-    plan = simple_design(SETTINGS, load_model("nominal"), done, None, count - 1, 1)
+    plan = simple_design(SETTINGS, WantedTrials(load_model("nominal"), done, None, count - 1, 1))
     chosen = {(one.object, one.case) for campaign in plan.campaigns for one in campaign.conditions}
     assert ("parcel", "case_2") in chosen and ("parcel", "case_1") not in chosen
     assert plan.trials == count - 1
@@ -180,7 +180,7 @@ def test_a_design_after_a_discovery_knows_its_laws(tmp_path: Path, monkeypatch: 
 
     monkeypatch.setattr(bench, "design", design)
     plant = PlantBench(tmp_path, SETTINGS, map, Terminal(as_json=True))
-    plant.design(load_model("nominal"), [], tied_laws(), 4, 1)
+    plant.design(WantedTrials(load_model("nominal"), [], tied_laws(), 4, 1))
     assert decided[0].aim == "rivals" and decided[0].pairs == ((0, 1),)
     assert [one.name for one in decided[0].explanations] == ["object_drag", "object_drag_cube"]
 
@@ -203,7 +203,8 @@ def test_a_new_model_is_tried_where_any_further_effect_would_show(
     monkeypatch.setattr(PlantBench, "measured_runs", lambda self: None)
     settings = SETTINGS.model_copy(update={"effects": ("object_mass",)})
     plant = PlantBench(tmp_path, settings, map, Terminal(as_json=True))
-    plant.design(load_model("nominal"), [Round(1, tmp_path, "nominal", designed())] * done, document, 4, 1)
+    before, model = [Round(1, tmp_path, "nominal", designed())], load_model("nominal")
+    plant.design(WantedTrials(model, before * done, document, 4, 1))
     assert asked == ([] if document is not None else [((("object_mass",),), wanted)])
-    plant.design(load_model("nominal"), [Round(1, tmp_path, "nominal", designed())], None, 2, 1, ("restitution",))
+    plant.design(WantedTrials(model, before, None, 2, 1, ("restitution",)))
     assert asked[-1] == ((("restitution",),), True)  # whether this one is there

@@ -21,7 +21,14 @@ from impact_rs_analysis.investigation.endings import Ending, judged, read_ending
 from impact_rs_analysis.investigation.loop import Investigation
 from impact_rs_analysis.investigation.policy import MOST_DISCOVERIES
 from impact_rs_analysis.investigation.prediction_check import CheckedImpact, PredictionError, Predictions
-from impact_rs_analysis.investigation.rounds import PlannedTrial, Round, RoundDecision, read_rounds, trials_of
+from impact_rs_analysis.investigation.rounds import (
+    PlannedTrial,
+    Round,
+    RoundDecision,
+    WantedTrials,
+    read_rounds,
+    trials_of,
+)
 from impact_rs_analysis.investigation.settings import BlindChoice, Settings, begin
 from impact_rs_analysis.report.family_tree import bought_of, family_of, write_investigation
 from impact_rs_sim.effects.formula import FormulaSpec
@@ -87,25 +94,17 @@ class FakeBench:
     def read(self) -> Callable[[Model], Any]:
         return lambda model: (self, model)
 
-    def design(
-        self,
-        model: Model,
-        done: Sequence[Round],
-        document: DiagnosisDocument | None,
-        budget: int,
-        seed: int,
-        show: Sequence[str] = (),
-    ) -> ExperimentPlan:
-        self.last = document
-        self.shown.append(tuple(show))
-        one = PlannedTrials(object="parcel", case="case_1", trials=budget)
+    def design(self, wanted: WantedTrials) -> ExperimentPlan:
+        self.last = wanted.document
+        self.shown.append(tuple(wanted.show))
+        one = PlannedTrials(object="parcel", case="case_1", trials=wanted.budget)
         return ExperimentPlan(
-            model=model.name,
-            model_digest=model.digest,
+            model=wanted.model.name,
+            model_digest=wanted.model.digest,
             aim="effects",
             method="fixed",
-            budget=budget,
-            seed=seed,
+            budget=wanted.budget,
+            seed=wanted.seed,
             campaigns=(PlannedCampaign(folder="push", scenario="push", conditions=(one,)),),
         )
 
@@ -468,10 +467,10 @@ def test_a_tie_that_no_trial_splits_ends_before_the_budget_is_spent(
     """Where two trials decide with 0.1 %, fourteen do with 42 %, and 24 with 68 %."""
     design = FakeBench.design
 
-    def rivals(self: FakeBench, *arguments: Any) -> ExperimentPlan:
+    def rivals(self: FakeBench, wanted: WantedTrials) -> ExperimentPlan:
         pairs = (PlannedPair(first=FRICTION, second=MASS, before=0.0, after=after),)
-        plan = design(self, *arguments)
-        return plan.model_copy(update={"aim": "rivals", "pairs": pairs}) if arguments[1] else plan
+        plan = design(self, wanted)
+        return plan.model_copy(update={"aim": "rivals", "pairs": pairs}) if wanted.done else plan
 
     monkeypatch.setattr(FakeBench, "design", rivals)
     investigation_, bench = start(tie, budget=20)
