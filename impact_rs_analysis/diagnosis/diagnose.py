@@ -38,7 +38,7 @@ from impact_rs_analysis.diagnosis.hold_out import HoldOut, hold_out
 from impact_rs_analysis.diagnosis.measurement import experiments_of, measurement_of, with_readings
 from impact_rs_analysis.diagnosis.next_experiment import next_experiment
 from impact_rs_analysis.diagnosis.residuals import MOST_RESTS, noise_size, residual_unit, rests_of
-from impact_rs_analysis.diagnosis.search import NOTHING_KNOWN, ProgressCallback, Search
+from impact_rs_analysis.diagnosis.search import NOTHING_KNOWN, ProgressCallback, Rival, Search
 from impact_rs_analysis.diagnosis.thresholds import LEAST_CLUSTERS, LEAST_P, WIDE_TIE
 from impact_rs_analysis.diagnosis.verdict import IMPOSSIBLE, TOO_FEW
 from impact_rs_analysis.diagnosis.verdicts import (
@@ -246,10 +246,13 @@ def findings_of(
     search = Search(effects, Evidence.of(source, budget=own), progress, earlier=earlier)
     undecidable = search.evidence.null.shortage is not None or bool(source.impossible)
     chosen = None if undecidable else search.choose()
+    rivals: Sequence[Rival] = ()
     held, unsupported = None, ""
     suspected: tuple[str, ...] = ()
     if chosen is not None:
-        chosen = without_the_doubtful(search, chosen)
+        chosen, rivals = search.exchanged(chosen)
+        if (sure := without_the_doubtful(search, chosen)) is not chosen:
+            chosen, rivals = sure, () if sure is None else search.rivals(sure)
     known = search.ended if source.of_motion else NOTHING_KNOWN  # impacts are cheap, and bend where a contact slips
     if chosen is not None and (held := hold_out(source, effects, chosen.candidate, known, budget)) is not None:
         supported = supported_by_hold_out(search, chosen, held)
@@ -258,14 +261,14 @@ def findings_of(
             left = tuple(name for name in chosen.candidate.names if name not in kept)
             unsupported = unsupported_words(search, left, held)
             suspected = left if lowers(search, held) and not held.failed else ()
-            chosen = supported
+            chosen, rivals = supported, () if supported is None else search.rivals(supported)
         if chosen is None:
             held = None
     decided = chosen is not None or suspected or undecidable
     return Findings(
         search=search,
         chosen=chosen,
-        rivals=() if chosen is None else tuple(search.rivals(chosen)),
+        rivals=tuple(rivals),
         hold_out=held,
         p_values=_p_values(search, chosen),
         suspected=suspected,

@@ -172,6 +172,8 @@ def _predicted(
     evidence = Evidence.of(source, fold.training, budget)
     search = Search(effects, evidence, known=known, earlier=chosen.split(chosen.point))
     found = search.choose() if searched else search.fitted(chosen.names)
+    if found is not None and searched:
+        found, _ = search.exchanged(found)
     added = () if found is None else found.candidate.split(found.estimate)
     rest: list[Array | None] = []
     for item in (source.clusters[number] for number in fold.held):

@@ -560,6 +560,32 @@ class Search:
                 found.append((name, chosen.fixed(index).beside(single.fixed(*others))))
         return found
 
+    def exchanged(self, chosen: Fit) -> tuple[Fit, list[Rival]]:
+        """Replace effects by better ones, or by equivalent ones with fewer parameters; list the remaining alternatives.
+
+        A constant vertical force is attributed to a payload rather than to a spring or to gains of all joints. In the
+        place of an effect that was chosen first, another may predict far better beside those that were found later.
+        """
+        rivals, known = self.rivals(chosen), {frozenset(chosen.candidate.names)}
+        for _ in range(MOST_EFFECTS):
+            alternatives = [rival.fit for rival in rivals if rival.tied]
+            limit = chosen.score * math.exp(TIE)
+            simpler = [fit for fit in alternatives if fit.score <= limit and fit.cost < chosen.cost]
+            better = [rival.fit for rival in rivals if rival.fit.score < (1.0 - LEAST_GAIN) * chosen.score]
+            if self.source.repeated and better:
+                best = min(better, key=lambda fit: fit.score)
+            elif simpler:
+                best = min(simpler, key=lambda fit: (fit.cost, fit.score))
+            else:
+                break
+            # The replaced effect may have explained more, which is missing now.
+            extended = self._extend(self._measured_again(best)) or chosen
+            if (names := frozenset(extended.candidate.names)) in known:
+                break
+            known.add(names)
+            chosen, rivals = extended, self.rivals(extended)
+        return chosen, rivals
+
     def rivals(self, chosen: Fit, count: int = 3, hopeless: float = HOPELESS) -> list[Rival]:
         """Alternatives to every chosen effect, fitted together with the other chosen ones.
 

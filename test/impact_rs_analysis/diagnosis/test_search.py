@@ -494,6 +494,18 @@ def test_a_fit_ties_with_itself_and_not_with_one_that_is_twice_as_wrong() -> Non
 ALIKE = [("bent", "nearly_bent"), ("nearly_bent", "bent")]
 
 
+def test_an_effect_in_whose_place_another_predicts_far_better_is_replaced() -> None:
+    """One that was chosen before the others were known, as Coulomb friction where Stribeck and viscous friction act."""
+    planted = (("straight", (5.0,)), ("bent", (5.0,)))
+    for seed in range(3):
+        search = searched(AnalyticSource(seed, planted), "straight", "bent", "one_sided", "turning")
+        wrong = search.fitted(("bent", "turning"))
+        assert wrong is not None
+        found, rivals = search.exchanged(wrong)
+        assert set(found.candidate.names) == {"straight", "bent"} and found.score < 0.5 * wrong.score
+        assert not any(rival.fit.score < found.score for rival in rivals)
+
+
 @pytest.mark.parametrize(("size", "found"), [(0.12, ("straight",)), (0.4, ("straight", "bent"))])
 def test_an_effect_is_added_where_it_lowers_the_error_by_a_tenth(size: float, found: tuple[str, ...]) -> None:
     """Both are significant beside a rest of 5: 7 % and 20 % of it. Kills: the gain is not asked."""
