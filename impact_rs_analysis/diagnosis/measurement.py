@@ -16,7 +16,7 @@ from impact_rs_analysis.diagnosis.document import (
     EffectDocument,
     EstimateDocument,
 )
-from impact_rs_analysis.diagnosis.verdict import IMPOSSIBLE, NONE, TOO_FEW
+from impact_rs_analysis.diagnosis.verdict import CONFIRMED, IMPOSSIBLE, NONE, TOO_FEW
 from impact_rs_sim.effects import Effect
 from impact_rs_sim.numbers import estimate_text
 
@@ -57,7 +57,8 @@ def measurement_of(document: DiagnosisDocument) -> str:
 
 
 def clauses_of(effect: EffectDocument) -> list[str]:
-    """What is wrong with a reading, joint by joint; joints whose interval holds the nominal value are left out.
+    """What is wrong with a reading, joint by joint: of the joints that are confirmed, or else whose interval excludes
+    the nominal value.
 
     Args:
         effect: An effect of the measurement, with its estimates.
@@ -65,7 +66,8 @@ def clauses_of(effect: EffectDocument) -> list[str]:
     plain = effect.name.replace("_", " ")
     if not effect.parameters:
         return [plain]
-    shown = {name: value for name, value in effect.parameters.items() if value.excludes_nominal}
+    confirmed = {name: value for name, value in effect.parameters.items() if value.verdict == CONFIRMED}
+    shown = confirmed or {name: value for name, value in effect.parameters.items() if value.excludes_nominal}
     if not shown:
         name, value = max(effect.parameters.items(), key=lambda item: abs(_fault(item[1])) / (item[1].scale or 1.0))
         shown = {name: value}

@@ -89,6 +89,17 @@ def test_a_fault_in_units_and_directions_of_a_laboratory(found: EffectDocument, 
     assert clauses_of(found) == words
 
 
+def test_a_joint_that_is_confirmed_hides_those_whose_interval_just_excludes_nominal() -> None:
+    """Of seven intervals of 95 % one misses the truth in three campaigns of ten; kills a list by intervals alone."""
+    joints = {
+        "offset_joint1": value(0.0008, 0.0006, "rad", joint="joint1", verdict="NO-IMPROVEMENT"),
+        "offset_joint4": value(0.0126, 0.0006, "rad", joint="joint4", verdict="CONFIRMED"),
+    }
+    assert clauses_of(effect("encoder_offset", OFFSET, **joints)) == [
+        "joint 4 reads 0.722 degrees too much [0.688, 0.756]"
+    ]
+
+
 def test_the_measurement_is_said_first_and_the_physics_is_not_blamed() -> None:
     """Kills: ``lacks`` beside a fault, or "nothing is missing" where something is missing, tied or open."""
     said = "The measurement: joint 2 reads 0.510 degrees too little [0.500, 0.520]; joint 3 reads 0.50 mm too much"
