@@ -23,6 +23,7 @@ from impact_rs_sim.readings import EXACT, ArmReadings, TrackerReadings
 from impact_rs_sim.robot import Array, EndEffector, JointType, RobotFacts, SigmoidFriction
 from impact_rs_sim.robot_model import STANDARD_GRAVITY, RobotModel
 from impact_rs_sim.scenario import Scenario
+from impact_rs_sim.twist_readings import TwistReadings
 from impact_rs_sim.urdf import write_description
 
 MOTOR_INERTIA_MODELS = ("reduced", "rotor", "zero")
@@ -378,8 +379,7 @@ class Physics:
         object_loads: What else acts on the object, and between it and the support.
         circumstances: Under which it was measured, numbers and names of levels by covariate; an effect may depend on
             them (:mod:`impact_rs_sim.effects.depending`).
-        angular_velocity_axes: Rotation vector from A to the axes in which angular velocities of a body were measured at
-            a single impact, ``(3,)`` [rad].
+        twist_readings: Sensor model of the twist of a body at a single impact.
         tracker: Sensor model of the object tracker.
     """
 
@@ -398,7 +398,7 @@ class Physics:
     contact_laws: tuple[ContactLaw, ...] = ()
     object_loads: tuple[ObjectLoad, ...] = ()
     circumstances: Mapping[str, float | str] = field(default_factory=dict)
-    angular_velocity_axes: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    twist_readings: TwistReadings = TwistReadings()
     tracker: TrackerReadings = TrackerReadings()
 
     @staticmethod

@@ -85,6 +85,7 @@ from impact_rs_analysis.evidence.tracks import ComparedSignal, Track
 from impact_rs_sim.effects import Effect
 from impact_rs_sim.effects.depending import Depending, level_name
 from impact_rs_sim.effects.formula import CONTACT_SYMBOLS
+from impact_rs_sim.effects.sensing import MIRRORED_SPINS, SPIN_AXES, TRACKED_POINT_OF_IMPACT, TWIST_AXES
 from impact_rs_sim.errors import InputError, NotABody
 from impact_rs_sim.impact_map.contacts import SUPPORT, contact_frame
 from impact_rs_sim.impact_map.laws import System
@@ -94,7 +95,7 @@ from impact_rs_sim.physics import Physics
 from impact_rs_sim.proportion import Proportion
 from impact_rs_sim.recent import Recent
 from impact_rs_sim.robot import Array
-from impact_rs_trials.recordings.impact_checks import doubts_of
+from impact_rs_trials.recordings.impact_checks import OtherAxes, doubts_of, other_axes
 from impact_rs_trials.recordings.impact_table import WIDER, ImpactTable
 from impact_rs_trials.workers import Map
 
@@ -290,7 +291,39 @@ class ImpactTableSource(Source):
     def offers(self, effect: Effect) -> bool:
         """See :meth:`Source.offers`; sensors are those of a free body whose turn was measured."""
         turned = bool(self.table.turning and not self.table.arms)
-        return super().offers(effect) and (turned or effect.acts_on != "sensing")
+        wanted = {
+            MIRRORED_SPINS.name: bool(self.starts(MIRRORED_SPINS.name)),
+            TWIST_AXES.name: bool(self.starts(TWIST_AXES.name)),
+            TRACKED_POINT_OF_IMPACT.name: self._oriented,
+        }
+        return super().offers(effect) and (
+            effect.acts_on != "sensing" or (turned and wanted.get(effect.name, effect.name == SPIN_AXES.name))
+        )
+
+    @property
+    def _oriented(self) -> bool:
+        """Whether the orientation of the body was measured, with which a tracked point turns."""
+        return any(np.any(row.impact.object.rotation != np.eye(3)) for row in self.table.rows)
+
+    def starts(self, name: str) -> Sequence[Array]:
+        """See :meth:`Source.starts`: axes by right angles that the laws of every contact are for.
+
+        A little more of a half turn changes velocities at right angles to what the whole of it changes, so that
+        sensitivities there do not show it; a fit of it starts after two thirds.
+        """
+        exact = all(world.twist_readings.exact for world in self._worlds)  # else the table is not what the model sees
+        kinds = {SPIN_AXES.name: ("spins", 1.0), MIRRORED_SPINS.name: ("spins", -1.0), TWIST_AXES.name: ("twists", 1.0)}
+        if name not in kinds or not exact:
+            return ()
+        found = [other for other in self._other_axes if (other.of, other.sign) == kinds[name]]
+        tail = [-1.0] if name == MIRRORED_SPINS.name else []
+        shares = [2.0 / 3.0 if np.linalg.norm(other.vector) > 0.9 * np.pi else 1.0 for other in found]
+        return [np.append(share * other.vector, tail) for share, other in zip(shares, found, strict=True)]
+
+    @cached_property
+    def _other_axes(self) -> list[OtherAxes]:
+        """See :func:`impact_rs_trials.recordings.impact_checks.other_axes`."""
+        return other_axes(self.table)
 
     @property
     def known_effects(self) -> dict[str, Effect]:
@@ -440,7 +473,9 @@ class ImpactTableSource(Source):
         """Standard deviations of all entries, of measurement and prediction, ``(rows, n)``; None: said nowhere."""
         if self.table.noise is None:
             return None
-        found = self.table.noise
+        found = self.table.noise.copy()
+        for own in (slice(-6, -3), slice(-3, None)):  # diag(T C T^T) with the variances C along the axes of A
+            found[:, own] = np.sqrt(np.einsum("nij,nj->ni", np.square(self._axes), np.square(found[:, own])))
         if self._distances:
             ways = [np.nan if row.distance is None else row.distance.noise or 0.0 for row in self.table.rows]
             found = np.column_stack((found, np.array(ways, dtype=float)))
@@ -1023,7 +1058,7 @@ def _what_the_map_knows(physics: Physics) -> bytes:
     """All numbers that the solution of an impact map depends on, besides its state."""
     body = physics.object
     contact = (physics.support_friction, physics.pad_friction, restitution_of(physics), physics.rolling_arm)
-    parts = [np.array(contact), np.array(physics.angular_velocity_axes), body.com_offset]
+    parts = [np.array(contact), np.array(physics.twist_readings.numbers), body.com_offset]
     if physics.arms:
         parts += [np.array([body.mass]), body.inertia]
     else:

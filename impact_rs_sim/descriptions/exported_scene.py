@@ -248,8 +248,8 @@ class ExportedScene:
             yield f"restitution {self.restitution:g}; it follows from stiffness and damping of the pads"
         if self.restitution and physics.restitution_law != "newton":
             yield f"restitution law of {physics.restitution_law.capitalize()}; compliant contacts have their own"
-        if any(turned := physics.angular_velocity_axes):
-            yield f"axes in which angular velocities were measured, turned by {_list(np.array(turned))} rad"
+        if not physics.twist_readings.exact:
+            yield f"how the twist of the body was measured, {physics.twist_readings}"
         for law in physics.contact_laws:
             yield f"a law of the contact, {_named(law)}"
         for load in physics.object_loads:

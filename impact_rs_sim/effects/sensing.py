@@ -2,7 +2,7 @@
 """Effects of sensors: encoders, torque sensors, velocities, object tracker, clocks (:mod:`impact_rs_sim.readings`).
 
 They change what is read of a motion, and not its physics; in a closed loop the controller acts on the readings.
-Axes of angular velocities of a single impact: ``measured = R omega``.
+Twists of a single impact: :mod:`impact_rs_sim.twist_readings`.
 """
 
 from __future__ import annotations
@@ -22,6 +22,7 @@ from impact_rs_sim.effects.base import (
 )
 from impact_rs_sim.physics import ArmPhysics, Physics
 from impact_rs_sim.readings import ArmReadings, TrackerReadings
+from impact_rs_sim.twist_readings import Three, TwistReadings
 
 SENSING = "sensing"
 AXES = ("x", "y", "z")
@@ -263,25 +264,80 @@ TRACKER_LAG = SceneEffect(
 )
 
 
-def _spin_axes(physics: Physics, values: Values) -> Physics:
-    x, y, z = (before + number(values, axis) for before, axis in zip(physics.angular_velocity_axes, AXES, strict=True))
-    return replace(physics, angular_velocity_axes=(x, y, z))
+def _added(before: Three, values: Values) -> Three:
+    """Three numbers with those of an effect added."""
+    x, y, z = (own + number(values, axis) for own, axis in zip(before, AXES, strict=True))
+    return x, y, z
 
 
-# A turn of 0.01 rad (0.6 deg) is seen as 1 % of a spin in another component; trackers are calibrated about as well.
+def _of_twist(change: Callable[[TwistReadings, Values], TwistReadings]) -> Callable[[Physics, Values], Physics]:
+    """Law of a scene from the change of how the twist of a body is read."""
+    return lambda physics, values: replace(physics, twist_readings=change(physics.twist_readings, values))
+
+
+def _turned(what: str) -> tuple[Parameter, ...]:
+    """A rotation vector: every turn has one whose length is at most pi, and beyond is room for a fit of a half turn.
+
+    A turn of 0.01 rad (0.6 deg) is seen as 1 % of a velocity in another component; trackers are calibrated about as
+    well.
+    """
+    meaning = f"of the rotation vector from {what}"
+    return tuple(Parameter(axis, "rad", 0.0, -4.0, 4.0, 0.01, f"component {axis} {meaning}") for axis in AXES)
+
+
 SPIN_AXES = SceneEffect(
     name="spin_axes",
     acts_on=SENSING,
     sentence="Angular velocities were measured in axes that are turned against those of positions and velocities.",
-    parameters=tuple(
-        Parameter(axis, "rad", 0.0, -0.5, 0.5, 0.01, f"component {axis} of the rotation vector from A to these axes")
-        for axis in AXES
-    ),
-    law=_spin_axes,
+    parameters=_turned("A to these axes"),
+    law=_of_twist(lambda t, v: replace(t, spin_axes=_added(t.spin_axes, v))),
     phases=SINGLE_IMPACT,
-    reading="angular velocities are measured in turned axes: {size}",
+    reading="angular velocities are in axes turned by the rotation vector {size}",
     calibration="spin the body about three known axes in free flight",
 )
+
+MIRRORED_SPINS = SceneEffect(
+    name="mirrored_spins",
+    acts_on=SENSING,
+    sentence="Angular velocities were measured in left-handed axes, by a factor of -1, which may be turned as well.",
+    parameters=(
+        *_turned("A to these axes"),
+        Parameter("factor", "-", 1.0, -1.5, 1.5, 0.02, "reading over angular velocity; -1: left-handed"),
+    ),
+    law=_of_twist(
+        lambda t, v: replace(t, spin_axes=_added(t.spin_axes, v), spin_factor=t.spin_factor * number(v, "factor"))
+    ),
+    phases=SINGLE_IMPACT,
+    reading="angular velocities are in left-handed axes, with the rotation vector {size}",
+    calibration="spin the body about three known axes in free flight",
+)
+
+TWIST_AXES = SceneEffect(
+    name="twist_axes",
+    acts_on=SENSING,
+    sentence="Both velocities were measured in axes that are turned against those of the pose and of the contact.",
+    parameters=_turned("A to these axes"),
+    law=_of_twist(lambda t, v: replace(t, axes=_added(t.axes, v))),
+    phases=SINGLE_IMPACT,
+    reading="velocities and angular velocities are in axes turned against the pose by {size}",
+    calibration="throw the body along three known axes without a spin",
+)
+
+TRACKED_POINT_OF_IMPACT = SceneEffect(
+    name="tracked_point_of_impact",
+    acts_on=SENSING,
+    sentence="The velocity of a body is that of a tracked point beside its centre.",
+    parameters=tuple(
+        Parameter(axis, "m", 0.0, -0.05, 0.05, 0.001, f"tracked point from the centre, along {axis} of the body")
+        for axis in AXES
+    ),
+    law=_of_twist(lambda t, v: replace(t, point=_added(t.point, v))),
+    phases=SINGLE_IMPACT,
+    reading="the tracked point is off the centre of the body by {size}",
+    calibration="spin the body about three axes in free flight, in which its centre moves straight on",
+)
+
+OF_TWISTS = (SPIN_AXES, MIRRORED_SPINS, TWIST_AXES, TRACKED_POINT_OF_IMPACT)
 
 OF_SENSORS = (
     ENCODER_OFFSET,

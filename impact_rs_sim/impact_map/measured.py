@@ -19,7 +19,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-import pinocchio as pin
 
 from impact_rs_sim import _kernel
 from impact_rs_sim.errors import Infeasible
@@ -41,6 +40,7 @@ from impact_rs_sim.recent import Recent
 from impact_rs_sim.robot import Array, RobotFacts
 from impact_rs_sim.robot_model import RobotModel
 from impact_rs_sim.scene import ArmState, BodyState
+from impact_rs_sim.twist_readings import TwistReadings
 
 FRICTION, RESTITUTION = "friction", "restitution"  # what tables call the two numbers of a contact,
 SUPPORT_FRICTION = "support_friction"  # and the friction of the support on which an object slides on
@@ -58,11 +58,20 @@ class MeasuredImpact:
         arms: Configuration and ante-impact velocity by arm; empty: a free body hits something fixed.
         object: Pose and ante-impact twist of the object, or of the free body.
         points: Contact points; their friction is that of the physics at hand.
+        points_measured: Whether the points were measured in A; if not, they are those of the body where it seems to be.
     """
 
     arms: dict[str, ArmState]
     object: BodyState
     points: tuple[ContactPoint, ...]
+    points_measured: bool = False
+
+    def as_read(self, readings: TwistReadings) -> MeasuredImpact:
+        """The impact whose readings this one is: with the true twist, and the centre beside the tracked point."""
+        body = self.object
+        off = readings.lever(body.rotation) if self.points_measured else np.zeros(3)  # else the points move as well
+        twist = readings.twist_of(body.twist, body.rotation)
+        return replace(self, object=BodyState(body.position - off, body.rotation, twist))
 
     def system(self, physics: Physics, models: Mapping[str, RobotModel]) -> System:
         """Inertia and kinematics under some physics; ``models`` are the rigid-body models by arm."""
@@ -187,8 +196,8 @@ class MeasuredImpacts:
         Returns:
             u^+, ``(N, nv)`` [rad/s, m/s], nan where no answer obeys the laws; and what the compiled map returns.
         """
-        if any(any(one.angular_velocity_axes) for one in physics):
-            return self._solve_turned(physics)
+        if any(not one.twist_readings.exact for one in physics):
+            return self._solve_readings(physics)
         contact = self.contacts(physics)
         arms = []
         for name in self._names:
@@ -230,19 +239,16 @@ class MeasuredImpacts:
                 answers[number] = other
         return answers, found
 
-    def _solve_turned(self, physics: Sequence[Physics]) -> tuple[Array, Compiled]:
-        """As :meth:`solve`, of angular velocities that were measured in other axes, into which u^+ is turned."""
-        axes = np.array([pin.exp3(np.array(one.angular_velocity_axes)) for one in physics])  # measured = axes @ omega
-        impacts = []
-        for impact, own in zip(self._impacts, axes, strict=True):
-            twist = np.concatenate((impact.object.twist[:3], own.T @ impact.object.twist[3:]))
-            impacts.append(replace(impact, object=replace(impact.object, twist=twist)))
-        distinct = {id(one): replace(one, angular_velocity_axes=(0.0, 0.0, 0.0)) for one in physics}
-        straight = [distinct[id(one)] for one in physics]
-        turned = MeasuredImpacts(impacts, straight)
-        turned._near = self._near
-        velocity, found = turned.solve(straight)
-        velocity[:, -3:] = np.einsum("nij,nj->ni", axes, velocity[:, -3:])
+    def _solve_readings(self, physics: Sequence[Physics]) -> tuple[Array, Compiled]:
+        """As :meth:`solve`, of twists as sensors read them: true ones go into the map, and u^+ is read as they are."""
+        impacts = [impact.as_read(one.twist_readings) for impact, one in zip(self._impacts, physics, strict=True)]
+        distinct = {id(one): replace(one, twist_readings=TwistReadings()) for one in physics}
+        exact = [distinct[id(one)] for one in physics]
+        true = MeasuredImpacts(impacts, exact)
+        true._near = self._near
+        velocity, found = true.solve(exact)
+        for own, impact, one in zip(velocity, self._impacts, physics, strict=True):
+            own[-6:] = one.twist_readings.twist(own[-6:], impact.object.rotation)
         return velocity, found
 
     def _by_cones(self, number: int, physics: Physics, contact: ContactCondition) -> Array:

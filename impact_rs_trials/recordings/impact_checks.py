@@ -19,14 +19,20 @@ so that, whatever L is,
 All three are speeds of the body with mass m. A column with a wrong sign or unit makes their rms large. Which one, is
 tried out: the factor that makes all three vanish is named, or several where they cannot be distinguished. Without such
 a factor something is said of free bodies alone: joints of real arms do not jump as those of a rigid arm.
+
+Angular velocities, or both velocities, of free bodies may be given in axes of another frame: with z and y exchanged, or
+of a left-handed frame. All 24 turns of a frame onto its own axes are tried out, and their mirrors (:func:`other_axes`).
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from itertools import permutations, product
+from typing import Literal
 
 import numpy as np
+import scipy
 
 from impact_rs_sim.robot import Array
 from impact_rs_sim.robot_model import RobotModel
@@ -41,6 +47,7 @@ CURED = 0.25  # of the squares; a factor that leaves more of them is no explanat
 CURED_ROWS = 0.75  # of the rows that break a law, which have to get better with it
 ALIKE = 1.5  # times what the best factor leaves; the data do not distinguish factors within it
 SHOWN = 3
+ALIGNED = 1e-6  # rad and -, rounding of turns by right angles and of their axes
 BESIDE = 8  # rows on either side of one from which a column may be in another unit
 OTHER_UNIT = 20.0  # ratio of sizes that units differ by (57 and more), with its scatter,
 STEADY = 3.0  # and that of velocities before the impacts, below which these do not change
@@ -67,6 +74,43 @@ class Remedy:
         """Whether the other one changes some of the same signals and no others."""
         signals = [{name.rsplit("_", 1)[0] for name in remedy.columns} for remedy in (self, other)]
         return signals[1] <= signals[0]
+
+
+@dataclass(frozen=True)
+class OtherAxes:
+    """Axes in which velocities may have been measured, ``measured = s R true``.
+
+    Attributes:
+        of: Angular velocities alone, or those of the centre as well.
+        rotation: R, ``(3, 3)`` [-].
+        sign: s; -1: left-handed axes [-].
+        left: What breaks the laws with them, root mean square over the rows [m/s].
+    """
+
+    of: Literal["spins", "twists"]
+    rotation: Array
+    sign: float
+    left: float
+
+    @property
+    def vector(self) -> Array:
+        """Rotation vector of R, ``(3,)`` [rad]."""
+        return np.asarray(scipy.spatial.transform.Rotation.from_matrix(self.rotation).as_rotvec())
+
+    @property
+    def in_words(self) -> str:
+        """Which velocities are in which axes."""
+        what = "angular velocities" if self.of == "spins" else "velocities and angular velocities"
+        angle = float(np.linalg.norm(self.vector))
+        if angle < ALIGNED:
+            return f"{what} are in left-handed axes"
+        axis = self.vector / angle
+        shares = [
+            f"{'' if share > 0 else '-'}{name}" for name, share in zip(AXES, axis, strict=True) if abs(share) > ALIGNED
+        ]
+        about = shares[0] if len(shares) == 1 else f"({', '.join(f'{share:.3g}' for share in axis)})"
+        hand = " left-handed" if self.sign < 0.0 else ""
+        return f"{what} are in{hand} axes turned by {np.degrees(angle):.0f} degrees about {about}"
 
 
 @dataclass(frozen=True)
@@ -111,15 +155,9 @@ def doubts_of(table: ImpactTable) -> list[str]:
     Args:
         table: Impacts with velocities after them.
     """
-    chosen = np.unique(np.linspace(0, len(table.rows) - 1, MOST_ROWS).astype(int)).tolist()
-    if len(chosen) < LEAST_ROWS:
+    rows, laws = _looked_at(table)
+    if not rows:
         return []
-    rows = [table.rows[number] for number in chosen]
-    models: dict[int, dict[str, RobotModel]] = {}
-    for row in rows:
-        if id(row.physics) not in models:
-            models[id(row.physics)] = row.physics.robot_models()
-    laws = [_Laws.of(row, models[id(row.physics)]) for row in rows]
     before = [
         np.concatenate([*(arm.velocity for arm in row.impact.arms.values()), row.impact.object.twist]) for row in rows
     ]
@@ -144,6 +182,10 @@ def doubts_of(table: ImpactTable) -> list[str]:
             found.append((_rms(tried), remedy))
     law = _in_words(np.sqrt(np.mean(np.square(broken), axis=0)), whole)
     left = min((rest for rest, _ in found), default=np.inf)
+    axes = [other for other in other_axes(table) if ALIKE * other.left < left and other.left**2 < CURED * size**2]
+    if axes:
+        where = ", or ".join(other.in_words for other in axes[:SHOWN])
+        return [f"{law}: wrong axes? {axes[0].left:.2g} m/s are left where {where}", *scaled]
     if left**2 < CURED * size**2:
         simplest: list[Remedy] = []
         for rest, remedy in found:
@@ -154,6 +196,74 @@ def doubts_of(table: ImpactTable) -> list[str]:
     if size > ALONE * whole and not table.arms:
         return [f"{law}: no factor of one signal explains it; are contact points, axes and inertia right?", *scaled]
     return scaled
+
+
+def other_axes(table: ImpactTable) -> list[OtherAxes]:
+    """Axes by right angles that velocities of free bodies may have been measured in, the most likely first.
+
+    Laws of every contact decide, so that no law of friction or restitution has to be known. Turns are looked at that
+    close all contacts; those that the laws do not distinguish from the best are given as well.
+
+    Args:
+        table: Impacts with velocities after them.
+
+    Returns:
+        None where the axes of the table do as well as any others, or where nothing turns.
+    """
+    rows, laws = ([], []) if table.arms or not (table.turning and table.centre) else _looked_at(table)
+    if not rows:
+        return []
+    twists = np.array([[row.impact.object.twist, row.after] for row in rows])  # (k, 2, 6)
+
+    def left(rotation: Array, of: str, sign: float) -> float:
+        """Rms of what breaks the laws; infinite where a contact does not close."""
+        true = twists.copy()
+        true[..., 3:] = sign * twists[..., 3:] @ rotation  # R^T applied to rows
+        if of == "twists":
+            true[..., :3] = twists[..., :3] @ rotation
+        if any(not np.min(law.normals @ before) < 0.0 for law, (before, _) in zip(laws, true, strict=True)):
+            return np.inf
+        return _rms(
+            [float(np.linalg.norm(law.broken(before, after))) for law, (before, after) in zip(laws, true, strict=True)]
+        )
+
+    here = left(np.eye(3), "spins", 1.0)
+    kinds: tuple[tuple[Literal["spins", "twists"], float], ...] = (("spins", 1.0), ("spins", -1.0), ("twists", 1.0))
+    tried = [
+        OtherAxes(of, rotation, sign, left(rotation, of, sign))
+        for of, sign in kinds
+        for rotation in _turns()
+        if sign < 0.0 or not np.allclose(rotation, np.eye(3))
+    ]
+    best = min(other.left for other in tried)
+    if not ALIKE * best < here:
+        return []
+    alike = sorted((other for other in tried if other.left <= ALIKE * best), key=lambda other: other.left)
+    # A ball on one plane keeps its spin about the normal: its sense, and so the hand of the axes, is not seen.
+    return [other for other in alike if other.sign > 0.0] or alike
+
+
+def _turns() -> list[Array]:
+    """The 24 turns of a right-handed frame onto its own axes."""
+    found = [
+        np.array([sign * np.eye(3)[axis] for axis, sign in zip(order, signs, strict=True)])
+        for order in permutations(range(3))
+        for signs in product((1.0, -1.0), repeat=3)
+    ]
+    return [turn for turn in found if np.linalg.det(turn) > 0.0]
+
+
+def _looked_at(table: ImpactTable) -> tuple[list[ImpactRow], list[_Laws]]:
+    """Rows, evenly taken, and the laws of each; none of a table with too few."""
+    chosen = np.unique(np.linspace(0, len(table.rows) - 1, MOST_ROWS).astype(int)).tolist()
+    if len(chosen) < LEAST_ROWS:
+        return [], []
+    rows = [table.rows[number] for number in chosen]
+    models: dict[int, dict[str, RobotModel]] = {}
+    for row in rows:
+        if id(row.physics) not in models:
+            models[id(row.physics)] = row.physics.robot_models()
+    return rows, [_Laws.of(row, models[id(row.physics)]) for row in rows]
 
 
 def _other_scale(table: ImpactTable, rows: Sequence[ImpactRow], before: Array, after: Array) -> list[str]:

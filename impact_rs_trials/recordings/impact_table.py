@@ -50,6 +50,8 @@ column                                      unit      what it is
                                                       where the geometry says which do: pose noise times the width
 ``v_noise`` ``w_noise`` ``dq_noise``        m/s or    standard deviation of a measured change of velocity, where it is
                                             rad/s     known
+``v_noise_x`` ... ``w_noise_x`` ...         m/s or    the same along each axis of A, in the place of ``v_noise`` and
+                                            rad/s     ``w_noise``
 ``distance_noise``                          m         of a distance, likewise
 ``p_noise``                                 m         standard deviation of the place of the contact points, which move
                                                       together; counts as noise of the prediction
@@ -386,6 +388,8 @@ BODY = {
     "v_noise": "m/s",
     "w_noise": "rad/s",
     "dq_noise": "rad/s",
+    **dict.fromkeys(_triple("v_noise_"), "m/s"),
+    **dict.fromkeys(_triple("w_noise_"), "rad/s"),
     "distance_noise": "m",
     "p_noise": "m",
     "n_noise": "rad",
@@ -649,7 +653,8 @@ class _Reader:
             self._demand_of_distances()
         if self.scenario is None:
             needed["mass"] = "kg"
-        for group in (_triple("n"), _triple("size_"), ["ixx", "iyy", "izz"], *self._point_columns()):
+        of_noise = [_triple(f"{stem}_noise_") for stem in "vw"]
+        for group in (_triple("n"), _triple("size_"), ["ixx", "iyy", "izz"], *of_noise, *self._point_columns()):
             if any(name in self._where for name in group):
                 needed |= {name: BODY[name] for name in group}
         if any(f"{self._label(arm)}B1" in self._where for arm in self._arms):
@@ -781,7 +786,7 @@ class _Reader:
                 points = points_on_plane([body.position - physics.object.size[0] / 2.0 * upwards], upwards)
             else:
                 points = corners_that_touch(body, physics.object.size, upwards, tolerance)
-            return MeasuredImpact(arms, body, points)
+            return MeasuredImpact(arms, body, points, bool(given))
 
         tolerance = self._tolerance(number, cells)
         try:
@@ -987,14 +992,20 @@ class _Reader:
         Of what the table states no noise of, while it does of others, it is 0: not known.
         """
         wanted = self._noise_columns()
-        if not any(name in self._where for name in (*wanted, *OF_CONTACTS)) or self.questions:
+        if not any(self._states_noise(name) for name in (*wanted, *OF_CONTACTS)) or self.questions:
             return None
         found = []
         for row, cells in zip(rows, self.cells, strict=True):
-            names = ["dq_noise"] * (row.after.size - 6) + ["v_noise"] * 3 + ["w_noise"] * 3
-            own = {name: self._value(row.number, cells, name) if name in self._where else 0.0 for name in wanted}
-            found.append([own.get(name, np.nan) for name in names])
+            names = [["dq_noise"]] * (row.after.size - 6) + [
+                [f"{stem}_{axis}", stem] for stem in ("v_noise", "w_noise") for axis in AXES
+            ]
+            found.append([self._noise_of(row.number, cells, own) if own[-1] in wanted else np.nan for own in names])
         return np.array(found)
+
+    def _noise_of(self, number: int, cells: Mapping[str, Any], names: Sequence[str]) -> float:
+        """Standard deviation by the first of some columns that is there; 0: there is none."""
+        there = [name for name in names if name in self._where]
+        return self._value(number, cells, there[0]) if there else 0.0
 
     def _noise_columns(self) -> dict[str, str]:
         """Noise columns of what was measured after the impact, with what they are the noise of."""
@@ -1002,15 +1013,19 @@ class _Reader:
         wanted |= {"w_noise": "w*_after"} if self._turning_after else {}
         return wanted | ({"dq_noise": "dq*_after"} if self._joints_after else {})
 
+    def _states_noise(self, name: str) -> bool:
+        """Whether a table has a noise column, or those of the axes in its place."""
+        return name in self._where or f"{name}_x" in self._where
+
     def _assumed(self) -> tuple[str, ...]:
         """What is taken where the table says nothing."""
         noise = self._noise_columns()
-        some = any(name in self._where for name in (*noise, *OF_CONTACTS))
+        some = any(self._states_noise(name) for name in (*noise, *OF_CONTACTS))
         unknown = tuple(
             f"no column '{name}', though other noise is stated: how much of the residual of {columns} is noise is not "
             f"known{'' if columns == 'distances' else '; without these columns the other signals are compared alone'}"
             for name, columns in noise.items()
-            if some and name not in self._where
+            if some and not self._states_noise(name)
         )
         if self.scenario is not None:
             return unknown

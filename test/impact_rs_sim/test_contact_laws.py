@@ -18,6 +18,7 @@ from impact_rs_sim.impact_map.measured import MeasuredImpact, MeasuredImpacts, p
 from impact_rs_sim.impact_map.problem import ImpactMapError
 from impact_rs_sim.physics import ObjectPhysics, Physics
 from impact_rs_sim.scene import BodyState
+from impact_rs_sim.twist_readings import TwistReadings
 
 UP = np.array([0.0, 0.0, 1.0])
 BELOW = np.array([0.0, 0.0, -RADIUS])
@@ -157,6 +158,19 @@ def test_a_spin_that_is_measured_in_turned_axes_leaves_in_the_same_axes() -> Non
     true = after(ball(), twist)
     found = after(with_effects(ball(), spin_axes=tuple(turn)), seen)
     np.testing.assert_allclose(found, np.concatenate((true[:3], axes @ true[3:])), atol=1e-9)
+
+
+def test_a_marker_of_a_turning_cube_moves_as_a_point_of_it() -> None:
+    """Position of the marker a little later, by the rotation itself; kills a lever with the wrong sign or axes."""
+    rng = np.random.default_rng(4)
+    readings = TwistReadings((0.3, 1.2, -0.4), -1.0, (0.1, 0.0, 2.0), (0.01, -0.02, 0.03))
+    rotation, true, step = np.asarray(pin.exp3(rng.standard_normal(3))), rng.standard_normal(6), 1e-6
+    after = pin.exp3(step * true[3:]) @ rotation
+    velocity = true[:3] + (after - rotation) @ readings.point / step
+    seen = readings.twist(true, rotation)
+    np.testing.assert_allclose(seen[:3], pin.exp3(np.array(readings.axes)) @ velocity, atol=1e-6)
+    assert np.linalg.norm(seen[3:]) == pytest.approx(np.linalg.norm(true[3:]))
+    np.testing.assert_allclose(readings.twist_of(seen, rotation), true, atol=1e-12)
 
 
 def test_impacts_together_are_those_one_by_one() -> None:

@@ -9,6 +9,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import cloudpickle
 import numpy as np
 import pytest
 from impact_table_cases import CUBE_HEADER, NOISE, arm_table, cube, cube_rows, write_csv
@@ -402,7 +403,7 @@ def test_workers_find_what_one_process_finds(tmp_path: Path) -> None:
     alone = ImpactTableSource(table, NOMINAL)
 
     def elsewhere(function: Callable[..., Any], items: Sequence[Any]) -> Iterator[Any]:
-        return map(pickle.loads(pickle.dumps(function)), items)
+        return map(pickle.loads(cloudpickle.dumps(function)), items)
 
     sent = ImpactTableSource(table, NOMINAL, map_tasks=elsewhere)
     first, second = (diagnose(one, NOMINAL, ["restitution", "support_friction"]) for one in (alone, sent))

@@ -161,7 +161,7 @@ def test_a_ball_whose_spin_was_not_measured_after_the_impact_is_compared_by_its_
     source = ImpactTableSource(read_impact_table(seen), NOMINAL)
     assert {feature.signal for feature in source.signals} == {LINEAR}
     assert source.measured.shape == source.predicted.shape == (len(rows), 3)
-    np.testing.assert_array_equal(source.noise, np.full((len(rows), 3), NOISE[0]))
+    np.testing.assert_allclose(source.noise, NOISE[0])
     document = diagnose(source, NOMINAL, ["restitution", "support_friction"])
     assert set(document.named) == {"restitution", "support_friction"}
     truth = {("restitution", "restitution"): 0.08, ("support_friction", "friction"): -0.088}

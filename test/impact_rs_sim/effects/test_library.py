@@ -80,7 +80,7 @@ CHANGED = {  # what of the physics, or of an arm, an effect is on
     "rolling_arm": ("rolling_resistance",),
     "gravity": ("base_tilt",),
     "loads": ("external_spring",),
-    "angular_velocity_axes": ("spin_axes",),
+    "twist_readings": ("spin_axes", "mirrored_spins", "twist_axes", "tracked_point_of_impact"),
     "tracker": ("tracker_frame", "tracked_point", "tracker_delay", "tracker_lag"),
     "readings": tuple(
         name for name, effect in library().items() if effect.acts_on == "sensing" and isinstance(effect, ArmEffect)
