@@ -83,7 +83,7 @@ def comparison(folder: Path) -> dict[str, Any]:
             }
             for cell in document.where
         ],
-        "remarks": list(document.remarks),
+        "remarks": [*(one.in_words for one in document.agreement.in_common), *document.remarks],
     }
 
 

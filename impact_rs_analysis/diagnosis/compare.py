@@ -21,6 +21,7 @@ from typing import Literal
 
 from pydantic import Field
 
+from impact_rs_analysis.diagnosis.agreement import AgreementDocument, agreement_of
 from impact_rs_analysis.diagnosis.document import CalibrationIdentity, ModelIdentity
 from impact_rs_analysis.diagnosis.jump import jump_level
 from impact_rs_analysis.evidence.calibration import NO_CALIBRATION, LaboratoryCalibration
@@ -64,6 +65,7 @@ class ComparisonDocument(Schema):
         default_factory=DiscrepancyDocument, description="model discrepancy of the simulation"
     )
     remarks: tuple[str, ...] = Field((), description="remarks for the reader")
+    agreement: AgreementDocument = omitted(AgreementDocument(), description="which readings agree with each other")
 
 
 def compare(
@@ -102,4 +104,5 @@ def compare(
         recording=source.recording,
         discrepancy=source.discrepancy_document,
         remarks=(*source.comparison_remarks, *remarks, *beyond(source), *assumptions(arms)),
+        agreement=agreement_of(source),
     )

@@ -16,6 +16,7 @@ from impact_rs_analysis.diagnosis.history import VersionError
 from impact_rs_analysis.evidence.cluster import SCALE, TIMES
 from impact_rs_analysis.evidence.levels import Cell, JumpLevel, SignalLevel
 from impact_rs_analysis.evidence.tracks import Track
+from impact_rs_analysis.report.agreement_graph import AgreementGraph, agreement_graph
 from impact_rs_analysis.report.animation import ReplayPart
 from impact_rs_analysis.report.error_history import HistoryPart, history_part
 from impact_rs_analysis.report.labels import (
@@ -149,6 +150,7 @@ class ComparisonPage:
         tracks: Measured against predicted over time.
         history: Errors of the model and its parents; None without a parent.
         others: Titles of pages of the same measurements, by their relative paths.
+        agreement: Which readings agree; None: no relation between them was measured.
     """
 
     title: str
@@ -162,6 +164,7 @@ class ComparisonPage:
     tracks: TracksPart
     history: HistoryPart | None
     others: Mapping[str, str]
+    agreement: AgreementGraph | None
 
 
 def write_comparison(
@@ -198,6 +201,7 @@ def write_comparison(
         tracks=tracks_part(document, tracks),
         history=history_part(versions) if versions else None,
         others=others,
+        agreement=agreement_graph(document.agreement),
     )
     data = json.dumps(document.model_dump(mode="json"), indent=2, allow_nan=False) + "\n"
     text = render("comparison.html.j2", page, replay=page.tracks.replay is not None)

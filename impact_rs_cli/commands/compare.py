@@ -9,6 +9,7 @@ from pathlib import Path
 from rich.markup import escape
 from rich.table import Table
 
+from impact_rs_analysis.diagnosis.agreement import AgreementDocument
 from impact_rs_analysis.diagnosis.compare import ComparisonDocument, compare
 from impact_rs_analysis.diagnosis.document import TIMES
 from impact_rs_analysis.diagnosis.history import history
@@ -90,10 +91,31 @@ def _show(document: ComparisonDocument, terminal: Terminal) -> None:
         _show_joints(document, terminal)
     else:
         _show_levels(document, terminal)
+    _show_agreement(document.agreement, yardstick_of(document), terminal)
     for remark in document.remarks:
         terminal.say(f"note: {remark}")
     if document.not_measured:
         terminal.say(f"not measured: {', '.join(document.not_measured)}")
+
+
+def _show_agreement(agreement: AgreementDocument, yardstick: str, terminal: Terminal) -> None:
+    """Relations between readings, joint by joint; those that do not hold are marked."""
+    if not agreement.relations:
+        return
+    table = Table(title=escape(f"Which readings agree [times {yardstick}; ≠: they do not]"))
+    table.add_column("")
+    for name in agreement.names:
+        table.add_column(name, justify="right")
+    for place, own in agreement.by_place.items():
+        cells = [own.get(name) for name in agreement.names]
+        table.add_row(
+            place, *("" if one is None else f"{'' if one.agrees else '≠ '}{number(one.times_noise)}" for one in cells)
+        )
+    terminal.say(table)
+    between = "; of the ".join(f"{name}: {', '.join(agreement.readings_of(name))}" for name in agreement.names)
+    terminal.say(f"  readings of the {between}")
+    for one in agreement.in_common:
+        terminal.say(f"  {one.in_words}")
 
 
 def _show_joints(document: ComparisonDocument, terminal: Terminal) -> None:

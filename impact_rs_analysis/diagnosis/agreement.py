@@ -1,0 +1,352 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Which readings agree with each other, and which contradict each other.
+
+Every group of features is a relation between readings, which holds if these are right and the physics between them is
+that of the model (:mod:`impact_rs_analysis.evidence.features`):
+
+    motor torque balance      tau_d - tau_J - B ddtheta        command, torque sensor, velocities of motor and link
+    link torque balance       tau_J - M(q) ddq - h(q, dq)      torque sensor, encoder, velocity
+    elastic deflection        (theta - q) - tau_J / K          motor encoder, encoder, torque sensor
+    velocity of positions     mean of dq - change of q / T     velocity, encoder; no model has a part in it
+    object and end effector   v_object - v_E                   tracker, encoder; while the pad pushes the object
+
+The residual of the model with each, joint by joint, is tested against repeatability and model discrepancy by the test
+of lack of fit (:meth:`~impact_rs_analysis.diagnosis.null_distribution.NullDistribution.lack_of_fit`), adjusted for the
+number of joints. Readings disagree where it is significant and above the relevance limit; without repeats, where the
+residual is plainly beyond what is known of its noise.
+
+A wrong reading takes part in every relation that disagrees. A relation that agrees clears a reading whose faults it
+would feel (``clears``): a torque balance hardly feels the zero of an encoder, for gravity alone depends on it, and the
+derivative of positions does not feel it at all. What is in all that disagree and is not cleared is what they have *in
+common*. Where one relation alone disagrees, the physics that it takes for granted explains that as well.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+
+import numpy as np
+from pydantic import Field
+
+from impact_rs_analysis.diagnosis.null_distribution import RotationNull
+from impact_rs_analysis.diagnosis.search import adjusted
+from impact_rs_analysis.diagnosis.thresholds import PLAINLY_BEYOND, SIGNIFICANT
+from impact_rs_analysis.evidence.cluster import Cluster, Feature, pooled_error
+from impact_rs_analysis.evidence.levels import expected_of, relevant_of, root_mean_square, rounded
+from impact_rs_analysis.evidence.measured_runs import MeasuredRun
+from impact_rs_analysis.evidence.source import Source
+from impact_rs_sim.proportion import Proportion
+from impact_rs_sim.robot import Array
+from impact_rs_sim.schema import Schema
+
+COMMAND, TORQUE, ENCODER, VELOCITY = "command", "torque sensor", "encoder", "velocity"
+MOTOR_ENCODER, MOTOR_VELOCITY, TRACKER = "motor encoder", "motor velocity", "tracker"
+VELOCITY_LIMIT = 0.004  # rad/s, relevance limit of a velocity of a joint, as of its jump
+OF_PUSH = ("object velocity", "end-effector velocity")
+
+
+@dataclass(frozen=True)
+class Relation:
+    """A relation between readings.
+
+    Attributes:
+        name: Its name.
+        signals: Signals of the features whose residual it is; of the first two the difference where there are two.
+        readings: Readings that take part.
+        clears: Those of them whose faults it feels, so that they are right where it agrees.
+        assumes: Physics that it takes for granted.
+    """
+
+    name: str
+    signals: tuple[str, ...]
+    readings: tuple[str, ...]
+    clears: tuple[str, ...]
+    assumes: str
+
+
+MOTOR_BALANCE = Relation(
+    "motor torque balance",
+    ("motor torque balance",),
+    (COMMAND, TORQUE, MOTOR_VELOCITY, VELOCITY),  # the motor of a replay starts with the velocity of the link
+    (COMMAND, TORQUE),
+    "friction, motor inertia and drive",
+)
+LINK_BALANCE = Relation(
+    "link torque balance",
+    ("link torque balance", "torque"),
+    (TORQUE, ENCODER, VELOCITY),
+    (TORQUE,),
+    "masses, gravity and loads on the links, or positions of other joints",
+)
+DEFLECTION = Relation(
+    "elastic deflection",
+    ("elastic deflection", "deflection"),
+    (MOTOR_ENCODER, ENCODER, TORQUE),
+    (MOTOR_ENCODER, ENCODER),
+    "stiffness of the joint",
+)
+SLOPE = Relation("velocity of positions", (), (VELOCITY, ENCODER), (VELOCITY,), "")
+TRACKING = Relation(
+    "object and end effector", OF_PUSH, (TRACKER, ENCODER), (TRACKER,), "how the object slips and turns on the pad"
+)
+OF_FEATURES = (MOTOR_BALANCE, LINK_BALANCE, DEFLECTION)
+OF_MOTION = ("free", "moving up", "moving down", "slow")  # phases without contact
+
+
+class RelationDocument(Schema):
+    """One relation between readings, at one joint or axis."""
+
+    relation: str = Field(description="name")
+    place: str = Field(description="joint or axis, with the arm's name in front where there are several")
+    readings: tuple[str, ...] = Field(description="readings that take part")
+    clears: tuple[str, ...] = Field((), description="those of them that are right where it agrees")
+    assumes: str = Field("", description="physics that it takes for granted; empty: none")
+    times_noise: float = Field(description="residual in multiples of repeatability, or of noise")
+    p_value: float | None = Field(None, description="of noise and discrepancy alone, adjusted; null: no repeats")
+    agrees: bool = Field(description="whether the readings agree")
+
+
+class InCommon(Schema):
+    """What the relations of one joint or axis that disagree have in common."""
+
+    place: str = Field(description="joints or axes, as a list")
+    relations: tuple[str, ...] = Field(description="relations that disagree")
+    readings: tuple[str, ...] = Field((), description="readings in all of them that no relation clears")
+    assumes: str = Field("", description="physics that explains it as well; empty: several relations disagree")
+
+    @property
+    def in_words(self) -> str:
+        """One sentence."""
+        relations, readings = " and ".join(self.relations), " or ".join(self.readings)
+        if len(self.relations) > 1:
+            common = f"what they have in common: {readings}" if readings else "no single reading is common to them"
+            return f"{self.place}: {relations} do not agree; {common}"
+        physics = f"the physics ({self.assumes})" if self.assumes else ""
+        causes = " or ".join(filter(None, [readings, physics])) or "a reading of another joint"
+        return f"{self.place}: {relations} does not agree; may be wrong: {causes}"
+
+
+class AgreementDocument(Schema):
+    """Who agrees with whom."""
+
+    relations: tuple[RelationDocument, ...] = Field((), description="relations, joint by joint")
+    in_common: tuple[InCommon, ...] = Field((), description="joints and axes at which some disagree")
+
+    @property
+    def by_place(self) -> dict[str, dict[str, RelationDocument]]:
+        """Relations by joint or axis, and by name."""
+        found: dict[str, dict[str, RelationDocument]] = {}
+        for one in self.relations:
+            found.setdefault(one.place, {})[one.relation] = one
+        return found
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the relations that were measured."""
+        return tuple(dict.fromkeys(one.relation for one in self.relations))
+
+    def readings_of(self, name: str) -> tuple[str, ...]:
+        """Readings that take part in a relation."""
+        return next(one.readings for one in self.relations if one.relation == name)
+
+    def against(self, name: str) -> tuple[str, ...]:
+        """Joints and axes at which a relation does not hold."""
+        return tuple(one.place for one in self.relations if one.relation == name and not one.agrees)
+
+
+def agreement_of(source: Source) -> AgreementDocument:
+    """Which readings agree.
+
+    Args:
+        source: Trials or recordings with the model's predictions; tables of impacts have no such relations.
+    """
+    tested: list[tuple[Relation, str, list[Cluster]]] = []
+    for relation in OF_FEATURES:
+        tested += [(relation, *one) for one in _by_place(source.clusters, partial(_is_of, relation))]
+    if source.runs is not None:
+        tested += [(SLOPE, *one) for one in _by_place(slope_clusters(source.runs.runs), lambda feature: True)]
+        tested += [(TRACKING, *one) for one in _by_place(tracking_clusters(source.clusters), lambda feature: True)]
+    limited = source.noise_size() is None
+    raw = {number: _lack_of_fit(source, clusters) for number, (_, _, clusters) in enumerate(tested)}
+    p_values: dict[str, float] = {}
+    for relation in dict.fromkeys(relation for relation, _, _ in tested):  # each is a question of its own
+        own = {str(n): p for n, p in raw.items() if p is not None and tested[n][0] is relation}
+        p_values |= adjusted(own)
+    motor = any(relation is DEFLECTION for relation, _, _ in tested)
+    found = []
+    for number, (relation, place, clusters) in enumerate(tested):
+        p = p_values.get(str(number))
+        noise, relevant = (_size(clusters, of, limited) for of in (expected_of, relevant_of))
+        agrees = relevant < PLAINLY_BEYOND if p is None else p >= SIGNIFICANT or relevant < 1.0
+        found.append(
+            RelationDocument(
+                relation=relation.name,
+                place=place,
+                readings=tuple(_renamed(relation.readings, motor)),
+                clears=relation.clears,
+                assumes=relation.assumes,
+                times_noise=rounded(noise),
+                p_value=None if p is None else rounded(p),
+                agrees=agrees,
+            )
+        )
+    found.sort(key=lambda one: _order(one.place))
+    return AgreementDocument(relations=tuple(found), in_common=tuple(_in_common(found)))
+
+
+def _is_of(relation: Relation, feature: Feature) -> bool:
+    return feature.signal in relation.signals and feature.phase in OF_MOTION
+
+
+def _renamed(readings: Sequence[str], motor: bool) -> list[str]:
+    """Readings; a motor without encoder has no velocity of its own."""
+    return [name for name in readings if motor or name != MOTOR_VELOCITY]
+
+
+def _by_place(clusters: Sequence[Cluster], wanted: Callable[[Feature], bool]) -> list[tuple[str, list[Cluster]]]:
+    """Clusters by joint or axis, with the features of each that are wanted."""
+    places = dict.fromkeys(f.index for item in clusters for f in item.features if wanted(f))
+    found = []
+    for place in places:
+        masks = [[wanted(f) and f.index == place for f in item.features] for item in clusters]
+        own = [item.only(mask, False) for item, mask in zip(clusters, masks, strict=True) if any(mask)]
+        found.append((place, own))
+    return found
+
+
+def _lack_of_fit(source: Source, clusters: Sequence[Cluster]) -> float | None:
+    """p-value of the residuals of a relation being noise and discrepancy; None without repeats."""
+    if not source.repeated:
+        return None
+    return RotationNull(clusters).lack_of_fit([item.mean for item in clusters])
+
+
+def _size(clusters: Sequence[Cluster], of: Callable[[Cluster, bool], Array], limited: bool) -> float:
+    """Root mean square of the mean residuals in multiples of what ``of`` says."""
+    return root_mean_square(np.concatenate([item.mean / of(item, limited) for item in clusters]))
+
+
+def _in_common(found: Iterable[RelationDocument]) -> list[InCommon]:
+    """What the relations that disagree have in common; joints of which the same is said are listed together."""
+    by_place: dict[str, list[RelationDocument]] = {}
+    for one in found:
+        by_place.setdefault(one.place, []).append(one)
+    result: dict[tuple[tuple[str, ...], tuple[str, ...], str], list[str]] = {}
+    for place, own in by_place.items():
+        against = [one for one in own if not one.agrees]
+        if not against:
+            continue
+        cleared = {name for one in own if one.agrees for name in one.clears}
+        shared = [name for name in against[0].readings if all(name in one.readings for one in against)]
+        readings = tuple(name for name in shared if name not in cleared)
+        assumes = against[0].assumes if len(against) == 1 else ""
+        result.setdefault((tuple(one.relation for one in against), readings, assumes), []).append(place)
+    return [
+        InCommon(place=", ".join(places), relations=relations, readings=readings, assumes=assumes)
+        for (relations, readings, assumes), places in result.items()
+    ]
+
+
+def _order(place: str) -> tuple[str, int, str]:
+    """Joints before axes, in their order, arm by arm."""
+    arm, _, own = place.rpartition(".")
+    number = re.fullmatch(r"joint(\d+)", own)
+    return (arm, int(number[1]), "") if number else (arm, 10**6, own)
+
+
+def slope_clusters(runs: Sequence[MeasuredRun]) -> list[Cluster]:
+    """Mean velocity minus change of the position over time in windows of free motion, of every condition.
+
+    Args:
+        runs: With their signals; without, there are no clusters.
+    """
+    rows: dict[str, list[Array]] = {}
+    features: dict[str, tuple[Feature, ...]] = {}
+    firsts: dict[str, MeasuredRun] = {}
+    for run in runs:
+        if run.signals.time.size < 2:
+            continue
+        several, values, own = len(run.setup.physics.arms) > 1, [], []
+        limit = VELOCITY_LIMIT * Proportion.of(run.physics).factor("rad/s")
+        for number, (window, signals) in enumerate(zip(run.setup.windows, run.windowed, strict=True)):
+            for name, arm in () if window.contact else signals.arms.items():
+                last = float(signals.time[-1] - signals.time[0])
+                mean = np.trapezoid(arm.velocity, signals.time, axis=0) / last
+                values.append(mean - (arm.position[-1] - arm.position[0]) / last)
+                label = f"{name}." if several else ""
+                own += [
+                    Feature("free", SLOPE.name, f"{label}joint{joint + 1}", number, "rad/s", limit, name)
+                    for joint in range(arm.velocity.shape[1])
+                ]
+        if values and features.setdefault(run.condition, tuple(own)) == tuple(own):
+            rows.setdefault(run.condition, []).append(np.concatenate(values))
+            firsts.setdefault(run.condition, run)
+    named = {name: (firsts[name].place, features[name]) for name in rows}
+    return _clusters({name: np.array(own) for name, own in rows.items()}, named)
+
+
+def tracking_clusters(clusters: Sequence[Cluster]) -> list[Cluster]:
+    """Residual of the velocity of the object minus that of the end effector while it is pushed, condition by condition.
+
+    Args:
+        clusters: Of trials; those without an object have none.
+    """
+    rows: dict[str, Array] = {}
+    named: dict[str, tuple[tuple[str, str, str], tuple[Feature, ...]]] = {}
+    patterns: dict[str, Array] = {}
+    for item in clusters:
+        places = {(f.signal, f.index, f.bin): n for n, f in enumerate(item.features) if f.phase == "push"}
+        arms = {f.arm for f in item.features if f.arm}
+        pairs = [
+            (own, places[OF_PUSH[1], index, number])
+            for (signal, index, number), own in places.items()
+            if signal == OF_PUSH[0] and (OF_PUSH[1], index, number) in places
+        ]
+        if not pairs or len(arms) > 1:  # of two arms either may push
+            continue
+        first, second = (list(column) for column in zip(*pairs, strict=True))
+        scaled = item.residuals * item.sigma
+        moved = item.moved_together * item.sigma
+        rows[item.name] = scaled[:, first] - scaled[:, second]
+        patterns[item.name] = moved[:, first] - moved[:, second]
+        named[item.name] = (item.place, tuple(replace(item.features[n], signal=TRACKING.name) for n in first))
+    return _clusters(rows, named, patterns)
+
+
+def _clusters(
+    rows: dict[str, Array],
+    named: dict[str, tuple[tuple[str, str, str], tuple[Feature, ...]]],
+    patterns: dict[str, Array] | None = None,
+) -> list[Cluster]:
+    """Clusters from residuals of repeats ``(n, F)`` by condition, with place and features, and patterns ``(k, F)``."""
+    alike: dict[tuple[Feature, ...], list[str]] = {}
+    for name, (_, features) in named.items():
+        alike.setdefault(features, []).append(name)
+    pooled = {features: pooled_error([rows[name] for name in names]) for features, names in alike.items()}
+    found = []
+    for name, (place, features) in named.items():
+        known = pooled[features]
+        pure = np.zeros(len(features)) if known is None else known
+        limit = np.array([feature.relevance_limit for feature in features]) / 2.0
+        moved = np.zeros((0, len(features))) if patterns is None else patterns[name]
+        differing = np.sqrt(np.sum(np.square(moved), axis=0))
+        sigma = np.maximum(np.sqrt(pure**2 + limit**2 + differing**2), 1e-12)
+        found.append(
+            Cluster(
+                name=name,
+                place=place,
+                layout=f"{len(alike)}: {list(alike).index(features)}",
+                unit=name,
+                contact=False,
+                features=features,
+                residuals=rows[name] / sigma,
+                sigma=sigma,
+                pure=pure / sigma,
+                discrepancy=differing / sigma,
+                patterns=moved / sigma if moved.size else None,
+            )
+        )
+    return found

@@ -1,0 +1,104 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Graph of who agrees with whom: readings on the left, relations between them on the right."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from impact_rs_analysis.diagnosis.agreement import AgreementDocument
+
+ROW = 44  # px between nodes
+MARGIN = 28  # px above the first node
+LEFT, RIGHT, WIDTH = 150, 330, 640  # px, ends of the lines and width of the graph
+
+
+@dataclass(frozen=True)
+class AgreementNode:
+    """A reading or a relation.
+
+    Attributes:
+        name: Its name.
+        y: Its height [px].
+        against: Joints and axes at which a relation does not hold, or a reading is common to what does not hold.
+    """
+
+    name: str
+    y: float
+    against: str = ""
+
+
+@dataclass(frozen=True)
+class AgreementLine:
+    """That a reading takes part in a relation.
+
+    Attributes:
+        start: Height at the reading [px].
+        end: Height at the relation [px].
+        holds: Whether the relation holds at all joints.
+    """
+
+    start: float
+    end: float
+    holds: bool
+
+
+@dataclass(frozen=True)
+class AgreementGraph:
+    """Content of ``agreement.html.j2``.
+
+    Attributes:
+        document: The relations.
+        readings: Nodes on the left.
+        relations: Nodes on the right.
+        lines: Between them.
+        height: Of the graph [px].
+        in_words: The graph as text.
+    """
+
+    document: AgreementDocument
+    readings: tuple[AgreementNode, ...]
+    relations: tuple[AgreementNode, ...]
+    lines: tuple[AgreementLine, ...]
+    height: float
+    in_words: str
+    left: int = LEFT
+    right: int = RIGHT
+    width: int = WIDTH
+
+
+def agreement_graph(document: AgreementDocument) -> AgreementGraph | None:
+    """The graph of some relations, each over all joints; None: there are no relations."""
+    if not document.relations:
+        return None
+    names = list(dict.fromkeys(name for one in document.relations for name in one.readings))
+    rows = max(len(names), len(document.names))
+    at_reading = dict(zip(names, _heights(len(names), rows), strict=True))
+    at_relation = dict(zip(document.names, _heights(len(document.names), rows), strict=True))
+    common: dict[str, list[str]] = {}
+    for one in document.in_common:
+        if len(one.relations) > 1 and len(one.readings) == 1:
+            common.setdefault(one.readings[0], []).append(one.place)
+    against = {name: document.against(name) for name in document.names}
+    said = [
+        f"{name} ({', '.join(document.readings_of(name))}): "
+        + (f"does not hold at {', '.join(places)}" if places else "holds")
+        for name, places in against.items()
+    ]
+    return AgreementGraph(
+        document=document,
+        readings=tuple(AgreementNode(name, y, ", ".join(common.get(name, []))) for name, y in at_reading.items()),
+        relations=tuple(AgreementNode(name, y, ", ".join(against[name])) for name, y in at_relation.items()),
+        lines=tuple(
+            AgreementLine(at_reading[reading], y, not against[name])
+            for name, y in at_relation.items()
+            for reading in document.readings_of(name)
+        ),
+        height=2.0 * MARGIN + (rows - 1) * ROW,
+        in_words="; ".join(said),
+    )
+
+
+def _heights(count: int, rows: int) -> list[float]:
+    """Heights of some nodes, evenly over the height of the graph [px]."""
+    step = ROW * (rows - 1) / max(count - 1, 1)
+    return [MARGIN + (number * step if count > 1 else 0.5 * step) for number in range(count)]
