@@ -7,6 +7,7 @@ Twists of a single impact: :mod:`impact_rs_sim.twist_readings`.
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -32,6 +33,7 @@ CONTACT = ("contact",)
 def _of_arm(change: Callable[[ArmReadings, Values], ArmReadings]) -> Callable[[ArmPhysics, Values], ArmPhysics]:
     """Law of an arm from the change of its sensor models."""
 
+    @functools.wraps(change)
     def law(arm: ArmPhysics, values: Values) -> ArmPhysics:
         readings = change(arm.readings, values)
         return arm if readings.same_as(arm.readings) else replace(arm, readings=readings)
@@ -41,7 +43,17 @@ def _of_arm(change: Callable[[ArmReadings, Values], ArmReadings]) -> Callable[[A
 
 def _of_tracker(change: Callable[[TrackerReadings, Values], TrackerReadings]) -> Callable[[Physics, Values], Physics]:
     """Law of a scene from the change of the model of its object tracker."""
-    return lambda physics, values: replace(physics, tracker=change(physics.tracker, values))
+
+    @functools.wraps(change)
+    def law(physics: Physics, values: Values) -> Physics:
+        return replace(physics, tracker=change(physics.tracker, values))
+
+    return law
+
+
+@_of_arm
+def _encoder_offset(r: ArmReadings, v: Values) -> ArmReadings:
+    return replace(r, position_offset=r.position_offset + v["offset"])
 
 
 ENCODER_OFFSET = ArmEffect(
@@ -51,22 +63,34 @@ ENCODER_OFFSET = ArmEffect(
     parameters=(
         Parameter("offset", "rad", 0.0, -0.1, 0.1, 0.002, "reading minus position of the link", per_joint=True),
     ),
-    law=_of_arm(lambda r, v: replace(r, position_offset=r.position_offset + v["offset"])),
+    law=_encoder_offset,
     lasting=True,
     reading="{joint} reads {size} {more}",
     calibration="hold still in six poses far apart",
 )
+
+
+@_of_arm
+def _encoder_scale(r: ArmReadings, v: Values) -> ArmReadings:
+    return replace(r, position_scale=r.position_scale * v["scale"])
+
 
 ENCODER_SCALE = ArmEffect(
     name="encoder_scale",
     acts_on=SENSING,
     sentence="A joint's encoder reads angles and velocities by a factor too large, as with a wrong gear ratio.",
     parameters=(Parameter("scale", "-", 1.0, 0.9, 1.1, 0.002, "reading over position of the link", per_joint=True),),
-    law=_of_arm(lambda r, v: replace(r, position_scale=r.position_scale * v["scale"])),
+    law=_encoder_scale,
     lasting=True,
     reading="{joint} reads angles {size} {more}",
     calibration="move every joint between two marks of known angle",
 )
+
+
+@_of_arm
+def _motor_encoder_offset(r: ArmReadings, v: Values) -> ArmReadings:
+    return replace(r, motor_offset=r.motor_offset + v["offset"])
+
 
 MOTOR_ENCODER_OFFSET = ArmEffect(
     name="motor_encoder_offset",
@@ -75,44 +99,72 @@ MOTOR_ENCODER_OFFSET = ArmEffect(
     parameters=(
         Parameter("offset", "rad", 0.0, -0.1, 0.1, 0.002, "reading minus position of the motor", per_joint=True),
     ),
-    law=_of_arm(lambda r, v: replace(r, motor_offset=r.motor_offset + v["offset"])),
+    law=_motor_encoder_offset,
     lasting=True,
     reading="the motor of {joint} reads {size} {more}",
     calibration="hold still without a load, and compare motors with links",
 )
+
+
+@_of_arm
+def _torque_sensor_gain(r: ArmReadings, v: Values) -> ArmReadings:
+    return replace(r, torque_gain=r.torque_gain * v["gain"])
+
 
 TORQUE_SENSOR_GAIN = ArmEffect(
     name="torque_sensor_gain",
     acts_on=SENSING,
     sentence="A joint's torque sensor reads some percent too much or too little.",
     parameters=(Parameter("gain", "-", 1.0, 0.7, 1.3, 0.01, "reading over torque of the joint", per_joint=True),),
-    law=_of_arm(lambda r, v: replace(r, torque_gain=r.torque_gain * v["gain"])),
+    law=_torque_sensor_gain,
     lasting=True,
     reading="the torque of {joint} reads {size} {more}",
     calibration="hold a known weight still in several poses, and compare commanded with measured torques",
 )
+
+
+@_of_arm
+def _torque_sensor_offset(r: ArmReadings, v: Values) -> ArmReadings:
+    return replace(r, torque_offset=r.torque_offset + v["offset"])
+
 
 TORQUE_SENSOR_OFFSET = ArmEffect(
     name="torque_sensor_offset",
     acts_on=SENSING,
     sentence="A joint's torque sensor reads a torque where there is none.",
     parameters=(Parameter("offset", "N m", 0.0, -5.0, 5.0, 0.1, "reading without torque", per_joint=True),),
-    law=_of_arm(lambda r, v: replace(r, torque_offset=r.torque_offset + v["offset"])),
+    law=_torque_sensor_offset,
     lasting=True,
     reading="the torque of {joint} reads {size} {more}",
     calibration="hold still in six poses, each reached from both sides",
 )
+
+
+@_of_arm
+def _torque_sensor_drift(r: ArmReadings, v: Values) -> ArmReadings:
+    return replace(r, torque_drift=r.torque_drift + v["rate"])
+
 
 TORQUE_SENSOR_DRIFT = ArmEffect(
     name="torque_sensor_drift",
     acts_on=SENSING,
     sentence="The zero of a joint's torque sensor drifts over the campaign, as it does while an arm warms up.",
     parameters=(Parameter("rate", "N m/s", 0.0, -5e-3, 5e-3, 1e-4, "growth since the first run", per_joint=True),),
-    law=_of_arm(lambda r, v: replace(r, torque_drift=r.torque_drift + v["rate"])),
+    law=_torque_sensor_drift,
     lasting=True,
     reading="the torque of {joint} drifts by {size}",
     calibration="hold one pose still at the beginning, in the middle and at the end of the campaign",
 )
+
+
+@_of_arm
+def _torque_sensor_crosstalk(r: ArmReadings, v: Values) -> ArmReadings:
+    return replace(
+        r,
+        torque_from_previous=r.torque_from_previous + np.append(0.0, v["from_previous"]),
+        torque_from_next=r.torque_from_next + np.append(v["from_next"], 0.0),
+    )
+
 
 TORQUE_SENSOR_CROSSTALK = ArmEffect(
     name="torque_sensor_crosstalk",
@@ -122,28 +174,34 @@ TORQUE_SENSOR_CROSSTALK = ArmEffect(
         Parameter("from_previous", "-", 0.0, -0.3, 0.3, 0.01, "share of the joint before", True, 0),
         Parameter("from_next", "-", 0.0, -0.3, 0.3, 0.01, "share of the joint after", True, -1),
     ),
-    law=_of_arm(
-        lambda r, v: replace(
-            r,
-            torque_from_previous=r.torque_from_previous + np.append(0.0, v["from_previous"]),
-            torque_from_next=r.torque_from_next + np.append(v["from_next"], 0.0),
-        )
-    ),
+    law=_torque_sensor_crosstalk,
     lasting=True,
     reading="the torque of {joint} reads a share of its neighbours: {size}",
     calibration="hold a known weight still in several poses",
 )
+
+
+@_of_arm
+def _torque_sensor_lag(r: ArmReadings, v: Values) -> ArmReadings:
+    return replace(r, torque_lag=r.torque_lag + number(v, "lag"))
+
 
 TORQUE_SENSOR_LAG = ArmEffect(
     name="torque_sensor_lag",
     acts_on=SENSING,
     sentence="Torques passed a low-pass filter before they were recorded.",
     parameters=(Parameter("lag", "s", 0.0, 0.0, 0.2, 0.002, "time constant of the filter of first order"),),
-    law=_of_arm(lambda r, v: replace(r, torque_lag=r.torque_lag + number(v, "lag"))),
+    law=_torque_sensor_lag,
     lasting=True,
     reading="torques pass a filter of {size}",
     calibration="move every joint there and back in free motion, fast",
 )
+
+
+@_of_arm
+def _torque_delay(r: ArmReadings, v: Values) -> ArmReadings:
+    return replace(r, torque_delay=r.torque_delay + number(v, "delay"))
+
 
 TORQUE_DELAY = ArmEffect(
     name="torque_delay",
@@ -153,56 +211,88 @@ TORQUE_DELAY = ArmEffect(
         "of the mapping takes it back."
     ),
     parameters=(Parameter("delay", "s", 0.0, -0.1, 0.1, 0.002, "delay of the torque after the positions"),),
-    law=_of_arm(lambda r, v: replace(r, torque_delay=r.torque_delay + number(v, "delay"))),
+    law=_torque_delay,
     phases=("free",),
     calibrates=True,
     reading="torques are recorded {size} {late}",
     calibration="move every joint there and back in free motion, fast",
 )
 
+
+@_of_arm
+def _command_clock_offset(r: ArmReadings, v: Values) -> ArmReadings:
+    return replace(r, command_delay=r.command_delay + number(v, "offset"))
+
+
 COMMAND_CLOCK_OFFSET = ArmEffect(
     name="command_clock_offset",
     acts_on=SENSING,
     sentence="Commands carry the stamps of another clock: they act some milliseconds after or before them.",
     parameters=(Parameter("offset", "s", 0.0, -0.05, 0.03, 0.001, "from the stamp of a command until it acts"),),
-    law=_of_arm(lambda r, v: replace(r, command_delay=r.command_delay + number(v, "offset"))),
+    law=_command_clock_offset,
     lasting=True,
     reading="commands act {size} {late}, by their stamps",
     calibration="command a step of the torque at rest, and see when the measured torque follows",
 )
+
+
+@_of_arm
+def _velocity_lag(r: ArmReadings, v: Values) -> ArmReadings:
+    return replace(r, velocity_lag=r.velocity_lag + number(v, "lag"))
+
 
 VELOCITY_LAG = ArmEffect(
     name="velocity_lag",
     acts_on=SENSING,
     sentence="Velocities of joints passed a low-pass filter before they were recorded.",
     parameters=(Parameter("lag", "s", 0.0, 0.0, 0.2, 0.002, "time constant of the filter of first order"),),
-    law=_of_arm(lambda r, v: replace(r, velocity_lag=r.velocity_lag + number(v, "lag"))),
+    law=_velocity_lag,
     lasting=True,
     reading="velocities pass a filter of {size}",
     calibration="move every joint there and back in free motion, fast",
 )
+
+
+@_of_arm
+def _velocity_delay(r: ArmReadings, v: Values) -> ArmReadings:
+    return replace(r, velocity_delay=r.velocity_delay + number(v, "delay"))
+
 
 VELOCITY_DELAY = ArmEffect(
     name="velocity_delay",
     acts_on=SENSING,
     sentence="Velocities of joints lag behind positions, as differences of positions over some samples do.",
     parameters=(Parameter("delay", "s", 0.0, -0.1, 0.1, 0.002, "delay of the velocities after the positions"),),
-    law=_of_arm(lambda r, v: replace(r, velocity_delay=r.velocity_delay + number(v, "delay"))),
+    law=_velocity_delay,
     lasting=True,
     reading="velocities are recorded {size} {late}",
     calibration="move every joint there and back in free motion, fast",
 )
+
+
+@_of_arm
+def _velocity_gain(r: ArmReadings, v: Values) -> ArmReadings:
+    return replace(r, velocity_gain=r.velocity_gain * v["gain"])
+
 
 VELOCITY_GAIN = ArmEffect(
     name="velocity_gain",
     acts_on=SENSING,
     sentence="The velocity of a joint is recorded by a factor too large; its position is right.",
     parameters=(Parameter("gain", "-", 1.0, 0.8, 1.2, 0.01, "reading over velocity of the link", per_joint=True),),
-    law=_of_arm(lambda r, v: replace(r, velocity_gain=r.velocity_gain * v["gain"])),
+    law=_velocity_gain,
     lasting=True,
     reading="the velocity of {joint} reads {size} {more}",
     calibration="move every joint there and back in free motion, fast",
 )
+
+
+@_of_tracker
+def _tracker_frame(t: TrackerReadings, v: Values) -> TrackerReadings:
+    return replace(
+        t, position=(t.position[0] + number(v, "x"), t.position[1] + number(v, "y")), yaw=t.yaw + number(v, "yaw")
+    )
+
 
 TRACKER_FRAME = SceneEffect(
     name="tracker_frame",
@@ -213,16 +303,18 @@ TRACKER_FRAME = SceneEffect(
         Parameter("y", "m", 0.0, -0.2, 0.2, 0.002, "reading minus position along y, at the origin of A"),
         Parameter("yaw", "rad", 0.0, -0.3, 0.3, 0.005, "rotation of readings about z of A"),
     ),
-    law=_of_tracker(
-        lambda t, v: replace(
-            t, position=(t.position[0] + number(v, "x"), t.position[1] + number(v, "y")), yaw=t.yaw + number(v, "yaw")
-        )
-    ),
+    law=_tracker_frame,
     phases=CONTACT,
     lasting=True,
     reading="the frame of the object tracker is off by {size}",
     calibration="touch the object from three sides, or push it straight along two directions",
 )
+
+
+@_of_tracker
+def _tracked_point(t: TrackerReadings, v: Values) -> TrackerReadings:
+    return replace(t, point=(t.point[0] + number(v, "x"), t.point[1] + number(v, "y")))
+
 
 TRACKED_POINT = SceneEffect(
     name="tracked_point",
@@ -232,31 +324,43 @@ TRACKED_POINT = SceneEffect(
         Parameter("x", "m", 0.0, -0.2, 0.2, 0.002, "tracked point from the centre, along x of the object"),
         Parameter("y", "m", 0.0, -0.2, 0.2, 0.002, "tracked point from the centre, along y of the object"),
     ),
-    law=_of_tracker(lambda t, v: replace(t, point=(t.point[0] + number(v, "x"), t.point[1] + number(v, "y")))),
+    law=_tracked_point,
     phases=CONTACT,
     lasting=True,
     reading="the tracked point is off the centre of the object by {size}",
     calibration="turn the object in place by quarters",
 )
 
+
+@_of_tracker
+def _tracker_delay(t: TrackerReadings, v: Values) -> TrackerReadings:
+    return replace(t, delay=t.delay + number(v, "delay"))
+
+
 TRACKER_DELAY = SceneEffect(
     name="tracker_delay",
     acts_on=SENSING,
     sentence="Poses of the object carry stamps that are later than those of the joints.",
     parameters=(Parameter("delay", "s", 0.0, -0.1, 0.1, 0.002, "delay of the poses after the joints"),),
-    law=_of_tracker(lambda t, v: replace(t, delay=t.delay + number(v, "delay"))),
+    law=_tracker_delay,
     phases=CONTACT,
     lasting=True,
     reading="poses of the object are recorded {size} {late}",
     calibration="push the object there and back, fast",
 )
 
+
+@_of_tracker
+def _tracker_lag(t: TrackerReadings, v: Values) -> TrackerReadings:
+    return replace(t, lag=t.lag + number(v, "lag"))
+
+
 TRACKER_LAG = SceneEffect(
     name="tracker_lag",
     acts_on=SENSING,
     sentence="Poses of the object passed a low-pass filter before they were recorded.",
     parameters=(Parameter("lag", "s", 0.0, 0.0, 0.2, 0.002, "time constant of the filter of first order"),),
-    law=_of_tracker(lambda t, v: replace(t, lag=t.lag + number(v, "lag"))),
+    law=_tracker_lag,
     phases=CONTACT,
     lasting=True,
     reading="poses of the object pass a filter of {size}",
@@ -272,7 +376,12 @@ def _added(before: Three, values: Values) -> Three:
 
 def _of_twist(change: Callable[[TwistReadings, Values], TwistReadings]) -> Callable[[Physics, Values], Physics]:
     """Law of a scene from the change of how the twist of a body is read."""
-    return lambda physics, values: replace(physics, twist_readings=change(physics.twist_readings, values))
+
+    @functools.wraps(change)
+    def law(physics: Physics, values: Values) -> Physics:
+        return replace(physics, twist_readings=change(physics.twist_readings, values))
+
+    return law
 
 
 def _turned(what: str) -> tuple[Parameter, ...]:
@@ -285,16 +394,27 @@ def _turned(what: str) -> tuple[Parameter, ...]:
     return tuple(Parameter(axis, "rad", 0.0, -4.0, 4.0, 0.01, f"component {axis} {meaning}") for axis in AXES)
 
 
+@_of_twist
+def _spin_axes(t: TwistReadings, v: Values) -> TwistReadings:
+    return replace(t, spin_axes=_added(t.spin_axes, v))
+
+
 SPIN_AXES = SceneEffect(
     name="spin_axes",
     acts_on=SENSING,
     sentence="Angular velocities were measured in axes that are turned against those of positions and velocities.",
     parameters=_turned("A to these axes"),
-    law=_of_twist(lambda t, v: replace(t, spin_axes=_added(t.spin_axes, v))),
+    law=_spin_axes,
     phases=SINGLE_IMPACT,
     reading="angular velocities are in axes turned by the rotation vector {size}",
     calibration="spin the body about three known axes in free flight",
 )
+
+
+@_of_twist
+def _mirrored_spins(t: TwistReadings, v: Values) -> TwistReadings:
+    return replace(t, spin_axes=_added(t.spin_axes, v), spin_factor=t.spin_factor * number(v, "factor"))
+
 
 MIRRORED_SPINS = SceneEffect(
     name="mirrored_spins",
@@ -304,24 +424,34 @@ MIRRORED_SPINS = SceneEffect(
         *_turned("A to these axes"),
         Parameter("factor", "-", 1.0, -1.5, 1.5, 0.02, "reading over angular velocity; -1: left-handed"),
     ),
-    law=_of_twist(
-        lambda t, v: replace(t, spin_axes=_added(t.spin_axes, v), spin_factor=t.spin_factor * number(v, "factor"))
-    ),
+    law=_mirrored_spins,
     phases=SINGLE_IMPACT,
     reading="angular velocities are in left-handed axes, with the rotation vector {size}",
     calibration="spin the body about three known axes in free flight",
 )
+
+
+@_of_twist
+def _twist_axes(t: TwistReadings, v: Values) -> TwistReadings:
+    return replace(t, axes=_added(t.axes, v))
+
 
 TWIST_AXES = SceneEffect(
     name="twist_axes",
     acts_on=SENSING,
     sentence="Both velocities were measured in axes that are turned against those of the pose and of the contact.",
     parameters=_turned("A to these axes"),
-    law=_of_twist(lambda t, v: replace(t, axes=_added(t.axes, v))),
+    law=_twist_axes,
     phases=SINGLE_IMPACT,
     reading="velocities and angular velocities are in axes turned against the pose by {size}",
     calibration="throw the body along three known axes without a spin",
 )
+
+
+@_of_twist
+def _tracked_point_of_impact(t: TwistReadings, v: Values) -> TwistReadings:
+    return replace(t, point=_added(t.point, v))
+
 
 TRACKED_POINT_OF_IMPACT = SceneEffect(
     name="tracked_point_of_impact",
@@ -331,7 +461,7 @@ TRACKED_POINT_OF_IMPACT = SceneEffect(
         Parameter(axis, "m", 0.0, -0.05, 0.05, 0.001, f"tracked point from the centre, along {axis} of the body")
         for axis in AXES
     ),
-    law=_of_twist(lambda t, v: replace(t, point=_added(t.point, v))),
+    law=_tracked_point_of_impact,
     phases=SINGLE_IMPACT,
     reading="the tracked point is off the centre of the body by {size}",
     calibration="spin the body about three axes in free flight, in which its centre moves straight on",

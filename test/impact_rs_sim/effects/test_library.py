@@ -2,6 +2,7 @@
 """Effects: nothing at their nominal values, their own signature otherwise, and found again by a fit."""
 
 import dataclasses
+import pickle
 import re
 from dataclasses import replace
 
@@ -212,3 +213,12 @@ def test_an_effect_of_ones_own_comes_as_a_class_or_as_an_instance(thing, install
 def test_an_entry_point_that_is_no_effect_of_its_own_is_refused(things, complaint, installed):
     with pytest.raises(InputError, match=complaint):
         installed(*things)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_effect_reaches_a_worker_as_it_is(name, physics):
+    """Kills a law that is a closure, which no other process can load."""
+    effect = library()[name]
+    there = pickle.loads(pickle.dumps(effect))
+    vector = effect.nominal(7) + effect.steps(7, effect.nominal(7))
+    assert unlike(effect.apply_vector(physics, vector), there.apply_vector(physics, vector)) == []
