@@ -57,8 +57,7 @@ def measurement_of(document: DiagnosisDocument) -> str:
 
 
 def clauses_of(effect: EffectDocument) -> list[str]:
-    """What is wrong with a reading, joint by joint: of the joints that are confirmed, or else whose interval excludes
-    the nominal value.
+    """What is wrong with a reading, joint by joint: of confirmed joints, or else of those that exclude nominal.
 
     Args:
         effect: An effect of the measurement, with its estimates.
