@@ -35,7 +35,17 @@ from impact_rs_analysis.evidence.torque_balance import Motion, TorqueBalance, mo
 from impact_rs_analysis.evidence.tracks import ComparedSignal, Track, track_of_motion
 from impact_rs_sim.effects import Effect
 from impact_rs_sim.effects.actuation import TORQUE_GAIN
-from impact_rs_sim.effects.sensing import TORQUE_SENSOR_GAIN, TORQUE_SENSOR_OFFSET
+from impact_rs_sim.effects.sensing import (
+    COMMAND_CLOCK_OFFSET,
+    MOTOR_ENCODER_OFFSET,
+    TORQUE_SENSOR_CROSSTALK,
+    TORQUE_SENSOR_DRIFT,
+    TORQUE_SENSOR_GAIN,
+    TORQUE_SENSOR_OFFSET,
+    VELOCITY_DELAY,
+    VELOCITY_GAIN,
+    VELOCITY_LAG,
+)
 from impact_rs_sim.errors import InputError, NotABody
 from impact_rs_sim.model import Model
 from impact_rs_sim.numbers import NORMAL_95
@@ -61,7 +71,11 @@ MOST_MEMORY = 2**28  # bytes, of predicted torques that are kept
 LEAST_KEPT = 64  # of them, as many as a linearisation asks for
 TORQUE_SCALE = {"link": 0.01, "motor": 0.02}  # standard deviation, over the torque (torque sensors of arms: 1 to 2 %)
 # Without a command, gain and offset of a torque sensor and of a motor are one: torque_gain and torque_offset say them.
-OF_SENSOR_OR_MOTOR = (TORQUE_SENSOR_GAIN.name, TORQUE_SENSOR_OFFSET.name)
+OF_SENSOR_OR_MOTOR = (TORQUE_SENSOR_GAIN, TORQUE_SENSOR_OFFSET)
+# Nothing depends on it: no command was recorded, a deflection counts up to its mean, a recording is as old as its arm.
+NOT_SEEN = (COMMAND_CLOCK_OFFSET, MOTOR_ENCODER_OFFSET, TORQUE_SENSOR_DRIFT)
+OF_TORQUE_SENSORS = (TORQUE_SENSOR_CROSSTALK,)  # strain gauges feel what passes their neighbours, currents do not
+OF_VELOCITIES = (VELOCITY_LAG, VELOCITY_DELAY, VELOCITY_GAIN)  # of a sensor; derivatives of positions have none
 TORQUE_UNIT = "N m"  # of a joint that turns
 MOST_OF_TORQUE = 0.99  # of the samples, below the largest torque; a few may be wild
 LEAST_SAMPLES = 5  # of a phase of one joint; fewer are not reported
@@ -296,7 +310,12 @@ class RecordingSource(Source):
 
     def offers(self, effect: Effect) -> bool:
         """See :meth:`Source.offers`; recordings calibrate the bare arm, and differences show what may change."""
-        return effect.name not in OF_SENSOR_OR_MOTOR and (effect.may_change or not self._minus)
+        without = [*OF_SENSOR_OR_MOTOR, *NOT_SEEN]
+        if self.mapping.torque_measured_at == "motor":
+            without += OF_TORQUE_SENSORS
+        if "velocity" not in self.mapping.signals:
+            without += OF_VELOCITIES
+        return effect.name not in {one.name for one in without} and (effect.may_change or not self._minus)
 
     def measure_again(self, added: Added, like: Sequence[Cluster]) -> list[Cluster] | None:
         """See :meth:`Source.measure_again`."""

@@ -38,13 +38,14 @@ from numpy.typing import NDArray
 
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.physics import ArmPhysics, LoadState, Physics
-from impact_rs_sim.readings import ArmReadings
+from impact_rs_sim.readings import ArmReadings, delayed
 from impact_rs_sim.robot import Array
 from impact_rs_sim.robot_model import RobotModel
 from impact_rs_trials.recordings.recording import ARM, TooShort
 from impact_rs_trials.runs import ArmSignals, Run
 
 ORDER = 4
+PADDED = 15  # samples beyond each end, three times the coefficients of the filter
 GRID = 10.0  # samples per period of the cut-off frequency, at most
 EDGE = 2.0  # periods of the cut-off frequency, cut off at both ends
 BAND = (1.5, 3.0)  # times the cut-off frequency, where the noise is measured
@@ -114,15 +115,23 @@ class Motion:
         )
 
     def of(self, readings: ArmReadings) -> Motion:
-        """The motion that its readings stand for: position, velocity and acceleration of the links and motors."""
-        scale, late = readings.position_scale * readings.velocity_gain, readings.velocity_late
-        change = np.gradient(self.acceleration, 1.0 / self.rate, axis=0) if late else 0.0
+        """The motion that its readings stand for: position, velocity and acceleration of the links.
+
+        The low-pass has left nothing that an inverse could amplify, so the filter of velocities is inverted exactly:
+        T dv_r/dt + v_r = s s_v dq(t - d).
+        """
+        scale, lag = readings.position_scale * readings.velocity_gain, readings.velocity_lag
+        velocity, acceleration = (
+            delayed(self.time, values, -readings.velocity_delay) for values in (self.velocity, self.acceleration)
+        )
+        if lag:
+            velocity = velocity + lag * acceleration
+            acceleration = acceleration + lag * np.gradient(acceleration, 1.0 / self.rate, axis=0)
         return replace(
             self,
             position=readings.position_of(self.position),
-            velocity=(self.velocity + late * self.acceleration) / scale,
-            acceleration=(self.acceleration + late * change) / scale,
-            motor_position=self.motor_position - readings.motor_offset,
+            velocity=velocity / scale,
+            acceleration=acceleration / scale,
         )
 
     def low_pass(self, values: Array) -> Array:
@@ -131,13 +140,21 @@ class Motion:
 
 
 def _low_pass(values: Array, cut_off: float, rate: float) -> Array:
-    return np.asarray(scipy.signal.sosfiltfilt(_butterworth(cut_off, rate), values, axis=0))
+    """The filter forwards and backwards: ``scipy.signal.sosfiltfilt``, whose steady state is computed once."""
+    sections, steady = _butterworth(cut_off, rate)
+    found = np.concatenate(
+        (2.0 * values[0] - values[PADDED:0:-1], values, 2.0 * values[-1] - values[-2 : -PADDED - 2 : -1])
+    )
+    for _ in range(2):
+        found = scipy.signal.sosfilt(sections, found, axis=0, zi=steady[:, :, None] * found[0])[0][::-1]
+    return np.asarray(found[PADDED:-PADDED])
 
 
 @functools.lru_cache(maxsize=16)
-def _butterworth(cut_off: float, rate: float) -> Array:
-    """The filter in second-order sections, cached: a search filters thousands of predictions."""
-    return np.asarray(scipy.signal.butter(ORDER, cut_off, fs=rate, output="sos"))
+def _butterworth(cut_off: float, rate: float) -> tuple[Array, Array]:
+    """The filter in second-order sections, and its state after a long step, cached for thousands of predictions."""
+    sections = np.asarray(scipy.signal.butter(ORDER, cut_off, fs=rate, output="sos"))
+    return sections, np.asarray(scipy.signal.sosfilt_zi(sections))
 
 
 def prepare(run: Run, cut_off: float) -> Motion:
@@ -368,7 +385,8 @@ class TorqueBalance:
         motions = self._true_motions(arm.readings)
         for number, (motion, rigid) in enumerate(zip(motions, self._rigid_torques(physics), strict=True)):
             on_links = self._load_torques(physics, number, rigid, links_alone=True) if arm.loads else 0.0
-            bent = motion.low_pass(_bent(motion, rigid - on_links, arm, (0,))[0])
+            bent = motion.low_pass(_bent(motion, rigid - on_links, arm, (0,))[0] + motion.position)
+            bent = bent - motion.low_pass(arm.readings.position(motion.position))  # of the encoder of the link
             rows.append(bent - bent[motion.kept].mean(axis=0))
         return rows
 

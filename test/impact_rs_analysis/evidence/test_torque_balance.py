@@ -7,10 +7,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from joint_recordings import swinging, write_npz
+import scipy
+from joint_recordings import Columns, swinging, write_npz
 from slender_arm import mapping_of, slender_arm, swung, with_effects
+from wrong_readings import FAULTS, SCALE, Fault
 
-from impact_rs_analysis.evidence.torque_balance import TorqueBalance, prepare
+from impact_rs_analysis.evidence.torque_balance import ORDER, TorqueBalance, prepare
 from impact_rs_sim.physics import Physics
 from impact_rs_trials.recordings.mapping import Mapping
 from impact_rs_trials.recordings.recording import ARM, read_recordings
@@ -53,6 +55,15 @@ def test_the_torque_of_a_single_joint_follows_its_motion(effects: dict[str, dict
     assert np.ptp(balance.predict(physics)) > 0.5  # N m
 
 
+def test_the_low_pass_is_that_of_scipy(tmp_path: Path) -> None:
+    """Kills another continuation beyond the ends, and a filter that starts at rest."""
+    mapping = mapping_of(tmp_path, slender_arm(("revolute",)))
+    (motion,) = balance_of(tmp_path, mapping).motions
+    values = np.cumsum(np.random.default_rng(1).normal(size=(100, 3)), axis=0)
+    sections = scipy.signal.butter(ORDER, motion.cut_off, fs=motion.rate, output="sos")
+    np.testing.assert_allclose(motion.low_pass(values), scipy.signal.sosfiltfilt(sections, values, axis=0), atol=1e-12)
+
+
 @pytest.mark.parametrize("at_motor", [True, False])
 def test_motors_are_accelerated_by_the_torque_that_was_measured_at_them(at_motor: bool, tmp_path: Path) -> None:
     mapping = mapping_of(tmp_path, slender_arm(("revolute",) * 3))
@@ -93,3 +104,38 @@ def test_a_fast_motion_is_no_noise(tmp_path: Path) -> None:
     assert np.all(found > 0.6 * white) and np.all(found < 0.03 * columns["effort"].std(axis=0))
     still = run.signals.arms[ARM].torque.std(axis=0)
     assert np.all(still > 2.0)  # N m, most of it above the low-pass
+
+
+def balance_of_links(folder: Path, mapping: Mapping, columns: Columns) -> TorqueBalance:
+    path = write_npz(folder / "run.npz", columns)
+    return TorqueBalance([prepare(run, mapping.low_pass) for run in read_recordings(path, mapping)])
+
+
+@pytest.mark.parametrize("fault", FAULTS, ids=lambda fault: fault.effect)
+def test_a_wrong_reading_is_predicted_from_the_motion_that_it_stands_for(fault: Fault, tmp_path: Path) -> None:
+    """As well as a right one; kills the other sign, which makes the error twice as large."""
+    mapping = mapping_of(tmp_path, slender_arm(("revolute",) * 3))
+    right = swung(mapping, {}, noise=0.0, seconds=12.0)
+
+    def rest(columns: Columns, effects: dict[str, dict[str, float]]) -> np.ndarray:
+        balance = balance_of_links(tmp_path, mapping, columns)
+        return balance.recorded - balance.predict(with_effects(mapping, effects))
+
+    of_filters = rest(right, {})
+    wrong = np.std(rest(fault.made(right), {}))
+    assert wrong > 0.01  # N m
+    assert np.std(rest(fault.made(right), fault.planted) - of_filters) < 0.01 * wrong
+
+
+def test_a_deflection_shows_the_scale_of_the_encoder_of_the_link(tmp_path: Path) -> None:
+    """Motor less link: one that reads 2 % too much shows -0.02 q; kills readings that change the torque alone."""
+    mapping = mapping_of(tmp_path, slender_arm(("revolute",) * 3))
+    place = mapping.signals["position"].model_copy(update={"array": "motor"})
+    mapping = mapping.model_copy(update={"signals": mapping.signals | {"motor_position": place}})
+    right = swung(mapping, {}, noise=0.0, seconds=12.0)
+    rng = np.random.default_rng(1)
+    motors = {"motor": right["position"] + rng.normal(0.0, 1e-6, right["position"].shape)}
+    balance = balance_of_links(tmp_path, mapping, SCALE.made(right) | motors)
+    predicted = balance.predict(with_effects(mapping, SCALE.planted))
+    assert np.abs(predicted - balance.recorded)[:, 3:].max() < 1e-4  # rad
+    assert np.ptp(balance.recorded[:, 4]) > 0.01
