@@ -80,12 +80,13 @@ def recorder(plant: str) -> Callable[[BlindTask], str]:
 
 
 def hidden_in(plant: str) -> list[str]:
-    """Effects of the library that a plant can hide."""
+    """Effects of the physics that a plant can hide; the board ``measurement`` has those of sensors."""
+    physical = [name for name, effect in of_trials().items() if not effect.of_measurement]
     if plant == "plant":
-        return list(of_trials())
+        return physical
     from mujoco_cell import UNKNOWN_HERE
 
-    return [name for name in of_trials() if name not in UNKNOWN_HERE]
+    return [name for name in physical if name not in UNKNOWN_HERE]
 
 
 def diagnosed(document: Path, read: Callable[[], Runs], map_tasks: Map) -> DiagnosisDocument:

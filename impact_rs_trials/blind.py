@@ -19,7 +19,6 @@ import numpy as np
 from impact_rs_control.plan import TrialPlan
 from impact_rs_sim.effects import library, of_trials
 from impact_rs_sim.effects.base import Joints
-from impact_rs_sim.effects.sensing import SENSING
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.files import write_whole
 from impact_rs_sim.model import Model, ModelEffect, ParameterValue
@@ -123,7 +122,7 @@ def draw_truth(
     """
     if kind not in KINDS:
         raise InputError(f"no kind {kind!r}; known: {', '.join(KINDS)}")
-    names = sorted(name for name, own in of_trials().items() if own.acts_on != SENSING)
+    names = sorted(name for name, own in of_trials().items() if not own.of_measurement)
     rng = np.random.default_rng([seed, KINDS.index(kind)])
     count = {"single": 1, "pair": 2}.get(kind, 0)
     if effect is None or count == 0:

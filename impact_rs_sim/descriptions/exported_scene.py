@@ -248,6 +248,11 @@ class ExportedScene:
             yield f"restitution {self.restitution:g}; it follows from stiffness and damping of the pads"
         if self.restitution and physics.restitution_law != "newton":
             yield f"restitution law of {physics.restitution_law.capitalize()}; compliant contacts have their own"
+        for name, arm in physics.arms.items():
+            if any(arm.end_effector.pad_offset) and ExportedQuantity.PAD_TILT not in held:
+                yield f"{name}: where the pad is, {_list(np.array(arm.end_effector.pad_offset))} m from its place"
+        if not physics.tracker.exact:
+            yield f"sensor model of the object tracker, {physics.tracker}"
         if not physics.twist_readings.exact:
             yield f"how the twist of the body was measured, {physics.twist_readings}"
         for law in physics.contact_laws:

@@ -21,8 +21,8 @@ from wrong_readings import (
     SCALE,
     TORQUE_LAG,
     VELOCITY_DELAY,
-    VELOCITY_LAG,
     VELOCITY_GAIN,
+    VELOCITY_LAG,
     Fault,
 )
 
