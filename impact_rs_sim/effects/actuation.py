@@ -34,7 +34,10 @@ TORQUE_OFFSET = ArmEffect(
 TORQUE_GAIN = ArmEffect(
     name="torque_gain",
     acts_on="actuation",
-    sentence="Each joint delivers a few percent more or less torque than commanded.",
+    sentence=(
+        "Each joint delivers a few percent more or less torque than commanded; where no command was recorded, its "
+        "torque sensor may as well read so."
+    ),
     parameters=(Parameter("gain", "-", 1.0, 0.7, 1.3, 0.01, "delivered over desired torque", per_joint=True),),
     law=_gain,
     lasting=True,
