@@ -127,6 +127,14 @@ def test_a_wrong_reading_is_predicted_from_the_motion_that_it_stands_for(fault: 
     assert np.std(rest(fault.made(right), fault.planted) - of_filters) < 0.01 * wrong
 
 
+def test_a_filter_that_is_none_but_for_the_rounding_changes_nothing(tmp_path: Path) -> None:
+    """A fit ends at a bound up to the rounding; kills exp(period / 1e-19), which overflows."""
+    mapping = mapping_of(tmp_path, slender_arm(("revolute",)))
+    balance = balance_of(tmp_path, mapping)
+    none, rounded = ({"torque_sensor_lag": {"lag": lag}} for lag in (0.0, -1e-19))
+    assert np.array_equal(*(balance.predict(with_effects(mapping, effects)) for effects in (none, rounded)))
+
+
 def test_a_deflection_shows_the_scale_of_the_encoder_of_the_link(tmp_path: Path) -> None:
     """Motor less link: one that reads 2 % too much shows -0.02 q; kills readings that change the torque alone."""
     mapping = mapping_of(tmp_path, slender_arm(("revolute",) * 3))
