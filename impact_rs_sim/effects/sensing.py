@@ -28,7 +28,7 @@ from impact_rs_sim.twist_readings import Three, TwistReadings
 SENSING = "sensing"
 AXES = ("x", "y", "z")
 CONTACT = ("contact",)
-# Ranges of encoders are firm: a zero 6 degrees off and a gear ratio 10 % off are seen by eye, and zeros of industrial arms
+# Ranges of encoders are firm: a zero 6 degrees off and a gear ratio 10 % off are seen by eye; zeros of industrial arms
 # are known to some mrad.
 
 
