@@ -182,7 +182,7 @@ def test_turned_axes_of_spins_calibrate_a_table(tmp_path: Path, document: Docume
     effects = ("restitution", "support_friction", "drilling_friction", "spin_axes")
     found = document("diagnose", *table, "--effects", *effects, "-o", diagnosis)
     assert set(found["named"]) == {"restitution", "support_friction", "spin_axes"}
-    begin = "The measurement: angular velocities are measured in turned axes: x 5."
+    begin = "The measurement: angular velocities are in axes turned by the rotation vector x 5."
     assert found["summary"].startswith(begin)  # y and z hold 0, and are not said
     assert "Of the physics restitution and support_friction are missing." in found["summary"]
     assert main(["add", *found["named"], "--from", str(diagnosis), "-o", str(child)]) == 0

@@ -192,6 +192,6 @@ def test_a_fold_in_another_process_finds_the_friction_that_it_finds_here(
     here, there = (
         held_out(ReplaySource.of(runs, load_model("nominal"), ReplayCache(way)), effects) for way in (map, elsewhere)
     )
-    np.testing.assert_array_equal(there.errors, here.errors)
+    np.testing.assert_array_equal(errors_of(there), errors_of(here))
     assert there.chosen == here.chosen
     assert ("support_friction",) in here.chosen
