@@ -3,13 +3,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from impact_rs_analysis.diagnosis.agreement import AgreementDocument
 
 ROW = 44  # px between nodes
 MARGIN = 28  # px above the first node
-LEFT, RIGHT, WIDTH = 150, 330, 640  # px, ends of the lines and width of the graph
+LEFT, RIGHT, WIDTH = 150, 330, 900  # px, ends of the lines and width of the graph
 
 
 @dataclass(frozen=True)
@@ -87,7 +88,7 @@ def agreement_graph(document: AgreementDocument) -> AgreementGraph | None:
     return AgreementGraph(
         document=document,
         readings=tuple(AgreementNode(name, y, ", ".join(common.get(name, []))) for name, y in at_reading.items()),
-        relations=tuple(AgreementNode(name, y, ", ".join(against[name])) for name, y in at_relation.items()),
+        relations=tuple(AgreementNode(name, y, _places(against[name])) for name, y in at_relation.items()),
         lines=tuple(
             AgreementLine(at_reading[reading], y, not against[name])
             for name, y in at_relation.items()
@@ -96,6 +97,14 @@ def agreement_graph(document: AgreementDocument) -> AgreementGraph | None:
         height=2.0 * MARGIN + (rows - 1) * ROW,
         in_words="; ".join(said),
     )
+
+
+def _places(places: Sequence[str]) -> str:
+    """Joints and axes in a few words: "joints 2, 4"."""
+    numbers = [place.removeprefix("joint") for place in places]
+    if len(places) > 1 and all(number.isdigit() for number in numbers):
+        return f"joints {', '.join(numbers)}"
+    return ", ".join(places)
 
 
 def _heights(count: int, rows: int) -> list[float]:
