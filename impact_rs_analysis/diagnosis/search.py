@@ -333,7 +333,9 @@ class Search:
         chosen = self._extend(None, None if self.source.repeated else named)
         if not self.source.repeated:
             chosen = self._extend(chosen)
-        return None if chosen is None else self._out_of_small_minima(chosen)
+        if chosen is None:
+            return None
+        return self._out_of_small_minima(self._without_the_superfluous(chosen))
 
     def _out_of_small_minima(self, chosen: Fit) -> Fit:
         """The chosen effects at a lower error, where more than noise is left of trials and no effect explains it."""
@@ -531,6 +533,21 @@ class Search:
             found = [proposal for proposal in found if noticeable(proposal, first)]
         return simplest(found) if found else None
 
+    def _without_the_superfluous(self, chosen: Fit, within: float = 0.0) -> Fit:
+        """The fit without effects that the others make redundant.
+
+        Args:
+            chosen: The fit.
+            within: Log ratio of scores up to which a fit without an effect is as good.
+        """
+        for name in chosen.candidate.names:
+            if len(chosen.candidate.effects) == 1:
+                break
+            fitted = self.without(chosen, name)
+            if fitted is not None and fitted.score <= chosen.score * math.exp(within):
+                return self._without_the_superfluous(fitted, within)
+        return chosen
+
     def without(self, chosen: Fit, name: str) -> Fit | None:
         """The other chosen effects, fitted again; None where they cannot be simulated."""
         others = self._others(chosen, name)
@@ -569,6 +586,8 @@ class Search:
         rivals, known = self.rivals(chosen), {frozenset(chosen.candidate.names)}
         for _ in range(MOST_EFFECTS):
             alternatives = [rival.fit for rival in rivals if rival.tied]
+            if len(chosen.candidate.names) > 1:  # what takes the place of one may explain the others as well
+                alternatives += [self._without_the_superfluous(fitted, TIE) for fitted in alternatives]
             limit = chosen.score * math.exp(TIE)
             simpler = [fit for fit in alternatives if fit.score <= limit and fit.cost < chosen.cost]
             better = [rival.fit for rival in rivals if rival.fit.score < (1.0 - LEAST_GAIN) * chosen.score]

@@ -506,6 +506,14 @@ def test_an_effect_in_whose_place_another_predicts_far_better_is_replaced() -> N
         assert not any(rival.fit.score < found.score for rival in rivals)
 
 
+def test_an_effect_that_another_one_makes_redundant_is_left_out() -> None:
+    """Kills: the superfluous is kept."""
+    search = searched(AnalyticSource(1, (("straight", (5.0,)),)))
+    both = search.fitted(("straight", "bent"))
+    assert both is not None
+    assert search._without_the_superfluous(both).candidate.names == ("straight",)
+
+
 @pytest.mark.parametrize(("size", "found"), [(0.12, ("straight",)), (0.4, ("straight", "bent"))])
 def test_an_effect_is_added_where_it_lowers_the_error_by_a_tenth(size: float, found: tuple[str, ...]) -> None:
     """Both are significant beside a rest of 5: 7 % and 20 % of it. Kills: the gain is not asked."""
