@@ -216,6 +216,12 @@ def few_hits(tmp_path: Path) -> Path:
     return write_csv(tmp_path / "hits.csv", *arm_table({}, 2, 1))
 
 
+@pytest.fixture
+def many_hits(tmp_path: Path) -> Path:
+    """So many that a diagnosis has not ended before a slow machine stops it: one that has ended leaves its document."""
+    return write_csv(tmp_path / "hits.csv", *arm_table({}, 60, 1))
+
+
 def test_a_diagnosis_that_fails_is_reported_with_its_reason_and_command(few_hits: Path, tmp_path: Path) -> None:
     diagnosis = FullDiagnosis({"impacts": few_hits, "scenario": "push"}, tmp_path / "more")
     diagnosis.start("row 99")
@@ -230,11 +236,11 @@ def test_a_diagnosis_that_fails_is_reported_with_its_reason_and_command(few_hits
 
 @pytest.mark.parametrize("patience", [60.0, 0.0])
 def test_a_diagnosis_that_is_stopped_has_ended_and_leaves_nothing(
-    few_hits: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, patience: float
+    many_hits: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, patience: float
 ) -> None:
     """By Ctrl-C, and by a kill where it does not end in time."""
     monkeypatch.setattr("impact_rs_cli.full_diagnosis.PATIENCE", patience)
-    diagnosis = FullDiagnosis({"impacts": few_hits, "scenario": "push"}, tmp_path / "more")
+    diagnosis = FullDiagnosis({"impacts": many_hits, "scenario": "push"}, tmp_path / "more")
     diagnosis.start("row 3")
     process = diagnosis._running.process  # type: ignore[union-attr]
     diagnosis.stop()
@@ -254,9 +260,9 @@ time.sleep(1000)
 
 
 @pytest.fixture
-def starter(few_hits: Path, tmp_path: Path) -> Iterator[subprocess.Popen[str]]:
+def starter(many_hits: Path, tmp_path: Path) -> Iterator[subprocess.Popen[str]]:
     """A process that has started a diagnosis, whose id it prints."""
-    words = [sys.executable, "-c", FOLLOWING, str(few_hits), str(tmp_path / "more")]
+    words = [sys.executable, "-c", FOLLOWING, str(many_hits), str(tmp_path / "more")]
     with subprocess.Popen(words, stdout=subprocess.PIPE, text=True) as process:
         yield process
         process.kill()
