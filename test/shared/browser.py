@@ -98,8 +98,15 @@ class Held:
 
     def __init__(self, page: Page, pattern: str) -> None:
         self._routes: list[Route] = []
-        self._page, self._pattern = page, pattern
-        page.route(pattern, lambda route: self._routes.append(route))  # a route ends the cache of the browser
+        self._page, self._free = page, False
+        page.route(pattern, self._take)  # a route ends the cache of the browser
+
+    def _take(self, route: Route) -> None:
+        """Hold a question; one that comes after the others were let go is answered at once."""
+        if self._free:
+            route.continue_()
+        else:
+            self._routes.append(route)
 
     def wait_for(self, count: int) -> None:
         """Until so many questions were asked."""
@@ -108,10 +115,10 @@ class Held:
 
     def let_go(self) -> None:
         """Answer every question, and let the page paint."""
-        for route in self._routes:
+        self._free = True
+        while self._routes:
+            route = self._routes.pop(0)
             route.fulfill(response=route.fetch())
-        self._routes.clear()
-        self._page.unroute(self._pattern)
         self._page.evaluate(FRAMES, 6)
 
     def answer_last_of(self, count: int) -> None:
