@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Faults of readings: is an encoder that is off told from a payload, and is the physics beneath still found?
+"""Faults of readings: does a diagnosis distinguish an encoder that is off from a payload, and find the physics beneath?
 
 Campaigns with a known truth are recorded by a laboratory with its own topics and clocks. Then ONE READING is made
 wrong in all of their bags, after the recording: an encoder's zero, a torque sensor's gain, a filter, a clock, the frame

@@ -287,13 +287,12 @@ def replays(
 
 def _job(window: Window, physics: Physics, drive_period: float, drive: DriveName) -> TwinJob:
     """The simulation of a window; before contact the object is left out."""
-    arms, drives, torque, box = window.arms, window.drives, window.torque, window.object
+    arms, drives, box = window.arms, window.drives, window.object
+    torque, acting = window.torque, window.acting
     joint_torque = drive == "joint torque"
     if not all(arm.readings.exact for arm in physics.arms.values()):
         arms = {name: _true_start(window, name, arm.readings) for name, arm in physics.arms.items()}
         drives = {name: _true_drive(window, name, arm.readings) for name, arm in physics.arms.items()}
-    acting = window.acting
-    if arms is not window.arms:
         shifted = _true_torque if joint_torque else _true_command
         torque = {name: shifted(window, name, arm.readings) for name, arm in physics.arms.items()}
         acting = {name: np.arange(len(own), dtype=np.int32) for name, own in torque.items()}

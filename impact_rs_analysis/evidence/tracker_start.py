@@ -15,10 +15,8 @@ import pinocchio as pin
 from impact_rs_analysis.evidence.measured_runs import MeasuredRun
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.robot import Array
-from impact_rs_trials.recordings.contact_frame import PadOnFace, contact_frame
+from impact_rs_trials.recordings.contact_frame import FOLLOWED, TOUCHING, PadOnFace, contact_frame
 
-TOUCHING = (0.02, 0.1)  # s from the impact on, in which the pad lies flat on the face and pushes it
-FOLLOWED = 0.3  # s from the impact on, in which the object goes where the pad goes
 TIMES_ERROR = 1.0  # standard errors of the frame; nearer, nominal is as good a start
 
 

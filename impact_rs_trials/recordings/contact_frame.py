@@ -32,6 +32,8 @@ FLUSH = 0.02  # rad, standard deviation of the angle between them
 KNOWN = 0.005  # m; a direction with a larger standard error counts as undetermined
 PUSHED = 0.005  # m; if all objects together move by less, they do not determine the initial psi
 STEPS = 20
+TOUCHING = (0.02, 0.1)  # s from the impact on, in which the pad lies flat on the face and pushes it
+FOLLOWED = 0.3  # s from the impact on, in which the object goes where the pad goes
 CLOSE = 1e-9  # m or rad, convergence tolerance of a step
 
 

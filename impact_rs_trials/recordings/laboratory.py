@@ -43,7 +43,7 @@ from impact_rs_trials.recordings.clock import (
     tell_gaps,
 )
 from impact_rs_trials.recordings.clock_offset import OBJECT_SIGNALS, on_one_clock, with_start_at
-from impact_rs_trials.recordings.contact_frame import ContactFrame, PadOnFace, contact_frame
+from impact_rs_trials.recordings.contact_frame import FOLLOWED, TOUCHING, ContactFrame, PadOnFace, contact_frame
 from impact_rs_trials.recordings.experiment import (
     FRICTION_NOISE,
     Experiment,
@@ -85,8 +85,6 @@ GAP_REPORTED = 0.005  # s, longer than this; a shorter one fits into the window 
 GAP_CUT = 0.010  # s; longer gaps are not interpolated
 JUMP = 0.1  # s, a longer step is a jump of the clock
 JITTER = 0.2  # periods by which stamps may be off the regular grid without a remark
-TOUCHING = (0.02, 0.1)  # s from the impact on, in which the pad lies flat on the face and pushes it
-FOLLOWED = 0.3  # s from the impact on, in which the object goes where the pad goes
 SLOW_JOINTS = 200.0  # Hz
 SLOW_POSE = 60.0  # Hz
 IMPACT_SHARE = 0.02  # of the samples, in which an impact may take a velocity or torque beyond the data sheet
