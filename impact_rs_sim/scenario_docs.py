@@ -14,7 +14,7 @@ from typing import Annotated, Any, Literal, Union, get_args, get_origin
 from annotated_types import Ge, Gt, Le
 from pydantic.fields import FieldInfo
 
-from impact_rs_sim.robot import RobotFacts
+from impact_rs_sim.robot import Reflexes, RobotFacts
 from impact_rs_sim.scenario import Scenario
 from impact_rs_sim.schema import Schema
 
@@ -79,9 +79,12 @@ def _kind(field: FieldInfo) -> str:
         return " or ".join(f"`{value}`" for value in get_args(kind))
     if get_origin(kind) is tuple:
         entries = get_args(kind)
-        of = {str: "texts", int: "whole numbers"}.get(_alternatives(entries[0])[0], "numbers")
+        entry = _alternatives(entries[0])[0]
+        of = "names" if get_origin(entry) is Literal else {str: "texts", int: "whole numbers"}.get(entry, "numbers")
+        if isinstance(entry, type) and issubclass(entry, Schema):
+            return "sections"
         return f"list of {of}" if Ellipsis in entries else f"{len(entries)} {of}"
-    if get_origin(kind) is dict:
+    if get_origin(kind) is dict or (isinstance(kind, type) and issubclass(kind, Schema)):
         return "section"
     return {float: "number", int: "whole number", str: "text", bool: "`true` or `false`"}.get(kind, kind.__name__)
 
@@ -139,15 +142,6 @@ def _sections(
             yield from _sections(f"{prefix}.{key}".lstrip("."), below, text, without)
 
 
-def _table(head: str, rows: list[tuple[str, ...]]) -> list[str]:
-    lines = [
-        f"| {head} | Value | Default | Meaning |",
-        "|---" * 4 + "|",
-        *("| " + " | ".join(row) + " |" for row in rows),
-    ]
-    return [line.replace(">= ", "≥ ").replace("<= ", "≤ ") for line in lines]
-
-
 def key_table(head: str, schema: type[Schema], without: tuple[type[Schema], ...] = ()) -> str:
     """One table of all keys of a file in Markdown, dotted, ``NAME`` for a name that a user chooses.
 
@@ -156,35 +150,23 @@ def key_table(head: str, schema: type[Schema], without: tuple[type[Schema], ...]
         schema: Schema of the file.
         without: Schemas of sections that have tables of their own.
     """
-    rows = []
+    rows: list[tuple[str, ...]] = [(head, "Value", "Default", "Meaning")]
     for path, section, meaning in _sections("", schema, "", without):
-        if path:
+        if path and meaning:
             rows.append((f"`{path}`", "section", "", _sentence_case(meaning)))
         for name, field in section.model_fields.items():
             key, below = _key(name, field.annotation)
-            if below is None:
-                rows.append(_row(section, name, field, f"{path}.{name}".lstrip(".")))
-            elif issubclass(below, without):
-                rows.append(
-                    (f"`{path}.{key}`".replace("`.", "`"), "section", "", _sentence_case(field.description or ""))
-                )
-    return "\n".join(_table(head, rows))
+            dotted = f"{path}.{name if below is None else key}".lstrip(".")
+            if below is None or below in without:
+                rows.append(_row(section, name, field, dotted))
+    lines = ["| " + " | ".join(row) + " |" for row in rows]
+    lines.insert(1, "|---" * 4 + "|")
+    return "\n".join(lines).replace(">= ", "≥ ").replace("<= ", "≤ ")
 
 
 def markdown() -> str:
     """``docs/scenarios.md``."""
-    lines = [HEADER]
-    for path, schema, meaning in _sections("", Scenario, "", (RobotFacts,)):
-        rows = [
-            _row(schema, name, field, name)
-            for name, field in schema.model_fields.items()
-            if _key(name, field.annotation)[1] in (None, RobotFacts)
-        ]
-        lines.append(f"## `{path}`\n" if path else "## Top level\n")
-        purpose = meaning or (schema.__doc__ or "").splitlines()[0]
-        lines.append(f"{_sentence_case(purpose).rstrip('.')}.\n")
-        lines += [*_table("Key", rows), ""] if rows else []
-    return "\n".join(lines).rstrip() + "\n"
+    return f"{HEADER}\n{key_table('Key', Scenario, (RobotFacts, Reflexes))}\n"
 
 
 if __name__ == "__main__":

@@ -169,6 +169,7 @@ def test_a_generated_table_of_keys_has_every_key_once_with_a_meaning(name: str) 
     rows = [re.split(r" (?<!\\)\| ", line.strip("| ")) for line in manual.TABLES[name]().splitlines()[2:]]
     elsewhere = ("signals.NAME.", "formulas[N].")  # have tables of their own
     there = [row[0].strip("`") for row in rows if row[1] != "section" or row[2]]
+    there = [key for key in there if key not in ("signals.NAME", "formulas[N]")]
     wanted = [key for key, _ in keys(schema) if not key.startswith(elsewhere)]
     assert sorted(there) == sorted(wanted)
     assert [row[0] for row in rows if len(row) != 4 or not row[3]] == []
