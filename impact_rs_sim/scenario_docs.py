@@ -36,6 +36,7 @@ Generated from `impact_rs_sim/scenario.py` by `python -m impact_rs_sim.scenario_
 """
 
 LIMITS = {Gt: ("gt", ">"), Ge: ("ge", ">="), Le: ("le", "<=")}
+MOST_WORDS_OF_A_NAME = 3  # a section that is described by so few ("Arms by name") has no row: its key says it
 UNIT = re.compile(r" ?\[([^\]]+)\](?!\()")
 
 
@@ -152,7 +153,7 @@ def key_table(head: str, schema: type[Schema], without: tuple[type[Schema], ...]
     """
     rows: list[tuple[str, ...]] = [(head, "Value", "Default", "Meaning")]
     for path, section, meaning in _sections("", schema, "", without):
-        if path and meaning:
+        if path and len(meaning.split()) > MOST_WORDS_OF_A_NAME:
             rows.append((f"`{path}`", "section", "", _sentence_case(meaning)))
         for name, field in section.model_fields.items():
             key, below = _key(name, field.annotation)
