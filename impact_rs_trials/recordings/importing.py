@@ -75,8 +75,6 @@ from impact_rs_trials.recordings.import_texts import ARM, BODY, FoundRun, Line, 
 from impact_rs_trials.recordings.inner_runs import RUN, run_column_of, run_groups_of, runs_of
 from impact_rs_trials.recordings.mapping import (
     NO_ROBOT,
-    TURNS,
-    UNITS,
     Mapping,
     MountedEndEffector,
     SignalName,
@@ -105,6 +103,7 @@ from impact_rs_trials.recordings.torque_readings import (
     order_of_joints,
 )
 from impact_rs_trials.recordings.transforms import are_transforms
+from impact_rs_trials.recordings.units import TURNS, UNITS
 
 MOST_SHOWN = 3  # signals of a kind in a message
 MOST_POSES = 10

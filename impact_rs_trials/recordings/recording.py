@@ -22,7 +22,7 @@ from impact_rs_trials.recordings.clock_offset import on_one_clock
 from impact_rs_trials.recordings.faults import EXCESS, FEW, MARGIN, without_faults
 from impact_rs_trials.recordings.guesses import at_rest
 from impact_rs_trials.recordings.joint_checks import doubts_of_arm
-from impact_rs_trials.recordings.mapping import CURRENTS, JOINT_SIGNALS, REQUIRED, Mapping, SignalName
+from impact_rs_trials.recordings.mapping import JOINT_SIGNALS, REQUIRED, Mapping, SignalName
 from impact_rs_trials.recordings.sampling_times import doubt_of_timestamps
 from impact_rs_trials.recordings.series import Series
 from impact_rs_trials.recordings.sources import (
@@ -36,6 +36,7 @@ from impact_rs_trials.recordings.sources import (
     spread_runs,
 )
 from impact_rs_trials.recordings.torque_readings import check_holds_weight
+from impact_rs_trials.recordings.units import CURRENTS
 from impact_rs_trials.runs import ArmSignals, Run, Signals
 
 logger = logging.getLogger(__name__)
