@@ -32,7 +32,8 @@ from impact_rs_sim.robot import Array
 from impact_rs_sim.scenario import Scenario
 from impact_rs_sim.scene import ArmState
 from impact_rs_trials.bags.reader import reason_of, recorded_at
-from impact_rs_trials.recordings.impact_table import ImpactRow, ImpactTable, name_of_row
+from impact_rs_trials.recordings.impact_cells import name_of_row
+from impact_rs_trials.recordings.impact_table import ImpactRow, ImpactTable
 from impact_rs_trials.runs import label_of
 from impact_rs_trials.spec import TrialSpec
 
