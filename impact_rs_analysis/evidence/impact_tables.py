@@ -96,6 +96,7 @@ from impact_rs_sim.proportion import Proportion
 from impact_rs_sim.recent import Recent
 from impact_rs_sim.robot import Array
 from impact_rs_trials.recordings.impact_checks import OtherAxes, doubts_of, other_axes
+from impact_rs_trials.recordings.impact_columns import CONDITION, N_NOISE, P_NOISE, V_NOISE, W_NOISE
 from impact_rs_trials.recordings.impact_table import WIDER, ImpactTable
 from impact_rs_trials.workers import Map
 
@@ -130,11 +131,12 @@ NO_DISCREPANCY_KNOWN = (
 DISTANCE = "distance after"
 ALONE = ("joints", "object")  # parts of a row of an arm that are also judged apart
 NO_REPEATS = (
-    "too few rows are repeats of each other (column 'condition'), so blocks of neighbouring rows are held out instead"
+    f"too few rows are repeats of each other (column '{CONDITION.header}'), so blocks of neighbouring rows are held "
+    "out instead"
 )
 NO_NOISE = (
-    "the noise is not known: there are neither repeats nor columns 'v_noise [m/s]' and 'w_noise [rad/s]'; unexplained "
-    "residuals may be noise"
+    f"the noise is not known: there are neither repeats nor columns '{V_NOISE.header}' and '{W_NOISE.header}'; "
+    "unexplained residuals may be noise"
 )
 
 WHAT = "velocities just after every impact, measured and predicted by the impact map from the state before"
@@ -809,7 +811,8 @@ class ImpactTableSource(Source):
             )
         if self.noise is not None and (own := self._in_energy(self._noise_of_contacts[:, self._seen])) > 0.0:
             remarks.append(
-                f"place and normal of the contacts, known to p_noise and n_noise, are {own:.2g} m/s of the noise"
+                f"place and normal of the contacts, known to {P_NOISE.first} and {N_NOISE.first}, are {own:.2g} m/s of "
+                "the noise"
             )
         gained = [row.number for row, ratio in zip(self.table.rows, self._gained, strict=True) if ratio > GAINED]
         if gained and not self.impossible:

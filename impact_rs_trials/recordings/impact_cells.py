@@ -161,7 +161,8 @@ def read_cells(path: Path, known: Iterable[Columns]) -> ImpactCells:
         for header, cells in table.cells.items()
     }
     by_name = {name: one for one in known for name in one.names}
-    found, others = {}, []
+    found: dict[str, FoundColumn] = {}
+    others: list[str] = []
     for header in columns:
         name, unit = name_and_unit(header)
         if name in found:

@@ -10,10 +10,9 @@ A; twists are those of the geometric centre; *before* and *after* are just befor
 from __future__ import annotations
 
 import re
+import sys
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
-
-import numpy as np
 
 from impact_rs_sim.impact_map import measured
 from impact_rs_sim.robot import UNITS, JointUnits
@@ -36,7 +35,7 @@ class Range:
 
 
 ANY = Range("a number", lambda value: True)
-POSITIVE = Range("a number > 0", lambda value: value >= np.finfo(float).tiny)
+POSITIVE = Range("a number > 0", lambda value: value >= sys.float_info.min)
 NOT_NEGATIVE = Range("a number >= 0", lambda value: value >= 0.0)
 SHARE = Range("a number between 0 and 1", lambda value: 0.0 <= value <= 1.0)
 FLAG = Range("a number 0 (solid) or 1", lambda value: value in (0.0, 1.0))
