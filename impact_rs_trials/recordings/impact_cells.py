@@ -156,6 +156,8 @@ def read_cells(path: Path, known: Iterable[Columns]) -> ImpactCells:
         InputError: It is no table, has no row, or a column has an unknown unit.
     """
     table = table_columns.read_columns(path, recorded=False)
+    if not table.cells:
+        raise InputError("no header; expected names of columns with their units", file=path)
     columns = {
         header: [str(stamp) for stamp in np.asarray(cells).astype("datetime64[ns]")] if header in table.dates else cells
         for header, cells in table.cells.items()

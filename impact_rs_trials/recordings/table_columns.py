@@ -36,12 +36,14 @@ class Columns:
         lines: Line of every row in a text file; empty: it is none.
         dates: Columns that hold dates, as nanoseconds since 1970.
         remarks: What the user should know of how it was read.
+        header: Line of the names in a text file; 0: they stand in none.
     """
 
     cells: Mapping[str, list[str] | NDArray[Any]]
     lines: tuple[int, ...] = ()
     dates: frozenset[str] = frozenset()
     remarks: tuple[str, ...] = ()
+    header: int = 0
 
     def in_rows(self, rows: NDArray[np.signedinteger]) -> Columns:
         """Some of the rows."""
@@ -59,7 +61,7 @@ def read_columns(path: Path, layout: TableLayout = DEFAULT_LAYOUT, recorded: boo
         path: The file.
         layout: Where a text has its names and rows.
         recorded: Whether it was recorded sample by sample: its last line may be cut off, and it has at least one row.
-            Of other tables every line has as many cells as the header, and there may be no row.
+            Of other tables every line has as many cells as the header, and there may be no row, or no header.
 
     Raises:
         InputError: It cannot be read, a line has another number of cells, or two columns share a name.
@@ -110,9 +112,10 @@ def _of_text(path: Path, layout: TableLayout, recorded: bool) -> Columns:
     rows = csv_rows(path, layout.header, layout.first, layout.decimal)
     if layout.header == 0 and rows:
         rows.insert(0, (0, [f"c{number}" for number in range(1, len(rows[0][1]) + 1)]))
-    if len(rows) < (2 if recorded else 1):
-        more = " and lines of numbers" if recorded else ""
-        raise InputError(f"no header; expected a line of column names{more}", file=path)
+    if recorded and len(rows) < 2:
+        raise InputError("expected a line of column names and lines of numbers", file=path)
+    if not rows:
+        return Columns({})
     (at, names), *rows = rows
     what = "numbers" if recorded else "cells"
     header, remarks = [name.strip() for name in names], []
@@ -129,7 +132,7 @@ def _of_text(path: Path, layout: TableLayout, recorded: bool) -> Columns:
     lines = tuple(number for number, _ in rows)
     columns = [list(cells) for cells in zip(*(row for _, row in rows), strict=True)] or [[] for _ in header]
     cells: Cells = dict(zip(header, columns, strict=True))
-    return Columns(_each_once(path, header, cells), lines, remarks=tuple(remarks))
+    return Columns(_each_once(path, header, cells), lines, remarks=tuple(remarks), header=at)
 
 
 def _each_once(path: Path, names: Sequence[str], cells: Cells) -> Cells:
