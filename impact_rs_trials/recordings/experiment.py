@@ -26,9 +26,8 @@ from impact_rs_sim.errors import InputError, did_you_mean
 from impact_rs_sim.robot import Array
 from impact_rs_sim.scenario import Scenario, load_scenario
 from impact_rs_sim.schema import PositiveNumber, PositiveVector3, Schema, Vector3, load
-from impact_rs_trials.recordings.file_groups import RUN_TABLE
 from impact_rs_trials.recordings.mapping import Mapping, load_mapping
-from impact_rs_trials.recordings.sources import FILE_SUFFIXES, name_of, spread_runs
+from impact_rs_trials.recordings.run_finder import RUN_TABLE, find_run, name_of
 from impact_rs_trials.recordings.table_columns import read_columns
 
 HIT = "hit"
@@ -293,7 +292,10 @@ def read_runs(directory: Path, experiment: Experiment, scenario: Scenario | None
             )
         if not hit and name not in (NO_OBJECT, ""):
             raise _wrong(path, line, "object", name, f"expected {NO_OBJECT!r}, nothing is touched in free motion")
-        recording = _recording(path, line, directory, cells["bag"], mappings)
+        try:
+            recording = find_run(directory, cells["bag"], mappings)
+        except InputError as error:
+            raise _wrong(path, line, "bag", cells["bag"], error.message) from None
         if recording in seen:
             raise _wrong(path, line, "bag", cells["bag"], f"stands in line {seen[recording]} already")
         seen[recording] = line
@@ -347,35 +349,6 @@ def _table(path: Path) -> list[tuple[int, dict[str, str]]]:
     if not found:
         raise InputError(f"no run below the header {','.join(header)}", file=path)
     return [(line, dict(zip(header, row, strict=True))) for line, row in found]
-
-
-def _recording(table: Path, line: int, directory: Path, name: str, mappings: Sequence[Mapping]) -> Path:
-    """What a row names: a file, without its ending perhaps, a run inside of it, a folder, or a run of several files."""
-    if not name:
-        raise _wrong(table, line, "bag", name, "expected the name of a recording")
-    path = directory / name
-    if all(mapping.spread for mapping in mappings):
-        runs = spread_runs(path.parent, mappings[0]) if path.parent.is_dir() else {}
-        if path in runs:
-            return path
-        files = ", ".join(sorted({str(source.file) for mapping in mappings for source in mapping.signals.values()}))
-        near = did_you_mean(path.name, [run.name for run in runs])
-        raise _wrong(table, line, "bag", name, f"no such run among the files {files} in {path.parent}{near}")
-    try:
-        if path.exists() or path.parent.is_file() and any(mapping.holds_runs for mapping in mappings):
-            return path
-    except (OSError, ValueError):  # a name that no file can have
-        raise _wrong(table, line, "bag", name, "expected the name of a recording") from None
-    endings = [path.with_name(path.name + suffix) for suffix in FILE_SUFFIXES]
-    found = [file for file in endings if file.is_file()]
-    if len(found) == 1:
-        return found[0]
-    if found:
-        names = ", ".join(file.name for file in found)
-        raise _wrong(table, line, "bag", name, f"{names} are all there; name one of them")
-    others = [item.name for item in path.parent.iterdir()] if path.parent.is_dir() else []
-    others += [Path(item).stem for item in others]
-    raise _wrong(table, line, "bag", name, f"no such recording in {path.parent}{did_you_mean(path.name, others)}")
 
 
 def _wrong(path: Path, line: int, column: str, value: str, message: str) -> InputError:

@@ -29,10 +29,10 @@ from impact_rs_trials.recordings.impact_columns import (
 from impact_rs_trials.recordings.impact_rows import Impact, NoRow
 from impact_rs_trials.recordings.laboratory import Laboratory, placed, with_object
 from impact_rs_trials.recordings.mapping import Mapping
-from impact_rs_trials.recordings.recording import find_recordings
 from impact_rs_trials.recordings.remarks import Amount, Remark, merged
+from impact_rs_trials.recordings.run_finder import find_runs
 from impact_rs_trials.recordings.series import Names
-from impact_rs_trials.recordings.sources import read_series, runs_inside
+from impact_rs_trials.recordings.sources import read_series
 from impact_rs_trials.workers import Map
 
 SPIN = (
@@ -116,9 +116,10 @@ def _of_bodies(directory: Path, experiment: Experiment, body: Body, map_tasks: M
     (mapping,) = experiment.load_mappings(["body"]).values()
     plane = experiment.plane or Plane()
     tables = (directory / experiment.runs, experiment.folder / experiment.runs)
-    rows = [RunRow(run, "body", True, "") for path in find_recordings(directory) for run in runs_inside(path, mapping)]
     if any(table.is_file() for table in tables):
         rows = [row for row in read_runs(directory, experiment, None) if row.hit]
+    else:
+        rows = [RunRow(run, "body", True, "") for run in find_runs(directory, mapping)]
     runs, left_out = [], []
     remarks: list[tuple[str, str]] = []
     for row, result in zip(rows, map_tasks(_track, [(row, mapping, body, plane) for row in rows]), strict=True):
