@@ -41,6 +41,7 @@ from impact_rs_trials.recordings.experiment import (
     MotionCapture,
     read_runs,
 )
+from impact_rs_trials.recordings.file_units import SLIDES, TURNS, UNITS, si_unit
 from impact_rs_trials.recordings.importing import Wishes, draft_import
 from impact_rs_trials.recordings.laboratory import IMPACT_SHARE, Laboratory, placed, read_run
 from impact_rs_trials.recordings.mapping import (
@@ -57,7 +58,6 @@ from impact_rs_trials.recordings.plausibility import check_weight
 from impact_rs_trials.recordings.recording import check_limits, check_velocity
 from impact_rs_trials.recordings.series import Series
 from impact_rs_trials.recordings.sources import read_series
-from impact_rs_trials.recordings.units import SLIDES, TURNS, UNITS, si_unit
 from impact_rs_workbench.workspace import RUN_TABLE, Workspace
 
 EXPERIMENT = "experiment.yaml"

@@ -27,7 +27,7 @@ from impact_rs_sim.robot_model import STANDARD_GRAVITY
 from impact_rs_trials.recordings.clock_offset import OBJECT_SIGNALS, clocks_apart
 from impact_rs_trials.recordings.contact_onset import onset_of
 from impact_rs_trials.recordings.experiment import RunRow
-from impact_rs_trials.recordings.impact_columns import SLIDE_DISTANCE, SUPPORT_FRICTION, Columns
+from impact_rs_trials.recordings.impact_columns import SLIDE_DISTANCE, SUPPORT_FRICTION, ColumnGroup
 from impact_rs_trials.recordings.impact_rows import BY_WAY, ArmInImpact, Impact, NoRow
 from impact_rs_trials.recordings.joint_jumps import SMALLEST, JointJump, jump_at, jumps_of
 from impact_rs_trials.recordings.laboratory import (
@@ -307,7 +307,7 @@ def _after(time: Array, positions: Array, rotations: Array, rows: Rows, at: floa
     return move(time[kept], positions[kept], rotations[kept], at), "sliding"
 
 
-def _slid(seen: _Seen, time: float, ante: FittedMotion) -> dict[Columns, float]:
+def _slid(seen: _Seen, time: float, ante: FittedMotion) -> dict[ColumnGroup, float]:
     """Way from the impact to rest, if the object comes to rest while it is seen."""
     late = seen.positions[seen.time > time]
     if len(late) < 2 * LEAST_OBJECT:

@@ -24,7 +24,7 @@ from impact_rs_trials.recordings.impact_columns import (
     RESTITUTION,
     SHELL,
     SIZE,
-    Columns,
+    ColumnGroup,
 )
 from impact_rs_trials.recordings.impact_rows import Impact, NoRow
 from impact_rs_trials.recordings.laboratory import Laboratory, placed, with_object
@@ -61,7 +61,7 @@ class FoundImpacts:
         impacts: Impacts in the order of the runs.
         left_out: Runs and impacts that give no row, with the reason.
         runs: How many runs were looked at.
-        constants: Columns of the table with one value: what the body is, and what is assumed of the contact.
+        constants: ColumnGroup of the table with one value: what the body is, and what is assumed of the contact.
         remarks: What the user should know of how the runs were read.
     """
 
@@ -145,7 +145,7 @@ def _with_condition(impact: Impact, rows: dict[str, RunRow]) -> Impact:
 
 def body_columns(body: Body, plane: Plane) -> dict[str, float]:
     """Columns of a table of impacts that say what the body is and what is assumed of the contact."""
-    found: list[tuple[Columns, Sequence[float]]] = [(MASS, (body.mass,))]
+    found: list[tuple[ColumnGroup, Sequence[float]]] = [(MASS, (body.mass,))]
     if body.radius is None or body.inertia is not None:
         found.append((MOMENTS, body.moments.tolist()))
     if body.radius is not None:

@@ -15,8 +15,8 @@ from impact_rs_sim.decimals import decimal
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.robot import Array
 from impact_rs_trials.recordings import table_columns
-from impact_rs_trials.recordings.impact_columns import Columns, Range, name_and_unit, with_unit
-from impact_rs_trials.recordings.units import FACTORS
+from impact_rs_trials.recordings.file_units import FACTORS
+from impact_rs_trials.recordings.impact_columns import ColumnGroup, Range, name_and_unit, with_unit
 
 LARGEST_NUMBER = 1e12  # in any unit; no measured number is larger, and squares of much larger ones are infinite
 
@@ -62,11 +62,11 @@ class ImpactCells:
 
     def __contains__(self, column: object) -> bool:
         """Whether the table has a column, by name, or some of the columns of a quantity."""
-        if isinstance(column, Columns):
+        if isinstance(column, ColumnGroup):
             return any(name in self.found for name in column.names)
         return column in self.found
 
-    def header(self, column: Columns) -> str:
+    def header(self, column: ColumnGroup) -> str:
         """Header of the first column of a quantity that is there."""
         return next(self.found[name].header for name in column.names if name in self.found)
 
@@ -145,12 +145,12 @@ def name_of_row(number: int) -> str:
     return f"row {number}"
 
 
-def read_cells(path: Path, known: Iterable[Columns]) -> ImpactCells:
+def read_cells(path: Path, known: Iterable[ColumnGroup]) -> ImpactCells:
     """Read a table of impacts.
 
     Args:
         path: CSV or Parquet file.
-        known: Columns that are read.
+        known: ColumnGroup that are read.
 
     Raises:
         InputError: It is no table, has no row, or a column has an unknown unit.
@@ -180,7 +180,7 @@ def read_cells(path: Path, known: Iterable[Columns]) -> ImpactCells:
     return cells
 
 
-def _found(path: Path, header: str, name: str, unit: str, column: Columns) -> FoundColumn:
+def _found(path: Path, header: str, name: str, unit: str, column: ColumnGroup) -> FoundColumn:
     """A known column, with the factor of the unit in its header."""
     factors = FACTORS[column.unit] if column.unit else FACTORS["-"]
     if not unit and column.unit in ("", "-"):

@@ -44,8 +44,8 @@ from impact_rs_trials.recordings.impact_columns import (
     V_BEFORE,
     W_AFTER,
     W_BEFORE,
-    Columns,
-    JointColumns,
+    ColumnGroup,
+    JointColumnGroup,
     arm_label,
 )
 from impact_rs_trials.recordings.impact_table import ImpactRow, ImpactTable
@@ -303,7 +303,7 @@ def _jumps_of_size(columns: Array) -> Array:
     return np.where(known, later / np.where(known, earlier, 1.0), 1.0)
 
 
-def _signals(table: ImpactTable, joints: JointColumns, *of_body: Columns) -> list[str]:
+def _signals(table: ImpactTable, joints: JointColumnGroup, *of_body: ColumnGroup) -> list[str]:
     """Names of the columns of all velocities before or after."""
     arms = table.rows[0].impact.arms
     of_arms = [name for arm, own in arms.items() for name in joints.names(arm_label(arm, arms), own.velocity.size)]

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Columns of a table of impacts: names, units, ranges and meaning. Reading, writing, checks and documentation use them.
 
-A header is a name and a unit in brackets, ``mass [kg]`` (:attr:`Columns.headers`). All vectors are in axes of the world
-A; twists are those of the geometric centre; *before* and *after* are just before and just after the impact.
+A header is a name and a unit in brackets, ``mass [kg]`` (:attr:`ColumnGroup.headers`). All vectors are in axes of the
+world A; twists are those of the geometric centre; *before* and *after* are just before and just after the impact.
 
 :func:`documentation` makes the table of ``docs/your_data.md``.
 """
@@ -42,7 +42,7 @@ FLAG = Range("a number 0 (solid) or 1", lambda value: value in (0.0, 1.0))
 
 
 @dataclass(frozen=True)
-class Columns:
+class ColumnGroup:
     """Columns of one quantity: all components of a vector, or a single column. A table has all of them or none.
 
     Attributes:
@@ -78,7 +78,7 @@ class Columns:
 
 
 @dataclass(frozen=True)
-class JointColumns:
+class JointColumnGroup:
     """Columns of one quantity of all joints of an arm.
 
     Attributes:
@@ -104,7 +104,7 @@ class JointColumns:
         """
         return tuple(label + self.pattern.format(joint) for joint in range(1, count + 1))
 
-    def of_arm(self, label: str, units: Sequence[JointUnits]) -> Iterator[Columns]:
+    def of_arm(self, label: str, units: Sequence[JointUnits]) -> Iterator[ColumnGroup]:
         """A column for each joint of an arm, whose units may differ.
 
         Args:
@@ -112,7 +112,7 @@ class JointColumns:
             units: Units of its joints.
         """
         for name, unit in zip(self.names(label, len(units)), units, strict=True):
-            yield Columns((name,), getattr(unit, self.quantity), self.meaning, range=self.range)
+            yield ColumnGroup((name,), getattr(unit, self.quantity), self.meaning, range=self.range)
 
 
 def arm_label(arm: str, arms: Iterable[str]) -> str:
@@ -140,47 +140,47 @@ def _vector(stem: str, tail: str = "") -> tuple[str, ...]:
     return tuple(f"{stem}{axis}{tail}" for axis in AXES)
 
 
-POSITION = Columns(_vector(""), "m", "geometric centre of the body, or of the object", "not of a ball")
-ORIENTATION = Columns(
+POSITION = ColumnGroup(_vector(""), "m", "geometric centre of the body, or of the object", "not of a ball")
+ORIENTATION = ColumnGroup(
     ("qx", "qy", "qz", "qw"), "-", "its orientation: unit quaternion from its own axes to A", "not of a ball"
 )
-V_BEFORE = Columns(_vector("v", "_before"), "m/s", "velocity of the centre before", "yes")
-W_BEFORE = Columns(_vector("w", "_before"), "rad/s", "angular velocity before", "yes")
-V_AFTER = Columns(_vector("v", "_after"), "m/s", "velocity of the centre after", "yes, or a distance")
-W_AFTER = Columns(
+V_BEFORE = ColumnGroup(_vector("v", "_before"), "m/s", "velocity of the centre before", "yes")
+W_BEFORE = ColumnGroup(_vector("w", "_before"), "rad/s", "angular velocity before", "yes")
+V_AFTER = ColumnGroup(_vector("v", "_after"), "m/s", "velocity of the centre after", "yes, or a distance")
+W_AFTER = ColumnGroup(
     _vector("w", "_after"), "rad/s", "angular velocity after; absent: velocities of the centre and of joints alone are "
     "compared",
 )  # fmt: skip
-SLIDE_DISTANCE = Columns(
+SLIDE_DISTANCE = ColumnGroup(
     ("slide_distance",), "m", "[measured later](#outcomes-that-were-measured-later): horizontal distance from the "
     "impact to rest, on the support of an arm's object; empty in a row with a `flight_distance`",
     f"in place of `{V_AFTER.first}` ...", POSITIVE, V_AFTER.first,
 )  # fmt: skip
-FLIGHT_DISTANCE = Columns(
+FLIGHT_DISTANCE = ColumnGroup(
     ("flight_distance",), "m", "likewise: horizontal distance of the centre while it flies and falls",
     f"in place of `{V_AFTER.first}` ...", POSITIVE, V_AFTER.first,
 )  # fmt: skip
-FALL_HEIGHT = Columns(
+FALL_HEIGHT = ColumnGroup(
     ("fall_height",), "m", "by how much the centre fell in that flight; 0: down to the height of the impact", "flight",
     NOT_NEGATIVE, V_AFTER.first,
 )  # fmt: skip
-SUPPORT_FRICTION = Columns(
+SUPPORT_FRICTION = ColumnGroup(
     (measured.SUPPORT_FRICTION,), "-", "Coulomb coefficient of the support on which the object slid, as measured; "
     "absent or empty: that of the scenario", range=POSITIVE, instead_of=V_AFTER.first,
 )  # fmt: skip
-MASS = Columns(("mass",), "kg", "mass; of an object absent: that of the scenario", "free body", POSITIVE)
-MOMENTS = Columns(
+MASS = ColumnGroup(("mass",), "kg", "mass; of an object absent: that of the scenario", "free body", POSITIVE)
+MOMENTS = ColumnGroup(
     ("ixx", "iyy", "izz"), "kg m^2", "principal moments about the centre, along the body's own axes; absent: of a "
     "homogeneous box, or of a ball", range=POSITIVE,
 )  # fmt: skip
-SIZE = Columns(
+SIZE = ColumnGroup(
     _vector("size_"), "m", "extent of the box along its own axes; a free body needs it, or contact points and moments",
     range=POSITIVE,
 )  # fmt: skip
-RADIUS = Columns(("radius",), "m", "of a free body that is a ball; it touches below its centre", range=POSITIVE)
-SHELL = Columns(("shell",), "-", "of a ball: 1 hollow (2/3 m r²), 0 or absent solid (2/5 m r²)", range=FLAG)
+RADIUS = ColumnGroup(("radius",), "m", "of a free body that is a ball; it touches below its centre", range=POSITIVE)
+SHELL = ColumnGroup(("shell",), "-", "of a ball: 1 hollow (2/3 m r²), 0 or absent solid (2/5 m r²)", range=FLAG)
 POINTS = tuple(
-    Columns(
+    ColumnGroup(
         _vector("p", tail),
         "m",
         f"contact point in A; further ones `px2`, `py2`, `pz2` up to {MOST_POINTS}, empty if "
@@ -188,61 +188,63 @@ POINTS = tuple(
     )  # fmt: skip
     for tail in ("", *map(str, range(2, MOST_POINTS + 1)))
 )
-NORMAL = Columns(
+NORMAL = ColumnGroup(
     _vector("n"), "-", "unit normal into the body; absent: up, or that of the nearest faces of pad and object"
 )
-FRICTION = Columns(
+FRICTION = ColumnGroup(
     (measured.FRICTION,), "-", "assumed Coulomb coefficient: of a free body on its plane (absent: 0.3), of pads on an "
     "object (absent: that of the scenario)", range=NOT_NEGATIVE,
 )  # fmt: skip
-RESTITUTION = Columns(
+RESTITUTION = ColumnGroup(
     (measured.RESTITUTION,), "-", "assumed Newton restitution; absent: 0, or that of the scenario", range=SHARE
 )
-Q = JointColumns(
+Q = JointColumnGroup(
     "q{}", "position", "joint positions; with several arms `left.q1` and so on, by the names of the scenario", "arm"
 )
-DQ_BEFORE = JointColumns("dq{}_before", "velocity", "joint velocities before", "arm")
-DQ_AFTER = JointColumns("dq{}_after", "velocity", "joint velocities after; absent: the object alone is compared")
-MOTOR_INERTIA = JointColumns("B{}", "inertia", "assumed motor inertia; absent: B_θ of the scenario", range=NOT_NEGATIVE)
-OBJECT = Columns(("object",), "", "name of the scenario's object; needed if it has several")
-CONDITION = Columns(("condition",), "", "rows of one condition are repeats of each other")
-TIME = Columns(
+DQ_BEFORE = JointColumnGroup("dq{}_before", "velocity", "joint velocities before", "arm")
+DQ_AFTER = JointColumnGroup("dq{}_after", "velocity", "joint velocities after; absent: the object alone is compared")
+MOTOR_INERTIA = JointColumnGroup(
+    "B{}", "inertia", "assumed motor inertia; absent: B_θ of the scenario", range=NOT_NEGATIVE
+)
+OBJECT = ColumnGroup(("object",), "", "name of the scenario's object; needed if it has several")
+CONDITION = ColumnGroup(("condition",), "", "rows of one condition are repeats of each other")
+TIME = ColumnGroup(
     ("time",), "s", "when the row was measured, from any moment on; `follow` takes rows in this order, those of one "
     "time together",
 )  # fmt: skip
-TOLERANCE = Columns(
+TOLERANCE = ColumnGroup(
     ("contact_tolerance",), "m", "how much further off than the nearest a point may be that touches; absent: "
     "`--contact-tolerance`", range=NOT_NEGATIVE,
 )  # fmt: skip
-V_NOISE = Columns(
+V_NOISE = ColumnGroup(
     ("v_noise",), "m/s", "standard deviation of a measured change of velocity, if known; where other noise is stated, "
     "absent means not known", range=NOT_NEGATIVE,
 )  # fmt: skip
-W_NOISE = Columns(("w_noise",), "rad/s", "likewise, of angular velocity", range=NOT_NEGATIVE)
-DQ_NOISE = Columns(("dq_noise",), "rad/s", "likewise, of joint velocity", range=NOT_NEGATIVE)
-DISTANCE_NOISE = Columns(
+W_NOISE = ColumnGroup(("w_noise",), "rad/s", "likewise, of angular velocity", range=NOT_NEGATIVE)
+DQ_NOISE = ColumnGroup(("dq_noise",), "rad/s", "likewise, of joint velocity", range=NOT_NEGATIVE)
+DISTANCE_NOISE = ColumnGroup(
     ("distance_noise",), "m", "likewise, of a distance", range=NOT_NEGATIVE, instead_of=V_AFTER.first
 )
-V_NOISE_AXES = Columns(
+V_NOISE_AXES = ColumnGroup(
     _vector("v_noise_"), "m/s", f"the same as `{V_NOISE.first}` along each axis of A, in its place: a camera sees "
     "depth worse than the other two", range=NOT_NEGATIVE,
 )  # fmt: skip
-W_NOISE_AXES = Columns(
+W_NOISE_AXES = ColumnGroup(
     _vector("w_noise_"), "rad/s", f"the same as `{W_NOISE.first}` along each axis of A, in its place",
     range=NOT_NEGATIVE,
 )  # fmt: skip
-P_NOISE = Columns(
+P_NOISE = ColumnGroup(
     ("p_noise",), "m", "standard deviation of the position of the contact points, all together, along each axis; "
     "counts as noise of the prediction", range=NOT_NEGATIVE,
 )  # fmt: skip
-N_NOISE = Columns(
+N_NOISE = ColumnGroup(
     ("n_noise",), "rad", "standard deviation of the direction of their normal, about each tangent; likewise",
     range=NOT_NEGATIVE,
 )  # fmt: skip
 
 DISTANCES = (SLIDE_DISTANCE, FLIGHT_DISTANCE)
 CONTACT_NOISE = (P_NOISE, N_NOISE)
-COLUMNS: tuple[Columns, ...] = (
+COLUMNS: tuple[ColumnGroup, ...] = (
     POSITION, ORIENTATION, V_BEFORE, V_AFTER, W_BEFORE, W_AFTER, *DISTANCES, FALL_HEIGHT, SUPPORT_FRICTION,
     MASS, MOMENTS, SIZE, RADIUS, SHELL, *POINTS, NORMAL, FRICTION, RESTITUTION, OBJECT, CONDITION, TIME, TOLERANCE,
     V_NOISE, W_NOISE, DQ_NOISE, DISTANCE_NOISE, V_NOISE_AXES, W_NOISE_AXES, *CONTACT_NOISE,
@@ -255,10 +257,10 @@ _STEMS, _TAILS = (
 JOINT_NAME = re.compile(rf"(?:.+\.)?(?:{_STEMS})[0-9]+(?:{_TAILS})")  # of any arm
 
 # Written by impact-rs impacts, so that a row can be found again; not read.
-RUN = Columns(("run",), "", "run in which the impact was found")
-SESSION = Columns(("session",), "", "session of that run")
-IMPACT_TIME = Columns(("impact_time",), "s", "when, since the start of the run")
-LAW = Columns(("law after",), "", "law that was fitted to the motion after the impact")
+RUN = ColumnGroup(("run",), "", "run in which the impact was found")
+SESSION = ColumnGroup(("session",), "", "session of that run")
+IMPACT_TIME = ColumnGroup(("impact_time",), "s", "when, since the start of the run")
+LAW = ColumnGroup(("law after",), "", "law that was fitted to the motion after the impact")
 
 
 def documentation() -> str:

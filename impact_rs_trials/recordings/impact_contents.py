@@ -33,8 +33,8 @@ from impact_rs_trials.recordings.impact_columns import (
     V_BEFORE,
     W_AFTER,
     W_BEFORE,
-    Columns,
-    JointColumns,
+    ColumnGroup,
+    JointColumnGroup,
     Q,
     arm_label,
     is_joint_column,
@@ -46,7 +46,7 @@ MIN_SIMILARITY = 0.75  # ratio of difflib, from which an unknown column is taken
 
 
 @dataclass(frozen=True)
-class Contents:
+class TableContents:
     """What a table is about.
 
     Attributes:
@@ -66,7 +66,7 @@ class Contents:
     turning: bool
 
     @classmethod
-    def of(cls, cells: ImpactCells, scenario: Scenario | None, questions: bool) -> Contents:
+    def of(cls, cells: ImpactCells, scenario: Scenario | None, questions: bool) -> TableContents:
         """What the columns of a table say."""
         return cls(
             scenario,
@@ -82,7 +82,7 @@ class Contents:
         """Names of the arms; empty: free bodies."""
         return () if self.scenario is None else tuple(self.scenario.robots)
 
-    def names(self, columns: JointColumns, arm: str) -> tuple[str, ...]:
+    def names(self, columns: JointColumnGroup, arm: str) -> tuple[str, ...]:
         """Columns of the joints of an arm, by name."""
         return columns.names(arm_label(arm, self.arms), self.joint_count(arm))
 
@@ -94,7 +94,7 @@ class Contents:
 
 def read_with_contents(
     path: Path, scenario: Scenario | None, questions: bool, covariates: Sequence[str]
-) -> tuple[ImpactCells, Contents, dict[str, str]]:
+) -> tuple[ImpactCells, TableContents, dict[str, str]]:
     """Cells of a table, what it is about, and the headers of its covariates by name.
 
     Raises:
@@ -104,7 +104,7 @@ def read_with_contents(
     cells = read_cells(path, known)
     declared = _declared(cells, covariates)
     _check_others(cells, known, scenario, declared)
-    contents = Contents.of(cells, scenario, questions)
+    contents = TableContents.of(cells, scenario, questions)
     _check_ball(cells, contents)
     if not contents.centre:
         _check_distances(cells, contents)
@@ -112,7 +112,7 @@ def read_with_contents(
     return cells, contents, declared
 
 
-def unread(cells: ImpactCells, contents: Contents, covariates: dict[str, str]) -> tuple[str, ...]:
+def unread(cells: ImpactCells, contents: TableContents, covariates: dict[str, str]) -> tuple[str, ...]:
     """Headers of the columns that are not used."""
     others = [header for header in cells.others if header not in covariates.values()]
     if contents.centre:
@@ -120,7 +120,7 @@ def unread(cells: ImpactCells, contents: Contents, covariates: dict[str, str]) -
     return tuple(others)
 
 
-def _of_joints(scenario: Scenario | None, columns: JointColumns) -> Iterator[Columns]:
+def _of_joints(scenario: Scenario | None, columns: JointColumnGroup) -> Iterator[ColumnGroup]:
     """Columns of all joints of all arms."""
     robots = {} if scenario is None else scenario.robots
     for arm, robot in robots.items():
@@ -140,7 +140,7 @@ def _declared(cells: ImpactCells, covariates: Sequence[str]) -> dict[str, str]:
 
 
 def _check_others(
-    cells: ImpactCells, known: Sequence[Columns], scenario: Scenario | None, declared: dict[str, str]
+    cells: ImpactCells, known: Sequence[ColumnGroup], scenario: Scenario | None, declared: dict[str, str]
 ) -> None:
     """Refuse unknown columns that are of joints, or resemble a known one."""
     undeclared = [header for header in cells.others if header not in declared.values()]
@@ -159,7 +159,7 @@ def _check_others(
             raise InputError(f"no column is called {header!r}; did you mean {meant!r}?", file=cells.path)
 
 
-def _check_needed(cells: ImpactCells, contents: Contents) -> None:
+def _check_needed(cells: ImpactCells, contents: TableContents) -> None:
     """Refuse a table that lacks a column."""
     for one in _needed(cells, contents):
         for name, wanted in zip(one.names, one.headers, strict=True):
@@ -179,7 +179,7 @@ def _there(cells: ImpactCells) -> str:
     return f"there are: {', '.join(cells.columns)}"
 
 
-def _needed(cells: ImpactCells, contents: Contents) -> Iterator[Columns]:
+def _needed(cells: ImpactCells, contents: TableContents) -> Iterator[ColumnGroup]:
     """Columns that a table must have."""
     yield from () if contents.ball else (POSITION, ORIENTATION)
     yield from (V_BEFORE, W_BEFORE)
@@ -196,7 +196,7 @@ def _needed(cells: ImpactCells, contents: Contents) -> Iterator[Columns]:
     yield from (one for one in COLUMNS if one in cells and one not in after)  # all components, or none
 
 
-def _check_distances(cells: ImpactCells, contents: Contents) -> None:
+def _check_distances(cells: ImpactCells, contents: TableContents) -> None:
     """Refuse a table with a distance that no law makes of a velocity."""
     if SLIDE_DISTANCE in cells and contents.scenario is None:
         said = "a free body has no support on which it slides; flight_distance and fall_height say how far it flew"
@@ -210,7 +210,7 @@ def _check_distances(cells: ImpactCells, contents: Contents) -> None:
         raise InputError(f"column {first!r} {said}", file=cells.path)
 
 
-def _check_ball(cells: ImpactCells, contents: Contents) -> None:
+def _check_ball(cells: ImpactCells, contents: TableContents) -> None:
     """Refuse a ball with the shape of something else."""
     if not contents.ball:
         if SHELL in cells:

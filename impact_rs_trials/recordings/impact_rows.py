@@ -35,7 +35,7 @@ from impact_rs_trials.recordings.impact_columns import (
     W_AFTER,
     W_BEFORE,
     W_NOISE,
-    Columns,
+    ColumnGroup,
     Q,
     arm_label,
 )
@@ -112,7 +112,7 @@ class Impact:
     tolerance: float
     model: str
     arms: Mapping[str, ArmInImpact] = field(default_factory=dict)
-    outcomes: Mapping[Columns, float] = field(default_factory=dict)
+    outcomes: Mapping[ColumnGroup, float] = field(default_factory=dict)
     turn_tracked: bool = True
     session: str = ""
     contact_noise: tuple[float, float] = (0.0, 0.0)
@@ -169,7 +169,7 @@ def _cells(impact: Impact, form: _Form, constants: Mapping[str, float]) -> dict[
     """Cells of one row by header, in the order of the table."""
     cells: dict[str, str] = {}
 
-    def put(columns: Columns, *values: float | str) -> None:
+    def put(columns: ColumnGroup, *values: float | str) -> None:
         texts = (value if isinstance(value, str) else _short(value) for value in values)
         cells.update(zip(columns.headers, texts, strict=True))
 

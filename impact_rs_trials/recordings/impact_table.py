@@ -6,10 +6,10 @@ heavy that it goes on as it was (velocities are then those relative to it). With
 **an arm (or two) hits an object**; robots, pads and support are then those of a scenario.
 :mod:`impact_rs_trials.recordings.impact_columns` lists the columns.
 
-Units of a header may be others of the same quantity (:mod:`impact_rs_trials.recordings.units`). Any column may also be
-declared a covariate: a circumstance under which rows were measured, a number or the name of a level. Other columns are
-left alone. Cells of a CSV file are separated by commas, semicolons or tabs; empty lines and lines that begin with # are
-skipped.
+Units of a header may be others of the same quantity (:mod:`impact_rs_trials.recordings.file_units`). Any column may also
+be declared a covariate: a circumstance under which rows were measured, a number or the name of a level. Other columns
+are left alone. Cells of a CSV file are separated by commas, semicolons or tabs; empty lines and lines that begin with #
+are skipped.
 """
 
 from __future__ import annotations
@@ -74,11 +74,11 @@ from impact_rs_trials.recordings.impact_columns import (
     W_BEFORE,
     W_NOISE,
     W_NOISE_AXES,
-    Columns,
+    ColumnGroup,
     Q,
     name_and_unit,
 )
-from impact_rs_trials.recordings.impact_contents import Contents, read_with_contents, unread
+from impact_rs_trials.recordings.impact_contents import TableContents, read_with_contents, unread
 from impact_rs_trials.recordings.unsure_scene import known_of_scene, with_another
 from impact_rs_trials.since import measured_since
 
@@ -171,7 +171,7 @@ class ImpactTable:
         noise: Standard deviation of a measured change of velocity in the order of ``after``, ``(rows, nv)``
             [rad/s, m/s], nan of what was not measured; None: said nowhere.
         assumed: Assumptions where the table has no column, as text.
-        unread: Columns that are not used.
+        unread: ColumnGroup that are not used.
         covariates: Units of the covariates by name; empty where a header says none.
         variants: The table with other values of what is not known well, over its range.
     """
@@ -283,7 +283,7 @@ class _Reader:
     """
 
     cells: ImpactCells
-    contents: Contents
+    contents: TableContents
     tolerance: float
     covariates: dict[str, str]
     geometry: Mapping[str, float] = field(default_factory=dict)
@@ -469,7 +469,7 @@ class _Reader:
         """Normal of the contact; None: not measured."""
         return self._unit_vector(row, NORMAL, "expected a unit normal: length 1") if NORMAL in self.cells else None
 
-    def _unit_vector(self, row: int, columns: Columns, expected: str) -> Array:
+    def _unit_vector(self, row: int, columns: ColumnGroup, expected: str) -> Array:
         """Numbers of some columns, whose length is 1 up to rounding."""
         values = self.cells.values(row, columns.names)
         length = float(np.linalg.norm(values))
@@ -572,14 +572,14 @@ class _Reader:
         )
 
     @property
-    def _noise_columns(self) -> dict[Columns, str]:
+    def _noise_columns(self) -> dict[ColumnGroup, str]:
         """Noise columns of what was measured after the impact, with what they are the noise of."""
         contents = self.contents
         wanted = {V_NOISE: "v*_after"} if contents.centre else {DISTANCE_NOISE: "distances"}
         wanted |= {W_NOISE: "w*_after"} if contents.turning else {}
         return wanted | ({DQ_NOISE: "dq*_after"} if contents.joints else {})
 
-    def _states_noise(self, *columns: Columns) -> bool:
+    def _states_noise(self, *columns: ColumnGroup) -> bool:
         """Whether a table has one of some noise columns, or those of the axes in its place."""
         return any(one in self.cells or OF_AXES.get(one, one) in self.cells for one in columns)
 
@@ -601,7 +601,7 @@ class _Reader:
             found.append(np.concatenate(parts))
         return np.array(found)
 
-    def _noise_of(self, row: int, column: Columns, count: int) -> Array:
+    def _noise_of(self, row: int, column: ColumnGroup, count: int) -> Array:
         """Standard deviations of some signals of a row by axis, by one column for all, or 0 without any."""
         axes = OF_AXES.get(column, column)
         if axes in self.cells and axes != column:

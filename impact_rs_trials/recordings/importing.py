@@ -43,6 +43,7 @@ from impact_rs_trials.recordings.candidates import (
 )
 from impact_rs_trials.recordings.clock_offset import OBJECT_SIGNALS
 from impact_rs_trials.recordings.file_groups import OBJECT, FileGroups, group_files
+from impact_rs_trials.recordings.file_units import TURNS, UNITS
 from impact_rs_trials.recordings.guesses import (
     OUTLIERS,
     STAMP,
@@ -107,7 +108,6 @@ from impact_rs_trials.recordings.torque_readings import (
     order_of_joints,
 )
 from impact_rs_trials.recordings.transforms import are_transforms
-from impact_rs_trials.recordings.units import TURNS, UNITS
 
 MOST_SHOWN = 3  # signals of a kind in a message
 MOST_POSES = 10

@@ -22,7 +22,7 @@ from impact_rs_sim.files import is_file
 from impact_rs_sim.paths import config_directory
 from impact_rs_sim.robot import Array, EndEffector, RobotFacts, load_facts
 from impact_rs_sim.schema import NonNegativeVector, PositiveVector, Schema, Vector3, load
-from impact_rs_trials.recordings.units import CURRENTS, SLIDES, TURNS, UNITS
+from impact_rs_trials.recordings.file_units import CURRENTS, SLIDES, TURNS, UNITS
 
 QUANTITY = {  # quantity of each signal
     "position": "position",

@@ -20,6 +20,7 @@ from impact_rs_sim.robot_model import RobotModel
 from impact_rs_trials.recordings.clock import check_stamps, gaps, tell_gaps
 from impact_rs_trials.recordings.clock_offset import on_one_clock
 from impact_rs_trials.recordings.faults import EXCESS, FEW, MARGIN, without_faults
+from impact_rs_trials.recordings.file_units import CURRENTS
 from impact_rs_trials.recordings.guesses import at_rest
 from impact_rs_trials.recordings.joint_checks import doubts_of_arm
 from impact_rs_trials.recordings.mapping import JOINT_SIGNALS, REQUIRED, Mapping, SignalName
@@ -28,7 +29,6 @@ from impact_rs_trials.recordings.sampling_times import doubt_of_timestamps
 from impact_rs_trials.recordings.series import Series
 from impact_rs_trials.recordings.sources import read_series
 from impact_rs_trials.recordings.torque_readings import check_holds_weight
-from impact_rs_trials.recordings.units import CURRENTS
 from impact_rs_trials.runs import ArmSignals, Run, Signals
 
 logger = logging.getLogger(__name__)

@@ -13,8 +13,8 @@ from pathlib import Path
 from impact_rs_sim.errors import InputError
 from impact_rs_trials.recordings.candidates import numbers_in
 from impact_rs_trials.recordings.csv_rows import decimal_sign, read_lines, separator_of, split_line
+from impact_rs_trials.recordings.file_units import is_unit
 from impact_rs_trials.recordings.mapping import TableLayout
-from impact_rs_trials.recordings.units import is_unit
 
 LOOKED_AT = 60  # lines, in which a table must have begun
 ALIKE = 3  # lines of numbers in a row that make a table

@@ -6,7 +6,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from impact_rs_trials.recordings.units import FACTORS, SLIDES, TURNS, is_unit, si_unit
+from impact_rs_trials.recordings.file_units import FACTORS, SLIDES, TURNS, is_unit, si_unit
 
 
 def test_the_first_unit_of_every_quantity_is_the_si_unit() -> None:
