@@ -6,10 +6,10 @@ heavy that it goes on as it was (velocities are then those relative to it). With
 **an arm (or two) hits an object**; robots, pads and support are then those of a scenario.
 :mod:`impact_rs_trials.recordings.impact_columns` lists the columns.
 
-Units of a header may be others of the same quantity (:mod:`impact_rs_trials.recordings.file_units`). Any column may also
-be declared a covariate: a circumstance under which rows were measured, a number or the name of a level. Other columns
-are left alone. Cells of a CSV file are separated by commas, semicolons or tabs; empty lines and lines that begin with #
-are skipped.
+Units of a header may be others of the same quantity (:mod:`impact_rs_trials.recordings.file_units`). Any column may
+also be declared a covariate: a circumstance under which rows were measured, a number or the name of a level. Other
+columns are left alone. Cells of a CSV file are separated by commas, semicolons or tabs; empty lines and lines that begin
+with # are skipped.
 """
 
 from __future__ import annotations
