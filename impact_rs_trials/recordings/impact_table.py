@@ -8,8 +8,8 @@ heavy that it goes on as it was (velocities are then those relative to it). With
 
 Units of a header may be others of the same quantity (:mod:`impact_rs_trials.recordings.file_units`). Any column may
 also be declared a covariate: a circumstance under which rows were measured, a number or the name of a level. Other
-columns are left alone. Cells of a CSV file are separated by commas, semicolons or tabs; empty lines and lines that begin
-with # are skipped.
+columns are left alone. Cells of a CSV file are separated by commas, semicolons or tabs; empty lines and lines that
+begin with # are skipped.
 """
 
 from __future__ import annotations
