@@ -39,7 +39,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cached_property, partial
 
 import numpy as np
@@ -71,8 +71,15 @@ from impact_rs_analysis.evidence.map_discrepancy import (
 )
 from impact_rs_analysis.evidence.neighbour_noise import noise_of_neighbours
 from impact_rs_analysis.evidence.replays import SQUARE
+from impact_rs_analysis.evidence.row_groups import (
+    LEAST_REPEATS,
+    RowGroup,
+    blocks,
+    by_circumstance,
+    conditions,
+    evenly,
+)
 from impact_rs_analysis.evidence.source import (
-    MOST_AS_NAMES,
     Covariate,
     Identity,
     Item,
@@ -83,7 +90,7 @@ from impact_rs_analysis.evidence.source import (
 )
 from impact_rs_analysis.evidence.tracks import ComparedSignal, Track
 from impact_rs_sim.effects import Effect
-from impact_rs_sim.effects.depending import Depending, level_name
+from impact_rs_sim.effects.depending import Depending
 from impact_rs_sim.effects.formula import CONTACT_SYMBOLS
 from impact_rs_sim.effects.sensing import MIRRORED_SPINS, SPIN_AXES, TRACKED_POINT_OF_IMPACT, TWIST_AXES
 from impact_rs_sim.errors import InputError, NotABody
@@ -100,11 +107,7 @@ from impact_rs_trials.recordings.impact_columns import CONDITION, N_NOISE, P_NOI
 from impact_rs_trials.recordings.impact_table import WIDER, ImpactTable
 from impact_rs_trials.workers import Map
 
-BLOCKS = 24  # at most: of 24 blocks a fold leaves 18 for the search, and the test needs 12
 SMALL_BLOCKS = 120  # at most, where effects may depend on covariates
-LEAST_CONDITIONS = 3  # with repeats; with fewer, blocks are used
-LEAST_REPEATS = 3  # degrees of freedom of the pure error
-LEAST_OF_HALF = 2  # rows of a condition on either side of the median of a number
 RELEVANT = 0.005  # of the closing speed; 5 mm/s at 1 m/s, the resolution of body velocities by motion capture
 LEAST_SCALE = 1e-6  # m/s; a model with smaller residuals is exact
 ALTERED = 1024  # physics with effects that were tried last
@@ -148,15 +151,6 @@ SIZE_ALONE = (
     "root mean square over the impacts of measured minus predicted velocity; angular and joint velocities are weighted "
     "by their kinetic energy"
 )
-
-
-@dataclass(frozen=True)
-class _Group:
-    """Rows of one cluster, by position in the table."""
-
-    name: str
-    unit: str
-    rows: tuple[int, ...]
 
 
 class ImpactTableSource(Source):
@@ -206,9 +200,9 @@ class ImpactTableSource(Source):
         self.physics = self._worlds[0]
         self._effects = model.known_effects
         self._axes = np.array([_axes_of(row.impact) for row in table.rows])
-        groups = _conditions(table)
+        groups = conditions(table)
         self.repeated = groups is not None
-        self._groups = tuple(_blocks(table) if groups is None else groups)
+        self._groups = tuple(blocks(table) if groups is None else groups)
         self.size_unit = TIMES if self.repeated else self.residual_unit
         self.size_is = SIZE_REPEATED if self.repeated else SIZE_ALONE
         self._impacts = MeasuredImpacts([row.impact for row in table.rows], self._of_rows(self._worlds))
@@ -262,7 +256,7 @@ class ImpactTableSource(Source):
         """
         found = copy.copy(self)
         if not self.repeated and not self.interleaved:
-            found._groups, found.interleaved = tuple(_blocks(self.table, SMALL_BLOCKS)), True
+            found._groups, found.interleaved = tuple(blocks(self.table, SMALL_BLOCKS)), True
             found._featured = Recent(ALTERED)  # by group
             found.clusters = found._clusters()
         found._effects = self._effects | {effect.name: effect for effect in effects}
@@ -342,15 +336,15 @@ class ImpactTableSource(Source):
         enough = SEARCHED_OF_ARMS if self.table.arms else SEARCHED_OF_BODIES
         if len(self.table.rows) <= enough:
             return self
-        chosen = set() if self.repeated else _evenly(range(len(self.table.rows)), enough)
+        chosen = set() if self.repeated else evenly(range(len(self.table.rows)), enough)
         if self.repeated:
             most = max(enough // len(self._groups), LEAST_REPEATS)
-            groups = _evenly(range(len(self._groups)), enough // most)
-            chosen |= {row for group in groups for row in _evenly(self._groups[group].rows, most)}
+            groups = evenly(range(len(self._groups)), enough // most)
+            chosen |= {row for group in groups for row in evenly(self._groups[group].rows, most)}
         for name in self.table.covariates:
             values = [row.circumstances[name] for row in self.table.rows]
             for level in dict.fromkeys(value for value in values if isinstance(value, str)):
-                chosen |= _evenly([n for n, value in enumerate(values) if value == level], LEAST_OF_LEVEL)
+                chosen |= evenly([n for n, value in enumerate(values) if value == level], LEAST_OF_LEVEL)
         found = self._of(self.table.part(sorted(chosen)), remarks=False)
         found.remarks, found.folds = self.remarks, FOLDS_OF_LARGE
         return found
@@ -418,7 +412,7 @@ class ImpactTableSource(Source):
         apart = [f"apart: {sizes} {self.size_unit}"] if sizes else []
         squares = np.sum(np.square((self.measured - self.predicted) * self.worth), axis=1)
         for name in self.table.covariates:
-            groups = _by_circumstance(self.table, name, range(len(squares)))
+            groups = by_circumstance(self.table, name, range(len(squares)))
             parts = {label: float(np.sqrt(np.mean(squares[own]))) for label, own in groups.items()}
             shown = ", ".join(f"{size:.3g} m/s with {label}" for label, size in sorted(parts.items())[:MOST_SHOWN])
             left = len(parts) - MOST_SHOWN
@@ -757,7 +751,7 @@ class ImpactTableSource(Source):
             noise = np.zeros_like(rest) if self.noise is None else self.noise
         return with_intervals(self, [self._cluster(group, rest, sigma, noise) for group in self._groups])
 
-    def _cluster(self, group: _Group, rest: Array, sigma: Array, noise: Array) -> Cluster:
+    def _cluster(self, group: RowGroup, rest: Array, sigma: Array, noise: Array) -> Cluster:
         rows = list(group.rows)
         shown = rows[:1] if self.repeated else rows
         features = tuple(replace(feature, phase=self._phase(row)) for row in shown for feature in self.signals)
@@ -929,13 +923,6 @@ class ImpactTableSource(Source):
         return np.array(found)  # nan where something was not measured after
 
 
-def _evenly(rows: Sequence[int], most: int) -> set[int]:
-    """At most so many of some rows, evenly taken."""
-    if len(rows) <= most:
-        return set(rows)
-    return {rows[place] for place in np.linspace(0, len(rows) - 1, most).round().astype(int)}
-
-
 Places = list[int]
 
 
@@ -969,66 +956,6 @@ def _moved(impact: MeasuredImpact, along: int, place: float, normal: float) -> M
         else:
             points.append(replace(point, normal=np.asarray(pin.exp3(normal * frame[along - 3]) @ point.normal)))
     return replace(impact, points=tuple(points))
-
-
-def _conditions(table: ImpactTable) -> list[_Group] | None:
-    """Conditions with their repeats; None with too few repeats."""
-    grouped: dict[str, list[int]] = {}
-    for number, row in enumerate(table.rows):
-        name = ", ".join(filter(None, (row.object_name, row.condition))) if row.condition else f"row {row.number}"
-        grouped.setdefault(name, []).append(number)
-    parts = [
-        _Group(", ".join([name, *labels]), name, tuple(rows))
-        for name, whole in grouped.items()
-        for labels, rows in _under_like_circumstances(table, whole)
-    ]
-    freedom = sum(len(part.rows) - 1 for part in parts)
-    if len(grouped) < LEAST_CONDITIONS or freedom < LEAST_REPEATS:
-        return None
-    return parts
-
-
-def _under_like_circumstances(table: ImpactTable, whole: list[int]) -> list[tuple[list[str], list[int]]]:
-    """Rows of a condition by levels of all covariates, and by halves of numbers; each with what it is, in words."""
-    parts: list[tuple[list[str], list[int]]] = [([], whole)]
-    for name in table.covariates:
-        split = []
-        for labels, rows in parts:
-            own = _by_circumstance(table, name, rows)
-            halves = len({row.circumstances[name] for row in table.rows}) > MOST_AS_NAMES
-            numbers = isinstance(table.rows[rows[0]].circumstances[name], float)
-            # Halves of a number are repeats of each other only if several rows are left in both.
-            whole_part = len(own) == 1 or (numbers and halves and min(map(len, own.values())) < LEAST_OF_HALF)
-            split += [(labels, rows)] if whole_part else [([*labels, label], some) for label, some in own.items()]
-        parts = split
-    return parts
-
-
-def _by_circumstance(table: ImpactTable, name: str, rows: Sequence[int]) -> dict[str, list[int]]:
-    """Rows by level of a covariate, or by the halves of a number about its median, each with what it is in words."""
-    values, unit = [table.rows[row].circumstances[name] for row in rows], table.covariates[name]
-    numbers = [value for value in values if isinstance(value, float)]
-    many = len({row.circumstances[name] for row in table.rows}) > MOST_AS_NAMES
-    middle = float(np.median(numbers)) if numbers and many else None
-    found: dict[str, list[int]] = {}
-    for row, value in zip(rows, values, strict=True):
-        label = level_name(value)
-        if isinstance(value, float) and middle is not None:
-            label = f"{'up to' if value <= middle else 'above'} {middle:.4g}"
-        found.setdefault(f"{name} {label} {unit if numbers else ''}".strip(), []).append(row)
-    return found
-
-
-def _blocks(table: ImpactTable, most: int = BLOCKS) -> list[_Group]:
-    """Blocks of neighbouring rows of about equal length, ``most`` at most, within one unit."""
-    count = len(table.rows)
-    blocks = min(count, most)
-    edges = np.arange(blocks + 1) * count // blocks
-    found = []
-    for low, high in zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True):
-        name = f"row {low + 1}" if high - low == 1 else f"rows {low + 1} to {high}"
-        found.append(_Group(name, str(table.path), tuple(range(low, high))))
-    return found
 
 
 def _axes_of(impact: MeasuredImpact) -> Array:

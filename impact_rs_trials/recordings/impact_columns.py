@@ -4,7 +4,7 @@
 A header is a name and a unit in brackets, ``mass [kg]`` (:attr:`ColumnGroup.headers`). All vectors are in axes of the
 world A; twists are those of the geometric centre; *before* and *after* are just before and just after the impact.
 
-:func:`documentation` makes the table of ``docs/your_data.md``.
+:func:`documentation` makes the table of the manual.
 """
 
 from __future__ import annotations

@@ -22,8 +22,9 @@ from impact_rs_analysis.diagnosis.diagnose import diagnose, effects_for
 from impact_rs_analysis.diagnosis.document import DiagnosisDocument
 from impact_rs_analysis.diagnosis.verdict import CONFIRMED, NOTHING
 from impact_rs_analysis.evidence import impact_tables
-from impact_rs_analysis.evidence.impact_tables import BLOCKS, MOST_NUMBERS, SMALL_BLOCKS, ImpactTableSource
+from impact_rs_analysis.evidence.impact_tables import MOST_NUMBERS, SMALL_BLOCKS, ImpactTableSource
 from impact_rs_analysis.evidence.map_discrepancy import JOINTS, NO_MAP_DISCREPANCY, measured_map_discrepancy
+from impact_rs_analysis.evidence.row_groups import BLOCKS
 from impact_rs_sim.effects import library
 from impact_rs_sim.effects.depending import Depending
 from impact_rs_sim.model import load_model
