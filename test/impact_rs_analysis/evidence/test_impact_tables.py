@@ -96,7 +96,7 @@ def test_the_score_is_the_energy_norm_of_what_is_left(tossed: tuple[ImpactTableS
 def _in_world(source: ImpactTableSource) -> np.ndarray:
     """Predicted velocities in axes of the world."""
     both = source.predicted.reshape(-1, 2, 3)
-    return np.einsum("nij,nki->nkj", np.array(source._axes), both).reshape(-1, 6)
+    return np.einsum("nij,nki->nkj", np.array(source.entries.axes), both).reshape(-1, 6)
 
 
 def test_blocks_hold_every_row_once_and_are_of_one_unit(tossed: tuple[ImpactTableSource, DiagnosisDocument]) -> None:
