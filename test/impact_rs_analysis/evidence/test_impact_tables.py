@@ -412,6 +412,22 @@ def test_workers_find_what_one_process_finds(tmp_path: Path) -> None:
     assert first.held_out_error_after == pytest.approx(second.held_out_error_after, rel=1e-9)
 
 
+def test_a_source_travels_without_its_variants_and_kept_predictions(tmp_path: Path) -> None:
+    """Kills a state with either: every task would carry the table several times, and megabytes of answers."""
+    path = write_csv(tmp_path / "cubes.csv", CUBE_HEADER, cube_rows(cube(0.2, 0.3), 36))
+    plain = ImpactTableSource(read_impact_table(path), NOMINAL)
+    source = ImpactTableSource(read_impact_table(path, unsure={"size_x": (0.09, 0.11)}), NOMINAL)
+    assert source.table.variants
+    for step in range(200):
+        source.predict_row(0, [(("restitution", (step / 400.0,)),)])
+        source.predict([(0, (("restitution", (step / 400.0,)),))], "")
+    sent = pickle.dumps(source)
+    assert len(sent) == pytest.approx(len(pickle.dumps(plain)), rel=0.02)
+    there = pickle.loads(sent)
+    assert not there.table.variants
+    np.testing.assert_array_equal(there.predicted, source.predicted)
+
+
 def test_one_statement_has_one_noise(tmp_path: Path) -> None:
     """The level is the root mean square of its cells, in the same multiples: noise and discrepancy of the map."""
     header, rows = arm_table({"restitution": [0.2]}, 4)
