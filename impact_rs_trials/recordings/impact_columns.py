@@ -140,107 +140,137 @@ def _vector(stem: str, tail: str = "") -> tuple[str, ...]:
     return tuple(f"{stem}{axis}{tail}" for axis in AXES)
 
 
-POSITION = ColumnGroup(_vector(""), "m", "geometric centre of the body, or of the object", "not of a ball")
+POSITION = ColumnGroup(_vector(""), "m", "geometric centre of the body, or of the object", "not for a ball")
 ORIENTATION = ColumnGroup(
-    ("qx", "qy", "qz", "qw"), "-", "its orientation: unit quaternion from its own axes to A", "not of a ball"
+    ("qx", "qy", "qz", "qw"), "-", "orientation: unit quaternion from its own axes to A", "not for a ball"
 )
 V_BEFORE = ColumnGroup(_vector("v", "_before"), "m/s", "velocity of the centre before", "yes")
 W_BEFORE = ColumnGroup(_vector("w", "_before"), "rad/s", "angular velocity before", "yes")
 V_AFTER = ColumnGroup(_vector("v", "_after"), "m/s", "velocity of the centre after", "yes, or a distance")
 W_AFTER = ColumnGroup(
-    _vector("w", "_after"), "rad/s", "angular velocity after; absent: velocities of the centre and of joints alone are "
-    "compared",
-)  # fmt: skip
+    _vector("w", "_after"), "rad/s", "angular velocity after; absent: the other velocities are compared"
+)
 SLIDE_DISTANCE = ColumnGroup(
-    ("slide_distance",), "m", "[measured later](#outcomes-that-were-measured-later): horizontal distance from the "
-    "impact to rest, on the support of an arm's object; empty in a row with a `flight_distance`",
-    f"in place of `{V_AFTER.first}` ...", POSITIVE, V_AFTER.first,
-)  # fmt: skip
+    ("slide_distance",),
+    "m",
+    "[outcome measured later](your_data.md#outcomes-that-were-measured-later): horizontal distance from the impact to "
+    "rest, on the support of an arm's object; empty in a row with `flight_distance`",
+    f"in place of `{V_AFTER.first}` ...",
+    POSITIVE,
+    V_AFTER.first,
+)
 FLIGHT_DISTANCE = ColumnGroup(
-    ("flight_distance",), "m", "likewise: horizontal distance of the centre while it flies and falls",
-    f"in place of `{V_AFTER.first}` ...", POSITIVE, V_AFTER.first,
-)  # fmt: skip
+    ("flight_distance",),
+    "m",
+    "likewise: horizontal distance of the centre in a flight",
+    f"in place of `{V_AFTER.first}` ...",
+    POSITIVE,
+    V_AFTER.first,
+)
 FALL_HEIGHT = ColumnGroup(
-    ("fall_height",), "m", "by how much the centre fell in that flight; 0: down to the height of the impact", "flight",
-    NOT_NEGATIVE, V_AFTER.first,
-)  # fmt: skip
+    ("fall_height",),
+    "m",
+    "fall of the centre in that flight; 0: down to the height of the impact",
+    "flight",
+    NOT_NEGATIVE,
+    V_AFTER.first,
+)
 SUPPORT_FRICTION = ColumnGroup(
-    (measured.SUPPORT_FRICTION,), "-", "Coulomb coefficient of the support on which the object slid, as measured; "
-    "absent or empty: that of the scenario", range=POSITIVE, instead_of=V_AFTER.first,
-)  # fmt: skip
-MASS = ColumnGroup(("mass",), "kg", "mass; of an object absent: that of the scenario", "free body", POSITIVE)
-MOMENTS = ColumnGroup(
-    ("ixx", "iyy", "izz"), "kg m^2", "principal moments about the centre, along the body's own axes; absent: of a "
-    "homogeneous box, or of a ball", range=POSITIVE,
-)  # fmt: skip
-SIZE = ColumnGroup(
-    _vector("size_"), "m", "extent of the box along its own axes; a free body needs it, or contact points and moments",
+    (measured.SUPPORT_FRICTION,),
+    "-",
+    "measured Coulomb coefficient of the support on which the object slid; absent or empty: the scenario's",
     range=POSITIVE,
-)  # fmt: skip
+    instead_of=V_AFTER.first,
+)
+MASS = ColumnGroup(("mass",), "kg", "mass; absent for an object: the scenario's", "free body", POSITIVE)
+MOMENTS = ColumnGroup(
+    ("ixx", "iyy", "izz"),
+    "kg m^2",
+    "principal moments about the centre, along the body's own axes; absent: homogeneous box, or ball",
+    range=POSITIVE,
+)
+SIZE = ColumnGroup(
+    _vector("size_"),
+    "m",
+    "extent of the box along its own axes; a free body needs it, or contact points and moments",
+    range=POSITIVE,
+)
 RADIUS = ColumnGroup(("radius",), "m", "of a free body that is a ball; it touches below its centre", range=POSITIVE)
 SHELL = ColumnGroup(("shell",), "-", "of a ball: 1 hollow (2/3 m r²), 0 or absent solid (2/5 m r²)", range=FLAG)
 POINTS = tuple(
     ColumnGroup(
         _vector("p", tail),
         "m",
-        f"contact point in A; further ones `px2`, `py2`, `pz2` up to {MOST_POINTS}, empty if "
-        "a row has fewer; all empty: from the geometry",
-    )  # fmt: skip
+        f"contact point in A; further ones `px2`, `py2`, `pz2` up to {MOST_POINTS}, empty if a row has fewer; all "
+        "empty: from the geometry",
+    )
     for tail in ("", *map(str, range(2, MOST_POINTS + 1)))
 )
 NORMAL = ColumnGroup(
     _vector("n"), "-", "unit normal into the body; absent: up, or that of the nearest faces of pad and object"
 )
 FRICTION = ColumnGroup(
-    (measured.FRICTION,), "-", "assumed Coulomb coefficient: of a free body on its plane (absent: 0.3), of pads on an "
-    "object (absent: that of the scenario)", range=NOT_NEGATIVE,
-)  # fmt: skip
+    (measured.FRICTION,),
+    "-",
+    "assumed Coulomb coefficient of a free body on its plane (absent: 0.3), of pads on an object (absent: the "
+    "scenario's)",
+    range=NOT_NEGATIVE,
+)
 RESTITUTION = ColumnGroup(
-    (measured.RESTITUTION,), "-", "assumed Newton restitution; absent: 0, or that of the scenario", range=SHARE
+    (measured.RESTITUTION,), "-", "assumed Newton restitution; absent: 0, or the scenario's", range=SHARE
 )
 Q = JointColumnGroup(
-    "q{}", "position", "joint positions; with several arms `left.q1` and so on, by the names of the scenario", "arm"
+    "q{}", "position", "joint positions; of several arms `left.q1` ..., by the names of the scenario", "arm"
 )
 DQ_BEFORE = JointColumnGroup("dq{}_before", "velocity", "joint velocities before", "arm")
 DQ_AFTER = JointColumnGroup("dq{}_after", "velocity", "joint velocities after; absent: the object alone is compared")
 MOTOR_INERTIA = JointColumnGroup(
-    "B{}", "inertia", "assumed motor inertia; absent: B_θ of the scenario", range=NOT_NEGATIVE
+    "B{}",
+    "inertia",
+    "assumed motor inertia; absent: B_θ of the scenario, which its torque loop leaves",
+    range=NOT_NEGATIVE,
 )
-OBJECT = ColumnGroup(("object",), "", "name of the scenario's object; needed if it has several")
+OBJECT = ColumnGroup(("object",), "", "the scenario's object; needed if it has several")
 CONDITION = ColumnGroup(("condition",), "", "rows of one condition are repeats of each other")
-TIME = ColumnGroup(
-    ("time",), "s", "when the row was measured, from any moment on; `follow` takes rows in this order, those of one "
-    "time together",
-)  # fmt: skip
+TIME = ColumnGroup(("time",), "s", "when the row was measured, from any moment on; `follow` takes rows in this order")
 TOLERANCE = ColumnGroup(
-    ("contact_tolerance",), "m", "how much further off than the nearest a point may be that touches; absent: "
-    "`--contact-tolerance`", range=NOT_NEGATIVE,
-)  # fmt: skip
+    ("contact_tolerance",),
+    "m",
+    "how much further off than the nearest a touching point may be; absent: `--contact-tolerance`",
+    range=NOT_NEGATIVE,
+)
 V_NOISE = ColumnGroup(
-    ("v_noise",), "m/s", "standard deviation of a measured change of velocity, if known; where other noise is stated, "
-    "absent means not known", range=NOT_NEGATIVE,
-)  # fmt: skip
+    ("v_noise",),
+    "m/s",
+    "standard deviation of a measured change of velocity; absent beside other noise: not known",
+    range=NOT_NEGATIVE,
+)
 W_NOISE = ColumnGroup(("w_noise",), "rad/s", "likewise, of angular velocity", range=NOT_NEGATIVE)
 DQ_NOISE = ColumnGroup(("dq_noise",), "rad/s", "likewise, of joint velocity", range=NOT_NEGATIVE)
 DISTANCE_NOISE = ColumnGroup(
     ("distance_noise",), "m", "likewise, of a distance", range=NOT_NEGATIVE, instead_of=V_AFTER.first
 )
 V_NOISE_AXES = ColumnGroup(
-    _vector("v_noise_"), "m/s", f"the same as `{V_NOISE.first}` along each axis of A, in its place: a camera sees "
-    "depth worse than the other two", range=NOT_NEGATIVE,
-)  # fmt: skip
+    _vector("v_noise_"),
+    "m/s",
+    f"`{V_NOISE.first}` along each axis of A, in its place: a camera sees depth worse than the other two",
+    range=NOT_NEGATIVE,
+)
 W_NOISE_AXES = ColumnGroup(
-    _vector("w_noise_"), "rad/s", f"the same as `{W_NOISE.first}` along each axis of A, in its place",
-    range=NOT_NEGATIVE,
-)  # fmt: skip
+    _vector("w_noise_"), "rad/s", f"`{W_NOISE.first}` along each axis of A, in its place", range=NOT_NEGATIVE
+)
 P_NOISE = ColumnGroup(
-    ("p_noise",), "m", "standard deviation of the position of the contact points, all together, along each axis; "
-    "counts as noise of the prediction", range=NOT_NEGATIVE,
-)  # fmt: skip
-N_NOISE = ColumnGroup(
-    ("n_noise",), "rad", "standard deviation of the direction of their normal, about each tangent; likewise",
+    ("p_noise",),
+    "m",
+    "standard deviation of the position of the contact points, all together, along each axis",
     range=NOT_NEGATIVE,
-)  # fmt: skip
+)
+N_NOISE = ColumnGroup(
+    ("n_noise",),
+    "rad",
+    "standard deviation of the direction of their normal, about each tangent",
+    range=NOT_NEGATIVE,
+)
 
 DISTANCES = (SLIDE_DISTANCE, FLIGHT_DISTANCE)
 CONTACT_NOISE = (P_NOISE, N_NOISE)
