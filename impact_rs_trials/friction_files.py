@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import os
-import re
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,6 +16,7 @@ from impact_rs_sim.files import write_whole
 from impact_rs_sim.friction_compensation import ArmFriction, FrictionCompensation
 from impact_rs_sim.model import Model
 from impact_rs_sim.scenario import Scenario, load_scenario, scenario_path
+from impact_rs_trials.edited_yaml import edited_text, read_edited, scalar, separate
 from impact_rs_trials.spec import TrialSpec
 from impact_rs_trials.workers import Map
 
@@ -110,13 +110,20 @@ def prepare_output(scenario_name: str, path: Path) -> Path:
     return copy
 
 
-def _with_paths_from(folder: Path, text: str, old_folder: Path) -> str:
-    """The scenario's text for a file in ``folder``: paths of robot facts lead to the same files."""
+def _copy_of(scenario: Path, folder: Path, compensation: str) -> str:
+    """Text of a scenario for a file in another folder, with the name of a compensation there.
 
-    def rewritten(found: re.Match[str]) -> str:
-        return found[1] + os.path.relpath(old_folder.resolve() / found[2], folder.resolve())
-
-    return re.sub(r"(\bfacts:\s*['\"]?)([^\s'\",}#]+\.ya?ml)\b", rewritten, text)
+    Paths of robot facts lead to the same files.
+    """
+    content = read_edited(scenario)
+    for robot in content["robots"].values():
+        if isinstance(facts := robot["facts"], str) and facts.endswith((".yaml", ".yml")):
+            robot["facts"] = scalar(os.path.relpath(scenario.parent.resolve() / facts, folder.resolve()))
+    new = KEY not in content
+    content[KEY] = scalar(compensation)
+    if new:
+        separate(content, KEY)
+    return edited_text(content)
 
 
 def write_compensation(compensation: FrictionCompensation, scenario_name: str, path: Path) -> Path:
@@ -129,13 +136,11 @@ def write_compensation(compensation: FrictionCompensation, scenario_name: str, p
         InputError: A file exists already or cannot be written.
     """
     copy = prepare_output(scenario_name, path)
-    text = scenario_path(scenario_name).read_text(encoding="utf-8")
-    text = re.sub(rf"^{KEY}:.*\n?", "", text, flags=re.MULTILINE)
-    text = _with_paths_from(path.parent, text, scenario_path(scenario_name).parent)
+    text = _copy_of(scenario_path(scenario_name), path.parent, path.name)
     try:
         content = compensation.model_dump(mode="json")
         write_whole(path, yaml.safe_dump(content, sort_keys=False, default_flow_style=None, width=120))
-        write_whole(copy, f"{text.rstrip()}\n\n{yaml.safe_dump({KEY: path.name})}")
+        write_whole(copy, text)
         load_scenario(str(copy))
     except InputError:
         path.unlink(missing_ok=True)

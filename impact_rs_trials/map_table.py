@@ -16,6 +16,7 @@ from impact_rs_sim.impact_map.measured import solve_measured
 from impact_rs_sim.impact_map.problem import ImpactMapError
 from impact_rs_sim.optional_packages import require
 from impact_rs_sim.robot import Array
+from impact_rs_trials.recordings.impact_columns import CONDITION, DQ_AFTER, V_AFTER, W_AFTER, arm_label
 from impact_rs_trials.recordings.impact_table import SUFFIXES, ImpactRow, ImpactTable
 from impact_rs_trials.workers import Map
 
@@ -84,8 +85,8 @@ def write_answers(table: ImpactTable, answers: Answers, target: Path) -> None:
     check_answers(target)
     columns: dict[str, list[object]] = {
         "row": [row.number for row in table.rows],
-        "condition": [row.condition for row in table.rows],
-        **{name: values.tolist() for name, values in zip(_names(table), answers.after.T, strict=True)},
+        CONDITION.header: [row.condition for row in table.rows],
+        **{name: values.tolist() for name, values in zip(_headers(table), answers.after.T, strict=True)},
         "message": [answers.messages.get(row.number, "") for row in table.rows],
     }
     with whole(target) as aside:
@@ -101,15 +102,8 @@ def write_answers(table: ImpactTable, answers: Answers, target: Path) -> None:
             pyarrow.parquet.write_table(pyarrow.table(columns), aside)
 
 
-def _names(table: ImpactTable) -> list[str]:
-    row = table.rows[0]
-    names = []
-    for arm in table.arms:
-        label = f"{arm}." if len(table.arms) > 1 else ""
-        units = row.physics.arms[arm].facts.units
-        names += [f"{label}dq{joint}_after [{unit.velocity}]" for joint, unit in enumerate(units, start=1)]
-    return [
-        *names,
-        *(f"v{axis}_after [m/s]" for axis in "xyz"),
-        *(f"w{axis}_after [rad/s]" for axis in "xyz"),
-    ]
+def _headers(table: ImpactTable) -> list[str]:
+    """Headers of the velocities after, in the order of :attr:`Answers.after`."""
+    units = {arm: own.facts.units for arm, own in table.rows[0].physics.arms.items()}
+    of_arms = [one for arm in table.arms for one in DQ_AFTER.of_arm(arm_label(arm, table.arms), units[arm])]
+    return [header for one in (*of_arms, V_AFTER, W_AFTER) for header in one.headers]

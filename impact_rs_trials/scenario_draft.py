@@ -20,6 +20,7 @@ from typing import Any, Literal
 
 import numpy as np
 import pinocchio as pin
+from ruamel.yaml.comments import CommentedMap
 
 from impact_rs_control.plan import plan_trial
 from impact_rs_sim.assumed_drive import REDUCED, ROTOR_INERTIA, assumed_drive, assumed_numbers
@@ -33,6 +34,18 @@ from impact_rs_sim.scene import Scene
 from impact_rs_sim.schema import parse_yaml, validate
 from impact_rs_trials.bags.record import record_trial
 from impact_rs_trials.bags.trial_info import TrialInfo, TrialKey
+from impact_rs_trials.edited_yaml import (
+    COMMENT_COLUMN,
+    Noted,
+    edited_text,
+    in_one_line,
+    read_edited,
+    rounded,
+    row,
+    scalar,
+    section,
+    separate,
+)
 from impact_rs_trials.spec import TrialSpec
 
 Report = Callable[[str, int, int], None]
@@ -49,11 +62,6 @@ REGULAR = 0.1  # smallest singular value of the Jacobian (m, rad); more is no be
 SPEEDS = (1.0, 0.8, 0.6, 0.45)  # of the shipped scenario's, until the joints are fast enough
 THRESHOLDS = (1.0, 1.5, 2.0, 3.0, 4.0)  # of the detection, over the shipped one: a heavy arm needs more
 QUIET = 1.3  # a threshold that shall hold in every trial has to hold in these few when it is so much less
-_UNCERTAINTY = (
-    "",
-    "uncertainty:",
-    f"  motor_inertia: {ASSUMED_MOTOR_INERTIA}   # relative; it is assumed: from none to three times the number",
-)
 NORMAL, UP = np.array([0.0, -1.0, 0.0]), np.array([0.0, 0.0, 1.0])
 
 
@@ -257,55 +265,44 @@ def scenario_text(
         speed: Share of the shipped scenario's speeds.
         threshold: Threshold of the detection over the shipped one.
     """
-    shipped = (config_directory() / "scenarios" / f"{kind}.yaml").read_text(encoding="utf-8")
-    plain = parse_yaml(shipped, f"{kind}.yaml")
-    before, objects, support, cases, rest = _sections(shipped, ("objects:", "support:", "cases:", "velocity_scales:"))
-    original = float(plain["control"]["detection"]["threshold"])
-    rest = re.sub(r"threshold: .*", f"threshold: {threshold * original:g}   # N", rest)
-    head = before[before.index("name:") : before.index("robots:")]
-    head = head.replace(f"name: {kind}", f"name: {kind}_{re.sub(r'[^A-Za-z0-9_-]', '_', Path(facts_name).stem)}", 1)
-    height = float(pose.position[2]) - 0.5 * max(item["size"][2] for item in plain["objects"].values())
-    support = support.replace(f"height: {plain['support']['height']}", f"height: {height:.3f}")
-    mirrored = pose.position + NORMAL * 0.5 * float(plain["objects"]["parcel"]["size"][1]) if kind == "grab" else None
+    content = read_edited(config_directory() / "scenarios" / f"{kind}.yaml")
+    content["name"] = f"{kind}_{re.sub(r'[^A-Za-z0-9_-]', '_', Path(facts_name).stem)}"
+    tallest = max(item["size"][2] for item in content["objects"].values())
+    content["support"]["height"] = round(float(pose.position[2]) - 0.5 * tallest, 3)
+    detection = content["control"]["detection"]
+    detection["threshold"] = rounded(threshold * detection["threshold"])
+    detection.yaml_add_eol_comment("N", "threshold", column=COMMENT_COLUMN)
+    mirrored = None
+    if kind == "grab":
+        mirrored = pose.position + NORMAL * 0.5 * float(content["objects"]["parcel"]["size"][1])
+        content["object_position"] = row(mirrored[:2].round(4))
     if kind == "excite":  # a shorter way at a lower speed takes as long
-        way = plain["excursion"]
+        way = content["excursion"]
         for key in ("start", "end"):
-            head = re.sub(rf"  {key}: \[.*?\]", f"  {key}: {_row(speed * np.array(way[key]))}", head, count=1)
-        head = head.replace(f"  joint_1: {way['joint_1']}", f"  joint_1: {speed * way['joint_1']:.6g}", 1)
+            way[key] = row(speed * np.array(way[key]))
+        way["joint_1"] = rounded(speed * way["joint_1"])
         if facts.joint_count == 6:
-            head = "".join(line for line in head.splitlines(keepends=True) if "joint_1:" not in line)
-    if mirrored is not None:
-        first = head.index("object_position:")
-        line = head[first : head.index("\n", first)]
-        head = head.replace(line, f"object_position: [{mirrored[0]:.4f}, {mirrored[1]:.4f}]  # m")
-    drive = assumed_drive(facts, model.end_effector, float(plain["timing"]["drive_period"]))
-    at_the_links = "motor_inertia_reduced" if facts.joint_torque_loop else "motor_inertia_rotor"
-    lines = [
-        f"# Made by impact-rs scenario new for {facts_name}, with pose and drive found and the rest from {kind}:",
-        "# SI units everywhere; the inertial frame has z up (REP-103).",
-        "# The drive is an assumption, scaled from a Franka arm: replace it by the numbers of your robot, then run",
-        f"# impact-rs robot check {facts_name} --scenario THIS_FILE",
-        head.rstrip(),
-        "",
-        "robots:",
-    ]
-    for number, (name, robot) in enumerate(plain["robots"].items()):
-        lines += _robot_lines(name, facts_name, facts, robot["end_effector"], drive, pose, mirrored if number else None)
-    return "\n".join(
-        [
-            *lines,
-            "",
-            objects.rstrip(),
-            "",
-            support.rstrip(),
-            "",
-            *_case_lines(plain["cases"], facts, pose, speed),
-            "",
-            rest.rstrip(),
-            *(_UNCERTAINTY if at_the_links in assumed_numbers(facts) else ()),
-            "",
-        ]
+            del way["joint_1"]
+    drive = assumed_drive(facts, model.end_effector, float(content["timing"]["drive_period"]))
+    content["robots"] = section(
+        {
+            name: _robot(facts_name, facts, robot["end_effector"], drive, pose, mirrored if place else None)
+            for place, (name, robot) in enumerate(content["robots"].items())
+        }
     )
+    content["cases"] = _cases(content["cases"], facts, pose, speed)
+    separate(content, "objects")
+    if ("motor_inertia_reduced" if facts.joint_torque_loop else "motor_inertia_rotor") in assumed_numbers(facts):
+        said = "relative; it is assumed: from none to three times the number"
+        content["uncertainty"] = section({"motor_inertia": Noted(ASSUMED_MOTOR_INERTIA, said)})
+        separate(content, "uncertainty")
+    content.yaml_set_start_comment(
+        f"Made by impact-rs scenario new for {facts_name}, with pose and drive found and the rest from {kind}:\n"
+        "SI units everywhere; the inertial frame has z up (REP-103).\n"
+        "The drive is an assumption, scaled from a Franka arm: replace it by the numbers of your robot, then run\n"
+        f"impact-rs robot check {facts_name} --scenario THIS_FILE"
+    )
+    return edited_text(content)
 
 
 def failures_text(failures: Sequence[str]) -> str:
@@ -376,78 +373,88 @@ def _explained(text: str, choices: Mapping[str, str]) -> str:
     return "\n".join([first, *lines, rest])
 
 
-def _sections(text: str, starts: Sequence[str]) -> list[str]:
-    """A YAML file cut before the lines of some of its keys."""
-    places = [0, *(text.index(f"\n{start}") + 1 for start in starts), len(text)]
-    return [text[place:until] for place, until in zip(places, places[1:], strict=False)]
-
-
-def _robot_lines(
-    name: str,
+def _robot(
     facts_name: str,
     facts: RobotFacts,
-    effector: dict[str, Any],
-    drive: dict[str, list[float]],
+    effector: Mapping[str, Any],
+    drive: Mapping[str, list[float]],
     pose: Pose,
     mirrored: Array | None,
-) -> list[str]:
-    pad = effector["pad"]
+) -> CommentedMap:
+    """An arm of a scenario file; a second one is turned by half a turn about the middle of the object."""
     sign, base, yaw, position = 1.0, np.zeros(3), 0.0, pose.position
-    if mirrored is not None:  # the same arm, turned by half a turn about the middle of the object
+    if mirrored is not None:
         sign, yaw = -1.0, np.pi
         base = 2.0 * mirrored * [1.0, 1.0, 0.0]
         position = 2.0 * mirrored - pose.position
         position[2] = pose.position[2]
-    reduced, units = drive.get("motor_inertia_reduced"), facts.units
-    inertia = joined_units(unit.inertia for unit in units)
-    return [
-        f"  {name}:",
-        f"    facts: {facts_name}",
-        "    base:",
-        f"      position: {_row(base)}   # m",
-        f"      yaw: {yaw:.6g}   # rad",
-        "    end_effector:",
-        f"      mass: {effector['mass']}   # kg",
-        f"      com: {effector['com']}   # m, in frame E (middle of the pad's face, +z outwards)",
-        f"      inertia: {effector['inertia']}   # kg m^2",
-        f"      length: {effector['length']}   # m, flange to pad face",
-        "      pad:",
-        f"        size: {pad['size']}   # m",
-        f"        stiffness: {float(pad['stiffness'])}   # N/m, whole face",
-        f"        damping: {float(pad['damping'])}   # N s/m, whole face",
-        "    drive:",
-        *(["      type: rigid   # no torque loop: the links carry B_rho"] if reduced is None else []),
-        f"      motor_inertia_rotor: {drive['motor_inertia_rotor']}   # {inertia}, B_rho",
-        *([] if reduced is None else [f"      motor_inertia_reduced: {reduced}   # {inertia}, B_theta"]),
-        f"      stiffness: {drive['stiffness']}   # {joined_units(unit.stiffness for unit in units)}, K",
-        f"      damping: {drive['damping']}   # {joined_units(unit.damping for unit in units)}, D",
-        f"      assumed: [{', '.join(assumed_numbers(facts))}]",
-        "    impact:",
-        f"      position: {_row(position)}   # m",
-        f"      pad_normal: {_row(sign * NORMAL)}",
-        f"      pad_up: {_row(UP)}",
-        f"      joint_guess: {_row(pose.q)}   # {joined_units(unit.position for unit in units)}",
-    ]
+    pad, units = effector["pad"], facts.units
+
+    def of_joints(quantity: str) -> str:
+        return joined_units(getattr(unit, quantity) for unit in units)
+
+    rigid = "motor_inertia_reduced" not in drive
+    driven: dict[str, Any] = {"type": Noted("rigid", "no torque loop: the links carry B_rho")} if rigid else {}
+    for key, unit, symbol in (
+        ("motor_inertia_rotor", "inertia", "B_rho"),
+        ("motor_inertia_reduced", "inertia", "B_theta"),
+        ("stiffness", "stiffness", "K"),
+        ("damping", "damping", "D"),
+    ):
+        if key in drive:
+            driven[key] = Noted(row(drive[key]), f"{of_joints(unit)}, {symbol}")
+    return section(
+        {
+            "facts": scalar(facts_name),
+            "base": section({"position": Noted(row(base), "m"), "yaw": Noted(rounded(yaw), "rad")}),
+            "end_effector": section(
+                {
+                    "mass": Noted(effector["mass"], "kg"),
+                    "com": Noted(row(effector["com"]), "m, in frame E (middle of the pad's face, +z outwards)"),
+                    "inertia": Noted(row(effector["inertia"]), "kg m^2"),
+                    "length": Noted(effector["length"], "m, flange to pad face"),
+                    "pad": section(
+                        {
+                            "size": Noted(row(pad["size"]), "m"),
+                            "stiffness": Noted(float(pad["stiffness"]), "N/m, whole face"),
+                            "damping": Noted(float(pad["damping"]), "N s/m, whole face"),
+                        }
+                    ),
+                }
+            ),
+            "drive": section({**driven, "assumed": row(assumed_numbers(facts))}),
+            "impact": section(
+                {
+                    "position": Noted(row(position), "m"),
+                    "pad_normal": row(sign * NORMAL),
+                    "pad_up": row(UP),
+                    "joint_guess": Noted(row(pose.q), of_joints("position")),
+                }
+            ),
+        }
+    )
 
 
-def _case_lines(cases: dict[str, Any], facts: RobotFacts, pose: Pose, speed: float) -> list[str]:
+def _cases(cases: Mapping[str, Any], facts: RobotFacts, pose: Pose, speed: float) -> CommentedMap:
     """Cases with speeds that the arm can reach; where joints are left over, joint 1 is held as the shipped cases do."""
-    lines = ["cases:"]
-    seen: list[list[str]] = []
+    made: dict[str, CommentedMap] = {}
+    seen: list[dict[str, dict[str, Any]]] = []
     first = next(iter(next(iter(cases.values()))["robots"]))
     usual = float(next(iter(cases.values()))["robots"][first]["joint_1"])
     for name, case in cases.items():
         # A second arm is the first one turned, not mirrored: its joint 1 goes the same way.
-        joint_1 = pose.q[0] + float(case["robots"][first]["joint_1"]) - usual
-        held = f", joint_1: {joint_1:.6g}" if facts.joint_count > 6 else ""
-        own = []
-        for arm, wanted in case["robots"].items():
-            velocity = (speed * np.array(wanted["ante_velocity"], dtype=float)).round(4)
-            own.append(f"      {arm}: {{ante_velocity: {_row(velocity)}{held}}}   # m/s, {facts.units[0].position}")
-        if own not in seen:
-            lines += [f"  {name}:", f"    label: {case['label']}", "    robots:", *own]
-            seen.append(own)
-    return lines
+        joint_1 = rounded(float(pose.q[0]) + float(case["robots"][first]["joint_1"]) - usual)
+        held = {"joint_1": joint_1} if facts.joint_count > 6 else {}
+        arms = {
+            arm: {"ante_velocity": row((speed * np.array(wanted["ante_velocity"], dtype=float)).round(4)), **held}
+            for arm, wanted in case["robots"].items()
+        }
+        if arms not in seen:
+            said = f"m/s, {facts.units[0].position}"
+            robots = section({arm: Noted(in_one_line(own), said) for arm, own in arms.items()})
+            made[name] = section({"label": case["label"], "robots": robots})
+            seen.append(arms)
+    return section(made)
 
 
 def _read(text: str, facts: RobotFacts) -> Scenario:
@@ -495,7 +502,3 @@ def _try(scenario: Scenario) -> None:
             if verdict.outcome != "OK":
                 kind = _TooEarly if verdict.outcome == "EARLY" else Infeasible
                 raise kind(f"{object_name} {case}: {verdict.outcome}, {verdict.reason}")
-
-
-def _row(values: Array) -> str:
-    return f"[{', '.join(f'{value:.6g}' for value in values + 0.0)}]"

@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from fsspec import AbstractFileSystem
 
 COMPLETE = "metadata.yaml"
+BAG_FILES = (".mcap", ".db3")  # endings of files of messages
 LOCK = ".lock"
 # What file systems of fsspec call size, time and checksum of a file; never the time at which it was read.
 CHANGES = ("size", "mtime", "created", "updated", "last_modified", "LastModified", "etag", "ETag")
@@ -45,6 +46,40 @@ def is_bag(folder: Path) -> bool:
             return b"rosbag2_bagfile_information" in file.read(4096)
     except OSError:
         return False
+
+
+def trials_in(folder: Path) -> list[Path]:
+    """Trials directly in a campaign, also damaged ones: folders with files of a bag or without any, bare files.
+
+    What is hidden is half-written.
+    """
+    found = []
+    for path in sorted(folder.iterdir()):
+        if path.name.startswith("."):
+            continue
+        if path.is_dir():
+            names = [entry.name for entry in path.iterdir()]
+            if not names or any(map(_is_of_bag, names)):
+                found.append(path)
+        elif path.suffix in BAG_FILES:
+            found.append(path)
+    return found
+
+
+def trials_below(folder: Path) -> list[Path]:
+    """Trials at any depth below a folder, also damaged ones: folders with files of a bag.
+
+    What is hidden is half-written.
+
+    Raises:
+        InputError: There is no such folder.
+    """
+    return sorted(folder / name for name in Folder(folder).stamps())
+
+
+def _is_of_bag(name: str) -> bool:
+    """Whether a file of that name belongs to a bag."""
+    return name == COMPLETE or name.endswith(BAG_FILES)
 
 
 def _stamp(facts: Iterable[tuple[object, ...]]) -> int:
@@ -123,7 +158,7 @@ class Folder(Store):
         found = {}
         for folder, folders, files in os.walk(self.path):
             folders[:] = [name for name in folders if not name.startswith(".")]
-            if any(name == COMPLETE or name.endswith((".mcap", ".db3")) for name in files):
+            if any(map(_is_of_bag, files)):
                 with suppress(FileNotFoundError):  # it was removed since
                     facts = [(name, os.stat(os.path.join(folder, name))) for name in files]
                     found[os.path.relpath(folder, self.path)] = _stamp(

@@ -41,15 +41,13 @@ from impact_rs_trials.recordings.experiment import (
     MotionCapture,
     read_runs,
 )
+from impact_rs_trials.recordings.file_units import SLIDES, TURNS, UNITS, si_unit
 from impact_rs_trials.recordings.importing import Wishes, draft_import
 from impact_rs_trials.recordings.laboratory import IMPACT_SHARE, Laboratory, placed, read_run
 from impact_rs_trials.recordings.mapping import (
     JOINT_SIGNALS,
     QUANTITY,
     REQUIRED,
-    SLIDES,
-    TURNS,
-    UNITS,
     Mapping,
     SignalName,
     SignalSource,
@@ -249,7 +247,8 @@ def preview(workspace: Workspace, request: PreviewRequest) -> dict[str, Any]:
     time = series.time - series.time[0]
     values = series.values[:, :3] if pose else series.values
     names = list("xyz") if pose else list(request.joints)
-    units = [_si(request.signal, mapping.unit(request.signal, number)) for number in range(len(names))]
+    quantity = QUANTITY[request.signal]
+    units = [si_unit(quantity, mapping.unit(request.signal, number), quantity) for number in range(len(names))]
     span = float(time[-1])
     return {
         "place": series.place,
@@ -307,12 +306,6 @@ def _robot(workspace: Workspace, scenario_name: str, scenario: Scenario, arm: st
         what = "the robot is described in the scenario itself: put it into a file of its own, and name that here"
         raise InputError(what, file=path, key=f"robots.{arm}.facts")
     return str((path.parent / named).resolve())
-
-
-def _si(signal: SignalName, unit: str, like: SignalName | None = None) -> str:
-    """The SI unit of a signal, of a joint that moves as ``unit`` says (of the signal ``like``)."""
-    known = next((table for table in (TURNS, SLIDES) if unit in table.get(QUANTITY[like or signal], {})), UNITS)
-    return next(iter(known[QUANTITY[signal]]))
 
 
 def _short(values: Array) -> list[float | None]:
@@ -404,7 +397,9 @@ def _mapping(
     first_name, first = next(iter(signals.items()))
     units = first.units if len(first.units) > 1 else first.units * len(asked.joints)
     stand_ins = {
-        name: first.model_copy(update={"unit": tuple(_si(name, unit, first_name) for unit in units)})
+        name: first.model_copy(
+            update={"unit": tuple(si_unit(QUANTITY[name], unit, QUANTITY[first_name]) for unit in units)}
+        )
         for name in REQUIRED
         if name not in signals
     }

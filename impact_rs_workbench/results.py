@@ -15,7 +15,7 @@ from impact_rs_analysis.diagnosis.discovery_document import is_discovery
 from impact_rs_analysis.diagnosis.document import DiagnosisDocument, read_document
 from impact_rs_analysis.diagnosis.scoring import score
 from impact_rs_analysis.evidence.levels import Cell
-from impact_rs_analysis.evidence.measured_runs import find_bags, runs_digest
+from impact_rs_analysis.evidence.measured_runs import runs_digest
 from impact_rs_analysis.investigation.endings import ending_of
 from impact_rs_analysis.investigation.rounds import measured, read_rounds
 from impact_rs_analysis.investigation.settings import read_settings
@@ -39,7 +39,7 @@ from impact_rs_trials.blind import RUNS, TRUTH
 from impact_rs_trials.experiment_plan import read_plan
 from impact_rs_trials.recordings.experiment import Experiment, load_experiment, read_runs
 from impact_rs_trials.recordings.laboratory import Laboratory, read_one
-from impact_rs_trials.store import is_bag
+from impact_rs_trials.store import is_bag, trials_below
 from impact_rs_workbench.forms import seen, values_of
 from impact_rs_workbench.workspace import EXPERIMENTS, Workspace, read_json
 
@@ -289,7 +289,7 @@ def practice_of(workspace: Workspace, document: DiagnosisDocument) -> str | None
 
 def _digest(folder: Path) -> str:
     """Digest of the trials in a folder."""
-    return _digest_of(folder, tuple((path, path.stat().st_mtime_ns) for path in find_bags(folder)))
+    return _digest_of(folder, tuple((path, path.stat().st_mtime_ns) for path in trials_below(folder)))
 
 
 @functools.lru_cache(maxsize=200)

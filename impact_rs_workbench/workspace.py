@@ -25,7 +25,7 @@ from impact_rs_sim.schema import load_mapping, validate
 from impact_rs_trials.blind import RUNS, TRUTH
 from impact_rs_trials.campaign import MANIFEST, Manifest
 from impact_rs_trials.recordings.experiment import Experiment
-from impact_rs_trials.recordings.sources import FILE_SUFFIXES
+from impact_rs_trials.recordings.run_finder import FILE_SUFFIXES
 from impact_rs_trials.store import is_bag
 
 HIDDEN = ".workbench"

@@ -32,7 +32,8 @@ from impact_rs_sim.scenario_docs import _key
 from impact_rs_sim.schema import Schema
 from impact_rs_trials.blind import draw_truth
 from impact_rs_trials.recordings.experiment import COLUMNS, SESSION, Experiment
-from impact_rs_trials.recordings.mapping import QUANTITY, UNITS, Mapping, SignalName, SignalSource, load_mapping
+from impact_rs_trials.recordings.file_units import UNITS
+from impact_rs_trials.recordings.mapping import QUANTITY, Mapping, SignalName, SignalSource, load_mapping
 from impact_rs_trials.recordings.recording import ARM, read_recordings
 from tools import manual
 

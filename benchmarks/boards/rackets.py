@@ -88,7 +88,7 @@ def run(case: Case, work: Work) -> Row:
     source = ImpactTableSource(unseen, NOMINAL)
     # Features are in contact axes; the errors are wanted in x, y, z.
     turned = source.predicted_with(added).reshape(-1, 2, 3)
-    predicted = np.einsum("nij,nki->nkj", source._axes, turned).reshape(-1, 6)
+    predicted = np.einsum("nij,nki->nkj", source.entries.axes, turned).reshape(-1, 6)
     exact = np.array([bounced(row.impact.object.twist, racket) for row in unseen.rows])
     (v, w), (least_v, least_w) = errors(unseen, predicted), errors(unseen, exact)
     missed, false = sorted(truth - named), sorted(named - truth)

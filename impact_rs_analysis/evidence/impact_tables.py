@@ -37,18 +37,16 @@ contact points where they may decide (:meth:`ImpactTableSource.views`).
 
 from __future__ import annotations
 
-import copy
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
+from typing import Any
 
 import numpy as np
-import pinocchio as pin
 import scipy
 
-from impact_rs_analysis.evidence.ante_impact import obliqueness_of
 from impact_rs_analysis.evidence.calibration import with_intervals
-from impact_rs_analysis.evidence.cluster import TIMES, Added, Cluster, Feature, pooled_error
+from impact_rs_analysis.evidence.cluster import TIMES, Added, Cluster, pooled_error
 from impact_rs_analysis.evidence.discrepancy import DiscrepancyDocument
 from impact_rs_analysis.evidence.levels import (
     Comparison,
@@ -60,19 +58,21 @@ from impact_rs_analysis.evidence.levels import (
     where_of_blocks,
 )
 from impact_rs_analysis.evidence.map_discrepancy import (
-    ANGULAR,
-    JOINTS,
-    LINEAR,
     NO_MAP_DISCREPANCY,
-    HitKind,
     MapDiscrepancy,
-    lengths_of,
     measured_map_discrepancy,
 )
 from impact_rs_analysis.evidence.neighbour_noise import noise_of_neighbours
-from impact_rs_analysis.evidence.replays import SQUARE
+from impact_rs_analysis.evidence.row_groups import (
+    LEAST_REPEATS,
+    RowGroup,
+    blocks,
+    by_circumstance,
+    conditions,
+    evenly,
+)
+from impact_rs_analysis.evidence.row_predictions import MAX_ALTERED, RowPredictions, most_kept
 from impact_rs_analysis.evidence.source import (
-    MOST_AS_NAMES,
     Covariate,
     Identity,
     Item,
@@ -81,37 +81,30 @@ from impact_rs_analysis.evidence.source import (
     View,
     with_per_arm_parameters,
 )
+from impact_rs_analysis.evidence.table_entries import TableEntries, turned
 from impact_rs_analysis.evidence.tracks import ComparedSignal, Track
 from impact_rs_sim.effects import Effect
-from impact_rs_sim.effects.depending import Depending, level_name
+from impact_rs_sim.effects.depending import Depending
 from impact_rs_sim.effects.formula import CONTACT_SYMBOLS
 from impact_rs_sim.effects.sensing import MIRRORED_SPINS, SPIN_AXES, TRACKED_POINT_OF_IMPACT, TWIST_AXES
-from impact_rs_sim.errors import InputError, NotABody
-from impact_rs_sim.impact_map.contacts import SUPPORT, contact_frame
-from impact_rs_sim.impact_map.laws import System
-from impact_rs_sim.impact_map.measured import MeasuredImpact, MeasuredImpacts, restitution_of
+from impact_rs_sim.errors import InputError
+from impact_rs_sim.impact_map.measured import MeasuredImpacts
 from impact_rs_sim.model import Model
 from impact_rs_sim.physics import Physics
 from impact_rs_sim.proportion import Proportion
 from impact_rs_sim.recent import Recent
 from impact_rs_sim.robot import Array
 from impact_rs_trials.recordings.impact_checks import OtherAxes, doubts_of, other_axes
+from impact_rs_trials.recordings.impact_columns import CONDITION, N_NOISE, P_NOISE, V_NOISE, W_NOISE
 from impact_rs_trials.recordings.impact_table import WIDER, ImpactTable
 from impact_rs_trials.workers import Map
 
-BLOCKS = 24  # at most: of 24 blocks a fold leaves 18 for the search, and the test needs 12
 SMALL_BLOCKS = 120  # at most, where effects may depend on covariates
-LEAST_CONDITIONS = 3  # with repeats; with fewer, blocks are used
-LEAST_REPEATS = 3  # degrees of freedom of the pure error
-LEAST_OF_HALF = 2  # rows of a condition on either side of the median of a number
-RELEVANT = 0.005  # of the closing speed; 5 mm/s at 1 m/s, the resolution of body velocities by motion capture
 LEAST_SCALE = 1e-6  # m/s; a model with smaller residuals is exact
-ALTERED = 1024  # physics with effects that were tried last
 SEARCHED_OF_ARMS = 96  # rows of a larger table that a search looks at; four in each block
 SEARCHED_OF_BODIES = 960  # of free bodies, whose map is a twentieth of the work
 FOLDS_OF_LARGE = 3  # all rows that a search has not looked at are held out as well
 LEAST_OF_LEVEL = 24  # rows of a level of a covariate, that it looks at
-KEPT = 48_000_000  # bytes of predictions of the whole table, with effects that were tried last
 MOST_NUMBERS = 32  # numbers of a covariate; the mean of a group is within some hundredths of the range
 TELLING = 0.8  # of what the model leaves; scatter of neighbours above it says nothing
 MOST_SHOWN = 8  # levels of a covariate in a remark
@@ -120,21 +113,18 @@ GAINED = 1.05  # kinetic energy after over before; rows above it are reported
 LEAST_GAINING = 3  # rows whose mean is judged
 SURELY_GAINED = 0.999  # one-sided confidence of the mean of all rows, above which no impact is behind a table
 
-AXES = ("x", "y", "z")
-CONTACT_AXES = ("normal", "sliding", "across")
-STICKING = 1e-6  # m/s; slower contacts have no sliding direction, and any tangent is taken
 NO_DISCREPANCY_KNOWN = (
     "model discrepancy of the rigid impact map is taken as 0: finite duration and compliance of real impacts count "
     "against the model"
 )
-DISTANCE = "distance after"
 ALONE = ("joints", "object")  # parts of a row of an arm that are also judged apart
 NO_REPEATS = (
-    "too few rows are repeats of each other (column 'condition'), so blocks of neighbouring rows are held out instead"
+    f"too few rows are repeats of each other (column '{CONDITION.header}'), so blocks of neighbouring rows are held "
+    "out instead"
 )
 NO_NOISE = (
-    "the noise is not known: there are neither repeats nor columns 'v_noise [m/s]' and 'w_noise [rad/s]'; unexplained "
-    "residuals may be noise"
+    f"the noise is not known: there are neither repeats nor columns '{V_NOISE.header}' and '{W_NOISE.header}'; "
+    "unexplained residuals may be noise"
 )
 
 WHAT = "velocities just after every impact, measured and predicted by the impact map from the state before"
@@ -149,12 +139,30 @@ SIZE_ALONE = (
 
 
 @dataclass(frozen=True)
-class _Group:
-    """Rows of one cluster, by position in the table."""
+class _Comparison:
+    """What is compared with what, and how.
 
-    name: str
-    unit: str
-    rows: tuple[int, ...]
+    Attributes:
+        table: The measurements.
+        model: The model.
+        predictions: Predictions of the rows.
+        groups: Rows by cluster.
+        repeated: Whether clusters are conditions with repeats.
+        seen: Positions of the entries that are compared.
+        map_tasks: Who runs what :meth:`ImpactTableSource.spread` is given; None: this process.
+        interleaved: See :attr:`Source.interleaved`.
+        most_featured: Number of sets of effects whose features are kept.
+    """
+
+    table: ImpactTable
+    model: Model
+    predictions: RowPredictions
+    groups: tuple[RowGroup, ...]
+    repeated: bool
+    seen: tuple[int, ...]
+    map_tasks: Map | None
+    interleaved: bool = False
+    most_featured: int = MAX_ALTERED
 
 
 class ImpactTableSource(Source):
@@ -169,7 +177,8 @@ class ImpactTableSource(Source):
         map_tasks: Who runs what :meth:`spread` is given; None: this process.
 
     Attributes:
-        predicted: u^+ of the model in the axes of the features, ``(rows, nv)`` [rad/s, m/s].
+        entries: All entries of the rows.
+        predicted: Compared entries of the model, ``(rows, F)`` [rad/s, m/s, m].
         measured: Measured u^+, as ``predicted``.
 
     Raises:
@@ -192,44 +201,59 @@ class ImpactTableSource(Source):
         remarks: bool = True,
         map_tasks: Map | None = None,
     ) -> None:
-        self._map = map_tasks
         model = with_per_arm_parameters(model, [row.physics for row in table.rows], each_arm)
-        self.table, self.model = table, model
         known = measured_map_discrepancy() if discrepancy is None else discrepancy
-        self._map_discrepancy = known if table.arms else NO_MAP_DISCREPANCY
         distinct = {id(row.physics): row.physics for row in table.rows}
         places = {number: place for place, number in enumerate(distinct)}
-        self._world_of = [places[id(row.physics)] for row in table.rows]
-        self._worlds = [model.apply(physics) for physics in distinct.values()]
-        self.physics = self._worlds[0]
-        self._effects = model.known_effects
-        self._axes = np.array([_axes_of(row.impact) for row in table.rows])
-        groups = _conditions(table)
-        self.repeated = groups is not None
-        self._groups = tuple(_blocks(table) if groups is None else groups)
-        self.size_unit = TIMES if self.repeated else self.residual_unit
-        self.size_is = SIZE_REPEATED if self.repeated else SIZE_ALONE
-        self._impacts = MeasuredImpacts([row.impact for row in table.rows], self._of_rows(self._worlds))
-        self._altered = Recent[Physics | None](ALTERED)
-        self._known = Recent[Array](self._kept_answers)
-        self._judge(_entries(table, joints=table.joints, body=True))
+        entries = TableEntries(
+            table=replace(table, variants=()),
+            worlds=tuple(model.apply(physics) for physics in distinct.values()),
+            world_of=tuple(places[id(row.physics)] for row in table.rows),
+            map_discrepancy=known if table.arms else NO_MAP_DISCREPANCY,
+        )
+        groups = conditions(table)
+        self._compare(
+            _Comparison(
+                table=table,
+                model=model,
+                predictions=RowPredictions.of(entries, model.known_effects),
+                groups=tuple(blocks(table) if groups is None else groups),
+                repeated=groups is not None,
+                seen=_places(table, joints=table.joints, body=True),
+                map_tasks=map_tasks,
+            )
+        )
         self.impossible = self._gain_of_energy()
         self.remarks = tuple(self._remarks()) if remarks else ()
 
-    def _judge(self, seen: Places) -> None:
-        """Compare some of the entries of the rows."""
-        self._seen = seen
-        self._featured = Recent[list[Array | None]](ALTERED)
-        self.signals, self.worth = tuple(self._all_signals[place] for place in seen), self._all_worth[:, seen]
-        self.measured = self._all_measured[:, seen]
-        self.noise = None if self._all_noise is None else self._all_noise[:, seen]
+    def _compare(self, chosen: _Comparison) -> None:
+        """Compare what is chosen."""
+        self._chosen, self._predictions, self._groups = chosen, chosen.predictions, chosen.groups
+        self.table, self.model = chosen.table, chosen.model
+        self.repeated, self.interleaved = chosen.repeated, chosen.interleaved
+        self.entries = entries = chosen.predictions.entries
+        self.physics = entries.worlds[0]
+        self.size_unit = TIMES if self.repeated else self.residual_unit
+        self.size_is = SIZE_REPEATED if self.repeated else SIZE_ALONE
+        self._seen = seen = list(chosen.seen)
+        self._featured = Recent[list[Array | None]](chosen.most_featured)
+        self.signals, self.worth = tuple(entries.signals[place] for place in seen), entries.worth[:, seen]
+        self.measured = entries.measured[:, seen]
+        self.noise = None if entries.noise is None else entries.noise[:, seen]
         self.predicted = self.predicted_with(())
         self.clusters = self._clusters()
 
-    @property
-    def _kept_answers(self) -> int:
-        """Number of predictions of the whole table that are kept."""
-        return max(1, KEPT // self._all_worth.nbytes)
+    def _compared(self, chosen: _Comparison) -> ImpactTableSource:
+        """The same measurements, compared in another way."""
+        found = ImpactTableSource.__new__(ImpactTableSource)
+        found._compare(chosen)
+        found.impossible, found.remarks, found.folds = self.impossible, self.remarks, self.folds
+        return found
+
+    def __getstate__(self) -> dict[str, Any]:
+        """State for another process, without variants of the table, processes, and what is kept of predictions."""
+        chosen = replace(self._chosen, map_tasks=None, table=self.entries.table)
+        return {**vars(self), "_chosen": chosen, "table": chosen.table, "_featured": Recent(chosen.most_featured)}
 
     @property
     def covariates(self) -> tuple[Covariate, ...]:
@@ -240,12 +264,12 @@ class ImpactTableSource(Source):
     @property
     def state(self) -> tuple[Covariate, ...]:
         """See :attr:`Source.state`: the impact speed."""
-        return (self._covariate("impact speed", "m/s", self._impacts.closing_speeds.tolist()),)
+        return (self._covariate("impact speed", "m/s", self.entries.impacts.closing_speeds.tolist()),)
 
     @property
     def contact_speeds(self) -> dict[str, Array]:
         """See :attr:`Source.contact_speeds`."""
-        contact = self._impacts.contacts(self._of_rows(self._worlds))
+        contact = self.entries.impacts.contacts(self.entries.physics_of_rows)
         closes = contact.closing > 0.0
         return dict(zip(CONTACT_SYMBOLS, (contact.closing[closes], contact.slip[closes]), strict=True))
 
@@ -258,25 +282,12 @@ class ImpactTableSource(Source):
 
         Blocks are small: a session may have few rows, and a test by signs of blocks needs several in each.
         """
-        found = copy.copy(self)
-        if not self.repeated and not self.interleaved:
-            found._groups, found.interleaved = tuple(_blocks(self.table, SMALL_BLOCKS)), True
-            found._featured = Recent(ALTERED)  # by group
-            found.clusters = found._clusters()
-        found._effects = self._effects | {effect.name: effect for effect in effects}
+        chosen = self._chosen
+        if not chosen.repeated and not chosen.interleaved:
+            chosen = replace(chosen, groups=tuple(blocks(self.table, SMALL_BLOCKS)), interleaved=True)
         shown = {name: self._shown(name) for name in dict.fromkeys(effect.covariate for effect in effects)}
-        places: dict[tuple[int, tuple[float | str, ...]], int] = {}
-        found._worlds, found._world_of = [], []
-        for row, world in enumerate(self._world_of):
-            values = tuple(of_rows[row] for of_rows in shown.values())
-            if (world, values) not in places:
-                places[world, values] = len(places)
-                before = self._worlds[world]
-                circumstances = {**before.circumstances, **dict(zip(shown, values, strict=True))}
-                found._worlds.append(replace(before, circumstances=circumstances))
-            found._world_of.append(places[world, values])
-        found._altered, found._featured = Recent(ALTERED), Recent(max(1, KEPT // 4 // self._all_worth.nbytes))
-        return found
+        predictions = self._predictions.knowing(effects, shown)
+        return self._compared(replace(chosen, predictions=predictions, most_featured=most_kept(self.entries, 4)))
 
     def _shown(self, name: str) -> list[float | str]:
         """A covariate by row; of more than ``MOST_NUMBERS`` different numbers, means of groups of equal size."""
@@ -311,7 +322,9 @@ class ImpactTableSource(Source):
         A little more of a half turn changes velocities at right angles to what the whole of it changes, so that
         sensitivities there do not show it; a fit of it starts after two thirds.
         """
-        exact = all(world.twist_readings.exact for world in self._worlds)  # else the table is not what the model sees
+        exact = all(
+            world.twist_readings.exact for world in self._predictions.worlds
+        )  # else the table is not what the model sees
         kinds = {SPIN_AXES.name: ("spins", 1.0), MIRRORED_SPINS.name: ("spins", -1.0), TWIST_AXES.name: ("twists", 1.0)}
         if name not in kinds or not exact:
             return ()
@@ -328,27 +341,27 @@ class ImpactTableSource(Source):
     @property
     def known_effects(self) -> dict[str, Effect]:
         """See :attr:`Source.known_effects`."""
-        return self._effects
+        return dict(self._predictions.effects)
 
     @property
     def discrepancy_document(self) -> DiscrepancyDocument:
         """See :attr:`Source.discrepancy_document`: of the rigid map, for arms."""
-        return self._map_discrepancy.document
+        return self.entries.map_discrepancy.document
 
     def searched(self) -> ImpactTableSource:
         """See :meth:`Source.searched`: rows, or conditions and their repeats, evenly taken, and some of each level."""
         enough = SEARCHED_OF_ARMS if self.table.arms else SEARCHED_OF_BODIES
         if len(self.table.rows) <= enough:
             return self
-        chosen = set() if self.repeated else _evenly(range(len(self.table.rows)), enough)
+        chosen = set() if self.repeated else evenly(range(len(self.table.rows)), enough)
         if self.repeated:
             most = max(enough // len(self._groups), LEAST_REPEATS)
-            groups = _evenly(range(len(self._groups)), enough // most)
-            chosen |= {row for group in groups for row in _evenly(self._groups[group].rows, most)}
+            groups = evenly(range(len(self._groups)), enough // most)
+            chosen |= {row for group in groups for row in evenly(self._groups[group].rows, most)}
         for name in self.table.covariates:
             values = [row.circumstances[name] for row in self.table.rows]
             for level in dict.fromkeys(value for value in values if isinstance(value, str)):
-                chosen |= _evenly([n for n, value in enumerate(values) if value == level], LEAST_OF_LEVEL)
+                chosen |= evenly([n for n, value in enumerate(values) if value == level], LEAST_OF_LEVEL)
         found = self._of(self.table.part(sorted(chosen)), remarks=False)
         found.remarks, found.folds = self.remarks, FOLDS_OF_LARGE
         return found
@@ -372,12 +385,10 @@ class ImpactTableSource(Source):
 
     def spread(self, function: Callable[[Source, Item], Made], items: Sequence[Item], what: str) -> list[Made]:
         """See :meth:`Source.spread`."""
-        if self._map is None:
+        tasks = self._chosen.map_tasks
+        if tasks is None:
             return super().spread(function, items, what)
-        alone = copy.copy(self)
-        alone._map, alone.table = None, replace(self.table, variants=())
-        alone._known, alone._altered, alone._featured = Recent(self._kept_answers), Recent(ALTERED), Recent(ALTERED)
-        return list(self._map(partial(function, alone), items))
+        return list(tasks(partial(function, self), items))
 
     def views(self) -> tuple[View, ...]:
         """See :meth:`Source.views`.
@@ -403,11 +414,10 @@ class ImpactTableSource(Source):
 
     def _parts(self) -> dict[str, ImpactTableSource]:
         """Joints and object of an arm, each alone; none without an arm, or if the object alone was measured."""
-        found = {}
-        for name in ALONE if self.table.arms and self.table.joints else ():
-            found[name] = copy.copy(self)
-            found[name]._judge(_entries(self.table, joints=name == "joints", body=name == "object"))
-        return found
+        if not (self.table.arms and self.table.joints):
+            return {}
+        seen = {name: _places(self.table, joints=name == "joints", body=name == "object") for name in ALONE}
+        return {name: self._compared(replace(self._chosen, seen=own)) for name, own in seen.items()}
 
     @property
     def comparison_remarks(self) -> Sequence[str]:
@@ -416,130 +426,21 @@ class ImpactTableSource(Source):
         apart = [f"apart: {sizes} {self.size_unit}"] if sizes else []
         squares = np.sum(np.square((self.measured - self.predicted) * self.worth), axis=1)
         for name in self.table.covariates:
-            groups = _by_circumstance(self.table, name, range(len(squares)))
+            groups = by_circumstance(self.table, name, range(len(squares)))
             parts = {label: float(np.sqrt(np.mean(squares[own]))) for label, own in groups.items()}
             shown = ", ".join(f"{size:.3g} m/s with {label}" for label, size in sorted(parts.items())[:MOST_SHOWN])
             left = len(parts) - MOST_SHOWN
             apart.append(f"differences by {name}: {shown}{f' and {left} more' if left > 0 else ''}")
         return (*self.remarks, *apart)
 
-    @cached_property
-    def _all_signals(self) -> tuple[Feature, ...]:
-        """Description of the entries of a row, the same for all rows, ``nv`` of them."""
-        found = []
-        for name in self.table.rows[0].impact.arms:
-            label = f"{name}." if len(self.table.arms) > 1 else ""
-            for joint, units in enumerate(self.table.rows[0].physics.arms[name].facts.units, start=1):
-                found.append(Feature("impact", JOINTS, f"{label}joint{joint}", 0, units.velocity, 0.0, name))
-        names = AXES if self.table.arms else CONTACT_AXES
-        found += [Feature("impact", LINEAR, axis, 0, "m/s", 0.0) for axis in names]
-        found += [Feature("impact", ANGULAR, axis, 0, "rad/s", 0.0) for axis in names]
-        limits = RELEVANT * self._speed / lengths_of(found, self.physics)
-        signals = [replace(f, relevance_limit=float(limit)) for f, limit in zip(found, limits, strict=True)]
-        if self._distances:
-            lasting = float(np.sqrt(np.mean(np.square(self._lasting))))
-            signals.append(Feature("impact", DISTANCE, "horizontal", 0, "m", RELEVANT * self._speed * lasting))
-        return tuple(signals)
-
-    @property
-    def _distances(self) -> bool:
-        """Whether distances were measured in place of velocities of the centre."""
-        return not self.table.centre
-
-    @cached_property
-    def _lasting(self) -> Array:
-        """Change of the distance of every row by one of the velocity, ``(rows,)`` [s]."""
-        worlds = self._of_rows(self._worlds)
-        velocities, _ = self._impacts.solve(worlds)
-        found = []
-        for row, velocity, world in zip(self.table.rows, velocities, worlds, strict=True):
-            assert row.distance is not None
-            if np.isnan(velocity).any():
-                raise InputError("no velocities obey the contact laws", file=self.table.path, key=f"row {row.number}")
-            found.append(row.distance.lasting(velocity[-6:-3], world))
-        return np.array(found)
-
-    @cached_property
-    def _all_measured(self) -> Array:
-        """Measured entries of all rows, ``(rows, n)`` [rad/s, m/s, m], nan of what was not measured."""
-        found = _turned(np.array([row.after for row in self.table.rows]), self._axes)
-        if not self._distances:
-            return found
-        ways = [np.nan if row.distance is None else row.distance.way for row in self.table.rows]
-        return np.column_stack((found, ways))
-
-    @cached_property
-    def _all_noise(self) -> Array | None:
-        """Standard deviations of all entries, of measurement and prediction, ``(rows, n)``; None: said nowhere."""
-        if self.table.noise is None:
-            return None
-        found = self.table.noise.copy()
-        for own in (slice(-6, -3), slice(-3, None)):  # diag(T C T^T) with the variances C along the axes of A
-            found[:, own] = np.sqrt(np.einsum("nij,nj->ni", np.square(self._axes), np.square(found[:, own])))
-        if self._distances:
-            ways = [np.nan if row.distance is None else row.distance.noise or 0.0 for row in self.table.rows]
-            found = np.column_stack((found, np.array(ways, dtype=float)))
-        return np.hypot(found, self._noise_of_contacts)
-
-    @cached_property
-    def _noise_of_contacts(self) -> Array:
-        """Noise of predictions of all entries by place and normal of the contacts of each row, ``(rows, n)``."""
-        worlds, squares = self._of_rows(self._worlds), np.zeros_like(self._all_measured)
-        stated = np.array([row.contact_noise for row in self.table.rows])
-        if not stated.any():
-            return squares
-        here = self._entries_of(self._impacts, worlds)
-        for along in range(5):  # three axes for the place, two tangents for the normal
-            impacts = [_moved(row.impact, along, *row.contact_noise) for row in self.table.rows]
-            there = self._entries_of(MeasuredImpacts(impacts, worlds), worlds)
-            squares += np.square(np.nan_to_num(there - here))
-        return np.sqrt(squares)
-
-    def _entries_of(
-        self, impacts: MeasuredImpacts, worlds: Sequence[Physics], rows: Sequence[int] | None = None
-    ) -> Array:
-        """Entries that the map predicts of some rows (None: all), ``(rows, n)``, nan where it has no solution."""
-        places = range(len(self.table.rows)) if rows is None else rows
-        velocity, _ = impacts.solve(worlds)
-        found = _turned(velocity, self._axes[list(places)])
-        if not self._distances:
-            return found
-        ways = []
-        for place, own, world in zip(places, velocity, worlds, strict=True):
-            distance = self.table.rows[place].distance
-            assert distance is not None
-            ways.append(distance.predicted(own[-6:-3], world))
-        return np.column_stack((found, ways))
-
-    @cached_property
-    def _speed(self) -> float:
-        """Closing speed of the impacts, root mean square [m/s]."""
-        return float(np.sqrt(np.mean(np.square(self._impacts.closing_speeds))))
-
     @property
     def proportion(self) -> Proportion:
         """See :attr:`Source.proportion`; a free body is in proportion to its mass, moments and closing speed."""
-        return Proportion.of(self.physics) if self.table.arms else Proportion.of_body(self.physics.object, self._speed)
-
-    @cached_property
-    def _systems(self) -> tuple[System, ...]:
-        """Inertia and kinematics of every row under the model."""
-        models = [physics.robot_models() for physics in self._worlds]
-        return tuple(
-            row.impact.system(self._worlds[world], models[world])
-            for row, world in zip(self.table.rows, self._world_of, strict=True)
+        return (
+            Proportion.of(self.physics)
+            if self.table.arms
+            else Proportion.of_body(self.physics.object, self.entries.speed)
         )
-
-    @cached_property
-    def _all_worth(self) -> Array:
-        """Velocity of the body with the energy of 1 rad/s or 1 m/s, ``(rows, nv)`` [m, -]; see the module."""
-        inertia = np.array([system.inertia for system in self._systems])
-        turned = inertia.copy()  # H T^T, then T H T^T, with T the axes
-        turned = np.swapaxes(_turned_all(turned, self._axes), 1, 2)
-        diagonal = np.einsum("nii->ni", _turned_all(turned, self._axes))
-        masses = np.array([self._worlds[world].object.mass for world in self._world_of])
-        worth = np.sqrt(diagonal / masses[:, None])
-        return np.column_stack((worth, 1.0 / self._lasting)) if self._distances else np.asarray(worth)
 
     def residual_weight(self, item: Cluster) -> Array:
         """See :meth:`Source.residual_weight`; the mean over all entries of a row times their number is d^2."""
@@ -593,43 +494,16 @@ class ImpactTableSource(Source):
         Returns:
             None where the effects give a body without positive inertia, or no velocities obey the laws.
         """
-        found: dict[int, Array] = {}
-        each = [self._world_with(self._world_of[row], effects) for effects in added]
-        worlds = {number: physics for number, physics in enumerate(each) if physics is not None}
-        if worlds:
-            physics_of = list(worlds.values())
-            impact = self.table.rows[row].impact
-            several = MeasuredImpacts([impact] * len(physics_of), physics_of)
-            entries = self._entries_of(several, physics_of, [row] * len(physics_of))[:, self._seen]
-            found = dict(zip(worlds, entries, strict=True))
-        return [None if n not in found or np.isnan(found[n]).any() else found[n] for n in range(len(added))]
-
-    def _world_with(self, place: int, added: Added) -> Physics | None:
-        """One of the physics with effects; None: no positive inertia."""
-
-        def changed() -> Physics | None:
-            physics = self._worlds[place]
-            try:
-                for name, values in added:
-                    physics = self._effects[name].apply_vector(physics, np.array(values))
-            except NotABody:
-                return None
-            return physics
-
-        return self._altered.of((place, added), changed)
+        found = [None if all_ is None else all_[self._seen] for all_ in self._predictions.one_row(row, added)]
+        return [None if one is None or np.isnan(one).any() else one for one in found]
 
     def map_discrepancy_of(self, row: int) -> Array:
         """Discrepancy of the rigid map of the entries of a row that are compared, ``(F,)``."""
         if not self.table.arms:
             return np.zeros(len(self.signals))
-        world, speed = self._worlds[self._world_of[row]], float(self._impacts.closing_speeds[row])
-        return self._discrepancy_of(row, world, speed)[self._seen]
-
-    def _discrepancy_of(self, row: int, world: Physics, speed: float) -> Array:
-        """Discrepancy of the rigid map of all entries of a row, ``(n,)``."""
-        velocities = self._all_signals[:-1] if self._distances else self._all_signals
-        found = self._map_discrepancy.of(velocities, world, speed, self._kinds[row])
-        return np.append(found, found[-6] * self._lasting[row]) if self._distances else found
+        entries = self.entries
+        world, speed = entries.worlds[entries.world_of[row]], float(entries.impacts.closing_speeds[row])
+        return entries.discrepancy_of(row, world, speed)[self._seen]
 
     def size(self) -> float:
         """See :meth:`Source.size`; without repeats, root mean square over the rows of d of the module [m/s]."""
@@ -678,11 +552,7 @@ class ImpactTableSource(Source):
     @property
     def worlds(self) -> Sequence[Physics]:
         """See :attr:`Source.worlds`."""
-        return self._worlds
-
-    def _of_rows(self, worlds: Sequence[Physics]) -> list[Physics]:
-        """The physics of every row."""
-        return [worlds[place] for place in self._world_of]
+        return self._predictions.worlds
 
     def _rows(self, number: int, answers: Array | None) -> Array | None:
         """u^+ of the rows of a cluster out of those of all rows, ``(n, nv)``; None without a solution."""
@@ -700,45 +570,14 @@ class ImpactTableSource(Source):
         return self._featured.of(added, made)
 
     def _answers(self, added: Added) -> Array | None:
-        """u^+ of all rows as features, ``(rows, nv)``, nan where there is none; None: no positive inertia.
-
-        All rows are solved together, whoever asks for some of them, and kept by everything the map depends on.
-        """
-        worlds = self._worlds
-        try:
-            for name, values in added:
-                worlds = [self._effects[name].apply_vector(physics, np.array(values)) for physics in worlds]
-        except NotABody:
-            return None
-        key = b"".join(_what_the_map_knows(physics) for physics in worlds)
-        solved = self._known.of(key, lambda: self._entries_of(self._impacts, self._of_rows(worlds)))
-        return solved[:, self._seen]
-
-    @cached_property
-    def _kinds(self) -> list[HitKind]:
-        """Kind of the hit of every row."""
-        found: list[HitKind] = []
-        for row, world in zip(self.table.rows, self._world_of, strict=True):
-            impact, physics = row.impact, self._worlds[world]
-            oblique = bool(impact.arms) and obliqueness_of(physics, impact.arms, impact.object) > SQUARE
-            found.append("oblique" if oblique else "square")
-        return found
-
-    @cached_property
-    def _of_the_map_in_all(self) -> Array:
-        """Discrepancy of the rigid map of all entries of a row, rms over the rows, ``(nv,)``."""
-        if not self.table.arms:
-            return np.zeros(len(self._all_signals))
-        rows = [
-            self._discrepancy_of(row, self._worlds[world], float(speed))
-            for row, (world, speed) in enumerate(zip(self._world_of, self._impacts.closing_speeds, strict=True))
-        ]
-        return np.asarray(np.sqrt(np.mean(np.square(rows), axis=0)))
+        """Compared entries of all rows with effects, ``(rows, F)``, nan without solution; None: no positive inertia."""
+        found = self._predictions.all_rows(added)
+        return None if found is None else found[:, self._seen]
 
     @property
     def _of_the_map(self) -> Array:
-        """The same of the entries that are compared, ``(F,)``."""
-        return self._of_the_map_in_all[self._seen]
+        """Discrepancy of the rigid map of the compared entries, rms over the rows, ``(F,)``."""
+        return self.entries.discrepancy[self._seen]
 
     def _clusters(self) -> tuple[Cluster, ...]:
         rest = self.measured - self.predicted
@@ -755,7 +594,7 @@ class ImpactTableSource(Source):
             noise = np.zeros_like(rest) if self.noise is None else self.noise
         return with_intervals(self, [self._cluster(group, rest, sigma, noise) for group in self._groups])
 
-    def _cluster(self, group: _Group, rest: Array, sigma: Array, noise: Array) -> Cluster:
+    def _cluster(self, group: RowGroup, rest: Array, sigma: Array, noise: Array) -> Cluster:
         rows = list(group.rows)
         shown = rows[:1] if self.repeated else rows
         features = tuple(replace(feature, phase=self._phase(row)) for row in shown for feature in self.signals)
@@ -772,7 +611,7 @@ class ImpactTableSource(Source):
             sigma=sigma[shown].ravel(),
             pure=(noise[shown] / sigma[shown]).ravel(),
             discrepancy=(self._of_the_map / sigma[shown]).ravel(),
-            alike=group.name if self._kinds[rows[0]] == "oblique" else None,
+            alike=group.name if self.entries.kinds[rows[0]] == "oblique" else None,
             stamps=np.array(rows, dtype=float) if self.repeated else None,
         )
 
@@ -787,7 +626,7 @@ class ImpactTableSource(Source):
 
     def _remarks(self) -> list[str]:
         remarks = [*doubts_of(self.table), *self.table.assumed]
-        if not self._map_discrepancy.entries:
+        if not self.entries.map_discrepancy.entries:
             remarks.append(NO_DISCREPANCY_KNOWN)
         if not self.repeated:
             remarks.append(NO_REPEATS)
@@ -807,9 +646,10 @@ class ImpactTableSource(Source):
                 f"repeats scatter {ratio:.2g} times as much as the noise columns say; of every velocity the larger of "
                 "both counts"
             )
-        if self.noise is not None and (own := self._in_energy(self._noise_of_contacts[:, self._seen])) > 0.0:
+        if self.noise is not None and (own := self._in_energy(self.entries.noise_of_contacts[:, self._seen])) > 0.0:
             remarks.append(
-                f"place and normal of the contacts, known to p_noise and n_noise, are {own:.2g} m/s of the noise"
+                f"place and normal of the contacts, known to {P_NOISE.first} and {N_NOISE.first}, are {own:.2g} m/s of "
+                "the noise"
             )
         gained = [row.number for row, ratio in zip(self.table.rows, self._gained, strict=True) if ratio > GAINED]
         if gained and not self.impossible:
@@ -838,7 +678,9 @@ class ImpactTableSource(Source):
 
     def _of(self, table: ImpactTable, remarks: bool) -> ImpactTableSource:
         """Another table against the same model."""
-        found = ImpactTableSource(table, self.model, False, self._map_discrepancy, remarks, self._map)
+        found = ImpactTableSource(
+            table, self.model, False, self.entries.map_discrepancy, remarks, self._chosen.map_tasks
+        )
         found.folds = self.folds
         return found
 
@@ -849,8 +691,8 @@ class ImpactTableSource(Source):
         if not changed:
             return 0.0
         numbers, impacts = [number for number, _ in changed], [impact for _, impact in changed]
-        physics = [self._worlds[self._world_of[number]] for number in numbers]
-        entries = self._entries_of(MeasuredImpacts(impacts, physics), physics, numbers)[:, self._seen]
+        physics = [self.entries.worlds[self.entries.world_of[number]] for number in numbers]
+        entries = self.entries.predicted(MeasuredImpacts(impacts, physics), physics, numbers)[:, self._seen]
         moved = np.zeros_like(self.predicted)
         moved[numbers] = np.nan_to_num(entries - self.predicted[numbers])
         return self._in_energy(moved)
@@ -889,10 +731,10 @@ class ImpactTableSource(Source):
         """
         if self.table.arms:
             return None
-        before = _turned(np.array([row.impact.object.twist for row in self.table.rows]), self._axes)
+        before = turned(np.array([row.impact.object.twist for row in self.table.rows]), self.entries.axes)
         levers = [
             axes @ (np.mean([point.position for point in row.impact.points], axis=0) - row.impact.object.position)
-            for row, axes in zip(self.table.rows, self._axes, strict=True)
+            for row, axes in zip(self.table.rows, self.entries.axes, strict=True)
         ]
         found = noise_of_neighbours(np.hstack((before, levers)), rest)
         return None if found is None else self._in_energy(found)
@@ -920,153 +762,18 @@ class ImpactTableSource(Source):
     def _gained(self) -> Array:
         """Measured kinetic energy after over before, ``(rows,)`` [-]."""
         found = []
-        for row, system in zip(self.table.rows, self._systems, strict=True):
+        for row, system in zip(self.table.rows, self.entries.systems, strict=True):
             before, after = (float(u @ system.inertia @ u) for u in (system.velocity, row.after))
             found.append(after / max(before, 1e-300))
         return np.array(found)  # nan where something was not measured after
 
 
-def _evenly(rows: Sequence[int], most: int) -> set[int]:
-    """At most so many of some rows, evenly taken."""
-    if len(rows) <= most:
-        return set(rows)
-    return {rows[place] for place in np.linspace(0, len(rows) - 1, most).round().astype(int)}
-
-
-Places = list[int]
-
-
-def _entries(table: ImpactTable, joints: bool, body: bool) -> Places:
-    """Entries of a row of joints or of the body, or of both, without what was not measured."""
+def _places(table: ImpactTable, joints: bool, body: bool) -> tuple[int, ...]:
+    """Positions of the entries of joints or of the body, or of both, without what was not measured."""
     count = table.rows[0].after.size
     found = list(range(count - 6)) if joints else []
     if body and table.centre:
         found += range(count - 6, count - 3)
     if body and table.turning:
         found += range(count - 3, count)
-    return [*found, count] if body and not table.centre else found
-
-
-def _moved(impact: MeasuredImpact, along: int, place: float, normal: float) -> MeasuredImpact:
-    """An impact hit elsewhere along an axis of its contact frames, or with normals that are tilted.
-
-    Args:
-        impact: The impact; where there are arms, points on the support stay.
-        along: 0 to 2: points along two tangents and the normal; 3 and 4: normals about the tangents.
-        place: By how much [m].
-        normal: By how much [rad].
-    """
-    points = []
-    for point in impact.points:
-        frame = contact_frame(point.normal)
-        if impact.arms and point.partner == SUPPORT:
-            points.append(point)
-        elif along < len(frame):
-            points.append(replace(point, position=point.position + place * frame[along]))
-        else:
-            points.append(replace(point, normal=np.asarray(pin.exp3(normal * frame[along - 3]) @ point.normal)))
-    return replace(impact, points=tuple(points))
-
-
-def _conditions(table: ImpactTable) -> list[_Group] | None:
-    """Conditions with their repeats; None with too few repeats."""
-    grouped: dict[str, list[int]] = {}
-    for number, row in enumerate(table.rows):
-        name = ", ".join(filter(None, (row.object_name, row.condition))) if row.condition else f"row {row.number}"
-        grouped.setdefault(name, []).append(number)
-    parts = [
-        _Group(", ".join([name, *labels]), name, tuple(rows))
-        for name, whole in grouped.items()
-        for labels, rows in _under_like_circumstances(table, whole)
-    ]
-    freedom = sum(len(part.rows) - 1 for part in parts)
-    if len(grouped) < LEAST_CONDITIONS or freedom < LEAST_REPEATS:
-        return None
-    return parts
-
-
-def _under_like_circumstances(table: ImpactTable, whole: list[int]) -> list[tuple[list[str], list[int]]]:
-    """Rows of a condition by levels of all covariates, and by halves of numbers; each with what it is, in words."""
-    parts: list[tuple[list[str], list[int]]] = [([], whole)]
-    for name in table.covariates:
-        split = []
-        for labels, rows in parts:
-            own = _by_circumstance(table, name, rows)
-            halves = len({row.circumstances[name] for row in table.rows}) > MOST_AS_NAMES
-            numbers = isinstance(table.rows[rows[0]].circumstances[name], float)
-            # Halves of a number are repeats of each other only if several rows are left in both.
-            whole_part = len(own) == 1 or (numbers and halves and min(map(len, own.values())) < LEAST_OF_HALF)
-            split += [(labels, rows)] if whole_part else [([*labels, label], some) for label, some in own.items()]
-        parts = split
-    return parts
-
-
-def _by_circumstance(table: ImpactTable, name: str, rows: Sequence[int]) -> dict[str, list[int]]:
-    """Rows by level of a covariate, or by the halves of a number about its median, each with what it is in words."""
-    values, unit = [table.rows[row].circumstances[name] for row in rows], table.covariates[name]
-    numbers = [value for value in values if isinstance(value, float)]
-    many = len({row.circumstances[name] for row in table.rows}) > MOST_AS_NAMES
-    middle = float(np.median(numbers)) if numbers and many else None
-    found: dict[str, list[int]] = {}
-    for row, value in zip(rows, values, strict=True):
-        label = level_name(value)
-        if isinstance(value, float) and middle is not None:
-            label = f"{'up to' if value <= middle else 'above'} {middle:.4g}"
-        found.setdefault(f"{name} {label} {unit if numbers else ''}".strip(), []).append(row)
-    return found
-
-
-def _blocks(table: ImpactTable, most: int = BLOCKS) -> list[_Group]:
-    """Blocks of neighbouring rows of about equal length, ``most`` at most, within one unit."""
-    count = len(table.rows)
-    blocks = min(count, most)
-    edges = np.arange(blocks + 1) * count // blocks
-    found = []
-    for low, high in zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True):
-        name = f"row {low + 1}" if high - low == 1 else f"rows {low + 1} to {high}"
-        found.append(_Group(name, str(table.path), tuple(range(low, high))))
-    return found
-
-
-def _axes_of(impact: MeasuredImpact) -> Array:
-    """Axes of the features in A, as rows, ``(3, 3)``: contact axes of a free body, else the axes of A."""
-    if impact.arms:
-        return np.eye(3)
-    normal = impact.points[0].normal
-    velocity = np.mean([impact.object.point_velocity(point.position) for point in impact.points], axis=0)
-    sliding = velocity - (velocity @ normal) * normal
-    speed = float(np.linalg.norm(sliding))
-    tangent = sliding / speed if speed > STICKING else contact_frame(normal)[0]
-    return np.array([normal, tangent, np.cross(normal, tangent)])
-
-
-def _turned(velocity: Array, axes: Array) -> Array:
-    """u ``(rows, nv)`` with velocity and angular velocity of the body expressed in the axes of every row."""
-    return _turned_all(velocity[:, :, None], axes)[:, :, 0]
-
-
-def _turned_all(columns: Array, axes: Array) -> Array:
-    """As :func:`_turned`, of several columns at once, ``(rows, nv, k)``."""
-    result = columns.copy()
-    for place in (-6, -3):
-        own = slice(place, place + 3 or None)
-        result[:, own] = axes @ columns[:, own]
-    return result
-
-
-def _what_the_map_knows(physics: Physics) -> bytes:
-    """All numbers that the solution of an impact map depends on, besides its state."""
-    body = physics.object
-    contact = (physics.support_friction, physics.pad_friction, restitution_of(physics), physics.rolling_arm)
-    parts = [np.array(contact), np.array(physics.twist_readings.numbers), body.com_offset]
-    if physics.arms:
-        parts += [np.array([body.mass]), body.inertia]
-    else:
-        # Against a fixed body the mass cancels, up to rounding.
-        parts += [np.array([float(f"{moment:.12g}") for moment in body.inertia / body.mass])]
-    for arm in physics.arms.values():
-        tool = arm.end_effector
-        parts += [np.array([tool.mass, tool.length, tool.mount_yaw]), tool.com, tool.inertia.ravel()]
-        parts += [arm.motor_inertia_reduced, arm.base.homogeneous.ravel()]
-    numbers = b"".join(np.ascontiguousarray(part, dtype=float).tobytes() for part in parts)
-    return numbers + repr(physics.contact_laws).encode()
+    return (*found, count) if body and not table.centre else tuple(found)

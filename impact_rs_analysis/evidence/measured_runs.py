@@ -28,7 +28,7 @@ from impact_rs_trials.bags.reader import BagError, TrialBag, reason_of, recorded
 from impact_rs_trials.runs import DriveName, Run, Signals, label_of
 from impact_rs_trials.since import measured_since
 from impact_rs_trials.spec import TrialSpec
-from impact_rs_trials.store import Folder
+from impact_rs_trials.store import trials_below
 from impact_rs_trials.workers import Map
 
 Made = TypeVar("Made")
@@ -373,11 +373,6 @@ def _alike(runs: list[MeasuredRun]) -> tuple[MeasuredRun, ...]:
     return tuple(old if old.family in torn else new for old, new in zip(runs, alike, strict=True))
 
 
-def find_bags(directory: Path) -> list[Path]:
-    """Folders below ``directory`` that look like bags; hidden ones are half-written."""
-    return sorted(directory / name for name in Folder(directory).stamps())
-
-
 def read_trial(path: Path) -> MeasuredRun | tuple[str, str]:
     """One trial, or its path and the reason why it cannot be used."""
     try:
@@ -395,7 +390,7 @@ def read_runs(directory: Path, map_tasks: Map) -> Runs:
     Raises:
         InputError: The folder does not exist or holds no usable trial.
     """
-    bags = find_bags(directory)
+    bags = trials_below(directory)
     found = Runs.of(directory, map_tasks(read_trial, bags))
     skipped = {path for path, _ in found.skipped}
     remark = unsealed_words(sum(not says_so(bag) for bag in bags if str(bag) not in skipped))
@@ -405,7 +400,7 @@ def read_runs(directory: Path, map_tasks: Map) -> Runs:
 
 def runs_digest(directory: Path) -> str:
     """Digest of the trials in a folder: names, scenarios and seeds, independent of its location."""
-    return _digest(find_bags(directory))
+    return _digest(trials_below(directory))
 
 
 def _digest(bags: Iterable[Path]) -> str:

@@ -20,7 +20,7 @@ from impact_rs_analysis.evidence.cluster import Added, Feature
 from impact_rs_analysis.evidence.discrepancy import Discrepancy
 from impact_rs_analysis.evidence.impact_tables import ImpactTableSource
 from impact_rs_analysis.evidence.map_discrepancy import MapDiscrepancy
-from impact_rs_analysis.evidence.measured_runs import MeasuredRun, Runs, find_bags, read_trial
+from impact_rs_analysis.evidence.measured_runs import MeasuredRun, Runs, read_trial
 from impact_rs_analysis.evidence.replay_cache import Replay, ReplayCache, with_effects
 from impact_rs_analysis.evidence.replays import ReplaySource, clusters_of, layout_of
 from impact_rs_analysis.evidence.simulated_trials import simulated_and_judged
@@ -32,9 +32,11 @@ from impact_rs_sim.robot import Array
 from impact_rs_sim.scenario import Scenario
 from impact_rs_sim.scene import ArmState
 from impact_rs_trials.bags.reader import reason_of, recorded_at
-from impact_rs_trials.recordings.impact_table import ImpactRow, ImpactTable, name_of_row
+from impact_rs_trials.recordings.impact_cells import name_of_row
+from impact_rs_trials.recordings.impact_table import ImpactRow, ImpactTable
 from impact_rs_trials.runs import label_of
 from impact_rs_trials.spec import TrialSpec
+from impact_rs_trials.store import trials_below
 
 SPEEDS = ((2.0, "at twice the speed"), (0.5, "at half the speed"))  # of hits that were measured
 
@@ -322,7 +324,7 @@ class BagDoor(Door):
         """See :meth:`Door.arrived`; each bag is read when it is due, and what is no trial is named in ``skipped``."""
         if not self._directory.is_dir():
             raise InputError("no such folder of trials", file=self._directory)
-        fresh = [path for path in find_bags(self._directory) if path not in self._known]
+        fresh = [path for path in trials_below(self._directory) if path not in self._known]
         fresh.sort(key=lambda path: (recorded_at(path), str(path)))
         for given, path in enumerate(fresh, start=1):
             self._known.add(path)

@@ -34,6 +34,7 @@ from impact_rs_sim.schema import load
 from impact_rs_trials.bags.reader import TrialBag, reason_of
 from impact_rs_trials.campaign import MANIFEST, Manifest
 from impact_rs_trials.spec import recorded_scenario
+from impact_rs_trials.store import trials_in
 from impact_rs_trials.varied_settings import varied_folders
 from impact_rs_trials.workers import Map
 
@@ -342,21 +343,6 @@ def _mean(values: list[float]) -> float | None:
     return float(np.mean(values)) if values else None
 
 
-def find_bags(directory: Path) -> list[Path]:
-    """Bags of a campaign folder: subfolders with bag files, and empty ones."""
-    found = []
-    for path in sorted(directory.iterdir()):
-        if path.name.startswith("."):
-            continue
-        if path.is_dir():
-            names = [entry.name for entry in path.iterdir()]
-            if not names or any(n == "metadata.yaml" or n.endswith((".mcap", ".db3")) for n in names):
-                found.append(path)
-        elif path.suffix in (".mcap", ".db3"):
-            found.append(path)
-    return found
-
-
 def feedback_of(path: Path) -> tuple[TrialFeedback | str, bool]:
     """Feedback of a bag or the reason why it cannot be used; and whether the bag has complete checksums."""
     try:
@@ -383,11 +369,11 @@ def analyze_campaign(
         raise InputError("no such folder", file=directory)
     if (directory / "metadata.yaml").is_file():
         raise InputError("this is a single trial; give the folder it lies in", file=directory)
-    bags = find_bags(directory)
+    bags = trials_in(directory)
     if not bags:
         raise InputError("this folder holds no trials (a trial is a subfolder that is a rosbag2 bag)", file=directory)
     folders = varied_folders(directory)
-    varied = {key: find_bags(directory / folder) for key, folder in folders.items()}
+    varied = {key: trials_in(directory / folder) for key, folder in folders.items()}
     total = len(bags) + sum(map(len, varied.values()))
     skipped: list[SkippedBag] = []
     unsealed: list[str] = []

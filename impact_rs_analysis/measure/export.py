@@ -15,7 +15,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from impact_rs_analysis.evidence.measured_runs import find_bags
 from impact_rs_analysis.measure.analyze import SkippedBag
 from impact_rs_analysis.measure.net_feedback import net_feedback
 from impact_rs_sim.errors import InputError
@@ -26,6 +25,7 @@ from impact_rs_sim.version import package_version
 from impact_rs_trials.bags import topics
 from impact_rs_trials.bags.reader import TrialBag, reason_of
 from impact_rs_trials.bags.trial_info import TrialInfo
+from impact_rs_trials.store import trials_below
 from impact_rs_trials.workers import Map
 
 NEEDS = {".parquet": "pyarrow", ".h5": "h5py", ".hdf5": "h5py"}
@@ -86,7 +86,7 @@ def export(directory: Path, path: Path, map_tasks: Map, progress: Callable[[int,
         InputError: As :func:`check_target`, no readable trial in the folder, or a file that cannot be written.
     """
     check_target(path)
-    bags = find_bags(directory)
+    bags = trials_below(directory)
     trials, skipped = 0, []
     write = _parquet if path.suffix == ".parquet" else _hdf5
     with whole(path) as partial:

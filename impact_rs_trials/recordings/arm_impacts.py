@@ -27,6 +27,7 @@ from impact_rs_sim.robot_model import STANDARD_GRAVITY
 from impact_rs_trials.recordings.clock_offset import OBJECT_SIGNALS, clocks_apart
 from impact_rs_trials.recordings.contact_onset import onset_of
 from impact_rs_trials.recordings.experiment import RunRow
+from impact_rs_trials.recordings.impact_columns import SLIDE_DISTANCE, SUPPORT_FRICTION, ColumnGroup
 from impact_rs_trials.recordings.impact_rows import BY_WAY, ArmInImpact, Impact, NoRow
 from impact_rs_trials.recordings.joint_jumps import SMALLEST, JointJump, jump_at, jumps_of
 from impact_rs_trials.recordings.laboratory import (
@@ -237,7 +238,7 @@ def _with_object(seen: _Seen, jumps: Jumps, between: tuple[float, float]) -> Imp
     outcomes = _slid(seen, time, ante) if between[1] == np.inf else {}
     turn_tracked = True
     if seen.rate < SLOW_POSE or late.size < LEAST_OBJECT:
-        way = outcomes.get("slide_distance [m]")
+        way = outcomes.get(SLIDE_DISTANCE)
         if way is None:
             return NoRow(
                 run.label,
@@ -251,7 +252,7 @@ def _with_object(seen: _Seen, jumps: Jumps, between: tuple[float, float]) -> Imp
         post_twist, noise = post.at(time)[2], post.noise
         sliding = -float(post.acceleration @ post_twist[:3]) / max(float(np.linalg.norm(post_twist[:3])), 1e-9)
         if law == "sliding" and sliding > 0.0:
-            outcomes = {"support_friction [-]": sliding / -STANDARD_GRAVITY[2], **outcomes}
+            outcomes = {SUPPORT_FRICTION: sliding / -STANDARD_GRAVITY[2], **outcomes}
     noise = (float(np.hypot(noise[0], ante.noise[0])), float(np.hypot(noise[1], ante.noise[1])))
     before = ante.at(time)[2]
     if float(np.linalg.norm(post_twist[:3] - before[:3])) < JUMPS * noise[0]:
@@ -271,7 +272,7 @@ def _with_object(seen: _Seen, jumps: Jumps, between: tuple[float, float]) -> Imp
             jump.before,
             jump.after,
             float(np.sqrt(np.mean(jump.noise**2))),
-            tuple((unit.position, unit.velocity) for unit in scenario.robots[arm].robot_facts.units),
+            tuple(scenario.robots[arm].robot_facts.units),
         )
         for arm, jump in jumps.items()
     }
@@ -306,7 +307,7 @@ def _after(time: Array, positions: Array, rotations: Array, rows: Rows, at: floa
     return move(time[kept], positions[kept], rotations[kept], at), "sliding"
 
 
-def _slid(seen: _Seen, time: float, ante: FittedMotion) -> dict[str, float]:
+def _slid(seen: _Seen, time: float, ante: FittedMotion) -> dict[ColumnGroup, float]:
     """Way from the impact to rest, if the object comes to rest while it is seen."""
     late = seen.positions[seen.time > time]
     if len(late) < 2 * LEAST_OBJECT:
@@ -316,7 +317,7 @@ def _slid(seen: _Seen, time: float, ante: FittedMotion) -> dict[str, float]:
     if float(np.max(np.ptp(end, axis=0))) > 4.0 * noise:
         return {}
     way = float(np.linalg.norm((np.mean(end, axis=0) - ante.at(time)[0])[:2]))
-    return {"slide_distance [m]": way} if way > 4.0 * noise else {}
+    return {SLIDE_DISTANCE: way} if way > 4.0 * noise else {}
 
 
 def _by_distance(seen: _Seen, time: float, way: float) -> tuple[Array, tuple[float, float], str]:

@@ -18,7 +18,8 @@ from impact_rs_sim.errors import InputError, did_you_mean
 from impact_rs_sim.optional_packages import require
 from impact_rs_sim.robot import Array
 from impact_rs_trials.recordings.clock import seconds_of, seconds_of_pair
-from impact_rs_trials.recordings.mapping import UNITS, WIDTH, Mapping, SignalName, SignalSource
+from impact_rs_trials.recordings.file_units import UNITS
+from impact_rs_trials.recordings.mapping import WIDTH, Mapping, SignalName, SignalSource
 from impact_rs_trials.recordings.mat_file import read_mat
 from impact_rs_trials.recordings.series import MissingSignal, Names, Series
 from impact_rs_trials.recordings.transforms import are_transforms, poses_of

@@ -23,7 +23,7 @@ from impact_rs_sim.errors import InputError
 from impact_rs_trials.recordings.array_file import ArrayFile
 from impact_rs_trials.recordings.bag_file import POSE_PARTS, register
 from impact_rs_trials.recordings.mapping import REQUIRED, TableLayout
-from impact_rs_trials.recordings.sources import ARRAY_SUFFIXES, BAG_SUFFIXES, TABLE_SUFFIXES, is_bag_folder
+from impact_rs_trials.recordings.run_finder import ARRAY_SUFFIXES, BAG_SUFFIXES, TABLE_SUFFIXES, is_bag_folder
 from impact_rs_trials.recordings.table_columns import read_columns
 from impact_rs_trials.recordings.table_file import BETWEEN, BRACKETS
 from impact_rs_trials.recordings.transforms import are_transforms

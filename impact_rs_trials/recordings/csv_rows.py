@@ -34,7 +34,7 @@ def csv_rows(
         InputError: It cannot be read, or a line is no row; the message names the line.
     """
     every = read_lines(path)
-    lines = [(number, line) for number, line in every if line.strip() and not line.startswith("#")]
+    lines = [(number, line) for number, line in every if line.strip() and not line.lstrip().startswith("#")]
     if header:
         named = [(number, line.lstrip("# ")) for number, line in every[header - 1 : header] if line.strip("# \r")]
         if not named:

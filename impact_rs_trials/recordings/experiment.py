@@ -26,10 +26,9 @@ from impact_rs_sim.errors import InputError, did_you_mean
 from impact_rs_sim.robot import Array
 from impact_rs_sim.scenario import Scenario, load_scenario
 from impact_rs_sim.schema import PositiveNumber, PositiveVector3, Schema, Vector3, load
-from impact_rs_trials.recordings.csv_rows import csv_rows
-from impact_rs_trials.recordings.file_groups import RUN_TABLE
 from impact_rs_trials.recordings.mapping import Mapping, load_mapping
-from impact_rs_trials.recordings.sources import FILE_SUFFIXES, name_of, spread_runs
+from impact_rs_trials.recordings.run_finder import RUN_TABLE, find_run, name_of
+from impact_rs_trials.recordings.table_columns import read_columns
 
 HIT = "hit"
 FREE_MOTION = "free motion"
@@ -276,13 +275,11 @@ def read_runs(directory: Path, experiment: Experiment, scenario: Scenario | None
         raise InputError(f"no table of runs {experiment.runs!r} in {folders}{near}", file=directory)
     objects = [BODY] if scenario is None else list(scenario.objects)
     mappings = list(experiment.load_mappings([BODY] if scenario is None else scenario.robots).values())
-    header, rows = _table(path)
-    place = {name: header.index(name) for name in header}
-    further = [name for name in header if name not in COLUMNS]
+    rows = _table(path)
+    further = [name for name in rows[0][1] if name not in COLUMNS]
     seen: dict[Path, int] = {}
     runs = []
-    for line, row in rows:
-        cells = {name: row[index] for name, index in place.items()}
+    for line, cells in rows:
         kind, name = cells["kind"], cells["object"]
         if kind not in KINDS:
             raise _wrong(path, line, "kind", kind, f"expected {HIT!r} or {FREE_MOTION!r}{did_you_mean(kind, KINDS)}")
@@ -295,7 +292,10 @@ def read_runs(directory: Path, experiment: Experiment, scenario: Scenario | None
             )
         if not hit and name not in (NO_OBJECT, ""):
             raise _wrong(path, line, "object", name, f"expected {NO_OBJECT!r}, nothing is touched in free motion")
-        recording = _recording(path, line, directory, cells["bag"], mappings)
+        try:
+            recording = find_run(directory, cells["bag"], mappings)
+        except InputError as error:
+            raise _wrong(path, line, "bag", cells["bag"], error.message) from None
         if recording in seen:
             raise _wrong(path, line, "bag", cells["bag"], f"stands in line {seen[recording]} already")
         seen[recording] = line
@@ -333,55 +333,22 @@ def run_named(table: Sequence[RunRow], directory: Path, name: str) -> RunRow:
     )
 
 
-def _table(path: Path) -> tuple[list[str], list[tuple[int, list[str]]]]:
-    """Header, and rows with the line they stand in."""
-    lines = [(line, [cell.strip() for cell in row]) for line, row in csv_rows(path)]
-    lines = [(line, row) for line, row in lines if any(row) and not row[0].startswith("#")]
-    if not lines:
+def _table(path: Path) -> list[tuple[int, dict[str, str]]]:
+    """Cells of every row by column, with the line it stands in, without empty rows and remarks in quotes."""
+    table = read_columns(path, recorded=False)
+    if not table.cells:
         raise InputError(f"an empty table; expected the columns {', '.join(COLUMNS)}", file=path)
-    (_, header), *rows = lines
+    header = list(table.cells)
     for name in COLUMNS:
         if name not in header:
             near = did_you_mean(name, header)
-            raise InputError(f"no column {name!r} in line 1{near}; found: {', '.join(header)}", file=path)
-    twice = [name for name in header if header.count(name) > 1]
-    if twice:
-        raise InputError(f"two columns are called {twice[0]!r}", file=path)
-    if not rows:
+            raise InputError(f"no column {name!r} in line {table.header}{near}; found: {', '.join(header)}", file=path)
+    rows = [[str(cell).strip() for cell in row] for row in zip(*table.cells.values(), strict=True)]
+    lines = table.lines or range(1, len(rows) + 1)
+    found = [(line, row) for line, row in zip(lines, rows, strict=True) if any(row) and not row[0].startswith("#")]
+    if not found:
         raise InputError(f"no run below the header {','.join(header)}", file=path)
-    for line, row in rows:
-        if len(row) != len(header):
-            raise InputError(f"line {line}: {len(row)} cells, expected {len(header)} as in the header", file=path)
-    return header, rows
-
-
-def _recording(table: Path, line: int, directory: Path, name: str, mappings: Sequence[Mapping]) -> Path:
-    """What a row names: a file, without its ending perhaps, a run inside of it, a folder, or a run of several files."""
-    if not name:
-        raise _wrong(table, line, "bag", name, "expected the name of a recording")
-    path = directory / name
-    if all(mapping.spread for mapping in mappings):
-        runs = spread_runs(path.parent, mappings[0]) if path.parent.is_dir() else {}
-        if path in runs:
-            return path
-        files = ", ".join(sorted({str(source.file) for mapping in mappings for source in mapping.signals.values()}))
-        near = did_you_mean(path.name, [run.name for run in runs])
-        raise _wrong(table, line, "bag", name, f"no such run among the files {files} in {path.parent}{near}")
-    try:
-        if path.exists() or path.parent.is_file() and any(mapping.holds_runs for mapping in mappings):
-            return path
-    except (OSError, ValueError):  # a name that no file can have
-        raise _wrong(table, line, "bag", name, "expected the name of a recording") from None
-    endings = [path.with_name(path.name + suffix) for suffix in FILE_SUFFIXES]
-    found = [file for file in endings if file.is_file()]
-    if len(found) == 1:
-        return found[0]
-    if found:
-        names = ", ".join(file.name for file in found)
-        raise _wrong(table, line, "bag", name, f"{names} are all there; name one of them")
-    others = [item.name for item in path.parent.iterdir()] if path.parent.is_dir() else []
-    others += [Path(item).stem for item in others]
-    raise _wrong(table, line, "bag", name, f"no such recording in {path.parent}{did_you_mean(path.name, others)}")
+    return [(line, dict(zip(header, row, strict=True))) for line, row in found]
 
 
 def _wrong(path: Path, line: int, column: str, value: str, message: str) -> InputError:

@@ -23,14 +23,7 @@ from pathlib import Path
 
 from impact_rs_sim.errors import InputError
 from impact_rs_trials.recordings.candidates import guess_of
-from impact_rs_trials.recordings.sources import (
-    FILE_SUFFIXES,
-    NOTE_SUFFIXES,
-    SEARCHED_SUFFIXES,
-    is_bag_folder,
-    name_of,
-    natural,
-)
+from impact_rs_trials.recordings.run_finder import name_of, natural_key
 
 NUMBER = re.compile(r"\d+")
 
@@ -39,7 +32,6 @@ WORD = re.compile(r"[^\W_]+")  # of a name, between what separates words
 SEPARATORS = "_-. "
 RUN = "{run}"
 OBJECT = "{object}"
-RUN_TABLE = "runs.csv"  # of a laboratory; no recording
 
 
 @dataclass(frozen=True)
@@ -70,34 +62,6 @@ class FileGroups:
         return {run: session or "." for run, session in found.items()} if several else {}
 
 
-def recordings_in(paths: Sequence[Path]) -> list[Path]:
-    """Files and bags at paths; of folders those inside, without tables of runs.
-
-    Raises:
-        InputError: There is none, or one cannot be read.
-    """
-    found: list[Path] = []
-    for path in paths:
-        if not path.exists():
-            raise InputError("no such file or folder", file=path)
-        if path.is_file() and path.suffix not in FILE_SUFFIXES:
-            raise InputError(f"no recording; expected a bag or one of {', '.join(FILE_SUFFIXES)}", file=path)
-        if path.is_file() or is_bag_folder(path):
-            found.append(path)
-            continue
-        bags = {file.parent for file in path.rglob("metadata.yaml")}
-        inside = [
-            file
-            for file in path.rglob("*")
-            if file.suffix in FILE_SUFFIXES and file.name != RUN_TABLE and file.is_file() and not bags & {file.parent}
-        ]
-        searched = [file for file in inside if file.suffix in SEARCHED_SUFFIXES]
-        found += [*bags, *(searched or [file for file in inside if file.suffix in NOTE_SUFFIXES])]
-    if not found:
-        raise InputError(f"no recording here; expected a bag or one of {', '.join(FILE_SUFFIXES)}", file=paths[0])
-    return sorted(dict.fromkeys(found), key=lambda path: natural(str(path)))
-
-
 def group_files(files: Sequence[Path]) -> FileGroups:
     """Files by kind and run.
 
@@ -109,6 +73,7 @@ def group_files(files: Sequence[Path]) -> FileGroups:
     """
     if any(file.is_absolute() for file in files):
         files = [file.absolute() for file in files]
+    files = sorted(dict.fromkeys(files), key=natural_key)
     root = Path(os.path.commonpath([file.parent for file in files]))
     by_folder: dict[Path, list[str]] = {}
     for file in files:
@@ -213,7 +178,7 @@ def _with_numbered_objects(root: Path, named: Mapping[Path, tuple[str, str]]) ->
         kinds.setdefault(kind, {})[run] = file
         if number:
             objects[run] = number
-    runs = sorted({run for by_run in kinds.values() for run in by_run}, key=natural)
+    runs = sorted({run for by_run in kinds.values() for run in by_run}, key=natural_key)
     return FileGroups(root, kinds, tuple(runs), True, objects)
 
 
@@ -276,7 +241,7 @@ def _grouped(root: Path, named: Mapping[Path, tuple[str, str]]) -> FileGroups:
             if before != file:
                 raise InputError(f"run {key} has {before} already; import them one after the other", file=file)
     kinds, objects = _with_objects(kinds)
-    runs = sorted({run for by_run in kinds.values() for run in by_run}, key=natural)
+    runs = sorted({run for by_run in kinds.values() for run in by_run}, key=natural_key)
     return FileGroups(root, kinds, tuple(runs), True, objects, left_out)
 
 

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -15,13 +16,23 @@ from impact_rs_trials.recordings.arm_impacts import impacts_of_run
 from impact_rs_trials.recordings.body_impacts import TrackedBody, impacts_of_bodies
 from impact_rs_trials.recordings.clock_offset import OBJECT_SIGNALS
 from impact_rs_trials.recordings.experiment import Body, Experiment, Plane, RunRow, read_runs
+from impact_rs_trials.recordings.impact_columns import (
+    FRICTION,
+    MASS,
+    MOMENTS,
+    RADIUS,
+    RESTITUTION,
+    SHELL,
+    SIZE,
+    ColumnGroup,
+)
 from impact_rs_trials.recordings.impact_rows import Impact, NoRow
 from impact_rs_trials.recordings.laboratory import Laboratory, placed, with_object
 from impact_rs_trials.recordings.mapping import Mapping
-from impact_rs_trials.recordings.recording import find_recordings
 from impact_rs_trials.recordings.remarks import Amount, Remark, merged
+from impact_rs_trials.recordings.run_finder import find_runs
 from impact_rs_trials.recordings.series import Names
-from impact_rs_trials.recordings.sources import read_series, runs_inside
+from impact_rs_trials.recordings.sources import read_series
 from impact_rs_trials.workers import Map
 
 SPIN = (
@@ -50,7 +61,7 @@ class FoundImpacts:
         impacts: Impacts in the order of the runs.
         left_out: Runs and impacts that give no row, with the reason.
         runs: How many runs were looked at.
-        constants: Columns of the table with one value: what the body is, and what is assumed of the contact.
+        constants: ColumnGroup of the table with one value: what the body is, and what is assumed of the contact.
         remarks: What the user should know of how the runs were read.
     """
 
@@ -105,9 +116,10 @@ def _of_bodies(directory: Path, experiment: Experiment, body: Body, map_tasks: M
     (mapping,) = experiment.load_mappings(["body"]).values()
     plane = experiment.plane or Plane()
     tables = (directory / experiment.runs, experiment.folder / experiment.runs)
-    rows = [RunRow(run, "body", True, "") for path in find_recordings(directory) for run in runs_inside(path, mapping)]
     if any(table.is_file() for table in tables):
         rows = [row for row in read_runs(directory, experiment, None) if row.hit]
+    else:
+        rows = [RunRow(run, "body", True, "") for run in find_runs(directory, mapping)]
     runs, left_out = [], []
     remarks: list[tuple[str, str]] = []
     for row, result in zip(rows, map_tasks(_track, [(row, mapping, body, plane) for row in rows]), strict=True):
@@ -133,19 +145,15 @@ def _with_condition(impact: Impact, rows: dict[str, RunRow]) -> Impact:
 
 def body_columns(body: Body, plane: Plane) -> dict[str, float]:
     """Columns of a table of impacts that say what the body is and what is assumed of the contact."""
-    shape = {"radius [m]": body.radius, "shell [-]": float(body.shell)} if body.radius is not None else {}
+    found: list[tuple[ColumnGroup, Sequence[float]]] = [(MASS, (body.mass,))]
+    if body.radius is None or body.inertia is not None:
+        found.append((MOMENTS, body.moments.tolist()))
+    if body.radius is not None:
+        found += [(RADIUS, (body.radius,)), (SHELL, (float(body.shell),))]
     if body.size is not None:
-        shape = {f"size_{axis} [m]": extent for axis, extent in zip("xyz", body.size, strict=True)}
-    moments = {f"i{axis}{axis} [kg m^2]": float(one) for axis, one in zip("xyz", body.moments, strict=True)}
-    if body.radius is not None and body.inertia is None:
-        moments = {}
-    return {
-        "mass [kg]": body.mass,
-        **moments,
-        **{name: float(value) for name, value in shape.items()},
-        "friction [-]": plane.friction,
-        "restitution [-]": plane.restitution,
-    }
+        found.append((SIZE, body.size))
+    found += [(FRICTION, (plane.friction,)), (RESTITUTION, (plane.restitution,))]
+    return {header: value for one, own in found for header, value in zip(one.headers, own, strict=True)}
 
 
 def tracked_body(

@@ -26,7 +26,7 @@ from impact_rs_sim.proportion import Proportion
 from impact_rs_sim.robot import Array, RobotFacts
 from impact_rs_sim.robot_model import RobotModel
 from impact_rs_trials.recordings.clock import seconds_of
-from impact_rs_trials.recordings.mapping import SLIDES, TURNS, UNITS
+from impact_rs_trials.recordings.file_units import SLIDES, TURNS, UNITS
 from impact_rs_trials.recordings.table_file import DATE
 
 STAMP = re.compile(r"(^|[^a-z])(t|time|times|timestamp|stamp|sec|secs|nsec)([^a-z]|$)|time|stamp", re.IGNORECASE)

@@ -36,9 +36,20 @@ import scipy
 
 from impact_rs_sim.robot import Array
 from impact_rs_sim.robot_model import RobotModel
+from impact_rs_trials.recordings.impact_columns import (
+    AXES,
+    DQ_AFTER,
+    DQ_BEFORE,
+    V_AFTER,
+    V_BEFORE,
+    W_AFTER,
+    W_BEFORE,
+    ColumnGroup,
+    JointColumnGroup,
+    arm_label,
+)
 from impact_rs_trials.recordings.impact_table import ImpactRow, ImpactTable
 
-AXES = ("x", "y", "z")
 UNITS = (-1.0, np.pi / 180.0, 180.0 / np.pi, 1e-3, 1e3)  # deg for rad, mm for m, and the other way around
 MOST_ROWS = 200  # of a table, evenly taken
 LEAST_ROWS = 5
@@ -276,9 +287,9 @@ def _other_scale(table: ImpactTable, rows: Sequence[ImpactRow], before: Array, a
     place, column = np.unravel_index(int(np.argmax(sizes)), sizes.shape)
     if sizes[place, column] < OTHER_UNIT:
         return []
-    row, name = rows[int(place) + BESIDE].number, _signals(table)[int(column)]
+    row, name = rows[int(place) + BESIDE].number, _signals(table, DQ_AFTER, V_AFTER, W_AFTER)[int(column)]
     return [
-        f"{name}_after is {after_jumps[place, column]:.2g} times as large from row {row} on, while nothing changes "
+        f"{name} is {after_jumps[place, column]:.2g} times as large from row {row} on, while nothing changes "
         "before the impacts: another unit?"
     ]
 
@@ -292,13 +303,11 @@ def _jumps_of_size(columns: Array) -> Array:
     return np.where(known, later / np.where(known, earlier, 1.0), 1.0)
 
 
-def _signals(table: ImpactTable) -> list[str]:
-    """Names of the velocities, as columns have them."""
-    names = []
-    for name, arm in table.rows[0].impact.arms.items():
-        label = f"{name}." if len(table.arms) > 1 else ""
-        names += [f"{label}dq{joint + 1}" for joint in range(arm.velocity.size)]
-    return [*names, *(f"{stem}{axis}" for stem in "vw" for axis in AXES)]
+def _signals(table: ImpactTable, joints: JointColumnGroup, *of_body: ColumnGroup) -> list[str]:
+    """Names of the columns of all velocities before or after."""
+    arms = table.rows[0].impact.arms
+    of_arms = [name for arm, own in arms.items() for name in joints.names(arm_label(arm, arms), own.velocity.size)]
+    return [*of_arms, *(name for one in of_body for name in one.names)]
 
 
 def _rms(values: Array | list[float]) -> float:
@@ -319,24 +328,21 @@ def _in_words(broken: Array, whole: float) -> str:
 
 def remedies(table: ImpactTable) -> Iterator[Remedy]:
     """Factors of single signals, the simplest first."""
-    groups: list[tuple[list[str], list[int]]] = []
-    start = 0
-    for name, arm in table.rows[0].impact.arms.items():
-        label = f"{name}." if len(table.arms) > 1 else ""
-        groups += [([f"{label}dq{joint + 1}"], [start + joint]) for joint in range(arm.velocity.size)]
-        start += arm.velocity.size
-    linear, angular = ([f"{stem}{axis}" for axis in AXES] for stem in "vw")
-    groups += [([name], [start + number]) for number, name in enumerate([*linear, *angular])]
+    sides = {
+        "before": _signals(table, DQ_BEFORE, V_BEFORE, W_BEFORE),
+        "after": _signals(table, DQ_AFTER, V_AFTER, W_AFTER),
+    }
+    count = len(sides["before"])
+    linear, angular = ([*range(first, first + 3)] for first in (count - 6, count - 3))
+    groups = [[place] for place in range(count)]
     # Where all of an axis is mirrored, lever and velocity, the other two angular velocities seem to be wrong.
-    groups += [
-        ([angular[i] for i in (0, 1, 2) if i != n], [start + 3 + i for i in (0, 1, 2) if i != n]) for n in range(3)
-    ]
-    groups += [(linear, [start, start + 1, start + 2]), (angular, [start + 3, start + 4, start + 5])]
-    for names, places in groups:
+    groups += [[place for place in angular if place != mirrored] for mirrored in angular]
+    groups += [linear, angular]
+    for places in groups:
         for factor in UNITS if len(places) == len(AXES) else (-1.0,):
-            for tails in (("before", "after"), ("after",), ("before",)):
-                scaled = np.ones((2, start + 6))
-                for number, tail in enumerate(("before", "after")):
-                    scaled[number, places] = factor if tail in tails else 1.0
-                columns = tuple(f"{name}_{tail}" for name in names for tail in tails)
-                yield Remedy(columns, factor, scaled[0], scaled[1])
+            for tried in (("before", "after"), ("after",), ("before",)):
+                scaled = {side: np.ones(count) for side in sides}
+                for side in tried:
+                    scaled[side][places] = factor
+                columns = tuple(sides[side][place] for place in places for side in tried)
+                yield Remedy(columns, factor, scaled["before"], scaled["after"])

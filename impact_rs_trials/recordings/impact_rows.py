@@ -12,9 +12,34 @@ import numpy as np
 import pinocchio as pin
 
 from impact_rs_sim.impact_map.contacts import GAP_TOLERANCE
-from impact_rs_sim.robot import Array
+from impact_rs_sim.robot import Array, JointUnits
+from impact_rs_trials.recordings.impact_columns import (
+    CONDITION,
+    CONTACT_NOISE,
+    DISTANCE_NOISE,
+    DQ_AFTER,
+    DQ_BEFORE,
+    DQ_NOISE,
+    IMPACT_TIME,
+    LAW,
+    OBJECT,
+    ORIENTATION,
+    POSITION,
+    RUN,
+    SESSION,
+    SLIDE_DISTANCE,
+    TOLERANCE,
+    V_AFTER,
+    V_BEFORE,
+    V_NOISE,
+    W_AFTER,
+    W_BEFORE,
+    W_NOISE,
+    ColumnGroup,
+    Q,
+    arm_label,
+)
 
-POSE = ("x [m]", "y [m]", "z [m]", "qx [-]", "qy [-]", "qz [-]", "qw [-]")
 DIGITS = 9
 BY_WAY = "sliding distance"  # law after the impact, where the velocity follows from the way to rest
 
@@ -41,14 +66,14 @@ class ArmInImpact:
         before: dq just before, ``(n,)`` [rad/s].
         after: dq just after, ``(n,)`` [rad/s].
         noise: Standard deviation of the change of dq, rms over the joints [rad/s].
-        units: Units of position and velocity by joint.
+        units: Units of every joint.
     """
 
     position: Array
     before: Array
     after: Array
     noise: float
-    units: tuple[tuple[str, str], ...]
+    units: tuple[JointUnits, ...]
 
 
 @dataclass(frozen=True)
@@ -70,7 +95,7 @@ class Impact:
         contact_noise: Standard deviations of the place of the contact [m] and of its normal [rad], by the pose.
         model: Law that was fitted after the impact.
         arms: Arms by name; empty: a free body.
-        outcomes: What was measured later: friction of the support [-], distance [m].
+        outcomes: What was measured later, by its column: friction of the support [-], distance [m].
         turn_tracked: Whether angular velocities after were measured; if not, none is known. That of a free body before
             is assumed then.
     """
@@ -87,69 +112,104 @@ class Impact:
     tolerance: float
     model: str
     arms: Mapping[str, ArmInImpact] = field(default_factory=dict)
-    outcomes: Mapping[str, float] = field(default_factory=dict)
+    outcomes: Mapping[ColumnGroup, float] = field(default_factory=dict)
     turn_tracked: bool = True
     session: str = ""
     contact_noise: tuple[float, float] = (0.0, 0.0)
 
     @property
-    def noise_of_way(self) -> float:
+    def distance_noise(self) -> float:
         """Standard deviation of a slide distance D, with v^2 = 2 mu g D and the noise of v [m]."""
-        way = self.outcomes["slide_distance [m]"]
-        return self.noise[0] * 2.0 * way / max(float(np.linalg.norm(self.after[:3])), 1e-9)
+        distance = self.outcomes[SLIDE_DISTANCE]
+        return self.noise[0] * 2.0 * distance / max(float(np.linalg.norm(self.after[:3])), 1e-9)
 
 
 def table_text(impacts: Sequence[Impact], constants: Mapping[str, float]) -> str:
     """The table of impacts as CSV.
 
-    Where all velocities after follow from the way that the object slid, that way is the outcome and they are left out,
-    so that the friction of the support stays a parameter.
+    Where all velocities after follow from the slide distance, that distance is the outcome and they are left out, so
+    that the friction of the support stays a parameter.
 
     Args:
         impacts: At least one, all of the same arms.
-        constants: Further columns with one value, for example ``mass [kg]``.
+        constants: Further columns with one value by header, for example ``mass [kg]``.
     """
-    several = len(impacts[0].arms) > 1
-    outcomes = list(dict.fromkeys(name for impact in impacts for name in impact.outcomes))
-    header = ["run", "session", "condition", "impact_time [s]"]
-    header += ["object"] if impacts[0].object_name else []
-    header += POSE
-    header += [f"v{axis}_before [m/s]" for axis in "xyz"] + [f"w{axis}_before [rad/s]" for axis in "xyz"]
-    header += [f"v{axis}_after [m/s]" for axis in "xyz"]
-    turned = all(impact.turn_tracked for impact in impacts)
-    by_way = all(impact.model == BY_WAY for impact in impacts)
-    header = header[:-3] if by_way else header
-    header += [f"w{axis}_after [rad/s]" for axis in "xyz"] if turned else []
-    for name, arm in impacts[0].arms.items():
-        label = f"{name}." if several else ""
-        header += [f"{label}q{joint} [{unit}]" for joint, (unit, _) in enumerate(arm.units, start=1)]
-        for tail in ("before", "after"):
-            header += [f"{label}dq{joint}_{tail} [{unit}]" for joint, (_, unit) in enumerate(arm.units, start=1)]
-    header += ["distance_noise [m]" if by_way else "v_noise [m/s]", *(["w_noise [rad/s]"] if turned else [])]
-    header += ["dq_noise [rad/s]"] if impacts[0].arms else []
-    header += ["p_noise [m]", "n_noise [rad]", "contact_tolerance [m]", *constants, "law after", *outcomes]
-    if not any(impact.session for impact in impacts):
-        header.remove("session")
-    if not any(impact.condition not in ("", impact.session) for impact in impacts):
-        header.remove("condition")
+    form = _Form(
+        turned=all(impact.turn_tracked for impact in impacts),
+        by_distance=all(impact.model == BY_WAY for impact in impacts),
+        sessions=any(impact.session for impact in impacts),
+        conditions=any(impact.condition not in ("", impact.session) for impact in impacts),
+    )
+    rows = [_cells(impact, form, constants) for impact in impacts]
     text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(header)
-    for impact in impacts:
-        after = impact.after if turned else impact.after[:0] if by_way else impact.after[:3]
-        numbers = [*impact.position, *pin.Quaternion(impact.rotation).coeffs(), *impact.before, *after]
-        for arm in impact.arms.values():
-            numbers += [*arm.position, *arm.before, *arm.after]
-        numbers += impact.noise if turned else [impact.noise_of_way] if by_way else impact.noise[:1]
-        if impact.arms:
-            numbers.append(float(np.sqrt(np.mean([arm.noise**2 for arm in impact.arms.values()]))))
-        numbers += [*impact.contact_noise, max(impact.tolerance, GAP_TOLERANCE), *constants.values()]
-        first = [impact.run, *(getattr(impact, name) for name in ("session", "condition") if name in header)]
-        first.append(_short(impact.time))
-        first += [impact.object_name] if impact.object_name else []
-        last = [_short(impact.outcomes[name]) if name in impact.outcomes else "" for name in outcomes]
-        writer.writerow([*first, *map(_short, numbers), impact.model, *last])
+    writer = csv.DictWriter(text, list(dict.fromkeys(header for row in rows for header in row)), lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(rows)
     return text.getvalue()
+
+
+@dataclass(frozen=True)
+class _Form:
+    """What all rows of a table have in common.
+
+    Attributes:
+        turned: Whether angular velocities after were measured.
+        by_distance: Whether the slide distance stands in place of velocities after.
+        sessions: Whether some run has a session.
+        conditions: Whether conditions say more than sessions.
+    """
+
+    turned: bool
+    by_distance: bool
+    sessions: bool
+    conditions: bool
+
+
+def _cells(impact: Impact, form: _Form, constants: Mapping[str, float]) -> dict[str, str]:
+    """Cells of one row by header, in the order of the table."""
+    cells: dict[str, str] = {}
+
+    def put(columns: ColumnGroup, *values: float | str) -> None:
+        texts = (value if isinstance(value, str) else _short(value) for value in values)
+        cells.update(zip(columns.headers, texts, strict=True))
+
+    put(RUN, impact.run)
+    if form.sessions:
+        put(SESSION, impact.session)
+    if form.conditions:
+        put(CONDITION, impact.condition)
+    put(IMPACT_TIME, impact.time)
+    if impact.object_name:
+        put(OBJECT, impact.object_name)
+    put(POSITION, *impact.position)
+    put(ORIENTATION, *pin.Quaternion(impact.rotation).coeffs())
+    put(V_BEFORE, *impact.before[:3])
+    put(W_BEFORE, *impact.before[3:])
+    if not form.by_distance:
+        put(V_AFTER, *impact.after[:3])
+    if form.turned:
+        put(W_AFTER, *impact.after[3:])
+    for name, arm in impact.arms.items():
+        label = arm_label(name, impact.arms)
+        for joints, values in ((Q, arm.position), (DQ_BEFORE, arm.before), (DQ_AFTER, arm.after)):
+            for column, value in zip(joints.of_arm(label, arm.units), values, strict=True):
+                put(column, value)
+    if form.by_distance:
+        put(DISTANCE_NOISE, impact.distance_noise)
+    else:
+        put(V_NOISE, impact.noise[0])
+    if form.turned:
+        put(W_NOISE, impact.noise[1])
+    if impact.arms:
+        put(DQ_NOISE, float(np.sqrt(np.mean([arm.noise**2 for arm in impact.arms.values()]))))
+    for column, noise in zip(CONTACT_NOISE, impact.contact_noise, strict=True):
+        put(column, noise)
+    put(TOLERANCE, max(impact.tolerance, GAP_TOLERANCE))
+    cells |= {header: _short(value) for header, value in constants.items()}
+    put(LAW, impact.model)
+    for column, value in impact.outcomes.items():
+        put(column, value)
+    return cells
 
 
 def _short(number: float) -> str:

@@ -42,7 +42,8 @@ from impact_rs_trials.recordings.candidates import (
     width_of,
 )
 from impact_rs_trials.recordings.clock_offset import OBJECT_SIGNALS
-from impact_rs_trials.recordings.file_groups import OBJECT, RUN_TABLE, FileGroups, group_files, recordings_in
+from impact_rs_trials.recordings.file_groups import OBJECT, FileGroups, group_files
+from impact_rs_trials.recordings.file_units import TURNS, UNITS
 from impact_rs_trials.recordings.guesses import (
     OUTLIERS,
     STAMP,
@@ -75,8 +76,6 @@ from impact_rs_trials.recordings.import_texts import ARM, BODY, FoundRun, Line, 
 from impact_rs_trials.recordings.inner_runs import RUN, run_column_of, run_groups_of, runs_of
 from impact_rs_trials.recordings.mapping import (
     NO_ROBOT,
-    TURNS,
-    UNITS,
     Mapping,
     MountedEndEffector,
     SignalName,
@@ -85,14 +84,18 @@ from impact_rs_trials.recordings.mapping import (
 )
 from impact_rs_trials.recordings.moving_objects import moving_objects
 from impact_rs_trials.recordings.recording import read_recordings
-from impact_rs_trials.recordings.series import Names, Series
-from impact_rs_trials.recordings.sources import (
+from impact_rs_trials.recordings.run_finder import (
     ARRAY_SUFFIXES,
     BAG_SUFFIXES,
+    RUN_TABLE,
+    find_recordings,
+    find_runs,
     is_bag_folder,
+)
+from impact_rs_trials.recordings.series import Names, Series
+from impact_rs_trials.recordings.sources import (
     open_file,
     read_series,
-    runs_inside,
 )
 from impact_rs_trials.recordings.table_columns import read_columns, read_rows
 from impact_rs_trials.recordings.table_layout import find_layout
@@ -428,7 +431,8 @@ def draft_import(paths: Sequence[Path], output: Path, wishes: Wishes) -> ImportD
     Raises:
         InputError: They cannot be read, or something is missing that nothing shows; the message says what to add.
     """
-    return _Importer(group_files(recordings_in(paths)), output, wishes).draft()
+    files = [file for path in paths for file in find_recordings(path, notes=True)]
+    return _Importer(group_files(files), output, wishes).draft()
 
 
 class _Importer:
@@ -1128,7 +1132,7 @@ class _Importer:
                 yield run, session
                 continue
             try:
-                inside = runs_inside(self._groups.folder / run, mapping)
+                inside = find_runs(self._groups.folder / run, mapping)
             except InputError as error:
                 self._remarks.append(f"{run} is left out, for the reader refuses it: {error}")
                 continue

@@ -22,28 +22,8 @@ from impact_rs_sim.files import is_file
 from impact_rs_sim.paths import config_directory
 from impact_rs_sim.robot import Array, EndEffector, RobotFacts, load_facts
 from impact_rs_sim.schema import NonNegativeVector, PositiveVector, Schema, Vector3, load
+from impact_rs_trials.recordings.file_units import CURRENTS, SLIDES, TURNS, UNITS
 
-TURNS: dict[str, dict[str, float]] = {  # factor to SI of joints that turn, by quantity
-    "position": {"rad": 1.0, "mrad": 1e-3, "deg": np.pi / 180.0},
-    "velocity": {"rad/s": 1.0, "mrad/s": 1e-3, "deg/s": np.pi / 180.0},
-    "torque": {"N m": 1.0, "mN m": 1e-3, "A": 1.0, "mA": 1e-3},
-    "torque_rate": {"N m/s": 1.0},
-}
-SLIDES: dict[str, dict[str, float]] = {  # of joints that slide
-    "position": {"m": 1.0, "mm": 1e-3},
-    "velocity": {"m/s": 1.0, "mm/s": 1e-3},
-    "torque": {"N": 1.0, "mN": 1e-3, "A": 1.0, "mA": 1e-3},
-    "torque_rate": {"N/s": 1.0},
-}
-CURRENTS = ("A", "mA")  # of a motor; torque_constant makes a torque of them
-UNITS: dict[str, dict[str, float]] = {
-    **{quantity: TURNS[quantity] | SLIDES[quantity] for quantity in TURNS},
-    "length": {"m": 1.0, "mm": 1e-3},
-    "orientation": {"-": 1.0},
-    "wrench": {"N, N m": 1.0},
-    "acceleration": {"m/s^2": 1.0, "g": 9.80665},
-    "time": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "date": 1e-9},  # dates are read as whole nanoseconds
-}
 QUANTITY = {  # quantity of each signal
     "position": "position",
     "velocity": "velocity",

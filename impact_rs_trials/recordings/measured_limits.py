@@ -17,7 +17,7 @@ from impact_rs_sim.robot import Array
 from impact_rs_sim.urdf_repairs import Limits
 from impact_rs_trials.recordings.candidates import SignalCandidate, candidates_of, single_candidates
 from impact_rs_trials.recordings.mapping import TableLayout
-from impact_rs_trials.recordings.sources import TABLE_SUFFIXES
+from impact_rs_trials.recordings.run_finder import TABLE_SUFFIXES
 from impact_rs_trials.recordings.table_columns import Columns, read_columns
 from impact_rs_trials.recordings.table_layout import find_layout
 

@@ -20,21 +20,14 @@ from impact_rs_sim.robot_model import RobotModel
 from impact_rs_trials.recordings.clock import check_stamps, gaps, tell_gaps
 from impact_rs_trials.recordings.clock_offset import on_one_clock
 from impact_rs_trials.recordings.faults import EXCESS, FEW, MARGIN, without_faults
+from impact_rs_trials.recordings.file_units import CURRENTS
 from impact_rs_trials.recordings.guesses import at_rest
 from impact_rs_trials.recordings.joint_checks import doubts_of_arm
-from impact_rs_trials.recordings.mapping import CURRENTS, JOINT_SIGNALS, REQUIRED, Mapping, SignalName
+from impact_rs_trials.recordings.mapping import JOINT_SIGNALS, REQUIRED, Mapping, SignalName
+from impact_rs_trials.recordings.run_finder import BAG_SUFFIXES, FILE_SUFFIXES, find_recordings, find_runs
 from impact_rs_trials.recordings.sampling_times import doubt_of_timestamps
 from impact_rs_trials.recordings.series import Series
-from impact_rs_trials.recordings.sources import (
-    BAG_SUFFIXES,
-    FILE_SUFFIXES,
-    SEARCHED_SUFFIXES,
-    read_series,
-    run_folders,
-    runs_below,
-    runs_inside,
-    spread_runs,
-)
+from impact_rs_trials.recordings.sources import read_series
 from impact_rs_trials.recordings.torque_readings import check_holds_weight
 from impact_rs_trials.runs import ArmSignals, Run, Signals
 
@@ -52,28 +45,6 @@ LEAST_RATE = 10.0  # at most so many per period of the low-pass
 
 class TooShort(InputError):
     """A recording of which too little is left; among others it is left out, with the reason."""
-
-
-def find_recordings(path: Path) -> list[Path]:
-    """The recording at ``path``, or all recordings below a folder.
-
-    Raises:
-        InputError: There is nothing here that can be read.
-    """
-    if path.is_file():
-        if path.suffix not in FILE_SUFFIXES:
-            raise InputError(f"expected a recording ({', '.join(FILE_SUFFIXES)}), or a folder of them", file=path)
-        return [path]
-    if not path.is_dir():
-        raise InputError("no such file or folder", file=path)
-    if (path / "metadata.yaml").is_file():
-        return [path]
-    bags = {file.parent for file in path.rglob("metadata.yaml")}
-    files = {file for suffix in SEARCHED_SUFFIXES for file in path.rglob(f"*{suffix}") if file.parent not in bags}
-    if not bags | files:
-        expected = f"{', '.join(SEARCHED_SUFFIXES)} or the folder of a bag"
-        raise InputError(f"no recording here; expected {expected}", file=path)
-    return sorted(bags | files)
 
 
 def is_foreign(path: Path) -> bool:
@@ -106,7 +77,7 @@ def read_recordings(path: Path, mapping: Mapping) -> list[Run]:
     Raises:
         InputError: A recording cannot be used; the message says what was expected.
     """
-    return [piece for item in _recordings_at(path, mapping) for piece in _pieces(item, mapping)]
+    return [piece for item in find_runs(path, mapping) for piece in _pieces(item, mapping)]
 
 
 def read_long_enough(path: Path, mapping: Mapping) -> tuple[list[Run], list[tuple[str, str]]]:
@@ -115,7 +86,7 @@ def read_long_enough(path: Path, mapping: Mapping) -> tuple[list[Run], list[tupl
     Raises:
         InputError: A recording cannot be used, or none is long enough.
     """
-    found = _recordings_at(path, mapping)
+    found = find_runs(path, mapping)
     runs: list[Run] = []
     left_out: list[tuple[str, str]] = []
     for item in found:
@@ -129,29 +100,6 @@ def read_long_enough(path: Path, mapping: Mapping) -> tuple[list[Run], list[tupl
         said = "; ".join(f"{Path(name).name}: {why}" for name, why in left_out[:MOST_NAMED])
         raise TooShort(f"none of {len(left_out)} recordings is long enough: {said}", file=path)
     return runs, left_out
-
-
-def _recordings_at(path: Path, mapping: Mapping) -> list[Path]:
-    """What :func:`read_recordings` reads, each a run."""
-    if path.is_dir() and all(source.file is not None for source in mapping.signals.values()):
-        found = runs_below(path, mapping) if mapping.spread else run_folders(path, mapping)
-        if not found:
-            files = ", ".join(sorted({str(source.file) for source in mapping.signals.values()}))
-            raise InputError(
-                f"no run here has the files that signals.NAME.file of the mapping names: {files}", file=path
-            )
-    elif mapping.spread and path.parent.is_dir() and not path.exists():
-        beside = list(spread_runs(path.parent, mapping))
-        if path not in beside:
-            listed = ", ".join(run.name for run in beside) or "none"
-            raise InputError(f"no run of this name; those that signals.NAME.file finds here: {listed}", file=path)
-        found = [path]
-    elif mapping.holds_runs:
-        whole = [] if path.parent.is_file() else find_recordings(path)
-        found = [run for file in whole for run in runs_inside(file, mapping)] or [path]
-    else:
-        found = find_recordings(path)
-    return found
 
 
 def _pieces(path: Path, mapping: Mapping) -> list[Run]:

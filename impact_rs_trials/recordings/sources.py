@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Collection, Iterable
 from pathlib import Path
 from typing import Protocol
@@ -11,18 +10,18 @@ from typing import Protocol
 from impact_rs_sim.errors import InputError, did_you_mean
 from impact_rs_trials.recordings.array_file import ArrayFile
 from impact_rs_trials.recordings.bag_file import BagFile
-from impact_rs_trials.recordings.inner_runs import RUN
 from impact_rs_trials.recordings.mapping import Mapping, SignalName, SignalSource
+from impact_rs_trials.recordings.run_finder import (
+    ARRAY_SUFFIXES,
+    BAG_SUFFIXES,
+    FILE_SUFFIXES,
+    SEARCHED_SUFFIXES,
+    TABLE_SUFFIXES,
+    is_bag_folder,
+    name_of,
+)
 from impact_rs_trials.recordings.series import MissingSignal, Names, Series
-from impact_rs_trials.recordings.table_columns import run_names
 from impact_rs_trials.recordings.table_file import TableFile
-
-BAG_SUFFIXES = (".db3", ".mcap")
-NOTE_SUFFIXES = (".txt", ".dat")  # of tables that are read where they are named; others of a folder may be notes
-TABLE_SUFFIXES = (".csv", ".tsv", ".parquet", ".npy", *NOTE_SUFFIXES)
-ARRAY_SUFFIXES = (".npz", ".h5", ".hdf5", ".mat")
-FILE_SUFFIXES = (*BAG_SUFFIXES, *TABLE_SUFFIXES, *ARRAY_SUFFIXES)
-SEARCHED_SUFFIXES = tuple(suffix for suffix in FILE_SUFFIXES if suffix not in NOTE_SUFFIXES)
 
 
 class SignalFile(Protocol):
@@ -35,81 +34,6 @@ class SignalFile(Protocol):
             MissingSignal: The file lacks it.
             InputError: It cannot be used.
         """
-
-
-def is_bag_folder(path: Path) -> bool:
-    """Whether a folder is that of a bag."""
-    return (path / "metadata.yaml").is_file()
-
-
-def spread_runs(folder: Path, mapping: Mapping) -> dict[Path, str]:
-    """Runs whose signals lie in files of a folder with the run's name in theirs, in natural order, and their objects.
-
-    Args:
-        folder: The folder.
-        mapping: Names the files, ``hit_{run}.csv`` or ``object_{object}_hit_{run}.csv``.
-    """
-    patterns = {source.file for source in mapping.signals.values() if source.file is not None}
-    runs: dict[str, str] = {}
-    for pattern in sorted(patterns):
-        expression = re.escape(pattern)
-        for part in ("run", "object", "arm"):
-            once = expression.replace(re.escape(f"{{{part}}}"), f"(?P<{part}>[^/]+)", 1)
-            expression = once.replace(re.escape(f"{{{part}}}"), f"(?P={part})")
-        for file in folder.iterdir():
-            if found := re.fullmatch(expression, file.name):
-                known = found.groupdict()
-                runs[known["run"]] = known.get("object") or runs.get(known["run"], "")
-    return {folder / run: runs[run] for run in sorted(runs, key=natural)}
-
-
-def runs_below(folder: Path, mapping: Mapping) -> list[Path]:
-    """Runs of :func:`spread_runs` in a folder, and in those below it, each a session."""
-    below = sorted((one for one in folder.rglob("*") if one.is_dir()), key=lambda one: natural(str(one)))
-    return [run for place in (folder, *below) for run in spread_runs(place, mapping)]
-
-
-def runs_inside(file: Path, mapping: Mapping) -> list[Path]:
-    """Runs that a file holds (:mod:`inner_runs`), each called as a file in a folder; the file where it is one run.
-
-    Raises:
-        InputError: It cannot be read.
-    """
-    if mapping.run_column is not None and file.suffix in TABLE_SUFFIXES:
-        named = dict.fromkeys(run_names(file, mapping.table, mapping.run_column))
-        if strange := [run for run in named if "/" in run or run in ("", ".", "..")]:
-            said = "expected the name of a run in every row, without /"
-            raise InputError(said, file=file, key=f"column {mapping.run_column}", value=strange[0])
-        return [file / run for run in named]
-    arrays = {source.array for source in mapping.signals.values() if source.array is not None and RUN in source.array}
-    if not arrays or file.suffix not in ARRAY_SUFFIXES:
-        return [file]
-    found: set[str] = set()
-    names = ArrayFile.names_of(file)
-    for array in arrays:
-        expression = re.escape(array.strip("/")).replace(re.escape(RUN), "(?P<run>[^/]+)", 1)
-        expression = expression.replace(re.escape(RUN), "(?P=run)")
-        found |= {match["run"] for name in names if (match := re.fullmatch(expression, name))}
-    return [file / run for run in sorted(found, key=natural)] if found - {file.stem} else [file]
-
-
-def run_folders(folder: Path, mapping: Mapping) -> list[Path]:
-    """Folders of one run each, with the files that the signals of a mapping lie in: this folder, or those below."""
-    files = sorted({source.file for source in mapping.signals.values() if source.file is not None})
-    found = {place.parent for place in folder.rglob(Path(files[0]).name)}
-    return sorted(
-        (one for one in found if all((one / file).is_file() for file in files)), key=lambda one: natural(str(one))
-    )
-
-
-def natural(name: str) -> list[tuple[bool, int, str]]:
-    """Order in which run 9 comes before run 10."""
-    return [(part.isdecimal(), int(part) if part.isdecimal() else 0, part) for part in re.split(r"(\d+)", name)]
-
-
-def name_of(path: Path) -> str:
-    """Name of a run, without the ending of a file."""
-    return path.stem if path.suffix in FILE_SUFFIXES and not path.is_dir() else path.name
 
 
 def read_series(

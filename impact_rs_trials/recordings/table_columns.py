@@ -6,7 +6,7 @@ Columns without names are ``c1``, ``c2`` and so on.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -20,8 +20,11 @@ from impact_rs_trials.recordings.csv_rows import csv_rows
 from impact_rs_trials.recordings.inner_runs import runs_of
 from impact_rs_trials.recordings.mapping import TableLayout
 
+Cells = dict[str, list[str] | NDArray[Any]]
+
 MOST_LISTED = 8  # runs in a message
-TRAILING = "the names of the columns may stand in another line: table.header in the mapping says in which"
+DEFAULT_LAYOUT = TableLayout()
+TRAILING = "; the names of the columns may stand in another line: table.header in the mapping says in which"
 
 
 @dataclass(frozen=True)
@@ -33,12 +36,14 @@ class Columns:
         lines: Line of every row in a text file; empty: it is none.
         dates: Columns that hold dates, as nanoseconds since 1970.
         remarks: What the user should know of how it was read.
+        header: Line of the names in a text file; 0: they stand in none.
     """
 
     cells: Mapping[str, list[str] | NDArray[Any]]
     lines: tuple[int, ...] = ()
     dates: frozenset[str] = frozenset()
     remarks: tuple[str, ...] = ()
+    header: int = 0
 
     def in_rows(self, rows: NDArray[np.signedinteger]) -> Columns:
         """Some of the rows."""
@@ -49,19 +54,21 @@ class Columns:
         return replace(self, cells=cells, lines=tuple(self.lines[row] for row in rows) if self.lines else ())
 
 
-def read_columns(path: Path, layout: TableLayout) -> Columns:
+def read_columns(path: Path, layout: TableLayout = DEFAULT_LAYOUT, recorded: bool = True) -> Columns:
     """The columns of a table.
 
     Args:
         path: The file.
         layout: Where a text has its names and rows.
+        recorded: Whether it was recorded sample by sample: its last line may be cut off, and it has at least one row.
+            Of other tables every line has as many cells as the header, and there may be no row, or no header.
 
     Raises:
-        InputError: It cannot be read.
+        InputError: It cannot be read, a line has another number of cells, or two columns share a name.
     """
     if path.suffix == ".parquet":
         return _of_parquet(path)
-    return _of_npy(path) if path.suffix == ".npy" else _of_text(path, layout)
+    return _of_npy(path) if path.suffix == ".npy" else _of_text(path, layout, recorded)
 
 
 def read_rows(path: Path, layout: TableLayout, column: str, run: str) -> Columns:
@@ -101,32 +108,39 @@ def run_names(path: Path, layout: TableLayout, column: str) -> list[str]:
     return runs_of(columns.cells[column])
 
 
-def _of_text(path: Path, layout: TableLayout) -> Columns:
+def _of_text(path: Path, layout: TableLayout, recorded: bool) -> Columns:
     rows = csv_rows(path, layout.header, layout.first, layout.decimal)
     if layout.header == 0 and rows:
         rows.insert(0, (0, [f"c{number}" for number in range(1, len(rows[0][1]) + 1)]))
-    if len(rows) < 2:
+    if recorded and len(rows) < 2:
         raise InputError("expected a line of column names and lines of numbers", file=path)
-    header = [name.strip() for name in rows[0][1]]
-    remarks = []
-    if len(rows) > 2 and len(rows[-1][1]) < len(header) and not path.read_bytes().endswith(b"\n"):
+    if not rows:
+        return Columns({})
+    (at, names), *rows = rows
+    what = "numbers" if recorded else "cells"
+    header, remarks = [name.strip() for name in names], []
+    if recorded and len(rows) > 1 and len(rows[-1][1]) < len(header) and not path.read_bytes().endswith(b"\n"):
         number, row = rows.pop()
         said = f"line {number}, the last, is cut off ({len(row)} of {len(header)} numbers): left out"
         remarks.append(f"{path.name}: {said}")
-    kept = []
-    for number, row in rows:
+    for place, (number, row) in enumerate(rows):
         if len(row) == len(header) + 1 and not row[-1].strip():  # a separator at the end of the line
-            row = row[:-1]
-        if len(row) != len(header):
-            said = f"{len(row)} numbers, expected {len(header)} as in line {rows[0][0] or rows[1][0]}; {TRAILING}"
-            raise InputError(f"line {number}: {said}", file=path)
-        kept.append(row)
-    if len(set(header)) < len(header):
-        twice = next(name for name in header if header.count(name) > 1)
-        raise InputError(f"two columns are called {twice!r}", file=path)
-    columns = zip(header, zip(*kept[1:], strict=True), strict=True)
-    lines = tuple(number for number, _ in rows[1:])
-    return Columns({name: list(cells) for name, cells in columns}, lines, remarks=tuple(remarks))
+            rows[place] = number, row[:-1]
+        elif len(row) != len(header):
+            said = f"line {number}: {len(row)} {what}, expected {len(header)} as in line {at or rows[0][0]}"
+            raise InputError(f"{said}{TRAILING if recorded else ''}", file=path)
+    lines = tuple(number for number, _ in rows)
+    columns = [list(cells) for cells in zip(*(row for _, row in rows), strict=True)] or [[] for _ in header]
+    cells: Cells = dict(zip(header, columns, strict=True))
+    return Columns(_each_once(path, header, cells), lines, remarks=tuple(remarks), header=at)
+
+
+def _each_once(path: Path, names: Sequence[str], cells: Cells) -> Cells:
+    """Columns of a file, whose names are different."""
+    if len(cells) < len(names):
+        twice = next(name for name in names if names.count(name) > 1)
+        raise InputError(f"column {twice!r} appears twice", file=path)
+    return cells
 
 
 def _of_npy(path: Path) -> Columns:
@@ -165,9 +179,9 @@ def _of_parquet(path: Path, rows: tuple[int, int] | None = None, names: list[str
         table = table if rows is None else table.slice(rows[0], rows[1] - rows[0])
         names = [str(name) for name in table.column_names]
     except Exception as error:  # a damaged file can fail anywhere inside the library
-        said = (str(error).splitlines() or [type(error).__name__])[0]
-        raise InputError(f"not a readable Parquet file ({said})", file=path) from None
-    cells: dict[str, list[str] | NDArray[Any]] = {}
+        text = (str(error).splitlines() or [""])[0]
+        raise InputError(f"not a readable Parquet file ({type(error).__name__}: {text})", file=path) from None
+    cells: Cells = {}
     dates = set()
     for name, column in zip(names, table.columns, strict=True):
         if pyarrow.types.is_timestamp(column.type):
@@ -182,7 +196,7 @@ def _of_parquet(path: Path, rows: tuple[int, int] | None = None, names: list[str
             cells[name] = column.to_numpy(zero_copy_only=False)
         else:
             cells[name] = ["" if cell is None else _text(cell) for cell in column.to_pylist()]
-    return Columns(cells, dates=frozenset(dates))
+    return Columns(_each_once(path, names, cells), dates=frozenset(dates))
 
 
 def _text(cell: object) -> str:

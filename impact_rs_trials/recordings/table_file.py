@@ -18,7 +18,8 @@ from impact_rs_sim.decimals import decimal
 from impact_rs_sim.errors import InputError, did_you_mean, shortened
 from impact_rs_sim.robot import Array
 from impact_rs_trials.recordings.clock import seconds_of, seconds_of_pair
-from impact_rs_trials.recordings.mapping import UNITS, Mapping, SignalName, SignalSource, TableLayout
+from impact_rs_trials.recordings.file_units import UNITS
+from impact_rs_trials.recordings.mapping import Mapping, SignalName, SignalSource, TableLayout
 from impact_rs_trials.recordings.series import MissingSignal, Names, Series
 from impact_rs_trials.recordings.table_columns import read_columns, read_rows
 

@@ -7,21 +7,18 @@ words beside them). The names stand in the line above that has as many cells, or
 
 from __future__ import annotations
 
-import re
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 from impact_rs_sim.errors import InputError
 from impact_rs_trials.recordings.candidates import numbers_in
 from impact_rs_trials.recordings.csv_rows import decimal_sign, read_lines, separator_of, split_line
+from impact_rs_trials.recordings.file_units import is_unit
 from impact_rs_trials.recordings.mapping import TableLayout
 
 LOOKED_AT = 60  # lines, in which a table must have begun
 ALIKE = 3  # lines of numbers in a row that make a table
 NUMBERS = 0.5  # least share of cells that are numbers, in a row
-UNIT = re.compile(
-    r"[\[(]?(-|s|ms|us|ns|sec|rad|mrad|deg|m|mm|kg|g|n|nm|n ?m|n\*m|a|ma|v|(m?rad|deg|m|mm)/s(\^?2)?|1|)[\])]?", re.I
-)
 
 
 @dataclass(frozen=True)
@@ -66,7 +63,7 @@ def _named(cells: dict[int, list[str]], first: int, remarks: set[int]) -> FoundL
     """The layout of a table whose numbers begin in a line."""
     width = len(cells[first])
     above = [number for number in cells if number < first]
-    if above and len(cells[above[-1]]) == width and all(UNIT.fullmatch(cell.strip()) for cell in cells[above[-1]]):
+    if above and len(cells[above[-1]]) == width and all(map(is_unit, cells[above[-1]])):
         units, above = above[-1], above[:-1]
     else:
         units = None

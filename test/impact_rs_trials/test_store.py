@@ -13,7 +13,7 @@ import pytest
 
 from impact_rs_sim.errors import InputError
 from impact_rs_trials.campaign import Manifest, Trial, TrialReport, make_manifest, run_campaign, run_in
-from impact_rs_trials.store import LOCK, Folder, Remote, Store, local_copy, open_store, owned
+from impact_rs_trials.store import LOCK, Folder, Remote, Store, local_copy, open_store, owned, trials_below, trials_in
 
 
 @pytest.fixture
@@ -150,3 +150,18 @@ def test_a_lock_file_that_vanishes_while_we_wait_is_made_again(tmp_path: Path, m
     with owned(store):
         assert (tmp_path / LOCK).exists()
     assert len(calls) == 2
+
+
+def test_trials_are_found_in_a_campaign_and_below_a_folder(tmp_path: Path) -> None:
+    """Kills a search that leaves out damaged trials, which nobody would miss, or takes those of varied settings."""
+    for name in ("b/metadata.yaml", "a/a.mcap", "varied/x/metadata.yaml", ".half/metadata.yaml", "notes/readme.md"):
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / name).write_text("")
+    (tmp_path / "empty").mkdir()
+    (tmp_path / "bare.db3").write_text("")
+    (tmp_path / "manifest.yaml").write_text("")
+    assert [path.name for path in trials_in(tmp_path)] == ["a", "b", "bare.db3", "empty"]
+    (tmp_path / "bare.db3").unlink()
+    assert trials_below(tmp_path) == [tmp_path / name for name in ("a", "b", "varied/x")]
+    with pytest.raises(InputError, match="no such folder"):
+        trials_below(tmp_path / "none")

@@ -22,8 +22,9 @@ from impact_rs_analysis.diagnosis.diagnose import diagnose, effects_for
 from impact_rs_analysis.diagnosis.document import DiagnosisDocument
 from impact_rs_analysis.diagnosis.verdict import CONFIRMED, NOTHING
 from impact_rs_analysis.evidence import impact_tables
-from impact_rs_analysis.evidence.impact_tables import BLOCKS, MOST_NUMBERS, SMALL_BLOCKS, ImpactTableSource
+from impact_rs_analysis.evidence.impact_tables import MOST_NUMBERS, SMALL_BLOCKS, ImpactTableSource
 from impact_rs_analysis.evidence.map_discrepancy import JOINTS, NO_MAP_DISCREPANCY, measured_map_discrepancy
+from impact_rs_analysis.evidence.row_groups import BLOCKS
 from impact_rs_sim.effects import library
 from impact_rs_sim.effects.depending import Depending
 from impact_rs_sim.model import load_model
@@ -95,7 +96,7 @@ def test_the_score_is_the_energy_norm_of_what_is_left(tossed: tuple[ImpactTableS
 def _in_world(source: ImpactTableSource) -> np.ndarray:
     """Predicted velocities in axes of the world."""
     both = source.predicted.reshape(-1, 2, 3)
-    return np.einsum("nij,nki->nkj", np.array(source._axes), both).reshape(-1, 6)
+    return np.einsum("nij,nki->nkj", np.array(source.entries.axes), both).reshape(-1, 6)
 
 
 def test_blocks_hold_every_row_once_and_are_of_one_unit(tossed: tuple[ImpactTableSource, DiagnosisDocument]) -> None:
@@ -409,6 +410,22 @@ def test_workers_find_what_one_process_finds(tmp_path: Path) -> None:
     first, second = (diagnose(one, NOMINAL, ["restitution", "support_friction"]) for one in (alone, sent))
     assert first.named == second.named and first.hold_out == second.hold_out
     assert first.held_out_error_after == pytest.approx(second.held_out_error_after, rel=1e-9)
+
+
+def test_a_source_travels_without_its_variants_and_kept_predictions(tmp_path: Path) -> None:
+    """Kills a state with either: every task would carry the table several times, and megabytes of answers."""
+    path = write_csv(tmp_path / "cubes.csv", CUBE_HEADER, cube_rows(cube(0.2, 0.3), 36))
+    plain = ImpactTableSource(read_impact_table(path), NOMINAL)
+    source = ImpactTableSource(read_impact_table(path, unsure={"size_x": (0.09, 0.11)}), NOMINAL)
+    assert source.table.variants
+    for step in range(200):
+        source.predict_row(0, [(("restitution", (step / 400.0,)),)])
+        source.predict([(0, (("restitution", (step / 400.0,)),))], "")
+    sent = pickle.dumps(source)
+    assert len(sent) == pytest.approx(len(pickle.dumps(plain)), rel=0.02)
+    there = pickle.loads(sent)
+    assert not there.table.variants
+    np.testing.assert_array_equal(there.predicted, source.predicted)
 
 
 def test_one_statement_has_one_noise(tmp_path: Path) -> None:

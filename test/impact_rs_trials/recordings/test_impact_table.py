@@ -17,8 +17,8 @@ from impact_rs_sim.errors import InputError
 from impact_rs_sim.physics import Physics
 from impact_rs_sim.scenario import load_scenario
 from impact_rs_trials.map_table import answer_table, write_answers
-from impact_rs_trials.recordings import impact_table
 from impact_rs_trials.recordings.impact_checks import doubts_of
+from impact_rs_trials.recordings.impact_columns import documentation
 from impact_rs_trials.recordings.impact_table import ImpactTable, read_impact_table
 from impact_rs_trials.recordings.unsure_scene import known_of_scene, with_another
 
@@ -203,7 +203,7 @@ def test_a_wrong_cell_of_an_arm_is_refused_with_row_column_and_value(
         ("cubes.csv", "# nothing\n", "no header"),
         ("cubes.csv", "x [m],y [m]\n", "no rows"),
         ("cubes.csv", "x [m],x [m]\n1,2\n", "twice|x [m]"),
-        ("cubes.csv", "x [m],y [m]\n1\n", "row 1|2 cells|1"),
+        ("cubes.csv", "x [m],y [m]\n1\n", "line 2|1 cells|expected 2"),
         ("cubes.parquet", "no table", "Parquet"),
     ],
 )
@@ -242,18 +242,52 @@ def test_noise_of_one_kind_may_be_unknown_and_that_is_said(tmp_path: Path, cubes
     assert not any("v_noise" in text for text in table.assumed)
 
 
-def test_every_column_is_documented() -> None:
-    """In the module as on the page; of columns alike for all axes or points, the first."""
-    page = (Path(__file__).parents[3] / "docs" / "files.md").read_text(encoding="utf-8")
-    known = {**impact_table.POSE, **impact_table.TWISTS, **impact_table.BODY}
-    others = ("y", "z", "qy", "qz", "qw", "iyy", "izz", "size_y", "size_z", "ny", "nz", "py", "pz")
-    others += tuple(f"{kind}_noise_{axis}" for kind in "vw" for axis in "yz")
-    firsts = [n for n in known if n not in others and n[1:2] not in ("y", "z") and not n[-1].isdigit()]
-    for name in [*firsts, "px2", "q1", "dq1_before", "B1"]:
-        if name.endswith("_after") or name.startswith("dq1"):
-            continue  # named with the one before
-        assert f"``{name}``" in (impact_table.__doc__ or ""), name
-        assert f"`{name}`" in page, name
+def test_a_quantity_in_two_columns_of_different_units_is_refused(tmp_path: Path, cubes: Rows) -> None:
+    """Kills a reader that takes the last of them: the mass of every row would be that of the other column."""
+    said = refusal(read_cubes, tmp_path, [row | {"mass [g]": 1.0} for row in cubes])
+    assert not lacking(said, "'mass [kg]' and 'mass [g]'|expected one of them")
+
+
+@pytest.mark.parametrize("column", ["v_noise [m/s]", "w_noise_y [rad/s]", "n_noise [rad]"])
+def test_a_negative_standard_deviation_is_refused(tmp_path: Path, cubes: Rows, column: str) -> None:
+    """Kills a range without a lower end: squared, the sign of the noise would go unnoticed."""
+    noise = dict.fromkeys((column, "w_noise_x [rad/s]", "w_noise_y [rad/s]", "w_noise_z [rad/s]"), 0.1)
+    rows = [row | noise for row in cubes]
+    rows[2][column] = -0.1
+    said = refusal(read_cubes, tmp_path, rows)
+    assert not lacking(said, f"row 3, column '{column}' = -0.1|expected a number >= 0")
+
+
+def test_a_number_out_of_range_is_reported_in_the_unit_of_its_column(tmp_path: Path, cubes: Rows) -> None:
+    """Kills a message with the number in SI beside the unit of the header: -5 [mm] would read -0.005 [mm]."""
+    said = refusal(read_cubes, tmp_path, cubes, **{"contact_tolerance [mm]": -5.0})
+    assert not lacking(said, "column 'contact_tolerance [mm]' = -5.0|>= 0 [mm]")
+
+
+def test_missing_numbers_of_a_parquet_file_are_empty_cells(tmp_path: Path, cubes: Rows) -> None:
+    """Kills a reader to which a missing distance is the text nan: rows with one distance would have two."""
+    pyarrow = pytest.importorskip("pyarrow")
+    parquet = pytest.importorskip("pyarrow.parquet")
+    rows = [
+        {name: cell for name, cell in row.items() if not name.startswith(("vx_after", "vy_after", "vz_after", "w"))}
+        | {f"w{axis}_before [rad/s]": row[f"w{axis}_before [rad/s]"] for axis in "xyz"}
+        | {"flight_distance [m]": 0.3, "fall_height [m]": 0.2, "time [s]": None if number == 2 else float(number)}
+        for number, row in enumerate(cubes)
+    ]
+    path = tmp_path / "cubes.parquet"
+    parquet.write_table(pyarrow.Table.from_pylist(rows), path)
+    assert not lacking(refusal(read_impact_table, path), "row 3, column 'time [s]'|this cell is empty")
+    parquet.write_table(pyarrow.Table.from_pylist([row | {"time [s]": 0.0} for row in rows]), path)
+    assert [row.distance.way for row in read_impact_table(path).rows if row.distance] == [0.3] * len(rows)
+
+
+def test_the_table_of_columns_on_the_page_is_that_of_the_code() -> None:
+    """Kills a column that is read or written without a line on the page, and a unit that differs there.
+
+    ``python -c "from impact_rs_trials.recordings.impact_columns import documentation as d; print(d())"`` prints it.
+    """
+    pages = (Path(__file__).parents[3] / "docs").glob("*.md")
+    assert [page.name for page in pages if documentation() in page.read_text(encoding="utf-8")]
 
 
 def test_a_row_without_contact_points_takes_those_of_the_geometry(tmp_path: Path, cubes: Rows) -> None:

@@ -17,7 +17,8 @@ from impact_rs_trials.recordings.csv_rows import decimal_sign
 from impact_rs_trials.recordings.experiment import Experiment, read_runs
 from impact_rs_trials.recordings.inner_runs import run_column_of, run_groups_of
 from impact_rs_trials.recordings.mapping import Mapping
-from impact_rs_trials.recordings.sources import read_series, runs_inside, spread_runs
+from impact_rs_trials.recordings.run_finder import find_runs
+from impact_rs_trials.recordings.sources import read_series
 
 ROWS = [" ".join(f"{value!r}" for value in row) for row in VALUES.tolist()]
 NAMES = [f"position_{joint}" for joint in range(1, 8)]
@@ -268,8 +269,7 @@ def spread_mapping() -> Mapping:
 
 
 def test_runs_are_found_by_the_names_of_their_files(spread: Path) -> None:
-    runs = spread_runs(spread, spread_mapping())
-    assert [(path.name, name) for path, name in runs.items()] == [("2", "parcel"), ("9", "parcel"), ("10", "parcel")]
+    assert [path.name for path in find_runs(spread, spread_mapping())] == ["2", "9", "10"]
     found = read_positions(spread / "9", spread_mapping())
     np.testing.assert_array_equal(found.values, VALUES)
 
@@ -343,14 +343,14 @@ EPISODES = mapping_of({"column": "t"}, further={"run_column": "episode_index"}, 
 def test_episodes_of_a_table_are_runs(tmp_path: Path, write: object, suffix: str) -> None:
     assert callable(write)
     file = write(tmp_path / f"log{suffix}")
-    assert runs_inside(file, EPISODES) == [file / "0", file / "1", file / "2"]
+    assert find_runs(file, EPISODES) == [file / "0", file / "1", file / "2"]
     for episode in range(3):
         found = read_positions(file / str(episode), EPISODES)
         np.testing.assert_array_equal(found.values, (1 + 3 * episode) * VALUES)
         np.testing.assert_array_equal(found.time, TIME)
     assert "no row is of run '7'; found: 0, 1, 2" in refusal(read_positions, file / "7", EPISODES)
     other = EPISODES.model_copy(update={"run_column": "episode"})
-    assert "run_column of the mapping: no column 'episode'; did you mean" in refusal(runs_inside, file, other)
+    assert "run_column of the mapping: no column 'episode'; did you mean" in refusal(find_runs, file, other)
 
 
 def test_a_mistake_in_an_episode_names_the_line_of_the_file(tmp_path: Path) -> None:
@@ -366,7 +366,7 @@ def test_a_run_without_a_name_is_refused(tmp_path: Path) -> None:
     file = csv_of_episodes(tmp_path / "log.csv")
     for name in ("", "a/b"):
         file.write_text(file.read_text().replace(",2,", f",{name},", 1))
-        assert "expected the name of a run in every row" in refusal(runs_inside, file, EPISODES)
+        assert "expected the name of a run in every row" in refusal(find_runs, file, EPISODES)
 
 
 def test_groups_of_arrays_are_runs(tmp_path: Path) -> None:
@@ -377,7 +377,7 @@ def test_groups_of_arrays_are_runs(tmp_path: Path) -> None:
             content[f"Rec_{run}/robot/t"] = TIME + run
         content["notes/t"] = TIME
     mapping = mapping_of({"array": "{run}/robot/t"}, array="{run}/robot/q")
-    assert runs_inside(file, mapping) == [file / "Rec_2", file / "Rec_10"]
+    assert find_runs(file, mapping) == [file / "Rec_2", file / "Rec_10"]
     for run in (2, 10):
         found = read_positions(file / f"Rec_{run}", mapping)
         np.testing.assert_array_equal(found.values, run * VALUES)
@@ -390,7 +390,7 @@ def test_a_group_that_is_called_as_its_file_is_one_run(tmp_path: Path) -> None:
     file = tmp_path / "Rec_2.npz"
     np.savez(file, **{"Rec_2/q": VALUES, "t": TIME})
     mapping = mapping_of({"array": "t"}, array="{run}/q")
-    assert runs_inside(file, mapping) == [file]
+    assert find_runs(file, mapping) == [file]
     np.testing.assert_array_equal(read_positions(file, mapping).values, VALUES)
 
 

@@ -19,8 +19,9 @@ from rosbags.rosbag2 import StoragePlugin, Writer
 from impact_rs_sim.errors import InputError
 from impact_rs_trials.bags.types import typestore
 from impact_rs_trials.recordings.mapping import Mapping, TimeSource, load_mapping
-from impact_rs_trials.recordings.recording import ARM, find_recordings, is_foreign, read_recordings
+from impact_rs_trials.recordings.recording import ARM, is_foreign, read_recordings
 from impact_rs_trials.recordings.remarks import Amount, Remark, joined, merged
+from impact_rs_trials.recordings.run_finder import find_recordings, natural_key
 from impact_rs_trials.recordings.sources import read_series
 from impact_rs_trials.runs import Run
 
@@ -102,6 +103,22 @@ def test_folders_files_and_strangers_are_told_apart(tmp_path: Path) -> None:
     for name, complaint in (("notes.md", "expected a recording"), ("three", "no such file")):
         with pytest.raises(InputError, match=complaint):
             find_recordings(tmp_path / name)
+
+
+def test_a_table_of_runs_is_no_recording_and_notes_are_some_only_where_nothing_else_is(tmp_path: Path) -> None:
+    """Kills a walk that reads ``runs.csv`` as a table of signals, or a README beside bags as a recording."""
+    (tmp_path / "runs.csv").write_text("bag,object,kind\none,none,free motion\n")
+    (tmp_path / "readme.txt").write_text("how it was recorded")
+    with pytest.raises(InputError, match="no recording here"):
+        find_recordings(tmp_path)
+    assert find_recordings(tmp_path, notes=True) == [tmp_path / "readme.txt"]
+    write_bag(tmp_path / "one", COLUMNS, range(7))
+    assert find_recordings(tmp_path) == find_recordings(tmp_path, notes=True) == [tmp_path / "one"]
+
+
+def test_natural_order_counts_numbers_in_names() -> None:
+    """Kills the order of letters, in which run 10 comes before run 9."""
+    assert sorted(["run_10", "run_9", "a_2/run_1", "run"], key=natural_key) == ["a_2/run_1", "run", "run_9", "run_10"]
 
 
 # ---- bags of which a part is missing say so, and messages without joint names are read by the place of --------------

@@ -1,0 +1,80 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Units in which files state their numbers, and their factors to SI.
+
+    value in SI = FACTORS[SI unit][unit] * number in the file
+
+Mappings state the unit of a signal, tables of impacts that of a column. Whatever reads numbers takes factors from here.
+Units of joints in SI are those of :data:`impact_rs_sim.robot.UNITS`.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+DEGREE = np.pi / 180.0  # rad
+
+FACTORS: dict[str, dict[str, float]] = {  # by SI unit, which is the first of its units
+    "s": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9},
+    "m": {"m": 1.0, "mm": 1e-3},
+    "m/s": {"m/s": 1.0, "mm/s": 1e-3},
+    "m/s^2": {"m/s^2": 1.0, "g": 9.80665},
+    "rad": {"rad": 1.0, "mrad": 1e-3, "deg": DEGREE},
+    "rad/s": {"rad/s": 1.0, "mrad/s": 1e-3, "deg/s": DEGREE},
+    "kg": {"kg": 1.0, "g": 1e-3},
+    "kg m^2": {"kg m^2": 1.0},
+    "N": {"N": 1.0, "mN": 1e-3},
+    "N/s": {"N/s": 1.0},
+    "N m": {"N m": 1.0, "mN m": 1e-3},
+    "N m/s": {"N m/s": 1.0},
+    "A": {"A": 1.0, "mA": 1e-3},
+    "N, N m": {"N, N m": 1.0},  # force and torque of a wrench
+    "-": {"-": 1.0},
+}
+CURRENTS = tuple(FACTORS["A"])  # of a motor; torque_constant of a mapping makes a torque of them
+TURNS: dict[str, dict[str, float]] = {  # of joints that turn, by quantity
+    "position": FACTORS["rad"],
+    "velocity": FACTORS["rad/s"],
+    "torque": FACTORS["N m"] | FACTORS["A"],
+    "torque_rate": FACTORS["N m/s"],
+}
+SLIDES: dict[str, dict[str, float]] = {  # of joints that slide
+    "position": FACTORS["m"],
+    "velocity": FACTORS["m/s"],
+    "torque": FACTORS["N"] | FACTORS["A"],
+    "torque_rate": FACTORS["N/s"],
+}
+UNITS: dict[str, dict[str, float]] = {  # of signals, by quantity
+    **{quantity: TURNS[quantity] | SLIDES[quantity] for quantity in TURNS},
+    "length": FACTORS["m"],
+    "orientation": FACTORS["-"],
+    "wrench": FACTORS["N, N m"],
+    "acceleration": FACTORS["m/s^2"],
+    "time": FACTORS["s"] | {"date": 1e-9},  # dates are read as whole nanoseconds
+}
+_OTHERS = ("", "1", "sec", "v", "nm", "rad/s^2", "mrad/s^2", "deg/s^2", "mm/s^2")  # in a line of units, never converted
+_IGNORED = str.maketrans("", "", " ^*[]()")
+
+
+def si_unit(quantity: str, unit: str, unit_quantity: str) -> str:
+    """The SI unit of a quantity of a joint, of which another quantity has a known unit.
+
+    Args:
+        quantity: The quantity.
+        unit: Unit of the other one, which says whether the joint turns or slides.
+        unit_quantity: The other one.
+    """
+    known = next((table for table in (TURNS, SLIDES) if unit in table.get(unit_quantity, {})), UNITS)
+    return next(iter(known[quantity]))
+
+
+def is_unit(text: str) -> bool:
+    """Whether a cell below a column name states its unit, ``[rad/s]`` for example; empty: the column has no unit."""
+    return _bare(text) in _KNOWN
+
+
+def _bare(text: str) -> str:
+    """A unit without brackets, blanks, signs of powers and products, and case."""
+    return text.lower().translate(_IGNORED)
+
+
+_KNOWN = {_bare(unit) for unit in (*_OTHERS, *(unit for units in FACTORS.values() for unit in units))}
