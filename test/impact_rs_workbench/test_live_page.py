@@ -125,6 +125,7 @@ def test_nobody_without_the_key_is_told_anything() -> None:
         )  # fmt: skip
     assert stranger.get("/", params={"token": TOKEN}).status_code == 303
     assert "default-src 'none'" in stranger.get("/").headers["content-security-policy"]
-    for name in ("page.css", "three.min.js", "replay.js", "followed.js", "live.js", "show.js", "tools.js"):
+    scripts = ("replay.js", "followed.js", "show.js", "stream.js", "tools.js")
+    for name in ("palette.css", "page.css", "three.min.js", *scripts):
         assert stranger.get(f"/static/{name}").status_code == 200, name
     assert stranger.get("/static/live.html").status_code == 404

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import json
+import re
 import shlex
 import threading
 from collections.abc import Iterator
@@ -80,8 +81,10 @@ def test_what_changes_something_has_to_come_from_our_own_page(
 def test_the_page_may_load_nothing_from_elsewhere(client: TestClient) -> None:
     page = client.get("/")
     assert "default-src 'none'" in page.headers["content-security-policy"]
-    texts = [page.text, client.get("/static/workbench.css").text, client.get("/static/workbench.js").text]
-    assert not [text for text in texts if "http://" in text or "https://" in text]
+    names = re.findall('(?:src|href)="(/static/[^"]+)"', page.text)
+    assert {"/static/palette.css", "/static/workbench.js", "/static/steps/predict.js"} <= set(names)
+    for text in [page.text, *(client.get(name).text for name in names)]:
+        assert "http://" not in text and "https://" not in text
 
 
 @pytest.mark.parametrize(
