@@ -11,6 +11,7 @@ import json
 import os
 import re
 import shutil
+import threading
 import time
 from pathlib import Path
 from typing import Literal
@@ -21,11 +22,13 @@ from browser import FRAMES, Held, Visit, accessible, needs_browser, picture
 from known_recordings import BagFormat, Signals
 from page_steps import DESK, TABS, command, go, predicted, start
 from playwright.sync_api import Page, Request, Route, expect
-from processes import until
+from processes import PATIENCE, until
 from stub_job import Stub
 
 from impact_rs_analysis.diagnosis.document import EstimateDocument, write_document
 from impact_rs_analysis.evidence.measured_runs import runs_digest
+from impact_rs_sim.files import write_whole
+from impact_rs_workbench import kept_choices
 
 pytestmark = needs_browser
 NUMBER = re.compile("[0-9] s")
@@ -687,8 +690,7 @@ def test_runs_are_chosen_filtered_and_pinned_over_each_other(visit: Visit, full:
     rows.locator("button").click()  # pinned, and thereby chosen
     expect(traces).to_have_count(1)
     page.locator("#overlay-runs-filter").fill("s1.0")
-    with page.expect_response(lambda answer: answer.url.endswith("/api/choices") and answer.request.method == "POST"):
-        buttons.get_by_text("Choose all below").click()
+    buttons.get_by_text("Choose all below").click()
     expect(traces).to_have_count(2)
     expect(rows.first).to_contain_text("s1.2")
     page.locator("#overlay-runs-filter").fill("")
@@ -704,6 +706,50 @@ def test_runs_are_chosen_filtered_and_pinned_over_each_other(visit: Visit, full:
     expect(page.locator("#overlay-estimates .scatterlayer .trace").first).to_be_attached()
     expect(page.locator("#overlay-parameter")).to_have_value(re.compile("object_mass"))  # what was named comes first
     expect(page.locator("#part-overlay-estimates .note")).to_contain_text("1 diagnosis")
+
+
+def kept_runs(folder: Path) -> list[str]:
+    """Runs that the server has kept as chosen."""
+    file = folder / ".workbench" / "overlay.json"
+    chosen: list[str] = (json.loads(file.read_text())["runs"] or {"chosen": []})["chosen"] if file.exists() else []
+    return chosen
+
+
+def test_a_choice_is_kept_where_the_page_is_left_at_once(
+    visit: Visit, full: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Also one that waits for an earlier one: kills a pause before the post, and a post that ends with its page."""
+    left = threading.Event()
+
+    def slow(path: Path, text: str) -> None:
+        left.wait(PATIENCE)
+        write_whole(path, text)
+
+    monkeypatch.setattr(kept_choices, "write_whole", slow)
+    page = visit("overlay")
+    rows = page.locator("#overlay-runs-list li[data-key]")
+    expect(page.locator("#overlay-plot .scatterlayer .trace")).to_have_count(3)
+    last = rows.nth(1).get_attribute("data-key")
+    rows.nth(0).get_by_role("checkbox").uncheck()
+    rows.nth(2).get_by_role("checkbox").uncheck()
+    page.reload()
+    left.set()
+    until(lambda: kept_runs(full) == [last], lambda: time.sleep(0.05), str(kept_runs(full)))
+
+
+def test_choices_are_kept_one_after_the_other(visit: Visit, full: Path) -> None:
+    """The newest one, also where an earlier post is slow: kills posts that overtake each other."""
+    page = visit("overlay")
+    rows = page.locator("#overlay-runs-list li[data-key]")
+    expect(page.locator("#overlay-plot .scatterlayer .trace")).to_have_count(3)
+    held = Held(page, "**/api/choices")
+    rows.nth(0).get_by_role("checkbox").uncheck()
+    rows.nth(2).get_by_role("checkbox").uncheck()
+    held.answer_last_of(1)
+    page.evaluate(FRAMES, 6)
+    held.let_go()
+    last = rows.nth(1).get_attribute("data-key")
+    until(lambda: kept_runs(full) == [last], lambda: page.evaluate("1"), str(kept_runs(full)))
 
 
 def test_a_folder_of_recordings_is_described_from_lists_and_becomes_a_comparison(visit: Visit, tmp_path: Path) -> None:
