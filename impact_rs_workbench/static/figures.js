@@ -28,6 +28,15 @@ export function seen(colour) {
   return style.getPropertyValue(`--figure-${colour.slice(1).toLowerCase()}`).trim() || colour;
 }
 
+const COLOURED = ['line', 'marker', 'error_y']; // parts of a trace
+
+// All colours in a part of a figure.
+function lit(part) {
+  if (Array.isArray(part)) return part.map(lit);
+  if (part?.constructor !== Object) return seen(part);
+  return Object.fromEntries(Object.entries(part).map(([name, value]) => [name, lit(value)]));
+}
+
 /** Numbers of a report, as its own script reads them. @param {string} text base64 of float32 */
 export function floats(text) {
   return new Float32Array(Uint8Array.from(atob(text), (letter) => letter.charCodeAt(0)).buffer);
@@ -45,7 +54,8 @@ export const legendHeight = (node, entries, least = 0) =>
   LEGEND_ROW * Math.ceil(entries / Math.max(1, Math.floor((node.clientWidth - least) / LEGEND_COLUMN)));
 
 /** Layout of a legend at the lower edge. */
-export const LEGEND_BELOW = {orientation: 'h', yref: 'container', y: 0, yanchor: 'bottom', x: 0, xanchor: 'left'};
+export const LEGEND_BELOW = {orientation: 'h', xref: 'container', x: 0, xanchor: 'left', yref: 'container', y: 0,
+  yanchor: 'bottom'};
 
 // A figure follows the width of its place and keeps its height. Plotly's own `responsive` forgets the height that a
 // figure asks for, and covers what stands below it.
@@ -83,18 +93,14 @@ export async function draw(node, figure, config = {}) {
   const turn = begin(node);
   await turn.of(plotly());
   const ink = style.getPropertyValue('--ink').trim(), grid = style.getPropertyValue('--grid').trim();
-  const data = figure.data.map((trace) => ({
-    ...trace,
-    ...(trace.line ? {line: {...trace.line, color: seen(trace.line.color)}} : {}),
-    ...(trace.marker && typeof trace.marker.color === 'string' ?
-      {marker: {...trace.marker, color: seen(trace.marker.color)}} : {}),
-  }));
-  const named = ['xaxis', 'yaxis', 'xaxis2', 'yaxis2'].filter((name) => figure.layout[name] || !name.endsWith('2'));
-  const axes = Object.fromEntries(named.map((name) =>
-    [name, {...figure.layout[name], gridcolor: grid, zerolinecolor: grid, color: ink}]));
-  const layout = {...figure.layout, ...axes, paper_bgcolor: 'rgba(0,0,0,0)', plot_bgcolor: 'rgba(0,0,0,0)',
-    autosize: false, width: node.clientWidth || 600, height: figure.layout.height ?? 450, // hidden, it has no width yet
-    font: {...figure.layout.font, color: ink, family: 'system-ui, sans-serif'}};
+  const data = figure.data.map((trace) => ({...trace, ...Object.fromEntries(COLOURED.filter((part) => trace[part])
+    .map((part) => [part, lit(trace[part])]))}));
+  const own = lit(figure.layout), axis = {gridcolor: grid, zerolinecolor: grid, color: ink};
+  const named = ['xaxis', 'yaxis', 'xaxis2', 'yaxis2'].filter((name) => own[name] || !name.endsWith('2'));
+  const axes = Object.fromEntries(named.map((name) => [name, {...own[name], ...axis}]));
+  const layout = {...own, ...axes, paper_bgcolor: 'rgba(0,0,0,0)', plot_bgcolor: 'rgba(0,0,0,0)',
+    autosize: false, width: node.clientWidth || 600, height: own.height ?? 450, // hidden, it has no width yet
+    font: {...own.font, color: ink, family: 'system-ui, sans-serif'}};
   widths.observe(node);
   return turn.of(Plotly.react(node, data, layout, {displaylogo: false, displayModeBar: false, ...config}));
 }

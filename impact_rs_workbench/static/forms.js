@@ -129,6 +129,7 @@ function boxesOf(field, id, offered) {
   const offer = (choices) => {
     const boxes = choices.map(({value, text, on}) =>
       h('label', {}, h('input', {type: 'checkbox', value, checked: on}), text));
+    if (!boxes.length) boxes.push(h('label', {class: 'quiet'}, 'none yet'));
     if (offered) node.replaceChildren(legend, ...boxes); else refill(node, [legend, ...boxes]);
   };
   offer(field.choices.map((value) => ({value, text: value, on: field.default?.includes(value)})));

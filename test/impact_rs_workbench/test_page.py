@@ -27,6 +27,7 @@ from stub_job import Stub
 
 from impact_rs_analysis.diagnosis.document import EstimateDocument, write_document
 from impact_rs_analysis.evidence.measured_runs import runs_digest
+from impact_rs_analysis.report.page import PALETTE
 from impact_rs_sim.files import write_whole
 from impact_rs_workbench import kept_choices
 
@@ -378,7 +379,7 @@ def test_a_real_job_from_click_to_result(visit: Visit, tmp_path: Path) -> None:
 # By step and tab: the button, the results, where the job writes them, where they are chosen and shown, what is said.
 RESULTS = {
     "predict/limits": (
-        "Compute the limits", "limits/push", "limits/push", "#limits-page", "iframe", "0.4 m/s, 0.5 m/s are"),
+        "Compute the limits", "limits/push", "limits/push", "#limits-page", "iframe", "limit 0.4 m/s, planned 0.5 m/s"),
     "measure/rehearse": (
         "Rehearse", "rehearsals/push", "rehearsals/push", "#rehearse-page", "iframe", "case_1: not passed"),
     "measure/design": (
@@ -587,6 +588,24 @@ def test_a_figure_keeps_its_height_when_the_window_is_resized(visit: Visit, full
         assert all(place >= height - 1 for _, height, _, place in sizes)  # nothing below is covered
 
 
+DRAWN_IN_PALETTE = """async (colour) => {
+    const {draw, plotPlace} = await import('/static/figures.js'), node = plotPlace('');
+    document.body.append(node);
+    const layout = {annotations: [{text: 'x', font: {color: colour}}]};
+    await draw(node, {data: [{y: [1, 2], line: {color: colour}}], layout});
+    return [node.data[0].line.color, node.layout.annotations[0].font.color];
+}"""
+
+
+def test_a_figure_has_the_colours_of_the_palette_on_a_dark_page(visit: Visit) -> None:
+    """Kills a text or a curve that keeps its dark colour, which is hardly seen there."""
+    page = visit("add", color_scheme="dark")
+    dark = dict(re.findall(r"--figure-([0-9a-f]{6}): (#[0-9a-f]{6})", PALETTE.read_text(encoding="utf-8")))
+    assert page.evaluate(DRAWN_IN_PALETTE, "#555555") == [dark["555555"]] * 2
+    assert page.evaluate(DRAWN_IN_PALETTE, "#0072B2") == [dark["0072b2"]] * 2
+    assert page.evaluate(DRAWN_IN_PALETTE, "#E69F00") == ["#E69F00"] * 2
+
+
 def test_a_place_of_a_comparison_has_its_signal_and_its_moment_in_the_replay(visit: Visit, full: Path) -> None:
     """The newest place, also where it is chosen while the signals of the report are still being read."""
     page = visit("compare")
@@ -606,8 +625,15 @@ def test_a_place_of_a_comparison_has_its_signal_and_its_moment_in_the_replay(vis
     expect(page.locator(f"{signal} .scatterlayer .trace")).to_have_count(3)
 
 
+CURSOR_TIME = """() => {
+    const plot = document.querySelector('#recorded-shown .plot'), {xaxis} = plot._fullLayout;
+    const left = (node) => node.getBoundingClientRect().left, width = plot._fullLayout.width;
+    return [xaxis.p2d(left(plot.querySelector('.cursor')) + 1 - left(plot) - xaxis._offset), width];
+}"""
+
+
 def test_a_recorded_trial_opens_in_3d_with_one_click(visit: Visit, full: Path) -> None:
-    """Drawn with WebGL; the time of the bodies is the line in every figure."""
+    """Drawn with WebGL; the time of the bodies is the line in every figure, also in one that has another width."""
     page = visit("compare", webgl=True)
     page.locator("[data-entry='campaign campaigns/push']").click()
     trial = page.locator("#recorded-trials button").first
@@ -616,6 +642,13 @@ def test_a_recorded_trial_opens_in_3d_with_one_click(visit: Visit, full: Path) -
     expect(page.locator("#recorded-replay canvas")).to_be_visible()
     cursor = page.locator("#recorded-shown .plot .cursor").first
     expect(cursor).to_be_visible()
+    now = page.evaluate(CURSOR_TIME)
+    page.set_viewport_size({"width": 900, "height": 800})
+    page.wait_for_function(
+        f"([time, width]) => {{ const [now, narrow] = ({CURSOR_TIME})();"
+        " return narrow < width - 50 && Math.abs(now - time) < 0.01; }",
+        arg=now,
+    )
     before = cursor.bounding_box()
     page.locator("#recorded-replay input[type=range]").focus()
     page.keyboard.press("Home")

@@ -339,8 +339,8 @@ class LimitsPart {
   async say(folder) {
     const {scenario, limits} = await ask(`/files/${folder}/limits.json`);
     const [least] = [...limits].sort((a, b) => a.limit_m_s - b.limit_m_s);
-    says('predict/limits', `${scenario}: ${least.object}, ${least.case} may hit at ${number(least.limit_m_s)} m/s, ` +
-      `${number(least.planned_m_s)} m/s are planned.`);
+    const [limit, planned] = [least.limit_m_s, least.planned_m_s].map((speed) => `${number(speed)} m/s`);
+    says('predict/limits', `${scenario}, ${least.object}, ${least.case}: limit ${limit}, planned ${planned}.`);
   }
 }
 

@@ -35,6 +35,7 @@ export class TrialView {
         {onSeek: (time) => { for (const {node} of plots) cursor(node, time); }}));
       for (const {node} of plots) {
         node.on('plotly_click', ({points: [point]}) => made.seek(point.x));
+        node.on('plotly_afterplot', () => cursor(node, made.time)); // also when its width has changed
         cursor(node, made.time);
       }
     } catch (error) { this.failed(error); }
