@@ -199,6 +199,7 @@ class Measure extends Tabbed {
       blind: ['Practise', new PracticePart()]});
   }
 
+  /** @override */
   build() {
     const section = super.build();
     this.scene = new HitScene();
@@ -213,6 +214,7 @@ class Measure extends Tabbed {
     return section;
   }
 
+  /** @override */
   update() {
     const {chosen} = this.tabs;
     this.scene.node.hidden = !['campaign', 'trial'].includes(chosen);
