@@ -170,7 +170,7 @@ def followed_of(followed: IdentifyMessages) -> dict[str, Any]:
         try:
             return schema.model_validate_json(text).model_dump(mode="json") if text else None
         except ValidationError as error:
-            unreadable.append(f"a message of identify is no {schema.__name__}: {error.errors()[0]['msg']}")
+            unreadable.append(f"a message of identify is not a valid {schema.__name__}: {error.errors()[0]['msg']}")
             return None
 
     found = {
@@ -195,7 +195,7 @@ def status_text(snapshot: Snapshot, scene: DrawnScene, program: str) -> str:
         return f"{title} cannot be drawn: {scene.complaint}"
     return {
         "absent": f"no graph runs in {snapshot.place}; {program} up push starts one. Waiting",
-        "idle": f"nodes are there in {snapshot.place}; nothing has moved yet. Waiting for a trial",
+        "idle": f"nodes run in {snapshot.place}; nothing has moved yet. Waiting for a trial",
         "running": f"now: {title}",
         "over": f"at rest until the next trial; this is the last state of {title}",
         "gone": f"the nodes have ended; this is the last state of {title}. Waiting",

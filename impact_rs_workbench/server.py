@@ -272,7 +272,7 @@ def _posted(work: Work) -> Endpoint:
         try:
             data = json.loads(body)
         except (ValueError, RecursionError):
-            return _mistake("the request is no JSON")
+            return _mistake("the request is not valid JSON")
         return await _answered(work, data)
 
     return endpoint
@@ -330,7 +330,7 @@ def _file_of(workspace: Workspace) -> Endpoint:
         except InputError as error:
             return PlainTextResponse(str(error), 404)
         if path.suffix not in SHOWN_FILES or not path.is_file():
-            return PlainTextResponse(f"{path.name} is nothing that a page shows.", 404)
+            return PlainTextResponse(f"{path.name} cannot be shown in the browser.", 404)
         return FileResponse(path, media_type=SHOWN_FILES[path.suffix], headers={"content-security-policy": FILE_POLICY})
 
     return endpoint

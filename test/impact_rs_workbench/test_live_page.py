@@ -112,7 +112,7 @@ def test_followed_hits_are_shown_newest_change_first_and_what_cannot_be_read_is_
     assert (found["prediction"], found["diagnosis"]) == (None, None)
     assert found["refused"] == {"hit": "r7", "reason": "NaN in a signal"}
     assert len(found["unreadable"]) == 1
-    assert found["unreadable"][0].startswith("a message of identify is no PublishedChange: ")
+    assert found["unreadable"][0].startswith("a message of identify is not a valid PublishedChange: ")
 
 
 def test_nobody_without_the_key_is_told_anything() -> None:

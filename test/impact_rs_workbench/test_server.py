@@ -118,7 +118,7 @@ def test_reports_are_sandboxed_and_other_kinds_of_files_not_shown(client: TestCl
     (tmp_path / "folder.html").mkdir()
     for name in ("trial.mcap", "folder.html"):
         answer = client.get(f"/files/{name}")
-        assert (answer.status_code, answer.text) == (404, f"{name} is nothing that a page shows.")
+        assert (answer.status_code, answer.text) == (404, f"{name} cannot be shown in the browser.")
 
 
 def test_a_figure_gives_way_to_a_slider_that_has_moved_meanwhile(
@@ -192,7 +192,7 @@ def test_a_mistake_is_answered_in_one_line(client: TestClient, path: str, conten
 
 
 def test_what_is_no_json_or_too_large_is_refused(client: TestClient) -> None:
-    assert client.post("/api/predict", content=b"{").json() == {"error": "the request is no JSON"}
+    assert client.post("/api/predict", content=b"{").json() == {"error": "the request is not valid JSON"}
     assert "larger than" in client.post("/api/predict", content=b" " * 1_000_001).json()["error"]
 
 

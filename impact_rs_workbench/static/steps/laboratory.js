@@ -224,8 +224,7 @@ class DescribePart {
     this.folder = h('select', {id: 'lab-folder', onchange: () => this.look()});
     this.scenario = h('select', {id: 'lab-scenario', onchange: () => this.look()});
     this.none = note('No recordings in this folder yet: copy a folder with one bag, CSV, Parquet, NPZ or HDF5 file ' +
-      'per ' +
-      'run into it, and it appears here.');
+      'per run into it, and it appears here.');
     this.message = messageArea();
     this.body = h('div', {id: 'lab'});
     this.fields = h('div', {class: 'fields'}, labelled('folder of recordings', this.folder),

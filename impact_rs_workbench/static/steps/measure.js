@@ -18,8 +18,7 @@ import {recorded, TrialView} from './trials.js';
 /** @typedef {import('../types.d.ts').Step} Step */
 
 const TOO_FEW = 'Analyze needs at least two references over the prediction, and three trials of each object and ' +
-  'case; ' +
-  'Compare and Diagnose do not.';
+  'case; Compare and Diagnose do not.';
 
 /** @param {string} object @param {string} case_ @param {number} [scale] */
 const trialName = (object, case_, scale = 1) => `${object}__${case_}__s${scale.toFixed(3)}__r0`;
