@@ -46,7 +46,7 @@ LARGEST_TAIL = 40_000  # bytes of a log that are looked at
 KILLED_AFTER = 5.0  # s, that a stopped job has to end when the workbench ends
 LEFT = 3.0  # s, after the last page has gone, until questions are answered with no: one that is loaded again is back
 LOOKED_AT = 0.1  # s, between two looks whether a page is open
-LOST = "ended with the workbench that had started it; the same command goes on where it stopped"
+LOST = "stopped when its workbench ended; run the same command again to continue"
 
 
 @dataclass(frozen=True)
@@ -235,7 +235,7 @@ class Jobs:
         with self._lock:
             asking = self._asking.get(number)
             if asking is None or not asking.text or asking.number != question or (yes and self.get(number).stopping):
-                raise InputError(f"job {number} does not ask this any more; the answer does not count")
+                raise InputError(f"job {number} no longer asks this; the answer is ignored")
             asking.text = ""
             with suppress(OSError):  # it has just ended
                 asking.socket.sendall((json.dumps({"number": question, "yes": yes}) + "\n").encode())

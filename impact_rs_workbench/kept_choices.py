@@ -6,6 +6,7 @@ The address of a page, and with it the memory of the browser, changes with every
 
 from __future__ import annotations
 
+import threading
 from typing import Annotated, Literal
 
 from pydantic import Field
@@ -16,6 +17,7 @@ from impact_rs_sim.schema import Schema, validate
 from impact_rs_workbench.workspace import HIDDEN, Workspace, read_json
 
 FILE = "overlay.json"
+_WRITING = threading.Lock()  # one list after the other, in the order of the posts
 Keys = Annotated[tuple[Annotated[str, Field(max_length=1000)], ...], Field(max_length=1000)]
 
 
@@ -51,7 +53,8 @@ def choices(workspace: Workspace) -> Choices:
 def keep(workspace: Workspace, choice: ListChoice) -> Choices:
     """Keep what was chosen in one list."""
     own = Chosen(chosen=choice.chosen, pinned=choice.pinned)
-    kept = choices(workspace).model_copy(update={choice.name: own})
-    (workspace.root / HIDDEN).mkdir(exist_ok=True)
-    write_whole(workspace.root / HIDDEN / FILE, kept.model_dump_json(indent=2) + "\n")
+    with _WRITING:
+        kept = choices(workspace).model_copy(update={choice.name: own})
+        (workspace.root / HIDDEN).mkdir(exist_ok=True)
+        write_whole(workspace.root / HIDDEN / FILE, kept.model_dump_json(indent=2) + "\n")
     return kept

@@ -10,14 +10,13 @@ from collections.abc import AsyncIterator, Callable
 from contextlib import AbstractContextManager, AsyncExitStack, asynccontextmanager
 from dataclasses import dataclass
 from functools import lru_cache
-from importlib.resources import files
 from typing import Any, Protocol
 
 from pydantic import ValidationError
 from starlette.applications import Starlette
 from starlette.concurrency import run_in_threadpool
 from starlette.requests import Request
-from starlette.responses import FileResponse, HTMLResponse, PlainTextResponse, Response, StreamingResponse
+from starlette.responses import HTMLResponse, Response, StreamingResponse
 from starlette.routing import Route
 from starlette.types import ASGIApp
 
@@ -29,17 +28,17 @@ from impact_rs_sim.schema import Schema
 from impact_rs_trials.snapshot import IdentifyMessages, Snapshot
 from impact_rs_workbench.local import listening, serve_locally
 from impact_rs_workbench.request_guard import Guard
+from impact_rs_workbench.static_files import SHARED, STATIC, static_file
 
 PERIOD = 0.04  # s, between two looks at the graph
 PATIENCE = 0.25  # s, after which an idle stream checks whether its page is still there
 LINGER = 2.0  # s, that a graph is watched after the last page has left
-STATIC = {
+FILES = {
+    **SHARED,
     "page.css": STYLE,
     "three.min.js": BUNDLE / "three.min.js",
     "replay.js": TEMPLATES / "replay.js",
 }
-SCRIPTS = ("followed.js", "live.js", "show.js", "tools.js")
-
 
 log = logging.getLogger(__name__)
 
@@ -171,7 +170,7 @@ def followed_of(followed: IdentifyMessages) -> dict[str, Any]:
         try:
             return schema.model_validate_json(text).model_dump(mode="json") if text else None
         except ValidationError as error:
-            unreadable.append(f"a message of identify is no {schema.__name__}: {error.errors()[0]['msg']}")
+            unreadable.append(f"a message of identify is not a valid {schema.__name__}: {error.errors()[0]['msg']}")
             return None
 
     found = {
@@ -196,7 +195,7 @@ def status_text(snapshot: Snapshot, scene: DrawnScene, program: str) -> str:
         return f"{title} cannot be drawn: {scene.complaint}"
     return {
         "absent": f"no graph runs in {snapshot.place}; {program} up push starts one. Waiting",
-        "idle": f"nodes are there in {snapshot.place}; nothing has moved yet. Waiting for a trial",
+        "idle": f"nodes run in {snapshot.place}; nothing has moved yet. Waiting for a trial",
         "running": f"now: {title}",
         "over": f"at rest until the next trial; this is the last state of {title}",
         "gone": f"the nodes have ended; this is the last state of {title}. Waiting",
@@ -292,7 +291,7 @@ def application(view: LiveView, token: str, port: int) -> ASGIApp:
     async def events(request: Request) -> Response:
         return StreamingResponse(view.stream(request), media_type="text/event-stream")
 
-    routes = [Route("/", _page), Route("/static/{name}", _static), Route("/api/events", events)]
+    routes = [Route("/", _page), Route("/static/{name:path}", _static), Route("/api/events", events)]
     return Guard(Starlette(routes=routes, lifespan=lifespan), token, port, "show")
 
 
@@ -302,17 +301,11 @@ def _log_failure(task: asyncio.Task[None]) -> None:
 
 
 async def _page(request: Request) -> Response:
-    return HTMLResponse((files(__package__) / "static" / "live.html").read_text(encoding="utf-8"))
+    return HTMLResponse((STATIC / "live.html").read_text(encoding="utf-8"))
 
 
 async def _static(request: Request) -> Response:
-    name = request.path_params["name"]
-    kind = "text/css" if name.endswith(".css") else "text/javascript"
-    if name in STATIC:
-        return FileResponse(STATIC[name], media_type=kind)
-    if name in SCRIPTS:
-        return Response((files(__package__) / "static" / name).read_text(encoding="utf-8"), media_type=kind)
-    return PlainTextResponse("There is no such file.", 404)
+    return static_file(FILES, request.path_params["name"])
 
 
 def serve(source: Lookout, program: str, port: int, browser: bool, say: Callable[[str], None]) -> None:

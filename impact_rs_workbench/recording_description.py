@@ -122,7 +122,7 @@ def look(workspace: Workspace, folder: str, scenario_name: str) -> dict[str, Any
     directory = workspace.existing(folder)
     lab = next((one for one in workspace.contents().laboratories if one.path == folder), None)
     if lab is None or not lab.recordings:
-        raise InputError("no recording of others in this folder", file=directory)
+        raise InputError("no recordings of another controller in this folder", file=directory)
     path = directory / lab.recordings[0]
     found = candidates_of(path)
     scenario = load_scenario(workspace.scenario_path(scenario_name))
@@ -136,7 +136,7 @@ def look(workspace: Workspace, folder: str, scenario_name: str) -> dict[str, Any
         guesses[arm] = _by_numbers(path, directory, file)
         proposals[arm] = _chosen(found, proposals[arm], guesses[arm])
     if not found:
-        raise InputError("nothing in it looks like the signals of a robot", file=path)
+        raise InputError("none of its signals looks like one of a robot", file=path)
     return {
         "recording": lab.recordings[0],
         "table": own,
@@ -332,7 +332,7 @@ def describe(workspace: Workspace, description: Description) -> tuple[list[str],
     new = [EXPERIMENT, *files.values(), *([] if description.runs is None else [RUN_TABLE])]
     for name in new:
         if (folder / name).exists():
-            raise InputError("this file exists already; take it away to describe the folder anew", file=folder / name)
+            raise InputError("this file exists already; remove it to describe the folder again", file=folder / name)
     mappings = {arm: _mapping_of(workspace, description, scenario, arm, folder / file) for arm, file in files.items()}
     if scenario_name.endswith((".yaml", ".yml")):
         scenario_name = os.path.relpath(scenario_name, folder)

@@ -200,9 +200,7 @@ def reveal(workspace: Workspace, path: str) -> dict[str, Any]:
                 return _revealed(campaign, file, document)
     if given.is_dir():
         raise InputError("its runs have no diagnosis yet; diagnose them first", file=given)
-    raise InputError(
-        "a diagnosis of other runs than those of a practice campaign; nothing is hidden in them", file=given
-    )
+    raise InputError("not the diagnosis of a practice campaign; nothing is hidden in its runs", file=given)
 
 
 def _revealed(campaign: Path, file: Path, document: DiagnosisDocument) -> dict[str, Any]:

@@ -10,7 +10,6 @@ import threading
 from collections.abc import AsyncIterator, Awaitable, Callable
 from contextlib import asynccontextmanager
 from dataclasses import asdict
-from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
@@ -40,15 +39,17 @@ from impact_rs_workbench.local import listening, serve_locally
 from impact_rs_workbench.prediction import Question
 from impact_rs_workbench.recording_description import Description, PreviewRequest
 from impact_rs_workbench.request_guard import FILE_POLICY, Guard
+from impact_rs_workbench.static_files import SCRIPTS, SHARED, STATIC, static_file
 from impact_rs_workbench.workspace import HIDDEN, NOMINAL, Workspace
 
-SCRIPTS = (
-    "workbench.js", "explain.js", "figures.js", "followed.js", "live.js", "live_view.js", "overlay.js", "picture.js",
-    "tools.js",
-)  # fmt: skip
-LIBRARIES = {"plotly.js": PLOTLY, "three.js": BUNDLE / "three.min.js", "replay.js": TEMPLATES / "replay.js"}
-STATIC = {"workbench.css": "text/css", **dict.fromkeys(SCRIPTS, "text/javascript")}
-KEPT = {"cache-control": "max-age=86400"}  # libraries of others, which do not change
+FILES = {
+    **SHARED,
+    "workbench.css": STATIC / "workbench.css",
+    "plotly.js": PLOTLY,
+    "three.js": BUNDLE / "three.min.js",
+    "replay.js": TEMPLATES / "replay.js",
+}
+PRELOADED = [name for name in SCRIPTS if name != "show.js"]  # which is of the page of show
 SHOWN_FILES = {".html": "text/html", ".json": "application/json", ".yaml": "text/plain", ".csv": "text/plain"}
 LARGEST_REQUEST = 1_000_000  # bytes
 LOOKED_AT = 0.25  # s, between two looks at running jobs
@@ -176,7 +177,7 @@ def _routes(workbench: Workbench) -> list[Route]:
 
     return [
         Route("/", _page),
-        Route("/static/{name}", _static),
+        Route("/static/{name:path}", _static),
         Route("/files/{path:path}", _file_of(workspace)),
         Route("/manual/{name}", _manual),
         Route("/manual/images/{name}", _picture),
@@ -271,7 +272,7 @@ def _posted(work: Work) -> Endpoint:
         try:
             data = json.loads(body)
         except (ValueError, RecursionError):
-            return _mistake("the request is no JSON")
+            return _mistake("the request is not valid JSON")
         return await _answered(work, data)
 
     return endpoint
@@ -313,19 +314,13 @@ def _mistake(text: str) -> JSONResponse:
 
 
 async def _page(request: Request) -> Response:
-    return HTMLResponse((files(__package__) / "static" / "workbench.html").read_text(encoding="utf-8"))
+    preloads = "\n".join(f'<link rel="modulepreload" href="/static/{name}">' for name in PRELOADED)
+    page = (STATIC / "workbench.html").read_text(encoding="utf-8")
+    return HTMLResponse(page.replace("<!-- preloads -->", preloads))
 
 
 async def _static(request: Request) -> Response:
-    name = request.path_params["name"]
-    if name in LIBRARIES:
-        return FileResponse(
-            LIBRARIES[name], media_type="text/javascript", headers=KEPT if LIBRARIES[name].parent == BUNDLE else {}
-        )
-    if name not in STATIC:
-        return PlainTextResponse("There is no such file.", 404)
-    text = (files(__package__) / "static" / name).read_text(encoding="utf-8")
-    return Response(text, media_type=STATIC[name])
+    return static_file(FILES, request.path_params["name"])
 
 
 def _file_of(workspace: Workspace) -> Endpoint:
@@ -335,7 +330,7 @@ def _file_of(workspace: Workspace) -> Endpoint:
         except InputError as error:
             return PlainTextResponse(str(error), 404)
         if path.suffix not in SHOWN_FILES or not path.is_file():
-            return PlainTextResponse(f"{path.name} is nothing that a page shows.", 404)
+            return PlainTextResponse(f"{path.name} cannot be shown in the browser.", 404)
         return FileResponse(path, media_type=SHOWN_FILES[path.suffix], headers={"content-security-policy": FILE_POLICY})
 
     return endpoint

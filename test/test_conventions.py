@@ -10,6 +10,7 @@ import importlib.metadata
 import importlib.util
 import inspect
 import re
+import subprocess
 import sys
 import tomllib
 from collections import Counter, defaultdict
@@ -258,6 +259,23 @@ def test_every_source_file_begins_with_the_licence() -> None:
         head = path.read_text(encoding="utf-8").splitlines()[:2]
         first = head[1:] if head and head[0].startswith("#!") else head[:1]
         assert first in ([f"# {line}"], [f"{{# {line} -#}}"]), path
+
+
+@pytest.mark.parametrize("check", ["lint", "check"])
+def test_scripts_of_the_workbench_pass_linter_and_type_check(check: str) -> None:
+    """Kills a name that no module exports, a method that no class has, a variable that is never used."""
+    done = subprocess.run([sys.executable, "-m", "deno", check], cwd=ROOT, capture_output=True, text=True)
+    assert done.returncode == 0, done.stdout + done.stderr
+
+
+def test_scripts_of_the_workbench_have_checked_types_and_lines_as_long_as_in_python() -> None:
+    scripts = list((ROOT / "impact_rs_workbench" / "static").rglob("*.js"))
+    assert len(scripts) > 20
+    longest = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["ruff"]["line-length"]
+    for path in scripts:
+        lines = path.read_text(encoding="utf-8").splitlines()
+        assert lines[:2] == ["// SPDX-License-Identifier: Apache-2.0", "// @ts-check"], path
+        assert max(map(len, lines)) <= longest, path
 
 
 def test_all_that_is_imported_is_required_of_pip_or_of_ros() -> None:

@@ -32,6 +32,7 @@ TEMPLATES = Path(__file__).with_name("templates")
 BUNDLE = Path(__file__).with_name("bundle")
 PLOTLY = BUNDLE / "plotly-cartesian.min.js"
 STYLE = TEMPLATES / "page.css"
+PALETTE = TEMPLATES / "palette.css"  # its colours, and those of the workbench
 MOST_POINTS = 500  # of a curve over time; a screen resolves no more
 MOST_NUMBERS = 90_000  # of all tracks of a page, half a megabyte
 PREFIXED = ("m", "rad")  # units whose small values are shown with a prefix

@@ -1,41 +1,47 @@
 // SPDX-License-Identifier: Apache-2.0
-/* global ImpactReplay, ImpactPicture */
-// Scenes in 3D: the impact of a scenario with an answer of the impact map, and recorded trials. replay.js draws; it and its
-// library come when they are first needed, behind the first numbers.
+// @ts-check
+// Scenes in 3D: the impact of a scenario with an answer of the impact map, and recorded trials. replay.js draws them.
+// It and its library are loaded when they are first needed, after the first numbers.
 
-import {load, Questions} from './tools.js';
+import {ask, h, load, query, Questions} from './tools.js';
 
 const LIBRARIES = ['/static/three.js', '/static/replay.js'];
 let loading = null;
 
-// The libraries, once.
+/** The libraries, once. @returns {Promise<void>} */
 export function threeD() {
   loading ??= LIBRARIES.reduce((before, address) => before.then(() => load(address)), Promise.resolve());
   return loading;
 }
 
-const place = () => Object.assign(document.createElement('div'), {className: 'replay'});
-
-// A recorded run in a node of the page; returns the replay.
-export async function replayIn(node, data, options) {
+/** A recorded run in a node of the page; returns the replay. @param {Element} node */
+export async function replayIn(node, data, options = {}) {
   await threeD();
-  const made = place();
-  node.replaceChildren(made);
-  return new ImpactReplay(made, data, options);
+  const place = h('div', {class: 'replay'});
+  node.replaceChildren(place);
+  return new ImpactReplay(place, data, options);
 }
 
-// The impact of a scenario. `scene` gets the scene of a scenario and an object; the newest answer is drawn once per frame.
-export class Impact {
-  constructor(node, scene) {
-    Object.assign(this, {node, scene, key: null, newest: null, drawing: false, questions: new Questions()});
+/** The impact of a scenario; the newest answer is drawn once per frame. */
+export class ImpactScene {
+  /** @param {HTMLElement} node */
+  constructor(node) {
+    this.node = node;
+    this.key = null; // scenario and object of the scene that is drawn or awaited
+    this.newest = null; // answer of the impact map
+    this.drawing = false;
+    this.ready = false;
+    this.questions = new Questions();
   }
 
-  // Ask for a scene before its answer is there.
+  /** Asks for a scene before its answer is there. @param {string} scenario @param {string} object */
   ahead(scenario, object) {
-    this.coming = {key: JSON.stringify([scenario, object]), scene: this.scene(scenario, object)};
-    this.coming.scene.catch(() => {}); // said where it is drawn
+    const scene = ask(`/api/scene?${query({name: scenario, object})}`);
+    this.coming = {key: JSON.stringify([scenario, object]), scene};
+    scene.catch(() => {}); // shown where it is drawn
   }
 
+  /** @param {string} scenario @param {string} object @param {any} moment of the answer */
   async draw(scenario, object, moment) {
     const key = JSON.stringify([scenario, object]);
     this.newest = moment;
@@ -49,8 +55,9 @@ export class Impact {
       throw error;
     });
     if (!this.picture) {
-      this.node.replaceChildren(place());
-      this.picture = new ImpactPicture(this.node.firstChild);
+      const place = h('div', {class: 'replay'});
+      this.node.replaceChildren(place);
+      this.picture = new ImpactPicture(place);
     }
     this.picture.show(found);
     this.ready = true;

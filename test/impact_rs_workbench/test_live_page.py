@@ -112,7 +112,7 @@ def test_followed_hits_are_shown_newest_change_first_and_what_cannot_be_read_is_
     assert (found["prediction"], found["diagnosis"]) == (None, None)
     assert found["refused"] == {"hit": "r7", "reason": "NaN in a signal"}
     assert len(found["unreadable"]) == 1
-    assert found["unreadable"][0].startswith("a message of identify is no PublishedChange: ")
+    assert found["unreadable"][0].startswith("a message of identify is not a valid PublishedChange: ")
 
 
 def test_nobody_without_the_key_is_told_anything() -> None:
@@ -125,6 +125,7 @@ def test_nobody_without_the_key_is_told_anything() -> None:
         )  # fmt: skip
     assert stranger.get("/", params={"token": TOKEN}).status_code == 303
     assert "default-src 'none'" in stranger.get("/").headers["content-security-policy"]
-    for name in ("page.css", "three.min.js", "replay.js", "followed.js", "live.js", "show.js", "tools.js"):
+    scripts = ("replay.js", "followed.js", "show.js", "stream.js", "tools.js")
+    for name in ("palette.css", "page.css", "three.min.js", *scripts):
         assert stranger.get(f"/static/{name}").status_code == 200, name
     assert stranger.get("/static/live.html").status_code == 404

@@ -87,7 +87,7 @@ def test_how_fast_the_arm_may_hit_is_asked_and_the_hit_rehearsed(visit: Visit, t
     run(page, "Compute the limits")
     expect(page.frame_locator("#limits-result iframe").locator("h1")).to_have_text("How fast may push hit?")
     (limit,) = json.loads((tmp_path / "limits" / "push" / "limits.json").read_text())["limits"]
-    expect(page.locator("[data-says='predict/limits']")).to_contain_text(f"at {limit['limit_m_s']:.3g} m/s")
+    expect(page.locator("[data-says='predict/limits']")).to_contain_text(f"limit {limit['limit_m_s']:.3g} m/s")
     assert page.locator("[data-entry='lab limits/push']").count() == 0  # its table is no recording
     page.locator("#part-limits summary").first.click()
     high(page, 1400)

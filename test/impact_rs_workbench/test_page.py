@@ -11,6 +11,7 @@ import json
 import os
 import re
 import shutil
+import threading
 import time
 from pathlib import Path
 from typing import Literal
@@ -21,11 +22,14 @@ from browser import FRAMES, Held, Visit, accessible, needs_browser, picture
 from known_recordings import BagFormat, Signals
 from page_steps import DESK, TABS, command, go, predicted, start
 from playwright.sync_api import Page, Request, Route, expect
-from processes import until
+from processes import PATIENCE, until
 from stub_job import Stub
 
 from impact_rs_analysis.diagnosis.document import EstimateDocument, write_document
 from impact_rs_analysis.evidence.measured_runs import runs_digest
+from impact_rs_analysis.report.page import PALETTE
+from impact_rs_sim.files import write_whole
+from impact_rs_workbench import kept_choices
 
 pytestmark = needs_browser
 NUMBER = re.compile("[0-9] s")
@@ -375,7 +379,7 @@ def test_a_real_job_from_click_to_result(visit: Visit, tmp_path: Path) -> None:
 # By step and tab: the button, the results, where the job writes them, where they are chosen and shown, what is said.
 RESULTS = {
     "predict/limits": (
-        "Compute the limits", "limits/push", "limits/push", "#limits-page", "iframe", "0.4 m/s, 0.5 m/s are"),
+        "Compute the limits", "limits/push", "limits/push", "#limits-page", "iframe", "limit 0.4 m/s, planned 0.5 m/s"),
     "measure/rehearse": (
         "Rehearse", "rehearsals/push", "rehearsals/push", "#rehearse-page", "iframe", "case_1: not passed"),
     "measure/design": (
@@ -584,6 +588,24 @@ def test_a_figure_keeps_its_height_when_the_window_is_resized(visit: Visit, full
         assert all(place >= height - 1 for _, height, _, place in sizes)  # nothing below is covered
 
 
+DRAWN_IN_PALETTE = """async (colour) => {
+    const {draw, plotPlace} = await import('/static/figures.js'), node = plotPlace('');
+    document.body.append(node);
+    const layout = {annotations: [{text: 'x', font: {color: colour}}]};
+    await draw(node, {data: [{y: [1, 2], line: {color: colour}}], layout});
+    return [node.data[0].line.color, node.layout.annotations[0].font.color];
+}"""
+
+
+def test_a_figure_has_the_colours_of_the_palette_on_a_dark_page(visit: Visit) -> None:
+    """Kills a text or a curve that keeps its dark colour, which is hardly seen there."""
+    page = visit("add", color_scheme="dark")
+    dark = dict(re.findall(r"--figure-([0-9a-f]{6}): (#[0-9a-f]{6})", PALETTE.read_text(encoding="utf-8")))
+    assert page.evaluate(DRAWN_IN_PALETTE, "#555555") == [dark["555555"]] * 2
+    assert page.evaluate(DRAWN_IN_PALETTE, "#0072B2") == [dark["0072b2"]] * 2
+    assert page.evaluate(DRAWN_IN_PALETTE, "#E69F00") == ["#E69F00"] * 2
+
+
 def test_a_place_of_a_comparison_has_its_signal_and_its_moment_in_the_replay(visit: Visit, full: Path) -> None:
     """The newest place, also where it is chosen while the signals of the report are still being read."""
     page = visit("compare")
@@ -603,8 +625,15 @@ def test_a_place_of_a_comparison_has_its_signal_and_its_moment_in_the_replay(vis
     expect(page.locator(f"{signal} .scatterlayer .trace")).to_have_count(3)
 
 
+CURSOR_TIME = """() => {
+    const plot = document.querySelector('#recorded-shown .plot'), {xaxis} = plot._fullLayout;
+    const left = (node) => node.getBoundingClientRect().left, width = plot._fullLayout.width;
+    return [xaxis.p2d(left(plot.querySelector('.cursor')) + 1 - left(plot) - xaxis._offset), width];
+}"""
+
+
 def test_a_recorded_trial_opens_in_3d_with_one_click(visit: Visit, full: Path) -> None:
-    """Drawn with WebGL; the time of the bodies is the line in every figure."""
+    """Drawn with WebGL; the time of the bodies is the line in every figure, also in one that has another width."""
     page = visit("compare", webgl=True)
     page.locator("[data-entry='campaign campaigns/push']").click()
     trial = page.locator("#recorded-trials button").first
@@ -613,6 +642,13 @@ def test_a_recorded_trial_opens_in_3d_with_one_click(visit: Visit, full: Path) -
     expect(page.locator("#recorded-replay canvas")).to_be_visible()
     cursor = page.locator("#recorded-shown .plot .cursor").first
     expect(cursor).to_be_visible()
+    now = page.evaluate(CURSOR_TIME)
+    page.set_viewport_size({"width": 900, "height": 800})
+    page.wait_for_function(
+        f"([time, width]) => {{ const [now, narrow] = ({CURSOR_TIME})();"
+        " return narrow < width - 50 && Math.abs(now - time) < 0.01; }",
+        arg=now,
+    )
     before = cursor.bounding_box()
     page.locator("#recorded-replay input[type=range]").focus()
     page.keyboard.press("Home")
@@ -687,8 +723,7 @@ def test_runs_are_chosen_filtered_and_pinned_over_each_other(visit: Visit, full:
     rows.locator("button").click()  # pinned, and thereby chosen
     expect(traces).to_have_count(1)
     page.locator("#overlay-runs-filter").fill("s1.0")
-    with page.expect_response(lambda answer: len((answer.request.post_data_json or {}).get("chosen", ())) == 2):
-        buttons.get_by_text("Choose all below").click()  # the pin alone may be on its way to the server still
+    buttons.get_by_text("Choose all below").click()
     expect(traces).to_have_count(2)
     expect(rows.first).to_contain_text("s1.2")
     page.locator("#overlay-runs-filter").fill("")
@@ -704,6 +739,50 @@ def test_runs_are_chosen_filtered_and_pinned_over_each_other(visit: Visit, full:
     expect(page.locator("#overlay-estimates .scatterlayer .trace").first).to_be_attached()
     expect(page.locator("#overlay-parameter")).to_have_value(re.compile("object_mass"))  # what was named comes first
     expect(page.locator("#part-overlay-estimates .note")).to_contain_text("1 diagnosis")
+
+
+def kept_runs(folder: Path) -> list[str]:
+    """Runs that the server has kept as chosen."""
+    file = folder / ".workbench" / "overlay.json"
+    chosen: list[str] = (json.loads(file.read_text())["runs"] or {"chosen": []})["chosen"] if file.exists() else []
+    return chosen
+
+
+def test_a_choice_is_kept_where_the_page_is_left_at_once(
+    visit: Visit, full: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Also one that waits for an earlier one: kills a pause before the post, and a post that ends with its page."""
+    left = threading.Event()
+
+    def slow(path: Path, text: str) -> None:
+        left.wait(PATIENCE)
+        write_whole(path, text)
+
+    monkeypatch.setattr(kept_choices, "write_whole", slow)
+    page = visit("overlay")
+    rows = page.locator("#overlay-runs-list li[data-key]")
+    expect(page.locator("#overlay-plot .scatterlayer .trace")).to_have_count(3)
+    last = rows.nth(1).get_attribute("data-key")
+    rows.nth(0).get_by_role("checkbox").uncheck()
+    rows.nth(2).get_by_role("checkbox").uncheck()
+    page.reload()
+    left.set()
+    until(lambda: kept_runs(full) == [last], lambda: time.sleep(0.05), str(kept_runs(full)))
+
+
+def test_choices_are_kept_one_after_the_other(visit: Visit, full: Path) -> None:
+    """The newest one, also where an earlier post is slow: kills posts that overtake each other."""
+    page = visit("overlay")
+    rows = page.locator("#overlay-runs-list li[data-key]")
+    expect(page.locator("#overlay-plot .scatterlayer .trace")).to_have_count(3)
+    held = Held(page, "**/api/choices")
+    rows.nth(0).get_by_role("checkbox").uncheck()
+    rows.nth(2).get_by_role("checkbox").uncheck()
+    held.answer_last_of(1)
+    page.evaluate(FRAMES, 6)
+    held.let_go()
+    last = rows.nth(1).get_attribute("data-key")
+    until(lambda: kept_runs(full) == [last], lambda: page.evaluate("1"), str(kept_runs(full)))
 
 
 def test_a_folder_of_recordings_is_described_from_lists_and_becomes_a_comparison(visit: Visit, tmp_path: Path) -> None:

@@ -65,12 +65,12 @@ def test_a_yes_is_one_to_the_question_that_stands_and_counts_once(jobs: Jobs, as
     with jobs.seen():
         job = asked(jobs)
         first = question(jobs, "first")
-        with pytest.raises(InputError, match="does not ask this any more"):
+        with pytest.raises(InputError, match="no longer asks this"):
             jobs.answer(PageAnswer(job=job, question=first + 1, yes=True))
         jobs.answer(PageAnswer(job=job, question=first, yes=True))
         second = question(jobs, "second")
         for _ in range(2):  # a second click on the first one, in this tab or another
-            with pytest.raises(InputError, match="the answer does not count"):
+            with pytest.raises(InputError, match="the answer is ignored"):
                 jobs.answer(PageAnswer(job=job, question=first, yes=True))
         jobs.answer(PageAnswer(job=job, question=second, yes=False))
         found = answers(jobs, job)
@@ -122,7 +122,7 @@ def test_a_job_that_is_being_stopped_takes_no_yes(
         first = question(jobs, "first")
         monkeypatch.setattr(module, "_signal", lambda *_: None)  # the signal is on its way
         jobs.stop(job)
-        with pytest.raises(InputError, match="the answer does not count"):
+        with pytest.raises(InputError, match="the answer is ignored"):
             jobs.answer(PageAnswer(job=job, question=first, yes=True))
         monkeypatch.undo()
         jobs.stop(job)

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import json
+import re
 import shlex
 import threading
 from collections.abc import Iterator
@@ -80,8 +81,10 @@ def test_what_changes_something_has_to_come_from_our_own_page(
 def test_the_page_may_load_nothing_from_elsewhere(client: TestClient) -> None:
     page = client.get("/")
     assert "default-src 'none'" in page.headers["content-security-policy"]
-    texts = [page.text, client.get("/static/workbench.css").text, client.get("/static/workbench.js").text]
-    assert not [text for text in texts if "http://" in text or "https://" in text]
+    names = re.findall('(?:src|href)="(/static/[^"]+)"', page.text)
+    assert {"/static/palette.css", "/static/workbench.js", "/static/steps/predict.js"} <= set(names)
+    for text in [page.text, *(client.get(name).text for name in names)]:
+        assert "http://" not in text and "https://" not in text
 
 
 @pytest.mark.parametrize(
@@ -115,7 +118,7 @@ def test_reports_are_sandboxed_and_other_kinds_of_files_not_shown(client: TestCl
     (tmp_path / "folder.html").mkdir()
     for name in ("trial.mcap", "folder.html"):
         answer = client.get(f"/files/{name}")
-        assert (answer.status_code, answer.text) == (404, f"{name} is nothing that a page shows.")
+        assert (answer.status_code, answer.text) == (404, f"{name} cannot be shown in the browser.")
 
 
 def test_a_figure_gives_way_to_a_slider_that_has_moved_meanwhile(
@@ -189,7 +192,7 @@ def test_a_mistake_is_answered_in_one_line(client: TestClient, path: str, conten
 
 
 def test_what_is_no_json_or_too_large_is_refused(client: TestClient) -> None:
-    assert client.post("/api/predict", content=b"{").json() == {"error": "the request is no JSON"}
+    assert client.post("/api/predict", content=b"{").json() == {"error": "the request is not valid JSON"}
     assert "larger than" in client.post("/api/predict", content=b" " * 1_000_001).json()["error"]
 
 

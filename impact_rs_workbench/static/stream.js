@@ -1,9 +1,18 @@
 // SPDX-License-Identifier: Apache-2.0
-/* global ImpactLive */
-// Running nodes in 3D: receives scene, status and state, and draws the newest state once per frame. Needs replay.js and its library.
+// @ts-check
+// Running nodes in 3D: receives scene, status and state, and draws the newest state once per frame. Needs replay.js and
+// its library.
 
-// `status` is given each status line, `scene` each new scene, `state` each state, `followed` what a node identify has published;
-// `lost` whether the server is gone.
+/**
+ * @param {string} address of the events
+ * @param {HTMLElement} node place of the picture
+ * @param {object} hear
+ * @param {(text: string) => void} hear.status is given each status line
+ * @param {(lost: boolean) => void} hear.lost whether the server is gone
+ * @param {(found: any) => void} hear.followed is given what a node identify has published
+ * @param {(scene: any) => void} [hear.scene] is given each new scene
+ * @param {(state: any) => void} [hear.state] is given each state
+ */
 export function watch(address, node, {status, lost, followed, scene = () => {}, state = () => {}}) {
   const live = new ImpactLive(node), events = new EventSource(address);
   let newest = null, drawing = false;
