@@ -27,27 +27,33 @@ from impact_rs_sim.robot import Array, RobotFacts
 from impact_rs_sim.robot_model import RobotModel
 from impact_rs_trials.recordings.clock import seconds_of
 from impact_rs_trials.recordings.mapping import SLIDES, TURNS, UNITS
+from impact_rs_trials.recordings.relations import (
+    MAX_FACTOR_SPREAD,
+    MIN_AVERAGED,
+    MIN_CORRELATION,
+    MIN_CORRELATION_ASSUMED,
+    MIN_CORRELATION_AT_RATE,
+    ONE_UNIT,
+    TORQUE_UNIT,
+    WRONG_FACTOR,
+    AveragedMotion,
+    averaged,
+    fit,
+    moves,
+)
 from impact_rs_trials.recordings.table_file import DATE
 
 STAMP = re.compile(r"(^|[^a-z])(t|time|times|timestamp|stamp|sec|secs|nsec)([^a-z]|$)|time|stamp", re.IGNORECASE)
 NANOSECONDS = re.compile(r"nano|n_?sec|(^|[^a-z])ns([^a-z]|$)", re.IGNORECASE)
 STAMP_UNITS = ("s", "ms", "us", "ns")
 RATES = (1.0, 1e5)  # Hz, that a recording may have
-SMOOTHED = 0.05  # s, of the moving average
-FEWEST_SMOOTHED = 5  # samples
 MARGIN = 0.05  # of the range of a joint, by which positions may lie beyond it
-CLOSE = (0.8, 1.25)  # ratios that a unit explains
-CLOSE_TORQUE = (0.2, 5.0)  # friction, loads and delays are in the torque as well; N m and mN m differ by more
-SURE_TORQUE = (0.5, 2.0)
-TOGETHER = 0.8  # least correlation from which a factor is believed,
-HARDLY = 0.5  # and from which it is assumed
-SURELY, ALIKE = 0.95, 0.1  # correlation, and spread of the factors of joints, of a velocity at another sampling rate
-COPIED, COPIED_FACTOR = 0.9, (0.8, 1.25)  # correlation and factor of a copy of the motion, of three joints and more,
+COPIED = 0.9  # correlation of a copy of the motion, of three joints and more,
 EXACTLY, EXACT_FACTOR = 0.999, (0.98, 1.02)  # and of fewer, of which a torque might look like one
 FEWEST_COPIED = 3
+MOST_OF_TRAVEL, SOME_TRAVEL = 0.5, 0.2  # of the joint that travels farthest, from which others show a relation
 MOST_APART = 30.0  # ratio of torque constants of one arm
 STILL = 1e-3  # of the range of a joint, below which it does not move; encoders and sag make less
-MOVES = 0.02  # of the data sheet's velocity, rms, from which a joint moves
 NOTICED = 0.3  # of what the largest joint takes by weight and inertia, in proportion to the robot [N m]
 MOST_SHOWN = 3  # steps back in a message
 LOOKED_AT = 400  # samples in which the torque is compared
@@ -189,15 +195,6 @@ def _year(seconds: float) -> str:
     return str(np.datetime64(int(seconds), "s").astype("datetime64[Y]"))
 
 
-def smoothed(time: Array, values: Array) -> tuple[Array, Array]:
-    """Moving averages over some hundredths of a second, ``(k,)`` and ``(k, c)``."""
-    period = float(np.median(np.diff(time)))
-    width = int(np.clip(round(SMOOTHED / max(period, 1e-9)), FEWEST_SMOOTHED, max(FEWEST_SMOOTHED, time.size // 20)))
-    window = np.ones(width) / width
-    mean = np.column_stack([np.convolve(column, window, "valid") for column in values.T])
-    return np.convolve(time, window, "valid"), mean
-
-
 def at_rest(time: Array, position: Array, facts: RobotFacts) -> str | None:
     """That no joint moves, so that units, signs, inertia and friction cannot be seen; None: some joint does.
 
@@ -206,10 +203,10 @@ def at_rest(time: Array, position: Array, facts: RobotFacts) -> str | None:
         position: q, ``(k, n)`` [rad].
         facts: Know the ranges of the joints.
     """
-    if time.size < 2 * FEWEST_SMOOTHED:
+    if time.size < 2 * MIN_AVERAGED:
         return None
     ranges = np.array(facts.limits.position_max_rad) - np.array(facts.limits.position_min_rad)
-    moved = np.ptp(smoothed(time, position)[1], axis=0)
+    moved = np.ptp(averaged(time, position)[1], axis=0)
     if np.any(moved > STILL * ranges):
         return None
     joint = int(np.argmax(moved / ranges))
@@ -245,40 +242,37 @@ def unit_of_position(raw: Array, facts: RobotFacts, name: str) -> Guess | None:
 @OUTLIERS
 def times_derivative(time: Array, position: Array, raw: Array) -> float | None:
     """By how much a signal is larger than the derivative of positions ``(k, n)`` in all joints; None: it is another."""
-    at, q = smoothed(time, position)
-    ratio, together = _ratios(np.gradient(q, at, axis=0), smoothed(time, raw)[1])
-    moving = np.ptp(q, axis=0) >= 0.5 * float(np.max(np.ptp(q, axis=0)))
-    usual = float(np.median(ratio[moving]))
-    alike = np.all(np.abs(ratio[moving] / usual - 1.0) < ALIKE) if usual != 0.0 else False
-    return usual if alike and np.all(np.abs(together[moving]) > SURELY) else None
+    motion = AveragedMotion.of(time, position)
+    relation, moving = motion.velocity_relation(time, raw), _travels(motion.position, MOST_OF_TRAVEL)
+    ratio, usual = relation.factor[moving], float(np.median(relation.factor[moving]))
+    alike = usual != 0.0 and bool(np.all(np.abs(ratio / usual - 1.0) < MAX_FACTOR_SPREAD))
+    return usual if alike and np.all(np.abs(relation.correlation[moving]) > MIN_CORRELATION_AT_RATE) else None
 
 
 @OUTLIERS
 def are_derivatives(time: Array, values: Array, raw: Array) -> NDArray[np.bool_]:
     """Which columns of signals ``(k, c)`` are the derivatives of the columns beside them in ``values``, ``(c,)``."""
-    at, smooth = smoothed(time, values)
-    ratio, together = _ratios(np.gradient(smooth, at, axis=0), smoothed(time, raw)[1])
-    return np.asarray((ratio > CLOSE[0]) & (ratio < CLOSE[1]) & (together > SURELY))
+    found = AveragedMotion.of(time, values).velocity_relation(time, raw)
+    one_unit = (found.factor > ONE_UNIT[0]) & (found.factor < ONE_UNIT[1])
+    return np.asarray(one_unit & (found.correlation > MIN_CORRELATION_AT_RATE))
 
 
 @OUTLIERS
 def velocity_of(time: Array, position: Array, raw: Array, facts: RobotFacts) -> tuple[float, Guess] | None:
     """How surely a signal is the velocity of positions ``(k, n)`` [rad], and its unit and signs; None: it is not."""
-    at, q = smoothed(time, position)
-    _, v = smoothed(time, raw)
-    derived = np.gradient(q, at, axis=0)
-    limits = np.array(facts.limits.velocity_rad_s)
-    moving = np.sqrt(np.mean(np.square(derived), axis=0)) > MOVES * limits
+    motion = AveragedMotion.of(time, position)
+    moving = moves(motion.velocity, facts)
     if not np.any(moving):
-        moving = np.ptp(q, axis=0) >= 0.5 * float(np.max(np.ptp(q, axis=0)))
-    ratio, together = _ratios(derived, v)
+        moving = _travels(motion.position, MOST_OF_TRAVEL)
+    relation = motion.velocity_relation(time, raw)
+    ratio, together = relation.factor, relation.correlation
     slides = [kind == "prismatic" for kind in facts.joint_types]
     sure = float(np.mean(np.abs(together[moving])))
     usual = float(np.median(np.abs(ratio[moving])))
     for turns, slide in (("rad/s", "m/s"), ("deg/s", "mm/s"), ("mrad/s", "mm/s")):
         per_unit = 1.0 / TURNS["velocity"][turns]
-        if CLOSE[0] < usual / per_unit < CLOSE[1] and sure > TOGETHER:
-            signs = np.where(moving & (np.abs(together) > TOGETHER), np.sign(ratio), _usual_sign(ratio[moving]))
+        if ONE_UNIT[0] < usual / per_unit < ONE_UNIT[1] and sure > MIN_CORRELATION:
+            signs = np.where(moving & (np.abs(together) > MIN_CORRELATION), np.sign(ratio), _usual_sign(ratio[moving]))
             units = [slide if sliding else turns for sliding in slides]
             said = (
                 f"{_range(ratio[moving] / per_unit)} times the derivative of the position in {turns} "
@@ -292,8 +286,8 @@ def velocity_of(time: Array, position: Array, raw: Array, facts: RobotFacts) -> 
 
 def _against_each_other(moving: NDArray[np.bool_], ratio: Array, together: Array) -> tuple[str, ...]:
     """Joints whose velocity has another sign than that of the others, or is not the derivative of their position."""
-    apart = np.flatnonzero(moving & (np.abs(together) < TOGETHER))
-    other = np.flatnonzero(moving & (np.abs(together) >= TOGETHER) & (np.sign(ratio) != _usual_sign(ratio[moving])))
+    related, turned = np.abs(together) >= MIN_CORRELATION, np.sign(ratio) != _usual_sign(ratio[moving])
+    apart, other = np.flatnonzero(moving & ~related), np.flatnonzero(moving & related & turned)
     said = []
     if apart.size:
         said.append(f"velocities of joints {_joints(apart)} are not the derivative of their positions: other columns?")
@@ -318,16 +312,16 @@ def copy_of_motion(time: Array, position: Array, velocity: Array, raw: Array) ->
     Returns:
         What it is, in words; None: it may be a torque.
     """
-    at, q = smoothed(time, position)
-    dq, signal = smoothed(time, velocity)[1], smoothed(time, raw)[1]
-    moving = np.ptp(q, axis=0) >= 0.2 * float(np.max(np.ptp(q, axis=0)))
+    at, q = averaged(time, position)
+    dq, signal = averaged(time, velocity)[1], averaged(time, raw)[1]
+    moving = _travels(q, SOME_TRAVEL)
     many = int(np.sum(moving)) >= FEWEST_COPIED
-    together_least, (low, high) = (COPIED, COPIED_FACTOR) if many else (EXACTLY, EXACT_FACTOR)
+    together_least, (low, high) = (COPIED, ONE_UNIT) if many else (EXACTLY, EXACT_FACTOR)
     for what, part in (("positions", q), ("velocities", dq), ("accelerations", np.gradient(dq, at, axis=0))):
-        ratio, together = _ratios(part - part.mean(axis=0), signal - signal.mean(axis=0))
+        copy = fit(part - part.mean(axis=0), signal - signal.mean(axis=0))
         for unit, factor in TURNS["position"].items():
-            own = np.abs(ratio[moving]) * factor
-            if np.all((own > low) & (own < high)) and np.all(np.abs(together[moving]) > together_least):
+            own = np.abs(copy.factor[moving]) * factor
+            if np.all((own > low) & (own < high)) and np.all(np.abs(copy.correlation[moving]) > together_least):
                 return f"repeats the {what}, in {unit}" if unit != "rad" else f"repeats the {what}"
     return None
 
@@ -337,18 +331,18 @@ def torque_of(
     time: Array, position: Array, velocity: Array, raw: Array, model: RobotModel, name: str
 ) -> tuple[float, Guess] | None:
     """How surely a signal is the torque of a motion in SI units, with its unit and signs; None: it may not be."""
-    at, q = smoothed(time, position)
-    _, dq = smoothed(time, velocity)
-    _, tau = smoothed(time, raw)
+    at, q = averaged(time, position)
+    dq, tau = averaged(time, velocity)[1], averaged(time, raw)[1]
     ddq = np.gradient(dq, at, axis=0)
     rows = np.unique(np.linspace(0, at.size - 1, LOOKED_AT).astype(int))
     needed = np.array([model.inverse_dynamics(q[row], dq[row], ddq[row]) for row in rows])
     tau = tau[rows]
-    ratio, together = _ratios(needed, tau)
+    relation = fit(needed, tau)
+    ratio, together = relation.factor, relation.correlation
     heavy = takes_torque(needed, model)
-    shown = heavy & (np.abs(together) > TOGETHER)
+    shown = heavy & (np.abs(together) > MIN_CORRELATION)
     clear = bool(np.any(shown))
-    shown = shown if clear else heavy & (np.abs(together) > HARDLY)
+    shown = shown if clear else heavy & (np.abs(together) > MIN_CORRELATION_ASSUMED)
     slides = [kind == "prismatic" for kind in model.facts.joint_types]
     if not np.any(shown):
         return None
@@ -363,8 +357,8 @@ def torque_of(
     if not np.all(shown):
         said += "; the others show nothing and are taken like them"
     for turns, slide in (("N m", "N"), ("mN m", "mN")):
-        if CLOSE_TORQUE[0] < usual * TURNS["torque"][turns] < CLOSE_TORQUE[1]:
-            certain = clear and SURE_TORQUE[0] < usual * TURNS["torque"][turns] < SURE_TORQUE[1]
+        if TORQUE_UNIT[0] < usual * TURNS["torque"][turns] < TORQUE_UNIT[1]:
+            certain = clear and WRONG_FACTOR[0] < usual * TURNS["torque"][turns] < WRONG_FACTOR[1]
             said += "" if clear else f" (correlation {sure:.2g})"
             return sure, Guess(_common([slide if one else turns for one in slides]), said, certain, further)
     apart = float(np.max(np.abs(ratio[shown])) / np.min(np.abs(ratio[shown])))
@@ -413,12 +407,10 @@ def quaternion_order(quaternion: Array) -> Guess | None:
     return Guess("xyzw", "which number of the unit quaternion is w, nothing shows; taken as x y z w", False)
 
 
-def _ratios(expected: Array, measured: Array) -> tuple[Array, Array]:
-    """Factor of the least-squares line through the origin and uncentred correlation of every column, ``(k,)`` each."""
-    power = np.maximum(np.sum(expected**2, axis=0), 1e-300)
-    product = np.sum(expected * measured, axis=0)
-    size = np.sqrt(power) * np.sqrt(np.maximum(np.sum(measured**2, axis=0), 1e-300))
-    return product / power, product / size
+def _travels(position: Array, share: float) -> NDArray[np.bool_]:
+    """Joints that travel at least a share of the farthest travel of all, ``(n,)``."""
+    travel = np.ptp(position, axis=0)
+    return np.asarray(travel >= share * float(np.max(travel)))
 
 
 def _usual_sign(ratio: Array) -> float:
