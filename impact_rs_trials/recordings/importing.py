@@ -33,8 +33,6 @@ from impact_rs_trials.recordings.candidates import (
     PART_OF_ARM,
     SignalCandidate,
     candidates_of,
-    guess_of,
-    in_order,
     joints_of,
     parts_of,
     single_candidates,
@@ -44,24 +42,18 @@ from impact_rs_trials.recordings.candidates import (
 from impact_rs_trials.recordings.clock_offset import OBJECT_SIGNALS
 from impact_rs_trials.recordings.file_groups import OBJECT, RUN_TABLE, FileGroups, group_files, recordings_in
 from impact_rs_trials.recordings.guesses import (
-    OUTLIERS,
     STAMP,
     Guess,
     are_derivatives,
     at_rest,
     clock_of,
-    copy_of_motion,
     other_units,
     pose_of,
     quaternion_order,
     steps_back,
-    takes_torque,
-    times_derivative,
-    torque_of,
     unit_of_length,
-    unit_of_position,
-    velocity_of,
 )
+from impact_rs_trials.recordings.hypotheses import DECISIVE, Choice, Hypothesis
 from impact_rs_trials.recordings.import_checks import (
     FEWEST_SAMPLES,
     MOVED,
@@ -73,9 +65,9 @@ from impact_rs_trials.recordings.import_checks import (
 )
 from impact_rs_trials.recordings.import_texts import ARM, BODY, FoundRun, Line, flow, mapping_text, runs_text
 from impact_rs_trials.recordings.inner_runs import RUN, run_column_of, run_groups_of, runs_of
+from impact_rs_trials.recordings.joint_search import Assignment, JointSearch, Reading
 from impact_rs_trials.recordings.mapping import (
     NO_ROBOT,
-    TURNS,
     UNITS,
     Mapping,
     MountedEndEffector,
@@ -85,7 +77,7 @@ from impact_rs_trials.recordings.mapping import (
 )
 from impact_rs_trials.recordings.moving_objects import moving_objects
 from impact_rs_trials.recordings.recording import read_recordings
-from impact_rs_trials.recordings.series import Names, Series
+from impact_rs_trials.recordings.series import Names
 from impact_rs_trials.recordings.sources import (
     ARRAY_SUFFIXES,
     BAG_SUFFIXES,
@@ -94,13 +86,12 @@ from impact_rs_trials.recordings.sources import (
     read_series,
     runs_inside,
 )
+from impact_rs_trials.recordings.streams import Stream
 from impact_rs_trials.recordings.table_columns import read_columns, read_rows
 from impact_rs_trials.recordings.table_layout import find_layout
 from impact_rs_trials.recordings.torque_readings import (
     WHOLE_TORQUE,
     MotionTorque,
-    is_computed,
-    lacks_weight,
     leaves_little,
     order_of_joints,
 )
@@ -108,8 +99,6 @@ from impact_rs_trials.recordings.transforms import are_transforms
 
 MOST_SHOWN = 3  # signals of a kind in a message
 MOST_POSES = 10
-NAMED = 0.3  # correlation that a name is worth
-ASKED_FOR = re.compile(r"des|ref|target|goal|cmd|cmp|command|comput|set_?point|(^|_)d(_|\d|$)|filt|err", re.IGNORECASE)
 OF_THE_ROBOT = re.compile(r"eef|(^|_)ee(_|$)|tcp|tool|flange|hand", re.IGNORECASE)
 OF_A_POSE = re.compile(
     r"pos(ition)?|place|trans(lation)?|rot(ation)?|quat(ernion)?|ori(entation)?|[pqrtwxyz]|xyz|xyzw|wxyz"
@@ -118,7 +107,6 @@ MOST_RUNS = 5  # whose clocks are looked at
 AXES = ("x", "y", "z")
 QUATERNION = (("x", "y", "z", "w"), ("w", "x", "y", "z"))
 MOST_COMPARED = 10  # runs beside the first
-USUAL_VELOCITIES = ("rad/s", "deg/s", "m/s")
 NEAR = 0.5  # of the measured torque, rms, within which a torque that was asked for lies
 PLAINLY = 2.0  # by which it is nearer with the arm's weight than without it, or the other way round
 NO_HEADER = "its messages have no header: times at which the bag received them"
@@ -173,7 +161,7 @@ class _Part:
     columns: AbstractMapping[str, Sequence[str] | NDArray[Any]]
     candidates: list[SignalCandidate]
     clock: Guess | None
-    series: dict[int, Series] = field(default_factory=dict)
+    streams: list[Stream] = field(default_factory=list)
     run: str = ""
     run_column: str | None = None
     on_log: bool = False  # times are those at which a bag received its messages
@@ -200,193 +188,15 @@ class _Part:
         return is_bag_folder(self.path) or self.path.suffix in BAG_SUFFIXES
 
 
-@dataclass(frozen=True)
-class _Found:
-    """What may be a signal of the joints, in one of the files."""
-
-    part: _Part
-    number: int
-
-    @property
-    def candidate(self) -> SignalCandidate:
-        """Where it is."""
-        return self.part.candidates[self.number]
-
-    @property
-    def is_cut(self) -> bool:
-        """Whether it is a part of a wider signal."""
-        return self.candidate.first is not None
-
-    @property
-    def series(self) -> Series:
-        """Its numbers as the file has them."""
-        return self.part.series[self.number]
-
-    @property
-    def label(self) -> str:
-        """Its name, with that of its file if a run has several."""
-        return f"{self.part.pattern}: {self.candidate.label}" if self.part.pattern else self.candidate.label
-
-    def stands_apart(self, other: _Found) -> bool:
-        """Whether both cannot be of the same joints: they share a column, or are other parts of wider signals."""
-        if self.is_cut and other.is_cut and self.candidate.first != other.candidate.first:
-            return True
-        return self.overlaps(other)
-
-    def overlaps(self, other: _Found) -> bool:
-        """Whether both have a column in common."""
-        return self.part is other.part and (self.number == other.number or bool(self._numbers & other._numbers))
-
-    @property
-    def _numbers(self) -> set[tuple[str, int]]:
-        """Columns, and entries of vectors, in which its numbers are."""
-        source = self.candidate.source
-        whole = str(source.get("column") or source.get("array") or (source.get("topic"), source.get("field")))
-        entries = {(whole, entry) for entry in source.get("entries") or ()}
-        return entries or {(column, 0) for column in source.get("columns") or ()}
-
-    def named(self, signal: str) -> float:
-        """What names of columns, or else of the file, are worth for a signal."""
-        guess = self.candidate.guess or guess_of(self.part.pattern)
-        worth = NAMED if guess == signal else -NAMED if guess else 0.0
-        return worth - NAMED * bool(ASKED_FOR.search(self.label))
-
-
-@dataclass(frozen=True)
-class _Motion:
-    """Positions of the joints, and their velocities where a signal is those."""
-
-    position: _Found
-    unit: Guess
-    velocity: tuple[_Found, str, Guess] | None = None
-    sure: float = 0.0
-
-    @property
-    def score(self) -> float:
-        """How surely it is the motion of the joints."""
-        return (
-            self.sure + self.position.named("position") + (self.velocity[0].named("velocity") if self.velocity else 0.0)
-        )
-
-    @property
-    def places(self) -> Array:
-        """q, ``(k, n)`` [rad, m]."""
-        return np.asarray(self.position.series.values * self.unit.further["factor_"])
-
-    @property
-    def speeds(self) -> Array:
-        """dq, ``(k, n)`` [rad/s, m/s]."""
-        if self.velocity is None:
-            return replace(self.position.series, values=self.places).derivative().values
-        found, _, guess = self.velocity
-        factor = _si(guess, "velocity") * np.asarray(guess.further.get("factor", 1.0))
-        return found.series.at(self.position.series.time) * factor
-
-
-def _with_velocity(place: _Found, unit: Guess, every: Sequence[_Found], facts: RobotFacts) -> Iterator[_Motion]:
-    """Motions whose velocity is a signal."""
-    motion, time = _Motion(place, unit), place.series.time
-    for other in every:
-        if not other.stands_apart(place):
-            found = velocity_of(time, motion.places, other.series.at(time), facts)
-            if found is not None:
-                yield _Motion(place, unit, (other, "velocity", found[1]), found[0])
-
-
-def _best_of_parts(motions: Sequence[_Motion]) -> list[_Motion]:
-    """The motion that is the surest; where it is a part of a wider signal, also those of its other parts."""
-    best = max(motions, key=lambda one: one.score)
-    if not best.position.is_cut:
-        return [best]
-    parts: dict[int | None, _Motion] = {}
-    for motion in sorted(motions, key=lambda one: one.score):
-        parts[motion.position.candidate.first] = motion
-    return list(parts.values())
-
-
-@dataclass(frozen=True)
-class _Torque:
-    """A signal that may be the torque of a motion, or motor currents.
-
-    Attributes:
-        score: How surely, with what its name is worth.
-        signal: Where it is.
-        guess: Its unit and signs.
-        computed: Whether it holds no friction of gears, so that nobody measured it.
-    """
-
-    score: float
-    signal: _Found
-    guess: Guess
-    computed: bool = False
-
-    @property
-    def rank(self) -> tuple[bool, float]:
-        """By which the best is chosen: a measurement before what was computed."""
-        return not self.computed, self.score
-
-
-def _torques(motion: _Motion, every: Sequence[_Found], model: RobotModel) -> tuple[list[_Torque], dict[str, str]]:
-    """Signals that go with the torque of a motion, or those whose names say so; and why others do not, by label."""
-    time, q, dq = motion.position.series.time, motion.places, motion.speeds
-    free = [one for one, copied in _beside(motion, every) if copied is None]
-    found, refused = [], {}
-    cut = motion.position.is_cut  # of another robot, perhaps, for which the torque must speak
-    for one in free:
-        if one.candidate.guess in ("torque", "command", ""):
-            raw = one.series.at(time)
-            if (why := _lacks_weight(time, q, dq, raw, model)) is not None:
-                refused[one.label] = why
-                continue
-            guess = torque_of(time, q, dq, raw, model, one.candidate.label)
-            if guess is not None and (guess[1].sure or not cut):
-                computed = _is_computed(MotionTorque.of(time, q, dq, raw, model), guess[1])
-                found.append(_Torque(guess[0] + one.named("torque"), one, guess[1], computed))
-    if not found and not cut:
-        named = [one for one in free if one.named("torque") > 0.0 and one.label not in refused]
-        found = [_Torque(0.0, one, _by_name(MotionTorque.of(time, q, dq, one.series.at(time), model))) for one in named]
-    return found, refused
-
-
-@OUTLIERS
-def _lacks_weight(time: Array, q: Array, dq: Array, raw: Array, model: RobotModel) -> str | None:
-    """What shows that a signal in N m or mN m is a torque without the arm's weight; None: nothing does."""
-    for unit in ("N m", "mN m"):
-        why = lacks_weight(MotionTorque.of(time, q, dq, TURNS["torque"][unit] * raw, model))
-        if why is not None:
-            return why
-    return None
-
-
-@OUTLIERS
-def _is_computed(seen: MotionTorque, guess: Guess) -> bool:
-    """Whether a torque at motors was computed; torque sensors behind the gears see no friction of theirs."""
-    at_motor = "torque_constant" in guess.further or not seen.model.facts.joint_torque_loop
-    return at_motor and is_computed(seen)
-
-
-def _by_name(seen: MotionTorque) -> Guess:
-    """A torque that only its name shows."""
-    said = "the motion takes too little torque to show it"
-    if np.any(takes_torque(seen.whole, seen.model)):
-        most, left = np.sqrt(np.mean(np.square(seen.whole), axis=0)), np.sqrt(seen.left(seen.whole) / len(seen.whole))
-        joint = int(np.argmax(most))
-        said = (
-            f"weight and inertia of the arm take {most[joint]:.3g} N m rms in joint {joint + 1}, from which the signal "
-            f"is {left[joint]:.3g} N m away: another robot, other joints or another quantity?"
-        )
-    return Guess("N m", f"nothing but its name: {said}", False)
-
-
-def _check_width(motion: _Motion, robot: str, count: int) -> None:
+def _check_width(found: Assignment, part: _Part, robot: str, count: int) -> None:
     """Refuse a few joints of a wider arm: columns without names, beside which others are derivatives as well."""
-    part, series = motion.position.part, motion.position.series
+    series = found.position.stream.series
     free = [name for name, cells in part.columns.items() if np.ndim(cells) == 1 and vector_width(cells) == 1]
     free = [name for name in free if name not in part.clock_columns]
-    if motion.velocity is None or not free or series.time.size != len(part.columns[free[0]]):
+    if found.velocity is None or not free or series.time.size != len(part.columns[free[0]]):
         return
-    first, other = (_first_of(free, one.candidate) for one in (motion.position, motion.velocity[0]))
-    if first is None or other is None or motion.velocity[0].part is not part:
+    first, other = (_first_of(free, one.stream.candidate) for one in (found.position, found.velocity))
+    if first is None or other is None or found.velocity.stream.file != part.pattern:
         return
     apart = other - first
     own, within = range(first, first + count), range(max(0, -apart), len(free) - max(0, apart))
@@ -406,15 +216,6 @@ def _check_width(motion: _Motion, robot: str, count: int) -> None:
             "--robot, or a mapping by hand that says which columns are its own (docs/your_data.md)",
             file=part.path,
         )
-
-
-def _beside(motion: _Motion, every: Sequence[_Found]) -> Iterator[tuple[_Found, str | None]]:
-    """Signals beside a motion, and which part of it they repeat."""
-    time, q, dq = motion.position.series.time, motion.places, motion.speeds
-    taken = [motion.position, *([motion.velocity[0]] if motion.velocity else [])]
-    for one in every:
-        if not any(one.stands_apart(other) for other in taken):
-            yield one, copy_of_motion(time, q, dq, one.series.at(time))
 
 
 def draft_import(paths: Sequence[Path], output: Path, wishes: Wishes) -> ImportDraft:
@@ -553,113 +354,96 @@ class _Importer:
             file=self._parts[0].path,
         )
 
-    def _joint_signals(
-        self, robot: str, facts: RobotFacts, reordered: bool = False
-    ) -> tuple[_Part, dict[str, Any], dict[str, dict[str, Any]]]:
+    def _joint_signals(self, robot: str, facts: RobotFacts) -> tuple[_Part, dict[str, Any], dict[str, dict[str, Any]]]:
         """Part of the positions, keys of the mapping beside its signals, and the signals."""
-        for part in () if reordered else self._parts:
-            self._read(part, robot, facts.joint_count)
-            self._settle_clock(part, facts)
-        every = [_Found(part, number) for part in self._parts for number in part.series]
-        seen = "; ".join(one.label for one in every)
-        places = [
-            (one, unit)
-            for one in every
-            if (unit := unit_of_position(one.series.values, facts, one.candidate.label)) is not None
-            and np.ptp(one.series.values, axis=0).any()
-        ]
-        self._check_motion([place for place in places if place[0].named("position") > 0.0], facts)
-        motions = [motion for place, unit in places for motion in _with_velocity(place, unit, every, facts)]
-        moving = bool(motions)
-        if not moving and self._wishes.rate is not None:
-            self._check_rate(self._wishes.rate, places, every)
-        if not moving and not any(one.named("velocity") > 0.0 for one in every):
-            motions = [_Motion(*place) for place in places if place[0].named("position") >= 0.0]
-        if not motions:
-            raise self._nothing(every, robot, facts.joint_count)
-        motions = _best_of_parts(motions) if moving else motions
         model = RobotModel(facts, MountedEndEffector().build(), pin.SE3.Identity())
-        tried = [(motion, *_torques(motion, every, model)) for motion in motions]
-        motion, torques, lacking = max(
-            tried, key=lambda one: one[0].score + max((torque.score for torque in one[1]), default=-np.inf)
-        )
-        self._check_motion([(motion.position, motion.unit)], facts)
-        if not reordered and (order := self._order(motion, torques, model)) is not None:
-            self._reorder(order)
-            return self._joint_signals(robot, facts, reordered=True)
-        if not torques and lacking:
-            label, why = next(iter(lacking.items()))
-            raise InputError(f"{label} {why}. {WHOLE_TORQUE}", file=motion.position.part.path, key="signals.torque")
-        if not torques:
-            copies = [f"{one.label} {copied}" for one, copied in _beside(motion, every) if copied is not None]
-            repeated = f" ({'; '.join(copies)})" if copies else ""
-            raise InputError(
-                f"nothing goes with the torque that weight and inertia of {robot} take in this motion, and a mapping "
-                f"needs torques or currents; signals as wide as its joints: {seen}{repeated}. Another --robot, or a "
-                "mapping by hand (docs/your_data.md)",
-                file=motion.position.part.path,
-            )
+        for part in self._parts:
+            self._read(part, robot, facts.joint_count)
+            self._settle_clock(part, model)
+        search = JointSearch([stream for part in self._parts for stream in part.streams], model)
+        found = self._assignment(search, robot)
+        if (order := self._order(found, model)) is not None:
+            search = JointSearch([stream.in_order(order) for stream in search.streams], model)
+            found = self._assignment(search, robot)
+        part = self._part_of(found.position.stream)
+        _check_width(found, part, robot, facts.joint_count)
+        self._check_torques(found, search, robot)
         self._remarks += [
             f"{label} is left out, for the reader refuses it: {why}" for label, why in self._refused.items()
         ]
-        part = motion.position.part
         self._refuse_several(part, "joints", "robot")
-        _check_width(motion, robot, facts.joint_count)
-        signals = {"position": self._joint_signal(motion.position, "position", replace(motion.unit, further={}), part)}
-        if motion.velocity is None:
+        signals = {"position": self._joint_signal(found.position, "position", part, found.next, found.margin)}
+        if found.velocity is None:
             self._say(
                 "signals.velocity", "none", "no signal is the derivative of the positions: velocities are made of them"
             )
         else:
-            signals["velocity"] = self._joint_signal(*motion.velocity, part)
-        part.on_log = not motion.position.candidate.stamped
-        own = {"joints": list(self._joints(part, motion.position.number, facts.joint_count))}
-        own |= self._torque(torques, facts, robot, signals, part)
-        best = max(torques, key=lambda one: one.rank)
-        torque, unit = best.signal, best.guess
-        asked = [
-            (one, copied)
-            for one, copied in _beside(motion, every)
-            if one.part.is_bag and not one.overlaps(torque) and one.candidate.guess == "command"
-        ]
-        self._remarks += [f"{one.label} is left out: it {copied}" for one, copied in asked if copied is not None]
-        torques_asked = [one for one, copied in asked if copied is None]
-        if torques_asked and "torque_constant" in own:
-            why = "nothing but currents was measured beside it"
-            self._remarks += [f"{one.label} is left out: {why}" for one in torques_asked]
-        elif torques_asked:
-            own |= self._command(motion, torques_asked, (torque, unit), model, signals, part)
+            signals["velocity"] = self._joint_signal(found.velocity, "velocity", part)
+        part.on_log = not found.position.stream.candidate.stamped
+        own = {"joints": list(self._joints(found.position.stream.candidate, facts.joint_count))}
+        own |= self._torque(found.torques, facts, robot, signals, part)
+        own |= self._commands(found, search, model, signals, part, "torque_constant" in own)
         return part, own, signals
 
-    def _order(self, motion: _Motion, torques: Sequence[_Torque], model: RobotModel) -> tuple[int, ...] | None:
+    def _part_of(self, stream: Stream) -> _Part:
+        """The file of a stream."""
+        return next(part for part in self._parts if part.pattern == stream.file)
+
+    def _assignment(self, search: JointSearch, robot: str) -> Assignment:
+        """The likeliest assignment of streams to the roles of the joints."""
+        facts = search.model.facts
+        self._check_motion([place for place in search.places if place.by_name > 0.0], facts)
+        motions = search.motions()
+        if not motions and self._wishes.rate is not None:
+            self._check_rate(self._wishes.rate, search)
+        if not motions and not any(stream.log_prior("velocity") > 0.0 for stream in search.streams):
+            motions = search.without_velocity()
+        if not motions:
+            raise self._nothing(search.streams, robot, facts.joint_count)
+        found = search.best(motions)
+        self._check_motion([found.position], facts)
+        return found
+
+    def _check_torques(self, found: Assignment, search: JointSearch, robot: str) -> None:
+        """Refuse a recording without a torque that a mapping could take."""
+        path = self._part_of(found.position.stream).path
+        if not found.torques and found.weightless:
+            label, why = next(iter(found.weightless.items()))
+            raise InputError(f"{label} {why}. {WHOLE_TORQUE}", file=path, key="signals.torque")
+        if not found.torques:
+            copies = [f"{label} {copied}" for label, copied in found.copies.items()]
+            repeated = f" ({'; '.join(copies)})" if copies else ""
+            seen = "; ".join(stream.label for stream in search.streams)
+            raise InputError(
+                f"nothing goes with the torque that weight and inertia of {robot} take in this motion, and a mapping "
+                f"needs torques or currents; signals as wide as its joints: {seen}{repeated}. Another --robot, or a "
+                "mapping by hand (docs/your_data.md)",
+                file=path,
+            )
+
+    def _order(self, found: Assignment, model: RobotModel) -> tuple[int, ...] | None:
         """Order in which columns without names go with the torque of the arm; None: as they stand."""
-        one = motion.position
+        one = found.position.stream
         if one.is_cut or one.candidate.joints or PART_OF_ARM.search(one.candidate.label):
             return None
-        time, q, dq = one.series.time, motion.places, motion.speeds
-        for torque in sorted(torques, key=lambda one: one.rank, reverse=True)[:MOST_SHOWN]:
-            raw, constant = torque.signal.series.at(time), torque.guess.further.get("torque_constant")
-            unit = _si(torque.guess, "torque")
+        time, q, dq = found.time, found.position.values, found.speeds
+        for torque in found.torques[:MOST_SHOWN]:
+            constant, raw = torque.best.further.get("torque_constant"), torque.stream.series.at(time)
             if constant is not None and leaves_little(MotionTorque.of(time, q, dq, raw * np.array(constant), model)):
                 continue  # currents; else a torque in a wrong order, of which no unit fits
-            seen = MotionTorque.of(time, q, dq, unit * raw, model)
-            if (found := order_of_joints(seen)) is not None:
-                order, self._order_shown = found
+            units = [torque.best.unit] if isinstance(torque.best.unit, str) else torque.best.unit
+            factor = np.array([UNITS["torque"][unit] for unit in units])
+            if (ordered := order_of_joints(MotionTorque.of(time, q, dq, factor * raw, model))) is not None:
+                order, self._order_shown = ordered
                 return order
         return None
 
-    def _reorder(self, order: tuple[int, ...]) -> None:
-        """Put all signals of the joints into another order."""
-        for part in self._parts:
-            for number, series in part.series.items():
-                part.candidates[number] = in_order(part.candidates[number], order)
-                part.series[number] = replace(series, values=series.values[:, list(order)])
-
-    def _check_motion(self, places: Sequence[tuple[_Found, Guess]], facts: RobotFacts) -> None:
+    def _check_motion(self, places: Sequence[Reading], facts: RobotFacts) -> None:
         """Refuse an arm that does not move, of which noise would be taken for velocity and torque."""
-        found = [at_rest(one.series.time, _Motion(one, unit).places, facts) for one, unit in places]
+        found = [at_rest(one.stream.series.time, one.values, facts) for one in places]
         if found and None not in found:
-            raise InputError(f"{places[0][0].label}: {found[0]}", file=places[0][0].part.path)
+            stream = places[0].stream
+            raise InputError(f"{stream.label}: {found[0]}", file=self._part_of(stream).path)
 
     def _refuse_several(self, part: _Part, what: str, whose: str) -> None:
         """Files that differ in a word are of objects that a robot hits, and of nothing else."""
@@ -668,7 +452,7 @@ class _Importer:
             said = f"files {part.pattern} hold {what}, of {named}: import the runs of each {whose} by themselves"
             raise InputError(said, file=part.path)
 
-    def _nothing(self, every: Sequence[_Found], robot: str, count: int) -> InputError:
+    def _nothing(self, every: Sequence[Stream], robot: str, count: int) -> InputError:
         """What is said where no signal is the motion of the joints."""
         said = f"no signal of {_joints_of(count)} can be read"
         if every:
@@ -693,52 +477,38 @@ class _Importer:
             by_reason.setdefault(why, []).append(label)
         return [f"{', '.join(labels[:MOST_SHOWN])}: {why}" for why, labels in by_reason.items()]
 
-    def _check_rate(self, rate: float, places: Sequence[tuple[_Found, Guess]], every: Sequence[_Found]) -> None:
+    def _check_rate(self, rate: float, search: JointSearch) -> None:
         """Refuse a sampling rate at which a velocity would be that of another one."""
-        for place, unit in places:
-            motion, time = _Motion(place, unit), place.series.time
-            for other in every:
-                factor = None if other.overlaps(place) else times_derivative(time, motion.places, other.series.at(time))
-                if factor is not None and factor > 0.0:
-                    real = rate * factor
-                    raise InputError(
-                        f"{other.label} is {factor:.3g} times the derivative of {place.label} in all joints, which is "
-                        f"a velocity in rad/s at {real:.4g} Hz, in deg/s at {real * np.pi / 180.0:.4g} Hz",
-                        key="--rate",
-                        value=f"{rate:g}",
-                    )
+        for place, other, factor in search.velocities_at_other_rates():
+            real = rate * factor
+            raise InputError(
+                f"{other.label} is {factor:.3g} times the derivative of {place.label} in all joints, which is a "
+                f"velocity in rad/s at {real:.4g} Hz, in deg/s at {real * np.pi / 180.0:.4g} Hz",
+                key="--rate",
+                value=f"{rate:g}",
+            )
 
     def _torque(
-        self, found: list[_Torque], facts: RobotFacts, robot: str,
+        self, found: Sequence[Reading], facts: RobotFacts, robot: str,
         signals: dict[str, dict[str, Any]], part: _Part,
     ) -> dict[str, Any]:  # fmt: skip
         """The torque of the joints, which is added to the signals; keys of the mapping that go with it."""
-        best = max(found, key=lambda one: one.rank)
-        chosen, guess = best.signal, best.guess
-        free = [
-            other
-            for other in found
-            if not other.signal.overlaps(chosen) and not (part.is_bag and other.signal.candidate.guess == "command")
-        ]
+        best, *others = found
+        free = [other for other in others if not (part.is_bag and other.stream.candidate.guess == "command")]
         computed = (
             "follows the model of the arm without any friction of its gears: a controller or a simulation computed it"
         )
         self._remarks += [
-            f"{other.signal.label} is left out: it {computed}" for other in free if other.computed and not best.computed
+            f"{other.stream.label} is left out: it {computed}" for other in free if other.computed and not best.computed
         ]
         if best.computed:
-            guess = replace(guess, sure=False)
             self._remarks.append(
-                f"{chosen.label} {computed}, so nothing that the model lacks, as a load, can show in it. Take the "
+                f"{best.stream.label} {computed}, so nothing that the model lacks, as a load, can show in it. Take the "
                 "measured torque or the motor currents"
             )
-        others = [other.signal.label for other in free if other.computed == best.computed]
-        if others:
-            said = f"{guess.evidence}; so do {'; '.join(others)}: take the one that was measured"
-            guess = replace(guess, evidence=said, sure=False)
-        constant = guess.further.get("torque_constant")
-        further = {key: value for key, value in guess.further.items() if key != "torque_constant"}
-        signals["torque"] = self._joint_signal(chosen, "torque", replace(guess, further=further), part)
+        alike = "; ".join(other.stream.label for other in free if other.computed == best.computed)
+        constant = best.best.further.get("torque_constant")
+        signals["torque"] = self._joint_signal(best, "torque", part, alike=alike)
         at_motor = constant is not None or not facts.joint_torque_loop
         said = "currents are those of motors" if constant is not None else f"joint_torque_loop of {robot} is "
         said += "" if constant is not None else str(facts.joint_torque_loop).lower()
@@ -751,18 +521,35 @@ class _Importer:
             own["torque_constant"] = constant
         return own
 
+    def _commands(
+        self, found: Assignment, search: JointSearch, model: RobotModel, signals: dict[str, dict[str, Any]],
+        part: _Part, currents: bool,
+    ) -> dict[str, Any]:  # fmt: skip
+        """The commanded torque of a bag, which is added to the signals; keys of the mapping that go with it."""
+        taken = [one.stream for one in (found.position, found.velocity, found.torques[0]) if one is not None]
+        free = [one for one in search.streams if not any(one.stands_apart(other) for other in taken)]
+        asked = [one for one in free if one.candidate.guess == "command" and self._part_of(one).is_bag]
+        copied = [one for one in asked if one.label in found.copies]
+        self._remarks += [f"{one.label} is left out: it {found.copies[one.label]}" for one in copied]
+        commands = [one for one in asked if one not in copied]
+        if commands and currents:
+            why = "nothing but currents was measured beside it"
+            self._remarks += [f"{one.label} is left out: {why}" for one in commands]
+            return {}
+        return self._command(found, commands, model, signals, part) if commands else {}
+
     def _command(
-        self, motion: _Motion, asked: Sequence[_Found], measured: tuple[_Found, Guess], model: RobotModel,
+        self, found: Assignment, asked: Sequence[Stream], model: RobotModel,
         signals: dict[str, dict[str, Any]], part: _Part,
     ) -> dict[str, Any]:  # fmt: skip
         """The torque that was asked for, which is added to the signals, by how near it is to the measured one."""
-        found, unit = measured
-        time, q = motion.position.series.time, motion.places
-        torque = found.series.at(time) * _si(unit, "torque") * np.asarray(unit.further.get("factor", 1.0))
+        time, q = found.time, found.position.values
+        series = found.torques[0].stream.series
+        torque = replace(series, values=found.torques[0].values).at(time)
         weight = np.array([model.gravity_torque(row) for row in q])
         size = max(float(np.sqrt(np.mean(np.square(torque)))), 1e-12)
 
-        def apart(one: _Found, missing: Array | float) -> float:
+        def apart(one: Stream, missing: Array | float) -> float:
             """How far from the measured torque, over that torque, rms."""
             return float(np.sqrt(np.mean(np.square(one.series.at(time) + missing - torque)))) / size
 
@@ -776,20 +563,45 @@ class _Importer:
         if min(alone, lifted) > NEAR:
             return {}
         included, both = alone <= lifted, f"{100.0 * alone:.0f} % of the measured torque away from it as it is"
-        guess = Guess("N m", f"{both}, {100.0 * lifted:.0f} % with the arm's weight added (rms)")
-        signals["command"] = self._joint_signal(one, "command", guess, part)
+        said = f"{both}, {100.0 * lifted:.0f} % with the arm's weight added (rms)"
+        command = Reading(one, Choice(Hypothesis("torque", "N m", said, 0.0), None, np.inf))
+        signals["command"] = self._joint_signal(command, "command", part)
         sure = max(alone, lifted) > PLAINLY * min(alone, lifted)
         said = f"it is nearer to the measured torque {'as it is' if included else 'with the weight of the arm added'}"
         self._say("command_includes_gravity", str(included).lower(), said, sure)
         return {"command_includes_gravity": included}
 
-    def _joint_signal(self, one: _Found, name: str, guess: Guess, main: _Part) -> dict[str, Any]:
-        """Section of a signal of the joints, with the layout of its file where that is not the one of the positions."""
-        own = self._signal(one.part, one.number, name, guess)
-        return own | self._own_layout(one.part, main, True)
+    def _joint_signal(
+        self, one: Reading, name: str, main: _Part, following: str = "", margin: float = np.inf, alike: str = ""
+    ) -> dict[str, Any]:
+        """Section of a signal of the joints, which is said, with the layout of its file where that is another one.
 
-    def _joints(self, part: _Part, position: int, count: int) -> tuple[str, ...]:
-        one = part.candidates[position]
+        Args:
+            one: The stream with its unit.
+            name: The signal.
+            main: File of the positions.
+            following: Stream that may be the signal as well, next in likelihood.
+            margin: Log posterior less that of the next.
+            alike: Streams that fit the role as well, of which names do not say more.
+        """
+        part, candidate, best = self._part_of(one.stream), one.stream.candidate, one.best
+        shown = "by its numbers; see unit"
+        if one.stream.is_cut:
+            shown += "; what stands beside the joints is left out, as a gripper"
+            self._remarks.append(f"signals.{name}: of {candidate.label} numbers are taken for the joints")
+        if margin < DECISIVE and following:
+            shown += f"; next: {following}, log likelihood ratio {margin:.2g}"
+        shown += "" if candidate.stamped else f"; {NO_HEADER}"
+        self._say(f"signals.{name}", candidate.label, shown, not one.stream.is_cut and margin > DECISIVE)
+        said = one.choice.evidence + (f"; so do {alike}: take the one that was measured" if alike else "")
+        sure = one.choice.sure and not alike and not one.computed and best.role != "current"
+        self._say(f"signals.{name}.unit", flow(best.unit), said, sure)
+        self._remarks += best.remarks
+        further = {key: value for key, value in best.further.items() if key in ("factor",)}
+        source = {**self._source(part, dict(candidate.source)), "unit": best.unit, **further}
+        return source | self._own_layout(part, main, True)
+
+    def _joints(self, one: SignalCandidate, count: int) -> tuple[str, ...]:
         joints = joints_of(one.joints, "", False, count)
         if one.joints:
             self._say("joints", flow(list(joints)), "the recording names them")
@@ -802,11 +614,12 @@ class _Importer:
         self._windows(part, count)
         if count == 1 and part.layout.header != 0:
             key = "array" if part.path.suffix in ARRAY_SUFFIXES else "column"
-            part.candidates += single_candidates(part.columns, key)
+            columns = {name: own for name, own in part.columns.items() if name not in part.clock_columns}
+            part.candidates += single_candidates(columns, key)
         part.candidates += [own for one in part.candidates for own in parts_of(one, count)]
         numbered = tuple(f"joint{number}" for number in range(1, count + 1))
         shared = None if part.is_bag else open_file(part.path, self._raw_mapping(part, robot, numbered), part.names, ())
-        for number, one in enumerate(part.candidates):
+        for one in part.candidates:
             if one.pose or (one.width != count and len(one.joints) < count):
                 continue
             source = SignalSource(unit="rad", **one.source)
@@ -820,7 +633,8 @@ class _Importer:
                 continue
             rows = usable_rows(series)
             if rows.size > FEWEST_SAMPLES:
-                part.series[number] = replace(series, time=series.time[rows], values=series.values[rows])
+                kept = replace(series, time=series.time[rows], values=series.values[rows])
+                part.streams.append(Stream(part.pattern, one, kept))
             else:
                 self._refused[one.label] = (
                     f"{rows.size} of {series.time.size} samples have numbers and a later stamp than all before, "
@@ -831,37 +645,40 @@ class _Importer:
 
     def _put_on_stamps(self, part: _Part) -> None:
         """Put signals without stamps on the clock of the others, as the reader does."""
-        stamped = [one for number, one in part.series.items() if part.candidates[number].stamped]
+        stamped = [one.series for one in part.streams if one.candidate.stamped]
         shifts = [float(np.median(one.log - one.time)) for one in stamped if one.log is not None]
         if shifts:
-            for number, one in part.series.items():
-                if not part.candidates[number].stamped:
-                    part.series[number] = replace(one, time=one.time - shifts[0])
+            part.streams = [
+                one
+                if one.candidate.stamped
+                else replace(one, series=replace(one.series, time=one.series.time - shifts[0]))
+                for one in part.streams
+            ]
 
-    def _settle_clock(self, part: _Part, facts: RobotFacts) -> None:
-        """Give stamps whose unit nothing else shows the one in which a signal is a velocity in a usual unit."""
+    def _settle_clock(self, part: _Part, model: RobotModel) -> None:
+        """Give stamps whose unit nothing else shows the one in which positions and velocities are the likeliest."""
         clock = part.clock
         if clock is None or clock.sure or self._wishes.rate is not None:
             return
-        assumed = UNITS["time"][clock.further["unit"]]
-        stamps = np.asarray(part.columns[clock.value], dtype=float)
-        every = [_Found(part, number) for number in part.series]
-        places = [(one, unit) for one in every if (unit := unit_of_position(one.series.values, facts, one.label))]
+        assumed, stamps = UNITS["time"][clock.further["unit"]], np.asarray(part.columns[clock.value], dtype=float)
+        tried = []
         for unit in (clock.further["unit"], *other_units(clock, stamps)):
             scale = UNITS["time"][unit] / assumed
-            for place, in_unit in places:
-                time, q = scale * place.series.time, _Motion(place, in_unit).places
-                for other in every:
-                    if other.overlaps(place):
-                        continue
-                    found = velocity_of(time, q, other.series.at(place.series.time), facts)
-                    if found is not None and found[1].value in USUAL_VELOCITIES:
-                        rate = 1.0 / (scale * float(np.median(np.diff(place.series.time))))
-                        said = f"increases; in {unit}, {rate:.4g} Hz, {other.label} is the derivative of {place.label}"
-                        part.clock = replace(clock, evidence=said, sure=True, further={"unit": unit})
-                        for number, series in part.series.items():
-                            part.series[number] = replace(series, time=scale * series.time)
-                        return
+            streams = [replace(one, series=replace(one.series, time=scale * one.series.time)) for one in part.streams]
+            if found := JointSearch(streams, model).motions():
+                tried.append((found[0].motion_log_posterior, unit, streams, found[0]))
+        if not tried:
+            return
+        tried.sort(key=lambda one: one[0], reverse=True)
+        _, unit, streams, motion = tried[0]
+        assert motion.velocity is not None
+        rate = 1.0 / float(np.median(np.diff(motion.time)))
+        place, speed = motion.position.stream.label, motion.velocity.stream.label
+        said = f"increases; in {unit}, {rate:.4g} Hz, {speed} is the derivative of {place}"
+        margin = tried[0][0] - tried[1][0] if len(tried) > 1 else np.inf
+        said += "" if margin > DECISIVE else f"; next: {tried[1][1]}, log likelihood ratio {margin:.2g}"
+        part.clock = replace(clock, evidence=said, sure=bool(margin > DECISIVE), further={"unit": unit})
+        part.streams = streams
 
     def _windows(self, part: _Part, count: int) -> None:
         """Neighbouring columns without names; columns with names of a file that has but one signal."""
@@ -895,20 +712,6 @@ class _Importer:
             {"description": "raw", "robot": robot, "joints": joints, "time": self._clock_keys(part),
              "table": part.layout.model_dump(), "run_column": part.run_column, "signals": signals}
         )  # fmt: skip
-
-    def _signal(self, part: _Part, number: int, name: str, guess: Guess) -> dict[str, Any]:
-        """Section of a signal, which is said."""
-        source = self._source(part, dict(part.candidates[number].source))
-        one = _Found(part, number)
-        shown = "by its numbers; see unit"
-        if one.is_cut:
-            shown += "; what stands beside the joints is left out, as a gripper"
-            self._remarks.append(f"signals.{name}: of {one.candidate.label} numbers are taken for the joints")
-        shown += "" if one.candidate.stamped else f"; {NO_HEADER}"
-        self._say(f"signals.{name}", one.candidate.label, shown, not one.is_cut)
-        self._say(f"signals.{name}.unit", flow(guess.value), guess.evidence, guess.sure)
-        self._remarks += guess.remarks
-        return {**source, "unit": guess.value, **guess.further}
 
     def _source(self, part: _Part, source: dict[str, Any]) -> dict[str, Any]:
         """With the file that it lies in, its own layout and stamps."""
@@ -1296,8 +1099,3 @@ def _body_of(source: dict[str, Any]) -> tuple[str, ...]:
     words = [re.findall(r"[A-Z]?[a-z]+|[A-Z]+|\d+", name) for name in columns]
     common = [word.lower() for word in words[0] if all(word in other for other in words)]
     return tuple(word for word in common if not OF_A_POSE.fullmatch(word))
-
-
-def _si(guess: Guess, quantity: str) -> Array:
-    units = [guess.value] if isinstance(guess.value, str) else guess.value
-    return np.array([UNITS[quantity][unit] for unit in units])

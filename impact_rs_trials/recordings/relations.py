@@ -34,12 +34,10 @@ WRONG_FACTOR = (0.5, 2.0)  # outside: wrong unit, sign or joint; rough models, f
 HELD_ONCE = (0.5, 1.5)  # of the arm's weight in a torque, which held twice has the factor 2
 TORQUE_UNIT = (0.2, 5.0)  # a unit of torque is possible: N m and mN m differ by 1000
 MAX_FACTOR_ERROR = 0.1  # of a velocity: a low-pass takes away as much
-MAX_FACTOR_SPREAD = 0.1  # over joints, of velocities at another sampling rate
 SURE_ERRORS = 5.0  # standard errors from which a difference is reported: joints, runs and signals are many tests
 # Correlations [-].
 MIN_CORRELATION = 0.8  # a factor is believed
-MIN_CORRELATION_ASSUMED = 0.5  # a factor is assumed
-MIN_CORRELATION_AT_RATE = 0.95  # velocities at another sampling rate, and derivatives of columns
+MIN_CORRELATION_OF_COLUMNS = 0.95  # a column without a name is the derivative of another one
 MAX_CORRELATION_DRIVING = -0.5  # of torque and velocity, below which friction would drive the joint
 # Log likelihoods [-] and what they are compared with.
 DECISIVE_LOG_LIKELIHOOD = 30.0  # gain of the better reading; models are wrong by more than noise is
@@ -62,7 +60,8 @@ class Relation:
         correlation: About zero, ``(n,)``.
         misfit: Sum of squares that the fit leaves, ``(n,)``.
         power: Sum of squares of the measured columns, ``(n,)``.
-        independent: How many of the samples have independent errors.
+        unexplained: Sum of squares that the further columns alone leave, ``(n,)``.
+        independent: How many of the samples have independent errors, of all columns or of each.
     """
 
     factor: Array
@@ -70,19 +69,27 @@ class Relation:
     correlation: Array
     misfit: Array
     power: Array
-    independent: float
+    unexplained: Array
+    independent: float | Array
 
     @property
     def log_likelihood(self) -> Array:
         """Of each column under the fit, over that of noise alone, ``(n,)``."""
         return np.asarray(-0.5 * self.independent * np.log(self.misfit / np.maximum(self.power, 1e-300) + LEAST_MISFIT))
 
+    @property
+    def log_likelihood_ratio(self) -> Array:
+        """Of each column under the fit, over that of the further columns alone, ``(n,)``."""
+        power = np.maximum(self.power, 1e-300)
+        left = (self.misfit / power + LEAST_MISFIT) / (self.unexplained / power + LEAST_MISFIT)
+        return np.asarray(-0.5 * self.independent * np.log(left))
+
 
 def fit(
     expected: Array,
     measured: Array,
     further: Sequence[Array] = (),
-    independent: float | None = None,
+    independent: float | Array | None = None,
     bounds: tuple[float, float] | None = None,
 ) -> Relation:
     """Fit ``measured = a expected + sum c further`` in every column.
@@ -91,7 +98,7 @@ def fit(
         expected: x, ``(k, n)``.
         measured: y, ``(k, n)``.
         further: Signals z whose factors are fitted as well, each ``(k, n)``.
-        independent: How many of the samples have independent errors; None: all.
+        independent: How many of the samples have independent errors, of all columns or of each, ``(n,)``; None: all.
         bounds: Least and largest size of the factor; None: any.
     """
     x, y = expected, measured
@@ -102,10 +109,25 @@ def fit(
     factor = product / power
     if bounds is not None:
         factor = np.where(factor < 0.0, -1.0, 1.0) * np.clip(np.abs(factor), *bounds)
-    misfit, independent = np.sum(np.square(y - factor * x), axis=0), independent or max(1.0, float(len(x)))
-    size = np.sqrt(power) * np.sqrt(np.maximum(np.sum(y * y, axis=0), 1e-300))
+    misfit, unexplained = np.sum(np.square(y - factor * x), axis=0), np.sum(y * y, axis=0)
+    count = max(1.0, float(len(x))) if independent is None else independent
+    size = np.sqrt(power) * np.sqrt(np.maximum(unexplained, 1e-300))
     total = np.sum(np.square(measured), axis=0)
-    return Relation(factor, np.sqrt(misfit / independent / power), product / size, misfit, total, independent)
+    return Relation(factor, np.sqrt(misfit / count / power), product / size, misfit, total, unexplained, count)
+
+
+def effective_samples(first: Array, second: Array) -> Array:
+    """Independent pairs of samples of two autocorrelated signals ``(k, n)`` (Bartlett 1946), ``(n,)``.
+
+    The correlation of unrelated signals has the variance sum_h rho_1(h) rho_2(h) / k over all lags h, with their
+    autocorrelations rho, and that of 1 / k_effective independent samples.
+    """
+    count = len(first)
+    length = scipy.fft.next_fast_len(2 * count, real=True)
+    spectra = [np.abs(np.fft.rfft(one - one.mean(axis=0), length, axis=0)) ** 2 for one in (first, second)]
+    own, other = (np.fft.irfft(spectrum, length, axis=0)[:count] for spectrum in spectra)
+    rho = own * other / np.maximum(own[0] * other[0], 1e-300)
+    return np.asarray(count / np.clip(rho[0] + 2.0 * np.sum(rho[1:], axis=0), 1.0, 0.5 * count))
 
 
 def pooled(expected: Array, measured: Array) -> Relation:
