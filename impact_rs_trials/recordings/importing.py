@@ -28,6 +28,7 @@ from impact_rs_sim.robot_model import RobotModel
 from impact_rs_sim.scenario import load_scenario
 from impact_rs_sim.schema import validate
 from impact_rs_trials.recordings.array_file import ArrayFile
+from impact_rs_trials.recordings.bag_file import read_topics
 from impact_rs_trials.recordings.candidates import (
     MOST_BESIDE,
     PART_OF_ARM,
@@ -76,6 +77,7 @@ from impact_rs_trials.recordings.mapping import (
     TableLayout,
 )
 from impact_rs_trials.recordings.moving_objects import moving_objects
+from impact_rs_trials.recordings.read_once import files_read_once
 from impact_rs_trials.recordings.recording import read_recordings
 from impact_rs_trials.recordings.series import Names
 from impact_rs_trials.recordings.sources import (
@@ -229,7 +231,8 @@ def draft_import(paths: Sequence[Path], output: Path, wishes: Wishes) -> ImportD
     Raises:
         InputError: They cannot be read, or something is missing that nothing shows; the message says what to add.
     """
-    return _Importer(group_files(recordings_in(paths)), output, wishes).draft()
+    with files_read_once():
+        return _Importer(group_files(recordings_in(paths)), output, wishes).draft()
 
 
 class _Importer:
@@ -619,6 +622,8 @@ class _Importer:
         part.candidates += [own for one in part.candidates for own in parts_of(one, count)]
         numbered = tuple(f"joint{number}" for number in range(1, count + 1))
         shared = None if part.is_bag else open_file(part.path, self._raw_mapping(part, robot, numbered), part.names, ())
+        if part.is_bag:
+            read_topics(part.path, {one.source["topic"] for one in part.candidates})
         for one in part.candidates:
             if one.pose or (one.width != count and len(one.joints) < count):
                 continue
