@@ -125,14 +125,14 @@ class Choice:
     @property
     def sure(self) -> bool:
         """Whether the margin is decisive."""
-        return self.margin > DECISIVE
+        return bool(self.margin > DECISIVE)
 
     @property
     def evidence(self) -> str:
         """What shows the best, and where that is not decisive the next one."""
         if self.sure or self.next is None:
             return self.best.evidence
-        return f"{self.best.evidence}; next: {self.next.name}, log likelihood ratio {self.margin:.2g}"
+        return f"{self.best.evidence}; next: {self.next.name}, log odds {self.margin:.2g}"
 
 
 def choose(hypotheses: Iterable[Hypothesis], least: float = 0.0) -> Choice | None:

@@ -64,9 +64,18 @@ from impact_rs_trials.recordings.import_checks import (
     object_moves,
     usable_rows,
 )
-from impact_rs_trials.recordings.import_texts import ARM, BODY, FoundRun, Line, flow, mapping_text, runs_text
+from impact_rs_trials.recordings.import_texts import (
+    ARM,
+    BODY,
+    FoundRun,
+    Line,
+    PossibleReading,
+    flow,
+    mapping_text,
+    runs_text,
+)
 from impact_rs_trials.recordings.inner_runs import RUN, run_column_of, run_groups_of, runs_of
-from impact_rs_trials.recordings.joint_search import Assignment, JointSearch, Reading
+from impact_rs_trials.recordings.joint_search import Alternative, Assignment, JointSearch, Reading
 from impact_rs_trials.recordings.mapping import (
     NO_ROBOT,
     UNITS,
@@ -126,6 +135,7 @@ class ImportDraft:
         remarks: What the user should know besides.
         hits: How many runs hit something.
         runs: How many runs there are.
+        readings: By signal of the joints what it may be, what is taken first.
     """
 
     folder: Path
@@ -134,6 +144,7 @@ class ImportDraft:
     remarks: tuple[str, ...]
     hits: int
     runs: int
+    readings: AbstractMapping[str, tuple[PossibleReading, ...]] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -243,6 +254,7 @@ class _Importer:
         self._lines: list[Line] = []
         self._remarks: list[str] = []
         self._refused: dict[str, str] = {}
+        self._readings: dict[str, tuple[PossibleReading, ...]] = {}
         self._order_shown = "columns hold the joints from base to tip"
         self._parts = [self._part(pattern, next(iter(files.values()))) for pattern, files in groups.kinds.items()]
 
@@ -288,7 +300,7 @@ class _Importer:
         if facts is not None:
             self._compare_runs(mapping, rows, facts)
         remarks = tuple(dict.fromkeys(self._remarks))
-        return ImportDraft(self._groups.folder, texts, tuple(self._lines), remarks, hits, len(rows))
+        return ImportDraft(self._groups.folder, texts, tuple(self._lines), remarks, hits, len(rows), self._readings)
 
     def _part(self, pattern: str, path: Path) -> _Part:
         layout = TableLayout()
@@ -375,16 +387,16 @@ class _Importer:
             f"{label} is left out, for the reader refuses it: {why}" for label, why in self._refused.items()
         ]
         self._refuse_several(part, "joints", "robot")
-        signals = {"position": self._joint_signal(found.position, "position", part, found.next, found.margin)}
+        signals = {"position": self._joint_signal(found.position, "position", part, found.alternatives["position"])}
         if found.velocity is None:
             self._say(
                 "signals.velocity", "none", "no signal is the derivative of the positions: velocities are made of them"
             )
         else:
-            signals["velocity"] = self._joint_signal(found.velocity, "velocity", part)
+            signals["velocity"] = self._joint_signal(found.velocity, "velocity", part, found.alternatives["velocity"])
         part.on_log = not found.position.stream.candidate.stamped
         own = {"joints": list(self._joints(found.position.stream.candidate, facts.joint_count))}
-        own |= self._torque(found.torques, facts, robot, signals, part)
+        own |= self._torque(found.torques, found.alternatives["torque"], facts, robot, signals, part)
         own |= self._commands(found, search, model, signals, part, "torque_constant" in own)
         return part, own, signals
 
@@ -492,7 +504,7 @@ class _Importer:
             )
 
     def _torque(
-        self, found: Sequence[Reading], facts: RobotFacts, robot: str,
+        self, found: Sequence[Reading], listed: Sequence[Alternative], facts: RobotFacts, robot: str,
         signals: dict[str, dict[str, Any]], part: _Part,
     ) -> dict[str, Any]:  # fmt: skip
         """The torque of the joints, which is added to the signals; keys of the mapping that go with it."""
@@ -511,7 +523,7 @@ class _Importer:
             )
         alike = "; ".join(other.stream.label for other in free if other.computed == best.computed)
         constant = best.best.further.get("torque_constant")
-        signals["torque"] = self._joint_signal(best, "torque", part, alike=alike)
+        signals["torque"] = self._joint_signal(best, "torque", part, listed, alike)
         at_motor = constant is not None or not facts.joint_torque_loop
         said = "currents are those of motors" if constant is not None else f"joint_torque_loop of {robot} is "
         said += "" if constant is not None else str(facts.joint_torque_loop).lower()
@@ -575,7 +587,7 @@ class _Importer:
         return {"command_includes_gravity": included}
 
     def _joint_signal(
-        self, one: Reading, name: str, main: _Part, following: str = "", margin: float = np.inf, alike: str = ""
+        self, one: Reading, name: str, main: _Part, others: Sequence[Alternative] = (), alike: str = ""
     ) -> dict[str, Any]:
         """Section of a signal of the joints, which is said, with the layout of its file where that is another one.
 
@@ -583,8 +595,7 @@ class _Importer:
             one: The stream with its unit.
             name: The signal.
             main: File of the positions.
-            following: Stream that may be the signal as well, next in likelihood.
-            margin: Log posterior less that of the next.
+            others: What the signal may be, what is taken first.
             alike: Streams that fit the role as well, of which names do not say more.
         """
         part, candidate, best = self._part_of(one.stream), one.stream.candidate, one.best
@@ -592,15 +603,24 @@ class _Importer:
         if one.stream.is_cut:
             shown += "; what stands beside the joints is left out, as a gripper"
             self._remarks.append(f"signals.{name}: of {candidate.label} numbers are taken for the joints")
-        if margin < DECISIVE and following:
-            shown += f"; next: {following}, log likelihood ratio {margin:.2g}"
+        rival = next((other for other in others if other.stream is not one.stream), None)
+        margin = np.inf if rival is None else others[0].log_posterior - rival.log_posterior
+        if rival is not None and margin < DECISIVE:
+            shown += f"; next: {rival.stream.label}, log odds {margin:.2g}"
         shown += "" if candidate.stamped else f"; {NO_HEADER}"
-        self._say(f"signals.{name}", candidate.label, shown, not one.stream.is_cut and margin > DECISIVE)
+        self._say(f"signals.{name}", candidate.label, shown, not one.stream.is_cut and bool(margin > DECISIVE))
         said = one.choice.evidence + (f"; so do {alike}: take the one that was measured" if alike else "")
         sure = one.choice.sure and not alike and not one.computed and best.role != "current"
         self._say(f"signals.{name}.unit", flow(best.unit), said, sure)
         self._remarks += best.remarks
-        further = {key: value for key, value in best.further.items() if key in ("factor",)}
+        self._readings[name] = tuple(
+            PossibleReading(
+                other.stream.label, dict(other.stream.candidate.source), other.hypothesis.unit,
+                float(others[0].log_posterior - other.log_posterior), other.hypothesis.evidence,
+            )
+            for other in others
+        )  # fmt: skip
+        further = {key: value for key, value in best.further.items() if key == "factor"}
         source = {**self._source(part, dict(candidate.source)), "unit": best.unit, **further}
         return source | self._own_layout(part, main, True)
 
@@ -681,7 +701,7 @@ class _Importer:
         place, speed = motion.position.stream.label, motion.velocity.stream.label
         said = f"increases; in {unit}, {rate:.4g} Hz, {speed} is the derivative of {place}"
         margin = tried[0][0] - tried[1][0] if len(tried) > 1 else np.inf
-        said += "" if margin > DECISIVE else f"; next: {tried[1][1]}, log likelihood ratio {margin:.2g}"
+        said += "" if margin > DECISIVE else f"; next: {tried[1][1]}, log odds {margin:.2g}"
         part.clock = replace(clock, evidence=said, sure=bool(margin > DECISIVE), further={"unit": unit})
         part.streams = streams
 

@@ -10,8 +10,8 @@ their names, and as the file has them where names are silent.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -82,6 +82,33 @@ class Reading:
 
 
 @dataclass(frozen=True)
+class Alternative:
+    """A stream and a unit that a signal may be, beside the others.
+
+    Attributes:
+        stream: The stream.
+        hypothesis: What it would be.
+        log_posterior: Of positions that of the whole assignment. Of streams in one role it is what names say, for each
+            of them is as likely in a role of its own beside the others.
+    """
+
+    stream: Stream
+    hypothesis: Hypothesis
+    log_posterior: float
+
+
+def alternatives(readings: Iterable[tuple[Reading, float]]) -> tuple[Alternative, ...]:
+    """Readings with their log posteriors and the next hypothesis of each; the first stays first, then by likelihood."""
+    (first, most), *others = readings
+    every = [Alternative(first.stream, first.best, most)]
+    further = [Alternative(one.stream, one.best, total) for one, total in others]
+    for one, total in ((first, most), *others):
+        if one.choice.next is not None:
+            further.append(Alternative(one.stream, one.choice.next, total - one.choice.margin))
+    return (*every, *sorted(further, key=lambda one: one.log_posterior, reverse=True))
+
+
+@dataclass(frozen=True)
 class Assignment:
     """Streams in the roles of position, velocity and torque.
 
@@ -91,8 +118,7 @@ class Assignment:
         torques: Streams that fit a torque, the one that is taken first.
         weightless: Why others are torques without the arm's weight, by label.
         copies: Which part of the motion further streams repeat, by label.
-        margin: Log posterior less that of the next stream as positions.
-        next: That stream and its unit; empty: there is none.
+        alternatives: By signal what it may be, what is taken first.
     """
 
     position: Reading
@@ -100,8 +126,7 @@ class Assignment:
     torques: tuple[Reading, ...]
     weightless: dict[str, str]
     copies: dict[str, str]
-    margin: float = np.inf
-    next: str = ""
+    alternatives: Mapping[str, tuple[Alternative, ...]] = field(default_factory=dict)
 
     @property
     def time(self) -> Array:
@@ -123,10 +148,8 @@ class Assignment:
     def speeds(self) -> Array:
         """dq at the stamps of the positions, ``(k, n)`` [rad/s, m/s]."""
         if self.velocity is None:
-            series = self.position.stream.series
-            return type(series)(series.place, series.time, self.position.values).derivative().values
-        series = self.velocity.stream.series
-        return type(series)(series.place, series.time, self.velocity.values).at(self.time)
+            return replace(self.position.stream.series, values=self.position.values).derivative().values
+        return replace(self.velocity.stream.series, values=self.velocity.values).at(self.time)
 
 
 class JointSearch:
@@ -164,19 +187,20 @@ class JointSearch:
         return [Assignment(place, None, (), {}, {}) for place in self.places if place.by_name >= 0.0]
 
     def best(self, motions: Sequence[Assignment]) -> Assignment:
-        """The likeliest of motions, with its torques, and the next one."""
+        """The likeliest of motions, with its torques, and what its signals may be as well."""
         most = max(one.motion_log_posterior for one in motions)
         searched = [one for one in motions if one.velocity is None or one.motion_log_posterior > most - SEARCHED]
         found = sorted(map(self._with_torques, searched), key=lambda one: one.log_posterior, reverse=True)
-        best = found[0]
-        others = [one for one in (*found[1:], *motions) if one.position.stream is not best.position.stream]
-        following = max(others, key=lambda one: one.log_posterior, default=None)
-        second = best.position.choice.next
-        margin, said = best.position.choice.margin, "" if second is None else second.name
-        if following is not None and best.log_posterior - following.log_posterior < margin:
-            margin = best.log_posterior - following.log_posterior
-            said = f"{following.position.stream.label} as {following.position.best.name}"
-        return Assignment(best.position, best.velocity, best.torques, best.weightless, best.copies, float(margin), said)
+        best, places = found[0], {id(one.position.stream): one for one in (*motions, *found)}
+        others = [one for one in places.values() if one.position.stream is not best.position.stream]
+        listed = {"position": alternatives((one.position, one.log_posterior) for one in (best, *others))}
+        if best.velocity is not None:
+            motion = JointMotion.of(best.time, best.position.values, None, self.model)
+            fitting = self._velocities(best.position, motion)
+            listed["velocity"] = alternatives((one, one.by_name) for one in fitting)
+        if best.torques:
+            listed["torque"] = alternatives((one, one.by_name) for one in best.torques)
+        return replace(best, alternatives=listed)
 
     def velocities_at_other_rates(self) -> Iterator[tuple[Stream, Stream, float]]:
         """Positions, streams that are their derivative but for one positive factor in all joints, and that factor."""

@@ -52,7 +52,8 @@ class Stream:
 
     def log_prior(self, role: Role) -> float:
         """Log odds of a role by the names of columns, or else of the file."""
-        guess, text = self.candidate.guess or guess_of(self.file), self.label
+        guess = self.candidate.guess or guess_of(self.file)
+        text = " ".join([self.file, *(self.candidate.source.get("columns") or [self.candidate.label])])
         hinted = {"torque": "current" if CURRENT.search(text) else "torque"}.get(guess, guess)
         odds = NAMED if hinted == role else -NAMED if hinted and (hinted, role) != ("torque", "current") else 0.0
         return odds - NAMED * bool(COMMANDED.search(text)) + NAMED * bool(MEASURED.search(text))
@@ -65,7 +66,10 @@ class Stream:
     @property
     def _numbers(self) -> set[tuple[str, int]]:
         """Columns, and entries of vectors, in which its numbers are."""
-        source = self.candidate.source
+        source, count = self.candidate.source, range(1, self.candidate.width + 1)
+        if "columns" in source:
+            return {(column, 0) for column in source["columns"]}
         whole = str(source.get("column") or source.get("array") or (source.get("topic"), source.get("field")))
-        entries = {(whole, entry) for entry in source.get("entries") or ()}
-        return entries or {(column, 0) for column in source.get("columns") or ()} or {(whole, 0)}
+        if "{joint}" in whole:
+            return {(whole.replace("{joint}", str(number)), 0) for number in count}
+        return {(whole, entry) for entry in source.get("entries") or count}

@@ -110,7 +110,7 @@ def test_a_torque_of_twice_the_size_is_assumed_and_the_other_reading_is_shown() 
     choice = choose([Hypothesis("torque", "N m", "a", 12.0, -2.0), Hypothesis("current", "A", "b", 12.0, -4.0)])
     assert choice is not None and not choice.sure
     assert choice.margin == pytest.approx(2.0)
-    assert choice.evidence == "a; next: current in A, log likelihood ratio 2"
+    assert choice.evidence == "a; next: current in A, log odds 2"
 
 
 def test_a_late_copy_of_the_motion_in_another_unit_is_one() -> None:
