@@ -8,7 +8,7 @@ import io
 import re
 from collections.abc import Mapping as AbstractMapping
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import yaml
@@ -56,6 +56,23 @@ class Line:
     value: str
     evidence: str
     sure: bool = True
+
+
+@dataclass
+class Notes:
+    """What an import says of the files.
+
+    Attributes:
+        lines: Keys with what shows them.
+        remarks: What the user should know besides.
+    """
+
+    lines: list[Line] = field(default_factory=list)
+    remarks: list[str] = field(default_factory=list)
+
+    def say(self, key: str, value: str, evidence: str, sure: bool = True) -> None:
+        """Add a key with what shows it."""
+        self.lines.append(Line(key, value, evidence, sure))
 
 
 @dataclass(frozen=True)
