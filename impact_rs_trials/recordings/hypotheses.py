@@ -43,7 +43,7 @@ from impact_rs_trials.recordings.relations import (
     ONE_UNIT,
     TORQUE_UNIT,
     AveragedMotion,
-    Relation,
+    LinearRelation,
     averaged,
     dry_friction,
     effective_samples,
@@ -75,7 +75,7 @@ OUTLIERS = np.errstate(over="ignore", invalid="ignore", divide="ignore")  # of a
 
 
 @dataclass(frozen=True)
-class Hypothesis:
+class RoleHypothesis:
     """What a stream may be.
 
     Attributes:
@@ -109,7 +109,7 @@ class Hypothesis:
 
 
 @dataclass(frozen=True)
-class Choice:
+class RoleChoice:
     """The likeliest of several hypotheses of one stream.
 
     Attributes:
@@ -118,8 +118,8 @@ class Choice:
         margin: Log posterior of the best less that of the next one, or of no role.
     """
 
-    best: Hypothesis
-    next: Hypothesis | None
+    best: RoleHypothesis
+    next: RoleHypothesis | None
     margin: float
 
     @property
@@ -135,7 +135,7 @@ class Choice:
         return f"{self.best.evidence}; next: {self.next.name}, log odds {self.margin:.2g}"
 
 
-def choose(hypotheses: Iterable[Hypothesis], least: float = 0.0) -> Choice | None:
+def choose(hypotheses: Iterable[RoleHypothesis], least: float = 0.0) -> RoleChoice | None:
     """The likeliest of hypotheses of one stream; None: there is none.
 
     Args:
@@ -148,7 +148,7 @@ def choose(hypotheses: Iterable[Hypothesis], least: float = 0.0) -> Choice | Non
     best, others = ordered[0], ordered[1:]
     following = others[0] if others else None
     last = least if following is None else max(least, following.log_posterior)
-    return Choice(best, following, best.log_posterior - last)
+    return RoleChoice(best, following, best.log_posterior - last)
 
 
 @dataclass(frozen=True)
@@ -210,7 +210,7 @@ class JointMotion:
 # ---- roles ----------------------------------------------------------------------------------------------------------
 
 
-def positions(raw: Array, facts: RobotFacts) -> list[Hypothesis]:
+def positions(raw: Array, facts: RobotFacts) -> list[RoleHypothesis]:
     """Units in which numbers ``(k, n)`` lie within the joints' limits, the likeliest first.
 
     A position may be anywhere within its range, so that the density of its number is the unit over the range: numbers
@@ -220,7 +220,7 @@ def positions(raw: Array, facts: RobotFacts) -> list[Hypothesis]:
     margin = MARGIN_OF_RANGE * (high - low)
     slides = [kind == "prismatic" for kind in facts.joint_types]
     span = ", ".join(f"{one:.3g} ... {other:.3g}" for one, other in zip(raw.min(axis=0), raw.max(axis=0), strict=True))
-    found: list[Hypothesis] = []
+    found: list[RoleHypothesis] = []
     tried: list[str] = []
     for turns, slide in (("rad", "m"), ("deg", "mm"), ("mrad", "mm")):
         units = [slide if sliding else turns for sliding in slides]
@@ -231,7 +231,7 @@ def positions(raw: Array, facts: RobotFacts) -> list[Hypothesis]:
             said += f" and not in {' or '.join(tried)}" if tried else ""
             density = float(np.sum(np.log(factor)))
             found.append(
-                Hypothesis("position", common(units), said, density, np.log(PRIOR[turns]), {"factor_": factor})
+                RoleHypothesis("position", common(units), said, density, np.log(PRIOR[turns]), {"factor_": factor})
             )
         elif not found:
             tried.append(turns)
@@ -239,7 +239,7 @@ def positions(raw: Array, facts: RobotFacts) -> list[Hypothesis]:
 
 
 @OUTLIERS
-def velocities(motion: JointMotion, y: Array) -> list[Hypothesis]:
+def velocities(motion: JointMotion, y: Array) -> list[RoleHypothesis]:
     """Units of a velocity, the likeliest first.
 
     Args:
@@ -264,21 +264,21 @@ def velocities(motion: JointMotion, y: Array) -> list[Hypothesis]:
         further = {} if np.all(signs > 0.0) else {"factor": signs_of(signs)}
         remarks = _contradictions(shown, plain)
         unit = common(motion.units(turns, slide))
-        found.append(Hypothesis("velocity", unit, said, _copied(relation, shown), prior, further, remarks))
+        found.append(RoleHypothesis("velocity", unit, said, _copied(relation, shown), prior, further, remarks))
     usual = float(np.median(plain.factor[shown]))
     relation = fit(usual * motion.derivative, y, independent=samples, bounds=ONE_UNIT)
     prior = float(np.log(PRIOR["other"] / np.log(ANY_RANGE)))
     said = f"{usual:.3g} times the derivative of the position: at another sampling rate?"
-    found.append(Hypothesis("other", "", said, _copied(relation, shown), prior, {"rate_": usual}))
+    found.append(RoleHypothesis("other", "", said, _copied(relation, shown), prior, {"rate_": usual}))
     free = fit(motion.derivative, y, independent=samples)
     said = "a factor of its own times the derivative of every position: friction?"
     prior = float(np.log(PRIOR["other"]))
-    found.append(Hypothesis("other", "", said, _gains(free, shown, -float(np.log(2.0 * np.log(ANY_RANGE)))), prior))
+    found.append(RoleHypothesis("other", "", said, _gains(free, shown, -float(np.log(2.0 * np.log(ANY_RANGE)))), prior))
     return _ordered(found)
 
 
 @OUTLIERS
-def copies(motion: JointMotion, y: Array) -> list[Hypothesis]:
+def copies(motion: JointMotion, y: Array) -> list[RoleHypothesis]:
     """Which part of the motion a stream may repeat with one factor in all joints, late and beside it by a constant."""
     shown = travels(motion.position, SOME_TRAVEL)
     parts = motion.position, motion.velocity, motion.acceleration
@@ -291,12 +291,12 @@ def copies(motion: JointMotion, y: Array) -> list[Hypothesis]:
             relation = fit(part / factor, y, further, samples, ONE_UNIT)
             said = f"repeats the {what}, in {unit}" if unit != "rad" else f"repeats the {what}"
             prior = float(np.log(PRIOR["copy"] * PRIOR[unit])) + _signs_prior(np.sign(relation.factor[shown]))
-            found.append(Hypothesis("copy", unit, said, _copied(relation, shown), prior))
+            found.append(RoleHypothesis("copy", unit, said, _copied(relation, shown), prior))
     return _ordered(found)
 
 
 @OUTLIERS
-def torques(motion: JointMotion, y: Array) -> list[Hypothesis]:
+def torques(motion: JointMotion, y: Array) -> list[RoleHypothesis]:
     """Units of a torque, motor currents, or neither, the likeliest first; none: the motion takes no torque.
 
     Args:
@@ -328,7 +328,7 @@ def torques(motion: JointMotion, y: Array) -> list[Hypothesis]:
         density = -0.5 * np.square(size) - np.log(TORQUE_SPREAD * np.sqrt(2.0 * np.pi))
         prior = float(np.log(PRIOR[turns])) + _signs_prior(signs[heavy])
         unit = common(motion.units(turns, slide))
-        found.append(Hypothesis("torque", unit, said, _gains(relation, shown, density), prior, further))
+        found.append(RoleHypothesis("torque", unit, said, _gains(relation, shown, density), prior, further))
     weighty = heavy & (np.std(motion.weight, axis=0) > np.std(needed - motion.weight, axis=0))
     weighty = weighty if np.any(weighty) else heavy  # inertia shows no constant: that of the motors is unknown
     usual = float(np.clip(np.median(np.abs(free.factor[weighty])), *INVERSE_CONSTANTS))
@@ -345,9 +345,9 @@ def torques(motion: JointMotion, y: Array) -> list[Hypothesis]:
         + each
     )
     gains = _gains(relation, shown, np.where(wrong, -np.inf, -each))
-    found.append(Hypothesis("current", "A", why, gains, prior, own))
+    found.append(RoleHypothesis("current", "A", why, gains, prior, own))
     gains = _gains(free, shown, -float(np.log(2.0 * np.log(ANY_RANGE))))
-    found.append(Hypothesis("other", "", f"{said}: in no unit", gains, float(np.log(PRIOR["other"]))))
+    found.append(RoleHypothesis("other", "", f"{said}: in no unit", gains, float(np.log(PRIOR["other"]))))
     return _ordered(found)
 
 
@@ -360,7 +360,7 @@ def takes_torque(needed: Array, model: RobotModel) -> NDArray[np.bool_]:
 # ---- parts of them --------------------------------------------------------------------------------------------------
 
 
-def _gains(relation: Relation, shown: NDArray[np.bool_], log_density: Array | float) -> float:
+def _gains(relation: LinearRelation, shown: NDArray[np.bool_], log_density: Array | float) -> float:
     """Log likelihood over that of no role, of the joints that show it, with the density of their factors.
 
     A joint's column is another one, or broken, with probability :data:`BROKEN`; one joint refutes nothing.
@@ -369,7 +369,7 @@ def _gains(relation: Relation, shown: NDArray[np.bool_], log_density: Array | fl
     return float(np.sum(np.logaddexp(np.where(np.isfinite(each), each, -np.inf), np.log(BROKEN))[shown]))
 
 
-def _copied(relation: Relation, shown: NDArray[np.bool_]) -> float:
+def _copied(relation: LinearRelation, shown: NDArray[np.bool_]) -> float:
     """As :func:`_gains` of what has less noise than signal: velocities and copies of the motion."""
     noisy = relation.misfit > (1.0 - MIN_CORRELATION**2) * relation.unexplained
     return _gains(relation, shown, np.where(noisy, -np.inf, LOW_PASSED))
@@ -381,7 +381,7 @@ def _signs_prior(signs: Array) -> float:
     return float(np.log(SIGNS[1])) if np.all(signs < 0.0) else float(np.log(SIGNS[2]) - signs.size * np.log(2.0))
 
 
-def _contradictions(moving: NDArray[np.bool_], relation: Relation) -> tuple[str, ...]:
+def _contradictions(moving: NDArray[np.bool_], relation: LinearRelation) -> tuple[str, ...]:
     """Joints whose velocity has another sign than that of the others, or is not the derivative of their position."""
     ratio = relation.factor
     related, turned = np.abs(relation.correlation) >= MIN_CORRELATION, np.sign(ratio) != usual_sign(ratio[moving])
@@ -401,7 +401,7 @@ def _joints(numbers: NDArray[np.signedinteger]) -> str:
     return ", ".join(str(number + 1) for number in numbers)
 
 
-def _ordered(hypotheses: Sequence[Hypothesis]) -> list[Hypothesis]:
+def _ordered(hypotheses: Sequence[RoleHypothesis]) -> list[RoleHypothesis]:
     return sorted(hypotheses, key=lambda one: one.log_posterior, reverse=True)
 
 

@@ -16,9 +16,9 @@ from impact_rs_sim.errors import InputError
 from impact_rs_sim.robot_model import RobotModel
 from impact_rs_trials.recordings.clock_offset import OBJECT_SIGNALS, ClocksApart, clocks_apart
 from impact_rs_trials.recordings.hypotheses import (
-    Choice,
     JointMotion,
     Role,
+    RoleChoice,
     choose,
     positions,
     torques,
@@ -75,7 +75,7 @@ def doubt_of(path: Path, mapping: Mapping, names: Names, model: RobotModel) -> s
     return None
 
 
-def _contradicts(choice: Choice, role: Role) -> bool:
+def _contradicts(choice: RoleChoice, role: Role) -> bool:
     """Whether numbers in SI units are surely in another unit, or have another sign."""
     best = choice.best
     return choice.sure and best.role == role and (_strange(best.unit) or "factor" in best.further)

@@ -20,9 +20,9 @@ from impact_rs_sim.robot_model import RobotModel
 from impact_rs_trials.recordings.hypotheses import (
     DECISIVE,
     OUTLIERS,
-    Choice,
-    Hypothesis,
     JointMotion,
+    RoleChoice,
+    RoleHypothesis,
     choose,
     common,
     copies,
@@ -31,8 +31,8 @@ from impact_rs_trials.recordings.hypotheses import (
     torques,
     velocities,
 )
+from impact_rs_trials.recordings.joint_streams import JointStream
 from impact_rs_trials.recordings.mapping import TURNS, UNITS
-from impact_rs_trials.recordings.streams import Stream
 from impact_rs_trials.recordings.torque_readings import MotionTorque, is_computed, lacks_weight
 
 SEARCHED = 20.0  # log posterior below the best, of motions whose torques are compared
@@ -48,12 +48,12 @@ class Reading:
         computed: Of a torque: whether it holds no friction of gears, so that nobody measured it.
     """
 
-    stream: Stream
-    choice: Choice
+    stream: JointStream
+    choice: RoleChoice
     computed: bool = False
 
     @property
-    def best(self) -> Hypothesis:
+    def best(self) -> RoleHypothesis:
         """What the stream is taken for."""
         return self.choice.best
 
@@ -92,8 +92,8 @@ class Alternative:
             of them is as likely in a role of its own beside the others.
     """
 
-    stream: Stream
-    hypothesis: Hypothesis
+    stream: JointStream
+    hypothesis: RoleHypothesis
     log_posterior: float
 
 
@@ -160,7 +160,7 @@ class JointSearch:
         model: Nominal arm.
     """
 
-    def __init__(self, streams: Sequence[Stream], model: RobotModel) -> None:
+    def __init__(self, streams: Sequence[JointStream], model: RobotModel) -> None:
         self.streams, self.model = list(streams), model
         found = [(stream, choose(positions(stream.series.values, self.model.facts), -np.inf)) for stream in streams]
         self.places = [
@@ -202,7 +202,7 @@ class JointSearch:
             listed["torque"] = alternatives((one, one.by_name) for one in best.torques)
         return replace(best, alternatives=listed)
 
-    def velocities_at_other_rates(self) -> Iterator[tuple[Stream, Stream, float]]:
+    def velocities_at_other_rates(self) -> Iterator[tuple[JointStream, JointStream, float]]:
         """Positions, streams that are their derivative but for one positive factor in all joints, and that factor."""
         for place in self.places:
             time = place.stream.series.time
@@ -260,18 +260,18 @@ class JointSearch:
             fitting.sort(key=lambda one: one.rank, reverse=True)
         return Assignment(found.position, found.velocity, tuple(fitting), weightless, repeated)
 
-    def _is_computed(self, seen: MotionTorque, hypothesis: Hypothesis) -> bool:
+    def _is_computed(self, seen: MotionTorque, hypothesis: RoleHypothesis) -> bool:
         """Whether a torque at motors was computed; torque sensors behind the gears see no friction of theirs."""
         at_motor = hypothesis.role == "current" or not self.model.facts.joint_torque_loop
         return at_motor and is_computed(seen)
 
-    def _by_name(self, stream: Stream, found: Assignment, motion: JointMotion) -> Choice:
+    def _by_name(self, stream: JointStream, found: Assignment, motion: JointMotion) -> RoleChoice:
         """A torque or a current that only its name shows."""
         raw = stream.series.at(found.time)
         if stream.log_prior("current") > stream.log_prior("torque"):
             for one in torques(motion, motion.sampled(found.time, raw)):
                 if one.role == "current":
-                    return Choice(one, None, 0.0)
+                    return RoleChoice(one, None, 0.0)
         seen = MotionTorque.of(found.time, found.position.values, found.speeds, raw, self.model)
         said = "the motion takes too little torque to show it"
         if np.any(takes_torque(seen.whole, seen.model)):
@@ -285,10 +285,10 @@ class JointSearch:
                 f"signal is {left[joint]:.3g} N m away: another robot, other joints or another quantity?"
             )
         unit = common(motion.units("N m", "N"))
-        return Choice(Hypothesis("torque", unit, f"nothing but its name: {said}", 0.0), None, 0.0)
+        return RoleChoice(RoleHypothesis("torque", unit, f"nothing but its name: {said}", 0.0), None, 0.0)
 
 
-def _named(stream: Stream, choice: Choice, motion: JointMotion, y: Array) -> Choice:
+def _named(stream: JointStream, choice: RoleChoice, motion: JointMotion, y: Array) -> RoleChoice:
     """A choice between torque and current with what the name says of both."""
     every = [
         (one.log_posterior + stream.log_prior(one.role if one.role == "current" else "torque"), one)
@@ -297,12 +297,12 @@ def _named(stream: Stream, choice: Choice, motion: JointMotion, y: Array) -> Cho
     every.sort(key=lambda one: one[0], reverse=True)
     (first, best), *others = every
     following = others[0] if others else None
-    return Choice(
+    return RoleChoice(
         best, following[1] if following else None, float(first - following[0]) if following else choice.margin
     )
 
 
-def _is_named(stream: Stream) -> bool:
+def _is_named(stream: JointStream) -> bool:
     named = max(stream.log_prior("torque"), stream.log_prior("current")) > 0.0
     return named and bool(np.ptp(stream.series.values, axis=0).any())
 

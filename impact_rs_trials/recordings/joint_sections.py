@@ -22,9 +22,10 @@ from impact_rs_trials.recordings.candidates import (
 )
 from impact_rs_trials.recordings.file_groups import FileGroups
 from impact_rs_trials.recordings.guesses import are_derivatives, at_rest, steps_back
-from impact_rs_trials.recordings.hypotheses import DECISIVE, Choice, Hypothesis
+from impact_rs_trials.recordings.hypotheses import DECISIVE, RoleChoice, RoleHypothesis
 from impact_rs_trials.recordings.import_texts import Notes, PossibleReading, flow
 from impact_rs_trials.recordings.joint_search import Alternative, Assignment, JointSearch, Reading
+from impact_rs_trials.recordings.joint_streams import JointStream
 from impact_rs_trials.recordings.mapping import UNITS, MountedEndEffector
 from impact_rs_trials.recordings.recorded_files import (
     RecordedFile,
@@ -33,7 +34,6 @@ from impact_rs_trials.recordings.recorded_files import (
     settle_clock,
     source_in,
 )
-from impact_rs_trials.recordings.streams import Stream
 from impact_rs_trials.recordings.torque_readings import (
     WHOLE_TORQUE,
     MotionTorque,
@@ -154,7 +154,7 @@ class JointSections:
             stream = places[0].stream
             raise InputError(f"{stream.label}: {found[0]}", file=self._part_of(stream).path)
 
-    def _nothing(self, every: Sequence[Stream], robot: str, count: int) -> InputError:
+    def _nothing(self, every: Sequence[JointStream], robot: str, count: int) -> InputError:
         """What is said where no signal is the motion of the joints."""
         said = f"no signal of {_joints_of(count)} can be read"
         if every:
@@ -241,7 +241,7 @@ class JointSections:
         return self._command(found, commands, model, signals, part) if commands else {}
 
     def _command(
-        self, found: Assignment, asked: Sequence[Stream], model: RobotModel,
+        self, found: Assignment, asked: Sequence[JointStream], model: RobotModel,
         signals: dict[str, dict[str, Any]], part: RecordedFile,
     ) -> dict[str, Any]:  # fmt: skip
         """The torque that was asked for, which is added to the signals, by how near it is to the measured one."""
@@ -251,7 +251,7 @@ class JointSections:
         weight = np.array([model.gravity_torque(row) for row in q])
         size = max(float(np.sqrt(np.mean(np.square(torque)))), 1e-12)
 
-        def apart(one: Stream, missing: Array | float) -> float:
+        def apart(one: JointStream, missing: Array | float) -> float:
             """How far from the measured torque, over that torque, rms."""
             return float(np.sqrt(np.mean(np.square(one.series.at(time) + missing - torque)))) / size
 
@@ -266,7 +266,7 @@ class JointSections:
             return {}
         included, both = alone <= lifted, f"{100.0 * alone:.0f} % of the measured torque away from it as it is"
         said = f"{both}, {100.0 * lifted:.0f} % with the arm's weight added (rms)"
-        command = Reading(one, Choice(Hypothesis("torque", "N m", said, 0.0), None, np.inf))
+        command = Reading(one, RoleChoice(RoleHypothesis("torque", "N m", said, 0.0), None, np.inf))
         signals["command"] = self._joint_signal(command, "command", part)
         sure = max(alone, lifted) > PLAINLY * min(alone, lifted)
         said = f"it is nearer to the measured torque {'as it is' if included else 'with the weight of the arm added'}"
@@ -319,7 +319,7 @@ class JointSections:
             self._notes.say("joints", flow(list(joints)), self._order_shown, sure=False)
         return joints
 
-    def _part_of(self, stream: Stream) -> RecordedFile:
+    def _part_of(self, stream: JointStream) -> RecordedFile:
         """The file of a stream."""
         return next(part for part in self._parts if part.pattern == stream.file)
 

@@ -32,10 +32,10 @@ from impact_rs_trials.recordings.import_checks import FEWEST_SAMPLES, usable_row
 from impact_rs_trials.recordings.import_texts import Notes, flow
 from impact_rs_trials.recordings.inner_runs import RUN, run_column_of, run_groups_of, runs_of
 from impact_rs_trials.recordings.joint_search import JointSearch
+from impact_rs_trials.recordings.joint_streams import JointStream
 from impact_rs_trials.recordings.mapping import NO_ROBOT, UNITS, Mapping, SignalSource, TableLayout
 from impact_rs_trials.recordings.series import Names
 from impact_rs_trials.recordings.sources import ARRAY_SUFFIXES, BAG_SUFFIXES, is_bag_folder, open_file
-from impact_rs_trials.recordings.streams import Stream
 from impact_rs_trials.recordings.table_columns import read_columns, read_rows
 from impact_rs_trials.recordings.table_layout import find_layout
 
@@ -55,7 +55,7 @@ class RecordedFile:
     columns: AbstractMapping[str, Sequence[str] | NDArray[Any]]
     candidates: list[SignalCandidate]
     clock: Guess | None
-    streams: list[Stream] = field(default_factory=list)
+    streams: list[JointStream] = field(default_factory=list)
     run: str = ""
     run_column: str | None = None
     on_log: bool = False  # times are those at which a bag received its messages
@@ -208,7 +208,7 @@ def read_streams(part: RecordedFile, robot: str, count: int, rate: float | None)
         rows = usable_rows(series)
         if rows.size > FEWEST_SAMPLES:
             kept = replace(series, time=series.time[rows], values=series.values[rows])
-            part.streams.append(Stream(part.pattern, one, kept))
+            part.streams.append(JointStream(part.pattern, one, kept))
         else:
             refused[one.label] = (
                 f"{rows.size} of {series.time.size} samples have numbers and a later stamp than all before, "

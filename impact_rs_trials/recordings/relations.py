@@ -51,7 +51,7 @@ LEAST_MISFIT = 1e-12  # share of the power that a fit of exact numbers leaves
 
 
 @dataclass(frozen=True)
-class Relation:
+class LinearRelation:
     """Fit of measured columns by expected ones.
 
     Attributes:
@@ -91,7 +91,7 @@ def fit(
     further: Sequence[Array] = (),
     independent: float | Array | None = None,
     bounds: tuple[float, float] | None = None,
-) -> Relation:
+) -> LinearRelation:
     """Fit ``measured = a expected + sum c further`` in every column.
 
     Args:
@@ -113,7 +113,7 @@ def fit(
     count = max(1.0, float(len(x))) if independent is None else independent
     size = np.sqrt(power) * np.sqrt(np.maximum(unexplained, 1e-300))
     total = np.sum(np.square(measured), axis=0)
-    return Relation(factor, np.sqrt(misfit / count / power), product / size, misfit, total, unexplained, count)
+    return LinearRelation(factor, np.sqrt(misfit / count / power), product / size, misfit, total, unexplained, count)
 
 
 def effective_samples(first: Array, second: Array) -> Array:
@@ -130,7 +130,7 @@ def effective_samples(first: Array, second: Array) -> Array:
     return np.asarray(count / np.clip(rho[0] + 2.0 * np.sum(rho[1:], axis=0), 1.0, 0.5 * count))
 
 
-def pooled(expected: Array, measured: Array) -> Relation:
+def pooled(expected: Array, measured: Array) -> LinearRelation:
     """Fit with one factor of all columns."""
     return fit(expected.reshape(-1, 1), measured.reshape(-1, 1))
 
@@ -142,7 +142,7 @@ def correlation(first: Array, second: Array) -> float:
 
 def fit_with_lag(
     expected: Array, derivative: Array, measured: Array, independent: float
-) -> tuple[Relation, Array, Array]:
+) -> tuple[LinearRelation, Array, Array]:
     """Fit ``measured(t) = a expected(t - L)`` to first order in L.
 
     Args:
@@ -204,7 +204,7 @@ class AveragedMotion:
         """How many samples have independent errors."""
         return self.time.size / self.width
 
-    def velocity_relation(self, time: Array, measured: Array) -> Relation:
+    def velocity_relation(self, time: Array, measured: Array) -> LinearRelation:
         """Fit of a signal ``(k, n)`` at the original stamps by the derivative."""
         return fit(self.velocity, averaged(time, measured)[1], independent=self.independent)
 

@@ -36,7 +36,7 @@ from impact_rs_trials.recordings.relations import (
     DECISIVE_LOG_LIKELIHOOD,
     FULL_FRICTION_RAD_S,
     WRONG_FACTOR,
-    Relation,
+    LinearRelation,
     averaged,
     dry_friction,
     fit,
@@ -110,7 +110,7 @@ class MotionTorque:
         independent = min(float(rows.size), time.size / max(1, time.size - at.size + 1))
         return MotionTorque(q[rows], dq[rows], ddq[rows], tau[rows], model, independent)
 
-    def relation(self, reading: Array) -> Relation:
+    def relation(self, reading: Array) -> LinearRelation:
         """Fit of the recorded torque by a reading ``(k, n)`` and friction."""
         friction = (dry_friction(self.velocity), self.velocity)
         return fit(reading, self.recorded, friction, self.independent, WRONG_FACTOR)

@@ -13,9 +13,9 @@ from impact_rs_sim.robot import load_facts
 from impact_rs_sim.robot_model import RobotModel
 from impact_rs_trials.recordings.hypotheses import (
     DECISIVE,
-    Choice,
-    Hypothesis,
     JointMotion,
+    RoleChoice,
+    RoleHypothesis,
     choose,
     copies,
     positions,
@@ -45,7 +45,7 @@ def motion(own: Columns) -> JointMotion:
     return JointMotion.of(TIME, own["position"], own["velocity"], model())
 
 
-def read(own: JointMotion, raw: np.ndarray) -> Choice:
+def read(own: JointMotion, raw: np.ndarray) -> RoleChoice:
     """The likeliest role of a stream beside a motion."""
     y = own.sampled(TIME, raw)
     choice = choose([*velocities(own, y), *copies(own, y), *torques(own, y)])
@@ -107,7 +107,7 @@ def test_torques_and_currents_are_told_apart_through_friction_and_offset(
 
 def test_a_torque_of_twice_the_size_is_assumed_and_the_other_reading_is_shown() -> None:
     """One joint: a torque of a load, or a current? Kills a margin that leaves out the next hypothesis."""
-    choice = choose([Hypothesis("torque", "N m", "a", 12.0, -2.0), Hypothesis("current", "A", "b", 12.0, -4.0)])
+    choice = choose([RoleHypothesis("torque", "N m", "a", 12.0, -2.0), RoleHypothesis("current", "A", "b", 12.0, -4.0)])
     assert choice is not None and not choice.sure
     assert choice.margin == pytest.approx(2.0)
     assert choice.evidence == "a; next: current in A, log odds 2"

@@ -17,7 +17,7 @@ CURRENT = re.compile(r"curr|amp", re.IGNORECASE)
 
 
 @dataclass(frozen=True)
-class Stream:
+class JointStream:
     """As many numbers a sample as a robot has joints, as a file has them.
 
     Attributes:
@@ -40,11 +40,11 @@ class Stream:
         """Whether it is a part of a wider signal."""
         return self.candidate.first is not None
 
-    def overlaps(self, other: Stream) -> bool:
+    def overlaps(self, other: JointStream) -> bool:
         """Whether both have a column in common."""
         return self.file == other.file and bool(self._numbers & other._numbers)
 
-    def stands_apart(self, other: Stream) -> bool:
+    def stands_apart(self, other: JointStream) -> bool:
         """Whether both cannot be of the same joints: they share a column, or are other parts of wider signals."""
         if self.is_cut and other.is_cut and self.candidate.first != other.candidate.first:
             return True
@@ -58,7 +58,7 @@ class Stream:
         odds = NAMED if hinted == role else -NAMED if hinted and (hinted, role) != ("torque", "current") else 0.0
         return odds - NAMED * bool(COMMANDED.search(text)) + NAMED * bool(MEASURED.search(text))
 
-    def in_order(self, order: tuple[int, ...]) -> Stream:
+    def in_order(self, order: tuple[int, ...]) -> JointStream:
         """With the joints in another order."""
         values = self.series.values[:, list(order)]
         return replace(self, candidate=in_order(self.candidate, order), series=replace(self.series, values=values))
