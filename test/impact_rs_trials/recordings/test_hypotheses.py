@@ -89,6 +89,7 @@ def test_a_velocity_at_another_rate_or_of_another_joint_is_none() -> None:
         (np.ones(7), "torque", "N m"),
         (np.full(7, -1e3), "torque", "mN m"),
         (np.full(7, 1.3), "torque", "N m"),
+        (np.full(7, 4.0), "current", "A"),  # no load makes a torque four times as large in every joint
         (1.0 / np.linspace(8.0, 14.0, 7), "current", "A"),
         (100.0 * np.array([1.0, -1.0, 1.0, 1.0, 1.0, 1.0, 1.0]), "other", ""),
     ],
@@ -103,6 +104,34 @@ def test_torques_and_currents_are_told_apart_through_friction_and_offset(
     assert (found.best.role, found.best.unit) == (role, unit) and found.sure
     if role == "current":
         np.testing.assert_allclose(found.best.further["torque_constant"][1], 1.0 / factor[1], rtol=0.01)
+
+
+def test_torque_constants_are_those_of_joints_that_carry_weight() -> None:
+    """Joint 1 turns about a vertical axis; its motor's own inertia would pass for a smaller constant."""
+    own = swing()
+    acceleration = np.gradient(own["velocity"], TIME, axis=0)
+    found = read(motion(own), (own["effort"] + 0.5 * acceleration) / 10.0)
+    assert found.best.role == "current"
+    assert found.best.further["torque_constant"][0] == pytest.approx(10.0, rel=0.15)
+
+
+def test_viscous_friction_is_no_velocity() -> None:
+    """Kills a clipped factor whose residual counts as noise of a velocity."""
+    own = swing()
+    still = JointMotion.of(TIME, own["position"], None, model())
+    noise = np.random.default_rng(0).standard_normal(own["velocity"].shape)
+    drag = own["velocity"] * [10.0, 9.0, 3.3, 1.8, 3.2, 1.0, 5.0] + 0.5 * noise
+    assert all(
+        one.log_posterior < 0.0 for one in velocities(still, still.sampled(TIME, drag)) if one.role == "velocity"
+    )
+
+
+def test_a_factor_that_is_fitted_costs_half_the_log_of_the_samples() -> None:
+    """Schwarz (1978): noise that a torque explains by chance is unlikelier as a current than as noise."""
+    noise = np.random.default_rng(0).standard_normal((TIME.size, 7))
+    own = motion(swing())
+    (current,) = [one for one in torques(own, own.sampled(TIME, noise)) if one.role == "current"]
+    assert current.log_likelihood < -10.0
 
 
 def test_a_torque_of_twice_the_size_is_assumed_and_the_other_reading_is_shown() -> None:
