@@ -162,6 +162,7 @@ class JointSearch:
 
     def __init__(self, streams: Sequence[JointStream], model: RobotModel) -> None:
         self.streams, self.model = list(streams), model
+        self._averages: dict[tuple[int, int], Array] = {}
         found = [(stream, choose(positions(stream.series.values, self.model.facts), -np.inf)) for stream in streams]
         self.places = [
             Reading(stream, choice)
@@ -209,19 +210,26 @@ class JointSearch:
             motion = JointMotion.of(time, place.values, None, self.model)
             for stream in self.streams:
                 if not stream.overlaps(place.stream):
-                    choice = choose(velocities(motion, motion.sampled(time, stream.series.at(time))))
+                    choice = choose(velocities(motion, self._sampled(motion, stream)))
                     factor = 0.0 if choice is None or not choice.sure else choice.best.further.get("rate_", 0.0)
                     if factor > 0.0:
                         yield place.stream, stream, factor
 
+    def _sampled(self, motion: JointMotion, stream: JointStream) -> Array:
+        """A stream at the samples of a motion; many motions have the same stamps."""
+        time = motion.time
+        key = id(stream), hash(time.tobytes())
+        if key not in self._averages:
+            self._averages[key] = motion.sampled(time, stream.series.at(time))
+        return self._averages[key]
+
     def _velocities(self, place: Reading, motion: JointMotion) -> list[Reading]:
         """Streams that are the derivative of the positions, the one that is taken first."""
-        time = place.stream.series.time
         free = [stream for stream in self.streams if not stream.stands_apart(place.stream)]
         found = [
             Reading(stream, choice)
             for stream in free
-            if (choice := choose(velocities(motion, motion.sampled(time, stream.series.at(time))))) is not None
+            if (choice := choose(velocities(motion, self._sampled(motion, stream)))) is not None
             and choice.best.role == "velocity"
             and choice.best.log_posterior > DECISIVE
         ]
