@@ -11,7 +11,8 @@ import csv
 import io
 import math
 import os
-from dataclasses import asdict, dataclass
+from collections.abc import Mapping as AbstractMapping
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, Literal, get_args
 
@@ -42,6 +43,7 @@ from impact_rs_trials.recordings.experiment import (
     read_runs,
 )
 from impact_rs_trials.recordings.file_units import SLIDES, TURNS, UNITS, si_unit
+from impact_rs_trials.recordings.import_texts import PossibleReading
 from impact_rs_trials.recordings.importing import Wishes, draft_import
 from impact_rs_trials.recordings.laboratory import IMPACT_SHARE, Laboratory, placed, read_run
 from impact_rs_trials.recordings.mapping import (
@@ -62,6 +64,7 @@ from impact_rs_workbench.workspace import RUN_TABLE, Workspace
 
 EXPERIMENT = "experiment.yaml"
 MOST_POINTS = 300  # of a preview
+MOST_READINGS = 2  # of a signal, beside the one that is taken, in words
 
 ArmSignal = Literal["position", "velocity", "torque", "command"]
 
@@ -150,6 +153,7 @@ def look(workspace: Workspace, folder: str, scenario_name: str) -> dict[str, Any
                 "units": {name: section["unit"] for name, section in guesses[arm].signals.items()},
                 **guesses[arm].layout,
                 "said": guesses[arm].said,
+                "readings": {name: [asdict(one) for one in every] for name, every in guesses[arm].readings.items()},
             }
             for arm, proposal in proposals.items()
         },
@@ -170,12 +174,14 @@ class _Guesses:
         layout: Sections ``time`` and ``table`` of a mapping, where it needs them.
         said: What shows it, line by line.
         joints: Names of the joints.
+        readings: By signal what it may be, what is taken first.
     """
 
     signals: dict[str, dict[str, Any]]
     layout: dict[str, Any]
     said: tuple[str, ...]
     joints: tuple[str, ...] = ()
+    readings: AbstractMapping[str, tuple[PossibleReading, ...]] = field(default_factory=dict)
 
 
 def _by_numbers(path: Path, folder: Path, robot: str) -> _Guesses:
@@ -193,7 +199,12 @@ def _by_numbers(path: Path, folder: Path, robot: str) -> _Guesses:
     about = [line for line in draft.lines if line.key.split(".")[0] in ("signals", "time", "joints")]
     assumed = ("", "assumed: ")
     said = tuple(f"{line.key}: {line.value} ({assumed[not line.sure]}{line.evidence})" for line in about)
-    return _Guesses(signals, layout, said, tuple(content["joints"]))
+    said += tuple(
+        f"signals.{name}: next {one.stream} in {one.unit} (log odds {one.behind:.2g}; {one.evidence})"
+        for name, every in draft.readings.items()
+        for one in every[1 : 1 + MOST_READINGS]
+    )
+    return _Guesses(signals, layout, said, tuple(content["joints"]), draft.readings)
 
 
 def _chosen(streams: list[SignalCandidate], named: Proposal, guesses: _Guesses) -> Proposal:

@@ -21,6 +21,7 @@ from impact_rs_trials.recordings.clock import seconds_of, seconds_of_pair
 from impact_rs_trials.recordings.file_units import UNITS
 from impact_rs_trials.recordings.mapping import WIDTH, Mapping, SignalName, SignalSource
 from impact_rs_trials.recordings.mat_file import read_mat
+from impact_rs_trials.recordings.read_once import once
 from impact_rs_trials.recordings.series import MissingSignal, Names, Series
 from impact_rs_trials.recordings.transforms import are_transforms, poses_of
 
@@ -168,6 +169,7 @@ def _arrays_of(source: SignalSource, mapping: Mapping) -> list[str]:
     return [*([source.array] if source.array else []), *([time] if isinstance(time, str) else time)]
 
 
+@once
 def _read(path: Path, within: set[str] | None = None) -> tuple[dict[str, Array], frozenset[str]]:
     """Arrays by name, and which of them carry no checksums; of HDF5 files others than those within are left empty."""
     if path.suffix == ".npz":

@@ -10,6 +10,7 @@ The common transport delay cancels; a longer delay than that of the joint states
 
 from __future__ import annotations
 
+from collections.abc import Callable, Collection, Sequence
 from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import Any
@@ -24,6 +25,7 @@ from impact_rs_sim.errors import InputError, did_you_mean
 from impact_rs_sim.paths import config_directory
 from impact_rs_sim.robot import Array
 from impact_rs_trials.recordings.mapping import WIDTH, Mapping, SignalName, SignalSource
+from impact_rs_trials.recordings.read_once import once
 from impact_rs_trials.recordings.remarks import Amount, Remark
 from impact_rs_trials.recordings.series import MissingSignal, Names, Series
 
@@ -37,14 +39,14 @@ STORED = (".db3", ".mcap", ".zstd")  # endings of files of messages
 POSE_PARTS = (("position", "orientation"), ("translation", "rotation"))
 
 
-def typestore_for(mapping: Mapping) -> Typestore:
-    """Standard messages and the definitions that the mapping names.
+def typestore_for(definitions: Sequence[str]) -> Typestore:
+    """Standard messages and the definitions that a mapping names.
 
     Raises:
         InputError: There are no such definitions.
     """
     store = get_typestore(Stores.ROS2_JAZZY)
-    for package in mapping.definitions:
+    for package in definitions:
         folder = config_directory() / "mappings" / "messages" / package
         if not folder.is_dir():
             raise InputError(f"definitions names {package!r}, but there is no folder {folder}")
@@ -73,6 +75,65 @@ def register(store: Typestore, connection: Connection) -> None:
     store.register(own)
 
 
+class OpenedBag:
+    """Messages of a bag, by topic, read when they are asked for.
+
+    Attributes:
+        messages: Log time [ns] and message, by topic.
+        unread: What the user should know of files in its folder that are not read.
+    """
+
+    def __init__(self, path: Path, store: Typestore) -> None:
+        self._path, self._store = path, store
+        self._connections: list[Connection] | None = None
+        self.messages: dict[str, list[tuple[int, Any]]] = {}
+        self.unread: tuple[str, ...] = ()
+
+    def read(self, choose: Callable[[list[Connection]], list[Connection]]) -> list[Connection]:
+        """Read the messages of those connections that are chosen and not read yet.
+
+        Raises:
+            InputError: It is not a readable bag.
+        """
+        if self._connections is not None:
+            chosen = choose(self._connections)
+            if all(connection.topic in self.messages for connection in chosen):
+                return chosen
+        _check_pages(self._path)
+        try:
+            with Reader(self._path) as reader:
+                self.unread, self._connections = _files_beside(self._path, reader), list(reader.connections)
+                chosen = choose(self._connections)
+                missing = [connection for connection in chosen if connection.topic not in self.messages]
+                read: dict[str, list[tuple[int, Any]]] = {connection.topic: [] for connection in missing}
+                for connection in missing:
+                    register(self._store, connection)
+                for connection, log, data in reader.messages(connections=missing) if missing else ():  # [] is all
+                    message = self._store.deserialize_cdr(data, connection.msgtype)
+                    read[connection.topic].append((log, message))
+        except InputError:
+            raise
+        except Exception as error:  # a damaged file can fail anywhere inside the library
+            text = str(error).splitlines()[0] if str(error) else ""
+            raise InputError(f"not a readable bag ({type(error).__name__}: {text})", file=self._path) from None
+        self.messages |= read
+        return chosen
+
+
+@once
+def _opened(path: Path, definitions: tuple[str, ...]) -> OpenedBag:
+    return OpenedBag(path, typestore_for(definitions))
+
+
+def read_topics(path: Path, topics: Collection[str]) -> None:
+    """Read messages of several topics in one pass, for those who ask for them later (:mod:`read_once`).
+
+    Raises:
+        InputError: It is not a readable bag.
+    """
+    _opened(path, ()).read(lambda every: [connection for connection in every if connection.topic in topics])
+
+
 class BagFile:
     """One bag.
 
@@ -89,26 +150,11 @@ class BagFile:
     def __init__(self, path: Path, mapping: Mapping, names: Names, wanted: tuple[SignalName, ...]) -> None:
         self._path, self._mapping, self._names = path, mapping, names
         self._joints = tuple(names.fill(joint) for joint in mapping.joints)
-        self._store = typestore_for(mapping)
-        self._messages: dict[str, list[tuple[int, Any]]] = {}
         self._lost: dict[str, tuple[str, ...]] = {}
-        _check_pages(path)
-        try:
-            with Reader(path) as reader:
-                unread = _files_beside(path, reader)
-                self._connections = list(reader.connections)
-                chosen = self._chosen(wanted)
-                for connection in chosen:
-                    register(self._store, connection)
-                    self._messages[connection.topic] = []
-                for connection, log, data in reader.messages(connections=chosen) if chosen else ():  # [] is all
-                    message = self._store.deserialize_cdr(data, connection.msgtype)
-                    self._messages[connection.topic].append((log, message))
-        except InputError:
-            raise
-        except Exception as error:  # a damaged file can fail anywhere inside the library
-            text = str(error).splitlines()[0] if str(error) else ""
-            raise InputError(f"not a readable bag ({type(error).__name__}: {text})", file=path) from None
+        self._connections: list[Connection] = []
+        opened = _opened(path, mapping.definitions)
+        chosen = opened.read(lambda connections: self._chosen(wanted, connections))
+        self._messages = opened.messages
         for connection in chosen:
             found = len(self._messages[connection.topic])
             if found != connection.msgcount:
@@ -116,7 +162,7 @@ class BagFile:
                 if not found:
                     raise InputError(said, file=path)
                 self._lost[connection.topic] = (f"{said}: a part is lost, or the metadata are of another bag",)
-        self._unread = unread
+        self._unread = opened.unread
         self._shift: tuple[float, str] | None = None
 
     def series(self, name: SignalName, source: SignalSource) -> Series:
@@ -142,7 +188,8 @@ class BagFile:
         remarks += (*self._unread, *self._lost.get(connection.topic, ()))
         return Series(place, time + source.delay, values, log, remarks)
 
-    def _chosen(self, wanted: tuple[SignalName, ...]) -> list[Connection]:
+    def _chosen(self, wanted: tuple[SignalName, ...], connections: list[Connection]) -> list[Connection]:
+        self._connections = connections
         chosen: dict[str, Connection] = {}
         clocks: tuple[SignalName, ...] = ("position",) if wanted and "position" in self._mapping.signals else ()
         for name in dict.fromkeys((*wanted, *clocks)):  # other signals are put on the clock of the joint states

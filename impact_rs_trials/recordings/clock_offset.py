@@ -29,6 +29,7 @@ from impact_rs_sim.robot_model import RobotModel
 from impact_rs_trials.recordings.joint_jumps import JointJump, jumps_of
 from impact_rs_trials.recordings.mapping import Mapping, SignalName
 from impact_rs_trials.recordings.plausibility import gravity_torques
+from impact_rs_trials.recordings.relations import cross_correlation, fit
 from impact_rs_trials.recordings.remarks import Amount, Remark
 from impact_rs_trials.recordings.series import Series
 
@@ -226,7 +227,7 @@ def offset_between(expected: Series, measured: Series, path: Path, key: str) -> 
     first, second = (_evenly(one, period) for one in (expected, measured))
     if max(len(first), len(second)) > MOST_SAMPLES:
         raise InputError(f"streams of more than {MOST_SAMPLES} samples; cut them first", file=path, key=key)
-    correlation, lags, overlap = _correlation(first, second)
+    correlation, lags, overlap = cross_correlation(first, second)
     allowed = overlap >= LEAST_OVERLAP * min(len(first), len(second))
     correlation = np.where(allowed, np.abs(correlation), 0.0)
     best = int(np.argmax(correlation))
@@ -264,9 +265,8 @@ def misfit(expected: Series, measured: Series, offset: float) -> tuple[float, fl
     x, y = expected.at(time[rows]), measured.values[rows]
     steep = np.gradient(x, time[rows], axis=0)
     x, y = x - x.mean(axis=0), y - y.mean(axis=0)
-    power = np.maximum(np.sum(x * x, axis=0), 1e-300)
-    slope = np.sum(x * y, axis=0) / power
-    left = np.mean(np.square(y - slope * x), axis=0)
+    line = fit(x, y)
+    slope, left = line.factor, line.misfit / len(y)
     moves = np.ptp(y, axis=0) > 0.0
     share = left[moves] / np.maximum(np.var(y[:, moves], axis=0), 1e-300)
     known = np.sum(np.square(slope * steep), axis=0)[moves] / np.maximum(left[moves], 1e-300)
@@ -287,26 +287,6 @@ def _evenly(series: Series, period: float) -> Array:
     grid = np.arange(series.time[0], series.time[-1], period)
     values = series.at(grid)
     return np.asarray(values - values.mean(axis=0))
-
-
-def _correlation(first: Array, second: Array) -> tuple[Array, Array, Array]:
-    """Correlation over the overlap by lag [samples], for all columns together."""
-    scale = np.linalg.norm(second, axis=0) * np.linalg.norm(first, axis=0)
-    weight = np.divide(1.0, scale, out=np.zeros_like(scale), where=scale > 1e-9 * max(float(scale.max()), 1e-300))
-    total = np.zeros(len(first) + len(second) - 1)
-    powers = np.zeros((2, total.size))
-    ones = (np.ones(len(first)), np.ones(len(second)))
-    for a, b, w in zip(first.T, second.T, weight, strict=True):
-        sized = (a / max(np.linalg.norm(a), 1e-300), b / max(np.linalg.norm(b), 1e-300))
-        if w == 0.0:
-            continue
-        total += scipy.signal.correlate(*sized, method="fft")
-        powers[0] += scipy.signal.correlate(np.square(sized[0]), ones[1], method="fft")
-        powers[1] += scipy.signal.correlate(ones[0], np.square(sized[1]), method="fft")
-    lags = scipy.signal.correlation_lags(len(first), len(second))
-    overlap = np.rint(scipy.signal.correlate(*ones, method="fft"))
-    energy = np.sqrt(np.maximum(powers[0], 0.0) * np.maximum(powers[1], 0.0))
-    return np.divide(total, energy, out=np.zeros_like(total), where=energy > 1e-6 * energy.max()), lags, overlap
 
 
 def _peak_width(correlation: Array, best: int) -> int:

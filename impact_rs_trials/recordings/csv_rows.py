@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from impact_rs_sim.errors import InputError
+from impact_rs_trials.recordings.read_once import once
 
 DECIMAL_COMMA = re.compile(r"(?<=\d),(?=\d)")
 WITH_COMMA = re.compile(r"[+-]?\d+,\d+([eE][+-]?\d+)?")
@@ -57,6 +58,7 @@ def csv_rows(
     return [(number, [DECIMAL_COMMA.sub(".", cell) for cell in row]) for number, row in rows]
 
 
+@once
 def read_lines(path: Path) -> list[tuple[int, str]]:
     """Lines of a text with their numbers, counted from 1.
 

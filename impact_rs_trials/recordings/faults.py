@@ -39,6 +39,7 @@ from impact_rs_sim.robot import Array
 from impact_rs_sim.robot_model import RobotModel
 from impact_rs_trials.recordings.joint_jumps import impact_time
 from impact_rs_trials.recordings.mapping import Mapping, SignalName
+from impact_rs_trials.recordings.relations import MIN_SPEED_SHARE, WRONG_FACTOR, pooled
 from impact_rs_trials.recordings.remarks import Amount, Remark
 from impact_rs_trials.recordings.series import Series
 
@@ -55,7 +56,6 @@ BEFORE_IMPACT = 0.01  # s
 LEAST_TIME = 0.05  # s, of a frozen run
 LEAST_RUN = 20  # samples
 USUAL_RUNS = 10  # times the usual run of identical values
-MOVES = 0.02  # of the data sheet's velocity, from which a joint moves
 OFTEN = 0.9  # share of a run that is no evidence, because the joint may rest in it
 EDGE = 0.02  # s before and after the edge of a run, in which the speed is taken
 STEADY = (0.8, 1.25)  # ratio of speeds in neighbouring stretches of a joint that neither brakes nor speeds up
@@ -197,7 +197,7 @@ def _still_in_motion(position: Series, velocity: Series, mapping: Mapping, impac
     """Positions that stay the same while the joint moves, by its velocity or by how it stops, ``(k, n)``."""
     time, values = position.time, position.values
     speed = velocity.at(time)
-    moves = MOVES * np.array(mapping.facts.limits.velocity_rad_s)
+    moves = MIN_SPEED_SHARE * np.array(mapping.facts.limits.velocity_rad_s)
     resolution = _resolution(values)
     frozen = np.zeros(values.shape, dtype=bool)
     for joint in range(values.shape[1]):
@@ -253,7 +253,7 @@ def _motion_unlike_way(velocity: Series, position: Series, mapping: Mapping) -> 
     If velocities differ from that derivative outside of such runs as well, unit or sign are wrong, not a sensor.
     """
     time, values, places = velocity.time, velocity.values, position.at(velocity.time)
-    moves = MOVES * np.array(mapping.facts.limits.velocity_rad_s)
+    moves = MIN_SPEED_SHARE * np.array(mapping.facts.limits.velocity_rad_s)
     least, steps = _resolution(values), _resolution(position.values)
     derived = np.gradient(places, time, axis=0)
     frozen = np.zeros(values.shape, dtype=bool)
@@ -263,8 +263,8 @@ def _motion_unlike_way(velocity: Series, position: Series, mapping: Mapping) -> 
             if np.quantile(beside, OFTEN) > moves[joint] + 2.0 * least[joint] + 4.0 * steps[joint] / LEAST_TIME:
                 frozen[run, joint] = True
         live = ~frozen[:, joint]
-        power = float(np.sum(np.square(derived[live, joint])))
-        if power == 0.0 or not 0.5 < float(np.sum(derived[live, joint] * values[live, joint])) / power < 2.0:
+        ratio = float(pooled(derived[live, joint], values[live, joint]).factor[0])
+        if not WRONG_FACTOR[0] < ratio < WRONG_FACTOR[1]:
             frozen[:, joint] = False
     return frozen
 

@@ -1,14 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What raw numbers are, guessed from physics: clock, units and signs, each with the evidence for it.
+"""What raw numbers are that belong to no joint: clocks and poses, each with the evidence for it.
 
     clock     the column that increases and gives a sampling rate of 1 Hz to 100 kHz in its unit
-    position  the unit in which all of them lie within the limits of the joints
-    velocity  v = a dq/dt:  a is unit and sign
-    torque    tau = a (M ddq + h):  a is unit and sign; motor currents give another a for every joint, of one sign and
-              size; what repeats the motion with one factor in all joints was asked for, and is no torque
     pose      a unit quaternion beside three numbers within reach
 
-Signals and derivatives are compared after a moving average, because encoders are quantised.
+Roles of the joints' streams are found by their likelihood (:mod:`hypotheses`).
 """
 
 from __future__ import annotations
@@ -22,35 +18,24 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from impact_rs_sim.proportion import Proportion
 from impact_rs_sim.robot import Array, RobotFacts
-from impact_rs_sim.robot_model import RobotModel
 from impact_rs_trials.recordings.clock import seconds_of
-from impact_rs_trials.recordings.file_units import SLIDES, TURNS, UNITS
+from impact_rs_trials.recordings.file_units import UNITS
+from impact_rs_trials.recordings.relations import (
+    MIN_AVERAGED,
+    MIN_CORRELATION_OF_COLUMNS,
+    ONE_UNIT,
+    AveragedMotion,
+    averaged,
+)
 from impact_rs_trials.recordings.table_file import DATE
 
 STAMP = re.compile(r"(^|[^a-z])(t|time|times|timestamp|stamp|sec|secs|nsec)([^a-z]|$)|time|stamp", re.IGNORECASE)
 NANOSECONDS = re.compile(r"nano|n_?sec|(^|[^a-z])ns([^a-z]|$)", re.IGNORECASE)
 STAMP_UNITS = ("s", "ms", "us", "ns")
 RATES = (1.0, 1e5)  # Hz, that a recording may have
-SMOOTHED = 0.05  # s, of the moving average
-FEWEST_SMOOTHED = 5  # samples
-MARGIN = 0.05  # of the range of a joint, by which positions may lie beyond it
-CLOSE = (0.8, 1.25)  # ratios that a unit explains
-CLOSE_TORQUE = (0.2, 5.0)  # friction, loads and delays are in the torque as well; N m and mN m differ by more
-SURE_TORQUE = (0.5, 2.0)
-TOGETHER = 0.8  # least correlation from which a factor is believed,
-HARDLY = 0.5  # and from which it is assumed
-SURELY, ALIKE = 0.95, 0.1  # correlation, and spread of the factors of joints, of a velocity at another sampling rate
-COPIED, COPIED_FACTOR = 0.9, (0.8, 1.25)  # correlation and factor of a copy of the motion, of three joints and more,
-EXACTLY, EXACT_FACTOR = 0.999, (0.98, 1.02)  # and of fewer, of which a torque might look like one
-FEWEST_COPIED = 3
-MOST_APART = 30.0  # ratio of torque constants of one arm
 STILL = 1e-3  # of the range of a joint, below which it does not move; encoders and sag make less
-MOVES = 0.02  # of the data sheet's velocity, rms, from which a joint moves
-NOTICED = 0.3  # of what the largest joint takes by weight and inertia, in proportion to the robot [N m]
 MOST_SHOWN = 3  # steps back in a message
-LOOKED_AT = 400  # samples in which the torque is compared
 OUTLIERS = np.errstate(over="ignore", invalid="ignore")  # may be of any size; what they spoil fits nothing
 UNIT_LENGTH = 0.02  # by which a quaternion may be off length 1
 REACH = 20.0  # m; a position beyond it is in millimetres
@@ -189,15 +174,6 @@ def _year(seconds: float) -> str:
     return str(np.datetime64(int(seconds), "s").astype("datetime64[Y]"))
 
 
-def smoothed(time: Array, values: Array) -> tuple[Array, Array]:
-    """Moving averages over some hundredths of a second, ``(k,)`` and ``(k, c)``."""
-    period = float(np.median(np.diff(time)))
-    width = int(np.clip(round(SMOOTHED / max(period, 1e-9)), FEWEST_SMOOTHED, max(FEWEST_SMOOTHED, time.size // 20)))
-    window = np.ones(width) / width
-    mean = np.column_stack([np.convolve(column, window, "valid") for column in values.T])
-    return np.convolve(time, window, "valid"), mean
-
-
 def at_rest(time: Array, position: Array, facts: RobotFacts) -> str | None:
     """That no joint moves, so that units, signs, inertia and friction cannot be seen; None: some joint does.
 
@@ -206,10 +182,10 @@ def at_rest(time: Array, position: Array, facts: RobotFacts) -> str | None:
         position: q, ``(k, n)`` [rad].
         facts: Know the ranges of the joints.
     """
-    if time.size < 2 * FEWEST_SMOOTHED:
+    if time.size < 2 * MIN_AVERAGED:
         return None
     ranges = np.array(facts.limits.position_max_rad) - np.array(facts.limits.position_min_rad)
-    moved = np.ptp(smoothed(time, position)[1], axis=0)
+    moved = np.ptp(averaged(time, position)[1], axis=0)
     if np.any(moved > STILL * ranges):
         return None
     joint = int(np.argmax(moved / ranges))
@@ -220,166 +196,12 @@ def at_rest(time: Array, position: Array, facts: RobotFacts) -> str | None:
     )
 
 
-def unit_of_position(raw: Array, facts: RobotFacts, name: str) -> Guess | None:
-    """Unit in which positions ``(k, n)`` lie within the joints' limits; None: in none."""
-    low, high = np.array(facts.limits.position_min_rad), np.array(facts.limits.position_max_rad)
-    margin = MARGIN * (high - low)
-    slides = [kind == "prismatic" for kind in facts.joint_types]
-    tried: list[str] = []
-    for turns, slide in (("rad", "m"), ("deg", "mm"), ("mrad", "mm")):
-        units = [slide if sliding else turns for sliding in slides]
-        factor = np.array([{**TURNS["position"], **SLIDES["position"]}[unit] for unit in units])
-        inside = np.mean((raw * factor >= low - margin) & (raw * factor <= high + margin), axis=0)
-        written = units[0] if len(set(units)) == 1 else units
-        span = ", ".join(
-            f"{one:.3g} ... {other:.3g}" for one, other in zip(raw.min(axis=0), raw.max(axis=0), strict=True)
-        )
-        if np.all(inside > 0.99):
-            said = f"the joints reach {span}, which lies within their limits in {turns}"
-            said += f" and not in {' or '.join(tried)}" if tried else ""
-            return Guess(written, said, further={"factor_": factor})
-        tried.append(turns)
-    return None
-
-
-@OUTLIERS
-def times_derivative(time: Array, position: Array, raw: Array) -> float | None:
-    """By how much a signal is larger than the derivative of positions ``(k, n)`` in all joints; None: it is another."""
-    at, q = smoothed(time, position)
-    ratio, together = _ratios(np.gradient(q, at, axis=0), smoothed(time, raw)[1])
-    moving = np.ptp(q, axis=0) >= 0.5 * float(np.max(np.ptp(q, axis=0)))
-    usual = float(np.median(ratio[moving]))
-    alike = np.all(np.abs(ratio[moving] / usual - 1.0) < ALIKE) if usual != 0.0 else False
-    return usual if alike and np.all(np.abs(together[moving]) > SURELY) else None
-
-
 @OUTLIERS
 def are_derivatives(time: Array, values: Array, raw: Array) -> NDArray[np.bool_]:
     """Which columns of signals ``(k, c)`` are the derivatives of the columns beside them in ``values``, ``(c,)``."""
-    at, smooth = smoothed(time, values)
-    ratio, together = _ratios(np.gradient(smooth, at, axis=0), smoothed(time, raw)[1])
-    return np.asarray((ratio > CLOSE[0]) & (ratio < CLOSE[1]) & (together > SURELY))
-
-
-@OUTLIERS
-def velocity_of(time: Array, position: Array, raw: Array, facts: RobotFacts) -> tuple[float, Guess] | None:
-    """How surely a signal is the velocity of positions ``(k, n)`` [rad], and its unit and signs; None: it is not."""
-    at, q = smoothed(time, position)
-    _, v = smoothed(time, raw)
-    derived = np.gradient(q, at, axis=0)
-    limits = np.array(facts.limits.velocity_rad_s)
-    moving = np.sqrt(np.mean(np.square(derived), axis=0)) > MOVES * limits
-    if not np.any(moving):
-        moving = np.ptp(q, axis=0) >= 0.5 * float(np.max(np.ptp(q, axis=0)))
-    ratio, together = _ratios(derived, v)
-    slides = [kind == "prismatic" for kind in facts.joint_types]
-    sure = float(np.mean(np.abs(together[moving])))
-    usual = float(np.median(np.abs(ratio[moving])))
-    for turns, slide in (("rad/s", "m/s"), ("deg/s", "mm/s"), ("mrad/s", "mm/s")):
-        per_unit = 1.0 / TURNS["velocity"][turns]
-        if CLOSE[0] < usual / per_unit < CLOSE[1] and sure > TOGETHER:
-            signs = np.where(moving & (np.abs(together) > TOGETHER), np.sign(ratio), _usual_sign(ratio[moving]))
-            units = [slide if sliding else turns for sliding in slides]
-            said = (
-                f"{_range(ratio[moving] / per_unit)} times the derivative of the position in {turns} "
-                f"(correlation {_range(together[moving])})"
-            )
-            further = {} if np.all(signs > 0.0) else {"factor": _signs(signs)}
-            remarks = _against_each_other(moving, ratio, together)
-            return sure, Guess(_common(units), said, True, further, remarks)
-    return None
-
-
-def _against_each_other(moving: NDArray[np.bool_], ratio: Array, together: Array) -> tuple[str, ...]:
-    """Joints whose velocity has another sign than that of the others, or is not the derivative of their position."""
-    apart = np.flatnonzero(moving & (np.abs(together) < TOGETHER))
-    other = np.flatnonzero(moving & (np.abs(together) >= TOGETHER) & (np.sign(ratio) != _usual_sign(ratio[moving])))
-    said = []
-    if apart.size:
-        said.append(f"velocities of joints {_joints(apart)} are not the derivative of their positions: other columns?")
-    if other.size:
-        said.append(
-            f"velocities of joints {_joints(other)} have another sign than those of the others: their positions or "
-            "their velocities are turned round, which nothing here shows; taken that velocities are"
-        )
-    return tuple(said)
-
-
-def _joints(numbers: NDArray[np.signedinteger]) -> str:
-    return ", ".join(str(number + 1) for number in numbers)
-
-
-@OUTLIERS
-def copy_of_motion(time: Array, position: Array, velocity: Array, raw: Array) -> str | None:
-    """Which part of a motion ``(k, n)`` a signal repeats with one factor in all joints, as what was asked for does.
-
-    A torque has another factor in every joint. Copies may lag and lie beside the motion by a constant.
-
-    Returns:
-        What it is, in words; None: it may be a torque.
-    """
-    at, q = smoothed(time, position)
-    dq, signal = smoothed(time, velocity)[1], smoothed(time, raw)[1]
-    moving = np.ptp(q, axis=0) >= 0.2 * float(np.max(np.ptp(q, axis=0)))
-    many = int(np.sum(moving)) >= FEWEST_COPIED
-    together_least, (low, high) = (COPIED, COPIED_FACTOR) if many else (EXACTLY, EXACT_FACTOR)
-    for what, part in (("positions", q), ("velocities", dq), ("accelerations", np.gradient(dq, at, axis=0))):
-        ratio, together = _ratios(part - part.mean(axis=0), signal - signal.mean(axis=0))
-        for unit, factor in TURNS["position"].items():
-            own = np.abs(ratio[moving]) * factor
-            if np.all((own > low) & (own < high)) and np.all(np.abs(together[moving]) > together_least):
-                return f"repeats the {what}, in {unit}" if unit != "rad" else f"repeats the {what}"
-    return None
-
-
-@OUTLIERS
-def torque_of(
-    time: Array, position: Array, velocity: Array, raw: Array, model: RobotModel, name: str
-) -> tuple[float, Guess] | None:
-    """How surely a signal is the torque of a motion in SI units, with its unit and signs; None: it may not be."""
-    at, q = smoothed(time, position)
-    _, dq = smoothed(time, velocity)
-    _, tau = smoothed(time, raw)
-    ddq = np.gradient(dq, at, axis=0)
-    rows = np.unique(np.linspace(0, at.size - 1, LOOKED_AT).astype(int))
-    needed = np.array([model.inverse_dynamics(q[row], dq[row], ddq[row]) for row in rows])
-    tau = tau[rows]
-    ratio, together = _ratios(needed, tau)
-    heavy = takes_torque(needed, model)
-    shown = heavy & (np.abs(together) > TOGETHER)
-    clear = bool(np.any(shown))
-    shown = shown if clear else heavy & (np.abs(together) > HARDLY)
-    slides = [kind == "prismatic" for kind in model.facts.joint_types]
-    if not np.any(shown):
-        return None
-    sure = float(np.max(np.abs(together[shown])))
-    usual = float(np.median(np.abs(ratio[shown])))
-    said = (
-        f"{_range(ratio[shown])} times the torque that weight and inertia of the arm take in joint"
-        f"{'s' if np.sum(shown) > 1 else ''} {', '.join(str(joint + 1) for joint in np.flatnonzero(shown))}"
-    )
-    signs = np.where(shown, np.sign(ratio), _usual_sign(ratio[shown]))
-    further: dict[str, Any] = {} if np.all(signs > 0.0) else {"factor": _signs(signs)}
-    if not np.all(shown):
-        said += "; the others show nothing and are taken like them"
-    for turns, slide in (("N m", "N"), ("mN m", "mN")):
-        if CLOSE_TORQUE[0] < usual * TURNS["torque"][turns] < CLOSE_TORQUE[1]:
-            certain = clear and SURE_TORQUE[0] < usual * TURNS["torque"][turns] < SURE_TORQUE[1]
-            said += "" if clear else f" (correlation {sure:.2g})"
-            return sure, Guess(_common([slide if one else turns for one in slides]), said, certain, further)
-    apart = float(np.max(np.abs(ratio[shown])) / np.min(np.abs(ratio[shown])))
-    if apart > MOST_APART or len(set(np.sign(ratio[shown]))) > 1:
-        return None
-    constants = np.where(shown, 1.0 / np.maximum(np.abs(ratio), 1e-12), 1.0 / usual)
-    said += ": no unit of torque; taken for motor currents, with the constants that the weight shows"
-    written = [float(f"{constant:.3g}") for constant in constants]
-    return sure, Guess("A", said, False, {**further, "torque_constant": written})
-
-
-def takes_torque(needed: Array, model: RobotModel) -> NDArray[np.bool_]:
-    """Which joints a motion drives noticeably, by the torque ``(k, n)`` [N m] that it takes; ``(n,)``."""
-    size = Proportion.of_robots([model.facts], np.asarray(model.pinocchio.gravity.linear)).factor("N m")
-    return np.asarray(np.sqrt(np.mean(np.square(needed), axis=0)) > NOTICED * size)
+    found = AveragedMotion.of(time, values).velocity_relation(time, raw)
+    one_unit = (found.factor > ONE_UNIT[0]) & (found.factor < ONE_UNIT[1])
+    return np.asarray(one_unit & (found.correlation > MIN_CORRELATION_OF_COLUMNS))
 
 
 def pose_of(raw: Array) -> Guess | None:
@@ -411,29 +233,3 @@ def quaternion_order(quaternion: Array) -> Guess | None:
         which = "last" if order == "xyzw" else "first"
         return Guess(order, f"the {which} number of the unit quaternion is near 1, as w of a body that hardly turns")
     return Guess("xyzw", "which number of the unit quaternion is w, nothing shows; taken as x y z w", False)
-
-
-def _ratios(expected: Array, measured: Array) -> tuple[Array, Array]:
-    """Factor of the least-squares line through the origin and uncentred correlation of every column, ``(k,)`` each."""
-    power = np.maximum(np.sum(expected**2, axis=0), 1e-300)
-    product = np.sum(expected * measured, axis=0)
-    size = np.sqrt(power) * np.sqrt(np.maximum(np.sum(measured**2, axis=0), 1e-300))
-    return product / power, product / size
-
-
-def _usual_sign(ratio: Array) -> float:
-    """The sign of most; where as many contradict each other, a signal is taken as it is."""
-    return -1.0 if np.sum(np.sign(ratio)) < 0.0 else 1.0
-
-
-def _range(values: Array) -> str:
-    low, high = float(np.min(values)), float(np.max(values))
-    return f"{low:.3g}" if f"{low:.3g}" == f"{high:.3g}" else f"{low:.3g} ... {high:.3g}"
-
-
-def _signs(signs: Array) -> Any:
-    return float(signs[0]) if np.all(signs == signs[0]) else [float(sign) for sign in signs]
-
-
-def _common(units: list[str]) -> Any:
-    return units[0] if len(set(units)) == 1 else units

@@ -15,7 +15,15 @@ from numpy.typing import NDArray
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.robot_model import RobotModel
 from impact_rs_trials.recordings.clock_offset import OBJECT_SIGNALS, ClocksApart, clocks_apart
-from impact_rs_trials.recordings.guesses import torque_of, unit_of_position, velocity_of
+from impact_rs_trials.recordings.hypotheses import (
+    JointMotion,
+    Role,
+    RoleChoice,
+    choose,
+    positions,
+    torques,
+    velocities,
+)
 from impact_rs_trials.recordings.joint_checks import doubts_of_arm
 from impact_rs_trials.recordings.joint_jumps import SMALLEST, jumps_of
 from impact_rs_trials.recordings.mapping import REQUIRED, Mapping, SignalName
@@ -53,16 +61,24 @@ def doubt_of(path: Path, mapping: Mapping, names: Names, model: RobotModel) -> s
     dq, tau = read["velocity"].at(time), read["torque"].at(time)
     if not np.isfinite(np.hstack((dq, tau))).all():
         return None
-    place = unit_of_position(q, model.facts, "")
-    if place is None or _strange(place.value):
-        return "its positions do not lie within the limits of the joints" + (f" but in {place.value}" if place else "")
-    speed = velocity_of(time, q, dq, model.facts) if "velocity" in mapping.signals else None
-    if speed is not None and (_strange(speed[1].value) or "factor" in speed[1].further):
-        return f"the velocities are {speed[1].evidence}"
-    torque = torque_of(time, q, dq, tau, model, "")
-    if torque is not None and torque[1].sure and (_strange(torque[1].value) or "factor" in torque[1].further):
-        return f"as described its torques are {torque[1].evidence}"
+    place = choose(positions(q, model.facts), -np.inf)
+    if place is None or _strange(place.best.unit):
+        but = f" but in {place.best.unit}" if place else ""
+        return f"its positions do not lie within the limits of the joints{but}"
+    motion = JointMotion.of(time, q, dq, model)
+    speed = choose(velocities(motion, motion.sampled(time, dq))) if "velocity" in mapping.signals else None
+    if speed is not None and _contradicts(speed, "velocity"):
+        return f"the velocities are {speed.best.evidence}"
+    torque = choose(torques(motion, motion.sampled(time, tau)))
+    if torque is not None and _contradicts(torque, "torque"):
+        return f"as described its torques are {torque.best.evidence}"
     return None
+
+
+def _contradicts(choice: RoleChoice, role: Role) -> bool:
+    """Whether numbers in SI units are surely in another unit, or have another sign."""
+    best = choice.best
+    return choice.sure and best.role == role and (_strange(best.unit) or "factor" in best.further)
 
 
 def _strange(unit: Any) -> bool:

@@ -8,7 +8,7 @@ import io
 import re
 from collections.abc import Mapping as AbstractMapping
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import yaml
@@ -18,7 +18,8 @@ from impact_rs_trials.recordings.series import Names
 
 HEAD = """\
 # Where these recordings keep their signals, as impact-rs import found it. Behind every value stands what shows it;
-# ASSUMED: nothing shows it, look at it before you trust a verdict. All keys: docs/your_data.md
+# ASSUMED: nothing shows it, or the next reading, which is named, is nearly as likely; look at it before you trust a
+# verdict. All keys: docs/your_data.md
 """
 ARM = """\
 # Runs with impacts; impact-rs compare, diagnose and impacts read this file. All keys: docs/your_data.md
@@ -55,6 +56,42 @@ class Line:
     value: str
     evidence: str
     sure: bool = True
+
+
+@dataclass
+class Notes:
+    """What an import says of the files.
+
+    Attributes:
+        lines: Keys with what shows them.
+        remarks: What the user should know besides.
+    """
+
+    lines: list[Line] = field(default_factory=list)
+    remarks: list[str] = field(default_factory=list)
+
+    def say(self, key: str, value: str, evidence: str, sure: bool = True) -> None:
+        """Add a key with what shows it."""
+        self.lines.append(Line(key, value, evidence, sure))
+
+
+@dataclass(frozen=True)
+class PossibleReading:
+    """What a signal may be.
+
+    Attributes:
+        stream: Name of the stream.
+        source: Where it is, as a mapping says it; without unit.
+        unit: Unit of its numbers, or those of all joints.
+        behind: Log posterior of what is taken less its own; below log(100) it is nearly as likely.
+        evidence: What shows it.
+    """
+
+    stream: str
+    source: dict[str, Any]
+    unit: Any
+    behind: float
+    evidence: str
 
 
 @dataclass(frozen=True)

@@ -23,35 +23,40 @@ do not turn its sign.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import NDArray
 
 from impact_rs_sim.robot import Array
 from impact_rs_sim.robot_model import RobotModel
-from impact_rs_trials.recordings.guesses import smoothed
 from impact_rs_trials.recordings.mapping import Mapping, SignalName
 from impact_rs_trials.recordings.plausibility import CHECKED, gravity_torques, noticed
+from impact_rs_trials.recordings.relations import (
+    DECISIVE_LOG_LIKELIHOOD,
+    MAX_CORRELATION_DRIVING,
+    MAX_FACTOR_ERROR,
+    MIN_CORRELATION,
+    SURE_ERRORS,
+    WRONG_FACTOR,
+    AveragedMotion,
+    averaged,
+    correlation,
+    dry_friction,
+    fit,
+    fit_with_lag,
+    held_out_misfit,
+    moves,
+    odd_blocks,
+)
 from impact_rs_trials.recordings.remarks import Amount, Remark, joined
 from impact_rs_trials.runs import ArmSignals
 
-RATIO = (0.5, 2.0)  # of torque and weight; friction and loads are in it
-SAME = 0.1  # by which velocities may differ from the derivative of their positions, as low-passed ones do,
-SURE = 5.0  # and standard deviations
 LAG = (0.005, 1.0)  # s, and sampling periods, from which a lag is said
 LONGEST_LAG = 0.1  # s
 LEAST_OF_LAG = 100  # samples
-BLOCKS = 20  # of a recording, of which the even ones predict the odd ones, and the other way
 LOOKED_AT = 1000  # samples in which torques are compared
-SLOW = 0.02  # rad/s, below which Coulomb friction is not full
-BETTER = 30.0  # log likelihood by which a lag must fit better than none
 REPEATED = 0.02  # of the samples, from which repeats are said: a joint that moves gives none, whatever its encoder
 COARSE = 10.0  # steps of the resolution, from which a change was missed by the samples before
 PAUSE = 0.2  # s, from which equal samples are a rest
-TOGETHER = 0.8  # least correlation of signals that differ by a factor, after moving averages
-AGAINST = -0.5  # correlation of torque and velocity below which a torque drives nothing
-MOVES = 0.02  # of the data sheet's velocity, rms, from which a joint moves
 
 
 def doubts_of_arm(
@@ -68,22 +73,21 @@ def doubts_of_arm(
     """
     rows = np.unique(np.linspace(0, time.size - 1, CHECKED).astype(int))
     weight, derived = gravity_torques(model, arm.position[rows]), np.gradient(arm.position, time, axis=0)
-    moves = [_rms(own) > MOVES * most for own, most in zip(derived.T, mapping.facts.limits.velocity_rad_s, strict=True)]
-    at, places = smoothed(time, arm.position)
-    means = smoothed(time, arm.velocity)[1]
-    slopes = np.gradient(places, at, axis=0)
-    motion = _JointMotion(at, slopes, np.gradient(slopes, at, axis=0), max(1, time.size - at.size + 1))
+    moving = moves(derived, mapping.facts)
+    motion, means = AveragedMotion.of(time, arm.position), averaged(time, arm.velocity)[1]
+    velocity = motion.velocity_relation(time, arm.velocity)
+    late, lag, lag_error = fit_with_lag(motion.velocity, motion.acceleration, means, motion.independent)
     speeds: dict[int, str] = {}
     mixed = []
     torques: dict[int, str] = {}
     lags: list[tuple[float, float]] = []
-    factors = {"velocity": np.ones(len(moves)), "torque": np.ones(len(moves))}
-    for joint, moving in enumerate(moves):
+    factors = {"velocity": np.ones(moving.size), "torque": np.ones(moving.size)}
+    for joint in range(moving.size):
         own, heavy = weight[:, joint], _rms(weight[:, joint]) > noticed(model)
-        together = abs(_together(means[:, joint], slopes[:, joint]))
-        if moving and together >= TOGETHER:
-            ratio, error, *lag = motion.fit(joint, means[:, joint])
-            if abs(ratio - 1.0) > max(SAME, SURE * error):
+        together = abs(float(velocity.correlation[joint]))
+        if moving[joint] and together >= MIN_CORRELATION:
+            ratio, error = float(late.factor[joint]), float(late.standard_error[joint])
+            if abs(ratio - 1.0) > max(MAX_FACTOR_ERROR, SURE_ERRORS * error):
                 speeds[joint] = Remark(
                     "is ",
                     Amount(ratio),
@@ -92,16 +96,17 @@ def doubts_of_arm(
                     "), expected 1",
                 )
                 factors["velocity"][joint] = _remedy(ratio)
-            lags.append((lag[0], lag[1]))
-        elif moving:
+            lags.append((float(lag[joint]), float(lag_error[joint])))
+        elif moving[joint]:
             mixed.append(Remark(f"of joint {joint + 1} (correlation ", Amount(together, ".2f"), ")"))
         if contact or not np.ptp(arm.torque[:, joint]):  # not measured
             continue
         if heavy and (ratio_of_weight := _ratio(arm.torque[rows, joint], own)) is not None:
             torques[joint] = Remark("is ", Amount(ratio_of_weight, ".2g"), " times the arm's weight, expected 1")
             factors["torque"][joint] = _remedy(ratio_of_weight)
-        against = _together(arm.torque[rows, joint] - own, factors["velocity"][joint] * arm.velocity[rows, joint])
-        if moving and not heavy and against < AGAINST:
+        driving = factors["velocity"][joint] * arm.velocity[rows, joint]
+        against = correlation(arm.torque[rows, joint] - own, driving)
+        if moving[joint] and not heavy and against < MAX_CORRELATION_DRIVING:
             torques[joint] = Remark(
                 "points against its motion (correlation ", Amount(against, ".2f"), "), as if friction drove it"
             )
@@ -115,7 +120,7 @@ def doubts_of_arm(
         *_remarks("velocity", speeds, factors["velocity"], mapping),
         *(_remarks("torque", torques, factors["torque"], mapping) if load is None else [load]),
         *(_lag_of_velocity(lags, period, mapping) if "velocity" in mapping.signals else []),
-        *([] if contact or torques or not any(moves) else _lag_of_torque(time, arm, moves, model, mapping)),
+        *([] if contact or torques or not any(moving) else _lag_of_torque(time, arm, moving, model, mapping)),
         *_repeats(time, arm),
     ]
 
@@ -128,18 +133,13 @@ def _load(model: RobotModel, arm: ArmSignals, rows: Array, weight: Array, doubte
     joints = np.flatnonzero(np.ptp(arm.torque, axis=0) > 0.0)
     torque = arm.torque[rows][:, joints]
     every = np.array([_torques_of_a_load(model, q)[joints] for q in arm.position[rows]])
-    odd = _odd_blocks(rows.size)
-    left = {"load": 0.0, "factors": 0.0}
-    beyond = torque - weight[:, joints]
-    for unseen in (odd, ~odd):
-        fitted = np.linalg.lstsq(every[~unseen].reshape(-1, 4), beyond[~unseen].ravel(), rcond=None)[0]
-        left["load"] += float(np.sum(np.square(beyond[unseen] - every[unseen] @ fitted)))
-        for place, joint in enumerate(joints):
-            own, wanted = weight[:, joint], torque[:, place]
-            factor = 1.0
-            if joint in doubted:
-                factor = float(own[~unseen] @ wanted[~unseen]) / max(float(own[~unseen] @ own[~unseen]), 1e-300)
-            left["factors"] += float(np.sum(np.square(wanted[unseen] - factor * own[unseen])))
+    odd, beyond = odd_blocks(rows.size), torque - weight[:, joints]
+    load = held_out_misfit(every.reshape(-1, 4), beyond.reshape(-1, 1), np.repeat(odd, joints.size))
+    left = {"load": float(load[0]), "factors": 0.0}
+    for place, joint in enumerate(joints):
+        own = weight[:, [joint]]
+        factors = held_out_misfit(own, torque[:, [place]], odd) if joint in doubted else np.square(beyond[:, place])
+        left["factors"] += float(np.sum(factors))
     mass = float(np.linalg.lstsq(every.reshape(-1, 4), beyond.ravel(), rcond=None)[0][0])
     if mass <= 0.0 or left["load"] >= left["factors"]:
         return None
@@ -152,41 +152,11 @@ def _load(model: RobotModel, arm: ArmSignals, rows: Array, weight: Array, doubte
     )  # fmt: skip
 
 
-def _odd_blocks(count: int) -> NDArray[np.bool_]:
-    """Which of so many samples lie in odd blocks, ``(count,)``."""
-    return np.asarray(np.floor(np.linspace(0.0, BLOCKS, count, endpoint=False)).astype(int) % 2 == 1)
-
-
 def _torques_of_a_load(model: RobotModel, position: Array) -> Array:
     """Torques that hold a mass of 1 kg at the end effector, and first moments of 1 kg m along its axes, ``(n, 4)``."""
     jacobian, up = model.jacobian(position), -np.asarray(model.pinocchio.gravity.linear)
     moments = np.cross(model.placement(position).rotation.T, up)  # of every axis
     return np.column_stack((jacobian[:3].T @ up, jacobian[3:].T @ moments.T))
-
-
-@dataclass(frozen=True)
-class _JointMotion:
-    """What velocities should be.
-
-    Attributes:
-        time: ``(k,)`` [s].
-        speed: dq/dt, ``(k, n)``.
-        acceleration: ``(k, n)``.
-        width: Samples of the moving average, which have one independent error.
-    """
-
-    time: Array
-    speed: Array
-    acceleration: Array
-    width: int
-
-    def fit(self, joint: int, measured: Array) -> tuple[float, float, float, float]:
-        """Factor and lag [s] of a measured velocity ``(k,)``, each with its standard error."""
-        basis = np.column_stack((self.speed[:, joint], self.acceleration[:, joint]))
-        fit = np.linalg.lstsq(basis, measured, rcond=None)[0]
-        left = float(np.mean(np.square(measured - basis @ fit)))
-        errors = np.sqrt(left * self.width * np.diag(np.linalg.pinv(basis.T @ basis)))
-        return float(fit[0]), float(errors[0]), float(-fit[1] / fit[0]), float(errors[1] / abs(fit[0]))
 
 
 def _lag_of_velocity(lags: list[tuple[float, float]], period: float, mapping: Mapping) -> list[str]:
@@ -198,17 +168,17 @@ def _lag_of_velocity(lags: list[tuple[float, float]], period: float, mapping: Ma
     lag = float(np.sum(weights * values) / np.sum(weights))
     spread = np.sqrt(float(np.sum(weights * np.square(values - lag)) / np.sum(weights)) / len(lags))
     error = float(np.hypot(1.0 / np.sqrt(np.sum(weights)), spread))
-    if abs(lag) < max(LAG[0], LAG[1] * period, SURE * error):
+    if abs(lag) < max(LAG[0], LAG[1] * period, SURE_ERRORS * error):
         return []
     return [_late("velocities", "the derivative of the positions", lag, error, "velocity", mapping)]
 
 
-def _lag_of_torque(time: Array, arm: ArmSignals, moves: list[bool], model: RobotModel, mapping: Mapping) -> list[str]:
+def _lag_of_torque(
+    time: Array, arm: ArmSignals, moving: NDArray[np.bool_], model: RobotModel, mapping: Mapping
+) -> list[str]:
     """Whether torques are older than positions, by all joints that move."""
-    at, q = smoothed(time, arm.position)
-    torque = smoothed(time, arm.torque)[1]
-    dq = np.gradient(q, at, axis=0)
-    ddq = np.gradient(dq, at, axis=0)
+    motion, torque = AveragedMotion.of(time, arm.position), averaged(time, arm.torque)[1]
+    at, q, dq, ddq = motion.time, motion.position, motion.velocity, motion.acceleration
     inside = np.flatnonzero((at > at[0] + LONGEST_LAG) & (at < at[-1] - LONGEST_LAG))
     if inside.size < LEAST_OF_LAG:
         return []
@@ -216,25 +186,18 @@ def _lag_of_torque(time: Array, arm: ArmSignals, moves: list[bool], model: Robot
     rigid = np.array([model.inverse_dynamics(q[row], dq[row], ddq[row]) for row in rows])
     period = float(np.median(np.diff(time)))
     tried = np.arange(-LONGEST_LAG, LONGEST_LAG, max(0.5 * period, 1e-3))
-    independent = min(
-        rows.size, (at[rows[-1]] - at[rows[0]]) * at.size / ((time.size - at.size + 1) * (at[-1] - at[0]))
-    )
+    independent = min(rows.size, (at[rows[-1]] - at[rows[0]]) / (at[-1] - at[0]) * motion.independent)
     likelihood = np.zeros(tried.size)
-    odd = _odd_blocks(rows.size)
-    for joint in np.flatnonzero(np.array(moves) & (np.ptp(arm.torque, axis=0) > 0.0)):
-        speed = dq[rows, joint]
-        columns = (rigid[:, joint], ddq[rows, joint], np.tanh(speed / SLOW), speed, np.ones(rows.size))
-        basis = np.column_stack(columns)
-        shifted = np.array([np.interp(at[rows] + lag, at, torque[:, joint]) for lag in tried])
-        left = np.zeros(tried.size)
-        for unseen in (odd, ~odd):
-            fitted = np.linalg.lstsq(basis[~unseen], shifted[:, ~unseen].T, rcond=None)[0]
-            left += np.sum(np.square(shifted[:, unseen].T - basis[unseen] @ fitted), axis=0)
+    odd, friction = odd_blocks(rows.size), dry_friction(dq[rows])
+    for joint in np.flatnonzero(moving & (np.ptp(arm.torque, axis=0) > 0.0)):
+        columns = rigid[:, joint], ddq[rows, joint], friction[:, joint], dq[rows, joint], np.ones(rows.size)
+        shifted = np.column_stack([np.interp(at[rows] + lag, at, torque[:, joint]) for lag in tried])
+        left = held_out_misfit(np.column_stack(columns), shifted, odd)
         likelihood -= 0.5 * independent * np.log(np.maximum(left, 1e-12))
     best = int(np.argmax(likelihood))
-    none = float(np.interp(0.0, tried, likelihood))
-    lag = float(tried[best])
-    if not 0 < best < tried.size - 1 or abs(lag) < max(LAG[0], LAG[1] * period) or likelihood[best] - none < BETTER:
+    gain, lag = likelihood[best] - float(np.interp(0.0, tried, likelihood)), float(tried[best])
+    least = max(LAG[0], LAG[1] * period)
+    if not 0 < best < tried.size - 1 or abs(lag) < least or gain < DECISIVE_LOG_LIKELIHOOD:
         return []
     step = tried[1] - tried[0]
     bend = -(likelihood[best - 1] - 2.0 * likelihood[best] + likelihood[best + 1]) / step**2
@@ -296,17 +259,13 @@ def _remarks(name: SignalName, doubts: dict[int, str], factors: Array, mapping: 
 
 def _ratio(values: Array, expected: Array) -> float | None:
     """By how much a signal differs from what it should be; None: about 1, or they do not go together."""
-    ratio = float(values @ expected) / float(expected @ expected)
-    return None if RATIO[0] < ratio < RATIO[1] or abs(_together(values, expected)) < TOGETHER else ratio
+    found = fit(expected[:, None], values[:, None])
+    ratio, together = float(found.factor[0]), abs(float(found.correlation[0]))
+    return None if WRONG_FACTOR[0] < ratio < WRONG_FACTOR[1] or together < MIN_CORRELATION else ratio
 
 
 def _remedy(ratio: float) -> float:
-    return -1.0 if RATIO[0] < -ratio < RATIO[1] else 1.0 / ratio
-
-
-def _together(first: Array, second: Array) -> float:
-    """Correlation about zero."""
-    return float(first @ second) / max(float(np.linalg.norm(first) * np.linalg.norm(second)), 1e-300)
+    return -1.0 if WRONG_FACTOR[0] < -ratio < WRONG_FACTOR[1] else 1.0 / ratio
 
 
 def _rms(values: Array) -> float:

@@ -16,6 +16,7 @@ from impact_rs_sim.proportion import Proportion
 from impact_rs_sim.robot import Array
 from impact_rs_sim.robot_model import RobotModel
 from impact_rs_sim.scenario import Scenario
+from impact_rs_trials.recordings.relations import HELD_ONCE, pooled
 from impact_rs_trials.recordings.remarks import Amount, Remark
 
 REST = 0.1  # s, from which the first pose of the object is taken
@@ -25,7 +26,6 @@ UPRIGHT = np.deg2rad(5.0)  # rad
 MOVED = 0.002  # m
 TOUCH_TOLERANCE = 0.05  # m, between pad and object at their nearest
 TOUCH_TOLD = 0.005  # m
-GRAVITY_RATIO = (0.5, 1.5)  # of the measured torque along the arm's own weight
 GRAVITY_NOTICED = 1.0  # N m rms, a weight that can be noticed in the torques of a Franka arm
 CHECKED = 200  # samples in which the weight is compared
 
@@ -57,11 +57,10 @@ def check_weight(path: Path, name: str, model: RobotModel, position: Array, torq
     """
     rows = np.unique(np.linspace(0, position.shape[0] - 1, CHECKED).astype(int))
     weight = gravity_torques(model, position[rows])
-    power = float(np.sum(np.square(weight)))
-    if power < noticed(model) ** 2 * rows.size:
+    if float(np.sum(np.square(weight))) < noticed(model) ** 2 * rows.size:
         return
-    ratio = float(np.sum(weight * torque[rows])) / power
-    if not GRAVITY_RATIO[0] < ratio < GRAVITY_RATIO[1]:
+    ratio = float(pooled(weight, torque[rows]).factor[0])
+    if not HELD_ONCE[0] < ratio < HELD_ONCE[1]:
         raise InputError(
             f"{name} holds {ratio:.2f} times the weight of the scenario's arm, expected about 1: {remedy}", file=path
         )

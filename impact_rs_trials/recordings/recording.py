@@ -24,6 +24,7 @@ from impact_rs_trials.recordings.file_units import CURRENTS
 from impact_rs_trials.recordings.guesses import at_rest
 from impact_rs_trials.recordings.joint_checks import doubts_of_arm
 from impact_rs_trials.recordings.mapping import JOINT_SIGNALS, REQUIRED, Mapping, SignalName
+from impact_rs_trials.recordings.relations import WRONG_FACTOR, pooled
 from impact_rs_trials.recordings.run_finder import BAG_SUFFIXES, FILE_SUFFIXES, find_recordings, find_runs
 from impact_rs_trials.recordings.sampling_times import doubt_of_timestamps
 from impact_rs_trials.recordings.series import Series
@@ -339,11 +340,10 @@ def check_velocity(path: Path, time: Array, position: Array, velocity: Array, ma
     apart = (np.abs(derived) > most) | (np.abs(velocity) > most)
     apart &= apart.mean(axis=0) <= FEW  # single samples say nothing of a unit
     derived, velocity = np.where(apart, 0.0, derived), np.where(apart, 0.0, velocity)
-    power = float(np.sum(np.square(derived)))
-    if power == 0.0:
+    if not np.any(derived):
         return
-    ratio = float(np.sum(derived * velocity)) / power
-    if not 0.5 < ratio < 2.0:
+    ratio = float(pooled(derived, velocity).factor[0])
+    if not WRONG_FACTOR[0] < ratio < WRONG_FACTOR[1]:
         raise InputError(
             f"velocity is {ratio:.3g} times the derivative of position, expected 1: wrong unit (now "
             f"{joined_units(mapping.signals['velocity'].units)}), wrong sign or other joints",

@@ -19,6 +19,7 @@ from impact_rs_sim.optional_packages import require
 from impact_rs_trials.recordings.csv_rows import csv_rows
 from impact_rs_trials.recordings.inner_runs import runs_of
 from impact_rs_trials.recordings.mapping import TableLayout
+from impact_rs_trials.recordings.read_once import once
 
 Cells = dict[str, list[str] | NDArray[Any]]
 
@@ -54,6 +55,7 @@ class Columns:
         return replace(self, cells=cells, lines=tuple(self.lines[row] for row in rows) if self.lines else ())
 
 
+@once
 def read_columns(path: Path, layout: TableLayout = DEFAULT_LAYOUT, recorded: bool = True) -> Columns:
     """The columns of a table.
 

@@ -26,24 +26,30 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.robot import Array
 from impact_rs_sim.robot_model import RobotModel
-from impact_rs_trials.recordings.guesses import smoothed
 from impact_rs_trials.recordings.plausibility import noticed
+from impact_rs_trials.recordings.relations import (
+    DECISIVE_LOG_LIKELIHOOD,
+    FULL_FRICTION_RAD_S,
+    WRONG_FACTOR,
+    LinearRelation,
+    averaged,
+    dry_friction,
+    fit,
+)
 from impact_rs_trials.runs import ArmSignals
 
-FACTOR = (0.5, 2.0)  # of the torque that a motion takes: rough models and loads; a wrong unit differs by more
 WHOLE_TORQUE = (
     "Its controller adds the weight by itself: take the measured torque or the motor currents, or add the weight that "
     "the controller adds"
 )
-SLOW = 0.02  # rad/s, below which dry friction is not full
 LOOKED_AT = 300  # samples in which readings are compared
 SEARCHED = 30  # samples in which all orders of the joints are compared
 MOST_ORDERED = 7  # joints whose orders are searched: 7! = 5040
-CLEAR = 30.0  # log likelihood by which a reading must be the better one; models are wrong by more than noise is
 DRY = 0.03  # dry friction of geared joints over their largest torque; data sheets and identifications give 1 to 10 %
 FAINT = 1e-3  # of the largest torque: a tenth of the least of them, which differences of a motion may leave by chance
 DECISIVE = float(np.log(100.0))  # log Bayes factor (Jeffreys 1961)
@@ -97,30 +103,30 @@ class MotionTorque:
             model: Nominal arm.
             samples: How many are looked at.
         """
-        at, q = smoothed(time, position)
-        dq, tau = smoothed(time, velocity)[1], smoothed(time, torque)[1]
+        at, q = averaged(time, position)
+        dq, tau = averaged(time, velocity)[1], averaged(time, torque)[1]
         ddq = np.gradient(dq, at, axis=0)
         rows = np.unique(np.linspace(0, at.size - 1, samples).astype(int))
         independent = min(float(rows.size), time.size / max(1, time.size - at.size + 1))
         return MotionTorque(q[rows], dq[rows], ddq[rows], tau[rows], model, independent)
 
+    def relation(self, reading: Array) -> LinearRelation:
+        """Fit of the recorded torque by a reading ``(k, n)`` and friction."""
+        friction = (dry_friction(self.velocity), self.velocity)
+        return fit(reading, self.recorded, friction, self.independent, WRONG_FACTOR)
+
+    @property
+    def measured(self) -> NDArray[np.bool_]:
+        """Joints whose torque changes, ``(n,)``; of the others nothing was measured."""
+        return np.asarray(np.ptp(self.recorded, axis=0) > 0.0)
+
     def left(self, reading: Array) -> Array:
         """Sum of squares of what a reading ``(k, n)`` leaves of the recorded torque, ``(n,)`` [N^2 m^2]."""
-        friction = np.linalg.qr(np.stack((np.tanh(self.velocity / SLOW), self.velocity), axis=-1).swapaxes(0, 1))[0]
-        x, tau = (
-            signal - np.einsum("jkf,jf->kj", friction, np.einsum("jkf,kj->jf", friction, signal))
-            for signal in (reading, self.recorded)
-        )
-        power = np.sum(np.square(x), axis=0)
-        best = np.sum(x * tau, axis=0) / np.where(power > 0.0, power, 1.0)
-        factor = np.where(best < 0.0, -1.0, 1.0) * np.clip(np.abs(best), *FACTOR)
-        left = np.sum(np.square(tau - factor * x), axis=0)
-        return np.asarray(np.where(np.ptp(self.recorded, axis=0) > 0.0, left, 0.0))  # 0: nothing was measured
+        return np.where(self.measured, self.relation(reading).misfit, 0.0)
 
     def likelihood(self, reading: Array) -> float:
         """Log likelihood of a reading ``(k, n)``, up to a constant of the signal."""
-        size, live = np.sum(np.square(self.recorded), axis=0), np.ptp(self.recorded, axis=0) > 0.0
-        return -0.5 * self.independent * float(np.sum(np.log(self.left(reading)[live] / size[live] + 1e-12)))
+        return float(np.sum(self.relation(reading).log_likelihood[self.measured]))
 
     def ordered(self, order: tuple[int, ...], rows: slice = slice(None)) -> MotionTorque:
         """The same samples, or some, with the joints in another order."""
@@ -139,7 +145,7 @@ def lacks_weight(seen: MotionTorque) -> str | None:
     alone = seen.whole - seen.weight
     without, whole, neither = (seen.likelihood(one) for one in (alone, seen.whole, np.zeros_like(alone)))
     left_without, left = (_rms(seen.left(one), seen) for one in (alone, seen.whole))
-    if without < max(whole, neither) + CLEAR or left_without > SHARE * left:
+    if without < max(whole, neither) + DECISIVE_LOG_LIKELIHOOD or left_without > SHARE * left:
         return None
     most = float(np.max(np.abs(seen.weight)))
     return (
@@ -172,19 +178,18 @@ def is_computed(seen: MotionTorque) -> bool:
     Args:
         seen: Signal and motion; the signal may be a current.
     """
+    signs = dry_friction(seen.velocity)
+    fast = np.sqrt(np.mean(np.square(seen.velocity), axis=0)) >= FULL_FRICTION_RAD_S
+    torque = fit(seen.whole, seen.recorded, [signs])
+    dry = fit(signs, seen.recorded, [seen.whole], seen.independent)
     factor = 0.0
     for joint, most in enumerate(seen.model.torque_max):
-        speed = seen.velocity[:, joint]
-        basis = np.column_stack((seen.whole[:, joint], np.tanh(speed / SLOW)))
-        if np.sqrt(np.mean(np.square(speed))) < SLOW or not np.any(seen.recorded[:, joint]):
+        if not fast[joint] or not np.any(seen.recorded[:, joint]):
             continue
-        fit = np.linalg.lstsq(basis, seen.recorded[:, joint], rcond=None)[0]
-        noise = float(np.mean(np.square(seen.recorded[:, joint] - basis @ fit)))
-        inverse = np.linalg.pinv(basis.T @ basis / len(basis) * seen.independent)
-        scale = most * abs(float(fit[0])) + 1e-12  # of a current: that of the motor
-        error = float(np.hypot(np.sqrt(noise * inverse[1, 1]), FAINT * scale))
+        scale = most * abs(float(torque.factor[joint])) + 1e-12  # of a current: that of the motor
+        error = float(np.hypot(dry.standard_error[joint], FAINT * scale))
         ratio = (DRY * scale / error) ** 2
-        factor += 0.5 * np.log1p(ratio) - 0.5 * (float(fit[1]) / error) ** 2 * ratio / (1.0 + ratio)
+        factor += 0.5 * np.log1p(ratio) - 0.5 * (float(dry.factor[joint]) / error) ** 2 * ratio / (1.0 + ratio)
     return factor > DECISIVE
 
 
@@ -223,7 +228,7 @@ def order_of_joints(seen: MotionTorque) -> tuple[tuple[int, ...], str] | None:
         return None
     own = seen.ordered(best)
     after, gain = _rms(own.left(own.whole), own), own.likelihood(own.whole) - seen.likelihood(seen.whole)
-    if gain < CLEAR or after > SHARE * before:
+    if gain < DECISIVE_LOG_LIKELIHOOD or after > SHARE * before:
         return None
     listed = ", ".join(str(column + 1) for column in best)
     return best, (

@@ -250,6 +250,9 @@ def test_the_page_takes_units_signs_and_stamps_as_import_finds_them(client: Test
     assert own["units"] == {"position": "deg", "velocity": "deg/s", "torque": "N m"}
     assert own["time"] == {"column": "stamp_ms", "unit": "ms"}
     assert any("derivative of the position in deg" in line for line in own["said"])
+    first, following = own["readings"]["torque"][:2]  # the list that import compares, the likeliest first
+    assert first["stream"].startswith("c1") and first["unit"] == "N m" and first["behind"] == 0.0
+    assert following["behind"] > 0.0 and any(line.startswith("signals.torque: next ") for line in own["said"])
     layout = {"time": own["time"]}
     for name, unit in own["units"].items():
         folder.arms["arm"]["signals"][name]["unit"] = unit

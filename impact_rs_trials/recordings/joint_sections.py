@@ -1,0 +1,366 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Sections of a mapping for the signals of the joints, with what shows them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+
+from impact_rs_sim.errors import InputError
+from impact_rs_sim.robot import Array, RobotFacts
+from impact_rs_sim.robot_model import RobotModel
+from impact_rs_trials.recordings.candidates import (
+    MOST_BESIDE,
+    PART_OF_ARM,
+    SignalCandidate,
+    joints_of,
+    vector_width,
+)
+from impact_rs_trials.recordings.file_groups import FileGroups
+from impact_rs_trials.recordings.file_units import UNITS
+from impact_rs_trials.recordings.guesses import are_derivatives, at_rest, steps_back
+from impact_rs_trials.recordings.hypotheses import DECISIVE, RoleChoice, RoleHypothesis
+from impact_rs_trials.recordings.import_texts import Notes, PossibleReading, flow
+from impact_rs_trials.recordings.joint_search import Alternative, Assignment, JointSearch, Reading
+from impact_rs_trials.recordings.joint_streams import JointStream
+from impact_rs_trials.recordings.mapping import MountedEndEffector
+from impact_rs_trials.recordings.recorded_files import (
+    RecordedFile,
+    read_streams,
+    refuse_several,
+    settle_clock,
+    source_in,
+)
+from impact_rs_trials.recordings.torque_readings import (
+    WHOLE_TORQUE,
+    MotionTorque,
+    leaves_little,
+    order_of_joints,
+)
+
+MOST_SHOWN = 3  # signals of a kind in a message
+NEAR = 0.5  # of the measured torque, rms, within which a torque that was asked for lies
+PLAINLY = 2.0  # by which it is nearer with the arm's weight than without it, or the other way round
+NO_HEADER = "its messages have no header: times at which the bag received them"
+
+
+class JointSections:
+    """Describes the joints of a recording.
+
+    Args:
+        parts: Its files.
+        groups: Files by kind and run.
+        rate: Sampling rate of files without stamps [Hz]; None: they have stamps.
+        notes: What was found is added to them.
+
+    Attributes:
+        readings: By signal what it may be, what is taken first.
+    """
+
+    def __init__(self, parts: Sequence[RecordedFile], groups: FileGroups, rate: float | None, notes: Notes) -> None:
+        self._parts, self._groups, self._rate, self._notes = parts, groups, rate, notes
+        self._refused: dict[str, str] = {}
+        self._order_shown = "columns hold the joints from base to tip"
+        self.readings: dict[str, tuple[PossibleReading, ...]] = {}
+
+    def describe(self, robot: str, facts: RobotFacts) -> tuple[RecordedFile, dict[str, Any], dict[str, dict[str, Any]]]:
+        """Part of the positions, keys of the mapping beside its signals, and the signals."""
+        model = RobotModel(facts, MountedEndEffector().build(), pin.SE3.Identity())
+        for part in self._parts:
+            self._refused |= read_streams(part, robot, facts.joint_count, self._rate)
+            if self._rate is None:
+                settle_clock(part, model)
+        search = JointSearch([stream for part in self._parts for stream in part.streams], model)
+        found = self._assignment(search, robot)
+        if (order := self._order(found, model)) is not None:
+            search = JointSearch([stream.in_order(order) for stream in search.streams], model)
+            found = self._assignment(search, robot)
+        part = self._part_of(found.position.stream)
+        _check_width(found, part, robot, facts.joint_count)
+        self._check_torques(found, search, robot)
+        self._notes.remarks += [
+            f"{label} is left out, for the reader refuses it: {why}" for label, why in self._refused.items()
+        ]
+        refuse_several(part, self._groups, "joints", "robot")
+        signals = {"position": self._joint_signal(found.position, "position", part, found.alternatives["position"])}
+        if found.velocity is None:
+            self._notes.say(
+                "signals.velocity", "none", "no signal is the derivative of the positions: velocities are made of them"
+            )
+        else:
+            signals["velocity"] = self._joint_signal(found.velocity, "velocity", part, found.alternatives["velocity"])
+        part.on_log = not found.position.stream.candidate.stamped
+        own = {"joints": list(self._joints(found.position.stream.candidate, facts.joint_count))}
+        own |= self._torque(found.torques, found.alternatives["torque"], facts, robot, signals, part)
+        own |= self._commands(found, search, model, signals, part, "torque_constant" in own)
+        return part, own, signals
+
+    def _assignment(self, search: JointSearch, robot: str) -> Assignment:
+        """The likeliest assignment of streams to the roles of the joints."""
+        facts = search.model.facts
+        self._check_motion([place for place in search.places if place.by_name > 0.0], facts)
+        motions = search.motions()
+        if not motions and self._rate is not None:
+            self._check_rate(self._rate, search)
+        if not motions and not any(stream.log_prior("velocity") > 0.0 for stream in search.streams):
+            motions = search.without_velocity()
+        if not motions:
+            raise self._nothing(search.streams, robot, facts.joint_count)
+        found = search.best(motions)
+        self._check_motion([found.position], facts)
+        return found
+
+    def _check_torques(self, found: Assignment, search: JointSearch, robot: str) -> None:
+        """Refuse a recording without a torque that a mapping could take."""
+        path = self._part_of(found.position.stream).path
+        if not found.torques and found.weightless:
+            label, why = next(iter(found.weightless.items()))
+            raise InputError(f"{label} {why}. {WHOLE_TORQUE}", file=path, key="signals.torque")
+        if not found.torques:
+            copies = [f"{label} {copied}" for label, copied in found.copies.items()]
+            repeated = f" ({'; '.join(copies)})" if copies else ""
+            seen = "; ".join(stream.label for stream in search.streams)
+            raise InputError(
+                f"nothing goes with the torque that weight and inertia of {robot} take in this motion, and a mapping "
+                f"needs torques or currents; signals as wide as its joints: {seen}{repeated}. Another --robot, or a "
+                "mapping by hand (docs/your_data.md)",
+                file=path,
+            )
+
+    def _order(self, found: Assignment, model: RobotModel) -> tuple[int, ...] | None:
+        """Order in which columns without names go with the torque of the arm; None: as they stand."""
+        one = found.position.stream
+        if one.is_cut or one.candidate.joints or PART_OF_ARM.search(one.candidate.label):
+            return None
+        time, q, dq = found.time, found.position.values, found.speeds
+        for torque in found.torques[:MOST_SHOWN]:
+            constant, raw = torque.best.further.get("torque_constant"), torque.stream.series.at(time)
+            if constant is not None and leaves_little(MotionTorque.of(time, q, dq, raw * np.array(constant), model)):
+                continue  # currents; else a torque in a wrong order, of which no unit fits
+            units = [torque.best.unit] if isinstance(torque.best.unit, str) else torque.best.unit
+            factor = np.array([UNITS["torque"][unit] for unit in units])
+            if (ordered := order_of_joints(MotionTorque.of(time, q, dq, factor * raw, model))) is not None:
+                order, self._order_shown = ordered
+                return order
+        return None
+
+    def _check_motion(self, places: Sequence[Reading], facts: RobotFacts) -> None:
+        """Refuse an arm that does not move, of which noise would be taken for velocity and torque."""
+        found = [at_rest(one.stream.series.time, one.values, facts) for one in places]
+        if found and None not in found:
+            stream = places[0].stream
+            raise InputError(f"{stream.label}: {found[0]}", file=self._part_of(stream).path)
+
+    def _nothing(self, every: Sequence[JointStream], robot: str, count: int) -> InputError:
+        """What is said where no signal is the motion of the joints."""
+        said = f"no signal of {_joints_of(count)} can be read"
+        if every:
+            said = (
+                f"no two signals of {_joints_of(count)} are positions within the limits of {robot} and their "
+                f"derivative; signals as wide as that: {'; '.join(one.label for one in every)}"
+            )
+        others = [
+            one.label for part in self._parts for one in part.candidates if not one.pose and one.width not in (1, count)
+        ]
+        said += f"; signals of other widths: {', '.join(others[:MOST_SHOWN])}" if others else ""
+        said += "".join(f"; the reader refuses {why}" for why in self._refusals())
+        backwards = [back for part in self._parts if (back := steps_back(part.columns)) is not None]
+        said += "".join(f"; {back}, so another clock was taken" for back in backwards)
+        remedy = "Another --robot, or a mapping by hand" if every else "A mapping by hand"
+        return InputError(f"{said}. {remedy} (docs/your_data.md)", file=self._parts[0].path)
+
+    def _refusals(self) -> list[str]:
+        """Signals that the reader refuses, with its reason."""
+        by_reason: dict[str, list[str]] = {}
+        for label, why in self._refused.items():
+            by_reason.setdefault(why, []).append(label)
+        return [f"{', '.join(labels[:MOST_SHOWN])}: {why}" for why, labels in by_reason.items()]
+
+    def _check_rate(self, rate: float, search: JointSearch) -> None:
+        """Refuse a sampling rate at which a velocity would be that of another one."""
+        for place, other, factor in search.velocities_at_other_rates():
+            real = rate * factor
+            raise InputError(
+                f"{other.label} is {factor:.3g} times the derivative of {place.label} in all joints, which is a "
+                f"velocity in rad/s at {real:.4g} Hz, in deg/s at {real * np.pi / 180.0:.4g} Hz",
+                key="--rate",
+                value=f"{rate:g}",
+            )
+
+    def _torque(
+        self, found: Sequence[Reading], listed: Sequence[Alternative], facts: RobotFacts, robot: str,
+        signals: dict[str, dict[str, Any]], part: RecordedFile,
+    ) -> dict[str, Any]:  # fmt: skip
+        """The torque of the joints, which is added to the signals; keys of the mapping that go with it."""
+        best, *others = found
+        free = [other for other in others if not (part.is_bag and other.stream.candidate.guess == "command")]
+        computed = (
+            "follows the model of the arm without any friction of its gears: a controller or a simulation computed it"
+        )
+        self._notes.remarks += [
+            f"{other.stream.label} is left out: it {computed}" for other in free if other.computed and not best.computed
+        ]
+        if best.computed:
+            self._notes.remarks.append(
+                f"{best.stream.label} {computed}, so nothing that the model lacks, as a load, can show in it. Take the "
+                "measured torque or the motor currents"
+            )
+        alike = "; ".join(other.stream.label for other in free if other.computed == best.computed)
+        constant = best.best.further.get("torque_constant")
+        signals["torque"] = self._joint_signal(best, "torque", part, listed, alike)
+        at_motor = constant is not None or not facts.joint_torque_loop
+        said = "currents are those of motors" if constant is not None else f"joint_torque_loop of {robot} is "
+        said += "" if constant is not None else str(facts.joint_torque_loop).lower()
+        self._notes.say("torque_measured_at", "motor" if at_motor else "link", said, sure=constant is not None)
+        own: dict[str, Any] = {"torque_measured_at": "motor" if at_motor else "link"}
+        if constant is not None:
+            self._notes.say(
+                "torque_constant", flow(constant), "by the weight in this recording; take those of a data sheet", False
+            )
+            own["torque_constant"] = constant
+        return own
+
+    def _commands(
+        self, found: Assignment, search: JointSearch, model: RobotModel, signals: dict[str, dict[str, Any]],
+        part: RecordedFile, currents: bool,
+    ) -> dict[str, Any]:  # fmt: skip
+        """The commanded torque of a bag, which is added to the signals; keys of the mapping that go with it."""
+        taken = [one.stream for one in (found.position, found.velocity, found.torques[0]) if one is not None]
+        free = [one for one in search.streams if not any(one.stands_apart(other) for other in taken)]
+        asked = [one for one in free if one.candidate.guess == "command" and self._part_of(one).is_bag]
+        copied = [one for one in asked if one.label in found.copies]
+        self._notes.remarks += [f"{one.label} is left out: it {found.copies[one.label]}" for one in copied]
+        commands = [one for one in asked if one not in copied]
+        if commands and currents:
+            why = "nothing but currents was measured beside it"
+            self._notes.remarks += [f"{one.label} is left out: {why}" for one in commands]
+            return {}
+        return self._command(found, commands, model, signals, part) if commands else {}
+
+    def _command(
+        self, found: Assignment, asked: Sequence[JointStream], model: RobotModel,
+        signals: dict[str, dict[str, Any]], part: RecordedFile,
+    ) -> dict[str, Any]:  # fmt: skip
+        """The torque that was asked for, which is added to the signals, by how near it is to the measured one."""
+        time, q = found.time, found.position.values
+        series = found.torques[0].stream.series
+        torque = replace(series, values=found.torques[0].values).at(time)
+        weight = np.array([model.gravity_torque(row) for row in q])
+        size = max(float(np.sqrt(np.mean(np.square(torque)))), 1e-12)
+
+        def apart(one: JointStream, missing: Array | float) -> float:
+            """How far from the measured torque, over that torque, rms."""
+            return float(np.sqrt(np.mean(np.square(one.series.at(time) + missing - torque)))) / size
+
+        tried = [(apart(one, 0.0), apart(one, weight), one) for one in asked]
+        taken = min(tried, key=lambda one: min(one[:2]))
+        for alone, lifted, one in tried:
+            if one is not taken[2] or min(alone, lifted) > NEAR:
+                far = f"{100.0 * min(alone, lifted):.0f} % of the measured torque away from it"
+                self._notes.remarks.append(f"{one.label} is left out: by its name it was asked for, and it is {far}")
+        alone, lifted, one = taken
+        if min(alone, lifted) > NEAR:
+            return {}
+        included, both = alone <= lifted, f"{100.0 * alone:.0f} % of the measured torque away from it as it is"
+        said = f"{both}, {100.0 * lifted:.0f} % with the arm's weight added (rms)"
+        command = Reading(one, RoleChoice(RoleHypothesis("torque", "N m", said, 0.0), None, np.inf))
+        signals["command"] = self._joint_signal(command, "command", part)
+        sure = max(alone, lifted) > PLAINLY * min(alone, lifted)
+        said = f"it is nearer to the measured torque {'as it is' if included else 'with the weight of the arm added'}"
+        self._notes.say("command_includes_gravity", str(included).lower(), said, sure)
+        return {"command_includes_gravity": included}
+
+    def _joint_signal(
+        self, one: Reading, name: str, main: RecordedFile, others: Sequence[Alternative] = (), alike: str = ""
+    ) -> dict[str, Any]:
+        """Section of a signal of the joints, which is said, with the layout of its file where that is another one.
+
+        Args:
+            one: The stream with its unit.
+            name: The signal.
+            main: File of the positions.
+            others: What the signal may be, what is taken first.
+            alike: Streams that fit the role as well, of which names do not say more.
+        """
+        part, candidate, best = self._part_of(one.stream), one.stream.candidate, one.best
+        shown = "by its numbers; see unit"
+        if one.stream.is_cut:
+            shown += "; what stands beside the joints is left out, as a gripper"
+            self._notes.remarks.append(f"signals.{name}: of {candidate.label} numbers are taken for the joints")
+        rival = next((other for other in others if other.stream is not one.stream), None)
+        margin = np.inf if rival is None else others[0].log_posterior - rival.log_posterior
+        if rival is not None and margin < DECISIVE:
+            shown += f"; next: {rival.stream.label}, log odds {margin:.2g}"
+        shown += "" if candidate.stamped else f"; {NO_HEADER}"
+        self._notes.say(f"signals.{name}", candidate.label, shown, not one.stream.is_cut and bool(margin > DECISIVE))
+        said = one.choice.evidence + (f"; so do {alike}: take the one that was measured" if alike else "")
+        sure = one.choice.sure and not alike and not one.computed and best.role != "current"
+        self._notes.say(f"signals.{name}.unit", flow(best.unit), said, sure)
+        self._notes.remarks += best.remarks
+        self.readings[name] = tuple(
+            PossibleReading(
+                other.stream.label, dict(other.stream.candidate.source), other.hypothesis.unit,
+                float(others[0].log_posterior - other.log_posterior), other.hypothesis.evidence,
+            )
+            for other in others
+        )  # fmt: skip
+        further = {key: value for key, value in best.further.items() if key == "factor"}
+        source = {**source_in(part, candidate.source, self._groups), "unit": best.unit, **further}
+        return source | part.own_layout(main)
+
+    def _joints(self, one: SignalCandidate, count: int) -> tuple[str, ...]:
+        joints = joints_of(one.joints, "", False, count)
+        if one.joints:
+            self._notes.say("joints", flow(list(joints)), "the recording names them")
+        else:
+            self._notes.say("joints", flow(list(joints)), self._order_shown, sure=False)
+        return joints
+
+    def _part_of(self, stream: JointStream) -> RecordedFile:
+        """The file of a stream."""
+        return next(part for part in self._parts if part.pattern == stream.file)
+
+
+def _check_width(found: Assignment, part: RecordedFile, robot: str, count: int) -> None:
+    """Refuse a few joints of a wider arm: columns without names, beside which others are derivatives as well."""
+    series = found.position.stream.series
+    free = [name for name, cells in part.columns.items() if np.ndim(cells) == 1 and vector_width(cells) == 1]
+    free = [name for name in free if name not in part.clock_columns]
+    if found.velocity is None or not free or series.time.size != len(part.columns[free[0]]):
+        return
+    first, other = (_first_of(free, one.stream.candidate) for one in (found.position, found.velocity))
+    if first is None or other is None or found.velocity.stream.file != part.pattern:
+        return
+    apart = other - first
+    own, within = range(first, first + count), range(max(0, -apart), len(free) - max(0, apart))
+    around = [n for n in range(first - abs(apart) + 1, first + abs(apart)) if n in within and n not in own]
+    if not around:
+        return
+    values, raw = (
+        np.column_stack([np.asarray(part.columns[free[n + shift]], dtype=float) for n in around])
+        for shift in (0, apart)
+    )
+    shown = are_derivatives(series.time, values, raw)
+    block = [*own, *(n for n, derivative in zip(around, shown, strict=True) if derivative)]
+    if len(block) > count + MOST_BESIDE:
+        blocks = " and ".join(f"{free[min(block) + shift]} … {free[max(block) + shift]}" for shift in (0, apart))
+        raise InputError(
+            f"columns {blocks} hold positions and velocities of {len(block)} joints, and {robot} has {count}: another "
+            "--robot, or a mapping by hand that says which columns are its own (docs/your_data.md)",
+            file=part.path,
+        )
+
+
+def _first_of(names: Sequence[str], candidate: SignalCandidate) -> int | None:
+    """Number of the first of a signal's columns, where these stand side by side; None: they do not."""
+    own = candidate.source.get("columns") or []
+    first = names.index(own[0]) if own and own[0] in names else None
+    return first if first is not None and list(names[first : first + len(own)]) == list(own) else None
+
+
+def _joints_of(count: int) -> str:
+    return f"{count} joint{'s' if count > 1 else ''}"

@@ -1,0 +1,75 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Streams of a recording: raw numbers over time, with where they are and what their names hint at."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass, replace
+
+from impact_rs_trials.recordings.candidates import SignalCandidate, guess_of, in_order
+from impact_rs_trials.recordings.hypotheses import NAMED, Role
+from impact_rs_trials.recordings.series import Series
+
+# What a name says besides the signal that it hints at (candidates.guess_of).
+COMMANDED = re.compile(r"des|ref|target|goal|cmd|cmp|command|comput|set_?point|(^|_)d(_|\d|$)|filt|err", re.IGNORECASE)
+MEASURED = re.compile(r"meas|actual|(^|_)act(_|\d|$)", re.IGNORECASE)
+CURRENT = re.compile(r"curr|amp", re.IGNORECASE)
+
+
+@dataclass(frozen=True)
+class JointStream:
+    """As many numbers a sample as a robot has joints, as a file has them.
+
+    Attributes:
+        file: Pattern of its file; empty: a run is one file.
+        candidate: Where it is.
+        series: Its numbers, in no unit, at its stamps.
+    """
+
+    file: str
+    candidate: SignalCandidate
+    series: Series
+
+    @property
+    def label(self) -> str:
+        """Its name, with that of its file if a run has several."""
+        return f"{self.file}: {self.candidate.label}" if self.file else self.candidate.label
+
+    @property
+    def is_cut(self) -> bool:
+        """Whether it is a part of a wider signal."""
+        return self.candidate.first is not None
+
+    def overlaps(self, other: JointStream) -> bool:
+        """Whether both have a column in common."""
+        return self.file == other.file and bool(self._numbers & other._numbers)
+
+    def stands_apart(self, other: JointStream) -> bool:
+        """Whether both cannot be of the same joints: they share a column, or are other parts of wider signals."""
+        if self.is_cut and other.is_cut and self.candidate.first != other.candidate.first:
+            return True
+        return self.overlaps(other)
+
+    def log_prior(self, role: Role) -> float:
+        """Log odds of a role by the names of columns, or else of the file."""
+        guess = self.candidate.guess or guess_of(self.file)
+        text = " ".join([self.file, *(self.candidate.source.get("columns") or [self.candidate.label])])
+        hinted = {"torque": "current" if CURRENT.search(text) else "torque"}.get(guess, guess)
+        odds = NAMED if hinted == role else -NAMED if hinted and (hinted, role) != ("torque", "current") else 0.0
+        return odds - NAMED * bool(COMMANDED.search(text)) + NAMED * bool(MEASURED.search(text))
+
+    def in_order(self, order: tuple[int, ...]) -> JointStream:
+        """With the joints in another order."""
+        values = self.series.values[:, list(order)]
+        return replace(self, candidate=in_order(self.candidate, order), series=replace(self.series, values=values))
+
+    @property
+    def _numbers(self) -> set[tuple[str, int]]:
+        """Columns, and entries of vectors, in which its numbers are."""
+        source, count = self.candidate.source, range(1, self.candidate.width + 1)
+        if "columns" in source:
+            return {(column, 0) for column in source["columns"]}
+        whole = str(source.get("column") or source.get("array") or (source.get("topic"), source.get("field")))
+        if "{joint}" in whole:
+            return {(whole.replace("{joint}", str(number)), 0) for number in count}
+        return {(whole, entry) for entry in source.get("entries") or count}

@@ -1,0 +1,194 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Sections of a mapping for the pose of an object, with what shows them."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+import numpy as np
+
+from impact_rs_sim.errors import InputError
+from impact_rs_sim.robot import Array
+from impact_rs_trials.recordings.candidates import vector_width, width_of
+from impact_rs_trials.recordings.file_groups import OBJECT, FileGroups
+from impact_rs_trials.recordings.guesses import Guess, pose_of, quaternion_order, unit_of_length
+from impact_rs_trials.recordings.import_texts import Notes, flow
+from impact_rs_trials.recordings.mapping import NO_ROBOT, SignalName, SignalSource
+from impact_rs_trials.recordings.moving_objects import moving_objects
+from impact_rs_trials.recordings.recorded_files import RecordedFile, axes_of, source_in
+from impact_rs_trials.recordings.sources import open_file
+from impact_rs_trials.recordings.transforms import are_transforms
+
+MOST_POSES = 10  # in a message
+OF_THE_ROBOT = re.compile(r"eef|(^|_)ee(_|$)|tcp|tool|flange|hand", re.IGNORECASE)
+OF_A_POSE = re.compile(
+    r"pos(ition)?|place|trans(lation)?|rot(ation)?|quat(ernion)?|ori(entation)?|[pqrtwxyz]|xyz|xyzw|wxyz"
+)
+
+
+class ObjectSections:
+    """Describes the object of a recording.
+
+    Args:
+        parts: Its files.
+        groups: Files by kind and run.
+        rate: Sampling rate of files without stamps [Hz]; None: they have stamps.
+        notes: What was found is added to them.
+
+    Attributes:
+        groups: Files by kind and run, those of several objects as those of the one that a run moves.
+    """
+
+    def __init__(self, parts: Sequence[RecordedFile], groups: FileGroups, rate: float | None, notes: Notes) -> None:
+        self._parts, self.groups, self._rate, self._notes = parts, groups, rate, notes
+
+    def describe(
+        self, joints: RecordedFile, with_robot: bool, signals: dict[str, dict[str, Any]]
+    ) -> RecordedFile | None:
+        """Pose of an object, if there is one; it is added to the signals."""
+        for part in sorted(self._parts, key=lambda one: one is joints and with_robot):
+            for place, quaternion, named in poses_in(part, with_robot):
+                found = self._pose_sections(part, place, quaternion, named)
+                if found is None:
+                    continue
+                if with_robot and self.groups.spread:
+                    self._choose_objects(part, found)
+                self._say_other_poses(part, place)
+                if with_robot:
+                    for section in found.values():
+                        section |= part.own_layout(joints)
+                signals |= found
+                return part
+        return None if with_robot else self._ball(signals)
+
+    def _say_other_poses(self, part: RecordedFile, taken: dict[str, Any]) -> None:
+        """Arrays and topics that may be poses as well, of which none is taken."""
+        others = [one.label for one in part.candidates if one.pose and one.source != taken]
+        if others:
+            self._notes.remarks.append(
+                f"{part.path.name} holds other poses, of which none is taken: {', '.join(others[:MOST_POSES])}"
+                + (f" and {len(others) - MOST_POSES} more" if len(others) > MOST_POSES else "")
+            )
+
+    def _choose_objects(self, part: RecordedFile, sections: dict[str, dict[str, Any]]) -> None:
+        """Where every run has a file of each of several objects, take that of the object which moves in the run."""
+        sources = {name: SignalSource.model_validate(section) for name, section in sections.items()}
+        mapping = part.raw_mapping(NO_ROBOT, (), self._rate).model_copy(update={"signals": sources})
+        found = moving_objects(self.groups, part.pattern, mapping)
+        if found is None:
+            return
+        self.groups = found.groups
+        for section in sections.values():
+            section["file"] = found.pattern
+        self._notes.say(
+            f"{OBJECT} of {found.pattern}", flow(list(found.objects)), "in every run the object that moves most"
+        )
+
+    def _ball(self, signals: dict[str, dict[str, Any]]) -> RecordedFile | None:
+        """Places of an object whose turn was not tracked, added to the signals; a ball may be one."""
+        for part in self._parts:
+            names = [name for name, cells in part.columns.items() if vector_width(cells) == 1]
+            for columns in axes_of(names)[0]:
+                file = open_file(
+                    part.path, part.raw_mapping(NO_ROBOT, (), self._rate), part.names, ("object_position",)
+                )
+                place = file.series("object_position", SignalSource(unit="m", columns=tuple(columns))).values
+                length = unit_of_length(place)
+                self._notes.say("signals.object_position", ", ".join(columns), length.evidence)
+                self._notes.remarks.append(
+                    "no column is its turn: only of a ball that is enough, with the spin that it had (body.spin)"
+                )
+                signals["object_position"] = {
+                    **source_in(part, {"columns": columns}, self.groups),
+                    "unit": length.value,
+                }
+                return part
+        return None
+
+    def _pose_sections(
+        self, part: RecordedFile, place: dict[str, Any], quaternion: dict[str, Any] | None, named: bool
+    ) -> dict[str, dict[str, Any]] | None:
+        source = place if quaternion is None else None
+        file = open_file(part.path, part.raw_mapping(NO_ROBOT, (), self._rate, source), part.names, ("object_pose",))
+
+        def numbers(name: SignalName, source: dict[str, Any]) -> Array | None:
+            unit = "-" if name == "object_quaternion" else "m"
+            try:
+                return file.series(name, SignalSource.model_validate({"unit": unit, **source})).values
+            except InputError:
+                return None
+
+        label = place.get("column") or place.get("array") or place.get("topic") or ", ".join(place.get("columns", ()))
+        if quaternion is None:
+            pose = numbers("object_pose", place)
+            matrices = are_transforms(np.shape(part.columns.get(place.get("array", ""), ())))
+            guess = None if pose is None else pose_of(pose)
+            if guess is None or pose is None:
+                return None
+            if matrices:
+                length = unit_of_length(pose)
+                guess = Guess(length.value, length.evidence)
+            said = "holds homogeneous matrices" if matrices else "holds a place and a unit quaternion"
+            self._notes.say("signals.object_pose", label, said)
+            self._notes.say("signals.object_pose.unit", guess.value, guess.evidence, guess.sure)
+            return {"object_pose": {**source_in(part, place, self.groups), "unit": guess.value, **guess.further}}
+        where, turned = numbers("object_position", place), numbers("object_quaternion", quaternion)
+        order = None if turned is None else quaternion_order(turned)
+        if where is None or order is None:
+            return None
+        length = unit_of_length(where)
+        if names := quaternion.get("columns"):
+            order = Guess("wxyz" if names[0].lower().endswith("w") else "xyzw", "the names of its columns")
+        further = {} if order.value == "xyzw" else {"quaternion_order": order.value}
+        turned_label = quaternion.get("column") or quaternion.get("array") or ", ".join(names or ())
+        by_order = (
+            "" if named else f"; taken for the position of the body that {turned_label} turns, by their order alone"
+        )
+        self._notes.say("signals.object_position", label, f"{length.evidence}{by_order}", named)
+        self._notes.say("signals.object_quaternion", order.value, order.evidence, order.sure and named)
+        return {
+            "object_position": {**source_in(part, place, self.groups), "unit": length.value},
+            "object_quaternion": {**source_in(part, quaternion, self.groups), "unit": "-", **further},
+        }
+
+
+def poses_in(part: RecordedFile, with_robot: bool) -> list[tuple[dict[str, Any], dict[str, Any] | None, bool]]:
+    """Sources of a pose: of seven numbers alone, or of position and quaternion, and whether names pair these."""
+    whole = [(one.source, None, True) for one in part.candidates if one.pose or one.width == 7 and not with_robot]
+    vectors = {name: vector_width(cells) for name, cells in part.columns.items()}
+    sources = {name: {"column": name} for name in vectors}
+    for name, column in part.columns.items():  # arrays of an array file are no columns
+        if isinstance(column, np.ndarray) and column.ndim == 2:
+            vectors[name], sources[name] = width_of(column.shape), {"array": name}
+    names = [name for name in vectors if not (with_robot and OF_THE_ROBOT.search(name))]
+    groups = axes_of(names)
+    places = [sources[name] for name in names if vectors[name] == 3] + [{"columns": own} for own in groups[0]]
+    turns = [sources[name] for name in names if vectors[name] == 4] + [{"columns": own} for own in groups[1]]
+    return [*whole, *_paired(places, turns)]
+
+
+def _paired(
+    places: Sequence[dict[str, Any]], turns: Sequence[dict[str, Any]]
+) -> Iterator[tuple[dict[str, Any], dict[str, Any], bool]]:
+    """Positions and quaternions of one body: those whose names agree, then the others by their order; which it was."""
+    free = list(turns)
+    left = []
+    for place in places:
+        own = next((turn for turn in free if _body_of(turn) == _body_of(place)), None)
+        if own is None:
+            left.append(place)
+        else:
+            free.remove(own)
+            yield place, own, True
+    alone = len(places) == len(turns) == 1
+    yield from ((place, turn, alone) for place, turn in zip(left, free, strict=False))
+
+
+def _body_of(source: dict[str, Any]) -> tuple[str, ...]:
+    """What a name says besides that it is a position or a quaternion: which body."""
+    columns = source.get("columns") or [source.get("column") or source.get("array") or ""]
+    words = [re.findall(r"[A-Z]?[a-z]+|[A-Z]+|\d+", name) for name in columns]
+    common = [word.lower() for word in words[0] if all(word in other for other in words)]
+    return tuple(word for word in common if not OF_A_POSE.fullmatch(word))

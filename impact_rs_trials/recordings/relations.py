@@ -1,0 +1,274 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Linear relations between signals: factor, lag, correlation, standard errors and likelihood, column by column.
+
+Positions determine what the other signals of the joints should be: velocities are dq/dt, torques are M ddq + h. A
+measured signal y_j differs from the expected one x_j by unit and sign, by a lag, by friction and by noise:
+
+    y_j = a_j x_j + sum_i c_ij z_ij + noise
+
+Least squares gives a_j after the further columns z_ij were projected out of x_j and y_j (Frisch and Waugh 1933). With
+the residuals r of N samples that hold k independent errors (moving averages over w samples leave k = N / w)
+
+    standard error     s_a^2 = (sum r^2 / k) / sum x^2
+    correlation        sum x y / sqrt(sum x^2 sum y^2)                          about zero: signals have a true zero
+    log likelihood     -k/2 log(sum r^2 / sum y^2)                              of normal noise, its size marginalised
+    lag, first order   y = a x(t - L)  ~  a x - a L dx/dt
+
+Callers draw their own conclusions. The thresholds of these stand side by side in this module.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import scipy
+from numpy.typing import NDArray
+
+from impact_rs_sim.robot import Array, RobotFacts
+
+# Factors between a measured and an expected signal [-].
+ONE_UNIT = (0.8, 1.25)  # the unit is found: low-passed velocities differ by less, units by 57 and more
+WRONG_FACTOR = (0.5, 2.0)  # outside: wrong unit, sign or joint; rough models, friction and loads stay inside
+HELD_ONCE = (0.5, 1.5)  # of the arm's weight in a torque, which held twice has the factor 2
+TORQUE_UNIT = (0.2, 5.0)  # a unit of torque is possible: N m and mN m differ by 1000
+MAX_FACTOR_ERROR = 0.1  # of a velocity: a low-pass takes away as much
+SURE_ERRORS = 5.0  # standard errors from which a difference is reported: joints, runs and signals are many tests
+# Correlations [-].
+MIN_CORRELATION = 0.8  # a factor is believed
+MIN_CORRELATION_OF_COLUMNS = 0.95  # a column without a name is the derivative of another one
+MAX_CORRELATION_DRIVING = -0.5  # of torque and velocity, below which friction would drive the joint
+# Log likelihoods [-] and what they are compared with.
+DECISIVE_LOG_LIKELIHOOD = 30.0  # gain of the better reading; models are wrong by more than noise is
+# Samples and speeds.
+MIN_SPEED_SHARE = 0.02  # of the data sheet's velocity, rms, from which a joint moves [-]
+FULL_FRICTION_RAD_S = 0.02  # speed from which Coulomb friction is full
+AVERAGED_S = 0.05  # of the moving average: encoders are quantised
+MIN_AVERAGED = 5  # samples of it
+BLOCKS = 20  # of a recording, of which the even ones predict the odd ones, and the other way
+LEAST_MISFIT = 1e-12  # share of the power that a fit of exact numbers leaves
+
+
+@dataclass(frozen=True)
+class LinearRelation:
+    """Fit of measured columns by expected ones.
+
+    Attributes:
+        factor: a, ``(n,)``.
+        standard_error: Of the factor, ``(n,)``.
+        correlation: About zero, ``(n,)``.
+        misfit: Sum of squares that the fit leaves, ``(n,)``.
+        power: Sum of squares of the measured columns, ``(n,)``.
+        unexplained: Sum of squares that the further columns alone leave, ``(n,)``.
+        independent: How many of the samples have independent errors, of all columns or of each.
+    """
+
+    factor: Array
+    standard_error: Array
+    correlation: Array
+    misfit: Array
+    power: Array
+    unexplained: Array
+    independent: float | Array
+
+    @property
+    def log_likelihood(self) -> Array:
+        """Of each column under the fit, over that of noise alone, ``(n,)``."""
+        return np.asarray(-0.5 * self.independent * np.log(self.misfit / np.maximum(self.power, 1e-300) + LEAST_MISFIT))
+
+    @property
+    def log_likelihood_ratio(self) -> Array:
+        """Of each column under the fit, over that of the further columns alone, ``(n,)``."""
+        power = np.maximum(self.power, 1e-300)
+        left = (self.misfit / power + LEAST_MISFIT) / (self.unexplained / power + LEAST_MISFIT)
+        return np.asarray(-0.5 * self.independent * np.log(left))
+
+
+def fit(
+    expected: Array,
+    measured: Array,
+    further: Sequence[Array] = (),
+    independent: float | Array | None = None,
+    bounds: tuple[float, float] | None = None,
+) -> LinearRelation:
+    """Fit ``measured = a expected + sum c further`` in every column.
+
+    Args:
+        expected: x, ``(k, n)``.
+        measured: y, ``(k, n)``.
+        further: Signals z whose factors are fitted as well, each ``(k, n)``.
+        independent: How many of the samples have independent errors, of all columns or of each, ``(n,)``; None: all.
+        bounds: Least and largest size of the factor; None: any.
+    """
+    x, y = expected, measured
+    if further:
+        basis = np.linalg.qr(np.stack(further, axis=-1).swapaxes(0, 1))[0]
+        x, y = (one - np.einsum("jkf,jf->kj", basis, np.einsum("jkf,kj->jf", basis, one)) for one in (x, y))
+    power, product = np.maximum(np.sum(x * x, axis=0), 1e-300), np.sum(x * y, axis=0)
+    factor = product / power
+    if bounds is not None:
+        factor = np.where(factor < 0.0, -1.0, 1.0) * np.clip(np.abs(factor), *bounds)
+    misfit, unexplained = np.sum(np.square(y - factor * x), axis=0), np.sum(y * y, axis=0)
+    count = max(1.0, float(len(x))) if independent is None else independent
+    size = np.sqrt(power) * np.sqrt(np.maximum(unexplained, 1e-300))
+    total = np.sum(np.square(measured), axis=0)
+    return LinearRelation(factor, np.sqrt(misfit / count / power), product / size, misfit, total, unexplained, count)
+
+
+def effective_samples(first: Array, second: Array) -> Array:
+    """Independent pairs of samples of two autocorrelated signals ``(k, n)`` (Bartlett 1946), ``(n,)``.
+
+    The correlation of unrelated signals has the variance sum_h rho_1(h) rho_2(h) / k over all lags h, with their
+    autocorrelations rho, and that of 1 / k_effective independent samples.
+    """
+    count = len(first)
+    length = scipy.fft.next_fast_len(2 * count, real=True)
+    spectra = [np.abs(np.fft.rfft(one - one.mean(axis=0), length, axis=0)) ** 2 for one in (first, second)]
+    own, other = (np.fft.irfft(spectrum, length, axis=0)[:count] for spectrum in spectra)
+    rho = own * other / np.maximum(own[0] * other[0], 1e-300)
+    return np.asarray(count / np.clip(rho[0] + 2.0 * np.sum(rho[1:], axis=0), 1.0, 0.5 * count))
+
+
+def pooled(expected: Array, measured: Array) -> LinearRelation:
+    """Fit with one factor of all columns."""
+    return fit(expected.reshape(-1, 1), measured.reshape(-1, 1))
+
+
+def correlation(first: Array, second: Array) -> float:
+    """Correlation of two signals ``(k,)`` about zero."""
+    return float(fit(first[:, None], second[:, None]).correlation[0])
+
+
+def fit_with_lag(
+    expected: Array, derivative: Array, measured: Array, independent: float
+) -> tuple[LinearRelation, Array, Array]:
+    """Fit ``measured(t) = a expected(t - L)`` to first order in L.
+
+    Args:
+        expected: x, ``(k, n)``.
+        derivative: dx/dt, ``(k, n)``.
+        measured: y, ``(k, n)``.
+        independent: How many of the samples have independent errors.
+
+    Returns:
+        The fit; L of every column and its standard error, ``(n,)`` [s].
+    """
+    relation = fit(expected, measured, [derivative], independent)
+    late = fit(derivative, measured, [expected], independent)
+    with np.errstate(divide="ignore", invalid="ignore"):  # of columns that do not change
+        return relation, -late.factor / relation.factor, late.standard_error / np.abs(relation.factor)
+
+
+# ---- motions --------------------------------------------------------------------------------------------------------
+
+
+def averaged(time: Array, values: Array) -> tuple[Array, Array]:
+    """Moving averages over some hundredths of a second, ``(k,)`` and ``(k, c)``."""
+    period = float(np.median(np.diff(time)))
+    width = int(np.clip(round(AVERAGED_S / max(period, 1e-9)), MIN_AVERAGED, max(MIN_AVERAGED, time.size // 20)))
+    window = np.ones(width) / width
+    mean = np.column_stack([np.convolve(column, window, "valid") for column in values.T])
+    return np.convolve(time, window, "valid"), mean
+
+
+@dataclass(frozen=True)
+class AveragedMotion:
+    """Positions after a moving average, with their derivatives.
+
+    Attributes:
+        time: ``(k,)`` [s].
+        position: q, ``(k, n)``.
+        velocity: dq/dt by central differences, ``(k, n)``.
+        width: Samples of the moving average, which share one independent error.
+    """
+
+    time: Array
+    position: Array
+    velocity: Array
+    width: int
+
+    @staticmethod
+    def of(time: Array, position: Array) -> AveragedMotion:
+        """Of positions ``(k, n)`` at stamps ``(k,)`` [s]."""
+        at, q = averaged(time, position)
+        return AveragedMotion(at, q, np.gradient(q, at, axis=0), max(1, time.size - at.size + 1))
+
+    @property
+    def acceleration(self) -> Array:
+        """Second derivative, ``(k, n)``."""
+        return np.asarray(np.gradient(self.velocity, self.time, axis=0))
+
+    @property
+    def independent(self) -> float:
+        """How many samples have independent errors."""
+        return self.time.size / self.width
+
+    def velocity_relation(self, time: Array, measured: Array) -> LinearRelation:
+        """Fit of a signal ``(k, n)`` at the original stamps by the derivative."""
+        return fit(self.velocity, averaged(time, measured)[1], independent=self.independent)
+
+
+def moves(velocity: Array, facts: RobotFacts) -> NDArray[np.bool_]:
+    """Which joints move, by their velocities ``(k, n)`` [rad/s]; ``(n,)``."""
+    limits = np.array(facts.limits.velocity_rad_s)
+    return np.asarray(np.sqrt(np.mean(np.square(velocity), axis=0)) > MIN_SPEED_SHARE * limits)
+
+
+def dry_friction(velocity: Array) -> Array:
+    """Velocities ``(k, n)`` [rad/s] as Coulomb friction has them: their signs, smooth about zero."""
+    return np.asarray(np.tanh(velocity / FULL_FRICTION_RAD_S))
+
+
+# ---- prediction of unseen samples -----------------------------------------------------------------------------------
+
+
+def odd_blocks(count: int) -> NDArray[np.bool_]:
+    """Which of so many samples lie in odd blocks, ``(count,)``."""
+    return np.asarray(np.floor(np.linspace(0.0, BLOCKS, count, endpoint=False)).astype(int) % 2 == 1)
+
+
+def held_out_misfit(basis: Array, measured: Array, odd: NDArray[np.bool_]) -> Array:
+    """Sum of squares of samples that the fit has not seen, in two folds, ``(c,)``.
+
+    Args:
+        basis: Regressors, ``(k, f)``.
+        measured: Signals, ``(k, c)``.
+        odd: Which samples are of the second fold, ``(k,)``.
+    """
+    left = np.zeros(measured.shape[1])
+    for unseen in (odd, ~odd):
+        factors = np.linalg.lstsq(basis[~unseen], measured[~unseen], rcond=None)[0]
+        left += np.sum(np.square(measured[unseen] - basis[unseen] @ factors), axis=0)
+    return left
+
+
+# ---- lags of any size -----------------------------------------------------------------------------------------------
+
+
+def cross_correlation(first: Array, second: Array) -> tuple[Array, Array, Array]:
+    """Normalised cross-correlation of all columns together over their overlap.
+
+    Args:
+        first: Columns less their means, ``(k, c)``.
+        second: The same on the same even grid, ``(m, c)``.
+
+    Returns:
+        Correlation by lag, ``(k + m - 1,)``; the lags, and the overlap of both at each lag [samples].
+    """
+    scale = np.linalg.norm(second, axis=0) * np.linalg.norm(first, axis=0)
+    weight = np.divide(1.0, scale, out=np.zeros_like(scale), where=scale > 1e-9 * max(float(scale.max()), 1e-300))
+    total = np.zeros(len(first) + len(second) - 1)
+    powers = np.zeros((2, total.size))
+    ones = (np.ones(len(first)), np.ones(len(second)))
+    for a, b, w in zip(first.T, second.T, weight, strict=True):
+        sized = (a / max(np.linalg.norm(a), 1e-300), b / max(np.linalg.norm(b), 1e-300))
+        if w == 0.0:
+            continue
+        total += scipy.signal.correlate(*sized, method="fft")
+        powers[0] += scipy.signal.correlate(np.square(sized[0]), ones[1], method="fft")
+        powers[1] += scipy.signal.correlate(ones[0], np.square(sized[1]), method="fft")
+    lags = scipy.signal.correlation_lags(len(first), len(second))
+    overlap = np.rint(scipy.signal.correlate(*ones, method="fft"))
+    energy = np.sqrt(np.maximum(powers[0], 0.0) * np.maximum(powers[1], 0.0))
+    return np.divide(total, energy, out=np.zeros_like(total), where=energy > 1e-6 * energy.max()), lags, overlap

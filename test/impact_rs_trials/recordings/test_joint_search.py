@@ -1,0 +1,85 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The likeliest assignment of streams to the roles of the joints; names decide what numbers cannot."""
+
+from __future__ import annotations
+
+import functools
+
+import numpy as np
+import pytest
+from joint_recordings import Columns, swinging
+
+from impact_rs_sim.robot import load_facts
+from impact_rs_sim.robot_model import RobotModel
+from impact_rs_trials.recordings.candidates import SignalCandidate, guess_of
+from impact_rs_trials.recordings.joint_search import Assignment, JointSearch
+from impact_rs_trials.recordings.joint_streams import JointStream
+from impact_rs_trials.recordings.mapping import MountedEndEffector
+from impact_rs_trials.recordings.series import Series
+
+TIME = np.arange(0.0, 8.0, 0.01)
+CENTRE, JOINTS = np.array([0.1, 0.6, 0.2, -1.2, 0.3, 0.9, 0.1]), np.arange(7)
+
+
+@functools.cache
+def model() -> RobotModel:
+    return RobotModel(load_facts("kuka_iiwa7"), MountedEndEffector().build())
+
+
+@functools.cache
+def swing() -> Columns:
+    return swinging(model(), TIME, CENTRE, (0.11 + 0.02 * JOINTS, 0.31 + 0.03 * JOINTS), (0.35, 0.1))
+
+
+def assigned(**streams: np.ndarray) -> Assignment:
+    """The assignment of streams by the stems of their columns, in the order of the file."""
+    listed = []
+    for stem, values in streams.items():
+        columns = [f"{stem}_{joint}" for joint in range(1, 8)]
+        candidate = SignalCandidate(f"{columns[0]} … {columns[-1]}", {"columns": columns}, False, guess_of(stem), 7)
+        listed.append(JointStream("", candidate, Series(stem, TIME, values)))
+    search = JointSearch(listed, model())
+    return search.best(search.motions())
+
+
+@pytest.mark.parametrize(
+    ("names", "taken"),
+    [
+        (("tau_des", "tau_meas"), "tau_meas"),
+        (("tau_meas", "tau_des"), "tau_meas"),
+        (("a", "b"), "a"),
+        (("b", "a"), "b"),
+    ],
+)
+def test_of_two_torques_names_say_which_was_measured(names: tuple[str, str], taken: str) -> None:
+    """The first fits better, as commanded torques do. Kills a choice by likelihood; without names: the first."""
+    motion, noise = swing(), np.random.default_rng(0).normal(0.0, 2.0, (TIME.size, 7))
+    fits = {names[0]: motion["effort"], names[1]: motion["effort"] + noise}
+    found = assigned(q=motion["position"], dq=motion["velocity"], **fits)
+    assert found.torques[0].stream.series.place == taken
+    listed = found.alternatives["torque"]
+    assert {one.stream.series.place for one in listed} == set(names)
+    assert listed[0].log_posterior - listed[1].log_posterior == pytest.approx(
+        6.0 if taken == "tau_meas" else 0.0, abs=3.1
+    )
+
+
+def test_positions_are_those_whose_velocities_and_torques_fit_best() -> None:
+    """Positions that were asked for run ahead. Kills an assignment by names or by positions alone."""
+    motion = swing()
+    ahead = np.vstack((motion["position"][5:], np.repeat(motion["position"][-1:], 5, axis=0)))
+    found = assigned(a=ahead, b=motion["position"], c=motion["velocity"], d=motion["effort"])
+    assert found.position.stream.series.place == "b"
+    assert found.velocity is not None and found.velocity.stream.series.place == "c"
+    first, *others = found.alternatives["position"]
+    asked = next(one for one in others if one.stream.series.place == "a")
+    assert first.stream.series.place == "b" and first.log_posterior - asked.log_posterior > 20.0
+
+
+def test_a_position_beside_it_by_a_constant_is_as_likely_and_its_name_decides() -> None:
+    """Kills a margin that hides an equal reading: both have the same derivative."""
+    motion = swing()
+    found = assigned(q_des=motion["position"] + 1e-4, q=motion["position"], dq=motion["velocity"], tau=motion["effort"])
+    assert found.position.stream.series.place == "q"
+    first, second = found.alternatives["position"][:2]
+    assert second.stream.series.place == "q_des" and 0.0 < first.log_posterior - second.log_posterior < 30.0
