@@ -12,15 +12,14 @@ from __future__ import annotations
 import argparse
 
 import numpy as np
+from random_impacts import random_problem
 
 from benchmarks.harness import Case, Row, Work, draw_options, drawn
 from benchmarks.results import Table
-from impact_rs_sim.impact_map.cones import solve_contacts
 from impact_rs_sim.impact_map.derivatives import differentiate
-from impact_rs_sim.impact_map.laws import COMPLIANCE, newton, states
+from impact_rs_sim.impact_map.laws import COMPLIANCE, newton, solve_contacts, states
 from impact_rs_sim.impact_map.perturbation import change
 from impact_rs_sim.impact_map.problem import ImpactMapError, ImpactProblem
-from impact_rs_sim.impact_map.sampling import random_problem
 from impact_rs_sim.robot import Array
 from impact_rs_sim.robot_model import RobotModel
 from impact_rs_sim.scenario import load_scenario

@@ -12,12 +12,12 @@ import argparse
 
 import numpy as np
 from gauss_seidel import gauss_seidel
+from random_impacts import random_problem
 
 from benchmarks.harness import Case, Row, Work, draw_options, drawn
 from benchmarks.results import Table
 from impact_rs_sim.impact_map.contacts import find_contacts, meetings
 from impact_rs_sim.impact_map.laws import ContactTerms, build_system
-from impact_rs_sim.impact_map.sampling import random_problem
 from impact_rs_sim.impact_map.uniqueness import lawful_answers, spread_of
 from impact_rs_sim.scenario import load_scenario
 

@@ -8,8 +8,6 @@ from collections import OrderedDict
 
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.impact_map.bullet import BulletEngine
-from impact_rs_sim.impact_map.engine import Engine
-from impact_rs_sim.impact_map.exact import ExactEngine
 from impact_rs_sim.impact_map.problem import (
     ContactImpulse,
     ImpactMapError,
@@ -20,6 +18,7 @@ from impact_rs_sim.impact_map.problem import (
     kinetic_energy,
 )
 from impact_rs_sim.impact_map.settled import settle
+from impact_rs_sim.impact_map.solve import Engine, ExactEngine
 
 __all__ = [
     "CONTACTS",

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The impact map extracted from the physics engine Bullet; the motor inertia B, which Bullet lacks, is added outside.
 
-This engine is the independent check of :mod:`impact_rs_sim.impact_map.exact`, and the idea of the paper: an impact map
+This engine is the independent check of :mod:`impact_rs_sim.impact_map.solve`, and the idea of the paper: an impact map
 from single steps of a physics engine.
 
 One step of Bullet from (q, u^-) without gravity, with the inertia M' and the generalised impulse p, gives u^+(p). It
@@ -43,9 +43,9 @@ import numpy as np
 
 from impact_rs_sim.bullet_world import BulletWorld
 from impact_rs_sim.impact_map.contacts import GAP_TOLERANCE, SUPPORT, ContactPoint, Meeting
-from impact_rs_sim.impact_map.engine import Answer, Engine
 from impact_rs_sim.impact_map.laws import ContactTerms, System
 from impact_rs_sim.impact_map.problem import ImpactProblem
+from impact_rs_sim.impact_map.solve import Answer, Engine
 from impact_rs_sim.physics import Physics
 from impact_rs_sim.robot import Array
 from impact_rs_sim.scene import ArmState, BodyState

@@ -29,7 +29,6 @@ import numpy as np
 import pinocchio as pin
 
 from impact_rs_sim.errors import InputError
-from impact_rs_sim.impact_map.cones import solve_contacts
 from impact_rs_sim.impact_map.contact_motion import PointMotion, point_motion
 from impact_rs_sim.impact_map.contacts import ContactPoint, Meeting, find_contacts
 from impact_rs_sim.impact_map.laws import (
@@ -41,6 +40,7 @@ from impact_rs_sim.impact_map.laws import (
     linearise,
     newton,
     slope,
+    solve_contacts,
     yielding_velocity,
 )
 from impact_rs_sim.impact_map.perturbation import AXES, MapParameter, parameters_of

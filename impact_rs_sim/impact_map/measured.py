@@ -2,7 +2,7 @@
 """The impact map at a measured state: one arm or two and an object, or one free body on a plane.
 
 The laws are those of :mod:`impact_rs_sim.impact_map.problem`, solved by the compiled map of
-:mod:`impact_rs_sim.impact_map.exact`, at all impacts of a table in one call. One impact is looked at by itself, so its
+:mod:`impact_rs_sim.impact_map.solve`, at all impacts of a table in one call. One impact is looked at by itself, so its
 contact points have more laws than those of a push that goes on (:mod:`impact_rs_sim.impact_map.contact_laws`).
 
 What differs from a planned impact is where the contact points come from. Poses are measured to a millimetre or so, and
@@ -22,7 +22,6 @@ import numpy as np
 
 from impact_rs_sim import _kernel
 from impact_rs_sim.errors import Infeasible
-from impact_rs_sim.impact_map.cones import solve_contacts
 from impact_rs_sim.impact_map.contact_laws import laws_of, table_of
 from impact_rs_sim.impact_map.contacts import (
     GAP_TOLERANCE,
@@ -31,10 +30,9 @@ from impact_rs_sim.impact_map.contacts import (
     find_contacts,
     meetings,
 )
-from impact_rs_sim.impact_map.engine import check_energy
-from impact_rs_sim.impact_map.exact import RULES, SOLVED, Compiled, ExactEngine
-from impact_rs_sim.impact_map.laws import ContactTerms, System, build_system
+from impact_rs_sim.impact_map.laws import System, build_system
 from impact_rs_sim.impact_map.problem import ImpactMapError, ImpactProblem, Residual
+from impact_rs_sim.impact_map.solve import RULES, Compiled, ExactEngine, check_energy
 from impact_rs_sim.physics import ArmPhysics, ContactCondition, Physics
 from impact_rs_sim.recent import Recent
 from impact_rs_sim.robot import Array, RobotFacts
@@ -232,11 +230,7 @@ class MeasuredImpacts:
         if self._near is None:
             self._near = np.nan_to_num(found.impulse) if len(found.impulse) == len(self._owner) else None
         answers = np.array(found.velocity)
-        obeys = np.max(found.residual, axis=1) <= ExactEngine.tolerance
-        for number in np.flatnonzero((found.status != SOLVED) | ~obeys).tolist():
-            other = self._by_cones(number, physics[number], contact)
-            if not obeys[number] or np.isfinite(other).all():
-                answers[number] = other
+        answers[~(np.max(found.residual, axis=1) <= ExactEngine.tolerance)] = np.nan
         return answers, found
 
     def _solve_readings(self, physics: Sequence[Physics]) -> tuple[Array, Compiled]:
@@ -250,24 +244,6 @@ class MeasuredImpacts:
         for own, impact, one in zip(velocity, self._impacts, physics, strict=True):
             own[-6:] = one.twist_readings.twist(own[-6:], impact.object.rotation)
         return velocity, found
-
-    def _by_cones(self, number: int, physics: Physics, contact: ContactCondition) -> Array:
-        """u^+ of one impact from another first guess; nan without an answer, or with laws that cones do not have."""
-        impact = self._impacts[number]
-        own = slice(self._first[number], self._first[number + 1])
-        system = impact.system(physics, physics.robot_models())
-        nothing = np.full(system.velocity.size, np.nan)
-        if any(
-            np.any(getattr(contact, name)[own]) for name in ("tangential_restitution", "drilling_arm", "rolling_arm")
-        ):
-            return nothing
-        friction = contact.friction[own].tolist()
-        points = [replace(point, friction=value) for point, value in zip(impact.points, friction, strict=True)]
-        terms = ContactTerms.of(system, points, restitution_of(physics))
-        terms = replace(terms, rebound=-contact.restitution[own] * np.maximum(self._closing[own], 0.0))
-        impulses, _ = solve_contacts(terms)
-        velocity = np.asarray(system.velocity + terms.response @ impulses.ravel())
-        return velocity if terms.residual(impulses, velocity).largest <= ExactEngine.tolerance else nothing
 
 
 # To make one takes a hundred times as long as to use it. Facts are kept alive, because the key has their id.

@@ -27,10 +27,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from impact_rs_sim.errors import InputError
-from impact_rs_sim.impact_map.cones import solve_contacts
 from impact_rs_sim.impact_map.contacts import SUPPORT
 from impact_rs_sim.impact_map.derivatives import differentiate_safely, velocity_names
-from impact_rs_sim.impact_map.laws import states
+from impact_rs_sim.impact_map.laws import solve_contacts, states
 from impact_rs_sim.impact_map.perturbation import AXES, change
 from impact_rs_sim.impact_map.problem import ImpactMapError, ImpactProblem, check_problem
 from impact_rs_sim.numbers import NORMAL_95

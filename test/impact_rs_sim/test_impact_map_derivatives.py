@@ -10,15 +10,14 @@ import pytest
 from hypothesis import HealthCheck, given, reject, settings
 from hypothesis import strategies as st
 from impact_map_cases import PUSH, crossed, nominal, one_point
+from random_impacts import random_problem
 from trials import scene_of
 
 from impact_rs_sim.errors import InputError
-from impact_rs_sim.impact_map.cones import solve_contacts
 from impact_rs_sim.impact_map.derivatives import Derivatives, chain_derivative, differentiate, velocity_names
-from impact_rs_sim.impact_map.laws import newton, states
+from impact_rs_sim.impact_map.laws import newton, solve_contacts, states
 from impact_rs_sim.impact_map.perturbation import change, parameters_of
 from impact_rs_sim.impact_map.problem import ImpactMapError, ImpactProblem
-from impact_rs_sim.impact_map.sampling import random_problem
 from impact_rs_sim.physics import ObjectPhysics
 from impact_rs_sim.robot_model import RobotModel
 from impact_rs_sim.scene import BodyState

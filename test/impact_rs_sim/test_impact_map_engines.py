@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from impact_map_cases import MODEL, PUSH, ante_speed, disagreement, nominal
 from mixed_grab import MIXED
+from random_impacts import random_problem
 
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.impact_map import (
@@ -18,7 +19,6 @@ from impact_rs_sim.impact_map import (
     compute_impact_map,
 )
 from impact_rs_sim.impact_map.contacts import find_contacts, meetings
-from impact_rs_sim.impact_map.sampling import random_problem
 from impact_rs_sim.impact_map.uniqueness import uniqueness_of
 
 # ---- engines --------------------------------------------------------------------------------------------------------

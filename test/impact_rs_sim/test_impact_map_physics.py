@@ -11,11 +11,11 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from impact_map_cases import ENGINES, MODEL, PUSH, SCENE, nominal, one_point, with_velocity
+from random_impacts import random_problem
 
 from impact_rs_sim.impact_map import ImpactProblem, compute_impact_map, kinetic_energy
 from impact_rs_sim.impact_map.contacts import find_contacts, meetings
 from impact_rs_sim.impact_map.laws import build_system
-from impact_rs_sim.impact_map.sampling import random_problem
 from impact_rs_sim.scene import BodyState, Scene
 
 pytestmark = pytest.mark.parametrize("engine", ENGINES)

@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pinocchio as pin
 import pytest
+import random_impacts
 from impact_map_cases import ENGINES, MODEL, PUSH, SCENE, nominal, one_point, with_velocity
 from trials import scene_of
 
@@ -18,12 +19,10 @@ from impact_rs_sim.impact_map import (
     check_problem,
     compute_impact_map,
     kinetic_energy,
-    sampling,
 )
 from impact_rs_sim.impact_map.contacts import ContactPoint, meetings
-from impact_rs_sim.impact_map.engine import Answer
-from impact_rs_sim.impact_map.exact import ExactEngine
 from impact_rs_sim.impact_map.laws import System, build_system, point_maps
+from impact_rs_sim.impact_map.solve import Answer, ExactEngine
 from impact_rs_sim.physics import ObjectPhysics
 from impact_rs_sim.scene import ArmState, BodyState
 
@@ -101,9 +100,9 @@ def test_sampling_passes_over_impossible_states_alone(monkeypatch: pytest.Monkey
             raise Infeasible("the pad is in the object")
         raise InputError("a mistake")
 
-    monkeypatch.setattr(sampling, "check_problem", check)
+    monkeypatch.setattr(random_impacts, "check_problem", check)
     with pytest.raises(InputError, match="a mistake"):
-        sampling.random_problem(PUSH, np.random.default_rng(0))
+        random_impacts.random_problem(PUSH, np.random.default_rng(0))
     assert len(asked) == 3
 
 

@@ -11,16 +11,14 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from impact_map_cases import PUSH, nominal, one_point
+from random_impacts import random_problem
 
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.impact_map import compute_impact_map
-from impact_rs_sim.impact_map.cones import solve_contacts
 from impact_rs_sim.impact_map.contacts import ContactPoint
-from impact_rs_sim.impact_map.engine import Answer, check_energy
-from impact_rs_sim.impact_map.laws import ContactTerms
+from impact_rs_sim.impact_map.laws import ContactTerms, solve_contacts
 from impact_rs_sim.impact_map.problem import EnergyGain
-from impact_rs_sim.impact_map.restitution import solve_poisson
-from impact_rs_sim.impact_map.sampling import random_problem
+from impact_rs_sim.impact_map.solve import Answer, check_energy, solve_poisson
 
 
 def planar(
