@@ -2,7 +2,7 @@
 """Uncertainty of a prediction: intervals of every velocity from stated uncertainties, and the budget by source.
 
 With independent uncertainties of the standard deviations sigma_k and the Jacobian J of the prediction
-(:mod:`impact_rs_sim.impact_map.derivatives`), as long as no contact changes its state,
+(:mod:`impact_rs_sim.impact_map.sensitivity`), as long as no contact changes its state,
 
     var(u^+_i) = sum_k (J_ik sigma_k)^2,       interval u^+_i -+ 1.96 sqrt(var),      budget (J_ik sigma_k)^2 / var
 
@@ -28,10 +28,9 @@ import numpy as np
 
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.impact_map.contacts import SUPPORT
-from impact_rs_sim.impact_map.derivatives import differentiate_safely, velocity_names
 from impact_rs_sim.impact_map.laws import solve_contacts, states
-from impact_rs_sim.impact_map.perturbation import AXES, change
 from impact_rs_sim.impact_map.problem import ImpactMapError, ImpactProblem, check_problem
+from impact_rs_sim.impact_map.sensitivity import AXES, all_velocities, change, differentiate, velocity_names
 from impact_rs_sim.numbers import NORMAL_95
 from impact_rs_sim.robot import Array
 from impact_rs_sim.robot_model import RobotModel
@@ -212,9 +211,9 @@ def predict(
         models = problem.physics.robot_models()
     check_problem(problem, models)
     sources = sources_of(problem, stated)
-    found = differentiate_safely(problem, models)
+    found = differentiate(problem, models)
     nominal, usual = answer_of(problem, models, {})
-    slopes = dict(zip((one.name for one in found.parameters), found.of_velocities().T, strict=True))
+    slopes = dict(zip((one.name for one in found.parameters), found.jacobian.T, strict=True))
     rng = np.random.default_rng(seed)
     sample, states_of, lost = _sample(problem, models, sources, draws, rng, stopped)
     switched = float(np.mean([one != usual for one in states_of])) if states_of else 0.0
@@ -315,9 +314,8 @@ def answer_of(
     velocity = system.velocity + terms.response @ impulses.ravel()
     if not terms.residual(impulses, velocity).largest <= _LAWFUL:
         raise ImpactMapError("no answer obeys the laws")
-    joints, twists, object_ = system.split(velocity)
     states_ = zip((contact.partner for contact in terms.contacts), states(terms, impulses), strict=True)
-    return np.concatenate((*joints.values(), *twists.values(), object_)), tuple(" ".join(one) for one in states_)
+    return all_velocities(system, velocity), tuple(" ".join(one) for one in states_)
 
 
 def _sample(

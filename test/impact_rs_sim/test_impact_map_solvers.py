@@ -26,7 +26,7 @@ from impact_rs_sim.impact_map.laws import (
     solve_contacts,
     yielding_velocity,
 )
-from impact_rs_sim.impact_map.perturbation import change
+from impact_rs_sim.impact_map.sensitivity import change
 from impact_rs_sim.impact_map.uniqueness import lawful_answers, spread_of, uniqueness_of
 
 

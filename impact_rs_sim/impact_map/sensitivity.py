@@ -1,0 +1,451 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Parameters of the impact map, and the derivatives of u^+ with respect to each.
+
+====================================  ========  ==============================================================
+name                                  unit      quantity
+====================================  ========  ==============================================================
+``object.mass``                       kg        mass, at the same moments about the centre of mass
+``object.inertia.x`` ...              kg m^2    principal moments about the centre of mass
+``object.com_offset.x`` ...           m         centre of mass from the geometric centre, axes of the object
+``object.position.x`` ...             m         geometric centre, axes of A
+``object.rotation.x`` ...             rad       rotation vector of a rotation of the object, axes of A
+``object.velocity.x`` ...             m/s       ante-impact velocity of the centre, axes of A
+``object.angular_velocity.x`` ...     rad/s     ante-impact angular velocity, axes of A
+``ARM.motor_inertia.1`` ...           kg m^2    diagonal of B
+``ARM.link_inertia``                  -         factor on M(q): masses and moments of all links
+``ARM.position.1`` ...                rad       joint positions q
+``ARM.velocity.1`` ...                rad/s     ante-impact joint velocities
+``ARM.contact_point.x`` ``.y``        m         shift of the contact points along the pad, axes of frame E
+``pad_friction`` ``support_friction``  -        Coulomb coefficients
+``restitution``                       -         Newton restitution
+====================================  ========  ==============================================================
+
+A prismatic joint has kg, m and m/s in the place of kg m^2, rad and rad/s.
+
+**Derivatives.** Every contact point keeps its state, open, stick or slide. With the laws F(L, s, mu) = 0 of
+:mod:`impact_rs_sim.impact_map.laws`, s = J u^+ + e min(J_n u^-, 0) n + (rho / m) L and u^+ = u^- + H^-1 J^T L, the
+implicit function theorem gives for a parameter theta
+
+    (F_L + F_s G) dL = -(F_s ds|_L + F_mu dmu),         du^+ = du^+|_L + H^-1 J^T dL
+
+with the derivatives ds|_L, dmu and du^+|_L at constant L, where L and s rotate with the contact normals. These are
+central differences of the smooth terms u^-, H, J and n, with ds|_L = J du^+|_L + dJ u^+ + ...: the rounding error of
+the first term is then a motion of the bodies, which redundant contact points do not amplify. (Central differences of
+the map itself fail at aligned faces, where any rotation lets contact points change their state.)
+
+The derivatives hold as long as no contact changes its state, and with e > 0 as long as no point changes from closing to
+opening before the impact; ``margin`` is the distance to either. A point at rest, J_n u^- = 0, has the derivative of
+closing points; columns of the velocity of its body hold on that side.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import NamedTuple
+
+import numpy as np
+import pinocchio as pin
+
+from impact_rs_sim.errors import InputError
+from impact_rs_sim.impact_map.contacts import GAP_TOLERANCE, ContactPoint, Meeting, find_contacts, meetings
+from impact_rs_sim.impact_map.laws import (
+    COMPLIANCE,
+    ContactTerms,
+    System,
+    build_system,
+    delassus,
+    linearise,
+    newton,
+    slope,
+    solve_contacts,
+    yielding_velocity,
+)
+from impact_rs_sim.impact_map.problem import ImpactMapError, ImpactProblem, check_problem
+from impact_rs_sim.robot import Array
+from impact_rs_sim.robot_model import RobotModel
+from impact_rs_sim.scene import ArmState, BodyState
+
+COMPLIANCES = (COMPLIANCE, 1e-5)  # rho of the derivatives; the second where Newton's method fails at that of the map
+STEP = 1e-4  # of a difference, in units of the parameter's scale: both errors are near 1e-8 of a derivative
+LENGTH_SCALE = 0.1  # m, of pads and objects
+LARGEST_SHIFT = 5e-3  # m; a contact point that a step moves further is another corner
+REACH = 2.0 * GAP_TOLERANCE  # within which a contact point is found again after a step
+AXES = "xyz"
+OF_OBJECT = {
+    "inertia": "kg m^2",
+    "com_offset": "m",
+    "position": "m",
+    "rotation": "rad",
+    "velocity": "m/s",
+    "angular_velocity": "rad/s",
+}
+OF_JOINTS = {"motor_inertia": "inertia", "position": "position", "velocity": "velocity"}  # and the unit of each
+
+
+@dataclass(frozen=True)
+class MapParameter:
+    """Scalar parameter of a prediction; ``name`` and ``unit`` as in the table above."""
+
+    name: str
+    unit: str
+
+
+def parameters_of(problem: ImpactProblem) -> tuple[MapParameter, ...]:
+    """All parameters of a problem."""
+    found = [MapParameter("object.mass", "kg")]
+    found += [MapParameter(f"object.{kind}.{axis}", unit) for kind, unit in OF_OBJECT.items() for axis in AXES]
+    for name in problem.arms:
+        found += [
+            MapParameter(f"{name}.{kind}.{joint}", getattr(units, quantity))
+            for kind, quantity in OF_JOINTS.items()
+            for joint, units in enumerate(problem.physics.arms[name].facts.units, start=1)
+        ]
+        found.append(MapParameter(f"{name}.link_inertia", "-"))
+        found += [MapParameter(f"{name}.contact_point.{axis}", "m") for axis in "xy"]
+    found += [MapParameter(name, "-") for name in ("pad_friction", "support_friction", "restitution")]
+    return tuple(found)
+
+
+@dataclass(frozen=True)
+class Changed:
+    """A problem with some parameters changed.
+
+    Attributes:
+        problem: The problem with the changes that it can represent.
+        link_inertia: Change of the factor on M(q) by arm [-].
+        contact_point: Shift of the contact points along x and y of frame E by arm, ``(2,)`` [m].
+    """
+
+    problem: ImpactProblem
+    link_inertia: dict[str, float] = field(default_factory=dict)
+    contact_point: dict[str, Array] = field(default_factory=dict)
+
+    def system(self, models: Mapping[str, RobotModel]) -> System:
+        """Inertia and kinematics; ``models`` are the rigid-body models by arm, without the change."""
+        system = build_system(self.problem, models)
+        if not self.link_inertia:
+            return system
+        extra = np.zeros_like(system.inertia)
+        for name, factor in self.link_inertia.items():
+            where = system.columns[name]
+            extra[where, where] = factor * system.link_inertia[where, where]
+        return replace(system, inertia=system.inertia + extra, link_inertia=system.link_inertia + extra)
+
+    def contacts(
+        self,
+        models: Mapping[str, RobotModel],
+        found: Sequence[Meeting] | None = None,
+        tolerance: float = GAP_TOLERANCE,
+    ) -> list[ContactPoint]:
+        """Contact points.
+
+        Args:
+            models: Rigid-body models by arm, without the change.
+            found: Relative placement of the object and its partners, where already known.
+            tolerance: Largest gap [m].
+        """
+        if found is None:
+            placements = {name: models[name].placement(arm.position) for name, arm in self.problem.arms.items()}
+            found = meetings(self.problem.physics, self.problem.object, placements)
+        shifts = {
+            name: models[name].placement(self.problem.arms[name].position).rotation[:, :2] @ along
+            for name, along in self.contact_point.items()
+        }
+        return [
+            replace(point, position=point.position + shifts[point.partner]) if point.partner in shifts else point
+            for point in find_contacts(self.problem.physics, found, tolerance)
+        ]
+
+    def terms(
+        self, models: Mapping[str, RobotModel], found: Sequence[Meeting] | None = None
+    ) -> tuple[System, ContactTerms]:
+        """Terms of the contact laws; arguments as above."""
+        system = self.system(models)
+        return system, ContactTerms.of(system, self.contacts(models, found), self.problem.restitution)
+
+    def touching_terms(self, models: Mapping[str, RobotModel], pads: Collection[str]) -> tuple[System, ContactTerms]:
+        """The same with the pads of some arms moved along the normal until they touch."""
+        placements = {name: models[name].placement(arm.position) for name, arm in self.problem.arms.items()}
+        system, found = self.system(models), []
+        positions = dict(system.end_effector_position)
+        for meeting in meetings(self.problem.physics, self.problem.object, placements):
+            if meeting.partner in pads:
+                step = meeting.separation * meeting.normal
+                positions[meeting.partner] = positions[meeting.partner] + step
+                box = replace(meeting.box, centre=meeting.box.centre + step)
+                meeting = replace(meeting, box=box, separation=0.0)
+            found.append(meeting)
+        system = replace(system, end_effector_position=positions)
+        return system, ContactTerms.of(system, self.contacts(models, found), self.problem.restitution)
+
+
+def change(problem: ImpactProblem, amounts: Mapping[str, float]) -> Changed:
+    """The problem with parameters changed by some amounts, in the units of the table above.
+
+    Raises:
+        InputError: There is no such parameter.
+    """
+    units = {parameter.name for parameter in parameters_of(problem)}
+    for name in amounts:
+        if name not in units:
+            raise InputError(f"no parameter {name!r} of the impact map; known are: {', '.join(sorted(units))}")
+    physics = problem.physics
+    of_object = {kind: np.array([amounts.get(f"object.{kind}.{axis}", 0.0) for axis in AXES]) for kind in OF_OBJECT}
+    object_, body = physics.object, problem.object
+    object_ = replace(
+        object_,
+        mass=object_.mass + amounts.get("object.mass", 0.0),
+        inertia=object_.inertia + of_object["inertia"],
+        com_offset=object_.com_offset + of_object["com_offset"],
+    )
+    body = BodyState(
+        body.position + of_object["position"],
+        pin.exp3(of_object["rotation"]) @ body.rotation,
+        body.twist + np.concatenate((of_object["velocity"], of_object["angular_velocity"])),
+    )
+    arms, motors, factors, points = {}, {}, {}, {}
+    for name, state in problem.arms.items():
+        joints = {
+            kind: np.array([amounts.get(f"{name}.{kind}.{joint + 1}", 0.0) for joint in range(state.position.size)])
+            for kind in OF_JOINTS
+        }
+        arms[name] = ArmState(state.position + joints["position"], state.velocity + joints["velocity"])
+        motors[name] = problem.motor_inertia[name] + joints["motor_inertia"]
+        if factor := amounts.get(f"{name}.link_inertia", 0.0):
+            factors[name] = factor
+        along = np.array([amounts.get(f"{name}.contact_point.{axis}", 0.0) for axis in "xy"])
+        if np.any(along):
+            points[name] = along
+    changed = replace(
+        problem,
+        physics=replace(
+            physics,
+            object=object_,
+            pad_friction=physics.pad_friction + amounts.get("pad_friction", 0.0),
+            support_friction=physics.support_friction + amounts.get("support_friction", 0.0),
+        ),
+        arms=arms,
+        object=body,
+        motor_inertia=motors,
+        restitution=problem.restitution + amounts.get("restitution", 0.0),
+    )
+    return Changed(changed, factors, points)
+
+
+@dataclass(frozen=True)
+class Derivatives:
+    """The Jacobian of a prediction.
+
+    Attributes:
+        parameters: The p parameters, in the order of the columns.
+        names: Names of the k velocities, in the order of the rows: :func:`velocity_names`.
+        velocities: Velocities after the impact, ``(k,)`` [rad/s, m/s].
+        jacobian: Derivatives of the velocities, ``(k, p)``.
+        states: State of every contact point, ``open``, ``stick`` or ``slide``.
+        margin: Distance of the nearest contact from another state, or with e > 0 of a moving point from the change
+            between closing and opening, as a velocity [m/s].
+        smooth: Whether every contact point moves smoothly with the bodies; one that does not is kept in its place.
+    """
+
+    parameters: tuple[MapParameter, ...]
+    names: tuple[str, ...]
+    velocities: Array
+    jacobian: Array
+    states: tuple[str, ...]
+    margin: float
+    smooth: bool
+
+    def of(self, name: str) -> Array:
+        """The column of one parameter, ``(k,)``.
+
+        Raises:
+            InputError: There is no such parameter.
+        """
+        known = [parameter.name for parameter in self.parameters]
+        if name not in known:
+            raise InputError(f"no parameter {name!r}; known: {', '.join(known)}")
+        return np.asarray(self.jacobian[:, known.index(name)])
+
+
+def velocity_names(problem: ImpactProblem) -> tuple[str, ...]:
+    """Names of all predicted velocities.
+
+    ``ARM.joint_velocity.1`` ... [rad/s] of every arm, ``ARM.velocity.x`` ... [m/s] and ``ARM.angular_velocity.x`` ...
+    [rad/s] of frame E of every arm, and the same two of ``object``.
+    """
+    joints = [
+        f"{name}.joint_velocity.{joint + 1}"
+        for name, state in problem.arms.items()
+        for joint in range(state.position.size)
+    ]
+    twists = [
+        f"{body}.{kind}.{axis}"
+        for body in (*problem.arms, "object")
+        for kind in ("velocity", "angular_velocity")
+        for axis in AXES
+    ]
+    return (*joints, *twists)
+
+
+def all_velocities(system: System, velocity: Array) -> Array:
+    """The velocities of :func:`velocity_names` from u ``(nv,)``, ``(k,)`` [rad/s, m/s]."""
+    joints, twists, object_ = system.split(velocity)
+    return np.concatenate((*joints.values(), *twists.values(), object_))
+
+
+def differentiate(
+    problem: ImpactProblem,
+    models: Mapping[str, RobotModel] | None = None,
+    compliances: Sequence[float] = COMPLIANCES,
+) -> Derivatives:
+    """Derivatives of all velocities after the impact with respect to every parameter of a problem.
+
+    Args:
+        problem: The problem; Newton's law of restitution.
+        models: Rigid-body models by arm, where the caller has them already.
+        compliances: rho of the contact points [-]; the first with which Newton's method converges is used.
+
+    Raises:
+        InputError: The problem is refused (see :func:`check_problem`).
+        ImpactMapError: Newton's method does not converge, so that there are no contact states to keep.
+    """
+    if models is None:
+        models = problem.physics.robot_models()
+    found = check_problem(problem, models)
+    system = build_system(problem, models)
+    contacts = find_contacts(problem.physics, found)
+    terms = ContactTerms.of(system, contacts, problem.restitution)
+    guess, _ = solve_contacts(terms)
+    for compliance in compliances:
+        impulses, converged = newton(terms, guess, compliance=compliance)
+        if converged:
+            break
+    else:
+        raise ImpactMapError("Newton's method found no contact states to differentiate at")
+    after = terms.before + terms.response @ impulses.ravel()
+    opening = np.sum(terms.normals * (terms.jacobian @ terms.before).reshape(-1, 3), axis=1)
+    point = _Point(problem, models, contacts, impulses, after, opening <= 0.0, compliance)
+    parameters = parameters_of(problem)
+    partial = [_differences(point, one.name, STEP * _scale_of(one.name, problem, system)) for one in parameters]
+    jacobian = np.array([rate.velocities for rate in partial]).T
+    states: tuple[str, ...] = ()
+    margin = np.inf
+    if contacts:
+        operator = delassus(terms, compliance)
+        linear = linearise(terms, impulses, yielding_velocity(terms, operator, impulses))
+        shifts = [
+            np.einsum("mij,mj->mi", linear.by_velocity, rate.slip + (terms.jacobian @ rate.velocity).reshape(-1, 3))
+            + linear.by_friction * rate.friction[:, None]
+            for rate in partial
+        ]
+        moved = np.linalg.solve(slope(linear, operator), -np.array(shifts).reshape(len(shifts), -1).T)
+        jacobian = jacobian + np.array([all_velocities(system, column) for column in (terms.response @ moved).T]).T
+        states, margin = linear.state, float(np.min(linear.margin))
+        if problem.restitution > 0.0:
+            margin = float(np.min(np.abs(opening[opening != 0.0]), initial=margin))
+    return Derivatives(
+        parameters=parameters,
+        names=velocity_names(problem),
+        velocities=all_velocities(system, after),
+        jacobian=jacobian,
+        states=states,
+        margin=margin,
+        smooth=all(rate.smooth for rate in partial),
+    )
+
+
+class _Point(NamedTuple):
+    """Solution at which derivatives are taken: impulses ``(m, 3)``, u^+ ``(nv,)``, and which points close ``(m,)``."""
+
+    problem: ImpactProblem
+    models: Mapping[str, RobotModel]
+    contacts: Sequence[ContactPoint]
+    impulses: Array
+    after: Array
+    closes: Array
+    compliance: float
+
+
+class _Terms(NamedTuple):
+    """Terms at constant L, or their rates of change.
+
+    Attributes:
+        velocity: u^+, ``(nv,)`` [rad/s, m/s].
+        velocities: All velocities at this u^+, ``(k,)`` [rad/s, m/s].
+        slip: s at the nominal u^+, in axes that rotate with the normals, ``(m, 3)`` [m/s].
+        friction: Coulomb coefficients, ``(m,)`` [-].
+        smooth: Whether the contact points were found again.
+    """
+
+    velocity: Array
+    velocities: Array
+    slip: Array
+    friction: Array
+    smooth: bool
+
+
+def _differences(point: _Point, name: str, step: float) -> _Terms:
+    """Central differences of the terms at constant L."""
+    high, low = (_terms_at(point, name, amount) for amount in (step, -step))
+    velocity, velocities, slip, friction = (
+        (above - below) / (2.0 * step) for above, below in zip(high[:-1], low[:-1], strict=True)
+    )
+    return _Terms(velocity, velocities, slip, friction, high.smooth and low.smooth)
+
+
+def _terms_at(point: _Point, name: str, amount: float) -> _Terms:
+    """The terms with one parameter changed."""
+    changed = change(point.problem, {name: amount})
+    system = changed.system(point.models)
+    contacts, smooth = _found_again(point.contacts, changed.contacts(point.models, tolerance=REACH))
+    jacobian, mass = system.jacobian(contacts), changed.problem.physics.object.mass
+    normals = np.array([contact.normal for contact in contacts]).reshape(-1, 3)
+    pairs = zip((contact.normal for contact in point.contacts), normals, strict=True)
+    rotations = np.array([_rotation_between(*pair) for pair in pairs]).reshape(-1, 3, 3)
+    impulses = np.einsum("mij,mj->mi", rotations, point.impulses)
+    velocity = system.velocity + np.linalg.solve(system.inertia, jacobian.T @ impulses.ravel())
+    opening = np.sum(normals * (jacobian @ system.velocity).reshape(-1, 3), axis=1)
+    rebound = changed.problem.restitution * np.where(point.closes, opening, 0.0)
+    slip = (jacobian @ point.after).reshape(-1, 3) + rebound[:, None] * normals + point.compliance / mass * impulses
+    return _Terms(
+        velocity=velocity,
+        velocities=all_velocities(system, velocity),
+        slip=np.einsum("mji,mj->mi", rotations, slip),
+        friction=np.array([contact.friction for contact in contacts]),
+        smooth=smooth,
+    )
+
+
+def _found_again(contacts: Sequence[ContactPoint], found: Sequence[ContactPoint]) -> tuple[list[ContactPoint], bool]:
+    """The contact points after a step, in the order of ``contacts``, and whether all of them are still there."""
+    moved, smooth = [], True
+    for contact in contacts:
+        others = [other for other in found if other.partner == contact.partner]
+        shifts = [float(np.linalg.norm(other.position - contact.position)) for other in others]
+        least = min(shifts, default=np.inf)
+        smooth = smooth and least <= LARGEST_SHIFT
+        moved.append(others[shifts.index(least)] if least <= LARGEST_SHIFT else contact)
+    return moved, smooth
+
+
+def _rotation_between(normal: Array, other: Array) -> Array:
+    """The smallest rotation that takes one unit vector to another near it, ``(3, 3)``."""
+    axis = np.cross(normal, other)
+    sine = float(np.linalg.norm(axis))
+    return np.eye(3) if sine == 0.0 else np.asarray(pin.exp3(np.arcsin(min(sine, 1.0)) / sine * axis))
+
+
+def _scale_of(name: str, problem: ImpactProblem, system: System) -> float:
+    """Amount of a parameter over which terms change by their own size, in its unit."""
+    owner, _, kind = name.partition(".")
+    kind, _, which = kind.partition(".")
+    if owner == "object" and kind == "mass":
+        return problem.physics.object.mass
+    if owner == "object" and kind == "inertia":
+        return float(problem.physics.object.inertia[AXES.index(which)])
+    if kind == "motor_inertia":
+        joint = system.columns[owner].start + int(which) - 1
+        return float(system.inertia[joint, joint])
+    lengths = kind == "com_offset" or (owner == "object" and kind == "position")
+    return LENGTH_SCALE if lengths else 1.0
