@@ -28,7 +28,7 @@ import pinocchio as pin
 from benchmarks.harness import Case, Row, Work
 from benchmarks.results import Table
 from impact_rs_sim.impact_map import BulletEngine, ExactEngine, ImpactMapError, ImpactProblem, ImpactResult
-from impact_rs_sim.impact_map.contacts import SUPPORT, ContactPoint, contact_frame, find_contacts, meetings
+from impact_rs_sim.impact_map.contacts import SUPPORT, ContactPoint, contact_frame, contact_pairs, find_contacts
 from impact_rs_sim.impact_map.laws import System, build_system
 from impact_rs_sim.robot import Array
 from impact_rs_sim.robot_model import RobotModel
@@ -76,7 +76,7 @@ class Question:
         if name in ("corner", "edge"):
             problem = _tilted(problem, models["arm"], roll=0.035 if name == "corner" else 0.0, yaw=0.03)
         placements = {arm: models[arm].placement(state.position) for arm, state in problem.arms.items()}
-        contacts = find_contacts(physics, meetings(physics, problem.object, placements))
+        contacts = find_contacts(physics, contact_pairs(physics, problem.object, placements))
         if name == "grid":
             contacts = grid(contacts, 4)
         system = build_system(problem, models)

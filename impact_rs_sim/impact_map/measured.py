@@ -27,8 +27,8 @@ from impact_rs_sim.impact_map.contacts import (
     GAP_TOLERANCE,
     SUPPORT,
     ContactPoint,
+    contact_pairs,
     find_contacts,
-    meetings,
 )
 from impact_rs_sim.impact_map.laws import System, build_system
 from impact_rs_sim.impact_map.problem import ImpactMapError, ImpactProblem, Residual
@@ -354,16 +354,16 @@ def points_of_scene(
     placements = {name: models[name].placement(state.position) for name, state in arms.items()}
     found: list[ContactPoint] = []
     nearest = np.inf
-    for meeting in meetings(physics, body, placements):
-        name = meeting.partner
+    for pair in contact_pairs(physics, body, placements):
+        name = pair.partner
         if name != SUPPORT:
-            nearest = min(nearest, abs(meeting.separation))
+            nearest = min(nearest, abs(pair.separation))
         if name != SUPPORT and on_pad is not None and name in on_pad:
             positions, normal = on_pad[name]
-            normal = meeting.normal if normal is None else normal
+            normal = pair.normal if normal is None else normal
             found += [ContactPoint(name, np.asarray(position), normal, 0.0, 0.0) for position in positions]
-        elif abs(meeting.separation) <= (SUPPORT_REACH if name == SUPPORT else PAD_REACH):
-            near = find_contacts(physics, [meeting], PAD_REACH)
+        elif abs(pair.separation) <= (SUPPORT_REACH if name == SUPPORT else PAD_REACH):
+            near = find_contacts(physics, [pair], PAD_REACH)
             first = min((point.gap for point in near), default=0.0)
             found += [point for point in near if point.gap <= first + tolerance]
     if all(point.partner == SUPPORT for point in found):

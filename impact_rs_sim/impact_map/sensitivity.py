@@ -48,7 +48,7 @@ import numpy as np
 import pinocchio as pin
 
 from impact_rs_sim.errors import InputError
-from impact_rs_sim.impact_map.contacts import GAP_TOLERANCE, ContactPoint, Meeting, find_contacts, meetings
+from impact_rs_sim.impact_map.contacts import GAP_TOLERANCE, ContactPair, ContactPoint, contact_pairs, find_contacts
 from impact_rs_sim.impact_map.laws import (
     COMPLIANCE,
     ContactTerms,
@@ -135,7 +135,7 @@ class Changed:
     def contacts(
         self,
         models: Mapping[str, RobotModel],
-        found: Sequence[Meeting] | None = None,
+        found: Sequence[ContactPair] | None = None,
         tolerance: float = GAP_TOLERANCE,
     ) -> list[ContactPoint]:
         """Contact points.
@@ -147,7 +147,7 @@ class Changed:
         """
         if found is None:
             placements = {name: models[name].placement(arm.position) for name, arm in self.problem.arms.items()}
-            found = meetings(self.problem.physics, self.problem.object, placements)
+            found = contact_pairs(self.problem.physics, self.problem.object, placements)
         shifts = {
             name: models[name].placement(self.problem.arms[name].position).rotation[:, :2] @ along
             for name, along in self.contact_point.items()
@@ -158,7 +158,7 @@ class Changed:
         ]
 
     def terms(
-        self, models: Mapping[str, RobotModel], found: Sequence[Meeting] | None = None
+        self, models: Mapping[str, RobotModel], found: Sequence[ContactPair] | None = None
     ) -> tuple[System, ContactTerms]:
         """Terms of the contact laws; arguments as above."""
         system = self.system(models)
@@ -169,13 +169,13 @@ class Changed:
         placements = {name: models[name].placement(arm.position) for name, arm in self.problem.arms.items()}
         system, found = self.system(models), []
         positions = dict(system.end_effector_position)
-        for meeting in meetings(self.problem.physics, self.problem.object, placements):
-            if meeting.partner in pads:
-                step = meeting.separation * meeting.normal
-                positions[meeting.partner] = positions[meeting.partner] + step
-                box = replace(meeting.box, centre=meeting.box.centre + step)
-                meeting = replace(meeting, box=box, separation=0.0)
-            found.append(meeting)
+        for pair in contact_pairs(self.problem.physics, self.problem.object, placements):
+            if pair.partner in pads:
+                step = pair.separation * pair.normal
+                positions[pair.partner] = positions[pair.partner] + step
+                box = replace(pair.box, centre=pair.box.centre + step)
+                pair = replace(pair, box=box, separation=0.0)
+            found.append(pair)
         system = replace(system, end_effector_position=positions)
         return system, ContactTerms.of(system, self.contacts(models, found), self.problem.restitution)
 

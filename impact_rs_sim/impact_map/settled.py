@@ -78,11 +78,11 @@ def settle(problem: ImpactProblem) -> ImpactResult:
     """
     start = time.perf_counter()
     models = problem.physics.robot_models()
-    touching = [meeting for meeting in check_problem(problem, models) if meeting.separation <= GAP_TOLERANCE]
+    touching = [pair for pair in check_problem(problem, models) if pair.separation <= GAP_TOLERANCE]
     system = build_system(problem, models)
-    found = {meeting.partner: find_contacts(problem.physics, [meeting], REACH) for meeting in touching}
+    found = {pair.partner: find_contacts(problem.physics, [pair], REACH) for pair in touching}
     faces = {name: points for name, points in found.items() if name != SUPPORT and points}
-    support = find_contacts(problem.physics, [meeting for meeting in touching if meeting.partner == SUPPORT])
+    support = find_contacts(problem.physics, [pair for pair in touching if pair.partner == SUPPORT])
     settled = close_contacts(system, faces, support)
     if not settled.residual.largest <= ExactEngine.tolerance:
         law, amount = settled.residual.worst

@@ -38,8 +38,8 @@ from impact_rs_sim.impact_map.contacts import (
     ALIGNED,
     GAP_TOLERANCE,
     SUPPORT,
+    ContactPair,
     ContactPoint,
-    Meeting,
     find_contacts,
     support_box,
 )
@@ -117,7 +117,7 @@ def check_energy(
 
 
 @dataclass(frozen=True)
-class Answer:
+class Solution:
     """Impulses and velocities that an engine found.
 
     Attributes:
@@ -203,7 +203,7 @@ class Engine(ABC):
                 energy, which Newton's law allows and nature does not.
         """
         start = time.perf_counter()
-        meetings = check_problem(problem, self.models)
+        pairs = check_problem(problem, self.models)
         if problem.restitution_law not in self.laws:
             raise InputError(
                 f"engine {self.name!r} knows no restitution but that of {', '.join(self.laws)}; 'exact' does",
@@ -211,21 +211,21 @@ class Engine(ABC):
                 value=problem.restitution_law,
             )
         system = build_system(problem, self.models)
-        answer = self._solve(problem, system, meetings)
-        contacts, impulses = answer.terms.contacts, answer.impulses
-        residual = answer.residual or answer.terms.residual(impulses, answer.velocity)
-        check_residual(residual, self.tolerance, self.name, len(contacts), answer.iterations)
-        energy, gain = system.kinetic_energy, answer.energy_gain
+        found = self._solve(problem, system, pairs)
+        contacts, impulses = found.terms.contacts, found.impulses
+        residual = found.residual or found.terms.residual(impulses, found.velocity)
+        check_residual(residual, self.tolerance, self.name, len(contacts), found.iterations)
+        energy, gain = system.kinetic_energy, found.energy_gain
         check_energy(energy, gain, impulses, residual, problem.restitution, problem.restitution_law)
-        return result_of(system, answer.velocity, contacts, impulses, residual, self.name, answer.iterations, start)
+        return result_of(system, found.velocity, contacts, impulses, residual, self.name, found.iterations, start)
 
     def close(self) -> None:
         """Free resources outside Python; does nothing by default."""
         return
 
     @abstractmethod
-    def _solve(self, problem: ImpactProblem, system: System, meetings: Sequence[Meeting]) -> Answer:
-        """Solve the problem; ``meetings`` hold the relative placement of the object and its partners."""
+    def _solve(self, problem: ImpactProblem, system: System, pairs: Sequence[ContactPair]) -> Solution:
+        """Solve the problem, whose object may touch the partners of ``pairs``."""
 
 
 class Compiled(NamedTuple):
@@ -360,11 +360,9 @@ class ExactEngine(Engine):
         check_energy(before, gain, found.impulse, residual, problem.restitution)
         return _result(problem, found, residual, start)
 
-    def _solve(self, problem: ImpactProblem, system: System, meetings: Sequence[Meeting]) -> Answer:
+    def _solve(self, problem: ImpactProblem, system: System, pairs: Sequence[ContactPair]) -> Solution:
         """Poisson's law."""
-        terms = ContactTerms.of(system, find_contacts(problem.physics, meetings), problem.restitution)
-        found = solve_poisson(terms)
-        return Answer(terms, found.impulses, found.velocity, found.iterations, found.residual)
+        return solve_poisson(ContactTerms.of(system, find_contacts(problem.physics, pairs), problem.restitution))
 
 
 def _result(problem: ImpactProblem, found: Compiled, residual: Residual, start: float) -> ImpactResult:
@@ -392,27 +390,8 @@ def _result(problem: ImpactProblem, found: Compiled, residual: Residual, start: 
     )
 
 
-@dataclass(frozen=True)
-class TwoPhases:
-    """Solution by Poisson's law.
-
-    Attributes:
-        impulses: L^c + L^e on the object, ``(m, 3)`` [N s].
-        velocity: u^+, ``(nv,)`` [rad/s, m/s].
-        compressed: u^c, ``(nv,)`` [rad/s, m/s].
-        residual: The larger residual of both phases, law by law.
-        iterations: Iterations of the solver.
-    """
-
-    impulses: Array
-    velocity: Array
-    compressed: Array
-    residual: Residual
-    iterations: int
-
-
-def solve_poisson(terms: ContactTerms) -> TwoPhases:
-    """Compression and expansion of a problem with the restitution of ``terms``.
+def solve_poisson(terms: ContactTerms) -> Solution:
+    """Compression and expansion with the restitution of ``terms``; the residual is the larger one of both phases.
 
     Raises:
         ImpactMapError: No solution of the expansion was found.
@@ -435,10 +414,5 @@ def solve_poisson(terms: ContactTerms) -> TwoPhases:
     returned = harden(second, returned, least)
     velocity = compressed + terms.response @ returned.ravel()
     again = second.residual(returned, velocity, least)
-    return TwoPhases(
-        impulses=pressed + returned,
-        velocity=velocity,
-        compressed=compressed,
-        residual=Residual(*(max(vars(judged)[law], vars(again)[law]) for law in vars(judged))),
-        iterations=iterations,
-    )
+    residual = Residual(*(max(vars(judged)[law], vars(again)[law]) for law in vars(judged)))
+    return Solution(terms, pressed + returned, velocity, iterations, residual)

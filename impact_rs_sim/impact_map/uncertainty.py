@@ -41,6 +41,20 @@ DRAWS = 200  # the ends of an interval scatter by about a tenth of its width
 LEVEL = 0.95
 HITS = ("hits the object", "does not hit the object")
 MEETS_SUPPORT = ("the object presses on its support", "the object does not press on its support")
+SOURCES = (
+    "motor_inertia",
+    "link_inertia",
+    "object_mass",
+    "object_inertia",
+    "object_com_offset",
+    "object_pose",
+    "joint_position",
+    "joint_velocity",
+    "contact_point",
+    "pad_friction",
+    "support_friction",
+    "restitution",
+)
 _TAILS = ((1.0 - LEVEL) / 2.0, (1.0 + LEVEL) / 2.0)
 _LAWFUL = 1e-5  # m/s, residual of a draw that counts
 
@@ -109,65 +123,36 @@ class UncertainPrediction:
 
 def sources_of(problem: ImpactProblem, stated: Uncertainties) -> tuple[UncertaintySource, ...]:
     """All uncertainties stated in a scenario, as changes of the parameters of a problem."""
-    object_ = problem.physics.object
+    object_, physics = problem.physics.object, problem.physics
     stated = Uncertainties(**{name: width / NORMAL_95 for name, width in stated})
 
-    def apart(names: Sequence[str], sigma: float) -> tuple[Mapping[str, float], ...]:
-        return tuple({name: sigma} for name in names)
+    def apart(names: Sequence[str], sigma: float) -> list[Mapping[str, float]]:
+        return [{name: sigma} for name in names]
 
-    motors: list[Mapping[str, float]] = []
-    links: list[Mapping[str, float]] = []
-    joints: list[Mapping[str, float]] = []
-    speeds: list[Mapping[str, float]] = []
-    points: list[Mapping[str, float]] = []
+    parts: dict[str, list[Mapping[str, float]]] = {name: [] for name in SOURCES}
     for name, state in problem.arms.items():
-        count = range(1, state.position.size + 1)
-        motors += [
+        joints = range(1, state.position.size + 1)
+        parts["motor_inertia"] += [
             {f"{name}.motor_inertia.{joint}": stated.motor_inertia * float(problem.motor_inertia[name][joint - 1])}
-            for joint in count
+            for joint in joints
         ]
-        links.append({f"{name}.link_inertia": stated.link_inertia})
-        joints += apart([f"{name}.position.{joint}" for joint in count], stated.joint_position)
-        speeds += apart([f"{name}.velocity.{joint}" for joint in count], stated.joint_velocity)
-        points += apart([f"{name}.contact_point.{axis}" for axis in "xy"], stated.contact_point)
-    mass = stated.object_mass * object_.mass
-    scaled = {"object.mass": mass} | {
-        f"object.inertia.{axis}": stated.object_mass * float(value)
-        for axis, value in zip(AXES, object_.inertia, strict=True)
-    }
-    moments = [
-        {f"object.inertia.{axis}": stated.object_inertia * float(value)}
-        for axis, value in zip(AXES, object_.inertia, strict=True)
-    ]
-    found = [
-        UncertaintySource("motor_inertia", tuple(motors)),
-        UncertaintySource("link_inertia", tuple(links)),
-        UncertaintySource("object_mass", (scaled,)),
-        UncertaintySource("object_inertia", tuple(moments)),
-        UncertaintySource(
-            "object_com_offset", apart([f"object.com_offset.{axis}" for axis in AXES], stated.object_com_offset)
-        ),
-        UncertaintySource(
-            "object_pose",
-            (
-                *apart(["object.position.x", "object.position.y"], stated.object_position),
-                *apart(["object.rotation.z"], stated.object_yaw),
-            ),
-        ),
-        UncertaintySource("joint_position", tuple(joints)),
-        UncertaintySource("joint_velocity", tuple(speeds)),
-        UncertaintySource("contact_point", tuple(points)),
-        UncertaintySource("pad_friction", ({"pad_friction": stated.pad_friction * problem.physics.pad_friction},)),
-        UncertaintySource(
-            "support_friction", ({"support_friction": stated.support_friction * problem.physics.support_friction},)
-        ),
-        UncertaintySource("restitution", ({"restitution": stated.restitution},)),
-    ]
+        parts["link_inertia"] += [{f"{name}.link_inertia": stated.link_inertia}]
+        parts["joint_position"] += apart([f"{name}.position.{joint}" for joint in joints], stated.joint_position)
+        parts["joint_velocity"] += apart([f"{name}.velocity.{joint}" for joint in joints], stated.joint_velocity)
+        parts["contact_point"] += apart([f"{name}.contact_point.{axis}" for axis in "xy"], stated.contact_point)
+    moments = {f"object.inertia.{axis}": float(value) for axis, value in zip(AXES, object_.inertia, strict=True)}
+    scaled = {"object.mass": object_.mass} | moments
+    parts["object_mass"] = [{name: stated.object_mass * value for name, value in scaled.items()}]
+    parts["object_inertia"] = [{name: stated.object_inertia * value} for name, value in moments.items()]
+    parts["object_com_offset"] = apart([f"object.com_offset.{axis}" for axis in AXES], stated.object_com_offset)
+    parts["object_pose"] = apart(["object.position.x", "object.position.y"], stated.object_position)
+    parts["object_pose"] += apart(["object.rotation.z"], stated.object_yaw)
+    parts["pad_friction"] = [{"pad_friction": stated.pad_friction * physics.pad_friction}]
+    parts["support_friction"] = [{"support_friction": stated.support_friction * physics.support_friction}]
+    parts["restitution"] = [{"restitution": stated.restitution}]
     return tuple(
-        UncertaintySource(
-            one.name, tuple(part for part in one.deviations if any(sigma > 0.0 for sigma in part.values()))
-        )
-        for one in found
+        UncertaintySource(name, tuple(part for part in own if any(sigma > 0.0 for sigma in part.values())))
+        for name, own in parts.items()
     )
 
 

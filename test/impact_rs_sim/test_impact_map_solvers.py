@@ -14,7 +14,7 @@ from impact_map_cases import MODEL, PUSH, nominal, one_point, with_velocity
 from random_impacts import random_problem
 
 from impact_rs_sim.impact_map import ImpactProblem
-from impact_rs_sim.impact_map.contacts import find_contacts, meetings
+from impact_rs_sim.impact_map.contacts import contact_pairs, find_contacts
 from impact_rs_sim.impact_map.laws import (
     COMPLIANCE,
     ContactTerms,
@@ -42,7 +42,7 @@ def terms_of(problem: ImpactProblem) -> ContactTerms:
     models = problem.physics.robot_models()
     placements = {name: models[name].placement(state.position) for name, state in problem.arms.items()}
     system = build_system(problem, models)
-    points = find_contacts(problem.physics, meetings(problem.physics, problem.object, placements))
+    points = find_contacts(problem.physics, contact_pairs(problem.physics, problem.object, placements))
     return ContactTerms.of(system, points, problem.restitution)
 
 
