@@ -58,11 +58,11 @@ _FAR = BodyState(np.array([0.0, 0.0, 1e3]), np.eye(3), np.zeros(6))
 
 @dataclass(frozen=True)
 class _Effort:
-    """How hard to try.
+    """Effort of one attempt.
 
     Attributes:
-        solver_iterations: Of Bullet's solver, in a step.
-        steps: Bullet's steps, at most.
+        solver_iterations: Iterations of Bullet's solver in a step.
+        steps: Largest number of Bullet's steps.
         patience: Steps without progress that end it.
         damping: Share of a Newton step that is taken [-].
         accepted: Residual above which the next effort follows [m/s].

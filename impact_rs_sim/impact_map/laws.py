@@ -238,7 +238,7 @@ class ContactTerms:
         Args:
             impulses: L on the object in axes of A, ``(m, 3)`` [N s].
             velocity: u^+, ``(nv,)`` [rad/s, m/s].
-            least: What every point presses at least; L_n beyond it is complementary to opening [N s].
+            least: Lower bound of the normal impulses; L_n beyond it is complementary to opening [N s].
         """
         jump = velocity - self.before
         momentum = float(np.max(np.abs(jump - self.response @ impulses.ravel())))

@@ -234,7 +234,7 @@ class MeasuredImpacts:
         return answers, found
 
     def _solve_readings(self, physics: Sequence[Physics]) -> tuple[Array, Compiled]:
-        """As :meth:`solve`, of twists as sensors read them: true ones go into the map, and u^+ is read as they are."""
+        """Solution for twists as sensors read them: the map takes true twists, and u^+ is converted to readings."""
         impacts = [impact.as_read(one.twist_readings) for impact, one in zip(self._impacts, physics, strict=True)]
         distinct = {id(one): replace(one, twist_readings=TwistReadings()) for one in physics}
         exact = [distinct[id(one)] for one in physics]
@@ -310,7 +310,7 @@ def corners_that_touch(
         body: Pose of the box.
         size: Extent along its own axes, ``(3,)`` [m].
         normal: Unit normal of the plane, into the body, in A, ``(3,)``.
-        tolerance: How much further off a corner may be than the first [m].
+        tolerance: Largest distance of a touching corner beyond that of the first [m].
     """
     signs = np.array([[x, y, z] for x in (1, -1) for y in (1, -1) for z in (1, -1)])
     corners = body.position + (signs * size / 2.0) @ body.rotation.T
@@ -346,7 +346,7 @@ def points_of_scene(
         models: Rigid-body models by arm.
         on_pad: By arm, contact points in A that were measured, ``(3,)`` each [m], and the normal into the object, which
             is that of the nearest faces where it is None; else all points come from the geometry.
-        tolerance: How much further off a point may be than the nearest of its two bodies [m].
+        tolerance: Largest gap of a touching point beyond the smallest gap of its two bodies [m].
 
     Raises:
         Infeasible: No pad is near the object.

@@ -155,7 +155,7 @@ class ImpactResult:
         end_effector_twist: Post-impact twist of frame E by arm, in E[A], ``(6,)`` [m/s, rad/s].
         object_twist: Post-impact twist of the object at its geometric centre, axes of A, ``(6,)`` [m/s, rad/s].
         contacts: Contact points with their impulses.
-        residual: How well the answer obeys the laws.
+        residual: Distance of the solution from the laws.
         engine: Name of the engine.
         iterations: Iterations of the engine's outer loop.
         elapsed: Wall-clock time [s].

@@ -111,7 +111,7 @@ class Settled:
         impulses: L + A n on the object at the points of the pads, then of the support, in axes of A, ``(m, 3)`` [N s].
         velocity: u^+, ``(nv,)`` [rad/s, m/s].
         residual: Distance from the laws.
-        iterations: Of the solver.
+        iterations: Iterations of the solver.
     """
 
     lasting: tuple[str, ...]

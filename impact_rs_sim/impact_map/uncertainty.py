@@ -65,11 +65,11 @@ class Stopped(Exception):
 
 @dataclass(frozen=True)
 class UncertaintySource:
-    """One quantity that is not known exactly.
+    """One uncertain quantity.
 
     Attributes:
         name: Name of the source, a key of the scenario's ``uncertainty``.
-        deviations: By independent part: what one standard deviation of it changes, by parameter.
+        deviations: Change by one standard deviation of each independent part, by parameter.
     """
 
     name: str
@@ -89,10 +89,10 @@ class UncertainPrediction:
         budget: Share of the variance by source, ``(k,)`` each [-].
         method: ``linear`` or ``monte_carlo``.
         switched: Share of draws in other contact states [-].
-        switches: What is otherwise there than in the prediction, in words, and in which share of the draws [-].
+        switches: Differences of contact states from the prediction, in words, with their share of the draws [-].
         draws: Draws that have an answer.
-        without_answer: Draws that have none.
-        factors: What one standard deviation of every independent part does, ``(k, p)``.
+        without_answer: Draws without an answer.
+        factors: Change by one standard deviation of every independent part, ``(k, p)``.
         sample: Velocities of the draws, ``(draws, k)``.
     """
 
@@ -179,11 +179,11 @@ def predict(
 
     Args:
         problem: The problem; Newton's law of restitution.
-        stated: What is not known exactly.
+        stated: Uncertainties of the scenario.
         models: Rigid-body models by arm, where the caller has them already.
         draws: From all uncertainties; a quarter as many of every source where the interval is that of the draws.
-        seed: Of the draws.
-        stopped: Asked before every draw: whether the answer is no longer wanted.
+        seed: Seed of the draws.
+        stopped: Callback before every draw; True ends the prediction.
 
     Raises:
         Stopped: ``stopped`` said so.
@@ -251,10 +251,10 @@ def interval_of_draws(
 
     Args:
         problem: The problem; Newton's law of restitution.
-        stated: What is not known exactly.
+        stated: Uncertainties of the scenario.
         models: Rigid-body models by arm.
         draws: From all uncertainties.
-        seed: Of the draws.
+        seed: Seed of the draws.
 
     Raises:
         ImpactMapError: Fewer than two draws have an answer.

@@ -38,15 +38,11 @@ class Uniqueness:
         spread: Largest difference of two answers in a linear velocity of an end effector or the object [m/s].
         relative: The same over the ante-impact speed, the largest of all bodies [-].
         answers: Number of lawful solutions found, including that of the impact map.
-        low: Least of every entry of u^+, ``(nv,)`` [rad/s, m/s].
-        high: Largest of every entry of u^+, ``(nv,)``.
     """
 
     spread: float
     relative: float
     answers: int
-    low: Array
-    high: Array
 
     @property
     def unique(self) -> bool:
@@ -65,7 +61,7 @@ class Uniqueness:
 
 
 def uniqueness_of(problem: ImpactProblem, models: Mapping[str, RobotModel] | None = None) -> Uniqueness:
-    """Spread of the solutions of a problem; under Poisson's law that of its compression.
+    """Spread of the solutions of a problem, under Poisson's law of its compression.
 
     Args:
         problem: The problem.
@@ -101,14 +97,7 @@ def spread_of(system: System, answers: Sequence[Array]) -> Uniqueness:
     speeds = np.array([_linear(system, answer) for answer in answers])
     spread = float(np.max(np.ptp(speeds, axis=0)))
     before = float(np.max(np.linalg.norm(_linear(system, system.velocity).reshape(-1, 3), axis=1)))
-    together = np.array(answers)
-    return Uniqueness(
-        spread=spread,
-        relative=spread / before if before > 0.0 else 0.0,
-        answers=len(answers),
-        low=together.min(axis=0),
-        high=together.max(axis=0),
-    )
+    return Uniqueness(spread, spread / before if before > 0.0 else 0.0, len(answers))
 
 
 def _linear(system: System, velocity: Array) -> Array:
