@@ -24,8 +24,8 @@ from impact_msgs_py.conversions import (
 from impact_rs_ros.process import NodeProgram, run
 from impact_rs_sim.errors import InputError, full_traceback
 from impact_rs_sim.impact_map import ImpactMapError, engine_name, predict_impact
+from impact_rs_sim.impact_map.derivatives import differentiate, velocity_names
 from impact_rs_sim.impact_map.problem import ImpactProblem, ImpactResult
-from impact_rs_sim.impact_map.sensitivity import differentiate, velocity_names
 from impact_rs_sim.impact_map.uncertainty import predict
 from impact_rs_sim.impact_map.uniqueness import uniqueness_of
 from impact_rs_sim.physics import MOTOR_INERTIA_MODELS, ObjectPhysics, Physics

@@ -16,9 +16,9 @@ from random_impacts import random_problem
 
 from benchmarks.harness import Case, Row, Work, draw_options, drawn
 from benchmarks.results import Table
+from impact_rs_sim.impact_map.derivatives import all_velocities, change, differentiate
 from impact_rs_sim.impact_map.laws import COMPLIANCE, newton, solve_contacts, states
 from impact_rs_sim.impact_map.problem import ImpactMapError, ImpactProblem
-from impact_rs_sim.impact_map.sensitivity import all_velocities, change, differentiate
 from impact_rs_sim.robot import Array
 from impact_rs_sim.robot_model import RobotModel
 from impact_rs_sim.scenario import load_scenario

@@ -29,7 +29,7 @@ from impact_rs_sim.drive import DriveStart
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.impact_map import ImpactProblem
 from impact_rs_sim.impact_map.contacts import SUPPORT, contact_pairs
-from impact_rs_sim.impact_map.sensitivity import change
+from impact_rs_sim.impact_map.derivatives import change
 from impact_rs_sim.impact_map.uncertainty import draw, possible, sources_of
 from impact_rs_sim.numbers import NORMAL_95
 from impact_rs_sim.physics import ArmPhysics, Physics

@@ -13,7 +13,7 @@ from impact_rs_cli.arguments import settings_of, started
 from impact_rs_cli.terminal import Terminal
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.impact_map import ImpactProblem, predict_impact
-from impact_rs_sim.impact_map.sensitivity import Derivatives, differentiate
+from impact_rs_sim.impact_map.derivatives import Derivatives, differentiate
 from impact_rs_sim.impact_map.uncertainty import LEVEL, UncertainPrediction, predict
 from impact_rs_sim.impact_map.uniqueness import CHOICE, Uniqueness, uniqueness_of
 from impact_rs_sim.model import load_model

@@ -2,7 +2,7 @@
 """Uncertainty of a prediction: intervals of every velocity from stated uncertainties, and the budget by source.
 
 With independent uncertainties of the standard deviations sigma_k and the Jacobian J of the prediction
-(:mod:`impact_rs_sim.impact_map.sensitivity`), as long as no contact changes its state,
+(:mod:`impact_rs_sim.impact_map.derivatives`), as long as no contact changes its state,
 
     var(u^+_i) = sum_k (J_ik sigma_k)^2,       interval u^+_i -+ 1.96 sqrt(var),      budget (J_ik sigma_k)^2 / var
 
@@ -28,9 +28,9 @@ import numpy as np
 
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.impact_map.contacts import SUPPORT
+from impact_rs_sim.impact_map.derivatives import AXES, all_velocities, change, differentiate, velocity_names
 from impact_rs_sim.impact_map.laws import solve_contacts, states
 from impact_rs_sim.impact_map.problem import ImpactMapError, ImpactProblem, check_problem
-from impact_rs_sim.impact_map.sensitivity import AXES, all_velocities, change, differentiate, velocity_names
 from impact_rs_sim.numbers import NORMAL_95
 from impact_rs_sim.robot import Array
 from impact_rs_sim.robot_model import RobotModel

@@ -17,8 +17,8 @@ from impact_rs.srv import ComputeImpactMap
 from impact_msgs_py.conversions import pose_to_message, twist_from_message
 from impact_rs_ros.graph import Graph
 from impact_rs_sim.impact_map import ENGINES, compute_impact_map, settle
+from impact_rs_sim.impact_map.derivatives import differentiate, velocity_names
 from impact_rs_sim.impact_map.problem import ImpactProblem
-from impact_rs_sim.impact_map.sensitivity import differentiate, velocity_names
 from impact_rs_sim.impact_map.uncertainty import predict
 from impact_rs_sim.impact_map.uniqueness import uniqueness_of
 from impact_rs_sim.paths import config_directory

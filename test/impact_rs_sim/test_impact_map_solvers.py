@@ -15,6 +15,7 @@ from random_impacts import random_problem
 
 from impact_rs_sim.impact_map import ImpactProblem
 from impact_rs_sim.impact_map.contacts import contact_pairs, find_contacts
+from impact_rs_sim.impact_map.derivatives import change
 from impact_rs_sim.impact_map.laws import (
     COMPLIANCE,
     ContactTerms,
@@ -26,7 +27,6 @@ from impact_rs_sim.impact_map.laws import (
     solve_contacts,
     yielding_velocity,
 )
-from impact_rs_sim.impact_map.sensitivity import change
 from impact_rs_sim.impact_map.uniqueness import lawful_answers, spread_of, uniqueness_of
 
 

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from impact_map_cases import nominal
 
+from impact_rs_sim.impact_map.derivatives import change, differentiate, velocity_names
 from impact_rs_sim.impact_map.problem import ImpactProblem
-from impact_rs_sim.impact_map.sensitivity import change, differentiate, velocity_names
 from impact_rs_sim.impact_map.uncertainty import (
     Stopped,
     _switches,

@@ -19,8 +19,8 @@ from impact_rs_sim.bullet_world import BulletWorld, mass_matrices
 from impact_rs_sim.drive import Drive, DriveStart
 from impact_rs_sim.errors import Infeasible, UnreachablePose
 from impact_rs_sim.impact_map import ImpactProblem, predict_impact
+from impact_rs_sim.impact_map.derivatives import parameters_of
 from impact_rs_sim.impact_map.problem import check_problem
-from impact_rs_sim.impact_map.sensitivity import parameters_of
 from impact_rs_sim.physics import JointFriction, Physics
 from impact_rs_sim.robot import Array, EndEffector, RobotFacts
 from impact_rs_sim.robot_check import check_drives, check_facts

@@ -15,9 +15,7 @@ from trials import scene_of
 
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.impact_map.contacts import GAP_TOLERANCE
-from impact_rs_sim.impact_map.laws import newton, solve_contacts, states
-from impact_rs_sim.impact_map.problem import ImpactMapError, ImpactProblem
-from impact_rs_sim.impact_map.sensitivity import (
+from impact_rs_sim.impact_map.derivatives import (
     Derivatives,
     all_velocities,
     change,
@@ -25,6 +23,8 @@ from impact_rs_sim.impact_map.sensitivity import (
     parameters_of,
     velocity_names,
 )
+from impact_rs_sim.impact_map.laws import newton, solve_contacts, states
+from impact_rs_sim.impact_map.problem import ImpactMapError, ImpactProblem
 from impact_rs_sim.physics import ObjectPhysics
 from impact_rs_sim.robot_model import RobotModel
 from impact_rs_sim.scene import BodyState
