@@ -342,7 +342,7 @@ FAULTS = {
             lambda what: {"velocity_gain": {what.at("gain"): what.value / 100.0}},
         ),
         Fault(
-            "tracker_turned", "deg", (1.0, 3.0), tracker_turned,
+            "tracker_turned", "deg", (0.8, 1.6), tracker_turned,
             lambda what: {"tracker_frame": {"x": 0.0, "y": 0.0, "yaw": math.radians(what.value)}},
         ),
         Fault(

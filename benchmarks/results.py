@@ -4,11 +4,12 @@
 ``results/NAME.json`` has a table, the command that made it, revision and date, and the cost of a reference (one trial,
 ``impact-rs trial push cat_food case_2``) on that machine in that hour. A page has the table between two lines::
 
-    [//]: # (results: NAME [NAME ...])
+    [//]: # (results: NAME [NAME ...]) (columns: NUMBER ...)
 
     [//]: # (end of results)
 
-Tables with the same columns stand below each other; others beside each other, joined by their first column.
+``columns`` picks some, counted from 1; without it a page has all. Tables with the same columns stand below each other;
+others beside each other, joined by their first column.
 ``./run python -m benchmarks --docs`` writes all pages.
 """
 
@@ -26,7 +27,9 @@ from impact_rs_sim.version import git_revision
 
 FOLDER = Path(__file__).parent / "results"
 DOCS = Path(__file__).resolve().parents[1] / "docs"
-BETWEEN = re.compile(r"(\[//\]: # \(results: ([\w ]+)\)\n).*?(\[//\]: # \(end of results\)\n)", re.DOTALL)
+BETWEEN = re.compile(
+    r"(\[//\]: # \(results: ([\w ]+)\)(?: \(columns: ([\d ]+)\))?\n).*?(\[//\]: # \(end of results\)\n)", re.DOTALL
+)
 
 
 @dataclass(frozen=True)
@@ -41,6 +44,11 @@ class Table:
         """As it stands in a page."""
         lines = (self.columns, ("---",) * len(self.columns), *self.rows)
         return "\n".join(f"| {' | '.join(line)} |" for line in lines)
+
+    def some(self, numbers: list[int]) -> Table:
+        """Some of its columns, counted from 1."""
+        rows = [tuple(row[number - 1] for number in numbers) for row in (self.columns, *self.rows)]
+        return Table(rows[0], tuple(rows[1:]))
 
     def with_(self, other: Table) -> Table:
         """Both tables in one."""
@@ -111,19 +119,24 @@ class Results:
         return ", ".join(filter(None, facts))
 
 
-def section(names: str) -> str:
+def section(names: str, columns: str | None) -> str:
     """What stands between the marks for some results."""
     results = [Results.read(name) for name in names.split()]
     table = results[0].table
     for other in results[1:]:
         table = table.with_(other.table)
     sources = dict.fromkeys(one.source for one in results)
-    return f"\n{table.markdown}\n\nMeasured: {'; '.join(sources)}.\n\n"
+    rest = ""
+    if columns:
+        table = table.some([int(number) for number in columns.split()])
+        files = ", ".join(f"[{name}.json](../benchmarks/results/{name}.json)" for name in names.split())
+        rest = f" All columns: {files}."
+    return f"\n{table.markdown}\n\nMeasured: {'; '.join(sources)}.{rest}\n\n"
 
 
 def made(text: str) -> str:
     """A page with its tables made anew."""
-    return BETWEEN.sub(lambda found: f"{found[1]}{section(found[2])}{found[3]}", text)
+    return BETWEEN.sub(lambda found: f"{found[1]}{section(found[2], found[3])}{found[4]}", text)
 
 
 def write_pages() -> list[str]:

@@ -10,8 +10,8 @@ its zero crossing is the measured velocity. Prints every trial as it ends, then 
 import sys
 from pathlib import Path
 
-from impact_rs_analysis.measure.analyze import ExperimentSet, analyze_campaign
-from impact_rs_trials.campaign import make_manifest, run_campaign
+from impact_rs_analysis import ExperimentSet, analyze_campaign
+from impact_rs_trials import make_manifest, run_campaign
 
 FOLDER = Path("campaigns/example")
 SCALES = [0.8, 0.9, 1.0, 1.1, 1.2]  # post-impact reference over predicted velocity

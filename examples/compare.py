@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Compare a model with measured trials, and see where it fails.
 
-Shows trials as a source of evidence, and the comparison document. Prints the score of the model as a multiple of
-repeatability, and the signals with the largest errors, in their units. The folder is any with trials of impact_rs; the
-default is that of examples/campaign.py, whose plant has no hidden effect.
+Prints the score of the model as a multiple of repeatability, and the signals with the largest errors, in their units.
+The folder is any with trials of impact_rs, or bags of a laboratory with an experiment.yaml; the default is that of
+examples/campaign.py, whose plant hides no effect.
 
     ./run python examples/compare.py [FOLDER] [MODEL]
 """
@@ -11,19 +11,14 @@ default is that of examples/campaign.py, whose plant has no hidden effect.
 import sys
 from pathlib import Path
 
-from impact_rs_analysis.diagnosis.compare import ComparisonDocument, compare
-from impact_rs_analysis.evidence.measured_runs import read_runs
-from impact_rs_analysis.evidence.replay_cache import ReplayCache
-from impact_rs_analysis.evidence.replays import ReplaySource
-from impact_rs_sim.model import load_model
+from impact_rs_analysis import ComparisonDocument, compare, read_measurements
 
 FOLDER = Path("campaigns/example")
 
 
 def main(folder: Path = FOLDER, model: str | Path = "nominal") -> ComparisonDocument:
     """Print how far the model is from the trials."""
-    source = ReplaySource.of(read_runs(folder, map), load_model(model), ReplayCache(map))
-    document = compare(source)
+    document = compare(read_measurements(folder, model))
     print(f"model {document.model.name!r} against {document.trials} trials: score {document.score:.2f}")
     for condition in document.conditions:
         print(f"  {condition.name}: {condition.score:.2f}")

@@ -11,17 +11,10 @@ Takes a minute or two; trials are kept in the folder, and replays in ~/.cache/im
 import sys
 from pathlib import Path
 
-from impact_rs_analysis.diagnosis.diagnose import diagnose
-from impact_rs_analysis.diagnosis.document import DiagnosisDocument
-from impact_rs_analysis.evidence.measured_runs import read_runs
-from impact_rs_analysis.evidence.replay_cache import ReplayCache
-from impact_rs_analysis.evidence.replays import ReplaySource
-from impact_rs_sim.model import Model, ModelEffect, ParameterValue, load_model
+from impact_rs_analysis import DiagnosisDocument, diagnose, read_measurements
+from impact_rs_sim import Model, ModelEffect, ParameterValue, load_scenario
 from impact_rs_sim.numbers import estimate_in_line
-from impact_rs_sim.scenario import load_scenario
-from impact_rs_trials.bags.record import record_trial
-from impact_rs_trials.bags.trial_info import TrialInfo, TrialKey
-from impact_rs_trials.spec import TrialSpec
+from impact_rs_trials import TrialInfo, TrialKey, TrialSpec, record_trial
 
 HIDDEN = ModelEffect(name="support_friction", parameters={"friction": ParameterValue(estimate=0.18, unit="-")})
 CONDITIONS = [("parcel", "case_1"), ("juice", "case_1"), ("juice", "case_2"), ("cat_food", "case_2")]
@@ -41,8 +34,7 @@ def record(folder: Path, conditions: list[tuple[str, str]] = CONDITIONS, repeats
 
 def main(folder: Path, effects: list[str] = EFFECTS) -> DiagnosisDocument:
     """Diagnose the trials of a folder."""
-    model = load_model("nominal")
-    document = diagnose(ReplaySource.of(read_runs(folder, map), model, ReplayCache(map)), model, effects)
+    document = diagnose(read_measurements(folder), only=effects)
     print(f"{document.verdict}: {document.summary}")
     for effect in document.effects:
         for name, found in effect.parameters.items():

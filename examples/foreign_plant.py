@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """A node in the plant's place: another simulator, in plain rclpy and Pinocchio, runs trials with our four other nodes.
 
-Shows the whole contract of such a node (docs/real_robot.md): three services, joint states out, torques in, in lockstep.
+Shows the whole contract of such a node (docs/nodes.md): three services, joint states out, torques in, in lockstep.
 Its simulation is much simpler than our plant: drives are rigid and carry B_theta, sensors have no noise, and the object
 slides and does not turn. It reads no references or predictions, and publishes no ground truth.
 

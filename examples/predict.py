@@ -7,9 +7,8 @@ model: velocity of the end effector just after the impact, impulse on the box, a
     ./run python examples/predict.py
 """
 
-from impact_rs_sim.impact_map import ImpactProblem, compute_impact_map
-from impact_rs_sim.scenario import load_scenario
-from impact_rs_trials.spec import TrialSpec
+from impact_rs_sim import ImpactProblem, compute_impact_map, load_scenario
+from impact_rs_trials import TrialSpec
 
 
 def main(object_name: str = "cat_food", case: str = "case_2") -> dict[str, float]:

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """What stands between an investigation and a real cell: envelope, questions to the operator, and stops.
 
-``docs/real_robot.md`` has the argument. Nothing here moves a robot; the ``cell`` node has limits of its own.
+``docs/safety.md`` has the argument. Nothing here moves a robot; the ``cell`` node has limits of its own.
 """
 
 from __future__ import annotations

@@ -181,7 +181,7 @@ impact-rs compare lab/ --experiment experiment.yaml -o report
 impact-rs compare recording.db3 --mapping joint_state
 
 # a table with one row per impact, of one free body on a plane or of an arm and an object (--scenario), is compared
-# on the velocities just after; docs/your_data.md lists its columns
+# on the velocities just after; docs/files.md lists its columns
 impact-rs compare --impacts tosses.csv
 impact-rs compare --impacts pushes.csv --scenario push""",
     output="score, size of the differences, and where they are largest; with -o compare.html and compare.json.",
@@ -228,7 +228,7 @@ impact-rs diagnose lab/ --experiment experiment.yaml -o diagnosis.json
 impact-rs diagnose recording.db3 --mapping joint_state
 
 # a table with one row per impact, of one free body on a plane or of an arm and an object (--scenario), is diagnosed
-# on the velocities just after; docs/your_data.md lists its columns
+# on the velocities just after; docs/files.md lists its columns
 impact-rs diagnose --impacts tosses.csv -o diagnosis.json
 impact-rs diagnose --impacts pushes.csv --scenario push -o diagnosis.json
 
@@ -518,7 +518,7 @@ impact-rs show --live --namespace cell_a --no-browser""",
         option(
             "--experiment", kind="experiment", metavar="FILE.yaml",
             help="BAG is a folder of runs recorded with another controller: their experiment file "
-            "(docs/your_data.md); relative to the working directory, else to BAG",
+            "(docs/files.md); relative to the working directory, else to BAG",
         ),
         option("--run", name="run_name", metavar="NAME", help="with --experiment: name of the run in its table"),
         option(

@@ -471,7 +471,7 @@ Start the ROS 2 nodes (plant, controller, impact map, recorder, experiment) and 
 
 Equivalent to `ros2 launch impact_rs impact_rs.launch.py`, without the ROS 2 command line.
 
-With --without, a node of your own replaces one of them; docs/real_robot.md lists its duties.""",
+With --without, a node of your own replaces one of them; docs/nodes.md lists its duties.""",
     examples="""\
 impact-rs up push
 impact-rs up push --namespace cell_a

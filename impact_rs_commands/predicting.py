@@ -34,7 +34,7 @@ joints and bodies and the contact impulses. Where the contact laws have several 
 (B_rho, without it) or 'zero'. --contact selects the instant: 'first', just after the first simultaneous impact, or
 'settled', when the pads lie flat on the object and move with it.
 
---table solves one problem per row of a table of impacts (docs/your_data.md) without post-impact velocities: impacts
+--table solves one problem per row of a table of impacts (docs/files.md) without post-impact velocities: impacts
 of an arm if a scenario is given, of free bodies otherwise.""",
     examples="""\
 impact-rs map push cat_food case_2

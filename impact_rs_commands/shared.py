@@ -80,12 +80,12 @@ SOURCE = (
     option(
         "--experiment", kind="experiment", metavar="FILE.yaml", label="experiment file", advanced=True,
         help="RUNS is a folder of runs recorded with another controller: experiment file with scenario, mapping and "
-        "table of runs (docs/your_data.md); path relative to the working directory, else to RUNS",
+        "table of runs (docs/files.md); path relative to the working directory, else to RUNS",
     ),
     option(
         "--impacts", kind="file", metavar="TABLE", label="table of impacts", advanced=True,
         help="instead of RUNS: a table (.csv, .parquet) with one row per impact, of one free body on a plane or of an "
-        "arm and an object; a column header is name and unit, for example 'vx_before [m/s]' (docs/your_data.md)",
+        "arm and an object; a column header is name and unit, for example 'vx_before [m/s]' (docs/files.md)",
     ),
     option(
         "--scenario", kind="scenario", metavar="NAME", label="scenario of the table", advanced=True,
@@ -111,7 +111,7 @@ SOURCE = (
         "--calibration", kind="file", metavar="FILE.yaml", label="calibration of the readings", advanced=True,
         otherwise="calibration.yaml in the folder of the measurements, if there is one",
         help="faults of the readings, which are predicted with every model: a file as that of a model, with effects of "
-        "the measurement alone (docs/your_data.md); nominal: none",
+        "the measurement alone (docs/measurement.md); nominal: none",
     ),
     option(
         "--no-discrepancy", kind="switch", label="assume an exact simulation", advanced=True,

@@ -5,7 +5,7 @@ From when a robot is armed until the node ends, its arms are led by the controll
 
 With the parameter ``watchdog`` its torques go to the watchdog node, which alone sends them to the robot. Where none has
 come out of it for ``watchdog_timeout``, because it has died, the cell sends them itself and brakes; it informs the
-watchdog, which then sends nothing any more. ``docs/real_robot.md`` has the safety argument.
+watchdog, which then sends nothing any more. ``docs/safety.md`` has the safety argument.
 """
 
 from __future__ import annotations

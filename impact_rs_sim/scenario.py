@@ -557,7 +557,8 @@ class Scenario(Schema):
     sensors: Sensors = Field(description="measurement")
     scatter: Scatter = Field(description="trial-to-trial scatter")
     uncertainty: Uncertainties = omitted(
-        Uncertainties(), description="what `impact-rs map --uncertainty` takes for known how well"
+        Uncertainties(),
+        description="assumed uncertainties (half widths of 95 % intervals) used by `impact-rs map --uncertainty`",
     )
     friction_compensation: FrictionCompensation | None = omitted(
         None,

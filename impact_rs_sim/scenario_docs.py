@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``docs/scenarios.md`` from the schema: every key of a scenario file with unit, limits and default.
+"""Tables of keys from the schema of a file, and ``docs/scenarios.md`` from that of a scenario.
 
 python -m impact_rs_sim.scenario_docs > docs/scenarios.md
 """
@@ -14,28 +14,30 @@ from typing import Annotated, Any, Literal, Union, get_args, get_origin
 from annotated_types import Ge, Gt, Le
 from pydantic.fields import FieldInfo
 
+from impact_rs_sim.robot import Reflexes, RobotFacts
 from impact_rs_sim.scenario import Scenario
 from impact_rs_sim.schema import Schema
 
 HEADER = """\
 # Scenario files
 
-A scenario says what is in the scene, what the robots shall do, and how it is measured. Commands take its name
+*Look up.* A scenario describes the scene, the task of the robots, and the measurement. Commands take its name
 (`config/scenarios/NAME.yaml`) or the path of a YAML file of your own:
 
     ./run impact-rs map path/to/mine.yaml cat_food case_2
 
-Start from a copy of `config/scenarios/push.yaml`. SI units everywhere; vectors in the axes of the inertial frame A,
-z up (REP-103), where nothing else is said. A key that is missing, misspelt, written twice or out of its limits stops
-every command with one line that names file, key, value and unit. What we *believe* of the physics beyond these nominal
-values stands in model files (`config/models`), not here.
+Start from a copy of `config/scenarios/push.yaml`. Units are SI; vectors have the axes of the inertial frame A, z up
+(REP-103), unless a row names another frame. A key that is missing, misspelt, duplicated or out of range stops every
+command with one line that names file, key, value and unit. Estimates of effects beyond these nominal values belong in
+[model files](effects.md#model-files).
 
-Made from `impact_rs_sim/scenario.py` by `python -m impact_rs_sim.scenario_docs > docs/scenarios.md`.
-`NAME` stands for a name that you choose; a list per joint has one entry per joint, base to tip.
+Generated from `impact_rs_sim/scenario.py` by `python -m impact_rs_sim.scenario_docs > docs/scenarios.md`.
+`NAME` is a name of your choice; a list per joint has one entry per joint, base to tip.
 """
 
 LIMITS = {Gt: ("gt", ">"), Ge: ("ge", ">="), Le: ("le", "<=")}
-UNIT = re.compile(r" ?\[([^\]]+)\]")
+MOST_WORDS_OF_A_NAME = 3  # a section that is described by so few ("Arms by name") has no row: its key says it
+UNIT = re.compile(r" ?\[([^\]]+)\](?!\()")
 
 
 def _key(name: str, annotation: Any) -> tuple[str, type[Schema] | None]:
@@ -78,8 +80,14 @@ def _kind(field: FieldInfo) -> str:
         return " or ".join(f"`{value}`" for value in get_args(kind))
     if get_origin(kind) is tuple:
         entries = get_args(kind)
-        return "list of numbers" if Ellipsis in entries else f"{len(entries)} numbers"
-    return {float: "number", int: "whole number", str: "text"}.get(kind, kind.__name__)
+        entry = _alternatives(entries[0])[0]
+        of = "names" if get_origin(entry) is Literal else {str: "texts", int: "whole numbers"}.get(entry, "numbers")
+        if isinstance(entry, type) and issubclass(entry, Schema):
+            return "sections"
+        return f"list of {of}" if Ellipsis in entries else f"{len(entries)} {of}"
+    if get_origin(kind) is dict or (isinstance(kind, type) and issubclass(kind, Schema)):
+        return "section"
+    return {float: "number", int: "whole number", str: "text", bool: "`true` or `false`"}.get(kind, kind.__name__)
 
 
 def _limits(schema: type[Schema], name: str, field: FieldInfo) -> str:
@@ -103,8 +111,10 @@ def _default(field: FieldInfo) -> str:
     if field.is_required():
         return "required"
     value = field.default
-    if value is None:
+    if value is None or value == "":
         return "absent"
+    if isinstance(value, bool):
+        return f"`{str(value).lower()}`"
     return f"`{list(value) if isinstance(value, tuple) else value}`"
 
 
@@ -113,46 +123,51 @@ def _sentence_case(text: str) -> str:
     return text if "_" in text.split(",")[0].split(" ")[0] else text[:1].upper() + text[1:]
 
 
-def _rows(schema: type[Schema]) -> Iterator[tuple[str, ...]]:
-    for name, field in schema.model_fields.items():
-        if _key(name, field.annotation)[1] is not None:
-            continue
-        description = field.description or ""
-        unit = UNIT.search(description)
-        meaning = UNIT.sub("", description, count=1)
-        yield (
-            f"`{name}`",
-            _kind(field),
-            unit[1] if unit else "",
-            _limits(schema, name, field),
-            _default(field),
-            _sentence_case(meaning),
-        )
+def _row(schema: type[Schema], name: str, field: FieldInfo, key: str) -> tuple[str, str, str, str]:
+    description = (field.description or "").replace("That file has these keys", "[Its keys](robots.md#robot-facts)")
+    unit = UNIT.search(description)
+    words = [_kind(field), _limits(schema, name, field), f"[{unit[1]}]" if unit and unit[1] != "-" else ""]
+    meaning = _sentence_case(UNIT.sub("", description, count=1))
+    return f"`{key}`", " ".join(filter(None, words)), _default(field), meaning
 
 
-def _sections(prefix: str, schema: type[Schema], presence: str) -> Iterator[tuple[str, type[Schema], str]]:
+def _sections(
+    prefix: str, schema: type[Schema], presence: str, without: tuple[type[Schema], ...]
+) -> Iterator[tuple[str, type[Schema], str]]:
     """Every section, parents first: dotted path, schema, purpose."""
     yield prefix, schema, presence
     for name, field in schema.model_fields.items():
         key, below = _key(name, field.annotation)
-        if below is not None:
+        if below is not None and not issubclass(below, without):
             text = field.description or ""
-            yield from _sections(f"{prefix}.{key}".lstrip("."), below, text)
+            yield from _sections(f"{prefix}.{key}".lstrip("."), below, text, without)
+
+
+def key_table(head: str, schema: type[Schema], without: tuple[type[Schema], ...] = ()) -> str:
+    """One table of all keys of a file in Markdown, dotted, ``NAME`` for a name that a user chooses.
+
+    Args:
+        head: Heading of the first column.
+        schema: Schema of the file.
+        without: Schemas of sections that have tables of their own.
+    """
+    rows: list[tuple[str, ...]] = [(head, "Value", "Default", "Meaning")]
+    for path, section, meaning in _sections("", schema, "", without):
+        if path and len(meaning.split()) > MOST_WORDS_OF_A_NAME:
+            rows.append((f"`{path}`", "section", "", _sentence_case(meaning)))
+        for name, field in section.model_fields.items():
+            key, below = _key(name, field.annotation)
+            dotted = f"{path}.{name if below is None else key}".lstrip(".")
+            if below is None or below in without:
+                rows.append(_row(section, name, field, dotted))
+    lines = ["| " + " | ".join(row) + " |" for row in rows]
+    lines.insert(1, "|---" * 4 + "|")
+    return "\n".join(lines).replace(">= ", "≥ ").replace("<= ", "≤ ")
 
 
 def markdown() -> str:
     """``docs/scenarios.md``."""
-    lines = [HEADER]
-    for path, schema, meaning in _sections("", Scenario, ""):
-        rows = list(_rows(schema))
-        lines.append(f"## `{path}`\n" if path else "## Top level\n")
-        purpose = meaning or (schema.__doc__ or "").splitlines()[0]
-        lines.append(f"{_sentence_case(purpose).rstrip('.')}.\n")
-        if rows:
-            lines += ["| Key | Type | Unit | Limits | Default | Meaning |", "|---" * 6 + "|"]
-            lines += ["| " + " | ".join(row) + " |" for row in rows]
-            lines.append("")
-    return "\n".join(line.replace(">= ", "≥ ").replace("<= ", "≤ ") for line in lines).rstrip() + "\n"
+    return f"{HEADER}\n{key_table('Key', Scenario, (RobotFacts, Reflexes))}\n"
 
 
 if __name__ == "__main__":

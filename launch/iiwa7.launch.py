@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One LBR iiwa 7 with lbr_fri_ros2_stack; on request watchdog and cell. Not tried; read docs/robot_families.md first.
+"""One LBR iiwa 7 with lbr_fri_ros2_stack; on request watchdog and cell. Not tried; read docs/real_robot.md first.
 
 ``ros2 launch impact_rs iiwa7.launch.py`` moves by position, with the joint trajectory controller;
 ``command_mode:=torque cell:=true`` starts watchdog and cell with the effort controller, for a driver with a torque-only

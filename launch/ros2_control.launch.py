@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One arm under ros2_control: description, controllers, watchdog, cell. Not tried; read docs/robot_families.md first.
+"""One arm under ros2_control: description, controllers, watchdog, cell. Not tried; read docs/real_robot.md first.
 
 ``ros2 launch impact_rs ros2_control.launch.py description:=my_robot.urdf.xacro controllers:=my_controllers.yaml
 parameters:=my_cell.yaml scenario:=my_push.yaml``, with copies of config/drivers/ros2_control_controllers.yaml and

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One UR5e with ur_robot_driver; on request watchdog and cell. Not tried on a robot; read docs/robot_families.md first.
+"""One UR5e with ur_robot_driver; on request watchdog and cell. Not tried on a robot; read docs/real_robot.md first.
 
 ``ros2 launch impact_rs ur5e.launch.py robot_ip:=192.168.56.101`` starts the driver with its own controllers at 500 Hz:
 the scaled joint trajectory controller is active, the effort controller loaded and inactive. ``cell:=true`` starts

@@ -37,7 +37,7 @@ WAITING = 1  # processes more than cores: those that test nodes and pages wait f
 GRAPH = "nodes that share a graph"
 OTHER_NODES = "other nodes"
 SHARING = ("nodes_", "one_impact_map", "impact_map_node", "node_parameters")  # test_*: use the graph below
-COSTS = Path(__file__).parent / "costs.json"  # as ``./run test --all --cost test/costs.json`` measured them
+COSTS = Path(__file__).parent / "costs.json"  # as ``./run test --all --cost=test/costs.json`` measured them
 # A test that takes longer hangs. At a load of 25 on two cores, setups of fast tests took more than 120 s.
 FAST, SLOW = 300.0, 900.0  # s
 

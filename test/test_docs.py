@@ -34,10 +34,19 @@ from impact_rs_trials.blind import draw_truth
 from impact_rs_trials.recordings.experiment import COLUMNS, SESSION, Experiment
 from impact_rs_trials.recordings.mapping import QUANTITY, UNITS, Mapping, SignalName, SignalSource, load_mapping
 from impact_rs_trials.recordings.recording import ARM, read_recordings
+from tools import manual
 
 ROOT = Path(__file__).resolve().parent.parent
 DOCS = ROOT / "docs"
 PAGES = [ROOT / "README.md", *sorted(DOCS.glob("*.md"))]
+SCHEMAS: dict[str, type[Schema]] = {
+    "experiment": Experiment,
+    "mapping": Mapping,
+    "signal": SignalSource,
+    "formula": FormulaSpec,
+    "model": Model,
+    "robot": RobotFacts,
+}
 CODE = re.compile(r"^```.*?^```$|^(?: {4,}\S.*\n?)+", re.MULTILINE | re.DOTALL)
 
 
@@ -145,40 +154,33 @@ def test_every_script_and_module_that_a_page_runs_exists() -> None:
     assert not missing
 
 
-@pytest.mark.parametrize(
-    ("page", "head", "schema"),
-    [
-        ("your_data.md", "Key", Experiment),
-        ("your_data.md", "Key of a mapping", Mapping),
-        ("your_data.md", "Key of `signals.NAME`", SignalSource),
-        ("effects.md", "Key of an effect", FormulaSpec),
-        ("effects.md", "Key of a model", Model),
-        ("robots.md", "Key of robot facts", RobotFacts),
-    ],
-)
-def test_a_table_of_keys_is_that_of_the_code(page: str, head: str, schema: type[Schema]) -> None:
+def test_generated_tables_are_those_of_the_code() -> None:
+    """Kills a key, default, option or node parameter that is changed in the code alone."""
+    stale = [name for name, made in manual.pages().items() if made != text(DOCS / name)]
+    assert stale == [], "run: ./run python -m tools.manual"
+    shown = set(re.findall(r"\(table: (\w+)\)", "".join(map(text, PAGES))))
+    assert shown == manual.TABLES.keys()
+
+
+@pytest.mark.parametrize("name", [name for name in manual.TABLES if name != "commands"])
+def test_a_generated_table_of_keys_has_every_key_once_with_a_meaning(name: str) -> None:
+    """Kills a section that is walked past, and a key without a description."""
+    schema = SCHEMAS[name]
+    rows = [re.split(r" (?<!\\)\| ", line.strip("| ")) for line in manual.TABLES[name]().splitlines()[2:]]
     elsewhere = ("signals.NAME.", "formulas[N].")  # have tables of their own
-    fields = {name: field for name, field in keys(schema) if not name.startswith(elsewhere)}
-    columns = text(DOCS / page).split(f"\n| {head} |")[1].splitlines()[0].split("|")
-    default = 1 + [column.strip() for column in columns].index("Default")
-    documented = {name: row for row in table(page, head) for name in re.findall(r"`([^`]+)`", row[0])}
-    assert documented.keys() - {"signals.NAME", "formulas"} == fields.keys()
-    for name, field in fields.items():
-        cell = documented[name][default].strip("`")
-        assert (cell == "required") == field.is_required(), name
-        if cell not in ("required", "absent", "none", "empty", "zeros"):
-            value = list(field.default) if isinstance(field.default, tuple) else field.default
-            assert yaml.safe_load(cell) == value, name
+    there = [row[0].strip("`") for row in rows if row[1] != "section" or row[2]]
+    there = [key for key in there if key not in ("signals.NAME", "formulas[N]")]
+    wanted = [key for key, _ in keys(schema) if not key.startswith(elsewhere)]
+    assert sorted(there) == sorted(wanted)
+    assert [row[0] for row in rows if len(row) != 4 or not row[3]] == []
 
 
 def test_signals_of_a_mapping_are_those_of_the_code_with_their_units() -> None:
-    rows = {
-        name: row for row in table("your_data.md", "Signal of a mapping") for name in re.findall(r"`(\w+)`", row[0])
-    }
+    rows = {name: row for row in table("files.md", "Signal of a mapping") for name in re.findall(r"`(\w+)`", row[0])}
     assert rows.keys() == set(get_args(SignalName))
     for name, row in rows.items():
         assert set(UNITS[QUANTITY[name]]) <= set(re.findall(r"`([^`]+)`", row[2])), name
-    assert [row[0].strip("`") for row in table("your_data.md", "Column of a run")] == [*COLUMNS, SESSION]
+    assert [row[0].strip("`") for row in table("files.md", "Column of a run")] == [*COLUMNS, SESSION]
 
 
 def test_symbols_and_functions_of_a_formula_are_those_of_the_code() -> None:
@@ -214,7 +216,7 @@ def test_files_that_a_page_shows_are_valid() -> None:
     }
     shown = [
         yaml.safe_load(block)
-        for page in ("your_data.md", "effects.md")
+        for page in ("your_data.md", "files.md", "effects.md")
         for block in re.findall(r"^```yaml\n(.*?)^```", text(DOCS / page), re.MULTILINE | re.DOTALL)
     ]
     assert len(shown) >= 4
@@ -231,7 +233,7 @@ def shown_with(page: str, key: str) -> str:
 def test_the_mapping_that_a_page_shows_reads_an_arm_on_a_wall_by_its_motor_currents(tmp_path: Path) -> None:
     """tau = (M + B) ddq + h with gravity along the wall, in degrees, milliseconds and currents of the other sign."""
     shutil.copy(config_directory() / "robots" / "franka_fer.yaml", tmp_path / "my_arm.yaml")
-    (tmp_path / "mapping.yaml").write_text(shown_with("your_data.md", "description"), encoding="utf-8")
+    (tmp_path / "mapping.yaml").write_text(shown_with("files.md", "description"), encoding="utf-8")
     mapping = load_mapping(tmp_path / "mapping.yaml")
     base = pin.SE3(pin.rpy.rpyToMatrix(0.0, 1.5708, 0.0), np.zeros(3))
     time, frequencies = np.arange(0.0, 12.0, 0.01), (0.2 + 0.01 * np.arange(7), 0.5 - 0.02 * np.arange(7))
@@ -276,30 +278,30 @@ def test_every_page_is_in_the_index_and_every_picture_in_a_page() -> None:
     assert max(image.stat().st_size for image in (DOCS / "images").iterdir()) < 300_000  # bytes
 
 
-def test_the_effect_that_the_tutorial_hides_and_finds_is_the_one_that_its_seed_hides() -> None:
-    ((hidden, named),) = re.findall(r"hidden (\w+), named (\w+)", text(DOCS / "tutorial.md"))
+def test_the_effect_that_the_first_hour_hides_and_finds_is_the_one_that_its_seed_hides() -> None:
+    page = text(DOCS / "first_hour.md")
+    ((hidden, named),) = re.findall(r"hidden (\w+), named (\w+)", page)
     assert [hidden] == [named] == [effect.name for effect in draw_truth(7, "single", None, None)]
-    assert f"impact-rs add {hidden} " in text(DOCS / "diagnosis.md")
+    assert f"impact-rs add {hidden} " in page
 
 
 def test_every_claim_of_the_safety_argument_names_tests_that_exist() -> None:
-    """``docs/real_robot.md``: what can move a robot."""
-    argument = text(DOCS / "real_robot.md").split("## Safety argument")[1].split("\n## ")[0]
-    rows = [row for row in argument.splitlines() if "`test_" in row]
+    """``docs/safety.md``: what can move a robot, and the envelope and questions of an investigation."""
+    rows = [row for row in text(DOCS / "safety.md").splitlines() if "`test_" in row]
     there = {
         name
         for file in (ROOT / "test").rglob("test_*.py")
         for name in re.findall(r"^def (test_\w+)\(", file.read_text(), re.MULTILINE)
     }
     named = {name for row in rows for name in re.findall(r"`(test_\w+)`", row)}
-    assert len(rows) >= 15
+    assert len(rows) >= 45
     assert named <= there
 
 
-def test_what_the_tutorial_writes_into_a_clone_is_ignored_by_git() -> None:
+def test_what_the_first_hour_writes_into_a_clone_is_ignored_by_git() -> None:
     if not (ROOT / ".git").exists():
         pytest.skip("not a clone")
-    lines = re.findall(r"^    \./run impact-rs (.*)$", text(DOCS / "tutorial.md"), re.MULTILINE)
+    lines = re.findall(r"^    \./run impact-rs (.*)$", text(DOCS / "first_hour.md"), re.MULTILINE)
     written = {found for line in lines for found in re.findall(r"(?:-o|--report) (\S+)", line)}
     assert {"trials", "campaigns/quick", "blind_7", "report_1", "diagnosis.json", "model_2.yaml"} <= written
     # A name that ends in a slash is a folder to git, although it is not there.

@@ -66,7 +66,7 @@ CORRELATED = 0.8
 
 def diagnose(
     source: Source,
-    model: Model,
+    model: Model | None = None,
     only: Sequence[str] | None = None,
     progress: ProgressCallback = lambda *_: None,
     bounds: Bounds = NO_BOUNDS,
@@ -77,7 +77,7 @@ def diagnose(
 
     Args:
         source: Measurements with the model's predictions.
-        model: The model of the file; the model of the source may know further effects.
+        model: The model of the file, of which that of the source may know further effects; None: that of the source.
         only: Names of the effects to consider; None: all that the model does not contain, in trials and tables without
             those that recordings calibrate.
         progress: Called with effects and their held-out error during the search (:class:`Search`).
@@ -88,6 +88,7 @@ def diagnose(
     Raises:
         InputError: Too few conditions for a hold-out.
     """
+    model = source.model if model is None else model
     whole, source = source, source.searched()
     effects = effects_for(source, only, bounds)
     known_estimates = () if earlier is None else _estimates_of(earlier, source)

@@ -438,6 +438,19 @@ class Fit:
         return replace(self, change=np.zeros_like(self.change))
 
     @property
+    def step_by_free_motion(self) -> Array:
+        """Step to the estimates by free motion alone, in parameter scales, ``(p,)``; 0 of what it does not determine.
+
+        A parameter may move the place of the impact, as the offset of an encoder does. Of a pad that is inside the
+        object at the start of a replay, sensitivities say nothing; before the impact they hold.
+        """
+        free = self.evidence.before_contact
+        if free is None:
+            return np.zeros_like(self.change)
+        fitted = Fit.of(self.evidence.seen_before_contact(self.candidate), free)
+        return np.where(np.abs(fitted.change) > fitted.half_widths, fitted.change, 0.0)
+
+    @property
     def converged(self) -> bool:
         """Whether the linear fit gains little over the candidate's point."""
         return self.error_at_point - self.misfit < ENOUGH * self.error_at_point
@@ -527,21 +540,24 @@ def _moved(fitted: Fit, trust: float) -> tuple[Fit | None, float]:
 
     No parameter moves by more than ``trust`` scales, unless features are linear: of many, one that the sensitivities
     misjudge would get to where it changes nothing any more, as friction does in which a joint sticks, while the others
-    lower the error. Where nothing changes nearby, the whole step is taken. None if no step lowers the error by
-    ``ENOUGH``, or by what it promised.
+    lower the error. Where nothing changes nearby, the whole step is taken, or the one that free motion asks for
+    (:meth:`Fit.step_by_free_motion`), if it leaves less. None if no step lowers the error by ``ENOUGH``, or by what it
+    promised.
     """
-    candidate, error = fitted.candidate, fitted.error_at_point
+    error = fitted.error_at_point
     far: Fit | None = None
     for _ in range(SHORTER):
         step = fitted.problem.solve(within=trust)
         length = float(np.max(np.abs(step)))
         if length < 1e-6:
             break
-        there = evaluate_at(candidate, candidate.point + step * candidate.scale, fitted.evidence)
-        moved = None if there is None else Fit.of(there, fitted.evidence)
-        gained = -np.inf if moved is None else error - moved.error_at_point
+        moved, gained = _stepped(fitted, step)
         promised = error - fitted.problem.error(step)
         unbounded = np.isinf(trust) and length > TRUST
+        if np.isinf(trust) and error - gained > fitted.evidence.expected_error:
+            free, gained_there = _stepped(fitted, fitted.step_by_free_motion)
+            if gained_there > max(gained, ENOUGH * error):
+                return free, TRUST
         if gained > (LINEAR if unbounded else STRAIGHT) * promised:
             return moved, WIDER * trust
         if gained > ENOUGH * error:
@@ -550,6 +566,14 @@ def _moved(fitted: Fit, trust: float) -> tuple[Fit | None, float]:
             far = moved
         trust = min(trust / WIDER, length / WIDER, TRUST)
     return far, TRUST if far is not None else trust
+
+
+def _stepped(fitted: Fit, step: Array) -> tuple[Fit | None, float]:
+    """The fit simulated after a step, None where it cannot be, and by how much its error is lower."""
+    candidate = fitted.candidate
+    there = evaluate_at(candidate, candidate.point + step * candidate.scale, fitted.evidence) if np.any(step) else None
+    moved = None if there is None else Fit.of(there, fitted.evidence)
+    return moved, -np.inf if moved is None else fitted.error_at_point - moved.error_at_point
 
 
 def _relinearised(candidate: Candidate, evidence: Evidence, share: float = 1.0) -> Candidate:

@@ -68,7 +68,7 @@ def ending_of(settings: Settings, rounds: Sequence[Round]) -> Ending:
     }[last.verdict]
     return Ending(
         verdict=last.verdict,
-        summary=f"{what} {last.reason}",
+        summary=f"{what} {last.reason}{_of_the_laboratory(names)}",
         model=newest_model(settings, rounds) if certain else settings.model,
         effects=names,
         laws=laws_added(rounds) if certain else (),
@@ -76,6 +76,17 @@ def ending_of(settings: Settings, rounds: Sequence[Round]) -> Ending:
         not_excluded=last.not_excluded,
         trials=measured(rounds),
         rounds=len(rounds),
+    )
+
+
+def _of_the_laboratory(names: Sequence[str]) -> str:
+    """Which effects of a model are faults of the readings, in words."""
+    faults = [name for name in names if name in library() and library()[name].of_measurement]
+    if not faults:
+        return ""
+    return (
+        f" Of these {' and '.join(faults)} {'is a fault' if len(faults) == 1 else 'are faults'} of this laboratory's "
+        "readings: for another laboratory move it from the model to a calibration.yaml beside the trials."
     )
 
 

@@ -6,7 +6,7 @@ impulses L such that, with the generalised inertia of arms (M + B) and object,
 
     (M + B) (v^+ - v^-) = J_c^T L                              momentum balance
     0 <= L_n  perpendicular to  J_n v^+ + e min(J_n v^-, 0) >= 0   Newton restitution, per contact point (Poisson's:
-                                                               :mod:`impact_rs_sim.impact_map.restitution`)
+                                                               :mod:`impact_rs_sim.impact_map.solve`)
     |L_t| <= mu L_n, opposing the sliding velocity J_t v^+     Coulomb friction
 
 (paper sec. Simulation framework; Glocker 2006; Acary and Brogliato 2008). The impact is instantaneous: positions,

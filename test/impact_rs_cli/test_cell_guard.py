@@ -171,7 +171,7 @@ def test_the_design_proposes_nothing_outside_the_envelope() -> None:
 
 def test_a_design_within_the_documented_envelope_is_one(tmp_path: Path) -> None:
     """It chooses among the trials that the envelope allows, instead of a rule after one outside was chosen."""
-    text = (Path(__file__).parents[2] / "docs" / "real_robot.md").read_text(encoding="utf-8")
+    text = (Path(__file__).parents[2] / "docs" / "safety.md").read_text(encoding="utf-8")
     (block,) = (part for part in text.split("```") if part.lstrip().startswith("scenarios: [push]"))
     settings = Settings(
         scenarios=("push", "excite"),

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A node logs the lines of ``docs/reliability.md``: that it is ready, how a trial ended, what is wrong."""
+"""A node logs the lines of ``docs/nodes.md``: that it is ready, how a trial ended, what is wrong."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from impact_rs_sim.paths import config_directory
 from impact_rs_trials.bags import topics
 from impact_rs_trials.campaign import make_manifest
 
-TABLE = Path(__file__).resolve().parents[2] / "docs" / "reliability.md"
+TABLE = Path(__file__).resolve().parents[2] / "docs" / "nodes.md"
 WRITTEN = re.compile(r"\[(INFO|WARN|ERROR|FATAL)\] \[[\d.]+\] \[(\w+)\]: (.*)")
 WORTH = {"INFO", "WARN", "ERROR", "FATAL"}
 
@@ -89,9 +89,9 @@ def test_the_table_of_log_lines_is_what_the_nodes_write(
     lines = [line for line in lines if line[1] in NODES]  # and not what rclpy says in their inboxes
     rows = [row for row in documented() if row[0] != "cell"]  # which is no part of this graph
     strangers = [line for line in lines if not any(fits(row, line) for row in rows)]
-    assert not strangers, f"docs/reliability.md does not have: {strangers}"
+    assert not strangers, f"docs/nodes.md does not have: {strangers}"
     seen = {row[1:] for row in rows if any(fits(row, line) for line in lines)}  # by whichever node
-    assert not [row for row in rows if row[1:] not in seen], "docs/reliability.md has what nobody writes"
+    assert not [row for row in rows if row[1:] not in seen], "docs/nodes.md has what nobody writes"
 
     told = [f"[{node}] {text}" for _, node, text in lines]
     own = f"/plant/configure_trial, /plant/finish_trial, /plant/run_trial in ROS domain {domain_id}, namespace /; "

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """What each test costs: processor time with all descendants, in trials (``impact-rs trial push``) of the same machine.
 
-``./run test --cost FILE`` writes it and refuses fast tests that cost more than ``LIMIT`` trials. A ratio of processor
+``./run test --cost=FILE`` writes it and refuses fast tests that cost more than ``LIMIT`` trials. A ratio of processor
 times says the same on a fast machine and on a slow one; wall time, on a shared machine, says nothing.
 """
 

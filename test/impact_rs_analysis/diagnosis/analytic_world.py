@@ -69,6 +69,7 @@ EFFECTS = {
 TIPPING = effect(
     "tipping", (parameter("g"), Parameter("height", "-", 0.0, -50.0, 50.0, 1.0, "height", far=(-8.0, 8.0)))
 )
+MISPLACING = effect("misplacing", (parameter("offset"),))
 
 
 @cache
@@ -129,6 +130,9 @@ def features(cluster: int, added: Added) -> Array:
             result += 0.5 * first * np.exp(-(first**2) / 4.0) * along(91) + 1e-3 * first**2 * along(92)
         elif name == "slight":  # as a moment that resists tipping, of a box that soon does not tip any more
             result += 0.04 * np.tanh(first / 0.5) * along(93)
+        elif name == "misplacing":  # as the offset of an encoder, by which a pad begins inside the object
+            free = np.arange(FEATURES) < FEATURES // 2
+            result += np.where(free, 0.5 * first, 30.0 * np.sin(first / 4.0)) * along(95)
         elif name == "outside":
             result += first * along(5)
     for _, values in (one for one in added if one[0] == "dry"):  # takes its part of whatever drives, and no more

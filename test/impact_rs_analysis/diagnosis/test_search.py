@@ -14,6 +14,7 @@ import scipy
 from analytic_world import (
     EFFECTS,
     FLOOR,
+    MISPLACING,
     TIPPING,
     AnalyticSource,
     BeforeTheHit,
@@ -435,6 +436,23 @@ def test_an_effect_of_the_joints_is_found_beside_one_of_the_contact(size: float)
     search = searched(AnalyticSource(2, truth, free=FREE), "bent", "of_joints")
     assert not search.ruled_out
     chosen_of(search, "bent", "of_joints")
+
+
+def test_a_fit_goes_where_free_motion_puts_a_parameter_that_misplaces_the_impact() -> None:
+    """By sensitivities at nominal the contact asks for -2.3; what follows from there ends at a small minimum."""
+    search = Search([MISPLACING], Evidence.of(BeforeTheHit(1, (("misplacing", (15.0,)),))))
+    fitted = refine(search.singles["misplacing"], search.evidence)
+    assert fitted.estimate[0] == pytest.approx(15.0, abs=0.2)
+
+
+def test_free_motion_asks_for_no_step_of_what_it_leaves_open() -> None:
+    """Of seven joints one is off; by chance (5 % each) another one moves."""
+    truth = (("of_joints", (0.0, 0.0, 30.0, 0.0, 0.0, 0.0, 0.0)),)
+    search = searched(BeforeTheHit(2, truth), "of_joints")
+    step = Fit.of(search.singles["of_joints"], search.evidence).step_by_free_motion
+    assert step[2] == pytest.approx(30.0, abs=1.5) and np.count_nonzero(step) <= 2
+    search = searched(AnalyticSource(2, truth), "of_joints")
+    assert not np.any(Fit.of(search.singles["of_joints"], search.evidence).step_by_free_motion)
 
 
 @pytest.mark.parametrize("rate", [0.15, 6.0, 20.0])

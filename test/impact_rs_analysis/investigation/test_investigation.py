@@ -42,6 +42,7 @@ FRICTION, MASS = "support_friction", "object_mass"
 PARAMETERS = {
     FRICTION: {"friction": {"estimate": 0.1, "ci95": (0.08, 0.12), "unit": "-"}},
     MASS: {"scale": {"estimate": 1.2, "ci95": (1.1, 1.3), "unit": "-"}},
+    "tracker_delay": {"delay": {"estimate": 0.02, "ci95": (0.018, 0.022), "unit": "s"}},
 }
 SETTINGS = Settings(scenarios=("push", "excite"), model_digest=load_model("nominal").digest)
 
@@ -169,6 +170,13 @@ def test_an_effect_that_is_found_is_added_and_tried_on_new_trials(start: Start) 
     model = load_model(investigation_.directory / "model_2.yaml")
     assert model.effects[0].parameters["friction"].estimate == 0.1
     assert "predicts the 2 trials that were measured after it was made" in ending.summary
+
+
+def test_a_fault_of_the_readings_is_called_one_at_the_end(start: Start) -> None:
+    delay = said("tracker_delay", "tracker_delay")
+    late = start(lambda model, _: CLEAN if model.effects else delay)[0].run()
+    assert "tracker_delay is a fault of this laboratory's readings" in late.summary
+    assert "laboratory" not in start(friction_then_nothing, folder="physics")[0].run().summary
 
 
 def test_two_effects_are_two_models_with_the_estimates_of_one_diagnosis(start: Start) -> None:

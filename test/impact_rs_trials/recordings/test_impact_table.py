@@ -244,7 +244,7 @@ def test_noise_of_one_kind_may_be_unknown_and_that_is_said(tmp_path: Path, cubes
 
 def test_every_column_is_documented() -> None:
     """In the module as on the page; of columns alike for all axes or points, the first."""
-    page = (Path(__file__).parents[3] / "docs" / "your_data.md").read_text(encoding="utf-8")
+    page = (Path(__file__).parents[3] / "docs" / "files.md").read_text(encoding="utf-8")
     known = {**impact_table.POSE, **impact_table.TWISTS, **impact_table.BODY}
     others = ("y", "z", "qy", "qz", "qw", "iyy", "izz", "size_y", "size_z", "ny", "nz", "py", "pz")
     others += tuple(f"{kind}_noise_{axis}" for kind in "vw" for axis in "yz")

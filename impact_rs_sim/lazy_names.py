@@ -1,0 +1,28 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Names of a package that are imported when they are first used (PEP 562).
+
+Importing the physics takes seconds on a cold machine. A command that needs none of it should start at once.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from importlib import import_module
+from typing import Any
+
+
+def lazy_names(package: str, modules: Mapping[str, Sequence[str]]) -> Callable[[str], Any]:
+    """``__getattr__`` of a package.
+
+    Args:
+        package: Its ``__name__``.
+        modules: Names by module, relative to the package.
+    """
+    places = {name: module for module, names in modules.items() for name in names}
+
+    def get(name: str) -> Any:
+        if name not in places:
+            raise AttributeError(f"module {package!r} has no attribute {name!r}")
+        return getattr(import_module(f"{package}.{places[name]}"), name)
+
+    return get
