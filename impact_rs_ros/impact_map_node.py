@@ -24,7 +24,7 @@ from impact_msgs_py.conversions import (
 from impact_rs_ros.process import NodeProgram, run
 from impact_rs_sim.errors import InputError, full_traceback
 from impact_rs_sim.impact_map import ImpactMapError, engine_name, predict_impact
-from impact_rs_sim.impact_map.derivatives import differentiate_safely, velocity_names
+from impact_rs_sim.impact_map.derivatives import differentiate, velocity_names
 from impact_rs_sim.impact_map.problem import ImpactProblem, ImpactResult
 from impact_rs_sim.impact_map.uncertainty import predict
 from impact_rs_sim.impact_map.uniqueness import uniqueness_of
@@ -206,11 +206,11 @@ def _fill_more(
         response.velocity = prediction.nominal.tolist()
         response.velocity_low, response.velocity_high = prediction.low.tolist(), prediction.high.tolist()
     if request.derivatives:
-        found = differentiate_safely(problem, models)
-        response.velocity = found.velocities().tolist()
+        found = differentiate(problem, models)
+        response.velocity = found.velocities.tolist()
         response.parameter_names = [parameter.name for parameter in found.parameters]
         response.parameter_units = [parameter.unit for parameter in found.parameters]
-        response.derivatives = found.of_velocities().ravel().tolist()
+        response.derivatives = found.jacobian.ravel().tolist()
 
 
 def _twist(body: str, twist: Any) -> RigidBodyTwist:

@@ -294,19 +294,20 @@ bool Solver::newton(const Terms& terms, std::vector<double>& impulses, double co
   return false;
 }
 
-void Solver::harden(const Terms& terms, std::vector<double>& impulses, double compliance) {
+bool Solver::harden(const Terms& terms, std::vector<double>& impulses, double compliance) {
   const double yield = compliance * terms.mobility;
   for (int round = 0; round < HARDENINGS; ++round) {
     origin_ = impulses;
     kept_ = impulses;
     if (!full_steps(terms, impulses, yield, CONVERGED, ITERATIONS)) {
       impulses = kept_;
-      return;
+      return round > 0;
     }
     double moved = 0.0;
     for (int i = 0; i < 3 * terms.count; ++i) moved = std::max(moved, std::abs(impulses[i] - origin_[i]));
-    if (yield * moved <= CONVERGED) return;
+    if (yield * moved <= CONVERGED) break;
   }
+  return true;
 }
 
 // Gauss-Seidel sweep: each point opens, sticks, or slides on the edge of its cone.
@@ -369,7 +370,7 @@ void Solver::sweep(const Terms& terms, std::vector<double>& impulses, double yie
 // Continuation in the compliance. With large compliance the solution is unique, shares loads evenly and is easy to
 // find. From there the compliance falls to its final value: at once where Newton's method converges, else in growing
 // steps.
-bool Solver::solve(const Terms& terms, std::vector<double>& impulses, double compliance) {
+bool Solver::continuation(const Terms& terms, std::vector<double>& impulses, double compliance) {
   impulses.assign(3 * terms.count, 0.0);
   origin_ = impulses;
   double total = 0.0;
@@ -391,8 +392,14 @@ bool Solver::solve(const Terms& terms, std::vector<double>& impulses, double com
       if (factor > SLOWEST) return false;
     }
   }
-  harden(terms, impulses, compliance);
   return true;
+}
+
+// Where the continuation stalls between two contact states, Newton's method or a proximal step starts again from the
+// impulses where it stopped.
+bool Solver::solve(const Terms& terms, std::vector<double>& impulses, double compliance) {
+  const bool found = continuation(terms, impulses, compliance) || newton(terms, impulses, compliance);
+  return harden(terms, impulses, compliance) || found;
 }
 
 bool Solver::resume(const Terms& terms, std::vector<double>& impulses, double compliance) {

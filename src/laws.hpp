@@ -64,8 +64,9 @@ class Solver {
   // Newton's method from the given impulses, as newton() of laws.py; false: not converged, impulses unchanged.
   bool newton(const Terms& terms, std::vector<double>& impulses, double compliance);
 
-  // Remove the effect of the compliance on the velocities (proximal point method).
-  void harden(const Terms& terms, std::vector<double>& impulses, double compliance);
+  // Remove the effect of the compliance on the velocities (proximal point method); false: not converged, impulses
+  // unchanged.
+  bool harden(const Terms& terms, std::vector<double>& impulses, double compliance);
 
   // From zero impulses, by Gauss-Seidel sweeps, Newton's method and harden; false: not converged.
   bool solve(const Terms& terms, std::vector<double>& impulses, double compliance);
@@ -79,6 +80,7 @@ class Solver {
   int steps = 0;  // of Newton's method and sweeps of Gauss and Seidel, since the start
 
  private:
+  bool continuation(const Terms& terms, std::vector<double>& impulses, double compliance);
   bool full_steps(const Terms& terms, std::vector<double>& impulses, double yield, double enough, int most);
   void sweep(const Terms& terms, std::vector<double>& impulses, double yield);
   bool newton_step(const Terms& terms, double yield);

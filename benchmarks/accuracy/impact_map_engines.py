@@ -10,11 +10,11 @@ from __future__ import annotations
 import argparse
 
 import numpy as np
+from random_impacts import random_problem
 
 from benchmarks.harness import Case, Row, Work, draw_options, drawn
 from benchmarks.results import Table
 from impact_rs_sim.impact_map import BulletEngine, ExactEngine, ImpactMapError, ImpactResult, kinetic_energy
-from impact_rs_sim.impact_map.sampling import random_problem
 from impact_rs_sim.impact_map.uniqueness import uniqueness_of
 from impact_rs_sim.robot import load_facts
 from impact_rs_sim.scenario import Scenario, load_scenario

@@ -12,12 +12,12 @@ import argparse
 
 import numpy as np
 from gauss_seidel import gauss_seidel
+from random_impacts import random_problem
 
 from benchmarks.harness import Case, Row, Work, draw_options, drawn
 from benchmarks.results import Table
-from impact_rs_sim.impact_map.contacts import find_contacts, meetings
+from impact_rs_sim.impact_map.contacts import contact_pairs, find_contacts
 from impact_rs_sim.impact_map.laws import ContactTerms, build_system
-from impact_rs_sim.impact_map.sampling import random_problem
 from impact_rs_sim.impact_map.uniqueness import lawful_answers, spread_of
 from impact_rs_sim.scenario import load_scenario
 
@@ -46,7 +46,7 @@ def one(case: Case, options: argparse.Namespace, seed: int) -> tuple[float, floa
     problem = random_problem(load_scenario("push"), rng)
     models = problem.physics.robot_models()
     placements = {name: models[name].placement(arm.position) for name, arm in problem.arms.items()}
-    contacts = find_contacts(problem.physics, meetings(problem.physics, problem.object, placements))
+    contacts = find_contacts(problem.physics, contact_pairs(problem.physics, problem.object, placements))
     system = build_system(problem, models)
     terms = ContactTerms.of(system, contacts, problem.restitution)
     answers = lawful_answers(terms)

@@ -27,10 +27,9 @@ import pinocchio as pin
 
 from benchmarks.harness import Case, Row, Work
 from benchmarks.results import Table
-from impact_rs_sim.impact_map import BulletEngine, Engine, ExactEngine, ImpactMapError, ImpactProblem
-from impact_rs_sim.impact_map.contacts import SUPPORT, ContactPoint, contact_frame, find_contacts, meetings
+from impact_rs_sim.impact_map import BulletEngine, ExactEngine, ImpactMapError, ImpactProblem, ImpactResult
+from impact_rs_sim.impact_map.contacts import SUPPORT, ContactPoint, contact_frame, contact_pairs, find_contacts
 from impact_rs_sim.impact_map.laws import System, build_system
-from impact_rs_sim.physics import Physics
 from impact_rs_sim.robot import Array
 from impact_rs_sim.robot_model import RobotModel
 from impact_rs_sim.rotations import quaternion_of
@@ -49,17 +48,6 @@ PLATE = (0.6, 0.6, 0.02)  # m, of the plates on the object; no sphere touches an
 
 class OtherPoints(Exception):
     """A solver sees other contact points than it is asked about."""
-
-
-class PinocchioOnGivenPoints(ExactEngine):
-    """Our engine on other contact points than the corners of the contact polygon."""
-
-    def __init__(self, physics: Physics, contacts: Sequence[ContactPoint]) -> None:
-        super().__init__(physics)
-        self.contacts = contacts
-
-    def _points(self) -> Sequence[ContactPoint]:
-        return self.contacts
 
 
 @dataclass(frozen=True)
@@ -88,11 +76,11 @@ class Question:
         if name in ("corner", "edge"):
             problem = _tilted(problem, models["arm"], roll=0.035 if name == "corner" else 0.0, yaw=0.03)
         placements = {arm: models[arm].placement(state.position) for arm, state in problem.arms.items()}
-        contacts = find_contacts(physics, meetings(physics, problem.object, placements))
+        contacts = find_contacts(physics, contact_pairs(physics, problem.object, placements))
         if name == "grid":
             contacts = grid(contacts, 4)
         system = build_system(problem, models)
-        found = PinocchioOnGivenPoints(physics, contacts).solve(problem)
+        found = ExactEngine(physics).solve(problem, contacts)
         if found.residual.largest > EXACT:
             raise ArithmeticError(f"no exact solution: a law is broken by {found.residual.largest:.1e} m/s")
         exact = np.concatenate((*found.joint_velocity.values(), found.object_twist))
@@ -366,9 +354,9 @@ def _settle(peer: MujocoPeer | DrakePeer) -> int:
 def competitors(case: Question) -> dict[str, Callable[[], Callable[[], Array]]]:
     """What makes a solver ready for ``case`` and returns its call, by name."""
 
-    def ours(engine: Engine) -> Callable[[], Array]:
+    def ours(call: Callable[[ImpactProblem], ImpactResult]) -> Callable[[], Array]:
         def solve() -> Array:
-            result = engine.solve(case.problem)
+            result = call(case.problem)
             if len(result.contacts) != len(case.contacts):
                 raise OtherPoints(f"{len(result.contacts)} points")
             return np.concatenate((*result.joint_velocity.values(), result.object_twist))
@@ -376,11 +364,15 @@ def competitors(case: Question) -> dict[str, Callable[[], Callable[[], Array]]]:
         return solve
 
     physics = case.problem.physics
+
+    def exact() -> Callable[[], Array]:
+        engine = ExactEngine(physics)
+        given = case.contacts if case.name == "grid" else None
+        return ours(lambda problem: engine.solve(problem, given))
+
     makers: dict[str, Callable[[], Callable[[], Array]]] = {
-        "ours: exact": lambda: ours(
-            PinocchioOnGivenPoints(physics, case.contacts) if case.name == "grid" else ExactEngine(physics)
-        ),
-        "ours: bullet": lambda: ours(BulletEngine(physics)),
+        "ours: exact": exact,
+        "ours: bullet": lambda: ours(BulletEngine(physics).solve),
     }
     if find_spec("mujoco") is not None:
         makers["MuJoCo"] = lambda: MujocoPeer(case).solve

@@ -11,7 +11,7 @@ import numpy as np
 from impact_rs_analysis.evidence.features import JUMP_BEFORE
 from impact_rs_analysis.evidence.measured_runs import MeasuredRun
 from impact_rs_sim.impact_map import ImpactProblem
-from impact_rs_sim.impact_map.contacts import SUPPORT, meetings
+from impact_rs_sim.impact_map.contacts import SUPPORT, contact_pairs
 from impact_rs_sim.physics import Physics
 from impact_rs_sim.robot import Array
 from impact_rs_sim.robot_model import RobotModel
@@ -45,7 +45,7 @@ def obliqueness_of(physics: Physics, states: Mapping[str, ArmState], box: BodySt
     models = physics.robot_models()
     placements = {name: models[name].placement(state.position) for name, state in states.items()}
     angles = []
-    for meeting in meetings(physics, box, placements):
+    for meeting in contact_pairs(physics, box, placements):
         if meeting.partner == SUPPORT:
             continue
         state, model = states[meeting.partner], models[meeting.partner]
@@ -87,7 +87,7 @@ def problem_of(run: MeasuredRun, physics: Physics, motor_inertia: str = "reduced
     placements = {name: models[name].placement(state.position) for name, state in arms.items()}
     shifts = [
         -meeting.separation * meeting.normal
-        for meeting in meetings(physics, box, placements)
+        for meeting in contact_pairs(physics, box, placements)
         if meeting.partner != SUPPORT
     ]
     # Trackers err by millimetres and the pad is soft: at the impact pad and object are made to touch.

@@ -28,8 +28,8 @@ from impact_rs_analysis.limits.hit_bounds import Bounds, Thresholds, bounds_of
 from impact_rs_sim.drive import DriveStart
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.impact_map import ImpactProblem
-from impact_rs_sim.impact_map.contacts import SUPPORT, meetings
-from impact_rs_sim.impact_map.perturbation import change
+from impact_rs_sim.impact_map.contacts import SUPPORT, contact_pairs
+from impact_rs_sim.impact_map.derivatives import change
 from impact_rs_sim.impact_map.uncertainty import draw, possible, sources_of
 from impact_rs_sim.numbers import NORMAL_95
 from impact_rs_sim.physics import ArmPhysics, Physics
@@ -217,7 +217,7 @@ def _approach(
     """
     placements = {name: models[name].placement(state.position) for name, state in arms.items()}
     found = {}
-    for one in meetings(physics, body, placements):
+    for one in contact_pairs(physics, body, placements):
         if one.partner == SUPPORT:
             continue
         state = arms[one.partner]

@@ -27,7 +27,7 @@ import scipy
 from impact_rs_sim.assumed_drive import assumed_drive, assumed_numbers
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.impact_map import DEFAULT_ENGINE, ENGINES, Engine, ImpactMapError, ImpactProblem
-from impact_rs_sim.impact_map.perturbation import change
+from impact_rs_sim.impact_map.derivatives import change
 from impact_rs_sim.impact_map.uncertainty import answer_of, draw, sources_of, touching_pads
 from impact_rs_sim.physics import JointFriction, Physics
 from impact_rs_sim.robot import Array, EndEffector, load_facts

@@ -13,7 +13,7 @@ from impact_rs_cli.arguments import settings_of, started
 from impact_rs_cli.terminal import Terminal
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.impact_map import ImpactProblem, predict_impact
-from impact_rs_sim.impact_map.derivatives import Derivatives, differentiate_safely, velocity_names
+from impact_rs_sim.impact_map.derivatives import Derivatives, differentiate
 from impact_rs_sim.impact_map.uncertainty import LEVEL, UncertainPrediction, predict
 from impact_rs_sim.impact_map.uniqueness import CHOICE, Uniqueness, uniqueness_of
 from impact_rs_sim.model import load_model
@@ -51,7 +51,7 @@ def run(args: argparse.Namespace, terminal: Terminal) -> int:
     result = predict_impact(problem, args.contact, args.engine)
     several = uniqueness_of(problem, scene.models) if args.contact == "first" else None
     prediction = predict(problem, scenario.uncertainty, scene.models) if args.uncertainty else None
-    slopes = differentiate_safely(problem, scene.models) if args.derivatives else None
+    slopes = differentiate(problem, scene.models) if args.derivatives else None
     assumed = {name: [item for item in arm.assumed if item not in UNUSED] for name, arm in scene.physics.arms.items()}
     before = {name: scene.models[name].jacobian(arm.position) @ arm.velocity for name, arm in scene.arms.items()}
     terminal.result(
@@ -85,7 +85,7 @@ def run(args: argparse.Namespace, terminal: Terminal) -> int:
             ],
             **({} if several is None else {"uniqueness": _uniqueness(several)}),
             **({} if prediction is None else {"uncertainty": _uncertainty(prediction)}),
-            **({} if slopes is None else {"derivatives": _derivatives(slopes, problem)}),
+            **({} if slopes is None else {"derivatives": _derivatives(slopes)}),
             "residual": {name: float(value) for name, value in vars(result.residual).items()},
             "engine": result.engine,
             "iterations": result.iterations,
@@ -106,7 +106,7 @@ def run(args: argparse.Namespace, terminal: Terminal) -> int:
     if prediction is not None:
         _say_uncertainty(prediction, terminal)
     if slopes is not None:
-        _say_derivatives(slopes, problem, f"{next(iter(scene.arms))}.velocity.{scenario.axis}", terminal)
+        _say_derivatives(slopes, f"{next(iter(scene.arms))}.velocity.{scenario.axis}", terminal)
     if note := assumed_words(assumed):
         terminal.say(f"note: {note}")
     if several is not None and several.warning:
@@ -196,7 +196,7 @@ def _say_uncertainty(prediction: UncertainPrediction, terminal: Terminal) -> Non
         terminal.say(f"    {name:<20} {value:>8} m/s  [{', '.join(ends)}]  {most}")
 
 
-def _derivatives(found: Derivatives, problem: ImpactProblem) -> dict[str, Any]:
+def _derivatives(found: Derivatives) -> dict[str, Any]:
     """Derivatives as JSON, velocity by velocity and parameter by parameter."""
     return {
         "states": list(found.states),
@@ -205,14 +205,14 @@ def _derivatives(found: Derivatives, problem: ImpactProblem) -> dict[str, Any]:
         "unit": {parameter.name: parameter.unit for parameter in found.parameters},
         "of": {
             name: dict(zip((parameter.name for parameter in found.parameters), row.tolist(), strict=True))
-            for name, row in zip(velocity_names(problem), found.of_velocities(), strict=True)
+            for name, row in zip(found.names, found.jacobian, strict=True)
         },
     }
 
 
-def _say_derivatives(found: Derivatives, problem: ImpactProblem, name: str, terminal: Terminal) -> None:
+def _say_derivatives(found: Derivatives, name: str, terminal: Terminal) -> None:
     """Derivatives of one velocity; all of them are in the JSON document."""
-    row = found.of_velocities()[velocity_names(problem).index(name)]
+    row = found.jacobian[found.names.index(name)]
     states = ", ".join(f"{found.states.count(state)} {state}" for state in dict.fromkeys(found.states))
     terminal.say(
         f"  derivatives of {name}, contacts as they are ({states or 'none'}; the nearest change of state is "

@@ -1,5 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The impact map: ante-impact state in, post-impact (:mod:`.problem`) or settled state (:mod:`.settled`) out."""
+"""The impact map: ante-impact state in, post-impact or settled state out.
+
+* :mod:`.problem`: the impact problem, its checks and its result; :mod:`.contacts`: contact points of boxes
+* :mod:`.laws`: terms, contact laws and residuals; :mod:`.solve`: Newton's and Poisson's law of restitution;
+  :mod:`.settled`: the contact that lasts; :mod:`.uniqueness`: spread where the laws have several solutions
+* :mod:`.measured`: impacts of a table, with the laws of :mod:`.contact_laws`
+* :mod:`.derivatives` and :mod:`.uncertainty`: parameters, derivatives and intervals of a prediction
+* :mod:`.bullet`: the independent check, from single steps of a physics engine; nothing else builds on it
+"""
 
 from __future__ import annotations
 
@@ -8,8 +16,6 @@ from collections import OrderedDict
 
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.impact_map.bullet import BulletEngine
-from impact_rs_sim.impact_map.engine import Engine
-from impact_rs_sim.impact_map.exact import ExactEngine
 from impact_rs_sim.impact_map.problem import (
     ContactImpulse,
     ImpactMapError,
@@ -20,6 +26,7 @@ from impact_rs_sim.impact_map.problem import (
     kinetic_energy,
 )
 from impact_rs_sim.impact_map.settled import settle
+from impact_rs_sim.impact_map.solve import Engine, ExactEngine
 
 __all__ = [
     "CONTACTS",

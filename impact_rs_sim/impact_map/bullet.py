@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The impact map extracted from the physics engine Bullet; the motor inertia B, which Bullet lacks, is added outside.
 
-This engine is the independent check of :mod:`impact_rs_sim.impact_map.exact`, and the idea of the paper: an impact map
+This engine is the independent check of :mod:`impact_rs_sim.impact_map.solve`, and the idea of the paper: an impact map
 from single steps of a physics engine.
 
 One step of Bullet from (q, u^-) without gravity, with the inertia M' and the generalised impulse p, gives u^+(p). It
@@ -42,10 +42,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from impact_rs_sim.bullet_world import BulletWorld
-from impact_rs_sim.impact_map.contacts import GAP_TOLERANCE, SUPPORT, ContactPoint, Meeting
-from impact_rs_sim.impact_map.engine import Answer, Engine
+from impact_rs_sim.impact_map.contacts import GAP_TOLERANCE, SUPPORT, ContactPair, ContactPoint
 from impact_rs_sim.impact_map.laws import ContactTerms, System
 from impact_rs_sim.impact_map.problem import ImpactProblem
+from impact_rs_sim.impact_map.solve import Engine, Solution
 from impact_rs_sim.physics import Physics
 from impact_rs_sim.robot import Array
 from impact_rs_sim.scene import ArmState, BodyState
@@ -58,11 +58,11 @@ _FAR = BodyState(np.array([0.0, 0.0, 1e3]), np.eye(3), np.zeros(6))
 
 @dataclass(frozen=True)
 class _Effort:
-    """How hard to try.
+    """Effort of one attempt.
 
     Attributes:
-        solver_iterations: Of Bullet's solver, in a step.
-        steps: Bullet's steps, at most.
+        solver_iterations: Iterations of Bullet's solver in a step.
+        steps: Largest number of Bullet's steps.
         patience: Steps without progress that end it.
         damping: Share of a Newton step that is taken [-].
         accepted: Residual above which the next effort follows [m/s].
@@ -106,15 +106,15 @@ class BulletEngine(Engine):
         self._worlds.move_to_end(key)
         return self._worlds[key]
 
-    def _solve(self, problem: ImpactProblem, system: System, meetings: Sequence[Meeting]) -> Answer:
+    def _solve(self, problem: ImpactProblem, system: System, pairs: Sequence[ContactPair]) -> Solution:
         world = self._world(problem.motor_inertia)
-        world.bring_together(meetings)
+        world.bring_together(pairs)
         world.place(problem, system.velocity)
         world.bullet.client.performCollisionDetection()
         contacts = world.contacts()
         terms = ContactTerms.of(system, contacts, problem.restitution)
         if not contacts:
-            return Answer(terms, np.zeros((0, 3)), system.velocity.copy(), 0)
+            return Solution(terms, np.zeros((0, 3)), system.velocity.copy(), 0)
         run = _Run(
             problem=problem,
             system=system,
@@ -128,7 +128,7 @@ class BulletEngine(Engine):
             count += steps
             if best.error <= effort.accepted:
                 break
-        return Answer(terms, best.impulses, best.velocity, count)
+        return Solution(terms, best.impulses, best.velocity, count)
 
     def _iterate(self, world: _World, run: _Run, effort: _Effort, best: _Attempt) -> tuple[_Attempt, int]:
         """Improve on ``best``; returns the best answer so far and the number of Bullet's steps."""
@@ -235,17 +235,17 @@ class _World:
             inertia[where, where] = model.mass_matrix(problem.arms[name].position)
         return inertia
 
-    def bring_together(self, meetings: Sequence[Meeting]) -> None:
+    def bring_together(self, pairs: Sequence[ContactPair]) -> None:
         """Empty the manifolds, and move arms and support until touching boxes overlap."""
         client = self.bullet.client
         self.bullet.set_object(_FAR)
         client.performCollisionDetection()
-        for meeting in meetings:
-            name = meeting.partner
-            shift = GAP_TOLERANCE * meeting.normal if meeting.separation <= GAP_TOLERANCE else np.zeros(3)
+        for pair in pairs:
+            name = pair.partner
+            shift = GAP_TOLERANCE * pair.normal if pair.separation <= GAP_TOLERANCE else np.zeros(3)
             if name == SUPPORT:
                 assert self.bullet.support is not None
-                body, origin = self.bullet.support, meeting.box.centre
+                body, origin = self.bullet.support, pair.box.centre
             else:
                 body, origin = self.bullet.arms[name], self.bullet.physics.arms[name].base.translation
             _, rotation = client.getBasePositionAndOrientation(body)

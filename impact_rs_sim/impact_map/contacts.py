@@ -79,8 +79,8 @@ class ContactPoint:
 
 
 @dataclass(frozen=True)
-class Meeting:
-    """Relative placement of the object and a partner that it may touch.
+class ContactPair:
+    """The object and a partner that it may touch.
 
     Attributes:
         partner: Name of the arm, or ``support``.
@@ -101,16 +101,8 @@ class Meeting:
     edges: tuple[int, int] | None = None
 
 
-def meetings(physics: Physics, state: BodyState, placements: Mapping[str, pin.SE3]) -> list[Meeting]:
-    """The object and every partner it may touch; ``placements`` are those of frame E in A by arm."""
-    object_, partners = _boxes(physics, state, placements)
-    return [
-        Meeting(name, box, object_, *_kernel.meet(box.parts, object_.parts, ALIGNED)) for name, box in partners.items()
-    ]
-
-
-def _boxes(physics: Physics, state: BodyState, placements: Mapping[str, pin.SE3]) -> tuple[Box, dict[str, Box]]:
-    """The object, and its partners."""
+def contact_pairs(physics: Physics, state: BodyState, placements: Mapping[str, pin.SE3]) -> list[ContactPair]:
+    """Contact pairs of the object; ``placements`` are those of frame E in A by arm."""
     object_ = Box(state.position, state.rotation, physics.object.size / 2.0)
     partners = {}
     for name, placement in placements.items():
@@ -120,7 +112,10 @@ def _boxes(physics: Physics, state: BodyState, placements: Mapping[str, pin.SE3]
     support = support_box(physics)
     if support is not None:
         partners[SUPPORT] = support
-    return object_, partners
+    return [
+        ContactPair(partner, box, object_, *_kernel.meet(box.parts, object_.parts, ALIGNED))
+        for partner, box in partners.items()
+    ]
 
 
 def support_box(physics: Physics) -> Box | None:
@@ -132,25 +127,25 @@ def support_box(physics: Physics) -> Box | None:
 
 
 def find_contacts(
-    physics: Physics, meetings: Sequence[Meeting], tolerance: float = GAP_TOLERANCE
+    physics: Physics, pairs: Sequence[ContactPair], tolerance: float = GAP_TOLERANCE
 ) -> list[ContactPoint]:
     """Contact points of the object with pads and support.
 
     Args:
         physics: Friction coefficients.
-        meetings: How the object stands to its partners.
+        pairs: Contact pairs of the object.
         tolerance: Largest gap that still counts as touching [m].
     """
     contacts: list[ContactPoint] = []
-    for meeting in meetings:
-        if meeting.separation > tolerance:
+    for pair in pairs:
+        if pair.separation > tolerance:
             continue
-        friction = physics.support_friction if meeting.partner == SUPPORT else physics.pad_friction
+        friction = physics.support_friction if pair.partner == SUPPORT else physics.pad_friction
         positions, gaps = _kernel.touching(
-            meeting.box.parts, meeting.object.parts, meeting.normal, meeting.on_object, meeting.edges, tolerance
+            pair.box.parts, pair.object.parts, pair.normal, pair.on_object, pair.edges, tolerance
         )
         contacts += [
-            ContactPoint(meeting.partner, position, meeting.normal, gap, friction)
+            ContactPoint(pair.partner, position, pair.normal, gap, friction)
             for position, gap in zip(positions, gaps.tolist(), strict=True)
         ]
     return contacts

@@ -2,7 +2,7 @@
 """The impact map at a measured state: one arm or two and an object, or one free body on a plane.
 
 The laws are those of :mod:`impact_rs_sim.impact_map.problem`, solved by the compiled map of
-:mod:`impact_rs_sim.impact_map.exact`, at all impacts of a table in one call. One impact is looked at by itself, so its
+:mod:`impact_rs_sim.impact_map.solve`, at all impacts of a table in one call. One impact is looked at by itself, so its
 contact points have more laws than those of a push that goes on (:mod:`impact_rs_sim.impact_map.contact_laws`).
 
 What differs from a planned impact is where the contact points come from. Poses are measured to a millimetre or so, and
@@ -22,19 +22,17 @@ import numpy as np
 
 from impact_rs_sim import _kernel
 from impact_rs_sim.errors import Infeasible
-from impact_rs_sim.impact_map.cones import solve_contacts
 from impact_rs_sim.impact_map.contact_laws import laws_of, table_of
 from impact_rs_sim.impact_map.contacts import (
     GAP_TOLERANCE,
     SUPPORT,
     ContactPoint,
+    contact_pairs,
     find_contacts,
-    meetings,
 )
-from impact_rs_sim.impact_map.engine import check_energy
-from impact_rs_sim.impact_map.exact import RULES, SOLVED, Compiled, ExactEngine
-from impact_rs_sim.impact_map.laws import ContactTerms, System, build_system
+from impact_rs_sim.impact_map.laws import System, build_system
 from impact_rs_sim.impact_map.problem import ImpactMapError, ImpactProblem, Residual
+from impact_rs_sim.impact_map.solve import RULES, Compiled, ExactEngine, check_energy
 from impact_rs_sim.physics import ArmPhysics, ContactCondition, Physics
 from impact_rs_sim.recent import Recent
 from impact_rs_sim.robot import Array, RobotFacts
@@ -232,15 +230,11 @@ class MeasuredImpacts:
         if self._near is None:
             self._near = np.nan_to_num(found.impulse) if len(found.impulse) == len(self._owner) else None
         answers = np.array(found.velocity)
-        obeys = np.max(found.residual, axis=1) <= ExactEngine.tolerance
-        for number in np.flatnonzero((found.status != SOLVED) | ~obeys).tolist():
-            other = self._by_cones(number, physics[number], contact)
-            if not obeys[number] or np.isfinite(other).all():
-                answers[number] = other
+        answers[~(np.max(found.residual, axis=1) <= ExactEngine.tolerance)] = np.nan
         return answers, found
 
     def _solve_readings(self, physics: Sequence[Physics]) -> tuple[Array, Compiled]:
-        """As :meth:`solve`, of twists as sensors read them: true ones go into the map, and u^+ is read as they are."""
+        """Solution for twists as sensors read them: the map takes true twists, and u^+ is converted to readings."""
         impacts = [impact.as_read(one.twist_readings) for impact, one in zip(self._impacts, physics, strict=True)]
         distinct = {id(one): replace(one, twist_readings=TwistReadings()) for one in physics}
         exact = [distinct[id(one)] for one in physics]
@@ -250,24 +244,6 @@ class MeasuredImpacts:
         for own, impact, one in zip(velocity, self._impacts, physics, strict=True):
             own[-6:] = one.twist_readings.twist(own[-6:], impact.object.rotation)
         return velocity, found
-
-    def _by_cones(self, number: int, physics: Physics, contact: ContactCondition) -> Array:
-        """u^+ of one impact from another first guess; nan without an answer, or with laws that cones do not have."""
-        impact = self._impacts[number]
-        own = slice(self._first[number], self._first[number + 1])
-        system = impact.system(physics, physics.robot_models())
-        nothing = np.full(system.velocity.size, np.nan)
-        if any(
-            np.any(getattr(contact, name)[own]) for name in ("tangential_restitution", "drilling_arm", "rolling_arm")
-        ):
-            return nothing
-        friction = contact.friction[own].tolist()
-        points = [replace(point, friction=value) for point, value in zip(impact.points, friction, strict=True)]
-        terms = ContactTerms.of(system, points, restitution_of(physics))
-        terms = replace(terms, rebound=-contact.restitution[own] * np.maximum(self._closing[own], 0.0))
-        impulses, _ = solve_contacts(terms)
-        velocity = np.asarray(system.velocity + terms.response @ impulses.ravel())
-        return velocity if terms.residual(impulses, velocity).largest <= ExactEngine.tolerance else nothing
 
 
 # To make one takes a hundred times as long as to use it. Facts are kept alive, because the key has their id.
@@ -334,7 +310,7 @@ def corners_that_touch(
         body: Pose of the box.
         size: Extent along its own axes, ``(3,)`` [m].
         normal: Unit normal of the plane, into the body, in A, ``(3,)``.
-        tolerance: How much further off a corner may be than the first [m].
+        tolerance: Largest distance of a touching corner beyond that of the first [m].
     """
     signs = np.array([[x, y, z] for x in (1, -1) for y in (1, -1) for z in (1, -1)])
     corners = body.position + (signs * size / 2.0) @ body.rotation.T
@@ -370,7 +346,7 @@ def points_of_scene(
         models: Rigid-body models by arm.
         on_pad: By arm, contact points in A that were measured, ``(3,)`` each [m], and the normal into the object, which
             is that of the nearest faces where it is None; else all points come from the geometry.
-        tolerance: How much further off a point may be than the nearest of its two bodies [m].
+        tolerance: Largest gap of a touching point beyond the smallest gap of its two bodies [m].
 
     Raises:
         Infeasible: No pad is near the object.
@@ -378,16 +354,16 @@ def points_of_scene(
     placements = {name: models[name].placement(state.position) for name, state in arms.items()}
     found: list[ContactPoint] = []
     nearest = np.inf
-    for meeting in meetings(physics, body, placements):
-        name = meeting.partner
+    for pair in contact_pairs(physics, body, placements):
+        name = pair.partner
         if name != SUPPORT:
-            nearest = min(nearest, abs(meeting.separation))
+            nearest = min(nearest, abs(pair.separation))
         if name != SUPPORT and on_pad is not None and name in on_pad:
             positions, normal = on_pad[name]
-            normal = meeting.normal if normal is None else normal
+            normal = pair.normal if normal is None else normal
             found += [ContactPoint(name, np.asarray(position), normal, 0.0, 0.0) for position in positions]
-        elif abs(meeting.separation) <= (SUPPORT_REACH if name == SUPPORT else PAD_REACH):
-            near = find_contacts(physics, [meeting], PAD_REACH)
+        elif abs(pair.separation) <= (SUPPORT_REACH if name == SUPPORT else PAD_REACH):
+            near = find_contacts(physics, [pair], PAD_REACH)
             first = min((point.gap for point in near), default=0.0)
             found += [point for point in near if point.gap <= first + tolerance]
     if all(point.partner == SUPPORT for point in found):

@@ -6,7 +6,7 @@ impulses L such that, with the generalised inertia of arms (M + B) and object,
 
     (M + B) (v^+ - v^-) = J_c^T L                              momentum balance
     0 <= L_n  perpendicular to  J_n v^+ + e min(J_n v^-, 0) >= 0   Newton restitution, per contact point (Poisson's:
-                                                               :mod:`impact_rs_sim.impact_map.restitution`)
+                                                               :mod:`impact_rs_sim.impact_map.solve`)
     |L_t| <= mu L_n, opposing the sliding velocity J_t v^+     Coulomb friction
 
 (paper sec. Simulation framework; Glocker 2006; Acary and Brogliato 2008). The impact is instantaneous: positions,
@@ -23,7 +23,7 @@ from typing import NamedTuple
 import numpy as np
 
 from impact_rs_sim.errors import Infeasible, InputError
-from impact_rs_sim.impact_map.contacts import SUPPORT, Meeting, meetings
+from impact_rs_sim.impact_map.contacts import SUPPORT, ContactPair, contact_pairs
 from impact_rs_sim.physics import MOTOR_INERTIA_MODELS, RESTITUTION_LAWS, Physics
 from impact_rs_sim.robot import Array, joined_units
 from impact_rs_sim.robot_model import RobotModel
@@ -82,9 +82,9 @@ def _touched(scene: Scene) -> BodyState:
     gaps_too = any(any(pad.pad_offset) for pad in pads)
     placements = {name: physics.robot_model(name).placement(state.position) for name, state in scene.arms.items()}
     depths = [
-        (-meeting.separation if gaps_too else max(-meeting.separation, 0.0)) * meeting.normal
-        for meeting in meetings(physics, object_, placements)
-        if meeting.partner != SUPPORT
+        (-pair.separation if gaps_too else max(-pair.separation, 0.0)) * pair.normal
+        for pair in contact_pairs(physics, object_, placements)
+        if pair.partner != SUPPORT
     ]
     return replace(object_, position=object_.position + np.mean(depths, axis=0))
 
@@ -155,7 +155,7 @@ class ImpactResult:
         end_effector_twist: Post-impact twist of frame E by arm, in E[A], ``(6,)`` [m/s, rad/s].
         object_twist: Post-impact twist of the object at its geometric centre, axes of A, ``(6,)`` [m/s, rad/s].
         contacts: Contact points with their impulses.
-        residual: How well the answer obeys the laws.
+        residual: Distance of the solution from the laws.
         engine: Name of the engine.
         iterations: Iterations of the engine's outer loop.
         elapsed: Wall-clock time [s].
@@ -183,7 +183,7 @@ LIMIT_SLACK = 1e-9  # rad or m; a configuration on its limit passes
 PENETRATION_TOLERANCE = 1e-3  # m, deepest accepted overlap of pad and object, or object and support
 
 
-def check_problem(problem: ImpactProblem, models: Mapping[str, RobotModel] | None = None) -> list[Meeting]:
+def check_problem(problem: ImpactProblem, models: Mapping[str, RobotModel] | None = None) -> list[ContactPair]:
     """Refuse a problem without solution.
 
     Args:
@@ -191,7 +191,7 @@ def check_problem(problem: ImpactProblem, models: Mapping[str, RobotModel] | Non
         models: Rigid-body models by arm, where the caller has them already.
 
     Returns:
-        How the object stands to pads and support.
+        Contact pairs of the object with pads and support.
 
     Raises:
         InputError: Non-finite or wrong-length state, negative mass or motor inertia, restitution outside [0, 1], or a
@@ -219,12 +219,12 @@ def check_problem(problem: ImpactProblem, models: Mapping[str, RobotModel] | Non
     if models is None:
         models = physics.robot_models()
     placements = {name: models[name].placement(state.position) for name, state in problem.arms.items()}
-    found = meetings(physics, body, placements)
-    for meeting in found:
-        depth = -meeting.separation
+    found = contact_pairs(physics, body, placements)
+    for pair in found:
+        depth = -pair.separation
         if depth > PENETRATION_TOLERANCE:
             raise Infeasible(
-                f"the object penetrates {meeting.partner!r} by {1e3 * depth:.3g} mm, accepted are "
+                f"the object penetrates {pair.partner!r} by {1e3 * depth:.3g} mm, accepted are "
                 f"{1e3 * PENETRATION_TOLERANCE:.3g} mm",
                 key="object.position",
             )

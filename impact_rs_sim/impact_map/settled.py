@@ -16,7 +16,7 @@ map once more, with the inertia N^T H N and the Jacobian J_c N,
 
     N^T H N (z^+ - z^-) = N^T J_c^T L,        z^- = (N^T H N)^-1 N^T H u^-
 
-solved as in :mod:`impact_rs_sim.impact_map.exact`; A is the one of least norm. Where friction holds all pads and
+solved as in :mod:`impact_rs_sim.impact_map.solve`; A is the one of least norm. Where friction holds all pads and
 the support gets no impulse, pads and object go on together, J_p u^+ = 0, and it is Gauss' principle of least constraint
 for velocities (Moreau 1988; Glocker 2001): of all motions in which they do, the nearest to u^- in kinetic energy,
 
@@ -44,11 +44,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from impact_rs_sim.impact_map.cones import solve_contacts
 from impact_rs_sim.impact_map.contacts import GAP_TOLERANCE, SUPPORT, ContactPoint, find_contacts
-from impact_rs_sim.impact_map.engine import result_of
-from impact_rs_sim.impact_map.exact import ExactEngine
-from impact_rs_sim.impact_map.laws import ContactTerms, System, build_system
+from impact_rs_sim.impact_map.laws import ContactTerms, System, build_system, solve_contacts
 from impact_rs_sim.impact_map.problem import (
     ImpactMapError,
     ImpactProblem,
@@ -56,6 +53,7 @@ from impact_rs_sim.impact_map.problem import (
     Residual,
     check_problem,
 )
+from impact_rs_sim.impact_map.solve import ExactEngine, result_of
 from impact_rs_sim.robot import Array
 
 REACH = 0.01  # m; points of a pad's face that are nearer than this close: a pad of 0.1 m that is tilted by 0.1 rad
@@ -80,11 +78,11 @@ def settle(problem: ImpactProblem) -> ImpactResult:
     """
     start = time.perf_counter()
     models = problem.physics.robot_models()
-    touching = [meeting for meeting in check_problem(problem, models) if meeting.separation <= GAP_TOLERANCE]
+    touching = [pair for pair in check_problem(problem, models) if pair.separation <= GAP_TOLERANCE]
     system = build_system(problem, models)
-    found = {meeting.partner: find_contacts(problem.physics, [meeting], REACH) for meeting in touching}
+    found = {pair.partner: find_contacts(problem.physics, [pair], REACH) for pair in touching}
     faces = {name: points for name, points in found.items() if name != SUPPORT and points}
-    support = find_contacts(problem.physics, [meeting for meeting in touching if meeting.partner == SUPPORT])
+    support = find_contacts(problem.physics, [pair for pair in touching if pair.partner == SUPPORT])
     settled = close_contacts(system, faces, support)
     if not settled.residual.largest <= ExactEngine.tolerance:
         law, amount = settled.residual.worst
@@ -113,7 +111,7 @@ class Settled:
         impulses: L + A n on the object at the points of the pads, then of the support, in axes of A, ``(m, 3)`` [N s].
         velocity: u^+, ``(nv,)`` [rad/s, m/s].
         residual: Distance from the laws.
-        iterations: Of the solver.
+        iterations: Iterations of the solver.
     """
 
     lasting: tuple[str, ...]

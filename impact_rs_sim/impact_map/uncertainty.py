@@ -27,11 +27,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from impact_rs_sim.errors import InputError
-from impact_rs_sim.impact_map.cones import solve_contacts
 from impact_rs_sim.impact_map.contacts import SUPPORT
-from impact_rs_sim.impact_map.derivatives import differentiate_safely, velocity_names
-from impact_rs_sim.impact_map.laws import states
-from impact_rs_sim.impact_map.perturbation import AXES, change
+from impact_rs_sim.impact_map.derivatives import AXES, all_velocities, change, differentiate, velocity_names
+from impact_rs_sim.impact_map.laws import solve_contacts, states
 from impact_rs_sim.impact_map.problem import ImpactMapError, ImpactProblem, check_problem
 from impact_rs_sim.numbers import NORMAL_95
 from impact_rs_sim.robot import Array
@@ -43,6 +41,20 @@ DRAWS = 200  # the ends of an interval scatter by about a tenth of its width
 LEVEL = 0.95
 HITS = ("hits the object", "does not hit the object")
 MEETS_SUPPORT = ("the object presses on its support", "the object does not press on its support")
+SOURCES = (
+    "motor_inertia",
+    "link_inertia",
+    "object_mass",
+    "object_inertia",
+    "object_com_offset",
+    "object_pose",
+    "joint_position",
+    "joint_velocity",
+    "contact_point",
+    "pad_friction",
+    "support_friction",
+    "restitution",
+)
 _TAILS = ((1.0 - LEVEL) / 2.0, (1.0 + LEVEL) / 2.0)
 _LAWFUL = 1e-5  # m/s, residual of a draw that counts
 
@@ -53,11 +65,11 @@ class Stopped(Exception):
 
 @dataclass(frozen=True)
 class UncertaintySource:
-    """One quantity that is not known exactly.
+    """One uncertain quantity.
 
     Attributes:
         name: Name of the source, a key of the scenario's ``uncertainty``.
-        deviations: By independent part: what one standard deviation of it changes, by parameter.
+        deviations: Change by one standard deviation of each independent part, by parameter.
     """
 
     name: str
@@ -77,10 +89,10 @@ class UncertainPrediction:
         budget: Share of the variance by source, ``(k,)`` each [-].
         method: ``linear`` or ``monte_carlo``.
         switched: Share of draws in other contact states [-].
-        switches: What is otherwise there than in the prediction, in words, and in which share of the draws [-].
+        switches: Differences of contact states from the prediction, in words, with their share of the draws [-].
         draws: Draws that have an answer.
-        without_answer: Draws that have none.
-        factors: What one standard deviation of every independent part does, ``(k, p)``.
+        without_answer: Draws without an answer.
+        factors: Change by one standard deviation of every independent part, ``(k, p)``.
         sample: Velocities of the draws, ``(draws, k)``.
     """
 
@@ -111,65 +123,36 @@ class UncertainPrediction:
 
 def sources_of(problem: ImpactProblem, stated: Uncertainties) -> tuple[UncertaintySource, ...]:
     """All uncertainties stated in a scenario, as changes of the parameters of a problem."""
-    object_ = problem.physics.object
+    object_, physics = problem.physics.object, problem.physics
     stated = Uncertainties(**{name: width / NORMAL_95 for name, width in stated})
 
-    def apart(names: Sequence[str], sigma: float) -> tuple[Mapping[str, float], ...]:
-        return tuple({name: sigma} for name in names)
+    def apart(names: Sequence[str], sigma: float) -> list[Mapping[str, float]]:
+        return [{name: sigma} for name in names]
 
-    motors: list[Mapping[str, float]] = []
-    links: list[Mapping[str, float]] = []
-    joints: list[Mapping[str, float]] = []
-    speeds: list[Mapping[str, float]] = []
-    points: list[Mapping[str, float]] = []
+    parts: dict[str, list[Mapping[str, float]]] = {name: [] for name in SOURCES}
     for name, state in problem.arms.items():
-        count = range(1, state.position.size + 1)
-        motors += [
+        joints = range(1, state.position.size + 1)
+        parts["motor_inertia"] += [
             {f"{name}.motor_inertia.{joint}": stated.motor_inertia * float(problem.motor_inertia[name][joint - 1])}
-            for joint in count
+            for joint in joints
         ]
-        links.append({f"{name}.link_inertia": stated.link_inertia})
-        joints += apart([f"{name}.position.{joint}" for joint in count], stated.joint_position)
-        speeds += apart([f"{name}.velocity.{joint}" for joint in count], stated.joint_velocity)
-        points += apart([f"{name}.contact_point.{axis}" for axis in "xy"], stated.contact_point)
-    mass = stated.object_mass * object_.mass
-    scaled = {"object.mass": mass} | {
-        f"object.inertia.{axis}": stated.object_mass * float(value)
-        for axis, value in zip(AXES, object_.inertia, strict=True)
-    }
-    moments = [
-        {f"object.inertia.{axis}": stated.object_inertia * float(value)}
-        for axis, value in zip(AXES, object_.inertia, strict=True)
-    ]
-    found = [
-        UncertaintySource("motor_inertia", tuple(motors)),
-        UncertaintySource("link_inertia", tuple(links)),
-        UncertaintySource("object_mass", (scaled,)),
-        UncertaintySource("object_inertia", tuple(moments)),
-        UncertaintySource(
-            "object_com_offset", apart([f"object.com_offset.{axis}" for axis in AXES], stated.object_com_offset)
-        ),
-        UncertaintySource(
-            "object_pose",
-            (
-                *apart(["object.position.x", "object.position.y"], stated.object_position),
-                *apart(["object.rotation.z"], stated.object_yaw),
-            ),
-        ),
-        UncertaintySource("joint_position", tuple(joints)),
-        UncertaintySource("joint_velocity", tuple(speeds)),
-        UncertaintySource("contact_point", tuple(points)),
-        UncertaintySource("pad_friction", ({"pad_friction": stated.pad_friction * problem.physics.pad_friction},)),
-        UncertaintySource(
-            "support_friction", ({"support_friction": stated.support_friction * problem.physics.support_friction},)
-        ),
-        UncertaintySource("restitution", ({"restitution": stated.restitution},)),
-    ]
+        parts["link_inertia"] += [{f"{name}.link_inertia": stated.link_inertia}]
+        parts["joint_position"] += apart([f"{name}.position.{joint}" for joint in joints], stated.joint_position)
+        parts["joint_velocity"] += apart([f"{name}.velocity.{joint}" for joint in joints], stated.joint_velocity)
+        parts["contact_point"] += apart([f"{name}.contact_point.{axis}" for axis in "xy"], stated.contact_point)
+    moments = {f"object.inertia.{axis}": float(value) for axis, value in zip(AXES, object_.inertia, strict=True)}
+    scaled = {"object.mass": object_.mass} | moments
+    parts["object_mass"] = [{name: stated.object_mass * value for name, value in scaled.items()}]
+    parts["object_inertia"] = [{name: stated.object_inertia * value} for name, value in moments.items()]
+    parts["object_com_offset"] = apart([f"object.com_offset.{axis}" for axis in AXES], stated.object_com_offset)
+    parts["object_pose"] = apart(["object.position.x", "object.position.y"], stated.object_position)
+    parts["object_pose"] += apart(["object.rotation.z"], stated.object_yaw)
+    parts["pad_friction"] = [{"pad_friction": stated.pad_friction * physics.pad_friction}]
+    parts["support_friction"] = [{"support_friction": stated.support_friction * physics.support_friction}]
+    parts["restitution"] = [{"restitution": stated.restitution}]
     return tuple(
-        UncertaintySource(
-            one.name, tuple(part for part in one.deviations if any(sigma > 0.0 for sigma in part.values()))
-        )
-        for one in found
+        UncertaintySource(name, tuple(part for part in own if any(sigma > 0.0 for sigma in part.values())))
+        for name, own in parts.items()
     )
 
 
@@ -196,11 +179,11 @@ def predict(
 
     Args:
         problem: The problem; Newton's law of restitution.
-        stated: What is not known exactly.
+        stated: Uncertainties of the scenario.
         models: Rigid-body models by arm, where the caller has them already.
         draws: From all uncertainties; a quarter as many of every source where the interval is that of the draws.
-        seed: Of the draws.
-        stopped: Asked before every draw: whether the answer is no longer wanted.
+        seed: Seed of the draws.
+        stopped: Callback before every draw; True ends the prediction.
 
     Raises:
         Stopped: ``stopped`` said so.
@@ -213,9 +196,9 @@ def predict(
         models = problem.physics.robot_models()
     check_problem(problem, models)
     sources = sources_of(problem, stated)
-    found = differentiate_safely(problem, models)
+    found = differentiate(problem, models)
     nominal, usual = answer_of(problem, models, {})
-    slopes = dict(zip((one.name for one in found.parameters), found.of_velocities().T, strict=True))
+    slopes = dict(zip((one.name for one in found.parameters), found.jacobian.T, strict=True))
     rng = np.random.default_rng(seed)
     sample, states_of, lost = _sample(problem, models, sources, draws, rng, stopped)
     switched = float(np.mean([one != usual for one in states_of])) if states_of else 0.0
@@ -268,10 +251,10 @@ def interval_of_draws(
 
     Args:
         problem: The problem; Newton's law of restitution.
-        stated: What is not known exactly.
+        stated: Uncertainties of the scenario.
         models: Rigid-body models by arm.
         draws: From all uncertainties.
-        seed: Of the draws.
+        seed: Seed of the draws.
 
     Raises:
         ImpactMapError: Fewer than two draws have an answer.
@@ -316,9 +299,8 @@ def answer_of(
     velocity = system.velocity + terms.response @ impulses.ravel()
     if not terms.residual(impulses, velocity).largest <= _LAWFUL:
         raise ImpactMapError("no answer obeys the laws")
-    joints, twists, object_ = system.split(velocity)
     states_ = zip((contact.partner for contact in terms.contacts), states(terms, impulses), strict=True)
-    return np.concatenate((*joints.values(), *twists.values(), object_)), tuple(" ".join(one) for one in states_)
+    return all_velocities(system, velocity), tuple(" ".join(one) for one in states_)
 
 
 def _sample(

@@ -5,8 +5,7 @@ A face that touches with more than three points can share a load among them in m
 slide without friction, all ways give one u^+; where they slide, each point's friction follows its own load, and u^+ is
 one of a family. The loads of a family form a polytope, whose corners leave at most three points of a face loaded. So
 every choice of three points of every such face is solved by itself. The solutions among these that obey the laws of the
-whole problem span the **spread**. First guesses are the solution of the impact map and, with Pinocchio 4, that of ADMM,
-so that solutions with other contact states are found as well.
+whole problem span the **spread**. The first guess is the solution of the impact map.
 
 The impact map returns the one of points with equal compliance (:mod:`impact_rs_sim.impact_map.laws`).
 """
@@ -19,9 +18,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from impact_rs_sim.impact_map.cones import has_admm, solve_cones, solve_contacts
 from impact_rs_sim.impact_map.contacts import find_contacts
-from impact_rs_sim.impact_map.laws import ContactTerms, System, build_system, newton
+from impact_rs_sim.impact_map.laws import ContactTerms, System, build_system, newton, solve_contacts
 from impact_rs_sim.impact_map.problem import ImpactProblem, check_problem
 from impact_rs_sim.robot import Array
 from impact_rs_sim.robot_model import RobotModel
@@ -40,15 +38,11 @@ class Uniqueness:
         spread: Largest difference of two answers in a linear velocity of an end effector or the object [m/s].
         relative: The same over the ante-impact speed, the largest of all bodies [-].
         answers: Number of lawful solutions found, including that of the impact map.
-        low: Least of every entry of u^+, ``(nv,)`` [rad/s, m/s].
-        high: Largest of every entry of u^+, ``(nv,)``.
     """
 
     spread: float
     relative: float
     answers: int
-    low: Array
-    high: Array
 
     @property
     def unique(self) -> bool:
@@ -67,7 +61,7 @@ class Uniqueness:
 
 
 def uniqueness_of(problem: ImpactProblem, models: Mapping[str, RobotModel] | None = None) -> Uniqueness:
-    """Spread of the solutions of a problem; under Poisson's law that of its compression.
+    """Spread of the solutions of a problem, under Poisson's law of its compression.
 
     Args:
         problem: The problem.
@@ -89,16 +83,12 @@ def lawful_answers(terms: ContactTerms) -> list[Array]:
     """u^+ of every solution found, that of the impact map first, ``(nv,)`` each."""
     chosen, _ = solve_contacts(terms)
     answers = [terms.before + terms.response @ chosen.ravel()]
-    guesses = [chosen, *([solve_cones(terms)[0]] if has_admm() else [])]
     for points in itertools.islice(_choices([contact.partner for contact in terms.contacts]), MOST):
-        some = _of_points(terms, points)
-        for guess in guesses:
-            impulses = np.zeros_like(chosen)
-            impulses[points], converged = newton(some, guess[points])
-            velocity = terms.before + terms.response @ impulses.ravel()
-            if converged and terms.residual(impulses, velocity).largest <= LAWFUL:
-                answers.append(velocity)
-                break
+        impulses = np.zeros_like(chosen)
+        impulses[points], converged = newton(_of_points(terms, points), chosen[points])
+        velocity = terms.before + terms.response @ impulses.ravel()
+        if converged and terms.residual(impulses, velocity).largest <= LAWFUL:
+            answers.append(velocity)
     return answers
 
 
@@ -107,14 +97,7 @@ def spread_of(system: System, answers: Sequence[Array]) -> Uniqueness:
     speeds = np.array([_linear(system, answer) for answer in answers])
     spread = float(np.max(np.ptp(speeds, axis=0)))
     before = float(np.max(np.linalg.norm(_linear(system, system.velocity).reshape(-1, 3), axis=1)))
-    together = np.array(answers)
-    return Uniqueness(
-        spread=spread,
-        relative=spread / before if before > 0.0 else 0.0,
-        answers=len(answers),
-        low=together.min(axis=0),
-        high=together.max(axis=0),
-    )
+    return Uniqueness(spread, spread / before if before > 0.0 else 0.0, len(answers))
 
 
 def _linear(system: System, velocity: Array) -> Array:

@@ -7,7 +7,7 @@ import itertools
 
 import numpy as np
 
-from impact_rs_sim.impact_map.contacts import ALIGNED, Box, Meeting
+from impact_rs_sim.impact_map.contacts import ALIGNED, Box, ContactPair
 
 CROSSED = 0.995  # cosine; edges whose common normal is nearer to that of a face are corners of faces that touch
 PARALLEL = 1e-2  # sine of the angle of two edges, below which they do not cross
@@ -79,15 +79,15 @@ def _extent(box: Box, axis: np.ndarray) -> float:
     return float(np.linalg.norm(np.delete(box.half, along)))
 
 
-def touching(meeting: Meeting, tolerance: float) -> list[tuple[np.ndarray, float]]:
+def touching(pair: ContactPair, tolerance: float) -> list[tuple[np.ndarray, float]]:
     """Points on the object with their gaps."""
-    if meeting.edges is not None:
-        found = crossing(meeting.box, meeting.object, meeting.edges, meeting.normal)
+    if pair.edges is not None:
+        found = crossing(pair.box, pair.object, pair.edges, pair.normal)
         return [found] if found is not None and found[1] <= tolerance else []
     # The reference face owns the normal; the incident face of the other box is clipped to it.
-    on_object = meeting.on_object
-    reference, incident = (meeting.object, meeting.box) if on_object else (meeting.box, meeting.object)
-    outward = -meeting.normal if on_object else meeting.normal
+    on_object = pair.on_object
+    reference, incident = (pair.object, pair.box) if on_object else (pair.box, pair.object)
+    outward = -pair.normal if on_object else pair.normal
     axis = int(np.argmax(np.abs(reference.rotation.T @ outward)))
     facing = np.copysign(1.0, reference.rotation[:, axis] @ outward)
     polygon = (_face(incident, -outward) - reference.centre) @ reference.rotation

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The compiled map of one call and the map step by step in Python are one map; so are many questions at once."""
+"""The compiled call and the terms of :mod:`impact_rs_sim.impact_map.laws` in Python are one impact map."""
 
 from __future__ import annotations
 
@@ -8,30 +8,23 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from impact_map_cases import MODEL, PUSH, grab, nominal, one_point
+from random_impacts import random_problem
 
 from impact_rs_sim.errors import InputError
-from impact_rs_sim.impact_map import Engine, ExactEngine, ImpactProblem
-from impact_rs_sim.impact_map.batch import ImpactBatch, solve_batch
-from impact_rs_sim.impact_map.cones import solve_cones, solve_contacts
+from impact_rs_sim.impact_map import ExactEngine, ImpactProblem
 from impact_rs_sim.impact_map.contacts import find_contacts
-from impact_rs_sim.impact_map.exact import SOLVED, STATES, CompiledMap
 from impact_rs_sim.impact_map.laws import (
     COMPLIANCE,
     ContactTerms,
     System,
     build_system,
     delassus,
-    harden,
     linearise,
-    newton,
+    solve_contacts,
     yielding_velocity,
 )
 from impact_rs_sim.impact_map.problem import check_problem
-from impact_rs_sim.impact_map.sampling import random_problem
-from impact_rs_sim.impact_map.uniqueness import uniqueness_of
-from impact_rs_sim.scene import ArmState
-
-# ---- one call -------------------------------------------------------------------------------------------------------
+from impact_rs_sim.impact_map.solve import SOLVED, STATES, CompiledMap
 
 
 def problems() -> list[ImpactProblem]:
@@ -56,23 +49,23 @@ def test_one_pass_over_the_chain_gives_what_three_give() -> None:
         np.testing.assert_allclose(place, MODEL.placement(q).homogeneous, atol=1e-13)
 
 
-def test_one_call_and_step_by_step_give_the_same_answer() -> None:
+def test_one_call_and_the_terms_in_python_give_the_same_answer() -> None:
     for problem in problems():
-        engine = ExactEngine(problem.physics)
-        at_once, by_steps = engine._compiled_result(problem, 0.0), Engine.solve(engine, problem)
-        assert at_once is not None
+        at_once = ExactEngine(problem.physics).solve(problem)
+        system, terms = terms_of(problem)
+        after = terms.before + terms.response @ solve_contacts(terms)[0].ravel()
+        joints, twists, object_twist = system.split(after)
         for name in problem.arms:
-            np.testing.assert_allclose(at_once.joint_velocity[name], by_steps.joint_velocity[name], atol=1e-9)
-            np.testing.assert_allclose(at_once.end_effector_twist[name], by_steps.end_effector_twist[name], atol=1e-9)
-        np.testing.assert_allclose(at_once.object_twist, by_steps.object_twist, atol=1e-9)
-        assert len(at_once.contacts) == len(by_steps.contacts)
-        for one, other in zip(at_once.contacts, by_steps.contacts, strict=True):
-            assert (one.body_a, one.body_b) == (other.body_a, other.body_b)
+            np.testing.assert_allclose(at_once.joint_velocity[name], joints[name], atol=1e-9)
+            np.testing.assert_allclose(at_once.end_effector_twist[name], twists[name], atol=1e-9)
+        np.testing.assert_allclose(at_once.object_twist, object_twist, atol=1e-9)
+        assert len(at_once.contacts) == len(terms.contacts)
+        for one, other in zip(at_once.contacts, terms.contacts, strict=True):
+            assert (one.body_a, one.body_b) == ("object", other.partner)
             np.testing.assert_array_equal(one.position, other.position)
             np.testing.assert_array_equal(one.normal, other.normal)
             assert one.gap == other.gap
-        system, terms = terms_of(problem)
-        found = engine._compiled.answer(problem)
+        found = CompiledMap(problem.physics, problem.physics.robot_models()).solve(problem)
         impulses = found.impulse
         velocity = system.velocity + terms.response @ impulses.ravel()
         np.testing.assert_allclose(found.velocity[0], velocity, atol=1e-12)
@@ -90,27 +83,14 @@ def test_one_call_and_step_by_step_give_the_same_answer() -> None:
         assert all(one == other or kink for one, other, kink in zip(told, linear.state, at_a_kink, strict=True))
 
 
-def test_answers_are_those_of_admm_and_newtons_method_where_there_is_one() -> None:
-    compared = 0
-    for problem in problems():
-        _, terms = terms_of(problem)
-        guess, converged = newton(terms, solve_cones(terms)[0])
-        if not converged or not uniqueness_of(problem).relative <= 1e-7:
-            continue
-        change = terms.response @ (harden(terms, guess) - solve_contacts(terms)[0]).ravel()
-        np.testing.assert_allclose(change, 0.0, atol=1e-9)
-        compared += 1
-    assert compared >= 3
-
-
 def test_points_that_are_given_are_those_that_are_taken() -> None:
     problem = grab()
     _, terms = terms_of(problem)
     compiled = CompiledMap(problem.physics, problem.physics.robot_models())
-    found = compiled.answer(problem)
-    again = compiled.answer(problem, terms.contacts)
+    found = compiled.solve(problem)
+    again = compiled.solve(problem, terms.contacts)
     np.testing.assert_allclose(again.velocity, found.velocity, atol=1e-13)
-    fewer = compiled.answer(problem, terms.contacts[:3])
+    fewer = compiled.solve(problem, terms.contacts[:3])
     assert len(fewer.impulse) == 3
 
 
@@ -130,7 +110,7 @@ def test_many_points_solved_through_velocities_agree_with_impulses() -> None:
     terms = ContactTerms.of(system, grid, 0.0)
     impulses, solved, _ = terms.kernel.solve(COMPLIANCE)  # which knows no more than the Delassus operator
     assert solved
-    answer = CompiledMap(problem.physics, engine.models).answer(problem, grid)
+    answer = CompiledMap(problem.physics, engine.models).solve(problem, grid)
     assert answer is not None
     assert answer.status[0] == SOLVED
     np.testing.assert_allclose(answer.velocity[0], system.velocity + terms.response @ impulses.ravel(), atol=1e-12)
@@ -144,7 +124,7 @@ def test_many_points_solved_through_velocities_agree_with_impulses() -> None:
         lambda problem: replace(problem, restitution_law="poisson"),
         lambda problem: replace(problem, restitution=1.5),
         lambda problem: replace(problem, arms={}),
-        lambda problem: replace(problem, motor_inertia={"arm": -np.ones(7)}),
+        lambda problem: replace(problem, motor_inertia={"arm": np.full(7, -1e-3)}),
         lambda problem: replace(problem, motor_inertia={"arm": np.full(7, np.nan)}),
         lambda problem: replace(problem, motor_inertia={"arm": np.ones(6)}),
         lambda problem: replace(problem, object=replace(problem.object, rotation=2.0 * np.eye(3))),
@@ -157,11 +137,11 @@ def test_many_points_solved_through_velocities_agree_with_impulses() -> None:
         lambda problem: replace(problem, arms={"arm": replace(problem.arms["arm"], position=np.full(7, 9.0))}),
     ],
 )
-def test_what_is_out_of_the_ordinary_is_left_to_the_long_way(changed) -> None:
+def test_the_compiled_call_refuses_invalid_data(changed) -> None:
     problem = nominal()
     compiled = CompiledMap(problem.physics, problem.physics.robot_models())
-    assert compiled.answer(problem).status[0] == SOLVED
-    found = compiled.answer(changed(problem))
+    assert compiled.solve(problem).status[0] == SOLVED
+    found = compiled.solve(changed(problem))
     assert found is None or (found.status[0] != SOLVED and np.all(np.isnan(found.velocity)))
 
 
@@ -169,97 +149,10 @@ def test_a_measured_state_may_be_beyond_the_limits() -> None:
     problem = nominal()
     fast = replace(problem, arms={"arm": replace(problem.arms["arm"], velocity=np.full(7, 3.0))}, measured=True)
     compiled = CompiledMap(problem.physics, problem.physics.robot_models())
-    assert compiled.answer(fast).status[0] == SOLVED
+    assert compiled.solve(fast).status[0] == SOLVED
 
 
 def test_an_object_that_cannot_be_is_refused() -> None:
     physics = replace(nominal().physics, pad_friction=-1.0)
     with pytest.raises(InputError, match="friction"):
         CompiledMap(physics, physics.robot_models())
-
-
-# ---- many questions at once -----------------------------------------------------------------------------------------
-
-COUNT = 6
-
-
-def batch_about(problem, rng: np.random.Generator) -> ImpactBatch:
-    """Velocities, configurations, motor inertia, restitution and friction that differ."""
-    arms = {
-        name: ArmState(
-            state.position + 1e-5 * rng.standard_normal((COUNT, state.position.size)),
-            state.velocity + 0.01 * rng.standard_normal((COUNT, state.position.size)),
-        )
-        for name, state in problem.arms.items()
-    }
-    motors = {name: values * rng.uniform(0.5, 1.5, (COUNT, 1)) for name, values in problem.motor_inertia.items()}
-    restitution, friction = rng.uniform(0.0, 0.3, COUNT), rng.uniform(0.1, 0.9, COUNT)
-    return ImpactBatch(problem.physics, arms, problem.object, motors, restitution, pad_friction=friction)
-
-
-@pytest.mark.parametrize("case", [nominal, grab])
-def test_every_row_is_the_answer_to_its_question(case) -> None:
-    problem = case()
-    batch = batch_about(problem, np.random.default_rng(5))
-    found = solve_batch(batch)
-    assert not found.refused
-    for number in range(COUNT):
-        asked = batch.problem(number)
-        answer = ExactEngine(asked.physics).solve(asked)
-        for name in problem.arms:
-            np.testing.assert_array_equal(found.joint_velocity[name][number], answer.joint_velocity[name])
-            np.testing.assert_array_equal(found.end_effector_twist[name][number], answer.end_effector_twist[name])
-        np.testing.assert_array_equal(found.object_twist[number], answer.object_twist)
-        assert found.residual[number] == answer.residual.largest
-        assert found.contacts[number] == len(answer.contacts)
-
-
-def test_what_does_not_differ_is_given_once() -> None:
-    problem = nominal()
-    scales = np.array([0.5, 1.0, 2.0])
-    motors = {"arm": problem.motor_inertia["arm"] * scales[:, None]}
-    found = solve_batch(ImpactBatch(problem.physics, problem.arms, problem.object, motors))
-    speed = found.end_effector_twist["arm"][:, 1]
-    assert speed.shape == (3,)
-    assert np.all(np.diff(np.abs(speed)) > 0.0)  # a heavier arm loses less
-    alone = solve_batch(ImpactBatch(problem.physics, problem.arms, problem.object, problem.motor_inertia))
-    np.testing.assert_array_equal(alone.object_twist[0], found.object_twist[1])
-
-
-def test_a_question_without_an_answer_costs_the_others_nothing() -> None:
-    problem = nominal()
-    batch = batch_about(problem, np.random.default_rng(6))
-    batch.arms["arm"].velocity[2] = np.nan
-    batch.restitution[4] = 1.5
-    found = solve_batch(batch)
-    assert set(found.refused) == {2, 4}
-    assert "arms.arm.velocity" in found.refused[2]
-    assert "restitution" in found.refused[4]
-    lost = np.isnan(found.object_twist).all(axis=1)
-    np.testing.assert_array_equal(lost, [False, False, True, False, True, False])
-    assert np.isnan(found.residual[2]) and found.contacts[2] == 0
-
-
-@pytest.mark.parametrize("value", [-1e-3, np.nan, np.inf])
-def test_a_motor_inertia_that_no_motor_has_is_refused(value: float) -> None:
-    """A slightly negative one leaves M + B positive definite, so that only the check can notice."""
-    batch = batch_about(nominal(), np.random.default_rng(8))
-    batch.motor_inertia["arm"][3, 1] = value
-    found = solve_batch(batch)
-    assert set(found.refused) == {3}
-    assert "motor_inertia.arm" in found.refused[3]
-    assert np.isnan(found.object_twist[3]).all()
-
-
-@pytest.mark.parametrize(
-    ("changed", "told"),
-    [
-        ({"restitution": np.zeros(4)}, "restitution"),
-        ({"motor_inertia": {"arm": np.ones((6, 6))}}, r"motor_inertia\.arm"),
-        ({"motor_inertia": {"other": np.ones(7)}}, "motor_inertia"),
-    ],
-)
-def test_shapes_that_do_not_fit_are_told(changed, told: str) -> None:
-    batch = replace(batch_about(nominal(), np.random.default_rng(7)), **changed)
-    with pytest.raises(InputError, match=told):
-        solve_batch(batch)

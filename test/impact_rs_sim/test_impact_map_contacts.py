@@ -17,11 +17,11 @@ from impact_rs_sim.impact_map import ImpactProblem, check_problem, compute_impac
 from impact_rs_sim.impact_map.contacts import (
     ALIGNED,
     Box,
+    ContactPair,
     ContactPoint,
-    Meeting,
     contact_frame,
+    contact_pairs,
     find_contacts,
-    meetings,
 )
 from impact_rs_sim.scene import BodyState
 
@@ -30,7 +30,7 @@ from impact_rs_sim.scene import BodyState
 
 def contacts_of(problem: ImpactProblem, partner: str) -> list[ContactPoint]:
     placements = {"arm": MODEL.placement(problem.arms["arm"].position)}
-    found = meetings(problem.physics, problem.object, placements)
+    found = contact_pairs(problem.physics, problem.object, placements)
     return [c for c in find_contacts(problem.physics, found) if c.partner == partner]
 
 
@@ -110,8 +110,8 @@ def test_each_pair_has_its_own_friction() -> None:
 @pytest.mark.parametrize(("gap", "count"), [(0.02, 0), (0.0005, 1), (0.0, 1), (-0.0005, 1)])
 def test_edges_that_cross_touch_in_one_point_along_their_common_normal(gap: float, count: int) -> None:
     problem = crossed(gap)
-    (meeting,) = check_problem(problem)  # 20 mm of air are no overlap
-    assert meeting.separation == pytest.approx(gap, abs=1e-12)
+    (pair,) = check_problem(problem)  # 20 mm of air are no overlap
+    assert pair.separation == pytest.approx(gap, abs=1e-12)
     points = compute_impact_map(problem).contacts
     assert len(points) == len(contacts_of(problem, "arm")) == count
     for point in points:
@@ -179,7 +179,7 @@ def test_compiled_and_plain_search_find_the_same_points_in_the_same_order(tilt: 
         np.testing.assert_allclose(normal, expected[1], atol=1e-14)
         assert (on_object, edges) == expected[2:]
         crossing += edges is not None
-        plain = clipping.touching(Meeting("arm", partner, thing, *expected), 3e-3)
+        plain = clipping.touching(ContactPair("arm", partner, thing, *expected), 3e-3)
         positions, gaps = _kernel.touching(partner.parts, thing.parts, normal, on_object, edges, 3e-3)
         assert len(positions) == len(gaps) == len(plain)
         touching += bool(len(plain))

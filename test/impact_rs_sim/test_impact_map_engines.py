@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from impact_map_cases import MODEL, PUSH, ante_speed, disagreement, nominal
 from mixed_grab import MIXED
+from random_impacts import random_problem
 
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.impact_map import (
@@ -17,8 +18,7 @@ from impact_rs_sim.impact_map import (
     check_problem,
     compute_impact_map,
 )
-from impact_rs_sim.impact_map.contacts import find_contacts, meetings
-from impact_rs_sim.impact_map.sampling import random_problem
+from impact_rs_sim.impact_map.contacts import contact_pairs, find_contacts
 from impact_rs_sim.impact_map.uniqueness import uniqueness_of
 
 # ---- engines --------------------------------------------------------------------------------------------------------
@@ -68,7 +68,7 @@ def test_every_problem_has_an_answer_and_a_contact_of_the_pad(problems: list[Imp
     for problem in problems:
         check_problem(problem)
         state = problem.arms["arm"]
-        found = meetings(problem.physics, problem.object, {"arm": MODEL.placement(state.position)})
+        found = contact_pairs(problem.physics, problem.object, {"arm": MODEL.placement(state.position)})
         partners = {contact.partner for contact in find_contacts(problem.physics, found)}
         assert "arm" in partners
 

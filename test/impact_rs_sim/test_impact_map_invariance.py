@@ -12,11 +12,11 @@ from hypothesis import HealthCheck, assume, given, settings
 from hypothesis import strategies as st
 from impact_map_cases import ENGINES, PUSH, SCENE, grab
 from impact_table_cases import SIZE, UP, cube
+from random_impacts import random_problem
 
 from impact_rs_sim.impact_map import ImpactProblem, ImpactResult, compute_impact_map, kinetic_energy
 from impact_rs_sim.impact_map.measured import MeasuredImpact, MeasuredImpacts, corners_that_touch, solve_measured
 from impact_rs_sim.impact_map.problem import EnergyGain
-from impact_rs_sim.impact_map.sampling import random_problem
 from impact_rs_sim.physics import ObjectPhysics
 from impact_rs_sim.scene import BodyState
 

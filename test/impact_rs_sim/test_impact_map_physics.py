@@ -11,11 +11,11 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from impact_map_cases import ENGINES, MODEL, PUSH, SCENE, nominal, one_point, with_velocity
+from random_impacts import random_problem
 
 from impact_rs_sim.impact_map import ImpactProblem, compute_impact_map, kinetic_energy
-from impact_rs_sim.impact_map.contacts import find_contacts, meetings
+from impact_rs_sim.impact_map.contacts import contact_pairs, find_contacts
 from impact_rs_sim.impact_map.laws import build_system
-from impact_rs_sim.impact_map.sampling import random_problem
 from impact_rs_sim.scene import BodyState, Scene
 
 pytestmark = pytest.mark.parametrize("engine", ENGINES)
@@ -149,7 +149,7 @@ def test_faster_hit_scales_the_answer(engine: str) -> None:
 def test_jacobian_is_the_velocity_of_the_contact_points(engine: str) -> None:
     problem = nominal()
     placements = {"arm": MODEL.placement(problem.arms["arm"].position)}
-    contacts = find_contacts(problem.physics, meetings(problem.physics, problem.object, placements))
+    contacts = find_contacts(problem.physics, contact_pairs(problem.physics, problem.object, placements))
     system = build_system(problem, SCENE.models)
     rows = (system.jacobian(contacts) @ system.velocity).reshape(-1, 3)
     step = 1e-7

@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pinocchio as pin
 import pytest
+import random_impacts
 from impact_map_cases import ENGINES, MODEL, PUSH, SCENE, nominal, one_point, with_velocity
 from trials import scene_of
 
@@ -18,12 +19,10 @@ from impact_rs_sim.impact_map import (
     check_problem,
     compute_impact_map,
     kinetic_energy,
-    sampling,
 )
-from impact_rs_sim.impact_map.contacts import ContactPoint, meetings
-from impact_rs_sim.impact_map.engine import Answer
-from impact_rs_sim.impact_map.exact import ExactEngine
+from impact_rs_sim.impact_map.contacts import ContactPoint, contact_pairs
 from impact_rs_sim.impact_map.laws import System, build_system, point_maps
+from impact_rs_sim.impact_map.solve import ExactEngine, Solution
 from impact_rs_sim.physics import ObjectPhysics
 from impact_rs_sim.scene import ArmState, BodyState
 
@@ -101,9 +100,9 @@ def test_sampling_passes_over_impossible_states_alone(monkeypatch: pytest.Monkey
             raise Infeasible("the pad is in the object")
         raise InputError("a mistake")
 
-    monkeypatch.setattr(sampling, "check_problem", check)
+    monkeypatch.setattr(random_impacts, "check_problem", check)
     with pytest.raises(InputError, match="a mistake"):
-        sampling.random_problem(PUSH, np.random.default_rng(0))
+        random_impacts.random_problem(PUSH, np.random.default_rng(0))
     assert len(asked) == 3
 
 
@@ -281,26 +280,26 @@ def test_a_hit_turns_an_object_about_its_centre_of_mass_wherever_that_is(engine:
 SMALL = 1e-6  # m/s, what is left of a right answer
 
 
-def answer_of(problem: ImpactProblem) -> Answer:
+def answer_of(problem: ImpactProblem) -> Solution:
     engine = ExactEngine(problem.physics)
     placements = {name: engine.models[name].placement(state.position) for name, state in problem.arms.items()}
     system = build_system(problem, engine.models)
-    return engine._solve(problem, system, meetings(problem.physics, problem.object, placements))
+    return engine._solve(problem, system, contact_pairs(problem.physics, problem.object, placements))
 
 
-def with_impulses(answer: Answer, impulses: np.ndarray) -> Residual:
+def with_impulses(answer: Solution, impulses: np.ndarray) -> Residual:
     """Residual of other impulses, with the velocity that they lead to."""
     velocity = answer.terms.before + answer.terms.response @ impulses.ravel()
     return answer.terms.residual(impulses, velocity)
 
 
 @pytest.fixture(scope="module")
-def face() -> Answer:
+def face() -> Solution:
     return answer_of(nominal())
 
 
 @pytest.fixture(scope="module")
-def point() -> Answer:
+def point() -> Solution:
     """One corner, sliding: the arm moves across the face as well, and friction is low."""
     problem = one_point(pad_friction=0.1)
     state = problem.arms["arm"]
@@ -309,13 +308,13 @@ def point() -> Answer:
     return answer_of(with_velocity(problem, state.velocity + across))
 
 
-def test_a_right_answer_has_no_residual(face: Answer, point: Answer) -> None:
+def test_a_right_answer_has_no_residual(face: Solution, point: Solution) -> None:
     for answer in (face, point):
         assert answer.terms.residual(answer.impulses, answer.velocity).largest < SMALL
 
 
 @pytest.mark.parametrize("share", [0.5, 0.9])
-def test_too_little_impulse_leaves_a_velocity_of_penetration(point: Answer, share: float) -> None:
+def test_too_little_impulse_leaves_a_velocity_of_penetration(point: Solution, share: float) -> None:
     """Without an impulse the points approach at -J_n u^-; each part of the impulse takes away its part."""
     approach = -point.terms.split((point.terms.jacobian @ point.terms.before).reshape(-1, 3))[0]
     found = with_impulses(point, share * point.impulses)
@@ -325,26 +324,26 @@ def test_too_little_impulse_leaves_a_velocity_of_penetration(point: Answer, shar
 
 
 @pytest.mark.parametrize("share", [1.1, 1.5])
-def test_too_much_impulse_separates_a_point_that_carries_it(point: Answer, share: float) -> None:
+def test_too_much_impulse_separates_a_point_that_carries_it(point: Solution, share: float) -> None:
     approach = -point.terms.split((point.terms.jacobian @ point.terms.before).reshape(-1, 3))[0]
     found = with_impulses(point, share * point.impulses)
     assert found.complementarity == pytest.approx((share - 1.0) * approach[0], rel=1e-3)
     assert found.penetration_velocity == 0.0
 
 
-def test_a_contact_that_pulls_breaks_complementarity(point: Answer) -> None:
+def test_a_contact_that_pulls_breaks_complementarity(point: Solution) -> None:
     found = with_impulses(point, -0.1 * point.impulses)
     assert found.complementarity > 0.01
     assert with_impulses(point, 0.0 * point.impulses).complementarity < SMALL
 
 
-def test_friction_beyond_the_cone_is_found_out(point: Answer) -> None:
+def test_friction_beyond_the_cone_is_found_out(point: Solution) -> None:
     pressing, friction = point.terms.split(point.impulses)
     outside = pressing[:, None] * point.terms.normals + 1.3 * friction
     assert with_impulses(point, outside).friction_cone > 1e-3
 
 
-def test_a_sliding_point_without_its_friction_is_found_out(point: Answer) -> None:
+def test_a_sliding_point_without_its_friction_is_found_out(point: Solution) -> None:
     slides, _ = point.terms.sliding(point.impulses, point.velocity)
     assert slides.all()
     pressing, friction = point.terms.split(point.impulses)
@@ -353,7 +352,7 @@ def test_a_sliding_point_without_its_friction_is_found_out(point: Answer) -> Non
         assert with_impulses(point, wrong).friction_cone > 1e-3
 
 
-def test_friction_that_does_not_oppose_the_sliding_velocity_is_found_out(point: Answer) -> None:
+def test_friction_that_does_not_oppose_the_sliding_velocity_is_found_out(point: Solution) -> None:
     """Turned by some degrees about the normal; the size stays on the cone."""
     pressing, friction = point.terms.split(point.impulses)
     normal = point.terms.normals[0]
@@ -372,7 +371,7 @@ def test_a_point_that_sticks_needs_any_friction_inside_its_cone() -> None:
     assert with_impulses(rough, slipping).friction_cone > 1e-3
 
 
-def test_a_velocity_without_its_impulses_breaks_the_momentum_balance(face: Answer) -> None:
+def test_a_velocity_without_its_impulses_breaks_the_momentum_balance(face: Solution) -> None:
     for index in (0, face.velocity.size - 4):
         velocity = face.velocity.copy()
         velocity[index] += 0.03

@@ -11,16 +11,14 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from impact_map_cases import PUSH, nominal, one_point
+from random_impacts import random_problem
 
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.impact_map import compute_impact_map
-from impact_rs_sim.impact_map.cones import solve_contacts
 from impact_rs_sim.impact_map.contacts import ContactPoint
-from impact_rs_sim.impact_map.engine import Answer, check_energy
-from impact_rs_sim.impact_map.laws import ContactTerms
+from impact_rs_sim.impact_map.laws import ContactTerms, solve_contacts
 from impact_rs_sim.impact_map.problem import EnergyGain
-from impact_rs_sim.impact_map.restitution import solve_poisson
-from impact_rs_sim.impact_map.sampling import random_problem
+from impact_rs_sim.impact_map.solve import Solution, check_energy, solve_poisson
 
 
 def planar(
@@ -127,7 +125,7 @@ def test_an_answer_that_gains_energy_is_an_error_with_a_hint() -> None:
     terms, inertia = double_pendulum(0.9, 0.7)
     impulses, _ = solve_contacts(terms)
     velocity = terms.before + terms.response @ impulses.ravel()
-    answer = Answer(terms, impulses, velocity, 1)
+    answer = Solution(terms, impulses, velocity, 1)
     gain = energy(inertia, velocity) - energy(inertia, terms.before)
     assert answer.energy_gain == pytest.approx(gain, rel=1e-9)
     assert gain > 0.0
@@ -135,7 +133,7 @@ def test_an_answer_that_gains_energy_is_an_error_with_a_hint() -> None:
     with pytest.raises(EnergyGain, match=r"gains .* J.*restitution_law 'poisson'"):
         check_energy(before, gain, impulses, terms.residual(impulses, velocity), 0.9)
     lossy = solve_poisson(terms)
-    answer = Answer(terms, lossy.impulses, lossy.velocity, 1)
+    answer = Solution(terms, lossy.impulses, lossy.velocity, 1)
     check_energy(before, answer.energy_gain, lossy.impulses, lossy.residual, 0.9)
 
 

@@ -11,6 +11,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from impact_map_cases import MODEL, PUSH, SCENE, disagreement, grab, nominal, one_point, with_velocity
+from random_impacts import random_problem
 
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.impact_map import (
@@ -23,7 +24,6 @@ from impact_rs_sim.impact_map import (
 )
 from impact_rs_sim.impact_map.contacts import SUPPORT, ContactPoint
 from impact_rs_sim.impact_map.laws import System, build_system
-from impact_rs_sim.impact_map.sampling import random_problem
 from impact_rs_sim.impact_map.settled import close_contacts
 from impact_rs_sim.scene import BodyState
 

@@ -1,23 +1,21 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Solvers of the impact map: ADMM, Newton's method, and how many answers a question has."""
+"""Solver of the impact map: Newton's method, and how many solutions a problem has, against Gauss-Seidel."""
 
 from __future__ import annotations
 
-import runpy
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
-import pinocchio as pin
 import pytest
 from gauss_seidel import gauss_seidel
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from impact_map_cases import MODEL, PUSH, nominal, one_point, with_velocity
+from random_impacts import random_problem
 
-from impact_rs_sim.impact_map import ImpactProblem, cones
-from impact_rs_sim.impact_map.cones import solve_cones, solve_contacts
-from impact_rs_sim.impact_map.contacts import find_contacts, meetings
+from impact_rs_sim.impact_map import ImpactProblem
+from impact_rs_sim.impact_map.contacts import contact_pairs, find_contacts
+from impact_rs_sim.impact_map.derivatives import change
 from impact_rs_sim.impact_map.laws import (
     COMPLIANCE,
     ContactTerms,
@@ -26,13 +24,10 @@ from impact_rs_sim.impact_map.laws import (
     harden,
     linearise,
     newton,
+    solve_contacts,
     yielding_velocity,
 )
-from impact_rs_sim.impact_map.perturbation import change
-from impact_rs_sim.impact_map.sampling import random_problem
 from impact_rs_sim.impact_map.uniqueness import lawful_answers, spread_of, uniqueness_of
-
-# ---- ADMM by itself obeys the laws as the judge states them ---------------------------------------------------------
 
 
 def sliding(**physics: object) -> ImpactProblem:
@@ -47,30 +42,8 @@ def terms_of(problem: ImpactProblem) -> ContactTerms:
     models = problem.physics.robot_models()
     placements = {name: models[name].placement(state.position) for name, state in problem.arms.items()}
     system = build_system(problem, models)
-    points = find_contacts(problem.physics, meetings(problem.physics, problem.object, placements))
+    points = find_contacts(problem.physics, contact_pairs(problem.physics, problem.object, placements))
     return ContactTerms.of(system, points, problem.restitution)
-
-
-@pytest.mark.parametrize("restitution", [0.0, 0.4])
-@pytest.mark.parametrize("case", [nominal, one_point, sliding])
-def test_impulses_of_admm_obey_every_law(case, restitution: float) -> None:
-    terms = terms_of(replace(case(), restitution=restitution))
-    impulses, _ = solve_cones(terms)
-    residual = terms.residual(impulses, terms.before + terms.response @ impulses.ravel())
-    assert np.abs(impulses).max() > 0.1  # N s
-    assert residual.largest < 1e-5  # m/s
-
-
-def test_the_map_works_with_a_pinocchio_without_admm(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    terms = terms_of(sliding())
-    impulses, _ = solve_contacts(terms)
-    for name in ("ADMMConstraintSolver", "ADMMSolverResult", "ADMMSolverSettings", "ADMMUpdateRule"):
-        monkeypatch.delattr(pin, name)
-    runpy.run_path(cones.__file__)  # as a first import would
-    np.testing.assert_array_equal(solve_contacts(terms)[0], impulses)
-    np.testing.assert_allclose(lawful_answers(terms)[0], terms.before + terms.response @ impulses.ravel())
 
 
 # ---- Newton's method ------------------------------------------------------------------------------------------------
@@ -173,7 +146,7 @@ def test_random_points_are_solved_to_the_last_digits(count: int, restitution: fl
 @pytest.mark.parametrize("case", [nominal, one_point, sliding])
 def test_hardening_takes_out_what_the_compliance_let_points_yield(case) -> None:
     terms = terms_of(case())
-    soft, converged = newton(terms, cones.solve_cones(terms)[0], compliance=1e-5)
+    soft, converged = newton(terms, solve_contacts(terms)[0], compliance=1e-5)
     assert converged
     hard = harden(terms, soft, compliance=1e-5)
 
@@ -185,18 +158,13 @@ def test_hardening_takes_out_what_the_compliance_let_points_yield(case) -> None:
     np.testing.assert_allclose(hard, soft, atol=1e-3)
 
 
-def test_where_newtons_method_fails_admm_answers(monkeypatch: pytest.MonkeyPatch) -> None:
-    terms = terms_of(nominal())
-    expected, _ = cones.solve_contacts(terms)
-    given_up = SimpleNamespace(solve=lambda compliance: (np.zeros_like(expected), False, 7))
-    kernel = terms.kernel
-    without = replace(terms)
-    without.__dict__["kernel"] = SimpleNamespace(
-        solve=given_up.solve, newton=kernel.newton, harden=kernel.harden, judge=kernel.judge
-    )
-    impulses, steps = cones.solve_contacts(without)
-    assert steps > 7
-    np.testing.assert_allclose(terms.response @ impulses.ravel(), terms.response @ expected.ravel(), atol=1e-10)
+@pytest.mark.parametrize(("seed", "by"), [(6252, "Newton's method"), (2648, "proximal steps")])
+def test_a_stalled_continuation_starts_again_from_where_it_stopped(seed: int, by: str) -> None:
+    """2 of the 4 random pushes in 60,000 at which the continuation stalls; kills a solver that gives up there."""
+    terms = terms_of(random_problem(PUSH, np.random.default_rng([77, seed])))
+    impulses, converged, _ = terms.kernel.solve(COMPLIANCE)
+    assert converged, by
+    assert terms.residual(impulses, velocity(terms, impulses)).largest < 1e-12
 
 
 # ---- how many answers there are, and the same by brute force --------------------------------------------------------
@@ -207,6 +175,13 @@ SEVERAL = 3  # seed of a random push whose u^+ is a family
 def velocity(terms: ContactTerms, impulses: np.ndarray) -> np.ndarray:
     """u^+ of impulses."""
     return np.asarray(terms.before + terms.response @ impulses.ravel())
+
+
+def by_sweeps(terms: ContactTerms) -> np.ndarray:
+    """Impulses of one start of Gauss-Seidel, whose first point carries most of the load."""
+    start = 0.1 * terms.normals[None]
+    start[:, 0] *= 20.0
+    return gauss_seidel(terms, start, 3000)[0][0]
 
 
 @pytest.mark.parametrize("friction", [0.0, 0.3])
@@ -259,7 +234,7 @@ def test_the_nominal_push_is_unique() -> None:
 @given(seed=st.integers(0, 10**6), share=st.floats(0.2, 3.0))
 def test_the_told_answer_does_not_depend_on_where_the_solver_starts(seed: int, share: float) -> None:
     terms = terms_of(random_problem(PUSH, np.random.default_rng(seed)))
-    first, converged = newton(terms, solve_cones(terms)[0])
+    first, converged = newton(terms, by_sweeps(terms))
     weights = np.linspace(1.0, share, len(first))[:, None]
     second, again = newton(terms, weights * first)
     if converged and again:
@@ -272,7 +247,7 @@ def test_the_told_answer_has_the_least_norm_of_equivalent_impulses() -> None:
     problem = replace(problem, physics=replace(problem.physics, pad_friction=0.0, support_friction=0.0))
     terms = terms_of(problem)
     told, _ = solve_contacts(terms)
-    other, _ = solve_cones(terms)
+    other = by_sweeps(terms)
     np.testing.assert_allclose(velocity(terms, told), velocity(terms, other), atol=1e-6)
     assert np.linalg.norm(told) <= np.linalg.norm(other) * (1.0 + 1e-6)
     pads = told[:4] @ terms.normals[0]

@@ -19,8 +19,7 @@ from impact_rs_sim.bullet_world import BulletWorld, mass_matrices
 from impact_rs_sim.drive import Drive, DriveStart
 from impact_rs_sim.errors import Infeasible, UnreachablePose
 from impact_rs_sim.impact_map import ImpactProblem, predict_impact
-from impact_rs_sim.impact_map.derivatives import chain_derivative
-from impact_rs_sim.impact_map.perturbation import parameters_of
+from impact_rs_sim.impact_map.derivatives import parameters_of
 from impact_rs_sim.impact_map.problem import check_problem
 from impact_rs_sim.physics import JointFriction, Physics
 from impact_rs_sim.robot import Array, EndEffector, RobotFacts
@@ -328,18 +327,6 @@ def test_a_rail_hits_with_its_mass_and_that_of_its_motor(engine: str, motor: flo
     np.testing.assert_allclose(impulse, [thing.mass * wanted, 0.0, 0.0], atol=1e-6)
     mass = RobotModel(RAIL, NOTHING).effective_mass(np.array([0.1]), np.array([1.0, 0.0, 0.0]), np.array([motor]))
     assert mass == pytest.approx(CART + motor)
-
-
-def test_drift_is_the_change_of_the_jacobian_with_sliding_joints() -> None:
-    kinds = ("revolute", "prismatic", "revolute", "prismatic", "revolute")
-    axes = ("z", "x", "y", "z", "x")
-    facts = chain(*((kind, axis, 1.0, (0.1, 0.2, 0.3), 0.1) for kind, axis in zip(kinds, axes, strict=True)))
-    model = RobotModel(facts, replace(NOTHING, length=0.3))
-    q, step = np.array([0.3, -0.4, 0.5, 0.6, -0.7]), 1e-6
-    told = chain_derivative(model.jacobian(q))
-    for joint, direction in enumerate(np.eye(5)):
-        slope = (model.jacobian(q + step * direction) - model.jacobian(q - step * direction)) / (2.0 * step)
-        np.testing.assert_allclose(told[joint], slope, atol=1e-8)
 
 
 def test_units_of_a_question_are_those_of_its_joints() -> None:

@@ -21,7 +21,7 @@ from impact_rs_analysis.measure.velocity_jumps import jumps_of
 from impact_rs_sim.effects import library
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.impact_map import compute_impact_map
-from impact_rs_sim.impact_map.contacts import SUPPORT, meetings
+from impact_rs_sim.impact_map.contacts import SUPPORT, contact_pairs
 from impact_rs_sim.scenario import load_scenario
 from impact_rs_trials.bags.reader import OF_THE_TWIN
 from impact_rs_trials.campaign import make_manifest, run_one
@@ -157,7 +157,7 @@ def test_pad_and_object_touch_in_what_the_map_is_asked(measured_hit: MeasuredRun
     for run in (measured_hit, apart):
         problem = problem_of(run, physics)
         placements = {"arm": physics.robot_model("arm").placement(problem.arms["arm"].position)}
-        gaps = [m.separation for m in meetings(physics, problem.object, placements) if m.partner != SUPPORT]
+        gaps = [m.separation for m in contact_pairs(physics, problem.object, placements) if m.partner != SUPPORT]
         assert gaps == pytest.approx([0.0], abs=1e-9)
     result = compute_impact_map(problem_of(measured_hit, physics), "exact")
     assert -0.6 < result.end_effector_twist["arm"][1] < -0.4

@@ -14,7 +14,7 @@ from impact_rs_sim.bullet_world import BulletWorld
 from impact_rs_sim.drive import DriveStart
 from impact_rs_sim.effects import library
 from impact_rs_sim.impact_map import BulletEngine, ExactEngine, ImpactProblem
-from impact_rs_sim.impact_map.contacts import find_contacts, meetings
+from impact_rs_sim.impact_map.contacts import contact_pairs, find_contacts
 from impact_rs_sim.scene import ArmState, BodyState
 from impact_rs_sim.twin import TwinJob, simulate
 
@@ -241,7 +241,7 @@ def pushed(**tilt):
 def pad_points(problem):
     """Where the pad touches, in axes of E from its origin, ``(m, 3)`` [m]."""
     place = problem.physics.robot_model("arm").placement(problem.arms["arm"].position)
-    found = find_contacts(problem.physics, meetings(problem.physics, problem.object, {"arm": place}))
+    found = find_contacts(problem.physics, contact_pairs(problem.physics, problem.object, {"arm": place}))
     return np.array([place.rotation.T @ (p.position - place.translation) for p in found if p.partner == "arm"])
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Random impact problems with a solution, for comparisons of engines."""
+"""Random impact problems with a solution, for tests and comparisons of engines."""
 
 from __future__ import annotations
 

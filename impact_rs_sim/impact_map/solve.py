@@ -1,0 +1,418 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Solution of an impact problem, exact to rounding: Newton's method on the contact laws.
+
+**Newton's law of restitution.** One compiled call (``src/impact.cpp``) goes from the kinematics of the arms to the
+velocities: contact points, Delassus operator, contact laws and residuals (:mod:`impact_rs_sim.impact_map.laws`).
+
+**Poisson's law of restitution**: an impact in two phases, compression and expansion. Newton's law sets velocities, and
+the impulses that give these velocities may exceed those of the compression: with friction u^+ can carry more energy
+than u^-. Poisson's law sets impulses. Compression ends where no contact point closes any more,
+
+    u^c = u^- + H^-1 J_c^T L^c,      0 <= L^c_n  perpendicular to  J_n u^c >= 0
+
+and expansion returns the share e of every normal impulse, and more only where a point would close again,
+
+    u^+ = u^c + H^-1 J_c^T L^e,      0 <= L^e_n - e L^c_n  perpendicular to  J_n u^+ >= 0
+
+with Coulomb friction in either phase against the sliding velocity at its end (Glocker and Pfeiffer 1995, Anitescu and
+Potra 1997; no restitution along the face). Where sliding keeps its direction, or ends, this is Routh's diagram; where
+it reverses within a phase it is not, for no point of one phase slides in two directions. Without friction both laws
+agree at a single point. With several points they differ: a point without impulse in the compression returns none.
+
+**Energy.** An impact adds (u^+ + u^-)^T J_c^T L / 2 to the kinetic energy. More than 0 is an error.
+"""
+
+from __future__ import annotations
+
+import time
+from abc import ABC, abstractmethod
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+
+from impact_rs_sim import _kernel
+from impact_rs_sim.errors import InputError
+from impact_rs_sim.impact_map.contacts import (
+    ALIGNED,
+    GAP_TOLERANCE,
+    SUPPORT,
+    ContactPair,
+    ContactPoint,
+    find_contacts,
+    support_box,
+)
+from impact_rs_sim.impact_map.laws import (
+    COMPLIANCE,
+    ContactTerms,
+    System,
+    build_system,
+    harden,
+    newton,
+    solve_contacts,
+)
+from impact_rs_sim.impact_map.problem import (
+    LIMIT_SLACK,
+    PENETRATION_TOLERANCE,
+    ContactImpulse,
+    EnergyGain,
+    ImpactMapError,
+    ImpactProblem,
+    ImpactResult,
+    Residual,
+    check_physics,
+    check_problem,
+)
+from impact_rs_sim.physics import Physics
+from impact_rs_sim.robot import Array
+from impact_rs_sim.robot_model import RobotModel
+
+ENERGY_TOLERANCE = 1e-9  # of the kinetic energy before the impact, for rounding
+SOLVED, REFUSED = 0, 1  # status of a solved problem, and of one with invalid data
+STATES = ("open", "stick", "slide")
+RULES = (ALIGNED, GAP_TOLERANCE, PENETRATION_TOLERANCE, COMPLIANCE)
+# Index of the first point of every problem; partner, position, normal and gap of all points, and their laws (m, 6).
+Points = tuple[Sequence[int], Sequence[int], Array, Array, Array, Array]
+
+
+def check_residual(residual: Residual, tolerance: float, engine: str, contacts: int, iterations: int) -> None:
+    """Refuse a result that breaks a law.
+
+    Raises:
+        ImpactMapError: The largest residual is above ``tolerance`` [m/s], or not a number.
+    """
+    if not residual.largest <= tolerance:
+        law, amount = residual.worst
+        raise ImpactMapError(
+            f"engine {engine!r} breaks {law} by {amount:.3g} m/s (accepted: {tolerance:.3g} m/s) "
+            f"with {contacts} contact points after {iterations} iterations"
+        )
+
+
+def check_energy(
+    before: float, gain: float, impulses: Array, residual: Residual, restitution: float, law: str = "newton"
+) -> None:
+    """Refuse a result that gains more kinetic energy than its residual can explain.
+
+    Args:
+        before: Kinetic energy before the impact [J].
+        gain: Energy that the impact adds [J].
+        impulses: Impulses at the contact points, ``(m, 3)`` [N s].
+        residual: Distance from the contact laws.
+        restitution: e [-].
+        law: Law of restitution.
+
+    Raises:
+        EnergyGain: The result gains energy.
+    """
+    if gain <= ENERGY_TOLERANCE * before:
+        return
+    if gain > ENERGY_TOLERANCE * before + 2.0 * residual.largest * float(np.sum(np.abs(impulses))):
+        hint = "'poisson' sets impulses instead" if law == "newton" else "a smaller e does not"
+        raise EnergyGain(
+            f"the impact gains {gain:.3g} J, {gain / before:.2%} of the kinetic energy there was: restitution e = "
+            f"{restitution:g} by the law of {law!r} with several contacts can; restitution_law {hint}"
+        )
+
+
+@dataclass(frozen=True)
+class Solution:
+    """Impulses and velocities that an engine found.
+
+    Attributes:
+        terms: The problem at its m contact points.
+        impulses: Impulses on the object, in axes of A, ``(m, 3)`` [N s].
+        velocity: u^+, ``(nv,)`` [rad/s, m/s].
+        iterations: Iterations of the engine's outer loop.
+        residual: Distance from the laws, if these are not Newton's.
+    """
+
+    terms: ContactTerms
+    impulses: Array
+    velocity: Array
+    iterations: int
+    residual: Residual | None = None
+
+    @property
+    def energy_gain(self) -> float:
+        """Kinetic energy with (M + B) after the impact minus before, ``(u^+ + u^-)^T J_c^T L / 2`` [J]."""
+        passed = self.terms.jacobian @ (self.velocity + self.terms.before)
+        return float(0.5 * passed @ self.impulses.ravel())
+
+
+def result_of(
+    system: System,
+    velocity: Array,
+    points: Sequence[ContactPoint],
+    impulses: Array,
+    residual: Residual,
+    engine: str,
+    iterations: int,
+    start: float,
+) -> ImpactResult:
+    """The result of an impact problem.
+
+    Args:
+        system: Inertia and kinematics; splits a velocity by body.
+        velocity: u^+, ``(nv,)`` [rad/s, m/s].
+        points: Contact points of the object.
+        impulses: Impulses on the object there, in axes of A, ``(m, 3)`` [N s].
+        residual: Distance from the laws.
+        engine: Name of the engine.
+        iterations: Iterations of its outer loop.
+        start: Start of the computation, by ``time.perf_counter`` [s].
+    """
+    joints, twists, twist = system.split(velocity)
+    return ImpactResult(
+        joint_velocity=joints,
+        end_effector_twist=twists,
+        object_twist=twist,
+        contacts=tuple(
+            ContactImpulse("object", point.partner, point.position, point.normal, impulse, point.gap)
+            for point, impulse in zip(points, impulses, strict=True)
+        ),
+        residual=residual,
+        engine=engine,
+        iterations=iterations,
+        elapsed=time.perf_counter() - start,
+    )
+
+
+class Engine(ABC):
+    """Solver of impact problems that share one :class:`Physics`.
+
+    Args:
+        physics: Parameters of the scene.
+    """
+
+    name: str
+    tolerance: float  # m/s, largest accepted residual
+    laws: tuple[str, ...] = ("newton",)  # of restitution
+
+    def __init__(self, physics: Physics) -> None:
+        self.physics = physics
+        self.models: Mapping[str, RobotModel] = physics.robot_models()
+
+    def solve(self, problem: ImpactProblem) -> ImpactResult:
+        """The post-impact state of ``problem``.
+
+        Raises:
+            InputError: The problem is refused (see :func:`check_problem`).
+            ImpactMapError: The result breaks a law by more than ``tolerance``; the message names the law. Or it gains
+                energy, which Newton's law allows and nature does not.
+        """
+        start = time.perf_counter()
+        pairs = check_problem(problem, self.models)
+        if problem.restitution_law not in self.laws:
+            raise InputError(
+                f"engine {self.name!r} knows no restitution but that of {', '.join(self.laws)}; 'exact' does",
+                key="restitution_law",
+                value=problem.restitution_law,
+            )
+        system = build_system(problem, self.models)
+        found = self._solve(problem, system, pairs)
+        contacts, impulses = found.terms.contacts, found.impulses
+        residual = found.residual or found.terms.residual(impulses, found.velocity)
+        check_residual(residual, self.tolerance, self.name, len(contacts), found.iterations)
+        energy, gain = system.kinetic_energy, found.energy_gain
+        check_energy(energy, gain, impulses, residual, problem.restitution, problem.restitution_law)
+        return result_of(system, found.velocity, contacts, impulses, residual, self.name, found.iterations, start)
+
+    def close(self) -> None:
+        """Free resources outside Python; does nothing by default."""
+        return
+
+    @abstractmethod
+    def _solve(self, problem: ImpactProblem, system: System, pairs: Sequence[ContactPair]) -> Solution:
+        """Solve the problem, whose object may touch the partners of ``pairs``."""
+
+
+class Compiled(NamedTuple):
+    """Solutions of N problems; their M contact points are concatenated.
+
+    Attributes:
+        status: ``SOLVED``, ``REFUSED``, or another number where Newton's method did not converge, ``(N,)``.
+        velocity: u^+, ``(N, nv)`` [rad/s, m/s]; nan where the data are invalid.
+        twists: Twists of frame E of every arm in E[A] after the impact, ``(N, 6 k)`` [m/s, rad/s].
+        residual: In the order of :class:`~impact_rs_sim.impact_map.problem.Residual`, ``(N, 4)`` [m/s].
+        energy: Kinetic energy before the impact, and what the impact adds, ``(N, 2)`` [J].
+        steps: Steps of the solver, ``(N,)``.
+        first: Index of the first contact point, ``(N + 1,)``.
+        partner: Index of the arm at every point; the number of arms stands for the support, ``(M,)``.
+        state: Index into ``STATES``, ``(M,)``.
+        position: Positions on the object in A, ``(M, 3)`` [m].
+        normal: Normals into the object, in A, ``(M, 3)``.
+        gap: Gaps, ``(M,)`` [m].
+        impulse: Impulses on the object, in A, ``(M, 3)`` [N s].
+    """
+
+    status: Array
+    velocity: Array
+    twists: Array
+    residual: Array
+    energy: Array
+    steps: Array
+    first: Array
+    partner: Array
+    state: Array
+    position: Array
+    normal: Array
+    gap: Array
+    impulse: Array
+
+
+class CompiledMap:
+    """The compiled impact map of one scene, with Newton's law of restitution.
+
+    Args:
+        physics: Parameters of the scene.
+        models: Rigid-body models by arm.
+
+    Raises:
+        InputError: The object or a friction is impossible.
+    """
+
+    def __init__(self, physics: Physics, models: Mapping[str, RobotModel]) -> None:
+        check_physics(physics)
+        self.physics = physics
+        self.models = models
+        self._limits, self._pads = {}, {}
+        for name, arm in physics.arms.items():
+            model, pad = models[name], arm.end_effector.pad_placement
+            low, high = model.position_min - LIMIT_SLACK, model.position_max + LIMIT_SLACK
+            free = np.full(model.joint_count, np.finfo(float).max)
+            self._limits[name] = {False: (low, high, model.velocity_max + LIMIT_SLACK), True: (-free, free, free)}
+            half = np.array(arm.end_effector.pad_size) / 2.0
+            self._pads[name] = (np.array(pad.translation), np.array(pad.rotation), half)
+        object_ = physics.object
+        self._object = (object_.mass, object_.size / 2.0, object_.inertia, object_.com_offset)
+        support = support_box(physics)
+        self._support = None if support is None else np.concatenate((support.centre, support.half))
+
+    def solve(self, problem: ImpactProblem, points: Sequence[ContactPoint] | None = None) -> Compiled | None:
+        """The solution of one problem of this scene, N = 1; None: the restitution or the shape of an array is invalid.
+
+        Args:
+            problem: The problem.
+            points: Contact points, with the friction of the scene; None: the points where the bodies touch.
+        """
+        if problem.restitution_law != "newton" or not 0.0 <= problem.restitution <= 1.0:
+            return None
+        if problem.arms.keys() != self._pads.keys() or problem.motor_inertia.keys() != self._pads.keys():
+            return None
+        arms = []
+        for name, state in problem.arms.items():
+            model, motor = self.models[name], problem.motor_inertia[name]
+            if not state.position.shape == state.velocity.shape == motor.shape == (model.joint_count,):
+                return None
+            inertia, jacobian, place = model.at_impact(state.position)
+            moving = (state.position, state.velocity, motor, *self._limits[name][problem.measured])
+            arms.append((*moving, inertia, jacobian, place.translation, place.rotation, *self._pads[name]))
+        body = problem.object
+        if body.position.shape != (3,) or body.rotation.shape != (3, 3) or body.twist.shape != (6,):
+            return None
+        object_ = (body.position, body.rotation, body.twist, *self._object)
+        contact = (self.physics.pad_friction, self.physics.support_friction, problem.restitution)
+        given = None if points is None else self._given(points, tuple(problem.arms), problem.restitution)
+        return Compiled(*_kernel.solve_impacts(1, arms, object_, contact, self._support, RULES, points=given))
+
+    def _given(self, points: Sequence[ContactPoint], names: tuple[str, ...], restitution: float) -> Points:
+        """Contact points as the kernel takes them."""
+        partner = [names.index(point.partner) if point.partner in names else len(names) for point in points]
+        law = np.zeros((len(points), 6))
+        on_pad = np.array(partner) < len(names)
+        law[:, 0] = np.where(on_pad, self.physics.pad_friction, self.physics.support_friction)
+        law[:, 1] = restitution
+        position, normal = (np.array([getattr(point, name) for point in points]) for name in ("position", "normal"))
+        return [0, len(points)], partner, position, normal, np.array([point.gap for point in points]), law
+
+
+class ExactEngine(Engine):
+    """Impact map by Newton's method on the contact laws.
+
+    Args:
+        physics: Parameters of the scene.
+    """
+
+    name = "exact"
+    tolerance = 1e-5  # m/s; results of Newton's method are below 1e-10
+    laws = ("newton", "poisson")
+
+    def __init__(self, physics: Physics) -> None:
+        super().__init__(physics)
+        self._compiled: CompiledMap | None = None
+
+    def solve(self, problem: ImpactProblem, points: Sequence[ContactPoint] | None = None) -> ImpactResult:
+        """See :meth:`Engine.solve`; ``points`` stand in the place of the points where bodies touch (Newton's law)."""
+        if problem.restitution_law == "poisson":
+            return super().solve(problem)
+        start = time.perf_counter()
+        if self._compiled is None or problem.physics is not self._compiled.physics:
+            self._compiled = CompiledMap(problem.physics, self.models)
+        found = self._compiled.solve(problem, points)
+        if found is None or found.status[0] == REFUSED:
+            check_problem(problem, self.models)
+            raise ImpactMapError("the inertia M + B of an arm is not positive definite")
+        residual, steps = Residual(*found.residual[0].tolist()), int(found.steps[0])
+        check_residual(residual, self.tolerance, self.name, len(found.gap), steps)
+        before, gain = found.energy[0].tolist()
+        check_energy(before, gain, found.impulse, residual, problem.restitution)
+        return _result(problem, found, residual, start)
+
+    def _solve(self, problem: ImpactProblem, system: System, pairs: Sequence[ContactPair]) -> Solution:
+        """Poisson's law."""
+        return solve_poisson(ContactTerms.of(system, find_contacts(problem.physics, pairs), problem.restitution))
+
+
+def _result(problem: ImpactProblem, found: Compiled, residual: Residual, start: float) -> ImpactResult:
+    """The result of one problem from its compiled solution."""
+    velocity, twists = found.velocity[0], found.twists[0]
+    joints, of_frames, column = {}, {}, 0
+    for number, (name, state) in enumerate(problem.arms.items()):
+        joints[name] = velocity[column : column + state.position.size]
+        of_frames[name] = twists[6 * number : 6 * number + 6]
+        column += state.position.size
+    partners = (*joints, SUPPORT)
+    points = zip(found.partner.tolist(), found.position, found.normal, found.impulse, found.gap.tolist(), strict=True)
+    return ImpactResult(
+        joint_velocity=joints,
+        end_effector_twist=of_frames,
+        object_twist=velocity[column:],
+        contacts=tuple(
+            ContactImpulse("object", partners[number], position, normal, impulse, gap)
+            for number, position, normal, impulse, gap in points
+        ),
+        residual=residual,
+        engine=ExactEngine.name,
+        iterations=int(found.steps[0]),
+        elapsed=time.perf_counter() - start,
+    )
+
+
+def solve_poisson(terms: ContactTerms) -> Solution:
+    """Compression and expansion with the restitution of ``terms``; the residual is the larger one of both phases.
+
+    Raises:
+        ImpactMapError: No solution of the expansion was found.
+    """
+    first = replace(terms, restitution=0.0, rebound=np.zeros(len(terms.contacts)))
+    pressed, iterations = solve_contacts(first)
+    compressed = terms.before + terms.response @ pressed.ravel()
+    judged = first.residual(pressed, compressed)
+    least = terms.restitution * np.maximum(first.split(pressed)[0], 0.0)
+    second = replace(first, before=compressed)
+    for guess in (terms.restitution * pressed, least[:, None] * terms.normals):
+        returned, converged = newton(second, guess, least)
+        if converged:
+            break
+    else:
+        raise ImpactMapError(
+            f"no answer for the expansion of Poisson's law with {len(terms.contacts)} contact points; "
+            "restitution_law 'newton' solves one phase only"
+        )
+    returned = harden(second, returned, least)
+    velocity = compressed + terms.response @ returned.ravel()
+    again = second.residual(returned, velocity, least)
+    residual = Residual(*(max(vars(judged)[law], vars(again)[law]) for law in vars(judged)))
+    return Solution(terms, pressed + returned, velocity, iterations, residual)
