@@ -343,7 +343,7 @@ class TrialBag:
             raise BagError(
                 self.path,
                 f"no {topics.motor_states(arm)}, which the replay of a model starts from: describe such bags with an "
-                "experiment file (docs/your_data.md)",
+                "experiment file (docs/files.md)",
             )
         for topic, size in (
             (topics.motor_states(arm), motor.time.size),

@@ -19,10 +19,10 @@ from impact_rs_trials.recordings.series import Names
 HEAD = """\
 # Where these recordings keep their signals, as impact-rs import found it. Behind every value stands what shows it;
 # ASSUMED: nothing shows it, or the next reading, which is named, is nearly as likely; look at it before you trust a
-# verdict. All keys: docs/your_data.md
+# verdict. All keys: docs/files.md
 """
 ARM = """\
-# Runs with impacts; impact-rs compare, diagnose and impacts read this file. All keys: docs/your_data.md
+# Runs with impacts; impact-rs compare, diagnose and impacts read this file. All keys: docs/files.md
 scenario: {scenario}
 mapping: mapping.yaml
 runs: runs.csv

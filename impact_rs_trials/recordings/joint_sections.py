@@ -127,7 +127,7 @@ class JointSections:
             raise InputError(
                 f"nothing goes with the torque that weight and inertia of {robot} take in this motion, and a mapping "
                 f"needs torques or currents; signals as wide as its joints: {seen}{repeated}. Another --robot, or a "
-                "mapping by hand (docs/your_data.md)",
+                "mapping by hand (docs/files.md)",
                 file=path,
             )
 
@@ -171,7 +171,7 @@ class JointSections:
         backwards = [back for part in self._parts if (back := steps_back(part.columns)) is not None]
         said += "".join(f"; {back}, so another clock was taken" for back in backwards)
         remedy = "Another --robot, or a mapping by hand" if every else "A mapping by hand"
-        return InputError(f"{said}. {remedy} (docs/your_data.md)", file=self._parts[0].path)
+        return InputError(f"{said}. {remedy} (docs/files.md)", file=self._parts[0].path)
 
     def _refusals(self) -> list[str]:
         """Signals that the reader refuses, with its reason."""
@@ -350,7 +350,7 @@ def _check_width(found: Assignment, part: RecordedFile, robot: str, count: int) 
         blocks = " and ".join(f"{free[min(block) + shift]} … {free[max(block) + shift]}" for shift in (0, apart))
         raise InputError(
             f"columns {blocks} hold positions and velocities of {len(block)} joints, and {robot} has {count}: another "
-            "--robot, or a mapping by hand that says which columns are its own (docs/your_data.md)",
+            "--robot, or a mapping by hand that says which columns are its own (docs/files.md)",
             file=part.path,
         )
 
