@@ -131,7 +131,7 @@ def cases(options: argparse.Namespace) -> list[Case]:
 
 def one(case: Case, options: argparse.Namespace, seed: int) -> tuple[float, ...]:
     """p values of one draw."""
-    null_distribution.DRAWS = options.null_draws  # type: ignore[attr-defined]
+    null_distribution.NULL_DRAWS = options.null_draws  # type: ignore[attr-defined]
     if case.given is None:
         return p_values(AnalyticSource(seed, design=(1,) * STRETCHES, correlation=remembering(), repeated=False))
     design, noise, simulator, limit, size = case.given

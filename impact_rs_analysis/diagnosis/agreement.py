@@ -33,7 +33,7 @@ from pydantic import Field
 
 from impact_rs_analysis.diagnosis.null_distribution import RotationNull
 from impact_rs_analysis.diagnosis.search import adjusted
-from impact_rs_analysis.diagnosis.thresholds import PLAINLY_BEYOND, SIGNIFICANT
+from impact_rs_analysis.diagnosis.thresholds import MAX_NOISE_RATIO, SIGNIFICANCE_LEVEL
 from impact_rs_analysis.evidence.cluster import Cluster, Feature, pooled_error
 from impact_rs_analysis.evidence.levels import expected_of, relevant_of, root_mean_square, rounded
 from impact_rs_analysis.evidence.measured_runs import MeasuredRun
@@ -44,8 +44,8 @@ from impact_rs_sim.schema import Schema
 
 COMMAND, TORQUE, ENCODER, VELOCITY = "command", "torque sensor", "encoder", "velocity"
 MOTOR_ENCODER, MOTOR_VELOCITY, TRACKER = "motor encoder", "motor velocity", "tracker"
-VELOCITY_LIMIT = 0.004  # rad/s, relevance limit of a velocity of a joint, as of its jump
-OF_PUSH = ("object velocity", "end-effector velocity")
+VELOCITY_LIMIT_RAD_S = 0.004  # rad/s, relevance limit of a velocity of a joint, as of its jump
+PUSH_SIGNALS = ("object velocity", "end-effector velocity")
 
 
 @dataclass(frozen=True)
@@ -81,19 +81,19 @@ LINK_BALANCE = Relation(
     (TORQUE,),
     "masses, gravity and loads on the links, or positions of other joints",
 )
-DEFLECTION = Relation(
+ELASTIC_DEFLECTION = Relation(
     "elastic deflection",
     ("elastic deflection", "deflection"),
     (MOTOR_ENCODER, ENCODER, TORQUE),
     (MOTOR_ENCODER, ENCODER),
     "stiffness of the joint",
 )
-SLOPE = Relation("velocity of positions", (), (VELOCITY, ENCODER), (VELOCITY,), "")
-TRACKING = Relation(
-    "object and end effector", OF_PUSH, (TRACKER, ENCODER), (TRACKER,), "how the object slips and turns on the pad"
+POSITION_SLOPE = Relation("velocity of positions", (), (VELOCITY, ENCODER), (VELOCITY,), "")
+OBJECT_TRACKING = Relation(
+    "object and end effector", PUSH_SIGNALS, (TRACKER, ENCODER), (TRACKER,), "how the object slips and turns on the pad"
 )
-OF_FEATURES = (MOTOR_BALANCE, LINK_BALANCE, DEFLECTION)
-OF_MOTION = ("free", "moving up", "moving down", "slow")  # phases without contact
+FEATURE_RELATIONS = (MOTOR_BALANCE, LINK_BALANCE, ELASTIC_DEFLECTION)
+FREE_MOTION_PHASES = ("free", "moving up", "moving down", "slow")  # phases without contact
 
 
 class RelationDocument(Schema):
@@ -164,23 +164,25 @@ def agreement_of(source: Source) -> AgreementDocument:
         source: Trials or recordings with the model's predictions; tables of impacts have no such relations.
     """
     tested: list[tuple[Relation, str, list[Cluster]]] = []
-    for relation in OF_FEATURES:
+    for relation in FEATURE_RELATIONS:
         tested += [(relation, *one) for one in _by_place(source.clusters, partial(_is_of, relation))]
     if source.runs is not None:
-        tested += [(SLOPE, *one) for one in _by_place(slope_clusters(source.runs.runs), lambda feature: True)]
-        tested += [(TRACKING, *one) for one in _by_place(tracking_clusters(source.clusters), lambda feature: True)]
+        tested += [(POSITION_SLOPE, *one) for one in _by_place(slope_clusters(source.runs.runs), lambda feature: True)]
+        tested += [
+            (OBJECT_TRACKING, *one) for one in _by_place(tracking_clusters(source.clusters), lambda feature: True)
+        ]
     limited = source.noise_size() is None
     raw = {number: _lack_of_fit(source, clusters) for number, (_, _, clusters) in enumerate(tested)}
     p_values: dict[str, float] = {}
     for relation in dict.fromkeys(relation for relation, _, _ in tested):  # each is a question of its own
         own = {str(n): p for n, p in raw.items() if p is not None and tested[n][0] is relation}
         p_values |= adjusted(own)
-    motor = any(relation is DEFLECTION for relation, _, _ in tested)
+    motor = any(relation is ELASTIC_DEFLECTION for relation, _, _ in tested)
     found = []
     for number, (relation, place, clusters) in enumerate(tested):
         p = p_values.get(str(number))
         noise, relevant = (_size(clusters, of, limited) for of in (expected_of, relevant_of))
-        agrees = relevant < PLAINLY_BEYOND if p is None else p >= SIGNIFICANT or relevant < 1.0
+        agrees = relevant < MAX_NOISE_RATIO if p is None else p >= SIGNIFICANCE_LEVEL or relevant < 1.0
         found.append(
             RelationDocument(
                 relation=relation.name,
@@ -198,7 +200,7 @@ def agreement_of(source: Source) -> AgreementDocument:
 
 
 def _is_of(relation: Relation, feature: Feature) -> bool:
-    return feature.signal in relation.signals and feature.phase in OF_MOTION
+    return feature.signal in relation.signals and feature.phase in FREE_MOTION_PHASES
 
 
 def _renamed(readings: Sequence[str], motor: bool) -> list[str]:
@@ -270,7 +272,7 @@ def slope_clusters(runs: Sequence[MeasuredRun]) -> list[Cluster]:
         if run.signals.time.size < 2:
             continue
         several, values, own = len(run.setup.physics.arms) > 1, [], []
-        limit = VELOCITY_LIMIT * Proportion.of(run.physics).factor("rad/s")
+        limit = VELOCITY_LIMIT_RAD_S * Proportion.of(run.physics).factor("rad/s")
         for number, (window, signals) in enumerate(zip(run.setup.windows, run.windowed, strict=True)):
             for name, arm in () if window.contact else signals.arms.items():
                 last = float(signals.time[-1] - signals.time[0])
@@ -278,7 +280,7 @@ def slope_clusters(runs: Sequence[MeasuredRun]) -> list[Cluster]:
                 values.append(mean - (arm.position[-1] - arm.position[0]) / last)
                 label = f"{name}." if several else ""
                 own += [
-                    Feature("free", SLOPE.name, f"{label}joint{joint + 1}", number, "rad/s", limit, name)
+                    Feature("free", POSITION_SLOPE.name, f"{label}joint{joint + 1}", number, "rad/s", limit, name)
                     for joint in range(arm.velocity.shape[1])
                 ]
         if values and features.setdefault(run.condition, tuple(own)) == tuple(own):
@@ -301,9 +303,9 @@ def tracking_clusters(clusters: Sequence[Cluster]) -> list[Cluster]:
         places = {(f.signal, f.index, f.bin): n for n, f in enumerate(item.features) if f.phase == "push"}
         arms = {f.arm for f in item.features if f.arm}
         pairs = [
-            (own, places[OF_PUSH[1], index, number])
+            (own, places[PUSH_SIGNALS[1], index, number])
             for (signal, index, number), own in places.items()
-            if signal == OF_PUSH[0] and (OF_PUSH[1], index, number) in places
+            if signal == PUSH_SIGNALS[0] and (PUSH_SIGNALS[1], index, number) in places
         ]
         if not pairs or len(arms) > 1:  # of two arms either may push
             continue
@@ -312,7 +314,7 @@ def tracking_clusters(clusters: Sequence[Cluster]) -> list[Cluster]:
         moved = item.moved_together * item.sigma
         rows[item.name] = scaled[:, first] - scaled[:, second]
         patterns[item.name] = moved[:, first] - moved[:, second]
-        named[item.name] = (item.place, tuple(replace(item.features[n], signal=TRACKING.name) for n in first))
+        named[item.name] = (item.place, tuple(replace(item.features[n], signal=OBJECT_TRACKING.name) for n in first))
     return _clusters(rows, named, patterns)
 
 

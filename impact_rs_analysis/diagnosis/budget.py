@@ -12,7 +12,7 @@ import math
 import time
 from collections.abc import Callable
 
-FOR_THE_SEARCH = 0.5  # of the time; the rest is for the hold-out, without which nothing is named
+SEARCH_TIME_SHARE = 0.5  # of the time; the rest is for the hold-out, without which nothing is named
 
 Clock = Callable[[], float]
 

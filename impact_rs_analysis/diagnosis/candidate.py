@@ -5,8 +5,8 @@ In scaled coordinates the mean residual of cluster c is
 
     r_c = J_c (theta - theta_0) + noise,        cov(noise) = (pure error + discrepancy) of c
 
-fitted by bounded least squares with a weak prior of width ``PRIOR`` parameter scales. Fits are compared by their
-held-out error: the error on clusters that were left out of the fit.
+fitted by bounded least squares with a weak normal prior of ``PRIOR_DEVIATION`` parameter scales about nominal. Fits are
+compared by their leave-one-out error: the error of each cluster, predicted by a fit to all others.
 """
 
 from __future__ import annotations
@@ -21,6 +21,7 @@ import scipy
 from numpy.typing import NDArray
 
 from impact_rs_analysis.diagnosis.null_distribution import NullDistribution, combined_half_width
+from impact_rs_analysis.diagnosis.thresholds import PRIOR_DEVIATION
 from impact_rs_analysis.evidence.cluster import Added, Cluster
 from impact_rs_analysis.evidence.source import Source
 from impact_rs_sim.effects import Effect, Parameter
@@ -31,16 +32,19 @@ from impact_rs_sim.errors import NotABody
 from impact_rs_sim.physics import Physics
 from impact_rs_sim.robot import Array
 
-PROBES = (0.25, 0.5, 1.0)  # shares of the way to the ends of a range, where an effect is looked for
-LEAST_ROOM = 0.2  # of a finite-difference step; nearer a bound it goes the other way
-FITTED = 1e-3  # of the square of what a calibration changes; with less left, the parameters of a fit stand for it
-LEAST_NOISE = 1e-4  # mean square, scaled [-]; beside less, a parameter that the data do not determine is not bounded
-ROOM = 1e-9  # parameter scales, between bounds that coincide
-ACTIVE_SETS = 20  # tried for the bounds that hold; three are usual
-PRIOR = 100.0  # parameter scales; only bounds parameters that the data do not determine
-EDGE = 1e-4  # share of the way from nominal to which the last point with bodies is found, a hundredth of an interval
-AT_EDGE = 1e-3  # share of the way from nominal within which an estimate lies at the edge of the bodies; steps end there
-SHARES = (1.0, -1.0, 0.1, -0.1, 0.01, -0.01)  # of a finite-difference step; the first with bodies is taken
+PROBE_SHARES = (0.25, 0.5, 1.0)  # of the distance from nominal to either end of a range
+MIN_STEP_ROOM_SHARE = 0.2  # of a finite-difference step; nearer a bound the step goes the other way
+# Unfitted share of the squared change by a calibration; with less left, the parameters of a fit stand for it.
+MIN_UNFITTED_SHARE = 1e-3
+# Mean square residual, scaled [-]: a smaller one would leave parameters that the data do not determine without a prior.
+MIN_NOISE_VARIANCE = 1e-4
+MIN_BOUND_GAP = 1e-9  # parameter scales, between bounds that coincide
+MAX_ACTIVE_SETS = 20  # iterations of the active-set method; three are usual
+EDGE_TOLERANCE = 1e-4  # of the distance from nominal: bisection to the last point with bodies, 1/100 of an interval
+EDGE_MARGIN = (
+    1e-3  # of the distance from nominal: so near the edge of the bodies an estimate lies at it; steps end there
+)
+DIFFERENCE_STEP_FACTORS = (1.0, -1.0, 0.1, -0.1, 0.01, -0.01)  # tried in this order until there are bodies
 
 
 def concerns(effect: Effect, cluster: Cluster) -> bool:
@@ -125,7 +129,7 @@ class Candidate:
     @cached_property
     def prior(self) -> Array:
         """Standard deviations of the prior about nominal, in parameter scales, ``(p,)``."""
-        return np.array([PRIOR if one.prior is None else one.prior / one.scale for one in self.scalars])
+        return np.array([PRIOR_DEVIATION if one.prior is None else one.prior / one.scale for one in self.scalars])
 
     def has_bodies(self, vector: Array) -> bool:
         """Whether rigid bodies can have the inertial parameters that effects give them at ``vector``, ``(p,)``."""
@@ -155,7 +159,7 @@ class Candidate:
             if not self.has_bodies(start):
                 continue
             low, high = 0.0, 1.0
-            while high - low > EDGE:
+            while high - low > EDGE_TOLERANCE:
                 middle = 0.5 * (low + high)
                 low, high = (middle, high) if self.has_bodies(start + middle * (vector - start)) else (low, middle)
             found.append(start + low * (vector - start))
@@ -164,7 +168,7 @@ class Candidate:
     def at_edge_of_bodies(self, vector: Array) -> NDArray[np.bool_]:
         """Which parameters cannot be larger, all those of bodies together, because no body has them, ``(p,)``."""
         away = np.where(self.of_bodies, vector - self.nominal, 0.0)
-        edge = not self.has_bodies(vector + AT_EDGE * away)
+        edge = not self.has_bodies(vector + EDGE_MARGIN * away)
         return np.asarray((away != 0.0) & edge)
 
     @cached_property
@@ -207,7 +211,7 @@ class Candidate:
         low, high = self.lower[index], self.upper[index]
         ends = [low, high, *np.clip(self.scalars[index].far, low, high)]
         here = self.point[index]
-        values = {here + share * (end - here) for end in ends for share in PROBES if end != here}
+        values = {here + share * (end - here) for end in ends for share in PROBE_SHARES if end != here}
         points = []
         for value in sorted(values, key=lambda value: abs(value - here)):
             points.append(self.point.copy())
@@ -225,7 +229,7 @@ class Candidate:
         """Finite-difference steps, up to a bound under the physics at hand or away from it, ``(p,)``."""
         steps = np.concatenate([effect.steps(joints, self.point[part]) for effect, part in self.parts])
         room = np.clip(self.point + steps, self.lower, self.upper) - self.point
-        steps = np.where(np.abs(room) < LEAST_ROOM * np.abs(steps), -steps, room)
+        steps = np.where(np.abs(room) < MIN_STEP_ROOM_SHARE * np.abs(steps), -steps, room)
         return np.array([self.step_with_bodies(self.point, index, step) for index, step in enumerate(steps.tolist())])
 
     def step_with_bodies(self, vector: Array, index: int, step: float) -> float:
@@ -233,7 +237,7 @@ class Candidate:
         if not self.of_bodies[index]:
             return step
         alone = step * (np.arange(vector.size) == index)
-        return step * next((share for share in SHARES if self.has_bodies(vector + share * alone)), 1.0)
+        return step * next((share for share in DIFFERENCE_STEP_FACTORS if self.has_bodies(vector + share * alone)), 1.0)
 
     def only(self, clusters: Sequence[int]) -> Candidate:
         """The candidate restricted to some clusters, by number."""
@@ -409,11 +413,11 @@ class Problem:
         self._powers = np.array([target @ target / target.size for target in self.targets])
         scale = candidate.scale
         self._lower = (candidate.lower - candidate.point) / scale
-        self._upper = np.maximum((candidate.upper - candidate.point) / scale, self._lower + ROOM)
+        self._upper = np.maximum((candidate.upper - candidate.point) / scale, self._lower + MIN_BOUND_GAP)
         self._nominal = (candidate.nominal - candidate.point) / scale
         self._weigh_prior(1.0)
         if noise_unknown:
-            self._weigh_prior(float(np.clip(self.error(self.solve()), LEAST_NOISE, 1.0)))
+            self._weigh_prior(float(np.clip(self.error(self.solve()), MIN_NOISE_VARIANCE, 1.0)))
 
     def _weigh_prior(self, noise: float) -> None:
         """Weigh the prior as beside residuals of a mean square, scaled like the clusters [-].
@@ -438,7 +442,7 @@ class Problem:
             information = information - self.information[chosen].sum(axis=0)
             score = score - self.scores[chosen].sum(axis=0)
         lower, upper = np.clip(self._lower, -within, within), np.clip(self._upper, -within, within)
-        upper = np.maximum(upper, lower + ROOM)
+        upper = np.maximum(upper, lower + MIN_BOUND_GAP)
         return self._with_bodies(bounded(information, score, lower, upper), information, score, lower, upper)
 
     def _with_bodies(self, change: Array, information: Array, score: Array, lower: Array, upper: Array) -> Array:
@@ -450,7 +454,9 @@ class Problem:
         held, found = candidate.of_bodies, []
         for edge in candidate.edges_of_bodies(wanted):
             ends = (edge - candidate.point) / candidate.scale
-            found.append(bounded(information, score, np.where(held, ends, lower), np.where(held, ends + ROOM, upper)))
+            found.append(
+                bounded(information, score, np.where(held, ends, lower), np.where(held, ends + MIN_BOUND_GAP, upper))
+            )
         return min(found, key=lambda one: 0.5 * one @ information @ one - score @ one, default=np.zeros_like(change))
 
     def errors(self, change: Array) -> Array:
@@ -496,7 +502,7 @@ class Problem:
         whole = self.solve()
         for number, change in enumerate(changes):
             if not candidate.has_bodies(candidate.point + change * candidate.scale):  # as in the fit to all clusters
-                lower, upper = np.where(held, whole, self._lower), np.where(held, whole + ROOM, self._upper)
+                lower, upper = np.where(held, whole, self._lower), np.where(held, whole + MIN_BOUND_GAP, self._upper)
                 changes[number] = bounded(informations[number], scores[number], lower, upper)
         return changes
 
@@ -569,7 +575,7 @@ class Problem:
         changes = np.linalg.solve(self.total, scores.T).T
         rests = [(rows, rows - changes @ jacobian.T) for rows, jacobian in pairs]
         whole, left = np.sum([[np.sum(np.square(part), axis=1) for part in both] for both in rests], axis=0)
-        changes[left < FITTED * whole] = 0.0
+        changes[left < MIN_UNFITTED_SHARE * whole] = 0.0
         return np.asarray(np.sqrt(np.sum(np.square(changes), axis=0)))
 
     def p_value(self, null: NullDistribution, tested: slice | Sequence[int]) -> float:
@@ -600,7 +606,7 @@ def bounded(information: Array, score: Array, lower: Array, upper: Array) -> Arr
     scores, found = np.atleast_2d(score), np.atleast_2d(change)
     low, high = found < lower - 1e-12, found > upper + 1e-12
     left = np.flatnonzero(np.any(low | high, axis=-1))
-    for _ in range(ACTIVE_SETS):
+    for _ in range(MAX_ACTIVE_SETS):
         if left.size == 0:
             break
         held = low[left] | high[left]

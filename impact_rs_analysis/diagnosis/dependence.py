@@ -27,17 +27,22 @@ from functools import partial
 import numpy as np
 
 from impact_rs_analysis.diagnosis.candidate import Candidate, linearise
-from impact_rs_analysis.diagnosis.fit import NEAR_STEPS, Evidence, Fit, measure_again, refine_again
+from impact_rs_analysis.diagnosis.fit import DIFFERENCE_STEP_SHARES, Evidence, Fit, measure_again, refine_again
 from impact_rs_analysis.diagnosis.hold_out import Fold, folds_of
 from impact_rs_analysis.diagnosis.search import ProgressCallback, adjusted, simplest, tied
-from impact_rs_analysis.diagnosis.thresholds import LEAST_NUMBERS, LEAST_ROWS_OF_LEVEL, SHORTLIST, SIGNIFICANT
+from impact_rs_analysis.diagnosis.thresholds import (
+    MIN_DISTINCT_NUMBERS,
+    MIN_ROWS_OF_LEVEL,
+    SHORTLIST_SIZE,
+    SIGNIFICANCE_LEVEL,
+)
 from impact_rs_analysis.diagnosis.verdicts import Findings, change_interval
-from impact_rs_analysis.evidence.source import MOST_AS_NAMES, Covariate, Source
+from impact_rs_analysis.evidence.source import MAX_NUMBERS_AS_LEVELS, Covariate, Source
 from impact_rs_sim.effects import Effect
 from impact_rs_sim.effects.depending import Depending, Knots, Levels, Slope, Terms, level_name
 from impact_rs_sim.robot import Array
 
-CURVES = (3, 5, 8)  # knots of a curve along a number; held-out prediction chooses, fewer where it is equal
+CURVE_KNOTS = (3, 5, 8)  # knots of a curve along a number; held-out prediction chooses, fewer where it is equal
 
 
 @dataclass(frozen=True)
@@ -120,16 +125,16 @@ def _terms(covariate: Covariate, folds: Sequence[Fold]) -> tuple[Terms, ...]:
     different = dict.fromkeys(map(level_name, every))
     beside = [[v for number in fold.training for v in covariate.values[number]] for fold in folds]
     found: list[Terms] = []
-    if covariate.numeric and len(set(every)) >= LEAST_NUMBERS:
+    if covariate.numeric and len(set(every)) >= MIN_DISTINCT_NUMBERS:
         numbers = np.array(every, dtype=float)
         found.append(Slope(float(numbers.mean()), float(numbers.std())))
-        if len(different) > MOST_AS_NAMES:
-            curves = dict.fromkeys(_curve(numbers, count) for count in CURVES)
+        if len(different) > MAX_NUMBERS_AS_LEVELS:
+            curves = dict.fromkeys(_curve(numbers, count) for count in CURVE_KNOTS)
             found += [curve for curve in curves if _determined(curve, [np.array(rows, dtype=float) for rows in beside])]
-    if not covariate.numeric or len(different) <= MOST_AS_NAMES:
+    if not covariate.numeric or len(different) <= MAX_NUMBERS_AS_LEVELS:
         names_of = [[level_name(value) for value in rows] for rows in beside]
         least = {name: min((rows.count(name) for rows in names_of), default=0) for name in different}
-        names = tuple(name for name, rows in least.items() if rows >= LEAST_ROWS_OF_LEVEL)
+        names = tuple(name for name, rows in least.items() if rows >= MIN_ROWS_OF_LEVEL)
         found += [Levels(names)] if len(names) > 1 else []
     return tuple(found)
 
@@ -145,7 +150,7 @@ def _determined(curve: Knots, beside: Sequence[Array]) -> bool:
     knots = np.array(curve.knots)
     nearest = [np.argmin(np.abs(rows[:, None] - knots), axis=1) for rows in beside]
     least = min((int(np.bincount(own, minlength=knots.size).min()) for own in nearest), default=0)
-    return knots.size >= LEAST_NUMBERS and least >= LEAST_ROWS_OF_LEVEL
+    return knots.size >= MIN_DISTINCT_NUMBERS and least >= MIN_ROWS_OF_LEVEL
 
 
 def dependences_of(
@@ -226,7 +231,9 @@ def _fitted(effects: Sequence[Effect], start: Array, evidence: Evidence) -> Fit 
     if not effects:
         return None
     candidate = Candidate.of(tuple(effects), evidence.source, start)
-    there = linearise(candidate, evidence.clusters, evidence.numbers, evidence.source, "dependences", NEAR_STEPS[-1])
+    there = linearise(
+        candidate, evidence.clusters, evidence.numbers, evidence.source, "dependences", DIFFERENCE_STEP_SHARES[-1]
+    )
     return None if there is None else measure_again(refine_again(Fit.of(there, evidence)), near=True)
 
 
@@ -257,9 +264,10 @@ def _choose(evidence: Evidence, fitted: Fit | None, pairs: Sequence[Depending], 
         likely = [
             entry
             for name, entry in proposals.items()
-            if p_values[name] < SIGNIFICANT and evidence.gains(before, entry.problem.left_out_rest, 0.5, whole=True)
+            if p_values[name] < SIGNIFICANCE_LEVEL
+            and evidence.gains(before, entry.problem.left_out_rest, 0.5, whole=True)
         ]
-        refined = [refine_again(entry) for entry in sorted(likely, key=lambda entry: entry.score)[:SHORTLIST]]
+        refined = [refine_again(entry) for entry in sorted(likely, key=lambda entry: entry.score)[:SHORTLIST_SIZE]]
         refined = [entry for entry in refined if evidence.gains(before, entry.problem.left_out_rest, whole=True)]
         if not refined:
             return Choice(fitted, tuple(chosen), rivals, p_values)
@@ -283,10 +291,10 @@ def _depending(evidence: Evidence, fitted: Fit | None, pair: Depending) -> Fit |
         place = present.index(pair.effect.name)
         effect, values = parts[place]
         parts[place] = Depending(effect, pair.covariate, pair.terms), pair.at(values, joints)
-        share = NEAR_STEPS[-1]
+        share = DIFFERENCE_STEP_SHARES[-1]
     else:
         parts.append((pair, pair.nominal(joints)))
-        share = NEAR_STEPS[0]  # whole steps see past contacts that stick
+        share = DIFFERENCE_STEP_SHARES[0]  # whole steps see past contacts that stick
     origin = () if fitted is None else fitted.candidate.origin
     start = Candidate.of(tuple(own for own, _ in parts), source, np.concatenate([at for _, at in parts]), origin)
     there = linearise(start, evidence.clusters, evidence.numbers, source, "dependences", share)

@@ -22,7 +22,7 @@ from impact_rs_analysis.diagnosis.document import (
 from impact_rs_analysis.diagnosis.fit import Fit
 from impact_rs_analysis.diagnosis.relevance import moves_enough
 from impact_rs_analysis.diagnosis.residuals import residual_size
-from impact_rs_analysis.diagnosis.thresholds import GOES_WITH, SIGNIFICANT
+from impact_rs_analysis.diagnosis.thresholds import MIN_CANONICAL_CORRELATION, SIGNIFICANCE_LEVEL
 from impact_rs_analysis.diagnosis.verdict import CONFIRMED, NO_IMPROVEMENT, SMALL, DiagnosisVerdict, Kind
 from impact_rs_analysis.diagnosis.verdicts import clip_p
 from impact_rs_analysis.evidence.source import Covariate, Source
@@ -47,7 +47,7 @@ def covariate_documents(source: Source) -> tuple[CovariateDocument, ...]:
                 tried=bool(terms[item.name]),
                 ways=_ways(terms[item.name]),
                 why_not="" if terms[item.name] else _why_not(item, source),
-                goes_with={name: value for name, value in correlations.items() if value > GOES_WITH},
+                goes_with={name: value for name, value in correlations.items() if value > MIN_CANONICAL_CORRELATION},
             )
         )
     return tuple(found)
@@ -148,7 +148,7 @@ def _accepted(found: Dependences, pair: Depending) -> DependenceDocument:
 
 def _refused(found: Dependences, pair: Depending) -> DependenceDocument:
     p: float | None = clip_p(found.choice.p_values.get(pair.name, 1.0))
-    significant = p is not None and p < SIGNIFICANT
+    significant = p is not None and p < SIGNIFICANCE_LEVEL
     verdict, reason = NO_IMPROVEMENT, "significant, but it hardly lowers the held-out error" if significant else ""
     if better := [one.covariate for one in found.pairs if one.effect.name == pair.effect.name]:
         p, reason = None, f"not tried beside {better[0]}, which predicts better"

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from impact_rs_analysis.diagnosis.bounds import NO_BOUNDS, Bounds, bounded
-from impact_rs_analysis.diagnosis.budget import FOR_THE_SEARCH, UNLIMITED, Budget
+from impact_rs_analysis.diagnosis.budget import SEARCH_TIME_SHARE, UNLIMITED, Budget
 from impact_rs_analysis.diagnosis.dependence import Dependences, dependences_of
 from impact_rs_analysis.diagnosis.dependence_verdicts import (
     covariate_documents,
@@ -37,9 +37,14 @@ from impact_rs_analysis.diagnosis.fit import Evidence, Fit
 from impact_rs_analysis.diagnosis.hold_out import HoldOut, hold_out
 from impact_rs_analysis.diagnosis.measurement import experiments_of, measurement_of, with_readings
 from impact_rs_analysis.diagnosis.next_experiment import next_experiment
-from impact_rs_analysis.diagnosis.residuals import MOST_RESTS, noise_size, residual_unit, rests_of
+from impact_rs_analysis.diagnosis.residuals import MAX_RESIDUALS, noise_size, residual_unit, rests_of
 from impact_rs_analysis.diagnosis.search import NOTHING_KNOWN, ProgressCallback, Rival, Search
-from impact_rs_analysis.diagnosis.thresholds import LEAST_CLUSTERS, LEAST_P, WIDE_TIE
+from impact_rs_analysis.diagnosis.thresholds import (
+    MAX_TIE_LOG_RATIO,
+    MIN_CLUSTERS,
+    MIN_REPORTED_CORRELATION,
+    MIN_REPORTED_P,
+)
 from impact_rs_analysis.diagnosis.verdict import IMPOSSIBLE, TOO_FEW
 from impact_rs_analysis.diagnosis.verdicts import (
     Findings,
@@ -60,8 +65,6 @@ from impact_rs_sim.effects import Effect
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.model import Model
 from impact_rs_sim.robot import Array
-
-CORRELATED = 0.8
 
 
 def diagnose(
@@ -181,7 +184,7 @@ def _over_ranges(document: DiagnosisDocument) -> DiagnosisDocument:
     for view in document.views:
         others = [other.held_out_error_after for other in document.views if other.of == view.of]
         best = min([document.held_out_error_after, *others])
-        allowed = view.held_out_error_after <= best * math.exp(WIDE_TIE / 2.0)
+        allowed = view.held_out_error_after <= best * math.exp(MAX_TIE_LOG_RATIO / 2.0)
         views.append(view.model_copy(update={"allowed": allowed}) if view.of else view)
     effects = []
     for effect in document.effects:
@@ -237,13 +240,13 @@ def findings_of(
     Raises:
         InputError: Too few conditions for a hold-out.
     """
-    if source.repeated and len(source.clusters) < LEAST_CLUSTERS:
+    if source.repeated and len(source.clusters) < MIN_CLUSTERS:
         names = ", ".join(item.name for item in source.clusters)
         raise InputError(
-            f"{len(source.clusters)} condition(s) measured ({names}): at least {LEAST_CLUSTERS} are needed to hold one "
+            f"{len(source.clusters)} condition(s) measured ({names}): at least {MIN_CLUSTERS} are needed to hold one "
             "out; `impact-rs compare` still shows where the model fails"
         )
-    own = budget.part(FOR_THE_SEARCH)
+    own = budget.part(SEARCH_TIME_SHARE)
     search = Search(effects, Evidence.of(source, budget=own), progress, earlier=earlier)
     undecidable = search.evidence.null.shortage is not None or bool(source.impossible)
     chosen = None if undecidable else search.choose()
@@ -310,7 +313,7 @@ def document_of(found: Findings, source: Source, model: Model) -> DiagnosisDocum
         effects=effects,
         confusable=tuple((name, *rivals[name]) for name in found.shown(found.names) if rivals[name]),
         unexplained=UnexplainedDocument(
-            share_of_excess=found.share_left, where=tuple(rests_of(evidence, found.unexplained)[:MOST_RESTS])
+            share_of_excess=found.share_left, where=tuple(rests_of(evidence, found.unexplained)[:MAX_RESIDUALS])
         ),
         next_experiment=next_experiment(found, known),
         model=ModelIdentity.of(model),
@@ -325,7 +328,7 @@ def document_of(found: Findings, source: Source, model: Model) -> DiagnosisDocum
         design=DesignDocument(
             clusters=len(evidence.clusters),
             freedom=evidence.null.freedom,
-            least_p=LEAST_P,
+            least_p=MIN_REPORTED_P,
             shortage=evidence.null.shortage,
         ),
         discrepancy=source.discrepancy_document,
@@ -437,6 +440,6 @@ def _identifiability(chosen: Fit | None) -> Identifiability:
             CorrelatedPair(first=names[i], second=names[j], correlation=float(correlation[i, j]))
             for i in range(len(names))
             for j in range(i)
-            if abs(correlation[i, j]) > CORRELATED
+            if abs(correlation[i, j]) > MIN_REPORTED_CORRELATION
         ),
     )

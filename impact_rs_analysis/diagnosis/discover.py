@@ -30,11 +30,17 @@ from impact_rs_analysis.diagnosis.discovery_document import (
     PointDocument,
 )
 from impact_rs_analysis.diagnosis.document import DiagnosisDocument
-from impact_rs_analysis.diagnosis.fit import HOPELESS, Evidence, Fit, refine
-from impact_rs_analysis.diagnosis.grammar import KNOTS, LEAST_SPAN, Grammar, Law, curve_of, laws_of
+from impact_rs_analysis.diagnosis.fit import Evidence, Fit, refine
+from impact_rs_analysis.diagnosis.grammar import FREE_CURVE_KNOTS, MIN_SPAN_SHARE, Grammar, Law, curve_of, laws_of
 from impact_rs_analysis.diagnosis.residuals import residual_unit, rests_of
 from impact_rs_analysis.diagnosis.search import ProgressCallback, Rival, Search, p_value_beside
-from impact_rs_analysis.diagnosis.thresholds import LEAST_GAIN, SIGNIFICANT
+from impact_rs_analysis.diagnosis.thresholds import (
+    MAX_ERROR_RATIO,
+    MIN_GAIN_SHARE,
+    MIN_RESIDUAL_RATIO_OF_LAW,
+    MIN_SHARE_OF_LARGEST_RESIDUAL,
+    SIGNIFICANCE_LEVEL,
+)
 from impact_rs_analysis.diagnosis.verdict import IMPOSSIBLE, NOTHING, SMALL, TOO_FEW
 from impact_rs_analysis.diagnosis.verdicts import Findings, headline
 from impact_rs_analysis.evidence.source import Source
@@ -46,12 +52,11 @@ from impact_rs_sim.model import Model
 from impact_rs_sim.physics import Physics
 from impact_rs_sim.robot import Array
 
-SEEN = 1.5  # times repeatability; a signal below it shows no law
-SHARE = 0.25  # of the largest such signal, likewise: of joints that move others, one is the cause
-POINTS = 41  # of a law over its quantity
-CLEAR, FARTHEST = 0.3, 3.0  # difference of two laws that separates them, and how far out of the range it is looked for
-MOST_RIVALS = 8  # fitted in the place of laws
-MOST_OTHERS = 8  # laws that are listed without being proposed
+LAW_POINTS = 41  # at which a law is evaluated over the range of its quantity
+MIN_LAW_DIFFERENCE = 0.3  # of the largest force in the range; a larger difference separates two laws
+MAX_EXTRAPOLATION = 3.0  # times the end of the range, where such a difference is searched for
+MAX_RIVAL_LAWS = 8  # fitted in the place of a law
+MAX_OTHER_LAWS = 8  # listed without being proposed
 
 
 def discover(
@@ -134,14 +139,14 @@ def _described(
 def _varies(law: Law, domains: Mapping[str, Range]) -> bool:
     """Whether the quantity of a law was measured at different values: else it is a constant, as the library has."""
     low, high = domains.get(law.symbol, (0.0, 0.0))
-    return high - low > LEAST_SPAN * law.quantity.typical
+    return high - low > MIN_SPAN_SHARE * law.quantity.typical
 
 
 def _predicts_better(curves: DiscoveryDocument, laws: DiscoveryDocument) -> bool:
     """Whether curves leave clearly less of unseen conditions than laws, which have fewer parameters and say more."""
     assert curves.diagnosis is not None and laws.diagnosis is not None
     after, before = curves.diagnosis.held_out_error_after, laws.diagnosis.held_out_error_after
-    return after**2 <= (1.0 - LEAST_GAIN) * before**2
+    return after**2 <= (1.0 - MIN_GAIN_SHARE) * before**2
 
 
 @dataclass(frozen=True)
@@ -204,7 +209,7 @@ def _with_curve(
     fitted = refine(seen, evidence)
     own = fitted.candidate.part(effect.name)
     forces, half = fitted.estimate[own], (fitted.half_widths * fitted.candidate.scale)[own]
-    at = np.linspace(min(curve.knots), max(curve.knots), POINTS)
+    at = np.linspace(min(curve.knots), max(curve.knots), LAW_POINTS)
     said, band = _band(best, document.laws[0], at)
     points = []
     for knot, force, wide in zip(curve.knots, forces.tolist(), half.tolist(), strict=True):
@@ -216,7 +221,7 @@ def _with_curve(
 
 def _as_curve(curve: Law, found: LawDocument) -> CurveDocument:
     """A free curve that was found, with its knots."""
-    at = np.linspace(min(curve.knots), max(curve.knots), POINTS)
+    at = np.linspace(min(curve.knots), max(curve.knots), LAW_POINTS)
     said, band = _band(curve, found, at)
     points = [
         PointDocument(at=knot, force=value.estimate, ci95=value.ci95, law=value.estimate)
@@ -265,7 +270,7 @@ def _curves(
     offset = _has_offset(source, library)
     apart = {(law.place, law.where, law.symbol): law for law in laws if law.symbol in ranges}
     for law in apart.values():
-        for count in KNOTS:
+        for count in FREE_CURVE_KNOTS:
             absolute = not (offset and law.joints) and not _shifts(source, library, law.coefficient)
             yield curve_of(law, ranges[law.symbol], count, absolute)
 
@@ -285,8 +290,8 @@ def _shifts(source: Source, library: Sequence[Effect], coefficient: str) -> bool
     """Whether an effect of the library changes a coefficient of contacts by the same amount, however they close."""
     if not coefficient:
         return False
-    speeds = np.linspace(0.1, 1.0, POINTS)  # m/s; a constant is one at any
-    on_support = np.ones(POINTS, dtype=bool)
+    speeds = np.linspace(0.1, 1.0, LAW_POINTS)  # m/s; a constant is one at any
+    on_support = np.ones(LAW_POINTS, dtype=bool)
 
     def values(physics: Physics) -> Array:
         return np.asarray(getattr(laws_at(physics, speeds, speeds[::-1], on_support), coefficient))
@@ -309,14 +314,14 @@ def _rivals(found: Findings) -> tuple[Rival, ...]:
         return ()
     return tuple(
         replace(rival, tied=rival.tied or _adds_nothing(found.chosen, rival))
-        for rival in found.search.rivals(found.chosen, max(1, MOST_RIVALS // len(found.names)), hopeless=np.inf)
+        for rival in found.search.rivals(found.chosen, max(1, MAX_RIVAL_LAWS // len(found.names)), hopeless=np.inf)
     )
 
 
 def _adds_nothing(chosen: Fit, rival: Rival) -> bool:
     """Whether the chosen effect is not significant beside the rival that takes its place."""
-    near = rival.fit.score <= max(HOPELESS * chosen.score, float(rival.fit.evidence.expected.mean()))
-    return near and p_value_beside(chosen, rival.instead_of, rival.fit) > SIGNIFICANT
+    near = rival.fit.score <= max(MAX_ERROR_RATIO * chosen.score, float(rival.fit.evidence.expected.mean()))
+    return near and p_value_beside(chosen, rival.instead_of, rival.fit) > SIGNIFICANCE_LEVEL
 
 
 def _of_library(source: Source, library: Sequence[Effect], progress: ProgressCallback) -> Findings:
@@ -335,7 +340,7 @@ def _settled(known: Findings) -> str | None:
         return None  # how much of the rest is noise is not known: the hold-out decides on laws
     if not source.contact_speeds and not source.repeated and verdict not in (TOO_FEW, NOTHING):
         left = max(rest.times_noise for rest in rests_of(known.evidence, known.unexplained))
-        return None if left > SEEN else LIBRARY
+        return None if left > MIN_RESIDUAL_RATIO_OF_LAW else LIBRARY
     if verdict.leaves_residuals:
         return None
     return str(verdict) if verdict in (TOO_FEW, NOTHING, SMALL) else LIBRARY
@@ -377,12 +382,12 @@ def _where(known: Findings, laws: Iterable[Law]) -> list[str]:
         signal = sizes[phase].get(law.needs, {})
         largest = max(signal.values(), default=0.0)
         own_size = max((signal.get(joint, 0.0) for joint in law.joints), default=largest)
-        return own_size > max(SEEN, SHARE * largest)
+        return own_size > max(MIN_RESIDUAL_RATIO_OF_LAW, MIN_SHARE_OF_LARGEST_RESIDUAL * largest)
 
     def possible(law: Law) -> bool:
         if not law.needs:
-            return in_contact > SEEN
-        beyond = in_contact > SEEN and _begins_beyond(law, free)
+            return in_contact > MIN_RESIDUAL_RATIO_OF_LAW
+        beyond = in_contact > MIN_RESIDUAL_RATIO_OF_LAW and _begins_beyond(law, free)
         return shown(law, "free") or (beyond and (law.needs not in sizes["push"] or shown(law, "push")))
 
     return [law.spec.name for law in laws if possible(law)]
@@ -392,7 +397,11 @@ def _where_in_recordings(known: Findings, laws: Iterable[Law]) -> list[str]:
     """Names of the laws at joints whose torque is unexplained, and of forces where that of several is."""
     rows = known.evidence.source.joint_sizes(known.unexplained)
     left = {joint: size / noise for joint, size, noise, _ in rows if noise > 0.0}
-    seen = {joint for joint, size in left.items() if size > max(SEEN, SHARE * max(left.values()))}
+    seen = {
+        joint
+        for joint, size in left.items()
+        if size > max(MIN_RESIDUAL_RATIO_OF_LAW, MIN_SHARE_OF_LARGEST_RESIDUAL * max(left.values()))
+    }
     apart: dict[tuple[str, ...], str] = {}  # a torque on a motor and one on its link are the same there
     for law in laws:
         if seen & set(law.joints):
@@ -406,7 +415,7 @@ def _begins_beyond(law: Law, ranges: Mapping[str, Range]) -> bool:
     """Whether a force or torque may act, from one of its starts, and nowhere in these ranges."""
     if law.symbol not in ranges or not any(one.shape for one in law.spec.parameters.values()):
         return False
-    at = np.linspace(*ranges[law.symbol], POINTS)
+    at = np.linspace(*ranges[law.symbol], LAW_POINTS)
     amplitudes = {name: 1.0 for name, one in law.spec.parameters.items() if not one.shape}
     return any(not np.any(law.force(at, amplitudes | dict(start))) for start in law.starts)
 
@@ -418,7 +427,7 @@ def _document(tried: _Tried, model: Model, laws: Mapping[str, Law], ranges: Mapp
         key=lambda name: found.search.beside(found.chosen, name).score,
     )
     rivals = [rival.name for rival in found.rivals]
-    shown = [name for name in dict.fromkeys([*found.names, *rivals, *best[:MOST_OTHERS]]) if name in laws]
+    shown = [name for name in dict.fromkeys([*found.names, *rivals, *best[:MAX_OTHER_LAWS]]) if name in laws]
     found.search.keep({*shown, *(name for name in found.search.singles if name not in laws)})
     diagnosis = document_of(found, tried.source, model)
     diagnosis = diagnosis.model_copy(update={"formulas": tuple(laws[name].spec for name in shown)})
@@ -557,10 +566,10 @@ def _tie(
 
 
 def _apart(law: Law, other: Law, diagnosis: DiagnosisDocument, domain: Range) -> float | None:
-    """Value of the quantity beyond its range at which two laws differ by ``CLEAR`` of their size inside; else None."""
+    """Nearest value out of range at which two laws differ by ``MIN_LAW_DIFFERENCE`` of their size; None if nowhere."""
     low, high = domain
     forces = []
-    reach = np.linspace(1.0, FARTHEST, 50)
+    reach = np.linspace(1.0, MAX_EXTRAPOLATION, 50)
     inside = np.linspace(low, high, 50)
     outside = (high if abs(high) >= abs(low) else low) * reach
     for one in (law, other):
@@ -569,5 +578,5 @@ def _apart(law: Law, other: Law, diagnosis: DiagnosisDocument, domain: Range) ->
         numbers = {name: value.estimate for name, value in effect.parameters.items()}
         forces.append((one.force(inside, numbers), one.force(outside, numbers)))
     size = float(np.max(np.abs(forces[0][0])))
-    off = np.flatnonzero(np.abs(forces[0][1] - forces[1][1]) > CLEAR * size)
+    off = np.flatnonzero(np.abs(forces[0][1] - forces[1][1]) > MIN_LAW_DIFFERENCE * size)
     return float(outside[off[0]]) if off.size else None

@@ -29,11 +29,15 @@ import scipy
 
 from impact_rs_analysis.diagnosis.document import DriftDocument
 from impact_rs_analysis.diagnosis.null_distribution import rarity
-from impact_rs_analysis.diagnosis.thresholds import DRAWS, LEAST_FREEDOM, LEAST_P, SIGNIFICANT
+from impact_rs_analysis.diagnosis.thresholds import (
+    MIN_CONFOUNDED_SHARE,
+    MIN_DEGREES_OF_FREEDOM,
+    MIN_REPORTED_P,
+    NULL_DRAWS,
+    SIGNIFICANCE_LEVEL,
+)
 from impact_rs_analysis.evidence.cluster import Cluster, Feature
 from impact_rs_sim.robot import Array
-
-CONFOUNDED = 0.85  # share of the variance of the order that is between conditions; three one after the other: 0.89
 
 
 def drift_of(clusters: Sequence[Cluster]) -> DriftDocument | None:
@@ -43,7 +47,7 @@ def drift_of(clusters: Sequence[Cluster]) -> DriftDocument | None:
         clusters: Residuals of any model by condition, with the time of every repeat.
     """
     stamps = [item.stamps for item in clusters if item.stamps is not None]
-    if len(stamps) < len(clusters) or sum(item.count - 1 for item in clusters) < LEAST_FREEDOM:
+    if len(stamps) < len(clusters) or sum(item.count - 1 for item in clusters) < MIN_DEGREES_OF_FREEDOM:
         return None
     order = scipy.stats.rankdata(np.concatenate(stamps))
     places = np.split(order, np.cumsum([item.count for item in clusters])[:-1])
@@ -51,7 +55,7 @@ def drift_of(clusters: Sequence[Cluster]) -> DriftDocument | None:
     if within == 0.0:  # stamps too coarse to order any repeats
         return None
     groups = list(dict.fromkeys(feature.group for item in clusters for feature in item.features))
-    correlation = np.zeros((1 + DRAWS, len(groups)))
+    correlation = np.zeros((1 + NULL_DRAWS, len(groups)))
     changes: dict[tuple[str, str, str], list[tuple[Feature, float]]] = {}
     rng = np.random.default_rng(0)
     for layout in dict.fromkeys(item.layout for item in clusters):
@@ -61,7 +65,7 @@ def drift_of(clusters: Sequence[Cluster]) -> DriftDocument | None:
         features = clusters[chosen[0]].features
         along = _centred([places[number] for number in chosen])
         rows = _centred([clusters[number].residuals * clusters[number].sigma for number in chosen])
-        draws = [rng.standard_normal((clusters[number].count, DRAWS)) for number in chosen]
+        draws = [rng.standard_normal((clusters[number].count, NULL_DRAWS)) for number in chosen]
         directions = np.column_stack((along, _centred(draws)))
         powers = np.outer(np.sum(np.square(directions), axis=0), np.sum(np.square(rows), axis=0))
         rho = np.square(directions.T @ rows) / np.maximum(powers, 1e-300)
@@ -85,8 +89,8 @@ def drift_of(clusters: Sequence[Cluster]) -> DriftDocument | None:
         change=float(np.sqrt(np.mean(np.square(values))) * (1.0 if values.sum() >= 0.0 else -1.0)),
         unit=feature.unit,
         runs=int(order.size),
-        p_value=max(rarity(float(largest[0]), largest[1:]), LEAST_P),
-        confounded=bool(1.0 - within / float(np.sum(np.square(order - order.mean()))) > CONFOUNDED),
+        p_value=max(rarity(float(largest[0]), largest[1:]), MIN_REPORTED_P),
+        confounded=bool(1.0 - within / float(np.sum(np.square(order - order.mean()))) > MIN_CONFOUNDED_SHARE),
     )
 
 
@@ -97,7 +101,7 @@ def _centred(parts: Sequence[Array]) -> Array:
 
 def doubt_of(found: DriftDocument | None) -> str:
     """Sentence of the summary where a drift and the conditions cannot be distinguished; empty elsewhere."""
-    if found is None or not found.confounded or found.p_value >= SIGNIFICANT:
+    if found is None or not found.confounded or found.p_value >= SIGNIFICANCE_LEVEL:
         return ""
     return (
         f"Confidence is low: the {found.signal} {found.index} drifts, and conditions were measured one after the other."
@@ -108,11 +112,11 @@ def drift_in_words(found: DriftDocument | None) -> str:
     """What a drift, or an order that would hide one, means for the verdict; empty: nothing."""
     if found is None:
         return ""
-    drifts = found.p_value < SIGNIFICANT
+    drifts = found.p_value < SIGNIFICANCE_LEVEL
     what = (
         f"the {found.signal} {found.index} ({found.phase}) {'rises' if found.change > 0.0 else 'falls'} by "
         f"{abs(found.change):.2g} {found.unit} over the {found.runs} runs of the campaign, in repeats of the same "
-        f"condition (p {'<=' if found.p_value <= LEAST_P else '='} {found.p_value:.2g})"
+        f"condition (p {'<=' if found.p_value <= MIN_REPORTED_P else '='} {found.p_value:.2g})"
     )
     order = "conditions were measured one after the other"
     if drifts and found.confounded:

@@ -14,7 +14,7 @@ from impact_rs_analysis.diagnosis.fit import Evidence, Fit
 from impact_rs_analysis.diagnosis.relevance import matters, sizes_of
 from impact_rs_analysis.diagnosis.residuals import residual_size
 from impact_rs_analysis.diagnosis.search import tied_errors
-from impact_rs_analysis.diagnosis.thresholds import SIGNIFICANT, UNSEEN
+from impact_rs_analysis.diagnosis.thresholds import MAX_HALF_WIDTH, SIGNIFICANCE_LEVEL
 from impact_rs_analysis.diagnosis.verdict import (
     AT_BOUND,
     CONFIRMED,
@@ -29,7 +29,7 @@ from impact_rs_analysis.diagnosis.verdicts import Findings, certain, clip_p
 from impact_rs_sim.effects import Effect
 from impact_rs_sim.robot import Array
 
-NO_SIZE = "predicts unseen data, but its interval holds the value at which it does nothing: more conditions decide"
+SIZE_UNKNOWN = "predicts unseen data, but its interval holds the value at which it does nothing: more conditions decide"
 
 NOT_MEASURED = {
     "motor side": "no motor-side signal was measured",
@@ -96,7 +96,7 @@ def _chosen_document(found: Findings, effect: Effect) -> EffectDocument:
     if verdict == CONFIRMED or rivals:
         shapes = {scalar.name for scalar in chosen.candidate.scalars[part] if scalar.shape}
         if not any(parameters[key].excludes_nominal for key in parameters.keys() - shapes):
-            verdict, reason = UNIDENTIFIABLE, NO_SIZE
+            verdict, reason = UNIDENTIFIABLE, SIZE_UNKNOWN
     searched = () if found.hold_out is None else found.hold_out.found
     return EffectDocument(
         name=effect.shown_name,
@@ -136,7 +136,7 @@ def _other_document(found: Findings, effect: Effect) -> EffectDocument:
     elif rivals:
         verdict = DiagnosisVerdict(Kind.CONFUSABLE, tuple(sorted(rivals)))
         reason = "predicts unseen data as well in place of the chosen effect"
-    elif p < SIGNIFICANT and best is None:
+    elif p < SIGNIFICANCE_LEVEL and best is None:
         size = sizes_of(fitted, name)
         verdict, reason = NO_IMPROVEMENT, "significant, but it hardly lowers the held-out error"
         if not certain(fitted, name):
@@ -243,7 +243,7 @@ def undetermined(fitted: Fit) -> NDArray[np.bool_]:
     that scale, which nevertheless say how large it is.
     """
     away = np.abs(fitted.estimate - fitted.candidate.nominal) / fitted.candidate.scale
-    return np.asarray((fitted.half_widths > UNSEEN) & (fitted.half_widths >= away))
+    return np.asarray((fitted.half_widths > MAX_HALF_WIDTH) & (fitted.half_widths >= away))
 
 
 def _joint(found: Findings, fitted: Fit, index: int) -> tuple[DiagnosisVerdict, float, float | None, float | None]:
@@ -272,7 +272,7 @@ def _joint(found: Findings, fitted: Fit, index: int) -> tuple[DiagnosisVerdict, 
         verdict = UNIDENTIFIABLE
     elif fitted.held_at_bound[index]:
         verdict = AT_BOUND
-    elif p >= SIGNIFICANT:
+    elif p >= SIGNIFICANCE_LEVEL:
         verdict = NO_IMPROVEMENT
     else:
         verdict = DiagnosisVerdict(Kind.CONFUSABLE, tuple(sorted(found.shown(rivals)))) if rivals else CONFIRMED

@@ -15,30 +15,35 @@ from numpy.typing import NDArray
 from impact_rs_analysis.diagnosis.budget import UNLIMITED, Budget
 from impact_rs_analysis.diagnosis.candidate import Candidate, Problem, linearise
 from impact_rs_analysis.diagnosis.null_distribution import NullDistribution, RotationNull, SignFlipNull
-from impact_rs_analysis.diagnosis.thresholds import LEAST_GAIN, LEAST_GAIN_IN_ONE
+from impact_rs_analysis.diagnosis.thresholds import MIN_GAIN_SHARE, MIN_GAIN_SHARE_OF_JOINT
 from impact_rs_analysis.evidence.cluster import Cluster, size_of
 from impact_rs_analysis.evidence.source import Source
 from impact_rs_sim.robot import Array
 
-STEPS, MORE_STEPS = 6, 12  # of trials, whose simulations are dear, and of recordings and tables
-ENOUGH = 0.02  # of the error; a fit that gains less in a step has converged
-VALLEY_ENOUGH, VALLEY_LOOKS = 1e-6, 200  # the same along a curved valley, whose floor is flat, and predictions at most
-NEAR_STEPS = (1.0, 0.3)  # shares of the steps of finite differences, as a fit comes near its optimum
-TRUST = 4.0  # parameter scales that a parameter may move at first where the whole step does not do what it promised
-WIDER = 4.0  # times as far after a step that kept its promise, and as much less after one that did not lower the error
-SHORTER = 4  # steps that are tried
-STRAIGHT = 0.75  # of the gain that was predicted: the promise
-LINEAR = 0.95  # of the same, for a step of any length
-NEAR = 0.1  # parameter scales; a correction below this does not depend on where a trial starts
-MOST_LOOKS = 4
-DOUBLINGS = 8  # of the half width of an interval
-BENT = 0.5  # of the rise of the squares in a straight model; below, an end of an interval lies further out
-CURVED = 2.0  # times that rise; above, the others have to be fitted again there
-SLOW = 0.5  # of the error is left by a step whose sensitivities are those of another place
-WIDENINGS = 4  # of the range of a parameter, to sixteen times its declared width
-SIMPLEX, SIMPLEX_LOOKS = 0.3, 25  # parameter scales, its first edges; predictions for each parameter
-WORST = 1e100  # mean square error of what cannot be simulated; the simplex subtracts errors, so it is not infinite
-HOPELESS = 3.0  # times the squared error of the best fit; a fit above it is dropped
+# Gauss-Newton steps
+MAX_STEPS_OF_TRIALS = 6  # their simulations are expensive
+MAX_STEPS_WITHOUT_REPEATS = 12  # of recordings and tables, whose predictions are cheap
+MIN_RELATIVE_DECREASE = 0.02  # of the squared error by a step; with less, a fit has converged
+DIFFERENCE_STEP_SHARES = (1.0, 0.3)  # of the finite-difference steps, far from and near the optimum
+MAX_CHORD_ERROR_RATIO = 0.5  # squared error after over before a step with the first sensitivities; above, new ones
+MAX_FINAL_CORRECTION = 0.1  # parameter scales; a smaller one does not depend on where a trial starts
+MAX_FINAL_REPLAYS = 4  # of every run, at the end of a fit
+MAX_RANGE_DOUBLINGS = 4  # to sixteen times the declared width
+# Trust region (More and Sorensen 1983); the gain ratio is the actual over the predicted decrease of the error.
+TRUST_RADIUS = 4.0  # parameter scales, after a full step with a low gain ratio
+TRUST_RADIUS_FACTOR = 4.0  # wider after a step with a high gain ratio, narrower after one without a decrease
+MAX_STEP_TRIALS = 4  # steps of decreasing length
+MIN_GAIN_RATIO = 0.75  # above, the radius grows
+MIN_GAIN_RATIO_OF_FULL_STEP = 0.95  # likewise, for a step without a radius that is longer than TRUST_RADIUS
+VALLEY_FTOL, VALLEY_MAX_EVALUATIONS = 1e-6, 200  # of SciPy's trust-region method along a curved valley, flat along it
+# Downhill simplex (Nelder and Mead 1965)
+SIMPLEX_EDGE = 0.3  # parameter scales, of the first simplex
+SIMPLEX_EVALUATIONS = 25  # for each parameter, at most
+UNSIMULATED_ERROR = 1e100  # stands for inf, whose differences are nan
+# Intervals by profile likelihood
+MAX_INTERVAL_DOUBLINGS = 8  # of the half width
+MIN_RISE_RATIO = 0.5  # actual over linear rise of the squares at an end of the interval; below, the end moves out
+MAX_RISE_RATIO = 2.0  # likewise; above, the other parameters are fitted again at the end
 
 
 @dataclass(frozen=True)
@@ -157,12 +162,12 @@ class Evidence:
     def gains(
         self, before: Sequence[Array], after: Sequence[Array], of_enough: float = 1.0, whole: bool = False
     ) -> bool:
-        """Whether enough of the error in excess of repeatability and discrepancy goes.
+        """Whether an effect removes enough of the excess error, beyond repeatability and discrepancy.
 
-        Enough is ``LEAST_GAIN`` of the whole. Where every joint has a noise of its own that is not known, a gain counts
-        against what is left of the joint, and ``LEAST_GAIN_IN_ONE`` of it is enough: on the scale of what the model
-        without effects leaves, whatever acts in a well explained joint is small. In a table of single impacts a gain
-        counts against what is left of the signals that the effect moves (:meth:`_gain_where_it_acts`).
+        Enough is ``MIN_GAIN_SHARE`` of the excess of all features. Where every joint has an unknown noise of its own,
+        ``MIN_GAIN_SHARE_OF_JOINT`` of the excess of one joint is enough as well: residuals are scaled by those of the
+        model without effects, so that whatever acts in a well explained joint looks small. In a table of single impacts
+        the gain is also compared with the excess of the signals that the effect moves (:meth:`_gain_where_it_acts`).
 
         Args:
             before: Mean residuals without an effect, ``(F,)`` per cluster [-].
@@ -172,7 +177,7 @@ class Evidence:
                 is no further dependence.
         """
         first, second = (self.excess(rest) for rest in (before, after))
-        least, in_one = of_enough * LEAST_GAIN, of_enough * LEAST_GAIN_IN_ONE
+        least, in_one = of_enough * MIN_GAIN_SHARE, of_enough * MIN_GAIN_SHARE_OF_JOINT
         if float(np.sum(first - second)) > least * float(np.sum(first)) or (
             self.source.noise_apart and bool(np.any(first - second > in_one * first))
         ):
@@ -361,17 +366,17 @@ class Fit:
         ends = {}
         for side in (-1.0, 1.0):
             reach, left = half.copy(), list(parameters)
-            for _ in range(DOUBLINGS):
+            for _ in range(MAX_INTERVAL_DOUBLINGS):
                 steps = [side * reach[i] * inverse[:, i] / inverse[i, i] * candidate.scale for i in left]
                 points = [np.clip(self.estimate + step, candidate.lower, candidate.upper) for step in steps]
                 rises = self._squares_at(points) - least
                 for number, (i, point) in enumerate(zip(left, points, strict=True)):
-                    if rises[number] > CURVED * rise[i] and candidate.curved(i):
+                    if rises[number] > MAX_RISE_RATIO * rise[i] and candidate.curved(i):
                         rises[number] = min(rises[number], self._squares_beside(i, point) - least)
                 left = [
                     i
                     for i, point, there in zip(left, points, rises, strict=True)
-                    if there < BENT * rise[i] and candidate.lower[i] < point[i] < candidate.upper[i]
+                    if there < MIN_RISE_RATIO * rise[i] and candidate.lower[i] < point[i] < candidate.upper[i]
                 ]
                 if not left:
                     break
@@ -386,13 +391,13 @@ class Fit:
         held = np.arange(point.size) == index
         lower, upper = np.where(held, point, wide.lower), np.where(held, point, wide.upper)
         candidate, found = replace(wide, lower=lower, upper=upper), np.inf
-        for _ in range(STEPS):
+        for _ in range(MAX_STEPS_OF_TRIALS):
             there = evaluate_at(candidate, point, self.evidence)
             if there is None:
                 break
             fitted = Fit.of(there, self.evidence)
             squares = sum(n * float(rest @ rest) for n, rest in zip(count, fitted.at_point.rest, strict=True))
-            if squares > (1.0 - ENOUGH) * found:
+            if squares > (1.0 - MIN_RELATIVE_DECREASE) * found:
                 return min(squares, found)
             found, point = squares, fitted.estimate
         return found
@@ -401,7 +406,7 @@ class Fit:
     def with_room(self) -> Candidate:
         """The candidate with ranges that hold the intervals, as far as physics and the user let it."""
         candidate, half = self.candidate, self.half_widths * self.candidate.scale
-        for _ in range(WIDENINGS):
+        for _ in range(MAX_RANGE_DOUBLINGS):
             beyond = (self.estimate - half < candidate.lower) | (self.estimate + half > candidate.upper)
             wider = candidate.widened(beyond, self.evidence.source) if np.any(beyond) else None
             if wider is None:
@@ -453,7 +458,7 @@ class Fit:
     @property
     def converged(self) -> bool:
         """Whether the linear fit gains little over the candidate's point."""
-        return self.error_at_point - self.misfit < ENOUGH * self.error_at_point
+        return self.error_at_point - self.misfit < MIN_RELATIVE_DECREASE * self.error_at_point
 
     @property
     def out_of_time(self) -> bool:
@@ -498,7 +503,7 @@ def refine(candidate: Candidate, evidence: Evidence, give_up: float = np.inf) ->
 def _beyond_bounds(fit: Callable[[Candidate], Fit], start: Candidate) -> Fit:
     """A fit; where it ends at a bound that is not one of physics, it goes on with a wider range."""
     fitted = fit(start)
-    for _ in range(WIDENINGS):
+    for _ in range(MAX_RANGE_DOUBLINGS):
         at = fitted.at_end
         wider = fitted.candidate.widened(at, fitted.evidence.source) if np.any(at) else None
         if wider is None or fitted.out_of_time:
@@ -524,7 +529,7 @@ def _refine(candidate: Candidate, evidence: Evidence, give_up: float) -> Fit:
         moved, trust = _moved(fitted, trust)
         if moved is None:  # the sensitivities promise what simulations do not keep
             return fitted.at_point
-        least = max(SLOW * fitted.error_at_point, evidence.expected_error)
+        least = max(MAX_CHORD_ERROR_RATIO * fitted.error_at_point, evidence.expected_error)
         slow = may_be_slow and moved.error_at_point > least
         fitted = Fit.of(_relinearised(moved.candidate, evidence), evidence) if slow else moved
     return fitted
@@ -532,40 +537,40 @@ def _refine(candidate: Candidate, evidence: Evidence, give_up: float) -> Fit:
 
 def _steps(evidence: Evidence) -> int:
     """Number of steps of a fit, at most."""
-    return STEPS if evidence.source.repeated else MORE_STEPS
+    return MAX_STEPS_OF_TRIALS if evidence.source.repeated else MAX_STEPS_WITHOUT_REPEATS
 
 
 def _moved(fitted: Fit, trust: float) -> tuple[Fit | None, float]:
     """The fit simulated where its sensitivities put the optimum, and how far they are trusted then (trust region).
 
-    No parameter moves by more than ``trust`` scales, unless features are linear: of many, one that the sensitivities
-    misjudge would get to where it changes nothing any more, as friction does in which a joint sticks, while the others
-    lower the error. Where nothing changes nearby, the whole step is taken, or the one that free motion asks for
-    (:meth:`Fit.step_by_free_motion`), if it leaves less. None if no step lowers the error by ``ENOUGH``, or by what it
-    promised.
+    No parameter moves by more than the radius ``trust``, in scales, unless features are linear: one of many parameters
+    with a wrong sensitivity would reach values at which it changes nothing any more, as friction in which a joint
+    sticks, while the others lower the error. Where no nearby step helps, the whole step is taken, or the step by free
+    motion (:meth:`Fit.step_by_free_motion`) if its error is lower. The gain ratio of actual to predicted decrease sets
+    the next radius. None if no step lowers the error by ``MIN_RELATIVE_DECREASE`` of it.
     """
     error = fitted.error_at_point
     far: Fit | None = None
-    for _ in range(SHORTER):
+    for _ in range(MAX_STEP_TRIALS):
         step = fitted.problem.solve(within=trust)
         length = float(np.max(np.abs(step)))
         if length < 1e-6:
             break
         moved, gained = _stepped(fitted, step)
         promised = error - fitted.problem.error(step)
-        unbounded = np.isinf(trust) and length > TRUST
+        unbounded = np.isinf(trust) and length > TRUST_RADIUS
         if np.isinf(trust) and error - gained > fitted.evidence.expected_error:
             free, gained_there = _stepped(fitted, fitted.step_by_free_motion)
-            if gained_there > max(gained, ENOUGH * error):
-                return free, TRUST
-        if gained > (LINEAR if unbounded else STRAIGHT) * promised:
-            return moved, WIDER * trust
-        if gained > ENOUGH * error:
+            if gained_there > max(gained, MIN_RELATIVE_DECREASE * error):
+                return free, TRUST_RADIUS
+        if gained > (MIN_GAIN_RATIO_OF_FULL_STEP if unbounded else MIN_GAIN_RATIO) * promised:
+            return moved, TRUST_RADIUS_FACTOR * trust
+        if gained > MIN_RELATIVE_DECREASE * error:
             if not unbounded:
-                return moved, max(length, TRUST)
+                return moved, max(length, TRUST_RADIUS)
             far = moved
-        trust = min(trust / WIDER, length / WIDER, TRUST)
-    return far, TRUST if far is not None else trust
+        trust = min(trust / TRUST_RADIUS_FACTOR, length / TRUST_RADIUS_FACTOR, TRUST_RADIUS)
+    return far, TRUST_RADIUS if far is not None else trust
 
 
 def _stepped(fitted: Fit, step: Array) -> tuple[Fit | None, float]:
@@ -601,7 +606,7 @@ def refine_again(fitted: Fit) -> Fit:
 def _descended(candidate: Candidate, evidence: Evidence) -> Fit:
     """Gauss-Newton steps within the bounds of the candidate, with sensitivities of the last point."""
     fitted = Fit.of(candidate, evidence)
-    for share in NEAR_STEPS:
+    for share in DIFFERENCE_STEP_SHARES:
         trust = np.inf
         for _ in range(_steps(evidence)):
             if not fitted.converged and fitted.out_of_time:
@@ -638,13 +643,13 @@ def _to_the_bottom(fitted: Fit) -> Fit:
     if not np.isfinite(rest(start)).all():  # rounded, it is a point at which some impact has no answer
         return fitted
     found = scipy.optimize.least_squares(
-        rest, start, bounds=ends, x_scale="jac", ftol=VALLEY_ENOUGH, xtol=None,
-        gtol=None, max_nfev=VALLEY_LOOKS,
+        rest, start, bounds=ends, x_scale="jac", ftol=VALLEY_FTOL, xtol=None,
+        gtol=None, max_nfev=VALLEY_MAX_EVALUATIONS,
     )  # fmt: skip
     moved = evaluate_at(candidate, found.x * scale, evidence)
     if moved is None:
         return fitted
-    there = Fit.of(_relinearised(moved, evidence, NEAR_STEPS[-1]), evidence)
+    there = Fit.of(_relinearised(moved, evidence, DIFFERENCE_STEP_SHARES[-1]), evidence)
     return there if there.error_at_point < fitted.error_at_point else fitted
 
 
@@ -686,7 +691,7 @@ def by_simplex(fitted: Fit) -> Fit:
 
     def error(vector: Array) -> float:
         there = evaluate_at(candidate, vector * scale, evidence)
-        return WORST if there is None else Fit.of(there, evidence).error_at_point
+        return UNSIMULATED_ERROR if there is None else Fit.of(there, evidence).error_at_point
 
     def in_time(intermediate_result: scipy.optimize.OptimizeResult) -> None:
         del intermediate_result  # SciPy passes it to a parameter of this name
@@ -694,13 +699,13 @@ def by_simplex(fitted: Fit) -> Fit:
             raise StopIteration
 
     start, ends = fitted.estimate / scale, (candidate.lower / scale, candidate.upper / scale)
-    corners = np.clip(start + np.vstack((np.zeros(start.size), SIMPLEX * np.eye(start.size))), *ends)
+    corners = np.clip(start + np.vstack((np.zeros(start.size), SIMPLEX_EDGE * np.eye(start.size))), *ends)
     found = scipy.optimize.minimize(
         error, start, method="Nelder-Mead", bounds=np.transpose(ends), callback=in_time,
-        options={"initial_simplex": corners, "maxfev": SIMPLEX_LOOKS * start.size},
+        options={"initial_simplex": corners, "maxfev": SIMPLEX_EVALUATIONS * start.size},
     )  # fmt: skip
     moved = evaluate_at(candidate, found.x * scale, evidence) if found.fun < fitted.misfit else None
-    return fitted if moved is None else Fit.of(_relinearised(moved, evidence, NEAR_STEPS[-1]), evidence)
+    return fitted if moved is None else Fit.of(_relinearised(moved, evidence, DIFFERENCE_STEP_SHARES[-1]), evidence)
 
 
 def measure_again(fitted: Fit, near: bool = False) -> Fit:
@@ -714,7 +719,7 @@ def measure_again(fitted: Fit, near: bool = False) -> Fit:
     """
     like = fitted.evidence
     best: Fit | None = None  # at a point that was simulated, without a correction
-    for look in range(MOST_LOOKS):
+    for look in range(MAX_FINAL_REPLAYS):
         candidate, point = fitted.candidate, fitted.estimate
         added = candidate.split(point)
         clusters = like.source.measure_again(added, [like.source.clusters[number] for number in like.numbers])
@@ -724,14 +729,16 @@ def measure_again(fitted: Fit, near: bool = False) -> Fit:
         nothing = tuple(np.zeros_like(item.sigma) for item in clusters)
         fresh = replace(candidate, point=point, origin=added, offsets=nothing)
         here = Fit(fresh, evidence, evidence.problem(fresh), np.zeros_like(point))
-        if best is not None and here.misfit > (1.0 + ENOUGH) * best.misfit:  # contacts are others where it led
+        if (
+            best is not None and here.misfit > (1.0 + MIN_RELATIVE_DECREASE) * best.misfit
+        ):  # contacts are others where it led
             return best
         best = here
         if look > 0 or not near:
-            share = NEAR_STEPS[-1]
+            share = DIFFERENCE_STEP_SHARES[-1]
             fresh = linearise(fresh, clusters, like.numbers, like.source, "final sensitivities", share) or fresh
         fitted = _confirmed(refine(fresh, evidence))
-        if fitted.out_of_time or np.all(np.abs(fitted.estimate - point) < NEAR * candidate.scale):
+        if fitted.out_of_time or np.all(np.abs(fitted.estimate - point) < MAX_FINAL_CORRECTION * candidate.scale):
             break
     return fitted
 

@@ -35,13 +35,14 @@ from impact_rs_sim.paths import config_directory
 from impact_rs_sim.robot import Array
 from impact_rs_sim.schema import Schema, load
 
-FILE = "grammar.yaml"
-WIDEST = 300.0  # amplitudes, in noticeable ones
-KNOTS = (5, 9)  # of a free curve; more where they predict better
-MOST_WAVES, HIGHEST = 24, 80.0  # starts of a wave number, and the largest of them in the unit of the quantity
-LEAST_SPAN = 1e-3  # of the typical size; a quantity that hardly moves still has a range
-REACH = 4.0  # typical distances; how far an anchor may lie from where its fit starts
-NARROWEST = 0.01  # width, in ranges of the quantity
+GRAMMAR_FILE = "grammar.yaml"
+MAX_AMPLITUDE = 300.0  # noticeable amplitudes; the end of a range
+FREE_CURVE_KNOTS = (5, 9)  # more where they predict better
+MAX_WAVE_NUMBER_STARTS = 24
+MAX_WAVE_NUMBER = 80.0  # rad over the unit of the quantity, at a start
+MIN_SPAN_SHARE = 1e-3  # of the typical size; a quantity that hardly moves still has a range
+ANCHOR_REACH = 4.0  # typical distances; how far an anchor may lie from the start of its fit
+MIN_WIDTH_SHARE = 0.01  # of the range of the quantity
 
 
 class QuantityShape(Schema):
@@ -218,7 +219,7 @@ def load_grammar(more: Path | None = None) -> Grammar:
     Raises:
         InputError: A file breaks the schema, or names an unknown quantity or form.
     """
-    grammar = load(Grammar, config_directory() / FILE)
+    grammar = load(Grammar, config_directory() / GRAMMAR_FILE)
     if more is not None:
         own = load(Grammar, more)
         grammar = Grammar(
@@ -237,7 +238,10 @@ def load_grammar(more: Path | None = None) -> Grammar:
 def _known(kind: str, word: str, table: Mapping[str, object], key: str, file: Path | None) -> None:
     if word not in table:
         raise InputError(
-            f"unknown {kind}; known: {', '.join(table)}", file=file or config_directory() / FILE, key=key, value=word
+            f"unknown {kind}; known: {', '.join(table)}",
+            file=file or config_directory() / GRAMMAR_FILE,
+            key=key,
+            value=word,
         )
 
 
@@ -289,7 +293,7 @@ def _law(
         centre, half = _region(quantity, ranges)
         anchors = _anchors(centre, quantity.typical)
         low, high = max(quantity.typical - half, 0.0), quantity.typical + half
-    high = max(high, low + LEAST_SPAN * quantity.typical)
+    high = max(high, low + MIN_SPAN_SHARE * quantity.typical)
     size = max(abs(low), abs(high))
     middle = (low + high) / 2.0
     profile = form.law.replace("- middle", f"- {middle:.3g}" if middle > 0.0 else f"+ {-middle:.3g}")
@@ -305,8 +309,8 @@ def _law(
         scale = place.noticeable / size**item.power
         parameters[name] = FormulaParameter(
             unit=unit_of(place.unit, quantity.unit, item.power),
-            lower=0.0 if bounded else -WIDEST * scale,
-            upper=WIDEST * scale,
+            lower=0.0 if bounded else -MAX_AMPLITUDE * scale,
+            upper=MAX_AMPLITUDE * scale,
             scale=scale,
         )
     parameters |= {name: inner.parameter for name, inner in quantity.shapes.items()}
@@ -314,7 +318,7 @@ def _law(
     formula: dict[str, str] | str
     if quantity.of_place:
         for name, value in anchors[0].items():
-            reach = REACH * quantity.typical
+            reach = ANCHOR_REACH * quantity.typical
             parameters[name] = FormulaParameter(
                 unit=quantity.unit, nominal=value, lower=value - reach, upper=value + reach,
                 scale=0.1 * quantity.typical, shape=True,
@@ -396,7 +400,7 @@ def _anchors(middle: Array, distance: float) -> list[dict[str, float]]:
     return found
 
 
-def curve_of(law: Law, domain: Range, count: int = KNOTS[0], absolute: bool = True) -> Law:
+def curve_of(law: Law, domain: Range, count: int = FREE_CURVE_KNOTS[0], absolute: bool = True) -> Law:
     """A free curve in the place of a law: a force at each of some knots over the range of its quantity.
 
     Between them it is straight, beyond them it falls to 0 over the distance of two: it is valid where it was seen.
@@ -424,7 +428,7 @@ def curve_of(law: Law, domain: Range, count: int = KNOTS[0], absolute: bool = Tr
         rows = {axis: f"-({text}) * {vector(axis)} / max({law.symbol}, {0.01 * high:.2g})" for axis in table}
     else:
         rows = _on_joints(text, law.joints, law.reacts) or dict.fromkeys(table, text)
-    most = WIDEST * law.noticeable
+    most = MAX_AMPLITUDE * law.noticeable
     force = FormulaParameter(unit=law.unit, lower=-most, upper=most, scale=law.noticeable)
     stem = law.spec.name.removesuffix(f"_{law.form}")
     spec = FormulaSpec.model_validate(
@@ -461,9 +465,9 @@ def _shape(item: Number, unit: str, low: float, high: float, start: float) -> Fo
     span = high - low
     if item.shape == "wave_number":
         own, lower, scale = unit_of("-", unit, 1), 0.0, 0.1 * item.starts[0] / span
-        upper = max(2.0 * HIGHEST, 4.0 * start)
+        upper = max(2.0 * MAX_WAVE_NUMBER, 4.0 * start)
     elif item.shape == "width":
-        own, lower, upper, scale = unit, NARROWEST * span, 10.0 * span, 0.1 * span
+        own, lower, upper, scale = unit, MIN_WIDTH_SHARE * span, 10.0 * span, 0.1 * span
     else:
         own, lower, upper, scale = unit, low - span, high + span, 0.1 * span
     return FormulaParameter(unit=own, nominal=start, lower=lower, upper=upper, scale=scale, shape=True)
@@ -474,7 +478,7 @@ def _starts(item: Number, low: float, high: float) -> list[float]:
     span = high - low
     if item.shape == "wave_number":
         step = item.starts[0] / span
-        count = max(1, min(int(HIGHEST / step), MOST_WAVES))
+        count = max(1, min(int(MAX_WAVE_NUMBER / step), MAX_WAVE_NUMBER_STARTS))
         return [number * step for number in range(1, count + 1)]
     return [(low if item.shape == "limit" else 0.0) + share * span for share in item.starts]
 

@@ -27,12 +27,10 @@ from impact_rs_analysis.diagnosis.budget import UNLIMITED, Budget, Clock
 from impact_rs_analysis.diagnosis.candidate import Candidate
 from impact_rs_analysis.diagnosis.fit import Evidence
 from impact_rs_analysis.diagnosis.search import Search
-from impact_rs_analysis.diagnosis.thresholds import LEAST_CLUSTERS
+from impact_rs_analysis.diagnosis.thresholds import MIN_CLUSTERS, MIN_CLUSTERS_OF_EFFECT
 from impact_rs_analysis.evidence.source import Source
 from impact_rs_sim.effects import Effect
 from impact_rs_sim.robot import Array
-
-LEAST_TO_CHOOSE = 2  # clusters that see an effect
 
 
 @dataclass(frozen=True)
@@ -80,7 +78,7 @@ def folds_of(source: Source) -> list[Fold]:
     for number, item in enumerate(source.clusters):
         units.setdefault(item.unit, []).append(number)
     groups: list[list[int]]
-    if len(units) >= LEAST_CLUSTERS:
+    if len(units) >= MIN_CLUSTERS:
         owners = list(units.values())
         count = min(source.folds, len(owners))
         groups = [[number for owner in owners[start::count] for number in owner] for start in range(count)]
@@ -92,7 +90,7 @@ def folds_of(source: Source) -> list[Fold]:
         groups = [part.tolist() for part in parts]
     result = []
     for held in groups:
-        alone = source.repeated or source.interleaved or len(units) >= LEAST_CLUSTERS
+        alone = source.repeated or source.interleaved or len(units) >= MIN_CLUSTERS
         beside = set() if alone else _neighbours(source, held)
         training = tuple(n for n in range(len(source.clusters)) if n not in held and n not in beside)
         result.append(Fold(tuple(held), training))
@@ -135,7 +133,8 @@ def hold_out(
     rest: dict[int, Array | None] = {}
     names, short = [], 0
     searched = [
-        _seen_by(chosen, fold.training) >= LEAST_TO_CHOOSE and Evidence.of(source, fold.training).null.shortage is None
+        _seen_by(chosen, fold.training) >= MIN_CLUSTERS_OF_EFFECT
+        and Evidence.of(source, fold.training).null.shortage is None
         for fold in folds
     ]
     tasks = list(zip(folds, searched, strict=True))

@@ -25,8 +25,8 @@ from impact_rs_sim.model import Model
 from impact_rs_sim.numbers import NORMAL_95
 from impact_rs_sim.scenario import load_scenario
 
-COMPANION = "excite"
-WIDEST = 10.0  # parameter scales; an interval that is wider, or unknown, says nothing of where the truth is
+FREE_MOTION_SCENARIO = "excite"
+MAX_PRIOR_DEVIATION = 10.0  # parameter scales, where the interval of an estimate is wider or unknown
 
 
 def next_experiment(found: Findings, known: dict[str, Effect]) -> NextExperiment | None:
@@ -97,7 +97,7 @@ def left_open(document: DiagnosisDocument, model: Model) -> Decide | None:
                 values = found[one].parameters
                 centre.append((one, tuple(values[scalar.name].estimate for scalar in scalars)))
                 widths = [np.diff(values[scalar.name].interval)[0] / (2.0 * NORMAL_95) for scalar in scalars]
-                deviations[one] = np.minimum(widths, [WIDEST * scalar.scale for scalar in scalars])
+                deviations[one] = np.minimum(widths, [MAX_PRIOR_DEVIATION * scalar.scale for scalar in scalars])
                 bounds[one] = effects[one].bounds_in(source.worlds)
             return estimated("+".join(names) or AS_IS, tuple(centre), deviations, bounds)
 
@@ -126,9 +126,9 @@ def considered(document: DiagnosisDocument, model: Model) -> Model:
 def _own_trials(runs: Runs) -> list[PossibleTrial]:
     """All trials of the scenarios of native runs as they stand, and of free motion; none of other controllers' runs."""
     scenarios = {run.spec.scenario.name: run.spec.scenario for run in runs.runs if run.spec is not None}
-    if scenarios and COMPANION not in scenarios:
+    if scenarios and FREE_MOTION_SCENARIO not in scenarios:
         with suppress(InputError):
-            scenarios[COMPANION] = load_scenario(COMPANION)
+            scenarios[FREE_MOTION_SCENARIO] = load_scenario(FREE_MOTION_SCENARIO)
     return [trial for name, own in scenarios.items() for trial in trials_of(name, own) if trial.of_file]
 
 

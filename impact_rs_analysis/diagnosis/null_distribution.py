@@ -22,10 +22,11 @@ p < 1 % in 11 to 31 % of all campaigns). So the variance is estimated anew from 
     1 / W_f = (d_0 v_g + d v_f) / (d_0 + d) + (relevance limit / 2)^2 + discrepancy^2
 
 with v_f the variance of feature f by d contrasts, v_g its mean over the time bins of the signal, and d_0 =
-``PRIOR_FREEDOM``: the moderated variance of Smyth (2004, *Linear models and empirical Bayes methods*, Statistical
-Applications in Genetics 3), in rotations as in Wu et al. (2010, *ROAST: rotation gene set tests*, Bioinformatics 26).
-Where a layout has fewer than ``LEAST_FREEDOM`` contrasts, v_g is the mean over all layouts with the signal. By itself
-it would have the tails of Student's t with one or two degrees of freedom, in which 300 times the noise is not rare.
+``PRIOR_DEGREES_OF_FREEDOM``: the moderated variance of Smyth (2004, *Linear models and empirical Bayes methods*,
+Statistical Applications in Genetics 3), in rotations as in Wu et al. (2010, *ROAST: rotation gene set tests*,
+Bioinformatics 26). Where a layout has fewer than ``MIN_DEGREES_OF_FREEDOM`` contrasts, v_g is the mean over all layouts
+with the signal. By itself it would have the tails of Student's t with one or two degrees of freedom, in which 300 times
+the noise is not rare.
 With a single feature and condition the test is Student's t with n - 1 degrees of freedom. Heavy tails make it
 conservative rather than wrong: an outlier of one repeat is in its mean row and in its contrasts alike.
 
@@ -52,17 +53,24 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from impact_rs_analysis.diagnosis.thresholds import DRAWS, LEAST_FREEDOM, UNMEASURED
+from impact_rs_analysis.diagnosis.thresholds import (
+    INDEPENDENT_DISCREPANCY_SHARE,
+    MIN_BLOCKS,
+    MIN_DEGREES_OF_FREEDOM,
+    NULL_DRAWS,
+    PRIOR_DEGREES_OF_FREEDOM,
+)
 from impact_rs_analysis.evidence.cluster import Cluster
 from impact_rs_sim.robot import Array
 
-FIRST_DRAWS, CLEAR = 999, 0.05  # of the test of all residuals, and the p above which they are enough
-TINY = 1e-12  # keeps a zero covariance invertible
-MANY_DRAWS = 49999  # of signs, where hardly one of fewer lies beyond an observation
-FEW_BEYOND, TAIL = 10, 250  # draws beyond an observation, below which its p-value comes from those of the tail
-LIGHTEST = 1e-3  # shape of the tail: about exponential
-SPANNED = 0.999  # of the square of all patterns of discrepancy; what is beyond is rounding
-PRIOR_FREEDOM = 3  # of the mean variance of a signal; with as many contrasts of its own, a feature counts the same
+FIRST_DRAWS = 999  # of the test of lack of fit
+MIN_P_OF_FIRST_DRAWS = 0.05  # above, the first draws are enough
+RIDGE = 1e-12  # of the trace; keeps a covariance of rank zero invertible
+MANY_SIGN_DRAWS = 49999  # where fewer draws have less than MIN_EXCEEDANCES beyond the observation
+MIN_EXCEEDANCES = 10  # draws beyond an observation; with fewer, the Pareto tail gives its p-value
+TAIL_DRAWS = 250  # largest draws that the Pareto tail is fitted to (Knijnenburg et al. 2009)
+MIN_TAIL_SHAPE = 1e-3  # of the generalised Pareto distribution: exponential, without an end
+MIN_SPANNED_SHARE = 0.999  # of the total square of the discrepancy patterns; the rest is rounding
 
 
 class NullDistribution(ABC):
@@ -156,9 +164,9 @@ def _normalised(clusters: Sequence[Cluster], jacobians: Sequence[Array], fitted:
         jacobians = [j - other @ share for j, other in zip(jacobians, fitted, strict=True)]
     information = np.sum([item.count * j.T @ j for item, j in zip(clusters, jacobians, strict=True)], axis=0)
     size = float(np.trace(information))
-    if size <= TINY * whole:
+    if size <= RIDGE * whole:
         return None
-    root = np.linalg.inv(np.linalg.cholesky(information + TINY * size * np.eye(len(information)))).T
+    root = np.linalg.inv(np.linalg.cholesky(information + RIDGE * size * np.eye(len(information)))).T
     return [j @ root for j in jacobians]
 
 
@@ -166,7 +174,7 @@ def _explained(scores: Array, information: Array) -> Array:
     """T of every draw, ``(B,)``, from scores ``(B, p)`` and M ``(B, p, p)``."""
     size = np.sqrt(np.maximum(np.einsum("pp->p", information[0]), 0.0))
     size[size == 0.0] = 1.0
-    scores, information = scores / size, information / np.outer(size, size) + TINY * np.eye(len(size))
+    scores, information = scores / size, information / np.outer(size, size) + RIDGE * np.eye(len(size))
     return np.asarray(np.einsum("bp,bp->b", scores, np.linalg.solve(information, scores[..., None])[..., 0]))
 
 
@@ -183,19 +191,19 @@ def rarity_in_the_tail(observed: float, null: Array) -> float:
     Wallis 1987), which is given no end: many tests need p-values below one over the number of draws.
     """
     share = rarity(observed, null)
-    if _beyond(observed, null) >= FEW_BEYOND or null.size < 2 * TAIL:
+    if _beyond(observed, null) >= MIN_EXCEEDANCES or null.size < 2 * TAIL_DRAWS:
         return share
-    largest = np.sort(null)[-TAIL - 1 :]
+    largest = np.sort(null)[-TAIL_DRAWS - 1 :]
     excess = largest[1:] - largest[0]
     mean = float(excess.mean())
-    weights = 1.0 - (np.arange(1, TAIL + 1) - 0.35) / TAIL
+    weights = 1.0 - (np.arange(1, TAIL_DRAWS + 1) - 0.35) / TAIL_DRAWS
     weighted = float(np.mean(weights * excess))
     if not 0.0 < 2.0 * weighted < mean:
         return share
-    shape = max(2.0 - mean / (mean - 2.0 * weighted), LIGHTEST)
+    shape = max(2.0 - mean / (mean - 2.0 * weighted), MIN_TAIL_SHAPE)
     scale = mean * (1.0 - shape)
     tail = (1.0 + shape * (observed - float(largest[0])) / scale) ** (-1.0 / shape)
-    return float(min(TAIL / null.size * tail, share))
+    return float(min(TAIL_DRAWS / null.size * tail, share))
 
 
 def _beyond(observed: float, null: Array) -> int:
@@ -227,7 +235,7 @@ def _members(item: Cluster, groups: Sequence[tuple[str, str]]) -> NDArray[np.boo
 def _frames(rows: int, count: int, seed: int) -> Array:
     """The first ``count`` rows of rotations, first of the identity, then uniform over all, ``(1 + B, count, rows)``."""
     rng = np.random.default_rng([seed, rows, count])
-    basis, upper = np.linalg.qr(rng.standard_normal((DRAWS, rows, count)))
+    basis, upper = np.linalg.qr(rng.standard_normal((NULL_DRAWS, rows, count)))
     turned = np.swapaxes(basis * np.sign(np.einsum("bii->bi", upper))[:, None, :], 1, 2)
     return np.concatenate((np.eye(rows)[None, :count], turned))
 
@@ -285,12 +293,16 @@ class _Rows:
             return self
         scale = np.sqrt(np.where(self.apart > 0.0, self.apart, 1.0))
         _, sizes, directions = np.linalg.svd(patterns / scale, full_matrices=False)
-        known = directions[: 1 + int(np.searchsorted(np.cumsum(np.square(sizes)), SPANNED * np.sum(np.square(sizes))))]
+        known = directions[
+            : 1 + int(np.searchsorted(np.cumsum(np.square(sizes)), MIN_SPANNED_SHARE * np.sum(np.square(sizes))))
+        ]
         found = copy.copy(self)
         found.spanned = known / scale, known * scale
         found.rows = found.beside(self.rows)
         share = np.mean([np.square(item.discrepancy * item.sigma / self.unit) for item in self.items], axis=0)
-        found.apart = np.maximum(self.apart - (1.0 - UNMEASURED) * share * np.any(patterns, axis=0), 0.0)
+        found.apart = np.maximum(
+            self.apart - (1.0 - INDEPENDENT_DISCREPANCY_SHARE) * share * np.any(patterns, axis=0), 0.0
+        )
         return found
 
     def beside(self, rows: Array) -> Array:
@@ -308,7 +320,9 @@ class _Rows:
         for item in self.items:
             own = item.moved_together
             single = np.count_nonzero(own, axis=1) <= 1
-            shares = UNMEASURED * np.square(own[~single]).sum(axis=0) + np.square(own[single]).sum(axis=0)
+            shares = INDEPENDENT_DISCREPANCY_SHARE * np.square(own[~single]).sum(axis=0) + np.square(own[single]).sum(
+                axis=0
+            )
             size = np.sqrt(shares) * item.sigma / self.unit
             if item.discrepancy_group not in drawn:
                 amplitudes = self.beside(rng.standard_normal((draws, size.size)) * size)
@@ -322,7 +336,7 @@ class _Rows:
         own = self.rows[self.means :]
         if not self.borrows:
             return own
-        drawn = np.random.default_rng(3).standard_normal((PRIOR_FREEDOM, self.unit.size))
+        drawn = np.random.default_rng(3).standard_normal((PRIOR_DEGREES_OF_FREEDOM, self.unit.size))
         squares = [np.sum(np.square(each.rows[each.means :]), axis=0)[None] for each in self.lenders]
         shared = _shared(self, self.lenders, squares)
         return np.vstack((own, np.sqrt(shared[0]) * drawn))
@@ -330,7 +344,7 @@ class _Rows:
     @property
     def borrows(self) -> bool:
         """Whether its contrasts are too few for the size of the noise."""
-        return self.freedom < LEAST_FREEDOM and len(self.lenders) > 1
+        return self.freedom < MIN_DEGREES_OF_FREEDOM and len(self.lenders) > 1
 
     def left(self, squares: Array) -> Array:
         """Sum of squares of the contrasts in every rotation, from that of the mean rows, ``(1 + B, F)``."""
@@ -358,7 +372,7 @@ class _Rows:
 def _lent(layouts: list[_Rows]) -> list[_Rows]:
     """The layouts, of which those with few contrasts borrow the mean variance of a signal from all."""
     for own in layouts:
-        own.lenders = layouts if own.freedom < LEAST_FREEDOM else (own,)
+        own.lenders = layouts if own.freedom < MIN_DEGREES_OF_FREEDOM else (own,)
     return layouts
 
 
@@ -380,8 +394,8 @@ def _weights_of(layouts: Sequence[_Rows], squares: Sequence[Array]) -> Iterator[
     left = {id(own): own.left(each) for own, each in zip(layouts, squares, strict=True)}
     for own in layouts:
         shared = _shared(own, own.lenders, [left[id(lender)] for lender in own.lenders])
-        variance = (PRIOR_FREEDOM * shared + left[id(own)]) / (PRIOR_FREEDOM + own.freedom)
-        yield np.asarray(1.0 / (variance + own.apart + TINY))
+        variance = (PRIOR_DEGREES_OF_FREEDOM * shared + left[id(own)]) / (PRIOR_DEGREES_OF_FREEDOM + own.freedom)
+        yield np.asarray(1.0 / (variance + own.apart + RIDGE))
 
 
 class RotationNull(NullDistribution):
@@ -411,11 +425,11 @@ class RotationNull(NullDistribution):
     @property
     def shortage(self) -> str | None:
         """See :attr:`NullDistribution.shortage`."""
-        if self.freedom >= LEAST_FREEDOM:
+        if self.freedom >= MIN_DEGREES_OF_FREEDOM:
             return None
         return (
-            f"{LEAST_FREEDOM - self.freedom} more repeat(s) of any of the {len(self.clusters)} conditions (runs minus "
-            f"conditions is {self.freedom}, at least {LEAST_FREEDOM} are needed)"
+            f"{MIN_DEGREES_OF_FREEDOM - self.freedom} more repeat(s) of any of the {len(self.clusters)} conditions "
+            f"(runs minus conditions is {self.freedom}, at least {MIN_DEGREES_OF_FREEDOM} are needed)"
         )
 
     def p_values(self, effects: Sequence[Sequence[Array]], fitted: Sequence[Array] = ()) -> list[float]:
@@ -426,7 +440,7 @@ class RotationNull(NullDistribution):
             [np.hstack(both) for both in zip(fitted, own, strict=True)] if fitted else list(own) for own in effects
         ]
         edges = np.cumsum([0, *(own[0].shape[1] for own in every)])
-        scores = np.zeros((1 + DRAWS, edges[-1]))
+        scores = np.zeros((1 + NULL_DRAWS, edges[-1]))
         for seed, (layout, weights) in enumerate(zip(self._layouts, self._scales, strict=True)):
             for number, item, rows in zip(layout.numbers, layout.items, layout.rotated(seed), strict=True):
                 columns = np.hstack([own[number] for own in every])
@@ -444,7 +458,7 @@ class RotationNull(NullDistribution):
         if turned is None:
             return 1.0
         count = scores.shape[1]
-        information = np.zeros((1 + DRAWS, count * count))
+        information = np.zeros((1 + NULL_DRAWS, count * count))
         for layout, weights in zip(self._layouts, self._scales, strict=True):
             pairs = np.zeros((len(layout.unit), count, count))
             for number, item in zip(layout.numbers, layout.items, strict=True):
@@ -464,12 +478,12 @@ class RotationNull(NullDistribution):
     def _with_discrepancy(self, jacobians: Sequence[Array]) -> Array:
         """Draws of T under noise and discrepancy, ``(B,)``; sensitivities as of :func:`_normalised`."""
         weights, rng = self._weights[0], copy.deepcopy(self._weights[1])
-        total = np.zeros((DRAWS, jacobians[0].shape[1]))
+        total = np.zeros((NULL_DRAWS, jacobians[0].shape[1]))
         for layout, own in zip(self._layouts, weights, strict=True):
             if own is not None:
                 total += own @ layout.products(jacobians).reshape(-1, total.shape[1])
         shared = np.asarray(np.linalg.qr(self._discrepancy_scores(jacobians), mode="r"))
-        total += rng.standard_normal((DRAWS, shared.shape[0])) @ shared
+        total += rng.standard_normal((NULL_DRAWS, shared.shape[0])) @ shared
         return np.asarray(np.einsum("bp,bp->b", total, total))
 
     @cached_property
@@ -477,7 +491,8 @@ class RotationNull(NullDistribution):
         """:meth:`_noise` of every layout, ``(B, means * m)``, None without noise; and the generator."""
         rng = np.random.default_rng(1)
         return [
-            self._noise(rng, own, DRAWS).reshape(DRAWS, -1) if len(own.noise) else None for own in self._layouts
+            self._noise(rng, own, NULL_DRAWS).reshape(NULL_DRAWS, -1) if len(own.noise) else None
+            for own in self._layouts
         ], rng
 
     @staticmethod
@@ -498,7 +513,7 @@ class RotationNull(NullDistribution):
         if self.shortage is not None:
             return None
         p = self._lack_of_fit(rest, FIRST_DRAWS)
-        return p if p > CLEAR else self._lack_of_fit(rest, DRAWS)
+        return p if p > MIN_P_OF_FIRST_DRAWS else self._lack_of_fit(rest, NULL_DRAWS)
 
     def _lack_of_fit(self, rest: Sequence[Array], draws: int) -> float:
         """:meth:`lack_of_fit` from a number of rotations."""
@@ -539,7 +554,6 @@ class SignFlipNull(NullDistribution):
     """Null distribution from stretches of recordings, see the module; arguments as for :class:`NullDistribution`."""
 
     by_blocks = True
-    LEAST = 12  # blocks: 2^11 patterns of signs resolve p = 0.0005
 
     @property
     def freedom(self) -> int:
@@ -549,11 +563,11 @@ class SignFlipNull(NullDistribution):
     @property
     def shortage(self) -> str | None:
         """See :attr:`NullDistribution.shortage`."""
-        if len(self.clusters) >= self.LEAST:
+        if len(self.clusters) >= MIN_BLOCKS:
             return None
         return (
-            f"{self.LEAST - len(self.clusters)} more stretches of motion or impacts: {len(self.clusters)} of "
-            f"{self.LEAST} needed"
+            f"{MIN_BLOCKS - len(self.clusters)} more stretches of motion or impacts: {len(self.clusters)} of "
+            f"{MIN_BLOCKS} needed"
         )
 
     def p_values(self, effects: Sequence[Sequence[Array]], fitted: Sequence[Array] = ()) -> list[float]:
@@ -568,10 +582,10 @@ class SignFlipNull(NullDistribution):
         scores = np.array([j.T @ item.mean for item, j in zip(self.clusters, turned, strict=True)])
         observed = float(np.sum(np.square(scores.sum(axis=0))))
         share = 1.0
-        for draws in (DRAWS, MANY_DRAWS):
+        for draws in (NULL_DRAWS, MANY_SIGN_DRAWS):
             null = np.sum(np.square(_signs(draws, len(self.clusters)) @ scores), axis=1)
             share = rarity_in_the_tail(observed, null)
-            if _beyond(observed, null) >= FEW_BEYOND:
+            if _beyond(observed, null) >= MIN_EXCEEDANCES:
                 break
         return max(share, 2.0 ** (1 - len(self.clusters)))  # of all patterns of signs, the same and its opposite
 

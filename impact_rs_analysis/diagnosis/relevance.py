@@ -9,7 +9,7 @@ from impact_rs_analysis.diagnosis.document import SizeDocument
 from impact_rs_analysis.diagnosis.fit import Fit
 from impact_rs_sim.robot import Array
 
-MOST_SIZES = 3
+MAX_SIZES = 3
 
 
 def changes_of(fitted: Fit, part: slice = slice(None), distance: Array | None = None) -> list[Array]:
@@ -67,4 +67,4 @@ def sizes_of(fitted: Fit, name: str) -> list[SizeDocument]:
                 largest[one.phase, one.signal] = SizeDocument(
                     phase=one.phase, signal=one.signal, value=value, unit=one.unit, floor=one.relevance_limit
                 )
-    return sorted(largest.values(), key=lambda size: -size.value / (size.floor or 1.0))[:MOST_SIZES]
+    return sorted(largest.values(), key=lambda size: -size.value / (size.floor or 1.0))[:MAX_SIZES]

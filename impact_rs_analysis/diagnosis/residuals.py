@@ -11,12 +11,12 @@ import scipy
 
 from impact_rs_analysis.diagnosis.document import RestDocument
 from impact_rs_analysis.diagnosis.fit import Evidence
-from impact_rs_analysis.diagnosis.thresholds import PLAINLY_BEYOND
+from impact_rs_analysis.diagnosis.thresholds import MAX_NOISE_RATIO
 from impact_rs_analysis.evidence.cluster import TIMES
 from impact_rs_analysis.evidence.levels import expected_of
 from impact_rs_sim.robot import Array
 
-MOST_RESTS = 10  # in a document
+MAX_RESIDUALS = 10  # in a document
 
 
 def residual_size(evidence: Evidence, rest: Sequence[Array]) -> float:
@@ -65,7 +65,7 @@ def exceeds_noise(evidence: Evidence, rest: Sequence[Array]) -> bool:
             np.mean(np.concatenate([values[mask] for values, mask in zip(rows, own, strict=True)]))
             for rows in ([np.square(row) for row in rest], [item.expected_squares for item in evidence.clusters], moved)
         )
-        if noise > 0.0 and squares > PLAINLY_BEYOND**2 * (noise + unsure):
+        if noise > 0.0 and squares > MAX_NOISE_RATIO**2 * (noise + unsure):
             return True
     return False
 

@@ -20,7 +20,6 @@ import scipy
 
 from impact_rs_analysis.diagnosis.candidate import Candidate, concerns, linearise, wanted
 from impact_rs_analysis.diagnosis.fit import (
-    HOPELESS,
     Evidence,
     Fit,
     by_simplex,
@@ -33,26 +32,27 @@ from impact_rs_analysis.diagnosis.fit import (
 )
 from impact_rs_analysis.diagnosis.relevance import moves_enough, noticeable
 from impact_rs_analysis.diagnosis.thresholds import (
-    LEAST_FREEDOM,
-    LEAST_GAIN,
-    LONG_LIST,
-    MANY,
-    MOST_EFFECTS,
-    MOST_TESTED,
-    NOMINAL,
-    NOTHING,
-    SHORTLIST,
-    SIGNIFICANT,
-    TIE,
-    WIDE_TIE,
+    LEADERS_WITH_SHAPES,
+    LONG_SHORTLIST_SIZE,
+    MAX_CANDIDATES_OF_SHORTLIST,
+    MAX_EFFECTS,
+    MAX_ERROR_RATIO,
+    MAX_TESTED_EFFECTS,
+    MAX_TIE_LOG_RATIO,
+    MIN_DEGREES_OF_FREEDOM,
+    MIN_GAIN_SHARE,
+    MIN_P_IN_FREE_MOTION,
+    SHORTLIST_SIZE,
+    SIGNIFICANCE_LEVEL,
+    TIE_LOG_RATIO,
+    UNADJUSTED_LEVEL,
 )
 from impact_rs_analysis.evidence.cluster import Added
 from impact_rs_sim.effects import Effect
 from impact_rs_sim.robot import Array
 
-SHAPED = 8  # leaders whose shapes are looked at before fits by simulation
-MORE = 1.5  # times as many features as at nominal; where a secant changes so many, contacts are in another mode
-UNCHANGED = 1e-6  # scaled features per parameter scale; the solver's rounding
+MIN_SECANT_RATIO = 1.5  # features that a secant changes over those of the slope at nominal: another contact mode
+MIN_FEATURE_CHANGE = 1e-6  # scaled features per parameter scale; the solver's rounding
 
 
 @dataclass(frozen=True)
@@ -158,9 +158,9 @@ class Search:
         features = sum(item.sigma.size for item in self.evidence.clusters)
         for index, scalar in enumerate(candidate.scalars):
             here = _changed([jacobian[:, index] for jacobian in candidate.jacobians])
-            if scalar.shape or (here and self.source.of_motion) or MORE * here >= features:
+            if scalar.shape or (here and self.source.of_motion) or MIN_SECANT_RATIO * here >= features:
                 continue
-            best, most = None, MORE * here
+            best, most = None, MIN_SECANT_RATIO * here
             for point in candidate.probes(index):
                 columns = self._secant(candidate, index, point[index], base)
                 if columns is not None and (seen := _changed(columns)) > most:
@@ -229,7 +229,7 @@ class Search:
         difference. So such an effect is not simulated in contact, and is known by free motion alone.
         """
         free, source = self.evidence.before_contact, self.source.before_contact
-        if free is None or source is None or free.null.freedom < LEAST_FREEDOM:
+        if free is None or source is None or free.null.freedom < MIN_DEGREES_OF_FREEDOM:
             return
         several = [c for c in candidates if sum(not scalar.shape for scalar in c.scalars) > 1]
         source.predict([w for c in several for w in wanted(c, free.numbers, source)], "sensitivities in free motion")
@@ -238,7 +238,7 @@ class Search:
         p_values = dict[str, float]()
         for one, p_value in zip(seen, free.null.p_values([one.jacobians for one in seen]), strict=True):
             p_values[one.names[0]] = min(p_value, p_values.get(one.names[0], 1.0))  # of several starts of its shape
-        self.ruled_out = {name for name, p_value in p_values.items() if p_value > NOTHING}
+        self.ruled_out = {name for name, p_value in p_values.items() if p_value > MIN_P_IN_FREE_MOTION}
         for one in seen:
             if one.names[0] in self.ruled_out:
                 self.singles[one.names[0]] = self.evidence.beyond_free_motion(one)
@@ -309,7 +309,7 @@ class Search:
         raw = dict.fromkeys(fits, 1.0)
         null = (self.evidence if chosen is None else chosen.left).null
         first = 0 if chosen is None else chosen.candidate.point.size
-        tested = sorted(fits, key=lambda group: fits[group].misfit)[:MOST_TESTED]
+        tested = sorted(fits, key=lambda group: fits[group].misfit)[:MAX_TESTED_EFFECTS]
         found = [fits[group].candidate.jacobians for group in tested]
         own_part = [[jacobian[:, first:] for jacobian in jacobians] for jacobians in found]
         fitted = () if chosen is None else chosen.candidate.jacobians
@@ -340,7 +340,7 @@ class Search:
     def _out_of_small_minima(self, chosen: Fit) -> Fit:
         """The chosen effects at a lower error, where more than noise is left of trials and no effect explains it."""
         left = chosen.lack_of_fit() if self.source.of_motion else None
-        if left is None or left > SIGNIFICANT or self._budget.leaves_out("other minima of the error"):
+        if left is None or left > SIGNIFICANCE_LEVEL or self._budget.leaves_out("other minima of the error"):
             return chosen
         earlier = self._at_earlier(chosen)
         if earlier is not None and not self._hardly_better(earlier, chosen):
@@ -353,7 +353,7 @@ class Search:
         return self._extend(self._measured_again(moved)) or chosen
 
     def _hardly_better(self, moved: Fit, chosen: Fit) -> bool:
-        return moved.misfit > (1.0 - LEAST_GAIN) * chosen.misfit
+        return moved.misfit > (1.0 - MIN_GAIN_SHARE) * chosen.misfit
 
     def _at_earlier(self, chosen: Fit) -> Fit | None:
         """The chosen effects near earlier estimates; None: some of them have none.
@@ -371,8 +371,8 @@ class Search:
 
     def _extend(self, chosen: Fit | None, names: Collection[str] | None = None) -> Fit | None:
         """Add effects until none is accepted; of some alone if ``names`` says which."""
-        while chosen is None or len({e.family or e.name for e in chosen.candidate.effects}) < MOST_EFFECTS:
-            if chosen is not None and (left := chosen.lack_of_fit()) is not None and left > SIGNIFICANT:
+        while chosen is None or len({e.family or e.name for e in chosen.candidate.effects}) < MAX_EFFECTS:
+            if chosen is not None and (left := chosen.lack_of_fit()) is not None and left > SIGNIFICANCE_LEVEL:
                 break
             if self._budget.leaves_out("further effects beside " + _named(chosen)):
                 break
@@ -399,10 +399,10 @@ class Search:
         evidence = self.evidence if chosen is None else chosen.evidence
         before = self._unexplained(chosen)
         possible = [group for group in groups if group not in self.ruled_out]
-        likely = [group for group in possible if p_values[group] < SIGNIFICANT]
+        likely = [group for group in possible if p_values[group] < SIGNIFICANCE_LEVEL]
         # Sensitivities at nominal may not show what an effect does further on: then fits and hold-out decide.
         if not likely and chosen is None and self.lacking and self.source.repeated:
-            likely = sorted(possible, key=lambda group: p_values[group])[:SHORTLIST]
+            likely = sorted(possible, key=lambda group: p_values[group])[:SHORTLIST_SIZE]
         apart = {name for group in likely for name in group.split("+")}
         self._starts |= {n: self._best_shape(self.singles[n]) for n in apart if n not in self._starts}
         linear = self._with_shapes([self.beside(chosen, group) for group in likely])
@@ -414,7 +414,9 @@ class Search:
         # Where residuals are no larger than noise, no more than relevant effects are looked for.
         if self.source.repeated and chosen is None and not all(map(moves_enough, linear)) and not self.lacking:
             linear = [entry for entry in linear if moves_enough(entry)]
-        return self._best(linear[: LONG_LIST if len(possible) > MANY else SHORTLIST], chosen)
+        return self._best(
+            linear[: LONG_SHORTLIST_SIZE if len(possible) > MAX_CANDIDATES_OF_SHORTLIST else SHORTLIST_SIZE], chosen
+        )
 
     def _pair_at_once(self, chosen: Fit | None) -> Fit | None:
         """Two effects that help together where neither does alone, as more restitution and a fall of it; None: no two.
@@ -427,10 +429,10 @@ class Search:
         alone = [name for name in self._groups(present) if "+" not in name and not self.singles[name].effects[0].family]
         pairs = ["+".join(pair) for pair in combinations(alone, 2)]
         p_values = adjusted(self.p_values_of(pairs, chosen), len(alone) + len(pairs))
-        pairs = [pair for pair in pairs if p_values[pair] < SIGNIFICANT]
+        pairs = [pair for pair in pairs if p_values[pair] < SIGNIFICANCE_LEVEL]
         best = self._next(chosen, pairs, p_values) if pairs else None
         added = () if best is None else tuple(name for name in best.candidate.names if name not in present)
-        if best is None or any(self.p_value_of_chosen(best, name) >= SIGNIFICANT for name in added):
+        if best is None or any(self.p_value_of_chosen(best, name) >= SIGNIFICANCE_LEVEL for name in added):
             return None
         return best
 
@@ -442,7 +444,7 @@ class Search:
         """
         found = {entry.candidate.names: entry for entry in linear}
         unsure = [entry for entry in linear if any(entry.candidate.scalars[i].shape for i in entry.candidate.unseen)]
-        for entry in sorted(unsure, key=lambda entry: entry.misfit)[:SHAPED]:
+        for entry in sorted(unsure, key=lambda entry: entry.misfit)[:LEADERS_WITH_SHAPES]:
             there = self._linearised(replace(entry.candidate, point=entry.estimate), entry.evidence)
             if there is not None and (seen := Fit.of(there, entry.evidence)).score < entry.score:
                 found[entry.candidate.names] = seen
@@ -483,7 +485,7 @@ class Search:
     def lacking(self) -> bool:
         """Whether residuals exceed noise and discrepancy; if not, effects below the relevance limit are not added."""
         left = self.evidence.lack_of_fit
-        return left is None or left < SIGNIFICANT
+        return left is None or left < SIGNIFICANCE_LEVEL
 
     def alone(self, name: str) -> Fit:
         """Fit of one effect alone: at its linearisation or at its known result, whichever fits better."""
@@ -515,16 +517,16 @@ class Search:
             if found and self._budget.leaves_out(_named(entry)):  # the best by its sensitivities is tried in any case
                 continue
             beat = min((proposal.score for proposal in found), default=np.inf)
-            found.append(self._refined(entry.candidate, entry.evidence, HOPELESS * beat))
+            found.append(self._refined(entry.candidate, entry.evidence, MAX_ERROR_RATIO * beat))
             self._report_progress(found[-1])
         if not found:
             return None
-        found = sorted(found, key=lambda proposal: proposal.score)[:SHORTLIST]
+        found = sorted(found, key=lambda proposal: proposal.score)[:SHORTLIST_SIZE]
         top = found[0].score
         for number, proposal in enumerate(found):
             if proposal.out_of_time:
                 break
-            if proposal.score <= HOPELESS * top and proposal.candidate.names not in self._known:
+            if proposal.score <= MAX_ERROR_RATIO * top and proposal.candidate.names not in self._known:
                 found[number] = self._kept(look_elsewhere(refine_again(proposal)))
         first = 0 if chosen is None else chosen.change.size
         before = self._unexplained(chosen)
@@ -584,13 +586,13 @@ class Search:
         place of an effect that was chosen first, another may predict far better beside those that were found later.
         """
         rivals, known = self.rivals(chosen), {frozenset(chosen.candidate.names)}
-        for _ in range(MOST_EFFECTS):
+        for _ in range(MAX_EFFECTS):
             alternatives = [rival.fit for rival in rivals if rival.tied]
             if len(chosen.candidate.names) > 1:  # what takes the place of one may explain the others as well
-                alternatives += [self._without_the_superfluous(fitted, TIE) for fitted in alternatives]
-            limit = chosen.score * math.exp(TIE)
+                alternatives += [self._without_the_superfluous(fitted, TIE_LOG_RATIO) for fitted in alternatives]
+            limit = chosen.score * math.exp(TIE_LOG_RATIO)
             simpler = [fit for fit in alternatives if fit.score <= limit and fit.cost < chosen.cost]
-            better = [rival.fit for rival in rivals if rival.fit.score < (1.0 - LEAST_GAIN) * chosen.score]
+            better = [rival.fit for rival in rivals if rival.fit.score < (1.0 - MIN_GAIN_SHARE) * chosen.score]
             if self.source.repeated and better:
                 best = min(better, key=lambda fit: fit.score)
             elif simpler:
@@ -605,7 +607,7 @@ class Search:
             chosen, rivals = extended, self.rivals(extended)
         return chosen, rivals
 
-    def rivals(self, chosen: Fit, count: int = 3, hopeless: float = HOPELESS) -> list[Rival]:
+    def rivals(self, chosen: Fit, count: int = 3, hopeless: float = MAX_ERROR_RATIO) -> list[Rival]:
         """Alternatives to every chosen effect, fitted together with the other chosen ones.
 
         Args:
@@ -641,7 +643,7 @@ class Search:
 
 def simplest(fits: Sequence[Fit]) -> Fit:
     """Of fits whose error is at most 5 % above the least one, that with the fewest parameters."""
-    limit = min(fitted.score for fitted in fits) * math.exp(TIE)
+    limit = min(fitted.score for fitted in fits) * math.exp(TIE_LOG_RATIO)
     return min((fitted for fitted in fits if fitted.score <= limit), key=lambda fitted: (fitted.cost, fitted.score))
 
 
@@ -652,7 +654,7 @@ def _named(fitted: Fit | None) -> str:
 
 def _changed(columns: Sequence[Array]) -> int:
     """Number of features over all clusters that a sensitivity changes."""
-    return int(np.count_nonzero(np.abs(np.concatenate(columns)) > UNCHANGED)) if columns else 0
+    return int(np.count_nonzero(np.abs(np.concatenate(columns)) > MIN_FEATURE_CHANGE)) if columns else 0
 
 
 def _in_the_limit(fitted: Fit, name: str) -> bool:
@@ -705,7 +707,10 @@ def encompasses(chosen: Fit, name: str, rival: Fit, other: str) -> bool:
     source = chosen.evidence.source
     if (source.of_motion and not source.repeated) or rival.score <= chosen.score:
         return False
-    return p_value_beside(chosen, name, rival) < SIGNIFICANT and p_value_beside(rival, other, chosen) > NOMINAL
+    return (
+        p_value_beside(chosen, name, rival) < SIGNIFICANCE_LEVEL
+        and p_value_beside(rival, other, chosen) > UNADJUSTED_LEVEL
+    )
 
 
 def tied_errors(own: Array, other: Array, floor: Array | float) -> bool:
@@ -722,7 +727,7 @@ def tied_errors(own: Array, other: Array, floor: Array | float) -> bool:
         return True
     ratio = ratio[moved]
     spread = float(ratio.std(ddof=1) / math.sqrt(ratio.size)) if ratio.size > 1 else math.inf
-    return float(ratio.mean()) < max(TIE, min(2.0 * spread, WIDE_TIE))
+    return float(ratio.mean()) < max(TIE_LOG_RATIO, min(2.0 * spread, MAX_TIE_LOG_RATIO))
 
 
 def adjusted(p_values: Mapping[str, float], tests: int = 0) -> dict[str, float]:

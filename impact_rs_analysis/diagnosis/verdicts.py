@@ -24,7 +24,7 @@ from impact_rs_analysis.diagnosis.residuals import (
     stated_signals,
 )
 from impact_rs_analysis.diagnosis.search import Rival, Search
-from impact_rs_analysis.diagnosis.thresholds import LEAST_P, MOST, SIGNIFICANT
+from impact_rs_analysis.diagnosis.thresholds import MIN_EXPLAINED_SHARE, MIN_REPORTED_P, SIGNIFICANCE_LEVEL
 from impact_rs_analysis.diagnosis.verdict import IMPOSSIBLE, NONE, NOTHING, SMALL, TOO_FEW, DiagnosisVerdict, Kind
 from impact_rs_sim.robot import Array
 
@@ -99,8 +99,8 @@ def shown_names(search: Search, names: Iterable[str]) -> tuple[str, ...]:
 
 
 def clip_p(value: float) -> float:
-    """A p-value, not below ``LEAST_P``: the tails of the noise are not known further out."""
-    return max(value, LEAST_P)
+    """A p-value, not below ``MIN_REPORTED_P``: the tails of the noise are not known further out."""
+    return max(value, MIN_REPORTED_P)
 
 
 def certain(fitted: Fit, name: str) -> bool:
@@ -186,7 +186,7 @@ def within_discrepancy(search: Search) -> tuple[str, ...]:
     scores = {name: search.alone(name).score for name in search.singles}
     best = min(scores, key=lambda name: scores[name], default="")
     before = float(np.mean([np.mean(np.square(item.mean)) for item in search.evidence.clusters]))
-    return (best,) if best and scores[best] < (1.0 - MOST) * before else ()
+    return (best,) if best and scores[best] < (1.0 - MIN_EXPLAINED_SHARE) * before else ()
 
 
 def _held_out_sizes(search: Search, held: HoldOut | None) -> tuple[float, float]:
@@ -226,7 +226,7 @@ def _on_model(found: Findings, stated: set[tuple[str, str]], p_value: float | No
     """
     evidence, chosen = found.evidence, found.chosen
     tested = evidence.source.repeated or bool(stated)
-    stays = p_value is not None and p_value < SIGNIFICANT
+    stays = p_value is not None and p_value < SIGNIFICANCE_LEVEL
     if tested:
         rests = rests_of(evidence, found.unexplained)
         more = stays and any(
@@ -238,7 +238,11 @@ def _on_model(found: Findings, stated: set[tuple[str, str]], p_value: float | No
         # An effect may be significant alone; if the residuals are noise, it does not explain a deficit of the model.
         return NONE if more else SMALL if tested and stays else NOTHING
     if more:
-        return DiagnosisVerdict(Kind.PARTLY, found.shown(found.names)) if found.share_left < 1.0 - MOST else NONE
+        return (
+            DiagnosisVerdict(Kind.PARTLY, found.shown(found.names))
+            if found.share_left < 1.0 - MIN_EXPLAINED_SHARE
+            else NONE
+        )
     if tested and not any(matters(chosen, name) for name in found.names):
         return SMALL
     return DiagnosisVerdict(Kind.NAMED, found.shown(found.names))

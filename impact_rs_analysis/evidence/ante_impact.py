@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from impact_rs_analysis.evidence.features import JUMP_BEFORE
+from impact_rs_analysis.evidence.features import JUMP_BEFORE_S
 from impact_rs_analysis.evidence.measured_runs import MeasuredRun
 from impact_rs_sim.impact_map import ImpactProblem
 from impact_rs_sim.impact_map.contacts import SUPPORT, meetings
@@ -17,8 +17,8 @@ from impact_rs_sim.robot import Array
 from impact_rs_sim.robot_model import RobotModel
 from impact_rs_sim.scene import ArmState, BodyState
 
-NEARLY = 0.2  # rad; a pad tilted further is meant to hit with an edge
-TURNS = 3  # corrections of the wrist; each squares the remaining angle
+MAX_ALIGNING_TILT_RAD = 0.2  # a pad tilted further is meant to hit with an edge
+WRIST_CORRECTIONS = 3  # Newton iterations; each squares the remaining angle
 
 
 def ante_impact_state(run: MeasuredRun) -> dict[str, ArmState]:
@@ -29,7 +29,7 @@ def ante_impact_state(run: MeasuredRun) -> dict[str, ArmState]:
     window, states = run.windowed[-1], {}
     for name, arm in run.windowed[-1].arms.items():
         onset = run.impacts[name]
-        rows = (window.time >= onset + JUMP_BEFORE[0]) & (window.time <= onset + JUMP_BEFORE[1])
+        rows = (window.time >= onset + JUMP_BEFORE_S[0]) & (window.time <= onset + JUMP_BEFORE_S[1])
         time = window.time[rows] - onset
         states[name] = ArmState(_extrapolated(time, arm.position[rows]), _extrapolated(time, arm.velocity[rows]))
     return states
@@ -105,10 +105,10 @@ def problem_of(run: MeasuredRun, physics: Physics, motor_inertia: str = "reduced
 def _face_on_face(state: ArmState, model: RobotModel, box: BodyState) -> ArmState:
     """The arm with its pad turned parallel to the nearest face of the object, if it nearly was."""
     q, facing = state.position.copy(), model.end_effector.pad_placement.rotation[:, 2]
-    for _ in range(TURNS):
+    for _ in range(WRIST_CORRECTIONS):
         normal = model.placement(q).rotation @ facing
         turn = np.cross(normal, _nearest_face(box, normal))
-        if np.linalg.norm(turn) > np.sin(NEARLY):
+        if np.linalg.norm(turn) > np.sin(MAX_ALIGNING_TILT_RAD):
             return state
         q = q + np.linalg.pinv(model.jacobian(q)) @ np.concatenate((np.zeros(3), turn))
     return ArmState(q, state.velocity)

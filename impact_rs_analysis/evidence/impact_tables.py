@@ -50,6 +50,7 @@ from impact_rs_analysis.evidence.ante_impact import obliqueness_of
 from impact_rs_analysis.evidence.calibration import with_intervals
 from impact_rs_analysis.evidence.cluster import TIMES, Added, Cluster, Feature, pooled_error
 from impact_rs_analysis.evidence.discrepancy import DiscrepancyDocument
+from impact_rs_analysis.evidence.features import AXES
 from impact_rs_analysis.evidence.levels import (
     Comparison,
     ConditionScore,
@@ -60,19 +61,20 @@ from impact_rs_analysis.evidence.levels import (
     where_of_blocks,
 )
 from impact_rs_analysis.evidence.map_discrepancy import (
-    ANGULAR,
-    JOINTS,
-    LINEAR,
+    ANGULAR_VELOCITY_AFTER,
+    JOINT_VELOCITY_AFTER,
     NO_MAP_DISCREPANCY,
+    VELOCITY_AFTER,
     HitKind,
     MapDiscrepancy,
     lengths_of,
     measured_map_discrepancy,
 )
+from impact_rs_analysis.evidence.minimum_data import MIN_CLUSTERS, MIN_DEGREES_OF_FREEDOM
 from impact_rs_analysis.evidence.neighbour_noise import noise_of_neighbours
-from impact_rs_analysis.evidence.replays import SQUARE
+from impact_rs_analysis.evidence.replays import MAX_SQUARE_ANGLE_RAD
 from impact_rs_analysis.evidence.source import (
-    MOST_AS_NAMES,
+    MAX_NUMBERS_AS_LEVELS,
     Covariate,
     Identity,
     Item,
@@ -99,50 +101,48 @@ from impact_rs_trials.recordings.impact_checks import OtherAxes, doubts_of, othe
 from impact_rs_trials.recordings.impact_table import WIDER, ImpactTable
 from impact_rs_trials.workers import Map
 
-BLOCKS = 24  # at most: of 24 blocks a fold leaves 18 for the search, and the test needs 12
-SMALL_BLOCKS = 120  # at most, where effects may depend on covariates
-LEAST_CONDITIONS = 3  # with repeats; with fewer, blocks are used
-LEAST_REPEATS = 3  # degrees of freedom of the pure error
-LEAST_OF_HALF = 2  # rows of a condition on either side of the median of a number
-RELEVANT = 0.005  # of the closing speed; 5 mm/s at 1 m/s, the resolution of body velocities by motion capture
-LEAST_SCALE = 1e-6  # m/s; a model with smaller residuals is exact
-ALTERED = 1024  # physics with effects that were tried last
-SEARCHED_OF_ARMS = 96  # rows of a larger table that a search looks at; four in each block
-SEARCHED_OF_BODIES = 960  # of free bodies, whose map is a twentieth of the work
-FOLDS_OF_LARGE = 3  # all rows that a search has not looked at are held out as well
-LEAST_OF_LEVEL = 24  # rows of a level of a covariate, that it looks at
-KEPT = 48_000_000  # bytes of predictions of the whole table, with effects that were tried last
-MOST_NUMBERS = 32  # numbers of a covariate; the mean of a group is within some hundredths of the range
-TELLING = 0.8  # of what the model leaves; scatter of neighbours above it says nothing
-MOST_SHOWN = 8  # levels of a covariate in a remark
-DECIDES = 0.2  # of what the model leaves; contacts that move predictions by more may decide
-GAINED = 1.05  # kinetic energy after over before; rows above it are reported
-LEAST_GAINING = 3  # rows whose mean is judged
-SURELY_GAINED = 0.999  # one-sided confidence of the mean of all rows, above which no impact is behind a table
+MAX_BLOCKS = 24  # a fold leaves 18 for the search, and the test needs 12
+MAX_SMALL_BLOCKS = 120  # where effects may depend on covariates
+MIN_ROWS_OF_HALF = 2  # of a condition on either side of the median of a number
+# Of the closing speed: 5 mm/s at 1 m/s, the resolution of body velocities by motion capture.
+RELEVANCE_SHARE_OF_SPEED = 0.005
+MIN_SCALE_M_S = 1e-6  # a model with smaller residuals is exact
+CACHED_PHYSICS = 1024  # physics with effects, the last ones
+CACHED_PREDICTIONS_BYTES = 48_000_000  # of predictions of the whole table, the last ones
+MAX_SEARCHED_ROWS_OF_ARMS = 96  # of a larger table; four in each block
+MAX_SEARCHED_ROWS_OF_BODIES = 960  # of free bodies, whose map is a twentieth of the work
+FOLDS_OF_LARGE_TABLE = 3  # all rows outside the search are held out as well
+SEARCHED_ROWS_OF_LEVEL = 24  # of each level of a covariate, in a search of some rows
+MAX_DISTINCT_NUMBERS = 32  # of a covariate; the mean of a group is within some hundredths of the range
+MAX_NEIGHBOUR_SCATTER_RATIO = 0.8  # scatter of neighbours over the residual; above, it says nothing
+MAX_LEVELS_SHOWN = 8  # of a covariate, in a remark
+MIN_CONTACT_CHANGE_RATIO = 0.2  # change by other contact points over the residual; above, they may decide
+MAX_ENERGY_RATIO = 1.05  # kinetic energy after over before; rows above it are reported
+MIN_ROWS_OF_ENERGY = 3  # for a test of their mean
+ENERGY_CONFIDENCE = 0.999  # one-sided, of the mean energy ratio being above MAX_ENERGY_RATIO: no table of impacts
 
-AXES = ("x", "y", "z")
 CONTACT_AXES = ("normal", "sliding", "across")
-STICKING = 1e-6  # m/s; slower contacts have no sliding direction, and any tangent is taken
-NO_DISCREPANCY_KNOWN = (
+MIN_SLIDING_SPEED_M_S = 1e-6  # slower contacts have no sliding direction: any tangent is taken
+NO_DISCREPANCY_REMARK = (
     "model discrepancy of the rigid impact map is taken as 0: finite duration and compliance of real impacts count "
     "against the model"
 )
-DISTANCE = "distance after"
-ALONE = ("joints", "object")  # parts of a row of an arm that are also judged apart
-NO_REPEATS = (
+DISTANCE_AFTER = "distance after"
+PARTS_OF_ROW = ("joints", "object")  # of an arm, which also have verdicts of their own
+NO_REPEATS_REMARK = (
     "too few rows are repeats of each other (column 'condition'), so blocks of neighbouring rows are held out instead"
 )
-NO_NOISE = (
+NO_NOISE_REMARK = (
     "the noise is not known: there are neither repeats nor columns 'v_noise [m/s]' and 'w_noise [rad/s]'; unexplained "
     "residuals may be noise"
 )
 
-WHAT = "velocities just after every impact, measured and predicted by the impact map from the state before"
-SIZE_REPEATED = (
+LEVEL_TEXT = "velocities just after every impact, measured and predicted by the impact map from the state before"
+SIZE_TEXT_WITH_REPEATS = (
     "size of the difference between measured and predicted velocities over all conditions, in multiples of "
     "repeatability"
 )
-SIZE_ALONE = (
+SIZE_TEXT_WITHOUT_REPEATS = (
     "root mean square over the impacts of measured minus predicted velocity; angular and joint velocities are weighted "
     "by their kinetic energy"
 )
@@ -208,9 +208,9 @@ class ImpactTableSource(Source):
         self.repeated = groups is not None
         self._groups = tuple(_blocks(table) if groups is None else groups)
         self.size_unit = TIMES if self.repeated else self.residual_unit
-        self.size_is = SIZE_REPEATED if self.repeated else SIZE_ALONE
+        self.size_is = SIZE_TEXT_WITH_REPEATS if self.repeated else SIZE_TEXT_WITHOUT_REPEATS
         self._impacts = MeasuredImpacts([row.impact for row in table.rows], self._of_rows(self._worlds))
-        self._altered = Recent[Physics | None](ALTERED)
+        self._altered = Recent[Physics | None](CACHED_PHYSICS)
         self._known = Recent[Array](self._kept_answers)
         self._judge(_entries(table, joints=table.joints, body=True))
         self.impossible = self._gain_of_energy()
@@ -219,7 +219,7 @@ class ImpactTableSource(Source):
     def _judge(self, seen: Places) -> None:
         """Compare some of the entries of the rows."""
         self._seen = seen
-        self._featured = Recent[list[Array | None]](ALTERED)
+        self._featured = Recent[list[Array | None]](CACHED_PHYSICS)
         self.signals, self.worth = tuple(self._all_signals[place] for place in seen), self._all_worth[:, seen]
         self.measured = self._all_measured[:, seen]
         self.noise = None if self._all_noise is None else self._all_noise[:, seen]
@@ -229,7 +229,7 @@ class ImpactTableSource(Source):
     @property
     def _kept_answers(self) -> int:
         """Number of predictions of the whole table that are kept."""
-        return max(1, KEPT // self._all_worth.nbytes)
+        return max(1, CACHED_PREDICTIONS_BYTES // self._all_worth.nbytes)
 
     @property
     def covariates(self) -> tuple[Covariate, ...]:
@@ -260,8 +260,8 @@ class ImpactTableSource(Source):
         """
         found = copy.copy(self)
         if not self.repeated and not self.interleaved:
-            found._groups, found.interleaved = tuple(_blocks(self.table, SMALL_BLOCKS)), True
-            found._featured = Recent(ALTERED)  # by group
+            found._groups, found.interleaved = tuple(_blocks(self.table, MAX_SMALL_BLOCKS)), True
+            found._featured = Recent(CACHED_PHYSICS)  # by group
             found.clusters = found._clusters()
         found._effects = self._effects | {effect.name: effect for effect in effects}
         shown = {name: self._shown(name) for name in dict.fromkeys(effect.covariate for effect in effects)}
@@ -275,16 +275,19 @@ class ImpactTableSource(Source):
                 circumstances = {**before.circumstances, **dict(zip(shown, values, strict=True))}
                 found._worlds.append(replace(before, circumstances=circumstances))
             found._world_of.append(places[world, values])
-        found._altered, found._featured = Recent(ALTERED), Recent(max(1, KEPT // 4 // self._all_worth.nbytes))
+        found._altered, found._featured = (
+            Recent(CACHED_PHYSICS),
+            Recent(max(1, CACHED_PREDICTIONS_BYTES // 4 // self._all_worth.nbytes)),
+        )
         return found
 
     def _shown(self, name: str) -> list[float | str]:
-        """A covariate by row; of more than ``MOST_NUMBERS`` different numbers, means of groups of equal size."""
+        """A covariate by row; of more than ``MAX_DISTINCT_NUMBERS`` numbers the means of groups of equal size."""
         values = [row.circumstances[name] for row in self.table.rows]
         numbers = np.array([value for value in values if isinstance(value, float)])
-        if len(set(values)) <= MOST_NUMBERS or not numbers.size:
+        if len(set(values)) <= MAX_DISTINCT_NUMBERS or not numbers.size:
             return values
-        for group in np.array_split(np.argsort(numbers, kind="stable"), MOST_NUMBERS):
+        for group in np.array_split(np.argsort(numbers, kind="stable"), MAX_DISTINCT_NUMBERS):
             numbers[group] = numbers[group].mean()
         return list(numbers.tolist())
 
@@ -337,20 +340,20 @@ class ImpactTableSource(Source):
 
     def searched(self) -> ImpactTableSource:
         """See :meth:`Source.searched`: rows, or conditions and their repeats, evenly taken, and some of each level."""
-        enough = SEARCHED_OF_ARMS if self.table.arms else SEARCHED_OF_BODIES
+        enough = MAX_SEARCHED_ROWS_OF_ARMS if self.table.arms else MAX_SEARCHED_ROWS_OF_BODIES
         if len(self.table.rows) <= enough:
             return self
         chosen = set() if self.repeated else _evenly(range(len(self.table.rows)), enough)
         if self.repeated:
-            most = max(enough // len(self._groups), LEAST_REPEATS)
+            most = max(enough // len(self._groups), MIN_DEGREES_OF_FREEDOM)
             groups = _evenly(range(len(self._groups)), enough // most)
             chosen |= {row for group in groups for row in _evenly(self._groups[group].rows, most)}
         for name in self.table.covariates:
             values = [row.circumstances[name] for row in self.table.rows]
             for level in dict.fromkeys(value for value in values if isinstance(value, str)):
-                chosen |= _evenly([n for n, value in enumerate(values) if value == level], LEAST_OF_LEVEL)
+                chosen |= _evenly([n for n, value in enumerate(values) if value == level], SEARCHED_ROWS_OF_LEVEL)
         found = self._of(self.table.part(sorted(chosen)), remarks=False)
-        found.remarks, found.folds = self.remarks, FOLDS_OF_LARGE
+        found.remarks, found.folds = self.remarks, FOLDS_OF_LARGE_TABLE
         return found
 
     def unseen(self, searched: Source, added: Added) -> tuple[str, ...]:
@@ -376,7 +379,11 @@ class ImpactTableSource(Source):
             return super().spread(function, items, what)
         alone = copy.copy(self)
         alone._map, alone.table = None, replace(self.table, variants=())
-        alone._known, alone._altered, alone._featured = Recent(self._kept_answers), Recent(ALTERED), Recent(ALTERED)
+        alone._known, alone._altered, alone._featured = (
+            Recent(self._kept_answers),
+            Recent(CACHED_PHYSICS),
+            Recent(CACHED_PHYSICS),
+        )
         return list(self._map(partial(function, alone), items))
 
     def views(self) -> tuple[View, ...]:
@@ -404,7 +411,7 @@ class ImpactTableSource(Source):
     def _parts(self) -> dict[str, ImpactTableSource]:
         """Joints and object of an arm, each alone; none without an arm, or if the object alone was measured."""
         found = {}
-        for name in ALONE if self.table.arms and self.table.joints else ():
+        for name in PARTS_OF_ROW if self.table.arms and self.table.joints else ():
             found[name] = copy.copy(self)
             found[name]._judge(_entries(self.table, joints=name == "joints", body=name == "object"))
         return found
@@ -418,8 +425,10 @@ class ImpactTableSource(Source):
         for name in self.table.covariates:
             groups = _by_circumstance(self.table, name, range(len(squares)))
             parts = {label: float(np.sqrt(np.mean(squares[own]))) for label, own in groups.items()}
-            shown = ", ".join(f"{size:.3g} m/s with {label}" for label, size in sorted(parts.items())[:MOST_SHOWN])
-            left = len(parts) - MOST_SHOWN
+            shown = ", ".join(
+                f"{size:.3g} m/s with {label}" for label, size in sorted(parts.items())[:MAX_LEVELS_SHOWN]
+            )
+            left = len(parts) - MAX_LEVELS_SHOWN
             apart.append(f"differences by {name}: {shown}{f' and {left} more' if left > 0 else ''}")
         return (*self.remarks, *apart)
 
@@ -430,15 +439,21 @@ class ImpactTableSource(Source):
         for name in self.table.rows[0].impact.arms:
             label = f"{name}." if len(self.table.arms) > 1 else ""
             for joint, units in enumerate(self.table.rows[0].physics.arms[name].facts.units, start=1):
-                found.append(Feature("impact", JOINTS, f"{label}joint{joint}", 0, units.velocity, 0.0, name))
+                found.append(
+                    Feature("impact", JOINT_VELOCITY_AFTER, f"{label}joint{joint}", 0, units.velocity, 0.0, name)
+                )
         names = AXES if self.table.arms else CONTACT_AXES
-        found += [Feature("impact", LINEAR, axis, 0, "m/s", 0.0) for axis in names]
-        found += [Feature("impact", ANGULAR, axis, 0, "rad/s", 0.0) for axis in names]
-        limits = RELEVANT * self._speed / lengths_of(found, self.physics)
+        found += [Feature("impact", VELOCITY_AFTER, axis, 0, "m/s", 0.0) for axis in names]
+        found += [Feature("impact", ANGULAR_VELOCITY_AFTER, axis, 0, "rad/s", 0.0) for axis in names]
+        limits = RELEVANCE_SHARE_OF_SPEED * self._speed / lengths_of(found, self.physics)
         signals = [replace(f, relevance_limit=float(limit)) for f, limit in zip(found, limits, strict=True)]
         if self._distances:
             lasting = float(np.sqrt(np.mean(np.square(self._lasting))))
-            signals.append(Feature("impact", DISTANCE, "horizontal", 0, "m", RELEVANT * self._speed * lasting))
+            signals.append(
+                Feature(
+                    "impact", DISTANCE_AFTER, "horizontal", 0, "m", RELEVANCE_SHARE_OF_SPEED * self._speed * lasting
+                )
+            )
         return tuple(signals)
 
     @property
@@ -650,7 +665,7 @@ class ImpactTableSource(Source):
         phases = tuple(dict.fromkeys(feature.phase for item in self.clusters for feature in item.features))
         whole = ConditionScore(name=self.table.path.name, repeats=len(self.clusters), score=rounded(self.size()))
         return Comparison(
-            levels={"impacts": level_of(WHAT, self.clusters, phases)},
+            levels={"impacts": level_of(LEVEL_TEXT, self.clusters, phases)},
             where=tuple((where_of if self.repeated else where_of_blocks)(self.clusters)),
             conditions=condition_scores(self.clusters) if self.repeated else (whole,),
         )
@@ -720,7 +735,7 @@ class ImpactTableSource(Source):
         found: list[HitKind] = []
         for row, world in zip(self.table.rows, self._world_of, strict=True):
             impact, physics = row.impact, self._worlds[world]
-            oblique = bool(impact.arms) and obliqueness_of(physics, impact.arms, impact.object) > SQUARE
+            oblique = bool(impact.arms) and obliqueness_of(physics, impact.arms, impact.object) > MAX_SQUARE_ANGLE_RAD
             found.append("oblique" if oblique else "square")
         return found
 
@@ -751,7 +766,7 @@ class ImpactTableSource(Source):
             sigma = np.broadcast_to(np.sqrt(pure**2 + limit**2 + self._of_the_map**2), rest.shape)
             noise = np.broadcast_to(pure, rest.shape)
         else:
-            sigma = max(self.size() / np.sqrt(len(self.signals)), LEAST_SCALE) / self.worth
+            sigma = max(self.size() / np.sqrt(len(self.signals)), MIN_SCALE_M_S) / self.worth
             noise = np.zeros_like(rest) if self.noise is None else self.noise
         return with_intervals(self, [self._cluster(group, rest, sigma, noise) for group in self._groups])
 
@@ -788,13 +803,13 @@ class ImpactTableSource(Source):
     def _remarks(self) -> list[str]:
         remarks = [*doubts_of(self.table), *self.table.assumed]
         if not self._map_discrepancy.entries:
-            remarks.append(NO_DISCREPANCY_KNOWN)
+            remarks.append(NO_DISCREPANCY_REMARK)
         if not self.repeated:
-            remarks.append(NO_REPEATS)
+            remarks.append(NO_REPEATS_REMARK)
             if self.noise is None:
-                remarks.append(NO_NOISE)
+                remarks.append(NO_NOISE_REMARK)
                 scatter = self.scatter_of_neighbours(self.measured - self.predicted)
-                if scatter is not None and scatter < TELLING * self.size():
+                if scatter is not None and scatter < MAX_NEIGHBOUR_SCATTER_RATIO * self.size():
                     remarks.append(
                         f"impacts of neighbouring states scatter by {scatter:.3g} m/s: what the model leaves "
                         "beyond that is no noise"
@@ -802,7 +817,7 @@ class ImpactTableSource(Source):
         if (unsure := self._unsure_contacts()) is not None:
             remarks.append(unsure)
         if self.repeated and (stated := self._stated_noise()) is not None:
-            ratio = float(np.sqrt(np.mean(np.square(self._pooled / np.maximum(stated, LEAST_SCALE)))))
+            ratio = float(np.sqrt(np.mean(np.square(self._pooled / np.maximum(stated, MIN_SCALE_M_S)))))
             remarks.append(
                 f"repeats scatter {ratio:.2g} times as much as the noise columns say; of every velocity the larger of "
                 "both counts"
@@ -811,13 +826,15 @@ class ImpactTableSource(Source):
             remarks.append(
                 f"place and normal of the contacts, known to p_noise and n_noise, are {own:.2g} m/s of the noise"
             )
-        gained = [row.number for row, ratio in zip(self.table.rows, self._gained, strict=True) if ratio > GAINED]
+        gained = [
+            row.number for row, ratio in zip(self.table.rows, self._gained, strict=True) if ratio > MAX_ENERGY_RATIO
+        ]
         if gained and not self.impossible:
             shown = ", ".join(str(number) for number in gained[:5]) + (" ..." if len(gained) > 5 else "")
             remarks.append(
-                f"{len(gained)} of {len(self.table.rows)} rows leave with over {100.0 * (GAINED - 1.0):.0f} % more "
-                f"kinetic energy than before (rows {shown}), which no impact can cause: an external force acted, or "
-                "velocities are wrong"
+                f"{len(gained)} of {len(self.table.rows)} rows leave with over "
+                f"{100.0 * (MAX_ENERGY_RATIO - 1.0):.0f} % more kinetic energy than before (rows {shown}), which no "
+                "impact can cause: an external force acted, or velocities are wrong"
             )
         if self.table.unread:
             remarks.append(f"columns that are not used: {', '.join(self.table.unread)}")
@@ -857,7 +874,7 @@ class ImpactTableSource(Source):
 
     def _contacts_matter(self, times: float) -> bool:
         """Whether the contact points of another tolerance may decide a verdict."""
-        return self._contacts_moved(times) > DECIDES * self._in_energy(self.measured - self.predicted)
+        return self._contacts_moved(times) > MIN_CONTACT_CHANGE_RATIO * self._in_energy(self.measured - self.predicted)
 
     def _in_energy(self, rest: Array, rows: Sequence[int] | None = None) -> float:
         """Rms over rows (None: all) of d of the module, of differences ``(rows, F)`` [m/s]."""
@@ -904,10 +921,13 @@ class ImpactTableSource(Source):
     def _gain_of_energy(self) -> str:
         """That the rows as a whole leave with more kinetic energy than they came with; empty: they do not."""
         ratios = self._gained[np.isfinite(self._gained)]
-        if ratios.size < LEAST_GAINING:
+        if ratios.size < MIN_ROWS_OF_ENERGY:
             return ""
         error = float(ratios.std(ddof=1)) / np.sqrt(ratios.size)
-        if float(ratios.mean()) - float(scipy.stats.t.ppf(SURELY_GAINED, ratios.size - 1)) * error <= GAINED:
+        if (
+            float(ratios.mean()) - float(scipy.stats.t.ppf(ENERGY_CONFIDENCE, ratios.size - 1)) * error
+            <= MAX_ENERGY_RATIO
+        ):
             return ""
         return (
             f"kinetic energy grows in {np.count_nonzero(ratios > 1.0)} of {len(self.table.rows)} rows, by "
@@ -980,7 +1000,7 @@ def _conditions(table: ImpactTable) -> list[_Group] | None:
         for labels, rows in _under_like_circumstances(table, whole)
     ]
     freedom = sum(len(part.rows) - 1 for part in parts)
-    if len(grouped) < LEAST_CONDITIONS or freedom < LEAST_REPEATS:
+    if len(grouped) < MIN_CLUSTERS or freedom < MIN_DEGREES_OF_FREEDOM:
         return None
     return parts
 
@@ -992,10 +1012,10 @@ def _under_like_circumstances(table: ImpactTable, whole: list[int]) -> list[tupl
         split = []
         for labels, rows in parts:
             own = _by_circumstance(table, name, rows)
-            halves = len({row.circumstances[name] for row in table.rows}) > MOST_AS_NAMES
+            halves = len({row.circumstances[name] for row in table.rows}) > MAX_NUMBERS_AS_LEVELS
             numbers = isinstance(table.rows[rows[0]].circumstances[name], float)
             # Halves of a number are repeats of each other only if several rows are left in both.
-            whole_part = len(own) == 1 or (numbers and halves and min(map(len, own.values())) < LEAST_OF_HALF)
+            whole_part = len(own) == 1 or (numbers and halves and min(map(len, own.values())) < MIN_ROWS_OF_HALF)
             split += [(labels, rows)] if whole_part else [([*labels, label], some) for label, some in own.items()]
         parts = split
     return parts
@@ -1005,7 +1025,7 @@ def _by_circumstance(table: ImpactTable, name: str, rows: Sequence[int]) -> dict
     """Rows by level of a covariate, or by the halves of a number about its median, each with what it is in words."""
     values, unit = [table.rows[row].circumstances[name] for row in rows], table.covariates[name]
     numbers = [value for value in values if isinstance(value, float)]
-    many = len({row.circumstances[name] for row in table.rows}) > MOST_AS_NAMES
+    many = len({row.circumstances[name] for row in table.rows}) > MAX_NUMBERS_AS_LEVELS
     middle = float(np.median(numbers)) if numbers and many else None
     found: dict[str, list[int]] = {}
     for row, value in zip(rows, values, strict=True):
@@ -1016,7 +1036,7 @@ def _by_circumstance(table: ImpactTable, name: str, rows: Sequence[int]) -> dict
     return found
 
 
-def _blocks(table: ImpactTable, most: int = BLOCKS) -> list[_Group]:
+def _blocks(table: ImpactTable, most: int = MAX_BLOCKS) -> list[_Group]:
     """Blocks of neighbouring rows of about equal length, ``most`` at most, within one unit."""
     count = len(table.rows)
     blocks = min(count, most)
@@ -1036,7 +1056,7 @@ def _axes_of(impact: MeasuredImpact) -> Array:
     velocity = np.mean([impact.object.point_velocity(point.position) for point in impact.points], axis=0)
     sliding = velocity - (velocity @ normal) * normal
     speed = float(np.linalg.norm(sliding))
-    tangent = sliding / speed if speed > STICKING else contact_frame(normal)[0]
+    tangent = sliding / speed if speed > MIN_SLIDING_SPEED_M_S else contact_frame(normal)[0]
     return np.array([normal, tangent, np.cross(normal, tangent)])
 
 

@@ -30,8 +30,12 @@ from impact_rs_sim.schema import Schema, load
 
 HitKind = Literal["square", "oblique"]
 
-JOINTS, LINEAR, ANGULAR = "joint velocity after", "velocity after", "angular velocity after"
-FILE = "map_discrepancy.yaml"
+JOINT_VELOCITY_AFTER, VELOCITY_AFTER, ANGULAR_VELOCITY_AFTER = (
+    "joint velocity after",
+    "velocity after",
+    "angular velocity after",
+)
+MAP_DISCREPANCY_FILE = "map_discrepancy.yaml"
 
 
 class MapShare(Schema):
@@ -86,11 +90,13 @@ def measured_map_discrepancy() -> MapDiscrepancy:
     Raises:
         InputError: ``config/map_discrepancy.yaml`` breaks the schema.
     """
-    return load(MapDiscrepancy, config_directory() / FILE)
+    return load(MapDiscrepancy, config_directory() / MAP_DISCREPANCY_FILE)
 
 
 def lengths_of(features: Sequence[Feature], physics: Physics) -> Array:
     """Length by which a velocity becomes that of a point: reach, radius of gyration, 1 of translations, ``(F,)``."""
     turning = gyration_of(physics.object)
     reach = {name: reach_of(arm.facts) for name, arm in physics.arms.items()}
-    return np.array([1.0 if f.unit == "m/s" else turning if f.signal == ANGULAR else reach[f.arm] for f in features])
+    return np.array(
+        [1.0 if f.unit == "m/s" else turning if f.signal == ANGULAR_VELOCITY_AFTER else reach[f.arm] for f in features]
+    )

@@ -32,8 +32,8 @@ from impact_rs_trials.store import Folder
 from impact_rs_trials.workers import Map
 
 Made = TypeVar("Made")
-KEPT = 64  # models cached by a process
-LARGEST_LOSS = 0.5  # largest share of windows of free motion that all runs drop for gaps in some
+CACHED_MODELS = 64  # per process
+MAX_DROPPED_WINDOW_SHARE = 0.5  # of the windows of free motion, dropped from all runs because some have a gap there
 
 
 @dataclass(frozen=True)
@@ -242,7 +242,7 @@ def _within(signals: Signals, window: Window) -> Signals:
     )
 
 
-_models = Recent[RobotModel](KEPT)
+_models = Recent[RobotModel](CACHED_MODELS)
 
 
 @dataclass(frozen=True)
@@ -369,7 +369,7 @@ def _alike(runs: list[MeasuredRun]) -> tuple[MeasuredRun, ...]:
     for run in runs:
         left.setdefault(run.family, set(run.features)).intersection_update(run.features)
     alike = [run.only(left[run.family]) for run in runs]
-    torn = {run.family for run in alike if len(run.lost) > LARGEST_LOSS * run.free}
+    torn = {run.family for run in alike if len(run.lost) > MAX_DROPPED_WINDOW_SHARE * run.free}
     return tuple(old if old.family in torn else new for old, new in zip(runs, alike, strict=True))
 
 

@@ -25,10 +25,10 @@ from impact_rs_sim.errors import InputError
 from impact_rs_sim.physics import Physics
 from impact_rs_sim.robot import Array
 
-SHIFTS = 4.0  # tried per period of the cut-off frequency, before the best is refined
-LEAST_OVERLAP = 0.5  # of the shorter motion
-PLACES = 200  # on the way of a motion, at which two are compared
-SAME = 0.05  # of the size of the motion, rms; two motions further apart are not one
+SHIFTS_PER_PERIOD = 4.0  # of the cut-off frequency, tried before the best one is refined
+MIN_OVERLAP_SHARE = 0.5  # of the shorter motion
+PATH_POINTS = 200  # at equal arc length, where two paths are compared
+MAX_DISTANCE_SHARE = 0.05  # rms distance over the size of the motion; above, it is another motion
 
 
 @dataclass(frozen=True)
@@ -71,10 +71,10 @@ def minus_references(
     for motion, file in zip(motions, files, strict=True):
         match = nearest(motion, references)
         size = float(np.sqrt(np.mean(np.square(motion.position - motion.position.mean(axis=0)))))
-        if match is None or match.apart > SAME * size:
+        if match is None or match.apart > MAX_DISTANCE_SHARE * size:
             apart = "too short" if match is None else f"{match.apart:.3g} rad rms apart at best"
             reason = f"{apart}; the motion has {size:.3g} rad rms"
-            if (speed := _other_speed(motion, references, SAME * size)) is not None:
+            if (speed := _other_speed(motion, references, MAX_DISTANCE_SHARE * size)) is not None:
                 reason = (
                     f"one goes the same way {speed:.2g} times as fast; friction and the torque that inertia takes are "
                     "then others, and what the model leaves of them does not cancel"
@@ -112,7 +112,7 @@ def _other_speed(motion: Motion, references: Sequence[Motion], near: float) -> f
 def _way(motion: Motion) -> tuple[Array, float]:
     """Positions at equal shares of the length of the way, ``(k, n)`` [rad], and the mean speed on it [rad/s]."""
     length = np.concatenate(([0.0], np.cumsum(np.linalg.norm(np.diff(motion.position, axis=0), axis=1))))
-    return _at(np.linspace(0.0, length[-1], PLACES), length, motion.position), float(length[-1] / motion.time[-1])
+    return _at(np.linspace(0.0, length[-1], PATH_POINTS), length, motion.position), float(length[-1] / motion.time[-1])
 
 
 def nearest(motion: Motion, references: Sequence[Motion]) -> Match | None:
@@ -124,7 +124,7 @@ def nearest(motion: Motion, references: Sequence[Motion]) -> Match | None:
 def _match(motion: Motion, number: int, other: Motion) -> Match | None:
     time, position = motion.time[motion.kept], motion.position[motion.kept]
     first, last = other.time[other.kept][[0, -1]]
-    least = LEAST_OVERLAP * min(time.size / motion.rate, last - first)
+    least = MIN_OVERLAP_SHARE * min(time.size / motion.rate, last - first)
 
     def apart(shift: float) -> float:
         inside = (time + shift >= first) & (time + shift <= last)
@@ -133,7 +133,7 @@ def _match(motion: Motion, number: int, other: Motion) -> Match | None:
         distance = position[inside] - _at(time[inside] + shift, other.time, other.position)
         return float(np.sqrt(np.mean(np.square(distance))))
 
-    step = 1.0 / (SHIFTS * motion.cut_off)
+    step = 1.0 / (SHIFTS_PER_PERIOD * motion.cut_off)
     shifts = np.arange(first - time[-1] + least, last - time[0] - least + step, step)
     best = min(shifts.tolist(), key=apart, default=None)
     if best is None or not np.isfinite(apart(best)):

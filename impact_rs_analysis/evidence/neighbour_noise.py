@@ -17,8 +17,8 @@ import scipy
 
 from impact_rs_sim.robot import Array
 
-PER_COEFFICIENT = 3  # neighbours
-LEAST_ROWS = 12  # per coefficient; with fewer, neighbours are far apart
+NEIGHBOURS_PER_COEFFICIENT = 3
+MIN_ROWS_PER_COEFFICIENT = 12  # with fewer, neighbours are far apart
 
 
 def noise_of_neighbours(states: Array, residuals: Array) -> Array | None:
@@ -34,8 +34,8 @@ def noise_of_neighbours(states: Array, residuals: Array) -> Array | None:
     spread = states.std(axis=0)
     states = (states - states.mean(axis=0))[:, spread > 0.0] / spread[spread > 0.0]
     rows, coordinates = states.shape
-    count = PER_COEFFICIENT * (coordinates + 1)
-    if rows < LEAST_ROWS * (coordinates + 1):
+    count = NEIGHBOURS_PER_COEFFICIENT * (coordinates + 1)
+    if rows < MIN_ROWS_PER_COEFFICIENT * (coordinates + 1):
         return None
     _, near = scipy.spatial.cKDTree(states).query(states, k=count + 1)
     own = np.arange(rows)

@@ -21,8 +21,8 @@ from impact_rs_sim.physics import Physics
 from impact_rs_sim.robot import Array
 from impact_rs_trials.workers import Map
 
-LEAST_BATCH, LARGEST_BATCH = 4, 32  # replays per task, 30 to 300 ms of work: a task has an overhead of milliseconds
-BATCHES = 16  # at least, so that workers finish at about the same time
+MIN_BATCH, MAX_BATCH = 4, 32  # replays per task, 30 to 300 ms of work: a task has an overhead of milliseconds
+MIN_BATCHES = 16  # so that workers finish at about the same time
 
 Progress = Callable[[str, int, int], None]
 
@@ -108,7 +108,7 @@ def _batches(missing: Iterable[Replay]) -> list[tuple[Replay, ...]]:
     for task in missing:
         grouped.setdefault(task.setup.digest, []).append(task)
     total = sum(map(len, grouped.values()))
-    size = min(max(math.ceil(total / BATCHES), LEAST_BATCH), LARGEST_BATCH)
+    size = min(max(math.ceil(total / MIN_BATCHES), MIN_BATCH), MAX_BATCH)
     return [tuple(own[start : start + size]) for own in grouped.values() for start in range(0, len(own), size)]
 
 

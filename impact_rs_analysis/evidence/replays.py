@@ -31,8 +31,8 @@ from impact_rs_sim.robot import Array
 from impact_rs_trials.runs import NONE, Signals
 from impact_rs_trials.workers import Map
 
-MOST_MISSED = 0.5  # of the runs with an impact; if the replay misses more, the model is refused
-SQUARE = 0.02  # rad; up to 1 degree simulators agree as well as on square hits
+MAX_MISSED_SHARE = 0.5  # of the runs with an impact; if the replay misses more, the model is refused
+MAX_SQUARE_ANGLE_RAD = 0.02  # up to 1 degree simulators agree as well as on square hits
 
 LEVELS = {  # what a level compares, and its phases
     "free_motion": ("torque balances and deflection in windows without contact", ("free",)),
@@ -154,7 +154,7 @@ def kind_of(run: MeasuredRun) -> Kind:
     """Kind of the model discrepancy of a run."""
     if not run.hit:
         return "free"
-    return "oblique" if obliqueness(run) > SQUARE else "square"
+    return "oblique" if obliqueness(run) > MAX_SQUARE_ANGLE_RAD else "square"
 
 
 def layout_of(run: MeasuredRun) -> str:
@@ -275,7 +275,7 @@ class ReplaySource(Source):
             kept.append(run)
         if missed:
             words = f"with model {model.name!r} the replay hits nothing"
-            if len(missed) > MOST_MISSED * sum(run.hit for run in runs.runs):
+            if len(missed) > MAX_MISSED_SHARE * sum(run.hit for run in runs.runs):
                 raise InputError(words + _frame_words(runs), file=missed[0].path)
             names = ", ".join(Path(run.path).name for run in missed)
             remark = f"left out, because {words}: {names}"

@@ -25,7 +25,7 @@ from impact_rs_sim.proportion import Proportion
 from impact_rs_sim.robot import Array, JointType, RobotFacts
 from impact_rs_trials.workers import Map
 
-MOST_AS_NAMES = 8  # different numbers of a covariate that may be names, as of sessions 1 to 5
+MAX_NUMBERS_AS_LEVELS = 8  # different numbers of a covariate that may be names, as of sessions 1 to 5
 
 Item = TypeVar("Item")
 Made = TypeVar("Made")

@@ -44,18 +44,18 @@ from impact_rs_sim.robot_model import RobotModel
 from impact_rs_trials.recordings.recording import ARM, TooShort
 from impact_rs_trials.runs import ArmSignals, Run
 
-ORDER = 4
-PADDED = 15  # samples beyond each end, three times the coefficients of the filter
-GRID = 10.0  # samples per period of the cut-off frequency, at most
-EDGE = 2.0  # periods of the cut-off frequency, cut off at both ends
-BAND = (1.5, 3.0)  # times the cut-off frequency, where the noise is measured
-OF_BAND = 4.0  # samples per period of the upper end of the band, at least
-MOST_TAKEN = 0.5  # of the noise, by the fit of the motion; a short recording has few independent numbers
+FILTER_ORDER = 4  # Butterworth low-pass, forwards and backwards
+PADDED_SAMPLES = 15  # beyond each end, three times the coefficients of the filter
+MAX_SAMPLES_PER_PERIOD = 10.0  # of the cut-off frequency, on the grid
+EDGE_PERIODS = 2.0  # of the cut-off frequency, left out at both ends
+NOISE_BAND = (1.5, 3.0)  # times the cut-off frequency, where the noise is measured
+MIN_SAMPLES_PER_BAND_PERIOD = 4.0  # of the upper end of the band
+MAX_FITTED_NOISE_SHARE = 0.5  # that the fit of the motion may take: a short recording has few independent numbers
 # Quarter periods of the middle of the band: any linear law of one motion with slow coefficients.
-LAGS = (-2, -1, 0, 1, 2)
-SLOW = 0.02  # rad/s, m/s, below which Coulomb friction is not full
-MOTOR_RATIO = (0.5, 2.0)  # of the motion of a motor, seen at the joint, over that of the link; elastic or not
-MOST_REGRESSORS = 2  # kept: of the model, and of another direction of gravity
+LAGS_QUARTER_PERIODS = (-2, -1, 0, 1, 2)
+MIN_COULOMB_SPEED = 0.02  # rad/s, m/s; below, Coulomb friction is not full
+MOTOR_RATIO_RANGE = (0.5, 2.0)  # motion of a motor, seen at the joint, over that of the link; elastic or not
+MAX_CACHED_REGRESSORS = 2  # of the model, and of another direction of gravity
 
 
 @dataclass(frozen=True)
@@ -143,17 +143,21 @@ def _low_pass(values: Array, cut_off: float, rate: float) -> Array:
     """The filter forwards and backwards: ``scipy.signal.sosfiltfilt``, whose steady state is computed once."""
     sections, steady = _butterworth(cut_off, rate)
     found = np.concatenate(
-        (2.0 * values[0] - values[PADDED:0:-1], values, 2.0 * values[-1] - values[-2 : -PADDED - 2 : -1])
+        (
+            2.0 * values[0] - values[PADDED_SAMPLES:0:-1],
+            values,
+            2.0 * values[-1] - values[-2 : -PADDED_SAMPLES - 2 : -1],
+        )
     )
     for _ in range(2):
         found = scipy.signal.sosfilt(sections, found, axis=0, zi=steady[:, :, None] * found[0])[0][::-1]
-    return np.asarray(found[PADDED:-PADDED])
+    return np.asarray(found[PADDED_SAMPLES:-PADDED_SAMPLES])
 
 
 @functools.lru_cache(maxsize=16)
 def _butterworth(cut_off: float, rate: float) -> tuple[Array, Array]:
     """The filter in second-order sections, and its state after a long step, cached for thousands of predictions."""
-    sections = np.asarray(scipy.signal.butter(ORDER, cut_off, fs=rate, output="sos"))
+    sections = np.asarray(scipy.signal.butter(FILTER_ORDER, cut_off, fs=rate, output="sos"))
     return sections, np.asarray(scipy.signal.sosfilt_zi(sections))
 
 
@@ -183,12 +187,12 @@ def prepare(run: Run, cut_off: float) -> Motion:
     raw, places, speeds = (resampled(values) for values in (arm.torque, arm.position, arm.velocity))
     motors = resampled(motor_positions(arm))
     once = _low_pass(raw, cut_off, sampled)
-    stride = max(1, int(sampled / (GRID * cut_off)))
+    stride = max(1, int(sampled / (MAX_SAMPLES_PER_PERIOD * cut_off)))
     rate = sampled / stride
     q, dq = (_low_pass(values, cut_off, sampled) for values in (places, speeds))
     theta = _low_pass(motors, cut_off, sampled)
     dtheta = derivative(theta)
-    edge = int(np.ceil(EDGE * rate / cut_off))
+    edge = int(np.ceil(EDGE_PERIODS * rate / cut_off))
     count = q[::stride].shape[0]
     if count < 2 * edge + 60:
         raise TooShort(
@@ -196,7 +200,7 @@ def prepare(run: Run, cut_off: float) -> Motion:
             file=run.path,
         )
     moved = np.hstack((places, motors[:, np.isfinite(motors).all(axis=0)]))
-    turning = np.tanh(derivative(np.where(np.isnan(motors), places, motors)) / SLOW)
+    turning = np.tanh(derivative(np.where(np.isnan(motors), places, motors)) / MIN_COULOMB_SPEED)
     return Motion(
         time=even[::stride],
         position=q[::stride],
@@ -225,7 +229,7 @@ def motor_positions(arm: ArmSignals) -> Array:
         return np.full_like(arm.position, np.nan)
     ratios = motor_ratios(arm)
     own = np.ptp(arm.motor_position - arm.position, axis=0) > 0.0
-    near = (MOTOR_RATIO[0] < ratios) & (ratios < MOTOR_RATIO[1])
+    near = (MOTOR_RATIO_RANGE[0] < ratios) & (ratios < MOTOR_RATIO_RANGE[1])
     return np.asarray(np.where(own & near, arm.motor_position, np.nan))
 
 
@@ -250,10 +254,14 @@ def _noise(raw: Array, moved: Array, turning: Array, cut_off: float, rate: float
         rate: Of the samples [Hz].
     """
     highest = 0.45 * rate
-    band = (BAND[0] * cut_off, BAND[1] * cut_off) if BAND[1] * cut_off < highest else (1.2 * cut_off, highest)
-    sections = scipy.signal.butter(ORDER, band, btype="bandpass", fs=rate, output="sos")
+    band = (
+        (NOISE_BAND[0] * cut_off, NOISE_BAND[1] * cut_off)
+        if NOISE_BAND[1] * cut_off < highest
+        else (1.2 * cut_off, highest)
+    )
+    sections = scipy.signal.butter(FILTER_ORDER, band, btype="bandpass", fs=rate, output="sos")
 
-    step = max(1, int(rate / (OF_BAND * band[1])))
+    step = max(1, int(rate / (MIN_SAMPLES_PER_BAND_PERIOD * band[1])))
 
     def passed(values: Array) -> Array:
         return np.asarray(scipy.signal.sosfiltfilt(sections, values, axis=0))[::step]
@@ -262,15 +270,15 @@ def _noise(raw: Array, moved: Array, turning: Array, cut_off: float, rate: float
     motion, wanted = passed(moved), passed(np.nan_to_num(raw))
     direction = passed(turning)
     lag = max(1, round(0.5 * rate / (band[0] + band[1])))
-    shifted = np.hstack([np.roll(motion, place * lag, axis=0) for place in LAGS])
-    inside = slice(LAGS[-1] * lag, wanted.shape[0] - LAGS[-1] * lag)
+    shifted = np.hstack([np.roll(motion, place * lag, axis=0) for place in LAGS_QUARTER_PERIODS])
+    inside = slice(LAGS_QUARTER_PERIODS[-1] * lag, wanted.shape[0] - LAGS_QUARTER_PERIODS[-1] * lag)
     count = max(1, int(wanted.shape[0] * cut_off / rate))
     powers = []
     for joint in range(raw.shape[1]):
         basis = np.column_stack((shifted, direction[:, joint]))[inside]
         left = wanted[inside, joint] - basis @ np.linalg.lstsq(basis, wanted[inside, joint], rcond=None)[0]
         freedom = 2.0 * (band[1] - band[0]) * left.size / rate  # independent numbers in a band of this width
-        taken = min(np.linalg.matrix_rank(basis) / freedom, MOST_TAKEN)
+        taken = min(np.linalg.matrix_rank(basis) / freedom, MAX_FITTED_NOISE_SHARE)
         windows = [np.mean(np.square(window)) for window in np.array_split(left, count)]
         powers.append(np.median(windows) / (1.0 - taken))
     found = np.sqrt(np.array(powers) * cut_off / (band[1] - band[0]))
@@ -414,7 +422,7 @@ class TorqueBalance:
         parameters = np.concatenate([inertia.toDynamicParameters() for inertia in list(model.pinocchio.inertias)[1:]])
         key = model.pinocchio.gravity.linear.tobytes()
         if key not in self._regressors:
-            while len(self._regressors) >= MOST_REGRESSORS:
+            while len(self._regressors) >= MAX_CACHED_REGRESSORS:
                 self._regressors.pop(list(self._regressors)[1])  # the first is that of the model
             self._regressors[key] = [
                 np.array(

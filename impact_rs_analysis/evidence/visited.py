@@ -8,7 +8,7 @@ from collections.abc import Iterable, Iterator, Sequence
 import numpy as np
 
 from impact_rs_analysis.evidence.recordings import RecordingSource
-from impact_rs_analysis.evidence.replay import AFTER_IMPACT
+from impact_rs_analysis.evidence.replay import AFTER_IMPACT_S
 from impact_rs_analysis.evidence.source import Source
 from impact_rs_sim.effects.formula import AXES, CONTACT_SYMBOLS, JOINT_SYMBOL, SYMBOLS, Formula
 from impact_rs_sim.robot import Array
@@ -16,12 +16,12 @@ from impact_rs_trials.runs import Run
 
 Range = tuple[float, float]
 
-SAMPLES = 100  # of a run; positions of the end effector are computed for each
-MARGIN = 0.02  # of a range; less is not beyond it
-ENDS = (0.5, 99.5)  # percentiles that count as the ends of a range
+SAMPLES_PER_RUN = 100  # at which forward kinematics are computed
+RANGE_MARGIN_SHARE = 0.02  # of a range; a smaller excess is not reported
+RANGE_PERCENTILES = (0.5, 99.5)  # that count as the ends of a range
 
 
-def visited(source: Source, quantities: Iterable[str] = (), after: float = AFTER_IMPACT) -> dict[str, Range]:
+def visited(source: Source, quantities: Iterable[str] = (), after: float = AFTER_IMPACT_S) -> dict[str, Range]:
     """Range of the symbols over all runs, up to the end of the replay; those that were not measured are missing.
 
     Args:
@@ -39,7 +39,7 @@ def visited(source: Source, quantities: Iterable[str] = (), after: float = AFTER
             sizes = {signals[name].size for name in formula.names if name in signals}
             if formula.names <= signals.keys() and len(sizes) == 1 and not formula.remembers:
                 found.setdefault(formula.text, []).append(np.asarray(formula(signals)))
-    ends = {name: np.percentile(np.concatenate(every), ENDS) for name, every in found.items()}
+    ends = {name: np.percentile(np.concatenate(every), RANGE_PERCENTILES) for name, every in found.items()}
     return {name: (float(low), float(high)) for name, (low, high) in ends.items()}
 
 
@@ -56,7 +56,7 @@ def beyond(source: Source) -> tuple[str, ...]:
     for spec in formulas:
         for symbol, (low, high) in spec.valid.items():
             least, most = ranges.get(symbol, (low, high))
-            margin = MARGIN * (high - low)
+            margin = RANGE_MARGIN_SHARE * (high - low)
             if least < low - margin or most > high + margin:
                 found.append(
                     f"{spec.name} was seen for {symbol} from {low:.3g} to {high:.3g}, and these measurements reach "
@@ -77,7 +77,7 @@ def _signals(run: Run, after: float) -> Iterator[tuple[str, Array]]:
     end = min(impacts.values()) + after if impacts else np.inf
     signals = run.signals
     rows = np.flatnonzero(signals.time <= end)
-    rows = rows[:: max(1, rows.size // SAMPLES)]
+    rows = rows[:: max(1, rows.size // SAMPLES_PER_RUN)]
     yield "t", signals.time[rows]
     for name, arm in signals.arms.items():
         for symbol, values in (("q", arm.position), ("dq", arm.velocity), ("tau", arm.torque)):

@@ -30,7 +30,7 @@ import scipy
 from numpy.typing import NDArray
 
 from impact_rs_analysis.evidence.cluster import Cluster
-from impact_rs_analysis.inference.noise import UNMEASURED, noise_of
+from impact_rs_analysis.inference.noise import INDEPENDENT_DISCREPANCY_SHARE, noise_of
 from impact_rs_sim.robot import Array
 
 Columns = NDArray[np.int_]
@@ -249,7 +249,11 @@ def observation_of(item: Cluster, residual: Array, jacobian: Array, count: int) 
         count: Number of repeats.
     """
     whiten = noise_of(item).whitening(count)
-    patterns = np.zeros((0, len(residual))) if item.patterns is None else np.sqrt(1.0 - UNMEASURED) * item.patterns
+    patterns = (
+        np.zeros((0, len(residual)))
+        if item.patterns is None
+        else np.sqrt(1.0 - INDEPENDENT_DISCREPANCY_SHARE) * item.patterns
+    )
     return Observation(whiten @ residual, whiten @ jacobian, whiten @ patterns.T, item.discrepancy_group)
 
 

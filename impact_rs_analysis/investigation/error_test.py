@@ -35,7 +35,7 @@ from collections.abc import Sequence
 import numpy as np
 import scipy
 
-from impact_rs_analysis.diagnosis.thresholds import LEAST_P
+from impact_rs_analysis.diagnosis.thresholds import MIN_REPORTED_P
 from impact_rs_analysis.evidence.cluster import Cluster
 from impact_rs_sim.robot import Array
 
@@ -98,4 +98,4 @@ def _trace_of_square(rows: Array, count: int) -> float:
 
 def p_in_words(p_value: float) -> str:
     """A p-value, bounded where the tails of a real robot's noise are not known."""
-    return f"p = {p_value:.2g}" if p_value >= LEAST_P else f"p < {LEAST_P}"
+    return f"p = {p_value:.2g}" if p_value >= MIN_REPORTED_P else f"p < {MIN_REPORTED_P}"

@@ -20,7 +20,7 @@ from pydantic import Field
 
 from impact_rs_analysis.diagnosis.document import ModelIdentity
 from impact_rs_analysis.evidence.cluster import ErrorUnit, size_of
-from impact_rs_analysis.evidence.features import AXES, JUMP_WINDOWS, SETTLED
+from impact_rs_analysis.evidence.features import AXES, JUMP_WINDOWS_S, SETTLED_WINDOW
 from impact_rs_analysis.evidence.levels import rounded
 from impact_rs_analysis.evidence.measured_runs import MeasuredRun
 from impact_rs_analysis.evidence.source import Source
@@ -146,7 +146,7 @@ def _arm_velocity(run: MeasuredRun) -> float:
     found = []
     for name, begin in run.impacts.items():
         arm, model = run.signals.arms[name], run.setup.physics.robot_model(name)
-        moments = begin + np.linspace(*JUMP_WINDOWS[SETTLED], MOMENTS)
+        moments = begin + np.linspace(*JUMP_WINDOWS_S[SETTLED_WINDOW], MOMENTS)
         rows = scipy.interpolate.make_interp_spline(run.signals.time, np.hstack([arm.position, arm.velocity]), 1)(
             moments
         )

@@ -11,7 +11,7 @@ import pytest
 from analytic_world import FEATURES, AnalyticSource, assert_uniform, correlated
 
 from impact_rs_analysis.diagnosis.drift import doubt_of, drift_in_words, drift_of
-from impact_rs_analysis.diagnosis.thresholds import SIGNIFICANT
+from impact_rs_analysis.diagnosis.thresholds import SIGNIFICANCE_LEVEL
 from impact_rs_analysis.evidence.cluster import Cluster
 
 CONDITIONS, REPEATS = 6, 3
@@ -41,7 +41,7 @@ def test_without_drift_p_is_uniform() -> None:
 @pytest.mark.parametrize("change", [-30.0, 30.0])
 def test_a_drift_is_named_with_its_size_and_direction(change: float) -> None:
     found = drift_of(campaign(1, RANDOM, change))
-    assert found is not None and found.p_value < SIGNIFICANT and not found.confounded
+    assert found is not None and found.p_value < SIGNIFICANCE_LEVEL and not found.confounded
     assert found.signal == "signal 2" and found.runs == COUNT
     assert found.change == pytest.approx(change, rel=0.2)
     words = drift_in_words(found)
@@ -50,7 +50,7 @@ def test_a_drift_is_named_with_its_size_and_direction(change: float) -> None:
 
 def test_in_an_order_by_conditions_a_drift_lowers_the_confidence() -> None:
     found = drift_of(campaign(1, LISTED, 90.0))
-    assert found is not None and found.confounded and found.p_value < SIGNIFICANT
+    assert found is not None and found.confounded and found.p_value < SIGNIFICANCE_LEVEL
     assert drift_in_words(found).startswith("low confidence") and "random order" in drift_in_words(found)
     assert doubt_of(found).startswith("Confidence is low: the signal 2 x drifts")
     quiet = drift_of(campaign(1, LISTED))

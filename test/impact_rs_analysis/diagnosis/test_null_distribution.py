@@ -19,7 +19,7 @@ from impact_rs_analysis.diagnosis.null_distribution import (
     rarity,
     smallest,
 )
-from impact_rs_analysis.diagnosis.thresholds import LEAST_FREEDOM
+from impact_rs_analysis.diagnosis.thresholds import MIN_DEGREES_OF_FREEDOM
 from impact_rs_analysis.evidence.cluster import pooled_error
 
 DRAWS = 999
@@ -153,7 +153,7 @@ def test_heavy_tails_raise_no_alarm() -> None:
 
 def test_a_reference_with_too_few_repeats_decides_nothing() -> None:
     reference = RotationNull(AnalyticSource(0, design=(2, 2, 1)).clusters)
-    assert reference.freedom == 2 < LEAST_FREEDOM
+    assert reference.freedom == 2 < MIN_DEGREES_OF_FREEDOM
     assert reference.shortage is not None and "1 more repeat" in reference.shortage
     assert p_of(reference, sensitivity(0, 3, 1)) == 1.0
     assert lack_of_fit(reference) is None

@@ -41,7 +41,7 @@ from impact_rs_analysis.diagnosis.fit import (
     refine_again,
 )
 from impact_rs_analysis.diagnosis.search import Search, adjusted, encompasses, p_value_beside, tied
-from impact_rs_analysis.diagnosis.thresholds import SIGNIFICANT
+from impact_rs_analysis.diagnosis.thresholds import SIGNIFICANCE_LEVEL
 from impact_rs_sim.robot import Array
 
 FREE = (0, 1)  # clusters in which nothing is hit, where there are any
@@ -67,7 +67,7 @@ def alternating(size: float) -> tuple[float, ...]:
 def test_nothing_is_found_where_nothing_is_hidden() -> None:
     """At a false-discovery rate of 1 %, 30 campaigns raise three false alarms once in 300 tries."""
     alarms = sum(searched(AnalyticSource(seed, correlation=correlated())).choose() is not None for seed in range(30))
-    assert alarms <= binom.ppf(0.997, 30, SIGNIFICANT)
+    assert alarms <= binom.ppf(0.997, 30, SIGNIFICANCE_LEVEL)
 
 
 @pytest.mark.parametrize(
@@ -80,7 +80,7 @@ def test_a_hidden_effect_is_named_and_estimated_however_strong_it_is(name: str, 
         assert chosen.estimate[0] == pytest.approx(values[0], abs=0.15)
         before = search.evidence.null.lack_of_fit(means_of(search.evidence.clusters))
         after = chosen.lack_of_fit()
-        assert before is not None and after is not None and before < SIGNIFICANT < after
+        assert before is not None and after is not None and before < SIGNIFICANCE_LEVEL < after
 
 
 @pytest.mark.parametrize("beside", [(), ("straight",)])
@@ -138,7 +138,7 @@ def test_what_no_effect_explains_leaves_a_lack_of_fit() -> None:
     chosen = search.choose()
     rest = means_of(search.evidence.clusters) if chosen is None else chosen.rest
     left = search.evidence.null.lack_of_fit(rest)
-    assert left is not None and left < SIGNIFICANT
+    assert left is not None and left < SIGNIFICANCE_LEVEL
 
 
 def of_scatters(*freedoms: int) -> tuple[float, float]:
@@ -406,7 +406,7 @@ def test_a_range_is_widened_four_times_and_then_said_to_be_reached() -> None:
 def test_what_changes_nothing_near_its_nominal_value_is_seen_from_afar(hidden: float) -> None:
     """As a contact that sticks does until its friction is a fraction of what was assumed."""
     search = searched(AnalyticSource(4, (("sticking", (hidden,)),)), "sticking", "bent")
-    assert not search.unmeasured and search.p_values(None)["sticking"] < SIGNIFICANT
+    assert not search.unmeasured and search.p_values(None)["sticking"] < SIGNIFICANCE_LEVEL
     found = search.choose()
     assert found is not None and found.candidate.names == ("sticking",)
     assert found.estimate[0] == pytest.approx(hidden, abs=0.5)
@@ -537,7 +537,7 @@ def test_an_effect_is_added_where_it_lowers_the_error_by_a_tenth(size: float, fo
     """Both are significant beside a rest of 5: 7 % and 20 % of it. Kills: the gain is not asked."""
     truth = (("straight", (30.0,)), ("bent", (size,)), ("outside", (5.0,)))
     search = searched(AnalyticSource(1, truth), "straight", "bent")
-    assert search.p_values(search.fitted(("straight",)))["bent"] < SIGNIFICANT
+    assert search.p_values(search.fitted(("straight",)))["bent"] < SIGNIFICANCE_LEVEL
     chosen_of(search, *found)
 
 
@@ -553,7 +553,7 @@ def test_an_effect_is_added_where_it_is_significant(p: float, accepted: bool) ->
 def test_what_is_below_the_relevance_limits_is_not_added_where_only_noise_is_left() -> None:
     """Twenty repeats see 0.08 of the noise. Kills: relevance is not asked."""
     search = searched(AnalyticSource(1, (("straight", (0.08,)),), (20,) * 6))
-    assert not search.lacking and search.p_values(None)["straight"] < SIGNIFICANT
+    assert not search.lacking and search.p_values(None)["straight"] < SIGNIFICANCE_LEVEL
     assert search.choose() is None
 
 
@@ -624,8 +624,8 @@ def test_a_wrong_effect_is_as_seldom_significant_beside_the_right_one_as_stated(
 def test_of_two_effects_that_explain_a_part_each_none_encompasses_the_other() -> None:
     search = searched(AnalyticSource(3, (("straight", (0.8,)), ("bent", (0.8,))), (2,) * 5), "straight", "bent")
     straight, bent = fit_alone(search, "straight"), fit_alone(search, "bent")
-    assert p_value_beside(straight, "straight", bent) < SIGNIFICANT
-    assert p_value_beside(bent, "bent", straight) < SIGNIFICANT
+    assert p_value_beside(straight, "straight", bent) < SIGNIFICANCE_LEVEL
+    assert p_value_beside(bent, "bent", straight) < SIGNIFICANCE_LEVEL
     assert not encompasses(straight, "straight", bent, "bent") and not encompasses(bent, "bent", straight, "straight")
 
 

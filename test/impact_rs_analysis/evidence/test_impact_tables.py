@@ -22,8 +22,17 @@ from impact_rs_analysis.diagnosis.diagnose import diagnose, effects_for
 from impact_rs_analysis.diagnosis.document import DiagnosisDocument
 from impact_rs_analysis.diagnosis.verdict import CONFIRMED, NOTHING
 from impact_rs_analysis.evidence import impact_tables
-from impact_rs_analysis.evidence.impact_tables import BLOCKS, MOST_NUMBERS, SMALL_BLOCKS, ImpactTableSource
-from impact_rs_analysis.evidence.map_discrepancy import JOINTS, NO_MAP_DISCREPANCY, measured_map_discrepancy
+from impact_rs_analysis.evidence.impact_tables import (
+    MAX_BLOCKS,
+    MAX_DISTINCT_NUMBERS,
+    MAX_SMALL_BLOCKS,
+    ImpactTableSource,
+)
+from impact_rs_analysis.evidence.map_discrepancy import (
+    JOINT_VELOCITY_AFTER,
+    NO_MAP_DISCREPANCY,
+    measured_map_discrepancy,
+)
 from impact_rs_sim.effects import library
 from impact_rs_sim.effects.depending import Depending
 from impact_rs_sim.model import load_model
@@ -102,7 +111,7 @@ def test_blocks_hold_every_row_once_and_are_of_one_unit(tossed: tuple[ImpactTabl
     source, _ = tossed
     rows = [row for group in source._groups for row in group.rows]
     assert rows == list(range(60))
-    assert len(source.clusters) == BLOCKS
+    assert len(source.clusters) == MAX_BLOCKS
     assert {item.unit for item in source.clusters} == {str(source.table.path)}  # so neighbours guard each other
     assert {feature.index for item in source.clusters for feature in item.features} == {"normal", "sliding", "across"}
 
@@ -162,7 +171,7 @@ def test_motor_inertia_of_an_arm_is_found_from_its_jumps(tmp_path: Path) -> None
     joints, item = (view.source.size() for view in source.views()[:2])
     assert f"apart: joints {joints:.3g}, object {item:.3g} times repeatability" in source.comparison_remarks
     assert joints > 1.2 * item  # a motor that is heavier than assumed shows in its own joint
-    assert {feature.signal for feature in source.signals} >= {JOINTS}
+    assert {feature.signal for feature in source.signals} >= {JOINT_VELOCITY_AFTER}
 
 
 def test_pushes_without_anything_hidden_lack_nothing(tmp_path: Path) -> None:
@@ -239,9 +248,9 @@ def test_many_numbers_are_taken_as_means_of_groups_and_blocks_are_small_where_ef
     (given,) = source.covariates
     linear = Depending(library()["restitution"], given.name, terms_of(source)[given.name][0])
     known = source.knowing([linear])
-    assert (len(source.clusters), len(known.clusters)) == (BLOCKS, SMALL_BLOCKS)
+    assert (len(source.clusters), len(known.clusters)) == (MAX_BLOCKS, MAX_SMALL_BLOCKS)
     shown = [float(world.circumstances["temperature"]) for world in known.worlds]
-    assert shown == [1.5 + 4.0 * n for n in range(MOST_NUMBERS)]
+    assert shown == [1.5 + 4.0 * n for n in range(MAX_DISTINCT_NUMBERS)]
 
 
 def test_an_object_whose_robot_was_not_measured_after_the_impact_is_compared_alone(tmp_path: Path) -> None:
@@ -249,7 +258,7 @@ def test_an_object_whose_robot_was_not_measured_after_the_impact_is_compared_alo
     kept = [number for number, name in enumerate(header) if not (name.startswith("dq") and "_after" in name)]
     path = write_csv(tmp_path / "pushes.csv", [header[k] for k in kept], [[row[k] for k in kept] for row in rows])
     source = ImpactTableSource(read_impact_table(path, load_scenario("push")), NOMINAL, discrepancy=NO_MAP_DISCREPANCY)
-    assert {feature.signal for feature in source.signals}.isdisjoint({JOINTS})
+    assert {feature.signal for feature in source.signals}.isdisjoint({JOINT_VELOCITY_AFTER})
     assert not any(view.name == "object" for view in source.views())  # it is looked at anyway
     assert source.measured.shape == source.predicted.shape == (len(rows), 6)
     document = diagnose(source, NOMINAL, ["object_mass", "restitution"])
@@ -376,7 +385,7 @@ def test_a_large_table_is_searched_in_part_and_checked_on_the_rest(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Rows are taken evenly from every block; what is found predicts the others, and the document says how well."""
-    monkeypatch.setattr(impact_tables, "SEARCHED_OF_BODIES", 48)
+    monkeypatch.setattr(impact_tables, "MAX_SEARCHED_ROWS_OF_BODIES", 48)
     rows = cube_rows(cube(0.2, 0.3), 240)
     header = [*CUBE_HEADER, "surface []"]
     table = read_impact_table(
@@ -387,7 +396,7 @@ def test_a_large_table_is_searched_in_part_and_checked_on_the_rest(
     )
     source = ImpactTableSource(table, NOMINAL)
     part = source.searched()
-    assert len(part.clusters) == BLOCKS
+    assert len(part.clusters) == MAX_BLOCKS
     assert sum(row.circumstances["surface"] == "rare" for row in part.table.rows) == 24
     plain = ImpactTableSource(replace(table, covariates={}), NOMINAL)
     document = diagnose(plain, NOMINAL, ["restitution", "support_friction"])

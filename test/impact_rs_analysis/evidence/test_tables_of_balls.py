@@ -19,7 +19,7 @@ from impact_rs_analysis.diagnosis.grammar import load_grammar
 from impact_rs_analysis.diagnosis.residuals import beyond_stated_noise
 from impact_rs_analysis.evidence.cluster import Cluster, Feature
 from impact_rs_analysis.evidence.impact_tables import ImpactTableSource
-from impact_rs_analysis.evidence.map_discrepancy import LINEAR
+from impact_rs_analysis.evidence.map_discrepancy import VELOCITY_AFTER
 from impact_rs_sim.effects.formula import FormulaParameter, FormulaSpec
 from impact_rs_sim.model import Model, load_model
 from impact_rs_trials.recordings.impact_table import read_impact_table
@@ -159,7 +159,7 @@ def test_a_ball_whose_spin_was_not_measured_after_the_impact_is_compared_by_its_
     kept = [n for n, name in enumerate(header) if not (name.startswith("w") and ("_after" in name or "_noise" in name))]
     seen = write_csv(tmp_path / "seen.csv", [header[n] for n in kept], [[row[n] for n in kept] for row in rows])
     source = ImpactTableSource(read_impact_table(seen), NOMINAL)
-    assert {feature.signal for feature in source.signals} == {LINEAR}
+    assert {feature.signal for feature in source.signals} == {VELOCITY_AFTER}
     assert source.measured.shape == source.predicted.shape == (len(rows), 3)
     np.testing.assert_allclose(source.noise, NOISE[0])
     document = diagnose(source, NOMINAL, ["restitution", "support_friction"])
