@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Grammar of laws: which formulas ``impact-rs discover`` looks at (``config/grammar.yaml``).
+"""Grammar of laws: the formulas that ``impact-rs discover`` searches (``config/grammar.yaml``).
 
 A law is a place, a quantity and a form, for example torque on a motor × joint velocity × cube. Units follow: an
 amplitude of power n has the unit of the place over that of the quantity to the n. A law of a quantity that a
-dissipative force opposes has a sign that dissipates, one between two bodies has its reaction by its place.
+dissipative force opposes has the sign that dissipates; a law between two bodies includes its reaction.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ class QuantityShape(Schema):
 
     @property
     def parameter(self) -> FormulaParameter:
-        """The same as a parameter of a formula, whose noticeable change is a tenth of a usual value."""
+        """The parameter of a formula; its noticeable change is a tenth of the geometric mean of the starts."""
         usual = float(np.exp(np.mean(np.log(self.starts))))
         return FormulaParameter(
             unit=self.unit, nominal=self.starts[0], lower=self.lower, upper=self.upper, scale=0.1 * usual, shape=True,
@@ -81,7 +81,7 @@ class Quantity(Schema):
     shapes: dict[str, QuantityShape] = Field({}, description="numbers in its formula, by name")
 
     def vector(self, axis: str) -> str:
-        """A component of the vector that it is the size of, as a formula; empty: it is none."""
+        """Formula of one component of the vector of which this is the norm; empty: this is no norm."""
         return (
             f"({self.of_place} - anchor_{{axis}})".format(axis=axis) if self.of_place else self.along.format(axis=axis)
         )
@@ -156,7 +156,7 @@ class Law:
         noticeable: Amplitude at which it matters, in the unit.
         opposes: Whether the formula is minus the profile.
         reacts: Whether the second of two joints has the reaction.
-        knots: Values of the quantity between which a free curve is straight; empty: it is a law.
+        knots: Knots of a piecewise linear free curve; empty: it is a law.
     """
 
     spec: FormulaSpec
@@ -177,12 +177,12 @@ class Law:
 
     @property
     def joints(self) -> tuple[str, ...]:
-        """Joints that it acts on by itself, as ``joint4``; empty: a force, which all may feel."""
+        """Joints that it acts on, as ``joint4``; empty: a force, which may load all joints."""
         return _joints(self.where)
 
     @property
     def coefficient(self) -> str:
-        """Coefficient of a single impact that it changes; empty: it acts along a motion."""
+        """Contact coefficient that it changes; empty: it acts during a motion."""
         return self.where if self.where in COEFFICIENTS else ""
 
     @property
@@ -204,12 +204,12 @@ class Law:
 
     @property
     def family(self) -> str:
-        """What the laws of one form at several joints share, as joints are alike."""
+        """Key of the laws of one form at several joints, which may be accepted together."""
         where = "" if self.where.startswith("joint") else self.where
         return f"{self.place} {where} {self.quantity.words} {self.form}"
 
     def force(self, u: Array, numbers: Mapping[str, float]) -> Array:
-        """Its size where the quantity is ``u`` ``(k,)``, with its parameters, ``(k,)`` [unit of the place]."""
+        """Its force at values ``u`` of the quantity, ``(k,)``, for some parameters, ``(k,)`` [unit of the place]."""
         return np.broadcast_to(Formula(self.profile, {"u", *numbers})({"u": u, **numbers}), u.shape)
 
 
@@ -385,7 +385,7 @@ def _symbol(quantity: Quantity, where: str) -> str:
 
 
 def _region(quantity: Quantity, ranges: Mapping[str, Range]) -> tuple[Array, float]:
-    """Middle of the places from which a distance is measured, ``(3,)``, and half of the longest side [m]."""
+    """Centre of the visited positions, ``(3,)``, and half of their largest extent [m]."""
     default = (-quantity.typical / 2.0, quantity.typical / 2.0)
     sides = [ranges.get(quantity.of_place.format(axis=axis), default) for axis in AXES]
     ends = np.array(sides)
@@ -393,7 +393,7 @@ def _region(quantity: Quantity, ranges: Mapping[str, Range]) -> tuple[Array, flo
 
 
 def _anchors(middle: Array, distance: float) -> list[dict[str, float]]:
-    """Points from which the fit of an anchor starts: at a distance to either side along every axis."""
+    """Starts of the fit of an anchor: at a distance from the centre in both directions of every axis."""
     found = []
     for place in (middle + side * distance * row for row in np.eye(3) for side in (-1.0, 1.0)):
         found.append({f"anchor_{axis}": float(value) for axis, value in zip(AXES, place, strict=True)})
@@ -401,18 +401,18 @@ def _anchors(middle: Array, distance: float) -> list[dict[str, float]]:
 
 
 def curve_of(law: Law, domain: Range, count: int = FREE_CURVE_KNOTS[0], absolute: bool = True) -> Law:
-    """A free curve in the place of a law: a force at each of some knots over the range of its quantity.
+    """A piecewise linear free curve in place of a law, with a force at each knot over the range of its quantity.
 
-    Between them it is straight, beyond them it falls to 0 over the distance of two: it is valid where it was seen.
+    Beyond the knots it falls to 0 within one spacing: it is valid in the measured range alone.
 
     Args:
         law: Gives place and quantity.
         domain: Range of the quantity.
         count: Number of knots.
-        absolute: Whether it contains a constant; else it is 0 at the knot nearest to 0, beside an offset.
+        absolute: Whether it contains a constant; else it is 0 at the knot nearest to 0, for use with an offset.
     """
     (key, table), (low, high) = law.formula, domain
-    # A speed: at rest the force is 0, or sticks, which is no curve. A slow impact has its coefficients as well.
+    # A speed: at rest the force is 0 or stiction, no point of a curve. A slow impact has its coefficients as well.
     from_rest = 0.0 <= low < high / count and not law.coefficient
     every = np.linspace(0.0, high, count + 1)[1:] if from_rest else np.linspace(low, high, count)
     width = float(every[1] - every[0])
@@ -455,7 +455,7 @@ def _name(place_name: str, place: Place, quantity: str, form: str, number: str) 
 
 
 def _inserted(law: str, symbol: str) -> str:
-    """The formula of a form with its quantity in the place of u."""
+    """The formula of a form with its quantity substituted for u."""
     inner = symbol if re.fullmatch(r"\w+", symbol) else f"({symbol})"
     return re.sub(r"\bu\b", inner, law)
 
@@ -474,7 +474,7 @@ def _shape(item: Number, unit: str, low: float, high: float, start: float) -> Fo
 
 
 def _starts(item: Number, low: float, high: float) -> list[float]:
-    """Values from which the fit of a shape starts."""
+    """Starts of the fit of a shape."""
     span = high - low
     if item.shape == "wave_number":
         step = item.starts[0] / span

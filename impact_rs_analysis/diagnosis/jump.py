@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """First level of the comparison: the velocity jump of the impact map against the measured one.
 
-The map is evaluated at the nominal impact of a native trial. Of a laboratory's run it is evaluated in the measured
-ante-impact state, with the object moved along the contact normal until it touches. The measured jump is the
-experimental estimate from the net feedback (:mod:`impact_rs_analysis.measure.linear_fit`) if trials of a set follow
-several post-impact velocities; else the change of velocity from just before the impact to 20 ... 40 ms after it.
+The map is evaluated at the nominal impact of a native trial; for a laboratory's run, at the measured ante-impact state,
+with the object moved along the contact normal into contact. The measured jump is the net-feedback estimate
+(:mod:`impact_rs_analysis.measure.linear_fit`) if trials of a set have several post-impact references; else the change
+of velocity from just before the impact to 20 ... 40 ms after it.
 """
 
 from __future__ import annotations
@@ -93,7 +93,7 @@ def jump_entries(runs: Runs, measured: Sequence[Cluster], model: Model) -> tuple
     sets: dict[tuple[str, str, str], list[tuple[list[MeasuredRun], Cluster]]] = {}
     for group, item in zip(runs.conditions.values(), measured, strict=True):
         if item.contact:
-            sets.setdefault(item.place, []).append((group, item))
+            sets.setdefault(item.condition_key, []).append((group, item))
     entries: list[JumpLevel] = []
     remarks: list[str] = []
     for key, items in sets.items():
@@ -125,7 +125,7 @@ def jump_entries(runs: Runs, measured: Sequence[Cluster], model: Model) -> tuple
 
 
 def _left_the_pad(key: tuple[str, str, str], runs: Sequence[MeasuredRun]) -> list[str]:
-    """What is said of a set whose object does not stay at the pad, which the impact map takes for granted."""
+    """Warnings on a set whose object does not stay at the pad, as the impact map assumes."""
     found = []
     for run in runs:
         try:

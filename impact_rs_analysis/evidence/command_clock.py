@@ -41,7 +41,7 @@ def read_laboratory_runs(directory: Path, experiment: Experiment, map_tasks: Map
 
 
 def read_runs_of_scenes(directory: Path, experiments: Sequence[Experiment], map_tasks: Map) -> Runs:
-    """Every run of several experiments with the same arms, each in the scene of its own; their clock is one.
+    """Every run of several experiments with the same arms, each in its own scene; they share one clock offset.
 
     Args:
         directory: Folder of the recordings.
@@ -102,9 +102,10 @@ def measured_or_why_not(run: Run) -> MeasuredRun | tuple[str, str]:
 
 
 def command_offset(runs: Sequence[Run], name: str) -> tuple[float, float]:
-    """Offset of an arm's commands after their stamps, and its standard error [s].
+    """Offset of an arm's commands after their timestamps, and its standard error [s].
 
-    A larger one is a delay of commands or torques, which the diagnosis names; the clock is as uncertain as before then.
+    An offset above the limit is a delay of commands or torques, which the diagnosis names; the clock then keeps its
+    prior uncertainty.
 
     In free motion the motor-side balance of a window is
 
@@ -196,5 +197,5 @@ def _held_mean(sent: Array, values: Array, start: float, end: float) -> Array:
 
 
 def _share(run: MeasuredRun) -> tuple[Amount, str, Amount]:
-    """Windows of free motion that a gap drops, of all."""
+    """Number of windows of free motion dropped for gaps, and of all."""
     return Amount(len(run.lost), "d"), " of ", Amount(run.free, "d")

@@ -121,7 +121,7 @@ class Discrepancy(Schema):
 
     @property
     def document(self) -> DiscrepancyDocument:
-        """What a document says of it."""
+        """Its entry in a document."""
         return DiscrepancyDocument(used=bool(self.entries), provenance=self.in_words)
 
     @property

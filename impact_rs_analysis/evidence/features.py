@@ -124,7 +124,7 @@ def extract(
         windows: Signals of ``B`` simulations, or of one measurement, stacked along a first axis: ``(B, k, n)``,
             object ``(B, p, 3)``.
         commands: Per window desired torque by arm and tick, ``(k, n)`` [N m]; empty if not known.
-        contact: Whether each window holds the impact.
+        contact: Whether each window contains the impact.
         arms: Nominal physics and rigid-body model by arm.
         motor: Whether motor position and velocity are looked at.
         tracked: Whether object features are used.
@@ -181,9 +181,9 @@ def _in_rows(values: Array) -> Array:
 
 
 def onset_level(time: Array, velocity: Array) -> float | None:
-    """Loss of speed that marks the begin of an impact [m/s]; None if the loss is within noise.
+    """Threshold of the speed loss that marks the begin of an impact [m/s]; None if the loss is within noise.
 
-    A share of the speed, at least above the noise, and at most a share of the total loss.
+    A share of the speed, at least ``MIN_ONSET_NOISE_RATIO`` times the noise, at most a share of the total loss.
 
     Args:
         time: Ticks, ``(k,)`` [s]; the first 8 ms are before the impact.
@@ -196,7 +196,7 @@ def onset_level(time: Array, velocity: Array) -> float | None:
 
 
 def onsets_of(time: Array, velocity: Array, level: float) -> Array:
-    """Times at which the loss of speed reaches a level, interpolated between ticks, ``(B,)`` [s]; NaN if it never does.
+    """Times at which the speed loss reaches a threshold, interpolated between ticks, ``(B,)`` [s]; NaN if never.
 
     Args:
         time: Ticks, ``(k,)`` [s]; the first 8 ms are before the impact.
@@ -235,7 +235,7 @@ def _impact_features(onset: Array, dynamics: Balances) -> list[Array]:
 
 
 def _push_features(onset: Array, dynamics: Balances, pushes: int) -> list[Array]:
-    """Motor balance, wrench and velocity while both bodies move together."""
+    """Motor balance, wrench and velocity while pad and object stay in contact."""
     begin, stop = (onset[:, None] + np.array(edges) for edges in (PUSH_EDGES_S[:pushes], PUSH_EDGES_S[1 : pushes + 1]))
     motor, link = dynamics.balance(begin, stop)
     wrench = dynamics.wrench_at(0.5 * (begin + stop), link)
@@ -311,13 +311,13 @@ def _change_and_mean(signal: _Integral, start: Array, end: Array) -> tuple[Array
 
 
 def _ticks(time: Array) -> bytes:
-    """Times from the first on, as a key: windows of the same ticks share their weights."""
+    """Cache key: times since the first tick; windows of equal ticks share their weights."""
     return np.round(time - time[0], 9).tobytes()
 
 
 @functools.lru_cache(maxsize=1024)
 def _weights(ticks: bytes) -> tuple[Array, Array]:
-    """Rate of change and mean of a signal over all ticks (bytes, [s]), as weights of its samples, ``(k,)`` each."""
+    """Weights of the samples for rate of change and mean of a signal over ticks (bytes, [s]), ``(k,)`` each."""
     time = np.frombuffer(ticks)
     change, mean = _change_and_mean(_Integral(time, np.eye(time.size)[None]), time[None, :1], time[None, -1:])
     return change[0, 0], mean[0, 0]
@@ -334,7 +334,7 @@ def _weights_of_slope(ticks: bytes) -> tuple[Array, Array]:
 
 @functools.lru_cache(maxsize=1024)
 def _coarse(ticks: bytes) -> NDArray[np.intp]:
-    """Rows at which gravity and momentum are computed: momentum matters at the ends only, the rest changes slowly."""
+    """Rows at which gravity and momentum are computed: both ends, and every ``DYNAMICS_STRIDE`` rows between."""
     time = np.frombuffer(ticks)
     rows = np.arange(time.size)
     ends = (time <= time[0] + 1.5 * BIN_EDGE_S) | (time >= time[-1] - 1.5 * BIN_EDGE_S)
@@ -395,7 +395,7 @@ class Balances:
         command: Desired torque, ``(k, n)`` [N m]; None: not known.
         physics: Nominal, of the drives.
         model: Nominal rigid-body model.
-        motor: Whether motor position and velocity are looked at.
+        motor: Whether motor position and velocity are used.
     """
 
     def __init__(

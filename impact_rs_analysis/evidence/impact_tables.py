@@ -71,7 +71,7 @@ from impact_rs_analysis.evidence.map_discrepancy import (
     measured_map_discrepancy,
 )
 from impact_rs_analysis.evidence.minimum_data import MIN_CLUSTERS, MIN_DEGREES_OF_FREEDOM
-from impact_rs_analysis.evidence.neighbour_noise import noise_of_neighbours
+from impact_rs_analysis.evidence.neighbour_noise import nearest_neighbour_noise
 from impact_rs_analysis.evidence.replays import MAX_SQUARE_ANGLE_RAD
 from impact_rs_analysis.evidence.source import (
     MAX_NUMBERS_AS_LEVELS,
@@ -253,8 +253,8 @@ class ImpactTableSource(Source):
         """A covariate from its values by row."""
         return Covariate(name, unit, tuple(tuple(values[row] for row in group.rows) for group in self._groups))
 
-    def knowing(self, effects: Sequence[Depending]) -> ImpactTableSource:
-        """See :meth:`Source.knowing`; of many different numbers those that are close are taken as their mean.
+    def with_dependences(self, effects: Sequence[Depending]) -> ImpactTableSource:
+        """See :meth:`Source.with_dependences`; of many different numbers those that are close are taken as their mean.
 
         Blocks are small: a session may have few rows, and a test by signs of blocks needs several in each.
         """
@@ -569,8 +569,8 @@ class ImpactTableSource(Source):
         found = {added: self._features(added) for added in dict.fromkeys(added for _, added in wanted)}
         return [found[added][number] for number, added in wanted]
 
-    def measure_again(self, added: Added, like: Sequence[Cluster]) -> list[Cluster] | None:
-        """See :meth:`Source.measure_again`; every repeat starts from its own state."""
+    def residuals_with(self, added: Added, like: Sequence[Cluster]) -> list[Cluster] | None:
+        """See :meth:`Source.residuals_with`; every repeat starts from its own state."""
         numbers = {item.name: number for number, item in enumerate(self.clusters)}
         answers = self._answers(added)
         result = []
@@ -778,17 +778,21 @@ class ImpactTableSource(Source):
         first = self.table.rows[rows[0]]
         return Cluster(
             name=group.name,
-            place=(self.table.path.name, first.object_name, (first.condition or group.name) if self.repeated else ""),
+            condition_key=(
+                self.table.path.name,
+                first.object_name,
+                (first.condition or group.name) if self.repeated else "",
+            ),
             layout="impacts" if self.repeated else group.name,
             unit=group.unit,
             contact=True,
             features=features,
             residuals=scaled if self.repeated else scaled.reshape(1, -1),
             sigma=sigma[shown].ravel(),
-            pure=(noise[shown] / sigma[shown]).ravel(),
+            pure_error=(noise[shown] / sigma[shown]).ravel(),
             discrepancy=(self._of_the_map / sigma[shown]).ravel(),
-            alike=group.name if self._kinds[rows[0]] == "oblique" else None,
-            stamps=np.array(rows, dtype=float) if self.repeated else None,
+            discrepancy_key=group.name if self._kinds[rows[0]] == "oblique" else None,
+            timestamps=np.array(rows, dtype=float) if self.repeated else None,
         )
 
     def _phase(self, number: int) -> str:
@@ -911,7 +915,7 @@ class ImpactTableSource(Source):
             axes @ (np.mean([point.position for point in row.impact.points], axis=0) - row.impact.object.position)
             for row, axes in zip(self.table.rows, self._axes, strict=True)
         ]
-        found = noise_of_neighbours(np.hstack((before, levers)), rest)
+        found = nearest_neighbour_noise(np.hstack((before, levers)), rest)
         return None if found is None else self._in_energy(found)
 
     def _stated_noise(self) -> Array | None:

@@ -1,14 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """Discrepancy of the rigid impact map, for tables of impacts of arms.
 
-The map jumps at once; drives with springs and a pad that yields do not, and just after a real impact joints ring.
-``config/map_discrepancy.yaml`` holds how far simulators of such arms lie from the map with the same parameters (made by
-``tools/map_discrepancy.py``), as shares of the closing speed v_n:
+The map is instantaneous; impacts with elastic drives and compliant pads are not, and joints ring after a real impact.
+``config/map_discrepancy.yaml`` holds the difference between simulators of such arms and the map with the same
+parameters (made by ``tools/map_discrepancy.py``), as shares of the closing speed v_n:
 
     joints  share v_n / l,        centre of the object  share v_n,        its rotation  share v_n / r
 
-with the reach l of the arm and the radius of gyration r of the object, so that the shares are those of other robots as
-well.
+with the reach l of the arm and the radius of gyration r of the object. These dimensionless shares apply to other robots
+as well.
 """
 
 from __future__ import annotations
@@ -68,7 +68,7 @@ class MapDiscrepancy(Schema):
 
     @property
     def document(self) -> DiscrepancyDocument:
-        """What a document says of it."""
+        """Its entry in a document."""
         return DiscrepancyDocument(used=bool(self.entries), provenance=self.in_words)
 
     @property
@@ -94,7 +94,7 @@ def measured_map_discrepancy() -> MapDiscrepancy:
 
 
 def lengths_of(features: Sequence[Feature], physics: Physics) -> Array:
-    """Length by which a velocity becomes that of a point: reach, radius of gyration, 1 of translations, ``(F,)``."""
+    """Length from a velocity to that of a point: reach, radius of gyration, or 1 for translations, ``(F,)``."""
     turning = gyration_of(physics.object)
     reach = {name: reach_of(arm.facts) for name, arm in physics.arms.items()}
     return np.array(

@@ -3,8 +3,8 @@
 
 Stretches last about a second, longer than the correlation time of the low-passed torque noise. Torques are divided by
 the root mean square of the residual of their joint, so that all joints have equal weight; the pure error is the noise
-of the recorded torque below the cut-off. A gain counts against what is left of a joint as well, because its noise is
-not known. A motion does not test the scale of each joint's torque: one that is 1 % off looks like a payload.
+of the recorded torque below the cut-off. The gain of an effect is also compared with the residual of each joint, whose
+noise is not known. The scale of each joint's torque is confounded with a payload and enters as a systematic error.
 """
 
 from __future__ import annotations
@@ -151,13 +151,13 @@ class RecordingSource(Source):
         mapping: Mapping of their signals, and the mounted mass.
         model: The model.
         motions: Filtered recordings.
-        physics: Of the arm under the model.
-        stretches: Their stretches.
+        physics: Physics of the arm under the model.
+        stretches: Stretches of the recordings.
         minus: Recordings of the same motions that were subtracted.
         left_out: Path and reason of recordings that are too short.
 
     Attributes:
-        balance: Prediction of their torque.
+        balance: Torque balance that predicts them.
         rest: Recorded minus predicted torque and deflection of the model, ``(k, c)`` [N m, rad].
         sigma: Scale of every column, ``(c,)`` [N m, rad].
         reading: Remarks on how the recordings were read.
@@ -194,7 +194,7 @@ class RecordingSource(Source):
         self._columns = [Column(TORQUE, int(joint), units[joint].effort) for joint in self.balance.joints]
         self._torques = len(self._columns)
         self._columns += [Column(DEFLECTION, int(joint), units[joint].position) for joint in self.balance.elastic]
-        self._worth = self._worth_of_columns()
+        self._weights = self._column_weights()
         self.size_unit = self.residual_unit = joined_units(column.unit for column in self._columns[: self._torques])
         self._stretches = tuple(stretches)
         self._predicted = Recent[Array | None](
@@ -250,10 +250,10 @@ class RecordingSource(Source):
         """See :class:`Source`: those on how the recordings were read."""
         return self.reading
 
-    def _worth_of_columns(self) -> Array:
-        """What a residual of one scale counts in errors over all signals, ``(c,)`` [N m].
+    def _column_weights(self) -> Array:
+        """Weight of a scaled residual in errors over all signals, ``(c,)`` [N m].
 
-        A deflection counts as much as the torque of its joint, so that the error of a model is that of its torques.
+        A deflection has the weight of its joint's torque, so that the error of a model has the size of torques.
         """
         torques = self._columns[: self._torques]
         torque = {column.joint: float(size) for column, size in zip(torques, self.sigma, strict=False)}
@@ -262,12 +262,12 @@ class RecordingSource(Source):
 
     def residual_weight(self, item: Cluster) -> Array:
         """See :meth:`Source.residual_weight`."""
-        return np.resize(self._worth, item.sigma.size)
+        return np.resize(self._weights, item.sigma.size)
 
     @property
-    def _in_torques(self) -> Array:
-        """Residuals of the model as they count, ``(k, c)`` [N m]."""
-        return np.asarray(self.rest / self.sigma * self._worth)
+    def _weighted_residuals(self) -> Array:
+        """Weighted residuals of the model, ``(k, c)`` [N m]."""
+        return np.asarray(self.rest / self.sigma * self._weights)
 
     @cached_property
     def proportion(self) -> Proportion:
@@ -305,13 +305,13 @@ class RecordingSource(Source):
         last: Added | None = None
         torque: Array | None = None
         for number, added in wanted:
-            if added is not last:  # most follow each other, and the hash of many numbers is dear
+            if added is not last:  # equal effects follow each other, and hashing many numbers is expensive
                 last, torque = added, self._torque(added)
             found.append(None if torque is None else torque[self._stretches[number].rows].ravel())
         return found
 
     def offers(self, effect: Effect) -> bool:
-        """See :meth:`Source.offers`; recordings calibrate the bare arm, and differences show what may change."""
+        """See :meth:`Source.offers`; recordings calibrate the bare arm, differences show effects that may change."""
         without = [*CONFOUNDED_WITH_MOTOR_FAULTS, *UNIDENTIFIABLE_FAULTS]
         if self.mapping.torque_measured_at == "motor":
             without += TORQUE_SENSOR_FAULTS
@@ -319,8 +319,8 @@ class RecordingSource(Source):
             without += VELOCITY_SENSOR_FAULTS
         return effect.name not in {one.name for one in without} and (effect.may_change or not self._minus)
 
-    def measure_again(self, added: Added, like: Sequence[Cluster]) -> list[Cluster] | None:
-        """See :meth:`Source.measure_again`."""
+    def residuals_with(self, added: Added, like: Sequence[Cluster]) -> list[Cluster] | None:
+        """See :meth:`Source.residuals_with`."""
         torque = self._torque(added)
         if torque is None:
             return None
@@ -333,11 +333,11 @@ class RecordingSource(Source):
 
     def size(self) -> float:
         """See :meth:`Source.size`; root mean square of the torque residual [N m]."""
-        return root_mean_square(self._in_torques)
+        return root_mean_square(self._weighted_residuals)
 
     def noise_size(self) -> float:
         """See :meth:`Source.noise_size`."""
-        return root_mean_square(np.maximum(self.balance.noise, 1e-12) / self.sigma * self._worth)
+        return root_mean_square(np.maximum(self.balance.noise, 1e-12) / self.sigma * self._weights)
 
     def compare_levels(self) -> Comparison:
         """See :meth:`Source.compare_levels`: the torque of every joint."""
@@ -379,7 +379,7 @@ class RecordingSource(Source):
 
     def _cell(self, phase: str, number: int, rows: NDArray[np.bool_], noise: float) -> Cell:
         """Residual of one column in one phase, which has some rows."""
-        rest, counted, column = self.rest[rows, number], self._in_torques, self._columns[number]
+        rest, counted, column = self.rest[rows, number], self._weighted_residuals, self._columns[number]
         return Cell(
             scenario=", ".join(run.path.name for run in self.recordings),
             object="",
@@ -453,7 +453,7 @@ class RecordingSource(Source):
         return physics
 
     def _shared(self, name: str) -> bool:
-        """Whether two recordings of one motion have an effect in common: how arm and sensors are made."""
+        """Whether an effect is common to two recordings of one motion, as a property of arm or sensors."""
         return not self._known[name].may_change
 
     def _cluster(self, number: int) -> Cluster:
@@ -464,14 +464,14 @@ class RecordingSource(Source):
         sigma = np.broadcast_to(self.sigma, rest.shape).ravel()
         return Cluster(
             name=stretch.name,
-            place=(stretch.unit, stretch.name, ""),
+            condition_key=(stretch.unit, stretch.name, ""),
             layout=stretch.name,
             unit=stretch.unit,
             contact=False,
             features=tuple(labels[place][phase[k, place]] for k in range(len(rest)) for place in range(rest.shape[1])),
             residuals=(rest.ravel() / sigma)[None, :],
             sigma=sigma,
-            pure=np.broadcast_to(self.balance.noise / self.sigma, rest.shape).ravel(),
+            pure_error=np.broadcast_to(self.balance.noise / self.sigma, rest.shape).ravel(),
             discrepancy=np.zeros(rest.size),
             calibrations=self._of_scales(stretch.rows),
         )
@@ -493,7 +493,7 @@ class RecordingSource(Source):
     def _of_scales(self, rows: slice) -> Array:
         """Change of the residuals by one standard deviation of the scale of each joint's torque, ``(n, k n)`` [-].
 
-        In a difference of recordings the torque that both have is wrong by as much, and cancels.
+        In a difference of recordings the error of the common torque cancels.
         """
         torque = (self.rest if self._minus else self.balance.recorded)[rows] / self.sigma
         own = np.eye(self._torques, self.sigma.size)[:, None, :]
@@ -506,7 +506,7 @@ def _feature(phase: str, column: Column) -> Feature:
 
 
 def _of_motor_encoders(recordings: Sequence[Run], balance: TorqueBalance, minus: Sequence[Run]) -> list[str]:
-    """What is done with recorded positions of the motors, in words; empty: there are none."""
+    """Remarks on the use of recorded motor positions; empty: there are none."""
     arms = [run.signals.arms[ARM] for run in recordings if run.signals.arms[ARM].motor_position.size]
     if not arms:
         return []
@@ -526,7 +526,7 @@ def _of_motor_encoders(recordings: Sequence[Run], balance: TorqueBalance, minus:
 
 
 def _physics_of(runs: Sequence[Run]) -> Physics:
-    """Nominal physics of the arm; where its end effector is on average is that of all recordings."""
+    """Nominal physics of the arm, with the mean end-effector position of all recordings."""
     physics = runs[0].physics
     places = [run.physics.arms[ARM].impact_position for run in runs]
     return replace(physics, arms={ARM: replace(physics.arms[ARM], impact_position=np.mean(places, axis=0))})
@@ -535,7 +535,7 @@ def _physics_of(runs: Sequence[Run]) -> Physics:
 def _prepared(
     recordings: Sequence[Run], cut_off: float, short: list[tuple[str, str]]
 ) -> tuple[list[Run], list[Motion]]:
-    """Recordings that are long enough for the filter, and their motions; the others are added to those too short.
+    """Recordings that are long enough for the filter, and their motions; the others are appended to ``short``.
 
     Raises:
         InputError: Sampled too slowly, or none is long enough.
@@ -555,10 +555,10 @@ def _prepared(
 
 
 def _information(motions: Sequence[Motion], shortest: float) -> list[Array]:
-    """Cumulated information of the samples between the edges of every motion, ``(k,)`` each; its mean density is 1.
+    """Cumulative information of the samples between the edges of every motion, ``(k,)`` each; its mean density is 1.
 
-    A third each for time, which weights and offsets are seen in, squared velocity and squared acceleration of the
-    joints over their mean squares.
+    A third each for time, for gravity and offsets; squared velocity; and squared acceleration of the joints, over their
+    mean squares.
 
     Args:
         motions: Filtered recordings.
@@ -567,17 +567,17 @@ def _information(motions: Sequence[Motion], shortest: float) -> list[Array]:
     signals = [np.stack((motion.velocity, motion.acceleration))[:, motion.kept] for motion in motions]
     squares = np.mean(np.square(np.concatenate(signals, axis=1)), axis=1, keepdims=True)
     densities = [(1.0 + 2.0 * np.mean(own**2 / np.maximum(squares, 1e-300), axis=(0, 2))) / 3.0 for own in signals]
-    for _ in range(CLIPPING_ITERATIONS):  # what is clipped is that of all
+    for _ in range(CLIPPING_ITERATIONS):  # the mean is that of all motions
         mean = float(np.mean(np.concatenate(densities)))
         densities = [np.minimum(own / mean, 1.0 / shortest) for own in densities]
     return [np.cumsum(own) for own in densities]
 
 
 def _cut(recordings: Sequence[Run], motions: Sequence[Motion]) -> list[Stretch]:
-    """Cut the motions into stretches that say about as much, and are not shorter than the noise remembers.
+    """Cut the motions into stretches of about equal information, not shorter than the correlation time of the noise.
 
-    Of a chirp most says nothing below the cut-off: of stretches of one length, few would hold all of the motion, and
-    signs of few scores decide nothing.
+    Most of a chirp is above the cut-off: a few stretches of equal length would contain all of the motion below it, and
+    a sign-flip test of a few scores has no power.
 
     Raises:
         InputError: Too short for a hold-out.

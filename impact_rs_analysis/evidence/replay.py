@@ -7,14 +7,14 @@ No controller is modelled, so runs of any controller can be replayed. Two drives
     joint torque    recorded tau_J applied to the links; covers links, contact and object only
 
 Windows are stretches of free motion, and one about the impact. Their start is a local fit to the measurement: q and dq
-together (cubic), and tau_J (quadratic), from which the motor state follows by the spring,
+together (cubic), and tau_J (quadratic), from which the motor state follows by the joint elasticity,
 
     theta = q + tau_J / K,    dtheta = dq + dtau_J / K                                     (paper eq. EOM_motor)
 
 Errors grow with time in open loop: windows are long enough to show an effect, and short enough to stay near the path.
 
-Sensor models (:mod:`impact_rs_sim.readings`) correct the start and the recorded torque that drives. They make readings
-of the simulated signals, which are compared with those that were recorded.
+Sensor models (:mod:`impact_rs_sim.readings`) correct the start and the driving torque, and predict the readings of the
+simulated signals, which are compared with the recorded ones.
 """
 
 from __future__ import annotations
@@ -50,11 +50,11 @@ COMMAND_HISTORY_S = 0.03  # before the start: commands that a delayed actuation 
 
 @dataclass(frozen=True)
 class Window:
-    """A stretch of a run for replay.
+    """A time window of a run for replay.
 
     Attributes:
-        contact: Whether it holds the impact.
-        number: Number among all windows of free motion, including those with gaps; 0 for the one about the impact.
+        contact: Whether it contains the impact.
+        number: Index among all windows of free motion, including those with gaps; 0 for the one about the impact.
         time: Ticks, ``(k,)`` [s].
         arms: Joint states at its start.
         drives: State of the drives at its start.
@@ -132,7 +132,7 @@ def recorded(run: Run, start: float) -> bool:
 def free_starts(run: Run, impacts: dict[str, float]) -> list[float]:
     """Begin of the windows of free motion [s], spread evenly over the motion before an impact.
 
-    Gaps do not shift them, so that windows of repeats lie at the same place of the motion.
+    Gaps do not shift them, so that windows of repeats cover the same part of the motion.
     """
     time = run.signals.time
     speed = np.max([np.abs(arm.velocity).max(axis=1) for arm in run.signals.arms.values()], axis=0)
@@ -186,8 +186,8 @@ def _held(sent: Array, values: Array, grid: Array, period: float) -> tuple[Array
     """Zero-order-hold commands by period of the torque loop.
 
     Args:
-        sent: Times at which they take effect, ``(c,)`` [s].
-        values: What they are, ``(c, n)`` [N m].
+        sent: Times at which commands take effect, ``(c,)`` [s].
+        values: Commands, ``(c, n)`` [N m].
         grid: Begin of the periods, ``(s,)`` [s].
         period: Duration of a period [s].
 
@@ -209,8 +209,8 @@ def held_means(sent: Array, values: Array, edges: Array) -> Array:
     """Means of zero-order-hold commands from edge to edge, ``(s, n)`` [N m].
 
     Args:
-        sent: Times at which they take effect, ``(c,)`` [s]; the first one also acts before.
-        values: What they are, ``(c, n)`` [N m].
+        sent: Times at which commands take effect, ``(c,)`` [s]; the first one also acts before.
+        values: Commands, ``(c, n)`` [N m].
         edges: Edges in time, ``(s + 1,)`` [s].
     """
     first = max(int(np.searchsorted(sent, edges[0], side="right")) - 1, 0)
@@ -316,7 +316,7 @@ def _job(window: Window, physics: Physics, drive_period: float, drive: DriveName
 
 
 def _true_start(window: Window, name: str, readings: ArmReadings) -> ArmState:
-    """State for the readings at the start: the fit is linear in readings of positions and of velocities."""
+    """State of the arm from the readings at the start; the fit is linear in them."""
     start, (q_v, dq_v, q_a, dq_a, _) = window.arms[name], window.from_velocity[name]
     late, scale = readings.velocity_late, readings.position_scale * readings.velocity_gain
     return ArmState(
@@ -326,7 +326,7 @@ def _true_start(window: Window, name: str, readings: ArmReadings) -> ArmState:
 
 
 def _true_drive(window: Window, name: str, readings: ArmReadings) -> DriveStart:
-    """State of a drive for the readings at the start; what was commanded is known."""
+    """State of a drive from the readings at the start and the known command."""
     start = window.drives[name]
     torque = readings.torque_of(start.torque, start.torque_rate, window.age)
     return replace(start, torque=torque, torque_rate=readings.torque_rate_of(start.torque_rate))
@@ -345,7 +345,7 @@ def _true_command(window: Window, name: str, readings: ArmReadings) -> Array:
 
 
 def _true_torque(window: Window, name: str, readings: ArmReadings) -> Array:
-    """Driving joint torque for its readings in every period, ``(s, n)``; lag and delay advance it as one."""
+    """True driving joint torque from its readings in every period, ``(s, n)``; corrected for lag and delay."""
     reading = window.torque[name][window.acting[name]]
     period = (window.time[-1] - window.time[0]) / max(len(reading), 1)
     ahead = np.arange(len(reading)) + readings.torque_late / period
@@ -354,9 +354,9 @@ def _true_torque(window: Window, name: str, readings: ArmReadings) -> Array:
 
 
 def _signals(window: Window, physics: Physics, result: Result) -> Signals:
-    """Readings of the simulated signals, the object's at the times of tracking: means over few samples depend on them.
+    """Readings of the simulated signals, with the object at its times of tracking: means of few samples depend on them.
 
-    A simulation with a step whose equations were not solved is not finite: no fit and no model passes over it.
+    A simulation with an unsolved step is NaN, so that no fit and no model can use it.
     """
     solved = 1.0 if not result.failed else np.nan
     arms = {}
@@ -385,7 +385,7 @@ def _resting(signals: Signals, nominal: BodyState, until: float) -> BodyState:
     """State of the object before ``until`` [s]: position and yaw as measured, upright on its support.
 
     Args:
-        signals: The measurement; without tracking the object is at its place in the scenario.
+        signals: The measurement; without tracking the object has its position in the scenario.
         nominal: Its nominal state.
         until: Earliest time of the impact.
     """

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Cache of replays in memory, because comparisons and diagnoses need many of them repeatedly.
+"""Cache of replays in memory: comparisons and diagnoses need many of them repeatedly.
 
-A result depends only on the start of the replay, the model and the added effects.
+The key is the start of the replay, the model and the added effects, on which alone the result depends.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ class Replay:
 
     @property
     def key(self) -> tuple[str, str, Added]:
-        """Everything that its result depends on."""
+        """Cache key: all inputs of the replay."""
         return self.setup.digest, self.model.digest, self.added
 
     @property
@@ -113,7 +113,7 @@ def _batches(missing: Iterable[Replay]) -> list[tuple[Replay, ...]]:
 
 
 class ReplayCache:
-    """Makes missing replays in parallel, and caches their results.
+    """Computes missing replays in parallel, and caches their results.
 
     Args:
         map_tasks: Parallel map.

@@ -148,7 +148,7 @@ class Source(ABC):
     folds: int = 6
 
     @property
-    def before_contact(self) -> Source | None:
+    def free_motion_part(self) -> Source | None:
         """Prediction of free motion alone, in the same numbers of clusters; None: it is not cheaper."""
         return None
 
@@ -213,7 +213,7 @@ class Source(ABC):
 
     def noise_size(self) -> float | None:
         """Value of :meth:`size` if only noise is left; None without repeats."""
-        return 1.0 if any(np.any(item.pure > 0.0) for item in self.clusters) else None
+        return 1.0 if any(np.any(item.pure_error > 0.0) for item in self.clusters) else None
 
     def residual_weight(self, item: Cluster) -> Array:
         """Factors from scaled residuals to ``residual_unit``, without repeats, ``(F,)``."""
@@ -271,7 +271,7 @@ class Source(ABC):
         del name
         return ()
 
-    def knowing(self, effects: Sequence[Depending]) -> Source:
+    def with_dependences(self, effects: Sequence[Depending]) -> Source:
         """The same measurements, predicted with further effects that depend on covariates, and held out in turn.
 
         Args:
@@ -321,7 +321,7 @@ class Source(ABC):
         return []
 
     @abstractmethod
-    def measure_again(self, added: Added, like: Sequence[Cluster]) -> list[Cluster] | None:
+    def residuals_with(self, added: Added, like: Sequence[Cluster]) -> list[Cluster] | None:
         """Residuals of the model with effects, on the scale of ``like``; None if they cannot be simulated."""
 
 

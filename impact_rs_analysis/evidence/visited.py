@@ -21,7 +21,7 @@ RANGE_MARGIN_SHARE = 0.02  # of a range; a smaller excess is not reported
 RANGE_PERCENTILES = (0.5, 99.5)  # that count as the ends of a range
 
 
-def visited(source: Source, quantities: Iterable[str] = (), after: float = AFTER_IMPACT_S) -> dict[str, Range]:
+def measured_ranges(source: Source, quantities: Iterable[str] = (), after: float = AFTER_IMPACT_S) -> dict[str, Range]:
     """Range of the symbols over all runs, up to the end of the replay; those that were not measured are missing.
 
     Args:
@@ -51,7 +51,7 @@ def beyond(source: Source) -> tuple[str, ...]:
     """Where measurements leave the range in which a formula of the model was seen to hold, in words."""
     known = {effect.name for effect in source.model.effects}
     formulas = [spec for spec in source.model.formulas if spec.name in known and spec.valid]
-    ranges = visited(source) if formulas else {}
+    ranges = measured_ranges(source) if formulas else {}
     found = []
     for spec in formulas:
         for symbol, (low, high) in spec.valid.items():

@@ -130,12 +130,12 @@ class Causes:
         place = [followed.index(n) for n in numbers]
         point = point.copy()
         point[numbers] = np.clip(point[numbers], lower, upper)
-        point = own.possible(point)
+        point = own.nearest_consistent(point)
         for step in range(STEPS):
             posterior = self._since(origin, followed, hits, point, followed)
             there = point.copy()
             there[numbers] = np.clip(point[numbers] + scale * posterior.now.mean[place], lower, upper)
-            there = own.possible(there)
+            there = own.nearest_consistent(there)
             if step == STEPS - 1 or np.all(np.abs(there - point)[numbers] < NEAR * scale):
                 break
             point = there

@@ -59,7 +59,7 @@ class Noise:
 
 def noise_of(item: Cluster) -> Noise:
     """Noise of the scaled features of a condition; of its discrepancy that part which no pattern spans."""
-    scatter, systematic = np.square(item.pure), np.square(item.discrepancy)
+    scatter, systematic = np.square(item.pure_error), np.square(item.discrepancy)
     limit = np.maximum(1.0 - scatter - systematic, 0.0)  # sigma^2 = s^2 + (l / 2)^2 + d^2
     return Noise(scatter, limit + (1.0 if item.patterns is None else INDEPENDENT_DISCREPANCY_SHARE) * systematic)
 

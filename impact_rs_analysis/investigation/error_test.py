@@ -60,7 +60,7 @@ def p_of_error(clusters: Sequence[Cluster], tested: Sequence[Sequence[int]]) -> 
         for item, rows in own:
             if not rows:
                 continue
-            own_share = np.sqrt(np.maximum(1.0 - np.square(item.pure), 0.0))  # u / sigma
+            own_share = np.sqrt(np.maximum(1.0 - np.square(item.pure_error), 0.0))  # u / sigma
             weight = np.divide(1.0, own_share, out=np.zeros_like(own_share), where=own_share > 0.0)
             weight /= np.sqrt(own_share.size)
             scatter = weight * contrasts / item.sigma / np.sqrt(count * len(rows))
@@ -83,7 +83,11 @@ def p_of_error(clusters: Sequence[Cluster], tested: Sequence[Sequence[int]]) -> 
 
 def _shared(item: Cluster) -> Array:
     """Changes of its scaled residuals by one standard deviation of what conditions share, ``(k, F)``."""
-    return item.moved_together if item.calibrations is None else np.vstack((item.moved_together, item.calibrations))
+    return (
+        item.discrepancy_factor
+        if item.calibrations is None
+        else np.vstack((item.discrepancy_factor, item.calibrations))
+    )
 
 
 def _trace_of_square(rows: Array, count: int) -> float:

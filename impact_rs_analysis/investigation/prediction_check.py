@@ -108,7 +108,7 @@ def prediction_error(
         if not rows:
             continue
         errors.append(float(np.mean(np.square(item.residuals[rows].mean(axis=0)))))
-        expected.append(float(np.mean(np.square(item.pure) / len(rows) + np.square(item.discrepancy))))
+        expected.append(float(np.mean(np.square(item.pure_error) / len(rows) + np.square(item.discrepancy))))
         own = [conditions[item.name][row] for row in rows]
         if (before := known.get(item.name)) is not None and item.contact:
             impacts.append(_measured(before, own))

@@ -24,8 +24,8 @@ def few_draws(request: pytest.FixtureRequest) -> Iterator[None]:
             patched.setattr(null_distribution, "NULL_DRAWS", FEW)
             patched.setattr(null_distribution, "MANY_SIGN_DRAWS", FEW_SIGNS)
             patched.setattr(drift, "NULL_DRAWS", FEW)
-        null_distribution._frames.cache_clear()
+        null_distribution._rotations.cache_clear()
         null_distribution._signs.cache_clear()
         yield
-    null_distribution._frames.cache_clear()
+    null_distribution._rotations.cache_clear()
     null_distribution._signs.cache_clear()

@@ -188,12 +188,12 @@ def test_a_condition_is_predicted_as_the_mean_of_its_repeats(tmp_path: Path) -> 
     (found,) = source.predict([(1, ())], "")
     rows = source._groups[1].rows
     assert found == pytest.approx(source.predicted[list(rows)].mean(axis=0))
-    (again,) = source.measure_again((), source.clusters[1:2])
+    (again,) = source.residuals_with((), source.clusters[1:2])
     assert again.residuals == pytest.approx(source.clusters[1].residuals)
     item = source.clusters[1]
     assert item.mean * item.sigma == pytest.approx((source.measured - source.predicted)[list(rows)].mean(axis=0))
     limits = np.array([feature.relevance_limit for feature in source.signals]) / 2.0  # kills a scale without them
-    assert np.square(item.sigma) == pytest.approx(np.square(item.pure * item.sigma) + np.square(limits), rel=1e-9)
+    assert np.square(item.sigma) == pytest.approx(np.square(item.pure_error * item.sigma) + np.square(limits), rel=1e-9)
 
 
 def test_every_effect_that_the_map_knows_changes_what_is_remembered(tmp_path: Path) -> None:
@@ -203,7 +203,7 @@ def test_every_effect_that_the_map_knows_changes_what_is_remembered(tmp_path: Pa
     for source in (cubes, pushes):
         for effect in effects_for(source):
             candidate = Candidate.of((effect,), source)
-            added = candidate.split(candidate.possible(candidate.nominal + 0.5 * candidate.scale))
+            added = candidate.split(candidate.nearest_consistent(candidate.nominal + 0.5 * candidate.scale))
             (alone,) = source.predict_row(0, [added])
             assert alone is not None
             np.testing.assert_allclose(source.predicted_with(added)[0], alone, atol=1e-7, err_msg=effect.name)
@@ -247,7 +247,7 @@ def test_many_numbers_are_taken_as_means_of_groups_and_blocks_are_small_where_ef
     source = ImpactTableSource(read_impact_table(path, covariates=["temperature"]), NOMINAL, remarks=False)
     (given,) = source.covariates
     linear = Depending(library()["restitution"], given.name, terms_of(source)[given.name][0])
-    known = source.knowing([linear])
+    known = source.with_dependences([linear])
     assert (len(source.clusters), len(known.clusters)) == (MAX_BLOCKS, MAX_SMALL_BLOCKS)
     shown = [float(world.circumstances["temperature"]) for world in known.worlds]
     assert shown == [1.5 + 4.0 * n for n in range(MAX_DISTINCT_NUMBERS)]
@@ -273,7 +273,7 @@ def test_stated_noise_counts_beside_repeats_where_it_is_larger(tmp_path: Path, s
     path = write_csv(tmp_path / "pushes.csv", [*header, *names], [[*row, *[stated] * 3] for row in rows])
     source = ImpactTableSource(read_impact_table(path, load_scenario("push")), NOMINAL)
     item = source.clusters[0]
-    assert np.allclose(item.pure * item.sigma, stated) == larger
+    assert np.allclose(item.pure_error * item.sigma, stated) == larger
     (remark,) = (text for text in source.remarks if "the noise columns say" in text)
     assert ("0.0" in remark) == larger
 

@@ -218,8 +218,8 @@ def test_noise_passes_for_lack_of_fit_as_often_as_it_should() -> None:
 
 def one_row(features: tuple[Feature, ...], values: np.ndarray, discrepancy: float) -> Cluster:
     """A row with noise of 0.5 and a discrepancy, on the scale of 1."""
-    own = {"name": "row", "place": ("", "", ""), "layout": "impacts", "unit": "row", "contact": True}
-    sizes = {"sigma": np.ones(3), "pure": np.full(3, 0.5), "discrepancy": np.full(3, discrepancy)}
+    own = {"name": "row", "condition_key": ("", "", ""), "layout": "impacts", "unit": "row", "contact": True}
+    sizes = {"sigma": np.ones(3), "pure_error": np.full(3, 0.5), "discrepancy": np.full(3, discrepancy)}
     return Cluster(**own, features=features, residuals=values[None], **sizes)
 
 
