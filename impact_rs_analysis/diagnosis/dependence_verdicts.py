@@ -118,7 +118,7 @@ def _accepted(found: Dependences, pair: Depending) -> DependenceDocument:
     estimates = dict(_estimates(fitted, pair))
     verdict, reason = CONFIRMED, "predicts unseen data better than one value for all"
     if not _is_relevant(fitted, pair):
-        verdict, reason = SMALL, "what it changes is below the relevance limits"
+        verdict, reason = SMALL, "its changes of all signals are below the relevance limits"
     elif rivals:
         verdict, reason = DiagnosisVerdict(Kind.CONFUSABLE, rivals), "these predict unseen data as well in its place"
     per_unit: dict[str, EstimateDocument] = {}

@@ -178,7 +178,7 @@ def _circumstances(document: DiagnosisDocument) -> list[str]:
     for one in document.covariates:
         if one.goes_with and one.name in {own.covariate for own in found}:
             others = " and ".join(f"{name} (correlation {value:.2f})" for name, value in one.goes_with.items())
-            said.append(f"{one.name} goes with {others}: what depends on one may depend on the other")
+            said.append(f"{one.name} goes with {others}: a dependence on one may be a dependence on the other")
     return [f"{text}." for text in said]
 
 

@@ -14,25 +14,24 @@ just before the impact, and ``across`` both. Those of an object are given in x, 
   the scores between blocks replaces the pure error. Blocks are held out in runs of neighbours, with a guard on either
   side, because drift from row to row (wear, the person who tosses) would leak into the prediction.
 
-Linear and angular velocities of blocks are weighted by kinetic energy. A difference du of a row counts as the velocity
-at which the body has the same energy, coordinate by coordinate,
+Linear and angular velocities of blocks are weighted by kinetic energy. A difference du of a row has the size of the
+velocity at which the body has the same energy, coordinate by coordinate,
 
     d = sqrt(sum_i H_ii du_i^2 / m)                                      [m/s]
 
 with H the inertia of body and joints, motors included, and m the mass of the body: the energy norm of the difference
-where H is diagonal, as for a free body whose moments are alike. Every entry has the scale
+where H is diagonal, as for a free body of equal moments of inertia. Every entry has the scale
 
     sigma_i = s / sqrt(H_ii / m),        s^2 = mean of d^2 over the rows / number of entries of a row
 
-(a distance that was measured in place of a velocity counts as the velocity that it is worth,
-:mod:`impact_rs_trials.recordings.distances`)
+(a measured distance has the weight of the velocity that causes it, :mod:`impact_rs_trials.recordings.distances`)
 
 so that fits minimise the reported error. Scaling each signal by its own residual would be wrong: the signal with the
 largest effect of a missing term would then have the smallest weight in its estimate.
 
 Tables of arms have a discrepancy of the rigid map (:mod:`impact_rs_analysis.evidence.map_discrepancy`). With repeats it
-is part of sigma, without them of what is expected. Joints and object of an arm are also judged apart, and so are other
-contact points where they may decide (:meth:`ImpactTableSource.views`).
+is part of sigma, without them of the expected squares. Joints and object of an arm also have verdicts of their own, and
+so have other contact points where they may change the verdict (:meth:`ImpactTableSource.views`).
 """
 
 from __future__ import annotations
@@ -164,9 +163,9 @@ class ImpactTableSource(Source):
         table: The measurements.
         model: The model.
         each_arm: Whether arms of one kind have parameters of their own.
-        discrepancy: Of the rigid map, for arms; None: as measured.
-        remarks: Whether to look for remarks.
-        map_tasks: Who runs what :meth:`spread` is given; None: this process.
+        discrepancy: Discrepancy of the rigid map, for arms; None: the shipped one.
+        remarks: Whether to check the table for remarks.
+        map_tasks: Parallel map for :meth:`spread`; None: this process.
 
     Attributes:
         predicted: u^+ of the model in the axes of the features, ``(rows, nv)`` [rad/s, m/s].
@@ -212,13 +211,13 @@ class ImpactTableSource(Source):
         self._impacts = MeasuredImpacts([row.impact for row in table.rows], self._of_rows(self._worlds))
         self._altered = Recent[Physics | None](CACHED_PHYSICS)
         self._known = Recent[Array](self._kept_answers)
-        self._judge(_entries(table, joints=table.joints, body=True))
-        self.impossible = self._gain_of_energy()
+        self._select_entries(_entries(table, joints=table.joints, body=True))
+        self.impossible = self._energy_gain_words()
         self.remarks = tuple(self._remarks()) if remarks else ()
 
-    def _judge(self, seen: Places) -> None:
-        """Compare some of the entries of the rows."""
-        self._seen = seen
+    def _select_entries(self, seen: EntryIndices) -> None:
+        """Restrict the comparison to some entries of the rows."""
+        self._selected = seen
         self._featured = Recent[list[Array | None]](CACHED_PHYSICS)
         self.signals, self.worth = tuple(self._all_signals[place] for place in seen), self._all_worth[:, seen]
         self.measured = self._all_measured[:, seen]
@@ -228,7 +227,7 @@ class ImpactTableSource(Source):
 
     @property
     def _kept_answers(self) -> int:
-        """Number of predictions of the whole table that are kept."""
+        """Number of cached predictions of the whole table."""
         return max(1, CACHED_PREDICTIONS_BYTES // self._all_worth.nbytes)
 
     @property
@@ -254,9 +253,9 @@ class ImpactTableSource(Source):
         return Covariate(name, unit, tuple(tuple(values[row] for row in group.rows) for group in self._groups))
 
     def with_dependences(self, effects: Sequence[Depending]) -> ImpactTableSource:
-        """See :meth:`Source.with_dependences`; of many different numbers those that are close are taken as their mean.
+        """See :meth:`Source.with_dependences`; many different numbers are binned, each bin with its mean.
 
-        Blocks are small: a session may have few rows, and a test by signs of blocks needs several in each.
+        Blocks are small: a session may have few rows, and a sign-flip test needs several blocks in each.
         """
         found = copy.copy(self)
         if not self.repeated and not self.interleaved:
@@ -292,7 +291,7 @@ class ImpactTableSource(Source):
         return list(numbers.tolist())
 
     def offers(self, effect: Effect) -> bool:
-        """See :meth:`Source.offers`; sensors are those of a free body whose turn was measured."""
+        """See :meth:`Source.offers`; faults of readings need a free body with measured rotation."""
         turned = bool(self.table.turning and not self.table.arms)
         wanted = {
             MIRRORED_SPINS.name: bool(self.starts(MIRRORED_SPINS.name)),
@@ -305,16 +304,15 @@ class ImpactTableSource(Source):
 
     @property
     def _oriented(self) -> bool:
-        """Whether the orientation of the body was measured, with which a tracked point turns."""
+        """Whether the orientation of the body was measured, with which a tracked point rotates."""
         return any(np.any(row.impact.object.rotation != np.eye(3)) for row in self.table.rows)
 
     def starts(self, name: str) -> Sequence[Array]:
-        """See :meth:`Source.starts`: axes by right angles that the laws of every contact are for.
+        """See :meth:`Source.starts`: permutations of axes that agree better with the laws of every contact.
 
-        A little more of a half turn changes velocities at right angles to what the whole of it changes, so that
-        sensitivities there do not show it; a fit of it starts after two thirds.
+        Near 180 degrees the sensitivity is orthogonal to the finite change, so that the fit starts at 120 degrees.
         """
-        exact = all(world.twist_readings.exact for world in self._worlds)  # else the table is not what the model sees
+        exact = all(world.twist_readings.exact for world in self._worlds)  # else the model corrects the table
         kinds = {SPIN_AXES.name: ("spins", 1.0), MIRRORED_SPINS.name: ("spins", -1.0), TWIST_AXES.name: ("twists", 1.0)}
         if name not in kinds or not exact:
             return ()
@@ -339,19 +337,19 @@ class ImpactTableSource(Source):
         return self._map_discrepancy.document
 
     def searched(self) -> ImpactTableSource:
-        """See :meth:`Source.searched`: rows, or conditions and their repeats, evenly taken, and some of each level."""
+        """See :meth:`Source.searched`: evenly spaced rows, or conditions and repeats, and some of each level."""
         enough = MAX_SEARCHED_ROWS_OF_ARMS if self.table.arms else MAX_SEARCHED_ROWS_OF_BODIES
         if len(self.table.rows) <= enough:
             return self
-        chosen = set() if self.repeated else _evenly(range(len(self.table.rows)), enough)
+        chosen = set() if self.repeated else _subsample(range(len(self.table.rows)), enough)
         if self.repeated:
             most = max(enough // len(self._groups), MIN_DEGREES_OF_FREEDOM)
-            groups = _evenly(range(len(self._groups)), enough // most)
-            chosen |= {row for group in groups for row in _evenly(self._groups[group].rows, most)}
+            groups = _subsample(range(len(self._groups)), enough // most)
+            chosen |= {row for group in groups for row in _subsample(self._groups[group].rows, most)}
         for name in self.table.covariates:
             values = [row.circumstances[name] for row in self.table.rows]
             for level in dict.fromkeys(value for value in values if isinstance(value, str)):
-                chosen |= _evenly([n for n, value in enumerate(values) if value == level], SEARCHED_ROWS_OF_LEVEL)
+                chosen |= _subsample([n for n, value in enumerate(values) if value == level], SEARCHED_ROWS_OF_LEVEL)
         found = self._of(self.table.part(sorted(chosen)), remarks=False)
         found.remarks, found.folds = self.remarks, FOLDS_OF_LARGE_TABLE
         return found
@@ -363,10 +361,10 @@ class ImpactTableSource(Source):
         known = {row.number for row in searched.table.rows} if isinstance(searched, ImpactTableSource) else set()
         others = [place for place, row in enumerate(self.table.rows) if row.number not in known]
         before, after = (
-            self._in_energy((self.measured - found)[others], others)
+            self._energy_rms((self.measured - found)[others], others)
             for found in (self.predicted, self.predicted_with(added) if added else self.predicted)
         )
-        noise = "" if self.noise is None else f" (noise alone: {self._in_energy(self.noise[others], others):.3g})"
+        noise = "" if self.noise is None else f" (noise alone: {self._energy_rms(self.noise[others], others):.3g})"
         fall = f"falls from {before:.3g} to {after:.3g} m/s" if added else f"is {before:.3g} m/s"
         return (
             f"{len(known)} of {len(self.table.rows)} rows were searched, evenly taken: effects and intervals are "
@@ -389,7 +387,7 @@ class ImpactTableSource(Source):
     def views(self) -> tuple[View, ...]:
         """See :meth:`Source.views`.
 
-        Joints and object of an arm apart, other contact points where they decide, and what is not known well.
+        Joints and object of an arm, other contact points if they may decide, and values of uncertain quantities.
         """
         found = [View(name, part) for name, part in self._parts().items()]
         for times in (1.0 / WIDER, WIDER):
@@ -404,7 +402,7 @@ class ImpactTableSource(Source):
 
     @property
     def identity(self) -> Identity:
-        """See :attr:`Source.identity`; without repeats the table counts as its only condition."""
+        """See :attr:`Source.identity`; without repeats the table is its only condition."""
         names = tuple(item.name for item in self.clusters) if self.repeated else (self.table.path.name,)
         return Identity(self.table.digest, len(self.table.rows), names)
 
@@ -413,12 +411,12 @@ class ImpactTableSource(Source):
         found = {}
         for name in PARTS_OF_ROW if self.table.arms and self.table.joints else ():
             found[name] = copy.copy(self)
-            found[name]._judge(_entries(self.table, joints=name == "joints", body=name == "object"))
+            found[name]._select_entries(_entries(self.table, joints=name == "joints", body=name == "object"))
         return found
 
     @property
     def comparison_remarks(self) -> Sequence[str]:
-        """See :attr:`Source.comparison_remarks`; with how far joints and object are off, and rows by covariate."""
+        """See :attr:`Source.comparison_remarks`; with the errors of joints and object, and of rows by covariate."""
         sizes = ", ".join(f"{name} {part.size():.3g}" for name, part in self._parts().items())
         apart = [f"apart: {sizes} {self.size_unit}"] if sizes else []
         squares = np.sum(np.square((self.measured - self.predicted) * self.worth), axis=1)
@@ -458,12 +456,12 @@ class ImpactTableSource(Source):
 
     @property
     def _distances(self) -> bool:
-        """Whether distances were measured in place of velocities of the centre."""
+        """Whether distances were measured instead of velocities of the centre."""
         return not self.table.centre
 
     @cached_property
     def _lasting(self) -> Array:
-        """Change of the distance of every row by one of the velocity, ``(rows,)`` [s]."""
+        """Derivative of the distance by the velocity of every row, ``(rows,)`` [s]."""
         worlds = self._of_rows(self._worlds)
         velocities, _ = self._impacts.solve(worlds)
         found = []
@@ -476,8 +474,8 @@ class ImpactTableSource(Source):
 
     @cached_property
     def _all_measured(self) -> Array:
-        """Measured entries of all rows, ``(rows, n)`` [rad/s, m/s, m], nan of what was not measured."""
-        found = _turned(np.array([row.after for row in self.table.rows]), self._axes)
+        """Measured entries of all rows, ``(rows, n)`` [rad/s, m/s, m], NaN where not measured."""
+        found = _in_axes(np.array([row.after for row in self.table.rows]), self._axes)
         if not self._distances:
             return found
         ways = [np.nan if row.distance is None else row.distance.way for row in self.table.rows]
@@ -485,7 +483,7 @@ class ImpactTableSource(Source):
 
     @cached_property
     def _all_noise(self) -> Array | None:
-        """Standard deviations of all entries, of measurement and prediction, ``(rows, n)``; None: said nowhere."""
+        """Standard deviations of all entries, of measurement and prediction, ``(rows, n)``; None: not stated."""
         if self.table.noise is None:
             return None
         found = self.table.noise.copy()
@@ -498,13 +496,13 @@ class ImpactTableSource(Source):
 
     @cached_property
     def _noise_of_contacts(self) -> Array:
-        """Noise of predictions of all entries by place and normal of the contacts of each row, ``(rows, n)``."""
+        """Noise of the predictions by errors of contact positions and normals, ``(rows, n)``."""
         worlds, squares = self._of_rows(self._worlds), np.zeros_like(self._all_measured)
         stated = np.array([row.contact_noise for row in self.table.rows])
         if not stated.any():
             return squares
         here = self._entries_of(self._impacts, worlds)
-        for along in range(5):  # three axes for the place, two tangents for the normal
+        for along in range(5):  # three axes for the position, two tangents for the normal
             impacts = [_moved(row.impact, along, *row.contact_noise) for row in self.table.rows]
             there = self._entries_of(MeasuredImpacts(impacts, worlds), worlds)
             squares += np.square(np.nan_to_num(there - here))
@@ -513,10 +511,10 @@ class ImpactTableSource(Source):
     def _entries_of(
         self, impacts: MeasuredImpacts, worlds: Sequence[Physics], rows: Sequence[int] | None = None
     ) -> Array:
-        """Entries that the map predicts of some rows (None: all), ``(rows, n)``, nan where it has no solution."""
+        """Entries of some rows (None: all) as predicted by the map, ``(rows, n)``, NaN without a solution."""
         places = range(len(self.table.rows)) if rows is None else rows
         velocity, _ = impacts.solve(worlds)
-        found = _turned(velocity, self._axes[list(places)])
+        found = _in_axes(velocity, self._axes[list(places)])
         if not self._distances:
             return found
         ways = []
@@ -533,7 +531,7 @@ class ImpactTableSource(Source):
 
     @property
     def proportion(self) -> Proportion:
-        """See :attr:`Source.proportion`; a free body is in proportion to its mass, moments and closing speed."""
+        """See :attr:`Source.proportion`; for a free body by its mass, moments of inertia and closing speed."""
         return Proportion.of(self.physics) if self.table.arms else Proportion.of_body(self.physics.object, self._speed)
 
     @cached_property
@@ -547,11 +545,11 @@ class ImpactTableSource(Source):
 
     @cached_property
     def _all_worth(self) -> Array:
-        """Velocity of the body with the energy of 1 rad/s or 1 m/s, ``(rows, nv)`` [m, -]; see the module."""
+        """Energy weights: velocity of the body with the energy of 1 rad/s or 1 m/s, ``(rows, nv)`` [m, -]."""
         inertia = np.array([system.inertia for system in self._systems])
         turned = inertia.copy()  # H T^T, then T H T^T, with T the axes
-        turned = np.swapaxes(_turned_all(turned, self._axes), 1, 2)
-        diagonal = np.einsum("nii->ni", _turned_all(turned, self._axes))
+        turned = np.swapaxes(_columns_in_axes(turned, self._axes), 1, 2)
+        diagonal = np.einsum("nii->ni", _columns_in_axes(turned, self._axes))
         masses = np.array([self._worlds[world].object.mass for world in self._world_of])
         worth = np.sqrt(diagonal / masses[:, None])
         return np.column_stack((worth, 1.0 / self._lasting)) if self._distances else np.asarray(worth)
@@ -615,12 +613,12 @@ class ImpactTableSource(Source):
             physics_of = list(worlds.values())
             impact = self.table.rows[row].impact
             several = MeasuredImpacts([impact] * len(physics_of), physics_of)
-            entries = self._entries_of(several, physics_of, [row] * len(physics_of))[:, self._seen]
+            entries = self._entries_of(several, physics_of, [row] * len(physics_of))[:, self._selected]
             found = dict(zip(worlds, entries, strict=True))
         return [None if n not in found or np.isnan(found[n]).any() else found[n] for n in range(len(added))]
 
     def _world_with(self, place: int, added: Added) -> Physics | None:
-        """One of the physics with effects; None: no positive inertia."""
+        """One of the physics with effects; None without positive inertia."""
 
         def changed() -> Physics | None:
             physics = self._worlds[place]
@@ -634,11 +632,11 @@ class ImpactTableSource(Source):
         return self._altered.of((place, added), changed)
 
     def map_discrepancy_of(self, row: int) -> Array:
-        """Discrepancy of the rigid map of the entries of a row that are compared, ``(F,)``."""
+        """Discrepancy of the rigid map for the compared entries of a row, ``(F,)``."""
         if not self.table.arms:
             return np.zeros(len(self.signals))
         world, speed = self._worlds[self._world_of[row]], float(self._impacts.closing_speeds[row])
-        return self._discrepancy_of(row, world, speed)[self._seen]
+        return self._discrepancy_of(row, world, speed)[self._selected]
 
     def _discrepancy_of(self, row: int, world: Physics, speed: float) -> Array:
         """Discrepancy of the rigid map of all entries of a row, ``(n,)``."""
@@ -650,15 +648,15 @@ class ImpactTableSource(Source):
         """See :meth:`Source.size`; without repeats, root mean square over the rows of d of the module [m/s]."""
         if self.repeated:
             return super().size()
-        return self._in_energy(self.measured - self.predicted)
+        return self._energy_rms(self.measured - self.predicted)
 
     def noise_size(self) -> float | None:
-        """Value of :meth:`size` if only noise is left; None if the noise is not known."""
+        """:meth:`size` of noise alone; None if the noise is not known."""
         if self.repeated:
             return super().noise_size()
         if self.noise is None:
             return None
-        return self._in_energy(self.noise)
+        return self._energy_rms(self.noise)
 
     def compare_levels(self) -> Comparison:
         """See :meth:`Source.compare_levels`: the velocities just after the impact."""
@@ -705,7 +703,7 @@ class ImpactTableSource(Source):
         return None if rows is None or np.isnan(rows).any() else rows
 
     def _features(self, added: Added) -> list[Array | None]:
-        """:meth:`predict` of every cluster; the diagnosis asks for the same effects again and again."""
+        """:meth:`predict` of every cluster, cached: a diagnosis needs the same effects repeatedly."""
 
         def made() -> list[Array | None]:
             answers = self._answers(added)
@@ -715,9 +713,9 @@ class ImpactTableSource(Source):
         return self._featured.of(added, made)
 
     def _answers(self, added: Added) -> Array | None:
-        """u^+ of all rows as features, ``(rows, nv)``, nan where there is none; None: no positive inertia.
+        """u^+ of all rows as features, ``(rows, nv)``, NaN without a solution; None without positive inertia.
 
-        All rows are solved together, whoever asks for some of them, and kept by everything the map depends on.
+        All rows are solved at once, and cached by all inputs of the map.
         """
         worlds = self._worlds
         try:
@@ -725,9 +723,9 @@ class ImpactTableSource(Source):
                 worlds = [self._effects[name].apply_vector(physics, np.array(values)) for physics in worlds]
         except NotABody:
             return None
-        key = b"".join(_what_the_map_knows(physics) for physics in worlds)
+        key = b"".join(_map_key(physics) for physics in worlds)
         solved = self._known.of(key, lambda: self._entries_of(self._impacts, self._of_rows(worlds)))
-        return solved[:, self._seen]
+        return solved[:, self._selected]
 
     @cached_property
     def _kinds(self) -> list[HitKind]:
@@ -740,7 +738,7 @@ class ImpactTableSource(Source):
         return found
 
     @cached_property
-    def _of_the_map_in_all(self) -> Array:
+    def _map_discrepancy_of_all(self) -> Array:
         """Discrepancy of the rigid map of all entries of a row, rms over the rows, ``(nv,)``."""
         if not self.table.arms:
             return np.zeros(len(self._all_signals))
@@ -751,9 +749,9 @@ class ImpactTableSource(Source):
         return np.asarray(np.sqrt(np.mean(np.square(rows), axis=0)))
 
     @property
-    def _of_the_map(self) -> Array:
-        """The same of the entries that are compared, ``(F,)``."""
-        return self._of_the_map_in_all[self._seen]
+    def _map_discrepancy_rms(self) -> Array:
+        """Discrepancy of the rigid map for the compared entries, rms over the rows, ``(F,)``."""
+        return self._map_discrepancy_of_all[self._selected]
 
     def _clusters(self) -> tuple[Cluster, ...]:
         rest = self.measured - self.predicted
@@ -763,7 +761,7 @@ class ImpactTableSource(Source):
             assert pooled is not None
             self._pooled, stated = pooled, self._stated_noise()
             pure = pooled if stated is None else np.maximum(pooled, stated)
-            sigma = np.broadcast_to(np.sqrt(pure**2 + limit**2 + self._of_the_map**2), rest.shape)
+            sigma = np.broadcast_to(np.sqrt(pure**2 + limit**2 + self._map_discrepancy_rms**2), rest.shape)
             noise = np.broadcast_to(pure, rest.shape)
         else:
             sigma = max(self.size() / np.sqrt(len(self.signals)), MIN_SCALE_M_S) / self.worth
@@ -790,7 +788,7 @@ class ImpactTableSource(Source):
             residuals=scaled if self.repeated else scaled.reshape(1, -1),
             sigma=sigma[shown].ravel(),
             pure_error=(noise[shown] / sigma[shown]).ravel(),
-            discrepancy=(self._of_the_map / sigma[shown]).ravel(),
+            discrepancy=(self._map_discrepancy_rms / sigma[shown]).ravel(),
             discrepancy_key=group.name if self._kinds[rows[0]] == "oblique" else None,
             timestamps=np.array(rows, dtype=float) if self.repeated else None,
         )
@@ -815,23 +813,23 @@ class ImpactTableSource(Source):
                 scatter = self.scatter_of_neighbours(self.measured - self.predicted)
                 if scatter is not None and scatter < MAX_NEIGHBOUR_SCATTER_RATIO * self.size():
                     remarks.append(
-                        f"impacts of neighbouring states scatter by {scatter:.3g} m/s: what the model leaves "
-                        "beyond that is no noise"
+                        f"impacts of neighbouring states scatter by {scatter:.3g} m/s: larger residuals of the model "
+                        "are not noise"
                     )
         if (unsure := self._unsure_contacts()) is not None:
             remarks.append(unsure)
         if self.repeated and (stated := self._stated_noise()) is not None:
             ratio = float(np.sqrt(np.mean(np.square(self._pooled / np.maximum(stated, MIN_SCALE_M_S)))))
             remarks.append(
-                f"repeats scatter {ratio:.2g} times as much as the noise columns say; of every velocity the larger of "
-                "both counts"
+                f"repeats scatter {ratio:.2g} times as much as the noise columns state; the larger of both is used for "
+                "every velocity"
             )
-        if self.noise is not None and (own := self._in_energy(self._noise_of_contacts[:, self._seen])) > 0.0:
-            remarks.append(
-                f"place and normal of the contacts, known to p_noise and n_noise, are {own:.2g} m/s of the noise"
-            )
+        if self.noise is not None and (own := self._energy_rms(self._noise_of_contacts[:, self._selected])) > 0.0:
+            remarks.append(f"errors of contact positions and normals (p_noise, n_noise) are {own:.2g} m/s of the noise")
         gained = [
-            row.number for row, ratio in zip(self.table.rows, self._gained, strict=True) if ratio > MAX_ENERGY_RATIO
+            row.number
+            for row, ratio in zip(self.table.rows, self._energy_ratios, strict=True)
+            if ratio > MAX_ENERGY_RATIO
         ]
         if gained and not self.impossible:
             shown = ", ".join(str(number) for number in gained[:5]) + (" ..." if len(gained) > 5 else "")
@@ -864,67 +862,67 @@ class ImpactTableSource(Source):
         return found
 
     def _contacts_moved(self, times: float) -> float:
-        """How much predictions move with the contact points of another tolerance, as :meth:`size` in m/s."""
+        """Change of the predictions by the contact points of another tolerance, energy rms [m/s]."""
         others = [(n, row.wider if times > 1.0 else row.narrower) for n, row in enumerate(self.table.rows)]
         changed = [(number, impact) for number, impact in others if impact is not None]
         if not changed:
             return 0.0
         numbers, impacts = [number for number, _ in changed], [impact for _, impact in changed]
         physics = [self._worlds[self._world_of[number]] for number in numbers]
-        entries = self._entries_of(MeasuredImpacts(impacts, physics), physics, numbers)[:, self._seen]
+        entries = self._entries_of(MeasuredImpacts(impacts, physics), physics, numbers)[:, self._selected]
         moved = np.zeros_like(self.predicted)
         moved[numbers] = np.nan_to_num(entries - self.predicted[numbers])
-        return self._in_energy(moved)
+        return self._energy_rms(moved)
 
     def _contacts_matter(self, times: float) -> bool:
-        """Whether the contact points of another tolerance may decide a verdict."""
-        return self._contacts_moved(times) > MIN_CONTACT_CHANGE_RATIO * self._in_energy(self.measured - self.predicted)
+        """Whether the contact points of another tolerance may change the verdict."""
+        return self._contacts_moved(times) > MIN_CONTACT_CHANGE_RATIO * self._energy_rms(self.measured - self.predicted)
 
-    def _in_energy(self, rest: Array, rows: Sequence[int] | None = None) -> float:
-        """Rms over rows (None: all) of d of the module, of differences ``(rows, F)`` [m/s]."""
+    def _energy_rms(self, rest: Array, rows: Sequence[int] | None = None) -> float:
+        """Energy rms of differences ``(rows, F)``: root mean square of d over rows (None: all) [m/s]."""
         worth = self.worth if rows is None else self.worth[list(rows)]
         return float(np.sqrt(np.mean(np.sum(np.square(rest * worth), axis=1))))
 
     def _unsure_contacts(self) -> str | None:
-        """How much depends on where bodies touch; None: nothing, or points were measured."""
+        """Remark on the sensitivity to the contact points; None: insensitive, or points were measured."""
         count = sum(row.wider is not None for row in self.table.rows)
         if not count:
             return None
         return (
             f"which points touch is unsure in {count} of {len(self.table.rows)} rows: with "
             f"{1e3 * WIDER * self.table.tolerance:g} in place of {1e3 * self.table.tolerance:g} mm predictions move by "
-            f"{self._contacts_moved(WIDER):.2g} m/s, beside {self._in_energy(self.measured - self.predicted):.2g} m/s "
+            f"{self._contacts_moved(WIDER):.2g} m/s, beside {self._energy_rms(self.measured - self.predicted):.2g} m/s "
             "between measurement and model (--contact-tolerance)"
         )
 
     def scatter_of_neighbours(self, rest: Array) -> float | None:
-        """Size of what rows with nearly the same state before differ by, an upper limit of the noise [m/s].
+        """Scatter of rows with neighbouring ante-impact states, an upper limit of the noise [m/s].
 
-        The state of a free body is its twist and the place of its contact, in contact axes.
+        The state of a free body is its twist and the position of its contact, in contact axes.
 
         Args:
-            rest: What a model leaves of ``measured``, ``(rows, nv)``; the smoother, the lower is the limit.
+            rest: Residuals of a model, ``(rows, nv)``; the smoother they are, the lower is the limit.
 
         Returns:
             None with too few rows, or with arms, whose states have too many coordinates.
         """
         if self.table.arms:
             return None
-        before = _turned(np.array([row.impact.object.twist for row in self.table.rows]), self._axes)
+        before = _in_axes(np.array([row.impact.object.twist for row in self.table.rows]), self._axes)
         levers = [
             axes @ (np.mean([point.position for point in row.impact.points], axis=0) - row.impact.object.position)
             for row, axes in zip(self.table.rows, self._axes, strict=True)
         ]
         found = nearest_neighbour_noise(np.hstack((before, levers)), rest)
-        return None if found is None else self._in_energy(found)
+        return None if found is None else self._energy_rms(found)
 
     def _stated_noise(self) -> Array | None:
         """Standard deviation of the noise columns by feature, ``(nv,)``; None: there are none."""
         return None if self.noise is None else np.sqrt(np.mean(np.square(self.noise), axis=0))
 
-    def _gain_of_energy(self) -> str:
-        """That the rows as a whole leave with more kinetic energy than they came with; empty: they do not."""
-        ratios = self._gained[np.isfinite(self._gained)]
+    def _energy_gain_words(self) -> str:
+        """Sentence if kinetic energy grows on average over the rows, by a t-test; else empty."""
+        ratios = self._energy_ratios[np.isfinite(self._energy_ratios)]
         if ratios.size < MIN_ROWS_OF_ENERGY:
             return ""
         error = float(ratios.std(ddof=1)) / np.sqrt(ratios.size)
@@ -941,7 +939,7 @@ class ImpactTableSource(Source):
         )
 
     @cached_property
-    def _gained(self) -> Array:
+    def _energy_ratios(self) -> Array:
         """Measured kinetic energy after over before, ``(rows,)`` [-]."""
         found = []
         for row, system in zip(self.table.rows, self._systems, strict=True):
@@ -950,18 +948,18 @@ class ImpactTableSource(Source):
         return np.array(found)  # nan where something was not measured after
 
 
-def _evenly(rows: Sequence[int], most: int) -> set[int]:
-    """At most so many of some rows, evenly taken."""
+def _subsample(rows: Sequence[int], most: int) -> set[int]:
+    """Evenly spaced subsample of some rows, of at most ``most``."""
     if len(rows) <= most:
         return set(rows)
     return {rows[place] for place in np.linspace(0, len(rows) - 1, most).round().astype(int)}
 
 
-Places = list[int]
+EntryIndices = list[int]
 
 
-def _entries(table: ImpactTable, joints: bool, body: bool) -> Places:
-    """Entries of a row of joints or of the body, or of both, without what was not measured."""
+def _entries(table: ImpactTable, joints: bool, body: bool) -> EntryIndices:
+    """Indices of the measured entries of a row, of the joints, of the body, or of both."""
     count = table.rows[0].after.size
     found = list(range(count - 6)) if joints else []
     if body and table.centre:
@@ -972,13 +970,13 @@ def _entries(table: ImpactTable, joints: bool, body: bool) -> Places:
 
 
 def _moved(impact: MeasuredImpact, along: int, place: float, normal: float) -> MeasuredImpact:
-    """An impact hit elsewhere along an axis of its contact frames, or with normals that are tilted.
+    """An impact with contact points moved along an axis of their frames, or with tilted normals.
 
     Args:
         impact: The impact; where there are arms, points on the support stay.
         along: 0 to 2: points along two tangents and the normal; 3 and 4: normals about the tangents.
-        place: By how much [m].
-        normal: By how much [rad].
+        place: Displacement [m].
+        normal: Tilt angle [rad].
     """
     points = []
     for point in impact.points:
@@ -1001,7 +999,7 @@ def _conditions(table: ImpactTable) -> list[_Group] | None:
     parts = [
         _Group(", ".join([name, *labels]), name, tuple(rows))
         for name, whole in grouped.items()
-        for labels, rows in _under_like_circumstances(table, whole)
+        for labels, rows in _split_by_covariates(table, whole)
     ]
     freedom = sum(len(part.rows) - 1 for part in parts)
     if len(grouped) < MIN_CLUSTERS or freedom < MIN_DEGREES_OF_FREEDOM:
@@ -1009,8 +1007,8 @@ def _conditions(table: ImpactTable) -> list[_Group] | None:
     return parts
 
 
-def _under_like_circumstances(table: ImpactTable, whole: list[int]) -> list[tuple[list[str], list[int]]]:
-    """Rows of a condition by levels of all covariates, and by halves of numbers; each with what it is, in words."""
+def _split_by_covariates(table: ImpactTable, whole: list[int]) -> list[tuple[list[str], list[int]]]:
+    """Rows of a condition by levels of all covariates, and by halves of numbers, with their labels."""
     parts: list[tuple[list[str], list[int]]] = [([], whole)]
     for name in table.covariates:
         split = []
@@ -1026,7 +1024,7 @@ def _under_like_circumstances(table: ImpactTable, whole: list[int]) -> list[tupl
 
 
 def _by_circumstance(table: ImpactTable, name: str, rows: Sequence[int]) -> dict[str, list[int]]:
-    """Rows by level of a covariate, or by the halves of a number about its median, each with what it is in words."""
+    """Rows by level of a covariate, or by halves of a number about its median, under their labels."""
     values, unit = [table.rows[row].circumstances[name] for row in rows], table.covariates[name]
     numbers = [value for value in values if isinstance(value, float)]
     many = len({row.circumstances[name] for row in table.rows}) > MAX_NUMBERS_AS_LEVELS
@@ -1064,13 +1062,13 @@ def _axes_of(impact: MeasuredImpact) -> Array:
     return np.array([normal, tangent, np.cross(normal, tangent)])
 
 
-def _turned(velocity: Array, axes: Array) -> Array:
-    """u ``(rows, nv)`` with velocity and angular velocity of the body expressed in the axes of every row."""
-    return _turned_all(velocity[:, :, None], axes)[:, :, 0]
+def _in_axes(velocity: Array, axes: Array) -> Array:
+    """u ``(rows, nv)`` with the twist of the body expressed in the axes of every row."""
+    return _columns_in_axes(velocity[:, :, None], axes)[:, :, 0]
 
 
-def _turned_all(columns: Array, axes: Array) -> Array:
-    """As :func:`_turned`, of several columns at once, ``(rows, nv, k)``."""
+def _columns_in_axes(columns: Array, axes: Array) -> Array:
+    """As :func:`_in_axes`, for several columns, ``(rows, nv, k)``."""
     result = columns.copy()
     for place in (-6, -3):
         own = slice(place, place + 3 or None)
@@ -1078,8 +1076,8 @@ def _turned_all(columns: Array, axes: Array) -> Array:
     return result
 
 
-def _what_the_map_knows(physics: Physics) -> bytes:
-    """All numbers that the solution of an impact map depends on, besides its state."""
+def _map_key(physics: Physics) -> bytes:
+    """Cache key: all parameters of the impact map besides its state."""
     body = physics.object
     contact = (physics.support_friction, physics.pad_friction, restitution_of(physics), physics.rolling_arm)
     parts = [np.array(contact), np.array(physics.twist_readings.numbers), body.com_offset]

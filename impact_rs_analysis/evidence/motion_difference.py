@@ -75,8 +75,8 @@ def minus_references(
             reason = f"{apart}; the motion has {size:.3g} rad rms"
             if (speed := _speed_ratio_on_path(motion, references, MAX_DISTANCE_SHARE * size)) is not None:
                 reason = (
-                    f"one goes the same way {speed:.2g} times as fast; friction and the torque that inertia takes are "
-                    "then others, and what the model leaves of them does not cancel"
+                    f"one goes the same way {speed:.2g} times as fast; friction and inertial torques then differ, and "
+                    "their residuals do not cancel"
                 )
             raise InputError(
                 f"follows the motion of no recording of --minus ({reason}): record the same motion twice at the same "

@@ -87,10 +87,9 @@ REMARKS = (
     "come from an effect of the library",
 )
 DIFFERENCE_REMARK = (
-    "differences of recordings of one motion: what both have in common cancels, and an effect is a change between "
-    "them; how arm, sensors and base are made does not change. A gain of the torque that both have scales the load: "
-    "its mass is what the recorded torques weigh, unless --model knows the gain (diagnose the recording without the "
-    "load first)"
+    "differences of recordings of one motion: common errors cancel, and an effect is a change between the recordings; "
+    "properties of arm, sensors and base do not change. A common gain of the torque scales the mass of the load, "
+    "unless --model contains the gain (diagnose the recording without the load first)"
 )
 INTERVALS_REMARK = (
     "intervals count the scatter over the motion and a standard deviation of {scale:.0%} of the scale of each joint's "
@@ -100,10 +99,10 @@ MOTOR_ENCODERS_REMARK = (
     "the motors of joints {joints} have encoders: their inertia and friction act on the motion of the motors, and the "
     "deflection of the transmission is a signal of its own, up to its mean"
 )
-MOTORS_UNUSED_REMARK = "motor_position is not used: in a difference of recordings what the motors do cancels"
+MOTORS_UNUSED_REMARK = "motor_position is not used: in a difference of recordings the motion of the motors cancels"
 NO_MOTOR_ENCODERS_REMARK = (
-    "no motor has an encoder of its own: a transmission that yields shows only in what its motor does, and resembles a "
-    "delay, a damping or another inertia; positions of the motors tell them apart (signals.motor_position)"
+    "no motor has an encoder of its own: the elasticity of a transmission shows only in the torque of its motor, and "
+    "resembles a delay, a damping or another inertia; positions of the motors separate them (signals.motor_position)"
 )
 LINK_TORQUE_REMARK = "the torque was measured behind the motors, so their inertia is not in it"
 

@@ -51,12 +51,12 @@ def simulated(spec: TrialSpec, physics: Physics, simulator: Simulator = "twin") 
 def simulated_and_judged(
     spec: TrialSpec, physics: Physics, simulator: Simulator = "twin", seed: int | None = None
 ) -> tuple[Run, Verdict]:
-    """A simulated trial, and how it ends: within the limits of joints and torques or not.
+    """A simulated trial, and whether it stays within the limits of joints and torques.
 
     Args:
         spec: Plan of the trial.
         physics: Physics of the model.
-        simulator: What moves arms and object.
+        simulator: Physics simulator of arms and object.
         seed: Seed of noise and scatter; None: there are none.
 
     Raises:

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Start of a fit of the tracker's frame, from hits in which pads lie on faces.
 
-A frame that is off by more than the pad moves before the impact puts object and pad into each other at the start of a
-replay, whose sensitivities there say nothing.
+If the error of the frame exceeds the motion of the pad before the impact, object and pad interpenetrate at the start of
+a replay, where sensitivities are useless.
 """
 
 from __future__ import annotations

@@ -60,7 +60,7 @@ class VelocityJump:
     Attributes:
         body: Name of the arm, whose end effector it is, or ``object``.
         place: Position of the body at the begin of the impact, in A, ``(3,)`` [m].
-        before: Velocity 18 to 3 ms before that, in A, ``(3,)`` [m/s].
+        before: Velocity 18 to 3 ms before it, in A, ``(3,)`` [m/s].
         after: Velocity 20 to 40 ms after it, of the object 6 to 40 ms, in A, ``(3,)`` [m/s].
     """
 
@@ -192,7 +192,7 @@ def _windowed_side(run: MeasuredRun, windows: Sequence[Signals], time: Array, st
 
 
 def _held(poses: Array) -> Array:
-    """Poses with the first and last tracked ones held at the ends."""
+    """Poses, with the first and last tracked pose held beyond the ends."""
     seen = np.flatnonzero(np.isfinite(poses[:, 0]))
     return poses[np.clip(np.arange(len(poses)), seen[0], seen[-1])] if seen.size else poses
 

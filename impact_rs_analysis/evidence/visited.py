@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Where measurements have been: ranges of the symbols of formulas, and whether they leave those of a model's laws."""
+"""Measured ranges of the symbols of formulas, and extrapolation of a model's laws beyond their domain."""
 
 from __future__ import annotations
 
@@ -26,8 +26,8 @@ def measured_ranges(source: Source, quantities: Iterable[str] = (), after: float
 
     Args:
         source: Measurements.
-        quantities: Formulas of symbols whose ranges are wanted as well; those that remember have none.
-        after: End of what counts, after the first impact of a run [s].
+        quantities: Formulas of symbols with ranges of their own; formulas with memory have none.
+        after: End of the evaluated time, after the first impact of a run [s].
     """
     found: dict[str, list[Array]] = {}
     formulas = [_formula(text) for text in quantities if text not in SYMBOLS]
@@ -48,7 +48,7 @@ def _formula(text: str) -> Formula:
 
 
 def beyond(source: Source) -> tuple[str, ...]:
-    """Where measurements leave the range in which a formula of the model was seen to hold, in words."""
+    """Warnings on measurements outside the domain of a formula of the model."""
     known = {effect.name for effect in source.model.effects}
     formulas = [spec for spec in source.model.formulas if spec.name in known and spec.valid]
     ranges = measured_ranges(source) if formulas else {}

@@ -29,10 +29,10 @@ MAX_SQUARED_DISTANCE = 1e6  # squared distance; beyond it everything is decided
 
 
 def distance(information: Array, first: int, second: int, uncertain: Columns) -> float:
-    """Squared distance g of two predictions, blurred by what is uncertain of both [-].
+    """Squared Mahalanobis distance g of two predictions, with their common uncertainty projected out [-].
 
     Args:
-        information: Of all columns, ``(n, n)``.
+        information: Information matrix of all columns, ``(n, n)``.
         first: Column of the one.
         second: Column of the other.
         uncertain: Columns of one standard deviation each.

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Noise of residuals, and what whitens them.
+"""Noise covariance of residuals, and its whitening transform.
 
 The mean of n repeats has the covariance
 
@@ -58,7 +58,7 @@ class Noise:
 
 
 def noise_of(item: Cluster) -> Noise:
-    """Noise of the scaled features of a condition; of its discrepancy that part which no pattern spans."""
+    """Noise of the scaled features of a condition, with the part of the discrepancy outside its patterns."""
     scatter, systematic = np.square(item.pure_error), np.square(item.discrepancy)
     limit = np.maximum(1.0 - scatter - systematic, 0.0)  # sigma^2 = s^2 + (l / 2)^2 + d^2
     return Noise(scatter, limit + (1.0 if item.patterns is None else INDEPENDENT_DISCREPANCY_SHARE) * systematic)
@@ -79,7 +79,7 @@ def repeats_of(deviations: Array, freedom: int, stated: Array) -> Array:
 
 
 def _shrunk(scaled: Array, freedom: int) -> Array:
-    """Correlations of deviations with unit variance, shrunk towards none, ``(F, F)``."""
+    """Shrinkage estimate of the correlations of standardised deviations, ``(F, F)`` (Schaefer and Strimmer 2005)."""
     size = scaled.shape[1]
     if freedom < 2:
         return np.eye(size)
@@ -100,7 +100,7 @@ def deviations_of(residuals: Sequence[Array], conditions: Sequence[str]) -> tupl
 
     Args:
         residuals: Of every measurement, ``(F,)``.
-        conditions: Condition of each. Those that repeat nothing are left out, or taken together if none repeats any.
+        conditions: Condition of each. Conditions without repeats are left out, or pooled if there are no repeats.
     """
     rows, names = np.array(residuals), np.array(conditions)
     repeated = [name for name in dict.fromkeys(conditions) if name and np.sum(names == name) > 1]

@@ -274,7 +274,7 @@ def test_stated_noise_counts_beside_repeats_where_it_is_larger(tmp_path: Path, s
     source = ImpactTableSource(read_impact_table(path, load_scenario("push")), NOMINAL)
     item = source.clusters[0]
     assert np.allclose(item.pure_error * item.sigma, stated) == larger
-    (remark,) = (text for text in source.remarks if "the noise columns say" in text)
+    (remark,) = (text for text in source.remarks if "the noise columns state" in text)
     assert ("0.0" in remark) == larger
 
 
