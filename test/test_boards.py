@@ -27,22 +27,22 @@ def test_a_campaign_measures_what_its_clusters_show() -> None:
     """Kills: noise of a later replay that is not the noise of the clusters; an effect that is hidden in neither."""
     source = Campaign(5, (4, 3), HIDDEN, simulator=Simulator(0.3))
     assert [item.residuals.shape for item in source.clusters] == [(3, FEATURES)] * 4
-    again = source.measure_again((), source.clusters)
-    left = source.measure_again(HIDDEN, source.clusters)
+    again = source.residuals_with((), source.clusters)
+    left = source.residuals_with(HIDDEN, source.clusters)
     assert again is not None and left is not None
     for number, (item, same, rest) in enumerate(zip(source.clusters, again, left, strict=True)):
         assert same.residuals == pytest.approx(item.residuals)
         moved = (item.residuals - rest.residuals) * item.sigma
         assert moved == pytest.approx(np.tile(features(number, HIDDEN), (3, 1)))
-        assert item.contact and item.alike == source.clusters[0].alike
+        assert item.contact and item.discrepancy_key == source.clusters[0].discrepancy_key
 
 
 def test_the_scale_of_a_small_campaign_comes_from_its_own_repeats() -> None:
     """Kills: the true noise as the pure error."""
     one, other = (Campaign(seed, (3, 2)).clusters[0] for seed in (1, 2))
-    assert not np.allclose(one.pure * one.sigma, other.pure * other.sigma, rtol=0.1)
+    assert not np.allclose(one.pure_error * one.sigma, other.pure_error * other.sigma, rtol=0.1)
     many = Campaign(3, (3, 400)).clusters[0]
-    assert many.pure * many.sigma == pytest.approx(np.ones(FEATURES), rel=0.1)
+    assert many.pure_error * many.sigma == pytest.approx(np.ones(FEATURES), rel=0.1)
 
 
 @pytest.mark.parametrize("kind", ["measured", "new"])

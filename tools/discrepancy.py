@@ -30,7 +30,7 @@ import yaml
 from mujoco_cell import LAYER, ContactSettings, MujocoCell
 
 from impact_rs_analysis.evidence.cluster import Feature
-from impact_rs_analysis.evidence.discrepancy import TABLE, Kind, write_patterns
+from impact_rs_analysis.evidence.discrepancy import PATTERNS_FILE, Kind, write_patterns
 from impact_rs_analysis.evidence.measured_runs import MeasuredRun
 from impact_rs_analysis.evidence.simulated_trials import observed, quiet
 from impact_rs_control.closed_loop import RobotCell
@@ -400,7 +400,7 @@ def main() -> None:
     print(table(groups))
     if arguments.output is not None:
         write(document(groups, seconds), arguments.output)
-        write_patterns(arguments.output.with_name(TABLE), tables)
+        write_patterns(arguments.output.with_name(PATTERNS_FILE), tables)
 
 
 if __name__ == "__main__":

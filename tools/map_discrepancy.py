@@ -28,7 +28,13 @@ import numpy as np
 import yaml
 
 from impact_rs_analysis.evidence.cluster import Feature
-from impact_rs_analysis.evidence.map_discrepancy import ANGULAR, JOINTS, LINEAR, HitKind, lengths_of
+from impact_rs_analysis.evidence.map_discrepancy import (
+    ANGULAR_VELOCITY_AFTER,
+    JOINT_VELOCITY_AFTER,
+    VELOCITY_AFTER,
+    HitKind,
+    lengths_of,
+)
 from impact_rs_control.closed_loop import run_closed_loop, without_garbage_collection
 from impact_rs_control.plan import TrialPlan
 from impact_rs_sim.impact_map.measured import MeasuredImpact, points_of_scene, solve_measured
@@ -45,7 +51,7 @@ MOVES = 0.01  # m/s, of an object that is hit
 TICKS_BEFORE = 2
 EXPECTED = 0.3  # s; before it an object that settles on its support may move as fast
 KINDS: tuple[HitKind, ...] = ("square", "oblique")
-BODY = {LINEAR: "m/s", ANGULAR: "rad/s"}
+BODY = {VELOCITY_AFTER: "m/s", ANGULAR_VELOCITY_AFTER: "rad/s"}
 
 
 Row = tuple[float, ArmState, BodyState]
@@ -96,7 +102,7 @@ def features_of(physics: Physics) -> tuple[Feature, ...]:
     """Velocities of the joints of an arm and of the object."""
     ((name, arm),) = physics.arms.items()
     joints = [
-        Feature("", JOINTS, f"joint{number}", 0, units.velocity, 0.0, name)
+        Feature("", JOINT_VELOCITY_AFTER, f"joint{number}", 0, units.velocity, 0.0, name)
         for number, units in enumerate(arm.facts.units, start=1)
     ]
     body = [Feature("", signal, axis, 0, unit, 0.0) for signal, unit in BODY.items() for axis in "xyz"]
@@ -110,7 +116,7 @@ def measure() -> list[dict[str, Any]]:
         specs = specs_by_kind()[kind]
         found = {v.name: np.array([shares_of(spec, v) for spec in specs]) for v in VARIANTS if v.name in SIMULATORS}
         features = features_of(specs[0].plan.scene.physics)
-        for signal in (JOINTS, *BODY):
+        for signal in (JOINT_VELOCITY_AFTER, *BODY):
             own = [number for number, feature in enumerate(features) if feature.signal == signal]
             sizes = {name: np.sqrt(np.mean(np.square(rows[:, :, own]), axis=(0, 2))) for name, rows in found.items()}
             largest = np.max(list(sizes.values()), axis=0)

@@ -34,7 +34,7 @@ from benchmarks.results import Table
 from impact_rs_analysis.diagnosis import null_distribution
 from impact_rs_analysis.diagnosis.candidate import Candidate, Problem, linearise
 from impact_rs_analysis.diagnosis.fit import Evidence, Fit
-from impact_rs_analysis.diagnosis.search import adjusted
+from impact_rs_analysis.diagnosis.search import benjamini_hochberg
 from impact_rs_sim.robot import Array
 
 DESIGNS = ((3, 2), (6, 2), (4, 4), (6, 3), (9, 5))  # conditions, repeats
@@ -91,7 +91,7 @@ def p_values(source: AnalyticSource) -> tuple[float, ...]:
     return (
         found["straight"],
         found["of_joints"],
-        min(adjusted(found).values()),
+        min(benjamini_hochberg(found).values()),
         np.nan if evidence.lack_of_fit is None else evidence.lack_of_fit,
         beside.p_value(fitted.left.null, slice(fitted.change.size, None)),
         np.nan if (left := fitted.lack_of_fit()) is None else left,
@@ -131,7 +131,7 @@ def cases(options: argparse.Namespace) -> list[Case]:
 
 def one(case: Case, options: argparse.Namespace, seed: int) -> tuple[float, ...]:
     """p values of one draw."""
-    null_distribution.DRAWS = options.null_draws  # type: ignore[attr-defined]
+    null_distribution.NULL_DRAWS = options.null_draws  # type: ignore[attr-defined]
     if case.given is None:
         return p_values(AnalyticSource(seed, design=(1,) * STRETCHES, correlation=remembering(), repeated=False))
     design, noise, simulator, limit, size = case.given

@@ -23,7 +23,7 @@ from joint_recordings import swinging, write_npz
 from benchmarks.harness import Case, Row, Work, draw_options, drawn
 from benchmarks.results import Table
 from impact_rs_analysis.diagnosis.diagnose import effects_for
-from impact_rs_analysis.diagnosis.fit import Evidence, measure_again
+from impact_rs_analysis.diagnosis.fit import Evidence, replay_and_refit
 from impact_rs_analysis.diagnosis.search import Search
 from impact_rs_analysis.evidence.recordings import RecordingSource
 from impact_rs_sim.model import Model
@@ -65,7 +65,7 @@ def one(case: Case, options: argparse.Namespace, seed: int) -> list[bool]:
         source = RecordingSource.of(read_recordings(path, MAPPING), MAPPING, Model(name="nominal"))
     fitted = Search(effects_for(source, FITTED), Evidence.of(source)).fitted(FITTED)
     assert fitted is not None
-    fitted = measure_again(fitted)
+    fitted = replay_and_refit(fitted)
     truth = np.concatenate((coulomb, viscous, [MASS, 0.0, 0.0, 0.0, 0.0]))  # a point mass
     return list(np.abs(fitted.estimate - truth) <= fitted.half_widths * fitted.candidate.scale)
 

@@ -23,7 +23,7 @@ from benchmarks.results import Table
 from impact_rs_analysis.diagnosis.diagnose import diagnose
 from impact_rs_analysis.diagnosis.document import write_document
 from impact_rs_analysis.diagnosis.verdict import NOTHING
-from impact_rs_analysis.evidence.discrepancy import TABLE, Discrepancy, Patterns, measured_discrepancy
+from impact_rs_analysis.evidence.discrepancy import PATTERNS_FILE, Discrepancy, Patterns, measured_discrepancy
 from impact_rs_analysis.evidence.measured_runs import read_runs
 from impact_rs_analysis.evidence.replay_cache import ReplayCache
 from impact_rs_analysis.evidence.replays import ReplaySource
@@ -42,7 +42,7 @@ def variants_of() -> dict[str, tuple[list[str], list[tuple[str, Array]]]]:
     """By kind of trial: names of the features, and variant minus replay of every variant and condition, in units."""
     found: dict[str, tuple[list[str], list[tuple[str, Array]]]] = {}
     header: list[str] = []
-    with (config_directory() / TABLE).open(encoding="utf-8", newline="") as file:
+    with (config_directory() / PATTERNS_FILE).open(encoding="utf-8", newline="") as file:
         for kind, variant, _, *cells in csv.reader(file):
             if kind == "kind":
                 header = cells

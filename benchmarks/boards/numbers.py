@@ -19,7 +19,8 @@ from benchmarks.harness import Case, Row, Work, draw_options, drawn
 from benchmarks.results import Table
 
 NUMBERS = (
-    "SIGNIFICANT", "LEAST_FREEDOM", "PRIOR_FREEDOM", "UNMEASURED", "PRIOR", "LEAST_GAIN", "TIE", "MOST",
+    "SIGNIFICANCE_LEVEL", "MIN_DEGREES_OF_FREEDOM", "PRIOR_DEGREES_OF_FREEDOM", "INDEPENDENT_DISCREPANCY_SHARE",
+    "PRIOR_DEVIATION", "MIN_GAIN_SHARE", "TIE_LOG_RATIO", "MIN_EXPLAINED_SHARE",
 )  # fmt: skip
 FACTORS = (0.5, 2.0)
 AS_IT_IS = "as it is"

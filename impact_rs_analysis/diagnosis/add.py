@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A better model: the parent with diagnosed effects; and a better calibration, with faults of the readings."""
+"""The child of a model, with diagnosed effects; and a calibration with diagnosed faults of the readings."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ def add_effects(
 
 
 def faults_among(names: Sequence[str], model: Model, document: DiagnosisDocument) -> list[str]:
-    """Those of some effects that are faults of a reading, which belong to the laboratory and not to the model.
+    """Faults of readings among some effects, which belong to the laboratory and not to the model.
 
     Args:
         names: Effects.
@@ -64,7 +64,7 @@ def faults_among(names: Sequence[str], model: Model, document: DiagnosisDocument
 
 
 def calibration_file(document: DiagnosisDocument, source: Path) -> Path:
-    """The calibration of the measurements that were diagnosed: the file that was read, or the one beside them.
+    """The calibration file of the diagnosed measurements: the file that was read, or the default in their folder.
 
     Args:
         document: A diagnosis.
@@ -136,7 +136,7 @@ def _extended(
 def _diagnosed(
     model: Model, document: DiagnosisDocument, source: Path, name: str, force: bool
 ) -> tuple[ModelEffect, tuple[FormulaSpec, ...], str]:
-    """An effect with its parameters, its formula if it is one, and a note on its verdict."""
+    """An effect with its parameters, its formula if it has one, and a note on its verdict."""
     found = document.effect(name)
     if found is None:
         known = [effect.name for effect in document.effects]
@@ -184,7 +184,7 @@ def _diagnosed(
 
 
 def _with_room(spec: FormulaSpec, found: EffectDocument) -> FormulaSpec:
-    """The formula with ranges twice as far as estimates that a fit found beyond them."""
+    """The formula with wider ranges for estimates outside of them: twice as far from nominal."""
     parameters = {}
     for name, own in spec.parameters.items():
         value = found.parameters[name].estimate

@@ -13,12 +13,12 @@ that of the model (:mod:`impact_rs_analysis.evidence.features`):
 The residual of the model with each, joint by joint, is tested against repeatability and model discrepancy by the test
 of lack of fit (:meth:`~impact_rs_analysis.diagnosis.null_distribution.NullDistribution.lack_of_fit`), adjusted for the
 number of joints. Readings disagree where it is significant and above the relevance limit; without repeats, where the
-residual is plainly beyond what is known of its noise.
+residual exceeds ``MAX_NOISE_RATIO`` times the known noise.
 
-A wrong reading takes part in every relation that disagrees. A relation that agrees clears a reading whose faults it
-would feel (``clears``): a torque balance hardly feels the zero of an encoder, for gravity alone depends on it, and the
-derivative of positions does not feel it at all. What is in all that disagree and is not cleared is what they have *in
-common*. Where one relation alone disagrees, the physics that it takes for granted explains that as well.
+A wrong reading takes part in every relation that disagrees. A relation that agrees clears the readings to whose faults
+it is sensitive (``clears``): a torque balance is hardly sensitive to the zero of an encoder, on which gravity alone
+depends, and the derivative of positions is not sensitive to it at all. The uncleared readings of all relations that
+disagree are those *in common*. Where a single relation disagrees, the physics that it assumes is an explanation too.
 """
 
 from __future__ import annotations
@@ -32,8 +32,8 @@ import numpy as np
 from pydantic import Field
 
 from impact_rs_analysis.diagnosis.null_distribution import RotationNull
-from impact_rs_analysis.diagnosis.search import adjusted
-from impact_rs_analysis.diagnosis.thresholds import PLAINLY_BEYOND, SIGNIFICANT
+from impact_rs_analysis.diagnosis.search import benjamini_hochberg
+from impact_rs_analysis.diagnosis.thresholds import MAX_NOISE_RATIO, SIGNIFICANCE_LEVEL
 from impact_rs_analysis.evidence.cluster import Cluster, Feature, pooled_error
 from impact_rs_analysis.evidence.levels import expected_of, relevant_of, root_mean_square, rounded
 from impact_rs_analysis.evidence.measured_runs import MeasuredRun
@@ -44,8 +44,8 @@ from impact_rs_sim.schema import Schema
 
 COMMAND, TORQUE, ENCODER, VELOCITY = "command", "torque sensor", "encoder", "velocity"
 MOTOR_ENCODER, MOTOR_VELOCITY, TRACKER = "motor encoder", "motor velocity", "tracker"
-VELOCITY_LIMIT = 0.004  # rad/s, relevance limit of a velocity of a joint, as of its jump
-OF_PUSH = ("object velocity", "end-effector velocity")
+VELOCITY_LIMIT_RAD_S = 0.004  # rad/s, relevance limit of a velocity of a joint, as of its jump
+PUSH_SIGNALS = ("object velocity", "end-effector velocity")
 
 
 @dataclass(frozen=True)
@@ -54,10 +54,10 @@ class Relation:
 
     Attributes:
         name: Its name.
-        signals: Signals of the features whose residual it is; of the first two the difference where there are two.
+        signals: Signals of the features whose residual it is; for two signals their difference.
         readings: Readings that take part.
-        clears: Those of them whose faults it feels, so that they are right where it agrees.
-        assumes: Physics that it takes for granted.
+        clears: Readings to whose faults it is sensitive, which are right if it agrees.
+        assumes: Physics that it assumes.
     """
 
     name: str
@@ -81,19 +81,19 @@ LINK_BALANCE = Relation(
     (TORQUE,),
     "masses, gravity and loads on the links, or positions of other joints",
 )
-DEFLECTION = Relation(
+ELASTIC_DEFLECTION = Relation(
     "elastic deflection",
     ("elastic deflection", "deflection"),
     (MOTOR_ENCODER, ENCODER, TORQUE),
     (MOTOR_ENCODER, ENCODER),
     "stiffness of the joint",
 )
-SLOPE = Relation("velocity of positions", (), (VELOCITY, ENCODER), (VELOCITY,), "")
-TRACKING = Relation(
-    "object and end effector", OF_PUSH, (TRACKER, ENCODER), (TRACKER,), "how the object slips and turns on the pad"
+POSITION_SLOPE = Relation("velocity of positions", (), (VELOCITY, ENCODER), (VELOCITY,), "")
+OBJECT_TRACKING = Relation(
+    "object and end effector", PUSH_SIGNALS, (TRACKER, ENCODER), (TRACKER,), "how the object slips and turns on the pad"
 )
-OF_FEATURES = (MOTOR_BALANCE, LINK_BALANCE, DEFLECTION)
-OF_MOTION = ("free", "moving up", "moving down", "slow")  # phases without contact
+FEATURE_RELATIONS = (MOTOR_BALANCE, LINK_BALANCE, ELASTIC_DEFLECTION)
+FREE_MOTION_PHASES = ("free", "moving up", "moving down", "slow")  # phases without contact
 
 
 class RelationDocument(Schema):
@@ -110,7 +110,7 @@ class RelationDocument(Schema):
 
 
 class InCommon(Schema):
-    """What the relations of one joint or axis that disagree have in common."""
+    """Common readings of the relations that disagree at one joint or axis."""
 
     place: str = Field(description="joints or axes, as a list")
     relations: tuple[str, ...] = Field(description="relations that disagree")
@@ -130,7 +130,7 @@ class InCommon(Schema):
 
 
 class AgreementDocument(Schema):
-    """Who agrees with whom."""
+    """Agreement of the readings, relation by relation."""
 
     relations: tuple[RelationDocument, ...] = Field((), description="relations, joint by joint")
     in_common: tuple[InCommon, ...] = Field((), description="joints and axes at which some disagree")
@@ -158,29 +158,31 @@ class AgreementDocument(Schema):
 
 
 def agreement_of(source: Source) -> AgreementDocument:
-    """Which readings agree.
+    """Test the relations between the readings.
 
     Args:
         source: Trials or recordings with the model's predictions; tables of impacts have no such relations.
     """
     tested: list[tuple[Relation, str, list[Cluster]]] = []
-    for relation in OF_FEATURES:
-        tested += [(relation, *one) for one in _by_place(source.clusters, partial(_is_of, relation))]
+    for relation in FEATURE_RELATIONS:
+        tested += [(relation, *one) for one in _by_index(source.clusters, partial(_belongs_to, relation))]
     if source.runs is not None:
-        tested += [(SLOPE, *one) for one in _by_place(slope_clusters(source.runs.runs), lambda feature: True)]
-        tested += [(TRACKING, *one) for one in _by_place(tracking_clusters(source.clusters), lambda feature: True)]
+        tested += [(POSITION_SLOPE, *one) for one in _by_index(slope_clusters(source.runs.runs), lambda feature: True)]
+        tested += [
+            (OBJECT_TRACKING, *one) for one in _by_index(tracking_clusters(source.clusters), lambda feature: True)
+        ]
     limited = source.noise_size() is None
     raw = {number: _lack_of_fit(source, clusters) for number, (_, _, clusters) in enumerate(tested)}
     p_values: dict[str, float] = {}
     for relation in dict.fromkeys(relation for relation, _, _ in tested):  # each is a question of its own
         own = {str(n): p for n, p in raw.items() if p is not None and tested[n][0] is relation}
-        p_values |= adjusted(own)
-    motor = any(relation is DEFLECTION for relation, _, _ in tested)
+        p_values |= benjamini_hochberg(own)
+    motor = any(relation is ELASTIC_DEFLECTION for relation, _, _ in tested)
     found = []
     for number, (relation, place, clusters) in enumerate(tested):
         p = p_values.get(str(number))
         noise, relevant = (_size(clusters, of, limited) for of in (expected_of, relevant_of))
-        agrees = relevant < PLAINLY_BEYOND if p is None else p >= SIGNIFICANT or relevant < 1.0
+        agrees = relevant < MAX_NOISE_RATIO if p is None else p >= SIGNIFICANCE_LEVEL or relevant < 1.0
         found.append(
             RelationDocument(
                 relation=relation.name,
@@ -197,17 +199,17 @@ def agreement_of(source: Source) -> AgreementDocument:
     return AgreementDocument(relations=tuple(found), in_common=tuple(_in_common(found)))
 
 
-def _is_of(relation: Relation, feature: Feature) -> bool:
-    return feature.signal in relation.signals and feature.phase in OF_MOTION
+def _belongs_to(relation: Relation, feature: Feature) -> bool:
+    return feature.signal in relation.signals and feature.phase in FREE_MOTION_PHASES
 
 
 def _renamed(readings: Sequence[str], motor: bool) -> list[str]:
-    """Readings; a motor without encoder has no velocity of its own."""
+    """Readings of a relation, without the motor's velocity if its motor has no encoder."""
     return [name for name in readings if motor or name != MOTOR_VELOCITY]
 
 
-def _by_place(clusters: Sequence[Cluster], wanted: Callable[[Feature], bool]) -> list[tuple[str, list[Cluster]]]:
-    """Clusters by joint or axis, with the features of each that are wanted."""
+def _by_index(clusters: Sequence[Cluster], wanted: Callable[[Feature], bool]) -> list[tuple[str, list[Cluster]]]:
+    """Clusters by joint or axis, restricted to the wanted features of it."""
     places = dict.fromkeys(f.index for item in clusters for f in item.features if wanted(f))
     found = []
     for place in places:
@@ -218,19 +220,19 @@ def _by_place(clusters: Sequence[Cluster], wanted: Callable[[Feature], bool]) ->
 
 
 def _lack_of_fit(source: Source, clusters: Sequence[Cluster]) -> float | None:
-    """p-value of the residuals of a relation being noise and discrepancy; None without repeats."""
+    """p-value of the lack-of-fit test of a relation; None without repeats."""
     if not source.repeated:
         return None
     return RotationNull(clusters).lack_of_fit([item.mean for item in clusters])
 
 
 def _size(clusters: Sequence[Cluster], of: Callable[[Cluster, bool], Array], limited: bool) -> float:
-    """Root mean square of the mean residuals in multiples of what ``of`` says."""
+    """Root mean square of the mean residuals in multiples of the scale ``of``."""
     return root_mean_square(np.concatenate([item.mean / of(item, limited) for item in clusters]))
 
 
 def _in_common(found: Iterable[RelationDocument]) -> list[InCommon]:
-    """What the relations that disagree have in common; joints of which the same is said are listed together."""
+    """Common readings of the relations that disagree, with joints of equal result in one entry."""
     by_place: dict[str, list[RelationDocument]] = {}
     for one in found:
         by_place.setdefault(one.place, []).append(one)
@@ -251,17 +253,17 @@ def _in_common(found: Iterable[RelationDocument]) -> list[InCommon]:
 
 
 def _order(place: str) -> tuple[str, int, str]:
-    """Joints before axes, in their order, arm by arm."""
+    """Sort key: by arm, joints in their order before axes."""
     arm, _, own = place.rpartition(".")
     number = re.fullmatch(r"joint(\d+)", own)
     return (arm, int(number[1]), "") if number else (arm, 10**6, own)
 
 
 def slope_clusters(runs: Sequence[MeasuredRun]) -> list[Cluster]:
-    """Mean velocity minus change of the position over time in windows of free motion, of every condition.
+    """Mean velocity minus the difference quotient of the position in windows of free motion, condition by condition.
 
     Args:
-        runs: With their signals; without, there are no clusters.
+        runs: Runs; those without signals are left out.
     """
     rows: dict[str, list[Array]] = {}
     features: dict[str, tuple[Feature, ...]] = {}
@@ -270,7 +272,7 @@ def slope_clusters(runs: Sequence[MeasuredRun]) -> list[Cluster]:
         if run.signals.time.size < 2:
             continue
         several, values, own = len(run.setup.physics.arms) > 1, [], []
-        limit = VELOCITY_LIMIT * Proportion.of(run.physics).factor("rad/s")
+        limit = VELOCITY_LIMIT_RAD_S * Proportion.of(run.physics).factor("rad/s")
         for number, (window, signals) in enumerate(zip(run.setup.windows, run.windowed, strict=True)):
             for name, arm in () if window.contact else signals.arms.items():
                 last = float(signals.time[-1] - signals.time[0])
@@ -278,7 +280,7 @@ def slope_clusters(runs: Sequence[MeasuredRun]) -> list[Cluster]:
                 values.append(mean - (arm.position[-1] - arm.position[0]) / last)
                 label = f"{name}." if several else ""
                 own += [
-                    Feature("free", SLOPE.name, f"{label}joint{joint + 1}", number, "rad/s", limit, name)
+                    Feature("free", POSITION_SLOPE.name, f"{label}joint{joint + 1}", number, "rad/s", limit, name)
                     for joint in range(arm.velocity.shape[1])
                 ]
         if values and features.setdefault(run.condition, tuple(own)) == tuple(own):
@@ -301,18 +303,21 @@ def tracking_clusters(clusters: Sequence[Cluster]) -> list[Cluster]:
         places = {(f.signal, f.index, f.bin): n for n, f in enumerate(item.features) if f.phase == "push"}
         arms = {f.arm for f in item.features if f.arm}
         pairs = [
-            (own, places[OF_PUSH[1], index, number])
+            (own, places[PUSH_SIGNALS[1], index, number])
             for (signal, index, number), own in places.items()
-            if signal == OF_PUSH[0] and (OF_PUSH[1], index, number) in places
+            if signal == PUSH_SIGNALS[0] and (PUSH_SIGNALS[1], index, number) in places
         ]
-        if not pairs or len(arms) > 1:  # of two arms either may push
+        if not pairs or len(arms) > 1:  # either of two arms may push
             continue
         first, second = (list(column) for column in zip(*pairs, strict=True))
         scaled = item.residuals * item.sigma
-        moved = item.moved_together * item.sigma
+        moved = item.discrepancy_factor * item.sigma
         rows[item.name] = scaled[:, first] - scaled[:, second]
         patterns[item.name] = moved[:, first] - moved[:, second]
-        named[item.name] = (item.place, tuple(replace(item.features[n], signal=TRACKING.name) for n in first))
+        named[item.name] = (
+            item.condition_key,
+            tuple(replace(item.features[n], signal=OBJECT_TRACKING.name) for n in first),
+        )
     return _clusters(rows, named, patterns)
 
 
@@ -321,13 +326,13 @@ def _clusters(
     named: dict[str, tuple[tuple[str, str, str], tuple[Feature, ...]]],
     patterns: dict[str, Array] | None = None,
 ) -> list[Cluster]:
-    """Clusters from residuals of repeats ``(n, F)`` by condition, with place and features, and patterns ``(k, F)``."""
+    """Clusters from residuals of repeats ``(n, F)`` by condition, with key and features, and patterns ``(k, F)``."""
     alike: dict[tuple[Feature, ...], list[str]] = {}
     for name, (_, features) in named.items():
         alike.setdefault(features, []).append(name)
     pooled = {features: pooled_error([rows[name] for name in names]) for features, names in alike.items()}
     found = []
-    for name, (place, features) in named.items():
+    for name, (key, features) in named.items():
         known = pooled[features]
         pure = np.zeros(len(features)) if known is None else known
         limit = np.array([feature.relevance_limit for feature in features]) / 2.0
@@ -337,14 +342,14 @@ def _clusters(
         found.append(
             Cluster(
                 name=name,
-                place=place,
+                condition_key=key,
                 layout=f"{len(alike)}: {list(alike).index(features)}",
                 unit=name,
                 contact=False,
                 features=features,
                 residuals=rows[name] / sigma,
                 sigma=sigma,
-                pure=pure / sigma,
+                pure_error=pure / sigma,
                 discrepancy=differing / sigma,
                 patterns=moved / sigma if moved.size else None,
             )

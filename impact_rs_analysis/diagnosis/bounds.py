@@ -15,7 +15,7 @@ from impact_rs_sim.effects import Effect
 from impact_rs_sim.errors import InputError, did_you_mean
 from impact_rs_sim.schema import load_mapping
 
-EXPECTED = "expected EFFECT.PARAMETER=LOW:HIGH, for example restitution.restitution=0:0.8, or a YAML file"
+EXPECTED_BOUNDS = "expected EFFECT.PARAMETER=LOW:HIGH, for example restitution.restitution=0:0.8, or a YAML file"
 
 Bounds = Mapping[str, tuple[float, float]]
 """Lower and upper bound in the unit of the parameter, by ``EFFECT.PARAMETER``."""
@@ -33,7 +33,7 @@ def read_bounds(texts: Iterable[str], known: Mapping[str, Effect]) -> Bounds:
     Raises:
         InputError: A text or file cannot be read, there is no such parameter, or no range that holds its nominal value.
     """
-    found = read_ranges(texts, "--bounds", EXPECTED)
+    found = read_ranges(texts, "--bounds", EXPECTED_BOUNDS)
     for name, (low, high) in found.items():
         _check(name, low, high, known)
     return found

@@ -12,7 +12,7 @@ import math
 import time
 from collections.abc import Callable
 
-FOR_THE_SEARCH = 0.5  # of the time; the rest is for the hold-out, without which nothing is named
+SEARCH_TIME_SHARE = 0.5  # of the time; the rest is for the hold-out, without which nothing is named
 
 Clock = Callable[[], float]
 
@@ -27,7 +27,7 @@ class Budget:
     Attributes:
         limit: See above [s].
         clock: See above.
-        left_out: What was not tried because the time was spent, in words, in order.
+        left_out: Parts of the search that were not tried because the time was spent, in words, in order.
     """
 
     def __init__(self, limit: float = math.inf, clock: Clock = time.process_time) -> None:
@@ -42,7 +42,7 @@ class Budget:
 
     @property
     def spent(self) -> bool:
-        """Whether nothing may be begun any more."""
+        """Whether the time is spent, so that nothing new may start."""
         return self.remaining <= 0.0
 
     def leaves_out(self, what: str) -> bool:
@@ -53,7 +53,7 @@ class Budget:
         return False
 
     def part(self, share: float) -> Budget:
-        """A share of what remains, from now on; what it leaves out is noted here as well."""
+        """A share of the remaining time; what it leaves out is listed here as well."""
         found = Budget(share * self.remaining, self.clock)
         found.left_out = self.left_out
         return found

@@ -5,8 +5,8 @@ In scaled coordinates the mean residual of cluster c is
 
     r_c = J_c (theta - theta_0) + noise,        cov(noise) = (pure error + discrepancy) of c
 
-fitted by bounded least squares with a weak prior of width ``PRIOR`` parameter scales. Fits are compared by their
-held-out error: the error on clusters that were left out of the fit.
+fitted by bounded least squares with a weak normal prior of ``PRIOR_DEVIATION`` parameter scales about nominal. Fits are
+compared by their leave-one-out error: the error of each cluster, predicted by a fit to all others.
 """
 
 from __future__ import annotations
@@ -21,6 +21,7 @@ import scipy
 from numpy.typing import NDArray
 
 from impact_rs_analysis.diagnosis.null_distribution import NullDistribution, combined_half_width
+from impact_rs_analysis.diagnosis.thresholds import PRIOR_DEVIATION
 from impact_rs_analysis.evidence.cluster import Added, Cluster
 from impact_rs_analysis.evidence.source import Source
 from impact_rs_sim.effects import Effect, Parameter
@@ -31,41 +32,44 @@ from impact_rs_sim.errors import NotABody
 from impact_rs_sim.physics import Physics
 from impact_rs_sim.robot import Array
 
-PROBES = (0.25, 0.5, 1.0)  # shares of the way to the ends of a range, where an effect is looked for
-LEAST_ROOM = 0.2  # of a finite-difference step; nearer a bound it goes the other way
-FITTED = 1e-3  # of the square of what a calibration changes; with less left, the parameters of a fit stand for it
-LEAST_NOISE = 1e-4  # mean square, scaled [-]; beside less, a parameter that the data do not determine is not bounded
-ROOM = 1e-9  # parameter scales, between bounds that coincide
-ACTIVE_SETS = 20  # tried for the bounds that hold; three are usual
-PRIOR = 100.0  # parameter scales; only bounds parameters that the data do not determine
-EDGE = 1e-4  # share of the way from nominal to which the last point with bodies is found, a hundredth of an interval
-AT_EDGE = 1e-3  # share of the way from nominal within which an estimate lies at the edge of the bodies; steps end there
-SHARES = (1.0, -1.0, 0.1, -0.1, 0.01, -0.01)  # of a finite-difference step; the first with bodies is taken
+PROBE_SHARES = (0.25, 0.5, 1.0)  # of the distance from nominal to either end of a range
+MIN_STEP_ROOM_SHARE = 0.2  # of a finite-difference step; nearer a bound the step goes the other way
+# Unfitted share of the squared change by a calibration; with less left, the parameters of a fit stand for it.
+MIN_UNFITTED_SHARE = 1e-3
+# Mean square residual, scaled [-]: a smaller one would leave parameters that the data do not determine without a prior.
+MIN_NOISE_VARIANCE = 1e-4
+MIN_BOUND_GAP = 1e-9  # parameter scales, between bounds that coincide
+MAX_ACTIVE_SETS = 20  # iterations of the active-set method; three are usual
+EDGE_TOLERANCE = 1e-4  # of the distance from nominal: bisection to the last point with bodies, 1/100 of an interval
+EDGE_MARGIN = (
+    1e-3  # of the distance from nominal: so near the edge of the bodies an estimate lies at it; steps end there
+)
+DIFFERENCE_STEP_FACTORS = (1.0, -1.0, 0.1, -0.1, 0.01, -0.01)  # tried in this order until there are bodies
 
 
-def concerns(effect: Effect, cluster: Cluster) -> bool:
+def can_change(effect: Effect, cluster: Cluster) -> bool:
     """Whether an effect can change the features of a cluster."""
     return effect.seen_in(cluster.contact)
 
 
 @dataclass(frozen=True)
 class Candidate:
-    """One or several effects, linearised about ``point``; clusters are those of a :class:`Problem`, in its order.
+    """One or several effects, linearised about ``point``, in the clusters of a :class:`Problem` and in their order.
 
     Attributes:
         effects: The effects.
         sizes: Number of parameters of each.
-        scalars: All their parameters after each other.
+        scalars: Parameters of all effects, concatenated.
         lower: Bounds of the parameters under the physics at hand, ``(p,)``.
         upper: The same, ``(p,)``.
         point: Parameter values of the linearisation, ``(p,)``.
         offsets: Per cluster, scaled features at ``point`` minus those at ``origin``, ``(F,)`` each.
         jacobians: Per cluster, scaled features per parameter scale, ``(F, p)`` each.
         origin: Effects added to the model when the residuals were computed.
-        share: Of the steps of the parameters, with which the sensitivities at ``point`` were computed; infinite: they
-            are those of another point.
-        of_bodies: Which parameters belong to effects that change bodies, ``(p,)``.
-        worlds: Physics without the effects, in which the bodies have to exist.
+        share: Finite-difference step of the sensitivities, over the step of each parameter; infinite: they were
+            computed at another point.
+        inertial: Mask of the parameters that change inertial parameters of bodies, ``(p,)``.
+        worlds: Physics without the effects, for the test of physical consistency.
     """
 
     effects: tuple[Effect, ...]
@@ -78,7 +82,7 @@ class Candidate:
     jacobians: tuple[Array, ...] = ()
     origin: Added = ()
     share: float = math.inf
-    of_bodies: NDArray[np.bool_] = field(default_factory=lambda: np.zeros(0, dtype=bool))
+    inertial: NDArray[np.bool_] = field(default_factory=lambda: np.zeros(0, dtype=bool))
     worlds: Sequence[Physics] = ()
 
     @staticmethod
@@ -87,7 +91,7 @@ class Candidate:
         joints = source.joints
         bounds = [effect.bounds_in(source.worlds) for effect in effects]
         changing = [effect.changes_bodies(source.worlds[0]) for effect in effects]
-        of_bodies = np.repeat(changing, [len(low) for low, _ in bounds])
+        inertial = np.repeat(changing, [len(low) for low, _ in bounds])
         if point is None:
             point = np.concatenate([effect.nominal(joints) for effect in effects])
         return Candidate(
@@ -98,8 +102,8 @@ class Candidate:
             upper=np.concatenate([high for _, high in bounds]),
             point=point,
             origin=origin,
-            of_bodies=of_bodies,
-            worlds=of_other_bodies(source.worlds) if np.any(of_bodies) else (),
+            inertial=inertial,
+            worlds=of_other_bodies(source.worlds) if np.any(inertial) else (),
         )
 
     @property
@@ -114,7 +118,7 @@ class Candidate:
 
     @cached_property
     def _shapes(self) -> NDArray[np.bool_]:
-        """Which parameters are shapes: they change nothing while the others are nominal, ``(p,)``."""
+        """Mask of the shape parameters, which change nothing while the others are nominal, ``(p,)``."""
         return np.array([scalar.shape for scalar in self.scalars], dtype=bool)
 
     @cached_property
@@ -125,11 +129,11 @@ class Candidate:
     @cached_property
     def prior(self) -> Array:
         """Standard deviations of the prior about nominal, in parameter scales, ``(p,)``."""
-        return np.array([PRIOR if one.prior is None else one.prior / one.scale for one in self.scalars])
+        return np.array([PRIOR_DEVIATION if one.prior is None else one.prior / one.scale for one in self.scalars])
 
-    def has_bodies(self, vector: Array) -> bool:
-        """Whether rigid bodies can have the inertial parameters that effects give them at ``vector``, ``(p,)``."""
-        moved = self.of_bodies & (vector != self.nominal)
+    def physically_consistent(self, vector: Array) -> bool:
+        """Whether the inertial parameters at ``vector``, ``(p,)``, are physically consistent: those of rigid bodies."""
+        moved = self.inertial & (vector != self.nominal)
         own = [(effect, vector[part]) for effect, part in self.parts if np.any(moved[part])]
         try:
             for physics in self.worlds if own else ():
@@ -139,32 +143,34 @@ class Candidate:
             return False
         return True
 
-    def possible(self, vector: Array) -> Array:
-        """``vector``, but no further from nominal than there are bodies, ``(p,)``."""
-        return vector if self.has_bodies(vector) else self.edges_of_bodies(vector)[0]
+    def nearest_consistent(self, vector: Array) -> Array:
+        """``vector``, moved towards nominal until it is physically consistent, ``(p,)``."""
+        return vector if self.physically_consistent(vector) else self.consistency_boundary(vector)[0]
 
-    def edges_of_bodies(self, vector: Array) -> list[Array]:
-        """Points with bodies nearest to one without, ``(p,)`` each.
+    def consistency_boundary(self, vector: Array) -> list[Array]:
+        """Physically consistent points nearest to an inconsistent one, ``(p,)`` each.
 
-        On the way back to nominal, where bodies are those of the model, go all parameters of effects on bodies, or
-        their shapes alone (a mass nearer to the rest), or all but the shapes (less mass in the same place).
+        By bisection on the line to nominal, where bodies are those of the model, in three subspaces: all inertial
+        parameters, their shapes alone (a mass nearer to the rest), or all but the shapes (less mass in the same place).
         """
         found = []
-        for moved in (self.of_bodies, self.of_bodies & self._shapes, self.of_bodies & ~self._shapes):
+        for moved in (self.inertial, self.inertial & self._shapes, self.inertial & ~self._shapes):
             start = np.where(moved, self.nominal, vector)
-            if not self.has_bodies(start):
+            if not self.physically_consistent(start):
                 continue
             low, high = 0.0, 1.0
-            while high - low > EDGE:
+            while high - low > EDGE_TOLERANCE:
                 middle = 0.5 * (low + high)
-                low, high = (middle, high) if self.has_bodies(start + middle * (vector - start)) else (low, middle)
+                low, high = (
+                    (middle, high) if self.physically_consistent(start + middle * (vector - start)) else (low, middle)
+                )
             found.append(start + low * (vector - start))
         return found
 
-    def at_edge_of_bodies(self, vector: Array) -> NDArray[np.bool_]:
-        """Which parameters cannot be larger, all those of bodies together, because no body has them, ``(p,)``."""
-        away = np.where(self.of_bodies, vector - self.nominal, 0.0)
-        edge = not self.has_bodies(vector + AT_EDGE * away)
+    def at_consistency_boundary(self, vector: Array) -> NDArray[np.bool_]:
+        """Mask of inertial parameters at the boundary: together they cannot grow physically consistently, ``(p,)``."""
+        away = np.where(self.inertial, vector - self.nominal, 0.0)
+        edge = not self.physically_consistent(vector + EDGE_MARGIN * away)
         return np.asarray((away != 0.0) & edge)
 
     @cached_property
@@ -181,20 +187,20 @@ class Candidate:
 
     @property
     def seen(self) -> bool:
-        """Whether some feature depends on some parameter here."""
+        """Whether some sensitivity at ``point`` is not zero."""
         return any(np.any(jacobian) for jacobian in self.jacobians)
 
     @property
     def unseen(self) -> list[int]:
-        """Parameters with zero sensitivity here, like the centre of a payload without mass."""
+        """Indices of the parameters with zero sensitivity at ``point``, as the centre of a payload without mass."""
         zero = np.all([np.all(jacobian == 0.0, axis=0) for jacobian in self.jacobians], axis=0)
         return [int(index) for index in np.flatnonzero(zero)]
 
     def curved(self, index: int) -> bool:
         """Whether the valley of the error is curved along a parameter: its effect has several shapes without a grid.
 
-        The length of a cable and the place of its end, for example, change the error together. The place of a payload
-        does not: torques are linear in its mass and first moment, and steps of the fit lead to the bottom.
+        The length of a cable and the position of its end are an example. The position of a payload is not: torques are
+        linear in its mass and first moment, so that Gauss-Newton steps reach the minimum.
         """
         effect, part = next(item for item in self.parts if item[1].start <= index < item[1].stop)
         return (
@@ -203,11 +209,11 @@ class Candidate:
         )
 
     def probes(self, index: int) -> list[Array]:
-        """Points over the range of one parameter, nearest first, ``(p,)`` each."""
+        """Points over the range of one parameter, nearest to ``point`` first, ``(p,)`` each."""
         low, high = self.lower[index], self.upper[index]
         ends = [low, high, *np.clip(self.scalars[index].far, low, high)]
         here = self.point[index]
-        values = {here + share * (end - here) for end in ends for share in PROBES if end != here}
+        values = {here + share * (end - here) for end in ends for share in PROBE_SHARES if end != here}
         points = []
         for value in sorted(values, key=lambda value: abs(value - here)):
             points.append(self.point.copy())
@@ -222,18 +228,20 @@ class Candidate:
         return replace(self, jacobians=jacobians)
 
     def steps(self, joints: Joints) -> Array:
-        """Finite-difference steps, up to a bound under the physics at hand or away from it, ``(p,)``."""
+        """Finite-difference steps within the bounds; near a bound they go away from it, ``(p,)``."""
         steps = np.concatenate([effect.steps(joints, self.point[part]) for effect, part in self.parts])
         room = np.clip(self.point + steps, self.lower, self.upper) - self.point
-        steps = np.where(np.abs(room) < LEAST_ROOM * np.abs(steps), -steps, room)
-        return np.array([self.step_with_bodies(self.point, index, step) for index, step in enumerate(steps.tolist())])
+        steps = np.where(np.abs(room) < MIN_STEP_ROOM_SHARE * np.abs(steps), -steps, room)
+        return np.array([self.consistent_step(self.point, index, step) for index, step in enumerate(steps.tolist())])
 
-    def step_with_bodies(self, vector: Array, index: int, step: float) -> float:
-        """A step of one parameter from a point; backwards or shorter where it leaves no bodies."""
-        if not self.of_bodies[index]:
+    def consistent_step(self, vector: Array, index: int, step: float) -> float:
+        """A step of one parameter from a point; backwards or shorter where it is not physically consistent."""
+        if not self.inertial[index]:
             return step
         alone = step * (np.arange(vector.size) == index)
-        return step * next((share for share in SHARES if self.has_bodies(vector + share * alone)), 1.0)
+        return step * next(
+            (share for share in DIFFERENCE_STEP_FACTORS if self.physically_consistent(vector + share * alone)), 1.0
+        )
 
     def only(self, clusters: Sequence[int]) -> Candidate:
         """The candidate restricted to some clusters, by number."""
@@ -257,7 +265,7 @@ class Candidate:
             upper=self.upper[keep],
             point=self.point[keep],
             jacobians=tuple(jacobian[:, keep] for jacobian in self.jacobians),
-            of_bodies=self.of_bodies[keep],
+            inertial=self.inertial[keep],
         )
 
     def fixed(self, *indices: int) -> Candidate:
@@ -278,8 +286,8 @@ class Candidate:
         """The candidate with wider ranges for effects with a parameter at a bound; None if physics sets the bounds.
 
         Args:
-            at: Whether a parameter is at a bound, ``(p,)``.
-            source: Knows the bounds of physics.
+            at: Mask of the parameters at a bound, ``(p,)``.
+            source: Measurements, whose physics bounds parameters.
         """
         effects = tuple(
             effect.with_parameters(Parameter.widened) if np.any(at[part]) else effect for effect, part in self.parts
@@ -290,7 +298,7 @@ class Candidate:
         return replace(self, effects=effects, scalars=wider.scalars, lower=wider.lower, upper=wider.upper)
 
     def split(self, vector: Array) -> Added:
-        """Effect names with their parameter values; effects at nominal are left out, so that replays are shared."""
+        """Effect names with their parameter values, without effects at nominal, so that equal physics share replays."""
         return tuple(
             (effect.name, tuple(float(value) for value in vector[part]))
             for effect, part in self.parts
@@ -298,7 +306,7 @@ class Candidate:
         )
 
     def beside(self, other: Candidate) -> Candidate:
-        """Both together, each with its own linearisation: exact for small effects, a start for large ones."""
+        """Both candidates as one, the sum of both linearisations: exact for small effects, a start for large ones."""
         return Candidate(
             effects=self.effects + other.effects,
             sizes=self.sizes + other.sizes,
@@ -310,12 +318,14 @@ class Candidate:
             jacobians=tuple(np.hstack((a, b)) for a, b in zip(self.jacobians, other.jacobians, strict=True)),
             origin=self.origin,
             share=max(self.share, other.share),
-            of_bodies=np.concatenate((self.of_bodies, other.of_bodies)),
+            inertial=np.concatenate((self.inertial, other.inertial)),
             worlds=self.worlds or other.worlds,
         )
 
 
-def wanted(candidate: Candidate, numbers: Sequence[int], source: Source, share: float = 1.0) -> list[tuple[int, Added]]:
+def required_predictions(
+    candidate: Candidate, numbers: Sequence[int], source: Source, share: float = 1.0
+) -> list[tuple[int, Added]]:
     """Predictions that :func:`linearise` needs, listed so that those of many effects run in one batch."""
     at_nominal = not candidate.origin and bool(np.all(candidate.point == candidate.nominal))
     here, steps = candidate.split(candidate.point), candidate.steps(source.joints)
@@ -326,7 +336,7 @@ def wanted(candidate: Candidate, numbers: Sequence[int], source: Source, share: 
         if not at_nominal:
             result.append((number, here))
         for effect, part in candidate.parts:
-            if concerns(effect, source.clusters[number]):
+            if can_change(effect, source.clusters[number]):
                 result += [(number, added) for added in moved[part]]
     return result
 
@@ -344,15 +354,15 @@ def linearise(
     Args:
         candidate: Effects and point.
         clusters: Evidence, with the scale of the features.
-        numbers: Numbers of these clusters in the source.
+        numbers: Indices of these clusters in the source.
         source: Predicts the features.
         what: Purpose, shown as progress.
-        share: Of the steps of the parameters. Whole steps see past joints and contacts that stick; near an optimum
-            they mislead where features bend.
+        share: Finite-difference step over the step of each parameter. Whole steps reach past stiction of joints and
+            contacts; near an optimum they are biased by curvature.
     """
     at_nominal = not candidate.origin and bool(np.all(candidate.point == candidate.nominal))
     steps = candidate.steps(source.joints)
-    results = iter(source.predict(wanted(candidate, numbers, source, share), what))
+    results = iter(source.predict(required_predictions(candidate, numbers, source, share), what))
     offsets, jacobians = [], []
     for item in clusters:
         base = next(results)
@@ -361,7 +371,7 @@ def linearise(
             return None
         jacobian = np.zeros((base.size, candidate.point.size))
         for effect, part in candidate.parts:
-            if not concerns(effect, item):
+            if not can_change(effect, item):
                 continue
             for index in range(part.start, part.stop):
                 there = next(results)
@@ -374,15 +384,15 @@ def linearise(
 
 
 class Problem:
-    """The least-squares problem of a candidate, ready to leave clusters out.
+    """Bounded linear least squares of a candidate with a normal prior, and its leave-one-out solutions.
 
     Args:
         candidate: Effects with sensitivities.
         clusters: Residuals, in the same order.
-        neighbours: Per cluster, neighbours left out of the fit together with it, but not counted in its held-out error.
-        noise_unknown: Whether residuals are scaled by what the model leaves, as without repeats: what a fit leaves is
-            then the noise, beside which the prior is weighed. Else it would pull the estimates of a light arm, whose
-            parameter scales are small, to their nominal values.
+        neighbours: Per cluster, neighbours with correlated noise, which are left out of its leave-one-out fit as well.
+        noise_unknown: Whether residuals are scaled by those of the model, as without repeats. The residual of the fit
+            is then the noise for the weight of the prior. Else the prior would pull the estimates of a light arm,
+            whose parameter scales are small, to their nominal values.
     """
 
     def __init__(
@@ -409,28 +419,28 @@ class Problem:
         self._powers = np.array([target @ target / target.size for target in self.targets])
         scale = candidate.scale
         self._lower = (candidate.lower - candidate.point) / scale
-        self._upper = np.maximum((candidate.upper - candidate.point) / scale, self._lower + ROOM)
+        self._upper = np.maximum((candidate.upper - candidate.point) / scale, self._lower + MIN_BOUND_GAP)
         self._nominal = (candidate.nominal - candidate.point) / scale
         self._weigh_prior(1.0)
         if noise_unknown:
-            self._weigh_prior(float(np.clip(self.error(self.solve()), LEAST_NOISE, 1.0)))
+            self._weigh_prior(float(np.clip(self.error(self.solve()), MIN_NOISE_VARIANCE, 1.0)))
 
     def _weigh_prior(self, noise: float) -> None:
-        """Weigh the prior as beside residuals of a mean square, scaled like the clusters [-].
+        """Weigh the prior for a noise variance in the scale of the clusters [-].
 
-        Where the noise is not known, residuals are scaled by what the model leaves. A prior that is weak beside that is
-        strong beside a better model.
+        Where the noise is not known, residuals are scaled by those of the model. A prior that is weak beside these is
+        strong beside the smaller residuals of a better model.
         """
         self._prior = noise / np.square(self.candidate.prior)
         self.total = self.information.sum(axis=0) + np.diag(self._prior)
         self._total_score = self.scores.sum(axis=0) + self._nominal * self._prior
 
     def solve(self, without: Sequence[int] = (), within: float = np.inf) -> Array:
-        """Change from the candidate's point in parameter scales, ``(p,)``.
+        """Least-squares change from the candidate's point in parameter scales, ``(p,)``.
 
         Args:
             without: Clusters that are left out.
-            within: Largest change of a parameter, in scales.
+            within: Radius of the box trust region, in scales.
         """
         information, score = self.total, self._total_score
         if len(without) > 0:
@@ -438,19 +448,21 @@ class Problem:
             information = information - self.information[chosen].sum(axis=0)
             score = score - self.scores[chosen].sum(axis=0)
         lower, upper = np.clip(self._lower, -within, within), np.clip(self._upper, -within, within)
-        upper = np.maximum(upper, lower + ROOM)
-        return self._with_bodies(bounded(information, score, lower, upper), information, score, lower, upper)
+        upper = np.maximum(upper, lower + MIN_BOUND_GAP)
+        return self._consistent(bounded(information, score, lower, upper), information, score, lower, upper)
 
-    def _with_bodies(self, change: Array, information: Array, score: Array, lower: Array, upper: Array) -> Array:
-        """A change that leaves rigid bodies: at the edge of their set, with all other parameters solved for there."""
+    def _consistent(self, change: Array, information: Array, score: Array, lower: Array, upper: Array) -> Array:
+        """Physically consistent change: inertial parameters at the boundary, all others solved for there."""
         candidate = self.candidate
         wanted = candidate.point + change * candidate.scale
-        if candidate.has_bodies(wanted):
+        if candidate.physically_consistent(wanted):
             return change
-        held, found = candidate.of_bodies, []
-        for edge in candidate.edges_of_bodies(wanted):
+        held, found = candidate.inertial, []
+        for edge in candidate.consistency_boundary(wanted):
             ends = (edge - candidate.point) / candidate.scale
-            found.append(bounded(information, score, np.where(held, ends, lower), np.where(held, ends + ROOM, upper)))
+            found.append(
+                bounded(information, score, np.where(held, ends, lower), np.where(held, ends + MIN_BOUND_GAP, upper))
+            )
         return min(found, key=lambda one: 0.5 * one @ information @ one - score @ one, default=np.zeros_like(change))
 
     def errors(self, change: Array) -> Array:
@@ -459,21 +471,21 @@ class Problem:
         return np.maximum(self._powers - gains / self._counts, 0.0)
 
     def error(self, change: Array) -> float:
-        """What :meth:`solve` makes least, at a change from the point ``(p,)``: the mean square over all measurements.
+        """Objective of :meth:`solve` at a change from the point ``(p,)``: the mean square over all measurements.
 
             sum_c n_c |r_c|^2 / sum_c n_c F_c
 
-        A condition counts by its repeats n_c and features F_c; the prior is left out.
+        with repeats n_c and features F_c of cluster c; the prior is left out.
         """
         return float(self._counts @ self.errors(change)) / float(self._counts.sum())
 
-    def rest(self, change: Array) -> list[Array]:
-        """Mean residuals after a change from the point, ``(F,)`` per cluster [-]."""
+    def residuals_at(self, change: Array) -> list[Array]:
+        """Mean residuals at a change from the point, ``(F,)`` per cluster [-]."""
         return [t - j @ change for t, j in zip(self.targets, self.candidate.jacobians, strict=True)]
 
     @cached_property
-    def left_out_rest(self) -> list[Array]:
-        """Mean residuals of every cluster after the fit to all others, ``(F,)`` per cluster [-]."""
+    def leave_one_out_residuals(self) -> list[Array]:
+        """Leave-one-out residuals: of every cluster after the fit to all others, ``(F,)`` each [-]."""
         return [
             target - jacobian @ change
             for target, jacobian, change in zip(self.targets, self.candidate.jacobians, self.left_out, strict=True)
@@ -481,32 +493,34 @@ class Problem:
 
     @cached_property
     def left_out(self) -> Array:
-        """Estimates without one cluster each, as changes in parameter scales, ``(c, p)``."""
+        """Leave-one-out estimates, as changes in parameter scales, ``(c, p)``."""
         neighbours = self._neighbours or [()] * len(self.clusters)
         return self._solved_without([[c, *neighbours[c]] for c in range(len(self.clusters))])
 
     def _solved_without(self, left_out: Sequence[Sequence[int]]) -> Array:
-        """:meth:`solve` without some clusters, for every such choice, ``(k, p)``; most ends lie within the bounds."""
+        """:meth:`solve` without some clusters, for every choice, ``(k, p)``; most solutions lie within the bounds."""
         informations = np.array([self.total - self.information[chosen].sum(axis=0) for chosen in left_out])
         scores = np.array([self._total_score - self.scores[chosen].sum(axis=0) for chosen in left_out])
         changes = bounded(informations, scores, self._lower, self._upper)
-        candidate, held = self.candidate, self.candidate.of_bodies
+        candidate, held = self.candidate, self.candidate.inertial
         if not np.any(held):
             return changes
         whole = self.solve()
         for number, change in enumerate(changes):
-            if not candidate.has_bodies(candidate.point + change * candidate.scale):  # as in the fit to all clusters
-                lower, upper = np.where(held, whole, self._lower), np.where(held, whole + ROOM, self._upper)
+            if not candidate.physically_consistent(
+                candidate.point + change * candidate.scale
+            ):  # as in the fit to all clusters
+                lower, upper = np.where(held, whole, self._lower), np.where(held, whole + MIN_BOUND_GAP, self._upper)
                 changes[number] = bounded(informations[number], scores[number], lower, upper)
         return changes
 
     @cached_property
     def held_out(self) -> Array:
-        """Mean square scaled error of every cluster, predicted from all others, ``(c,)`` [-]."""
+        """Leave-one-out mean square error of every cluster, ``(c,)`` [-]."""
         return self.errors(self.left_out)
 
     def jackknife(self) -> Array:
-        """Standard errors from leaving one cluster out, in parameter scales, ``(p,)``."""
+        """Jackknife standard errors over the clusters, in parameter scales, ``(p,)`` (Efron 1982)."""
         count = len(self.clusters)
         alone = self._solved_without([[c] for c in range(count)]) if self._neighbours else self.left_out
         spread = np.square(alone - alone.mean(axis=0)).sum(axis=0)
@@ -515,9 +529,9 @@ class Problem:
     def half_widths(self, change: Array, null: NullDistribution, confidence: float = 0.95) -> Array:
         """Half widths of intervals in parameter scales, ``(p,)``.
 
-        The prior pulls what the data do not determine to its nominal value; for parameters that vary as much as the
-        prior allows, with the covariance S, the error of this has the covariance A^-1 P S P A^-1, with A all
-        information and P that of the prior.
+        The prior shrinks parameters that the data do not determine to nominal. For true parameters that scatter about
+        nominal with the prior's covariance S, this bias has the covariance A^-1 P S P A^-1, with the total information
+        A and that of the prior P.
         """
         noise, jackknife, systematic, freedom = self._errors(change, null)
         clusters: float | Array = sum(bool(np.any(jacobian)) for jacobian in self.candidate.jacobians)
@@ -531,9 +545,10 @@ class Problem:
         )
 
     def p_by_interval(self, change: Array, null: NullDistribution, index: int) -> float:
-        """p-value of one parameter being nominal, by the error that its interval has; without calibrations.
+        """p-value of one parameter being nominal, by Student's t with the standard error of its interval.
 
-        Flipped signs of blocks decide nothing where few of them see a parameter, however well these determine it.
+        The sign-flip test has no power where few blocks depend on a parameter, however well these determine it.
+        Calibrations are left out.
         """
         noise, jackknife, systematic, freedom = (part[index] for part in self._errors(change, null))
         error = math.hypot(max(noise, jackknife), systematic)
@@ -541,13 +556,13 @@ class Problem:
         return float(2.0 * scipy.stats.t.sf(distance / max(error, 1e-300), freedom))
 
     def _errors(self, change: Array, null: NullDistribution) -> tuple[Array, Array, Array, Array]:
-        """Standard errors from noise, from the clusters, and from discrepancy and prior; degrees of freedom, ``(p,)``.
+        """Standard errors by noise, jackknife, and discrepancy with prior; degrees of freedom of noise, ``(p,)`` each.
 
         See :meth:`half_widths`.
         """
         inverse = np.linalg.inv(self.total)
         jacobians = self.candidate.jacobians
-        noise = null.covariance(jacobians, self.rest(change), inverse)
+        noise = null.covariance(jacobians, self.residuals_at(change), inverse)
         pulled = inverse @ (np.square(self.candidate.prior * self._prior)[:, None] * inverse)
         systematic = null.discrepancy(jacobians, inverse) + pulled
         from_noise, from_others = (np.sqrt(np.maximum(np.diag(part), 0.0)) for part in (noise, systematic))
@@ -556,7 +571,7 @@ class Problem:
     def moved_by_calibrations(self) -> Array:
         """Standard errors of the estimate from calibrations that all clusters share, ``(p,)``.
 
-        A calibration that an effect of the candidate stands for, such as the gain of a torque, is fitted and adds none.
+        A calibration that an effect of the candidate spans, such as the gain of a torque, is fitted and adds none.
         """
         pairs = [
             (np.sqrt(item.count) * item.calibrations, np.sqrt(item.count) * jacobian)
@@ -569,15 +584,14 @@ class Problem:
         changes = np.linalg.solve(self.total, scores.T).T
         rests = [(rows, rows - changes @ jacobian.T) for rows, jacobian in pairs]
         whole, left = np.sum([[np.sum(np.square(part), axis=1) for part in both] for both in rests], axis=0)
-        changes[left < FITTED * whole] = 0.0
+        changes[left < MIN_UNFITTED_SHARE * whole] = 0.0
         return np.asarray(np.sqrt(np.sum(np.square(changes), axis=0)))
 
     def p_value(self, null: NullDistribution, tested: slice | Sequence[int]) -> float:
         """p-value of some parameters being nominal while all others of the candidate are fitted (score test).
 
         Args:
-            null: From the residuals of the best fit without the tested parameters, or of the model itself if
-                nothing else is fitted.
+            null: Of the residuals of the fit without the tested parameters, or of the model if nothing else is fitted.
             tested: Indices of the tested parameters.
         """
         indices = np.arange(self.total.shape[0])
@@ -590,17 +604,17 @@ class Problem:
 
 
 def bounded(information: Array, score: Array, lower: Array, upper: Array) -> Array:
-    """Minimise ``b^T information b / 2 - score^T b`` within bounds; of several problems, ``(k, p)``, every one.
+    """Minimiser of ``b^T information b / 2 - score^T b`` within bounds, of one problem or of several, ``(k, p)``.
 
-    By the primal-dual active set method (Hintermüller, Ito and Kunisch 2002): entries at a bound stay there as long as
-    their multipliers keep them. Its few problems that do not settle are left to :func:`scipy.optimize.lsq_linear`.
+    Primal-dual active set method (Hintermüller, Ito and Kunisch 2002): entries stay at a bound as long as their
+    multipliers have the sign for it. The few problems that do not converge go to :func:`scipy.optimize.lsq_linear`.
     """
     change = np.linalg.solve(information, score[..., None])[..., 0]
     matrices = information.reshape(-1, *information.shape[-2:])
     scores, found = np.atleast_2d(score), np.atleast_2d(change)
     low, high = found < lower - 1e-12, found > upper + 1e-12
     left = np.flatnonzero(np.any(low | high, axis=-1))
-    for _ in range(ACTIVE_SETS):
+    for _ in range(MAX_ACTIVE_SETS):
         if left.size == 0:
             break
         held = low[left] | high[left]

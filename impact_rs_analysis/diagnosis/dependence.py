@@ -1,21 +1,20 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Dependence: whether an effect depends on a circumstance of the measurement (a covariate).
+"""Covariates: whether the parameters of an effect depend on a circumstance of the measurement.
 
-Every effect is tried with every covariate, beside the effects that were found: with a value for each level, or, of a
-number, with a value at its mean and a change per standard deviation, and with curves through a few values
-(:mod:`impact_rs_sim.effects.depending`). Those that were not found with one value for all are tried as well: what is
-more here and less there may be nothing on average, or drown in the scatter.
+Every effect is tried with every covariate, together with the selected effects: with a value for each level; or for a
+number with a value at its mean and a slope per standard deviation, and with piecewise linear curves
+(:mod:`impact_rs_sim.effects.depending`). Effects that were not selected with one value for all circumstances are tried
+as well: their mean over the circumstances may be zero, or hidden in the scatter.
 
-A pair of an effect and a covariate is accepted as effects are: the score test of what the covariate adds is significant
-after adjustment for all pairs (Benjamini and Hochberg), the error on left-out clusters falls by enough, among equals
-the one with the fewest parameters is taken, and the rest is tried again beside it. Then clusters are held out, the
-effects are fitted to the others alone, the choice of pairs is repeated there, and both predict the held-out clusters. A
-dependence counts if the interval of the change of that error lies below 0 and more than half of the folds find it.
+Pairs of an effect and a covariate are chosen by forward selection, as effects are: the score test of the dependence is
+significant (Benjamini-Hochberg over all pairs), the leave-one-out error falls by enough, and among ties the pair with
+the fewest parameters is taken. A cross-validation repeats fit and selection without each fold. A dependence is accepted
+if the interval of the change of the held-out error lies below 0 and more than half of the folds select it.
 
-What depends on a covariate was scatter to the search that found the effects, which hides some and lets others pass for
-it. So all effects are searched once more, with the dependent ones in place of themselves; a dependence that this search
-replaces by another effect is none. Where it finds neither, because the scatter of repeats holds what depends on a
-number, the dependences stand beside the first search.
+Variation with a covariate was scatter to the search that found the effects; it may have hidden some and imitated
+others. So all effects are searched once more, with the dependent ones in place of themselves. A dependence that this
+search replaces by another effect is dropped. If it selects neither, because the scatter of repeats contains the
+variation with a number, the dependences stand with the effects of the first search.
 """
 
 from __future__ import annotations
@@ -27,29 +26,33 @@ from functools import partial
 import numpy as np
 
 from impact_rs_analysis.diagnosis.candidate import Candidate, linearise
-from impact_rs_analysis.diagnosis.fit import NEAR_STEPS, Evidence, Fit, measure_again, refine_again
+from impact_rs_analysis.diagnosis.fit import DIFFERENCE_STEP_SHARES, Evidence, Fit, gauss_newton, replay_and_refit
 from impact_rs_analysis.diagnosis.hold_out import Fold, folds_of
-from impact_rs_analysis.diagnosis.search import ProgressCallback, adjusted, simplest, tied
-from impact_rs_analysis.diagnosis.thresholds import LEAST_NUMBERS, LEAST_ROWS_OF_LEVEL, SHORTLIST, SIGNIFICANT
+from impact_rs_analysis.diagnosis.search import ProgressCallback, benjamini_hochberg, simplest, tied
+from impact_rs_analysis.diagnosis.thresholds import (
+    MIN_DISTINCT_NUMBERS,
+    MIN_ROWS_OF_LEVEL,
+    SHORTLIST_SIZE,
+    SIGNIFICANCE_LEVEL,
+)
 from impact_rs_analysis.diagnosis.verdicts import Findings, change_interval
-from impact_rs_analysis.evidence.source import MOST_AS_NAMES, Covariate, Source
+from impact_rs_analysis.evidence.source import MAX_NUMBERS_AS_LEVELS, Covariate, Source
 from impact_rs_sim.effects import Effect
 from impact_rs_sim.effects.depending import Depending, Knots, Levels, Slope, Terms, level_name
 from impact_rs_sim.robot import Array
 
-CURVES = (3, 5, 8)  # knots of a curve along a number; held-out prediction chooses, fewer where it is equal
+CURVE_KNOTS = (3, 5, 8)  # of a piecewise linear curve; cross-validation chooses, the fewest among ties
 
 
 @dataclass(frozen=True)
 class Choice:
-    """Dependences that a search accepts.
+    """Result of the forward selection of dependences.
 
     Attributes:
-        fit: The effects with them; None: there are none.
-        pairs: What was accepted, in this order.
-        rivals: By accepted pair, pairs that predict as well in its place.
-        p_values: By pair, adjusted for all of them; of accepted ones beside those accepted before, of the others beside
-            all that were accepted.
+        fit: Effects and dependences, fitted; None: there are none.
+        pairs: Accepted pairs, in the order of selection.
+        rivals: By accepted pair, tied pairs.
+        p_values: Adjusted, by pair; of accepted ones given those accepted before, of the others given all accepted.
     """
 
     fit: Fit | None
@@ -60,18 +63,18 @@ class Choice:
 
 @dataclass(frozen=True)
 class Dependences:
-    """What depends on which covariate.
+    """Dependences of effects on covariates.
 
     Attributes:
         source: The measurements, predicted with the pairs that the hold-out supports.
         tried: All pairs.
-        choice: What the search of all data accepts.
-        pairs: Of these, those that the hold-out supports, and that a search beside all effects does not replace.
-        fit: The effects with them; None: there are none.
+        choice: Selection in all data.
+        pairs: Selected pairs that the cross-validation supports and the second search does not replace.
+        fit: Effects with these pairs; None: there are none.
         before: Mean held-out residuals with the effects alone, ``(F,)`` per cluster [-]; empty: nothing was held out.
-        after: The same with their dependences.
-        folds: Pairs that the search of every fold accepts.
-        replaced: Pairs in whose place a search beside all effects finds another one.
+        after: Mean held-out residuals with the dependences, likewise.
+        folds: Pairs that are selected without each fold.
+        replaced: Pairs that the second search replaces by an effect.
     """
 
     source: Source
@@ -85,30 +88,30 @@ class Dependences:
     replaced: tuple[str, ...] = ()
 
     def in_place_of(self, effects: Sequence[Effect]) -> list[Effect]:
-        """Effects to consider, those that depend on a covariate in place of themselves."""
+        """Effects of the second search, with dependent ones in place of themselves."""
         return [next((pair for pair in self.pairs if pair.effect.name == own.name), own) for own in effects]
 
-    def settled_by(self, found: Findings, again: Findings) -> bool:
-        """Whether a search with the dependences finds them, or other effects in their place.
+    def confirmed_by(self, found: Findings, again: Findings) -> bool:
+        """Whether the second search selects the dependences, or other effects in their place.
 
         Args:
-            found: Of the first search.
-            again: Of the search with the dependences.
+            found: Result of the first search.
+            again: Result of the second search.
         """
         own = {pair.name for pair in self.pairs}
         return own <= set(again.names) or bool(set(again.names) - own - set(found.names))
 
     def beside(self, chosen: Fit) -> Dependences:
-        """The dependences beside what a search finds with them."""
+        """The dependences that the second search selects, with its fit."""
         kept = tuple(pair for pair in self.pairs if pair.name in chosen.candidate.names)
         return replace(self, pairs=kept, fit=chosen, replaced=tuple(p.name for p in self.pairs if p not in kept))
 
 
 def terms_of(source: Source) -> dict[str, tuple[Terms, ...]]:
-    """Ways in which parameters may depend on every covariate of a source, by name; empty: it does not vary enough.
+    """Forms of dependence on each covariate of a source, by name; empty: it does not vary enough.
 
-    A level has values of its own if it was measured beside every fold of a hold-out as well. A few different numbers
-    may be names, as those of sessions are.
+    A level has a value of its own if it is in the training data of every fold. A few different numbers may be levels,
+    as those of sessions are.
     """
     folds = folds_of(source) if source.covariates else []
     return {item.name: _terms(item, folds) for item in source.covariates}
@@ -120,49 +123,49 @@ def _terms(covariate: Covariate, folds: Sequence[Fold]) -> tuple[Terms, ...]:
     different = dict.fromkeys(map(level_name, every))
     beside = [[v for number in fold.training for v in covariate.values[number]] for fold in folds]
     found: list[Terms] = []
-    if covariate.numeric and len(set(every)) >= LEAST_NUMBERS:
+    if covariate.numeric and len(set(every)) >= MIN_DISTINCT_NUMBERS:
         numbers = np.array(every, dtype=float)
         found.append(Slope(float(numbers.mean()), float(numbers.std())))
-        if len(different) > MOST_AS_NAMES:
-            curves = dict.fromkeys(_curve(numbers, count) for count in CURVES)
+        if len(different) > MAX_NUMBERS_AS_LEVELS:
+            curves = dict.fromkeys(_curve(numbers, count) for count in CURVE_KNOTS)
             found += [curve for curve in curves if _determined(curve, [np.array(rows, dtype=float) for rows in beside])]
-    if not covariate.numeric or len(different) <= MOST_AS_NAMES:
+    if not covariate.numeric or len(different) <= MAX_NUMBERS_AS_LEVELS:
         names_of = [[level_name(value) for value in rows] for rows in beside]
         least = {name: min((rows.count(name) for rows in names_of), default=0) for name in different}
-        names = tuple(name for name, rows in least.items() if rows >= LEAST_ROWS_OF_LEVEL)
+        names = tuple(name for name, rows in least.items() if rows >= MIN_ROWS_OF_LEVEL)
         found += [Levels(names)] if len(names) > 1 else []
     return tuple(found)
 
 
 def _curve(numbers: Array, count: int) -> Knots:
-    """A curve whose knots have about as many rows each, ``numbers`` being those of all rows."""
+    """A curve with knots at quantiles of the numbers of all rows."""
     knots = np.quantile(numbers, np.linspace(0.0, 1.0, count), method="nearest")
     return Knots(tuple(np.unique(knots).tolist()))
 
 
 def _determined(curve: Knots, beside: Sequence[Array]) -> bool:
-    """Whether every knot has rows nearest to it beside every fold, and a line is not all that the knots allow."""
+    """Whether a curve has more knots than a line, and rows nearest to each knot in the training data of every fold."""
     knots = np.array(curve.knots)
     nearest = [np.argmin(np.abs(rows[:, None] - knots), axis=1) for rows in beside]
     least = min((int(np.bincount(own, minlength=knots.size).min()) for own in nearest), default=0)
-    return knots.size >= LEAST_NUMBERS and least >= LEAST_ROWS_OF_LEVEL
+    return knots.size >= MIN_DISTINCT_NUMBERS and least >= MIN_ROWS_OF_LEVEL
 
 
 def dependences_of(
     found: Findings, present: Sequence[Effect] = (), progress: ProgressCallback = lambda *_: None
 ) -> Dependences | None:
-    """Which effects depend on which covariate; None: there is nothing to try.
+    """Find the effects that depend on a covariate; None: there is nothing to try.
 
     Args:
-        found: Of the search with one value for all circumstances.
-        present: Effects that the model has already, which may depend on a covariate beyond that.
+        found: Result of the search with one value for all circumstances.
+        present: Effects of the model, which may depend on a covariate as well.
         progress: Called with fitted effects and their held-out error (:class:`Search`).
     """
     if not found.evidence.source.covariates or found.evidence.null.shortage is not None:
         return None
     if found.evidence.source.impossible:
         return None
-    source = found.evidence.source.knowing(())
+    source = found.evidence.source.with_dependences(())
     chosen = () if found.chosen is None else found.chosen.candidate.effects
     others = [single.effects[0] for name, single in found.search.singles.items() if name not in found.names]
     pairs = tuple(
@@ -184,24 +187,26 @@ def dependences_of(
     names = tuple(own for own, _ in results)
     change = change_interval(before, after, evidence)
     supported = change is not None and change[1] < 0.0
-    kept = tuple(one for one in choice.pairs if supported and _common(one, pairs, choice, names))
+    kept = tuple(one for one in choice.pairs if supported and _selected_in_most_folds(one, pairs, choice, names))
     fit = choice.fit
     if len(kept) < len(choice.pairs):
         fit = _fitted(chosen, start, evidence)
         for pair in kept:
             entry = _depending(evidence if fit is None else fit.evidence, fit, pair)
-            fit = None if entry is None else measure_again(refine_again(entry), near=True)
-    return Dependences(source.knowing(kept), pairs, choice, kept, fit, before, after, names)
+            fit = None if entry is None else replay_and_refit(gauss_newton(entry), near=True)
+    return Dependences(source.with_dependences(kept), pairs, choice, kept, fit, before, after, names)
 
 
-def ways_of(pair: Depending, pairs: Sequence[Depending]) -> set[str]:
-    """Names of all ways in which the effect of a pair may depend on its covariate."""
+def forms_of(pair: Depending, pairs: Sequence[Depending]) -> set[str]:
+    """Names of all forms of dependence of a pair's effect on its covariate."""
     return {one.name for one in pairs if (one.effect.name, one.covariate) == (pair.effect.name, pair.covariate)}
 
 
-def _common(pair: Depending, pairs: Sequence[Depending], choice: Choice, found: Sequence[tuple[str, ...]]) -> bool:
-    """Whether more than half of the folds find a dependence, or one that predicts as well in its place."""
-    alike = ways_of(pair, pairs) | set(choice.rivals[pair.name])
+def _selected_in_most_folds(
+    pair: Depending, pairs: Sequence[Depending], choice: Choice, found: Sequence[tuple[str, ...]]
+) -> bool:
+    """Whether more than half of the folds select a dependence, another form of it, or a rival."""
+    alike = forms_of(pair, pairs) | set(choice.rivals[pair.name])
     return 2 * sum(bool(alike & set(names)) for names in found) > len(found)
 
 
@@ -213,35 +218,37 @@ def _predicted(
     source: Source,
     fold: Fold,
 ) -> tuple[tuple[str, ...], dict[int, tuple[Array, Array]]]:
-    """Pairs that the other clusters show, and the mean residuals of a fold with the effects, without and with them."""
+    """Pairs selected without a fold, and its mean residuals with the effects, without and with these pairs."""
     evidence = Evidence.of(source, fold.training)
     fitted = _fitted(effects, start, evidence)
     choice = _choose(evidence, fitted, pairs, progress)
-    ends = [_rest(one, source, fold.held) for one in (fitted, choice.fit)]
+    ends = [_held_out_residuals(one, source, fold.held) for one in (fitted, choice.fit)]
     return tuple(one.name for one in choice.pairs), {n: (a, b) for n, a, b in zip(fold.held, *ends, strict=True)}
 
 
 def _fitted(effects: Sequence[Effect], start: Array, evidence: Evidence) -> Fit | None:
-    """Effects fitted to some clusters, from a start; None: there are none, or they cannot be simulated."""
+    """Effects fitted to some clusters from a start; None: no effects, or they cannot be simulated."""
     if not effects:
         return None
     candidate = Candidate.of(tuple(effects), evidence.source, start)
-    there = linearise(candidate, evidence.clusters, evidence.numbers, evidence.source, "dependences", NEAR_STEPS[-1])
-    return None if there is None else measure_again(refine_again(Fit.of(there, evidence)), near=True)
+    there = linearise(
+        candidate, evidence.clusters, evidence.numbers, evidence.source, "dependences", DIFFERENCE_STEP_SHARES[-1]
+    )
+    return None if there is None else replay_and_refit(gauss_newton(Fit.of(there, evidence)), near=True)
 
 
-def _rest(fitted: Fit | None, source: Source, held: Sequence[int]) -> list[Array]:
-    """Mean residuals of clusters with a fit; of the model without one, or where it cannot be simulated."""
+def _held_out_residuals(fitted: Fit | None, source: Source, held: Sequence[int]) -> list[Array]:
+    """Mean residuals of held-out clusters with a fit; of the model without a fit, or if it cannot be simulated."""
     items = [source.clusters[number] for number in held]
     if fitted is None:
         return [item.mean for item in items]
     source, added = fitted.evidence.source, fitted.candidate.split(fitted.estimate)
-    found = [source.measure_again(added, [item]) for item in items]
+    found = [source.residuals_with(added, [item]) for item in items]
     return [item.mean if own is None else own[0].mean for item, own in zip(items, found, strict=True)]
 
 
 def _choose(evidence: Evidence, fitted: Fit | None, pairs: Sequence[Depending], progress: ProgressCallback) -> Choice:
-    """Forward choice of pairs beside a fit; an effect depends on one covariate at most."""
+    """Forward selection of pairs, given a fit; an effect depends on one covariate at most."""
     chosen: list[Depending] = []
     rivals: dict[str, tuple[str, ...]] = {}
     p_values: dict[str, float] = {}
@@ -252,41 +259,44 @@ def _choose(evidence: Evidence, fitted: Fit | None, pairs: Sequence[Depending], 
         proposals = {p.name: entry for p in free if (entry := _depending(evidence, fitted, p)) is not None}
         for entry in proposals.values():
             progress("+".join(entry.candidate.names), evidence.size(entry.held_out))
-        p_values |= adjusted(_p_values(evidence, fitted, proposals), len(pairs))
-        before = [item.mean for item in evidence.clusters] if fitted is None else fitted.problem.left_out_rest
+        p_values |= benjamini_hochberg(_p_values(evidence, fitted, proposals), len(pairs))
+        before = [item.mean for item in evidence.clusters] if fitted is None else fitted.problem.leave_one_out_residuals
         likely = [
             entry
             for name, entry in proposals.items()
-            if p_values[name] < SIGNIFICANT and evidence.gains(before, entry.problem.left_out_rest, 0.5, whole=True)
+            if p_values[name] < SIGNIFICANCE_LEVEL
+            and evidence.gains(before, entry.problem.leave_one_out_residuals, 0.5, whole=True)
         ]
-        refined = [refine_again(entry) for entry in sorted(likely, key=lambda entry: entry.score)[:SHORTLIST]]
-        refined = [entry for entry in refined if evidence.gains(before, entry.problem.left_out_rest, whole=True)]
+        refined = [gauss_newton(entry) for entry in sorted(likely, key=lambda entry: entry.score)[:SHORTLIST_SIZE]]
+        refined = [
+            entry for entry in refined if evidence.gains(before, entry.problem.leave_one_out_residuals, whole=True)
+        ]
         if not refined:
             return Choice(fitted, tuple(chosen), rivals, p_values)
         best = simplest(refined)
         (own,) = (pair for pair in free if pair.name in best.candidate.names)
         others = [one for one in refined if one is not best and one.cost <= best.cost and tied(best, one)]
-        ways = ways_of(own, pairs)
+        ways = forms_of(own, pairs)
         rivals[own.name] = tuple(
             p.name for p in free for entry in others if p.name in entry.candidate.names and p.name not in ways
         )
         chosen.append(own)
-        fitted = measure_again(best, near=True)
+        fitted = replay_and_refit(best, near=True)
 
 
 def _depending(evidence: Evidence, fitted: Fit | None, pair: Depending) -> Fit | None:
-    """The linear fit in which an effect depends on a covariate, beside a fit; None where it cannot be simulated."""
-    source, joints = evidence.source.knowing([pair]), evidence.source.joints
+    """Linear fit of an effect that depends on a covariate, given a fit; None if it cannot be simulated."""
+    source, joints = evidence.source.with_dependences([pair]), evidence.source.joints
     parts = [] if fitted is None else [(own, fitted.estimate[part]) for own, part in fitted.candidate.parts]
     present = [own.name for own, _ in parts]
     if pair.effect.name in present:
         place = present.index(pair.effect.name)
         effect, values = parts[place]
         parts[place] = Depending(effect, pair.covariate, pair.terms), pair.at(values, joints)
-        share = NEAR_STEPS[-1]
+        share = DIFFERENCE_STEP_SHARES[-1]
     else:
         parts.append((pair, pair.nominal(joints)))
-        share = NEAR_STEPS[0]  # whole steps see past contacts that stick
+        share = DIFFERENCE_STEP_SHARES[0]  # whole steps reach past stiction of contacts
     origin = () if fitted is None else fitted.candidate.origin
     start = Candidate.of(tuple(own for own, _ in parts), source, np.concatenate([at for _, at in parts]), origin)
     there = linearise(start, evidence.clusters, evidence.numbers, source, "dependences", share)
@@ -294,13 +304,13 @@ def _depending(evidence: Evidence, fitted: Fit | None, pair: Depending) -> Fit |
 
 
 def _p_values(evidence: Evidence, fitted: Fit | None, proposals: Mapping[str, Fit]) -> dict[str, float]:
-    """p-values of effects not depending on a covariate, or of their absence where they are not fitted."""
+    """p-values of effects being independent of a covariate; of unfitted effects being absent."""
     names, tested = () if fitted is None else fitted.candidate.names, []
     for entry in proposals.values():
         pair, part = next(one for one in entry.candidate.parts if one[0].name not in names)
         assert isinstance(pair, Depending)
         amplitudes = sum(not scalar.shape for scalar in pair.effect.scalars(evidence.source.joints))
-        # A change under all circumstances alike is one of the effect, which may be fitted.
+        # The change common to all circumstances is the effect itself, a nuisance parameter if it is fitted.
         first = part.start + (amplitudes if pair.effect.name in names else 0)
         last = part.start + len(pair.terms.labels) * amplitudes
         tested.append([jacobian[:, first:last] for jacobian in entry.candidate.jacobians])

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Verdicts on dependences on covariates, and on what a covariate goes with.
+"""Verdicts on dependences on covariates, and on confounded covariates.
 
-A covariate may go with another, or with the impact speed: what was cold was also measured first. The largest canonical
-correlation of the two (Hotelling 1936, *Relations between two sets of variates*, Biometrika 28), with an indicator for
-every level, says how closely: 1 if one follows from the other.
+A covariate may be confounded with another, or with the impact speed: what was cold was also measured first. The measure
+is the largest canonical correlation (Hotelling 1936, *Relations between two sets of variates*, Biometrika 28), with an
+indicator variable for every level: 1 if one follows from the other.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from impact_rs_analysis.diagnosis.dependence import Dependences, terms_of, ways_of
+from impact_rs_analysis.diagnosis.dependence import Dependences, forms_of, terms_of
 from impact_rs_analysis.diagnosis.document import (
     CovariateDocument,
     DependenceDocument,
@@ -20,19 +20,19 @@ from impact_rs_analysis.diagnosis.document import (
     EstimateDocument,
 )
 from impact_rs_analysis.diagnosis.fit import Fit
-from impact_rs_analysis.diagnosis.relevance import moves_enough
+from impact_rs_analysis.diagnosis.relevance import exceeds_relevance_limit
 from impact_rs_analysis.diagnosis.residuals import residual_size
-from impact_rs_analysis.diagnosis.thresholds import GOES_WITH, SIGNIFICANT
+from impact_rs_analysis.diagnosis.thresholds import MIN_CANONICAL_CORRELATION, SIGNIFICANCE_LEVEL
 from impact_rs_analysis.diagnosis.verdict import CONFIRMED, NO_IMPROVEMENT, SMALL, DiagnosisVerdict, Kind
-from impact_rs_analysis.diagnosis.verdicts import clip_p
+from impact_rs_analysis.diagnosis.verdicts import reported_p
 from impact_rs_analysis.evidence.source import Covariate, Source
 from impact_rs_sim.effects.depending import Depending, Knots, Levels, Slope, Terms
 from impact_rs_sim.robot import Array
 
 
 def covariate_documents(source: Source) -> tuple[CovariateDocument, ...]:
-    """Covariates of a source, and what each goes with."""
-    found, terms = [], terms_of(source.knowing(())) if source.covariates else {}
+    """Covariates of a source, each with the variables that it is confounded with."""
+    found, terms = [], terms_of(source.with_dependences(())) if source.covariates else {}
     for item in source.covariates:
         others = [other for other in (*source.covariates, *source.state) if other.name != item.name]
         correlations = {other.name: correlation_of(item, other) for other in others}
@@ -47,14 +47,14 @@ def covariate_documents(source: Source) -> tuple[CovariateDocument, ...]:
                 tried=bool(terms[item.name]),
                 ways=_ways(terms[item.name]),
                 why_not="" if terms[item.name] else _why_not(item, source),
-                goes_with={name: value for name, value in correlations.items() if value > GOES_WITH},
+                goes_with={name: value for name, value in correlations.items() if value > MIN_CANONICAL_CORRELATION},
             )
         )
     return tuple(found)
 
 
 def _ways(terms: Sequence[Terms]) -> tuple[str, ...]:
-    """Ways in which parameters may depend on a covariate, in words."""
+    """Forms of dependence that are tried for a covariate, in words."""
     found = ["a value for each level"] if any(isinstance(one, Levels) for one in terms) else []
     found += ["a straight line"] if any(isinstance(one, Slope) for one in terms) else []
     knots = [str(len(one.knots)) for one in terms if isinstance(one, Knots)]
@@ -62,9 +62,9 @@ def _ways(terms: Sequence[Terms]) -> tuple[str, ...]:
 
 
 def _why_not(item: Covariate, source: Source) -> str:
-    """Why a covariate cannot be tried where the conditions are the reason; empty: it varies too little.
+    """Why the conditions do not allow a test of a covariate; empty: it varies too little.
 
-    A condition is held out as a whole. A level that one condition alone has is then predicted from no other row.
+    A condition is held out as a whole: a level of a single condition has no training rows.
     """
     units: dict[float | str, set[str]] = {}
     for cluster, values in zip(source.clusters, item.values, strict=True):
@@ -79,7 +79,7 @@ def _why_not(item: Covariate, source: Source) -> str:
 
 
 def correlation_of(first: Covariate, second: Covariate) -> float:
-    """Largest canonical correlation of two covariates over the rows [-]; 0 if one of them does not vary."""
+    """Largest canonical correlation of two covariates over the rows [-]; 0 if one is constant."""
     bases = []
     for item in (first, second):
         columns = _columns(item)
@@ -96,7 +96,7 @@ def _every(item: Covariate) -> list[float | str]:
 
 
 def _columns(item: Covariate) -> Array:
-    """Numbers, or an indicator for every level, ``(rows, k)``."""
+    """Design matrix of a covariate: its numbers, or an indicator of every level, ``(rows, k)``."""
     values = _every(item)
     if item.numeric:
         return np.array(values, dtype=float)[:, None]
@@ -117,8 +117,8 @@ def _accepted(found: Dependences, pair: Depending) -> DependenceDocument:
     assert fitted is not None
     estimates = dict(_estimates(fitted, pair))
     verdict, reason = CONFIRMED, "predicts unseen data better than one value for all"
-    if not _matters(fitted, pair):
-        verdict, reason = SMALL, "what it changes is below the relevance limits"
+    if not _is_relevant(fitted, pair):
+        verdict, reason = SMALL, "its changes of all signals are below the relevance limits"
     elif rivals:
         verdict, reason = DiagnosisVerdict(Kind.CONFUSABLE, rivals), "these predict unseen data as well in its place"
     per_unit: dict[str, EstimateDocument] = {}
@@ -133,13 +133,13 @@ def _accepted(found: Dependences, pair: Depending) -> DependenceDocument:
         covariate=pair.covariate,
         verdict=verdict,
         reason=reason,
-        p_value=clip_p(found.choice.p_values[pair.name]),
+        p_value=reported_p(found.choice.p_values[pair.name]),
         rivals=rivals,
         levels=estimates if isinstance(pair.terms, Levels) else {},
         curve=estimates if isinstance(pair.terms, Knots) else {},
         at_mean=estimates[pair.terms.labels[0]] if isinstance(pair.terms, Slope) else {},
         per_unit=per_unit,
-        chosen_in_folds=sum(bool(ways_of(pair, found.tried) & set(names)) for names in found.folds),
+        chosen_in_folds=sum(bool(forms_of(pair, found.tried) & set(names)) for names in found.folds),
         folds=len(found.folds),
         held_out_error_before=residual_size(fitted.evidence, found.before),
         held_out_error_after=residual_size(fitted.evidence, found.after),
@@ -147,8 +147,8 @@ def _accepted(found: Dependences, pair: Depending) -> DependenceDocument:
 
 
 def _refused(found: Dependences, pair: Depending) -> DependenceDocument:
-    p: float | None = clip_p(found.choice.p_values.get(pair.name, 1.0))
-    significant = p is not None and p < SIGNIFICANT
+    p: float | None = reported_p(found.choice.p_values.get(pair.name, 1.0))
+    significant = p is not None and p < SIGNIFICANCE_LEVEL
     verdict, reason = NO_IMPROVEMENT, "significant, but it hardly lowers the held-out error" if significant else ""
     if better := [one.covariate for one in found.pairs if one.effect.name == pair.effect.name]:
         p, reason = None, f"not tried beside {better[0]}, which predicts better"
@@ -170,11 +170,11 @@ def _refused(found: Dependences, pair: Depending) -> DependenceDocument:
 def with_estimates_of(
     pooled: DiagnosisDocument, document: DiagnosisDocument, pairs: Sequence[Depending]
 ) -> DiagnosisDocument:
-    """A diagnosis in which effects that depend on a covariate have their estimates under all circumstances together.
+    """A diagnosis in which effects that depend on a covariate have their pooled estimates.
 
     Args:
-        pooled: Of the search with one value for all circumstances, whose estimates are taken.
-        document: Of the search with the pairs in place of their effects.
+        pooled: Diagnosis with one value for all circumstances, whose estimates are taken.
+        document: Diagnosis with the pairs in place of their effects.
         pairs: Effects that depend on a covariate.
     """
     depending = {pair.shown_name for pair in pairs}
@@ -208,7 +208,7 @@ def _estimates(fitted: Fit, pair: Depending) -> Iterator[tuple[str, dict[str, Es
 
 
 def _scaled(of: EstimateDocument, factor: float, unit: str) -> EstimateDocument:
-    """An estimate per unit of something."""
+    """An estimate per unit of a covariate."""
     low, high = of.interval
     numerator = "1" if of.unit == "-" else of.unit
     return EstimateDocument(
@@ -220,8 +220,8 @@ def _scaled(of: EstimateDocument, factor: float, unit: str) -> EstimateDocument:
     )
 
 
-def _matters(fitted: Fit, pair: Depending) -> bool:
-    """Whether a dependence changes some feature by more than its relevance limit, beside its mean over all terms."""
+def _is_relevant(fitted: Fit, pair: Depending) -> bool:
+    """Whether a dependence changes a feature by more than its relevance limit, against the mean over its terms."""
     candidate, joints = fitted.candidate, fitted.evidence.source.joints
     part, scalars = candidate.part(pair.name), pair.effect.scalars(joints)
     shapes = np.array([scalar.shape for scalar in scalars], dtype=bool)
@@ -231,4 +231,4 @@ def _matters(fitted: Fit, pair: Depending) -> bool:
     values = np.empty(shapes.size)
     values[~shapes] = terms[0] if any(pair.terms.changes) else terms.mean(axis=0)
     values[shapes] = own[ends:]
-    return moves_enough(fitted, part, (own - pair.at(values, joints)) / candidate.scale[part])
+    return exceeds_relevance_limit(fitted, part, (own - pair.at(values, joints)) / candidate.scale[part])

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Diagnosis: search for missing effects, hold out, conclude; the same for every source of evidence."""
+"""Diagnosis: search for missing effects, cross-validate, conclude; the same for every source of evidence."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from impact_rs_analysis.diagnosis.bounds import NO_BOUNDS, Bounds, bounded
-from impact_rs_analysis.diagnosis.budget import FOR_THE_SEARCH, UNLIMITED, Budget
+from impact_rs_analysis.diagnosis.budget import SEARCH_TIME_SHARE, UNLIMITED, Budget
 from impact_rs_analysis.diagnosis.dependence import Dependences, dependences_of
 from impact_rs_analysis.diagnosis.dependence_verdicts import (
     covariate_documents,
@@ -31,25 +31,30 @@ from impact_rs_analysis.diagnosis.document import (
     UnexplainedDocument,
     ViewDocument,
 )
-from impact_rs_analysis.diagnosis.drift import doubt_of, drift_in_words, drift_of
+from impact_rs_analysis.diagnosis.drift import drift_in_words, drift_of, low_confidence_sentence
 from impact_rs_analysis.diagnosis.effect_verdicts import effect_documents
 from impact_rs_analysis.diagnosis.fit import Evidence, Fit
 from impact_rs_analysis.diagnosis.hold_out import HoldOut, hold_out
 from impact_rs_analysis.diagnosis.measurement import experiments_of, measurement_of, with_readings
 from impact_rs_analysis.diagnosis.next_experiment import next_experiment
-from impact_rs_analysis.diagnosis.residuals import MOST_RESTS, noise_size, residual_unit, rests_of
+from impact_rs_analysis.diagnosis.residuals import MAX_RESIDUALS, noise_size, residual_unit, rests_of
 from impact_rs_analysis.diagnosis.search import NOTHING_KNOWN, ProgressCallback, Rival, Search
-from impact_rs_analysis.diagnosis.thresholds import LEAST_CLUSTERS, LEAST_P, WIDE_TIE
+from impact_rs_analysis.diagnosis.thresholds import (
+    MAX_TIE_LOG_RATIO,
+    MIN_CLUSTERS,
+    MIN_REPORTED_CORRELATION,
+    MIN_REPORTED_P,
+)
 from impact_rs_analysis.diagnosis.verdict import IMPOSSIBLE, TOO_FEW
 from impact_rs_analysis.diagnosis.verdicts import (
     Findings,
     change_interval,
     headline,
-    lowers,
+    lowers_held_out_error,
     supported_by_hold_out,
     unsupported_words,
     within_discrepancy,
-    without_the_doubtful,
+    without_uncertain_effects,
 )
 from impact_rs_analysis.diagnosis.words import not_tried, summary_of
 from impact_rs_analysis.evidence.cluster import Added
@@ -60,8 +65,6 @@ from impact_rs_sim.effects import Effect
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.model import Model
 from impact_rs_sim.robot import Array
-
-CORRELATED = 0.8
 
 
 def diagnose(
@@ -77,12 +80,12 @@ def diagnose(
 
     Args:
         source: Measurements with the model's predictions.
-        model: The model of the file, of which that of the source may know further effects; None: that of the source.
-        only: Names of the effects to consider; None: all that the model does not contain, in trials and tables without
+        model: The model of the file, if that of the source has further user-defined effects; None: that of the source.
+        only: Names of the effects to consider; None: all that the model does not contain, for trials and tables without
             those that recordings calibrate.
         progress: Called with effects and their held-out error during the search (:class:`Search`).
         bounds: Ranges of parameters that a user knows better.
-        earlier: A model with effects that this one may lack: fits of them may begin at its estimates.
+        earlier: A model with effects that this one may lack; its estimates are further starts of their fits.
         budget: Processor time for all of it; what was not tried is in the document.
 
     Raises:
@@ -100,9 +103,9 @@ def diagnose(
     dependences = None if late else dependences_of(found, known, progress)
     document = document_of(found, source, model)
     if dependences is not None and dependences.pairs and not {p.effect.name for p in dependences.pairs} & set(present):
-        # What depends on circumstances was scatter to the first search, which hides effects, or passes for some.
+        # Variation with a covariate was scatter to the first search: it hides effects, or imitates some.
         again = findings_of(dependences.source, dependences.in_place_of(effects), progress, budget=budget)
-        if dependences.settled_by(found, again) and again.chosen is not None:
+        if dependences.confirmed_by(found, again) and again.chosen is not None:
             dependences, pairs = dependences.beside(again.chosen), dependences.pairs
             document = with_estimates_of(document, document_of(again, dependences.source, model), pairs)
     document = document.model_copy(
@@ -130,17 +133,17 @@ def diagnose(
     spent = BudgetDocument(limit=limit, left_out=tuple(budget.left_out))
     remarks = (*filter(None, [not_tried(spent)]), *document.remarks, *unseen)
     document = document.model_copy(update={"runs": _runs(whole), "budget": spent, "remarks": remarks})
-    summary = " ".join(filter(None, [summary_of(document), doubt_of(document.drift)]))
+    summary = " ".join(filter(None, [summary_of(document), low_confidence_sentence(document.drift)]))
     said = {"measurement": measurement_of(document), "calibrate": experiments_of(document), "summary": summary}
     return document.model_copy(update=said)
 
 
 def added_of(document: DiagnosisDocument, source: Source) -> Added:
-    """The named effects with their estimates, as a source takes them.
+    """The named effects with their estimates, as input of a source.
 
     Args:
         document: A diagnosis.
-        source: Knows the effects. One that depends on a covariate has no single estimate, and is left out.
+        source: Has the effects. One that depends on a covariate has no single estimate, and is left out.
     """
     found = []
     for name in document.named:
@@ -155,10 +158,10 @@ def added_of(document: DiagnosisDocument, source: Source) -> Added:
 def _view(
     view: View, model: Model, effects: Sequence[Effect], dependences: Dependences | None, budget: Budget
 ) -> ViewDocument:
-    """The verdict on a view of the measurements, with the dependences that were found."""
+    """The verdict on a view of the measurements, given the dependences."""
     source, pairs = view.source, () if dependences is None else dependences.pairs
     if dependences is not None and pairs:
-        source, effects = source.knowing(pairs), dependences.in_place_of(effects)
+        source, effects = source.with_dependences(pairs), dependences.in_place_of(effects)
     findings = findings_of(source, effects, budget=budget)
     found = document_of(findings, source, model)
     return ViewDocument(
@@ -176,12 +179,12 @@ def _view(
 
 
 def _over_ranges(document: DiagnosisDocument) -> DiagnosisDocument:
-    """The document with intervals that hold over the ranges of what is not known well, where the data allow it."""
+    """The document with intervals over the range of each uncertain quantity, as far as the data allow it."""
     views = []
     for view in document.views:
         others = [other.held_out_error_after for other in document.views if other.of == view.of]
         best = min([document.held_out_error_after, *others])
-        allowed = view.held_out_error_after <= best * math.exp(WIDE_TIE / 2.0)
+        allowed = view.held_out_error_after <= best * math.exp(MAX_TIE_LOG_RATIO / 2.0)
         views.append(view.model_copy(update={"allowed": allowed}) if view.of else view)
     effects = []
     for effect in document.effects:
@@ -197,7 +200,7 @@ def _over_ranges(document: DiagnosisDocument) -> DiagnosisDocument:
 
 
 def effects_for(source: Source, only: Sequence[str] | None = None, bounds: Bounds = NO_BOUNDS) -> list[Effect]:
-    """Effects to consider, with ranges for a robot of this size.
+    """Effects to consider, with ranges in proportion to the robot.
 
     Args:
         source: Measurements with the model's predictions.
@@ -212,7 +215,7 @@ def effects_for(source: Source, only: Sequence[str] | None = None, bounds: Bound
 
 
 def _estimates_of(model: Model, source: Source) -> Added:
-    """Estimates of the effects of a model that a source knows."""
+    """Estimates of those effects of a model that a source has."""
     effects, joints = source.known_effects, source.joints
     known = [(item, effects[item.name].scalars(joints)) for item in model.effects if item.name in effects]
     return tuple((item.name, tuple(item.vector(scalars).tolist())) for item, scalars in known)
@@ -225,43 +228,43 @@ def findings_of(
     earlier: Added = (),
     budget: Budget = UNLIMITED,
 ) -> Findings:
-    """Search for missing effects, and hold out.
+    """Search for missing effects, and cross-validate the search.
 
     Args:
         source: Measurements with the model's predictions.
         effects: Effects to consider.
         progress: Called with effects and their held-out error during the search (:class:`Search`).
-        earlier: Estimates of an earlier model, at which fits may begin.
-        budget: Processor time; half of it is for the hold-out. What was not tried is noted there.
+        earlier: Estimates of an earlier model: further starts of fits.
+        budget: Processor time; half of it is for the hold-out. It lists what was not tried.
 
     Raises:
         InputError: Too few conditions for a hold-out.
     """
-    if source.repeated and len(source.clusters) < LEAST_CLUSTERS:
+    if source.repeated and len(source.clusters) < MIN_CLUSTERS:
         names = ", ".join(item.name for item in source.clusters)
         raise InputError(
-            f"{len(source.clusters)} condition(s) measured ({names}): at least {LEAST_CLUSTERS} are needed to hold one "
+            f"{len(source.clusters)} condition(s) measured ({names}): at least {MIN_CLUSTERS} are needed to hold one "
             "out; `impact-rs compare` still shows where the model fails"
         )
-    own = budget.part(FOR_THE_SEARCH)
+    own = budget.part(SEARCH_TIME_SHARE)
     search = Search(effects, Evidence.of(source, budget=own), progress, earlier=earlier)
     undecidable = search.evidence.null.shortage is not None or bool(source.impossible)
-    chosen = None if undecidable else search.choose()
+    chosen = None if undecidable else search.forward_selection()
     rivals: Sequence[Rival] = ()
     held, unsupported = None, ""
     suspected: tuple[str, ...] = ()
     if chosen is not None:
-        chosen, rivals = search.exchanged(chosen)
-        if (sure := without_the_doubtful(search, chosen)) is not chosen:
+        chosen, rivals = search.exchange(chosen)
+        if (sure := without_uncertain_effects(search, chosen)) is not chosen:
             chosen, rivals = sure, () if sure is None else search.rivals(sure)
-    known = search.ended if source.of_motion else NOTHING_KNOWN  # impacts are cheap, and bend where a contact slips
+    known = search.ended if source.of_motion else NOTHING_KNOWN  # impacts are cheap, and nonlinear in slip
     if chosen is not None and (held := hold_out(source, effects, chosen.candidate, known, budget)) is not None:
         supported = supported_by_hold_out(search, chosen, held)
         if supported is not chosen:
             kept = () if supported is None else supported.candidate.names
             left = tuple(name for name in chosen.candidate.names if name not in kept)
             unsupported = unsupported_words(search, left, held)
-            suspected = left if lowers(search, held) and not held.failed else ()
+            suspected = left if lowers_held_out_error(search, held) and not held.failed else ()
             chosen, rivals = supported, () if supported is None else search.rivals(supported)
         if chosen is None:
             held = None
@@ -279,7 +282,7 @@ def findings_of(
 
 
 def _p_values(search: Search, chosen: Fit | None) -> dict[str, float]:
-    """p-values of unchosen effects given the chosen ones, of chosen effects given the other chosen ones."""
+    """Unadjusted p-values: of unchosen effects given the chosen ones, of each chosen effect given the others."""
     own = () if chosen is None else chosen.candidate.names
     return search.raw_p_values(chosen) | {name: search.p_value_of_chosen(chosen, name) for name in own if chosen}
 
@@ -288,14 +291,14 @@ def document_of(found: Findings, source: Source, model: Model) -> DiagnosisDocum
     """The diagnosis as a document.
 
     Args:
-        found: Of the search.
-        source: What was searched.
-        model: The model of the file; that of the source may know further effects.
+        found: Result of the search.
+        source: The searched measurements.
+        model: The model of the file; that of the source may have further user-defined effects.
     """
     evidence, known = found.evidence, source.known_effects
     verdict, lack_of_fit = headline(found)
     before = [item.mean for item in evidence.clusters]
-    after: Sequence[Array] = before if found.hold_out is None else found.hold_out.rest
+    after: Sequence[Array] = before if found.hold_out is None else found.hold_out.residuals
     effects = tuple(with_readings(effect_documents(found, known), known))
     rivals = {effect.name: effect.rivals for effect in effects}
     drift = drift_of(source.clusters)
@@ -310,7 +313,7 @@ def document_of(found: Findings, source: Source, model: Model) -> DiagnosisDocum
         effects=effects,
         confusable=tuple((name, *rivals[name]) for name in found.shown(found.names) if rivals[name]),
         unexplained=UnexplainedDocument(
-            share_of_excess=found.share_left, where=tuple(rests_of(evidence, found.unexplained)[:MOST_RESTS])
+            share_of_excess=found.share_left, where=tuple(rests_of(evidence, found.unexplained)[:MAX_RESIDUALS])
         ),
         next_experiment=next_experiment(found, known),
         model=ModelIdentity.of(model),
@@ -325,7 +328,7 @@ def document_of(found: Findings, source: Source, model: Model) -> DiagnosisDocum
         design=DesignDocument(
             clusters=len(evidence.clusters),
             freedom=evidence.null.freedom,
-            least_p=LEAST_P,
+            least_p=MIN_REPORTED_P,
             shortage=evidence.null.shortage,
         ),
         discrepancy=source.discrepancy_document,
@@ -426,7 +429,7 @@ def _identifiability(chosen: Fit | None) -> Identifiability:
         return Identifiability()
     singular = np.linalg.svd(np.vstack(chosen.candidate.jacobians), compute_uv=False)
     inverse = np.linalg.inv(chosen.problem.total)
-    covariance = chosen.evidence.null.covariance(chosen.candidate.jacobians, chosen.rest, inverse)
+    covariance = chosen.evidence.null.covariance(chosen.candidate.jacobians, chosen.residuals, inverse)
     spread = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
     correlation = covariance / np.outer(spread, spread)
     names = [scalar.name for scalar in chosen.candidate.scalars]
@@ -437,6 +440,6 @@ def _identifiability(chosen: Fit | None) -> Identifiability:
             CorrelatedPair(first=names[i], second=names[j], correlation=float(correlation[i, j]))
             for i in range(len(names))
             for j in range(i)
-            if abs(correlation[i, j]) > CORRELATED
+            if abs(correlation[i, j]) > MIN_REPORTED_CORRELATION
         ),
     )

@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Discovery of a law: where no effect of the library explains the measurements, a formula of a grammar may.
+"""Discovery of a law (symbolic regression over a grammar), where no effect of the library explains the measurements.
 
-A law is an effect made of a formula, so the search, the hold-out, the p-values and the verdicts are those of a
-diagnosis, with the laws of the grammar (:mod:`impact_rs_analysis.diagnosis.grammar`) beside the library. It runs only
-where the library alone leaves more than noise; laws stand at places where free motion or contact leaves a residual. One
-that begins beyond the places of free motion, as a stop or a slack cable, is looked for where contact leaves one. In a
-table of impacts the laws are those of a single contact: its coefficients over closing and sliding speed.
+A law is an effect made of a formula, so search, cross-validation, p-values and verdicts are those of a diagnosis, with
+the laws of the grammar (:mod:`impact_rs_analysis.diagnosis.grammar`) in addition to the library. It runs only if the
+library leaves more than noise, with laws that act where free motion or contact has a residual. A law that sets in
+outside the range of free motion, as a stop or a slack cable, is searched for if contact has a residual. In a table of
+impacts the laws are coefficients of a single contact over closing and sliding speed.
 """
 
 from __future__ import annotations
@@ -30,15 +30,21 @@ from impact_rs_analysis.diagnosis.discovery_document import (
     PointDocument,
 )
 from impact_rs_analysis.diagnosis.document import DiagnosisDocument
-from impact_rs_analysis.diagnosis.fit import HOPELESS, Evidence, Fit, refine
-from impact_rs_analysis.diagnosis.grammar import KNOTS, LEAST_SPAN, Grammar, Law, curve_of, laws_of
+from impact_rs_analysis.diagnosis.fit import Evidence, Fit, chord_method
+from impact_rs_analysis.diagnosis.grammar import FREE_CURVE_KNOTS, MIN_SPAN_SHARE, Grammar, Law, curve_of, laws_of
 from impact_rs_analysis.diagnosis.residuals import residual_unit, rests_of
-from impact_rs_analysis.diagnosis.search import ProgressCallback, Rival, Search, p_value_beside
-from impact_rs_analysis.diagnosis.thresholds import LEAST_GAIN, SIGNIFICANT
+from impact_rs_analysis.diagnosis.search import ProgressCallback, Rival, Search, j_test_p_value
+from impact_rs_analysis.diagnosis.thresholds import (
+    MAX_ERROR_RATIO,
+    MIN_GAIN_SHARE,
+    MIN_RESIDUAL_RATIO_OF_LAW,
+    MIN_SHARE_OF_LARGEST_RESIDUAL,
+    SIGNIFICANCE_LEVEL,
+)
 from impact_rs_analysis.diagnosis.verdict import IMPOSSIBLE, NOTHING, SMALL, TOO_FEW
 from impact_rs_analysis.diagnosis.verdicts import Findings, headline
 from impact_rs_analysis.evidence.source import Source
-from impact_rs_analysis.evidence.visited import Range, visited
+from impact_rs_analysis.evidence.visited import Range, measured_ranges
 from impact_rs_sim.effects import Effect
 from impact_rs_sim.effects.formula import AXES
 from impact_rs_sim.impact_map.contact_laws import laws_of as laws_at
@@ -46,12 +52,11 @@ from impact_rs_sim.model import Model
 from impact_rs_sim.physics import Physics
 from impact_rs_sim.robot import Array
 
-SEEN = 1.5  # times repeatability; a signal below it shows no law
-SHARE = 0.25  # of the largest such signal, likewise: of joints that move others, one is the cause
-POINTS = 41  # of a law over its quantity
-CLEAR, FARTHEST = 0.3, 3.0  # difference of two laws that separates them, and how far out of the range it is looked for
-MOST_RIVALS = 8  # fitted in the place of laws
-MOST_OTHERS = 8  # laws that are listed without being proposed
+LAW_POINTS = 41  # at which a law is evaluated over the range of its quantity
+MIN_LAW_DIFFERENCE = 0.3  # of the largest force in the range; a larger difference separates two laws
+MAX_EXTRAPOLATION = 3.0  # times the end of the range, where such a difference is searched for
+MAX_RIVAL_LAWS = 8  # fitted in the place of a law
+MAX_OTHER_LAWS = 8  # listed without being proposed
 
 
 def discover(
@@ -61,13 +66,13 @@ def discover(
     only: Sequence[str] | None = None,
     progress: ProgressCallback = lambda *_: None,
 ) -> DiscoveryDocument:
-    """Look for a law that a model lacks.
+    """Search for a law that a model lacks.
 
     Args:
         source_of: Measurements against a model.
         model: The model.
         grammar: Which laws.
-        only: Names of the effects of the library to consider beside them; None: all that the model does not contain.
+        only: Names of library effects to consider as well; None: all that the model does not contain.
         progress: Called with laws and their held-out error during the search.
 
     Raises:
@@ -81,13 +86,13 @@ def discover(
         return DiscoveryDocument(
             verdict=verdict, summary=_no_need(verdict), error_unit=residual_unit(Evidence.of(source))
         )
-    ranges = visited(source)
+    ranges = measured_ranges(source)
     joints = min((len(kinds) for world in source.worlds for _, kinds in world.arm_joints), default=0)
     of_impacts = bool(source.contact_speeds)
     laws = {law.spec.name: law for law in laws_of(grammar, ranges, joints) if bool(law.coefficient) == of_impacts}
     wanted = set(_where(known, laws.values()))
     laws = {name: law for name, law in laws.items() if name in wanted and name not in model.known_effects}
-    domains = visited(
+    domains = measured_ranges(
         source, {law.symbol for law in laws.values() if not law.quantity.of_place and not law.quantity.shapes}
     )
     laws = {name: law for name, law in laws.items() if not law.coefficient or _varies(law, domains)}
@@ -113,13 +118,13 @@ def _described(
     laws: Mapping[str, Law],
     document: DiscoveryDocument,
 ) -> DiscoveryDocument | None:
-    """What free curves in the place of laws describe; None: they predict no better than the laws.
+    """The discovery with free curves in place of laws; None if they predict no better.
 
     Args:
         look: Searches for some laws.
         curves: Free curves.
-        laws: Laws that were searched for.
-        document: What was found among them.
+        laws: Searched laws.
+        document: The discovery among them.
     """
     over = {(curve.place, curve.where, curve.symbol) for curve in curves.values()}  # such a curve contains a law
     found = [laws[law.name] for law in document.laws]
@@ -132,16 +137,16 @@ def _described(
 
 
 def _varies(law: Law, domains: Mapping[str, Range]) -> bool:
-    """Whether the quantity of a law was measured at different values: else it is a constant, as the library has."""
+    """Whether the quantity of a law varies in the measurements; else the law is a constant, as in the library."""
     low, high = domains.get(law.symbol, (0.0, 0.0))
-    return high - low > LEAST_SPAN * law.quantity.typical
+    return high - low > MIN_SPAN_SHARE * law.quantity.typical
 
 
 def _predicts_better(curves: DiscoveryDocument, laws: DiscoveryDocument) -> bool:
-    """Whether curves leave clearly less of unseen conditions than laws, which have fewer parameters and say more."""
+    """Whether curves have a held-out error clearly below that of laws, which have fewer parameters."""
     assert curves.diagnosis is not None and laws.diagnosis is not None
     after, before = curves.diagnosis.held_out_error_after, laws.diagnosis.held_out_error_after
-    return after**2 <= (1.0 - LEAST_GAIN) * before**2
+    return after**2 <= (1.0 - MIN_GAIN_SHARE) * before**2
 
 
 @dataclass(frozen=True)
@@ -149,9 +154,9 @@ class _Tried:
     """A search with laws.
 
     Attributes:
-        source: What was searched.
-        found: Result.
-        counts: Laws and effects that were looked at, and starts.
+        source: The searched measurements.
+        found: Result of the search.
+        counts: Number of laws and effects, and number of starts.
     """
 
     source: Source
@@ -166,7 +171,7 @@ def _searched(
     laws: Mapping[str, Law],
     progress: ProgressCallback,
 ) -> _Tried:
-    """Search for laws beside the library."""
+    """Search for laws and library effects together."""
     source = source_of(model.model_copy(update={"formulas": (*model.formulas, *(law.spec for law in laws.values()))}))
     starts = [effect for law in laws.values() for effect in law.effects]
     found = findings_of(source, [*library, *starts], progress)
@@ -182,7 +187,7 @@ def _with_curve(
     ranges: Mapping[str, Range],
     document: DiscoveryDocument,
 ) -> DiscoveryDocument:
-    """The discovery with what a free curve in the place of the best law is, beside everything else that was found."""
+    """The discovery with a free curve fitted in place of its best law, together with all other effects found."""
     best, chosen = laws[document.laws[0].name], tried.found.chosen
     if best.symbol not in ranges or chosen is None or best.spec.name not in chosen.candidate.names:
         return document
@@ -190,7 +195,7 @@ def _with_curve(
     beside = [(effect, part) for effect, part in chosen.candidate.parts if effect.name != best.spec.name]
     others = [laws[effect.name] for effect, _ in beside if effect.name in laws]
     if any((law.place, law.where, law.symbol) == (best.place, best.where, best.symbol) for law in others):
-        return document  # of a law and a curve over the same quantity only the sum is seen
+        return document  # a law and a curve over the same quantity are confounded
     specs = [laws[effect.name].spec for effect, _ in beside if effect.name in laws]
     source = source_of(model.model_copy(update={"formulas": (*model.formulas, *specs, curve.spec)}))
     evidence, effect = Evidence.of(source), curve.effects[0]
@@ -201,22 +206,22 @@ def _with_curve(
     seen = linearise(near, evidence.clusters, evidence.numbers, source)
     if seen is None:
         return document
-    fitted = refine(seen, evidence)
+    fitted = chord_method(seen, evidence)
     own = fitted.candidate.part(effect.name)
     forces, half = fitted.estimate[own], (fitted.half_widths * fitted.candidate.scale)[own]
-    at = np.linspace(min(curve.knots), max(curve.knots), POINTS)
+    at = np.linspace(min(curve.knots), max(curve.knots), LAW_POINTS)
     said, band = _band(best, document.laws[0], at)
     points = []
     for knot, force, wide in zip(curve.knots, forces.tolist(), half.tolist(), strict=True):
-        if wide <= float(np.max(np.abs(said))):  # the data determine the others not even in sign
+        if wide <= float(np.max(np.abs(said))):  # the data do not determine the sign of the others
             there = float(np.interp(knot, at, said))
             points.append(PointDocument(at=knot, force=force, ci95=(force - wide, force + wide), law=there))
     return _with_first(document, _drawn(at, said, band, points, best.unit))
 
 
 def _as_curve(curve: Law, found: LawDocument) -> CurveDocument:
-    """A free curve that was found, with its knots."""
-    at = np.linspace(min(curve.knots), max(curve.knots), POINTS)
+    """A discovered free curve, with its knots."""
+    at = np.linspace(min(curve.knots), max(curve.knots), LAW_POINTS)
     said, band = _band(curve, found, at)
     points = [
         PointDocument(at=knot, force=value.estimate, ci95=value.ci95, law=value.estimate)
@@ -243,7 +248,7 @@ def _with_first(document: DiscoveryDocument, curve: CurveDocument) -> DiscoveryD
 
 
 def _band(law: Law, found: LawDocument, at: Array) -> tuple[Array, Array]:
-    """Force of a law and half width of its band, ``(k,)`` each: the squares of changes at interval ends."""
+    """Force of a law and half width of its 95 % band, ``(k,)`` each: changes at interval ends, in quadrature."""
     sign = -1.0 if law.opposes and not law.quantity.vector(AXES[0]) else 1.0
     numbers = {name: value.estimate for name, value in found.parameters.items()}
     said, squares = sign * law.force(at, numbers), np.zeros_like(at)
@@ -257,21 +262,21 @@ def _band(law: Law, found: LawDocument, at: Array) -> tuple[Array, Array]:
 def _curves(
     laws: Iterable[Law], ranges: Mapping[str, Range], source: Source, library: Sequence[Effect]
 ) -> Iterator[Law]:
-    """The free curves over every measured quantity at every place of some laws.
+    """The free curves of some laws, one for each place and measured quantity.
 
-    Where the search has an offset of joints, or of a coefficient of contacts, their curves do without one: of the two
-    together only the sum is seen.
+    Where the library has a constant offset of joints, or of a coefficient of contacts, their curves contain no
+    constant: the two would be confounded.
     """
     offset = _has_offset(source, library)
     apart = {(law.place, law.where, law.symbol): law for law in laws if law.symbol in ranges}
     for law in apart.values():
-        for count in KNOTS:
+        for count in FREE_CURVE_KNOTS:
             absolute = not (offset and law.joints) and not _shifts(source, library, law.coefficient)
             yield curve_of(law, ranges[law.symbol], count, absolute)
 
 
 def _has_offset(source: Source, library: Sequence[Effect]) -> bool:
-    """Whether an effect of the library is a constant torque on the joints."""
+    """Whether an effect of the library is a constant joint torque."""
     for effect in library:
         start = effect.nominal(source.joints)
         moved = effect.apply_vector(source.physics, start + effect.steps(source.joints, start))
@@ -282,11 +287,11 @@ def _has_offset(source: Source, library: Sequence[Effect]) -> bool:
 
 
 def _shifts(source: Source, library: Sequence[Effect], coefficient: str) -> bool:
-    """Whether an effect of the library changes a coefficient of contacts by the same amount, however they close."""
+    """Whether an effect of the library changes a contact coefficient by a constant, at any closing speed."""
     if not coefficient:
         return False
-    speeds = np.linspace(0.1, 1.0, POINTS)  # m/s; a constant is one at any
-    on_support = np.ones(POINTS, dtype=bool)
+    speeds = np.linspace(0.1, 1.0, LAW_POINTS)  # m/s; a constant is one at any
+    on_support = np.ones(LAW_POINTS, dtype=bool)
 
     def values(physics: Physics) -> Array:
         return np.asarray(getattr(laws_at(physics, speeds, speeds[::-1], on_support), coefficient))
@@ -301,48 +306,48 @@ def _shifts(source: Source, library: Sequence[Effect], coefficient: str) -> bool
 
 
 def _rivals(found: Findings) -> tuple[Rival, ...]:
-    """More rivals of the chosen effects, tied where the chosen one explains nothing beside its rival.
+    """More rivals of the chosen effects, tied if the chosen one is not significant given its rival.
 
-    Two laws that predict to within the noise are equal, whichever has the smaller error.
+    Two laws that predict to within the noise are tied, whichever has the smaller error.
     """
     if found.chosen is None:
         return ()
     return tuple(
         replace(rival, tied=rival.tied or _adds_nothing(found.chosen, rival))
-        for rival in found.search.rivals(found.chosen, max(1, MOST_RIVALS // len(found.names)), hopeless=np.inf)
+        for rival in found.search.rivals(found.chosen, max(1, MAX_RIVAL_LAWS // len(found.names)), hopeless=np.inf)
     )
 
 
 def _adds_nothing(chosen: Fit, rival: Rival) -> bool:
-    """Whether the chosen effect is not significant beside the rival that takes its place."""
-    near = rival.fit.score <= max(HOPELESS * chosen.score, float(rival.fit.evidence.expected.mean()))
-    return near and p_value_beside(chosen, rival.instead_of, rival.fit) > SIGNIFICANT
+    """Whether the chosen effect is not significant given the rival in its place (J test)."""
+    near = rival.fit.score <= max(MAX_ERROR_RATIO * chosen.score, float(rival.fit.evidence.expected.mean()))
+    return near and j_test_p_value(chosen, rival.instead_of, rival.fit) > SIGNIFICANCE_LEVEL
 
 
 def _of_library(source: Source, library: Sequence[Effect], progress: ProgressCallback) -> Findings:
-    """What a search for effects of the library alone finds."""
+    """Result of a search with effects of the library alone."""
     search = Search(library, Evidence.of(source), progress)
-    decidable = search.evidence.null.shortage is None and (search.lacking or not source.repeated)
-    return Findings(search, search.choose() if decidable else None, (), None, {})
+    decidable = search.evidence.null.shortage is None and (search.has_lack_of_fit or not source.repeated)
+    return Findings(search, search.forward_selection() if decidable else None, (), None, {})
 
 
 def _settled(known: Findings) -> str | None:
-    """Verdict where nothing is left to discover beside effects of the library; None: something is."""
+    """Verdict if effects of the library leave nothing to discover; else None."""
     (verdict, _), source = headline(known), known.evidence.source
     if verdict == IMPOSSIBLE:
         return str(verdict)
     if source.contact_speeds and source.noise_size() is None and verdict != TOO_FEW:
-        return None  # how much of the rest is noise is not known: the hold-out decides on laws
+        return None  # the noise is not known: the hold-out decides on laws
     if not source.contact_speeds and not source.repeated and verdict not in (TOO_FEW, NOTHING):
         left = max(rest.times_noise for rest in rests_of(known.evidence, known.unexplained))
-        return None if left > SEEN else LIBRARY
+        return None if left > MIN_RESIDUAL_RATIO_OF_LAW else LIBRARY
     if verdict.leaves_residuals:
         return None
     return str(verdict) if verdict in (TOO_FEW, NOTHING, SMALL) else LIBRARY
 
 
 def _no_need(verdict: str) -> str:
-    """Why no law was looked for."""
+    """Why no law was searched for."""
     return {
         str(NOTHING): "These measurements show nothing missing in the model: there is no law to discover.",
         str(SMALL): "What these measurements show beyond noise is below the relevance limits: no law is proposed.",
@@ -353,9 +358,9 @@ def _no_need(verdict: str) -> str:
 
 
 def _where(known: Findings, laws: Iterable[Law]) -> list[str]:
-    """Names of the laws that act where a residual is seen; in recordings, where the library leaves one.
+    """Names of the laws that act where the model has a residual; in recordings, where the library leaves one.
 
-    Every law of a contact acts in every impact of a table.
+    Every contact law acts in every impact of a table.
     """
     evidence = known.evidence
     if evidence.source.contact_speeds:
@@ -371,29 +376,33 @@ def _where(known: Findings, laws: Iterable[Law]) -> list[str]:
         if rest.phase in sizes:
             own = sizes[rest.phase].setdefault(rest.signal, {})
             own[joint] = max(own.get(joint, 0.0), rest.times_noise)
-    free = visited(evidence.source, after=0.0)
+    free = measured_ranges(evidence.source, after=0.0)
 
     def shown(law: Law, phase: str) -> bool:
         signal = sizes[phase].get(law.needs, {})
         largest = max(signal.values(), default=0.0)
         own_size = max((signal.get(joint, 0.0) for joint in law.joints), default=largest)
-        return own_size > max(SEEN, SHARE * largest)
+        return own_size > max(MIN_RESIDUAL_RATIO_OF_LAW, MIN_SHARE_OF_LARGEST_RESIDUAL * largest)
 
     def possible(law: Law) -> bool:
         if not law.needs:
-            return in_contact > SEEN
-        beyond = in_contact > SEEN and _begins_beyond(law, free)
+            return in_contact > MIN_RESIDUAL_RATIO_OF_LAW
+        beyond = in_contact > MIN_RESIDUAL_RATIO_OF_LAW and _begins_beyond(law, free)
         return shown(law, "free") or (beyond and (law.needs not in sizes["push"] or shown(law, "push")))
 
     return [law.spec.name for law in laws if possible(law)]
 
 
 def _where_in_recordings(known: Findings, laws: Iterable[Law]) -> list[str]:
-    """Names of the laws at joints whose torque is unexplained, and of forces where that of several is."""
+    """Names of the laws at joints with unexplained torque, and of forces if several joints have one."""
     rows = known.evidence.source.joint_sizes(known.unexplained)
     left = {joint: size / noise for joint, size, noise, _ in rows if noise > 0.0}
-    seen = {joint for joint, size in left.items() if size > max(SEEN, SHARE * max(left.values()))}
-    apart: dict[tuple[str, ...], str] = {}  # a torque on a motor and one on its link are the same there
+    seen = {
+        joint
+        for joint, size in left.items()
+        if size > max(MIN_RESIDUAL_RATIO_OF_LAW, MIN_SHARE_OF_LARGEST_RESIDUAL * max(left.values()))
+    }
+    apart: dict[tuple[str, ...], str] = {}  # torques on a motor and on its link are confounded there
     for law in laws:
         if seen & set(law.joints):
             apart.setdefault((law.where, law.symbol, law.form), law.spec.name)
@@ -403,10 +412,10 @@ def _where_in_recordings(known: Findings, laws: Iterable[Law]) -> list[str]:
 
 
 def _begins_beyond(law: Law, ranges: Mapping[str, Range]) -> bool:
-    """Whether a force or torque may act, from one of its starts, and nowhere in these ranges."""
+    """Whether a law, at one of its starts, is zero in all of these ranges: it sets in beyond them."""
     if law.symbol not in ranges or not any(one.shape for one in law.spec.parameters.values()):
         return False
-    at = np.linspace(*ranges[law.symbol], POINTS)
+    at = np.linspace(*ranges[law.symbol], LAW_POINTS)
     amplitudes = {name: 1.0 for name, one in law.spec.parameters.items() if not one.shape}
     return any(not np.any(law.force(at, amplitudes | dict(start))) for start in law.starts)
 
@@ -418,7 +427,7 @@ def _document(tried: _Tried, model: Model, laws: Mapping[str, Law], ranges: Mapp
         key=lambda name: found.search.beside(found.chosen, name).score,
     )
     rivals = [rival.name for rival in found.rivals]
-    shown = [name for name in dict.fromkeys([*found.names, *rivals, *best[:MOST_OTHERS]]) if name in laws]
+    shown = [name for name in dict.fromkeys([*found.names, *rivals, *best[:MAX_OTHER_LAWS]]) if name in laws]
     found.search.keep({*shown, *(name for name in found.search.singles if name not in laws)})
     diagnosis = document_of(found, tried.source, model)
     diagnosis = diagnosis.model_copy(update={"formulas": tuple(laws[name].spec for name in shown)})
@@ -512,7 +521,7 @@ def _law(diagnosis: DiagnosisDocument, law: Law, ranges: Mapping[str, Range], la
 
 
 def _in_one_line(rows: Mapping[str, str], law: Law) -> str:
-    """Formulas by joint or axis; equal ones, and those along a vector, as one."""
+    """Formulas by joint or axis in one line; equal ones, and components of a vector, are merged."""
     vector, of_place = law.quantity.vector, law.quantity.of_place
     if not vector(AXES[0]) or len(rows) != len(AXES):
         return "; ".join(dict.fromkeys(rows.values()))
@@ -540,7 +549,7 @@ PLACES_OF = {
 def _tie(
     diagnosis: DiagnosisDocument, law: Law, rivals: Sequence[str], ranges: Mapping[str, Range], laws: Mapping[str, Law]
 ) -> str:
-    """Why a law and its rivals cannot be distinguished, and what would distinguish them."""
+    """Sentence on why a law and its rivals are confounded, and on a measurement that separates them."""
     if not rivals:
         return ""
     text = f"{law.spec.name} and {', '.join(rivals)} cannot be distinguished"
@@ -557,10 +566,10 @@ def _tie(
 
 
 def _apart(law: Law, other: Law, diagnosis: DiagnosisDocument, domain: Range) -> float | None:
-    """Value of the quantity beyond its range at which two laws differ by ``CLEAR`` of their size inside; else None."""
+    """Nearest value out of range at which two laws differ by ``MIN_LAW_DIFFERENCE`` of their size; None if nowhere."""
     low, high = domain
     forces = []
-    reach = np.linspace(1.0, FARTHEST, 50)
+    reach = np.linspace(1.0, MAX_EXTRAPOLATION, 50)
     inside = np.linspace(low, high, 50)
     outside = (high if abs(high) >= abs(low) else low) * reach
     for one in (law, other):
@@ -569,5 +578,5 @@ def _apart(law: Law, other: Law, diagnosis: DiagnosisDocument, domain: Range) ->
         numbers = {name: value.estimate for name, value in effect.parameters.items()}
         forces.append((one.force(inside, numbers), one.force(outside, numbers)))
     size = float(np.max(np.abs(forces[0][0])))
-    off = np.flatnonzero(np.abs(forces[0][1] - forces[1][1]) > CLEAR * size)
+    off = np.flatnonzero(np.abs(forces[0][1] - forces[1][1]) > MIN_LAW_DIFFERENCE * size)
     return float(outside[off[0]]) if off.size else None

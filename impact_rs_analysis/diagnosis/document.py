@@ -14,7 +14,7 @@ from typing import Any, Literal, Self
 
 from pydantic import Field
 
-from impact_rs_analysis.diagnosis.thresholds import NOMINAL
+from impact_rs_analysis.diagnosis.thresholds import UNADJUSTED_LEVEL
 from impact_rs_analysis.diagnosis.verdict import SMALL, DiagnosisVerdict
 from impact_rs_analysis.evidence.calibration import LaboratoryCalibration
 from impact_rs_analysis.evidence.cluster import TIMES, ErrorUnit
@@ -26,7 +26,7 @@ from impact_rs_sim.files import write_whole
 from impact_rs_sim.model import Model
 from impact_rs_sim.schema import Schema, omitted, read_json, validate
 
-LARGEST = 50_000_000  # bytes; a diagnosis usually has about ten thousand
+MAX_FILE_BYTES = 50_000_000  # bytes; a diagnosis usually has about ten thousand
 
 
 class EstimateDocument(Schema):
@@ -506,7 +506,9 @@ class DiagnosisDocument(Schema):
             return ()
         found = [effect for name in self.not_excluded if (effect := self.effect(name)) is not None]
         return tuple(
-            one.name for one in found if one.lowers and one.p_value_alone is not None and one.p_value_alone < NOMINAL
+            one.name
+            for one in found
+            if one.lowers and one.p_value_alone is not None and one.p_value_alone < UNADJUSTED_LEVEL
         )
 
     def effect(self, name: str) -> EffectDocument | None:
@@ -529,7 +531,7 @@ def read_document(path: Path) -> DiagnosisDocument:
     Raises:
         InputError: The file is missing or no diagnosis.
     """
-    data = read_json(path, "a diagnosis", LARGEST)
+    data = read_json(path, "a diagnosis", MAX_FILE_BYTES)
     if not isinstance(data, dict):
         raise InputError("no diagnosis", file=path)
     if "laws" in data:  # a discovery holds the diagnosis that it comes from

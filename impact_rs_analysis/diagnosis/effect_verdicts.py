@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 
 from impact_rs_analysis.diagnosis.document import EffectDocument, EstimateDocument
 from impact_rs_analysis.diagnosis.fit import Evidence, Fit
-from impact_rs_analysis.diagnosis.relevance import matters, sizes_of
+from impact_rs_analysis.diagnosis.relevance import is_relevant, sizes_of
 from impact_rs_analysis.diagnosis.residuals import residual_size
 from impact_rs_analysis.diagnosis.search import tied_errors
-from impact_rs_analysis.diagnosis.thresholds import SIGNIFICANT, UNSEEN
+from impact_rs_analysis.diagnosis.thresholds import MAX_HALF_WIDTH, SIGNIFICANCE_LEVEL
 from impact_rs_analysis.diagnosis.verdict import (
     AT_BOUND,
     CONFIRMED,
@@ -25,11 +25,11 @@ from impact_rs_analysis.diagnosis.verdict import (
     DiagnosisVerdict,
     Kind,
 )
-from impact_rs_analysis.diagnosis.verdicts import Findings, certain, clip_p
+from impact_rs_analysis.diagnosis.verdicts import Findings, excludes_nominal, reported_p
 from impact_rs_sim.effects import Effect
 from impact_rs_sim.robot import Array
 
-NO_SIZE = "predicts unseen data, but its interval holds the value at which it does nothing: more conditions decide"
+SIZE_UNKNOWN = "predicts unseen data, but its interval holds the value at which it does nothing: more conditions decide"
 
 NOT_MEASURED = {
     "motor side": "no motor-side signal was measured",
@@ -40,7 +40,7 @@ NOT_MEASURED = {
 
 
 def effect_documents(found: Findings, known: dict[str, Effect]) -> list[EffectDocument]:
-    """Documents of all effects: chosen ones, then the others by their error, then those not measured."""
+    """Documents of all effects: chosen ones, then the others by leave-one-out error, then those not measured."""
     search = found.search
     others = [_other_document(found, known[name]) for name in search.singles if name not in found.names]
     others.sort(key=lambda report: report.held_out_error_after or 0.0)
@@ -79,7 +79,7 @@ def _chosen_document(found: Findings, effect: Effect) -> EffectDocument:
         verdict, reason = UNIDENTIFIABLE, "the data do not determine it: its interval is too wide"
     elif np.all(bound) or (np.any(bound) and not places) or np.any(shape):
         verdict, reason = AT_BOUND, "the best value lies at a bound: another effect may be missing"
-    elif not matters(chosen, name):
+    elif not is_relevant(chosen, name):
         size = sizes_of(chosen, name)[0]
         verdict = SMALL
         reason = f"at most {size.value:.2g} {size.unit} of the {size.signal}; relevance limit {size.floor:.2g}"
@@ -96,7 +96,7 @@ def _chosen_document(found: Findings, effect: Effect) -> EffectDocument:
     if verdict == CONFIRMED or rivals:
         shapes = {scalar.name for scalar in chosen.candidate.scalars[part] if scalar.shape}
         if not any(parameters[key].excludes_nominal for key in parameters.keys() - shapes):
-            verdict, reason = UNIDENTIFIABLE, NO_SIZE
+            verdict, reason = UNIDENTIFIABLE, SIZE_UNKNOWN
     searched = () if found.hold_out is None else found.hold_out.found
     return EffectDocument(
         name=effect.shown_name,
@@ -109,15 +109,15 @@ def _chosen_document(found: Findings, effect: Effect) -> EffectDocument:
         held_out_error_after=_error(found, chosen),
         held_out_error_alone=_error(found, found.chosen if found.names == (name,) else found.search.alone(name)),
         held_out_error_others=_error_without(found, name),
-        p_value=clip_p(found.adjusted[name]),
-        p_value_alone=clip_p(found.p_values[name]),
+        p_value=reported_p(found.adjusted[name]),
+        p_value_alone=reported_p(found.p_values[name]),
         sizes=tuple(sizes_of(chosen, name)),
         chosen_in_folds=sum(name in names for names in searched) if searched else None,
     )
 
 
 def _other_document(found: Findings, effect: Effect) -> EffectDocument:
-    """Document of an effect that was not chosen: in place of its chosen rival, or else added to the chosen ones."""
+    """Document of an unchosen effect: fitted in place of its chosen rival, or else added to the chosen ones."""
     search, evidence, name = found.search, found.evidence, effect.name
     own = [rival for rival in found.rivals if rival.name == name]
     tied = [rival for rival in own if rival.tied]
@@ -136,10 +136,10 @@ def _other_document(found: Findings, effect: Effect) -> EffectDocument:
     elif rivals:
         verdict = DiagnosisVerdict(Kind.CONFUSABLE, tuple(sorted(rivals)))
         reason = "predicts unseen data as well in place of the chosen effect"
-    elif p < SIGNIFICANT and best is None:
+    elif p < SIGNIFICANCE_LEVEL and best is None:
         size = sizes_of(fitted, name)
         verdict, reason = NO_IMPROVEMENT, "significant, but it hardly lowers the held-out error"
-        if not certain(fitted, name):
+        if not excludes_nominal(fitted, name):
             reason = "significant, but its interval contains the nominal value"
         elif size and all(entry.value <= entry.floor for entry in size):
             verdict = SMALL
@@ -160,20 +160,20 @@ def _other_document(found: Findings, effect: Effect) -> EffectDocument:
         held_out_error_after=_error(found, fitted),
         held_out_error_alone=_error(found, found.chosen if found.names == (name,) else found.search.alone(name)),
         held_out_error_others=before if best is None else _error_without(found, best.instead_of),
-        p_value=clip_p(p),
-        p_value_alone=clip_p(found.p_values.get(name, 1.0)),
+        p_value=reported_p(p),
+        p_value_alone=reported_p(found.p_values.get(name, 1.0)),
         sizes=tuple(sizes_of(fitted, name)) if verdict != NO_IMPROVEMENT else (),
     )
 
 
 def _error(found: Findings, fitted: Fit | None) -> float:
-    """Held-out error with a fit; None: of the model."""
-    rest = [item.mean for item in found.evidence.clusters] if fitted is None else fitted.problem.left_out_rest
+    """Leave-one-out error of a fit, or of the model (None)."""
+    rest = [item.mean for item in found.evidence.clusters] if fitted is None else fitted.problem.leave_one_out_residuals
     return residual_size(found.evidence, rest)
 
 
 def _error_without(found: Findings, name: str) -> float | None:
-    """Held-out error with the chosen effects but one; None if they cannot be simulated."""
+    """Leave-one-out error of the chosen effects but one; None if they cannot be simulated."""
     assert found.chosen is not None
     if found.names == (name,):
         return _error(found, None)
@@ -217,48 +217,48 @@ def _estimates(found: Findings, fitted: Fit, name: str) -> dict[str, EstimateDoc
 
 
 def _ends(found: Findings, fitted: Fit, part: slice) -> tuple[Array, Array]:
-    """Ends of the 95 % intervals of one effect, ``(k,)`` each; simulated where its signals may bend."""
+    """Ends of the 95 % intervals of one effect, ``(k,)`` each; simulated where its signals may be nonlinear."""
     if fitted is found.chosen:
         return fitted.interval[0][part], fitted.interval[1][part]
     source = found.search.source
-    if source.of_motion and source.repeated and not _seen_before_contact(fitted, part):
+    if source.of_motion and source.repeated and not _seen_in_free_motion(fitted, part):
         return fitted.interval_of(range(part.start, part.stop))
     candidate, half = fitted.with_room, fitted.half_widths * fitted.candidate.scale
     low, high = fitted.estimate - half, fitted.estimate + half
     return np.maximum(low, candidate.lower)[part], np.minimum(high, candidate.upper)[part]
 
 
-def _seen_before_contact(fitted: Fit, part: slice) -> bool:
-    """Whether free motion, which is almost linear in every parameter, depends on an effect."""
-    if fitted.evidence.before_contact is None:
+def _seen_in_free_motion(fitted: Fit, part: slice) -> bool:
+    """Whether free motion, which is nearly linear in every parameter, depends on an effect."""
+    if fitted.evidence.free_motion_part is None:
         return False
-    free = fitted.evidence.seen_before_contact(fitted.candidate).jacobians
+    free = fitted.evidence.linearised_in_free_motion(fitted.candidate).jacobians
     return any(np.any(jacobian[:, part]) for jacobian in free)
 
 
 def undetermined(fitted: Fit) -> NDArray[np.bool_]:
-    """Which parameters the data do not determine, ``(p,)``: wide intervals that hold the nominal value.
+    """Mask of the parameters that are not identifiable, ``(p,)``: wide intervals that contain the nominal value.
 
-    What is wide is measured by the size of the robot. A drive that is large beside a light arm has wide intervals on
-    that scale, which nevertheless say how large it is.
+    Parameter scales follow the size of the robot. A drive that is large beside a light arm has wide intervals on that
+    scale and is determined all the same, if its interval excludes nominal.
     """
     away = np.abs(fitted.estimate - fitted.candidate.nominal) / fitted.candidate.scale
-    return np.asarray((fitted.half_widths > UNSEEN) & (fitted.half_widths >= away))
+    return np.asarray((fitted.half_widths > MAX_HALF_WIDTH) & (fitted.half_widths >= away))
 
 
 def _joint(found: Findings, fitted: Fit, index: int) -> tuple[DiagnosisVerdict, float, float | None, float | None]:
-    """Verdict and p-value of one joint's parameter given all others; the joint's held-out error without and with it."""
+    """Verdict and p-value of one joint's parameter given all others; its leave-one-out error without and with."""
     candidate, evidence = fitted.candidate, fitted.evidence
     scalar = candidate.scalars[index]
     joint = f"joint{(scalar.joint or 0) + 1}"
     without = evidence.problem(candidate.fixed(index))
-    left = without.rest(without.solve())
+    left = without.residuals_at(without.solve())
     shifts = [item.mean - rest for item, rest in zip(evidence.clusters, left, strict=True)]
     if evidence.null.by_blocks:
         p = fitted.problem.p_by_interval(fitted.change, evidence.null, index)
     else:
         p = fitted.problem.p_value(evidence.shifted(shifts).null, [index])
-    rest, rest_without = fitted.problem.left_out_rest, without.left_out_rest
+    rest, rest_without = fitted.problem.leave_one_out_residuals, without.leave_one_out_residuals
     own, own_without = (_of_joint(evidence, values, scalar.arm, joint) for values in (rest, rest_without))
     if not own.size:  # nothing of the joint was measured
         return UNIDENTIFIABLE, 1.0, None, None
@@ -266,25 +266,27 @@ def _joint(found: Findings, fitted: Fit, index: int) -> tuple[DiagnosisVerdict, 
     rivals = [
         name
         for name, other in found.search.joint_alternatives(candidate, index)
-        if tied_errors(own, _of_joint(evidence, evidence.problem(other).left_out_rest, scalar.arm, joint), 1e-12)
+        if tied_errors(
+            own, _of_joint(evidence, evidence.problem(other).leave_one_out_residuals, scalar.arm, joint), 1e-12
+        )
     ]
     if undetermined(fitted)[index]:
         verdict = UNIDENTIFIABLE
     elif fitted.held_at_bound[index]:
         verdict = AT_BOUND
-    elif p >= SIGNIFICANT:
+    elif p >= SIGNIFICANCE_LEVEL:
         verdict = NO_IMPROVEMENT
     else:
         verdict = DiagnosisVerdict(Kind.CONFUSABLE, tuple(sorted(found.shown(rivals)))) if rivals else CONFIRMED
     if evidence.source.repeated:
-        return verdict, clip_p(p), None, None
+        return verdict, reported_p(p), None, None
     item = evidence.clusters[0]
     sigma = next(float(s) for f, s in zip(item.features, item.sigma, strict=True) if f.index == joint)
-    return verdict, clip_p(p), sigma * math.sqrt(error_without), sigma * math.sqrt(error)
+    return verdict, reported_p(p), sigma * math.sqrt(error_without), sigma * math.sqrt(error)
 
 
 def _of_joint(evidence: Evidence, rest: Sequence[Array], arm: str, joint: str) -> Array:
-    """Mean square residual of one joint's signals by cluster that has any, ``(c,)`` [-]; ``arm`` empty: of all arms."""
+    """Mean square residual of one joint by cluster that measures it, ``(c,)`` [-]; ``arm`` empty: all arms."""
     picked = []
     for item, values in zip(evidence.clusters, rest, strict=True):
         own = np.array([f.index.rsplit(".", 1)[-1] == joint and (not arm or f.arm in ("", arm)) for f in item.features])
@@ -294,9 +296,9 @@ def _of_joint(evidence: Evidence, rest: Sequence[Array], arm: str, joint: str) -
 
 
 def _alike_at_joints(verdicts: Sequence[DiagnosisVerdict | None]) -> tuple[str, ...]:
-    """What an effect is confusable with by the verdicts on its joints; empty: some joint is sure, or none says it.
+    """Rivals of an effect by the verdicts on its joints: common to all joints, or else of any.
 
-    An effect is no surer than the surest of its joints. What all of them allow explains all of them.
+    Empty if a joint is confirmed, or no joint has a rival: an effect is as certain as the most certain of its joints.
     """
     sets = [set(one.names) for one in verdicts if one is not None and one.kind is Kind.CONFUSABLE]
     if CONFIRMED in verdicts or not sets:

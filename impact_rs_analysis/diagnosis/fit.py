@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Fit of a candidate by simulation: Gauss-Newton steps with finite differences, within bounds."""
+"""Nonlinear least-squares fit of a candidate by simulation: Gauss-Newton steps in a box trust region, within bounds."""
 
 from __future__ import annotations
 
@@ -15,30 +15,35 @@ from numpy.typing import NDArray
 from impact_rs_analysis.diagnosis.budget import UNLIMITED, Budget
 from impact_rs_analysis.diagnosis.candidate import Candidate, Problem, linearise
 from impact_rs_analysis.diagnosis.null_distribution import NullDistribution, RotationNull, SignFlipNull
-from impact_rs_analysis.diagnosis.thresholds import LEAST_GAIN, LEAST_GAIN_IN_ONE
+from impact_rs_analysis.diagnosis.thresholds import MIN_GAIN_SHARE, MIN_GAIN_SHARE_OF_JOINT
 from impact_rs_analysis.evidence.cluster import Cluster, size_of
 from impact_rs_analysis.evidence.source import Source
 from impact_rs_sim.robot import Array
 
-STEPS, MORE_STEPS = 6, 12  # of trials, whose simulations are dear, and of recordings and tables
-ENOUGH = 0.02  # of the error; a fit that gains less in a step has converged
-VALLEY_ENOUGH, VALLEY_LOOKS = 1e-6, 200  # the same along a curved valley, whose floor is flat, and predictions at most
-NEAR_STEPS = (1.0, 0.3)  # shares of the steps of finite differences, as a fit comes near its optimum
-TRUST = 4.0  # parameter scales that a parameter may move at first where the whole step does not do what it promised
-WIDER = 4.0  # times as far after a step that kept its promise, and as much less after one that did not lower the error
-SHORTER = 4  # steps that are tried
-STRAIGHT = 0.75  # of the gain that was predicted: the promise
-LINEAR = 0.95  # of the same, for a step of any length
-NEAR = 0.1  # parameter scales; a correction below this does not depend on where a trial starts
-MOST_LOOKS = 4
-DOUBLINGS = 8  # of the half width of an interval
-BENT = 0.5  # of the rise of the squares in a straight model; below, an end of an interval lies further out
-CURVED = 2.0  # times that rise; above, the others have to be fitted again there
-SLOW = 0.5  # of the error is left by a step whose sensitivities are those of another place
-WIDENINGS = 4  # of the range of a parameter, to sixteen times its declared width
-SIMPLEX, SIMPLEX_LOOKS = 0.3, 25  # parameter scales, its first edges; predictions for each parameter
-WORST = 1e100  # mean square error of what cannot be simulated; the simplex subtracts errors, so it is not infinite
-HOPELESS = 3.0  # times the squared error of the best fit; a fit above it is dropped
+# Gauss-Newton steps
+MAX_STEPS_OF_TRIALS = 6  # their simulations are expensive
+MAX_STEPS_WITHOUT_REPEATS = 12  # of recordings and tables, whose predictions are cheap
+MIN_RELATIVE_DECREASE = 0.02  # of the squared error by a step; with less, a fit has converged
+DIFFERENCE_STEP_SHARES = (1.0, 0.3)  # of the finite-difference steps, far from and near the optimum
+MAX_CHORD_ERROR_RATIO = 0.5  # squared error after over before a step with the first sensitivities; above, new ones
+MAX_FINAL_CORRECTION = 0.1  # parameter scales; a smaller one does not depend on where a trial starts
+MAX_FINAL_REPLAYS = 4  # of every run, at the end of a fit
+MAX_RANGE_DOUBLINGS = 4  # to sixteen times the declared width
+# Trust region (Conn, Gould and Toint 2000); the gain ratio is the actual over the predicted decrease of the error.
+TRUST_RADIUS = 4.0  # parameter scales, after a full step with a low gain ratio
+TRUST_RADIUS_FACTOR = 4.0  # wider after a step with a high gain ratio, narrower after one without a decrease
+MAX_STEP_TRIALS = 4  # steps of decreasing length
+MIN_GAIN_RATIO = 0.75  # above, the radius grows
+MIN_GAIN_RATIO_OF_FULL_STEP = 0.95  # likewise, for a step without a radius that is longer than TRUST_RADIUS
+VALLEY_FTOL, VALLEY_MAX_EVALUATIONS = 1e-6, 200  # of SciPy's trust-region method along a curved valley, flat along it
+# Downhill simplex (Nelder and Mead 1965)
+SIMPLEX_EDGE = 0.3  # parameter scales, of the first simplex
+SIMPLEX_EVALUATIONS = 25  # for each parameter, at most
+UNSIMULATED_ERROR = 1e100  # stands for inf, whose differences are nan
+# Intervals by profile likelihood
+MAX_INTERVAL_DOUBLINGS = 8  # of the half width
+MIN_RISE_RATIO = 0.5  # actual over linear rise of the squares at an end of the interval; below, the end moves out
+MAX_RISE_RATIO = 2.0  # likewise; above, the other parameters are fitted again at the end
 
 
 @dataclass(frozen=True)
@@ -47,7 +52,7 @@ class Evidence:
 
     Attributes:
         source: The measurements, with the model that predicts them.
-        numbers: Their numbers in the source.
+        numbers: Indices of the clusters in the source.
         clusters: Residuals.
         budget: Processor time that fits to them may take.
     """
@@ -59,18 +64,18 @@ class Evidence:
 
     @staticmethod
     def of(source: Source, numbers: Sequence[int] | None = None, budget: Budget = UNLIMITED) -> Evidence:
-        """Residuals of the model; None: in all clusters."""
+        """Residuals of the model in some clusters; None: in all."""
         chosen = tuple(range(len(source.clusters)) if numbers is None else numbers)
         return Evidence(source, chosen, tuple(source.clusters[number] for number in chosen), budget)
 
     @cached_property
     def null(self) -> NullDistribution:
-        """Distribution of statistics of the residuals under noise alone."""
+        """Null distribution of the residuals: by rotations with repeats, by sign flips of blocks without."""
         return (RotationNull if self.source.repeated else SignFlipNull)(self.clusters)
 
     @cached_property
     def lack_of_fit(self) -> float | None:
-        """p-value of the residuals being noise and discrepancy; None without repeats."""
+        """p-value of the lack-of-fit test of the model; None without repeats."""
         return self.null.lack_of_fit([item.mean for item in self.clusters])
 
     @cached_property
@@ -110,29 +115,29 @@ class Evidence:
 
     @cached_property
     def _free(self) -> list[tuple[int, NDArray[np.bool_]]]:
-        """Positions of the clusters with free motion, each with the mask of its features before contact."""
+        """Indices of the clusters with free motion, each with the mask of its features before contact."""
         masks = [np.array([not item.contact or f.phase == "free" for f in item.features]) for item in self.clusters]
         return [(position, mask) for position, mask in enumerate(masks) if np.any(mask)]
 
     @cached_property
-    def before_contact(self) -> Evidence | None:
-        """The features of free motion alone; None without them, or if there are no others."""
+    def free_motion_part(self) -> Evidence | None:
+        """The evidence of free motion alone; None without free motion, or without contact."""
         if not self._free or not any(item.contact for item in self.clusters):
             return None
         numbers = tuple(self.numbers[position] for position, _ in self._free)
         clusters = tuple(self.clusters[position].only(mask.tolist(), contact=False) for position, mask in self._free)
         return replace(self, numbers=numbers, clusters=clusters)
 
-    def seen_before_contact(self, candidate: Candidate) -> Candidate:
-        """A candidate linearised in these clusters, as linearised in those of :attr:`before_contact`."""
+    def linearised_in_free_motion(self, candidate: Candidate) -> Candidate:
+        """The rows of a linearised candidate that belong to :attr:`free_motion_part`."""
         return replace(
             candidate,
             offsets=tuple(candidate.offsets[position][mask] for position, mask in self._free),
             jacobians=tuple(candidate.jacobians[position][mask] for position, mask in self._free),
         )
 
-    def beyond_free_motion(self, candidate: Candidate) -> Candidate:
-        """A candidate linearised in :attr:`before_contact`, with no change of any other feature."""
+    def extended_beyond_free_motion(self, candidate: Candidate) -> Candidate:
+        """A candidate linearised in :attr:`free_motion_part`, with zero sensitivity of all other features."""
         offsets = [np.zeros(item.sigma.size) for item in self.clusters]
         jacobians = [np.zeros((item.sigma.size, candidate.point.size)) for item in self.clusters]
         for (position, mask), offset, jacobian in zip(self._free, candidate.offsets, candidate.jacobians, strict=True):
@@ -141,14 +146,14 @@ class Evidence:
 
     @cached_property
     def signals(self) -> list[list[NDArray[np.bool_]]]:
-        """Features by cluster, for every signal with a noise of its own; a single group of all where there is none."""
+        """Masks of features by cluster, for every signal with a noise of its own; else one mask of all features."""
         if not self.source.noise_apart:
             return [[np.ones(len(item.features), dtype=bool) for item in self.clusters]]
         return self._each_signal
 
     @cached_property
     def _each_signal(self) -> list[list[NDArray[np.bool_]]]:
-        """Features by cluster, for every signal."""
+        """Masks of features by cluster, for every signal."""
         names = dict.fromkeys((f.signal, f.index) for item in self.clusters for f in item.features)
         return [
             [np.array([(f.signal, f.index) == name for f in item.features]) for item in self.clusters] for name in names
@@ -157,22 +162,22 @@ class Evidence:
     def gains(
         self, before: Sequence[Array], after: Sequence[Array], of_enough: float = 1.0, whole: bool = False
     ) -> bool:
-        """Whether enough of the error in excess of repeatability and discrepancy goes.
+        """Whether an effect removes enough of the excess error, beyond repeatability and discrepancy.
 
-        Enough is ``LEAST_GAIN`` of the whole. Where every joint has a noise of its own that is not known, a gain counts
-        against what is left of the joint, and ``LEAST_GAIN_IN_ONE`` of it is enough: on the scale of what the model
-        without effects leaves, whatever acts in a well explained joint is small. In a table of single impacts a gain
-        counts against what is left of the signals that the effect moves (:meth:`_gain_where_it_acts`).
+        Enough is ``MIN_GAIN_SHARE`` of the excess of all features. Where every joint has an unknown noise of its own,
+        ``MIN_GAIN_SHARE_OF_JOINT`` of the excess of one joint is enough as well: residuals are scaled by those of the
+        model without effects, so that whatever acts in a well explained joint looks small. In a table of single impacts
+        the gain is also compared with the excess of the signals that the effect moves (:meth:`_gain_where_it_acts`).
 
         Args:
             before: Mean residuals without an effect, ``(F,)`` per cluster [-].
             after: The same with it.
-            of_enough: Share of it that is asked for.
-            whole: Whether the gain of a table counts against the whole alone: what a coarse curve leaves of one signal
-                is no further dependence.
+            of_enough: Factor of the required gain.
+            whole: Whether a table's gain is compared with the excess of all features alone: the residual of a coarse
+                curve in one signal is no further dependence.
         """
         first, second = (self.excess(rest) for rest in (before, after))
-        least, in_one = of_enough * LEAST_GAIN, of_enough * LEAST_GAIN_IN_ONE
+        least, in_one = of_enough * MIN_GAIN_SHARE, of_enough * MIN_GAIN_SHARE_OF_JOINT
         if float(np.sum(first - second)) > least * float(np.sum(first)) or (
             self.source.noise_apart and bool(np.any(first - second > in_one * first))
         ):
@@ -181,11 +186,11 @@ class Evidence:
         return single and self._gain_where_it_acts(before, after) > least
 
     def _gain_where_it_acts(self, before: Sequence[Array], after: Sequence[Array]) -> float:
-        """Share of the excess of the signals of a table that goes, weighted by how plainly an effect moves them [-].
+        """Share of a table's excess error that an effect removes, weighted by its change of each signal [-].
 
-        With the excess a_s of signal s, and the mean square c_s of its change, the weight is c_s / a_s: what the effect
-        explains of it at most. Noise of a signal that the effect does not move, as that of a spin beside the velocity
-        along the normal, has no weight.
+        With the excess a_s of signal s and the mean square c_s of its change, the weight is c_s / a_s, the largest
+        share that the effect can explain. The noise of a signal that it does not change has no weight, such as that
+        of the spin where an effect acts along the normal.
         """
         gained, weights = 0.0, 0.0
         for masks in self._each_signal:
@@ -207,7 +212,7 @@ class Evidence:
         return gained / weights if weights else 0.0
 
     def excess(self, rest: Sequence[Array]) -> Array:
-        """Mean square error beyond repeatability and discrepancy, by joint with a noise of its own, ``(g,)`` [-]."""
+        """Mean square error beyond repeatability and discrepancy, for each mask of :attr:`signals`, ``(g,)`` [-]."""
         expected = [item.expected_squares for item in self.clusters]
         return np.array(
             [
@@ -266,7 +271,7 @@ class Fit:
 
     @cached_property
     def _at_ends(self) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-        """Whether estimates lie at the lower and at the upper bound, other than their nominal value, ``(p,)`` each."""
+        """Masks of the estimates at their lower and at their upper bound, where that is not nominal, ``(p,)`` each."""
         candidate = self.candidate
         near = 1e-6 * candidate.scale
         low, high = (
@@ -277,25 +282,25 @@ class Fit:
 
     @cached_property
     def at_bound(self) -> NDArray[np.bool_]:
-        """Whether estimates lie at a bound other than their nominal value, or at the edge of the bodies, ``(p,)``."""
-        return np.asarray(self.at_end | self.candidate.at_edge_of_bodies(self.estimate))
+        """Mask of the estimates at a bound that is not nominal, or at the edge of physical consistency, ``(p,)``."""
+        return np.asarray(self.at_end | self.candidate.at_consistency_boundary(self.estimate))
 
     @property
     def at_end(self) -> NDArray[np.bool_]:
-        """Whether estimates lie at an end of their ranges other than their nominal value, ``(p,)``."""
+        """Mask of the estimates at an end of their range that is not nominal, ``(p,)``."""
         low, high = self._at_ends
         return np.asarray(low | high)
 
     @cached_property
     def held_at_bound(self) -> NDArray[np.bool_]:
-        """Whether the data put estimates at a bound, ``(p,)``; one that they leave open may lie there by chance."""
+        """Mask of the estimates that the data push to a bound, ``(p,)``; undetermined ones may lie there by chance."""
         away = np.abs(self.estimate - self.candidate.nominal) / self.candidate.scale
         shapes = np.array([scalar.shape for scalar in self.candidate.scalars], dtype=bool)
         return np.asarray(self.at_bound & (shapes | (away > self.half_widths)))
 
     @cached_property
     def at_end_of_range(self) -> NDArray[np.bool_]:
-        """Whether estimates lie at a bound that is not one of physics, ``(p,)``."""
+        """Mask of the estimates at a bound of the search that is no bound of physics, ``(p,)``."""
         candidate = self.candidate
         wider = candidate.widened(self.at_end, self.evidence.source)
         if wider is None:
@@ -305,12 +310,12 @@ class Fit:
 
     @property
     def held_out(self) -> Array:
-        """Mean square scaled error per cluster, predicted from all others, ``(c,)`` [-]."""
+        """Leave-one-out mean square error per cluster, ``(c,)`` [-]."""
         return self.problem.held_out
 
     @property
     def score(self) -> float:
-        """Mean over clusters of the held-out error [-]."""
+        """Leave-one-out mean square error, mean over clusters [-]."""
         return float(self.held_out.mean())
 
     @property
@@ -330,7 +335,7 @@ class Fit:
 
     def widths(self, confidence: float) -> Array:
         """Half widths of intervals in parameter scales, ``(p,)``, with the uncertainty of clocks and calibrations."""
-        clock = confidence * self.evidence.source.clock  # of equally likely offsets
+        clock = confidence * self.evidence.source.clock  # half width of a uniform distribution
         unsure = np.array([clock if scalar.unit == "s" else 0.0 for scalar in self.candidate.scalars])
         own = self.problem.half_widths(self.change, self.evidence.null, confidence)
         moved = scipy.stats.norm.ppf(0.5 + confidence / 2.0) * self.problem.moved_by_calibrations()
@@ -344,34 +349,35 @@ class Fit:
     def interval_of(self, parameters: Sequence[int]) -> tuple[Array, Array]:
         """Ends of 95 % intervals in units of the parameters, ``(k,)`` each, with the half widths of :meth:`widths`.
 
-        Where features bend (a box tips, a contact slips), sensitivities at the estimate are not those at the end of the
-        interval. So each end is simulated, with the other parameters moved along (profile of the squares of residuals),
-        and is moved out until the squares rise as much as they would in a straight model. Where they rise much more,
-        the valley of the squares is curved, as that of the length of a cable and the place of its end: then the others
-        are fitted again there. Bounds of physics cut intervals off; the range of a search does not.
+        Profile likelihood, corrected by simulation: where features are nonlinear (a box tips, a contact slips), the
+        sensitivities at the estimate do not hold at the end of the interval. Each end is simulated with the other
+        parameters moved along the profile of the linear model, and moves out until the sum of squares rises as much as
+        in the linear model. Where it rises much more, the valley is curved, as for the length of a cable and the
+        position of its end, and the other parameters are fitted again there. Bounds of physics cut intervals off; the
+        range of a search does not.
 
         Args:
-            parameters: Their numbers.
+            parameters: Indices of the parameters.
         """
         candidate, inverse = self.with_room, np.linalg.inv(self.problem.total)
         half, least = self.half_widths, self._squares_at([self.estimate])[0]
         if not np.isfinite(least):
-            least = 0.0  # nothing to compare with: the ends stay where they are
+            least = 0.0  # there is no reference: the ends stay at their linear values
         rise = half**2 / np.diag(inverse)
         ends = {}
         for side in (-1.0, 1.0):
             reach, left = half.copy(), list(parameters)
-            for _ in range(DOUBLINGS):
+            for _ in range(MAX_INTERVAL_DOUBLINGS):
                 steps = [side * reach[i] * inverse[:, i] / inverse[i, i] * candidate.scale for i in left]
                 points = [np.clip(self.estimate + step, candidate.lower, candidate.upper) for step in steps]
                 rises = self._squares_at(points) - least
                 for number, (i, point) in enumerate(zip(left, points, strict=True)):
-                    if rises[number] > CURVED * rise[i] and candidate.curved(i):
+                    if rises[number] > MAX_RISE_RATIO * rise[i] and candidate.curved(i):
                         rises[number] = min(rises[number], self._squares_beside(i, point) - least)
                 left = [
                     i
                     for i, point, there in zip(left, points, rises, strict=True)
-                    if there < BENT * rise[i] and candidate.lower[i] < point[i] < candidate.upper[i]
+                    if there < MIN_RISE_RATIO * rise[i] and candidate.lower[i] < point[i] < candidate.upper[i]
                 ]
                 if not left:
                     break
@@ -381,27 +387,27 @@ class Fit:
         return np.minimum(ends[-1.0], self.estimate)[own], np.maximum(ends[1.0], self.estimate)[own]
 
     def _squares_beside(self, index: int, point: Array) -> float:
-        """The squares at a point after a fit of the other parameters, with sensitivities of the estimate."""
+        """Profile of the sum of squares at one parameter value: others fitted by sensitivities at the estimate."""
         wide, count = self.with_room, [item.count for item in self.evidence.clusters]
         held = np.arange(point.size) == index
         lower, upper = np.where(held, point, wide.lower), np.where(held, point, wide.upper)
         candidate, found = replace(wide, lower=lower, upper=upper), np.inf
-        for _ in range(STEPS):
+        for _ in range(MAX_STEPS_OF_TRIALS):
             there = evaluate_at(candidate, point, self.evidence)
             if there is None:
                 break
             fitted = Fit.of(there, self.evidence)
-            squares = sum(n * float(rest @ rest) for n, rest in zip(count, fitted.at_point.rest, strict=True))
-            if squares > (1.0 - ENOUGH) * found:
+            squares = sum(n * float(rest @ rest) for n, rest in zip(count, fitted.at_point.residuals, strict=True))
+            if squares > (1.0 - MIN_RELATIVE_DECREASE) * found:
                 return min(squares, found)
             found, point = squares, fitted.estimate
         return found
 
     @property
     def with_room(self) -> Candidate:
-        """The candidate with ranges that hold the intervals, as far as physics and the user let it."""
+        """The candidate with ranges as wide as the intervals, within the bounds of physics and of the user."""
         candidate, half = self.candidate, self.half_widths * self.candidate.scale
-        for _ in range(WIDENINGS):
+        for _ in range(MAX_RANGE_DOUBLINGS):
             beyond = (self.estimate - half < candidate.lower) | (self.estimate + half > candidate.upper)
             wider = candidate.widened(beyond, self.evidence.source) if np.any(beyond) else None
             if wider is None:
@@ -429,76 +435,76 @@ class Fit:
 
     @property
     def error_at_point(self) -> float:
-        """Mean square error where the candidate was simulated (:meth:`Problem.error`) [-]."""
+        """Mean square error at the simulated point of the candidate (:meth:`Problem.error`) [-]."""
         return self.problem.error(np.zeros_like(self.change))
 
     @property
     def at_point(self) -> Fit:
-        """The fit without its linear correction: the estimate is where the candidate was simulated."""
+        """The fit without its linear correction, at the simulated point of the candidate."""
         return replace(self, change=np.zeros_like(self.change))
 
     @property
     def step_by_free_motion(self) -> Array:
-        """Step to the estimates by free motion alone, in parameter scales, ``(p,)``; 0 of what it does not determine.
+        """Step to the estimates by free motion, in parameter scales, ``(p,)``; 0 where it does not determine them.
 
-        A parameter may move the place of the impact, as the offset of an encoder does. Of a pad that is inside the
-        object at the start of a replay, sensitivities say nothing; before the impact they hold.
+        A parameter such as the offset of an encoder moves the position of the impact. If the pad then starts inside
+        the object, the replay has no useful sensitivity; before the impact it has.
         """
-        free = self.evidence.before_contact
+        free = self.evidence.free_motion_part
         if free is None:
             return np.zeros_like(self.change)
-        fitted = Fit.of(self.evidence.seen_before_contact(self.candidate), free)
+        fitted = Fit.of(self.evidence.linearised_in_free_motion(self.candidate), free)
         return np.where(np.abs(fitted.change) > fitted.half_widths, fitted.change, 0.0)
 
     @property
     def converged(self) -> bool:
-        """Whether the linear fit gains little over the candidate's point."""
-        return self.error_at_point - self.misfit < ENOUGH * self.error_at_point
+        """Whether the linear model predicts a relative decrease below ``MIN_RELATIVE_DECREASE``."""
+        return self.error_at_point - self.misfit < MIN_RELATIVE_DECREASE * self.error_at_point
 
     @property
     def out_of_time(self) -> bool:
-        """Whether a fit that goes on from here has to stop, which is noted."""
+        """Whether the processor time is spent; further steps of this fit are then listed as not tried."""
         return self.evidence.budget.leaves_out(f"further steps of the fit of {' and '.join(self.candidate.names)}")
 
     @property
-    def poor(self) -> bool:
-        """Whether more than noise and discrepancy is left, so that the fit may have missed the optimum."""
+    def exceeds_noise(self) -> bool:
+        """Whether the error exceeds noise and discrepancy, so that the fit may have missed the optimum."""
         return self.misfit > self.evidence.expected_error
 
     @cached_property
-    def rest(self) -> list[Array]:
+    def residuals(self) -> list[Array]:
         """Mean residuals of the fit, ``(F,)`` per cluster [-]."""
-        return self.problem.rest(self.change)
+        return self.problem.residuals_at(self.change)
 
     @cached_property
     def left(self) -> Evidence:
-        """The evidence with the residuals of the fit."""
+        """The evidence with the residuals of the fit in place of those of the model."""
         return self.evidence.shifted(
-            [item.mean - rest for item, rest in zip(self.evidence.clusters, self.rest, strict=True)]
+            [item.mean - rest for item, rest in zip(self.evidence.clusters, self.residuals, strict=True)]
         )
 
     def lack_of_fit(self) -> float | None:
-        """p-value of the remaining residuals being noise and discrepancy; None without repeats."""
-        return self.evidence.null.lack_of_fit(self.rest)
+        """p-value of the lack-of-fit test of the fit; None without repeats."""
+        return self.evidence.null.lack_of_fit(self.residuals)
 
 
-def refine(candidate: Candidate, evidence: Evidence, give_up: float = np.inf) -> Fit:
-    """Fit by repeated simulation with the sensitivities of the start, see :func:`refine_again`.
+def chord_method(candidate: Candidate, evidence: Evidence, give_up: float = np.inf) -> Fit:
+    """Fit by the chord method: simulations at every step, with the sensitivities of the start.
 
-    Where it ends at a bound that is not one of physics, it goes on beyond.
+    A fit that ends at a bound of the search goes on with a wider range, within the bounds of physics.
 
     Args:
         candidate: Start, linearised.
         evidence: The residuals to explain.
-        give_up: A fit stops that is not expected to get below this mean square error after the first step [-].
+        give_up: Mean square error; a fit that the linear model puts above it after the first step stops [-].
     """
     return _beyond_bounds(lambda start: _refine(start, evidence, give_up), candidate)
 
 
 def _beyond_bounds(fit: Callable[[Candidate], Fit], start: Candidate) -> Fit:
-    """A fit; where it ends at a bound that is not one of physics, it goes on with a wider range."""
+    """A fit, repeated with a wider range while it ends at a bound of the search that is no bound of physics."""
     fitted = fit(start)
-    for _ in range(WIDENINGS):
+    for _ in range(MAX_RANGE_DOUBLINGS):
         at = fitted.at_end
         wider = fitted.candidate.widened(at, fitted.evidence.source) if np.any(at) else None
         if wider is None or fitted.out_of_time:
@@ -508,12 +514,12 @@ def _beyond_bounds(fit: Callable[[Candidate], Fit], start: Candidate) -> Fit:
 
 
 def _refine(candidate: Candidate, evidence: Evidence, give_up: float) -> Fit:
-    """Steps within the bounds of the candidate with the sensitivities of the start, or new ones where those are slow.
+    """Chord steps within the bounds of the candidate, with new sensitivities where they converge slowly.
 
-    The chord method is the cheaper one where features are nearly linear. Where an effect acts far from the start by
-    another law than near it, as a damping that takes most of the velocity from a trial, its steps are short. In
-    recordings, which are not simulated, slow steps are those of parameters that are hardly determined; and those of
-    shapes, as the end of a cable, come only where amplitudes have arrived (:func:`refine_again`).
+    The chord method is cheap where features are nearly linear. Where sensitivities change along the way, as for a
+    damping that takes most of the velocity from a trial, its steps are short. Recordings keep them: there, slow steps
+    belong to parameters that the data hardly determine, or to shapes, which converge after their amplitudes
+    (:func:`gauss_newton`).
     """
     fitted, trust, unseen = Fit.of(candidate, evidence), np.inf, candidate.unseen
     shaped = any(scalar.shape and not scalar.grid for scalar in candidate.scalars)
@@ -522,54 +528,54 @@ def _refine(candidate: Candidate, evidence: Evidence, give_up: float) -> Fit:
         if fitted.converged or (number >= 1 and (unseen or fitted.misfit > give_up or fitted.out_of_time)):
             break
         moved, trust = _moved(fitted, trust)
-        if moved is None:  # the sensitivities promise what simulations do not keep
+        if moved is None:  # no simulation has the decrease that the sensitivities predict
             return fitted.at_point
-        least = max(SLOW * fitted.error_at_point, evidence.expected_error)
+        least = max(MAX_CHORD_ERROR_RATIO * fitted.error_at_point, evidence.expected_error)
         slow = may_be_slow and moved.error_at_point > least
         fitted = Fit.of(_relinearised(moved.candidate, evidence), evidence) if slow else moved
     return fitted
 
 
 def _steps(evidence: Evidence) -> int:
-    """Number of steps of a fit, at most."""
-    return STEPS if evidence.source.repeated else MORE_STEPS
+    """Largest number of steps of a fit."""
+    return MAX_STEPS_OF_TRIALS if evidence.source.repeated else MAX_STEPS_WITHOUT_REPEATS
 
 
 def _moved(fitted: Fit, trust: float) -> tuple[Fit | None, float]:
-    """The fit simulated where its sensitivities put the optimum, and how far they are trusted then (trust region).
+    """The fit after a step in a box trust region, and the next radius.
 
-    No parameter moves by more than ``trust`` scales, unless features are linear: of many, one that the sensitivities
-    misjudge would get to where it changes nothing any more, as friction does in which a joint sticks, while the others
-    lower the error. Where nothing changes nearby, the whole step is taken, or the one that free motion asks for
-    (:meth:`Fit.step_by_free_motion`), if it leaves less. None if no step lowers the error by ``ENOUGH``, or by what it
-    promised.
+    No parameter moves by more than the radius ``trust``, in scales, unless features are linear: one of many parameters
+    with a wrong sensitivity would reach values at which it changes nothing any more, as friction in which a joint
+    sticks, while the others lower the error. Where no nearby step helps, the whole step is taken, or the step by free
+    motion (:meth:`Fit.step_by_free_motion`) if its error is lower. The gain ratio of actual to predicted decrease sets
+    the next radius. None if no step lowers the error by ``MIN_RELATIVE_DECREASE`` of it.
     """
     error = fitted.error_at_point
     far: Fit | None = None
-    for _ in range(SHORTER):
+    for _ in range(MAX_STEP_TRIALS):
         step = fitted.problem.solve(within=trust)
         length = float(np.max(np.abs(step)))
         if length < 1e-6:
             break
         moved, gained = _stepped(fitted, step)
         promised = error - fitted.problem.error(step)
-        unbounded = np.isinf(trust) and length > TRUST
+        unbounded = np.isinf(trust) and length > TRUST_RADIUS
         if np.isinf(trust) and error - gained > fitted.evidence.expected_error:
             free, gained_there = _stepped(fitted, fitted.step_by_free_motion)
-            if gained_there > max(gained, ENOUGH * error):
-                return free, TRUST
-        if gained > (LINEAR if unbounded else STRAIGHT) * promised:
-            return moved, WIDER * trust
-        if gained > ENOUGH * error:
+            if gained_there > max(gained, MIN_RELATIVE_DECREASE * error):
+                return free, TRUST_RADIUS
+        if gained > (MIN_GAIN_RATIO_OF_FULL_STEP if unbounded else MIN_GAIN_RATIO) * promised:
+            return moved, TRUST_RADIUS_FACTOR * trust
+        if gained > MIN_RELATIVE_DECREASE * error:
             if not unbounded:
-                return moved, max(length, TRUST)
+                return moved, max(length, TRUST_RADIUS)
             far = moved
-        trust = min(trust / WIDER, length / WIDER, TRUST)
-    return far, TRUST if far is not None else trust
+        trust = min(trust / TRUST_RADIUS_FACTOR, length / TRUST_RADIUS_FACTOR, TRUST_RADIUS)
+    return far, TRUST_RADIUS if far is not None else trust
 
 
 def _stepped(fitted: Fit, step: Array) -> tuple[Fit | None, float]:
-    """The fit simulated after a step, None where it cannot be, and by how much its error is lower."""
+    """The fit simulated after a step, None where it cannot be simulated, and the actual decrease of its error."""
     candidate = fitted.candidate
     there = evaluate_at(candidate, candidate.point + step * candidate.scale, fitted.evidence) if np.any(step) else None
     moved = None if there is None else Fit.of(there, fitted.evidence)
@@ -577,7 +583,7 @@ def _stepped(fitted: Fit, step: Array) -> tuple[Fit | None, float]:
 
 
 def _relinearised(candidate: Candidate, evidence: Evidence, share: float = 1.0) -> Candidate:
-    """New sensitivities at the candidate's point."""
+    """The candidate with new sensitivities at its point."""
     fresh = linearise(candidate, evidence.clusters, evidence.numbers, evidence.source, "new sensitivities", share)
     return candidate if fresh is None else replace(candidate, jacobians=fresh.jacobians, share=share)
 
@@ -587,21 +593,21 @@ def has_shape_parameter(candidate: Candidate) -> bool:
     return any(scalar.grid for scalar in candidate.scalars)
 
 
-def refine_again(fitted: Fit) -> Fit:
-    """Continue with sensitivities of every point, while the error falls (Gauss-Newton).
+def gauss_newton(fitted: Fit) -> Fit:
+    """Continue by Gauss-Newton steps, with new sensitivities at every point, while the error falls.
 
-    Sensitivities of the start do not reach a parameter that changes nothing there, and mislead where parameters act
-    through each other, as the size of friction and the speed at which it fades do. Finite differences shrink: whole
-    steps see past joints and contacts that stick, and are too coarse near the optimum.
+    The sensitivities of the start are zero for a parameter without effect there, and wrong where parameters interact,
+    as the size of friction and the speed at which it fades. Finite-difference steps shrink: whole steps reach past
+    stiction of joints and contacts, and are too coarse near the optimum.
     """
     evidence = fitted.evidence
     return _beyond_bounds(lambda start: _descended(start, evidence), fitted.candidate)
 
 
 def _descended(candidate: Candidate, evidence: Evidence) -> Fit:
-    """Gauss-Newton steps within the bounds of the candidate, with sensitivities of the last point."""
+    """Gauss-Newton steps within the bounds of the candidate."""
     fitted = Fit.of(candidate, evidence)
-    for share in NEAR_STEPS:
+    for share in DIFFERENCE_STEP_SHARES:
         trust = np.inf
         for _ in range(_steps(evidence)):
             if not fitted.converged and fitted.out_of_time:
@@ -619,9 +625,9 @@ def _descended(candidate: Candidate, evidence: Evidence) -> Fit:
 
 
 def _to_the_bottom(fitted: Fit) -> Fit:
-    """The fit at the bottom of a curved valley of the error, by SciPy's trust-region method.
+    """The fit at the minimum of a curved valley, by SciPy's trust-region reflective method.
 
-    Steps with a box as trust region creep along such a valley: each gains little, and together they gain a fifth.
+    Steps in a box trust region creep along such a valley: each lowers the error little, all together by a fifth.
     """
     candidate, evidence, scale = fitted.candidate, fitted.evidence, fitted.candidate.scale
 
@@ -635,28 +641,28 @@ def _to_the_bottom(fitted: Fit) -> Fit:
     size = sum(item.sigma.size for item in evidence.clusters)
     ends = candidate.lower / scale, candidate.upper / scale
     start = np.clip(candidate.point / scale, *ends)
-    if not np.isfinite(rest(start)).all():  # rounded, it is a point at which some impact has no answer
+    if not np.isfinite(rest(start)).all():  # some impact map has no solution at the rounded point
         return fitted
     found = scipy.optimize.least_squares(
-        rest, start, bounds=ends, x_scale="jac", ftol=VALLEY_ENOUGH, xtol=None,
-        gtol=None, max_nfev=VALLEY_LOOKS,
+        rest, start, bounds=ends, x_scale="jac", ftol=VALLEY_FTOL, xtol=None,
+        gtol=None, max_nfev=VALLEY_MAX_EVALUATIONS,
     )  # fmt: skip
     moved = evaluate_at(candidate, found.x * scale, evidence)
     if moved is None:
         return fitted
-    there = Fit.of(_relinearised(moved, evidence, NEAR_STEPS[-1]), evidence)
+    there = Fit.of(_relinearised(moved, evidence, DIFFERENCE_STEP_SHARES[-1]), evidence)
     return there if there.error_at_point < fitted.error_at_point else fitted
 
 
-def look_elsewhere(fitted: Fit) -> Fit:
-    """Restart a poor fit from points further away, because contacts may change between there and here.
+def restart_from_afar(fitted: Fit) -> Fit:
+    """Restart a fit whose error exceeds noise from distant points, where contacts may be in another mode.
 
     A box that stands flat tips only once its centre of mass lies beyond an edge; before that the sensitivity is zero.
     """
     scalars = fitted.candidate.scalars
     for _ in scalars:
         evidence = fitted.evidence
-        if not fitted.poor or fitted.out_of_time:
+        if not fitted.exceeds_noise or fitted.out_of_time:
             break
         places = []
         for index, scalar in enumerate(scalars):
@@ -670,23 +676,23 @@ def look_elsewhere(fitted: Fit) -> Fit:
         errors = [Fit.of(moved, evidence).error_at_point for moved in places]
         if min(errors) >= fitted.misfit:
             break
-        again = refine(_relinearised(places[int(np.argmin(errors))], evidence), evidence)
+        again = chord_method(_relinearised(places[int(np.argmin(errors))], evidence), evidence)
         if again.misfit >= fitted.misfit:
             break
         fitted = again
     return fitted
 
 
-def by_simplex(fitted: Fit) -> Fit:
-    """The fit at the best point that a downhill simplex finds (Nelder and Mead 1965), or as it is.
+def nelder_mead(fitted: Fit) -> Fit:
+    """The fit at the minimum of a downhill simplex (Nelder and Mead 1965), or unchanged if that is no better.
 
-    Where joints stick and slip, the error has many small minima, in which steps by sensitivities end.
+    Where joints stick and slip, the error has many local minima, in which Gauss-Newton steps end.
     """
     candidate, evidence, scale = fitted.candidate, fitted.evidence, fitted.candidate.scale
 
     def error(vector: Array) -> float:
         there = evaluate_at(candidate, vector * scale, evidence)
-        return WORST if there is None else Fit.of(there, evidence).error_at_point
+        return UNSIMULATED_ERROR if there is None else Fit.of(there, evidence).error_at_point
 
     def in_time(intermediate_result: scipy.optimize.OptimizeResult) -> None:
         del intermediate_result  # SciPy passes it to a parameter of this name
@@ -694,50 +700,52 @@ def by_simplex(fitted: Fit) -> Fit:
             raise StopIteration
 
     start, ends = fitted.estimate / scale, (candidate.lower / scale, candidate.upper / scale)
-    corners = np.clip(start + np.vstack((np.zeros(start.size), SIMPLEX * np.eye(start.size))), *ends)
+    corners = np.clip(start + np.vstack((np.zeros(start.size), SIMPLEX_EDGE * np.eye(start.size))), *ends)
     found = scipy.optimize.minimize(
         error, start, method="Nelder-Mead", bounds=np.transpose(ends), callback=in_time,
-        options={"initial_simplex": corners, "maxfev": SIMPLEX_LOOKS * start.size},
+        options={"initial_simplex": corners, "maxfev": SIMPLEX_EVALUATIONS * start.size},
     )  # fmt: skip
     moved = evaluate_at(candidate, found.x * scale, evidence) if found.fun < fitted.misfit else None
-    return fitted if moved is None else Fit.of(_relinearised(moved, evidence, NEAR_STEPS[-1]), evidence)
+    return fitted if moved is None else Fit.of(_relinearised(moved, evidence, DIFFERENCE_STEP_SHARES[-1]), evidence)
 
 
-def measure_again(fitted: Fit, near: bool = False) -> Fit:
-    """The fit against residuals of the model with its effects, every run replayed from its own start.
+def replay_and_refit(fitted: Fit, near: bool = False) -> Fit:
+    """Fit again to the residuals of the model with its effects, every run replayed from its own start.
 
-    The last correction of the estimate, its interval and the lack of fit come from here.
+    The last correction of the estimate, its interval and the test of lack of fit use this fit.
 
     Args:
         fitted: The fit.
-        near: Whether its sensitivities are those at an optimum already.
+        near: Whether its sensitivities were computed at an optimum.
     """
     like = fitted.evidence
-    best: Fit | None = None  # at a point that was simulated, without a correction
-    for look in range(MOST_LOOKS):
+    best: Fit | None = None  # at a simulated point
+    for look in range(MAX_FINAL_REPLAYS):
         candidate, point = fitted.candidate, fitted.estimate
         added = candidate.split(point)
-        clusters = like.source.measure_again(added, [like.source.clusters[number] for number in like.numbers])
+        clusters = like.source.residuals_with(added, [like.source.clusters[number] for number in like.numbers])
         if clusters is None:
             return fitted
         evidence = replace(like, clusters=tuple(clusters))
         nothing = tuple(np.zeros_like(item.sigma) for item in clusters)
         fresh = replace(candidate, point=point, origin=added, offsets=nothing)
         here = Fit(fresh, evidence, evidence.problem(fresh), np.zeros_like(point))
-        if best is not None and here.misfit > (1.0 + ENOUGH) * best.misfit:  # contacts are others where it led
+        if (
+            best is not None and here.misfit > (1.0 + MIN_RELATIVE_DECREASE) * best.misfit
+        ):  # contacts are others where it led
             return best
         best = here
         if look > 0 or not near:
-            share = NEAR_STEPS[-1]
+            share = DIFFERENCE_STEP_SHARES[-1]
             fresh = linearise(fresh, clusters, like.numbers, like.source, "final sensitivities", share) or fresh
-        fitted = _confirmed(refine(fresh, evidence))
-        if fitted.out_of_time or np.all(np.abs(fitted.estimate - point) < NEAR * candidate.scale):
+        fitted = _confirmed(chord_method(fresh, evidence))
+        if fitted.out_of_time or np.all(np.abs(fitted.estimate - point) < MAX_FINAL_CORRECTION * candidate.scale):
             break
     return fitted
 
 
 def _confirmed(fitted: Fit) -> Fit:
-    """The fit with its last correction only where a simulation confirms it: a valley of the error may be curved."""
+    """The fit with its last linear correction only if a simulation confirms it: the valley may be curved."""
     there = evaluate_at(fitted.candidate, fitted.estimate, fitted.evidence)
     better = there is not None and Fit.of(there, fitted.evidence).error_at_point <= fitted.error_at_point
     return fitted if better else fitted.at_point
@@ -746,7 +754,7 @@ def _confirmed(fitted: Fit) -> Fit:
 def evaluate_at(candidate: Candidate, point: Array, evidence: Evidence) -> Candidate | None:
     """The candidate with its features evaluated at another point, sensitivities kept; None if it cannot be simulated.
 
-    One run of a condition stands for its repeats; :func:`measure_again` looks at every run.
+    One run of a condition represents its repeats; :func:`replay_and_refit` replays every run.
     """
     changes = evidence.source.differences(
         evidence.numbers, candidate.origin, candidate.split(point), "fit of the shortlist"

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Grammar of laws: which formulas ``impact-rs discover`` looks at (``config/grammar.yaml``).
+"""Grammar of laws: the formulas that ``impact-rs discover`` searches (``config/grammar.yaml``).
 
 A law is a place, a quantity and a form, for example torque on a motor × joint velocity × cube. Units follow: an
 amplitude of power n has the unit of the place over that of the quantity to the n. A law of a quantity that a
-dissipative force opposes has a sign that dissipates, one between two bodies has its reaction by its place.
+dissipative force opposes has the sign that dissipates; a law between two bodies includes its reaction.
 """
 
 from __future__ import annotations
@@ -35,13 +35,14 @@ from impact_rs_sim.paths import config_directory
 from impact_rs_sim.robot import Array
 from impact_rs_sim.schema import Schema, load
 
-FILE = "grammar.yaml"
-WIDEST = 300.0  # amplitudes, in noticeable ones
-KNOTS = (5, 9)  # of a free curve; more where they predict better
-MOST_WAVES, HIGHEST = 24, 80.0  # starts of a wave number, and the largest of them in the unit of the quantity
-LEAST_SPAN = 1e-3  # of the typical size; a quantity that hardly moves still has a range
-REACH = 4.0  # typical distances; how far an anchor may lie from where its fit starts
-NARROWEST = 0.01  # width, in ranges of the quantity
+GRAMMAR_FILE = "grammar.yaml"
+MAX_AMPLITUDE = 300.0  # noticeable amplitudes; the end of a range
+FREE_CURVE_KNOTS = (5, 9)  # more where they predict better
+MAX_WAVE_NUMBER_STARTS = 24
+MAX_WAVE_NUMBER = 80.0  # rad over the unit of the quantity, at a start
+MIN_SPAN_SHARE = 1e-3  # of the typical size; a quantity that hardly moves still has a range
+ANCHOR_REACH = 4.0  # typical distances; how far an anchor may lie from the start of its fit
+MIN_WIDTH_SHARE = 0.01  # of the range of the quantity
 
 
 class QuantityShape(Schema):
@@ -54,7 +55,7 @@ class QuantityShape(Schema):
 
     @property
     def parameter(self) -> FormulaParameter:
-        """The same as a parameter of a formula, whose noticeable change is a tenth of a usual value."""
+        """The parameter of a formula; its noticeable change is a tenth of the geometric mean of the starts."""
         usual = float(np.exp(np.mean(np.log(self.starts))))
         return FormulaParameter(
             unit=self.unit, nominal=self.starts[0], lower=self.lower, upper=self.upper, scale=0.1 * usual, shape=True,
@@ -80,7 +81,7 @@ class Quantity(Schema):
     shapes: dict[str, QuantityShape] = Field({}, description="numbers in its formula, by name")
 
     def vector(self, axis: str) -> str:
-        """A component of the vector that it is the size of, as a formula; empty: it is none."""
+        """Formula of one component of the vector of which this is the norm; empty: this is no norm."""
         return (
             f"({self.of_place} - anchor_{{axis}})".format(axis=axis) if self.of_place else self.along.format(axis=axis)
         )
@@ -155,7 +156,7 @@ class Law:
         noticeable: Amplitude at which it matters, in the unit.
         opposes: Whether the formula is minus the profile.
         reacts: Whether the second of two joints has the reaction.
-        knots: Values of the quantity between which a free curve is straight; empty: it is a law.
+        knots: Knots of a piecewise linear free curve; empty: it is a law.
     """
 
     spec: FormulaSpec
@@ -176,12 +177,12 @@ class Law:
 
     @property
     def joints(self) -> tuple[str, ...]:
-        """Joints that it acts on by itself, as ``joint4``; empty: a force, which all may feel."""
+        """Joints that it acts on, as ``joint4``; empty: a force, which may load all joints."""
         return _joints(self.where)
 
     @property
     def coefficient(self) -> str:
-        """Coefficient of a single impact that it changes; empty: it acts along a motion."""
+        """Contact coefficient that it changes; empty: it acts during a motion."""
         return self.where if self.where in COEFFICIENTS else ""
 
     @property
@@ -203,12 +204,12 @@ class Law:
 
     @property
     def family(self) -> str:
-        """What the laws of one form at several joints share, as joints are alike."""
+        """Key of the laws of one form at several joints, which may be accepted together."""
         where = "" if self.where.startswith("joint") else self.where
         return f"{self.place} {where} {self.quantity.words} {self.form}"
 
     def force(self, u: Array, numbers: Mapping[str, float]) -> Array:
-        """Its size where the quantity is ``u`` ``(k,)``, with its parameters, ``(k,)`` [unit of the place]."""
+        """Its force at values ``u`` of the quantity, ``(k,)``, for some parameters, ``(k,)`` [unit of the place]."""
         return np.broadcast_to(Formula(self.profile, {"u", *numbers})({"u": u, **numbers}), u.shape)
 
 
@@ -218,7 +219,7 @@ def load_grammar(more: Path | None = None) -> Grammar:
     Raises:
         InputError: A file breaks the schema, or names an unknown quantity or form.
     """
-    grammar = load(Grammar, config_directory() / FILE)
+    grammar = load(Grammar, config_directory() / GRAMMAR_FILE)
     if more is not None:
         own = load(Grammar, more)
         grammar = Grammar(
@@ -237,7 +238,10 @@ def load_grammar(more: Path | None = None) -> Grammar:
 def _known(kind: str, word: str, table: Mapping[str, object], key: str, file: Path | None) -> None:
     if word not in table:
         raise InputError(
-            f"unknown {kind}; known: {', '.join(table)}", file=file or config_directory() / FILE, key=key, value=word
+            f"unknown {kind}; known: {', '.join(table)}",
+            file=file or config_directory() / GRAMMAR_FILE,
+            key=key,
+            value=word,
         )
 
 
@@ -289,7 +293,7 @@ def _law(
         centre, half = _region(quantity, ranges)
         anchors = _anchors(centre, quantity.typical)
         low, high = max(quantity.typical - half, 0.0), quantity.typical + half
-    high = max(high, low + LEAST_SPAN * quantity.typical)
+    high = max(high, low + MIN_SPAN_SHARE * quantity.typical)
     size = max(abs(low), abs(high))
     middle = (low + high) / 2.0
     profile = form.law.replace("- middle", f"- {middle:.3g}" if middle > 0.0 else f"+ {-middle:.3g}")
@@ -305,8 +309,8 @@ def _law(
         scale = place.noticeable / size**item.power
         parameters[name] = FormulaParameter(
             unit=unit_of(place.unit, quantity.unit, item.power),
-            lower=0.0 if bounded else -WIDEST * scale,
-            upper=WIDEST * scale,
+            lower=0.0 if bounded else -MAX_AMPLITUDE * scale,
+            upper=MAX_AMPLITUDE * scale,
             scale=scale,
         )
     parameters |= {name: inner.parameter for name, inner in quantity.shapes.items()}
@@ -314,7 +318,7 @@ def _law(
     formula: dict[str, str] | str
     if quantity.of_place:
         for name, value in anchors[0].items():
-            reach = REACH * quantity.typical
+            reach = ANCHOR_REACH * quantity.typical
             parameters[name] = FormulaParameter(
                 unit=quantity.unit, nominal=value, lower=value - reach, upper=value + reach,
                 scale=0.1 * quantity.typical, shape=True,
@@ -381,7 +385,7 @@ def _symbol(quantity: Quantity, where: str) -> str:
 
 
 def _region(quantity: Quantity, ranges: Mapping[str, Range]) -> tuple[Array, float]:
-    """Middle of the places from which a distance is measured, ``(3,)``, and half of the longest side [m]."""
+    """Centre of the visited positions, ``(3,)``, and half of their largest extent [m]."""
     default = (-quantity.typical / 2.0, quantity.typical / 2.0)
     sides = [ranges.get(quantity.of_place.format(axis=axis), default) for axis in AXES]
     ends = np.array(sides)
@@ -389,26 +393,26 @@ def _region(quantity: Quantity, ranges: Mapping[str, Range]) -> tuple[Array, flo
 
 
 def _anchors(middle: Array, distance: float) -> list[dict[str, float]]:
-    """Points from which the fit of an anchor starts: at a distance to either side along every axis."""
+    """Starts of the fit of an anchor: at a distance from the centre in both directions of every axis."""
     found = []
     for place in (middle + side * distance * row for row in np.eye(3) for side in (-1.0, 1.0)):
         found.append({f"anchor_{axis}": float(value) for axis, value in zip(AXES, place, strict=True)})
     return found
 
 
-def curve_of(law: Law, domain: Range, count: int = KNOTS[0], absolute: bool = True) -> Law:
-    """A free curve in the place of a law: a force at each of some knots over the range of its quantity.
+def curve_of(law: Law, domain: Range, count: int = FREE_CURVE_KNOTS[0], absolute: bool = True) -> Law:
+    """A piecewise linear free curve in place of a law, with a force at each knot over the range of its quantity.
 
-    Between them it is straight, beyond them it falls to 0 over the distance of two: it is valid where it was seen.
+    Beyond the knots it falls to 0 within one spacing: it is valid in the measured range alone.
 
     Args:
         law: Gives place and quantity.
         domain: Range of the quantity.
         count: Number of knots.
-        absolute: Whether it contains a constant; else it is 0 at the knot nearest to 0, beside an offset.
+        absolute: Whether it contains a constant; else it is 0 at the knot nearest to 0, for use with an offset.
     """
     (key, table), (low, high) = law.formula, domain
-    # A speed: at rest the force is 0, or sticks, which is no curve. A slow impact has its coefficients as well.
+    # A speed: at rest the force is 0 or stiction, no point of a curve. A slow impact has its coefficients as well.
     from_rest = 0.0 <= low < high / count and not law.coefficient
     every = np.linspace(0.0, high, count + 1)[1:] if from_rest else np.linspace(low, high, count)
     width = float(every[1] - every[0])
@@ -424,7 +428,7 @@ def curve_of(law: Law, domain: Range, count: int = KNOTS[0], absolute: bool = Tr
         rows = {axis: f"-({text}) * {vector(axis)} / max({law.symbol}, {0.01 * high:.2g})" for axis in table}
     else:
         rows = _on_joints(text, law.joints, law.reacts) or dict.fromkeys(table, text)
-    most = WIDEST * law.noticeable
+    most = MAX_AMPLITUDE * law.noticeable
     force = FormulaParameter(unit=law.unit, lower=-most, upper=most, scale=law.noticeable)
     stem = law.spec.name.removesuffix(f"_{law.form}")
     spec = FormulaSpec.model_validate(
@@ -451,7 +455,7 @@ def _name(place_name: str, place: Place, quantity: str, form: str, number: str) 
 
 
 def _inserted(law: str, symbol: str) -> str:
-    """The formula of a form with its quantity in the place of u."""
+    """The formula of a form with its quantity substituted for u."""
     inner = symbol if re.fullmatch(r"\w+", symbol) else f"({symbol})"
     return re.sub(r"\bu\b", inner, law)
 
@@ -461,20 +465,20 @@ def _shape(item: Number, unit: str, low: float, high: float, start: float) -> Fo
     span = high - low
     if item.shape == "wave_number":
         own, lower, scale = unit_of("-", unit, 1), 0.0, 0.1 * item.starts[0] / span
-        upper = max(2.0 * HIGHEST, 4.0 * start)
+        upper = max(2.0 * MAX_WAVE_NUMBER, 4.0 * start)
     elif item.shape == "width":
-        own, lower, upper, scale = unit, NARROWEST * span, 10.0 * span, 0.1 * span
+        own, lower, upper, scale = unit, MIN_WIDTH_SHARE * span, 10.0 * span, 0.1 * span
     else:
         own, lower, upper, scale = unit, low - span, high + span, 0.1 * span
     return FormulaParameter(unit=own, nominal=start, lower=lower, upper=upper, scale=scale, shape=True)
 
 
 def _starts(item: Number, low: float, high: float) -> list[float]:
-    """Values from which the fit of a shape starts."""
+    """Starts of the fit of a shape."""
     span = high - low
     if item.shape == "wave_number":
         step = item.starts[0] / span
-        count = max(1, min(int(HIGHEST / step), MOST_WAVES))
+        count = max(1, min(int(MAX_WAVE_NUMBER / step), MAX_WAVE_NUMBER_STARTS))
         return [number * step for number in range(1, count + 1)]
     return [(low if item.shape == "limit" else 0.0) + share * span for share in item.starts]
 

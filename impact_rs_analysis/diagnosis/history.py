@@ -52,7 +52,7 @@ class Version:
 
 @dataclass(frozen=True)
 class VersionError:
-    """Errors of one model, on the scale of the comparison.
+    """Errors of one model version, on the scale of the comparison.
 
     Attributes:
         version: Which model.
@@ -200,5 +200,5 @@ def _held_out(version: Version, source: Source, source_of: Callable[[Model], Sou
     )
     if candidate is None:
         return None
-    rest = Evidence(bare, numbers, clusters).problem(candidate).left_out_rest
+    rest = Evidence(bare, numbers, clusters).problem(candidate).leave_one_out_residuals
     return residual_size(Evidence(source, numbers, clusters), rest)

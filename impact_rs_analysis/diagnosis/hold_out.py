@@ -1,17 +1,19 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Hold-out: every cluster is predicted by a search that has not seen it.
+"""Nested cross-validation (hold-out): every cluster is predicted by a search that has not seen it.
 
-Held-out data influence neither shortlist, nor choice, nor estimate of the effects that predict them. For every fold the
-whole search (:mod:`impact_rs_analysis.diagnosis.search`) runs on the other clusters, and the model with the effects it
-found predicts the fold. A fit of a fold begins where the fit of the same effects to all clusters ended, which costs few
-simulations; it ends where the other clusters alone lead it. Fits of impacts begin afresh: they are cheap, and secants
-from elsewhere mislead where contacts slip. A search needs two clusters that see an effect, to predict one from the
-other, and as many repeats as any verdict; where fewer are left, the fold fits the effects that the search of all
-clusters found, and says nothing about the choice. Conditions are held out
-with all their repeats. Of several recordings whole recordings are held out; of a single one runs of neighbouring
-stretches, without the neighbours on either side. Where effects depend on covariates (``Source.interleaved``) one
-of every six neighbours is held out instead: a session of neighbouring rows would be held out as a whole, and no session
-can be predicted from the others.
+Held-out data influence neither shortlist, nor selection, nor estimate of the effects that predict them. For every fold
+the whole search (:mod:`impact_rs_analysis.diagnosis.search`) runs on the training clusters, and the model with the
+selected effects predicts the fold. A fit of a fold starts at the fit of the same effects to all clusters, which saves
+simulations; it ends at the optimum of the training clusters. Fits of impacts start at nominal: they are cheap, and
+secants from other points mislead where contacts slip.
+
+A search needs two clusters that depend on an effect, to predict one from the other, and as many repeats as any verdict.
+With fewer, the fold fits the effects that the search of all clusters selected, and does not test the selection.
+
+Conditions are held out with all their repeats, several recordings as whole recordings, and a single recording in runs
+of neighbouring stretches, with a guard stretch on either side. Where effects may depend on covariates
+(``Source.interleaved``) folds are interleaved, one of every six neighbours each: a session of neighbouring rows in one
+fold could not be predicted from the other sessions.
 """
 
 from __future__ import annotations
@@ -27,12 +29,10 @@ from impact_rs_analysis.diagnosis.budget import UNLIMITED, Budget, Clock
 from impact_rs_analysis.diagnosis.candidate import Candidate
 from impact_rs_analysis.diagnosis.fit import Evidence
 from impact_rs_analysis.diagnosis.search import Search
-from impact_rs_analysis.diagnosis.thresholds import LEAST_CLUSTERS
+from impact_rs_analysis.diagnosis.thresholds import MIN_CLUSTERS, MIN_CLUSTERS_OF_EFFECT
 from impact_rs_analysis.evidence.source import Source
 from impact_rs_sim.effects import Effect
 from impact_rs_sim.robot import Array
-
-LEAST_TO_CHOOSE = 2  # clusters that see an effect
 
 
 @dataclass(frozen=True)
@@ -40,8 +40,8 @@ class Fold:
     """Clusters that are held out together, and those that predict them.
 
     Attributes:
-        held: Numbers of the predicted clusters.
-        training: Numbers of the clusters of the search.
+        held: Indices of the predicted clusters.
+        training: Indices of the clusters of the search.
     """
 
     held: tuple[int, ...]
@@ -54,23 +54,23 @@ class HoldOut:
 
     Attributes:
         folds: The folds.
-        rest: Mean residuals after prediction, ``(F,)`` per cluster [-].
-        chosen: Names of the effects with which every fold is predicted.
-        searched: Whether a search of the fold has found them; else they were fitted alone, as too few clusters or
-            repeats are left for a search.
-        failed: Numbers of the clusters in which the effects of the fold cannot be simulated, as of a hit that they
-            predict to miss; their ``rest`` is that of the model.
+        residuals: Mean residuals after prediction, ``(F,)`` per cluster [-].
+        chosen: Names of the effects that predict each fold.
+        searched: Whether a search of the training clusters has selected them; else they were only fitted, because too
+            few clusters or repeats are left for a search.
+        failed: Indices of the clusters in which the effects of the fold cannot be simulated, such as a hit that they
+            predict to miss; their ``residuals`` are those of the model.
     """
 
     folds: tuple[Fold, ...]
-    rest: tuple[Array, ...]
+    residuals: tuple[Array, ...]
     chosen: tuple[tuple[str, ...], ...]
     searched: tuple[bool, ...]
     failed: tuple[int, ...] = ()
 
     @property
     def found(self) -> tuple[tuple[str, ...], ...]:
-        """Names of the effects that every search of a fold has found."""
+        """Names of the effects that the search of each fold has selected."""
         return tuple(names for names, own in zip(self.chosen, self.searched, strict=True) if own)
 
 
@@ -80,7 +80,7 @@ def folds_of(source: Source) -> list[Fold]:
     for number, item in enumerate(source.clusters):
         units.setdefault(item.unit, []).append(number)
     groups: list[list[int]]
-    if len(units) >= LEAST_CLUSTERS:
+    if len(units) >= MIN_CLUSTERS:
         owners = list(units.values())
         count = min(source.folds, len(owners))
         groups = [[number for owner in owners[start::count] for number in owner] for start in range(count)]
@@ -92,7 +92,7 @@ def folds_of(source: Source) -> list[Fold]:
         groups = [part.tolist() for part in parts]
     result = []
     for held in groups:
-        alone = source.repeated or source.interleaved or len(units) >= LEAST_CLUSTERS
+        alone = source.repeated or source.interleaved or len(units) >= MIN_CLUSTERS
         beside = set() if alone else _neighbours(source, held)
         training = tuple(n for n in range(len(source.clusters)) if n not in held and n not in beside)
         result.append(Fold(tuple(held), training))
@@ -100,14 +100,14 @@ def folds_of(source: Source) -> list[Fold]:
 
 
 def _in_turn(numbers: NDArray[np.int_], folds: int) -> list[NDArray[np.int_]]:
-    """Numbers in folds, each with one of every few neighbours, by lot: what alternates would be held out as a whole."""
+    """Interleaved folds, randomised within every group of neighbours: alternating conditions would fill one fold."""
     rng = np.random.default_rng(0)
     drawn = np.concatenate([rng.permutation(folds) for _ in range(0, numbers.size, folds)])[: numbers.size]
     return [numbers[drawn == fold] for fold in range(folds)]
 
 
 def _neighbours(source: Source, held: Sequence[int]) -> set[int]:
-    """Stretches next to the held-out ones on the same recording."""
+    """Guard stretches: neighbours of the held-out ones on the same recording."""
     near = {number + step for number in held for step in (-1, 1)} - set(held)
     units = {source.clusters[number].unit for number in held}
     return {n for n in near if 0 <= n < len(source.clusters) and source.clusters[n].unit in units}
@@ -126,8 +126,8 @@ def hold_out(
         source: Measurements with the model's predictions.
         effects: Effects to consider.
         chosen: Effects that the search of all clusters found.
-        known: Where its fits ended, by names of effects (:attr:`Search.ended`).
-        budget: Processor time for it, in equal shares for all folds; what one does not try is noted here.
+        known: Results of its fits, by names of effects (:attr:`Search.ended`).
+        budget: Processor time, in equal shares for all folds; it lists what a fold does not try.
     """
     folds = folds_of(source)
     if not folds:
@@ -135,7 +135,8 @@ def hold_out(
     rest: dict[int, Array | None] = {}
     names, short = [], 0
     searched = [
-        _seen_by(chosen, fold.training) >= LEAST_TO_CHOOSE and Evidence.of(source, fold.training).null.shortage is None
+        _seen_by(chosen, fold.training) >= MIN_CLUSTERS_OF_EFFECT
+        and Evidence.of(source, fold.training).null.shortage is None
         for fold in folds
     ]
     tasks = list(zip(folds, searched, strict=True))
@@ -153,7 +154,7 @@ def hold_out(
 
 
 def _seen_by(chosen: Candidate, clusters: Sequence[int]) -> int:
-    """Number of clusters in which every chosen effect changes something, of the effect with the fewest."""
+    """Smallest number of clusters that depend on a chosen effect, over the chosen effects."""
     return min(sum(bool(np.any(chosen.jacobians[number][:, part])) for number in clusters) for _, part in chosen.parts)
 
 
@@ -166,18 +167,18 @@ def _predicted(
     source: Source,
     task: tuple[Fold, bool],
 ) -> tuple[tuple[str, ...], list[Array | None], tuple[str, ...]]:
-    """Effects found without a fold, mean residuals of its clusters (None: not simulated), and what was not tried."""
+    """Effects selected without a fold, mean residuals of its clusters (None: not simulated), and what was not tried."""
     fold, searched = task
     budget = Budget(limit, clock)
     evidence = Evidence.of(source, fold.training, budget)
     search = Search(effects, evidence, known=known, earlier=chosen.split(chosen.point))
-    found = search.choose() if searched else search.fitted(chosen.names)
+    found = search.forward_selection() if searched else search.fitted(chosen.names)
     if found is not None and searched:
-        found, _ = search.exchanged(found)
+        found, _ = search.exchange(found)
     added = () if found is None else found.candidate.split(found.estimate)
     rest: list[Array | None] = []
     for item in (source.clusters[number] for number in fold.held):
-        # Repeats differ in where a body slips: each is predicted from its own start.
-        predicted = source.measure_again(added, [item])
+        # Repeats differ in slip: each is predicted from its own start.
+        predicted = source.residuals_with(added, [item])
         rest.append(None if predicted is None else predicted[0].mean)
     return () if found is None else found.candidate.names, rest, tuple(budget.left_out)

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """First level of the comparison: the velocity jump of the impact map against the measured one.
 
-The map is evaluated at the nominal impact of a native trial. Of a laboratory's run it is evaluated in the measured
-ante-impact state, with the object moved along the contact normal until it touches. The measured jump is the
-experimental estimate from the net feedback (:mod:`impact_rs_analysis.measure.linear_fit`) if trials of a set follow
-several post-impact velocities; else the change of velocity from just before the impact to 20 ... 40 ms after it.
+The map is evaluated at the nominal impact of a native trial; for a laboratory's run, at the measured ante-impact state,
+with the object moved along the contact normal into contact. The measured jump is the net-feedback estimate
+(:mod:`impact_rs_analysis.measure.linear_fit`) if trials of a set have several post-impact references; else the change
+of velocity from just before the impact to 20 ... 40 ms after it.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ import numpy as np
 from impact_rs_analysis.evidence.ante_impact import problem_of
 from impact_rs_analysis.evidence.cluster import Cluster
 from impact_rs_analysis.evidence.discrepancy import Discrepancy
-from impact_rs_analysis.evidence.features import AXES, SETTLED
+from impact_rs_analysis.evidence.features import AXES, SETTLED_WINDOW
 from impact_rs_analysis.evidence.levels import JumpLevel, Level, root_mean_square, rounded
 from impact_rs_analysis.evidence.measured_runs import MeasuredRun, Runs
 from impact_rs_analysis.evidence.replays import clusters_of
@@ -29,9 +29,9 @@ from impact_rs_sim.impact_map import ImpactMapError, ImpactProblem, compute_impa
 from impact_rs_sim.model import Model
 from impact_rs_trials.bags.reader import BagError, TrialBag
 
-JOINTS = "joint velocity jump"
-NUMBERS = ("measured", "predicted", "error", "times_noise")
-WHAT = (
+JOINT_VELOCITY_JUMP = "joint velocity jump"
+ROUNDED_FIELDS = ("measured", "predicted", "error", "times_noise")
+LEVEL_TEXT = (
     "velocity jump of the impact map against the jump measured 20 to 40 ms after the impact, or against the "
     "net-feedback estimate. Joint velocities are listed but not counted: by then the controller has begun to move the "
     "joints"
@@ -50,10 +50,12 @@ def jump_level(runs: Runs, model: Model, discrepancy: Discrepancy) -> tuple[dict
     measured, _ = clusters_of(runs, [run.measured for run in runs.runs], discrepancy)
     entries, remarks = jump_entries(runs, measured, model)
     level = Level(
-        what=WHAT,
-        times_noise=rounded(root_mean_square([entry.times_noise for entry in entries if entry.signal != JOINTS])),
+        what=LEVEL_TEXT,
+        times_noise=rounded(
+            root_mean_square([entry.times_noise for entry in entries if entry.signal != JOINT_VELOCITY_JUMP])
+        ),
         entries=tuple(
-            entry.model_copy(update={key: rounded(getattr(entry, key)) for key in NUMBERS}) for entry in entries
+            entry.model_copy(update={key: rounded(getattr(entry, key)) for key in ROUNDED_FIELDS}) for entry in entries
         ),
     )
     return {"jump": level}, remarks
@@ -91,7 +93,7 @@ def jump_entries(runs: Runs, measured: Sequence[Cluster], model: Model) -> tuple
     sets: dict[tuple[str, str, str], list[tuple[list[MeasuredRun], Cluster]]] = {}
     for group, item in zip(runs.conditions.values(), measured, strict=True):
         if item.contact:
-            sets.setdefault(item.place, []).append((group, item))
+            sets.setdefault(item.condition_key, []).append((group, item))
     entries: list[JumpLevel] = []
     remarks: list[str] = []
     for key, items in sets.items():
@@ -123,7 +125,7 @@ def jump_entries(runs: Runs, measured: Sequence[Cluster], model: Model) -> tuple
 
 
 def _left_the_pad(key: tuple[str, str, str], runs: Sequence[MeasuredRun]) -> list[str]:
-    """What is said of a set whose object does not stay at the pad, which the impact map takes for granted."""
+    """Warnings on a set whose object does not stay at the pad, as the impact map assumes."""
     found = []
     for run in runs:
         try:
@@ -164,9 +166,9 @@ def _numbers(problem: ImpactProblem, run: MeasuredRun) -> dict[tuple[str, str, i
         along.append(float(after[run.axis]))
         for number, axis in enumerate(AXES):
             change = float(after[number] - before[number])
-            numbers["end-effector velocity", f"{label}{axis}", SETTLED] = ("end-effector velocity jump", change)
+            numbers["end-effector velocity", f"{label}{axis}", SETTLED_WINDOW] = ("end-effector velocity jump", change)
         for number, value in enumerate(result.joint_velocity[arm] - state.velocity):
-            numbers[JOINTS, f"{label}joint{number + 1}", 0] = (JOINTS, float(value))
+            numbers[JOINT_VELOCITY_JUMP, f"{label}joint{number + 1}", 0] = (JOINT_VELOCITY_JUMP, float(value))
     for number, axis in enumerate(AXES[:2]):
         numbers["object velocity", axis, 0] = ("object velocity", float(result.object_twist[number]))
     numbers["post-impact velocity", AXES[run.axis], 0] = ("post-impact velocity", float(np.mean(along)))

@@ -31,10 +31,10 @@ DIRECTIONS = {"more": ("too much", "too little"), "late": ("late", "early")}  # 
 
 
 def with_readings(documents: Sequence[EffectDocument], known: Mapping[str, Effect]) -> list[EffectDocument]:
-    """Documents of effects with what is said of those of the measurement.
+    """Documents of effects with the words on faults of readings.
 
     Args:
-        documents: Of all effects.
+        documents: Documents of all effects.
         known: Effects by name.
     """
     found = []
@@ -48,7 +48,7 @@ def with_readings(documents: Sequence[EffectDocument], known: Mapping[str, Effec
 
 
 def measurement_of(document: DiagnosisDocument) -> str:
-    """What is wrong with the readings, a sentence; empty: no effect of the measurement is named."""
+    """Sentence on the faults of readings that are named; empty: none."""
     if not document.faults or document.verdict in (NONE, TOO_FEW, IMPOSSIBLE):
         return ""
     found = [effect for effect in document.effects if effect.name in document.faults]
@@ -57,7 +57,7 @@ def measurement_of(document: DiagnosisDocument) -> str:
 
 
 def clauses_of(effect: EffectDocument) -> list[str]:
-    """What is wrong with a reading, joint by joint: of confirmed joints, or else of those that exclude nominal.
+    """Clauses on the fault of a reading, by joint: confirmed joints, or else those whose interval excludes nominal.
 
     Args:
         effect: An effect of the measurement, with its estimates.
@@ -95,12 +95,12 @@ def calibration_text(one: CalibrationExperiment) -> str:
 
 
 def _fault(value: EstimateDocument) -> float:
-    """Estimate minus the value at which the reading is right."""
+    """Size of the fault: estimate minus the value at which the reading is right."""
     return value.estimate - (value.nominal or 0.0)
 
 
 def _clause(reading: str, plain: str, values: Mapping[str, EstimateDocument], several: bool) -> str:
-    """The clause on one place, with the sizes of its parameters."""
+    """The clause on one joint or arm, with the sizes of its parameters."""
     first = next(iter(values.values()))
     joint = "" if first.joint is None else first.joint.replace("joint", "joint ")
     if first.arm:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The next experiment: what a diagnosis leaves open, and the most informative trial."""
+"""The next experiment: the trial that is most informative about the open questions of a diagnosis."""
 
 from __future__ import annotations
 
@@ -25,12 +25,12 @@ from impact_rs_sim.model import Model
 from impact_rs_sim.numbers import NORMAL_95
 from impact_rs_sim.scenario import load_scenario
 
-COMPANION = "excite"
-WIDEST = 10.0  # parameter scales; an interval that is wider, or unknown, says nothing of where the truth is
+FREE_MOTION_SCENARIO = "excite"
+MAX_PRIOR_DEVIATION = 10.0  # parameter scales, where the interval of an estimate is wider or unknown
 
 
 def next_experiment(found: Findings, known: dict[str, Effect]) -> NextExperiment | None:
-    """Experiment for the first pair of confusable effects; None for trials without such a pair."""
+    """Experiment that discriminates the first pair of confusable effects; None for trials without such a pair."""
     tie = next((rival for rival in found.rivals if rival.tied), None)
     source = found.search.source
     if source.runs is None:
@@ -48,7 +48,7 @@ def next_experiment(found: Findings, known: dict[str, Effect]) -> NextExperiment
     if best is None:
         return None
     trial, gain = best
-    scenario, item, case = trial.cluster.place
+    scenario, item, case = trial.cluster.condition_key
     what = f"measure {trial.name} more often" if trial.repeats else f"measure {trial.name}"
     return NextExperiment(
         splits=(tie.instead_of, tie.name),
@@ -62,18 +62,18 @@ def next_experiment(found: Findings, known: dict[str, Effect]) -> NextExperiment
 
 
 def left_open(document: DiagnosisDocument, model: Model) -> Decide | None:
-    """What a diagnosis leaves to be decided, for a plan of trials with the model that :func:`considered` returns.
+    """The decision that a diagnosis leaves open, for a plan of trials with the model of :func:`considered`.
 
-    Ties: which of the effects that predict unseen data equally well is there, each with the other effects found.
-    Suspicions: whether each suspected effect is there beside the effects found. Without either: how large the effects
-    found are. Without effects: which effect is missing (None).
+    Ties: which of the rivals is present, each with the other effects found. Suspicions: whether each suspected effect
+    is present in addition to the effects found. Without either: the parameters of the effects found. Without effects:
+    which effect is missing (None).
 
     Args:
         document: The diagnosis.
         model: The diagnosed model.
 
     Raises:
-        InputError: The diagnosis is one of another model.
+        InputError: It is the diagnosis of another model.
     """
     if document.model.digest != model.digest:
         raise InputError(
@@ -97,7 +97,7 @@ def left_open(document: DiagnosisDocument, model: Model) -> Decide | None:
                 values = found[one].parameters
                 centre.append((one, tuple(values[scalar.name].estimate for scalar in scalars)))
                 widths = [np.diff(values[scalar.name].interval)[0] / (2.0 * NORMAL_95) for scalar in scalars]
-                deviations[one] = np.minimum(widths, [WIDEST * scalar.scale for scalar in scalars])
+                deviations[one] = np.minimum(widths, [MAX_PRIOR_DEVIATION * scalar.scale for scalar in scalars])
                 bounds[one] = effects[one].bounds_in(source.worlds)
             return estimated("+".join(names) or AS_IS, tuple(centre), deviations, bounds)
 
@@ -111,9 +111,9 @@ def left_open(document: DiagnosisDocument, model: Model) -> Decide | None:
 
 
 def considered(document: DiagnosisDocument, model: Model) -> Model:
-    """The diagnosed model with all that a diagnosis considered beside the library.
+    """The diagnosed model with the effects that a diagnosis considered in addition to the library, not switched on.
 
-    These are user-defined effects, laws of a discovery, and the parameters of each arm. None is switched on.
+    These are user-defined effects, laws of a discovery, and separate parameters of each arm.
 
     Args:
         document: The diagnosis.
@@ -124,11 +124,11 @@ def considered(document: DiagnosisDocument, model: Model) -> Model:
 
 
 def _own_trials(runs: Runs) -> list[PossibleTrial]:
-    """All trials of the scenarios of native runs as they stand, and of free motion; none of other controllers' runs."""
+    """All trials of the scenarios of native runs, and of free motion; none for runs of other controllers."""
     scenarios = {run.spec.scenario.name: run.spec.scenario for run in runs.runs if run.spec is not None}
-    if scenarios and COMPANION not in scenarios:
+    if scenarios and FREE_MOTION_SCENARIO not in scenarios:
         with suppress(InputError):
-            scenarios[COMPANION] = load_scenario(COMPANION)
+            scenarios[FREE_MOTION_SCENARIO] = load_scenario(FREE_MOTION_SCENARIO)
     return [trial for name, own in scenarios.items() for trial in trials_of(name, own) if trial.of_file]
 
 

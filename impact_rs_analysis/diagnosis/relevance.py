@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Whether what a fit adds matters: its change of every signal against the relevance limit of that signal."""
+"""Practical relevance of effects: the change of every signal against its relevance limit."""
 
 from __future__ import annotations
 
@@ -9,19 +9,18 @@ from impact_rs_analysis.diagnosis.document import SizeDocument
 from impact_rs_analysis.diagnosis.fit import Fit
 from impact_rs_sim.robot import Array
 
-MOST_SIZES = 3
+MAX_SIZES = 3  # listed for an effect
 
 
 def changes_of(fitted: Fit, part: slice = slice(None), distance: Array | None = None) -> list[Array]:
-    """Size of the change of every feature by some parameters of a fit, ``(F,)`` per cluster, in the features' units.
+    """Absolute change of every feature by some parameters of a fit, ``(F,)`` per cluster, in the features' units.
 
     To first order, |J_c delta| sigma_c with the sensitivities J_c of cluster c and its scales sigma_c.
 
     Args:
         fitted: The fit.
         part: Which parameters.
-        distance: Of them from where they are taken to change nothing, delta ``(p,)`` [parameter scales]; None: from
-            nominal.
+        distance: delta from a point without effect, ``(p,)`` [parameter scales]; None: from nominal.
     """
     if distance is None:
         distance = ((fitted.estimate - fitted.candidate.nominal) / fitted.candidate.scale)[part]
@@ -29,8 +28,8 @@ def changes_of(fitted: Fit, part: slice = slice(None), distance: Array | None = 
     return [np.abs(jacobian[:, part] @ distance) * item.sigma for item, jacobian in pairs]
 
 
-def moves_enough(fitted: Fit, part: slice = slice(None), distance: Array | None = None) -> bool:
-    """Whether some parameters of a fit change some feature by more than its relevance limit; see :func:`changes_of`."""
+def exceeds_relevance_limit(fitted: Fit, part: slice = slice(None), distance: Array | None = None) -> bool:
+    """Whether some parameters of a fit change a feature by more than its relevance limit; see :func:`changes_of`."""
     return any(
         np.any(moved > [feature.relevance_limit for feature in item.features])
         for item, moved in zip(fitted.evidence.clusters, changes_of(fitted, part, distance), strict=True)
@@ -38,10 +37,11 @@ def moves_enough(fitted: Fit, part: slice = slice(None), distance: Array | None 
 
 
 def noticeable(fitted: Fit, first: int = 0) -> bool:
-    """Whether the interval of some parameter, from number ``first`` on, lies beyond the least change of the source.
+    """Whether the interval of a parameter, from index ``first`` on, excludes changes below that of the source.
 
-    An estimate at a bound of physics counts, such as no friction. One at the end of a range does not: its interval is
-    invalid. Calibrations are taken as exact here: whether the model lacks something is another question than how much.
+    An estimate at a bound of physics, such as no friction, is included; one at the end of a search range is not,
+    because its interval is invalid. Calibrations are taken as exact: they affect the size of an effect, not whether
+    there is one.
     """
     candidate = fitted.candidate
     distance = np.abs(fitted.estimate - candidate.nominal) / candidate.scale - fitted.half_widths_of_noise
@@ -49,16 +49,16 @@ def noticeable(fitted: Fit, first: int = 0) -> bool:
     return bool(np.any((distance > fitted.evidence.source.least_change)[first:] & own[first:]))
 
 
-def matters(fitted: Fit, name: str) -> bool:
-    """Whether an effect changes some signal beyond its relevance limit, or is noticeable in a recording."""
+def is_relevant(fitted: Fit, name: str) -> bool:
+    """Whether an effect changes a signal beyond its relevance limit, or is noticeable in a recording."""
     source = fitted.evidence.source
     if not source.repeated and source.least_change > 0.0:
         return noticeable(fitted)
-    return moves_enough(fitted, fitted.candidate.part(name))
+    return exceeds_relevance_limit(fitted, fitted.candidate.part(name))
 
 
 def sizes_of(fitted: Fit, name: str) -> list[SizeDocument]:
-    """Changes of the signals by one effect of a fit, largest first relative to the relevance limit."""
+    """Largest changes of signals by one effect of a fit, sorted by their ratio to the relevance limit."""
     largest: dict[tuple[str, str], SizeDocument] = {}
     for item, moved in zip(fitted.evidence.clusters, changes_of(fitted, fitted.candidate.part(name)), strict=True):
         for one, value in zip(item.features, moved.tolist(), strict=True):
@@ -67,4 +67,4 @@ def sizes_of(fitted: Fit, name: str) -> list[SizeDocument]:
                 largest[one.phase, one.signal] = SizeDocument(
                     phase=one.phase, signal=one.signal, value=value, unit=one.unit, floor=one.relevance_limit
                 )
-    return sorted(largest.values(), key=lambda size: -size.value / (size.floor or 1.0))[:MOST_SIZES]
+    return sorted(largest.values(), key=lambda size: -size.value / (size.floor or 1.0))[:MAX_SIZES]

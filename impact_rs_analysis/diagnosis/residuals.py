@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Residuals in reports: how large they are, whether they exceed noise, and where they are largest."""
+"""Residuals in reports: size, test against noise, and breakdown by signal."""
 
 from __future__ import annotations
 
@@ -11,16 +11,16 @@ import scipy
 
 from impact_rs_analysis.diagnosis.document import RestDocument
 from impact_rs_analysis.diagnosis.fit import Evidence
-from impact_rs_analysis.diagnosis.thresholds import PLAINLY_BEYOND
+from impact_rs_analysis.diagnosis.thresholds import MAX_NOISE_RATIO
 from impact_rs_analysis.evidence.cluster import TIMES
 from impact_rs_analysis.evidence.levels import expected_of
 from impact_rs_sim.robot import Array
 
-MOST_RESTS = 10  # in a document
+MAX_RESIDUALS = 10  # in a document
 
 
 def residual_size(evidence: Evidence, rest: Sequence[Array]) -> float:
-    """Size of residuals in reports: multiples of repeatability [-], or rms in the unit of the source.
+    """Size of residuals in reports: multiples of repeatability [-], or root mean square in the unit of the source.
 
     Args:
         evidence: The clusters.
@@ -34,10 +34,10 @@ def residual_size(evidence: Evidence, rest: Sequence[Array]) -> float:
 
 
 def noise_size(evidence: Evidence) -> float:
-    """Value of :func:`residual_size` when only noise remains."""
+    """:func:`residual_size` of noise alone."""
     if evidence.source.repeated:
         return 1.0
-    return residual_size(evidence, [item.pure for item in evidence.clusters])
+    return residual_size(evidence, [item.pure_error for item in evidence.clusters])
 
 
 def residual_unit(evidence: Evidence) -> str:
@@ -46,10 +46,10 @@ def residual_unit(evidence: Evidence) -> str:
 
 
 def exceeds_noise(evidence: Evidence, rest: Sequence[Array]) -> bool:
-    """Whether residuals without repeats are larger than noise and calibrations make them, in some signal.
+    """Whether residuals without repeats exceed noise and calibrations ``MAX_NOISE_RATIO`` times, in some signal.
 
-    A torque of 50 N m whose scale is uncertain by 1 % leaves 0.5 N m that no effect has to explain. Where the noise is
-    not known (0), nothing can be shown to exceed it.
+    A torque of 50 N m whose scale is uncertain by 1 % leaves 0.5 N m that no effect has to explain. A signal of unknown
+    noise (0) is not tested.
 
     Args:
         evidence: The clusters.
@@ -65,7 +65,7 @@ def exceeds_noise(evidence: Evidence, rest: Sequence[Array]) -> bool:
             np.mean(np.concatenate([values[mask] for values, mask in zip(rows, own, strict=True)]))
             for rows in ([np.square(row) for row in rest], [item.expected_squares for item in evidence.clusters], moved)
         )
-        if noise > 0.0 and squares > PLAINLY_BEYOND**2 * (noise + unsure):
+        if noise > 0.0 and squares > MAX_NOISE_RATIO**2 * (noise + unsure):
             return True
     return False
 
@@ -78,32 +78,32 @@ def stated_signals(evidence: Evidence) -> set[tuple[str, str]]:
     """
     if evidence.source.repeated or evidence.source.of_motion:
         return set()
-    pairs = ((f, pure) for item in evidence.clusters for f, pure in zip(item.features, item.pure, strict=True))
+    pairs = ((f, pure) for item in evidence.clusters for f, pure in zip(item.features, item.pure_error, strict=True))
     return {(feature.signal, feature.index) for feature, pure in pairs if pure > 0.0}
 
 
 def beyond_stated_noise(evidence: Evidence, rest: Sequence[Array], fitted: int = 0) -> float:
-    """p-value of residuals being stated noise and discrepancy: chi-square of every signal, and of all together.
+    """p-value of lack of fit with stated noise: chi-square tests of every signal and of all together.
 
     With the noise p_i and the discrepancy d_i of a residual r_i the statistic is T = sum r_i^2 / (p_i^2 + d_i^2), and
     a_i = p_i^2 / (p_i^2 + d_i^2). Noise is independent; discrepancies may all be one and the same amplitude. So T has
     the mean N and at most the variance 2 (sum a_i^2 + (sum 1 - a_i)^2), and is compared with the scaled chi-square of
     that mean and variance (Satterthwaite 1946, Biometrics Bulletin 2): without discrepancy that of N degrees of
-    freedom. The smallest p counts, times the number of tests (Bonferroni).
+    freedom. The smallest p is multiplied by the number of tests (Bonferroni).
 
     Args:
         evidence: The clusters of a table.
         rest: Mean residual of each, ``(F,)`` [-].
-        fitted: Number of fitted parameters, which take as many degrees of freedom, from every signal its share.
+        fitted: Number of fitted parameters, subtracted from the degrees of freedom in proportion to N of each test.
     """
     signals: list[tuple[str, str]] = []
     squares, shares = [], []
     for item, values in zip(evidence.clusters, rest, strict=True):
-        known = item.pure > 0.0
+        known = item.pure_error > 0.0
         expected = item.expected_squares[known]
         signals += [(f.signal, f.index) for f, own in zip(item.features, known, strict=True) if own]
         squares.append(np.square(values[known]) / expected)
-        shares.append(np.square(item.pure[known]) / item.count / expected)
+        shares.append(np.square(item.pure_error[known]) / item.count / expected)
     statistic, share = np.concatenate(squares), np.concatenate(shares)
     left = max(1.0 - fitted / statistic.size, 1.0 / statistic.size)
     p_values = []
@@ -115,7 +115,7 @@ def beyond_stated_noise(evidence: Evidence, rest: Sequence[Array], fitted: int =
 
 
 def rests_of(evidence: Evidence, rest: Sequence[Array]) -> list[RestDocument]:
-    """Remaining residuals by phase, signal and index, sorted by their share; multiples are those of a comparison."""
+    """Remaining residuals by phase, signal and index, largest share first, in the multiples of a comparison."""
     by_limit = evidence.source.kind == "trials" and evidence.source.noise_size() is None
     squares: dict[tuple[str, str, str], list[tuple[float, float, float, float]]] = {}
     facts: dict[tuple[str, str, str], tuple[str, float]] = {}

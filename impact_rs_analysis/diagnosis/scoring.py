@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from impact_rs_analysis.diagnosis.document import DiagnosisDocument
-from impact_rs_analysis.diagnosis.thresholds import SIGNIFICANT
+from impact_rs_analysis.diagnosis.thresholds import SIGNIFICANCE_LEVEL
 from impact_rs_analysis.diagnosis.verdict import NONE, NOTHING, Kind
 from impact_rs_analysis.evidence.measured_runs import runs_digest
 from impact_rs_sim.errors import InputError
@@ -110,7 +110,7 @@ def held_against_truth(directory: Path, document: DiagnosisDocument) -> Score:
         right = headline = document.verdict == NOTHING
     elif kind == "outside":
         left = document.lack_of_fit.after
-        stays = document.verdict.kind is Kind.PARTLY or (bool(named) and left is not None and left < SIGNIFICANT)
+        stays = document.verdict.kind is Kind.PARTLY or (bool(named) and left is not None and left < SIGNIFICANCE_LEVEL)
         right = headline = document.verdict == NONE or stays
     covered = [
         estimate.interval[0] <= hidden[name][key]["value"] <= estimate.interval[1]

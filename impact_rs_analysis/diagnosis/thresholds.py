@@ -1,30 +1,54 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Thresholds of the verdicts, each with its reason."""
+"""Numbers on which a verdict turns, by the question that they decide, each with its reason.
 
-from impact_rs_analysis.inference.noise import UNMEASURED as UNMEASURED
+Numbers of pure numerics (tolerances, caches, steps of a fit) stand in the modules that use them.
+``docs/reliability.md`` shows the verdicts with each of these halved and doubled.
+"""
 
-SIGNIFICANT = 0.01  # false-discovery rate: one verdict in a hundred may be chance
-NOMINAL = 0.05  # p of an effect as if it were tested alone, below which an investigation looks once more
-DRAWS = 4999  # of a null distribution; its smallest p, 0.0002, survives the adjustment for 25 effects
-LEAST_P = 0.0005  # printed as a bound: the tails of a real robot's noise are not known further out
-LEAST_FREEDOM = 3  # degrees of freedom of the pure error; with fewer its estimate may be wrong by a factor of 10
-LEAST_CLUSTERS = 3  # for a hold-out: with two, each is predicted from a single one
-NOTHING = 0.1  # p in free motion above which an effect with several parameters is ruled out
-LEAST_GAIN = 0.10  # share of the excess held-out error that an accepted effect must remove
-LEAST_GAIN_IN_ONE = 0.5  # or of the excess of one joint of a recording, whose noise is not known
-MOST = 0.5  # share of the excess that PARTLY must explain
-# Times noise and calibrations without repeats, from which a residual needs an explanation: noise is known to a third.
-PLAINLY_BEYOND = 2.0
-TIE = 0.05  # log of the ratio of squared held-out errors; explanations closer than 5 % are equally good
-WIDE_TIE = 0.25  # upper limit of the same where the scatter between clusters is larger
-UNSEEN = 20.0  # parameter scales; a wider interval does not determine the parameter
-MOST_EFFECTS = 6  # chosen together; more cannot be distinguished in one campaign
-MOST_TESTED = (
-    40  # effects with a p-value in every round, more than the library has; the others count as tested, with p = 1
-)
-SHORTLIST = 5  # candidates fitted by simulation in every round; in tests the true one was always among them
-MANY = 40  # candidates; among more of them, as among laws, the true one may be further down
-LONG_LIST = 20  # of so many instead: a strong drag was the thirteenth of 57 by its slope at nominal
-LEAST_ROWS_OF_LEVEL = 3  # of a covariate, beside every fold: one row may be an outlier, two do not say which
-LEAST_NUMBERS = 3  # different ones of a covariate: a line through two is a level for each
-GOES_WITH = 0.9  # canonical correlation of covariates; of the variance of one, a fifth is then not that of the other
+from impact_rs_analysis.evidence.minimum_data import MIN_BLOCKS as MIN_BLOCKS
+from impact_rs_analysis.evidence.minimum_data import MIN_CLUSTERS as MIN_CLUSTERS
+from impact_rs_analysis.evidence.minimum_data import MIN_DEGREES_OF_FREEDOM as MIN_DEGREES_OF_FREEDOM
+from impact_rs_analysis.inference.noise import INDEPENDENT_DISCREPANCY_SHARE as INDEPENDENT_DISCREPANCY_SHARE
+
+# How small does a p-value have to be?
+SIGNIFICANCE_LEVEL = 0.01  # false discovery rate (Benjamini-Hochberg): one verdict in a hundred may be chance
+UNADJUSTED_LEVEL = 0.05  # of an effect as if it were tested alone; below, an investigation measures once more
+MIN_P_IN_FREE_MOTION = 0.1  # above, an effect with several parameters is ruled out by free motion
+MIN_REPORTED_P = 0.0005  # printed as a bound: the tails of a real robot's noise are not known further out
+
+# What is the null distribution?
+NULL_DRAWS = 4999  # rotations; the smallest p, 0.0002, survives the adjustment for 25 effects
+PRIOR_DEGREES_OF_FREEDOM = 3  # d_0 of the moderated variance, whose weight is that of d_0 contrasts
+MAX_NOISE_RATIO = 2.0  # residual over noise and calibrations, without repeats: noise is known to a third
+
+# How much better has a model to predict what it has not seen?
+MIN_GAIN_SHARE = 0.10  # of the excess held-out error, which an accepted effect must remove
+MIN_GAIN_SHARE_OF_JOINT = 0.5  # or of the excess of one joint of a recording, whose noise is not known
+MIN_EXPLAINED_SHARE = 0.5  # of the squared error beyond noise, which PARTLY must explain
+TIE_LOG_RATIO = 0.05  # of squared held-out errors; explanations closer than 5 % are equally good
+MAX_TIE_LOG_RATIO = 0.25  # upper limit of a tie by the scatter between clusters
+MAX_ERROR_RATIO = 3.0  # squared error over that of the best fit; above, a fit is dropped
+
+# Do the data determine it?
+MAX_HALF_WIDTH = 20.0  # parameter scales; a wider interval does not determine the parameter
+PRIOR_DEVIATION = 100.0  # parameter scales; bounds only parameters that the data do not determine
+MIN_CLUSTERS_OF_EFFECT = 2  # clusters that see an effect: its search predicts one from the other
+MIN_REPORTED_CORRELATION = 0.8  # of two estimates; below, one is worth listing without the other
+MIN_CONFOUNDED_SHARE = 0.85  # variance of the order between conditions; three conditions, one after the other: 0.89
+
+# How many candidates does a search fit?
+MAX_EFFECTS = 6  # chosen together; more cannot be distinguished in one campaign
+MAX_TESTED_EFFECTS = 40  # with a p-value in every round, more than the library has; the others count as p = 1
+SHORTLIST_SIZE = 5  # candidates fitted by simulation in every round; in tests the true one was always among them
+MAX_CANDIDATES_OF_SHORTLIST = 40  # among more candidates, as among laws, the true one may be further down
+LONG_SHORTLIST_SIZE = 20  # then: a strong drag was the thirteenth of 57 by its slope at nominal
+LEADERS_WITH_SHAPES = 8  # best candidates whose shape parameters are scanned before fits by simulation
+
+# Can there be a law of this form?
+MIN_RESIDUAL_RATIO_OF_LAW = 1.5  # times repeatability; a smaller residual shows no law
+MIN_SHARE_OF_LARGEST_RESIDUAL = 0.25  # likewise: of joints that move others, one is the cause
+
+# Can a parameter depend on a covariate?
+MIN_ROWS_OF_LEVEL = 3  # outside every fold: one row may be an outlier, two do not say which
+MIN_DISTINCT_NUMBERS = 3  # a line through two numbers is a value for each level
+MIN_CANONICAL_CORRELATION = 0.9  # at which two covariates are confounded: they share four fifths of their variance

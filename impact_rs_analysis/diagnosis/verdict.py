@@ -49,7 +49,7 @@ class DiagnosisVerdict:
     def __str__(self) -> str:
         if self.kind is Kind.NAMED:
             return "+".join(self.names)
-        return self.kind.value if self.kind in ALONE else f"{self.kind}{{{', '.join(self.names)}}}"
+        return self.kind.value if self.kind in WITHOUT_NAMES else f"{self.kind}{{{', '.join(self.names)}}}"
 
     @property
     def leaves_residuals(self) -> bool:
@@ -65,7 +65,7 @@ class DiagnosisVerdict:
             raise ValueError("expected a verdict")
         if (found := WITH_NAMES.fullmatch(text)) is not None:
             return cls(Kind(found[1]), tuple(found[2].split(", ")))
-        return cls(Kind(text)) if text in ALONE else cls(Kind.NAMED, tuple(text.split("+")))
+        return cls(Kind(text)) if text in WITHOUT_NAMES else cls(Kind.NAMED, tuple(text.split("+")))
 
     @classmethod
     def __get_pydantic_core_schema__(cls, source: Any, handler: GetCoreSchemaHandler) -> Any:
@@ -74,7 +74,7 @@ class DiagnosisVerdict:
         return handler.generate_schema(text)
 
 
-ALONE = frozenset(Kind) - {Kind.NAMED, Kind.PARTLY, Kind.CONFUSABLE}  # without names
+WITHOUT_NAMES = frozenset(Kind) - {Kind.NAMED, Kind.PARTLY, Kind.CONFUSABLE}  # without names
 
 NOTHING = DiagnosisVerdict(Kind.NOTHING)
 NONE = DiagnosisVerdict(Kind.NONE)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a search finds, what of it the hold-out supports, and the verdict on the model."""
+"""Result of a search, the effects that the hold-out supports, and the verdict on the model."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ import scipy
 from impact_rs_analysis.diagnosis.document import LackOfFit, explained
 from impact_rs_analysis.diagnosis.fit import Evidence, Fit
 from impact_rs_analysis.diagnosis.hold_out import HoldOut
-from impact_rs_analysis.diagnosis.relevance import matters
+from impact_rs_analysis.diagnosis.relevance import is_relevant
 from impact_rs_analysis.diagnosis.residuals import (
     beyond_stated_noise,
     exceeds_noise,
@@ -24,7 +24,7 @@ from impact_rs_analysis.diagnosis.residuals import (
     stated_signals,
 )
 from impact_rs_analysis.diagnosis.search import Rival, Search
-from impact_rs_analysis.diagnosis.thresholds import LEAST_P, MOST, SIGNIFICANT
+from impact_rs_analysis.diagnosis.thresholds import MIN_EXPLAINED_SHARE, MIN_REPORTED_P, SIGNIFICANCE_LEVEL
 from impact_rs_analysis.diagnosis.verdict import IMPOSSIBLE, NONE, NOTHING, SMALL, TOO_FEW, DiagnosisVerdict, Kind
 from impact_rs_sim.robot import Array
 
@@ -34,15 +34,15 @@ class Findings:
     """Input of the verdicts.
 
     Attributes:
-        search: Of all clusters.
+        search: Search over all clusters.
         chosen: The accepted fit; None if no effect was accepted.
         rivals: Alternatives to the chosen effects.
         hold_out: Held-out errors; None with too few clusters.
-        p_values: By effect, each as if it were tested alone: of unchosen ones given the chosen, of chosen ones given
-            the other chosen.
+        p_values: Unadjusted, by effect: of unchosen effects given the chosen ones, of each chosen effect given the
+            other chosen ones.
         suspected: Without repeats, effects that lower the held-out error by less than its interval.
         within_discrepancy: Effects that lower an error of impacts that is within the discrepancy of the rigid map.
-        unsupported: Which effects of all data the hold-out does not support, and why; empty: none.
+        unsupported: Effects selected in all data that the hold-out does not support, with the reason; empty: none.
     """
 
     search: Search
@@ -61,7 +61,7 @@ class Findings:
 
     @cached_property
     def adjusted(self) -> dict[str, float]:
-        """p-values adjusted for testing all effects."""
+        """Benjamini-Hochberg adjusted p-values of all effects."""
         return self.search.adjusted(self.p_values)
 
     @property
@@ -72,11 +72,11 @@ class Findings:
     @property
     def unexplained(self) -> list[Array]:
         """Mean residuals with the chosen effects, ``(F,)`` per cluster [-]."""
-        return [item.mean for item in self.evidence.clusters] if self.chosen is None else self.chosen.rest
+        return [item.mean for item in self.evidence.clusters] if self.chosen is None else self.chosen.residuals
 
     @property
     def held_out_sizes(self) -> tuple[float, float]:
-        """Held-out error of the model, and with the effects that searches without the held-out part find."""
+        """Held-out error of the model, and of the nested cross-validation."""
         return _held_out_sizes(self.search, self.hold_out)
 
     @property
@@ -85,7 +85,7 @@ class Findings:
         return 1.0 - explained(*self.held_out_sizes, noise_size(self.evidence))
 
     def shown(self, names: Iterable[str]) -> tuple[str, ...]:
-        """Names of effects as documents have them."""
+        """Names of effects in documents."""
         return shown_names(self.search, names)
 
     def tied_with(self, name: str) -> tuple[str, ...]:
@@ -94,16 +94,16 @@ class Findings:
 
 
 def shown_names(search: Search, names: Iterable[str]) -> tuple[str, ...]:
-    """Names of effects of a search as documents have them."""
+    """Names of effects of a search in documents."""
     return tuple(search.source.known_effects[name].shown_name for name in names)
 
 
-def clip_p(value: float) -> float:
-    """A p-value, not below ``LEAST_P``: the tails of the noise are not known further out."""
-    return max(value, LEAST_P)
+def reported_p(value: float) -> float:
+    """A p-value, bounded below by ``MIN_REPORTED_P``: the tails of the noise are not known further out."""
+    return max(value, MIN_REPORTED_P)
 
 
-def certain(fitted: Fit, name: str) -> bool:
+def excludes_nominal(fitted: Fit, name: str) -> bool:
     """Whether the 95 % interval of some parameter of an effect excludes its nominal value."""
     candidate = fitted.candidate
     distance = np.abs(fitted.estimate - candidate.nominal) / candidate.scale
@@ -111,36 +111,36 @@ def certain(fitted: Fit, name: str) -> bool:
     return bool(np.any(((distance > fitted.half_widths) & own)[candidate.part(name)]))
 
 
-def without_the_doubtful(search: Search, chosen: Fit) -> Fit | None:
-    """The chosen effects without those that are neither relevant nor certain; None if none remains."""
+def without_uncertain_effects(search: Search, chosen: Fit) -> Fit | None:
+    """The chosen effects without those that are neither relevant nor off nominal by their interval; or None."""
     for name in chosen.candidate.names:
-        if matters(chosen, name) or certain(chosen, name):
+        if is_relevant(chosen, name) or excludes_nominal(chosen, name):
             continue
         if len(chosen.candidate.names) == 1:
             return None
         others = search.without(chosen, name)
         if others is not None:
-            return without_the_doubtful(search, others)
+            return without_uncertain_effects(search, others)
     return chosen
 
 
 def supported_by_hold_out(search: Search, chosen: Fit, held: HoldOut) -> Fit | None:
     """The chosen effects that the nested hold-out supports; None if it supports none.
 
-    Searches that have not seen a fold must predict it better than the model does. Where the noise is known from
-    repeats, the p-value of the effects has said what chance does, and the sign of the change decides: its interval
-    would ask for twice the effect, as the squared error falls by 2 r d - d^2 with the mean d^2 and the deviation 2 d.
-    Without repeats no p-value is sure, and the 95 % interval has to exclude 0. What cannot be simulated in a fold is
-    not supported. Without repeats those effects remain that most searches of folds find or put another one in place
-    of, and what is too small to matter needs no support, for it hardly changes a prediction.
+    Searches that have not seen a fold must predict it better than the model does. With repeats, the p-values of the
+    effects already account for chance, and the sign of the change decides: its interval would require twice the effect,
+    because the squared error falls by 2 r d - d^2 with mean d^2 and standard deviation 2 d. Without repeats p-values
+    are less reliable, and the 95 % interval has to exclude 0. Effects that cannot be simulated in a fold are not
+    supported. Without repeats an effect also has to be selected, or replaced by another one, in most folds, and
+    effects below relevance need no support, because they hardly change a prediction.
     """
     if held.failed:
         return None
     repeated = search.evidence.source.repeated
-    if not repeated and not any(matters(chosen, name) for name in chosen.candidate.names):
+    if not repeated and not any(is_relevant(chosen, name) for name in chosen.candidate.names):
         return chosen
-    change = change_interval([item.mean for item in search.evidence.clusters], held.rest, search.evidence)
-    if not (lowers(search, held) if repeated else change is not None and change[1] < 0.0):
+    change = change_interval([item.mean for item in search.evidence.clusters], held.residuals, search.evidence)
+    if not (lowers_held_out_error(search, held) if repeated else change is not None and change[1] < 0.0):
         return None
     for name in () if repeated else chosen.candidate.names:
         if not held.found or 2 * sum(_found_or_replaced(name, f, chosen) for f in held.found) > len(held.found):
@@ -151,12 +151,12 @@ def supported_by_hold_out(search: Search, chosen: Fit, held: HoldOut) -> Fit | N
 
 
 def _found_or_replaced(name: str, found: Sequence[str], chosen: Fit) -> bool:
-    """Whether a search of the hold-out finds an effect, or another one that the search of all data has not."""
+    """Whether the search of a fold selects an effect, or one that the search of all data does not select."""
     return name in found or any(other not in chosen.candidate.names for other in found)
 
 
 def unsupported_words(search: Search, suspected: Sequence[str], held: HoldOut) -> str:
-    """Why effects that explain all data are not named."""
+    """Why effects that were selected in all data are not named."""
     before, after = _held_out_sizes(search, held)
     found = sum(any(name in names for name in suspected) for names in held.found)
     what = " and ".join(shown_names(search, suspected))
@@ -170,35 +170,35 @@ def unsupported_words(search: Search, suspected: Sequence[str], held: HoldOut) -
     )
 
 
-def lowers(search: Search, held: HoldOut) -> bool:
-    """Whether searches that have not seen a fold predict it better than the model does, however little."""
+def lowers_held_out_error(search: Search, held: HoldOut) -> bool:
+    """Whether the nested cross-validation has a lower error than the model."""
     before, after = _held_out_sizes(search, held)
     return after < before
 
 
 def within_discrepancy(search: Search) -> tuple[str, ...]:
-    """The effect that predicts unseen impacts best, if it more than halves the squared error; empty: none does.
+    """The effect with the lowest leave-one-out error of impacts, if it more than halves it; empty: none does.
 
-    Where a search names nothing although one does, the discrepancy of the rigid map is as large as what it explains.
+    If a search names nothing all the same, the change by this effect is within the discrepancy of the rigid map.
     """
     if search.evidence.source.of_motion or not search.evidence.source.discrepancy_document.used:
         return ()
     scores = {name: search.alone(name).score for name in search.singles}
     best = min(scores, key=lambda name: scores[name], default="")
     before = float(np.mean([np.mean(np.square(item.mean)) for item in search.evidence.clusters]))
-    return (best,) if best and scores[best] < (1.0 - MOST) * before else ()
+    return (best,) if best and scores[best] < (1.0 - MIN_EXPLAINED_SHARE) * before else ()
 
 
 def _held_out_sizes(search: Search, held: HoldOut | None) -> tuple[float, float]:
-    """Held-out error of the model, and with what searches without the held-out part find."""
+    """Held-out error of the model, and of the nested cross-validation."""
     evidence = search.evidence
     before = [item.mean for item in evidence.clusters]
-    after = before if held is None else held.rest
+    after = before if held is None else held.residuals
     return residual_size(evidence, before), residual_size(evidence, after)
 
 
 def headline(found: Findings) -> tuple[DiagnosisVerdict, LackOfFit]:
-    """The verdict on the model, and the p-values of its residuals, and of the remaining ones, being noise."""
+    """The verdict on the model, and the p-values of lack of fit before and after the chosen effects."""
     evidence, chosen = found.evidence, found.chosen
     before = evidence.lack_of_fit
     after = before if chosen is None else chosen.lack_of_fit()
@@ -212,21 +212,21 @@ def headline(found: Findings) -> tuple[DiagnosisVerdict, LackOfFit]:
             before = beyond_stated_noise(evidence, [item.mean for item in evidence.clusters])
             after = beyond_stated_noise(evidence, found.unexplained, 0 if chosen is None else chosen.change.size)
         verdict = _on_model(found, stated, after)
-    first, last = (None if p is None else clip_p(p) for p in (before, after))
+    first, last = (None if p is None else reported_p(p) for p in (before, after))
     return verdict, LackOfFit(before=first, after=last)
 
 
 def _on_model(found: Findings, stated: set[tuple[str, str]], p_value: float | None) -> DiagnosisVerdict:
-    """The verdict on a model by what the chosen effects leave.
+    """The verdict on a model, by the residuals after the chosen effects.
 
     Args:
-        found: What was found.
+        found: Result of the search.
         stated: Signals of a table without repeats whose noise is stated.
-        p_value: Of the remaining residuals being noise.
+        p_value: Lack of fit of the remaining residuals.
     """
     evidence, chosen = found.evidence, found.chosen
     tested = evidence.source.repeated or bool(stated)
-    stays = p_value is not None and p_value < SIGNIFICANT
+    stays = p_value is not None and p_value < SIGNIFICANCE_LEVEL
     if tested:
         rests = rests_of(evidence, found.unexplained)
         more = stays and any(
@@ -235,11 +235,15 @@ def _on_model(found: Findings, stated: set[tuple[str, str]], p_value: float | No
     else:
         more = exceeds_noise(evidence, found.unexplained)
     if chosen is None:
-        # An effect may be significant alone; if the residuals are noise, it does not explain a deficit of the model.
+        # Without lack of fit a significant effect explains no deficit of the model.
         return NONE if more else SMALL if tested and stays else NOTHING
     if more:
-        return DiagnosisVerdict(Kind.PARTLY, found.shown(found.names)) if found.share_left < 1.0 - MOST else NONE
-    if tested and not any(matters(chosen, name) for name in found.names):
+        return (
+            DiagnosisVerdict(Kind.PARTLY, found.shown(found.names))
+            if found.share_left < 1.0 - MIN_EXPLAINED_SHARE
+            else NONE
+        )
+    if tested and not any(is_relevant(chosen, name) for name in found.names):
         return SMALL
     return DiagnosisVerdict(Kind.NAMED, found.shown(found.names))
 
@@ -247,12 +251,12 @@ def _on_model(found: Findings, stated: set[tuple[str, str]], p_value: float | No
 def change_interval(before: Sequence[Array], after: Sequence[Array], evidence: Evidence) -> tuple[float, float] | None:
     """95 % interval of the change of the held-out size; None with too few clusters.
 
-    With repeats it is that of their scatter (:func:`_by_repeats`), without them that of the ratio's scatter over the
-    clusters (:func:`_by_clusters`).
+    From the scatter of repeats (:func:`_by_repeats`), or without repeats from a jackknife over the clusters
+    (:func:`_by_clusters`).
 
     Args:
-        before: Mean residuals without, ``(F,)`` per cluster [-].
-        after: Mean residuals with the effects found, ``(F,)`` per cluster [-].
+        before: Mean residuals of the model, ``(F,)`` per cluster [-].
+        after: Mean residuals with the effects, ``(F,)`` per cluster [-].
         evidence: The clusters.
     """
     if len(before) < 2:
@@ -268,8 +272,8 @@ def _by_repeats(before: Sequence[Array], after: Sequence[Array], evidence: Evide
 
         |r_c|^2 - |r_c - d_c|^2 = 2 r_c d_c - |d_c|^2,    with variance 4 d_c cov(e_c) d_c
 
-    where cov(e_c) is the scatter of repeats, pooled over the layout. The model discrepancy is no part of it: a better
-    prediction is better, whether the model or its simulator was wrong. Which of them it was is asked by the p-value.
+    where cov(e_c) is the scatter of repeats, pooled over the layout. The model discrepancy is left out: a better
+    prediction is better, whether the model or its simulator was wrong. The p-value distinguishes these.
     """
     variance = 0.0
     for item, first, second in zip(evidence.clusters, before, after, strict=True):
@@ -288,7 +292,7 @@ def _by_repeats(before: Sequence[Array], after: Sequence[Array], evidence: Evide
 def _by_clusters(before: Sequence[Array], after: Sequence[Array], evidence: Evidence) -> tuple[float, float]:
     """Interval of a change of the held-out size, from the scatter of its ratio over the clusters (jackknife).
 
-    The logarithm of the ratio is about normal: an effect lowers a large error and a small one by a similar share.
+    The logarithm of the ratio is about normal, because an effect lowers large and small errors by similar shares.
     """
     count = len(before)
 

@@ -15,12 +15,12 @@ from impact_rs_analysis.diagnosis.document import (
     explained,
 )
 from impact_rs_analysis.diagnosis.measurement import measurement_of
-from impact_rs_analysis.diagnosis.thresholds import SIGNIFICANT, WIDE_TIE
+from impact_rs_analysis.diagnosis.thresholds import MAX_TIE_LOG_RATIO, SIGNIFICANCE_LEVEL
 from impact_rs_analysis.diagnosis.verdict import IMPOSSIBLE, NONE, NOTHING, SMALL, TOO_FEW, UNIDENTIFIABLE, Kind
 from impact_rs_analysis.evidence.cluster import TIMES
 from impact_rs_sim.numbers import estimate_in_line
 
-MOST_LEVELS = 6  # in a sentence
+MAX_LEVELS_IN_SENTENCE = 6  # in a sentence
 
 
 def summary_of(document: DiagnosisDocument) -> str:
@@ -126,7 +126,7 @@ def _range(name: str, document: DiagnosisDocument) -> str:
     text = f"the range of {name} that the data allow, {_ends(views)}" if len(views) < len(whole) else ""
     text = text or f"the whole range of {name}, {_ends(whole)}"
     prefer = ""
-    if best.held_out_error_after * math.exp(WIDE_TIE / 2.0) < document.held_out_error_after:
+    if best.held_out_error_after * math.exp(MAX_TIE_LOG_RATIO / 2.0) < document.held_out_error_after:
         fall = _fall(document.held_out_error_after, best.held_out_error_after)
         prefer = f" The data prefer {best.name}: held-out error {fall} {_unit(document)}."
     if turned := [view for view in views if set(view.named) != set(document.named)]:
@@ -178,7 +178,7 @@ def _circumstances(document: DiagnosisDocument) -> list[str]:
     for one in document.covariates:
         if one.goes_with and one.name in {own.covariate for own in found}:
             others = " and ".join(f"{name} (correlation {value:.2f})" for name, value in one.goes_with.items())
-            said.append(f"{one.name} goes with {others}: what depends on one may depend on the other")
+            said.append(f"{one.name} goes with {others}: a dependence on one may be a dependence on the other")
     return [f"{text}." for text in said]
 
 
@@ -207,7 +207,7 @@ def _by_level(one: DependenceDocument, parameter: str) -> str:
     """Estimates of a parameter by level; of many levels the lowest and the highest."""
     values = {level: parameters[parameter] for level, parameters in one.levels.items()}
     ordered = sorted(values, key=lambda level: values[level].estimate)
-    many = len(ordered) > MOST_LEVELS
+    many = len(ordered) > MAX_LEVELS_IN_SENTENCE
     text = ", ".join(
         f"{_estimate(values[level])} in {level}" for level in ([ordered[0], ordered[-1]] if many else values)
     )
@@ -363,7 +363,7 @@ def _lowering(document: DiagnosisDocument) -> str:
     found = [
         effect.name
         for effect in document.effects
-        if effect.p_value is not None and effect.p_value < SIGNIFICANT and effect.lowers
+        if effect.p_value is not None and effect.p_value < SIGNIFICANCE_LEVEL and effect.lowers
     ]
     return f"Significant, but too little or not supported by the hold-out: {', '.join(found)}." if found else ""
 

@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from impact_rs_analysis.evidence.features import JUMP_BEFORE
+from impact_rs_analysis.evidence.features import JUMP_BEFORE_S
 from impact_rs_analysis.evidence.measured_runs import MeasuredRun
 from impact_rs_sim.impact_map import ImpactProblem
 from impact_rs_sim.impact_map.contacts import SUPPORT, contact_pairs
@@ -17,19 +17,19 @@ from impact_rs_sim.robot import Array
 from impact_rs_sim.robot_model import RobotModel
 from impact_rs_sim.scene import ArmState, BodyState
 
-NEARLY = 0.2  # rad; a pad tilted further is meant to hit with an edge
-TURNS = 3  # corrections of the wrist; each squares the remaining angle
+MAX_ALIGNING_TILT_RAD = 0.2  # a pad tilted further is meant to hit with an edge
+WRIST_CORRECTIONS = 3  # Newton iterations; each squares the remaining angle
 
 
 def ante_impact_state(run: MeasuredRun) -> dict[str, ArmState]:
     """Joint states at the begin of the impact, by arm.
 
-    Extrapolated by lines through the last milliseconds before it; their mean would lag behind an accelerating arm.
+    By linear extrapolation of the last milliseconds before it; their mean would lag behind an accelerating arm.
     """
     window, states = run.windowed[-1], {}
     for name, arm in run.windowed[-1].arms.items():
         onset = run.impacts[name]
-        rows = (window.time >= onset + JUMP_BEFORE[0]) & (window.time <= onset + JUMP_BEFORE[1])
+        rows = (window.time >= onset + JUMP_BEFORE_S[0]) & (window.time <= onset + JUMP_BEFORE_S[1])
         time = window.time[rows] - onset
         states[name] = ArmState(_extrapolated(time, arm.position[rows]), _extrapolated(time, arm.velocity[rows]))
     return states
@@ -41,7 +41,7 @@ def obliqueness(run: MeasuredRun) -> float:
 
 
 def obliqueness_of(physics: Physics, states: Mapping[str, ArmState], box: BodyState) -> float:
-    """As :func:`obliqueness`, of pads in the state just before they hit an object."""
+    """As :func:`obliqueness`, for pads in a given ante-impact state."""
     models = physics.robot_models()
     placements = {name: models[name].placement(state.position) for name, state in states.items()}
     angles = []
@@ -64,7 +64,7 @@ def _nearest_face(box: BodyState, direction: Array) -> Array:
 
 
 def _extrapolated(time: Array, values: Array) -> Array:
-    """Value at time 0 of the line through samples."""
+    """Value at time 0 of a least-squares line through samples."""
     design = np.column_stack((np.ones_like(time), time))
     return np.asarray(np.linalg.lstsq(design, values, rcond=None)[0][0])
 
@@ -73,7 +73,7 @@ def problem_of(run: MeasuredRun, physics: Physics, motor_inertia: str = "reduced
     """Impact problem of a measured run.
 
     A tilted soft pad hits with an edge and aligns with the face within milliseconds. The velocity is measured after
-    that, and corresponds to a rigid impact of parallel faces. So the wrist is turned until the faces are parallel;
+    that, and corresponds to a rigid impact of parallel faces. So the wrist is rotated until the faces are parallel;
     joint velocities stay as measured.
 
     Args:
@@ -103,12 +103,12 @@ def problem_of(run: MeasuredRun, physics: Physics, motor_inertia: str = "reduced
 
 
 def _face_on_face(state: ArmState, model: RobotModel, box: BodyState) -> ArmState:
-    """The arm with its pad turned parallel to the nearest face of the object, if it nearly was."""
+    """The arm with its pad rotated parallel to the nearest face of the object, if the tilt is small."""
     q, facing = state.position.copy(), model.end_effector.pad_placement.rotation[:, 2]
-    for _ in range(TURNS):
+    for _ in range(WRIST_CORRECTIONS):
         normal = model.placement(q).rotation @ facing
         turn = np.cross(normal, _nearest_face(box, normal))
-        if np.linalg.norm(turn) > np.sin(NEARLY):
+        if np.linalg.norm(turn) > np.sin(MAX_ALIGNING_TILT_RAD):
             return state
         q = q + np.linalg.pinv(model.jacobian(q)) @ np.concatenate((np.zeros(3), turn))
     return ArmState(q, state.velocity)

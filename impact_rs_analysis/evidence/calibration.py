@@ -3,11 +3,11 @@
 
 A calibration has the schema of a model file, and holds effects of the measurement alone. It stays with the data. A
 model holds the physics, so that another laboratory can use it. Measurements are predicted with both: readings =
-g(motion of the model; calibration). In a difference of recordings what both have in common cancels.
+g(motion of the model; calibration). In a difference of recordings their common faults cancel.
 
-An interval of a calibration is one of a normal distribution. Its deviation is the same in all measurements, so the
-residuals of all clusters move together: by J_k s_k for one standard deviation s_k of parameter k, with J_k their
-sensitivity (systematic errors; JCGM 100:2008, 5.2). They are rows of :attr:`Cluster.calibrations`.
+An interval of a calibration is that of a normal distribution. Its deviation is common to all measurements (a systematic
+error; JCGM 100:2008, 5.2), so the residuals of all clusters are correlated: they change by J_k s_k for one standard
+deviation s_k of parameter k, with the sensitivity J_k. These are rows of :attr:`Cluster.calibrations`.
 """
 
 from __future__ import annotations
@@ -91,7 +91,7 @@ NO_CALIBRATION = LaboratoryCalibration()
 
 
 def file_beside(data: Path) -> Path:
-    """Where the calibration of measurements lies: in their folder.
+    """Default file of the calibration of measurements, in their folder.
 
     Args:
         data: Folder of the measurements, or one of its files.
@@ -151,7 +151,7 @@ def check_faults(model: Model, file: str | Path) -> Model:
 
 
 def with_intervals(source: Source, clusters: Sequence[Cluster]) -> tuple[Cluster, ...]:
-    """Clusters that move with the faults of readings in the model of their source, as their intervals say.
+    """Clusters with the systematic errors of the faults of readings in the model, by their intervals.
 
     Args:
         source: Predicts them.
@@ -173,7 +173,7 @@ def with_intervals(source: Source, clusters: Sequence[Cluster]) -> tuple[Cluster
 
 
 def _moved(change: Array | None, sigma: Array) -> Array:
-    """Change of scaled residuals by one of the features; 0 where these cannot be predicted."""
+    """Change of scaled residuals by a change of features; 0 if these cannot be predicted."""
     return np.zeros((1, sigma.size)) if change is None else (-change / sigma)[None, :]
 
 

@@ -59,7 +59,7 @@ class Feature:
 
     @property
     def group(self) -> tuple[str, str, str]:
-        """Phase, signal and index: the same for all time bins."""
+        """Phase, signal and index, common to all time bins."""
         return self.phase, self.signal, self.index
 
 
@@ -69,37 +69,37 @@ class Cluster:
 
     Attributes:
         name: Short name for tables.
-        place: Scenario, object and case; for a recording its file and the stretch.
+        condition_key: Scenario, object and case; for a recording its file and the stretch.
         layout: Clusters of one layout have the same features, and share their pure error.
         unit: Name of the unit that is held out: the cluster itself, or the recording of the stretch.
         contact: Whether there is a contact.
         features: Description of the entries.
         residuals: One row per repeat, ``(n, F)`` [-].
         sigma: Scale of each feature in its own unit, ``(F,)``.
-        pure: Pure error of each feature over its scale, ``(F,)`` [-].
+        pure_error: Pure error of each feature over its scale, ``(F,)`` [-].
         discrepancy: Model discrepancy of each feature over its scale, ``(F,)`` [-].
         patterns: Patterns of the discrepancy, ``(k, F)`` [-]: it is a sum of these rows with standard normal
             amplitudes; column sums of squares equal those of ``discrepancy``. None: features are independent.
-        alike: Clusters with the same value share the amplitudes; None: clusters of one layout do.
-        calibrations: Change of its residuals by one standard deviation of what all clusters share (clock of the
-            commands, scale of a joint's torque), ``(k, F)`` [-]; None: all are exact.
-        stamps: When each repeat was measured, in any unit, ``(n,)``; None: not known.
+        discrepancy_key: Clusters with one key share the amplitudes of the patterns; None: those of one layout do.
+        calibrations: Systematic errors that all clusters share (clock of the commands, scale of a joint's torque):
+            change of the residuals by one standard deviation of each, ``(k, F)`` [-]; None: all are exact.
+        timestamps: When each repeat was measured, in any unit, ``(n,)``; None: not known.
     """
 
     name: str
-    place: tuple[str, str, str]
+    condition_key: tuple[str, str, str]
     layout: str
     unit: str
     contact: bool
     features: tuple[Feature, ...]
     residuals: Array
     sigma: Array
-    pure: Array
+    pure_error: Array
     discrepancy: Array
     patterns: Array | None = None
-    alike: str | None = None
+    discrepancy_key: str | None = None
     calibrations: Array | None = None
-    stamps: Array | None = None
+    timestamps: Array | None = None
 
     @property
     def count(self) -> int:
@@ -108,12 +108,12 @@ class Cluster:
 
     @property
     def discrepancy_group(self) -> str:
-        """Clusters of one group share the amplitudes of the discrepancy: those with one ``alike``, or of one layout."""
-        return self.layout if self.alike is None else self.alike
+        """Clusters of one group share the amplitudes of the discrepancy: of one ``discrepancy_key``, or layout."""
+        return self.layout if self.discrepancy_key is None else self.discrepancy_key
 
     @cached_property
-    def moved_together(self) -> Array:
-        """Change of the features by each pattern of discrepancy at amplitude 1, ``(k, F)`` [-]."""
+    def discrepancy_factor(self) -> Array:
+        """Factor L of the discrepancy covariance L^T L: its patterns, or one row per feature, ``(k, F)`` [-]."""
         if self.patterns is not None:
             return self.patterns
         return np.diag(self.discrepancy)[self.discrepancy > 0.0]
@@ -122,7 +122,7 @@ class Cluster:
         """The cluster with some of its features.
 
         Args:
-            kept: Which of them, ``F``.
+            kept: Mask of the features, ``F``.
             contact: Whether these features include a contact.
         """
         rows = np.array(kept)
@@ -132,7 +132,7 @@ class Cluster:
             features=tuple(feature for feature, keep in zip(self.features, kept, strict=True) if keep),
             residuals=self.residuals[:, rows],
             sigma=self.sigma[rows],
-            pure=self.pure[rows],
+            pure_error=self.pure_error[rows],
             discrepancy=self.discrepancy[rows],
             patterns=None if self.patterns is None else self.patterns[:, rows],
             calibrations=None if self.calibrations is None else self.calibrations[:, rows],
@@ -140,7 +140,7 @@ class Cluster:
 
     @cached_property
     def mean(self) -> Array:
-        """Mean over the repeats, ``(F,)`` [-]; not to be written to."""
+        """Mean over the repeats, ``(F,)`` [-]; read-only."""
         found = np.asarray(self.residuals.mean(axis=0))
         found.flags.writeable = False
         return found
@@ -153,7 +153,7 @@ class Cluster:
     @property
     def expected_squares(self) -> Array:
         """Expected squares of the mean residual under repeatability and model discrepancy alone, ``(F,)`` [-]."""
-        return np.asarray(np.square(self.pure) / self.count + np.square(self.discrepancy))
+        return np.asarray(np.square(self.pure_error) / self.count + np.square(self.discrepancy))
 
     @property
     def expected(self) -> float:
@@ -170,7 +170,7 @@ SCALE = "the scale of each signal (half its relevance limit, and the model discr
 
 
 def _present_unit(unit: str) -> str:
-    """``TIMES`` in the words of earlier versions."""
+    """``TIMES`` for its text in earlier versions."""
     return TIMES if unit == "times what repetition alone gives" else unit
 
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from impact_rs_analysis.evidence.features import FreeBalances
 from impact_rs_analysis.evidence.measured_runs import MeasuredRun, Runs
-from impact_rs_analysis.evidence.replay import FREE, free_starts, held_means, recorded
+from impact_rs_analysis.evidence.replay import FREE_WINDOW_S, free_starts, held_means, recorded
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.robot import Array
 from impact_rs_trials.recordings.experiment import Experiment
@@ -21,9 +21,9 @@ from impact_rs_trials.recordings.remarks import Amount, Remark, merged
 from impact_rs_trials.runs import ArmSignals, Run
 from impact_rs_trials.workers import Map
 
-LARGEST_OFFSET = 0.5  # sampling periods; a larger offset is a delay, left to the diagnosis
-SLOPE = 0.002  # s, averaging time of the command at both ends of a window, for its slope
-LEAST_WINDOWS = 8  # of a joint, for five terms
+MAX_OFFSET_PERIODS = 0.5  # sampling periods; a larger offset is a delay, left to the diagnosis
+SLOPE_AVERAGING_S = 0.002  # of the command at both ends of a window, for its slope
+MIN_WINDOWS_OF_JOINT = 8  # for five terms
 
 
 def read_laboratory_runs(directory: Path, experiment: Experiment, map_tasks: Map) -> Runs:
@@ -41,7 +41,7 @@ def read_laboratory_runs(directory: Path, experiment: Experiment, map_tasks: Map
 
 
 def read_runs_of_scenes(directory: Path, experiments: Sequence[Experiment], map_tasks: Map) -> Runs:
-    """Every run of several experiments with the same arms, each in the scene of its own; their clock is one.
+    """Every run of several experiments with the same arms, each in its own scene; they share one clock offset.
 
     Args:
         directory: Folder of the recordings.
@@ -74,7 +74,7 @@ def read_runs_of_scenes(directory: Path, experiments: Sequence[Experiment], map_
         if isinstance(run, MeasuredRun) and run.lost
     ]
     found = Runs.of(directory, [*measured, *skipped])
-    clock = LARGEST_OFFSET * max((run.period for run in runs if run.commanded), default=0.0)
+    clock = MAX_OFFSET_PERIODS * max((run.period for run in runs if run.commanded), default=0.0)
     late = _late(found, runs, {arm: error for arm, (_, error) in estimates.items()}, map_tasks)
     return replace(found, remarks=tuple(merged(remarks)), clock=clock, late=late)
 
@@ -102,9 +102,10 @@ def measured_or_why_not(run: Run) -> MeasuredRun | tuple[str, str]:
 
 
 def command_offset(runs: Sequence[Run], name: str) -> tuple[float, float]:
-    """Offset of an arm's commands after their stamps, and its standard error [s].
+    """Offset of an arm's commands after their timestamps, and its standard error [s].
 
-    A larger one is a delay of commands or torques, which the diagnosis names; the clock is as uncertain as before then.
+    An offset above the limit is a delay of commands or torques, which the diagnosis names; the clock then keeps its
+    prior uncertainty.
 
     In free motion the motor-side balance of a window is
 
@@ -130,7 +131,7 @@ def command_offset(runs: Sequence[Run], name: str) -> tuple[float, float]:
             terms, turns = _window_terms(run, name, run.signals.arms[name], start)
             for joint in np.flatnonzero(np.logical_not(turns)).tolist():
                 rows.setdefault(joint, []).append(terms[joint])
-    tables = [np.array(own) for own in rows.values() if len(own) >= LEAST_WINDOWS]
+    tables = [np.array(own) for own in rows.values() if len(own) >= MIN_WINDOWS_OF_JOINT]
     if not tables:
         return 0.0, 0.0
     slopes, rests = [], []
@@ -148,7 +149,7 @@ def command_offset(runs: Sequence[Run], name: str) -> tuple[float, float]:
     error = float(np.sqrt(np.mean(np.square(b - offset * a)) / (a @ a)))
     # The time at which the torque loop takes a command within its period is unknown: uniform, half a period either way.
     error = math.hypot(error, chosen[0].drive_period / math.sqrt(12.0))
-    largest = LARGEST_OFFSET * chosen[0].period
+    largest = MAX_OFFSET_PERIODS * chosen[0].period
     believed = largest**2 / 3.0  # variance of a uniform distribution
     if abs(offset) > largest:
         return 0.0, math.sqrt(believed)
@@ -170,7 +171,7 @@ def _window_terms(run: Run, name: str, arm: ArmSignals, start: float) -> tuple[A
         ``(n,)``.
     """
     time = run.signals.time
-    rows = (time >= start - 1e-9) & (time <= start + FREE + 1e-9)
+    rows = (time >= start - 1e-9) & (time <= start + FREE_WINDOW_S + 1e-9)
     cut = arm.at(rows)
     physics = run.physics.arms[name]
     model, stacked = run.physics.robot_model(name), ArmSignals.stack([cut])
@@ -180,7 +181,8 @@ def _window_terms(run: Run, name: str, arm: ArmSignals, start: float) -> tuple[A
     sent, values = arm.command_time, arm.command
     torque = _held_mean(sent, values, begin, end)
     slope = (
-        _held_mean(sent, values, end - SLOPE, end + SLOPE) - _held_mean(sent, values, begin - SLOPE, begin + SLOPE)
+        _held_mean(sent, values, end - SLOPE_AVERAGING_S, end + SLOPE_AVERAGING_S)
+        - _held_mean(sent, values, begin - SLOPE_AVERAGING_S, begin + SLOPE_AVERAGING_S)
     ) / (end - begin)
     balance = torque - passed - physics.motor_inertia_reduced * ramp
     speed = cut.velocity.mean(axis=0)
@@ -195,5 +197,5 @@ def _held_mean(sent: Array, values: Array, start: float, end: float) -> Array:
 
 
 def _share(run: MeasuredRun) -> tuple[Amount, str, Amount]:
-    """Windows of free motion that a gap drops, of all."""
+    """Number of windows of free motion dropped for gaps, and of all."""
     return Amount(len(run.lost), "d"), " of ", Amount(run.free, "d")

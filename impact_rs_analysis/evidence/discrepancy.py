@@ -121,7 +121,7 @@ class Discrepancy(Schema):
 
     @property
     def document(self) -> DiscrepancyDocument:
-        """What a document says of it."""
+        """Its entry in a document."""
         return DiscrepancyDocument(used=bool(self.entries), provenance=self.in_words)
 
     @property
@@ -135,7 +135,7 @@ class Discrepancy(Schema):
         )
 
 
-FILE, TABLE = "discrepancy.yaml", "discrepancy_patterns.csv"
+DISCREPANCY_FILE, PATTERNS_FILE = "discrepancy.yaml", "discrepancy_patterns.csv"
 NO_DISCREPANCY = Discrepancy(provenance=None, variants={}, entries=())
 
 
@@ -146,8 +146,8 @@ def measured_discrepancy() -> Discrepancy:
     Raises:
         InputError: ``config/discrepancy.yaml`` breaks the schema.
     """
-    found = load(Discrepancy, config_directory() / FILE)
-    return found.model_copy(update={"patterns": tuple(read_patterns(config_directory() / TABLE))})
+    found = load(Discrepancy, config_directory() / DISCREPANCY_FILE)
+    return found.model_copy(update={"patterns": tuple(read_patterns(config_directory() / PATTERNS_FILE))})
 
 
 def read_patterns(path: Path) -> list[Patterns]:

@@ -28,20 +28,20 @@ from impact_rs_sim.robot import UNITS, Array, JointType
 from impact_rs_sim.robot_model import RobotModel
 from impact_rs_trials.runs import ArmSignals, Signals
 
-EDGE = 0.006  # s, averaged at each end of a bin for its momentum change
-ONSET = 0.05  # share of the ante-impact speed whose loss marks the begin of an impact
-MOST_OF_LOSS = 0.4  # upper limit of the same, as a share of the total loss (light objects take little speed)
-TIMES_NOISE = 6.0  # lower limit of the same, over the noise of the velocity
-LEAST_LOSS = 0.004  # share of the speed; a smaller loss is no impact
-QUIET = 0.008  # s at the begin of a window, before the impact
-LOSS_WITHIN = 0.08  # s after the window's begin
-JUMP_BEFORE = (-0.018, -0.003)  # s from the begin of the impact
-JUMP_WINDOWS = ((0.0, 0.004), (0.004, 0.010), (0.010, 0.020), (0.020, 0.040), (0.040, 0.080))  # s
-SETTLED = 3
-OBJECT_WINDOWS = ((0.006, 0.040), (0.040, 0.100))  # s
-PUSH = (0.10, 0.175, 0.25, 0.325, 0.395)  # s, edges of the bins in which both bodies move together
-STRIDE = 5  # in free motion gravity and Coriolis torque are computed for one of so many samples
-RATE_SPAN = 0.009  # s, window of the slope of the joint torque, without motor measurement
+BIN_EDGE_S = 0.006  # averaged at each end of a bin for its momentum change
+ONSET_SPEED_SHARE = 0.05  # of the ante-impact speed; its loss marks the begin of an impact
+MAX_ONSET_LOSS_SHARE = 0.4  # upper limit of that threshold over the total loss: light objects take little speed
+MIN_ONSET_NOISE_RATIO = 6.0  # lower limit of that threshold over the noise of the velocity
+MIN_LOSS_SHARE = 0.004  # of the speed; a smaller loss is no impact
+QUIET_S = 0.008  # at the begin of a window, before the impact
+LOSS_WINDOW_S = 0.08  # after the begin of the window
+JUMP_BEFORE_S = (-0.018, -0.003)  # from the begin of the impact
+JUMP_WINDOWS_S = ((0.0, 0.004), (0.004, 0.010), (0.010, 0.020), (0.020, 0.040), (0.040, 0.080))
+SETTLED_WINDOW = 3  # index of the window in which both bodies have settled after the impact
+OBJECT_WINDOWS_S = ((0.006, 0.040), (0.040, 0.100))
+PUSH_EDGES_S = (0.10, 0.175, 0.25, 0.325, 0.395)  # edges of the bins in which both bodies move together
+DYNAMICS_STRIDE = 5  # samples from one evaluation of gravity and Coriolis torque to the next, in free motion
+SLOPE_WINDOW_S = 0.009  # of the slope of the joint torque, without motor measurement
 AXES = ("x", "y", "z")
 
 
@@ -91,16 +91,16 @@ def layout(
         if pushes is None:
             continue
         add("impact", "joint velocity jump", speeds, 1, 0.004)
-        add("impact", "end-effector velocity", velocity, len(JUMP_WINDOWS), 0.003)
-        add("impact", "contact force", force, len(JUMP_WINDOWS), 1.0)
-        add("impact", "end-effector rotation", turning, len(JUMP_WINDOWS), 0.02)
+        add("impact", "end-effector velocity", velocity, len(JUMP_WINDOWS_S), 0.003)
+        add("impact", "contact force", force, len(JUMP_WINDOWS_S), 1.0)
+        add("impact", "end-effector rotation", turning, len(JUMP_WINDOWS_S), 0.02)
         if command:
             add("push", "motor torque balance", torques, pushes, 0.01)
         add("push", "contact force", force, pushes, 0.05)
         add("push", "contact moment", moment, pushes, 0.02)
         add("push", "end-effector velocity", velocity, pushes, 0.001)
     if pushes is not None and tracked:
-        for number in range(len(OBJECT_WINDOWS)):
+        for number in range(len(OBJECT_WINDOWS_S)):
             result.extend(Feature("impact", "object velocity", axis, number, "m/s", 0.003) for axis in AXES[:2])
             result.append(Feature("impact", "object rotation", "z", number, "rad/s", 0.05))
         for number in range(pushes):
@@ -124,7 +124,7 @@ def extract(
         windows: Signals of ``B`` simulations, or of one measurement, stacked along a first axis: ``(B, k, n)``,
             object ``(B, p, 3)``.
         commands: Per window desired torque by arm and tick, ``(k, n)`` [N m]; empty if not known.
-        contact: Whether each window holds the impact.
+        contact: Whether each window contains the impact.
         arms: Nominal physics and rigid-body model by arm.
         motor: Whether motor position and velocity are looked at.
         tracked: Whether object features are used.
@@ -162,14 +162,14 @@ def extract(
         onset = onsets_of(last.time, dynamics.twists[..., :3], levels[name])
         onsets.append(onset)
         # A simulation without an impact has no features; those at some other time keep the arrays whole.
-        onset = np.where(np.isfinite(onset), onset, last.time[0] - JUMP_BEFORE[0])
+        onset = np.where(np.isfinite(onset), onset, last.time[0] - JUMP_BEFORE_S[0])
         parts += _impact_features(onset, dynamics)
         parts += _push_features(onset, dynamics, pushes or 0)
     if last is not None and tracked:
         first = np.min(np.where(np.isfinite(onsets), onsets, last.time[0]), axis=0)[:, None]
-        bins = np.array([*OBJECT_WINDOWS, *zip(PUSH[: (pushes or 0)], PUSH[1:], strict=False)]).T
+        bins = np.array([*OBJECT_WINDOWS_S, *zip(PUSH_EDGES_S[: (pushes or 0)], PUSH_EDGES_S[1:], strict=False)]).T
         velocity = _object_velocity(last, first + bins[0], first + bins[1])
-        parts += [_in_rows(velocity[:, : len(OBJECT_WINDOWS)]), _in_rows(velocity[:, len(OBJECT_WINDOWS) :, :2])]
+        parts += [_in_rows(velocity[:, : len(OBJECT_WINDOWS_S)]), _in_rows(velocity[:, len(OBJECT_WINDOWS_S) :, :2])]
     rows = np.concatenate(parts, axis=1)
     found = np.atleast_1d(np.all(np.isfinite(onsets), axis=0)) if onsets else np.full(len(rows), True)
     return [row if hits else None for row, hits in zip(rows, found, strict=True)]
@@ -181,22 +181,22 @@ def _in_rows(values: Array) -> Array:
 
 
 def onset_level(time: Array, velocity: Array) -> float | None:
-    """Loss of speed that marks the begin of an impact [m/s]; None if the loss is within noise.
+    """Threshold of the speed loss that marks the begin of an impact [m/s]; None if the loss is within noise.
 
-    A share of the speed, at least above the noise, and at most a share of the total loss.
+    A share of the speed, at least ``MIN_ONSET_NOISE_RATIO`` times the noise, at most a share of the total loss.
 
     Args:
         time: Ticks, ``(k,)`` [s]; the first 8 ms are before the impact.
         velocity: Of the end effector as measured, ``(k, 3)`` [m/s].
     """
     (loss,), (speed,) = _loss(time, velocity[None])
-    noise = float(np.std(loss[: max(3, np.count_nonzero(time <= time[0] + QUIET))]))
-    level = min(max(ONSET * speed, TIMES_NOISE * noise), MOST_OF_LOSS * float(loss.max()))
-    return level if level > max(0.5 * TIMES_NOISE * noise, LEAST_LOSS * speed) else None
+    noise = float(np.std(loss[: max(3, np.count_nonzero(time <= time[0] + QUIET_S))]))
+    level = min(max(ONSET_SPEED_SHARE * speed, MIN_ONSET_NOISE_RATIO * noise), MAX_ONSET_LOSS_SHARE * float(loss.max()))
+    return level if level > max(0.5 * MIN_ONSET_NOISE_RATIO * noise, MIN_LOSS_SHARE * speed) else None
 
 
 def onsets_of(time: Array, velocity: Array, level: float) -> Array:
-    """Times at which the loss of speed reaches a level, interpolated between ticks, ``(B,)`` [s]; NaN if it never does.
+    """Times at which the speed loss reaches a threshold, interpolated between ticks, ``(B,)`` [s]; NaN if never.
 
     Args:
         time: Ticks, ``(k,)`` [s]; the first 8 ms are before the impact.
@@ -215,18 +215,18 @@ def onsets_of(time: Array, velocity: Array, level: float) -> Array:
 
 def _loss(time: Array, velocity: Array) -> tuple[Array, Array]:
     """Loss of speed against the direction before the impact, ``(B, k)``, and that speed, ``(B,)`` [m/s]."""
-    before = velocity[:, time <= time[0] + QUIET].mean(axis=1)
+    before = velocity[:, time <= time[0] + QUIET_S].mean(axis=1)
     speed = np.linalg.norm(before, axis=1)
-    near = time <= time[0] + LOSS_WITHIN
+    near = time <= time[0] + LOSS_WINDOW_S
     return speed[:, None] - np.einsum("bki,bi->bk", velocity[:, near], before) / speed[:, None], speed
 
 
 def _impact_features(onset: Array, dynamics: Balances) -> list[Array]:
     """Jump and first 80 ms; windows begin between ticks, so features are continuous in the time of the impact."""
     time = dynamics.time
-    starts, ends = (onset[:, None] + np.array(edges) for edges in zip(JUMP_BEFORE, *JUMP_WINDOWS, strict=True))
+    starts, ends = (onset[:, None] + np.array(edges) for edges in zip(JUMP_BEFORE_S, *JUMP_WINDOWS_S, strict=True))
     velocity = _Integral(time, dynamics.arm.velocity).mean(starts, ends)
-    jump = velocity[:, 1 + SETTLED] - velocity[:, 0]
+    jump = velocity[:, 1 + SETTLED_WINDOW] - velocity[:, 0]
     twist = _Integral(time, dynamics.twists).mean(starts, ends)
     change = twist[:, 1:] - twist[:, :1]
     starts, ends = starts[:, 1:] - 0.003, ends[:, 1:]
@@ -235,8 +235,8 @@ def _impact_features(onset: Array, dynamics: Balances) -> list[Array]:
 
 
 def _push_features(onset: Array, dynamics: Balances, pushes: int) -> list[Array]:
-    """Motor balance, wrench and velocity while both bodies move together."""
-    begin, stop = (onset[:, None] + np.array(edges) for edges in (PUSH[:pushes], PUSH[1 : pushes + 1]))
+    """Motor balance, wrench and velocity while pad and object stay in contact."""
+    begin, stop = (onset[:, None] + np.array(edges) for edges in (PUSH_EDGES_S[:pushes], PUSH_EDGES_S[1 : pushes + 1]))
     motor, link = dynamics.balance(begin, stop)
     wrench = dynamics.wrench_at(0.5 * (begin + stop), link)
     velocity = _Integral(dynamics.time, dynamics.twists[..., :3]).mean(begin, stop)
@@ -275,9 +275,9 @@ def _between(time: Array, values: Array, moments: Array) -> Array:
 
 
 def _slope(time: Array, values: Array) -> Array:
-    """Time derivative of signals ``(B, k, n)`` by parabolas over ``RATE_SPAN`` (Savitzky and Golay 1964)."""
+    """Time derivative of signals ``(B, k, n)`` by parabolas over ``SLOPE_WINDOW_S`` (Savitzky and Golay 1964)."""
     period = float(time[1] - time[0])
-    length = max(5, 2 * round(RATE_SPAN / period / 2.0) + 1)
+    length = max(5, 2 * round(SLOPE_WINDOW_S / period / 2.0) + 1)
     length = min(length, time.size - 1 + time.size % 2)
     return np.asarray(scipy.signal.savgol_filter(values, length, 2, deriv=1, delta=period, axis=1))
 
@@ -300,24 +300,24 @@ def _momenta(model: RobotModel, arm: ArmSignals, rows: NDArray[np.intp] | slice)
 
 def _middle(start: Array, end: Array) -> tuple[Array, Array]:
     """Effective limits of a bin [s]: momentum is averaged over its ends, so it refers to their middles."""
-    return start + 0.5 * EDGE, end - 0.5 * EDGE
+    return start + 0.5 * BIN_EDGE_S, end - 0.5 * BIN_EDGE_S
 
 
 def _change_and_mean(signal: _Integral, start: Array, end: Array) -> tuple[Array, Array]:
     """Rate of change of a signal over bins, between the means of their ends, and its mean between their middles."""
     begin, stop = _middle(start, end)
-    ramp = signal.mean(end - EDGE, end) - signal.mean(start, start + EDGE)
+    ramp = signal.mean(end - BIN_EDGE_S, end) - signal.mean(start, start + BIN_EDGE_S)
     return ramp / (stop - begin)[..., None], signal.mean(begin, stop)
 
 
 def _ticks(time: Array) -> bytes:
-    """Times from the first on, as a key: windows of the same ticks share their weights."""
+    """Cache key: times since the first tick; windows of equal ticks share their weights."""
     return np.round(time - time[0], 9).tobytes()
 
 
 @functools.lru_cache(maxsize=1024)
 def _weights(ticks: bytes) -> tuple[Array, Array]:
-    """Rate of change and mean of a signal over all ticks (bytes, [s]), as weights of its samples, ``(k,)`` each."""
+    """Weights of the samples for rate of change and mean of a signal over ticks (bytes, [s]), ``(k,)`` each."""
     time = np.frombuffer(ticks)
     change, mean = _change_and_mean(_Integral(time, np.eye(time.size)[None]), time[None, :1], time[None, -1:])
     return change[0, 0], mean[0, 0]
@@ -334,11 +334,11 @@ def _weights_of_slope(ticks: bytes) -> tuple[Array, Array]:
 
 @functools.lru_cache(maxsize=1024)
 def _coarse(ticks: bytes) -> NDArray[np.intp]:
-    """Rows at which gravity and momentum are computed: momentum matters at the ends only, the rest changes slowly."""
+    """Rows at which gravity and momentum are computed: both ends, and every ``DYNAMICS_STRIDE`` rows between."""
     time = np.frombuffer(ticks)
     rows = np.arange(time.size)
-    ends = (time <= time[0] + 1.5 * EDGE) | (time >= time[-1] - 1.5 * EDGE)
-    return rows[ends | (rows % STRIDE == 0)]
+    ends = (time <= time[0] + 1.5 * BIN_EDGE_S) | (time >= time[-1] - 1.5 * BIN_EDGE_S)
+    return rows[ends | (rows % DYNAMICS_STRIDE == 0)]
 
 
 @dataclass(frozen=True)
@@ -395,7 +395,7 @@ class Balances:
         command: Desired torque, ``(k, n)`` [N m]; None: not known.
         physics: Nominal, of the drives.
         model: Nominal rigid-body model.
-        motor: Whether motor position and velocity are looked at.
+        motor: Whether motor position and velocity are used.
     """
 
     def __init__(
@@ -472,4 +472,4 @@ def _object_velocity(signals: Signals, start: Array, end: Array) -> Array:
 
 def pushes_recorded(onset: float, end: float) -> int:
     """Number of bins of the push before the end of a window [s]."""
-    return sum(onset + edge <= end + 1e-9 for edge in PUSH[1:])
+    return sum(onset + edge <= end + 1e-9 for edge in PUSH_EDGES_S[1:])

@@ -62,9 +62,9 @@ from impact_rs_analysis.evidence.map_discrepancy import (
     MapDiscrepancy,
     measured_map_discrepancy,
 )
-from impact_rs_analysis.evidence.neighbour_noise import noise_of_neighbours
+from impact_rs_analysis.evidence.minimum_data import MIN_DEGREES_OF_FREEDOM
+from impact_rs_analysis.evidence.neighbour_noise import nearest_neighbour_noise
 from impact_rs_analysis.evidence.row_groups import (
-    LEAST_REPEATS,
     RowGroup,
     blocks,
     by_circumstance,
@@ -99,40 +99,40 @@ from impact_rs_trials.recordings.impact_columns import CONDITION, N_NOISE, P_NOI
 from impact_rs_trials.recordings.impact_table import WIDER, ImpactTable
 from impact_rs_trials.workers import Map
 
-SMALL_BLOCKS = 120  # at most, where effects may depend on covariates
-LEAST_SCALE = 1e-6  # m/s; a model with smaller residuals is exact
-SEARCHED_OF_ARMS = 96  # rows of a larger table that a search looks at; four in each block
-SEARCHED_OF_BODIES = 960  # of free bodies, whose map is a twentieth of the work
-FOLDS_OF_LARGE = 3  # all rows that a search has not looked at are held out as well
-LEAST_OF_LEVEL = 24  # rows of a level of a covariate, that it looks at
-MOST_NUMBERS = 32  # numbers of a covariate; the mean of a group is within some hundredths of the range
-TELLING = 0.8  # of what the model leaves; scatter of neighbours above it says nothing
-MOST_SHOWN = 8  # levels of a covariate in a remark
-DECIDES = 0.2  # of what the model leaves; contacts that move predictions by more may decide
-GAINED = 1.05  # kinetic energy after over before; rows above it are reported
-LEAST_GAINING = 3  # rows whose mean is judged
-SURELY_GAINED = 0.999  # one-sided confidence of the mean of all rows, above which no impact is behind a table
+MAX_SMALL_BLOCKS = 120  # at most, where effects may depend on covariates
+MIN_SCALE_M_S = 1e-6  # m/s; a model with smaller residuals is exact
+MAX_SEARCHED_ROWS_OF_ARMS = 96  # rows of a larger table that a search looks at; four in each block
+MAX_SEARCHED_ROWS_OF_BODIES = 960  # of free bodies, whose map is a twentieth of the work
+FOLDS_OF_LARGE_TABLE = 3  # all rows that a search has not looked at are held out as well
+SEARCHED_ROWS_OF_LEVEL = 24  # rows of a level of a covariate, that it looks at
+MAX_DISTINCT_NUMBERS = 32  # numbers of a covariate; the mean of a group is within some hundredths of the range
+MAX_NEIGHBOUR_SCATTER_RATIO = 0.8  # of what the model leaves; scatter of neighbours above it says nothing
+MAX_LEVELS_SHOWN = 8  # levels of a covariate in a remark
+MIN_CONTACT_CHANGE_RATIO = 0.2  # of what the model leaves; contacts that move predictions by more may decide
+MAX_ENERGY_RATIO = 1.05  # kinetic energy after over before; rows above it are reported
+MIN_ROWS_OF_ENERGY = 3  # rows whose mean is judged
+ENERGY_CONFIDENCE = 0.999  # one-sided confidence of the mean of all rows, above which no impact is behind a table
 
-NO_DISCREPANCY_KNOWN = (
+NO_DISCREPANCY_REMARK = (
     "model discrepancy of the rigid impact map is taken as 0: finite duration and compliance of real impacts count "
     "against the model"
 )
-ALONE = ("joints", "object")  # parts of a row of an arm that are also judged apart
-NO_REPEATS = (
+PARTS_OF_ROW = ("joints", "object")  # parts of a row of an arm that are also judged apart
+NO_REPEATS_REMARK = (
     f"too few rows are repeats of each other (column '{CONDITION.header}'), so blocks of neighbouring rows are held "
     "out instead"
 )
-NO_NOISE = (
+NO_NOISE_REMARK = (
     f"the noise is not known: there are neither repeats nor columns '{V_NOISE.header}' and '{W_NOISE.header}'; "
     "unexplained residuals may be noise"
 )
 
-WHAT = "velocities just after every impact, measured and predicted by the impact map from the state before"
-SIZE_REPEATED = (
+LEVEL_TEXT = "velocities just after every impact, measured and predicted by the impact map from the state before"
+SIZE_TEXT_WITH_REPEATS = (
     "size of the difference between measured and predicted velocities over all conditions, in multiples of "
     "repeatability"
 )
-SIZE_ALONE = (
+SIZE_TEXT_WITHOUT_REPEATS = (
     "root mean square over the impacts of measured minus predicted velocity; angular and joint velocities are weighted "
     "by their kinetic energy"
 )
@@ -234,7 +234,7 @@ class ImpactTableSource(Source):
         self.entries = entries = chosen.predictions.entries
         self.physics = entries.worlds[0]
         self.size_unit = TIMES if self.repeated else self.residual_unit
-        self.size_is = SIZE_REPEATED if self.repeated else SIZE_ALONE
+        self.size_is = SIZE_TEXT_WITH_REPEATS if self.repeated else SIZE_TEXT_WITHOUT_REPEATS
         self._seen = seen = list(chosen.seen)
         self._featured = Recent[list[Array | None]](chosen.most_featured)
         self.signals, self.worth = tuple(entries.signals[place] for place in seen), entries.worth[:, seen]
@@ -277,25 +277,25 @@ class ImpactTableSource(Source):
         """A covariate from its values by row."""
         return Covariate(name, unit, tuple(tuple(values[row] for row in group.rows) for group in self._groups))
 
-    def knowing(self, effects: Sequence[Depending]) -> ImpactTableSource:
-        """See :meth:`Source.knowing`; of many different numbers those that are close are taken as their mean.
+    def with_dependences(self, effects: Sequence[Depending]) -> ImpactTableSource:
+        """See :meth:`Source.with_dependences`; of many different numbers those that are close are taken as their mean.
 
         Blocks are small: a session may have few rows, and a test by signs of blocks needs several in each.
         """
         chosen = self._chosen
         if not chosen.repeated and not chosen.interleaved:
-            chosen = replace(chosen, groups=tuple(blocks(self.table, SMALL_BLOCKS)), interleaved=True)
+            chosen = replace(chosen, groups=tuple(blocks(self.table, MAX_SMALL_BLOCKS)), interleaved=True)
         shown = {name: self._shown(name) for name in dict.fromkeys(effect.covariate for effect in effects)}
         predictions = self._predictions.knowing(effects, shown)
         return self._compared(replace(chosen, predictions=predictions, most_featured=most_kept(self.entries, 4)))
 
     def _shown(self, name: str) -> list[float | str]:
-        """A covariate by row; of more than ``MOST_NUMBERS`` different numbers, means of groups of equal size."""
+        """A covariate by row; above ``MAX_DISTINCT_NUMBERS`` different numbers, means of groups of equal size."""
         values = [row.circumstances[name] for row in self.table.rows]
         numbers = np.array([value for value in values if isinstance(value, float)])
-        if len(set(values)) <= MOST_NUMBERS or not numbers.size:
+        if len(set(values)) <= MAX_DISTINCT_NUMBERS or not numbers.size:
             return values
-        for group in np.array_split(np.argsort(numbers, kind="stable"), MOST_NUMBERS):
+        for group in np.array_split(np.argsort(numbers, kind="stable"), MAX_DISTINCT_NUMBERS):
             numbers[group] = numbers[group].mean()
         return list(numbers.tolist())
 
@@ -350,20 +350,20 @@ class ImpactTableSource(Source):
 
     def searched(self) -> ImpactTableSource:
         """See :meth:`Source.searched`: rows, or conditions and their repeats, evenly taken, and some of each level."""
-        enough = SEARCHED_OF_ARMS if self.table.arms else SEARCHED_OF_BODIES
+        enough = MAX_SEARCHED_ROWS_OF_ARMS if self.table.arms else MAX_SEARCHED_ROWS_OF_BODIES
         if len(self.table.rows) <= enough:
             return self
         chosen = set() if self.repeated else evenly(range(len(self.table.rows)), enough)
         if self.repeated:
-            most = max(enough // len(self._groups), LEAST_REPEATS)
+            most = max(enough // len(self._groups), MIN_DEGREES_OF_FREEDOM)
             groups = evenly(range(len(self._groups)), enough // most)
             chosen |= {row for group in groups for row in evenly(self._groups[group].rows, most)}
         for name in self.table.covariates:
             values = [row.circumstances[name] for row in self.table.rows]
             for level in dict.fromkeys(value for value in values if isinstance(value, str)):
-                chosen |= evenly([n for n, value in enumerate(values) if value == level], LEAST_OF_LEVEL)
+                chosen |= evenly([n for n, value in enumerate(values) if value == level], SEARCHED_ROWS_OF_LEVEL)
         found = self._of(self.table.part(sorted(chosen)), remarks=False)
-        found.remarks, found.folds = self.remarks, FOLDS_OF_LARGE
+        found.remarks, found.folds = self.remarks, FOLDS_OF_LARGE_TABLE
         return found
 
     def unseen(self, searched: Source, added: Added) -> tuple[str, ...]:
@@ -416,7 +416,7 @@ class ImpactTableSource(Source):
         """Joints and object of an arm, each alone; none without an arm, or if the object alone was measured."""
         if not (self.table.arms and self.table.joints):
             return {}
-        seen = {name: _places(self.table, joints=name == "joints", body=name == "object") for name in ALONE}
+        seen = {name: _places(self.table, joints=name == "joints", body=name == "object") for name in PARTS_OF_ROW}
         return {name: self._compared(replace(self._chosen, seen=own)) for name, own in seen.items()}
 
     @property
@@ -428,8 +428,9 @@ class ImpactTableSource(Source):
         for name in self.table.covariates:
             groups = by_circumstance(self.table, name, range(len(squares)))
             parts = {label: float(np.sqrt(np.mean(squares[own]))) for label, own in groups.items()}
-            shown = ", ".join(f"{size:.3g} m/s with {label}" for label, size in sorted(parts.items())[:MOST_SHOWN])
-            left = len(parts) - MOST_SHOWN
+            first = sorted(parts.items())[:MAX_LEVELS_SHOWN]
+            shown = ", ".join(f"{size:.3g} m/s with {label}" for label, size in first)
+            left = len(parts) - MAX_LEVELS_SHOWN
             apart.append(f"differences by {name}: {shown}{f' and {left} more' if left > 0 else ''}")
         return (*self.remarks, *apart)
 
@@ -455,8 +456,8 @@ class ImpactTableSource(Source):
         found = {added: self._features(added) for added in dict.fromkeys(added for _, added in wanted)}
         return [found[added][number] for number, added in wanted]
 
-    def measure_again(self, added: Added, like: Sequence[Cluster]) -> list[Cluster] | None:
-        """See :meth:`Source.measure_again`; every repeat starts from its own state."""
+    def residuals_with(self, added: Added, like: Sequence[Cluster]) -> list[Cluster] | None:
+        """See :meth:`Source.residuals_with`; every repeat starts from its own state."""
         numbers = {item.name: number for number, item in enumerate(self.clusters)}
         answers = self._answers(added)
         result = []
@@ -524,7 +525,7 @@ class ImpactTableSource(Source):
         phases = tuple(dict.fromkeys(feature.phase for item in self.clusters for feature in item.features))
         whole = ConditionScore(name=self.table.path.name, repeats=len(self.clusters), score=rounded(self.size()))
         return Comparison(
-            levels={"impacts": level_of(WHAT, self.clusters, phases)},
+            levels={"impacts": level_of(LEVEL_TEXT, self.clusters, phases)},
             where=tuple((where_of if self.repeated else where_of_blocks)(self.clusters)),
             conditions=condition_scores(self.clusters) if self.repeated else (whole,),
         )
@@ -590,7 +591,7 @@ class ImpactTableSource(Source):
             sigma = np.broadcast_to(np.sqrt(pure**2 + limit**2 + self._of_the_map**2), rest.shape)
             noise = np.broadcast_to(pure, rest.shape)
         else:
-            sigma = max(self.size() / np.sqrt(len(self.signals)), LEAST_SCALE) / self.worth
+            sigma = max(self.size() / np.sqrt(len(self.signals)), MIN_SCALE_M_S) / self.worth
             noise = np.zeros_like(rest) if self.noise is None else self.noise
         return with_intervals(self, [self._cluster(group, rest, sigma, noise) for group in self._groups])
 
@@ -602,17 +603,21 @@ class ImpactTableSource(Source):
         first = self.table.rows[rows[0]]
         return Cluster(
             name=group.name,
-            place=(self.table.path.name, first.object_name, (first.condition or group.name) if self.repeated else ""),
+            condition_key=(
+                self.table.path.name,
+                first.object_name,
+                (first.condition or group.name) if self.repeated else "",
+            ),
             layout="impacts" if self.repeated else group.name,
             unit=group.unit,
             contact=True,
             features=features,
             residuals=scaled if self.repeated else scaled.reshape(1, -1),
             sigma=sigma[shown].ravel(),
-            pure=(noise[shown] / sigma[shown]).ravel(),
+            pure_error=(noise[shown] / sigma[shown]).ravel(),
             discrepancy=(self._of_the_map / sigma[shown]).ravel(),
-            alike=group.name if self.entries.kinds[rows[0]] == "oblique" else None,
-            stamps=np.array(rows, dtype=float) if self.repeated else None,
+            discrepancy_key=group.name if self.entries.kinds[rows[0]] == "oblique" else None,
+            timestamps=np.array(rows, dtype=float) if self.repeated else None,
         )
 
     def _phase(self, number: int) -> str:
@@ -627,13 +632,13 @@ class ImpactTableSource(Source):
     def _remarks(self) -> list[str]:
         remarks = [*doubts_of(self.table), *self.table.assumed]
         if not self.entries.map_discrepancy.entries:
-            remarks.append(NO_DISCREPANCY_KNOWN)
+            remarks.append(NO_DISCREPANCY_REMARK)
         if not self.repeated:
-            remarks.append(NO_REPEATS)
+            remarks.append(NO_REPEATS_REMARK)
             if self.noise is None:
-                remarks.append(NO_NOISE)
+                remarks.append(NO_NOISE_REMARK)
                 scatter = self.scatter_of_neighbours(self.measured - self.predicted)
-                if scatter is not None and scatter < TELLING * self.size():
+                if scatter is not None and scatter < MAX_NEIGHBOUR_SCATTER_RATIO * self.size():
                     remarks.append(
                         f"impacts of neighbouring states scatter by {scatter:.3g} m/s: what the model leaves "
                         "beyond that is no noise"
@@ -641,7 +646,7 @@ class ImpactTableSource(Source):
         if (unsure := self._unsure_contacts()) is not None:
             remarks.append(unsure)
         if self.repeated and (stated := self._stated_noise()) is not None:
-            ratio = float(np.sqrt(np.mean(np.square(self._pooled / np.maximum(stated, LEAST_SCALE)))))
+            ratio = float(np.sqrt(np.mean(np.square(self._pooled / np.maximum(stated, MIN_SCALE_M_S)))))
             remarks.append(
                 f"repeats scatter {ratio:.2g} times as much as the noise columns say; of every velocity the larger of "
                 "both counts"
@@ -651,13 +656,14 @@ class ImpactTableSource(Source):
                 f"place and normal of the contacts, known to {P_NOISE.first} and {N_NOISE.first}, are {own:.2g} m/s of "
                 "the noise"
             )
-        gained = [row.number for row, ratio in zip(self.table.rows, self._gained, strict=True) if ratio > GAINED]
+        ratios = zip(self.table.rows, self._gained, strict=True)
+        gained = [row.number for row, ratio in ratios if ratio > MAX_ENERGY_RATIO]
         if gained and not self.impossible:
             shown = ", ".join(str(number) for number in gained[:5]) + (" ..." if len(gained) > 5 else "")
             remarks.append(
-                f"{len(gained)} of {len(self.table.rows)} rows leave with over {100.0 * (GAINED - 1.0):.0f} % more "
-                f"kinetic energy than before (rows {shown}), which no impact can cause: an external force acted, or "
-                "velocities are wrong"
+                f"{len(gained)} of {len(self.table.rows)} rows leave with over "
+                f"{100.0 * (MAX_ENERGY_RATIO - 1.0):.0f} % more kinetic energy than before (rows {shown}), which no "
+                "impact can cause: an external force acted, or velocities are wrong"
             )
         if self.table.unread:
             remarks.append(f"columns that are not used: {', '.join(self.table.unread)}")
@@ -699,7 +705,7 @@ class ImpactTableSource(Source):
 
     def _contacts_matter(self, times: float) -> bool:
         """Whether the contact points of another tolerance may decide a verdict."""
-        return self._contacts_moved(times) > DECIDES * self._in_energy(self.measured - self.predicted)
+        return self._contacts_moved(times) > MIN_CONTACT_CHANGE_RATIO * self._in_energy(self.measured - self.predicted)
 
     def _in_energy(self, rest: Array, rows: Sequence[int] | None = None) -> float:
         """Rms over rows (None: all) of d of the module, of differences ``(rows, F)`` [m/s]."""
@@ -736,7 +742,7 @@ class ImpactTableSource(Source):
             axes @ (np.mean([point.position for point in row.impact.points], axis=0) - row.impact.object.position)
             for row, axes in zip(self.table.rows, self.entries.axes, strict=True)
         ]
-        found = noise_of_neighbours(np.hstack((before, levers)), rest)
+        found = nearest_neighbour_noise(np.hstack((before, levers)), rest)
         return None if found is None else self._in_energy(found)
 
     def _stated_noise(self) -> Array | None:
@@ -746,10 +752,11 @@ class ImpactTableSource(Source):
     def _gain_of_energy(self) -> str:
         """That the rows as a whole leave with more kinetic energy than they came with; empty: they do not."""
         ratios = self._gained[np.isfinite(self._gained)]
-        if ratios.size < LEAST_GAINING:
+        if ratios.size < MIN_ROWS_OF_ENERGY:
             return ""
         error = float(ratios.std(ddof=1)) / np.sqrt(ratios.size)
-        if float(ratios.mean()) - float(scipy.stats.t.ppf(SURELY_GAINED, ratios.size - 1)) * error <= GAINED:
+        least = float(ratios.mean()) - float(scipy.stats.t.ppf(ENERGY_CONFIDENCE, ratios.size - 1)) * error
+        if least <= MAX_ENERGY_RATIO:
             return ""
         return (
             f"kinetic energy grows in {np.count_nonzero(ratios > 1.0)} of {len(self.table.rows)} rows, by "

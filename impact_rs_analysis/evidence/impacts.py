@@ -8,8 +8,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from impact_rs_analysis.evidence.features import LOSS_WITHIN, onset_level, onsets_of
-from impact_rs_analysis.evidence.replay import BEFORE_IMPACT
+from impact_rs_analysis.evidence.features import LOSS_WINDOW_S, onset_level, onsets_of
+from impact_rs_analysis.evidence.replay import BEFORE_IMPACT_S
 from impact_rs_control.detection import ImpactDetector
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.robot import Array
@@ -17,12 +17,12 @@ from impact_rs_sim.robot_model import RobotModel
 from impact_rs_sim.scenario import Detection
 from impact_rs_trials.runs import Run
 
-OBSERVER_GAIN = 500.0  # 1/s
-TIMES_NOISE = 8.0  # the threshold over the noise of the observed force
-SHARE_OF_PEAK = 0.15  # the threshold over the largest force
-FAST = 0.25  # share of the largest speed; slower contacts are no planned impact
-SETTLES = 0.01  # s, five time constants of the observer
-QUIET = 0.02  # s before the largest force that may belong to the impact
+OBSERVER_GAIN_1_S = 500.0  # of the momentum observer
+OBSERVER_SETTLING_S = 0.01  # five time constants of the observer
+MIN_FORCE_NOISE_RATIO = 8.0  # threshold of the observed force over its noise
+MIN_SHARE_OF_PEAK_FORCE = 0.15  # threshold over the largest force
+MIN_SHARE_OF_TOP_SPEED = 0.25  # slower contacts are no planned impact
+MAX_FORCE_RISE_S = 0.02  # from the begin of the impact to the largest force
 
 
 def impacts_of(run: Run) -> dict[str, tuple[float, float]]:
@@ -38,12 +38,12 @@ def impacts_of(run: Run) -> dict[str, tuple[float, float]]:
         observed = observe(time, arm.position, arm.velocity, arm.torque, model)
         velocity, force = observed.velocity, observed.sudden
         for start, end in run.gaps:  # the end of an interpolated gap looks like an impact
-            force[(time > start) & (time < end + SETTLES)] = 0.0
+            force[(time > start) & (time < end + OBSERVER_SETTLING_S)] = 0.0
         row = first_rise(force, np.linalg.norm(velocity, axis=1), run.period)
         begin, level = math.nan, None
         if row is not None:
-            first = max(0, row - round((BEFORE_IMPACT + 0.01) / run.period))
-            rows = slice(first, row + round(LOSS_WITHIN / run.period))
+            first = max(0, row - round((BEFORE_IMPACT_S + 0.01) / run.period))
+            rows = slice(first, row + round(LOSS_WINDOW_S / run.period))
             level = onset_level(time[rows], velocity[rows])
             begin = math.nan if level is None else float(onsets_of(time[rows], velocity[None, rows], level)[0])
         if math.isnan(begin) or level is None:
@@ -80,7 +80,7 @@ def observe(time: Array, position: Array, velocity: Array, torque: Array, model:
     moving = np.array([(model.jacobian(q) @ dq)[:3] for q, dq in zip(position, velocity, strict=True)])
     fastest = moving[int(np.argmax(np.linalg.norm(moving, axis=1)))]
     period = float(np.median(np.diff(time)))
-    gain = min(OBSERVER_GAIN, 1.0 / period)  # above 2 / period the discrete observer is unstable
+    gain = min(OBSERVER_GAIN_1_S, 1.0 / period)  # above 2 / period the discrete observer is unstable
     settings = Detection(observer_gain=gain, threshold=1e9, arm_before=1.0)
     direction = fastest / (np.linalg.norm(fastest) or 1.0)  # an arm at rest has none
     detector = ImpactDetector(model, settings, direction, period)
@@ -99,15 +99,15 @@ def first_rise(force: Array, speed: Array, period: float) -> int | None:
         speed: Of the end effector, ``(k,)`` [m/s].
         period: Of the samples [s].
     """
-    fast = np.maximum.accumulate(speed > FAST * speed.max())
+    fast = np.maximum.accumulate(speed > MIN_SHARE_OF_TOP_SPEED * speed.max())
     if not np.any(fast):
         return None
     peak = int(np.argmax(np.where(fast, force, -np.inf)))
-    quiet = force[: max(0, peak - round(QUIET / period))]
+    quiet = force[: max(0, peak - round(MAX_FORCE_RISE_S / period))]
     quiet = quiet[quiet.size // 10 :]  # the observer starts from rest
     if quiet.size < 10:
         return None
     noise = float(np.median(np.abs(quiet - np.median(quiet)))) / 0.6745
-    threshold = max(TIMES_NOISE * noise, SHARE_OF_PEAK * float(force[peak]))
+    threshold = max(MIN_FORCE_NOISE_RATIO * noise, MIN_SHARE_OF_PEAK_FORCE * float(force[peak]))
     above = np.nonzero(fast & (force > threshold))[0]
     return int(above[0]) if above.size else None

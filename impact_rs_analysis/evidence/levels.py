@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Levels of a comparison: residuals by signal and by place, in their unit and in multiples of repeatability."""
+"""Levels of a comparison: residuals by signal and by condition, in their unit and in multiples of repeatability."""
 
 from __future__ import annotations
 
@@ -121,11 +121,11 @@ class RecordingDocument(Schema):
 
 @dataclass(frozen=True)
 class Comparison:
-    """Residuals of a model, as a source of evidence shows them.
+    """Residuals of a model, as in the report of a source.
 
     Attributes:
         levels: By name.
-        where: Residuals by place, largest first.
+        where: Residuals by condition, signal and index, largest first.
         conditions: Score of every condition or recording.
         joints: Signals by arm and joint.
     """
@@ -147,16 +147,16 @@ def condition_scores(clusters: Sequence[Cluster]) -> tuple[ConditionScore, ...]:
 
 
 def expected_of(item: Cluster, by_limit: bool = False) -> Array:
-    """What differences of a cluster are multiples of, over the scale of each feature, ``(F,)`` [-].
+    """Unit of the differences of a cluster, over the scale of each feature, ``(F,)`` [-].
 
-    Repeatability, or stated noise, with the model discrepancy. Where neither repeats nor noise are known it is 1, and
-    differences are multiples of their scale.
+    Repeatability, or stated noise, with the model discrepancy. With neither repeats nor stated noise it is 1: the scale
+    of the feature.
 
     Args:
         item: The cluster.
-        by_limit: Whether it is the relevance limit, because nothing was repeated.
+        by_limit: Whether the unit is the relevance limit, because nothing was repeated.
     """
-    known = np.sqrt(item.expected_squares) if np.any(item.pure > 0.0) else np.zeros_like(item.sigma)
+    known = np.sqrt(item.expected_squares) if np.any(item.pure_error > 0.0) else np.zeros_like(item.sigma)
     limits = np.array([feature.relevance_limit for feature in item.features]) / item.sigma
     noise = np.where(limits > 0.0, limits, known) if by_limit else known
     return np.where(noise > 0.0, noise, 1.0)
@@ -165,8 +165,8 @@ def expected_of(item: Cluster, by_limit: bool = False) -> Array:
 def relevant_of(item: Cluster, by_limit: bool = False) -> Array:
     """The larger of :func:`expected_of` and the relevance limit, over the scale of each feature, ``(F,)`` [-].
 
-    A residual below it is either noise or too small to matter. Repeatability alone makes the most of a residual that a
-    simulator repeats to its last digits and that no robot measures.
+    A residual below it is noise or irrelevant. Repeatability alone would exaggerate the residuals of simulated trials,
+    which repeat to the last digit.
 
     Args:
         item: The cluster.
@@ -205,7 +205,7 @@ def signal_levels(
     for item in clusters:
         expected = expected_of(item, by_limit)
         for feature, mean, sigma, pure, own, noise in zip(
-            item.features, item.mean, item.sigma, item.pure, item.discrepancy, expected, strict=True
+            item.features, item.mean, item.sigma, item.pure_error, item.discrepancy, expected, strict=True
         ):
             joint = feature.index.rsplit(".", 1)[-1]
             if feature.phase in (phases or (feature.phase,)) and (joint.startswith("joint") or not by_joint):
@@ -248,7 +248,7 @@ def where_of(clusters: Sequence[Cluster], by_limit: bool = False) -> list[Cell]:
         for feature, mean, sigma, own, most in zip(item.features, item.mean, item.sigma, noise, relevant, strict=True):
             limit = feature.relevance_limit
             row = (float(mean / own), float(mean * sigma), float(mean), feature.unit, limit, float(mean / most))
-            found.setdefault((*item.place, *feature.group), []).append(row)
+            found.setdefault((*item.condition_key, *feature.group), []).append(row)
     cells = []
     for (scenario, object_name, case, phase, signal, index), rows in found.items():
         worst = max(rows, key=lambda row: abs(row[0]))
@@ -284,7 +284,7 @@ def where_of_blocks(clusters: Sequence[Cluster]) -> list[Cell]:
             item.features, item.mean, item.sigma, expected_of(item), relevant_of(item), strict=True
         ):
             row = (float(mean * sigma), float(mean), float(mean / noise), float(mean / most))
-            found.setdefault((*item.place[:2], *feature.group), []).append(row)
+            found.setdefault((*item.condition_key[:2], *feature.group), []).append(row)
             facts[feature.group] = feature.unit, feature.relevance_limit
     cells = []
     for (file, object_name, *group), rows in found.items():

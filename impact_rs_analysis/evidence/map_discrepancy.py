@@ -1,14 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """Discrepancy of the rigid impact map, for tables of impacts of arms.
 
-The map jumps at once; drives with springs and a pad that yields do not, and just after a real impact joints ring.
-``config/map_discrepancy.yaml`` holds how far simulators of such arms lie from the map with the same parameters (made by
-``tools/map_discrepancy.py``), as shares of the closing speed v_n:
+The map is instantaneous; impacts with elastic drives and compliant pads are not, and joints ring after a real impact.
+``config/map_discrepancy.yaml`` holds the difference between simulators of such arms and the map with the same
+parameters (made by ``tools/map_discrepancy.py``), as shares of the closing speed v_n:
 
     joints  share v_n / l,        centre of the object  share v_n,        its rotation  share v_n / r
 
-with the reach l of the arm and the radius of gyration r of the object, so that the shares are those of other robots as
-well.
+with the reach l of the arm and the radius of gyration r of the object. These dimensionless shares apply to other robots
+as well.
 """
 
 from __future__ import annotations
@@ -30,8 +30,12 @@ from impact_rs_sim.schema import Schema, load
 
 HitKind = Literal["square", "oblique"]
 
-JOINTS, LINEAR, ANGULAR = "joint velocity after", "velocity after", "angular velocity after"
-FILE = "map_discrepancy.yaml"
+JOINT_VELOCITY_AFTER, VELOCITY_AFTER, ANGULAR_VELOCITY_AFTER = (
+    "joint velocity after",
+    "velocity after",
+    "angular velocity after",
+)
+MAP_DISCREPANCY_FILE = "map_discrepancy.yaml"
 
 
 class MapShare(Schema):
@@ -64,7 +68,7 @@ class MapDiscrepancy(Schema):
 
     @property
     def document(self) -> DiscrepancyDocument:
-        """What a document says of it."""
+        """Its entry in a document."""
         return DiscrepancyDocument(used=bool(self.entries), provenance=self.in_words)
 
     @property
@@ -86,11 +90,13 @@ def measured_map_discrepancy() -> MapDiscrepancy:
     Raises:
         InputError: ``config/map_discrepancy.yaml`` breaks the schema.
     """
-    return load(MapDiscrepancy, config_directory() / FILE)
+    return load(MapDiscrepancy, config_directory() / MAP_DISCREPANCY_FILE)
 
 
 def lengths_of(features: Sequence[Feature], physics: Physics) -> Array:
-    """Length by which a velocity becomes that of a point: reach, radius of gyration, 1 of translations, ``(F,)``."""
+    """Length from a velocity to that of a point: reach, radius of gyration, or 1 for translations, ``(F,)``."""
     turning = gyration_of(physics.object)
     reach = {name: reach_of(arm.facts) for name, arm in physics.arms.items()}
-    return np.array([1.0 if f.unit == "m/s" else turning if f.signal == ANGULAR else reach[f.arm] for f in features])
+    return np.array(
+        [1.0 if f.unit == "m/s" else turning if f.signal == ANGULAR_VELOCITY_AFTER else reach[f.arm] for f in features]
+    )

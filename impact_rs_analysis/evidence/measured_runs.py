@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""RUNS: runs with their windows, the start of their replay and their features; and a folder of them."""
+"""Measured runs: windows, start of the replay and features of each; and all runs of a folder."""
 
 from __future__ import annotations
 
@@ -32,8 +32,8 @@ from impact_rs_trials.store import trials_below
 from impact_rs_trials.workers import Map
 
 Made = TypeVar("Made")
-KEPT = 64  # models cached by a process
-LARGEST_LOSS = 0.5  # largest share of windows of free motion that all runs drop for gaps in some
+CACHED_MODELS = 64  # per process
+MAX_DROPPED_WINDOW_SHARE = 0.5  # of the windows of free motion, dropped from all runs because some have a gap there
 
 
 @dataclass(frozen=True)
@@ -81,7 +81,7 @@ class Setup:
         return hashlib.sha256("\n".join(text).encode()).hexdigest()
 
     @property
-    def before_contact(self) -> Setup:
+    def free_motion_part(self) -> Setup:
         """The windows of free motion, with their features."""
         windows = tuple(window for window in self.windows if not window.contact)
         joints, commanded = self.physics.arm_joints, self.drive == "command"
@@ -213,7 +213,7 @@ class MeasuredRun(Run):
 
     @property
     def family(self) -> tuple[object, ...]:
-        """Key of runs that would have the same features without gaps."""
+        """Key of runs that have equal features without gaps."""
         further = tuple(feature for feature in self.features if feature.phase != "free")
         return (self.hit, *self.setup.physics.arms, self.free, further)
 
@@ -242,7 +242,7 @@ def _within(signals: Signals, window: Window) -> Signals:
     )
 
 
-_models = Recent[RobotModel](KEPT)
+_models = Recent[RobotModel](CACHED_MODELS)
 
 
 @dataclass(frozen=True)
@@ -291,13 +291,13 @@ class Runs:
         return found
 
     def since(self, when: str) -> Runs:
-        """The runs that were measured from a moment on.
+        """The runs that were measured from a given time on.
 
         Args:
             when: A run by its path in the folder, or a time (:func:`impact_rs_trials.since.measured_since`).
 
         Raises:
-            InputError: There is no such moment.
+            InputError: There is no such time.
         """
         names = {run.path: run.path.relative_to(self.directory).as_posix() for run in self.runs}
         stamps = {names[run.path]: recorded_at(run.path) if run.recorded is None else run.recorded for run in self.runs}
@@ -308,7 +308,7 @@ class Runs:
         return replace(self, runs=kept, remarks=(*self.remarks, remark), late=late, part=True)
 
     def named(self, specs: Mapping[Path, TrialSpec]) -> Runs:
-        """The runs with the conditions of trials that were planned here, named as a design names them.
+        """The runs with the condition names of the planned trials.
 
         Args:
             specs: What was planned, by the path of each run.
@@ -361,15 +361,15 @@ def _with_ages(runs: list[MeasuredRun]) -> list[MeasuredRun]:
 
 
 def _alike(runs: list[MeasuredRun]) -> tuple[MeasuredRun, ...]:
-    """The runs without windows that a gap drops in any run of their family, so that conditions share a pure error.
+    """The runs without windows that have a gap in any run of their family, so that conditions share a pure error.
 
-    If that would drop too many windows, the runs stay unchanged.
+    If that would drop more than ``MAX_DROPPED_WINDOW_SHARE`` of the windows, the runs stay unchanged.
     """
     left: dict[tuple[object, ...], set[Feature]] = {}
     for run in runs:
         left.setdefault(run.family, set(run.features)).intersection_update(run.features)
     alike = [run.only(left[run.family]) for run in runs]
-    torn = {run.family for run in alike if len(run.lost) > LARGEST_LOSS * run.free}
+    torn = {run.family for run in alike if len(run.lost) > MAX_DROPPED_WINDOW_SHARE * run.free}
     return tuple(old if old.family in torn else new for old, new in zip(runs, alike, strict=True))
 
 

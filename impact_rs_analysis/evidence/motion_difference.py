@@ -1,14 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """Difference of two recordings of one motion, for example with and without a load.
 
-From the recorded torque is subtracted what the model left of the torque of a reference, at the same place of the
-motion:
+The residual torque of a reference is subtracted from the recorded torque, at the same position of the motion:
 
     tau'(t) = tau(t) - (tau_r - tau_r,model)(t + s)
 
-Friction, offsets and wrong link parameters, which both recordings have, cancel; what tau' has beyond the model was
-added between the two. Each recording is predicted along its own measured motion, so a small difference of the motions
-changes tau' only by what the model does not know. The shift s minimises the mean square distance of the positions.
+Friction, offsets and wrong link parameters are in both recordings and cancel; the residual of tau' was added between
+them. Each recording is predicted along its own measured motion, so a small difference of the motions changes tau' only
+by the errors of the model. The shift s minimises the mean square distance of the positions.
 """
 
 from __future__ import annotations
@@ -25,19 +24,19 @@ from impact_rs_sim.errors import InputError
 from impact_rs_sim.physics import Physics
 from impact_rs_sim.robot import Array
 
-SHIFTS = 4.0  # tried per period of the cut-off frequency, before the best is refined
-LEAST_OVERLAP = 0.5  # of the shorter motion
-PLACES = 200  # on the way of a motion, at which two are compared
-SAME = 0.05  # of the size of the motion, rms; two motions further apart are not one
+SHIFTS_PER_PERIOD = 4.0  # of the cut-off frequency, tried before the best one is refined
+MIN_OVERLAP_SHARE = 0.5  # of the shorter motion
+PATH_POINTS = 200  # at equal arc length, where two paths are compared
+MAX_DISTANCE_SHARE = 0.05  # rms distance over the size of the motion; above, it is another motion
 
 
 @dataclass(frozen=True)
 class Match:
-    """Place of one motion in another.
+    """Best alignment of a motion with a reference.
 
     Attributes:
-        number: Number of the other one.
-        shift: From the time of the motion to that of the other one [s].
+        number: Index of the reference.
+        shift: Time of the reference minus time of the motion [s].
         apart: Distance of their positions, rms over time and joints [rad].
     """
 
@@ -56,10 +55,10 @@ def minus_references(
     """Every motion with the residual torque of the nearest reference subtracted, where the two overlap.
 
     Args:
-        motions: Of the recordings.
-        files: Of the recordings, for messages.
-        references: Of the recordings to subtract.
-        physics: Of the arm in both, under the model.
+        motions: Motions of the recordings.
+        files: Their files, for messages.
+        references: Motions of the recordings to subtract.
+        physics: Physics of the arm under the model.
         at_motor: Whether the torque was measured at the motors.
 
     Raises:
@@ -71,13 +70,13 @@ def minus_references(
     for motion, file in zip(motions, files, strict=True):
         match = nearest(motion, references)
         size = float(np.sqrt(np.mean(np.square(motion.position - motion.position.mean(axis=0)))))
-        if match is None or match.apart > SAME * size:
+        if match is None or match.apart > MAX_DISTANCE_SHARE * size:
             apart = "too short" if match is None else f"{match.apart:.3g} rad rms apart at best"
             reason = f"{apart}; the motion has {size:.3g} rad rms"
-            if (speed := _other_speed(motion, references, SAME * size)) is not None:
+            if (speed := _speed_ratio_on_path(motion, references, MAX_DISTANCE_SHARE * size)) is not None:
                 reason = (
-                    f"one goes the same way {speed:.2g} times as fast; friction and the torque that inertia takes are "
-                    "then others, and what the model leaves of them does not cancel"
+                    f"one goes the same way {speed:.2g} times as fast; friction and inertial torques then differ, and "
+                    "their residuals do not cancel"
                 )
             raise InputError(
                 f"follows the motion of no recording of --minus ({reason}): record the same motion twice at the same "
@@ -99,24 +98,24 @@ def minus_references(
     return found
 
 
-def _other_speed(motion: Motion, references: Sequence[Motion], near: float) -> float | None:
-    """How many times as fast a reference goes the same way, its places nearer than ``near`` [rad]; None: none does."""
-    way, speed = _way(motion)
+def _speed_ratio_on_path(motion: Motion, references: Sequence[Motion], near: float) -> float | None:
+    """Speed of a reference on the same path, within ``near`` [rad], over that of the motion; None if none is."""
+    path, speed = _path(motion)
     for other in references:
-        its_way, its_speed = _way(other)
-        if np.sqrt(np.mean(np.square(way - its_way))) <= near:
+        other_path, its_speed = _path(other)
+        if np.sqrt(np.mean(np.square(path - other_path))) <= near:
             return its_speed / speed
     return None
 
 
-def _way(motion: Motion) -> tuple[Array, float]:
-    """Positions at equal shares of the length of the way, ``(k, n)`` [rad], and the mean speed on it [rad/s]."""
+def _path(motion: Motion) -> tuple[Array, float]:
+    """Positions at equal arc length along the path, ``(k, n)`` [rad], and the mean speed on it [rad/s]."""
     length = np.concatenate(([0.0], np.cumsum(np.linalg.norm(np.diff(motion.position, axis=0), axis=1))))
-    return _at(np.linspace(0.0, length[-1], PLACES), length, motion.position), float(length[-1] / motion.time[-1])
+    return _at(np.linspace(0.0, length[-1], PATH_POINTS), length, motion.position), float(length[-1] / motion.time[-1])
 
 
 def nearest(motion: Motion, references: Sequence[Motion]) -> Match | None:
-    """Where a motion agrees best with a reference; None if none overlaps it for long enough."""
+    """The reference and time shift nearest to a motion; None if no reference overlaps it for long enough."""
     matches = [match for number, other in enumerate(references) if (match := _match(motion, number, other)) is not None]
     return min(matches, key=lambda match: match.apart, default=None)
 
@@ -124,7 +123,7 @@ def nearest(motion: Motion, references: Sequence[Motion]) -> Match | None:
 def _match(motion: Motion, number: int, other: Motion) -> Match | None:
     time, position = motion.time[motion.kept], motion.position[motion.kept]
     first, last = other.time[other.kept][[0, -1]]
-    least = LEAST_OVERLAP * min(time.size / motion.rate, last - first)
+    least = MIN_OVERLAP_SHARE * min(time.size / motion.rate, last - first)
 
     def apart(shift: float) -> float:
         inside = (time + shift >= first) & (time + shift <= last)
@@ -133,7 +132,7 @@ def _match(motion: Motion, number: int, other: Motion) -> Match | None:
         distance = position[inside] - _at(time[inside] + shift, other.time, other.position)
         return float(np.sqrt(np.mean(np.square(distance))))
 
-    step = 1.0 / (SHIFTS * motion.cut_off)
+    step = 1.0 / (SHIFTS_PER_PERIOD * motion.cut_off)
     shifts = np.arange(first - time[-1] + least, last - time[0] - least + step, step)
     best = min(shifts.tolist(), key=apart, default=None)
     if best is None or not np.isfinite(apart(best)):

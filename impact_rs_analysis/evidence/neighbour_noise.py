@@ -1,13 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Noise of a table without repeats, from rows whose states are neighbours.
+"""Noise of a table without repeats, by nearest-neighbour regression over the ante-impact states.
 
-What a model leaves is a smooth function of the state before the impact, plus noise. A linear function fitted to the k
-nearest rows of row i predicts its residual r_i with the error e_i, and
+The residual of a model is a smooth function of the state before the impact, plus noise. A linear function fitted to the
+k nearest rows of row i predicts its residual r_i with the error e_i, and
 
     var(e_i) = s^2 (1 + h_i),        h_i = x_i^T (X^T X)^-1 x_i        X: states of the neighbours, with a constant
 
-so s^2 is the mean of e_i^2 / (1 + h_i) (local regression: Cleveland and Devlin 1988). Where the residual bends between
-neighbours this is too much, never too little: noise is not mistaken for a missing law, a missing law may be for noise.
+so s^2 is the mean of e_i^2 / (1 + h_i) (local regression: Cleveland and Devlin 1988). Curvature between neighbours
+biases it upwards, never downwards: noise is not mistaken for a missing law, though a missing law may be for noise.
 """
 
 from __future__ import annotations
@@ -17,16 +17,16 @@ import scipy
 
 from impact_rs_sim.robot import Array
 
-PER_COEFFICIENT = 3  # neighbours
-LEAST_ROWS = 12  # per coefficient; with fewer, neighbours are far apart
+NEIGHBOURS_PER_COEFFICIENT = 3
+MIN_ROWS_PER_COEFFICIENT = 12  # with fewer, neighbours are far apart
 
 
-def noise_of_neighbours(states: Array, residuals: Array) -> Array | None:
+def nearest_neighbour_noise(states: Array, residuals: Array) -> Array | None:
     """Standard deviation of the noise of every residual, ``(F,)``.
 
     Args:
-        states: Of the rows, ``(rows, d)``; what varies least counts as much as what varies most.
-        residuals: ``(rows, F)``.
+        states: State of each row, ``(rows, d)``; every coordinate is standardised.
+        residuals: Residuals of each row, ``(rows, F)``.
 
     Returns:
         None with too few rows for their number of coordinates.
@@ -34,8 +34,8 @@ def noise_of_neighbours(states: Array, residuals: Array) -> Array | None:
     spread = states.std(axis=0)
     states = (states - states.mean(axis=0))[:, spread > 0.0] / spread[spread > 0.0]
     rows, coordinates = states.shape
-    count = PER_COEFFICIENT * (coordinates + 1)
-    if rows < LEAST_ROWS * (coordinates + 1):
+    count = NEIGHBOURS_PER_COEFFICIENT * (coordinates + 1)
+    if rows < MIN_ROWS_PER_COEFFICIENT * (coordinates + 1):
         return None
     _, near = scipy.spatial.cKDTree(states).query(states, k=count + 1)
     own = np.arange(rows)

@@ -3,8 +3,8 @@
 
 Stretches last about a second, longer than the correlation time of the low-passed torque noise. Torques are divided by
 the root mean square of the residual of their joint, so that all joints have equal weight; the pure error is the noise
-of the recorded torque below the cut-off. A gain counts against what is left of a joint as well, because its noise is
-not known. A motion does not test the scale of each joint's torque: one that is 1 % off looks like a payload.
+of the recorded torque below the cut-off. The gain of an effect is also compared with the residual of each joint, whose
+noise is not known. The scale of each joint's torque is confounded with a payload and enters as a systematic error.
 """
 
 from __future__ import annotations
@@ -29,6 +29,7 @@ from impact_rs_analysis.evidence.levels import (
     root_mean_square,
     rounded,
 )
+from impact_rs_analysis.evidence.minimum_data import MIN_BLOCKS
 from impact_rs_analysis.evidence.motion_difference import minus_references
 from impact_rs_analysis.evidence.source import Source
 from impact_rs_analysis.evidence.torque_balance import Motion, TorqueBalance, motor_ratios, prepare
@@ -59,26 +60,25 @@ from impact_rs_trials.recordings.remarks import merged
 from impact_rs_trials.runs import Run
 from impact_rs_trials.workers import Map
 
-STRETCHES = 24  # at least, if they are not shorter than SHORTEST
-LONGEST, SHORTEST = 2.0, 0.5  # s
-LEAST_STRETCHES = 12
-CLIPPINGS = 10  # of densities of information, until they settle
-SLOW = 0.05  # rad/s, m/s
-SIGNAL, DEFLECTION = "torque", "deflection"
+TARGET_STRETCHES = 24  # more in a recording that is longer than 24 times MAX_STRETCH_S
+MAX_STRETCH_S, MIN_STRETCH_S = 2.0, 0.5  # the noise remembers less than the shorter
+CLIPPING_ITERATIONS = 10  # of densities of information, until they settle
+MIN_MOVING_SPEED = 0.05  # rad/s, m/s
+TORQUE, DEFLECTION = "torque", "deflection"
 PHASES = ("moving up", "moving down", "slow")
-WHAT = "torque balance of the arm in free motion, both sides low-passed"
-MOST_MEMORY = 2**28  # bytes, of predicted torques that are kept
-LEAST_KEPT = 64  # of them, as many as a linearisation asks for
-TORQUE_SCALE = {"link": 0.01, "motor": 0.02}  # standard deviation, over the torque (torque sensors of arms: 1 to 2 %)
-# Without a command, gain and offset of a torque sensor and of a motor are one: torque_gain and torque_offset say them.
-OF_SENSOR_OR_MOTOR = (TORQUE_SENSOR_GAIN, TORQUE_SENSOR_OFFSET)
-# Nothing depends on it: no command was recorded, a deflection counts up to its mean, a recording is as old as its arm.
-NOT_SEEN = (COMMAND_CLOCK_OFFSET, MOTOR_ENCODER_OFFSET, TORQUE_SENSOR_DRIFT)
-OF_TORQUE_SENSORS = (TORQUE_SENSOR_CROSSTALK,)  # strain gauges feel what passes their neighbours, currents do not
-OF_VELOCITIES = (VELOCITY_LAG, VELOCITY_DELAY, VELOCITY_GAIN)  # of a sensor; derivatives of positions have none
-TORQUE_UNIT = "N m"  # of a joint that turns
-MOST_OF_TORQUE = 0.99  # of the samples, below the largest torque; a few may be wild
-LEAST_SAMPLES = 5  # of a phase of one joint; fewer are not reported
+LEVEL_TEXT = "torque balance of the arm in free motion, both sides low-passed"
+CACHED_TORQUES_BYTES = 2**28
+MIN_CACHED_TORQUES = 64  # predictions that one linearisation needs
+TORQUE_SCALE_DEVIATION = {"link": 0.01, "motor": 0.02}  # over the torque; torque sensors of arms: 1 to 2 %
+# Without a command, faults of torque sensor and motor are confounded: torque_gain and torque_offset stand for both.
+CONFOUNDED_WITH_MOTOR_FAULTS = (TORQUE_SENSOR_GAIN, TORQUE_SENSOR_OFFSET)
+# No command was recorded, a deflection is known up to its mean, and the age of the arm is that of the recording.
+UNIDENTIFIABLE_FAULTS = (COMMAND_CLOCK_OFFSET, MOTOR_ENCODER_OFFSET, TORQUE_SENSOR_DRIFT)
+TORQUE_SENSOR_FAULTS = (TORQUE_SENSOR_CROSSTALK,)  # strain gauges feel their neighbours' loads, currents do not
+VELOCITY_SENSOR_FAULTS = (VELOCITY_LAG, VELOCITY_DELAY, VELOCITY_GAIN)  # derivatives of positions have none
+TORQUE_UNIT = "N m"  # of a revolute joint
+TORQUE_QUANTILE = 0.99  # that stands for the largest torque: a few samples may be outliers
+MIN_SAMPLES_OF_PHASE = 5  # of one joint; fewer are not reported
 
 REMARKS = (
     "a recording is one condition: stretches of it are held out, so estimates are not tested at other speeds, poses or "
@@ -86,26 +86,25 @@ REMARKS = (
     "without repeats there is no pure error: the noise is that of the torque signal, and residuals above it need not "
     "come from an effect of the library",
 )
-DIFFERENCE = (
-    "differences of recordings of one motion: what both have in common cancels, and an effect is a change between "
-    "them; how arm, sensors and base are made does not change. A gain of the torque that both have scales the load: "
-    "its mass is what the recorded torques weigh, unless --model knows the gain (diagnose the recording without the "
-    "load first)"
+DIFFERENCE_REMARK = (
+    "differences of recordings of one motion: common errors cancel, and an effect is a change between the recordings; "
+    "properties of arm, sensors and base do not change. A common gain of the torque scales the mass of the load, "
+    "unless --model contains the gain (diagnose the recording without the load first)"
 )
-COUNTED = (
+INTERVALS_REMARK = (
     "intervals count the scatter over the motion and a standard deviation of {scale:.0%} of the scale of each joint's "
     "torque; links of the model count as exact"
 )
-MOTORS = (
+MOTOR_ENCODERS_REMARK = (
     "the motors of joints {joints} have encoders: their inertia and friction act on the motion of the motors, and the "
     "deflection of the transmission is a signal of its own, up to its mean"
 )
-MOTORS_OF_A_DIFFERENCE = "motor_position is not used: in a difference of recordings what the motors do cancels"
-NO_ENCODERS = (
-    "no motor has an encoder of its own: a transmission that yields shows only in what its motor does, and resembles a "
-    "delay, a damping or another inertia; positions of the motors tell them apart (signals.motor_position)"
+MOTORS_UNUSED_REMARK = "motor_position is not used: in a difference of recordings the motion of the motors cancels"
+NO_MOTOR_ENCODERS_REMARK = (
+    "no motor has an encoder of its own: the elasticity of a transmission shows only in the torque of its motor, and "
+    "resembles a delay, a damping or another inertia; positions of the motors separate them (signals.motor_position)"
 )
-BEHIND_MOTORS = "the torque was measured behind the motors, so their inertia is not in it"
+LINK_TORQUE_REMARK = "the torque was measured behind the motors, so their inertia is not in it"
 
 
 @dataclass(frozen=True)
@@ -151,13 +150,13 @@ class RecordingSource(Source):
         mapping: Mapping of their signals, and the mounted mass.
         model: The model.
         motions: Filtered recordings.
-        physics: Of the arm under the model.
-        stretches: Their stretches.
+        physics: Physics of the arm under the model.
+        stretches: Stretches of the recordings.
         minus: Recordings of the same motions that were subtracted.
         left_out: Path and reason of recordings that are too short.
 
     Attributes:
-        balance: Prediction of their torque.
+        balance: Torque balance that predicts them.
         rest: Recorded minus predicted torque and deflection of the model, ``(k, c)`` [N m, rad].
         sigma: Scale of every column, ``(c,)`` [N m, rad].
         reading: Remarks on how the recordings were read.
@@ -191,13 +190,15 @@ class RecordingSource(Source):
         self.rest = self.balance.recorded - self._of_the_model
         self.sigma = np.maximum(np.sqrt(np.mean(np.square(self.rest), axis=0)), 1e-12)
         units = physics.arms[ARM].facts.units
-        self._columns = [Column(SIGNAL, int(joint), units[joint].effort) for joint in self.balance.joints]
+        self._columns = [Column(TORQUE, int(joint), units[joint].effort) for joint in self.balance.joints]
         self._torques = len(self._columns)
         self._columns += [Column(DEFLECTION, int(joint), units[joint].position) for joint in self.balance.elastic]
-        self._worth = self._worth_of_columns()
+        self._weights = self._column_weights()
         self.size_unit = self.residual_unit = joined_units(column.unit for column in self._columns[: self._torques])
         self._stretches = tuple(stretches)
-        self._predicted = Recent[Array | None](max(LEAST_KEPT, int(MOST_MEMORY / self.balance.recorded.nbytes)))
+        self._predicted = Recent[Array | None](
+            max(MIN_CACHED_TORQUES, int(CACHED_TORQUES_BYTES / self.balance.recorded.nbytes))
+        )
         self.clusters = with_intervals(self, [self._cluster(number) for number in range(len(self._stretches))])
         remarks = merged((item.path.name, remark) for item in (*recordings, *minus) for remark in item.remarks)
         remarks += [f"{Path(path).name} is left out: {why}" for path, why in left_out]
@@ -205,10 +206,10 @@ class RecordingSource(Source):
         self.reading = tuple(dict.fromkeys(remarks))
         self.remarks = (
             *REMARKS,
-            *((DIFFERENCE,) if minus else ()),
-            COUNTED.format(scale=TORQUE_SCALE[mapping.torque_measured_at]),
-            *(() if at_motor else (BEHIND_MOTORS,)),
-            *((NO_ENCODERS,) if at_motor and not self.balance.elastic.size and not minus else ()),
+            *((DIFFERENCE_REMARK,) if minus else ()),
+            INTERVALS_REMARK.format(scale=TORQUE_SCALE_DEVIATION[mapping.torque_measured_at]),
+            *(() if at_motor else (LINK_TORQUE_REMARK,)),
+            *((NO_MOTOR_ENCODERS_REMARK,) if at_motor and not self.balance.elastic.size and not minus else ()),
             *self.reading,
         )
 
@@ -248,10 +249,10 @@ class RecordingSource(Source):
         """See :class:`Source`: those on how the recordings were read."""
         return self.reading
 
-    def _worth_of_columns(self) -> Array:
-        """What a residual of one scale counts in errors over all signals, ``(c,)`` [N m].
+    def _column_weights(self) -> Array:
+        """Weight of a scaled residual in errors over all signals, ``(c,)`` [N m].
 
-        A deflection counts as much as the torque of its joint, so that the error of a model is that of its torques.
+        A deflection has the weight of its joint's torque, so that the error of a model has the size of torques.
         """
         torques = self._columns[: self._torques]
         torque = {column.joint: float(size) for column, size in zip(torques, self.sigma, strict=False)}
@@ -260,18 +261,18 @@ class RecordingSource(Source):
 
     def residual_weight(self, item: Cluster) -> Array:
         """See :meth:`Source.residual_weight`."""
-        return np.resize(self._worth, item.sigma.size)
+        return np.resize(self._weights, item.sigma.size)
 
     @property
-    def _in_torques(self) -> Array:
-        """Residuals of the model as they count, ``(k, c)`` [N m]."""
-        return np.asarray(self.rest / self.sigma * self._worth)
+    def _weighted_residuals(self) -> Array:
+        """Weighted residuals of the model, ``(k, c)`` [N m]."""
+        return np.asarray(self.rest / self.sigma * self._weights)
 
     @cached_property
     def proportion(self) -> Proportion:
         """See :attr:`Source.proportion`; its drives may be large beside its links, and are in what was recorded."""
         turning = [number for number, column in enumerate(self._columns) if column.unit == TORQUE_UNIT]
-        largest = np.quantile(np.abs(self.balance.recorded[:, turning]), MOST_OF_TORQUE, axis=0).max(initial=0.0)
+        largest = np.quantile(np.abs(self.balance.recorded[:, turning]), TORQUE_QUANTILE, axis=0).max(initial=0.0)
         return super().proportion.driven_by(float(largest))
 
     @cached_property
@@ -303,22 +304,22 @@ class RecordingSource(Source):
         last: Added | None = None
         torque: Array | None = None
         for number, added in wanted:
-            if added is not last:  # most follow each other, and the hash of many numbers is dear
+            if added is not last:  # equal effects follow each other, and hashing many numbers is expensive
                 last, torque = added, self._torque(added)
             found.append(None if torque is None else torque[self._stretches[number].rows].ravel())
         return found
 
     def offers(self, effect: Effect) -> bool:
-        """See :meth:`Source.offers`; recordings calibrate the bare arm, and differences show what may change."""
-        without = [*OF_SENSOR_OR_MOTOR, *NOT_SEEN]
+        """See :meth:`Source.offers`; recordings calibrate the bare arm, differences show effects that may change."""
+        without = [*CONFOUNDED_WITH_MOTOR_FAULTS, *UNIDENTIFIABLE_FAULTS]
         if self.mapping.torque_measured_at == "motor":
-            without += OF_TORQUE_SENSORS
+            without += TORQUE_SENSOR_FAULTS
         if "velocity" not in self.mapping.signals:
-            without += OF_VELOCITIES
+            without += VELOCITY_SENSOR_FAULTS
         return effect.name not in {one.name for one in without} and (effect.may_change or not self._minus)
 
-    def measure_again(self, added: Added, like: Sequence[Cluster]) -> list[Cluster] | None:
-        """See :meth:`Source.measure_again`."""
+    def residuals_with(self, added: Added, like: Sequence[Cluster]) -> list[Cluster] | None:
+        """See :meth:`Source.residuals_with`."""
         torque = self._torque(added)
         if torque is None:
             return None
@@ -331,11 +332,11 @@ class RecordingSource(Source):
 
     def size(self) -> float:
         """See :meth:`Source.size`; root mean square of the torque residual [N m]."""
-        return root_mean_square(self._in_torques)
+        return root_mean_square(self._weighted_residuals)
 
     def noise_size(self) -> float:
         """See :meth:`Source.noise_size`."""
-        return root_mean_square(np.maximum(self.balance.noise, 1e-12) / self.sigma * self._worth)
+        return root_mean_square(np.maximum(self.balance.noise, 1e-12) / self.sigma * self._weights)
 
     def compare_levels(self) -> Comparison:
         """See :meth:`Source.compare_levels`: the torque of every joint."""
@@ -359,10 +360,10 @@ class RecordingSource(Source):
             )
             for name in dict.fromkeys(phase[:, number]):
                 rows = phase[:, number] == name
-                if np.count_nonzero(rows) >= LEAST_SAMPLES:
+                if np.count_nonzero(rows) >= MIN_SAMPLES_OF_PHASE:
                     cells.append(self._cell(name, number, rows, float(noise[number])))
         every = root_mean_square(np.sqrt(np.mean(np.square(self.rest), axis=0)) / noise)
-        level = Level(what=WHAT, times_noise=rounded(every), signals=tuple(signals))
+        level = Level(what=LEVEL_TEXT, times_noise=rounded(every), signals=tuple(signals))
         files: dict[str, list[Array]] = {}
         for item in self.clusters:
             files.setdefault(item.unit, []).append(item.mean * self.residual_weight(item))
@@ -377,7 +378,7 @@ class RecordingSource(Source):
 
     def _cell(self, phase: str, number: int, rows: NDArray[np.bool_], noise: float) -> Cell:
         """Residual of one column in one phase, which has some rows."""
-        rest, counted, column = self.rest[rows, number], self._in_torques, self._columns[number]
+        rest, counted, column = self.rest[rows, number], self._weighted_residuals, self._columns[number]
         return Cell(
             scenario=", ".join(run.path.name for run in self.recordings),
             object="",
@@ -451,25 +452,25 @@ class RecordingSource(Source):
         return physics
 
     def _shared(self, name: str) -> bool:
-        """Whether two recordings of one motion have an effect in common: how arm and sensors are made."""
+        """Whether an effect is common to two recordings of one motion, as a property of arm or sensors."""
         return not self._known[name].may_change
 
     def _cluster(self, number: int) -> Cluster:
         stretch = self._stretches[number]
         rest, velocity = self.rest[stretch.rows], self.balance.velocity[stretch.rows]
-        phase = np.where(velocity > SLOW, 0, np.where(velocity < -SLOW, 1, 2))
+        phase = np.where(velocity > MIN_MOVING_SPEED, 0, np.where(velocity < -MIN_MOVING_SPEED, 1, 2))
         labels = [[_feature(name, column) for name in PHASES] for column in self._columns]
         sigma = np.broadcast_to(self.sigma, rest.shape).ravel()
         return Cluster(
             name=stretch.name,
-            place=(stretch.unit, stretch.name, ""),
+            condition_key=(stretch.unit, stretch.name, ""),
             layout=stretch.name,
             unit=stretch.unit,
             contact=False,
             features=tuple(labels[place][phase[k, place]] for k in range(len(rest)) for place in range(rest.shape[1])),
             residuals=(rest.ravel() / sigma)[None, :],
             sigma=sigma,
-            pure=np.broadcast_to(self.balance.noise / self.sigma, rest.shape).ravel(),
+            pure_error=np.broadcast_to(self.balance.noise / self.sigma, rest.shape).ravel(),
             discrepancy=np.zeros(rest.size),
             calibrations=self._of_scales(stretch.rows),
         )
@@ -477,7 +478,9 @@ class RecordingSource(Source):
     @cached_property
     def _scale_deviations(self) -> Array:
         """Standard deviations of the scale of each joint's torque, with that of a gain in the model, ``(n,)`` [-]."""
-        found = np.full(self.physics.arms[ARM].facts.joint_count, TORQUE_SCALE[self.mapping.torque_measured_at])
+        found = np.full(
+            self.physics.arms[ARM].facts.joint_count, TORQUE_SCALE_DEVIATION[self.mapping.torque_measured_at]
+        )
         for effect in self.model.effects:
             if effect.name == TORQUE_GAIN.name:
                 for joint, scalar in enumerate(TORQUE_GAIN.scalars(self.joints)):
@@ -489,7 +492,7 @@ class RecordingSource(Source):
     def _of_scales(self, rows: slice) -> Array:
         """Change of the residuals by one standard deviation of the scale of each joint's torque, ``(n, k n)`` [-].
 
-        In a difference of recordings the torque that both have is wrong by as much, and cancels.
+        In a difference of recordings the error of the common torque cancels.
         """
         torque = (self.rest if self._minus else self.balance.recorded)[rows] / self.sigma
         own = np.eye(self._torques, self.sigma.size)[:, None, :]
@@ -502,16 +505,16 @@ def _feature(phase: str, column: Column) -> Feature:
 
 
 def _of_motor_encoders(recordings: Sequence[Run], balance: TorqueBalance, minus: Sequence[Run]) -> list[str]:
-    """What is done with recorded positions of the motors, in words; empty: there are none."""
+    """Remarks on the use of recorded motor positions; empty: there are none."""
     arms = [run.signals.arms[ARM] for run in recordings if run.signals.arms[ARM].motor_position.size]
     if not arms:
         return []
     if minus:
-        return [MOTORS_OF_A_DIFFERENCE]
+        return [MOTORS_UNUSED_REMARK]
     used = [f"{joint + 1}" for joint in balance.elastic]
     left = [joint for joint in range(arms[0].position.shape[1]) if joint not in balance.elastic]
     ratios = motor_ratios(arms[0])
-    said = [MOTORS.format(joints=", ".join(used))] if used else []
+    said = [MOTOR_ENCODERS_REMARK.format(joints=", ".join(used))] if used else []
     if left:
         moved = ", ".join(f"joint {joint + 1} {ratios[joint]:.3g} times" for joint in left)
         said.append(
@@ -522,7 +525,7 @@ def _of_motor_encoders(recordings: Sequence[Run], balance: TorqueBalance, minus:
 
 
 def _physics_of(runs: Sequence[Run]) -> Physics:
-    """Nominal physics of the arm; where its end effector is on average is that of all recordings."""
+    """Nominal physics of the arm, with the mean end-effector position of all recordings."""
     physics = runs[0].physics
     places = [run.physics.arms[ARM].impact_position for run in runs]
     return replace(physics, arms={ARM: replace(physics.arms[ARM], impact_position=np.mean(places, axis=0))})
@@ -531,7 +534,7 @@ def _physics_of(runs: Sequence[Run]) -> Physics:
 def _prepared(
     recordings: Sequence[Run], cut_off: float, short: list[tuple[str, str]]
 ) -> tuple[list[Run], list[Motion]]:
-    """Recordings that are long enough for the filter, and their motions; the others are added to those too short.
+    """Recordings that are long enough for the filter, and their motions; the others are appended to ``short``.
 
     Raises:
         InputError: Sampled too slowly, or none is long enough.
@@ -551,10 +554,10 @@ def _prepared(
 
 
 def _information(motions: Sequence[Motion], shortest: float) -> list[Array]:
-    """Cumulated information of the samples between the edges of every motion, ``(k,)`` each; its mean density is 1.
+    """Cumulative information of the samples between the edges of every motion, ``(k,)`` each; its mean density is 1.
 
-    A third each for time, which weights and offsets are seen in, squared velocity and squared acceleration of the
-    joints over their mean squares.
+    A third each for time, for gravity and offsets; squared velocity; and squared acceleration of the joints, over their
+    mean squares.
 
     Args:
         motions: Filtered recordings.
@@ -563,25 +566,25 @@ def _information(motions: Sequence[Motion], shortest: float) -> list[Array]:
     signals = [np.stack((motion.velocity, motion.acceleration))[:, motion.kept] for motion in motions]
     squares = np.mean(np.square(np.concatenate(signals, axis=1)), axis=1, keepdims=True)
     densities = [(1.0 + 2.0 * np.mean(own**2 / np.maximum(squares, 1e-300), axis=(0, 2))) / 3.0 for own in signals]
-    for _ in range(CLIPPINGS):  # what is clipped is that of all
+    for _ in range(CLIPPING_ITERATIONS):  # the mean is that of all motions
         mean = float(np.mean(np.concatenate(densities)))
         densities = [np.minimum(own / mean, 1.0 / shortest) for own in densities]
     return [np.cumsum(own) for own in densities]
 
 
 def _cut(recordings: Sequence[Run], motions: Sequence[Motion]) -> list[Stretch]:
-    """Cut the motions into stretches that say about as much, and are not shorter than the noise remembers.
+    """Cut the motions into stretches of about equal information, not shorter than the correlation time of the noise.
 
-    Of a chirp most says nothing below the cut-off: of stretches of one length, few would hold all of the motion, and
-    signs of few scores decide nothing.
+    Most of a chirp is above the cut-off: a few stretches of equal length would contain all of the motion below it, and
+    a sign-flip test of a few scores has no power.
 
     Raises:
         InputError: Too short for a hold-out.
     """
     lengths = [(motion.time[motion.kept].size, motion.rate) for motion in motions]
     total = sum(size / rate for size, rate in lengths)
-    seconds = float(np.clip(total / STRETCHES, SHORTEST, LONGEST))
-    shares = _information(motions, SHORTEST / seconds)
+    seconds = float(np.clip(total / TARGET_STRETCHES, MIN_STRETCH_S, MAX_STRETCH_S))
+    shares = _information(motions, MIN_STRETCH_S / seconds)
     found, first = [], 0
     for recording, motion, (size, rate), own in zip(recordings, motions, lengths, shares, strict=True):
         parts = max(1, round(size / rate / seconds))
@@ -591,9 +594,9 @@ def _cut(recordings: Sequence[Run], motions: Sequence[Motion]) -> list[Stretch]:
             name = f"{recording.path.name}, {start + low / rate:.1f} to {start + high / rate:.1f} s"
             found.append(Stretch(name, str(recording.path), slice(first + int(low), first + int(high))))
         first += size
-    if len(found) < LEAST_STRETCHES:
+    if len(found) < MIN_BLOCKS:
         raise InputError(
-            f"{total:.3g} s of usable motion, at least {LEAST_STRETCHES * SHORTEST:g} s are needed for a hold-out",
+            f"{total:.3g} s of usable motion, at least {MIN_BLOCKS * MIN_STRETCH_S:g} s are needed for a hold-out",
             file=recordings[0].path,
         )
     return found

@@ -7,14 +7,14 @@ No controller is modelled, so runs of any controller can be replayed. Two drives
     joint torque    recorded tau_J applied to the links; covers links, contact and object only
 
 Windows are stretches of free motion, and one about the impact. Their start is a local fit to the measurement: q and dq
-together (cubic), and tau_J (quadratic), from which the motor state follows by the spring,
+together (cubic), and tau_J (quadratic), from which the motor state follows by the joint elasticity,
 
     theta = q + tau_J / K,    dtheta = dq + dtau_J / K                                     (paper eq. EOM_motor)
 
 Errors grow with time in open loop: windows are long enough to show an effect, and short enough to stay near the path.
 
-Sensor models (:mod:`impact_rs_sim.readings`) correct the start and the recorded torque that drives. They make readings
-of the simulated signals, which are compared with those that were recorded.
+Sensor models (:mod:`impact_rs_sim.readings`) correct the start and the driving torque, and predict the readings of the
+simulated signals, which are compared with the recorded ones.
 """
 
 from __future__ import annotations
@@ -36,24 +36,25 @@ from impact_rs_sim.scene import ArmState, BodyState
 from impact_rs_sim.twin import Result, TwinJob, simulate
 from impact_rs_trials.runs import ArmSignals, DriveName, Run, Signals
 
-FREE = 0.1  # s, length of a window of free motion
-FREE_OF_HIT, FREE_ALONE = 4, 12  # windows of free motion in a run with an impact, and in one without
-MOVING = 0.05  # share of the largest joint speed above which an arm counts as moving
-BEFORE_IMPACT = 0.02  # s, from the begin of the window about the impact to the impact
-AFTER_IMPACT = 0.4  # s, from the impact to the end of that window
-FIT = 0.008  # s, half width of the local fit for the start; ends before the impact begins
-RESTING = 25  # samples of the object before the impact, averaged for its pose
-MOST_BEFORE = 60  # samples before the start that formulas with memory look back on, from the begin of the run
-EARLIER = 0.03  # s before the start, whose commands a delayed actuation may still deliver
+FREE_WINDOW_S = 0.1  # length of a window of free motion
+FREE_WINDOWS_WITH_IMPACT = 4  # per run
+FREE_WINDOWS_WITHOUT_IMPACT = 12  # per run
+MIN_MOVING_SPEED_SHARE = 0.05  # of the largest joint speed; a slower arm rests
+BEFORE_IMPACT_S = 0.02  # from the begin of the window about the impact to the impact
+AFTER_IMPACT_S = 0.4  # from the impact to the end of that window
+START_FIT_HALF_WIDTH_S = 0.008  # of the local fit for the start; ends before the impact begins
+RESTING_POSE_SAMPLES = 25  # averaged for the pose of the object before the impact
+MAX_HISTORY_SAMPLES = 60  # before the start, for formulas with memory; from the begin of the run
+COMMAND_HISTORY_S = 0.03  # before the start: commands that a delayed actuation may still deliver
 
 
 @dataclass(frozen=True)
 class Window:
-    """A stretch of a run for replay.
+    """A time window of a run for replay.
 
     Attributes:
-        contact: Whether it holds the impact.
-        number: Number among all windows of free motion, including those with gaps; 0 for the one about the impact.
+        contact: Whether it contains the impact.
+        number: Index among all windows of free motion, including those with gaps; 0 for the one about the impact.
         time: Ticks, ``(k,)`` [s].
         arms: Joint states at its start.
         drives: State of the drives at its start.
@@ -107,46 +108,47 @@ def windows_of(run: Run, impacts: dict[str, float]) -> list[Window]:
     box = run.object
     found = []
     if impacts:
-        box = _resting(run.signals, run.object, min(impacts.values()) - BEFORE_IMPACT)
+        box = _resting(run.signals, run.object, min(impacts.values()) - BEFORE_IMPACT_S)
     for number, start in enumerate(free_starts(run, impacts)):
         if recorded(run, start):
-            found.append(_window(run, start, start + FREE, box, number))
+            found.append(_window(run, start, start + FREE_WINDOW_S, box, number))
     if impacts:
         first = min(impacts.values())
-        end = min(first + AFTER_IMPACT, float(time[-1]))
-        if run.within_gap(first - BEFORE_IMPACT - FIT, end):
+        end = min(first + AFTER_IMPACT_S, float(time[-1]))
+        if run.within_gap(first - BEFORE_IMPACT_S - START_FIT_HALF_WIDTH_S, end):
             raise InputError(
-                f"a gap lies in the window about the impact, which begins {BEFORE_IMPACT + FIT:g} s before it"
+                "a gap lies in the window about the impact, which begins "
+                f"{BEFORE_IMPACT_S + START_FIT_HALF_WIDTH_S:g} s before it"
             )
-        found.append(_window(run, first - BEFORE_IMPACT, end, box, None))
+        found.append(_window(run, first - BEFORE_IMPACT_S, end, box, None))
     return found
 
 
 def recorded(run: Run, start: float) -> bool:
     """Whether the window of free motion from ``start`` [s], and the fit of its start, are free of gaps."""
-    return not run.within_gap(start - FIT, start + FREE + FIT)
+    return not run.within_gap(start - START_FIT_HALF_WIDTH_S, start + FREE_WINDOW_S + START_FIT_HALF_WIDTH_S)
 
 
 def free_starts(run: Run, impacts: dict[str, float]) -> list[float]:
     """Begin of the windows of free motion [s], spread evenly over the motion before an impact.
 
-    Gaps do not shift them, so that windows of repeats lie at the same place of the motion.
+    Gaps do not shift them, so that windows of repeats cover the same part of the motion.
     """
     time = run.signals.time
     speed = np.max([np.abs(arm.velocity).max(axis=1) for arm in run.signals.arms.values()], axis=0)
-    last = float(time[-1]) - FIT
+    last = float(time[-1]) - START_FIT_HALF_WIDTH_S
     if impacts:
-        last = min(impacts.values()) - BEFORE_IMPACT
+        last = min(impacts.values()) - BEFORE_IMPACT_S
     before = time <= last
-    moving = np.nonzero(before & (speed > MOVING * speed[before].max()))[0]
-    begin = max(float(time[moving[0]]), float(time[0]) + FIT)
+    moving = np.nonzero(before & (speed > MIN_MOVING_SPEED_SHARE * speed[before].max()))[0]
+    begin = max(float(time[moving[0]]), float(time[0]) + START_FIT_HALF_WIDTH_S)
     end = min(float(time[moving[-1]]), last)
-    wanted = FREE_OF_HIT if impacts else FREE_ALONE
-    count = min(wanted, int((end - begin) / FREE + 1e-6))
+    wanted = FREE_WINDOWS_WITH_IMPACT if impacts else FREE_WINDOWS_WITHOUT_IMPACT
+    count = min(wanted, int((end - begin) / FREE_WINDOW_S + 1e-6))
     if count < 1:
         return []
-    slack = (end - begin - count * FREE) / count
-    return [begin + (number + 0.5) * slack + number * FREE for number in range(count)]
+    slack = (end - begin - count * FREE_WINDOW_S) / count
+    return [begin + (number + 0.5) * slack + number * FREE_WINDOW_S for number in range(count)]
 
 
 def _window(run: Run, start: float, end: float, box: BodyState, number: int | None) -> Window:
@@ -158,7 +160,7 @@ def _window(run: Run, start: float, end: float, box: BodyState, number: int | No
     substeps = max(1, round(run.period / run.drive_period))
     grid = (ticks[:-1, None] + np.arange(substeps) * (run.period / substeps)).ravel()
     arms, drives, torques, acting, before, from_velocity = {}, {}, {}, {}, {}, {}
-    rows = np.arange(first - 1, -1, -max(1, math.ceil(first / MOST_BEFORE)))[::-1]
+    rows = np.arange(first - 1, -1, -max(1, math.ceil(first / MAX_HISTORY_SAMPLES)))[::-1]
     for name, arm in run.signals.arms.items():
         q, dq, from_velocity[name] = _joint_fit(time, arm.position, arm.velocity, ticks[0])
         torque, rate = _slope_fit(time, arm.torque, ticks[0])
@@ -168,7 +170,7 @@ def _window(run: Run, start: float, end: float, box: BodyState, number: int | No
         if run.commanded:
             sent, values = arm.command_time, arm.command
             torques[name], acting[name] = _held(sent, values, grid, run.period / substeps)
-            known = np.nonzero((sent < ticks[0]) & (sent > ticks[0] - EARLIER))[0]
+            known = np.nonzero((sent < ticks[0]) & (sent > ticks[0] - COMMAND_HISTORY_S))[0]
             earlier = tuple((float(sent[row] - ticks[0]), values[row]) for row in known)
         else:
             ends = grid + run.period / substeps
@@ -184,8 +186,8 @@ def _held(sent: Array, values: Array, grid: Array, period: float) -> tuple[Array
     """Zero-order-hold commands by period of the torque loop.
 
     Args:
-        sent: Times at which they take effect, ``(c,)`` [s].
-        values: What they are, ``(c, n)`` [N m].
+        sent: Times at which commands take effect, ``(c,)`` [s].
+        values: Commands, ``(c, n)`` [N m].
         grid: Begin of the periods, ``(s,)`` [s].
         period: Duration of a period [s].
 
@@ -207,8 +209,8 @@ def held_means(sent: Array, values: Array, edges: Array) -> Array:
     """Means of zero-order-hold commands from edge to edge, ``(s, n)`` [N m].
 
     Args:
-        sent: Times at which they take effect, ``(c,)`` [s]; the first one also acts before.
-        values: What they are, ``(c, n)`` [N m].
+        sent: Times at which commands take effect, ``(c,)`` [s]; the first one also acts before.
+        values: Commands, ``(c, n)`` [N m].
         edges: Edges in time, ``(s + 1,)`` [s].
     """
     first = max(int(np.searchsorted(sent, edges[0], side="right")) - 1, 0)
@@ -221,8 +223,8 @@ def held_means(sent: Array, values: Array, edges: Array) -> Array:
 
 
 def _near(time: Array, moment: float) -> slice:
-    first = int(np.searchsorted(time, moment - FIT - 1e-9))
-    last = int(np.searchsorted(time, moment + FIT + 1e-9))
+    first = int(np.searchsorted(time, moment - START_FIT_HALF_WIDTH_S - 1e-9))
+    last = int(np.searchsorted(time, moment + START_FIT_HALF_WIDTH_S + 1e-9))
     if last - first < 5:  # slow sampling: the nearest five samples
         first = max(0, min(first - 2, time.size - 5))
         last = first + 5
@@ -314,7 +316,7 @@ def _job(window: Window, physics: Physics, drive_period: float, drive: DriveName
 
 
 def _true_start(window: Window, name: str, readings: ArmReadings) -> ArmState:
-    """State for the readings at the start: the fit is linear in readings of positions and of velocities."""
+    """State of the arm from the readings at the start; the fit is linear in them."""
     start, (q_v, dq_v, q_a, dq_a, _) = window.arms[name], window.from_velocity[name]
     late, scale = readings.velocity_late, readings.position_scale * readings.velocity_gain
     return ArmState(
@@ -324,7 +326,7 @@ def _true_start(window: Window, name: str, readings: ArmReadings) -> ArmState:
 
 
 def _true_drive(window: Window, name: str, readings: ArmReadings) -> DriveStart:
-    """State of a drive for the readings at the start; what was commanded is known."""
+    """State of a drive from the readings at the start and the known command."""
     start = window.drives[name]
     torque = readings.torque_of(start.torque, start.torque_rate, window.age)
     return replace(start, torque=torque, torque_rate=readings.torque_rate_of(start.torque_rate))
@@ -343,7 +345,7 @@ def _true_command(window: Window, name: str, readings: ArmReadings) -> Array:
 
 
 def _true_torque(window: Window, name: str, readings: ArmReadings) -> Array:
-    """Driving joint torque for its readings in every period, ``(s, n)``; lag and delay advance it as one."""
+    """True driving joint torque from its readings in every period, ``(s, n)``; corrected for lag and delay."""
     reading = window.torque[name][window.acting[name]]
     period = (window.time[-1] - window.time[0]) / max(len(reading), 1)
     ahead = np.arange(len(reading)) + readings.torque_late / period
@@ -352,9 +354,9 @@ def _true_torque(window: Window, name: str, readings: ArmReadings) -> Array:
 
 
 def _signals(window: Window, physics: Physics, result: Result) -> Signals:
-    """Readings of the simulated signals, the object's at the times of tracking: means over few samples depend on them.
+    """Readings of the simulated signals, with the object at its times of tracking: means of few samples depend on them.
 
-    A simulation with a step whose equations were not solved is not finite: no fit and no model passes over it.
+    A simulation with an unsolved step is NaN, so that no fit and no model can use it.
     """
     solved = 1.0 if not result.failed else np.nan
     arms = {}
@@ -383,11 +385,11 @@ def _resting(signals: Signals, nominal: BodyState, until: float) -> BodyState:
     """State of the object before ``until`` [s]: position and yaw as measured, upright on its support.
 
     Args:
-        signals: The measurement; without tracking the object is at its place in the scenario.
+        signals: The measurement; without tracking the object has its position in the scenario.
         nominal: Its nominal state.
         until: Earliest time of the impact.
     """
-    rows = np.nonzero(signals.object_time < until)[0][-RESTING:]
+    rows = np.nonzero(signals.object_time < until)[0][-RESTING_POSE_SAMPLES:]
     if rows.size == 0:
         return nominal
     place = nominal.position.copy()

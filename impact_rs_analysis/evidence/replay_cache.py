@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Cache of replays in memory, because comparisons and diagnoses need many of them repeatedly.
+"""Cache of replays in memory: comparisons and diagnoses need many of them repeatedly.
 
-A result depends only on the start of the replay, the model and the added effects.
+The key is the start of the replay, the model and the added effects, on which alone the result depends.
 """
 
 from __future__ import annotations
@@ -21,8 +21,8 @@ from impact_rs_sim.physics import Physics
 from impact_rs_sim.robot import Array
 from impact_rs_trials.workers import Map
 
-LEAST_BATCH, LARGEST_BATCH = 4, 32  # replays per task, 30 to 300 ms of work: a task has an overhead of milliseconds
-BATCHES = 16  # at least, so that workers finish at about the same time
+MIN_BATCH, MAX_BATCH = 4, 32  # replays per task, 30 to 300 ms of work: a task has an overhead of milliseconds
+MIN_BATCHES = 16  # so that workers finish at about the same time
 
 Progress = Callable[[str, int, int], None]
 
@@ -46,7 +46,7 @@ class Replay:
 
     @property
     def key(self) -> tuple[str, str, Added]:
-        """Everything that its result depends on."""
+        """Cache key: all inputs of the replay."""
         return self.setup.digest, self.model.digest, self.added
 
     @property
@@ -108,12 +108,12 @@ def _batches(missing: Iterable[Replay]) -> list[tuple[Replay, ...]]:
     for task in missing:
         grouped.setdefault(task.setup.digest, []).append(task)
     total = sum(map(len, grouped.values()))
-    size = min(max(math.ceil(total / BATCHES), LEAST_BATCH), LARGEST_BATCH)
+    size = min(max(math.ceil(total / MIN_BATCHES), MIN_BATCH), MAX_BATCH)
     return [tuple(own[start : start + size]) for own in grouped.values() for start in range(0, len(own), size)]
 
 
 class ReplayCache:
-    """Makes missing replays in parallel, and caches their results.
+    """Computes missing replays in parallel, and caches their results.
 
     Args:
         map_tasks: Parallel map.

@@ -31,8 +31,8 @@ from impact_rs_sim.robot import Array
 from impact_rs_trials.runs import NONE, Signals
 from impact_rs_trials.workers import Map
 
-MOST_MISSED = 0.5  # of the runs with an impact; if the replay misses more, the model is refused
-SQUARE = 0.02  # rad; up to 1 degree simulators agree as well as on square hits
+MAX_MISSED_SHARE = 0.5  # of the runs with an impact; if the replay misses more, the model is refused
+MAX_SQUARE_ANGLE_RAD = 0.02  # up to 1 degree simulators agree as well as on square hits
 
 LEVELS = {  # what a level compares, and its phases
     "free_motion": ("torque balances and deflection in windows without contact", ("free",)),
@@ -53,7 +53,7 @@ def clusters_of(
     Args:
         runs: The runs.
         residuals: Measured minus predicted features per run, in their units.
-        discrepancy: Of the twin; None: as measured.
+        discrepancy: Model discrepancy of the twin; None: the shipped one.
 
     Returns:
         Clusters, and remarks for the user.
@@ -84,19 +84,19 @@ def clusters_of(
         clusters.append(
             Cluster(
                 name=condition,
-                place=first.place,
+                condition_key=first.place,
                 layout=layout,
                 unit=condition,
                 contact=first.hit,
                 features=first.features,
                 residuals=values / sigma,
                 sigma=sigma,
-                pure=known / sigma,
+                pure_error=known / sigma,
                 discrepancy=systematic / sigma,
                 patterns=None if patterns is None else patterns / sigma,
                 # On oblique hits the difference between simulators depends on the condition.
-                alike=condition if kind == "oblique" else f"{layout}, {kind}",
-                stamps=None if np.isnan(stamps[condition]).any() else np.array(stamps[condition]),
+                discrepancy_key=condition if kind == "oblique" else f"{layout}, {kind}",
+                timestamps=None if np.isnan(stamps[condition]).any() else np.array(stamps[condition]),
             )
         )
     alone = [item.name for item in clusters if pure[item.name] is None]
@@ -110,7 +110,7 @@ def clusters_of(
 
 
 def _frame_words(runs: Runs) -> str:
-    """The frame of the tracker where hits place it elsewhere, with the remedy; empty: they do not."""
+    """Warning if hits place the tracker frame elsewhere, with the remedy; else empty."""
     found = tracker_frame_start(runs.runs)
     if found is None:
         return ""
@@ -124,7 +124,7 @@ def _frame_words(runs: Runs) -> str:
 def pure_errors(firsts: dict[str, MeasuredRun], rows: dict[str, Array]) -> dict[str, Array | None]:
     """Pure error by condition, ``(F,)`` in the features' units; None without repeats of its kind.
 
-    It is pooled over all conditions that have the feature and would have the same features without gaps.
+    It is pooled over all conditions with the feature whose features are equal without gaps.
 
     Args:
         firsts: A run of every condition.
@@ -154,7 +154,7 @@ def kind_of(run: MeasuredRun) -> Kind:
     """Kind of the model discrepancy of a run."""
     if not run.hit:
         return "free"
-    return "oblique" if obliqueness(run) > SQUARE else "square"
+    return "oblique" if obliqueness(run) > MAX_SQUARE_ANGLE_RAD else "square"
 
 
 def layout_of(run: MeasuredRun) -> str:
@@ -174,7 +174,7 @@ def max_bin(run: MeasuredRun, phase: str, signal: str) -> int:
 def _with_late(
     clusters: Sequence[Cluster], runs: Runs, residuals: Sequence[Array], model: Model, store: ReplayCache
 ) -> tuple[Cluster, ...]:
-    """Clusters with the effect of the clock of commands on them."""
+    """Clusters with the systematic error of the command clock."""
     firsts = {run.condition: values for run, values in zip(reversed(runs.runs), reversed(residuals), strict=True)}
     late = {name: run for name, run in runs.late.items() if name in firsts}
     predicted = store([Replay(run.setup, model) for run in late.values()], "clock of the commands")
@@ -194,10 +194,10 @@ class ReplaySource(Source):
 
     Args:
         runs: The runs.
-        model: What is believed.
-        store: Makes replays.
+        model: The model.
+        store: Cache of replays.
         clusters: Residuals of the model by condition, in the order of ``runs.conditions``.
-        discrepancy: Of the twin.
+        discrepancy: Model discrepancy of the twin.
         remarks: Remarks for the reader.
 
     Attributes:
@@ -252,9 +252,9 @@ class ReplaySource(Source):
 
         Args:
             runs: The runs.
-            model: What is believed.
-            store: Makes replays.
-            discrepancy: Of the twin; None: as measured.
+            model: The model.
+            store: Cache of replays.
+            discrepancy: Model discrepancy of the twin; None: the shipped one.
             each_arm: Whether arms of one kind have separate parameters (:func:`with_per_arm_parameters`).
 
         Raises:
@@ -275,7 +275,7 @@ class ReplaySource(Source):
             kept.append(run)
         if missed:
             words = f"with model {model.name!r} the replay hits nothing"
-            if len(missed) > MOST_MISSED * sum(run.hit for run in runs.runs):
+            if len(missed) > MAX_MISSED_SHARE * sum(run.hit for run in runs.runs):
                 raise InputError(words + _frame_words(runs), file=missed[0].path)
             names = ", ".join(Path(run.path).name for run in missed)
             remark = f"left out, because {words}: {names}"
@@ -307,7 +307,7 @@ class ReplaySource(Source):
         )
 
     def _replay(self, run: MeasuredRun, added: Added) -> Replay:
-        """A replay of a run with effects; of many formulas its model has those that it needs."""
+        """A replay of a run with effects; its model has the formulas of these effects alone, for the cache key."""
         return Replay(run.setup, self.model.containing(name for name, _ in added), added)
 
     def _of_trials(self, added: Added) -> Added:
@@ -315,13 +315,15 @@ class ReplaySource(Source):
         return tuple(item for item in added if self._known[item[0]].phases != SINGLE_IMPACT)
 
     @cached_property
-    def before_contact(self) -> ReplaySource | None:
-        """See :attr:`Source.before_contact`; a replay of an impact costs several of free motion."""
+    def free_motion_part(self) -> ReplaySource | None:
+        """See :attr:`Source.free_motion_part`; a replay of an impact costs as much as several of free motion."""
         if not any(item.contact for item in self.clusters):
             return None
         masks = [[feature.phase == "free" for feature in item.features] for item in self.clusters]
         clusters = tuple(item.only(mask, contact=False) for item, mask in zip(self.clusters, masks, strict=True))
-        bare = tuple(replace(run, signals=Signals(NONE, {}), setup=run.setup.before_contact) for run in self.runs.runs)
+        bare = tuple(
+            replace(run, signals=Signals(NONE, {}), setup=run.setup.free_motion_part) for run in self.runs.runs
+        )
         return ReplaySource(replace(self.runs, runs=bare, late={}), self.model, self.store, clusters, self.discrepancy)
 
     def offers(self, effect: Effect) -> bool:
@@ -334,20 +336,20 @@ class ReplaySource(Source):
 
     @cached_property
     def _tracker_frame(self) -> Sequence[Array]:
-        """Frame of the tracker as hits have it."""
+        """Frame of the tracker, estimated from hits."""
         found = tracker_frame_start(self.runs.runs)
         return () if found is None else (found,)
 
     def spread(self, function: Callable[[Source, Item], Made], items: Sequence[Item], what: str) -> list[Made]:
-        """See :meth:`Source.spread`; every process gets a copy of the replays made so far."""
+        """See :meth:`Source.spread`; every process gets a copy of the cache."""
         bare = tuple(replace(run, signals=Signals(NONE, {})) for run in self.runs.runs)  # for figures and clusters only
         runs, store = replace(self.runs, runs=bare, late={}), self.store.in_one_process()
         alone = ReplaySource(runs, self.model, store, self.clusters, self.discrepancy, self.remarks)
         alone._tracker_frame = self._tracker_frame  # the copy has no signals
         return self.store.spread(partial(function, alone), items, what)
 
-    def measure_again(self, added: Added, like: Sequence[Cluster]) -> list[Cluster] | None:
-        """See :meth:`Source.measure_again`; every run is replayed from its own start."""
+    def residuals_with(self, added: Added, like: Sequence[Cluster]) -> list[Cluster] | None:
+        """See :meth:`Source.residuals_with`; every run is replayed from its own start."""
         groups = [self.conditions[self._numbers[item.name]] for item in like]
         tasks = [self._replay(run, self._of_trials(added)) for group in groups for run in group]
         found = self.store(tasks, "every run again")

@@ -8,13 +8,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from impact_rs_analysis.evidence.source import MOST_AS_NAMES
+from impact_rs_analysis.evidence.minimum_data import MIN_CLUSTERS, MIN_DEGREES_OF_FREEDOM
+from impact_rs_analysis.evidence.source import MAX_NUMBERS_AS_LEVELS
 from impact_rs_sim.effects.depending import level_name
 from impact_rs_trials.recordings.impact_table import ImpactTable
 
 BLOCKS = 24  # at most: of 24 blocks a fold leaves 18 for the search, and the test needs 12
-LEAST_CONDITIONS = 3  # with repeats; with fewer, blocks are used
-LEAST_REPEATS = 3  # degrees of freedom of the pure error
 LEAST_OF_HALF = 2  # rows of a condition on either side of the median of a number
 
 
@@ -49,7 +48,7 @@ def conditions(table: ImpactTable) -> list[RowGroup] | None:
         for labels, rows in _under_like_circumstances(table, whole)
     ]
     freedom = sum(len(part.rows) - 1 for part in parts)
-    if len(grouped) < LEAST_CONDITIONS or freedom < LEAST_REPEATS:
+    if len(grouped) < MIN_CLUSTERS or freedom < MIN_DEGREES_OF_FREEDOM:
         return None
     return parts
 
@@ -61,7 +60,7 @@ def _under_like_circumstances(table: ImpactTable, whole: list[int]) -> list[tupl
         split = []
         for labels, rows in parts:
             own = by_circumstance(table, name, rows)
-            halves = len({row.circumstances[name] for row in table.rows}) > MOST_AS_NAMES
+            halves = len({row.circumstances[name] for row in table.rows}) > MAX_NUMBERS_AS_LEVELS
             numbers = isinstance(table.rows[rows[0]].circumstances[name], float)
             # Halves of a number are repeats of each other only if several rows are left in both.
             whole_part = len(own) == 1 or (numbers and halves and min(map(len, own.values())) < LEAST_OF_HALF)
@@ -83,7 +82,7 @@ def by_circumstance(table: ImpactTable, name: str, rows: Sequence[int]) -> dict[
     """
     values, unit = [table.rows[row].circumstances[name] for row in rows], table.covariates[name]
     numbers = [value for value in values if isinstance(value, float)]
-    many = len({row.circumstances[name] for row in table.rows}) > MOST_AS_NAMES
+    many = len({row.circumstances[name] for row in table.rows}) > MAX_NUMBERS_AS_LEVELS
     middle = float(np.median(numbers)) if numbers and many else None
     found: dict[str, list[int]] = {}
     for row, value in zip(rows, values, strict=True):

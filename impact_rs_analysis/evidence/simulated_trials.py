@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from impact_rs_analysis.evidence.replay import AFTER_IMPACT
+from impact_rs_analysis.evidence.replay import AFTER_IMPACT_S
 from impact_rs_control.closed_loop import RobotCell, run_closed_loop, without_garbage_collection
 from impact_rs_control.plan import TrialPlan
 from impact_rs_sim.mechanics import Simulator
@@ -19,7 +19,7 @@ from impact_rs_trials.bags.outcome import Verdict, Witness, judge
 from impact_rs_trials.runs import Run, run_of_trial, signals_of_ticks
 from impact_rs_trials.spec import TrialSpec
 
-MARGIN = 0.1  # s after the last window, for a late impact
+LATE_IMPACT_MARGIN_S = 0.1  # s after the last window, for a late impact
 
 
 def quiet(scenario: Scenario) -> Scenario:
@@ -38,9 +38,9 @@ def observed_until(plan: TrialPlan) -> float:
     """End of the last window of a trial [s], where its simulation may stop."""
     scenario = plan.scene.scenario
     if scenario.excursion is None:
-        return scenario.timing.nominal_impact + AFTER_IMPACT + MARGIN
+        return scenario.timing.nominal_impact + AFTER_IMPACT_S + LATE_IMPACT_MARGIN_S
     case = scenario.cases[plan.scene.case_name]
-    return max(scenario.excursion_end(robot) for robot in case.robots.values()) + MARGIN
+    return max(scenario.excursion_end(robot) for robot in case.robots.values()) + LATE_IMPACT_MARGIN_S
 
 
 def simulated(spec: TrialSpec, physics: Physics, simulator: Simulator = "twin") -> Run:
@@ -51,12 +51,12 @@ def simulated(spec: TrialSpec, physics: Physics, simulator: Simulator = "twin") 
 def simulated_and_judged(
     spec: TrialSpec, physics: Physics, simulator: Simulator = "twin", seed: int | None = None
 ) -> tuple[Run, Verdict]:
-    """A simulated trial, and how it ends: within the limits of joints and torques or not.
+    """A simulated trial, and whether it stays within the limits of joints and torques.
 
     Args:
         spec: Plan of the trial.
         physics: Physics of the model.
-        simulator: What moves arms and object.
+        simulator: Physics simulator of arms and object.
         seed: Seed of noise and scatter; None: there are none.
 
     Raises:

@@ -25,7 +25,7 @@ from impact_rs_sim.proportion import Proportion
 from impact_rs_sim.robot import Array, JointType, RobotFacts
 from impact_rs_trials.workers import Map
 
-MOST_AS_NAMES = 8  # different numbers of a covariate that may be names, as of sessions 1 to 5
+MAX_NUMBERS_AS_LEVELS = 8  # different numbers of a covariate that may be names, as of sessions 1 to 5
 
 Item = TypeVar("Item")
 Made = TypeVar("Made")
@@ -70,14 +70,14 @@ class Covariate:
 
 @dataclass(frozen=True)
 class View:
-    """The same measurements looked at in another way, which gets a verdict of its own.
+    """A sensitivity analysis: the measurements in part, or under another assumption, with a verdict of its own.
 
     Attributes:
-        name: What is looked at, in words.
+        name: Name of the part or assumption, in words.
         source: The evidence.
-        option: Option of the command line whose other value it is; empty: a part of the signals.
-        of: What has another value there; empty: the points that touch.
-        value: That value, in the unit.
+        option: Command-line option that sets the assumption; empty: a part of the signals.
+        of: Uncertain quantity; empty: the contact points.
+        value: Its value here, in the unit.
         unit: Unit.
     """
 
@@ -100,28 +100,27 @@ class Source(ABC):
         worlds: All distinct physics of the clusters under the model, for bounds of parameters.
         repeated: Whether clusters hold repeats; if not, clusters are stretches of time.
         remarks: Remarks on the measurements, for the reader.
-        impossible: How the measurements break a law of every impact, whatever the contact is like; empty: they do not.
-        comparison_remarks: Those of them that a comparison shows.
+        impossible: How the measurements break a law of every impact, whatever the contact; empty: they do not.
+        comparison_remarks: Remarks for a comparison.
         runs: Runs of trials; None: recordings or a table of impacts.
         left_out: Path and reason of recordings that are too short; those of trials are with the runs.
         recording: How recordings were read; None: no recordings.
-        discrepancy: Model discrepancy that is allowed for.
+        discrepancy: Model discrepancy.
         size_is: Definition of :meth:`size`.
         not_measured: Quantities that were not measured.
-        noise_apart: Whether every joint has an unknown noise of its own: gains count against what is left of it, too.
+        noise_apart: Whether every joint has an unknown noise of its own, so that gains are also judged joint by joint.
         residual_unit: Unit of the size of residuals without repeats.
         size_unit: Unit of :meth:`size`.
         pieces: Name of the clusters without repeats, plural.
         of_motion: Whether motion before and after an impact was measured, or the impact alone.
         clock: Largest offset between the clocks of commands and measurements, either way [s]; a delay shorter than this
             cannot be distinguished from it.
-        least_change: Without repeats, an effect is accepted if the interval of a parameter lies more than so many
-            parameter scales from nominal; 0: the relevance limits of the features decide.
+        least_change: Without repeats, smallest distance of a parameter's interval from nominal for an effect to be
+            accepted [parameter scales]; 0: the relevance limits of the features decide.
         covariates: Circumstances on which an effect may depend.
-        interleaved: Whether clusters are held out in turn and not in runs of neighbours.
-        folds: Number of parts that are held out in turn, at most: from five on, an error on unseen clusters changes
-            little with it.
-        state: What else measurements differ in and a covariate may go with, such as the impact speed.
+        interleaved: Whether folds are interleaved, in place of runs of neighbours.
+        folds: Largest number of folds of the cross-validation: from five on, the held-out error changes little.
+        state: Variables of the state that may be confounded with a covariate, such as the impact speed.
     """
 
     kind: Literal["trials", "recordings", "impacts"] = "trials"
@@ -148,8 +147,8 @@ class Source(ABC):
     folds: int = 6
 
     @property
-    def before_contact(self) -> Source | None:
-        """Prediction of free motion alone, in the same numbers of clusters; None: it is not cheaper."""
+    def free_motion_part(self) -> Source | None:
+        """Source of free motion alone, with the same cluster indices; None: its predictions are not cheaper."""
         return None
 
     @property
@@ -164,7 +163,7 @@ class Source(ABC):
 
     @property
     def contact_speeds(self) -> dict[str, Array]:
-        """Closing and sliding speed of the points that close, by symbol of formulas [m/s]; empty: no single impacts."""
+        """Closing and sliding speed of closing contacts, by symbol of formulas [m/s]; empty: no single impacts."""
         return {}
 
     @property
@@ -174,12 +173,12 @@ class Source(ABC):
 
     @property
     def proportion(self) -> Proportion:
-        """Size of what was measured, to which ranges of parameters and noticeable changes are in proportion."""
+        """Mass, length and time scale of the robot, for ranges of parameters and noticeable changes."""
         return Proportion.of(self.physics)
 
     @property
     def discrepancy_document(self) -> DiscrepancyDocument:
-        """What a document says of the model discrepancy that is allowed for."""
+        """Entry of the model discrepancy in a document."""
         return self.discrepancy.document
 
     @property
@@ -189,7 +188,7 @@ class Source(ABC):
 
     @property
     def joints(self) -> tuple[JointType, ...]:
-        """Joint types, base to tip, of an arm that shares its parameters with all others; none without an arm.
+        """Joint types, base to tip, of the arm whose parameters all arms share; empty without an arm.
 
         Raises:
             InputError: Arms with different joints have the same name.
@@ -212,8 +211,8 @@ class Source(ABC):
         return size_of([item.error for item in self.clusters], [item.expected for item in self.clusters])
 
     def noise_size(self) -> float | None:
-        """Value of :meth:`size` if only noise is left; None without repeats."""
-        return 1.0 if any(np.any(item.pure > 0.0) for item in self.clusters) else None
+        """:meth:`size` of noise alone; None without repeats."""
+        return 1.0 if any(np.any(item.pure_error > 0.0) for item in self.clusters) else None
 
     def residual_weight(self, item: Cluster) -> Array:
         """Factors from scaled residuals to ``residual_unit``, without repeats, ``(F,)``."""
@@ -223,7 +222,7 @@ class Source(ABC):
         """``function(source, item)`` of every item, in parallel processes if predictions are expensive.
 
         Args:
-            function: Without side effects, and loadable by another process.
+            function: A pure function that can be pickled.
             items: Arguments.
             what: Purpose, shown as progress.
         """
@@ -232,10 +231,10 @@ class Source(ABC):
 
     @abstractmethod
     def predict(self, wanted: Sequence[tuple[int, Added]], what: str) -> list[Array | None]:
-        """Features, in their units, of clusters (by number) with effects on top of the model.
+        """Features, in their units, of clusters under the model with added effects.
 
         Args:
-            wanted: Number of the cluster, and the added effects.
+            wanted: Index of the cluster, and the added effects.
             what: Purpose, shown as progress.
 
         Returns:
@@ -259,46 +258,46 @@ class Source(ABC):
 
     @property
     def known_effects(self) -> dict[str, Effect]:
-        """Effects that it predicts with, by name."""
+        """Effects that it can predict, by name."""
         return self.model.known_effects
 
     def offers(self, effect: Effect) -> bool:
-        """Whether a search without a list of effects considers this one; those of the bare arm need recordings."""
+        """Whether a search considers an effect by default; effects of the bare arm need recordings."""
         return not effect.calibrates
 
     def starts(self, name: str) -> Sequence[Array]:
-        """Points ``(p,)`` other than nominal at which a search looks at an effect, as measurements suggest."""
+        """Further starts ``(p,)`` of the fit of an effect, suggested by the measurements."""
         del name
         return ()
 
-    def knowing(self, effects: Sequence[Depending]) -> Source:
-        """The same measurements, predicted with further effects that depend on covariates, and held out in turn.
+    def with_dependences(self, effects: Sequence[Depending]) -> Source:
+        """The source with effects that depend on covariates, and interleaved folds.
 
         Args:
-            effects: By names that the model does not know.
+            effects: Dependent effects, under names of their own.
         """
         raise NotImplementedError(f"{type(self).__name__} has no covariates")
 
     def searched(self) -> Source:
-        """What a search looks at: all of it, or of a large table some rows."""
+        """The source for a search: all measurements, or a subsample of a large table."""
         return self
 
     def unseen(self, searched: Source, added: Added) -> tuple[str, ...]:
-        """How well effects predict what :meth:`searched` left out, in words.
+        """Remarks on the error of effects on the rows that :meth:`searched` left out.
 
         Args:
-            searched: What a search has seen.
-            added: Effects that it found on top of the model.
+            searched: Subsample of the search.
+            added: Effects of the search, added to the model.
         """
         del searched, added
         return ()
 
     def views(self) -> tuple[View, ...]:
-        """Other ways to look at the measurements, which the diagnosis judges as well."""
+        """Parts of the measurements and other assumptions, each with a verdict of its own (sensitivity analysis)."""
         return ()
 
     def compare_levels(self) -> Comparison:
-        """Residuals of the model by level, signal and place."""
+        """Residuals of the model by level, signal and condition."""
         return Comparison({}, tuple(where_of(self.clusters)), condition_scores(self.clusters))
 
     def tracks(self, map_tasks: Map, added: Added = ()) -> tuple[Track, ...]:
@@ -306,7 +305,7 @@ class Source(ABC):
 
         Args:
             map_tasks: Parallel map.
-            added: Effects found on top of the model; of recordings and tables shown beside it.
+            added: Effects added to the model; for recordings and tables a second curve.
         """
         del map_tasks, added
         return ()
@@ -321,7 +320,7 @@ class Source(ABC):
         return []
 
     @abstractmethod
-    def measure_again(self, added: Added, like: Sequence[Cluster]) -> list[Cluster] | None:
+    def residuals_with(self, added: Added, like: Sequence[Cluster]) -> list[Cluster] | None:
         """Residuals of the model with effects, on the scale of ``like``; None if they cannot be simulated."""
 
 

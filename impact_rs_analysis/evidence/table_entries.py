@@ -21,14 +21,14 @@ import pinocchio as pin
 from impact_rs_analysis.evidence.ante_impact import obliqueness_of
 from impact_rs_analysis.evidence.cluster import Feature
 from impact_rs_analysis.evidence.map_discrepancy import (
-    ANGULAR,
-    JOINTS,
-    LINEAR,
+    ANGULAR_VELOCITY_AFTER,
+    JOINT_VELOCITY_AFTER,
+    VELOCITY_AFTER,
     HitKind,
     MapDiscrepancy,
     lengths_of,
 )
-from impact_rs_analysis.evidence.replays import SQUARE
+from impact_rs_analysis.evidence.replays import MAX_SQUARE_ANGLE_RAD
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.impact_map.contacts import SUPPORT, contact_frame
 from impact_rs_sim.impact_map.laws import System
@@ -82,10 +82,11 @@ class TableEntries:
         for name in self.table.rows[0].impact.arms:
             label = arm_label(name, self.table.arms)
             for joint, units in enumerate(self.table.rows[0].physics.arms[name].facts.units, start=1):
-                found.append(Feature("impact", JOINTS, f"{label}joint{joint}", 0, units.velocity, 0.0, name))
+                index = f"{label}joint{joint}"
+                found.append(Feature("impact", JOINT_VELOCITY_AFTER, index, 0, units.velocity, 0.0, name))
         names = AXES if self.table.arms else CONTACT_AXES
-        found += [Feature("impact", LINEAR, axis, 0, "m/s", 0.0) for axis in names]
-        found += [Feature("impact", ANGULAR, axis, 0, "rad/s", 0.0) for axis in names]
+        found += [Feature("impact", VELOCITY_AFTER, axis, 0, "m/s", 0.0) for axis in names]
+        found += [Feature("impact", ANGULAR_VELOCITY_AFTER, axis, 0, "rad/s", 0.0) for axis in names]
         limits = RELEVANT * self.speed / lengths_of(found, self.worlds[0])
         signals = [replace(f, relevance_limit=float(limit)) for f, limit in zip(found, limits, strict=True)]
         if self.has_distances:
@@ -203,7 +204,7 @@ class TableEntries:
         found: list[HitKind] = []
         for row, world in zip(self.table.rows, self.world_of, strict=True):
             impact, physics = row.impact, self.worlds[world]
-            oblique = bool(impact.arms) and obliqueness_of(physics, impact.arms, impact.object) > SQUARE
+            oblique = bool(impact.arms) and obliqueness_of(physics, impact.arms, impact.object) > MAX_SQUARE_ANGLE_RAD
             found.append("oblique" if oblique else "square")
         return found
 

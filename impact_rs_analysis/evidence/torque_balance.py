@@ -3,25 +3,26 @@
 
     tau(t + delay) + eps = (M(q) ddq + h(q, dq) [+ B ddq] - tau_fric(dq) - tau_load - offset) / gain
 
-with q and dq at t (cf. paper eq. eom); tau is what was recorded, B counts only where it was measured at the motor.
+with q and dq at t (cf. paper eq. eom); tau is the recorded torque, B is included only if it was measured at the motor.
 Positions, velocities and torques pass the same zero-phase low-pass (Butterworth, order 4, forwards and backwards),
-accelerations are central differences of the filtered velocity at the rate of the samples, the prediction passes the
-low-pass once more and so does the recorded torque; both ends are cut off. Dry friction, which jumps with the sign of a
-velocity however that is filtered, passes it twice, as the recorded one does.
+accelerations are central differences of the filtered velocity at the rate of the samples. Prediction and recorded
+torque pass the low-pass once more; both ends are left out. Dry friction, which jumps with the sign of any filtered
+velocity, passes it twice, as the recorded torque does.
 
 Where the motors have encoders of their own (theta), B and friction act on the motion of the motors, and the deflection
-of the transmission is a second signal, up to its mean, which is that of encoders' zeros:
+of the transmission is a second signal without its mean, which is an offset of the encoders:
 
     tau_J = K (theta - q) + D (dtheta - dq) = M(q) ddq + h(q, dq) - loads on the links
 
-Without encoders the motors move by q and this deflection, which the torque that was measured at them feels.
+Without encoders the motion of the motors is q plus the predicted deflection, on which a torque measured at the motors
+depends.
 
-Noise is what torques and deflections contain just above the cut-off that no motion of the arm goes with: a fast motion
-has content there.
+The noise is the power of torques and deflections just above the cut-off that is not coherent with the motion of the
+arm: a fast motion has power there.
 
 Effects are applied through :class:`~impact_rs_sim.physics.Physics`, as in plant and twin. An effect that changes no
-torque counts as not measured. Sensor models (:mod:`impact_rs_sim.readings`) correct the motion, which the low-pass has
-made smooth, and make readings of the predicted torque.
+torque is not measured. Sensor models (:mod:`impact_rs_sim.readings`) correct the low-passed motion, and predict the
+readings of the torque.
 """
 
 from __future__ import annotations
@@ -44,18 +45,18 @@ from impact_rs_sim.robot_model import RobotModel
 from impact_rs_trials.recordings.recording import ARM, TooShort
 from impact_rs_trials.runs import ArmSignals, Run
 
-ORDER = 4
-PADDED = 15  # samples beyond each end, three times the coefficients of the filter
-GRID = 10.0  # samples per period of the cut-off frequency, at most
-EDGE = 2.0  # periods of the cut-off frequency, cut off at both ends
-BAND = (1.5, 3.0)  # times the cut-off frequency, where the noise is measured
-OF_BAND = 4.0  # samples per period of the upper end of the band, at least
-MOST_TAKEN = 0.5  # of the noise, by the fit of the motion; a short recording has few independent numbers
+FILTER_ORDER = 4  # Butterworth low-pass, forwards and backwards
+PADDED_SAMPLES = 15  # beyond each end, three times the coefficients of the filter
+MAX_SAMPLES_PER_PERIOD = 10.0  # of the cut-off frequency, on the grid
+EDGE_PERIODS = 2.0  # of the cut-off frequency, left out at both ends
+NOISE_BAND = (1.5, 3.0)  # times the cut-off frequency, where the noise is measured
+MIN_SAMPLES_PER_BAND_PERIOD = 4.0  # of the upper end of the band
+MAX_FITTED_NOISE_SHARE = 0.5  # that the fit of the motion may take: a short recording has few independent numbers
 # Quarter periods of the middle of the band: any linear law of one motion with slow coefficients.
-LAGS = (-2, -1, 0, 1, 2)
-SLOW = 0.02  # rad/s, m/s, below which Coulomb friction is not full
-MOTOR_RATIO = (0.5, 2.0)  # of the motion of a motor, seen at the joint, over that of the link; elastic or not
-MOST_REGRESSORS = 2  # kept: of the model, and of another direction of gravity
+LAGS_QUARTER_PERIODS = (-2, -1, 0, 1, 2)
+MIN_COULOMB_SPEED = 0.02  # rad/s, m/s; below, Coulomb friction is not full
+MOTOR_RATIO_RANGE = (0.5, 2.0)  # motion of a motor, seen at the joint, over that of the link; elastic or not
+MAX_CACHED_REGRESSORS = 2  # of the model, and of another direction of gravity
 
 
 @dataclass(frozen=True)
@@ -63,7 +64,7 @@ class Motion:
     """Filtered signals of one recording on an even grid, ``(k, n)`` unless stated.
 
     Attributes:
-        time: Since the first sample, ``(k,)`` [s].
+        time: Time since the first sample, ``(k,)`` [s].
         position: q [rad].
         velocity: dq [rad/s].
         acceleration: ddq [rad/s^2].
@@ -76,8 +77,8 @@ class Motion:
         deflection: theta - q, low-passed twice [rad]; likewise.
         deflection_noise: Noise of the deflection, ``(n,)`` [rad]; likewise.
         measured: Whether the torque of a joint was measured, ``(n,)``; one that never changes was not.
-        cut_off: Of the low-pass [Hz].
-        rate: Of the grid [Hz].
+        cut_off: Cut-off frequency of the low-pass [Hz].
+        rate: Sampling rate of the grid [Hz].
     """
 
     time: Array
@@ -103,7 +104,7 @@ class Motion:
 
     @property
     def without_motors(self) -> Motion:
-        """The motion as if no motor had an encoder."""
+        """The motion without motor encoders."""
         nothing = np.full_like(self.position, np.nan)
         return replace(
             self,
@@ -115,9 +116,9 @@ class Motion:
         )
 
     def of(self, readings: ArmReadings) -> Motion:
-        """The motion that its readings stand for: position, velocity and acceleration of the links.
+        """The true motion of the links from its readings: position, velocity and acceleration.
 
-        The low-pass has left nothing that an inverse could amplify, so the filter of velocities is inverted exactly:
+        The lag of velocity readings is inverted exactly, because the low-pass has removed high-frequency noise:
         T dv_r/dt + v_r = s s_v dq(t - d).
         """
         scale, lag = readings.position_scale * readings.velocity_gain, readings.velocity_lag
@@ -140,20 +141,24 @@ class Motion:
 
 
 def _low_pass(values: Array, cut_off: float, rate: float) -> Array:
-    """The filter forwards and backwards: ``scipy.signal.sosfiltfilt``, whose steady state is computed once."""
+    """Zero-phase filter, as ``scipy.signal.sosfiltfilt``, with a cached steady state."""
     sections, steady = _butterworth(cut_off, rate)
     found = np.concatenate(
-        (2.0 * values[0] - values[PADDED:0:-1], values, 2.0 * values[-1] - values[-2 : -PADDED - 2 : -1])
+        (
+            2.0 * values[0] - values[PADDED_SAMPLES:0:-1],
+            values,
+            2.0 * values[-1] - values[-2 : -PADDED_SAMPLES - 2 : -1],
+        )
     )
     for _ in range(2):
         found = scipy.signal.sosfilt(sections, found, axis=0, zi=steady[:, :, None] * found[0])[0][::-1]
-    return np.asarray(found[PADDED:-PADDED])
+    return np.asarray(found[PADDED_SAMPLES:-PADDED_SAMPLES])
 
 
 @functools.lru_cache(maxsize=16)
 def _butterworth(cut_off: float, rate: float) -> tuple[Array, Array]:
-    """The filter in second-order sections, and its state after a long step, cached for thousands of predictions."""
-    sections = np.asarray(scipy.signal.butter(ORDER, cut_off, fs=rate, output="sos"))
+    """Butterworth filter in second-order sections and its steady state, cached for thousands of predictions."""
+    sections = np.asarray(scipy.signal.butter(FILTER_ORDER, cut_off, fs=rate, output="sos"))
     return sections, np.asarray(scipy.signal.sosfilt_zi(sections))
 
 
@@ -183,12 +188,12 @@ def prepare(run: Run, cut_off: float) -> Motion:
     raw, places, speeds = (resampled(values) for values in (arm.torque, arm.position, arm.velocity))
     motors = resampled(motor_positions(arm))
     once = _low_pass(raw, cut_off, sampled)
-    stride = max(1, int(sampled / (GRID * cut_off)))
+    stride = max(1, int(sampled / (MAX_SAMPLES_PER_PERIOD * cut_off)))
     rate = sampled / stride
     q, dq = (_low_pass(values, cut_off, sampled) for values in (places, speeds))
     theta = _low_pass(motors, cut_off, sampled)
     dtheta = derivative(theta)
-    edge = int(np.ceil(EDGE * rate / cut_off))
+    edge = int(np.ceil(EDGE_PERIODS * rate / cut_off))
     count = q[::stride].shape[0]
     if count < 2 * edge + 60:
         raise TooShort(
@@ -196,7 +201,7 @@ def prepare(run: Run, cut_off: float) -> Motion:
             file=run.path,
         )
     moved = np.hstack((places, motors[:, np.isfinite(motors).all(axis=0)]))
-    turning = np.tanh(derivative(np.where(np.isnan(motors), places, motors)) / SLOW)
+    turning = np.tanh(derivative(np.where(np.isnan(motors), places, motors)) / MIN_COULOMB_SPEED)
     return Motion(
         time=even[::stride],
         position=q[::stride],
@@ -217,15 +222,15 @@ def prepare(run: Run, cut_off: float) -> Motion:
 
 
 def motor_positions(arm: ArmSignals) -> Array:
-    """Positions of the motors as seen at the joints, ``(k, n)`` [rad]; NaN where no encoder of its own shows them.
+    """Positions of the motors at the joint side of the gears, ``(k, n)`` [rad]; NaN where a motor has no encoder.
 
-    One that always equals the position of the link, or that moves by another ratio, as before a gear, is none.
+    A signal that equals the position of the link, or has the ratio of a gear, is not used.
     """
     if not arm.motor_position.size:
         return np.full_like(arm.position, np.nan)
     ratios = motor_ratios(arm)
     own = np.ptp(arm.motor_position - arm.position, axis=0) > 0.0
-    near = (MOTOR_RATIO[0] < ratios) & (ratios < MOTOR_RATIO[1])
+    near = (MOTOR_RATIO_RANGE[0] < ratios) & (ratios < MOTOR_RATIO_RANGE[1])
     return np.asarray(np.where(own & near, arm.motor_position, np.nan))
 
 
@@ -236,24 +241,28 @@ def motor_ratios(arm: ArmSignals) -> Array:
 
 
 def _noise(raw: Array, moved: Array, turning: Array, cut_off: float, rate: float) -> Array:
-    """Noise below the cut-off, from the power just above it that no motion goes with, ``(n,)`` in the unit of ``raw``.
+    """Noise below the cut-off, from the incoherent power just above it, ``(n,)`` in the unit of ``raw``.
 
-    In the band every signal is fitted by the positions of all joints at several lags and the direction of its own
-    joint, which takes what inertia, friction and springs do with a fast motion (coherent power, Bendat and Piersol
-    2010, sec. 6). The median over short windows leaves out those in which a joint turns back: dry friction jumps there.
+    In the band every signal is regressed on the positions of all joints at several lags and the direction of its own
+    joint, which removes the response of inertia, friction and springs to a fast motion (coherent power, Bendat and
+    Piersol 2010, sec. 6). The median over short windows is robust to reversals, where dry friction jumps.
 
     Args:
-        raw: Signals as recorded, ``(k, n)``; NaN where there is none.
+        raw: Recorded signals, ``(k, n)``; NaN where there is none.
         moved: Positions of all joints and motors, ``(k, m)`` [rad].
         turning: Direction in which every joint is driven against its friction, ``(k, n)`` [-].
         cut_off: Of the low-pass [Hz].
         rate: Of the samples [Hz].
     """
     highest = 0.45 * rate
-    band = (BAND[0] * cut_off, BAND[1] * cut_off) if BAND[1] * cut_off < highest else (1.2 * cut_off, highest)
-    sections = scipy.signal.butter(ORDER, band, btype="bandpass", fs=rate, output="sos")
+    band = (
+        (NOISE_BAND[0] * cut_off, NOISE_BAND[1] * cut_off)
+        if NOISE_BAND[1] * cut_off < highest
+        else (1.2 * cut_off, highest)
+    )
+    sections = scipy.signal.butter(FILTER_ORDER, band, btype="bandpass", fs=rate, output="sos")
 
-    step = max(1, int(rate / (OF_BAND * band[1])))
+    step = max(1, int(rate / (MIN_SAMPLES_PER_BAND_PERIOD * band[1])))
 
     def passed(values: Array) -> Array:
         return np.asarray(scipy.signal.sosfiltfilt(sections, values, axis=0))[::step]
@@ -262,15 +271,15 @@ def _noise(raw: Array, moved: Array, turning: Array, cut_off: float, rate: float
     motion, wanted = passed(moved), passed(np.nan_to_num(raw))
     direction = passed(turning)
     lag = max(1, round(0.5 * rate / (band[0] + band[1])))
-    shifted = np.hstack([np.roll(motion, place * lag, axis=0) for place in LAGS])
-    inside = slice(LAGS[-1] * lag, wanted.shape[0] - LAGS[-1] * lag)
+    shifted = np.hstack([np.roll(motion, place * lag, axis=0) for place in LAGS_QUARTER_PERIODS])
+    inside = slice(LAGS_QUARTER_PERIODS[-1] * lag, wanted.shape[0] - LAGS_QUARTER_PERIODS[-1] * lag)
     count = max(1, int(wanted.shape[0] * cut_off / rate))
     powers = []
     for joint in range(raw.shape[1]):
         basis = np.column_stack((shifted, direction[:, joint]))[inside]
         left = wanted[inside, joint] - basis @ np.linalg.lstsq(basis, wanted[inside, joint], rcond=None)[0]
         freedom = 2.0 * (band[1] - band[0]) * left.size / rate  # independent numbers in a band of this width
-        taken = min(np.linalg.matrix_rank(basis) / freedom, MOST_TAKEN)
+        taken = min(np.linalg.matrix_rank(basis) / freedom, MAX_FITTED_NOISE_SHARE)
         windows = [np.mean(np.square(window)) for window in np.array_split(left, count)]
         powers.append(np.median(windows) / (1.0 - taken))
     found = np.sqrt(np.array(powers) * cut_off / (band[1] - band[0]))
@@ -281,21 +290,22 @@ def _of_motors(motion: Motion, transmitted: Array, arm: ArmPhysics) -> tuple[Arr
     """Velocity and acceleration of the motors, ``(k, n)`` each [rad/s, rad/s^2].
 
     Args:
-        motion: Recorded.
-        transmitted: Torque that the transmissions pass on to the links, ``(k, n)`` [N m].
+        motion: Recorded motion.
+        transmitted: Torque of the transmissions on the links, ``(k, n)`` [N m].
         arm: Stiffness and damping of the transmissions.
     """
     velocity, acceleration, own = motion.velocity, motion.acceleration, motion.with_encoders
     if np.any(np.isfinite(arm.stiffness[~own])):
-        rate, change = _bent(motion, transmitted, arm, (1, 2))
+        rate, change = _deflection_derivatives(motion, transmitted, arm, (1, 2))
         velocity, acceleration = velocity + rate, acceleration + change
     return np.where(own, motion.motor_velocity, velocity), np.where(own, motion.motor_acceleration, acceleration)
 
 
-def _bent(motion: Motion, transmitted: Array, arm: ArmPhysics, orders: Sequence[int]) -> list[Array]:
-    """Derivatives of some orders of the deflection of the transmissions, ``(k, n)`` each [rad, rad/s, ...].
+def _deflection_derivatives(motion: Motion, transmitted: Array, arm: ArmPhysics, orders: Sequence[int]) -> list[Array]:
+    """Derivatives of the deflection of the transmissions of some orders, ``(k, n)`` each [rad, rad/s, ...].
 
-    With T = D / K, which is short beside the motion, (1 + T d/dt)^-1 tau_J / K = (1 - T d/dt + T^2 d^2/dt^2) tau_J / K.
+    With the time constant T = D / K, short against the motion,
+    (1 + T d/dt)^-1 tau_J / K = (1 - T d/dt + T^2 d^2/dt^2) tau_J / K.
     """
     spline = scipy.interpolate.make_interp_spline(motion.time, transmitted / arm.stiffness, k=5)
     late = arm.damping / arm.stiffness
@@ -385,13 +395,13 @@ class TorqueBalance:
         motions = self._true_motions(arm.readings)
         for number, (motion, rigid) in enumerate(zip(motions, self._rigid_torques(physics), strict=True)):
             on_links = self._load_torques(physics, number, rigid, links_alone=True) if arm.loads else 0.0
-            bent = motion.low_pass(_bent(motion, rigid - on_links, arm, (0,))[0] + motion.position)
+            bent = motion.low_pass(_deflection_derivatives(motion, rigid - on_links, arm, (0,))[0] + motion.position)
             bent = bent - motion.low_pass(arm.readings.position(motion.position))  # of the encoder of the link
             rows.append(bent - bent[motion.kept].mean(axis=0))
         return rows
 
     def _true_motions(self, readings: ArmReadings) -> list[Motion]:
-        """The motions that the readings stand for, kept while effects change other parts of the physics."""
+        """True motions from the readings, cached while effects change other parts of the physics."""
         if readings.exact_motion:
             return self.motions
         if self._known_motions is None or self._known_motions[0] is not readings:
@@ -399,7 +409,7 @@ class TorqueBalance:
         return self._known_motions[1]
 
     def _model(self, physics: Physics) -> RobotModel:
-        """Rigid-body model of the arm, kept while effects change other parts of the physics."""
+        """Rigid-body model of the arm, cached while effects change other parts of the physics."""
         arm = physics.arms[ARM]
         parts = (arm.facts, arm.end_effector, arm.base, physics.gravity)
         if self._kept is None or any(one is not other for one, other in zip(parts, self._kept[0], strict=True)):
@@ -414,7 +424,7 @@ class TorqueBalance:
         parameters = np.concatenate([inertia.toDynamicParameters() for inertia in list(model.pinocchio.inertias)[1:]])
         key = model.pinocchio.gravity.linear.tobytes()
         if key not in self._regressors:
-            while len(self._regressors) >= MOST_REGRESSORS:
+            while len(self._regressors) >= MAX_CACHED_REGRESSORS:
                 self._regressors.pop(list(self._regressors)[1])  # the first is that of the model
             self._regressors[key] = [
                 np.array(
@@ -430,8 +440,8 @@ class TorqueBalance:
     def _load_torques(self, physics: Physics, number: int, rigid: Array, links_alone: bool = False) -> Array:
         """Torques of loads outside the rigid model on links, and unless these are wanted alone on motors [N m].
 
-        A law of the transmitted torque is given that of the links: the recorded one contains the friction of the motor
-        and the noise of the very signal that the law shall explain.
+        The transmitted torque in a law is the predicted torque of the links: the recorded one contains the friction of
+        the motor and the noise of the signal that the law has to explain.
         """
         state, jacobian = self._states(physics)[number]
         on_links, on_motors = physics.arms[ARM].load_torques(replace(state, joint_torque=rigid), jacobian)

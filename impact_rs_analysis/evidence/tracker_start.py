@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Start of a fit of the tracker's frame, from hits in which pads lie on faces.
 
-A frame that is off by more than the pad moves before the impact puts object and pad into each other at the start of a
-replay, whose sensitivities there say nothing.
+If the error of the frame exceeds the motion of the pad before the impact, object and pad interpenetrate at the start of
+a replay, where sensitivities are useless.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from impact_rs_sim.errors import InputError
 from impact_rs_sim.robot import Array
 from impact_rs_trials.recordings.contact_frame import FOLLOWED, TOUCHING, PadOnFace, contact_frame
 
-TIMES_ERROR = 1.0  # standard errors of the frame; nearer, nominal is as good a start
+MIN_STANDARD_ERRORS = 1.0  # of the tracker frame from nominal; nearer, nominal is as good a start
 
 
 def tracker_frame_start(runs: Iterable[MeasuredRun]) -> Array | None:
@@ -27,7 +27,7 @@ def tracker_frame_start(runs: Iterable[MeasuredRun]) -> Array | None:
         found = contact_frame(touches, np.zeros(3), 0.0)
     except (InputError, np.linalg.LinAlgError):
         return None
-    if not np.any(np.abs(np.append(found.position[:2], found.yaw)) > TIMES_ERROR * found.error):
+    if not np.any(np.abs(np.append(found.position[:2], found.yaw)) > MIN_STANDARD_ERRORS * found.error):
         return None
     back = pin.rpy.rpyToMatrix(0.0, 0.0, -found.yaw)  # from A to the frame that readings are in
     return np.append(-(back @ np.append(found.position[:2], 0.0))[:2], -found.yaw)

@@ -16,7 +16,7 @@ import numpy as np
 import pinocchio as pin
 
 from impact_rs_analysis.evidence.cluster import Added
-from impact_rs_analysis.evidence.features import JUMP_BEFORE, JUMP_WINDOWS, OBJECT_WINDOWS, SETTLED
+from impact_rs_analysis.evidence.features import AXES, JUMP_BEFORE_S, JUMP_WINDOWS_S, OBJECT_WINDOWS_S, SETTLED_WINDOW
 from impact_rs_analysis.evidence.impacts import impacts_of, observe
 from impact_rs_analysis.evidence.measured_runs import MeasuredRun, Runs
 from impact_rs_analysis.evidence.replay_cache import with_effects
@@ -32,9 +32,8 @@ from impact_rs_trials.bags.reader import BagError, TrialBag
 from impact_rs_trials.recordings.recording import ARM
 from impact_rs_trials.runs import NONE, ArmSignals, Run, Signals, none
 
-AXES = "xyz"
 OBJECT = "object"  # name of the object among the bodies
-AFTER = JUMP_WINDOWS[SETTLED]  # s from the begin of the impact; window of the velocity after it
+JUMP_AFTER_S = JUMP_WINDOWS_S[SETTLED_WINDOW]  # s from the begin of the impact; window of the velocity after it
 
 
 @dataclass(frozen=True)
@@ -61,7 +60,7 @@ class VelocityJump:
     Attributes:
         body: Name of the arm, whose end effector it is, or ``object``.
         place: Position of the body at the begin of the impact, in A, ``(3,)`` [m].
-        before: Velocity 18 to 3 ms before that, in A, ``(3,)`` [m/s].
+        before: Velocity 18 to 3 ms before it, in A, ``(3,)`` [m/s].
         after: Velocity 20 to 40 ms after it, of the object 6 to 40 ms, in A, ``(3,)`` [m/s].
     """
 
@@ -193,7 +192,7 @@ def _windowed_side(run: MeasuredRun, windows: Sequence[Signals], time: Array, st
 
 
 def _held(poses: Array) -> Array:
-    """Poses with the first and last tracked ones held at the ends."""
+    """Poses, with the first and last tracked pose held beyond the ends."""
     seen = np.flatnonzero(np.isfinite(poses[:, 0]))
     return poses[np.clip(np.arange(len(poses)), seen[0], seen[-1])] if seen.size else poses
 
@@ -369,14 +368,14 @@ def _jumps(
     for arm, begin in impacts.items():
         if not arms[arm].twist.size:
             continue
-        before, after = _within(time, begin, JUMP_BEFORE), _within(time, begin, AFTER)
+        before, after = _within(time, begin, JUMP_BEFORE_S), _within(time, begin, JUMP_AFTER_S)
         row = min(int(np.searchsorted(time, begin)), time.size - 1)
         if before.any() and after.any():
             means = [arms[arm].twist[rows, :3].mean(axis=0) for rows in (before, after)]
             found.append(VelocityJump(arm, arms[arm].pose[row, :3], *means))
     if impacts:
         first, last = min(impacts.values()), max(impacts.values())
-        before, after = _within(time, first, JUMP_BEFORE), _within(time, last, OBJECT_WINDOWS[0])
+        before, after = _within(time, first, JUMP_BEFORE_S), _within(time, last, OBJECT_WINDOWS_S[0])
         rows = np.logical_or(before, after)
         if before.sum() > 1 and after.sum() > 1 and np.isfinite(poses[rows]).all():
             slopes = [np.polyfit(time[part], poses[part, :3], 1)[0] for part in (before, after)]

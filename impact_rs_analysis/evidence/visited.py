@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Where measurements have been: ranges of the symbols of formulas, and whether they leave those of a model's laws."""
+"""Measured ranges of the symbols of formulas, and extrapolation of a model's laws beyond their domain."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from collections.abc import Iterable, Iterator, Sequence
 import numpy as np
 
 from impact_rs_analysis.evidence.recordings import RecordingSource
-from impact_rs_analysis.evidence.replay import AFTER_IMPACT
+from impact_rs_analysis.evidence.replay import AFTER_IMPACT_S
 from impact_rs_analysis.evidence.source import Source
 from impact_rs_sim.effects.formula import AXES, CONTACT_SYMBOLS, JOINT_SYMBOL, SYMBOLS, Formula
 from impact_rs_sim.robot import Array
@@ -16,18 +16,18 @@ from impact_rs_trials.runs import Run
 
 Range = tuple[float, float]
 
-SAMPLES = 100  # of a run; positions of the end effector are computed for each
-MARGIN = 0.02  # of a range; less is not beyond it
-ENDS = (0.5, 99.5)  # percentiles that count as the ends of a range
+SAMPLES_PER_RUN = 100  # at which forward kinematics are computed
+RANGE_MARGIN_SHARE = 0.02  # of a range; a smaller excess is not reported
+RANGE_PERCENTILES = (0.5, 99.5)  # that count as the ends of a range
 
 
-def visited(source: Source, quantities: Iterable[str] = (), after: float = AFTER_IMPACT) -> dict[str, Range]:
+def measured_ranges(source: Source, quantities: Iterable[str] = (), after: float = AFTER_IMPACT_S) -> dict[str, Range]:
     """Range of the symbols over all runs, up to the end of the replay; those that were not measured are missing.
 
     Args:
         source: Measurements.
-        quantities: Formulas of symbols whose ranges are wanted as well; those that remember have none.
-        after: End of what counts, after the first impact of a run [s].
+        quantities: Formulas of symbols with ranges of their own; formulas with memory have none.
+        after: End of the evaluated time, after the first impact of a run [s].
     """
     found: dict[str, list[Array]] = {}
     formulas = [_formula(text) for text in quantities if text not in SYMBOLS]
@@ -39,7 +39,7 @@ def visited(source: Source, quantities: Iterable[str] = (), after: float = AFTER
             sizes = {signals[name].size for name in formula.names if name in signals}
             if formula.names <= signals.keys() and len(sizes) == 1 and not formula.remembers:
                 found.setdefault(formula.text, []).append(np.asarray(formula(signals)))
-    ends = {name: np.percentile(np.concatenate(every), ENDS) for name, every in found.items()}
+    ends = {name: np.percentile(np.concatenate(every), RANGE_PERCENTILES) for name, every in found.items()}
     return {name: (float(low), float(high)) for name, (low, high) in ends.items()}
 
 
@@ -48,15 +48,15 @@ def _formula(text: str) -> Formula:
 
 
 def beyond(source: Source) -> tuple[str, ...]:
-    """Where measurements leave the range in which a formula of the model was seen to hold, in words."""
+    """Warnings on measurements outside the domain of a formula of the model."""
     known = {effect.name for effect in source.model.effects}
     formulas = [spec for spec in source.model.formulas if spec.name in known and spec.valid]
-    ranges = visited(source) if formulas else {}
+    ranges = measured_ranges(source) if formulas else {}
     found = []
     for spec in formulas:
         for symbol, (low, high) in spec.valid.items():
             least, most = ranges.get(symbol, (low, high))
-            margin = MARGIN * (high - low)
+            margin = RANGE_MARGIN_SHARE * (high - low)
             if least < low - margin or most > high + margin:
                 found.append(
                     f"{spec.name} was seen for {symbol} from {low:.3g} to {high:.3g}, and these measurements reach "
@@ -77,7 +77,7 @@ def _signals(run: Run, after: float) -> Iterator[tuple[str, Array]]:
     end = min(impacts.values()) + after if impacts else np.inf
     signals = run.signals
     rows = np.flatnonzero(signals.time <= end)
-    rows = rows[:: max(1, rows.size // SAMPLES)]
+    rows = rows[:: max(1, rows.size // SAMPLES_PER_RUN)]
     yield "t", signals.time[rows]
     for name, arm in signals.arms.items():
         for symbol, values in (("q", arm.position), ("dq", arm.velocity), ("tau", arm.torque)):

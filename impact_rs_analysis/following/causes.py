@@ -18,7 +18,7 @@ from impact_rs_analysis.following.change import ChangeExplanation, ChangeTest, s
 from impact_rs_analysis.following.hit_model import HitModel, Hypothesis, Origin
 from impact_rs_analysis.following.hits import Hit
 from impact_rs_analysis.following.posterior import WIDE, WIDTH, Posterior, weight_of
-from impact_rs_analysis.inference.student import DECISIVE, log_ratio, squared_distance
+from impact_rs_analysis.inference.student import DECISIVE_LIKELIHOOD_RATIO, log_ratio, squared_distance
 from impact_rs_sim.robot import Array
 
 MOST = 4  # hypotheses at a time
@@ -46,7 +46,7 @@ class Causes:
         tried = test.explanations(statistics)[:TRIED]
         held = [found for one in tried if (found := self._held(before, one)) is not None]
         held.sort(key=lambda pair: -pair[0].log_ratio)
-        tie = math.log(DECISIVE)
+        tie = math.log(DECISIVE_LIKELIHOOD_RATIO)
         promising = any(one.effect == tried[0].effect for one, _ in held)
         # What promises most may hold at a later hit: the others need more evidence than it.
         if not held or held[0][0].log_ratio < test.threshold + (0.0 if promising else tie):
@@ -130,12 +130,12 @@ class Causes:
         place = [followed.index(n) for n in numbers]
         point = point.copy()
         point[numbers] = np.clip(point[numbers], lower, upper)
-        point = own.possible(point)
+        point = own.nearest_consistent(point)
         for step in range(STEPS):
             posterior = self._since(origin, followed, hits, point, followed)
             there = point.copy()
             there[numbers] = np.clip(point[numbers] + scale * posterior.now.mean[place], lower, upper)
-            there = own.possible(there)
+            there = own.nearest_consistent(there)
             if step == STEPS - 1 or np.all(np.abs(there - point)[numbers] < NEAR * scale):
                 break
             point = there

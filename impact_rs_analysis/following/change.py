@@ -34,7 +34,7 @@ import scipy
 
 from impact_rs_analysis.diagnosis.candidate import Candidate, bounded
 from impact_rs_analysis.following.posterior import ODD, WIDTH, HitEvidence, Posterior
-from impact_rs_analysis.inference.student import DECISIVE, log_ratios, squares
+from impact_rs_analysis.inference.student import DECISIVE_LIKELIHOOD_RATIO, log_ratios, squares
 from impact_rs_sim.robot import Array
 
 MEAN_TIME = 10_000.0  # instants to a false alarm, at least, where noise is as believed
@@ -163,7 +163,7 @@ class ChangeTest:
         Args:
             statistics: Of :meth:`statistics`.
         """
-        least = math.log(DECISIVE)
+        least = math.log(DECISIVE_LIKELIHOOD_RATIO)
         possible = (self._explained(name) for name, own in statistics.items() if float(np.max(own)) > least)
         found = [one for one in possible if one is not None and one.log_ratio > least]
         gains = [self._gains(one) for one in found]

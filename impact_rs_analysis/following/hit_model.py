@@ -157,7 +157,7 @@ class HitModel:
         own, followed = self.candidate, list(hypothesis.posterior.followed)
         values = hypothesis.point.copy()
         values[followed] += own.scale[followed] * hypothesis.posterior.now.mean[: len(followed)]
-        return own.possible(np.clip(values, own.lower, own.upper))
+        return own.nearest_consistent(np.clip(values, own.lower, own.upper))
 
     def followed(self, hypothesis: Hypothesis, numbers: Sequence[int], old: Array) -> tuple[Followed, ...]:
         """Parameters with their intervals and changes."""

@@ -399,7 +399,7 @@ class BagDoor(Door):
             features=run.features,
             measured=run.measured,
             noise=np.zeros(run.measured.size),
-            discrepancy=cluster.moved_together * cluster.sigma,
+            discrepancy=cluster.discrepancy_factor * cluster.sigma,
             physics=run.physics,
             run=run,
         )

@@ -153,7 +153,7 @@ def _read(own: HitModel, check: HitlessCheck, hypothesis: Hypothesis, physics: P
     for number in hypothesis.posterior.followed:
         step = 0.1 * candidate.scale[number]
         step = step if values[number] + step <= candidate.upper[number] else -step
-        step = candidate.step_with_bodies(values, number, step)
+        step = candidate.consistent_step(values, number, step)
         moved = values + step * (np.arange(values.size) == number)
         slopes.append((check.of(own.scene(moved, physics)) - centre) * candidate.scale[number] / step)
     covariance = hypothesis.posterior.now.covariance

@@ -7,8 +7,9 @@ ratio that a diagnosis will find is (:mod:`.student`)
 
     l = (nu + 1) / 2 [log(1 + (z + a)^2 / X) - log(1 + (z - a)^2 / X)],        a = sqrt(g) / 2
 
-A diagnosis distinguishes them where |l| > log ``DECISIVE``. With c = DECISIVE^(2 / (nu + 1)) and k = (c + 1) / (c - 1)
-this is (z -+ k a)^2 + X < (k^2 - 1) a^2, a noncentral chi square with nu + 1 degrees of freedom: the probability is
+A diagnosis distinguishes them where |l| > log R, with R = ``DECISIVE_LIKELIHOOD_RATIO``. With c = R^(2 / (nu + 1)) and
+k = (c + 1) / (c - 1) this is (z -+ k a)^2 + X < (k^2 - 1) a^2, a noncentral chi square with nu + 1 degrees of freedom:
+the probability is
 
     p = F(b; nu + 1, (k - 1)^2 a^2) + F(b; nu + 1, (k + 1)^2 a^2),        b = (k^2 - 1) a^2
 
@@ -21,17 +22,17 @@ import numpy as np
 import scipy
 
 from impact_rs_analysis.inference.belief import Columns, fitted_out
-from impact_rs_analysis.inference.student import DECISIVE
+from impact_rs_analysis.inference.student import DECISIVE_LIKELIHOOD_RATIO
 from impact_rs_sim.robot import Array
 
-LARGEST = 1e6  # squared distance; beyond it everything is decided
+MAX_SQUARED_DISTANCE = 1e6  # squared distance; beyond it everything is decided
 
 
 def distance(information: Array, first: int, second: int, uncertain: Columns) -> float:
-    """Squared distance g of two predictions, blurred by what is uncertain of both [-].
+    """Squared Mahalanobis distance g of two predictions, with their common uncertainty projected out [-].
 
     Args:
-        information: Of all columns, ``(n, n)``.
+        information: Information matrix of all columns, ``(n, n)``.
         first: Column of the one.
         second: Column of the other.
         uncertain: Columns of one standard deviation each.
@@ -48,13 +49,13 @@ def probability(gain: Array, freedom: float = np.inf) -> Array:
         gain: Their squared distance g [-].
         freedom: nu, degrees of freedom of the scatter; infinite: it is known; none: nothing is decided.
     """
-    half = np.sqrt(np.clip(gain, 0.0, LARGEST)) / 2.0
+    half = np.sqrt(np.clip(gain, 0.0, MAX_SQUARED_DISTANCE)) / 2.0
     if freedom <= 0.0:
         return np.zeros_like(half)
     if np.isinf(freedom):
-        behind = np.log(DECISIVE) / (2.0 * np.maximum(half, 1e-9))
+        behind = np.log(DECISIVE_LIKELIHOOD_RATIO) / (2.0 * np.maximum(half, 1e-9))
         return np.asarray(scipy.special.ndtr(half - behind) + scipy.special.ndtr(-half - behind))
-    ratio = DECISIVE ** (2.0 / (freedom + 1.0))
+    ratio = DECISIVE_LIKELIHOOD_RATIO ** (2.0 / (freedom + 1.0))
     k = (ratio + 1.0) / (ratio - 1.0)
     ends = [scipy.special.chndtr((k**2 - 1.0) * half**2, freedom + 1.0, np.square((k + s) * half)) for s in (-1, 1)]
     return np.asarray(ends[0] + ends[1])
@@ -69,7 +70,7 @@ def promised(now: float, freedom: float, times: float, further: float) -> float:
         times: Factor of the squared distance.
         further: Further degrees of freedom.
     """
-    if not 0.0 < now < float(probability(np.array(LARGEST), freedom)):
+    if not 0.0 < now < float(probability(np.array(MAX_SQUARED_DISTANCE), freedom)):
         return now
-    gain = scipy.optimize.brentq(lambda g: float(probability(np.array(g), freedom)) - now, 0.0, LARGEST)
+    gain = scipy.optimize.brentq(lambda g: float(probability(np.array(g), freedom)) - now, 0.0, MAX_SQUARED_DISTANCE)
     return float(probability(np.array(times * gain), freedom + further))

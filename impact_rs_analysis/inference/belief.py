@@ -30,7 +30,7 @@ import scipy
 from numpy.typing import NDArray
 
 from impact_rs_analysis.evidence.cluster import Cluster
-from impact_rs_analysis.inference.noise import UNMEASURED, noise_of
+from impact_rs_analysis.inference.noise import INDEPENDENT_DISCREPANCY_SHARE, noise_of
 from impact_rs_sim.robot import Array
 
 Columns = NDArray[np.int_]
@@ -38,7 +38,7 @@ Columns = NDArray[np.int_]
 
 @dataclass(frozen=True, eq=False)
 class Observation:
-    """What one condition, stretch or hit says, whitened.
+    """Whitened observation of one condition, stretch or hit.
 
     Attributes:
         residual: Measured minus predicted at the point of the linearisation, ``(F,)`` [-].
@@ -90,7 +90,7 @@ class Belief:
         return cls(tuple(parameters), np.diag(1.0 / np.square(deviations)), np.zeros(len(parameters)))
 
     def copy(self) -> Belief:
-        """A copy that can be changed."""
+        """A mutable copy."""
         information, vector = self.information.copy(), self.vector.copy()
         return Belief(self.parameters, information, vector, dict(self.groups), _columns=self._columns.copy())
 
@@ -121,14 +121,14 @@ class Belief:
         return self.solve(np.eye(len(self.vector), count))[:count]
 
     def add(self, one: Observation, sign: float = 1.0) -> None:
-        """Take an observation into account; with ``sign`` -1 leave one out that was."""
+        """Condition on an observation; with ``sign`` -1, remove one."""
         columns, places = self.columns(one)
         self.information[columns[:, None], columns] += sign * one.normal[places[:, None], places]
         self.vector[columns] += sign * one.normal[places, -1]
         self._solved = None
 
     def columns(self, one: Observation) -> tuple[Columns, Columns]:
-        """Columns of the state that an observation depends on, and their places in its ``normal``, ``(m,)`` each."""
+        """Columns of the state that an observation depends on, and their indices in its ``normal``, ``(m,)`` each."""
         key = one.group, one.jacobian.shape[1]
         if (found := self._columns.get(key)) is None:
             size, count = len(self.vector), one.patterns.shape[1]
@@ -182,10 +182,10 @@ class Belief:
         """The same state with other parameters.
 
         Args:
-            parameters: All from now on, the present ones among them.
-            fresh: Those of them that may be anything now: what was known of them is forgotten.
-            centre: Mean of the fresh ones, in scales, ``(fresh,)``.
-            width: Standard deviation of the fresh ones, in scales.
+            parameters: All parameters of the new state, including the present ones.
+            fresh: Parameters whose prior is reset.
+            centre: Prior mean of the fresh parameters, in scales, ``(fresh,)``.
+            width: Prior standard deviation of the fresh parameters, in scales.
         """
         old, new, size = len(self.parameters), len(parameters), len(self.vector)
         gone = [n for n, one in enumerate(self.parameters) if one in fresh]
@@ -202,7 +202,7 @@ class Belief:
         return found
 
     def drift(self, group: str, share: float) -> None:
-        """Let the amplitudes of a group wander: a' = sqrt(1 - q) a + sqrt(q) v with v standard normal.
+        """Random drift of the amplitudes of a group: a' = sqrt(1 - q) a + sqrt(q) v with v standard normal.
 
         A first-order Gauss-Markov process, whose variance stays 1 (Anderson and Moore 1979, sec. 2.3).
 
@@ -223,7 +223,7 @@ class Belief:
 
 
 def fitted_out(information: Array, columns: Columns | Sequence[int], width: float = math.inf) -> Array:
-    """Information of all columns while some are fitted, ``(n, n)``; at those themselves it has no meaning.
+    """Schur complement: information of all columns with some of them fitted, ``(n, n)``; undefined at these themselves.
 
     Args:
         information: L, ``(n, n)``.
@@ -249,7 +249,11 @@ def observation_of(item: Cluster, residual: Array, jacobian: Array, count: int) 
         count: Number of repeats.
     """
     whiten = noise_of(item).whitening(count)
-    patterns = np.zeros((0, len(residual))) if item.patterns is None else np.sqrt(1.0 - UNMEASURED) * item.patterns
+    patterns = (
+        np.zeros((0, len(residual)))
+        if item.patterns is None
+        else np.sqrt(1.0 - INDEPENDENT_DISCREPANCY_SHARE) * item.patterns
+    )
     return Observation(whiten @ residual, whiten @ jacobian, whiten @ patterns.T, item.discrepancy_group)
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Noise of residuals, and what whitens them.
+"""Noise covariance of residuals, and its whitening transform.
 
 The mean of n repeats has the covariance
 
@@ -25,8 +25,8 @@ from impact_rs_analysis.evidence.cluster import Cluster
 from impact_rs_sim.robot import Array
 
 # Share of the differences of a left-out simulator that the others do not span: 14 to 67 %, 34 % on average.
-UNMEASURED = 1.0 / 3.0
-LEAST = 1e-9  # of the largest variance; a feature that never moves is no certainty
+INDEPENDENT_DISCREPANCY_SHARE = 1.0 / 3.0
+MIN_VARIANCE_SHARE = 1e-9  # of the largest variance; a feature that never moves is no certainty
 
 
 @dataclass(frozen=True)
@@ -48,7 +48,7 @@ class Noise:
             count: Number n of repeats.
         """
         diagonal = (self.repeats if self.repeats.ndim == 1 else np.diag(self.repeats)) / count + self.own
-        floor = LEAST * float(diagonal.max(initial=0.0) or 1.0)
+        floor = MIN_VARIANCE_SHARE * float(diagonal.max(initial=0.0) or 1.0)
         diagonal = np.where(diagonal < floor, diagonal + floor, diagonal)
         if self.repeats.ndim == 1:
             return np.diag(1.0 / np.sqrt(diagonal))
@@ -58,10 +58,10 @@ class Noise:
 
 
 def noise_of(item: Cluster) -> Noise:
-    """Noise of the scaled features of a condition; of its discrepancy that part which no pattern spans."""
-    scatter, systematic = np.square(item.pure), np.square(item.discrepancy)
+    """Noise of the scaled features of a condition, with the part of the discrepancy outside its patterns."""
+    scatter, systematic = np.square(item.pure_error), np.square(item.discrepancy)
     limit = np.maximum(1.0 - scatter - systematic, 0.0)  # sigma^2 = s^2 + (l / 2)^2 + d^2
-    return Noise(scatter, limit + (1.0 if item.patterns is None else UNMEASURED) * systematic)
+    return Noise(scatter, limit + (1.0 if item.patterns is None else INDEPENDENT_DISCREPANCY_SHARE) * systematic)
 
 
 def repeats_of(deviations: Array, freedom: int, stated: Array) -> Array:
@@ -79,7 +79,7 @@ def repeats_of(deviations: Array, freedom: int, stated: Array) -> Array:
 
 
 def _shrunk(scaled: Array, freedom: int) -> Array:
-    """Correlations of deviations with unit variance, shrunk towards none, ``(F, F)``."""
+    """Shrinkage estimate of the correlations of standardised deviations, ``(F, F)`` (Schaefer and Strimmer 2005)."""
     size = scaled.shape[1]
     if freedom < 2:
         return np.eye(size)
@@ -100,7 +100,7 @@ def deviations_of(residuals: Sequence[Array], conditions: Sequence[str]) -> tupl
 
     Args:
         residuals: Of every measurement, ``(F,)``.
-        conditions: Condition of each. Those that repeat nothing are left out, or taken together if none repeats any.
+        conditions: Condition of each. Conditions without repeats are left out, or pooled if there are no repeats.
     """
     rows, names = np.array(residuals), np.array(conditions)
     repeated = [name for name in dict.fromkeys(conditions) if name and np.sum(names == name) > 1]

@@ -22,8 +22,8 @@ import numpy as np
 
 from impact_rs_sim.robot import Array
 
-DECISIVE = 20.0  # likelihood ratio beyond which one explanation stands and the other does not
-TINY = 1e-9  # of the largest information; less is none
+DECISIVE_LIKELIHOOD_RATIO = 20.0  # likelihood ratio beyond which one explanation stands and the other does not
+MIN_INFORMATION_SHARE = 1e-9  # of the largest information; less is none
 
 
 def log_density(square: float, log_determinant: float, size: int, freedom: float) -> float:
@@ -74,7 +74,7 @@ def squares(information: Array, score: Array, width: float = 1.0) -> tuple[Array
     values, vectors = np.linalg.eigh(width**2 * information)
     along = np.square(width * np.einsum("spq,sp->sq", vectors, score))
     values = np.maximum(values, 0.0)
-    kept = values > TINY * np.maximum(values[:, -1:], 1.0)
+    kept = values > MIN_INFORMATION_SHARE * np.maximum(values[:, -1:], 1.0)
     before = np.sum(np.divide(along, values, out=np.zeros_like(along), where=kept), axis=1)
     after = np.sum(np.divide(along, values * (1.0 + values), out=np.zeros_like(along), where=kept), axis=1)
     return before, after, np.sum(np.log1p(values * kept), axis=1), kept.sum(axis=1)

@@ -35,7 +35,7 @@ from collections.abc import Sequence
 import numpy as np
 import scipy
 
-from impact_rs_analysis.diagnosis.thresholds import LEAST_P
+from impact_rs_analysis.diagnosis.thresholds import MIN_REPORTED_P
 from impact_rs_analysis.evidence.cluster import Cluster
 from impact_rs_sim.robot import Array
 
@@ -60,7 +60,7 @@ def p_of_error(clusters: Sequence[Cluster], tested: Sequence[Sequence[int]]) -> 
         for item, rows in own:
             if not rows:
                 continue
-            own_share = np.sqrt(np.maximum(1.0 - np.square(item.pure), 0.0))  # u / sigma
+            own_share = np.sqrt(np.maximum(1.0 - np.square(item.pure_error), 0.0))  # u / sigma
             weight = np.divide(1.0, own_share, out=np.zeros_like(own_share), where=own_share > 0.0)
             weight /= np.sqrt(own_share.size)
             scatter = weight * contrasts / item.sigma / np.sqrt(count * len(rows))
@@ -83,7 +83,11 @@ def p_of_error(clusters: Sequence[Cluster], tested: Sequence[Sequence[int]]) -> 
 
 def _shared(item: Cluster) -> Array:
     """Changes of its scaled residuals by one standard deviation of what conditions share, ``(k, F)``."""
-    return item.moved_together if item.calibrations is None else np.vstack((item.moved_together, item.calibrations))
+    return (
+        item.discrepancy_factor
+        if item.calibrations is None
+        else np.vstack((item.discrepancy_factor, item.calibrations))
+    )
 
 
 def _trace_of_square(rows: Array, count: int) -> float:
@@ -98,4 +102,4 @@ def _trace_of_square(rows: Array, count: int) -> float:
 
 def p_in_words(p_value: float) -> str:
     """A p-value, bounded where the tails of a real robot's noise are not known."""
-    return f"p = {p_value:.2g}" if p_value >= LEAST_P else f"p < {LEAST_P}"
+    return f"p = {p_value:.2g}" if p_value >= MIN_REPORTED_P else f"p < {MIN_REPORTED_P}"

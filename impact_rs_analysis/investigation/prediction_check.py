@@ -20,7 +20,7 @@ from pydantic import Field
 
 from impact_rs_analysis.diagnosis.document import ModelIdentity
 from impact_rs_analysis.evidence.cluster import ErrorUnit, size_of
-from impact_rs_analysis.evidence.features import AXES, JUMP_WINDOWS, SETTLED
+from impact_rs_analysis.evidence.features import AXES, JUMP_WINDOWS_S, SETTLED_WINDOW
 from impact_rs_analysis.evidence.levels import rounded
 from impact_rs_analysis.evidence.measured_runs import MeasuredRun
 from impact_rs_analysis.evidence.source import Source
@@ -108,7 +108,7 @@ def prediction_error(
         if not rows:
             continue
         errors.append(float(np.mean(np.square(item.residuals[rows].mean(axis=0)))))
-        expected.append(float(np.mean(np.square(item.pure) / len(rows) + np.square(item.discrepancy))))
+        expected.append(float(np.mean(np.square(item.pure_error) / len(rows) + np.square(item.discrepancy))))
         own = [conditions[item.name][row] for row in rows]
         if (before := known.get(item.name)) is not None and item.contact:
             impacts.append(_measured(before, own))
@@ -146,7 +146,7 @@ def _arm_velocity(run: MeasuredRun) -> float:
     found = []
     for name, begin in run.impacts.items():
         arm, model = run.signals.arms[name], run.setup.physics.robot_model(name)
-        moments = begin + np.linspace(*JUMP_WINDOWS[SETTLED], MOMENTS)
+        moments = begin + np.linspace(*JUMP_WINDOWS_S[SETTLED_WINDOW], MOMENTS)
         rows = scipy.interpolate.make_interp_spline(run.signals.time, np.hstack([arm.position, arm.velocity]), 1)(
             moments
         )

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from impact_rs_analysis.diagnosis.document import DiagnosisDocument
-from impact_rs_analysis.diagnosis.thresholds import SIGNIFICANT
+from impact_rs_analysis.diagnosis.thresholds import SIGNIFICANCE_LEVEL
 from impact_rs_analysis.diagnosis.verdict import CONFIRMED, NOTHING
 from impact_rs_analysis.investigation.rounds import (
     Round,
@@ -150,7 +150,7 @@ def _left_no_error(here: Round, found: DiagnosisDocument) -> bool:
     something explains a part of it.
     """
     p_value = None if here.prediction_error is None else here.prediction_error.p_value
-    return p_value is not None and p_value >= SIGNIFICANT and found.held_out_error_after <= found.noise_floor
+    return p_value is not None and p_value >= SIGNIFICANCE_LEVEL and found.held_out_error_after <= found.noise_floor
 
 
 def _further(rounds: Sequence[Round]) -> tuple[str, ...]:

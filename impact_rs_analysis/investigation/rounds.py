@@ -14,7 +14,7 @@ from pydantic import Field
 from impact_rs_analysis.diagnosis.compare import ComparisonDocument
 from impact_rs_analysis.diagnosis.discovery_document import FOUND, DiscoveryDocument
 from impact_rs_analysis.diagnosis.document import DiagnosisDocument, read_document
-from impact_rs_analysis.diagnosis.thresholds import SIGNIFICANT
+from impact_rs_analysis.diagnosis.thresholds import SIGNIFICANCE_LEVEL
 from impact_rs_analysis.diagnosis.verdict import NOTHING, SMALL
 from impact_rs_analysis.investigation.prediction_check import PredictionError, Predictions
 from impact_rs_analysis.investigation.settings import Settings
@@ -186,7 +186,7 @@ def _lacks_nothing(document: DiagnosisDocument, p_value: float | None) -> bool:
     """Whether no effect is suspected, and the error, of this p-value, is that of a right model."""
     if document.verdict == SMALL:
         return True
-    return document.verdict == NOTHING and not document.suspected and (p_value is None or p_value >= SIGNIFICANT)
+    return document.verdict == NOTHING and not document.suspected and (p_value is None or p_value >= SIGNIFICANCE_LEVEL)
 
 
 def measured(rounds: Sequence[Round]) -> int:

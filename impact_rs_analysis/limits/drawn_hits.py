@@ -23,7 +23,7 @@ import scipy
 
 from impact_rs_analysis.evidence.ante_impact import obliqueness_of
 from impact_rs_analysis.evidence.map_discrepancy import HitKind
-from impact_rs_analysis.evidence.replays import SQUARE
+from impact_rs_analysis.evidence.replays import MAX_SQUARE_ANGLE_RAD
 from impact_rs_analysis.limits.hit_bounds import Bounds, Thresholds, bounds_of
 from impact_rs_sim.drive import DriveStart
 from impact_rs_sim.errors import InputError
@@ -102,7 +102,7 @@ class Hits:
         closing = closing_speeds(scene.physics, scene.arms, problem.object, scene.models)
         self.speed = max(closing.values())
         self.kind: HitKind = (
-            "oblique" if obliqueness_of(scene.physics, scene.arms, problem.object) > SQUARE else "square"
+            "oblique" if obliqueness_of(scene.physics, scene.arms, problem.object) > MAX_SQUARE_ANGLE_RAD else "square"
         )
         kinds = np.array(self.bounds.kinds)
         jumps = kinds == "jump"

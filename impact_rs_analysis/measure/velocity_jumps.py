@@ -23,7 +23,7 @@ import numpy as np
 import scipy
 
 from impact_rs_analysis.evidence.ante_impact import ante_impact_state, problem_of
-from impact_rs_analysis.evidence.features import AXES, JUMP_BEFORE, JUMP_WINDOWS, SETTLED
+from impact_rs_analysis.evidence.features import AXES, JUMP_BEFORE_S, JUMP_WINDOWS_S, SETTLED_WINDOW
 from impact_rs_analysis.evidence.measured_runs import MeasuredRun, Runs
 from impact_rs_analysis.measure.far import Jump, far_jumps
 from impact_rs_sim.errors import InputError
@@ -170,7 +170,7 @@ def _speeds(run: MeasuredRun, ante: dict[str, Array]) -> tuple[float, float]:
     }
     for name, direction in _directions(ante).items():
         # The feature is the change from the mean over the last milliseconds before the impact.
-        change = np.array([values["end-effector velocity", axis, SETTLED] for axis in AXES])
+        change = np.array([values["end-effector velocity", axis, SETTLED_WINDOW] for axis in AXES])
         baseline = _baseline(run, name)
         pairs.append((float(ante[name] @ direction), float((baseline + change) @ direction)))
     before, after = np.mean(pairs, axis=0)
@@ -193,7 +193,7 @@ def _baseline(run: MeasuredRun, name: str) -> Array:
     """Mean end-effector velocity over the reference window before the impact, ``(3,)`` [m/s]."""
     window, model = run.windowed[-1], run.setup.physics.robot_model(name)
     onset, arm = run.impacts[name], window.arms[name]
-    rows = (window.time >= onset + JUMP_BEFORE[0]) & (window.time <= onset + JUMP_BEFORE[1])
+    rows = (window.time >= onset + JUMP_BEFORE_S[0]) & (window.time <= onset + JUMP_BEFORE_S[1])
     twists = [model.jacobian(q)[:3] @ dq for q, dq in zip(arm.position[rows], arm.velocity[rows], strict=True)]
     return np.asarray(np.mean(twists, axis=0))
 
@@ -223,7 +223,7 @@ def _pushed_on(run: MeasuredRun, name: str, way: Array, motor_inertia: str) -> f
     driving = window.commanded(name) if setup.drive == "command" else arm.torque
     inertia = physics.motor_inertia(motor_inertia)
     drag = 0.0 if setup.physics.support_height is None else setup.physics.support_friction * box.mass * GRAVITY
-    start, (first, last) = run.impacts[name], JUMP_WINDOWS[SETTLED]
+    start, (first, last) = run.impacts[name], JUMP_WINDOWS_S[SETTLED_WINDOW]
     speed, mean, ticks = 0.0, 0.0, 0
     for row in range(1, window.time.size):
         since = float(window.time[row] - start)

@@ -16,7 +16,7 @@ from impact_rs_analysis.diagnosis.document import (
     EstimateDocument,
 )
 from impact_rs_analysis.diagnosis.history import VersionError
-from impact_rs_analysis.diagnosis.thresholds import SIGNIFICANT
+from impact_rs_analysis.diagnosis.thresholds import SIGNIFICANCE_LEVEL
 from impact_rs_analysis.diagnosis.words import not_excluded, remaining, shown_unnamed
 from impact_rs_analysis.evidence.cluster import TIMES
 from impact_rs_analysis.evidence.tracks import Track
@@ -183,7 +183,7 @@ def write_diagnosis(
         dependences=tuple(map(_dependence_row, document.dependences)),
         joints_plot=Plot("joints", joints_plot(document.joints)) if document.joints else None,
         remaining=remaining(document),
-        rest_is_noise=after is not None and after > SIGNIFICANT,
+        rest_is_noise=after is not None and after > SIGNIFICANCE_LEVEL,
         where=where_part(comparison),
         tracks=tracks_part(comparison, tracks),
         history=history_part(versions) if versions else None,

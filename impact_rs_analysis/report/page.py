@@ -22,7 +22,7 @@ from jinja2.utils import htmlsafe_json_dumps
 from markupsafe import Markup, escape
 from numpy.typing import NDArray
 
-from impact_rs_analysis.diagnosis.thresholds import LEAST_P
+from impact_rs_analysis.diagnosis.thresholds import MIN_REPORTED_P
 from impact_rs_analysis.evidence.tracks import Track
 from impact_rs_sim.files import whole_folder
 from impact_rs_sim.numbers import estimate_in_line, speed_text
@@ -142,11 +142,11 @@ def percent_text(value: float, digits: int = 0, signed: bool = False) -> str:
 
 
 def p_text(value: float | None, equals: bool = False) -> str:
-    """A p-value as text, not below ``LEAST_P``; with ``equals`` as in ``p = 0.3``."""
+    """A p-value as text, not below ``MIN_REPORTED_P``; with ``equals`` as in ``p = 0.3``."""
     if value is None:
         return "–"
-    if value <= LEAST_P:
-        return f"<\N{NO-BREAK SPACE}{LEAST_P:g}"
+    if value <= MIN_REPORTED_P:
+        return f"<\N{NO-BREAK SPACE}{MIN_REPORTED_P:g}"
     return f"=\N{NO-BREAK SPACE}{value:.2g}" if equals else f"{value:.2g}"
 
 

@@ -18,7 +18,7 @@ from pathlib import Path
 
 from pydantic import Field
 
-from impact_rs_analysis.diagnosis.document import LARGEST, DiagnosisDocument
+from impact_rs_analysis.diagnosis.document import MAX_FILE_BYTES, DiagnosisDocument
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.files import write_whole
 from impact_rs_sim.model import Model, check_model
@@ -196,7 +196,7 @@ def read_package(path: Path) -> EvidencePackage:
     Raises:
         InputError: The file is missing or no package.
     """
-    data = read_json(path, "a package of evidence", LARGEST)
+    data = read_json(path, "a package of evidence", MAX_FILE_BYTES)
     if not isinstance(data, dict) or "seal" not in data:
         raise InputError("no package of evidence; expected one that impact-rs evidence pack has written", file=path)
     package = validate(EvidencePackage, data, path)

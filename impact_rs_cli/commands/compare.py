@@ -13,7 +13,7 @@ from impact_rs_analysis.diagnosis.agreement import AgreementDocument
 from impact_rs_analysis.diagnosis.compare import ComparisonDocument, compare
 from impact_rs_analysis.diagnosis.document import TIMES
 from impact_rs_analysis.diagnosis.history import history
-from impact_rs_analysis.diagnosis.jump import JOINTS
+from impact_rs_analysis.diagnosis.jump import JOINT_VELOCITY_JUMP
 from impact_rs_analysis.evidence.aligned_bags import check_free, write_aligned
 from impact_rs_analysis.evidence.cluster import SCALE
 from impact_rs_analysis.evidence.tracks import track_of_run
@@ -142,7 +142,7 @@ def _show_levels(document: ComparisonDocument, terminal: Terminal) -> None:
             row = max(level.signals, key=lambda row: row.size)
             worst = f"{row.arm + ', ' if row.arm else ''}{row.signal}: {number(row.error)} {row.unit} rms"
             worst += ", below its relevance limit" if row.error < row.floor else ""
-        elif entries := [entry for entry in level.entries if entry.signal != JOINTS]:
+        elif entries := [entry for entry in level.entries if entry.signal != JOINT_VELOCITY_JUMP]:
             entry = max(entries, key=lambda entry: entry.times_noise)
             worst = f"{entry.signal} {entry.index}: {entry.error:+.3g} {entry.unit}"
         else:

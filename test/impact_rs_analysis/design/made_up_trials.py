@@ -32,14 +32,14 @@ def trial(
     count = rows.shape[1]
     cluster = Cluster(
         name=name,
-        place=("push", "parcel", name),
+        condition_key=("push", "parcel", name),
         layout="hit",
         unit=name,
         contact=True,
         features=tuple(Feature("push", "velocity", "x", n, "m/s", 0.001) for n in range(count)),
         residuals=np.zeros((max(repeats, 1), count)),
         sigma=np.ones(count),
-        pure=np.full(count, SCATTER),
+        pure_error=np.full(count, SCATTER),
         discrepancy=np.full(count, discrepancy),
         patterns=patterns,
     )

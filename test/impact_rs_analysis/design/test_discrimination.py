@@ -8,8 +8,8 @@ import scipy
 from impact_rs_analysis.design.discrimination import WIDE, Discrimination
 from impact_rs_analysis.design.explanations import AS_IS, Decision, Explanation
 from impact_rs_analysis.inference.ahead import probability
-from impact_rs_analysis.inference.noise import UNMEASURED
-from impact_rs_analysis.inference.student import DECISIVE, log_density
+from impact_rs_analysis.inference.noise import INDEPENDENT_DISCREPANCY_SHARE
+from impact_rs_analysis.inference.student import DECISIVE_LIKELIHOOD_RATIO, log_density
 
 from .made_up_trials import DISCREPANCY, SCATTER, estimated_pair, trial
 
@@ -55,9 +55,9 @@ def test_as_many_pairs_are_distinguished_as_said(repeats: int) -> None:
     assert counts.freedom({"a": repeats, "b": repeats}) == freedom
     said = counts.probabilities(counts.total({"a": repeats, "b": repeats}), freedom)[0]
 
-    patterns = np.sqrt(1.0 - UNMEASURED) * np.hstack([one.cluster.patterns for one in trials])
+    patterns = np.sqrt(1.0 - INDEPENDENT_DISCREPANCY_SHARE) * np.hstack([one.cluster.patterns for one in trials])
     spreads = [np.hstack([one.spreads[h] for one in trials]) for h in range(2)]
-    blur = np.diag(np.full(12, blur_of(repeats, UNMEASURED)))
+    blur = np.diag(np.full(12, blur_of(repeats, INDEPENDENT_DISCREPANCY_SHARE)))
     covariance = blur + patterns.T @ patterns + sum(rows.T @ rows for rows in spreads)
     difference = np.subtract(*np.hstack([one.centres for one in trials]))
     way = np.linalg.solve(covariance, difference)
@@ -66,7 +66,7 @@ def test_as_many_pairs_are_distinguished_as_said(repeats: int) -> None:
     scale = np.sqrt(rng.chisquare(freedom, 20_000) / freedom)
     squares = [np.square((draws - side * apart / 2.0) / scale) for side in (1.0, -1.0)]
     first, second = (np.array([log_density(one, 0.0, 1, freedom) for one in own]) for own in squares)
-    assert np.mean(np.abs(first - second) > np.log(DECISIVE)) == pytest.approx(said, abs=0.01)
+    assert np.mean(np.abs(first - second) > np.log(DECISIVE_LIKELIHOOD_RATIO)) == pytest.approx(said, abs=0.01)
     assert 0.3 < said < 0.9
 
 

@@ -103,8 +103,8 @@ def test_friction_and_offset_are_distinguished_by_a_motion_there_and_back(foreca
 
 def test_noise_of_the_scenario_is_the_scatter_of_a_plan(forecast: Forecast) -> None:
     for item in forecast.source.clusters:
-        assert np.all(item.pure > 0.0)
-        assert 0.05 < np.sqrt(np.mean(np.square(item.pure))) < 1.0
+        assert np.all(item.pure_error > 0.0)
+        assert 0.05 < np.sqrt(np.mean(np.square(item.pure_error))) < 1.0
 
 
 def test_trials_measured_so_far_count(forecast: Forecast, hidden_campaign: Path) -> None:

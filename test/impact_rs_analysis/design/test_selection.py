@@ -10,7 +10,7 @@ import pytest
 from impact_rs_analysis.design.discrimination import Discrimination
 from impact_rs_analysis.design.forecast import ForecastTrial
 from impact_rs_analysis.design.selection import CONDITIONS, REPEATS, Counts, chosen, most_telling
-from impact_rs_analysis.diagnosis.thresholds import LEAST_CLUSTERS, LEAST_FREEDOM
+from impact_rs_analysis.diagnosis.thresholds import MIN_CLUSTERS, MIN_DEGREES_OF_FREEDOM
 from impact_rs_sim.errors import InputError
 from impact_rs_trials.experiment_plan import Method
 
@@ -94,14 +94,14 @@ def test_a_first_campaign_can_be_diagnosed(method: Method) -> None:
     for budget in (6, 7, 11):
         found = choice(random_trials(1), budget, method)
         assert sum(found.values()) == budget
-        assert len(found) >= LEAST_CLUSTERS
-        assert sum(found.values()) - len(found) >= LEAST_FREEDOM
+        assert len(found) >= MIN_CLUSTERS
+        assert sum(found.values()) - len(found) >= MIN_DEGREES_OF_FREEDOM
         assert min(found.values()) >= REPEATS
 
 
 def test_conditions_and_repeats_are_what_the_diagnosis_needs() -> None:
-    assert CONDITIONS == LEAST_CLUSTERS
-    assert CONDITIONS * (REPEATS - 1) >= LEAST_FREEDOM
+    assert CONDITIONS == MIN_CLUSTERS
+    assert CONDITIONS * (REPEATS - 1) >= MIN_DEGREES_OF_FREEDOM
 
 
 def test_a_budget_too_small_for_a_diagnosis_is_refused_with_the_least_one() -> None:

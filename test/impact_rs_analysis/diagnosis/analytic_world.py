@@ -183,14 +183,14 @@ class AnalyticSource(Source):
         self.clusters = tuple(
             Cluster(
                 name=str(number),
-                place=("world", "object", str(number)),
+                condition_key=("world", "object", str(number)),
                 layout="free" if number in free else "hit",
                 unit=str(number) if repeated else "recording",
                 contact=number not in free,
                 features=labels,
                 residuals=rows / sigma,
                 sigma=sigma,
-                pure=spread / sigma,
+                pure_error=spread / sigma,
                 discrepancy=np.full(FEATURES, discrepancy) / sigma,
             )
             for number, rows in enumerate(self._measured)
@@ -204,7 +204,7 @@ class AnalyticSource(Source):
         self.clusters = (*self.clusters[:number], spoiled, *self.clusters[number + 1 :])
 
     @property
-    def before_contact(self) -> Source:
+    def free_motion_part(self) -> Source:
         part = copy.copy(self)
         masks = [[not item.contact or f.phase == "free" for f in item.features] for item in self.clusters]
         part.clusters = tuple(item.only(mask, contact=False) for item, mask in zip(self.clusters, masks, strict=True))
@@ -223,7 +223,7 @@ class AnalyticSource(Source):
         self.asked.extend(wanted)
         return [features(number, added) for number, added in wanted]
 
-    def measure_again(self, added: Added, like: Sequence[Cluster]) -> list[Cluster] | None:
+    def residuals_with(self, added: Added, like: Sequence[Cluster]) -> list[Cluster] | None:
         return [
             replace(item, residuals=(self._measured[int(item.name)] - features(int(item.name), added)) / item.sigma)
             for item in like
@@ -251,8 +251,8 @@ class Slipping(AnalyticSource):
         pairs = zip(wanted, super().predict(wanted, what), strict=True)
         return [values + self._slipped(number, added)[0] for (number, added), values in pairs if values is not None]
 
-    def measure_again(self, added: Added, like: Sequence[Cluster]) -> list[Cluster] | None:
-        again = super().measure_again(added, like) or []
+    def residuals_with(self, added: Added, like: Sequence[Cluster]) -> list[Cluster] | None:
+        again = super().residuals_with(added, like) or []
         return [
             replace(item, residuals=item.residuals - self._slipped(int(item.name), added) / item.sigma)
             for item in again
@@ -312,7 +312,7 @@ class InSessions(AnalyticSource):
         found = [Covariate("session", "", tuple((level,) for level in self._sessions))]
         return (*found, *([Covariate("warmth", "degC", tuple((n,) for n in self._warmth))] if self._warmth else []))
 
-    def knowing(self, effects: Sequence[Depending]) -> InSessions:
+    def with_dependences(self, effects: Sequence[Depending]) -> InSessions:
         found = copy.copy(self)
         found._pairs = self._pairs | {pair.name: pair for pair in effects}
         return found
@@ -335,8 +335,8 @@ class InSessions(AnalyticSource):
     def predict(self, wanted: Sequence[tuple[int, Added]], what: str) -> list[Array | None]:
         return super().predict([(number, self._there(number, added)) for number, added in wanted], what)
 
-    def measure_again(self, added: Added, like: Sequence[Cluster]) -> list[Cluster] | None:
-        found = (super(InSessions, self).measure_again(self._there(int(one.name), added), [one]) for one in like)
+    def residuals_with(self, added: Added, like: Sequence[Cluster]) -> list[Cluster] | None:
+        found = (super(InSessions, self).residuals_with(self._there(int(one.name), added), [one]) for one in like)
         return [item for items in found for item in items or ()]
 
 

@@ -21,11 +21,11 @@ def few_draws(request: pytest.FixtureRequest) -> Iterator[None]:
     """
     with pytest.MonkeyPatch.context() as patched:
         if "discover" not in request.module.__name__:
-            patched.setattr(null_distribution, "DRAWS", FEW)
-            patched.setattr(null_distribution, "MANY_DRAWS", FEW_SIGNS)
-            patched.setattr(drift, "DRAWS", FEW)
-        null_distribution._frames.cache_clear()
+            patched.setattr(null_distribution, "NULL_DRAWS", FEW)
+            patched.setattr(null_distribution, "MANY_SIGN_DRAWS", FEW_SIGNS)
+            patched.setattr(drift, "NULL_DRAWS", FEW)
+        null_distribution._rotations.cache_clear()
         null_distribution._signs.cache_clear()
         yield
-    null_distribution._frames.cache_clear()
+    null_distribution._rotations.cache_clear()
     null_distribution._signs.cache_clear()

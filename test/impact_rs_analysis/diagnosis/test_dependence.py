@@ -45,7 +45,7 @@ def in_session(session: str | float, warmth: float) -> float:
 def depending(source: InSessions, *names: str) -> Dependences:
     """Dependences of what a search with one value for all circumstances finds."""
     search = Search([EFFECTS[name] for name in names or ("straight", "bent")], Evidence.of(source))
-    found = dependences_of(Findings(search, search.choose(), (), None, {}))
+    found = dependences_of(Findings(search, search.forward_selection(), (), None, {}))
     assert found is not None
     return found
 
@@ -138,7 +138,7 @@ def test_a_search_with_dependences_settles_them_where_it_finds_them_or_other_eff
 ) -> None:
     """Kills: what scatter hides is taken for an answer."""
     first, second = (cast(Findings, SimpleNamespace(names=names)) for names in (("straight",), again))
-    assert honest().settled_by(first, second) == settled
+    assert honest().confirmed_by(first, second) == settled
 
 
 def test_where_nothing_depends_on_anything_nothing_is_said() -> None:
@@ -347,7 +347,7 @@ def test_rows_of_one_condition_in_other_sessions_are_no_repeats(tmp_path: Path) 
         ("c0, session B", "c0", 3),
     ]
     together = ImpactTableSource(read_impact_table(path), NOMINAL)
-    normal, pooled = (one.clusters[0].pure[0] * one.clusters[0].sigma[0] for one in (source, together))
+    normal, pooled = (one.clusters[0].pure_error[0] * one.clusters[0].sigma[0] for one in (source, together))
     assert normal == pytest.approx(NOISE[0], rel=0.2) and pooled > 1.5 * normal
 
 
@@ -420,7 +420,7 @@ def test_levels_that_were_measured_too_seldom_are_not_judged(tmp_path: Path) -> 
 
 def test_folds_take_neighbours_in_turn_and_no_session_as_a_whole(tmp_path: Path) -> None:
     table = read_impact_table(made(tmp_path / "balls.csv", rows=90), covariates=["session"])
-    source = ImpactTableSource(table, NOMINAL).knowing(())
+    source = ImpactTableSource(table, NOMINAL).with_dependences(())
     folds = folds_of(source)
     assert sorted(number for fold in folds for number in fold.held) == list(range(90))
     for fold in folds:

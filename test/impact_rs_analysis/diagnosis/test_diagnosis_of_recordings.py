@@ -18,7 +18,7 @@ from rosbags.rosbag2 import StoragePlugin, Writer
 from impact_rs_analysis.diagnosis.compare import compare
 from impact_rs_analysis.diagnosis.diagnose import diagnose, effects_for
 from impact_rs_analysis.diagnosis.document import DiagnosisDocument, EffectDocument, read_document
-from impact_rs_analysis.diagnosis.fit import Evidence, measure_again
+from impact_rs_analysis.diagnosis.fit import Evidence, replay_and_refit
 from impact_rs_analysis.diagnosis.hold_out import folds_of
 from impact_rs_analysis.diagnosis.search import Search
 from impact_rs_analysis.evidence.recordings import RecordingSource
@@ -158,7 +158,7 @@ def test_the_interval_of_a_payload_counts_the_scale_of_the_torque(tmp_path: Path
     names = ["joint_coulomb_friction", "end_effector_payload"]
     fit = Search(effects_for(source, names), Evidence.of(source)).fitted(names)
     assert fit is not None
-    fit = measure_again(fit)
+    fit = replay_and_refit(fit)
     index = fit.candidate.part("end_effector_payload").start
     error = abs(fit.estimate[index] - TRUE_PAYLOAD) / fit.candidate.scale[index]
     assert fit.half_widths_of_noise[index] < error < fit.half_widths[index]

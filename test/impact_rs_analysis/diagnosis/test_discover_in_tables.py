@@ -16,7 +16,7 @@ from impact_rs_analysis.diagnosis.discover import discover
 from impact_rs_analysis.diagnosis.discovery_document import FOUND, LIBRARY, DiscoveryDocument
 from impact_rs_analysis.diagnosis.grammar import load_grammar
 from impact_rs_analysis.evidence.impact_tables import ImpactTableSource
-from impact_rs_analysis.evidence.visited import visited
+from impact_rs_analysis.evidence.visited import measured_ranges
 from impact_rs_sim.effects.formula import Formula
 from impact_rs_sim.model import load_model
 from impact_rs_trials.recordings.impact_table import ImpactTable, read_impact_table
@@ -118,6 +118,6 @@ def test_laws_of_a_contact_depend_on_the_speeds_at_the_contact(table: ImpactTabl
     slip = np.hypot(twists[:, 0] - 0.02 * twists[:, 4], twists[:, 1] + 0.02 * twists[:, 3])
     assert source.contact_speeds["v"] == pytest.approx(-twists[:, 2])
     assert source.contact_speeds["slip"] == pytest.approx(slip)
-    ranges = visited(source, ["slip / v"])
+    ranges = measured_ranges(source, ["slip / v"])
     assert ranges["v"] == pytest.approx(np.percentile(-twists[:, 2], (0.5, 99.5)))
     assert ranges["slip / v"] == pytest.approx(np.percentile(-slip / twists[:, 2], (0.5, 99.5)))

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from analytic_world import FEATURES, AnalyticSource, assert_uniform, correlated
 
-from impact_rs_analysis.diagnosis.drift import doubt_of, drift_in_words, drift_of
-from impact_rs_analysis.diagnosis.thresholds import SIGNIFICANT
+from impact_rs_analysis.diagnosis.drift import drift_in_words, drift_of, low_confidence_sentence
+from impact_rs_analysis.diagnosis.thresholds import SIGNIFICANCE_LEVEL
 from impact_rs_analysis.evidence.cluster import Cluster
 
 CONDITIONS, REPEATS = 6, 3
@@ -28,7 +28,7 @@ def campaign(seed: int, order: np.ndarray, change: float = 0.0) -> list[Cluster]
         replace(
             item,
             residuals=item.residuals + np.outer(stamps / (COUNT - 1.0), change * SIGNAL) / item.sigma,
-            stamps=1e9 + 60.0 * stamps,
+            timestamps=1e9 + 60.0 * stamps,
         )
         for item, stamps in zip(clusters, order, strict=True)
     ]
@@ -41,7 +41,7 @@ def test_without_drift_p_is_uniform() -> None:
 @pytest.mark.parametrize("change", [-30.0, 30.0])
 def test_a_drift_is_named_with_its_size_and_direction(change: float) -> None:
     found = drift_of(campaign(1, RANDOM, change))
-    assert found is not None and found.p_value < SIGNIFICANT and not found.confounded
+    assert found is not None and found.p_value < SIGNIFICANCE_LEVEL and not found.confounded
     assert found.signal == "signal 2" and found.runs == COUNT
     assert found.change == pytest.approx(change, rel=0.2)
     words = drift_in_words(found)
@@ -50,12 +50,17 @@ def test_a_drift_is_named_with_its_size_and_direction(change: float) -> None:
 
 def test_in_an_order_by_conditions_a_drift_lowers_the_confidence() -> None:
     found = drift_of(campaign(1, LISTED, 90.0))
-    assert found is not None and found.confounded and found.p_value < SIGNIFICANT
+    assert found is not None and found.confounded and found.p_value < SIGNIFICANCE_LEVEL
     assert drift_in_words(found).startswith("low confidence") and "random order" in drift_in_words(found)
-    assert doubt_of(found).startswith("Confidence is low: the signal 2 x drifts")
+    assert low_confidence_sentence(found).startswith("Confidence is low: the signal 2 x drifts")
     quiet = drift_of(campaign(1, LISTED))
     assert quiet is not None and "No drift is seen" in drift_in_words(quiet)
-    assert doubt_of(quiet) == doubt_of(drift_of(campaign(1, RANDOM, 90.0))) == doubt_of(None) == ""
+    assert (
+        low_confidence_sentence(quiet)
+        == low_confidence_sentence(drift_of(campaign(1, RANDOM, 90.0)))
+        == low_confidence_sentence(None)
+        == ""
+    )
 
 
 def test_what_a_model_lacks_is_no_drift() -> None:
@@ -67,11 +72,11 @@ def test_what_a_model_lacks_is_no_drift() -> None:
 
 @pytest.mark.parametrize("stamps", [[None] * 6, [np.zeros(3)] * 6])
 def test_where_the_order_is_unknown_nothing_is_said(stamps: Sequence[np.ndarray | None]) -> None:
-    clusters = [replace(item, stamps=own) for item, own in zip(campaign(0, RANDOM), stamps, strict=True)]
+    clusters = [replace(item, timestamps=own) for item, own in zip(campaign(0, RANDOM), stamps, strict=True)]
     assert drift_of(clusters) is None and drift_in_words(None) == ""
 
 
 def test_a_single_repeat_too_few_decides_nothing() -> None:
     clusters = campaign(0, RANDOM)
-    alone = [replace(item, residuals=item.residuals[:1], stamps=item.stamps[:1]) for item in clusters]
+    alone = [replace(item, residuals=item.residuals[:1], timestamps=item.timestamps[:1]) for item in clusters]
     assert drift_of([clusters[0], *alone[1:]]) is None

@@ -14,7 +14,7 @@ from joint_recordings import swinging, write_npz
 from impact_rs_analysis.diagnosis.candidate import Candidate, linearise
 from impact_rs_analysis.diagnosis.diagnose import diagnose, effects_for
 from impact_rs_analysis.diagnosis.document import EffectDocument
-from impact_rs_analysis.diagnosis.fit import Evidence, Fit, measure_again
+from impact_rs_analysis.diagnosis.fit import Evidence, Fit, replay_and_refit
 from impact_rs_analysis.diagnosis.search import Search
 from impact_rs_analysis.evidence.impact_tables import ImpactTableSource
 from impact_rs_analysis.evidence.map_discrepancy import NO_MAP_DISCREPANCY
@@ -68,7 +68,7 @@ def found_in(source: RecordingSource, effects: list[str]) -> dict[str, EffectDoc
 def exists(source: RecordingSource, entry: EffectDocument) -> bool:
     """Whether the estimate leaves bodies."""
     candidate = Candidate.of((source.known_effects[entry.name],), source)
-    return candidate.has_bodies(np.array([value.estimate for value in entry.parameters.values()]))
+    return candidate.physically_consistent(np.array([value.estimate for value in entry.parameters.values()]))
 
 
 def assert_holds(entry: EffectDocument, name: str, true: float, widest: float) -> None:
@@ -135,7 +135,7 @@ def test_a_payload_that_predicts_as_well_as_another_density_of_the_last_link_is_
     search = Search(effects_for(source, [PAYLOAD, "link_mass"]), Evidence.of(source))
     links = search.fitted(["link_mass"])
     assert links is not None
-    (rival,) = search.rivals(measure_again(links))
+    (rival,) = search.rivals(replay_and_refit(links))
     assert (rival.name, rival.tied) == (PAYLOAD, True)
     assert rival.fit.estimate[0] == pytest.approx(HAND[0], abs=0.03)
 
@@ -152,10 +152,12 @@ def test_a_fit_does_not_step_to_an_object_whose_mass_is_negative_under_some_circ
     source = ImpactTableSource(table, nominal, discrepancy=NO_MAP_DISCREPANCY)
     values = np.arange(float(len(rows)))
     mass = Depending(source.known_effects["object_mass"], "fill", Slope(float(values.mean()), float(values.std())))
-    knowing = source.knowing([mass])
+    knowing = source.with_dependences([mass])
     assert knowing.predict([(0, ((mass.name, (1.1, -0.9)),))], "test") == [None]
     candidate = Candidate.of((mass,), knowing)
-    assert candidate.has_bodies(np.array([1.1, 0.1])) and not candidate.has_bodies(np.array([1.1, -0.9]))
+    assert candidate.physically_consistent(np.array([1.1, 0.1])) and not candidate.physically_consistent(
+        np.array([1.1, -0.9])
+    )
     clusters, numbers = knowing.clusters, range(len(knowing.clusters))
     seen = linearise(candidate, clusters, numbers, knowing)
     assert seen is not None
@@ -164,4 +166,4 @@ def test_a_fit_does_not_step_to_an_object_whose_mass_is_negative_under_some_circ
         for item, jacobian in zip(clusters, seen.jacobians, strict=True)
     ]
     fitted = Fit.of(seen, Evidence(knowing, tuple(numbers), tuple(wild)))
-    assert candidate.has_bodies(fitted.estimate) and fitted.at_bound.any()
+    assert candidate.physically_consistent(fitted.estimate) and fitted.at_bound.any()

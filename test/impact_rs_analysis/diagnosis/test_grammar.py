@@ -12,7 +12,7 @@ import pytest
 from impact_rs_analysis.diagnosis.discover import _tie
 from impact_rs_analysis.diagnosis.document import DiagnosisDocument
 from impact_rs_analysis.diagnosis.grammar import Law, curve_of, laws_of, load_grammar, unit_of
-from impact_rs_analysis.diagnosis.null_distribution import rarity_in_the_tail
+from impact_rs_analysis.diagnosis.null_distribution import p_value_with_pareto_tail
 from impact_rs_sim.effects import Parameter
 from impact_rs_sim.effects.dimensions import check_units
 from impact_rs_sim.effects.formula import SYMBOLS, Formula, FormulaEffect
@@ -217,5 +217,5 @@ def test_a_p_value_beyond_all_draws_is_that_of_the_tail(freedom: int, quantile: 
     found = []
     for seed in range(20):
         null = np.random.default_rng(seed).chisquare(freedom, 4999)
-        found.append(rarity_in_the_tail(float(scipy.stats.chi2.isf(quantile, freedom)), null))
+        found.append(p_value_with_pareto_tail(float(scipy.stats.chi2.isf(quantile, freedom)), null))
     assert quantile / 4.0 < np.exp(np.mean(np.log(found))) < 4.0 * quantile

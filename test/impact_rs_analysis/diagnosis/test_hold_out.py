@@ -49,13 +49,13 @@ def test_stretches_of_a_recording_are_predicted_without_their_neighbours() -> No
 
 def errors_of(found: HoldOut) -> Array:
     """Mean square scaled error by cluster."""
-    return np.array([np.mean(np.square(values)) for values in found.rest])
+    return np.array([np.mean(np.square(values)) for values in found.residuals])
 
 
 def held_out(source: Source, effects: Sequence[Effect], from_known: bool = True) -> HoldOut:
     evidence = Evidence.of(source)
     search = Search(effects, evidence)
-    chosen = search.choose()
+    chosen = search.forward_selection()
     first = linearise(Candidate.of((effects[0],), source), evidence.clusters, evidence.numbers, source)
     candidate = first if chosen is None else chosen.candidate
     assert candidate is not None
@@ -86,7 +86,7 @@ def test_what_a_held_out_cluster_holds_does_not_change_its_prediction(number: in
     found = honest(), (spoiled, held_out(spoiled, CONSIDERED))
     fold = next(index for index, fold in enumerate(found[0][1].folds) if number in fold.held)
     assert [held.chosen[fold] for _, held in found] == [("straight",)] * 2
-    predicted = [source.clusters[number].mean - held.rest[number] for source, held in found]
+    predicted = [source.clusters[number].mean - held.residuals[number] for source, held in found]
     np.testing.assert_allclose(*predicted, atol=1e-9)
 
 
@@ -96,7 +96,9 @@ def test_a_fold_ends_at_the_same_place_from_wherever_it_begins(seed: int) -> Non
     source = AnalyticSource(seed, (("bent", (5.0,)), ("straight", (4.0,))))
     cold, warm = (held_out(source, CONSIDERED, known) for known in (False, True))
     assert warm.chosen == cold.chosen
-    np.testing.assert_allclose(np.concatenate(warm.rest), np.concatenate(cold.rest), atol=0.05)  # of the noise
+    np.testing.assert_allclose(
+        np.concatenate(warm.residuals), np.concatenate(cold.residuals), atol=0.05
+    )  # of the noise
 
 
 @pytest.mark.parametrize("looked", [True, False])
@@ -105,7 +107,7 @@ def test_a_fold_that_is_stuck_looks_where_the_search_of_all_clusters_has_ended(
 ) -> None:
     """Joints that stick make small minima; without the look some fold ends in one."""
     source = AnalyticSource(9, (("stick_slip", (8.3, -6.1, 5.2)),))
-    chosen = Search([EFFECTS["stick_slip"]], Evidence.of(source)).choose()
+    chosen = Search([EFFECTS["stick_slip"]], Evidence.of(source)).forward_selection()
     assert chosen is not None
     if not looked:
         monkeypatch.setattr(Search, "_at_earlier", lambda *_: None)
@@ -120,7 +122,7 @@ def test_what_only_a_held_out_cluster_shows_is_unknown_to_its_fold() -> None:
     """A parameter that nothing else sees is where it does nothing, although the search over all has found it."""
     source = AnalyticSource(4, (("local", (5.0, 8.0)),))
     effects = [EFFECTS["local"], EFFECTS["straight"]]
-    chosen = Search(effects, Evidence.of(source)).choose()
+    chosen = Search(effects, Evidence.of(source)).forward_selection()
     assert chosen is not None and chosen.estimate[1] == pytest.approx(8.0, abs=0.5)
     errors = errors_of(held_out(source, effects))
     assert errors[0] > 10.0 * errors[1:].max()
@@ -147,15 +149,15 @@ def test_a_condition_in_which_the_effects_cannot_be_simulated_is_one_that_they_f
 ) -> None:
     """Kills: such a condition counts as predicted."""
     source = AnalyticSource(3, (("straight", (3.0,)),))
-    again = source.measure_again
+    again = source.residuals_with
 
     def missed(added: Added, like: Sequence[Cluster]) -> list[Cluster] | None:
         return None if added and [item.name for item in like] == ["2"] else again(added, like)
 
-    monkeypatch.setattr(source, "measure_again", missed)
+    monkeypatch.setattr(source, "residuals_with", missed)
     found = held_out(source, [EFFECTS["straight"]])
     assert found.failed == (2,)
-    assert found.rest[2] == pytest.approx(source.clusters[2].mean)
+    assert found.residuals[2] == pytest.approx(source.clusters[2].mean)
 
 
 def test_fitting_noise_does_not_lower_the_error_on_unseen_clusters() -> None:

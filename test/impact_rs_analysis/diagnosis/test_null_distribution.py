@@ -16,10 +16,10 @@ from impact_rs_analysis.diagnosis.null_distribution import (
     RotationNull,
     SignFlipNull,
     combined_half_width,
-    rarity,
-    smallest,
+    monte_carlo_p_value,
+    westfall_young_p_value,
 )
-from impact_rs_analysis.diagnosis.thresholds import LEAST_FREEDOM
+from impact_rs_analysis.diagnosis.thresholds import MIN_DEGREES_OF_FREEDOM
 from impact_rs_analysis.evidence.cluster import pooled_error
 
 DRAWS = 999
@@ -88,13 +88,13 @@ def test_p_is_uniform_under_the_null_for_few_and_correlated_features(
 def scaled_by_their_repeats(clusters, jacobians):
     """Clusters and sensitivities with the pure error that the repeats give in place of the true one."""
     found = pooled_error([item.residuals for item in clusters])
-    scale = np.sqrt(found**2 + 1.0 - np.square(clusters[0].pure))
+    scale = np.sqrt(found**2 + 1.0 - np.square(clusters[0].pure_error))
     items = [
         replace(
             item,
             residuals=item.residuals / scale,
             sigma=item.sigma * scale,
-            pure=found / scale,
+            pure_error=found / scale,
             discrepancy=item.discrepancy / scale,
         )
         for item in clusters
@@ -153,7 +153,7 @@ def test_heavy_tails_raise_no_alarm() -> None:
 
 def test_a_reference_with_too_few_repeats_decides_nothing() -> None:
     reference = RotationNull(AnalyticSource(0, design=(2, 2, 1)).clusters)
-    assert reference.freedom == 2 < LEAST_FREEDOM
+    assert reference.freedom == 2 < MIN_DEGREES_OF_FREEDOM
     assert reference.shortage is not None and "1 more repeat" in reference.shortage
     assert p_of(reference, sensitivity(0, 3, 1)) == 1.0
     assert lack_of_fit(reference) is None
@@ -190,7 +190,7 @@ def of_signals(rows, names, patterns=None):
         features=tuple(replace(WHITE.features[0], signal=name, bin=number) for number, name in enumerate(names)),
         residuals=rows / sigma,
         sigma=sigma,
-        pure=1.0 / sigma,
+        pure_error=1.0 / sigma,
         discrepancy=np.sqrt(1.0 - 1.0 / sigma**2),
         patterns=patterns / sigma,
     )
@@ -243,12 +243,12 @@ def test_with_three_contrasts_a_discrepancy_hides_no_misfit_of_every_feature(siz
 def test_the_smallest_of_several_p_counts_all_that_were_looked_at() -> None:
     """Of one statistic it is its own p; of k independent ones about k times the smallest; copies cost nothing."""
     null = np.random.default_rng(0).standard_normal((4000, 5)) ** 2
-    own = rarity(8.0, null[:, 0])
-    assert smallest(np.array([8.0]), null[:, :1]) == pytest.approx(own)
-    assert smallest(np.full(3, 8.0), null[:, [0, 0, 0]]) == pytest.approx(own)
-    together = smallest(np.array([8.0, 0.1, 0.1, 0.1, 0.1]), null)
+    own = monte_carlo_p_value(8.0, null[:, 0])
+    assert westfall_young_p_value(np.array([8.0]), null[:, :1]) == pytest.approx(own)
+    assert westfall_young_p_value(np.full(3, 8.0), null[:, [0, 0, 0]]) == pytest.approx(own)
+    together = westfall_young_p_value(np.array([8.0, 0.1, 0.1, 0.1, 0.1]), null)
     assert together == pytest.approx(1.0 - (1.0 - own) ** 5, rel=0.2)
-    silent = smallest(np.array([8.0, 0.0]), np.column_stack((null[:, 0], np.zeros(4000))))
+    silent = westfall_young_p_value(np.array([8.0, 0.0]), np.column_stack((null[:, 0], np.zeros(4000))))
     assert silent == pytest.approx(own)
 
 
@@ -295,8 +295,8 @@ def test_intervals_take_the_quantile_of_the_estimator_that_made_them() -> None:
 
 
 def test_rarity_counts_the_observation_itself() -> None:
-    assert rarity(5.0, np.arange(9.0)) == pytest.approx(5.0 / 10.0)
-    assert rarity(100.0, np.arange(9.0)) == pytest.approx(1.0 / 10.0)
+    assert monte_carlo_p_value(5.0, np.arange(9.0)) == pytest.approx(5.0 / 10.0)
+    assert monte_carlo_p_value(100.0, np.arange(9.0)) == pytest.approx(1.0 / 10.0)
 
 
 def test_an_effect_is_seen_although_conditions_disagree_about_its_size() -> None:

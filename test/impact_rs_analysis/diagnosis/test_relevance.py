@@ -10,7 +10,7 @@ import pytest
 from analytic_world import EFFECTS, FLOOR, AnalyticSource, direction
 
 from impact_rs_analysis.diagnosis.fit import Evidence, Fit
-from impact_rs_analysis.diagnosis.relevance import changes_of, moves_enough, noticeable, sizes_of
+from impact_rs_analysis.diagnosis.relevance import changes_of, exceeds_relevance_limit, noticeable, sizes_of
 from impact_rs_analysis.diagnosis.search import Search
 from impact_rs_sim.robot import Array
 
@@ -34,7 +34,7 @@ def test_a_linear_effect_changes_every_signal_by_what_it_adds(distance: Array | 
 @pytest.mark.parametrize(("share", "enough"), [(0.99, False), (1.01, True)])
 def test_a_change_matters_beyond_the_relevance_limit_of_one_signal(share: float, enough: bool) -> None:
     """Kills: all signals asked, or the limit in multiples of the noise."""
-    assert moves_enough(fitted(AnalyticSource(1), "straight", share * FLOOR / LARGEST)) == enough
+    assert exceeds_relevance_limit(fitted(AnalyticSource(1), "straight", share * FLOOR / LARGEST)) == enough
 
 
 def test_what_an_effect_moves_is_listed_from_the_most_noticeable_on() -> None:

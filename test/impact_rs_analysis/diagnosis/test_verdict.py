@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from impact_rs_analysis.diagnosis.document import ViewDocument
-from impact_rs_analysis.diagnosis.verdict import ALONE, NOTHING, DiagnosisVerdict, Kind
+from impact_rs_analysis.diagnosis.verdict import NOTHING, WITHOUT_NAMES, DiagnosisVerdict, Kind
 
 PACKAGES = sorted(Path(__file__).resolve().parents[3].glob("impact_rs_*/**/*.py"))
 TAKES_APART = {"startswith", "endswith", "split", "rsplit", "partition", "rpartition", "removeprefix", "removesuffix"}
@@ -19,8 +19,8 @@ TAKES_APART = {"startswith", "endswith", "split", "rsplit", "partition", "rparti
 names = st.lists(
     st.from_regex(r"[a-z][a-z0-9_]*( (by level of|along) [a-z]+)?", fullmatch=True), min_size=1, max_size=4
 )
-verdicts = st.sampled_from(sorted(ALONE)).map(DiagnosisVerdict) | st.builds(
-    DiagnosisVerdict, st.sampled_from(sorted(set(Kind) - ALONE)), names.map(tuple)
+verdicts = st.sampled_from(sorted(WITHOUT_NAMES)).map(DiagnosisVerdict) | st.builds(
+    DiagnosisVerdict, st.sampled_from(sorted(set(Kind) - WITHOUT_NAMES)), names.map(tuple)
 )
 
 

@@ -26,7 +26,7 @@ from impact_rs_analysis.diagnosis.residuals import residual_size, rests_of
 from impact_rs_analysis.diagnosis.scoring import held_against_truth
 from impact_rs_analysis.diagnosis.search import Search
 from impact_rs_analysis.diagnosis.verdict import NOTHING, DiagnosisVerdict
-from impact_rs_analysis.diagnosis.verdicts import certain, change_interval, clip_p, supported_by_hold_out
+from impact_rs_analysis.diagnosis.verdicts import change_interval, excludes_nominal, reported_p, supported_by_hold_out
 from impact_rs_analysis.diagnosis.words import not_excluded
 from impact_rs_analysis.evidence.cluster import Added
 from impact_rs_sim.errors import InputError
@@ -52,7 +52,7 @@ def test_nothing_is_missing_and_one_is_what_repetition_gives() -> None:
     assert sum(str(d.verdict) == "NOTHING-MISSING" for d in documents) >= 18
 
 
-@pytest.mark.parametrize("spoiled", ["failed", "rest"])
+@pytest.mark.parametrize("spoiled", ["failed", "residuals"])
 def test_only_what_the_hold_out_supports_is_named(spoiled: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """Searches without the data that they predict must predict them better, and all of them.
 
@@ -62,8 +62,8 @@ def test_only_what_the_hold_out_supports_is_named(spoiled: str, monkeypatch: pyt
     def unsupported(source: AnalyticSource, *given: Any) -> HoldOut | None:
         found = hold_out(source, *given)
         assert found is not None
-        if spoiled == "rest":
-            return replace(found, rest=tuple(item.mean for item in source.clusters))
+        if spoiled == "residuals":
+            return replace(found, residuals=tuple(item.mean for item in source.clusters))
         return replace(found, failed=(2,))
 
     source = AnalyticSource(1, (("straight", (5.0,)),))
@@ -85,7 +85,7 @@ def test_a_lower_error_on_unseen_data_is_enough_with_repeats_alone(
     def hardly(source: AnalyticSource, *given: Any) -> HoldOut | None:
         found = hold_out(source, *given)
         rest = tuple(item.mean * (0.9 if number == 0 else 1.0) for number, item in enumerate(source.clusters))
-        return found and replace(found, rest=rest, **({"chosen": (("straight",), *((),) * 5)} if repeated else {}))
+        return found and replace(found, residuals=rest, **({"chosen": (("straight",), *((),) * 5)} if repeated else {}))
 
     monkeypatch.setattr("impact_rs_analysis.diagnosis.diagnose.hold_out", hardly)
     source = AnalyticSource(1, (("straight", (5.0,)),), design=(3,) * 6 if repeated else (1,) * 24, repeated=repeated)
@@ -123,7 +123,7 @@ def test_folds_that_were_not_searched_do_not_count_as_folds_that_missed_an_effec
 
 def test_p_is_a_bound_where_noise_is_not_known() -> None:
     document = said(AnalyticSource(1, (("straight", (40.0,)),)))
-    assert document.design.least_p == clip_p(1e-6) == 0.0005
+    assert document.design.least_p == reported_p(1e-6) == 0.0005
     assert document.lack_of_fit.before == pytest.approx(0.001)  # of 999 draws
     assert document.effects[0].p_value == 0.0005
 
@@ -357,10 +357,10 @@ def test_an_effect_is_certain_where_one_interval_leaves_out_nothing() -> None:
     source = AnalyticSource(1, (("payload", (3.0, 0.5)),))
     best = fitted(source, "payload")
     half = best.half_widths
-    assert certain(best, "payload")
+    assert excludes_nominal(best, "payload")
     for mass, expected in ((1.1, True), (-1.1, True), (0.9, False)):
         moved = Fit(best.candidate, best.evidence, best.problem, np.array([mass * half[0], 9.0]))
-        assert certain(moved, "payload") == expected
+        assert excludes_nominal(moved, "payload") == expected
 
 
 def test_without_repeats_what_is_too_small_to_matter_needs_no_support() -> None:

@@ -104,10 +104,10 @@ def measured_free(free: Run) -> MeasuredRun:
 def few_draws() -> Iterator[None]:
     """999 draws in place of 4999: p values are as right, only coarser."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(null_distribution, "DRAWS", 999)
-        null_distribution._frames.cache_clear()
+        patch.setattr(null_distribution, "NULL_DRAWS", 999)
+        null_distribution._rotations.cache_clear()
         yield
-    null_distribution._frames.cache_clear()
+    null_distribution._rotations.cache_clear()
 
 
 def assert_intervals(

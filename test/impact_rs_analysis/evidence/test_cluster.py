@@ -24,11 +24,11 @@ from impact_rs_sim.scenario import load_scenario
 FEATURES = tuple(Feature("impact", "velocity", "x", number, "m/s", 0.01) for number in range(50))
 
 
-def cluster(residuals: np.ndarray, pure: float = 1.0, discrepancy: float = 0.0, unit: str = "0") -> Cluster:
+def cluster(residuals: np.ndarray, pure_error: float = 1.0, discrepancy: float = 0.0, unit: str = "0") -> Cluster:
     count = residuals.shape[1]
     return Cluster(
-        unit, ("a", "b", "c"), "hit", unit, True, FEATURES[:count], residuals, np.ones(count), np.full(count, pure),
-        np.full(count, discrepancy),
+        unit, ("a", "b", "c"), "hit", unit, True, FEATURES[:count], residuals, np.ones(count),
+        np.full(count, pure_error), np.full(count, discrepancy),
     )  # fmt: skip
 
 
@@ -53,12 +53,12 @@ def test_the_size_of_pure_repetition_is_one_for_any_number_of_repeats(repeats: i
 
 
 def test_a_known_discrepancy_is_expected_and_repeats_do_not_lower_it() -> None:
-    item = cluster(np.zeros((100, 3)), pure=1.0, discrepancy=2.0)
+    item = cluster(np.zeros((100, 3)), pure_error=1.0, discrepancy=2.0)
     assert item.expected == pytest.approx(1.0 / 100.0 + 4.0)
 
 
 def test_a_size_without_any_noise_is_the_residual_itself() -> None:
-    item = cluster(np.full((1, 3), 3.0), pure=0.0)
+    item = cluster(np.full((1, 3), 3.0), pure_error=0.0)
     assert size_of([item.error], [item.expected]) == pytest.approx(3.0)
 
 

@@ -9,11 +9,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from impact_rs_analysis.diagnosis.thresholds import UNMEASURED
+from impact_rs_analysis.diagnosis.thresholds import INDEPENDENT_DISCREPANCY_SHARE
 from impact_rs_analysis.evidence.cluster import Feature
 from impact_rs_analysis.evidence.discrepancy import (
     NO_DISCREPANCY,
-    TABLE,
+    PATTERNS_FILE,
     Discrepancy,
     DiscrepancyEntry,
     Patterns,
@@ -122,7 +122,7 @@ def test_of_a_simulator_left_out_a_third_is_no_sum_of_the_others() -> None:
     """
     known = measured_discrepancy()
     shares = []
-    with (config_directory() / TABLE).open(encoding="utf-8") as file:
+    with (config_directory() / PATTERNS_FILE).open(encoding="utf-8") as file:
         table = [row for row in csv.reader(file) if row]
     for patterns in known.patterns:
         features = [Feature(*place, "-", 0.0) for place in patterns.features]
@@ -134,4 +134,4 @@ def test_of_a_simulator_left_out_a_third_is_no_sum_of_the_others() -> None:
             own, others = rows[simulators == simulator], rows[simulators != simulator]
             span = np.linalg.svd(others, full_matrices=False)[2]
             shares.append(np.sum(np.square(own - own @ span.T @ span)) / np.sum(np.square(own)))
-    assert np.mean(shares) == pytest.approx(UNMEASURED, abs=0.05)
+    assert np.mean(shares) == pytest.approx(INDEPENDENT_DISCREPANCY_SHARE, abs=0.05)

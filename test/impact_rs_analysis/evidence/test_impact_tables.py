@@ -22,8 +22,12 @@ from impact_rs_analysis.diagnosis.diagnose import diagnose, effects_for
 from impact_rs_analysis.diagnosis.document import DiagnosisDocument
 from impact_rs_analysis.diagnosis.verdict import CONFIRMED, NOTHING
 from impact_rs_analysis.evidence import impact_tables
-from impact_rs_analysis.evidence.impact_tables import MOST_NUMBERS, SMALL_BLOCKS, ImpactTableSource
-from impact_rs_analysis.evidence.map_discrepancy import JOINTS, NO_MAP_DISCREPANCY, measured_map_discrepancy
+from impact_rs_analysis.evidence.impact_tables import MAX_DISTINCT_NUMBERS, MAX_SMALL_BLOCKS, ImpactTableSource
+from impact_rs_analysis.evidence.map_discrepancy import (
+    JOINT_VELOCITY_AFTER,
+    NO_MAP_DISCREPANCY,
+    measured_map_discrepancy,
+)
 from impact_rs_analysis.evidence.row_groups import BLOCKS
 from impact_rs_sim.effects import library
 from impact_rs_sim.effects.depending import Depending
@@ -163,7 +167,7 @@ def test_motor_inertia_of_an_arm_is_found_from_its_jumps(tmp_path: Path) -> None
     joints, item = (view.source.size() for view in source.views()[:2])
     assert f"apart: joints {joints:.3g}, object {item:.3g} times repeatability" in source.comparison_remarks
     assert joints > 1.2 * item  # a motor that is heavier than assumed shows in its own joint
-    assert {feature.signal for feature in source.signals} >= {JOINTS}
+    assert {feature.signal for feature in source.signals} >= {JOINT_VELOCITY_AFTER}
 
 
 def test_pushes_without_anything_hidden_lack_nothing(tmp_path: Path) -> None:
@@ -180,12 +184,12 @@ def test_a_condition_is_predicted_as_the_mean_of_its_repeats(tmp_path: Path) -> 
     (found,) = source.predict([(1, ())], "")
     rows = source._groups[1].rows
     assert found == pytest.approx(source.predicted[list(rows)].mean(axis=0))
-    (again,) = source.measure_again((), source.clusters[1:2])
+    (again,) = source.residuals_with((), source.clusters[1:2])
     assert again.residuals == pytest.approx(source.clusters[1].residuals)
     item = source.clusters[1]
     assert item.mean * item.sigma == pytest.approx((source.measured - source.predicted)[list(rows)].mean(axis=0))
     limits = np.array([feature.relevance_limit for feature in source.signals]) / 2.0  # kills a scale without them
-    assert np.square(item.sigma) == pytest.approx(np.square(item.pure * item.sigma) + np.square(limits), rel=1e-9)
+    assert np.square(item.sigma) == pytest.approx(np.square(item.pure_error * item.sigma) + np.square(limits), rel=1e-9)
 
 
 def test_every_effect_that_the_map_knows_changes_what_is_remembered(tmp_path: Path) -> None:
@@ -195,7 +199,7 @@ def test_every_effect_that_the_map_knows_changes_what_is_remembered(tmp_path: Pa
     for source in (cubes, pushes):
         for effect in effects_for(source):
             candidate = Candidate.of((effect,), source)
-            added = candidate.split(candidate.possible(candidate.nominal + 0.5 * candidate.scale))
+            added = candidate.split(candidate.nearest_consistent(candidate.nominal + 0.5 * candidate.scale))
             (alone,) = source.predict_row(0, [added])
             assert alone is not None
             np.testing.assert_allclose(source.predicted_with(added)[0], alone, atol=1e-7, err_msg=effect.name)
@@ -239,10 +243,10 @@ def test_many_numbers_are_taken_as_means_of_groups_and_blocks_are_small_where_ef
     source = ImpactTableSource(read_impact_table(path, covariates=["temperature"]), NOMINAL, remarks=False)
     (given,) = source.covariates
     linear = Depending(library()["restitution"], given.name, terms_of(source)[given.name][0])
-    known = source.knowing([linear])
-    assert (len(source.clusters), len(known.clusters)) == (BLOCKS, SMALL_BLOCKS)
+    known = source.with_dependences([linear])
+    assert (len(source.clusters), len(known.clusters)) == (BLOCKS, MAX_SMALL_BLOCKS)
     shown = [float(world.circumstances["temperature"]) for world in known.worlds]
-    assert shown == [1.5 + 4.0 * n for n in range(MOST_NUMBERS)]
+    assert shown == [1.5 + 4.0 * n for n in range(MAX_DISTINCT_NUMBERS)]
 
 
 def test_an_object_whose_robot_was_not_measured_after_the_impact_is_compared_alone(tmp_path: Path) -> None:
@@ -250,7 +254,7 @@ def test_an_object_whose_robot_was_not_measured_after_the_impact_is_compared_alo
     kept = [number for number, name in enumerate(header) if not (name.startswith("dq") and "_after" in name)]
     path = write_csv(tmp_path / "pushes.csv", [header[k] for k in kept], [[row[k] for k in kept] for row in rows])
     source = ImpactTableSource(read_impact_table(path, load_scenario("push")), NOMINAL, discrepancy=NO_MAP_DISCREPANCY)
-    assert {feature.signal for feature in source.signals}.isdisjoint({JOINTS})
+    assert {feature.signal for feature in source.signals}.isdisjoint({JOINT_VELOCITY_AFTER})
     assert not any(view.name == "object" for view in source.views())  # it is looked at anyway
     assert source.measured.shape == source.predicted.shape == (len(rows), 6)
     document = diagnose(source, NOMINAL, ["object_mass", "restitution"])
@@ -265,7 +269,7 @@ def test_stated_noise_counts_beside_repeats_where_it_is_larger(tmp_path: Path, s
     path = write_csv(tmp_path / "pushes.csv", [*header, *names], [[*row, *[stated] * 3] for row in rows])
     source = ImpactTableSource(read_impact_table(path, load_scenario("push")), NOMINAL)
     item = source.clusters[0]
-    assert np.allclose(item.pure * item.sigma, stated) == larger
+    assert np.allclose(item.pure_error * item.sigma, stated) == larger
     (remark,) = (text for text in source.remarks if "the noise columns say" in text)
     assert ("0.0" in remark) == larger
 
@@ -377,7 +381,7 @@ def test_a_large_table_is_searched_in_part_and_checked_on_the_rest(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Rows are taken evenly from every block; what is found predicts the others, and the document says how well."""
-    monkeypatch.setattr(impact_tables, "SEARCHED_OF_BODIES", 48)
+    monkeypatch.setattr(impact_tables, "MAX_SEARCHED_ROWS_OF_BODIES", 48)
     rows = cube_rows(cube(0.2, 0.3), 240)
     header = [*CUBE_HEADER, "surface []"]
     table = read_impact_table(

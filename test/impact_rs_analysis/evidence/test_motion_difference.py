@@ -90,7 +90,7 @@ def test_a_gain_of_the_torque_that_all_joints_have_scales_the_load(mapping: Mapp
     source = with_gains(tmp_path, mapping, 0.9, 0.9, 0.9)
     found = diagnose(source, source.model, ["end_effector_payload"])
     assert_covers(found.effect("end_effector_payload").parameters["mass"].interval, MASS / 0.9, 0.018)
-    assert any("its mass is what the recorded torques weigh" in remark for remark in found.remarks)
+    assert any("A common gain of the torque scales the mass of the load" in remark for remark in found.remarks)
 
 
 @pytest.mark.parametrize("unsure", [0.0, 0.1])

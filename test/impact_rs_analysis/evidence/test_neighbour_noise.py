@@ -10,7 +10,7 @@ import pytest
 from ball_impacts import NOISE, Racket, ball_table
 
 from impact_rs_analysis.evidence.impact_tables import ImpactTableSource
-from impact_rs_analysis.evidence.neighbour_noise import noise_of_neighbours
+from impact_rs_analysis.evidence.neighbour_noise import nearest_neighbour_noise
 from impact_rs_sim.model import load_model
 from impact_rs_trials.recordings.impact_table import read_impact_table
 
@@ -27,20 +27,20 @@ def states(rows: int = 800) -> np.ndarray:
 def test_a_linear_residual_leaves_the_noise(slope: float) -> None:
     rng, state = np.random.default_rng(1), states()
     noise = rng.standard_normal((len(state), 2)) * [0.1, 3.0]
-    found = noise_of_neighbours(state, slope * state[:, :1] + noise)
+    found = nearest_neighbour_noise(state, slope * state[:, :1] + noise)
     np.testing.assert_allclose(found, [0.1, 3.0], rtol=0.08)
 
 
 def test_a_residual_that_bends_gives_too_much_and_never_too_little() -> None:
     rng, state = np.random.default_rng(2), states()
     bent = np.sin(6.0 * state[:, :1]) + 0.1 * rng.standard_normal((len(state), 1))
-    found = noise_of_neighbours(state, bent)
+    found = nearest_neighbour_noise(state, bent)
     assert found is not None
     assert 0.1 < found[0] < 0.7 * bent.std()
 
 
 def test_with_few_rows_nothing_is_said() -> None:
-    assert noise_of_neighbours(states(40), np.ones((40, 1))) is None
+    assert nearest_neighbour_noise(states(40), np.ones((40, 1))) is None
 
 
 def test_balls_show_their_noise_although_the_model_is_wrong(tmp_path: Path) -> None:

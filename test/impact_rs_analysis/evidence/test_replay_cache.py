@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from impact_rs_analysis.evidence.measured_runs import MeasuredRun, Setup
-from impact_rs_analysis.evidence.replay_cache import BATCHES, Replay, ReplayCache, run_batch, run_replay
+from impact_rs_analysis.evidence.replay_cache import MIN_BATCHES, Replay, ReplayCache, run_batch, run_replay
 from impact_rs_sim.errors import InputError
 from impact_rs_sim.model import Model, ModelEffect, ParameterValue
 from impact_rs_sim.scene import ArmState
@@ -98,12 +98,12 @@ def test_a_replay_with_a_step_that_was_not_solved_is_passed_over_by_fits_and_ref
 
 def test_replays_travel_in_batches_of_one_run_and_come_back_in_order(setup: Setup) -> None:
     other = replace(setup, drive="joint torque")
-    values = [0.001 * number for number in range(4 * BATCHES)]
+    values = [0.001 * number for number in range(4 * MIN_BATCHES)]
     tasks = CountingMap(lambda task: np.array([task.added[0][1][0]]))
     asked = [Replay(one, NOMINAL, (("restitution", (value,)),)) for value in values for one in (setup, other)]
     assert [float(item[0]) for item in ReplayCache(tasks)(asked)] == [value for value in values for _ in range(2)]
     assert all(len({task.setup.digest for task in batch}) == 1 for batch in tasks.batches)
-    assert len(tasks.batches) == BATCHES
+    assert len(tasks.batches) == MIN_BATCHES
 
 
 def test_replays_in_one_batch_are_those_of_each_alone(setup: Setup) -> None:

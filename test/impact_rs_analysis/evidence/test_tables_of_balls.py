@@ -19,7 +19,7 @@ from impact_rs_analysis.diagnosis.grammar import load_grammar
 from impact_rs_analysis.diagnosis.residuals import beyond_stated_noise
 from impact_rs_analysis.evidence.cluster import Cluster, Feature
 from impact_rs_analysis.evidence.impact_tables import ImpactTableSource
-from impact_rs_analysis.evidence.map_discrepancy import LINEAR
+from impact_rs_analysis.evidence.map_discrepancy import VELOCITY_AFTER
 from impact_rs_sim.effects.formula import FormulaParameter, FormulaSpec
 from impact_rs_sim.model import Model, load_model
 from impact_rs_trials.recordings.impact_table import read_impact_table
@@ -159,7 +159,7 @@ def test_a_ball_whose_spin_was_not_measured_after_the_impact_is_compared_by_its_
     kept = [n for n, name in enumerate(header) if not (name.startswith("w") and ("_after" in name or "_noise" in name))]
     seen = write_csv(tmp_path / "seen.csv", [header[n] for n in kept], [[row[n] for n in kept] for row in rows])
     source = ImpactTableSource(read_impact_table(seen), NOMINAL)
-    assert {feature.signal for feature in source.signals} == {LINEAR}
+    assert {feature.signal for feature in source.signals} == {VELOCITY_AFTER}
     assert source.measured.shape == source.predicted.shape == (len(rows), 3)
     np.testing.assert_allclose(source.noise, NOISE[0])
     document = diagnose(source, NOMINAL, ["restitution", "support_friction"])
@@ -218,8 +218,8 @@ def test_noise_passes_for_lack_of_fit_as_often_as_it_should() -> None:
 
 def one_row(features: tuple[Feature, ...], values: np.ndarray, discrepancy: float) -> Cluster:
     """A row with noise of 0.5 and a discrepancy, on the scale of 1."""
-    own = {"name": "row", "place": ("", "", ""), "layout": "impacts", "unit": "row", "contact": True}
-    sizes = {"sigma": np.ones(3), "pure": np.full(3, 0.5), "discrepancy": np.full(3, discrepancy)}
+    own = {"name": "row", "condition_key": ("", "", ""), "layout": "impacts", "unit": "row", "contact": True}
+    sizes = {"sigma": np.ones(3), "pure_error": np.full(3, 0.5), "discrepancy": np.full(3, discrepancy)}
     return Cluster(**own, features=features, residuals=values[None], **sizes)
 
 

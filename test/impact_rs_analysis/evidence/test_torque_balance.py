@@ -12,7 +12,7 @@ from joint_recordings import Columns, swinging, write_npz
 from slender_arm import mapping_of, slender_arm, swung, with_effects
 from wrong_readings import FAULTS, SCALE, Fault
 
-from impact_rs_analysis.evidence.torque_balance import ORDER, TorqueBalance, prepare
+from impact_rs_analysis.evidence.torque_balance import FILTER_ORDER, TorqueBalance, prepare
 from impact_rs_sim.physics import Physics
 from impact_rs_trials.recordings.mapping import Mapping
 from impact_rs_trials.recordings.recording import ARM, read_recordings
@@ -60,7 +60,7 @@ def test_the_low_pass_is_that_of_scipy(tmp_path: Path) -> None:
     mapping = mapping_of(tmp_path, slender_arm(("revolute",)))
     (motion,) = balance_of(tmp_path, mapping).motions
     values = np.cumsum(np.random.default_rng(1).normal(size=(100, 3)), axis=0)
-    sections = scipy.signal.butter(ORDER, motion.cut_off, fs=motion.rate, output="sos")
+    sections = scipy.signal.butter(FILTER_ORDER, motion.cut_off, fs=motion.rate, output="sos")
     np.testing.assert_allclose(motion.low_pass(values), scipy.signal.sosfiltfilt(sections, values, axis=0), atol=1e-12)
 
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from impact_rs_analysis.inference.ahead import probability, promised
-from impact_rs_analysis.inference.student import DECISIVE, log_density
+from impact_rs_analysis.inference.student import DECISIVE_LIKELIHOOD_RATIO, log_density
 
 DRAWS = 20_000
 
@@ -26,7 +26,7 @@ def test_two_planted_explanations_are_distinguished_as_often_as_said(distance: f
     noise = np.sqrt(rng.chisquare(freedom, DRAWS) / freedom)
     squares = [np.square((measured - side * distance) / noise) for side in (0.5, -0.5)]
     densities = [np.array([log_density(one, 0.0, 1, freedom) for one in own]) for own in squares]
-    distinguished = float(np.mean(np.abs(densities[0] - densities[1]) > np.log(DECISIVE)))
+    distinguished = float(np.mean(np.abs(densities[0] - densities[1]) > np.log(DECISIVE_LIKELIHOOD_RATIO)))
     assert float(probability(np.array(distance**2), freedom)) == pytest.approx(distinguished, abs=0.012)
 
 
@@ -41,7 +41,9 @@ def test_differences_of_three_to_six_standard_errors_are_decided_as_the_manual_s
 def test_with_a_known_noise_the_log_ratio_is_normal_with_mean_half_the_squared_distance() -> None:
     gain = np.array([1.0, 9.0, 25.0])
     ratio = gain / 2.0 + np.sqrt(gain) * np.random.default_rng(0).standard_normal((200_000, 1))
-    assert probability(gain) == pytest.approx(np.mean(np.abs(ratio) > np.log(DECISIVE), axis=0), abs=4e-3)
+    assert probability(gain) == pytest.approx(
+        np.mean(np.abs(ratio) > np.log(DECISIVE_LIKELIHOOD_RATIO), axis=0), abs=4e-3
+    )
     assert probability(gain, 1e5) == pytest.approx(probability(gain), abs=1e-4)
 
 

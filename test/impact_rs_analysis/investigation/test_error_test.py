@@ -51,14 +51,14 @@ class Campaign:
         return [
             Cluster(
                 name=str(number),
-                place=("world", "object", str(number)),
+                condition_key=("world", "object", str(number)),
                 layout="hit",
                 unit=str(number),
                 contact=True,
                 features=features,
                 residuals=values / sigma,
                 sigma=sigma,
-                pure=pure / sigma,
+                pure_error=pure / sigma,
                 discrepancy=systematic / sigma,
                 patterns=patterns / sigma,
             )
